@@ -1,0 +1,63 @@
+PYTHON ?= python3
+NOTEBOOKS := robot_and_terrain scenario_a scenario_b computation_times
+
+PY := .venv/bin/python
+READY := .venv/ready
+EXECUTED := $(NOTEBOOKS:%=build/notebooks/%.ipynb)
+RECORDS := $(EXECUTED:.ipynb=.d)
+
+# Two notebooks at a time; several goals at once stay in the order given.
+ifeq ($(MAKECMDGOALS),figures)
+MAKEFLAGS += -j2
+endif
+
+.PHONY: help figures test lab lock clean
+
+help: ## list what can be made
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+
+figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
+	@echo 'figures: $(if $(made),made,everything is up to date)'
+
+test: $(READY) ## run the tests
+	@$(PY) -m pytest -n auto
+
+lab: $(READY) ## open the notebooks in JupyterLab
+	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \
+	  --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate
+
+lock: ## pin the newest packages that pyproject.toml allows in environment.txt (needs uv)
+	@command -v uv >/dev/null || { echo 'make lock needs uv on the PATH' >&2; exit 1; }
+	@uv pip compile --quiet --upgrade --universal --python-version 3.11 --fork-strategy fewest \
+	  --group dev --generate-hashes --no-emit-index-url --no-emit-find-links \
+	  --custom-compile-command 'make lock' --output-file environment.txt pyproject.toml
+
+clean: ## remove the executed notebooks, the figures and the tables
+	@git clean -fdXq -- build figures
+
+$(READY): environment.txt pyproject.toml
+	@$(PYTHON) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "PYTHON was $(PYTHON) ($$($(PYTHON) --version 2>&1 | head -1)); it must be Python 3.11 or newer with its venv module: make PYTHON=..." >&2; \
+	  exit 1; }
+	@echo "Setting up .venv with $$($(PYTHON) --version) (a minute or two the first time)"
+	@$(PYTHON) -m venv .venv
+	@$(PY) -m pip --disable-pip-version-check install -q --require-hashes -r environment.txt
+	@$(PY) -m pip --disable-pip-version-check install -q --no-deps --no-build-isolation -e .
+	@touch $@
+
+# The reason for a run: `$?` is what is newer than the last run, or gone.
+changed = $(wildcard $?)
+gone = $(filter-out $(changed),$?)
+why = $(strip $(if $(changed),$(changed) changed) $(if $(gone),$(if $(changed),and) $(gone) $(if $(word 2,$(gone)),are,is) gone))
+
+$(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d environment.txt | $(READY)
+	@echo '$*: $(if $(wildcard $@),made again because $(why),made for the first time)'
+	@$(PY) -m rhec.notebook $<
+	$(eval made := yes)
+
+# It measures time, so it runs alone.
+build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb,$(EXECUTED))
+
+# What each notebook used and made when it was last run.
+$(RECORDS):
+include $(wildcard $(RECORDS))

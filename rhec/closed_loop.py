@@ -1,0 +1,276 @@
+"""The closed loop as a fold: one sample is a pure Function from (memory, noise) to (memory, log row), a run is that Function folded over time.
+
+    noise_k ─► robot ─ z_k ─► estimator ─ ξ̂, p̂ ─► path ─ ξ_r, ω_r ─► controller ─ ω ─► robot …
+
+Every tuning is an argument of the Function, so that changing a weight compiles nothing; only what changes its shape does.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from rhec import compiled, ekf, paper, path, rhc, rhe, robot, terrain
+from rhec.function import folded, only, size, unpack
+from rhec.kalman import valid
+from rhec.scenario import SIGMA_W, Scenario
+
+BLOCK = 16   # samples in one call of the compiled fold
+
+# One row of the log, in order: what `sample` returns beside the memory.
+LOG = dict(truth=("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"), omega=("omega_radps",),
+           z=("x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"),
+           estimate=("x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"),
+           command=("omega_cmd_radps",), s=("s_m",), curvature=("curvature_radpm",), kkt_rhe=("kkt_rhe",), kkt_rhc=("kkt_rhc",),
+           deviance=("deviance",), ok=("ok",))
+COLUMNS = [column for columns in LOG.values() for column in columns]
+
+
+class Structure(NamedTuple):
+    """What decides the shape of the loop's Function, and so what is compiled."""
+
+    estimator: str          # "rhe", "ekf", "oracle", "traction_oracle", or a serialized Function
+    horizon: int
+    horizon_rhe: int
+    speed_model: str
+    arrival_mean: str
+    input_reference: str
+    qp: str
+    n_segments: int
+    terrain_shape: tuple
+
+
+def estimator_step(structure):
+    """(memory, z, settings …) -> (memory, estimate, and where it has them kkt, deviance, ok)."""
+    kind = structure.estimator
+    if kind == "rhe":
+        return rhe.functions(paper.DT_S, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp)["step"]
+    if kind in ("ekf", "traction_oracle"):
+        return ekf.functions(paper.DT_S)["step"]
+    if kind == "oracle":
+        truth = ca.SX.sym("truth", 6)
+        return ca.Function("oracle", [ca.SX.sym("memory", 6), ca.SX.sym("z", 4), truth], [ca.SX(6, 1), truth], ["memory", "z", "truth"],
+                           ["memory", "estimate"], {"allow_duplicate_io_names": True})
+    return ca.Function.deserialize(kind)
+
+
+def functions(*structure):
+    """{sample, block}: one sample of the closed loop, and BLOCK of them in one call."""
+    structure = Structure(*structure)
+    measure, drive = robot.measure(paper.DT_S), robot.drive(paper.DT_S)
+    estimate_step = estimator_step(structure)
+    references = path.functions(paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference)["references"]
+    control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
+    slip = terrain.lookup(structure.terrain_shape)
+
+    memory = robot.MEMORY | dict(estimator=(estimate_step.numel_in(0), 1), s=(1, 1), controller=(control.numel_in(0), 1), command=(1, 1))
+    settings = (robot.SENSORS | robot.BODY | dict(
+        V=(4, 1), W=(estimate_step.size1_in("W") if "W" in estimate_step.name_in() else 1, 1),
+        segments=(5, structure.n_segments), period_m=(1, 1), look_ahead_m=(1, 1), backwards=(1, 1),
+        Q=(3, 1), QN=(3, 1), R=(1, 1), omega_max=(1, 1), speed_mps=(1, 1), command_delay=(1, 1), origin_m=(2, 1), cell_m=(1, 1),
+        slip=(slip.numel_in("slip"), 1)))
+
+    def sample(pose, tracks, integral, drift, encoders, estimator, s, controller, command, noise, **settings):
+        noise = unpack(noise, robot.NOISE)
+        traction = slip(pose[:2], settings["origin_m"], settings["cell_m"], settings["slip"])
+        nu, omega = robot.body_speeds(tracks, settings["track_width_m"])
+        truth = ca.vertcat(pose, nu, traction)
+
+        measured = measure(**only(measure, noise | settings), pose=pose, drift=drift, encoders=encoders)
+        z = measured["z"]
+
+        known = settings | dict(truth=truth, traction=traction if structure.estimator == "traction_oracle" else ca.DM.ones(2))
+        inputs = [estimator, z] + [known[name] for name in estimate_step.name_in()[2:]]
+        outputs = dict(zip(["memory", "estimate", *estimate_step.name_out()[2:]], estimate_step.call(inputs)))
+        estimate = outputs["estimate"]
+
+        omega_measured = ca.if_else(valid(z[3]), z[3], command)
+        target = references(**only(references, settings), s=s, estimate=estimate, omega_measured=omega_measured)
+        planned = control(**only(control, settings), memory=controller, s_0=estimate, xi_ref=target["xi_ref"], omega_ref=target["omega_ref"])
+        newest = planned["command"]
+        applied = ca.if_else(settings["command_delay"], command, newest)
+
+        driven = drive(**only(drive, noise | settings), pose=pose, tracks=tracks, integral=integral, traction=traction, omega_radps=applied)
+        row = dict(truth=truth, omega=omega, z=z, estimate=estimate, command=newest, s=target["s"], curvature=target["curvature"],
+                   kkt_rhe=outputs.get("kkt", ca.DM.nan(1)), kkt_rhc=planned["kkt"], deviance=outputs.get("deviance", ca.DM.nan(1)),
+                   ok=ca.fmin(outputs.get("ok", 1), planned["ok"]))
+        return dict(driven, drift=measured["drift"], estimator=outputs["memory"], s=target["s"], controller=planned["memory"], command=newest,
+                    row=ca.densify(ca.vertcat(*(row[name] for name in LOG))))
+
+    sample = folded("sample", sample, memory, dict(noise=(size(robot.NOISE), 1)) | settings)
+    return dict(sample=sample, block=block(sample))
+
+
+def block(sample):
+    """`sample`, BLOCK times in a row: (memory, noise (n, BLOCK), settings …) -> (memory, rows (n, BLOCK)); the settings pass by reference."""
+    symbols = {name: ca.MX.sym(name, sample.sparsity_in(name)) for name in sample.name_in()}
+    noise = ca.MX.sym("noise", sample.size1_in("noise"), BLOCK)
+    memory, rows = symbols["memory"], []
+    for noise_k in ca.horzsplit(noise):
+        result = sample(**symbols | dict(memory=memory, noise=noise_k))
+        memory, rows = result["memory"], [*rows, result["row"]]
+    inputs = symbols | dict(noise=noise)
+    return ca.Function("block", [*inputs.values()], [memory, ca.horzcat(*rows)], [*inputs], ["memory", "rows"], {"allow_duplicate_io_names": True})
+
+
+@dataclass(frozen=True)
+class World:
+    """What a scenario amounts to in numbers: the loop's structure, first memory and settings, and where its path and soil come from."""
+
+    structure: Structure
+    memory: np.ndarray
+    settings: dict
+    path: path.Path
+    terrain: terrain.Terrain
+
+
+def world(scenario):
+    """Path, soil, starting point and settings of a scenario."""
+    target = scenario.path or path.Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
+    soil = scenario.terrain or random_terrain(scenario, target)
+
+    (pose,), _ = target.poses([0.0])
+    x, y, theta = pose
+    backwards = -1.0 if scenario.backwards else 1.0
+    speed_mps = backwards * scenario.speed_mps
+    pose = np.array([x - scenario.start_offset_m * np.sin(theta), y + scenario.start_offset_m * np.cos(theta),
+                     theta + scenario.start_yaw_rad + np.pi * scenario.backwards])
+    guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
+
+    custom = isinstance(scenario.estimator, ca.Function)
+    structure = Structure(scenario.estimator.serialize() if custom else scenario.estimator, scenario.horizon, scenario.horizon_rhe,
+                          scenario.speed_model, scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments),
+                          soil.mu.shape)
+    memory = robot.start(pose, speed_mps) | dict(
+        estimator=first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
+        controller=vector(rhc.start(pose, guess[3:], scenario.horizon)), command=0.0)
+    slow = scenario.gnss_slow_share
+    settings = dict(
+        gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow), gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
+        gnss_slow_time_s=scenario.gnss_slow_time_s, track_width_m=scenario.track_width_m, encoder_sigma_mps=scenario.encoder_sigma_mps,
+        bump_sigma_radps=scenario.bump_sigma_radps, V=np.square(scenario.sigma_v), W=np.square(sigma_w(scenario)),
+        segments=target.segments.T, period_m=target.period_m, look_ahead_m=scenario.look_ahead_m, backwards=float(scenario.backwards),
+        Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
+        speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
+        slip=terrain.flat(soil))
+    return World(structure, vector(memory), settings, target, soil)
+
+
+def random_terrain(scenario, target):
+    """The random field a scenario's statistics and seed describe, with a margin around its path."""
+    along = np.arange(0, target.length_m, 0.5)
+    xy, margin = target.poses(along)[0][:, :2], 5.0 + abs(scenario.start_offset_m)
+    box = (xy[:, 0].min() - margin, xy[:, 0].max() + margin, xy[:, 1].min() - margin, xy[:, 1].max() + margin)
+    return terrain.Terrain.random(scenario.seed, box, (scenario.mu_mean, scenario.kappa_mean), (scenario.mu_deviation, scenario.kappa_deviation),
+                                  scenario.correlation_length_m, scenario.patches)
+
+
+def first_memory(scenario, guess):
+    """The estimator's memory before the first sample; the arrival cost begins at the paper's W."""
+    if scenario.estimator == "rhe":
+        return vector(rhe.start(guess, paper.SIGMA_W_RHE, scenario.horizon_rhe, scenario.speed_model))
+    if scenario.estimator in ("ekf", "traction_oracle"):
+        return vector(ekf.start(guess, paper.SIGMA_W_EKF))
+    length = scenario.estimator.numel_in(0) if isinstance(scenario.estimator, ca.Function) else 6
+    return np.append(guess, np.zeros(max(length - 6, 0)))[:length]
+
+
+def sigma_w(scenario):
+    """The process noise of a scenario's estimator; the traction oracle is not the paper's, so it always has the calibrated one."""
+    if scenario.sigma_w is not None:
+        return scenario.sigma_w
+    if scenario.estimator == "traction_oracle":
+        return SIGMA_W["ekf", "calibrated"]
+    sigma = SIGMA_W.get((scenario.estimator, scenario.reading), (0.0,))
+    return np.delete(sigma, 3) if scenario.estimator == "rhe" and scenario.speed_model == "input" else sigma
+
+
+def vector(memory):
+    """A memory's pieces one after the other, each column by column, as `function.unpack` reads them."""
+    return np.concatenate([np.ravel(piece, order="F") for piece in memory.values()]).astype(float)
+
+
+def draw_noise(seed, samples):
+    """Standard normal noise (samples, n) of a seed; the first rows do not depend on how many are drawn."""
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 1)))).standard_normal((samples, size(robot.NOISE)))
+
+
+def fold(functions, memory, noise, settings):
+    """The run: `sample` folded over the rows of noise (n, …) in blocks. Returns the last memory and the log rows (n, …)."""
+    rows = np.empty((len(noise), functions["sample"].numel_out("row")))
+    memory, spare = memory.copy(), memory.copy()
+    done = 0
+    for name, output, length in (("block", "rows", BLOCK), ("sample", "row", 1)):
+        call = compiled.Bound(functions[name])
+        call.set(**settings)
+        while done + length <= len(noise):
+            call.read_from("memory", memory)
+            call.read_from("noise", noise[done:done + length])
+            call.write_to("memory", spare)
+            call.write_to(output, rows[done:done + length])
+            call.call()
+            memory, spare = spare, memory
+            done += length
+    return memory, rows
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run: log, one row a sample; metrics; and what it ran on."""
+
+    scenario: Scenario
+    log: pd.DataFrame
+    metrics: dict
+    path: path.Path
+    terrain: terrain.Terrain
+
+
+def simulate(scenario):
+    """Run a scenario: rhec.Run. The first call of a new structure compiles it (seconds, said by nothing: cached from then on)."""
+    if not isinstance(scenario, Scenario):
+        raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
+    made = world(scenario)
+    samples = round(scenario.duration_s / paper.DT_S)
+    _, rows = fold(compiled.load(functions, *made.structure), made.memory, draw_noise(scenario.seed, samples), made.settings)
+    log = pd.DataFrame(rows, columns=COLUMNS)
+    log.insert(0, "t_s", np.arange(samples) * paper.DT_S)
+    log["on_straight"] = log["curvature_radpm"] == 0
+    log["ok"] = log["ok"] == 1
+    log["error_m"] = made.path.project(log[["x_meas_m", "y_meas_m"]])[0]
+    log["error_true_m"] = made.path.project(log[["x_m", "y_m"]])[0]
+    return Run(scenario, log, metrics(log, made.path), made.path, made.terrain)
+
+
+def metrics(log, target):
+    """What is reported of a run; errors in m, times in s.
+
+    Errors and violations count from the arrival on, the first moment from which the true error stays within the tolerance for 5 s; a robot that
+    never arrives is judged on its whole run. `mean_error_m` is the paper's: raw GNSS to the path (reading R11). Overshoot: how far beyond
+    the path, seen from the start, the robot gets on the first row.
+    """
+    hold = round(5 / paper.DT_S)
+    inside = (log["error_true_m"] < paper.TOLERANCE_M).to_numpy()
+    stays = np.flatnonzero(np.convolve(inside, np.ones(hold), "valid") == hold)
+    arrival = stays[0] if len(stays) else None
+    after = log.iloc[arrival or 0:]
+    straight = after[after["on_straight"]]
+    _, s = target.project(log[["x_m", "y_m"]])
+    poses, _ = target.poses(s)
+    left = (log["y_m"] - poses[:, 1]) * np.cos(poses[:, 2]) - (log["x_m"] - poses[:, 0]) * np.sin(poses[:, 2])
+    first_row = left[: np.argmin(log["on_straight"])] if not log["on_straight"].all() else left
+    return dict(
+        arrival_s=np.nan if arrival is None else log["t_s"][arrival],
+        mean_error_m=after["error_m"].mean(), mean_error_true_m=after["error_true_m"].mean(), max_error_true_m=after["error_true_m"].max(),
+        mean_error_from_start_m=log["error_m"].mean(),
+        violations=int((straight["error_m"] > paper.TOLERANCE_M).sum()), violations_true=int((straight["error_true_m"] > paper.TOLERANCE_M).sum()),
+        overshoot_m=max(0.0, (-np.sign(left[0]) * first_row).max()),
+        rms_mu=rms(after["mu_hat"] - after["mu"]), rms_kappa=rms(after["kappa_hat"] - after["kappa"]),
+        rms_yaw_rad=rms(after["theta_hat_rad"] - after["theta_rad"]),
+        at_bound_share=(after["omega_cmd_radps"].abs() >= 0.999 * log["omega_cmd_radps"].abs().max()).mean(),
+        median_kkt_rhe=after["kkt_rhe"].median(), median_kkt_rhc=after["kkt_rhc"].median(), all_ok=bool(log["ok"].all()))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,111 @@
+"""What RHE and RHC share: one generalised Gauss-Newton iteration on a multiple-shooting problem (paper, Sec. Solution Methods).
+
+Both problems are least squares over trajectories s_0 … s_N, v_0 … v_{N-1} of the same interval s⁺ = F(s, v). Linearised at the
+previous solution (s̄, v̄) the dynamics are s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (v_i - v̄_i); everything unbounded is then eliminated, and
+what is left is a small dense QP with bounds only. All functions work on lists of CasADi expressions, one entry an interval or node.
+
+Each sample has four phases, each a Function of its own in `rhe` and `rhc`:
+    shift      the horizon moves on by one sample, the previous solution with it (warm start)
+    linearise  integrate, differentiate, condense
+    feedback   what is new (a measurement; an estimate and references) and the QP: the answer
+    expand     the rest of the solution, for the next linearisation, and the KKT tolerance
+The paper's preparation is expand, shift and linearise; only feedback lies between a measurement and the command. Iterating linearise,
+feedback and expand without shift converges to the solution of the nonlinear problem.
+"""
+
+from typing import NamedTuple
+
+import casadi as ca
+
+
+# DAQP is asked for more than its usual tolerance, so that all solvers give the same answer to 1e-8.
+QP_SOLVERS = {
+    "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}},
+    "qpoases": {"printLevel": "none", "hessian_type": "posdef"},
+    "qrqp": {"print_iter": False, "print_header": False, "print_info": False},
+}
+
+
+class Linearisation(NamedTuple):
+    """The linearised dynamics along a trajectory: F_i (n_s,), A_i (n_s, n_s), B_i (n_s, n_v) and where they were taken."""
+
+    F: list
+    A: list
+    B: list
+    s: list   # s̄_0 … s̄_N
+    v: list   # v̄_0 … v̄_{N-1}
+
+    def step(self, i, s, v):
+        """The linearised interval i: F_i + A_i (s - s̄_i) + B_i (v - v̄_i)."""
+        return self.F[i] + self.A[i] @ (s - self.s[i]) + self.B[i] @ (v - self.v[i])
+
+    def rollout(self, s_0, v):
+        """The linearised trajectory s_0 … s_N for the inputs v_0 … v_{N-1}; the gaps of multiple shooting close here."""
+        s = [s_0]
+        for i, v_i in enumerate(v):
+            s.append(self.step(i, s[i], v_i))
+        return s
+
+
+def linearise(interval, s, v, dt_s):
+    """Integrate every interval from its node and differentiate: s (n_s, N+1), v (n_v, N), dt_s list of N -> Linearisation."""
+    s, v = ca.horzsplit(s), ca.horzsplit(v)
+    F, A, B = zip(*(interval.linearised(*each) for each in zip(s, v, dt_s)))
+    return Linearisation(list(F), list(A), list(B), s, v)
+
+
+def shift(interval, s, v, dt_s):
+    """Warm start (paper: the initial value "takes on the value of the previous one intelligently"): move the trajectory one interval
+    on, repeat its last input, and integrate one node more."""
+    v = ca.horzcat(v[:, 1:], v[:, -1])
+    return ca.horzcat(s[:, 1:], interval.step(s[:, -1], v[:, -1], dt_s)), v
+
+
+def condensed_hessian(A, B, Q, R):
+    """Hessian of ½ Σ_{i=1..N} s_i' Q_i s_i + ½ Σ_{i=0..N-1} v_i' R v_i in v alone, s_0 = 0, s_{i+1} = A_i s_i + B_i v_i.
+
+    Needs O(N²) operations: the response to each single input forwards, its adjoint backwards (Andersson, "A General-Purpose Software
+    Framework for Dynamic Optimization", 2013). Q is indexed 0 … N-1 for nodes 1 … N. Only for scalar v.
+    """
+    N = len(A)
+    H = [[None] * N for _ in range(N)]
+    for j in range(N):
+        response = [B[j]]                                     # ∂s_{j+1}/∂v_j … ∂s_N/∂v_j
+        for i in range(j + 1, N):
+            response.append(A[i] @ response[-1])
+        adjoint = Q[N - 1] @ response[-1]
+        for i in range(N - 1, j, -1):
+            H[i][j] = H[j][i] = B[i].T @ adjoint
+            adjoint = Q[i - 1] @ response[i - 1 - j] + A[i].T @ adjoint
+        H[j][j] = B[j].T @ adjoint + R
+    return ca.vertcat(*(ca.horzcat(*row) for row in H))
+
+
+def condensed_gradient(A, B, q, r):
+    """Gradient in v of the same problem with linear terms q_i on nodes 1 … N and r_i on inputs, by the adjoint recursion, O(N)."""
+    adjoint, gradient = q[-1], []
+    for i in reversed(range(len(A))):
+        gradient.append(r[i] + B[i].T @ adjoint)
+        if i:
+            adjoint = q[i - 1] + A[i].T @ adjoint
+    return ca.vertcat(*reversed(gradient))
+
+
+def box_qp(n, solver):
+    """min ½ x'Hx + g'x, lb ≤ x ≤ ub, as a Function (H, g, lb, ub) -> (x, λ, ok); λ > 0 at an upper, λ < 0 at a lower bound.
+
+    CasADi's solvers report a failure and go on; then ok is 0 and x and λ are 0: no step.
+    """
+    H, g, lb, ub = ca.MX.sym("H", n, n), ca.MX.sym("g", n), ca.MX.sym("lb", n), ca.MX.sym("ub", n)
+    options = {"error_on_fail": False, **QP_SOLVERS[solver]}
+    solution = ca.conic("qp", solver, {"h": H.sparsity()}, options)(h=H, g=g, lbx=lb, ubx=ub)
+    x, multipliers = solution["x"], solution["lam_x"]
+    ok = ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))   # also 0 where x is not a number
+    # an active-set solver may leave the box by its tolerance; the bounds are hard
+    return ca.Function("box_qp", [H, g, lb, ub], [ca.if_else(ok, ca.fmin(ca.fmax(x, lb), ub), 0), ca.if_else(ok, multipliers, 0), ok])
+
+
+def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
+    """KKT tolerance as ACADO's generated code defines it: |∇J·Δw| + Σ |λ_i · (distance from the linearisation point to the bound)|."""
+    bound = ca.if_else(multipliers > 0, upper, lower)
+    return ca.fabs(gradient_along_step) + ca.sum1(ca.fabs(multipliers * bound))

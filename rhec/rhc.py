@@ -1,0 +1,93 @@
+"""Nonlinear Receding Horizon Control, eq. (NMPC).
+
+    min  ½ Σ_{i=1..N-1} ‖ξ_r,i - ξ_i‖²_{Q_k} + ½ ‖ξ_r,N - ξ_N‖²_{Q_N} + ½ Σ_{i=0..N-1} ‖ω_r,i - ω_i‖²_R
+    s.t. ξ_0 = ξ̂, ξ_{i+1} = F(ξ_i, ω_i, p̂), |ω_i| ≤ ω_max
+
+The states are condensed away; the QP is in ω_0 … ω_{N-1}. The Hessian belongs to the preparation phase. The estimate (ξ̂, p̂) and the references
+enter in the feedback phase only: they move the gradient, through the linearised dynamics of the joint state s = (ξ, p).
+"""
+
+import casadi as ca
+import numpy as np
+
+from rhec import gauss_newton, model
+from rhec.function import folded, function, only
+
+JOINT = 6   # s = (x, y, θ, ν, μ, κ)
+
+
+def functions(dt_s, horizon, qp="daqp"):
+    """The RHC as CasADi Functions shift, linearise, feedback and expand (each phase: see `gauss_newton`) and step, which is all of them.
+
+    Memory: s (6, N+1) predicted joint states, omega (1, N) planned inputs [rad/s]. Weights: Q (3,), QN (3,) diagonals, R ().
+    feedback takes s_0 (6,) = (ξ̂, p̂), xi_ref (3, N+1) of which node 0 has no weight, omega_ref (1, N), omega_max () [rad/s].
+    """
+    N, iv = horizon, model.interval("parameter")
+    memory = dict(s=(JOINT, N + 1), omega=(1, N))
+    weights = dict(Q=(3, 1), QN=(3, 1), R=(1, 1))
+    references = dict(s_0=(JOINT, 1), xi_ref=(3, N + 1), omega_ref=(1, N), omega_max=(1, 1))
+
+    def node_weights(Q, QN):
+        """Weights of s at nodes 1 … N: the parameters have none."""
+        return [ca.diag(ca.vertcat(each, ca.SX(3, 1))) for each in [Q] * (N - 1) + [QN]]
+
+    def shift(s, omega):
+        s, omega = gauss_newton.shift(iv, s, omega, dt_s)
+        return dict(s=s, omega=omega)
+
+    def linearise(s, omega, Q, QN, R):
+        lin = gauss_newton.linearise(iv, s, omega, [dt_s] * N)
+        H = gauss_newton.condensed_hessian(lin.A, lin.B, node_weights(Q, QN), R)
+        return dict(H=H, F=ca.horzcat(*lin.F), A=ca.horzcat(*lin.A), B=ca.horzcat(*lin.B))
+
+    def linearisation(s, omega, F, A, B):
+        return gauss_newton.Linearisation(ca.horzsplit(F), ca.horzsplit(A, JOINT), ca.horzsplit(B), ca.horzsplit(s), ca.horzsplit(omega))
+
+    def gradient(s, omega, F, A, B, Q, QN, R, s_0, xi_ref, omega_ref, omega_max):
+        """Of the cost in ω at the previous plan, started from the new estimate; with what is left to the bounds."""
+        lin = linearisation(s, omega, F, A, B)
+        nodes = lin.rollout(s_0, lin.v)[1:]
+        errors = [weight @ (node - ca.vertcat(ref, ca.SX(3, 1))) for weight, node, ref in
+                  zip(node_weights(Q, QN), nodes, ca.horzsplit(xi_ref)[1:])]
+        g = gauss_newton.condensed_gradient(lin.A, lin.B, errors, ca.horzsplit(R * (omega - omega_ref)))
+        return dict(g=g, lower=-omega_max - omega.T, upper=omega_max - omega.T)
+
+    def expand(s, omega, F, A, B, s_0, omega_plan, g, lower, upper, multipliers):
+        """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
+        lin = linearisation(s, omega, F, A, B)
+        kkt = gauss_newton.kkt_tolerance(ca.dot(g, (omega_plan - omega).T), multipliers, lower, upper)
+        return dict(s=ca.horzcat(*lin.rollout(s_0, ca.horzsplit(omega_plan))), omega=omega_plan, kkt=kkt)
+
+    shift = function("rhc_shift", shift, memory)
+    linearise = function("rhc_linearise", linearise, memory | weights)
+    prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
+    dynamics = {name: prepared[name] for name in ("F", "A", "B")}
+    gradient = function("rhc_gradient", gradient, memory | dynamics | weights | references)
+    solve = gauss_newton.box_qp(N, qp)
+
+    def feedback(H, **arguments):
+        local = gradient(**arguments)
+        step, multipliers, ok = solve(H, local["g"], local["lower"], local["upper"])
+        limit = arguments["omega_max"]
+        omega_plan = ca.fmin(ca.fmax(arguments["omega"] + step.T, -limit), limit)   # ω + (ω_max - ω) may round past ω_max
+        return dict(omega_plan=omega_plan, multipliers=multipliers, ok=ok, **local)
+
+    feedback = function("rhc_feedback", feedback, dict(H=prepared["H"]) | memory | dynamics | weights | references, ca.MX)
+    result = {name: feedback.sparsity_out(name) for name in ("omega_plan", "g", "lower", "upper", "multipliers")}
+    expand = function("rhc_expand", expand, memory | dynamics | dict(s_0=(JOINT, 1)) | result)
+
+    def step(Q, QN, R, s_0, xi_ref, omega_ref, omega_max, **memory):
+        """All phases of one sample."""
+        given = dict(Q=Q, QN=QN, R=R, s_0=s_0, xi_ref=xi_ref, omega_ref=omega_ref, omega_max=omega_max)
+        memory = shift(**memory)
+        prepared = linearise(**memory, **only(linearise, given))
+        result = feedback(**prepared, **memory, **given)
+        return expand(**memory, **only(expand, prepared | given), **only(expand, result)) | dict(command=result["omega_plan"][0], ok=result["ok"])
+
+    step = folded("rhc_step", step, memory, weights | references)
+    return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand, step=step)
+
+
+def start(pose, p, horizon):
+    """Memory before the first sample: the robot at pose (3,) with parameters p (3,) = (ν, μ, κ), nothing planned."""
+    return dict(s=np.tile([*pose, *p], (horizon + 1, 1)).T, omega=np.zeros((1, horizon)))

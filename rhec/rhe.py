@@ -1,0 +1,165 @@
+"""Nonlinear Receding Horizon Estimation, eq. (mhe), with the arrival cost of Sec. Arrival Cost.
+
+    min  ½ ‖(ξ̂, p̂) - s_0‖²_{H_N} + ½ Σ_{i=0..N} ‖z_i - h(s_i, v_{i-1})‖²_{H_k}     s.t. s_{i+1} = F(s_i, v_i), 0 ≤ μ, κ ≤ 1
+
+N intervals have N+1 nodes; node N is now. z_i = (x, y, ν, ω)_i arrives at node i: its position belongs to the node, its encoder readings
+ν, ω are means over the interval that *ends* there, so ω_i measures v_{i-1}. The newest measurement enters in the feedback phase only.
+
+The Gauss-Newton subproblem is a linear-Gaussian smoothing problem with bounds on two constants. Eliminating all that is unbounded from
+the oldest node to the newest is exactly a Kalman filter over the window (information needs H_N = P⁻¹ only, never a dense Hessian), which
+leaves a QP in (μ, κ); its multiplier then runs backwards through the window and yields every other unknown (Bryson-Frazier). Each costs O(N).
+"""
+
+import casadi as ca
+import numpy as np
+
+from rhec import gauss_newton, kalman, model
+from rhec.function import folded, function, only
+from rhec.kalman import symmetric, valid
+
+SIGMA_HELD = (1.0, 1.0)      # ν [m/s], ω [rad/s]: how far a missing input may be from the one before
+
+
+def measured_inputs(interval, z, v, V):
+    """What the reading z (4,) says of the inputs before it, and how surely: (v_m, R_v). A missing one is the last one held."""
+    mean, variance = [], []
+    for place, row in interval.measured_inputs:
+        mean.append(ca.if_else(valid(z[row]), z[row], v[place]))
+        variance.append(ca.if_else(valid(z[row]), V[row], SIGMA_HELD[row - 2] ** 2))
+    return ca.vertcat(*mean), ca.diag(ca.vertcat(*variance))
+
+
+def arrival(interval, s, v, m, P, z_0, z_1, V, W, dt_s, mean):
+    """Smoothed-EKF update of the arrival cost (paper, Sec. Arrival Cost): the window's oldest node leaves.
+
+    The prior at the oldest node takes in that node's measurement z_0, passes through the interval linearised at the previous RHE solution
+    (s, v), and is down-weighted by W (n_s,), so that H_N = P⁻¹ never exceeds W⁻¹. The mean comes from the previous solution, as the paper
+    says (`mean="smoothed"`), or from the filter itself (`"filtered"`): reading R7.
+    """
+    F, A, B = interval.linearised(s[:, 0], v[:, 0], dt_s)
+    m, P, _, _, _ = kalman.update(m, P, z_0, V, interval.measured_states)
+    v_m, R_v = measured_inputs(interval, z_1, v[:, 0], V)
+    P = A @ P @ A.T + B @ R_v @ B.T + ca.diag(W)
+    m = s[:, 1] if mean == "smoothed" else F + A @ (m - s[:, 0]) + B @ (v_m - v[:, 0])
+    return m, symmetric(P)
+
+
+def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="daqp"):
+    """The RHE as CasADi Functions shift, linearise, feedback and expand (each phase: see `gauss_newton`) and step, which is all of them.
+
+    Memory: s (n_s, N+1) trajectory, v (n_v, N) inputs, z (4, N+1) window, age () intervals driven, m (n_s,) and P (n_s, n_s) arrival cost.
+    V (4,) and W (n_s,) are variances. A window that is not full yet has intervals of no length before its first sample.
+    """
+    N, iv = horizon, model.interval(speed_model)
+    q, n_s, n_v = list(iv.traction), iv.n_s, iv.n_v
+    memory = dict(s=(n_s, N + 1), v=(n_v, N), z=(4, N + 1), age=(1, 1), m=(n_s, 1), P=(n_s, n_s))
+
+    def add_input(B, m, P, v, z, V):
+        """A prediction (m, P) made with the input v, corrected by what the reading z says of that input."""
+        v_m, R_v = measured_inputs(iv, z, v, V)
+        return m + B @ (v_m - v), P + B @ R_v @ B.T
+
+    def shift(s, v, z, age, m, P, V, W):
+        """The window moves on by one sample; once it is full, its oldest node becomes the arrival cost."""
+        m_next, P_next = arrival(iv, s, v, m, P, z[:, 0], z[:, 1], V, W, dt_s, arrival_mean)
+        s, v = gauss_newton.shift(iv, s, v, dt_s * (age >= 0))
+        return dict(s=s, v=v, z=ca.horzcat(z[:, 1:], ca.SX.nan(4)), age=ca.fmin(age + 1, N),
+                    m=ca.if_else(age >= N, m_next, m), P=ca.if_else(age >= N, P_next, P))
+
+    def linearise(s, v, z, age, m, P, V):
+        """Integrate, differentiate, and filter up to the newest node, whose measurement is yet to come."""
+        lin = gauss_newton.linearise(iv, s, v, [dt_s * (age >= N - i) for i in range(N)])
+        K, e = [], []
+        for i in range(N):
+            m, P, K_i, e_i, _ = kalman.update(m, P, z[:, i], V, iv.measured_states)
+            K.append(K_i)
+            e.append(e_i)
+            m, P = lin.step(i, m, lin.v[i]), symmetric(lin.A[i] @ P @ lin.A[i].T)
+            if i < N - 1:
+                m, P = add_input(lin.B[i], m, P, lin.v[i], z[:, i + 1], V)
+        return dict(F=ca.horzcat(*lin.F), A=ca.horzcat(*lin.A), B=ca.horzcat(*lin.B), K=ca.horzcat(*K), e=ca.horzcat(*e),
+                    B_N=lin.B[-1], v_N=lin.v[-1], m_N=m, P_N=P)
+
+    def newest(B_N, v_N, m_N, P_N, z_N, V):
+        """The newest measurement, and the QP that is left: min ½ (q - q̂)' H (q - q̂), 0 ≤ q = (μ, κ) ≤ 1."""
+        m, P, K, e, deviance = kalman.update(*add_input(B_N, m_N, P_N, v_N, z_N, V), z_N, V, iv.measured_states)
+        H = ca.inv_minor(P[q, q])
+        nu = m[3] if speed_model == "parameter" else measured_inputs(iv, z_N, v_N, V)[0][0]
+        return dict(H=H, g=-H @ m[q], m=m, covariance=P, nu=nu, K_N=K, e_N=e, deviance=deviance)
+
+    def bounded(H, m, covariance, nu, traction):
+        """The newest estimate (x, y, θ, ν, μ, κ) given (μ, κ), and the multipliers of its bounds."""
+        multipliers = H @ (m[q] - traction)
+        s_N = m - covariance[:, q] @ multipliers
+        nu = s_N[3] if speed_model == "parameter" else nu
+        return dict(estimate=ca.vertcat(s_N[:3], nu, traction), multipliers=multipliers)
+
+    def expand(s, v, z, age, m, P, V, F, A, B, K, e, K_N, e_N, multipliers, z_N):
+        """Every other unknown of the window from the multipliers, backwards; the KKT tolerance of the linearisation point."""
+        F, A, B = ca.horzsplit(F), ca.horzsplit(A, n_s), ca.horzsplit(B, n_v)
+        lin = gauss_newton.Linearisation(F, A, B, ca.horzsplit(s), ca.horzsplit(v))
+        rows = len(iv.measured_states)
+        K, e, z = [*ca.horzsplit(K, rows), K_N], ca.horzcat(e, e_N), ca.horzcat(z[:, :N], z_N)
+
+        adjoint, v_new, inputs = ca.SX(n_s, 1), [None] * N, [None] * N
+        adjoint[q] = multipliers
+        for i in reversed(range(N + 1)):
+            for row in reversed(range(rows)):
+                place, _ = iv.measured_states[row]
+                adjoint[place] -= K[i][:, row].T @ adjoint + e[row, i]
+            if i:
+                inputs[i - 1] = v_m, R_v = measured_inputs(iv, z[:, i], lin.v[i - 1], V)
+                v_new[i - 1] = v_m - R_v @ B[i - 1].T @ adjoint
+                adjoint = A[i - 1].T @ adjoint
+        s_new = lin.rollout(m - P @ adjoint, v_new)
+
+        # ∇J·Δw: each residual where the iteration began (gaps closed) times its change
+        s_old = lin.rollout(lin.s[0], lin.v)
+        change = [new - old for new, old in zip(s_new, s_old)]
+        descent = ca.dot(ca.ldl_solve(s_old[0] - m, *ca.ldl(P, False)), change[0])
+        for i in range(N + 1):
+            for place, row in iv.measured_states:
+                descent += ca.if_else(valid(z[row, i]), (s_old[i][place] - z[row, i]) / V[row] * change[i][place], 0)
+        for i, (v_m, R_v) in enumerate(inputs):
+            descent += ca.dot((lin.v[i] - v_m) / ca.diag(R_v), v_new[i] - lin.v[i])
+        kkt = gauss_newton.kkt_tolerance(descent, multipliers, -lin.s[-1][q], 1 - lin.s[-1][q])
+        return dict(s=ca.horzcat(*s_new), v=ca.horzcat(*v_new), z=z, age=age, m=m, P=P, kkt=kkt)
+
+    V, W = dict(V=(4, 1)), dict(W=(n_s, 1))
+    shift = function("rhe_shift", shift, memory | V | W)
+    linearise = function("rhe_linearise", linearise, memory | V)
+    prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
+    newest = function("rhe_newest", newest, {name: prepared[name] for name in ("B_N", "v_N", "m_N", "P_N")} | dict(z_N=(4, 1)) | V)
+    posterior = {name: newest.sparsity_out(name) for name in newest.name_out()}
+    bounded = function("rhe_bounded", bounded, {name: posterior[name] for name in ("H", "m", "covariance", "nu")} | dict(traction=(2, 1)))
+    solve = gauss_newton.box_qp(2, qp)
+
+    def feedback(B_N, v_N, m_N, P_N, z_N, V):
+        p = newest(B_N=B_N, v_N=v_N, m_N=m_N, P_N=P_N, z_N=z_N, V=V)
+        traction, _, ok = solve(p["H"], p["g"], ca.DM.zeros(2), ca.DM.ones(2))
+        estimate = bounded(H=p["H"], m=p["m"], covariance=p["covariance"], nu=p["nu"], traction=traction)
+        return estimate | {name: p[name] for name in ("covariance", "K_N", "e_N", "deviance")} | dict(ok=ok)
+
+    feedback = function("rhe_feedback", feedback, {name: newest.sparsity_in(name) for name in newest.name_in()}, ca.MX)
+    result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers")}
+    expand = function("rhe_expand", expand, memory | V | {name: prepared[name] for name in ("F", "A", "B", "K", "e")} | result | dict(z_N=(4, 1)))
+
+    def step(z_N, V, W, **memory):
+        """All phases of one sample."""
+        memory = shift(**memory, V=V, W=W)
+        prepared = linearise(**memory, V=V)
+        result = feedback(**only(feedback, prepared), z_N=z_N, V=V)
+        expanded = expand(**memory, **only(expand, prepared), **only(expand, result), z_N=z_N, V=V)
+        return {name: result[name] for name in ("estimate", "covariance", "deviance", "ok")} | expanded
+
+    step = folded("rhe_step", step, memory, dict(z_N=(4, 1)) | V | W)
+    return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand, step=step)
+
+
+def start(guess, sigma, horizon, speed_model="parameter"):
+    """Memory before the first sample: guess (6,) = (x, y, θ, ν, μ, κ), sigma (6,) its standard deviations."""
+    iv = model.interval(speed_model)
+    guess, sigma, states = np.asarray(guess, dtype=float), np.asarray(sigma, dtype=float), list(iv.states)
+    inputs = [0.0] if speed_model == "parameter" else [guess[3], 0.0]
+    return dict(s=np.tile(guess[states], (horizon + 1, 1)).T, v=np.tile(inputs, (horizon, 1)).T, z=np.full((4, horizon + 1), np.nan),
+                age=-1.0, m=guess[states], P=np.diag(sigma[states] ** 2))

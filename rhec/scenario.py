@@ -1,0 +1,158 @@
+"""A scenario: every choice behind one closed-loop run, validated, with the reading of the paper it stands for (README, "Readings")."""
+
+from difflib import get_close_matches
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass
+
+from rhec import paper
+
+# Process noise W as standard deviations: to the letter (R1, R2), and as found by `rhec.calibration` on training seeds.
+SIGMA_W = {
+    ("rhe", "printed"): paper.SIGMA_W_RHE,
+    ("ekf", "printed"): paper.SIGMA_W_EKF,
+    ("rhe", "calibrated"): (0.02, 0.02, 0.01, 0.1, 0.01, 0.01),
+    ("ekf", "calibrated"): (0.05, 0.05, 0.01, 0.1),
+}
+
+plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False), plain]
+Positive = Annotated[Real, Field(gt=0)]
+NotNegative = Annotated[Real, Field(ge=0)]
+Traction = Annotated[Real, Field(gt=0, le=1)]
+Whole = Annotated[int, Field(strict=True), plain]
+Flag = Annotated[bool, Field(strict=True)]
+
+
+def sentence(name, fields, error):
+    """The first of a validation's errors as one sentence: which parameter, what it was, what it may be."""
+    first = error.errors()[0]
+    if first["type"] == "unexpected_keyword_argument":
+        unknown = first["loc"][0]
+        close = get_close_matches(unknown, fields, 1, 0.4)
+        return f"{name} has no parameter {unknown!r}" + (f"; did you mean {close[0]!r}?" if close else "")
+    if not first["loc"]:   # a check across fields, which speaks for itself
+        return str(first["ctx"]["error"])
+    where = str(first["loc"][0]) + "".join(f"[{place}]" for place in first["loc"][1:])
+    return f"{where} was {first['input']!r}; {first['msg'].replace('Input', 'it', 1)}"
+
+
+def validated(cls):
+    """A frozen dataclass whose constructor checks every field strictly and answers bad input with one sentence."""
+    cls = dataclass(frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid"))(cls)
+    construct = cls.__init__
+
+    def __init__(self, **fields):
+        try:
+            construct(self, **fields)
+        except ValidationError as error:
+            raise ValueError(sentence(cls.__name__, list(cls.__dataclass_fields__), error)) from None
+
+    cls.__init__ = __init__
+    return cls
+
+
+@validated
+class Scenario:
+    """One closed-loop run. SI units; angles in radians.
+
+    The estimator
+        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true traction, pose estimated), or a CasADi Function
+                           (memory, z) -> (memory, estimate) of one's own; its memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
+        reading            "printed": the paper's W to the letter; "calibrated": W from training seeds (R1, R2)
+        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for the RHE, (x, y, θ, ν) for the EKF
+        sigma_v            measurement noise the estimator assumes: (x, y [m], ν [m/s], ω [rad/s])
+        horizon_rhe        intervals of the estimation window; N intervals have N + 1 nodes, so 14 is the paper's sum of N terms (R5)
+        speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an interval, from the encoders (R6, R13)
+        arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper; "filtered": from the EKF update itself (R7)
+    The controller
+        q, r, qn_factor    weights Q_k (x, y, θ), R, and Q_N = qn_factor · Q_k
+        omega_max_radps    bound on the commanded yaw rate
+        horizon            prediction intervals
+        look_ahead_m       the desired points begin this far beyond the closest point
+        input_reference    "measured": the measured yaw rate held, as in the paper; "curvature": what the path asks for (R8)
+        command_delay      0: the command computed at t_k is applied at once; 1: one sample later (R10)
+        qp                 "daqp", "qpoases" (the paper's; on the virtual machine), or "qrqp"
+    The drive
+        speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (mpc_ref_ya) (R3, R9)
+        path               a rhec.Path; else two rows of row_length_m joined by half circles of headland_radius_m
+        start_offset_m, start_yaw_rad      where the robot starts, left of the path's beginning and turned from it (R3)
+        guess_yaw_rad      error of the estimator's first guess of the yaw
+    The field
+        terrain            a rhec.Terrain; else random fields from seed with these statistics:
+        mu_mean, mu_deviation, kappa_mean, kappa_deviation, correlation_length_m
+        patches            ((x_m, y_m, radius_m, mu, kappa), …): discs of sudden change
+    The sensors and the ground
+        gnss_sigma_m       standard deviation of the position error, of which the share gnss_slow_share (of the variance) varies slowly, with
+                           time constant gnss_slow_time_s (R4)
+        encoder_sigma_mps  of one track at 50 Hz; bump_sigma_radps: yaw rate a bump adds for one sample
+        track_width_m      b
+        seed               fixes terrain and noise together
+    """
+
+    estimator: Any = "rhe"
+    reading: Literal["printed", "calibrated"] = "printed"
+    sigma_w: tuple[NotNegative, ...] | None = None
+    sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V
+    horizon_rhe: Annotated[Whole, Field(ge=2, le=240)] = paper.HORIZON
+    speed_model: Literal["parameter", "input"] = "parameter"
+    arrival_mean: Literal["smoothed", "filtered"] = "smoothed"
+
+    q: tuple[NotNegative, NotNegative, NotNegative] = paper.Q3
+    r: Positive = paper.R
+    qn_factor: NotNegative = paper.QN_FACTOR
+    omega_max_radps: Positive = paper.OMEGA_MAX_RADPS
+    horizon: Annotated[Whole, Field(ge=2, le=240)] = paper.HORIZON
+    look_ahead_m: NotNegative = 0.0
+    input_reference: Literal["measured", "curvature"] = "measured"
+    command_delay: Literal[0, 1] = 0
+    qp: Literal["daqp", "qpoases", "qrqp"] = "daqp"
+
+    speed_mps: Annotated[Positive, Field(le=1.4)] = paper.SPEED_MPS
+    duration_s: Annotated[Positive, Field(le=1e7)] = 240.0
+    backwards: Flag = False
+    path: Any = None
+    row_length_m: Positive = paper.ROW_LENGTH_M
+    headland_radius_m: Positive = paper.HEADLAND_RADIUS_M
+    start_offset_m: Real = paper.START_OFFSET_M
+    start_yaw_rad: Real = 0.0
+    guess_yaw_rad: Real = 0.0
+
+    terrain: Any = None
+    mu_mean: Traction = 0.9
+    mu_deviation: NotNegative = 0.04
+    kappa_mean: Traction = 0.8
+    kappa_deviation: NotNegative = 0.08
+    correlation_length_m: Annotated[Positive, Field(ge=0.5)] = 4.0
+    patches: tuple[tuple[Real, Real, Positive, Traction, Traction], ...] = ()
+
+    gnss_sigma_m: NotNegative = paper.SIGMA_V[0]
+    gnss_slow_share: Annotated[NotNegative, Field(le=1)] = 0.0
+    gnss_slow_time_s: Positive = 60.0
+    encoder_sigma_mps: NotNegative = paper.ENCODER_SIGMA_MPS
+    bump_sigma_radps: NotNegative = 0.02
+    track_width_m: Positive = paper.TRACK_WIDTH_M
+    seed: Annotated[Whole, Field(ge=0)] = 0
+
+    def __post_init__(self):
+        import casadi as ca   # here, because only a Function of one's own needs it
+
+        from rhec.path import Path
+        from rhec.terrain import Terrain
+        names = ("rhe", "ekf", "oracle", "traction_oracle")
+        if self.estimator not in names if isinstance(self.estimator, str) else not isinstance(self.estimator, ca.Function):
+            raise ValueError(f"estimator was {self.estimator!r}; it should be one of {names} or a CasADi Function")
+        if not isinstance(self.path, Path | None):
+            raise ValueError(f"path was {self.path!r}; it should be a rhec.Path or None")
+        if not isinstance(self.terrain, Terrain | None):
+            raise ValueError(f"terrain was {self.terrain!r}; it should be a rhec.Terrain or None")
+        for name in ("mu", "kappa"):
+            mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
+            if deviation**2 >= mean * (1 - mean) and deviation:
+                raise ValueError(f"{name}_deviation was {deviation!r}; with {name}_mean {mean} it should be below {(mean * (1 - mean)) ** 0.5:.3g}, "
+                                 "the most a quantity between 0 and 1 can vary")
+        expected = {"rhe": 6 if self.speed_model == "parameter" else 5, "ekf": 4, "traction_oracle": 4}.get(str(self.estimator))
+        if self.sigma_w is not None and len(self.sigma_w) != expected:
+            raise ValueError(f"sigma_w was {self.sigma_w!r}; for the estimator {self.estimator!r} it should have {expected} entries")

@@ -1,0 +1,127 @@
+"""Simulated slip fields μ(x, y), κ(x, y): spatially correlated, in (0, 1], with patches of sudden change.
+
+All fields are cut from one pair of standard Gaussian fields that a geostatistics library (GSTools) made once and `data/` holds, so that a
+run never depends on a library's random stream. `python -m rhec.terrain` makes that file again.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path as File
+
+import casadi as ca
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+from scipy.special import betaincinv, ndtr
+
+STANDARD_FIELDS = File(__file__).parents[1] / "data" / "standard_gaussian_fields.npz"
+CELLS_PER_LENGTH = 4     # of the standard fields: cells in one correlation length
+LOWEST = 0.01            # traction never vanishes: a robot that cannot move teaches nothing
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Traction on a grid: mu[i, j], kappa[i, j] at (x, y) = origin_m + cell_m · (i, j); between the points it is bilinear, beyond them constant."""
+
+    mu: np.ndarray
+    kappa: np.ndarray
+    origin_m: tuple
+    cell_m: float
+
+    def __post_init__(self):
+        for name in ("mu", "kappa"):
+            field = np.asarray(getattr(self, name), dtype=float)
+            if field.ndim != 2 or min(field.shape) < 2:
+                raise ValueError(f"{name} had shape {field.shape}; it must be a grid of at least 2 by 2 points")
+            if not (np.all(field > 0) and np.all(field <= 1)):
+                raise ValueError(f"{name} ranged from {np.min(field)} to {np.max(field)}; traction must lie in (0, 1]")
+            object.__setattr__(self, name, field)
+        if self.mu.shape != self.kappa.shape:
+            raise ValueError(f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; they must be the same")
+
+    @classmethod
+    def uniform(cls, mu, kappa):
+        """The same traction everywhere."""
+        return cls(np.full((2, 2), float(mu)), np.full((2, 2), float(kappa)), (0.0, 0.0), 1.0)
+
+    @classmethod
+    def random(cls, seed, box, mean, deviation, correlation_length_m, patches=(), cell_m=0.5):
+        """Beta-distributed fields over box = (x_min, x_max, y_min, y_max) [m]; mean and deviation are pairs for (μ, κ).
+
+        The seed places two windows in the standard fields, turns and mirrors them. patches: ((x_m, y_m, radius_m, μ, κ), …), discs that
+        replace the field.
+        """
+        x_min, x_max, y_min, y_max = box
+        i, j = np.mgrid[0:int(np.ceil((x_max - x_min) / cell_m)) + 1, 0:int(np.ceil((y_max - y_min) / cell_m)) + 1]
+        standard = standard_fields()
+        # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's stream is not
+        draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
+        fields = []
+        for field, (offset_i, offset_j, turn, _), m, sd in zip(standard, draws, mean, deviation):
+            coordinates = np.stack([i, j]) * cell_m / correlation_length_m * CELLS_PER_LENGTH
+            coordinates = coordinates[:: 1 if turn & 1 else -1] * np.array([1 if turn & 2 else -1, 1 if turn & 4 else -1])[:, None, None]
+            coordinates += np.array([offset_i, offset_j])[:, None, None] % len(field)
+            gaussian = map_coordinates(field, coordinates, order=3, mode="grid-wrap", prefilter=False) * (1 if turn & 8 else -1)
+            fields.append(beta_from_gaussian(gaussian, m, sd))
+        mu, kappa = fields
+        for x, y, radius, mu_patch, kappa_patch in patches:
+            inside = (x_min + cell_m * i - x) ** 2 + (y_min + cell_m * j - y) ** 2 <= radius**2
+            mu, kappa = np.where(inside, mu_patch, mu), np.where(inside, kappa_patch, kappa)
+        return cls(mu, kappa, (float(x_min), float(y_min)), cell_m)
+
+    def save(self, file):
+        """As .npz: plain arrays, nothing that is executed on loading."""
+        np.savez_compressed(file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m)
+
+    @classmethod
+    def load(cls, file):
+        with np.load(file, allow_pickle=False) as data:
+            return cls(data["mu"], data["kappa"], tuple(data["origin_m"].tolist()), float(data["cell_m"]))
+
+
+def lookup(shape):
+    """(xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ), bilinear on a grid of this shape, constant beyond its edges; slip: see `flat`."""
+    xy, origin_m, cell_m, slip = ca.MX.sym("xy", 2), ca.MX.sym("origin_m", 2), ca.MX.sym("cell_m"), ca.MX.sym("slip", 2 * shape[0] * shape[1])
+    axes = [np.arange(points, dtype=float) for points in shape]
+    grid = ca.interpolant("grid", "linear", axes, 2, {"lookup_mode": ["exact", "exact"]})
+    place = ca.fmin(ca.fmax((xy - origin_m) / cell_m, 0), np.array(shape) - 1.0)
+    return ca.Function("slip", [xy, origin_m, cell_m, slip], [grid(place, slip)], ["xy", "origin_m", "cell_m", "slip"], ["traction"])
+
+
+def flat(terrain):
+    """Both fields in the order `lookup` reads them."""
+    return np.stack([terrain.mu, terrain.kappa]).ravel(order="F")
+
+
+def beta_from_gaussian(gaussian, mean, deviation):
+    """A standard Gaussian field reshaped, point by point, to the beta distribution on (0, 1) with that mean and standard deviation."""
+    if deviation == 0:
+        return np.full(gaussian.shape, float(mean))
+    nu = mean * (1 - mean) / deviation**2 - 1
+    quantiles = np.linspace(-5, 5, 257)
+    values = betaincinv(mean * nu, (1 - mean) * nu, ndtr(quantiles))
+    return np.clip(np.interp(gaussian, quantiles, values), LOWEST, 1)
+
+
+_fields = None
+
+
+def standard_fields():
+    """The pair of standard Gaussian fields (2, n, n), periodic, correlation length CELLS_PER_LENGTH cells, as cubic spline coefficients."""
+    global _fields   # read once a process; the content never changes
+    if _fields is None:
+        with np.load(STANDARD_FIELDS, allow_pickle=False) as data:
+            _fields = [spline_filter(field.astype(float), order=3, mode="grid-wrap") for field in data["fields"]]
+    return _fields
+
+
+def make_standard_fields(n=512, modes=144, seed=2018):
+    """What `data/` holds: two independent fields by GSTools' Fourier method, which makes them periodic (a few minutes). Half precision is plenty."""
+    import gstools
+    axis = np.arange(n, dtype=float)
+    model = gstools.Gaussian(dim=2, var=1, len_scale=CELLS_PER_LENGTH)
+    fields = [gstools.SRF(model, generator="Fourier", period=n, mode_no=modes, seed=seed + k).structured([axis, axis]) for k in range(2)]
+    fields = [(field - field.mean()) / field.std() for field in fields]
+    np.savez_compressed(STANDARD_FIELDS, fields=np.array(fields, dtype=np.float16), gstools_version=gstools.__version__, seed=seed)
+
+
+if __name__ == "__main__":
+    make_standard_fields()

@@ -1,0 +1,122 @@
+"""Figures and tables: the same bytes again, where they came from inside, no label cut off or on another."""
+
+import dataclasses
+import itertools
+import subprocess
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import pandas as pd
+import pytest
+from matplotlib.text import Text
+from PIL import Image
+
+import rhec
+from rhec import paper
+from rhec.figures import drawings, style
+
+DRAWINGS = [drawings.robot_in_row, drawings.robot_parts, drawings.hardware_blocks, drawings.schematic]
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenario:
+    seed: int = 7
+    q: tuple = (1, 1, 10)
+
+
+SCENARIO_JSON = '{"seed": 7, "q": [1, 1, 10]}'
+
+
+@style.styled
+def parabola():
+    figure, axes = plt.subplots()
+    axes.plot([0, 1, 2], [0, 1, 4])
+    axes.set_xlabel(r"$\hat\xi$ [m]")
+    return figure
+
+
+def texts(figure):
+    return [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+
+
+def test_a_figure_made_again_is_the_same_bytes(tmp_path):
+    first = style.save(parabola(), "parabola", Scenario(), tmp_path / "first")
+    again = style.save(parabola(), "parabola", Scenario(), tmp_path / "again")
+    for suffix in (".png", ".pdf"):
+        assert first.with_suffix(suffix).read_bytes() == again.with_suffix(suffix).read_bytes()
+
+
+def test_files_tell_version_scenario_and_notebook(tmp_path):
+    png = style.save(parabola(), "parabola", Scenario(), tmp_path, notebook="scenario_a.ipynb")
+    inside = Image.open(png).text
+    assert inside["Title"] == "parabola"
+    assert inside["Creator"].startswith(f"rhec {rhec.__version__}")
+    assert inside["Keywords"] == SCENARIO_JSON
+    assert inside["Subject"] == "scenario_a.ipynb"
+    pdf = png.with_suffix(".pdf").read_bytes()
+    creator = f"/Creator (rhec {rhec.__version__}"
+    for expected in ("/Title (parabola)", creator, SCENARIO_JSON, "/Subject (scenario_a.ipynb)"):
+        assert expected.encode() in pdf
+    assert b"CreationDate" not in pdf
+
+
+def test_commit_is_the_last_that_changed_what_figures_are_made_of(tmp_path, monkeypatch):
+    def git(*command):
+        author = ("-c", "user.name=a", "-c", "user.email=a@b")
+        subprocess.run(["git", *author, *command], cwd=tmp_path, check=True, capture_output=True)
+
+    monkeypatch.setattr(style, "ROOT", tmp_path)
+    assert style.commit() == ""
+    git("init")
+    for file in ("rhec", "README.md"):
+        (tmp_path / file).write_text("one")
+        git("add", file)
+        git("commit", "-m", file)
+    committed = style.commit()
+    assert committed and not committed.endswith("+")
+    (tmp_path / "README.md").write_text("two")
+    assert style.commit() == committed
+    (tmp_path / "rhec").write_text("two")
+    assert style.commit() == f"{committed}+"
+
+
+def test_a_table_comes_back_as_it_went(tmp_path):
+    table = pd.DataFrame({"estimator": ["RHE", "EKF"], "error_m": [0.0423, 1 / 3], "violations": [0, 17]})
+    csv = style.save_table(table, "errors", "Errors", tmp_path, Scenario())
+    pd.testing.assert_frame_equal(pd.read_csv(csv), table)
+    tex = csv.with_suffix(".tex").read_text()
+    assert f"% Keywords: {SCENARIO_JSON}\n" in tex
+    assert r"\toprule" in tex and r"error\_m" in tex and "0.3333 &" in tex
+
+
+def test_style_stays_inside_its_figures():
+    before = dict(mpl.rcParams)
+    figure = parabola()
+    assert dict(mpl.rcParams) == before
+    assert not plt.get_fignums()
+    assert {tick.get_fontsize() for tick in figure.axes[0].get_xticklabels()} == {style.RC["xtick.labelsize"]}
+
+
+def test_saving_leaves_the_layout_alone(tmp_path):
+    for figure in (parabola(), drawings.schematic()):
+        layout = type(figure.get_layout_engine())
+        style.save(figure, "figure", folder=tmp_path)
+        assert type(figure.get_layout_engine()) is layout
+
+
+@pytest.mark.parametrize("draw", DRAWINGS)
+def test_labels_of_a_drawing_are_whole_and_apart(draw):
+    figure = draw()
+    assert figure.get_figwidth() == style.COLUMN_IN
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure)]
+    for text, box in boxes:
+        assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1, text
+        assert figure.bbox.y0 <= box.y0 and box.y1 <= figure.bbox.y1, text
+    for (one, a), (other, b) in itertools.combinations(boxes, 2):
+        assert not a.overlaps(b), (one, other)
+
+
+@pytest.mark.parametrize("spacing, tolerance", [(paper.ROW_SPACING_M, paper.TOLERANCE_M), (1.0, 0.23)])
+def test_tolerance_is_computed_from_the_row(spacing, tolerance):
+    figure = drawings.robot_in_row(row_spacing_m=spacing)
+    assert sum(text.get_text() == f"{tolerance:.2f} m" for text in texts(figure)) == 2

@@ -1,0 +1,128 @@
+import math
+import os
+import subprocess
+import sys
+
+import nbformat
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from nbformat import v4
+
+from rhec import notebook
+from rhec.notebook import ParameterError, parameters
+
+ALLOWED = {
+    "seed": (int, 0, 999_999),
+    "speed_mps": (float, 0.05, 2.0),
+    "reading": ("printed", "calibrated"),
+    "gains": [(float, 0, 100)],
+}
+DEFAULTS = {"seed": 7, "speed_mps": 0.5, "reading": "printed", "gains": [1, 2.5]}
+GAINS = "a list of at least one item, each a number from 0 to 100"
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [("seed", 0), ("seed", 999_999), ("speed_mps", 2), ("reading", "calibrated"), ("gains", (100,))],
+)
+def test_allowed_values_pass(name, value):
+    parameters(DEFAULTS | {name: value}, **ALLOWED)
+
+
+@pytest.mark.parametrize(
+    "name, value, sentence",
+    [
+        ("seed", "9", "seed was '9' (str); it must be an int from 0 to 999999"),
+        ("seed", True, "seed was True (bool); it must be an int from 0 to 999999"),
+        ("seed", 7.0, "seed was 7.0 (float); it must be an int from 0 to 999999"),
+        ("speed_mps", math.nan, "speed_mps was nan (float); it must be a number from 0.05 to 2.0"),
+        ("reading", "guess", "reading was 'guess' (str); it must be 'printed' or 'calibrated'"),
+        ("reading", [1], "reading was [1] (list); it must be 'printed' or 'calibrated'"),
+        ("gains", [], f"gains was [] (list); it must be {GAINS}"),
+        ("gains", [1, False], f"gains was [1, False] (list); it must be {GAINS}"),
+        ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),
+        ("x", 9, f"x was 9, but there is no such parameter; did you mean {' or '.join(ALLOWED)}?"),
+    ],
+)
+def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
+    with pytest.raises(ParameterError) as refusal:
+        parameters(DEFAULTS | {name: value}, **ALLOWED)
+    assert str(refusal.value) == sentence
+
+
+@given(st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers()))
+def test_only_an_int_in_range_is_a_seed(value):
+    try:
+        parameters({"seed": value}, seed=(int, 0, 9))
+    except ParameterError:
+        assert type(value) is not int or not 0 <= value <= 9
+    else:
+        assert type(value) is int and 0 <= value <= 9
+
+
+def test_a_missing_parameter_is_refused():
+    with pytest.raises(ParameterError, match="seed was not given; it must be an int from 0 to 9"):
+        parameters({}, seed=(int, 0, 9))
+
+
+def test_the_cell_can_be_run_again():
+    namespace = {"sed": 1, "seed": 1, "os": os, "_private": 0}
+    with pytest.raises(ParameterError):
+        parameters(namespace, seed=(int, 0, 9))
+    parameters(namespace, seed=(int, 0, 9))  # the misspelt name is gone
+    namespace["result"] = [1.0]  # the notebook's own
+    parameters(namespace, seed=(int, 0, 9))
+
+
+def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monkeypatch, capfd):
+    tagged = v4.new_code_cell("seed = 7", metadata={"tags": ["parameters"]})
+    check = v4.new_code_cell(
+        "from rhec.notebook import parameters\nparameters(globals(), seed=(int, 0, 9))"
+    )
+    nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", "notebook toy.ipynb -p sed 9 --output out.ipynb".split())
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert refusal.value.code == 2
+    assert capfd.readouterr().err == "sed was 9, but there is no such parameter; did you mean seed?\n"
+    assert os.listdir(tmp_path) == ["toy.ipynb"]
+
+
+@pytest.mark.parametrize("path", ["none.ipynb", __file__])
+def test_the_runner_refuses_what_is_no_notebook(path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["notebook", path])
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert refusal.value.code == 2
+    assert capsys.readouterr().err == f"NOTEBOOK was {path}; it must be an existing .ipynb file\n"
+
+
+SCRIPT = """
+import os, pathlib, sys
+from rhec import notebook
+
+notebook.ROOT = pathlib.Path.cwd()
+sys.path.insert(0, os.getcwd())
+notebook.record("listing")
+import imported
+pathlib.Path("read.py").read_text()
+if os.fork() == 0:
+    pathlib.Path("half").write_text("")
+    os.replace("half", "figure")
+else:
+    os.wait()
+"""
+
+
+def test_what_is_used_and_made_in_the_project_is_recorded(tmp_path):
+    (tmp_path / "imported.py").touch()
+    (tmp_path / "read.py").touch()
+    for _ in range(2):  # without and with the bytecode of the module
+        (tmp_path / "listing").write_text("")
+        subprocess.run([sys.executable, "-c", SCRIPT], cwd=tmp_path, check=True)
+        recorded = (tmp_path / "listing").read_text().splitlines()
+        assert f"used {tmp_path / 'imported.py'}" in recorded
+        assert f"made {tmp_path / 'figure'}" in recorded
+        assert f"used {tmp_path / 'read.py'}" not in recorded
