@@ -12,12 +12,10 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec import compiled, ekf, paper, path, rhc, rhe, robot, terrain
-from rhec.function import folded, only, size, unpack
+from rhec import compiled, estimators, fold, paper, path, rhc, robot, terrain
+from rhec.function import folded, only, size, unpack, vector
 from rhec.kalman import valid
-from rhec.scenario import SIGMA_W, Scenario
-
-BLOCK = 16   # samples in one call of the compiled fold
+from rhec.scenario import Scenario
 
 # One row of the log, in order: what `sample` returns beside the memory.
 LOG = dict(truth=("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"), omega=("omega_radps",),
@@ -42,25 +40,11 @@ class Structure(NamedTuple):
     terrain_shape: tuple
 
 
-def estimator_step(structure):
-    """(memory, z, settings …) -> (memory, estimate, and where it has them kkt, deviance, ok)."""
-    kind = structure.estimator
-    if kind == "rhe":
-        return rhe.functions(paper.DT_S, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp)["step"]
-    if kind in ("ekf", "traction_oracle"):
-        return ekf.functions(paper.DT_S)["step"]
-    if kind == "oracle":
-        truth = ca.SX.sym("truth", 6)
-        return ca.Function("oracle", [ca.SX.sym("memory", 6), ca.SX.sym("z", 4), truth], [ca.SX(6, 1), truth], ["memory", "z", "truth"],
-                           ["memory", "estimate"], {"allow_duplicate_io_names": True})
-    return ca.Function.deserialize(kind)
-
-
 def functions(*structure):
-    """{sample, block}: one sample of the closed loop, and BLOCK of them in one call."""
+    """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), ready to be folded."""
     structure = Structure(*structure)
     measure, drive = robot.measure(paper.DT_S), robot.drive(paper.DT_S)
-    estimate_step = estimator_step(structure)
+    estimate_step = estimators.step(structure.estimator, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp)
     references = path.functions(paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference)["references"]
     control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
     slip = terrain.lookup(structure.terrain_shape)
@@ -96,23 +80,11 @@ def functions(*structure):
         row = dict(truth=truth, omega=omega, z=z, estimate=estimate, command=newest, s=target["s"], curvature=target["curvature"],
                    kkt_rhe=outputs.get("kkt", ca.DM.nan(1)), kkt_rhc=planned["kkt"], deviance=outputs.get("deviance", ca.DM.nan(1)),
                    ok=ca.fmin(outputs.get("ok", 1), planned["ok"]))
-        return dict(driven, drift=measured["drift"], estimator=outputs["memory"], s=target["s"], controller=planned["memory"], command=newest,
-                    row=ca.densify(ca.vertcat(*(row[name] for name in LOG))))
+        return dict(row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"], estimator=outputs["memory"], s=target["s"],
+                    controller=planned["memory"], command=newest, **driven)
 
     sample = folded("sample", sample, memory, dict(noise=(size(robot.NOISE), 1)) | settings)
-    return dict(sample=sample, block=block(sample))
-
-
-def block(sample):
-    """`sample`, BLOCK times in a row: (memory, noise (n, BLOCK), settings …) -> (memory, rows (n, BLOCK)); the settings pass by reference."""
-    symbols = {name: ca.MX.sym(name, sample.sparsity_in(name)) for name in sample.name_in()}
-    noise = ca.MX.sym("noise", sample.size1_in("noise"), BLOCK)
-    memory, rows = symbols["memory"], []
-    for noise_k in ca.horzsplit(noise):
-        result = sample(**symbols | dict(memory=memory, noise=noise_k))
-        memory, rows = result["memory"], [*rows, result["row"]]
-    inputs = symbols | dict(noise=noise)
-    return ca.Function("block", [*inputs.values()], [memory, ca.horzcat(*rows)], [*inputs], ["memory", "rows"], {"allow_duplicate_io_names": True})
+    return fold.functions(sample)
 
 
 @dataclass(frozen=True)
@@ -139,18 +111,16 @@ def world(scenario):
                      theta + scenario.start_yaw_rad + np.pi * scenario.backwards])
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
-    custom = isinstance(scenario.estimator, ca.Function)
-    structure = Structure(scenario.estimator.serialize() if custom else scenario.estimator, scenario.horizon, scenario.horizon_rhe,
-                          scenario.speed_model, scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments),
-                          soil.mu.shape)
+    structure = Structure(estimators.identity(scenario.estimator), scenario.horizon, scenario.horizon_rhe, scenario.speed_model,
+                          scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
     memory = robot.start(pose, speed_mps) | dict(
-        estimator=first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
+        estimator=estimators.first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
         controller=vector(rhc.start(pose, guess[3:], scenario.horizon)), command=0.0)
     slow = scenario.gnss_slow_share
     settings = dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow), gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
         gnss_slow_time_s=scenario.gnss_slow_time_s, track_width_m=scenario.track_width_m, encoder_sigma_mps=scenario.encoder_sigma_mps,
-        bump_sigma_radps=scenario.bump_sigma_radps, V=np.square(scenario.sigma_v), W=np.square(sigma_w(scenario)),
+        bump_sigma_radps=scenario.bump_sigma_radps, V=np.square(scenario.sigma_v), W=np.square(estimators.sigma_w(scenario)),
         segments=target.segments.T, period_m=target.period_m, look_ahead_m=scenario.look_ahead_m, backwards=float(scenario.backwards),
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
@@ -167,53 +137,9 @@ def random_terrain(scenario, target):
                                   scenario.correlation_length_m, scenario.patches)
 
 
-def first_memory(scenario, guess):
-    """The estimator's memory before the first sample; the arrival cost begins at the paper's W."""
-    if scenario.estimator == "rhe":
-        return vector(rhe.start(guess, paper.SIGMA_W_RHE, scenario.horizon_rhe, scenario.speed_model))
-    if scenario.estimator in ("ekf", "traction_oracle"):
-        return vector(ekf.start(guess, paper.SIGMA_W_EKF))
-    length = scenario.estimator.numel_in(0) if isinstance(scenario.estimator, ca.Function) else 6
-    return np.append(guess, np.zeros(max(length - 6, 0)))[:length]
-
-
-def sigma_w(scenario):
-    """The process noise of a scenario's estimator; the traction oracle is not the paper's, so it always has the calibrated one."""
-    if scenario.sigma_w is not None:
-        return scenario.sigma_w
-    if scenario.estimator == "traction_oracle":
-        return SIGMA_W["ekf", "calibrated"]
-    sigma = SIGMA_W.get((scenario.estimator, scenario.reading), (0.0,))
-    return np.delete(sigma, 3) if scenario.estimator == "rhe" and scenario.speed_model == "input" else sigma
-
-
-def vector(memory):
-    """A memory's pieces one after the other, each column by column, as `function.unpack` reads them."""
-    return np.concatenate([np.ravel(piece, order="F") for piece in memory.values()]).astype(float)
-
-
 def draw_noise(seed, samples):
     """Standard normal noise (samples, n) of a seed; the first rows do not depend on how many are drawn."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 1)))).standard_normal((samples, size(robot.NOISE)))
-
-
-def fold(functions, memory, noise, settings):
-    """The run: `sample` folded over the rows of noise (n, …) in blocks. Returns the last memory and the log rows (n, …)."""
-    rows = np.empty((len(noise), functions["sample"].numel_out("row")))
-    memory, spare = memory.copy(), memory.copy()
-    done = 0
-    for name, output, length in (("block", "rows", BLOCK), ("sample", "row", 1)):
-        call = compiled.Bound(functions[name])
-        call.set(**settings)
-        while done + length <= len(noise):
-            call.read_from("memory", memory)
-            call.read_from("noise", noise[done:done + length])
-            call.write_to("memory", spare)
-            call.write_to(output, rows[done:done + length])
-            call.call()
-            memory, spare = spare, memory
-            done += length
-    return memory, rows
 
 
 @dataclass(frozen=True)
@@ -233,7 +159,7 @@ def simulate(scenario):
         raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
     made = world(scenario)
     samples = round(scenario.duration_s / paper.DT_S)
-    _, rows = fold(compiled.load(functions, *made.structure), made.memory, draw_noise(scenario.seed, samples), made.settings)
+    _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, draw_noise(scenario.seed, samples), made.settings)
     log = pd.DataFrame(rows, columns=COLUMNS)
     log.insert(0, "t_s", np.arange(samples) * paper.DT_S)
     log["on_straight"] = log["curvature_radpm"] == 0

@@ -1,6 +1,7 @@
 """CasADi Functions from plain Python functions: named expressions in, a dict of named expressions out."""
 
 import casadi as ca
+import numpy as np
 
 
 def function(name, body, inputs, kind=ca.SX):
@@ -20,7 +21,8 @@ def folded(name, body, memory, inputs, kind=ca.MX):
     """
     def packed(**arguments):
         result = body(**unpack(arguments.pop("memory"), memory), **arguments)
-        return {"memory": ca.densify(ca.veccat(*(result.pop(piece) for piece in memory)))} | result
+        result = {"memory": ca.veccat(*(result.pop(piece) for piece in memory))} | result
+        return {name: ca.densify(output) for name, output in result.items()}   # what is folded or logged has no gaps
 
     return function(name, packed, {"memory": (size(memory), 1)} | inputs, kind)
 
@@ -36,6 +38,11 @@ def unpack(vector, shapes):
     for rows, columns in shapes.values():
         offsets.append(offsets[-1] + rows * columns)
     return {name: ca.reshape(part, *shapes[name]) for name, part in zip(shapes, ca.vertsplit(vector, offsets))}
+
+
+def vector(memory):
+    """The NumPy vector of a memory's pieces, as `unpack` reads it."""
+    return np.concatenate([np.ravel(piece, order="F") for piece in memory.values()]).astype(float)
 
 
 def only(function, values):

@@ -16,6 +16,9 @@ feedback and expand without shift converges to the solution of the nonlinear pro
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
+
+from rhec import compiled
 
 
 # DAQP is asked for more than its usual tolerance, so that all solvers give the same answer to 1e-8.
@@ -109,3 +112,65 @@ def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
     """KKT tolerance as ACADO's generated code defines it: |∇J·Δw| + Σ |λ_i · (distance from the linearisation point to the bound)|."""
     bound = ca.if_else(multipliers > 0, upper, lower)
     return ca.fabs(gradient_along_step) + ca.sum1(ca.fabs(multipliers * bound))
+
+
+class Iteration:
+    """The four phases on shared NumPy arrays, compiled: what the RHE and RHC objects are made of.
+
+    Arrays of the same name are one array. The memory exists twice, because a Function must not write what it still reads: `expand`
+    leaves it in `previous`, `shift` takes it from there to `current`, where `linearise` and `feedback` read it.
+    """
+
+    def __init__(self, functions, memory, **constants):
+        self.phases = {name: compiled.Bound(functions[name]) for name in ("shift", "linearise", "feedback", "expand")}
+        self.previous = {name: np.zeros(self.phases["shift"].arguments[name].shape) for name in memory}
+        self.current, self.arrays = {name: array.copy() for name, array in self.previous.items()}, {}
+        for phase, call in self.phases.items():
+            for name, array in call.arguments.items():
+                home = self.arrays if name not in memory else self.previous if phase == "shift" else self.current
+                call.read_from(name, home.setdefault(name, array))
+            for name, array in call.results.items():
+                home = self.arrays if name not in memory else self.previous if phase == "expand" else self.current
+                call.write_to(name, home.setdefault(name, array))
+        self.set(self.arrays, constants)
+        self.started = self.prepared = self.expanded = False
+
+    @staticmethod
+    def set(arrays, values):
+        for name, value in values.items():
+            arrays[name][:] = np.ravel(value, order="F")
+
+    def start(self, memory):
+        """Begin at this memory, already in place for the sample that comes."""
+        self.set(self.current, memory)
+        self.phases["linearise"].call()
+        self.started = self.prepared = True
+
+    def prepare(self):
+        """The paper's preparation: all that can be done before the next sample arrives. Before the first there is nothing to do."""
+        if self.started and not self.prepared:
+            self.expand()
+            self.phases["shift"].call()
+            self.phases["linearise"].call()
+            self.prepared = True
+
+    def feedback(self):
+        if not self.prepared:
+            raise RuntimeError("prepare() must be called before each feedback()")
+        self.phases["feedback"].call()
+        self.prepared = self.expanded = False
+
+    def expand(self):
+        """Once a sample: the rest of the solution."""
+        if not self.expanded:
+            self.phases["expand"].call()
+            self.expanded = True
+
+    def solve(self, iterations):
+        """The same problem again and again: Gauss-Newton to convergence."""
+        for _ in range(iterations):
+            self.phases["linearise"].call()
+            self.phases["feedback"].call()
+            self.phases["expand"].call()
+            self.set(self.current, self.previous)
+        self.prepared, self.expanded = False, True

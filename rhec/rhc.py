@@ -10,8 +10,9 @@ enter in the feedback phase only: they move the gradient, through the linearised
 import casadi as ca
 import numpy as np
 
-from rhec import gauss_newton, model
+from rhec import compiled, gauss_newton, model, paper
 from rhec.function import folded, function, only
+from rhec.validation import NotNegative, Positive, Solver, Weights, Intervals, checked
 
 JOINT = 6   # s = (x, y, θ, ν, μ, κ)
 
@@ -91,3 +92,62 @@ def functions(dt_s, horizon, qp="daqp"):
 def start(pose, p, horizon):
     """Memory before the first sample: the robot at pose (3,) with parameters p (3,) = (ν, μ, κ), nothing planned."""
     return dict(s=np.tile([*pose, *p], (horizon + 1, 1)).T, omega=np.zeros((1, horizon)))
+
+
+class RHC:
+    """The controller for a loop of one's own: `prepare()` while there is time, `feedback(…)` when the estimate is there.
+
+    q: weights Q_k of (x, y, θ); r: R; qn_factor: Q_N = qn_factor · Q_k; omega_max [rad/s]; dt [s]; horizon: intervals; qp: see Scenario.
+    """
+
+    @checked
+    def __init__(self, *, q: Weights = paper.Q3, r: Positive = paper.R, qn_factor: NotNegative = paper.QN_FACTOR,
+                 omega_max: Positive = paper.OMEGA_MAX_RADPS, dt: Positive = paper.DT_S, horizon: Intervals = paper.HORIZON, qp: Solver = "daqp"):
+        self.horizon = horizon
+        q = np.array(q)
+        self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, qp), ("s", "omega"),
+                                                Q=q, QN=qn_factor * q, R=r, omega_max=omega_max)
+
+    def prepare(self):
+        """Shift, integrate, linearise, condense (paper: preparation part)."""
+        self.iteration.prepare()
+
+    def feedback(self, pose, p, xi_ref, omega_ref):
+        """The yaw rate [rad/s] to command: pose (3,), p (3,) = (ν, μ, κ), xi_ref (3, N+1) and omega_ref (N,) references (node 0 of xi_ref is now)."""
+        self._given(pose, p, xi_ref, omega_ref)
+        self.iteration.feedback()
+        return self.iteration.arrays["omega_plan"][0].item()
+
+    def solve(self, pose, p, xi_ref, omega_ref, iterations=20):
+        """The same, iterated to convergence on the nonlinear problem."""
+        self._given(pose, p, xi_ref, omega_ref)
+        self.iteration.solve(iterations)
+        return self.iteration.arrays["omega_plan"][0].item()
+
+    def _given(self, pose, p, xi_ref, omega_ref):
+        N, arrays = self.horizon, self.iteration.arrays
+        for name, value, shape in (("pose", pose, (3,)), ("p", p, (3,)), ("xi_ref", xi_ref, (3, N + 1)), ("omega_ref", omega_ref, (N,))):
+            if np.shape(value) != shape:
+                raise ValueError(f"{name} had shape {np.shape(value)}; it should have {shape}")
+        arrays["s_0"][:3], arrays["s_0"][3:] = pose, p
+        arrays["xi_ref"][:] = np.ravel(xi_ref, order="F")
+        arrays["omega_ref"][:] = omega_ref
+        if not self.iteration.started:
+            self.iteration.start(start(pose, p, N))
+
+    @property
+    def kkt(self):
+        """KKT tolerance of the linearisation point of the last feedback."""
+        self.iteration.expand()
+        return self.iteration.arrays["kkt"].item()
+
+    @property
+    def omega_plan(self):
+        """Planned yaw rates (N,) [rad/s]."""
+        return self.iteration.arrays["omega_plan"].copy()
+
+    @property
+    def xi_plan(self):
+        """Predicted poses (3, N+1)."""
+        self.iteration.expand()
+        return self.iteration.previous["s"].reshape((JOINT, -1), order="F")[:3].copy()

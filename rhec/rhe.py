@@ -10,12 +10,16 @@ the oldest node to the newest is exactly a Kalman filter over the window (inform
 leaves a QP in (μ, κ); its multiplier then runs backwards through the window and yields every other unknown (Bryson-Frazier). Each costs O(N).
 """
 
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
 
-from rhec import gauss_newton, kalman, model
+from rhec import compiled, gauss_newton, kalman, model, paper
 from rhec.function import folded, function, only
 from rhec.kalman import symmetric, valid
+from rhec.scenario import SIGMA_W
+from rhec.validation import ArrivalMean, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, checked
 
 SIGMA_HELD = (1.0, 1.0)      # ν [m/s], ω [rad/s]: how far a missing input may be from the one before
 
@@ -163,3 +167,75 @@ def start(guess, sigma, horizon, speed_model="parameter"):
     inputs = [0.0] if speed_model == "parameter" else [guess[3], 0.0]
     return dict(s=np.tile(guess[states], (horizon + 1, 1)).T, v=np.tile(inputs, (horizon, 1)).T, z=np.full((4, horizon + 1), np.nan),
                 age=-1.0, m=guess[states], P=np.diag(sigma[states] ** 2))
+
+
+class Estimate(NamedTuple):
+    """Pose [m, m, rad], speed [m/s], traction, and the covariance of the estimated ones among (x, y, θ, ν, μ, κ), bounds left aside."""
+
+    x: float
+    y: float
+    theta: float
+    nu: float
+    mu: float
+    kappa: float
+    covariance: np.ndarray
+
+
+class RHE:
+    """The estimator for a loop of one's own: `prepare()` while there is time, `feedback(z)` when the measurement is there.
+
+    dt [s]; horizon: intervals; reading, sigma_w, sigma_v, speed_model, arrival_mean, qp: see Scenario. guess: first (x, y, θ, ν, μ, κ); without it the
+    first measurement's position and speed, yaw 0 and no slip, with a yaw that may be a right angle off.
+    """
+
+    @checked
+    def __init__(self, *, dt: Positive = paper.DT_S, horizon: Intervals = paper.HORIZON, reading: Reading = "printed",
+                 sigma_w: tuple[NotNegative, ...] | None = None, sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V,
+                 speed_model: SpeedModel = "parameter", arrival_mean: ArrivalMean = "smoothed", qp: Solver = "daqp",
+                 guess: tuple[Real, Real, Real, Real, Real, Real] | None = None):
+        states = model.interval(speed_model).states
+        if sigma_w is None:
+            sigma_w = np.array(SIGMA_W["rhe", reading])[list(states)]
+        if len(sigma_w) != len(states):
+            raise ValueError(f"sigma_w was {sigma_w!r}; with speed_model {speed_model!r} it should have {len(states)} entries")
+        self.horizon, self.speed_model, self.guess, self.n_s = horizon, speed_model, guess, len(states)
+        self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, speed_model, arrival_mean, qp),
+                                                ("s", "v", "z", "age", "m", "P"), V=np.square(sigma_v), W=np.square(sigma_w))
+
+    def prepare(self):
+        """Arrival cost, shift, integrate, linearise, filter (paper: preparation part)."""
+        self.iteration.prepare()
+
+    def feedback(self, z):
+        """The estimate after the measurement z = (x, y, ν, ω); an entry that is not finite has no sample now."""
+        self._given(z)
+        self.iteration.feedback()
+        return self._estimate()
+
+    def solve(self, z, iterations=20):
+        """The same, iterated to convergence on the nonlinear problem."""
+        self._given(z)
+        self.iteration.solve(iterations)
+        return self._estimate()
+
+    def _given(self, z):
+        if np.shape(z) != (4,):
+            raise ValueError(f"z had shape {np.shape(z)}; it should have (4,): x, y, ν, ω")
+        self.iteration.arrays["z_N"][:] = z
+        if not self.iteration.started:
+            sigma = list(paper.SIGMA_W_RHE)
+            if self.guess is None:
+                x, y, nu, _ = np.where(np.isfinite(z), z, 0.0)
+                self.guess, sigma[2] = (x, y, 0.0, nu, 1.0, 1.0), np.pi / 2
+            memory = start(self.guess, sigma, self.horizon, self.speed_model)
+            self.iteration.start(memory | dict(age=0.0))
+
+    def _estimate(self):
+        arrays = self.iteration.arrays
+        return Estimate(*arrays["estimate"].tolist(), arrays["covariance"].reshape(self.n_s, self.n_s).copy())
+
+    @property
+    def kkt(self):
+        """KKT tolerance of the linearisation point of the last feedback."""
+        self.iteration.expand()
+        return self.iteration.arrays["kkt"].item()

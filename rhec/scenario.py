@@ -1,58 +1,20 @@
 """A scenario: every choice behind one closed-loop run, validated, with the reading of the paper it stands for (README, "Readings")."""
 
-from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError
-from pydantic.dataclasses import dataclass
+from pydantic import Field
 
 from rhec import paper
+from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, Whole,
+                             validated)
 
-# Process noise W as standard deviations: to the letter (R1, R2), and as found by `rhec.calibration` on training seeds.
+# Process noise W as standard deviations per sample: to the letter (R1, R2), and as `rhec.calibration` found it on training seeds.
 SIGMA_W = {
     ("rhe", "printed"): paper.SIGMA_W_RHE,
     ("ekf", "printed"): paper.SIGMA_W_EKF,
-    ("rhe", "calibrated"): (0.02, 0.02, 0.01, 0.1, 0.01, 0.01),
-    ("ekf", "calibrated"): (0.05, 0.05, 0.01, 0.1),
+    ("rhe", "calibrated"): (0.001, 0.001, 0.001, 0.001, 0.0033, 0.0019),
+    ("ekf", "calibrated"): (0.016, 0.016, 0.013, 0.001),
 }
-
-plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
-Real = Annotated[float, Field(strict=True, allow_inf_nan=False), plain]
-Positive = Annotated[Real, Field(gt=0)]
-NotNegative = Annotated[Real, Field(ge=0)]
-Traction = Annotated[Real, Field(gt=0, le=1)]
-Whole = Annotated[int, Field(strict=True), plain]
-Flag = Annotated[bool, Field(strict=True)]
-
-
-def sentence(name, fields, error):
-    """The first of a validation's errors as one sentence: which parameter, what it was, what it may be."""
-    first = error.errors()[0]
-    if first["type"] == "unexpected_keyword_argument":
-        unknown = first["loc"][0]
-        close = get_close_matches(unknown, fields, 1, 0.4)
-        return f"{name} has no parameter {unknown!r}" + (f"; did you mean {close[0]!r}?" if close else "")
-    if not first["loc"]:   # a check across fields, which speaks for itself
-        return str(first["ctx"]["error"])
-    where = str(first["loc"][0]) + "".join(f"[{place}]" for place in first["loc"][1:])
-    return f"{where} was {first['input']!r}; {first['msg'].replace('Input', 'it', 1)}"
-
-
-def validated(cls):
-    """A frozen dataclass whose constructor checks every field strictly and answers bad input with one sentence."""
-    cls = dataclass(frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid"))(cls)
-    construct = cls.__init__
-
-    def __init__(self, **fields):
-        try:
-            construct(self, **fields)
-        except ValidationError as error:
-            raise ValueError(sentence(cls.__name__, list(cls.__dataclass_fields__), error)) from None
-
-    cls.__init__ = __init__
-    return cls
-
 
 @validated
 class Scenario:
@@ -93,22 +55,22 @@ class Scenario:
     """
 
     estimator: Any = "rhe"
-    reading: Literal["printed", "calibrated"] = "printed"
+    reading: Reading = "printed"
     sigma_w: tuple[NotNegative, ...] | None = None
     sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V
-    horizon_rhe: Annotated[Whole, Field(ge=2, le=240)] = paper.HORIZON
-    speed_model: Literal["parameter", "input"] = "parameter"
-    arrival_mean: Literal["smoothed", "filtered"] = "smoothed"
+    horizon_rhe: Intervals = paper.HORIZON
+    speed_model: SpeedModel = "parameter"
+    arrival_mean: ArrivalMean = "smoothed"
 
-    q: tuple[NotNegative, NotNegative, NotNegative] = paper.Q3
+    q: Weights = paper.Q3
     r: Positive = paper.R
     qn_factor: NotNegative = paper.QN_FACTOR
     omega_max_radps: Positive = paper.OMEGA_MAX_RADPS
-    horizon: Annotated[Whole, Field(ge=2, le=240)] = paper.HORIZON
+    horizon: Intervals = paper.HORIZON
     look_ahead_m: NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
-    qp: Literal["daqp", "qpoases", "qrqp"] = "daqp"
+    qp: Solver = "daqp"
 
     speed_mps: Annotated[Positive, Field(le=1.4)] = paper.SPEED_MPS
     duration_s: Annotated[Positive, Field(le=1e7)] = 240.0

@@ -1,0 +1,69 @@
+"""Strict validation with one clear sentence for bad input: which parameter, what it was, what it may be. Pydantic does the checking."""
+
+import functools
+from difflib import get_close_matches
+from inspect import signature
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
+from pydantic.dataclasses import dataclass
+
+plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False), plain]
+Positive = Annotated[Real, Field(gt=0)]
+NotNegative = Annotated[Real, Field(ge=0)]
+Traction = Annotated[Real, Field(gt=0, le=1)]
+Whole = Annotated[int, Field(strict=True), plain]
+Flag = Annotated[bool, Field(strict=True)]
+
+# Choices that Scenario, RHE and RHC share; Scenario says what each means.
+Weights = tuple[NotNegative, NotNegative, NotNegative]
+Intervals = Annotated[Whole, Field(ge=2, le=240)]
+Solver = Literal["daqp", "qpoases", "qrqp"]
+Reading = Literal["printed", "calibrated"]
+SpeedModel = Literal["parameter", "input"]
+ArrivalMean = Literal["smoothed", "filtered"]
+
+
+def sentence(name, fields, error):
+    """The first of a validation's errors as one sentence: which parameter, what it was, what it may be."""
+    first = error.errors()[0]
+    if first["type"] == "unexpected_keyword_argument":
+        unknown = first["loc"][0]
+        close = get_close_matches(unknown, fields, 1, 0.4)
+        return f"{name} has no parameter {unknown!r}" + (f"; did you mean {close[0]!r}?" if close else "")
+    if not first["loc"]:   # a check across fields, which speaks for itself
+        return str(first["ctx"]["error"])
+    where = str(first["loc"][0]) + "".join(f"[{place}]" for place in first["loc"][1:])
+    return f"{where} was {first['input']!r}; {first['msg'].replace('Input', 'it', 1)}"
+
+
+def checked(function):
+    """The function with every argument checked against its annotation."""
+    strict = validate_call(function, config=ConfigDict(arbitrary_types_allowed=True))
+    names = list(signature(function).parameters)
+
+    @functools.wraps(function)
+    def call(*arguments, **named):
+        try:
+            return strict(*arguments, **named)
+        except ValidationError as error:
+            raise ValueError(sentence(function.__qualname__.removesuffix(".__init__"), names, error)) from None
+
+    return call
+
+
+def validated(cls):
+    """A frozen dataclass whose constructor checks every field strictly and answers bad input with one sentence."""
+    cls = dataclass(frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid"))(cls)
+    construct = cls.__init__
+
+    def __init__(self, **fields):
+        try:
+            construct(self, **fields)
+        except ValidationError as error:
+            raise ValueError(sentence(cls.__name__, list(cls.__dataclass_fields__), error)) from None
+
+    cls.__init__ = __init__
+    return cls
