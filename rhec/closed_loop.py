@@ -5,12 +5,13 @@
 Every tuning is an argument of the Function, so that changing a weight compiles nothing; only what changes its shape does.
 """
 
+import functools
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 
 from rhec import compiled, estimators, fold, paper, path, rhc, robot, terrain
 from rhec.function import folded, only, size, unpack, vector
@@ -144,58 +145,62 @@ def draw_noise(seed, samples):
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run: log, one row a sample; metrics; and what it ran on."""
+    """A finished run: what it was, what is reported of it, where it drove."""
 
     scenario: Scenario
-    log: pd.DataFrame
     metrics: dict
     path: path.Path
     terrain: terrain.Terrain
+    columns: dict
+
+    @functools.cached_property
+    def log(self):
+        """One row a sample, as a DataFrame; columns: README, "The log"."""
+        import pandas as pd   # half of all the time it takes to import this package, and a campaign never looks at a log
+        return pd.DataFrame(self.columns)
 
 
 def simulate(scenario):
-    """Run a scenario: rhec.Run. The first call of a new structure compiles it (seconds, said by nothing: cached from then on)."""
+    """Run a scenario: rhec.Run. A structure's first run compiles it for some seconds; it is cached from then on."""
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
     made = world(scenario)
     samples = round(scenario.duration_s / paper.DT_S)
     _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, draw_noise(scenario.seed, samples), made.settings)
-    log = pd.DataFrame(rows, columns=COLUMNS)
-    log.insert(0, "t_s", np.arange(samples) * paper.DT_S)
-    log["on_straight"] = log["curvature_radpm"] == 0
-    log["ok"] = log["ok"] == 1
-    log["error_m"] = made.path.project(log[["x_meas_m", "y_meas_m"]])[0]
-    log["error_true_m"] = made.path.project(log[["x_m", "y_m"]])[0]
-    return Run(scenario, log, metrics(log, made.path), made.path, made.terrain)
+    columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))
+    columns["on_straight"] = columns["curvature_radpm"] == 0
+    columns["ok"] = columns["ok"] == 1
+    columns["error_m"], _ = made.path.project(rows[:, [COLUMNS.index("x_meas_m"), COLUMNS.index("y_meas_m")]])
+    columns["error_true_m"], s = made.path.project(rows[:, [COLUMNS.index("x_m"), COLUMNS.index("y_m")]])
+    return Run(scenario, metrics(columns, *made.path.poses(s)), made.path, made.terrain, columns)
 
 
-def metrics(log, target):
-    """What is reported of a run; errors in m, times in s.
+def metrics(columns, poses, curvatures):
+    """What is reported of a run with these log columns whose closest path points are `poses` (n, 3); errors in m, times in s.
 
     Errors and violations count from the arrival on, the first moment from which the true error stays within the tolerance for 5 s; a robot that
     never arrives is judged on its whole run. `mean_error_m` is the paper's: raw GNSS to the path (reading R11). Overshoot: how far beyond
     the path, seen from the start, the robot gets on the first row.
     """
+    c = SimpleNamespace(**columns)
     hold = round(5 / paper.DT_S)
-    inside = (log["error_true_m"] < paper.TOLERANCE_M).to_numpy()
-    stays = np.flatnonzero(np.convolve(inside, np.ones(hold), "valid") == hold)
-    arrival = stays[0] if len(stays) else None
-    after = log.iloc[arrival or 0:]
-    straight = after[after["on_straight"]]
-    _, s = target.project(log[["x_m", "y_m"]])
-    poses, _ = target.poses(s)
-    left = (log["y_m"] - poses[:, 1]) * np.cos(poses[:, 2]) - (log["x_m"] - poses[:, 0]) * np.sin(poses[:, 2])
-    first_row = left[: np.argmin(log["on_straight"])] if not log["on_straight"].all() else left
+    inside = c.error_true_m < paper.TOLERANCE_M
+    stays = np.flatnonzero(np.convolve(inside, np.ones(hold), "valid") == hold) if len(inside) >= hold else []
+    arrived = len(stays) > 0
+    after = slice(stays[0] if arrived else 0, None)
+    straight = c.on_straight[after]
+    left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
+    first_row = left[: np.argmax(curvatures != 0) or None]
+    omega = np.abs(c.omega_cmd_radps)
     return dict(
-        arrival_s=np.nan if arrival is None else log["t_s"][arrival],
-        mean_error_m=after["error_m"].mean(), mean_error_true_m=after["error_true_m"].mean(), max_error_true_m=after["error_true_m"].max(),
-        mean_error_from_start_m=log["error_m"].mean(),
-        violations=int((straight["error_m"] > paper.TOLERANCE_M).sum()), violations_true=int((straight["error_true_m"] > paper.TOLERANCE_M).sum()),
+        arrival_s=c.t_s[after][0] if arrived else np.nan,
+        mean_error_m=c.error_m[after].mean(), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
+        mean_error_from_start_m=c.error_m.mean(),
+        violations=int(np.sum(c.error_m[after][straight] > paper.TOLERANCE_M)),
+        violations_true=int(np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M)),
         overshoot_m=max(0.0, (-np.sign(left[0]) * first_row).max()),
-        rms_mu=rms(after["mu_hat"] - after["mu"]), rms_kappa=rms(after["kappa_hat"] - after["kappa"]),
-        rms_yaw_rad=rms(after["theta_hat_rad"] - after["theta_rad"]),
-        at_bound_share=(after["omega_cmd_radps"].abs() >= 0.999 * log["omega_cmd_radps"].abs().max()).mean(),
-        median_kkt_rhe=after["kkt_rhe"].median(), median_kkt_rhc=after["kkt_rhc"].median(), all_ok=bool(log["ok"].all()))
+        rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]), rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
+        omega_max_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=bool(c.ok.all()))
 
 
 def rms(values):

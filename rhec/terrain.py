@@ -4,16 +4,16 @@ All fields are cut from one pair of standard Gaussian fields that a geostatistic
 run never depends on a library's random stream. `python -m rhec.terrain` makes that file again.
 """
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path as File
 
 import casadi as ca
 import numpy as np
-from scipy.ndimage import map_coordinates, spline_filter
 from scipy.special import betaincinv, ndtr
 
 STANDARD_FIELDS = File(__file__).parents[1] / "data" / "standard_gaussian_fields.npz"
-CELLS_PER_LENGTH = 4     # of the standard fields: cells in one correlation length
+CELLS_PER_LENGTH = 8     # of the standard fields: cells in one correlation length
 LOWEST = 0.01            # traction never vanishes: a robot that cannot move teaches nothing
 
 
@@ -51,15 +51,14 @@ class Terrain:
         """
         x_min, x_max, y_min, y_max = box
         i, j = np.mgrid[0:int(np.ceil((x_max - x_min) / cell_m)) + 1, 0:int(np.ceil((y_max - y_min) / cell_m)) + 1]
-        standard = standard_fields()
+        standard, period = standard_fields()
         # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's stream is not
         draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
         fields = []
         for field, (offset_i, offset_j, turn, _), m, sd in zip(standard, draws, mean, deviation):
-            coordinates = np.stack([i, j]) * cell_m / correlation_length_m * CELLS_PER_LENGTH
-            coordinates = coordinates[:: 1 if turn & 1 else -1] * np.array([1 if turn & 2 else -1, 1 if turn & 4 else -1])[:, None, None]
-            coordinates += np.array([offset_i, offset_j])[:, None, None] % len(field)
-            gaussian = map_coordinates(field, coordinates, order=3, mode="grid-wrap", prefilter=False) * (1 if turn & 8 else -1)
+            places = np.stack([i.ravel(), j.ravel()])[:: 1 if turn & 1 else -1] * cell_m / correlation_length_m * CELLS_PER_LENGTH
+            places = places * [[1 if turn & 2 else -1], [1 if turn & 4 else -1]] + [[offset_i], [offset_j]]
+            gaussian = np.asarray(field(places % period)).reshape(i.shape) * (1 if turn & 8 else -1)
             fields.append(beta_from_gaussian(gaussian, m, sd))
         mu, kappa = fields
         for x, y, radius, mu_patch, kappa_patch in patches:
@@ -101,24 +100,25 @@ def beta_from_gaussian(gaussian, mean, deviation):
     return np.clip(np.interp(gaussian, quantiles, values), LOWEST, 1)
 
 
-_fields = None
-
-
+@functools.cache
 def standard_fields():
-    """The pair of standard Gaussian fields (2, n, n), periodic, correlation length CELLS_PER_LENGTH cells, as cubic spline coefficients."""
-    global _fields   # read once a process; the content never changes
-    if _fields is None:
-        with np.load(STANDARD_FIELDS, allow_pickle=False) as data:
-            _fields = [spline_filter(field.astype(float), order=3, mode="grid-wrap") for field in data["fields"]]
-    return _fields
+    """The pair of standard Gaussian fields, bilinear between cells, as Functions of places (2, n) in [0, period)² cells; and the period.
+
+    CasADi's interpolant, not SciPy's, because importing that would double the time to the first run.
+    """
+    with np.load(STANDARD_FIELDS, allow_pickle=False) as data:
+        fields = np.pad(data["fields"].astype(float), ((0, 0), (0, 1), (0, 1)), mode="wrap")
+    axis = np.arange(float(fields.shape[1]))
+    return [ca.interpolant("standard", "linear", [axis, axis], field.ravel(order="F"), {"lookup_mode": ["exact", "exact"]})
+            for field in fields], len(axis) - 1
 
 
-def make_standard_fields(n=512, modes=144, seed=2018):
-    """What `data/` holds: two independent fields by GSTools' Fourier method, which makes them periodic (a few minutes). Half precision is plenty."""
+def make_standard_fields(period=768, modes=144, seed=2018):
+    """What `data/` holds: two independent fields by GSTools' Fourier method, which makes them periodic (minutes). Half precision is plenty."""
     import gstools
-    axis = np.arange(n, dtype=float)
+    axis = np.arange(float(period))
     model = gstools.Gaussian(dim=2, var=1, len_scale=CELLS_PER_LENGTH)
-    fields = [gstools.SRF(model, generator="Fourier", period=n, mode_no=modes, seed=seed + k).structured([axis, axis]) for k in range(2)]
+    fields = [gstools.SRF(model, generator="Fourier", period=period, mode_no=modes, seed=seed + k).structured([axis, axis]) for k in range(2)]
     fields = [(field - field.mean()) / field.std() for field in fields]
     np.savez_compressed(STANDARD_FIELDS, fields=np.array(fields, dtype=np.float16), gstools_version=gstools.__version__, seed=seed)
 

@@ -7,17 +7,20 @@ seeds, and every number that the paper reports stands beside ours.
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.ticker import MaxNLocator
+from matplotlib.colors import LinearSegmentedColormap
 from scipy.stats import bootstrap
 
 from rhec import paper
 
 from .style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, styled
 
-TRACTION = "YlGnBu_r"   # dark where it slips; in grey it is as monotonous
-LOOK_AHEAD = "Q2, look-ahead"
-LINES = {name: {"color": COLOURS[name]} for name in ("Q1", "Q2", "Q3", "RHE", "EKF")} | {
-    LOOK_AHEAD: {"color": COLOURS["Q2"], "linestyle": (0, (3, 1.5))}}
+TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])   # dark where it slips, grey so that trajectories stand out
+LINES = {"Q1": {"color": COLOURS["Q1"], "label": "$Q^1$"},
+         "Q2": {"color": COLOURS["Q2"], "label": "$Q^2$"},
+         "Q2, look-ahead": {"color": COLOURS["Q2"], "label": "$Q^2$, look-ahead", "linestyle": (0, (3, 1.5))},
+         "Q3": {"color": COLOURS["Q3"], "label": "$Q^3$"},
+         "RHE": {"color": COLOURS["RHE"], "label": "RHE"},
+         "EKF": {"color": COLOURS["EKF"], "label": "EKF"}}
 REPORTED = {("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M, ("EKF", "mean_error_m"): paper.MEAN_ERROR_EKF_M,
             ("RHE", "violations"): paper.VIOLATIONS_RHE, ("EKF", "violations"): paper.VIOLATIONS_EKF}
 
@@ -54,25 +57,25 @@ def verdict(low, high, above=-np.inf, below=np.inf):
     return "fails" if high < above or low > below else "undecided"
 
 
-def _row(about, quantity, estimate, reported="", claim="", verdict=""):
+def _row(about, quantity, estimate, claim="", verdict=""):
     value, low, high, n = estimate
-    return about | dict(quantity=quantity, mean=value, low=low, high=high, n=n, paper=reported, claim=claim, verdict=verdict)
+    return about | dict(quantity=quantity, mean=value, low=low, high=high, n=n, claim=claim, verdict=verdict)
 
 
 def scenario_a_table(sweep):
     """Scenario A in numbers: each yaw weight's means over seeds, and the two ratios behind the paper's words.
 
     sweep: rows of `rhec.campaign` with the column `weight` ("Q1", "Q2", …), the same seeds in the same order for each. The settling time is
-    that of the runs that settle. Columns: weight, quantity, mean, low, high, n, paper, claim, verdict.
+    that of the runs that settle. Columns: weight, quantity, mean, low, high, n, claim, verdict.
     """
-    of = dict(list(sweep.groupby("weight")))
+    of = dict(list(sweep.groupby("weight", sort=False)))
     rows = [_row({"weight": weight}, quantity, over_seeds(np.mean, runs[column]))
             for column, quantity in [("arrival_s", "settling time [s]"), ("overshoot_m", "overshoot [m]"),
                                      ("mean_error_m", "mean error, raw GNSS [m]"), ("mean_error_true_m", "mean error, true [m]")]
             for weight, runs in of.items()]
     for one, other, column, quantity in [("Q1", "Q3", "arrival_s", "settling time, ratio"), ("Q2", "Q3", "overshoot_m", "overshoot, ratio")]:
         ratio = over_seeds(ratio_of_means, of[one][column], of[other][column])
-        rows.append(_row({"weight": f"{one} / {other}"}, quantity, ratio, "", "at least 2", verdict(*ratio[1:3], above=2)))
+        rows.append(_row({"weight": f"{one} / {other}"}, quantity, ratio, "at least 2", verdict(*ratio[1:3], above=2)))
     return pd.DataFrame(rows)
 
 
@@ -80,7 +83,7 @@ def scenario_b_table(sweep):
     """Scenario B in numbers: means over seeds for each reading and estimator, and how RHE and EKF differ at equal seeds.
 
     sweep: rows of `rhec.campaign`, the same seeds in the same order for each reading and estimator. Columns: reading, estimator, quantity,
-    mean, low, high, n, paper, claim, verdict.
+    paper, mean, low, high, n, claim, verdict. The EKF takes μ and κ to be 1.
     """
     rows = []
     for reading, runs in sweep.groupby("reading", sort=False):
@@ -88,12 +91,13 @@ def scenario_b_table(sweep):
         for column, quantity in [("mean_error_m", "mean error, raw GNSS [m]"), ("mean_error_true_m", "mean error, true [m]"),
                                  ("violations", "violations on straights, raw GNSS"), ("violations_true", "violations on straights, true"),
                                  ("rms_yaw_rad", "RMS error of yaw [rad]"), ("rms_mu", "RMS error of mu"), ("rms_kappa", "RMS error of kappa")]:
-            rows += [_row({"reading": reading, "estimator": name}, quantity, over_seeds(np.mean, each[column]), REPORTED.get((name, column), ""))
-                     for name, each in of.items()]
+            for name, each in of.items():
+                about = {"reading": reading, "estimator": name, "paper": REPORTED.get((name, column), "")}
+                rows.append(_row(about, quantity, over_seeds(np.mean, each[column])))
             if ("RHE", column) in REPORTED:
                 difference = over_seeds(difference_of_means, of["RHE"][column], of["EKF"][column])
-                rows.append(_row({"reading": reading, "estimator": "RHE - EKF"}, quantity, difference,
-                                 round(REPORTED["RHE", column] - REPORTED["EKF", column], 4), "below 0", verdict(*difference[1:3], below=0)))
+                about = {"reading": reading, "estimator": "RHE - EKF", "paper": round(REPORTED["RHE", column] - REPORTED["EKF", column], 4)}
+                rows.append(_row(about, quantity, difference, "below 0", verdict(*difference[1:3], below=0)))
     return pd.DataFrame(rows)
 
 
@@ -123,14 +127,10 @@ def _time_axis(axes, log):
     axes[-1].set_xlim(log["t_s"].iloc[0], log["t_s"].iloc[-1])
 
 
-def _above(axes, **look):
-    """The legend in one line above the axes, to the right, clear of the title and of the data."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, borderaxespad=0.1, handlelength=1.5, columnspacing=1.2, **look)
-
-
-def _tolerance(axes):
-    axes.axhline(paper.TOLERANCE_M, color=BLACK, linewidth=0.6, linestyle="--")
-    axes.axhspan(0, paper.TOLERANCE_M, color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
+def _above(axes, source):
+    """The legend of `source` in one line above the axes, to the right, clear of the title and of the data."""
+    axes.legend(*source.get_legend_handles_labels(), loc="lower right", bbox_to_anchor=(1, 1), ncols=4, borderaxespad=0.1, handlelength=1.5,
+                columnspacing=1.2)
 
 
 def _field(axes, terrain, values):
@@ -157,7 +157,7 @@ def _strip(axes, groups):
         axes.plot(place + spread, values, "o", markersize=2, color=look["color"], alpha=0.5, markeredgewidth=0)
         mean, low, high, _ = over_seeds(np.mean, values)
         axes.errorbar(place + 0.25, mean, [[mean - low], [high - mean]], fmt="D", markersize=3.5, color=look["color"], capsize=2.5)
-        axes.annotate(f"{mean:.3g}", (place + 0.25, high), (0, 3), textcoords="offset points", ha="center", fontsize=7)
+        axes.annotate(f"{mean:.2g}", (place + 0.25, high), (0, 3), textcoords="offset points", ha="center", fontsize=7)
     axes.set_xticks(range(len(groups)), [label for label, _, _ in groups])
     axes.set_xlim(-0.5, len(groups) - 0.4)
     axes.grid(axis="x", visible=False)
@@ -183,12 +183,13 @@ def trajectories_q(runs):
     rows = {name: _first_row(run) for name, run in runs.items()}
     _reference(plane, first.path, max(first.path.project(log[["x_m", "y_m"]])[1].max() for log in rows.values()))
     for name, log in rows.items():
-        plane.plot(log["x_m"], log["y_m"], **LINES[name], label=name)
+        plane.plot(log["x_m"], log["y_m"], **LINES[name])
         arrival = runs[name].metrics["arrival_s"]
-        settling = "never settles" if np.isnan(arrival) else f"{name}: {arrival:.1f} s"
-        time.plot(log["t_s"], log["error_true_m"], **LINES[name], label=settling)
+        settling = "never" if np.isnan(arrival) else f"{arrival:.1f} s"
+        time.plot(log["t_s"], log["error_true_m"], **LINES[name] | {"label": f"{LINES[name]['label']}: {settling}"})
         time.plot(arrival, np.interp(arrival, log["t_s"], log["error_true_m"]), "o", markersize=4, color=LINES[name]["color"], markeredgecolor="w")
-    _tolerance(time)
+    time.axhline(paper.TOLERANCE_M, color=BLACK, linewidth=0.6, linestyle="--")
+    time.axhspan(0, paper.TOLERANCE_M, color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
     time.annotate(f"{paper.TOLERANCE_M} m", (1, paper.TOLERANCE_M), (0, 2), xycoords=("axes fraction", "data"), textcoords="offset points",
                   ha="right", fontsize=7)
     time.set_xlim(0, max(log["t_s"].iloc[-1] for log in rows.values()))
@@ -206,8 +207,8 @@ def weight_sweep(sweep):
     """The numbers behind Figure 6: settling time [s] and overshoot [m] for each yaw weight over seeds; sweep as in `scenario_a_table`."""
     figure, (settling, overshoot) = plt.subplots(2, figsize=(COLUMN_IN, 3.6), sharex=True)
     for axes, column in [(settling, "arrival_s"), (overshoot, "overshoot_m")]:
-        _strip(axes, [(f"{name}\n{runs['arrival_s'].count()} of {len(runs)} settle", runs[column], LINES[name])
-                      for name, runs in sweep.groupby("weight")])
+        _strip(axes, [(f"{LINES[name]['label']}\n{runs['arrival_s'].count()} of {len(runs)} settle", runs[column], LINES[name])
+                      for name, runs in sweep.groupby("weight", sort=False)])
         axes.set_ylim(0)
     settling.set_ylabel("settling time [s]")
     overshoot.set_ylabel("overshoot [m]")
@@ -221,7 +222,7 @@ def weight_sweep(sweep):
 @styled
 def slip_fields(terrain, path, title):
     """The slip fields μ and κ [-] as maps, side by side, and the path on them; title says which fields they are."""
-    figure, both = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.4), sharey=True)
+    figure, both = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.0), sharey=True)
     for axes, values, name in zip(both, (terrain.mu, terrain.kappa), (r"$\mu$", r"$\kappa$")):
         image = _field(axes, terrain, values)
         _reference(axes, path)
@@ -244,7 +245,7 @@ def trajectories(runs):
         image = _field(axes, first.terrain, first.terrain.kappa)
         _reference(axes, first.path)
         for name, run in runs.items():
-            axes.plot(run.log["x_m"], run.log["y_m"], **LINES[name], label=name)
+            axes.plot(run.log["x_m"], run.log["y_m"], **LINES[name])
     everything = pd.concat([run.log for run in runs.values()])
     worst = max(runs.values(), key=lambda run: run.metrics["max_error_true_m"])
     place = worst.log[worst.log["error_true_m"] == worst.metrics["max_error_true_m"]]
@@ -254,6 +255,7 @@ def trajectories(runs):
         panels[name].set(xlim=(x, x_end), ylim=(y, y_end))
         _title(panels[name], title)
     panels["start"].set_aspect("auto")
+    panels["worst"].set_aspect("equal", adjustable="datalim")
     panels["worst"].set_ylabel("")
     figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", extend="min", fraction=0.03, pad=0.02)
     figure.legend(*panels["all"].get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -266,20 +268,22 @@ def errors(runs):
 
     runs: {reading: {"RHE": Run, "EKF": Run}}. Means count from the arrival on; dotted: the mean that the paper reports.
     """
-    figure, grid = plt.subplots(len(runs), 2, figsize=(DOUBLE_IN, 0.4 + 1.6 * len(runs)), sharex=True, sharey=True, squeeze=False)
+    figure, grid = plt.subplots(len(runs), 2, figsize=(DOUBLE_IN, 0.6 + 1.6 * len(runs)), sharex=True, sharey=True, squeeze=False)
     for row, by_estimator in zip(grid, runs.values()):
         for axes, (name, run) in zip(row, by_estimator.items()):
             mean, reported = run.metrics["mean_error_m"], REPORTED[name, "mean_error_m"]
-            axes.semilogy(run.log["t_s"], run.log["error_m"], **LINES[name], linewidth=0.6)
-            axes.axhline(mean, color=BLACK, linewidth=0.9)
-            axes.axhline(reported, color=BLACK, linewidth=0.9, linestyle=":")
-            _tolerance(axes)
-            _title(axes, f"{name}, {_about(run)}: mean {mean:.4f} m, paper: {reported} m")
+            axes.semilogy(run.log["t_s"], run.log["error_m"], color=COLOURS[name], linewidth=0.6)
+            for level, line, meaning in [(paper.TOLERANCE_M, "--", f"{paper.TOLERANCE_M} m"), (mean, "-", "mean after arrival"),
+                                         (reported, ":", "mean in the paper")]:
+                axes.axhline(level, color=BLACK, linewidth=0.9, linestyle=line, label=meaning)
+            _title(axes, f"{name}, {run.scenario.reading} reading: mean {mean:.4f} m, paper: {reported} m")
             _time_axis([axes], run.log)
         row[0].set_ylabel("error, raw GNSS [m]")
     for axes in grid[:-1].flat:
         axes.set_xlabel("")
     grid[0, 0].set_ylim(0.004)
+    figure.suptitle(f"seed {run.scenario.seed}", fontsize=8)
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -287,28 +291,31 @@ def errors(runs):
 def violations(sweep):
     """Figure 9: samples on straight lines with an error above 0.12 m in a run, by raw GNSS and in truth, over seeds.
 
-    sweep: rows of `rhec.campaign`. Bars are means, whiskers 95 % intervals, dots seeds; a panel for each reading, with its own scale.
+    sweep: rows of `rhec.campaign`. Bars are means, whiskers 95 % intervals, dots seeds, dotted lines what the paper reports; a panel for each
+    reading. The scale is linear up to 10 and logarithmic beyond, for both estimators to be seen.
     """
     readings = list(sweep.groupby("reading", sort=False))
-    figure, panels = plt.subplots(1, len(readings), figsize=(COLUMN_IN, 2.5), squeeze=False)
+    figure, panels = plt.subplots(1, len(readings), figsize=(COLUMN_IN, 2.7), sharey=True, squeeze=False)
     for axes, (reading, runs) in zip(panels[0], readings):
         for place, (name, each) in enumerate((name.upper(), each) for name, each in runs.groupby("estimator", sort=False)):
             for shift, column, alpha in [(-0.2, "violations", 0.9), (0.2, "violations_true", 0.4)]:
                 mean, low, high, _ = over_seeds(np.mean, each[column])
                 axes.bar(place + shift, mean, 0.38, color=COLOURS[name], alpha=alpha)
-                axes.errorbar(place + shift, mean, [[mean - low], [high - mean]], color=BLACK, capsize=2, linewidth=0.7)
-                axes.plot(place + shift + np.linspace(-0.13, 0.13, len(each)), each[column], ".", markersize=2, color=GREY)
+                axes.plot(place + shift + np.linspace(-0.13, 0.13, len(each)), each[column], "o", markersize=1.5, color=GREY, markeredgewidth=0)
+                axes.errorbar(place + shift, mean, [[mean - low], [high - mean]], color=BLACK, capsize=2, linewidth=0.8)
+                axes.annotate(f"{mean:.3g}", (place + shift, 1), (0, -10), xycoords=("data", "axes fraction"), textcoords="offset points",
+                              ha="center", va="top", fontsize=7)
             reported = REPORTED[name, "violations"]
-            axes.hlines(reported, place - 0.45, place + 0.45, color=BLACK, linestyle=":")
-            axes.annotate(f"paper: {reported}", (place, 1), (0, -2), xycoords=("data", "axes fraction"), textcoords="offset points", ha="center",
-                          va="top", fontsize=7)
+            axes.hlines(reported, place - 0.45, place + 0.45, color=BLACK, linestyle=":", zorder=3)
+            axes.annotate(f"paper: {reported}", (place, 1), xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=7)
         axes.set_xticks([-0.2, 0.2, 0.8, 1.2], ["raw", "true"] * 2)
-        axes.set_xlabel("RHE                EKF")
-        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.margins(y=0.15)
-        axes.set_ylim(0)
+        axes.set_xticks([0, 1], ["RHE", "EKF"], minor=True)
+        axes.tick_params(axis="x", which="minor", length=0, pad=13)
         axes.grid(axis="x", visible=False)
         _title(axes, f"{reading} reading")
+    axes.set_yscale("symlog", linthresh=10, linscale=0.6)
+    axes.set_yticks(ticks := [0, 5, 10, 20, 50, 100, 200, 500, 1000], ticks)
+    axes.set_ylim(0, 3000)
     panels[0, 0].set_ylabel("violations on straights in a run [samples]")
     figure.suptitle(f"{_seeds(sweep)}; mean, 95 % interval, each seed", fontsize=8)
     return figure
@@ -325,13 +332,13 @@ def estimates(run):
         axes.plot(log["t_s"], log[estimate], color=COLOURS["RHE"], label="RHE")
         axes.plot(log["t_s"], log[truth], color=COLOURS["truth"], linewidth=0.8, label="truth")
         axes.set_ylabel(f"{symbol} [{unit}]")
-        _title(axes, f"RMS error after arrival {run.metrics[rms]:.3f}{' rad' * (unit == 'rad')}")
+        _title(axes, f"{symbol}: RMS error after arrival {run.metrics[rms]:.3f} [{unit}]")
     for axes in panels[1:]:
         axes.hlines([0, 1], *log["t_s"].iloc[[0, -1]], color=BLACK, linewidth=0.6, linestyle="--", label="constraints")
         axes.set_ylim(-0.06, 1.06)
-    _above(panels[2])
+    _above(panels[0], panels[2])
     _time_axis(panels, log)
-    figure.suptitle(_about(run), fontsize=8)
+    figure.suptitle(f"RHE, {_about(run)}", fontsize=8)
     return figure
 
 
@@ -339,10 +346,10 @@ def estimates(run):
 def speed(run):
     """Figure 11: measured, estimated and true speed of the tracks ν [m/s] over time [s]."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
-    for column, name, width in [("nu_meas_mps", "measured", 0.6), ("nu_mps", "truth", 0.6), ("nu_hat_mps", "RHE", 1.0)]:
+    for column, name, width in [("nu_mps", "truth", 0.4), ("nu_meas_mps", "measured", 0.6), ("nu_hat_mps", "RHE", 1.0)]:
         axes.plot(run.log["t_s"], run.log[column], color=COLOURS[name], linewidth=width, label=name)
     axes.set_ylabel(r"speed $\nu$ [m/s]")
-    _above(axes)
+    _above(axes, axes)
     _title(axes, _about(run))
     _time_axis([axes], run.log)
     return figure
@@ -357,7 +364,7 @@ def yaw_rate(run):
     bound = run.scenario.omega_max_radps
     axes.hlines([-bound, bound], *run.log["t_s"].iloc[[0, -1]], color=BLACK, linewidth=0.6, linestyle="--", label="bounds")
     axes.set_ylabel(r"yaw rate $\omega$ [rad/s]")
-    _above(axes)
+    _above(axes, axes)
     _title(axes, _about(run))
     _time_axis([axes], run.log)
     return figure
@@ -366,11 +373,12 @@ def yaw_rate(run):
 @styled
 def kkt(run):
     """Figure 13: KKT tolerances [-] of RHE and RHC after their one Gauss-Newton iteration, over time [s]."""
-    figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 2.8), sharex=True)
+    figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.0), sharex=True)
     for axes, name, colour in zip(panels, ("RHE", "RHC"), (COLOURS["RHE"], COLOURS["oracle"])):
         tolerance = run.log[f"kkt_{name.lower()}"]
         axes.semilogy(run.log["t_s"], tolerance, color=colour, linewidth=0.7)
-        axes.set_ylabel(f"{name} [-]")
-        _title(axes, f"{name}: KKT tolerance, median {tolerance.median():.2g}, {_about(run)}")
+        axes.set_ylabel("KKT tolerance [-]")
+        axes.set_ylim(tolerance.median() / 1000)   # it vanishes where every input is at its bound
+        _title(axes, f"{name}, {_about(run)}: first {tolerance.iloc[0]:.2g}, median {tolerance.median():.2g}")
     _time_axis(panels, run.log)
     return figure
