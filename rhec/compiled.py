@@ -45,18 +45,24 @@ def source_digest():
 
 @functools.cache
 def load(build, *structure):
-    """The Functions that build(*structure) returns in a dict, compiled. structure: strings, numbers, None.
+    """The Functions that build(*structure) returns in a dict, compiled. structure: strings, numbers, tuples.
 
-    Functions that no C code can be generated for (those that call qpOASES) stay on the virtual machine.
+    CasADi generates no C for qpOASES: Functions that call it stay on the virtual machine.
     """
-    if not compiler() or "qpoases" in structure:
+    if not compiler():
         return build(*structure)
     identity = repr((build.__module__, build.__name__, structure, source_digest(), ca.__version__, compiler(), FLAGS, platform.machine()))
     folder = cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+    built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
+    generable = {key: function for key, function in built.items() if not calls_qpoases(function)}
     if not folder.exists():
-        make(folder, build(*structure))
+        make(folder, generable)
     names = json.loads((folder / "functions.json").read_text())
-    return {key: ca.external(name, str(folder / "library.so")) for key, name in names.items()}
+    return built | {key: ca.external(name, str(folder / "library.so")) for key, name in names.items()}
+
+
+def calls_qpoases(function):
+    return any(inner.class_name() == "QpoasesInterface" for inner in function.find_functions())
 
 
 def make(folder, functions):

@@ -29,7 +29,7 @@ def update(m, P, z, V, measured):
         used = valid(z[row])
         y = ca.if_else(used, z[row] - m[place], 0)
         S = P[place, place] + V[row]
-        K = used * P[:, place] / S
+        K = P[:, place] * (used / S)
         m, P = m + K * y, symmetric(P - K @ P[place, :])
         gains.append(K)
         weighted.append(y / S)

@@ -107,6 +107,9 @@ class RHC:
         q = np.array(q)
         self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, qp), ("s", "omega"),
                                                 Q=q, QN=qn_factor * q, R=r, omega_max=omega_max)
+        arrays = self.iteration.arrays
+        self._pose, self._p, self._omega_ref = arrays["s_0"][:3], arrays["s_0"][3:], arrays["omega_ref"]
+        self._xi_ref = arrays["xi_ref"].reshape((3, horizon + 1), order="F")   # a view, in CasADi's order
 
     def prepare(self):
         """Shift, integrate, linearise, condense (paper: preparation part)."""
@@ -125,15 +128,18 @@ class RHC:
         return self.iteration.arrays["omega_plan"][0].item()
 
     def _given(self, pose, p, xi_ref, omega_ref):
-        N, arrays = self.horizon, self.iteration.arrays
-        for name, value, shape in (("pose", pose, (3,)), ("p", p, (3,)), ("xi_ref", xi_ref, (3, N + 1)), ("omega_ref", omega_ref, (N,))):
-            if np.shape(value) != shape:
-                raise ValueError(f"{name} had shape {np.shape(value)}; it should have {shape}")
-        arrays["s_0"][:3], arrays["s_0"][3:] = pose, p
-        arrays["xi_ref"][:] = np.ravel(xi_ref, order="F")
-        arrays["omega_ref"][:] = omega_ref
+        for name, value, length in (("pose", pose, 3), ("p", p, 3), ("xi_ref", xi_ref, 3), ("omega_ref", omega_ref, self.horizon)):
+            if len(value) != length:
+                raise ValueError(f"{name} had {len(value)} entries; it should have {length}")
+        try:
+            self._xi_ref[:] = xi_ref
+        except ValueError:
+            raise ValueError(f"xi_ref had shape {np.shape(xi_ref)}; it should have {self._xi_ref.shape}") from None
+        self._pose[:] = pose
+        self._p[:] = p
+        self._omega_ref[:] = omega_ref
         if not self.iteration.started:
-            self.iteration.start(start(pose, p, N))
+            self.iteration.start(start(pose, p, self.horizon))
 
     @property
     def kkt(self):

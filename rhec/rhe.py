@@ -219,8 +219,8 @@ class RHE:
         return self._estimate()
 
     def _given(self, z):
-        if np.shape(z) != (4,):
-            raise ValueError(f"z had shape {np.shape(z)}; it should have (4,): x, y, ν, ω")
+        if len(z) != 4:
+            raise ValueError(f"z had {len(z)} entries; it should have 4: x, y, ν, ω")
         self.iteration.arrays["z_N"][:] = z
         if not self.iteration.started:
             sigma = list(paper.SIGMA_W_RHE)

@@ -12,8 +12,8 @@ from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive
 SIGMA_W = {
     ("rhe", "printed"): paper.SIGMA_W_RHE,
     ("ekf", "printed"): paper.SIGMA_W_EKF,
-    ("rhe", "calibrated"): (0.001, 0.001, 0.001, 0.001, 0.0033, 0.0019),
-    ("ekf", "calibrated"): (0.016, 0.016, 0.013, 0.001),
+    ("rhe", "calibrated"): (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001),
+    ("ekf", "calibrated"): (0.017, 0.017, 0.013, 0.001),
 }
 
 @validated

@@ -8,7 +8,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.colors import LinearSegmentedColormap
-from scipy.stats import bootstrap
 
 from rhec import paper
 
@@ -28,7 +27,7 @@ REPORTED = {("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M, ("EKF", "mean_error
 # Numbers with their intervals
 
 def over_seeds(statistic, *samples):
-    """(value, low, high, n) of statistic(*samples, axis=…): its 95 % bootstrap interval over n seeds.
+    """(value, low, high, n) of statistic(*samples, axis=…): its 95 % interval by the percentile bootstrap over n seeds.
 
     Each sample holds one entry a seed, in the same order; seeds with a missing entry in any sample are left out.
     """
@@ -37,7 +36,8 @@ def over_seeds(statistic, *samples):
     n = samples.shape[1]
     if n < 2:
         return np.nan, np.nan, np.nan, n
-    low, high = bootstrap(samples, statistic, paired=True, vectorized=True, method="percentile", rng=np.random.default_rng(0)).confidence_interval
+    draws = np.random.default_rng(0).integers(n, size=(10_000, n))
+    low, high = np.quantile(statistic(*samples[:, draws], axis=-1), [0.025, 0.975])
     return float(statistic(*samples, axis=-1)), float(low), float(high), n
 
 
@@ -57,9 +57,9 @@ def verdict(low, high, above=-np.inf, below=np.inf):
     return "fails" if high < above or low > below else "undecided"
 
 
-def _row(about, quantity, estimate, claim="", verdict=""):
+def _row(about, quantity, estimate, claim="", verdict="", **reported):
     value, low, high, n = estimate
-    return about | dict(quantity=quantity, mean=value, low=low, high=high, n=n, claim=claim, verdict=verdict)
+    return about | dict(quantity=quantity, mean=value, low=low, high=high, n=n, **reported, claim=claim, verdict=verdict)
 
 
 def scenario_a_table(sweep):
@@ -83,7 +83,7 @@ def scenario_b_table(sweep):
     """Scenario B in numbers: means over seeds for each reading and estimator, and how RHE and EKF differ at equal seeds.
 
     sweep: rows of `rhec.campaign`, the same seeds in the same order for each reading and estimator. Columns: reading, estimator, quantity,
-    paper, mean, low, high, n, claim, verdict. The EKF takes μ and κ to be 1.
+    mean, low, high, n, paper, claim, verdict. The EKF takes μ and κ to be 1.
     """
     rows = []
     for reading, runs in sweep.groupby("reading", sort=False):
@@ -92,12 +92,13 @@ def scenario_b_table(sweep):
                                  ("violations", "violations on straights, raw GNSS"), ("violations_true", "violations on straights, true"),
                                  ("rms_yaw_rad", "RMS error of yaw [rad]"), ("rms_mu", "RMS error of mu"), ("rms_kappa", "RMS error of kappa")]:
             for name, each in of.items():
-                about = {"reading": reading, "estimator": name, "paper": REPORTED.get((name, column), "")}
-                rows.append(_row(about, quantity, over_seeds(np.mean, each[column])))
+                about = {"reading": reading, "estimator": name}
+                rows.append(_row(about, quantity, over_seeds(np.mean, each[column]), paper=REPORTED.get((name, column), "")))
             if ("RHE", column) in REPORTED:
                 difference = over_seeds(difference_of_means, of["RHE"][column], of["EKF"][column])
-                about = {"reading": reading, "estimator": "RHE - EKF", "paper": round(REPORTED["RHE", column] - REPORTED["EKF", column], 4)}
-                rows.append(_row(about, quantity, difference, "below 0", verdict(*difference[1:3], below=0)))
+                about = {"reading": reading, "estimator": "RHE - EKF"}
+                rows.append(_row(about, quantity, difference, "below 0", verdict(*difference[1:3], below=0),
+                                 paper=round(REPORTED["RHE", column] - REPORTED["EKF", column], 4)))
     return pd.DataFrame(rows)
 
 
@@ -240,7 +241,7 @@ def trajectories(runs):
     runs: {"RHE": Run, "EKF": Run} on the same terrain. The largest error is the true one after the arrival.
     """
     first = next(iter(runs.values()))
-    figure, panels = plt.subplot_mosaic([["all", "all"], ["start", "worst"]], figsize=(COLUMN_IN, 3.7), width_ratios=[1.6, 1])
+    figure, panels = plt.subplot_mosaic([["all", "all"], ["start", "worst"]], figsize=(COLUMN_IN, 3.5))
     for axes in panels.values():
         image = _field(axes, first.terrain, first.terrain.kappa)
         _reference(axes, first.path)
@@ -254,8 +255,7 @@ def trajectories(runs):
         (x, y), (x_end, y_end) = log[["x_m", "y_m"]].min() - margin_m, log[["x_m", "y_m"]].max() + margin_m
         panels[name].set(xlim=(x, x_end), ylim=(y, y_end))
         _title(panels[name], title)
-    panels["start"].set_aspect("auto")
-    panels["worst"].set_aspect("equal", adjustable="datalim")
+    panels["start"].set(aspect="auto", box_aspect=1)
     panels["worst"].set_ylabel("")
     figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", extend="min", fraction=0.03, pad=0.02)
     figure.legend(*panels["all"].get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -310,7 +310,7 @@ def violations(sweep):
             axes.annotate(f"paper: {reported}", (place, 1), xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=7)
         axes.set_xticks([-0.2, 0.2, 0.8, 1.2], ["raw", "true"] * 2)
         axes.set_xticks([0, 1], ["RHE", "EKF"], minor=True)
-        axes.tick_params(axis="x", which="minor", length=0, pad=13)
+        axes.tick_params(axis="x", which="minor", length=0, pad=14)
         axes.grid(axis="x", visible=False)
         _title(axes, f"{reading} reading")
     axes.set_yscale("symlog", linthresh=10, linscale=0.6)
@@ -365,7 +365,8 @@ def yaw_rate(run):
     axes.hlines([-bound, bound], *run.log["t_s"].iloc[[0, -1]], color=BLACK, linewidth=0.6, linestyle="--", label="bounds")
     axes.set_ylabel(r"yaw rate $\omega$ [rad/s]")
     _above(axes, axes)
-    _title(axes, _about(run))
+    reached = run.log["omega_radps"].to_numpy()[1:] - run.log["omega_cmd_radps"].to_numpy()[:-1]   # a command lasts until the next sample
+    _title(axes, f"{_about(run)}: actual - reference, RMS {np.sqrt(np.mean(reached**2)):.3f} rad/s")
     _time_axis([axes], run.log)
     return figure
 
@@ -378,7 +379,8 @@ def kkt(run):
         tolerance = run.log[f"kkt_{name.lower()}"]
         axes.semilogy(run.log["t_s"], tolerance, color=colour, linewidth=0.7)
         axes.set_ylabel("KKT tolerance [-]")
-        axes.set_ylim(tolerance.median() / 1000)   # it vanishes where every input is at its bound
-        _title(axes, f"{name}, {_about(run)}: first {tolerance.iloc[0]:.2g}, median {tolerance.median():.2g}")
+        axes.set_ylim(max(tolerance.min(), tolerance.median() / 1000))   # it vanishes where every input is at its bound
+        largest = f"largest {tolerance.max():.2g} at {run.log['t_s'][tolerance.idxmax()]:.1f} s"
+        _title(axes, f"{name}, {_about(run)}: {largest}, median {tolerance.median():.2g}")
     _time_axis(panels, run.log)
     return figure

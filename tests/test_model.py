@@ -1,0 +1,80 @@
+"""One shooting interval of the system model."""
+
+import numpy as np
+import pytest
+from problems import flat
+
+from rhec import model
+
+SPEED_MODELS = ["parameter", "input"]
+
+
+def instance(rng, speed_model):
+    """Joint state and input with ordinary values."""
+    xi, nu, traction, omega = rng.normal(size=3), 0.5 + 0.2 * rng.normal(), rng.uniform(0.3, 1, 2), rng.normal()
+    return (np.array([*xi, nu, *traction]), [omega]) if speed_model == "parameter" else (np.array([*xi, *traction]), [nu, omega])
+
+
+def arc(pose, nu, mu, kappa, omega, t):
+    """Where the robot really is after t seconds: it drives a circle."""
+    x, y, theta = pose
+    turn, radius = kappa * omega * t, mu * nu / (kappa * omega)
+    return np.array([x + radius * (np.sin(theta + turn) - np.sin(theta)), y - radius * (np.cos(theta + turn) - np.cos(theta)), theta + turn])
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_sensitivities_are_the_finite_differences(speed_model):
+    interval, rng, h = model.interval(speed_model), np.random.default_rng(0), 1e-6
+    for _ in range(10):
+        s, v = instance(rng, speed_model)
+        w, n = np.array([*s, *v]), len(s)
+        def step(w):
+            return flat(interval.step(w[:n], w[n:], 0.2))
+
+        differences = np.array([(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(len(w))]).T
+        s_next, A, B = (np.array(each) for each in interval.linearised(s, v, 0.2))
+        np.testing.assert_allclose(np.hstack([A, B]), differences, atol=1e-8)
+        np.testing.assert_array_equal(s_next.ravel(), step(w))
+
+
+def test_the_runge_kutta_step_is_of_fourth_order():
+    """Halving the step divides the error of one step by 2⁵."""
+    pose, p, omega = np.array([1.0, -2.0, 0.7]), (0.8, 0.9, 0.7), 1.3
+
+    def error(dt):
+        return np.linalg.norm(flat(model.rk4(pose, omega, p, dt)) - arc(pose, *p, omega, dt))
+
+    ratios = [error(dt) / error(dt / 2) for dt in (1.0, 0.5, 0.25)]
+    np.testing.assert_allclose(ratios, 32, rtol=0.1)
+    assert error(0.2) < 1e-6
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_parameters_stay_constant_over_an_interval_and_zero_time_changes_nothing(speed_model):
+    interval, (s, v) = model.interval(speed_model), instance(np.random.default_rng(1), speed_model)
+    np.testing.assert_array_equal(flat(interval.step(s, v, 0.2))[3:], s[3:])
+    np.testing.assert_array_equal(flat(interval.step(s, v, 0.0)), s)
+    assert np.all(flat(interval.step(s, v, 0.2))[:3] != s[:3])
+
+
+def test_with_full_traction_it_is_the_traditional_model():
+    """Eq. (kinematicmodelEKF): ẋ = ν cos θ, ẏ = ν sin θ, θ̇ = ω."""
+    pose = np.array([0.3, 0.1, 0.4])
+    np.testing.assert_allclose(flat(model.f(pose, 0.2, (0.5, 1, 1))), [0.5 * np.cos(0.4), 0.5 * np.sin(0.4), 0.2], rtol=1e-15)
+    np.testing.assert_allclose(flat(model.rk4(pose, 0.2, (0.5, 1, 1), 0.2)), arc(pose, 0.5, 1, 1, 0.2, 0.2), atol=1e-9)
+
+
+def test_the_two_speed_models_move_alike():
+    s, (omega,) = instance(np.random.default_rng(2), "parameter")
+    by_parameter = flat(model.interval("parameter").step(s, omega, 0.2))
+    by_input = flat(model.interval("input").step(np.delete(s, 3), [s[3], omega], 0.2))
+    np.testing.assert_array_equal(np.delete(by_parameter, 3), by_input)
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_an_interval_says_which_entry_is_what(speed_model):
+    """Names (x, y, θ, ν, μ, κ) by place: what moves with μ and κ, and what z measures."""
+    interval = model.interval(speed_model)
+    assert [interval.states[place] for place in interval.traction] == [4, 5]
+    assert {interval.states[place]: row for place, row in interval.measured_states}.items() <= {0: 0, 1: 1, 3: 2}.items()
+    assert sorted(row for _, row in interval.measured_states + interval.measured_inputs) == [0, 1, 2, 3]
