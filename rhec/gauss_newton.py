@@ -30,17 +30,17 @@ QP_SOLVERS = {
 
 
 class Linearisation(NamedTuple):
-    """The linearised dynamics along a trajectory: F_i (n_s,), A_i (n_s, n_s), B_i (n_s, n_v) and where they were taken."""
+    """The linearised dynamics along a trajectory: F_i (n_s,), D_i = A_i - 1 (n_s, n_s), B_i (n_s, n_v) and where they were taken."""
 
     F: list
-    A: list
+    D: list
     B: list
     s: list   # s̄_0 … s̄_N
     v: list   # v̄_0 … v̄_{N-1}
 
     def step(self, i, s, v):
         """The linearised interval i: F_i + A_i (s - s̄_i) + B_i (v - v̄_i)."""
-        return self.F[i] + self.A[i] @ (s - self.s[i]) + self.B[i] @ (v - self.v[i])
+        return self.F[i] + transition(self.D[i]) @ (s - self.s[i]) + self.B[i] @ (v - self.v[i])
 
     def rollout(self, s_0, v):
         """The linearised trajectory s_0 … s_N for the inputs v_0 … v_{N-1}; the gaps of multiple shooting close here."""
@@ -53,8 +53,13 @@ class Linearisation(NamedTuple):
 def linearise(interval, s, v, dt_s):
     """Integrate every interval from its node and differentiate: s (n_s, N+1), v (n_v, N), dt_s list of N -> Linearisation."""
     s, v = ca.horzsplit(s), ca.horzsplit(v)
-    F, A, B = zip(*(interval.linearised(*each) for each in zip(s, v, dt_s)))
-    return Linearisation(list(F), list(A), list(B), s, v)
+    F, D, B = zip(*(interval.linearised(*each) for each in zip(s, v, dt_s)))
+    return Linearisation(list(F), list(D), list(B), s, v)
+
+
+def transition(D):
+    """A = 1 + D: the unit diagonal, written here, costs nothing where a passed number would be multiplied."""
+    return ca.SX.eye(D.size1()) + D
 
 
 def shift(interval, s, v, dt_s):

@@ -32,7 +32,7 @@ class Interval(NamedTuple):
     """One shooting interval of the joint state s, with the indices that say which entry is what."""
 
     step: ca.Function        # (s, v, dt_s) -> s at the end of the interval
-    linearised: ca.Function  # (s, v, dt_s) -> (the same, A = ∂s⁺/∂s, B = ∂s⁺/∂v)
+    linearised: ca.Function  # (s, v, dt_s) -> (the same, D = ∂s⁺/∂s - 1, which has fewer entries, B = ∂s⁺/∂v)
     n_s: int                 # length of s
     n_v: int                 # length of v, the inputs of an interval
     states: tuple            # places of (x, y, θ, ν, μ, κ) that s holds
@@ -56,6 +56,6 @@ def interval(speed_model="parameter"):
     s_next = ca.vertcat(rk4(xi, omega, ca.vertcat(nu, mu, kappa), dt_s), p)
     return Interval(
         step=ca.Function("interval", [s, v, dt_s], [s_next]),
-        linearised=ca.Function("linearised", [s, v, dt_s], [s_next, ca.jacobian(s_next, s), ca.jacobian(s_next, v)], {"cse": True}),
+        linearised=ca.Function("linearised", [s, v, dt_s], [s_next, ca.sparsify(ca.jacobian(s_next, s) - ca.SX.eye(s.numel())), ca.jacobian(s_next, v)], {"cse": True}),
         n_s=s.numel(), n_v=v.numel(), states=states, measured_states=measured_states, measured_inputs=measured_inputs,
         traction=(s.numel() - 2, s.numel() - 1))

@@ -12,6 +12,7 @@ import numpy as np
 
 from rhec import compiled, gauss_newton, model, paper
 from rhec.function import folded, function, only
+from rhec.gauss_newton import transition
 from rhec.validation import NotNegative, Positive, Solver, Weights, Intervals, checked
 
 JOINT = 6   # s = (x, y, θ, ν, μ, κ)
@@ -38,31 +39,31 @@ def functions(dt_s, horizon, qp="daqp"):
 
     def linearise(s, omega, Q, QN, R):
         lin = gauss_newton.linearise(iv, s, omega, [dt_s] * N)
-        H = gauss_newton.condensed_hessian(lin.A, lin.B, node_weights(Q, QN), R)
-        return dict(H=H, F=ca.horzcat(*lin.F), A=ca.horzcat(*lin.A), B=ca.horzcat(*lin.B))
+        H = gauss_newton.condensed_hessian([transition(D) for D in lin.D], lin.B, node_weights(Q, QN), R)
+        return dict(H=H, F=ca.horzcat(*lin.F), D=ca.horzcat(*lin.D), B=ca.horzcat(*lin.B))
 
-    def linearisation(s, omega, F, A, B):
-        return gauss_newton.Linearisation(ca.horzsplit(F), ca.horzsplit(A, JOINT), ca.horzsplit(B), ca.horzsplit(s), ca.horzsplit(omega))
+    def linearisation(s, omega, F, D, B):
+        return gauss_newton.Linearisation(ca.horzsplit(F), ca.horzsplit(D, JOINT), ca.horzsplit(B), ca.horzsplit(s), ca.horzsplit(omega))
 
-    def gradient(s, omega, F, A, B, Q, QN, R, s_0, xi_ref, omega_ref, omega_max):
+    def gradient(s, omega, F, D, B, Q, QN, R, s_0, xi_ref, omega_ref, omega_max):
         """Of the cost in ω at the previous plan, started from the new estimate; with what is left to the bounds."""
-        lin = linearisation(s, omega, F, A, B)
+        lin = linearisation(s, omega, F, D, B)
         nodes = lin.rollout(s_0, lin.v)[1:]
         errors = [weight @ (node - ca.vertcat(ref, ca.SX(3, 1))) for weight, node, ref in
                   zip(node_weights(Q, QN), nodes, ca.horzsplit(xi_ref)[1:])]
-        g = gauss_newton.condensed_gradient(lin.A, lin.B, errors, ca.horzsplit(R * (omega - omega_ref)))
+        g = gauss_newton.condensed_gradient([transition(D) for D in lin.D], lin.B, errors, ca.horzsplit(R * (omega - omega_ref)))
         return dict(g=g, lower=-omega_max - omega.T, upper=omega_max - omega.T)
 
-    def expand(s, omega, F, A, B, s_0, omega_plan, g, lower, upper, multipliers):
+    def expand(s, omega, F, D, B, s_0, omega_plan, g, lower, upper, multipliers):
         """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
-        lin = linearisation(s, omega, F, A, B)
+        lin = linearisation(s, omega, F, D, B)
         kkt = gauss_newton.kkt_tolerance(ca.dot(g, (omega_plan - omega).T), multipliers, lower, upper)
         return dict(s=ca.horzcat(*lin.rollout(s_0, ca.horzsplit(omega_plan))), omega=omega_plan, kkt=kkt)
 
     shift = function("rhc_shift", shift, memory)
     linearise = function("rhc_linearise", linearise, memory | weights)
     prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
-    dynamics = {name: prepared[name] for name in ("F", "A", "B")}
+    dynamics = {name: prepared[name] for name in ("F", "D", "B")}
     gradient = function("rhc_gradient", gradient, memory | dynamics | weights | references)
     solve = gauss_newton.box_qp(N, qp)
 

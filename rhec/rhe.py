@@ -17,6 +17,7 @@ import numpy as np
 
 from rhec import compiled, gauss_newton, kalman, model, paper
 from rhec.function import folded, function, only
+from rhec.gauss_newton import transition
 from rhec.kalman import symmetric, valid
 from rhec.scenario import SIGMA_W
 from rhec.validation import ArrivalMean, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, checked
@@ -40,7 +41,8 @@ def arrival(interval, s, v, m, P, z_0, z_1, V, W, dt_s, mean):
     (s, v), and is down-weighted by W (n_s,), so that H_N = P⁻¹ never exceeds W⁻¹. The mean comes from the previous solution, as the paper
     says (`mean="smoothed"`), or from the filter itself (`"filtered"`): reading R7.
     """
-    F, A, B = interval.linearised(s[:, 0], v[:, 0], dt_s)
+    F, D, B = interval.linearised(s[:, 0], v[:, 0], dt_s)
+    A = transition(D)
     m, P, _, _, _ = kalman.update(m, P, z_0, V, interval.measured_states)
     v_m, R_v = measured_inputs(interval, z_1, v[:, 0], V)
     P = A @ P @ A.T + B @ R_v @ B.T + ca.diag(W)
@@ -55,13 +57,11 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
     V (4,) and W (n_s,) are variances. A window that is not full yet has intervals of no length before its first sample.
     """
     N, iv = horizon, model.interval(speed_model)
-    q, n_s, n_v = list(iv.traction), iv.n_s, iv.n_v
+    q, n_s, n_v, rows = list(iv.traction), iv.n_s, iv.n_v, len(iv.measured_states)
     memory = dict(s=(n_s, N + 1), v=(n_v, N), z=(4, N + 1), age=(1, 1), m=(n_s, 1), P=(n_s, n_s))
-
-    def add_input(B, m, P, v, z, V):
-        """A prediction (m, P) made with the input v, corrected by what the reading z says of that input."""
-        v_m, R_v = measured_inputs(iv, z, v, V)
-        return m + B @ (v_m - v), P + B @ R_v @ B.T
+    V, W = dict(V=(4, 1)), dict(W=(n_s, 1))
+    loops = compiled.kind_of_loops()
+    linearised = dict(F=(n_s, 1), D=iv.linearised.sparsity_out(1), B=iv.linearised.sparsity_out(2))
 
     def shift(s, v, z, age, m, P, V, W):
         """The window moves on by one sample; once it is full, its oldest node becomes the arrival cost."""
@@ -70,23 +70,41 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         return dict(s=s, v=v, z=ca.horzcat(z[:, 1:], ca.SX.nan(4)), age=ca.fmin(age + 1, N),
                     m=ca.if_else(age >= N, m_next, m), P=ca.if_else(age >= N, P_next, P))
 
+    shift = function("rhe_shift", shift, memory | V | W)
+
+    # linearise: from the oldest node to the newest, whose measurement is yet to come
+
+    def with_input(B, m, P, v, z, V):
+        """A prediction (m, P) made with the input v, corrected by what the reading z says of that input."""
+        v_m, R_v = measured_inputs(iv, z, v, V)
+        return m + B @ (v_m - v), P + B @ R_v @ B.T
+
+    def filtered(B, v_before, m, P, z, s, v, dt_s, V):
+        """One node: the input before it, its measurement, then the interval after it, integrated and differentiated at (s, v)."""
+        m, P, K, e, _ = kalman.update(*with_input(B, m, P, v_before, z, V), z, V, iv.measured_states)
+        F, D, B = iv.linearised(s, v, dt_s)
+        A = transition(D)
+        return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=symmetric(A @ P @ A.T))
+
+    filtered = function("rhe_filtered", filtered, dict(
+        B=linearised["B"], v_before=(n_v, 1), m=(n_s, 1), P=(n_s, n_s), z=(4, 1), s=(n_s, 1), v=(n_v, 1), dt_s=(1, 1)) | V)
+
     def linearise(s, v, z, age, m, P, V):
-        """Integrate, differentiate, and filter up to the newest node, whose measurement is yet to come."""
-        lin = gauss_newton.linearise(iv, s, v, [dt_s * (age >= N - i) for i in range(N)])
-        K, e = [], []
+        s, v, z, nodes = ca.horzsplit(s), ca.horzsplit(v), ca.horzsplit(z), []
+        B, v_before = ca.DM(linearised["B"], 0), ca.DM.zeros(n_v)   # no input acts before the oldest node
         for i in range(N):
-            m, P, K_i, e_i, _ = kalman.update(m, P, z[:, i], V, iv.measured_states)
-            K.append(K_i)
-            e.append(e_i)
-            m, P = lin.step(i, m, lin.v[i]), symmetric(lin.A[i] @ P @ lin.A[i].T)
-            if i < N - 1:
-                m, P = add_input(lin.B[i], m, P, lin.v[i], z[:, i + 1], V)
-        return dict(F=ca.horzcat(*lin.F), A=ca.horzcat(*lin.A), B=ca.horzcat(*lin.B), K=ca.horzcat(*K), e=ca.horzcat(*e),
-                    B_N=lin.B[-1], v_N=lin.v[-1], m_N=m, P_N=P)
+            nodes.append(filtered(B=B, v_before=v_before, m=m, P=P, z=z[i], s=s[i], v=v[i], dt_s=dt_s * (age >= N - i), V=V))
+            B, v_before, m, P = nodes[-1]["B"], v[i], nodes[-1]["m"], nodes[-1]["P"]
+        along = {name: ca.horzcat(*(node[name] for node in nodes)) for name in ("F", "D", "B", "K", "e")}
+        return along | dict(B_N=B, v_N=v_before, m_N=m, P_N=P)
+
+    linearise = function("rhe_linearise", linearise, memory | V, loops)
+
+    # feedback: the newest measurement, and the QP that is left
 
     def newest(B_N, v_N, m_N, P_N, z_N, V):
-        """The newest measurement, and the QP that is left: min ½ (q - q̂)' H (q - q̂), 0 ≤ q = (μ, κ) ≤ 1."""
-        m, P, K, e, deviance = kalman.update(*add_input(B_N, m_N, P_N, v_N, z_N, V), z_N, V, iv.measured_states)
+        """min ½ (q - q̂)' H (q - q̂), 0 ≤ q = (μ, κ) ≤ 1, where H is the inverse covariance of (μ, κ) alone."""
+        m, P, K, e, deviance = kalman.update(*with_input(B_N, m_N, P_N, v_N, z_N, V), z_N, V, iv.measured_states)
         H = ca.inv_minor(P[q, q])
         nu = m[3] if speed_model == "parameter" else measured_inputs(iv, z_N, v_N, V)[0][0]
         return dict(H=H, g=-H @ m[q], m=m, covariance=P, nu=nu, K_N=K, e_N=e, deviance=deviance)
@@ -98,55 +116,78 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         nu = s_N[3] if speed_model == "parameter" else nu
         return dict(estimate=ca.vertcat(s_N[:3], nu, traction), multipliers=multipliers)
 
-    def expand(s, v, z, age, m, P, V, F, A, B, K, e, K_N, e_N, multipliers, z_N):
-        """Every other unknown of the window from the multipliers, backwards; the KKT tolerance of the linearisation point."""
-        F, A, B = ca.horzsplit(F), ca.horzsplit(A, n_s), ca.horzsplit(B, n_v)
-        lin = gauss_newton.Linearisation(F, A, B, ca.horzsplit(s), ca.horzsplit(v))
-        rows = len(iv.measured_states)
-        K, e, z = [*ca.horzsplit(K, rows), K_N], ca.horzcat(e, e_N), ca.horzcat(z[:, :N], z_N)
-
-        adjoint, v_new, inputs = ca.SX(n_s, 1), [None] * N, [None] * N
-        adjoint[q] = multipliers
-        for i in reversed(range(N + 1)):
-            for row in reversed(range(rows)):
-                place, _ = iv.measured_states[row]
-                adjoint[place] -= K[i][:, row].T @ adjoint + e[row, i]
-            if i:
-                inputs[i - 1] = v_m, R_v = measured_inputs(iv, z[:, i], lin.v[i - 1], V)
-                v_new[i - 1] = v_m - R_v @ B[i - 1].T @ adjoint
-                adjoint = A[i - 1].T @ adjoint
-        s_new = lin.rollout(m - P @ adjoint, v_new)
-
-        # ∇J·Δw: each residual where the iteration began (gaps closed) times its change
-        s_old = lin.rollout(lin.s[0], lin.v)
-        change = [new - old for new, old in zip(s_new, s_old)]
-        descent = ca.dot(ca.ldl_solve(s_old[0] - m, *ca.ldl(P, False)), change[0])
-        for i in range(N + 1):
-            for place, row in iv.measured_states:
-                descent += ca.if_else(valid(z[row, i]), (s_old[i][place] - z[row, i]) / V[row] * change[i][place], 0)
-        for i, (v_m, R_v) in enumerate(inputs):
-            descent += ca.dot((lin.v[i] - v_m) / ca.diag(R_v), v_new[i] - lin.v[i])
-        kkt = gauss_newton.kkt_tolerance(descent, multipliers, -lin.s[-1][q], 1 - lin.s[-1][q])
-        return dict(s=ca.horzcat(*s_new), v=ca.horzcat(*v_new), z=z, age=age, m=m, P=P, kkt=kkt)
-
-    V, W = dict(V=(4, 1)), dict(W=(n_s, 1))
-    shift = function("rhe_shift", shift, memory | V | W)
-    linearise = function("rhe_linearise", linearise, memory | V)
-    prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
-    newest = function("rhe_newest", newest, {name: prepared[name] for name in ("B_N", "v_N", "m_N", "P_N")} | dict(z_N=(4, 1)) | V)
-    posterior = {name: newest.sparsity_out(name) for name in newest.name_out()}
-    bounded = function("rhe_bounded", bounded, {name: posterior[name] for name in ("H", "m", "covariance", "nu")} | dict(traction=(2, 1)))
+    prediction = dict(B_N=linearised["B"], v_N=(n_v, 1), m_N=(n_s, 1), P_N=(n_s, n_s))
+    newest = function("rhe_newest", newest, prediction | dict(z_N=(4, 1)) | V)
+    bounded = function("rhe_bounded", bounded, dict(H=(2, 2), m=(n_s, 1), covariance=(n_s, n_s), nu=(1, 1), traction=(2, 1)))
     solve = gauss_newton.box_qp(2, qp)
 
-    def feedback(B_N, v_N, m_N, P_N, z_N, V):
-        p = newest(B_N=B_N, v_N=v_N, m_N=m_N, P_N=P_N, z_N=z_N, V=V)
+    def feedback(**given):
+        p = newest(**given)
         traction, _, ok = solve(p["H"], p["g"], ca.DM.zeros(2), ca.DM.ones(2))
-        estimate = bounded(H=p["H"], m=p["m"], covariance=p["covariance"], nu=p["nu"], traction=traction)
-        return estimate | {name: p[name] for name in ("covariance", "K_N", "e_N", "deviance")} | dict(ok=ok)
+        return bounded(**only(bounded, p), traction=traction) | {name: p[name] for name in ("covariance", "K_N", "e_N", "deviance")} | dict(ok=ok)
 
-    feedback = function("rhe_feedback", feedback, {name: newest.sparsity_in(name) for name in newest.name_in()}, ca.MX)
+    feedback = function("rhe_feedback", feedback, prediction | dict(z_N=(4, 1)) | V, ca.MX)
+
+    # expand: the multipliers run backwards through the window, the solution forwards
+
+    def unmeasured(adjoint, K, e):
+        """The adjoint before a node's measurement, from the one after it."""
+        adjoint = ca.SX(adjoint)
+        for row in reversed(range(rows)):
+            place, _ = iv.measured_states[row]
+            adjoint[place] -= K[:, row].T @ adjoint + e[row]
+        return adjoint
+
+    def backward(adjoint, D, B, K, e, z, v, V):
+        """One node and the interval before it: the interval's new input, and the adjoint at its beginning."""
+        adjoint = unmeasured(adjoint, K, e)
+        v_m, R_v = measured_inputs(iv, z, v, V)
+        return dict(v_new=v_m - R_v @ B.T @ adjoint, adjoint=transition(D).T @ adjoint)
+
+    def oldest(adjoint, K, e, m, P, s, z, V):
+        """The oldest node's new state, and what it adds to ∇J·Δw: each residual where the iteration began times its change."""
+        s_new = m - P @ unmeasured(adjoint, K, e)
+        prior = ca.dot(ca.ldl_solve(s - m, *ca.ldl(P, False)), s_new - s)   # H_N = P⁻¹
+        return dict(s_new=s_new, descent=prior + measured_descent(s_new, s, z, V))
+
+    def measured_descent(new, old, z, V):
+        return sum(ca.if_else(valid(z[row]), (old[place] - z[row]) / V[row] * (new[place] - old[place]), 0) for place, row in iv.measured_states)
+
+    def forward(new, old, F, D, B, s, v, v_new, z, V):
+        """One interval of the new solution and of the one where the iteration began (its gap closed), and what it adds to ∇J·Δw."""
+        A = transition(D)
+        new, old = F + A @ (new - s) + B @ (v_new - v), F + A @ (old - s)
+        v_m, R_v = measured_inputs(iv, z, v, V)
+        return dict(new=new, old=old, descent=measured_descent(new, old, z, V) + ca.dot((v - v_m) / ca.diag(R_v), v_new - v))
+
+    gains = dict(K=(n_s, rows), e=(rows, 1))
+    backward = function("rhe_backward", backward, dict(adjoint=(n_s, 1), D=linearised["D"], B=linearised["B"]) | gains | dict(z=(4, 1), v=(n_v, 1)) | V)
+    oldest = function("rhe_oldest", oldest, dict(adjoint=(n_s, 1)) | gains | dict(m=(n_s, 1), P=(n_s, n_s), s=(n_s, 1), z=(4, 1)) | V)
+    forward = function("rhe_forward", forward, dict(new=(n_s, 1), old=(n_s, 1)) | linearised | dict(
+        s=(n_s, 1), v=(n_v, 1), v_new=(n_v, 1), z=(4, 1)) | V)
+
+    def expand(s, v, z, age, m, P, V, F, D, B, K, e, K_N, e_N, multipliers, z_N):
+        """Every other unknown of the window, and the KKT tolerance of the linearisation point."""
+        window = ca.horzcat(z[:, :N], z_N)
+        z, s_old, v_old = ca.horzsplit(window), ca.horzsplit(s), ca.horzsplit(v)
+        F, D, B = ca.horzsplit(F), ca.horzsplit(D, n_s), ca.horzsplit(B, n_v)
+        K, e = [*ca.horzsplit(K, rows), K_N], [*ca.horzsplit(e), e_N]
+
+        adjoint, v_new = ca.vertcat(ca.DM.zeros(n_s - 2), multipliers), [None] * N
+        for i in reversed(range(N)):
+            v_new[i], adjoint = backward(adjoint, D[i], B[i], K[i + 1], e[i + 1], z[i + 1], v_old[i], V)
+
+        first, descent = oldest(adjoint, K[0], e[0], m, P, s_old[0], z[0], V)
+        s_new, old = [first], s_old[0]
+        for i in range(N):
+            new, old, more = forward(s_new[i], old, F[i], D[i], B[i], s_old[i], v_old[i], v_new[i], z[i + 1], V)
+            s_new, descent = [*s_new, new], descent + more
+        kkt = gauss_newton.kkt_tolerance(descent, multipliers, -s_old[N][q], 1 - s_old[N][q])
+        return dict(s=ca.horzcat(*s_new), v=ca.horzcat(*v_new), z=window, age=age, m=m, P=P, kkt=kkt)
+
+    along = {name: linearise.sparsity_out(name) for name in ("F", "D", "B", "K", "e")}
     result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers")}
-    expand = function("rhe_expand", expand, memory | V | {name: prepared[name] for name in ("F", "A", "B", "K", "e")} | result | dict(z_N=(4, 1)))
+    expand = function("rhe_expand", expand, memory | V | along | result | dict(z_N=(4, 1)), loops)
 
     def step(z_N, V, W, **memory):
         """All phases of one sample."""

@@ -31,7 +31,7 @@ def phases(times):
     for x, top, bottom, signal in [(0, -0.7, 1.75, "$z_k$"), (estimated, 2.25, 2.75, r"$\hat\xi,\ \hat p$"), (commanded, 3.25, 3.75, r"$\omega$")]:
         axes.annotate("", (x, bottom), (x, top), arrowprops={"arrowstyle": "-|>", "color": VERMILLION, "shrinkA": 0, "shrinkB": 0})
         axes.annotate(signal, (x, bottom - 0.25), (4, 0), textcoords="offset points", va="center", color=VERMILLION)
-    ready = f"ready before $t_k$, any time\nin the {1000 * paper.DT_S:.0f} ms since $t_{{k-1}}$"
+    ready = f"ready before $t_k$,\nany time in the\n{1000 * paper.DT_S:.0f} ms since $t_{{k-1}}$"
     for text, place, side in [(ready, 0.5, 1), ("all that delays\nthe command", 2.5, -1)]:
         axes.annotate(text, (0, place), (8 * side, 0), textcoords="offset points", ha="left" if side > 0 else "right", va="center", fontsize=7)
 
