@@ -102,7 +102,7 @@ class World:
 def world(scenario):
     """Path, soil, starting point and settings of a scenario."""
     target = scenario.path or path.Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
-    soil = scenario.terrain or random_terrain(scenario, target)
+    soil = scenario.terrain or terrain.random_for(scenario, target)
 
     (pose,), _ = target.poses([0.0])
     x, y, theta = pose
@@ -127,15 +127,6 @@ def world(scenario):
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
         slip=terrain.flat(soil))
     return World(structure, vector(memory), settings, target, soil)
-
-
-def random_terrain(scenario, target):
-    """The random field a scenario's statistics and seed describe, with a margin around its path."""
-    along = np.arange(0, target.length_m, 0.5)
-    xy, margin = target.poses(along)[0][:, :2], 5.0 + abs(scenario.start_offset_m)
-    box = (xy[:, 0].min() - margin, xy[:, 0].max() + margin, xy[:, 1].min() - margin, xy[:, 1].max() + margin)
-    return terrain.Terrain.random(scenario.seed, box, (scenario.mu_mean, scenario.kappa_mean), (scenario.mu_deviation, scenario.kappa_deviation),
-                                  scenario.correlation_length_m, scenario.patches)
 
 
 def draw_noise(seed, samples):

@@ -2,7 +2,7 @@
 
 Both problems are least squares over trajectories s_0 … s_N, v_0 … v_{N-1} of the same interval s⁺ = F(s, v). Linearised at the
 previous solution (s̄, v̄) the dynamics are s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (v_i - v̄_i); everything unbounded is then eliminated, and
-what is left is a small dense QP with bounds only. All functions work on lists of CasADi expressions, one entry an interval or node.
+what is left is a small dense QP with bounds only.
 
 Each sample has four phases, each a Function of its own in `rhe` and `rhc`:
     shift      the horizon moves on by one sample, the previous solution with it (warm start)
@@ -12,8 +12,6 @@ Each sample has four phases, each a Function of its own in `rhe` and `rhc`:
 The paper's preparation is expand, shift and linearise; only feedback lies between a measurement and the command. Iterating linearise,
 feedback and expand without shift converges to the solution of the nonlinear problem.
 """
-
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -29,32 +27,10 @@ QP_SOLVERS = {
 }
 
 
-class Linearisation(NamedTuple):
-    """The linearised dynamics along a trajectory: F_i (n_s,), D_i = A_i - 1 (n_s, n_s), B_i (n_s, n_v) and where they were taken."""
-
-    F: list
-    D: list
-    B: list
-    s: list   # s̄_0 … s̄_N
-    v: list   # v̄_0 … v̄_{N-1}
-
-    def step(self, i, s, v):
-        """The linearised interval i: F_i + A_i (s - s̄_i) + B_i (v - v̄_i)."""
-        return self.F[i] + transition(self.D[i]) @ (s - self.s[i]) + self.B[i] @ (v - self.v[i])
-
-    def rollout(self, s_0, v):
-        """The linearised trajectory s_0 … s_N for the inputs v_0 … v_{N-1}; the gaps of multiple shooting close here."""
-        s = [s_0]
-        for i, v_i in enumerate(v):
-            s.append(self.step(i, s[i], v_i))
-        return s
-
-
 def linearise(interval, s, v, dt_s):
-    """Integrate every interval from its node and differentiate: s (n_s, N+1), v (n_v, N), dt_s list of N -> Linearisation."""
-    s, v = ca.horzsplit(s), ca.horzsplit(v)
-    F, D, B = zip(*(interval.linearised(*each) for each in zip(s, v, dt_s)))
-    return Linearisation(list(F), list(D), list(B), s, v)
+    """Integrate every interval from its node and differentiate: s (n_s, N+1), v (n_v, N) -> F (n_s, N), D (n_s, n_s N), B (n_s, n_v N)."""
+    N = v.shape[1]
+    return interval.linearised.map(N)(s[:, :N], v, ca.repmat(ca.DM(dt_s), 1, N))
 
 
 def transition(D):
@@ -89,14 +65,22 @@ def condensed_hessian(A, B, Q, R):
     return ca.vertcat(*(ca.horzcat(*row) for row in H))
 
 
-def condensed_gradient(A, B, q, r):
-    """Gradient in v of the same problem with linear terms q_i on nodes 1 … N and r_i on inputs, by the adjoint recursion, O(N)."""
-    adjoint, gradient = q[-1], []
-    for i in reversed(range(len(A))):
-        gradient.append(r[i] + B[i].T @ adjoint)
-        if i:
-            adjoint = q[i - 1] + A[i].T @ adjoint
-    return ca.vertcat(*reversed(gradient))
+def box_qp_2():
+    """`box_qp` of two variables in closed form: the optimum is the free one, or lies on one of the four edges."""
+    H, g, lb, ub = ca.SX.sym("H", 2, 2), ca.SX.sym("g", 2), ca.SX.sym("lb", 2), ca.SX.sym("ub", 2)
+    best = -ca.inv_minor(H) @ g
+    inside = ca.mmin(ca.vertcat(best >= lb, best <= ub))
+    least = ca.if_else(inside, -ca.inf, ca.inf)
+    for fixed in (0, 1):
+        other = 1 - fixed
+        for bound in (lb, ub):
+            along = -(g[other] + H[other, fixed] * bound[fixed]) / H[other, other]
+            along = ca.fmin(ca.fmax(along, lb[other]), ub[other])
+            x = ca.vertcat(bound[0], along) if fixed == 0 else ca.vertcat(along, bound[1])
+            cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
+            best, least = ca.if_else(cost < least, x, best), ca.fmin(cost, least)
+    ok = ca.mmin(ca.vertcat(best >= lb, best <= ub))   # also 0 where x is not a number
+    return ca.Function("box_qp_2", [H, g, lb, ub], [ca.if_else(ok, best, 0), -(H @ best + g), ok])
 
 
 def box_qp(n, solver):
@@ -116,7 +100,7 @@ def box_qp(n, solver):
 def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
     """KKT tolerance as ACADO's generated code defines it: |∇J·Δw| + Σ |λ_i · (distance from the linearisation point to the bound)|."""
     bound = ca.if_else(multipliers > 0, upper, lower)
-    return ca.fabs(gradient_along_step) + ca.sum1(ca.fabs(multipliers * bound))
+    return ca.fabs(gradient_along_step) + ca.sum1(ca.vec(ca.fabs(multipliers * bound)))
 
 
 class Iteration:

@@ -10,7 +10,7 @@ enter in the feedback phase only: they move the gradient, through the linearised
 import casadi as ca
 import numpy as np
 
-from rhec import compiled, gauss_newton, model, paper
+from rhec import compiled, gauss_newton, model, paper, riccati
 from rhec.function import folded, function, only
 from rhec.gauss_newton import transition
 from rhec.validation import NotNegative, Positive, Solver, Weights, Intervals, checked
@@ -18,65 +18,96 @@ from rhec.validation import NotNegative, Positive, Solver, Weights, Intervals, c
 JOINT = 6   # s = (x, y, θ, ν, μ, κ)
 
 
-def functions(dt_s, horizon, qp="daqp"):
+def functions(dt_s, horizon, qp="structured"):
     """The RHC as CasADi Functions shift, linearise, feedback and expand (each phase: see `gauss_newton`) and step, which is all of them.
 
     Memory: s (6, N+1) predicted joint states, omega (1, N) planned inputs [rad/s]. Weights: Q (3,), QN (3,) diagonals, R ().
     feedback takes s_0 (6,) = (ξ̂, p̂), xi_ref (3, N+1) of which node 0 has no weight, omega_ref (1, N), omega_max () [rad/s].
     """
-    N, iv = horizon, model.interval("parameter")
+    N, iv, dense = horizon, model.interval("parameter"), qp != "structured"
+    loops = ca.SX if dense or N <= 30 else compiled.kind_of_loops()   # a short horizon is faster in one piece
     memory = dict(s=(JOINT, N + 1), omega=(1, N))
     weights = dict(Q=(3, 1), QN=(3, 1), R=(1, 1))
     references = dict(s_0=(JOINT, 1), xi_ref=(3, N + 1), omega_ref=(1, N), omega_max=(1, 1))
-
-    def node_weights(Q, QN):
-        """Weights of s at nodes 1 … N: the parameters have none."""
-        return [ca.diag(ca.vertcat(each, ca.SX(3, 1))) for each in [Q] * (N - 1) + [QN]]
+    F_1, D_1, B_1 = (iv.linearised.sparsity_out(i) for i in range(3))
 
     def shift(s, omega):
         s, omega = gauss_newton.shift(iv, s, omega, dt_s)
         return dict(s=s, omega=omega)
 
     def linearise(s, omega, Q, QN, R):
-        lin = gauss_newton.linearise(iv, s, omega, [dt_s] * N)
-        H = gauss_newton.condensed_hessian([transition(D) for D in lin.D], lin.B, node_weights(Q, QN), R)
-        return dict(H=H, F=ca.horzcat(*lin.F), D=ca.horzcat(*lin.D), B=ca.horzcat(*lin.B))
+        F, D, B = gauss_newton.linearise(iv, s, omega, dt_s)
+        dynamics = dict(F=F, D=D, B=B)
+        if not dense:
+            return dynamics
+        Q, QN = (ca.diag(ca.vertcat(each, ca.SX(3, 1))) for each in (Q, QN))   # the parameters have no weight
+        A = [transition(each) for each in ca.horzsplit(D, JOINT)]
+        return dynamics | dict(H=gauss_newton.condensed_hessian(A, ca.horzsplit(B), [Q] * (N - 1) + [QN], R))
 
-    def linearisation(s, omega, F, D, B):
-        return gauss_newton.Linearisation(ca.horzsplit(F), ca.horzsplit(D, JOINT), ca.horzsplit(B), ca.horzsplit(s), ca.horzsplit(omega))
+    def forward(F, D, B, s, omega, s_new, omega_new):
+        """s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (ω_i - ω̄_i)."""
+        return dict(s_after=F + transition(D) @ (s_new - s) + B @ (omega_new - omega))
+
+    def backward(adjoint, D, B, weight, s, ref, omega, omega_ref, R):
+        """Gradient in an interval's input from the adjoint after it, which takes in the error there; the adjoint before it."""
+        adjoint = adjoint + ca.vertcat(weight * (s[:3] - ref), ca.SX(3, 1))
+        return dict(g=R * (omega - omega_ref) + ca.dot(B, adjoint), adjoint_before=transition(D).T @ adjoint)
+
+    forward = function("rhc_forward", forward, dict(F=F_1, D=D_1, B=B_1, s=(JOINT, 1), omega=(1, 1), s_new=(JOINT, 1), omega_new=(1, 1)))
+    backward = function("rhc_backward", backward, dict(adjoint=(JOINT, 1), D=D_1, B=B_1, weight=(3, 1), s=(JOINT, 1), ref=(3, 1), omega=(1, 1),
+                                                       omega_ref=(1, 1), R=(1, 1)))
+
+    def rollout(s, omega, F, D, B, s_0, omega_new):
+        """The linearised trajectory from s_0; the gaps of multiple shooting close here."""
+        nodes = [s_0]
+        along = zip(ca.horzsplit(F), ca.horzsplit(D, JOINT), ca.horzsplit(B), ca.horzsplit(s), ca.horzsplit(omega), ca.horzsplit(omega_new))
+        for F, D, B, s, omega, omega_new in along:
+            nodes.append(forward(F, D, B, s, omega, nodes[-1], omega_new))
+        return nodes
 
     def gradient(s, omega, F, D, B, Q, QN, R, s_0, xi_ref, omega_ref, omega_max):
         """Of the cost in ω at the previous plan, started from the new estimate; with what is left to the bounds."""
-        lin = linearisation(s, omega, F, D, B)
-        nodes = lin.rollout(s_0, lin.v)[1:]
-        errors = [weight @ (node - ca.vertcat(ref, ca.SX(3, 1))) for weight, node, ref in
-                  zip(node_weights(Q, QN), nodes, ca.horzsplit(xi_ref)[1:])]
-        g = gauss_newton.condensed_gradient([transition(D) for D in lin.D], lin.B, errors, ca.horzsplit(R * (omega - omega_ref)))
-        return dict(g=g, lower=-omega_max - omega.T, upper=omega_max - omega.T)
+        nodes, ref = rollout(s, omega, F, D, B, s_0, omega), ca.horzsplit(xi_ref)
+        D, B, inputs, omega_ref = ca.horzsplit(D, JOINT), ca.horzsplit(B), ca.horzsplit(omega), ca.horzsplit(omega_ref)
+        adjoint, g, weight = ca.DM.zeros(JOINT), [None] * N, QN
+        for i in reversed(range(N)):
+            g[i], adjoint = backward(adjoint, D[i], B[i], weight, nodes[i + 1], ref[i + 1], inputs[i], omega_ref[i], R)
+            weight = Q
+        return dict(g=ca.horzcat(*g), lower=-omega_max - omega, upper=omega_max - omega)
+
+    shift = function("rhc_shift", shift, memory)
+    linearise = function("rhc_linearise", linearise, memory | weights, loops)
+    prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
+    dynamics = {name: prepared[name] for name in ("F", "D", "B")}
+    gradient = function("rhc_gradient", gradient, memory | dynamics | weights | references, loops)
+    if dense:
+        box_qp = gauss_newton.box_qp(N, qp)
+    else:
+        pose = list(range(3))   # the parameters do not move: in ξ alone the stages are half as large
+        box_lq = riccati.box_lq(N, D_1.sub(pose, pose)[0], B_1.sub(pose, [0])[0], loops)
+
+    def solve(local, omega, omega_max, Q, QN, R, D, B, H=None):
+        if dense:
+            x, multipliers, ok = box_qp(H, local["g"].T, local["lower"].T, local["upper"].T)
+            return x.T, multipliers.T, ok
+        D, B = ca.horzcat(*(each[:3, :3] for each in ca.horzsplit(D, JOINT))), B[:3, :]
+        active = (omega >= omega_max) - (omega <= -omega_max)   # where the previous plan was at its bounds
+        return box_lq(D, B, Q, QN, R, local["g"], local["lower"], local["upper"], active)
+
+    def feedback(**given):
+        local, omega, limit = gradient(**only(gradient, given)), given["omega"], given["omega_max"]
+        x, multipliers, ok = solve(local, **{name: given[name] for name in ("omega", "omega_max", "Q", "QN", "R", "D", "B", "H") if name in given})
+        plan = ca.fmin(ca.fmax(omega + x, -limit), limit)   # ω + (ω_max - ω) may round past ω_max
+        return dict(omega_plan=plan, multipliers=multipliers, ok=ok, **local)
 
     def expand(s, omega, F, D, B, s_0, omega_plan, g, lower, upper, multipliers):
         """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
-        lin = linearisation(s, omega, F, D, B)
-        kkt = gauss_newton.kkt_tolerance(ca.dot(g, (omega_plan - omega).T), multipliers, lower, upper)
-        return dict(s=ca.horzcat(*lin.rollout(s_0, ca.horzsplit(omega_plan))), omega=omega_plan, kkt=kkt)
+        kkt = gauss_newton.kkt_tolerance(ca.dot(g, omega_plan - omega), multipliers, lower, upper)
+        return dict(s=ca.horzcat(*rollout(s, omega, F, D, B, s_0, omega_plan)), omega=omega_plan, kkt=kkt)
 
-    shift = function("rhc_shift", shift, memory)
-    linearise = function("rhc_linearise", linearise, memory | weights)
-    prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
-    dynamics = {name: prepared[name] for name in ("F", "D", "B")}
-    gradient = function("rhc_gradient", gradient, memory | dynamics | weights | references)
-    solve = gauss_newton.box_qp(N, qp)
-
-    def feedback(H, **arguments):
-        local = gradient(**arguments)
-        step, multipliers, ok = solve(H, local["g"], local["lower"], local["upper"])
-        limit = arguments["omega_max"]
-        omega_plan = ca.fmin(ca.fmax(arguments["omega"] + step.T, -limit), limit)   # ω + (ω_max - ω) may round past ω_max
-        return dict(omega_plan=omega_plan, multipliers=multipliers, ok=ok, **local)
-
-    feedback = function("rhc_feedback", feedback, dict(H=prepared["H"]) | memory | dynamics | weights | references, ca.MX)
+    feedback = function("rhc_feedback", feedback, prepared | memory | weights | references, ca.MX)
     result = {name: feedback.sparsity_out(name) for name in ("omega_plan", "g", "lower", "upper", "multipliers")}
-    expand = function("rhc_expand", expand, memory | dynamics | dict(s_0=(JOINT, 1)) | result)
+    expand = function("rhc_expand", expand, memory | dynamics | dict(s_0=(JOINT, 1)) | result, loops)
 
     def step(Q, QN, R, s_0, xi_ref, omega_ref, omega_max, **memory):
         """All phases of one sample."""
@@ -103,7 +134,7 @@ class RHC:
 
     @checked
     def __init__(self, *, q: Weights = paper.Q3, r: Positive = paper.R, qn_factor: NotNegative = paper.QN_FACTOR,
-                 omega_max: Positive = paper.OMEGA_MAX_RADPS, dt: Positive = paper.DT_S, horizon: Intervals = paper.HORIZON, qp: Solver = "daqp"):
+                 omega_max: Positive = paper.OMEGA_MAX_RADPS, dt: Positive = paper.DT_S, horizon: Intervals = paper.HORIZON, qp: Solver = "structured"):
         self.horizon = horizon
         q = np.array(q)
         self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, qp), ("s", "omega"),

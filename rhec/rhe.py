@@ -50,7 +50,7 @@ def arrival(interval, s, v, m, P, z_0, z_1, V, W, dt_s, mean):
     return m, symmetric(P)
 
 
-def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="daqp"):
+def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="structured"):
     """The RHE as CasADi Functions shift, linearise, feedback and expand (each phase: see `gauss_newton`) and step, which is all of them.
 
     Memory: s (n_s, N+1) trajectory, v (n_v, N) inputs, z (4, N+1) window, age () intervals driven, m (n_s,) and P (n_s, n_s) arrival cost.
@@ -119,7 +119,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
     prediction = dict(B_N=linearised["B"], v_N=(n_v, 1), m_N=(n_s, 1), P_N=(n_s, n_s))
     newest = function("rhe_newest", newest, prediction | dict(z_N=(4, 1)) | V)
     bounded = function("rhe_bounded", bounded, dict(H=(2, 2), m=(n_s, 1), covariance=(n_s, n_s), nu=(1, 1), traction=(2, 1)))
-    solve = gauss_newton.box_qp(2, qp)
+    solve = gauss_newton.box_qp_2() if qp == "structured" else gauss_newton.box_qp(2, qp)
 
     def feedback(**given):
         p = newest(**given)
@@ -232,7 +232,7 @@ class RHE:
     @checked
     def __init__(self, *, dt: Positive = paper.DT_S, horizon: Intervals = paper.HORIZON, reading: Reading = "printed",
                  sigma_w: tuple[NotNegative, ...] | None = None, sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V,
-                 speed_model: SpeedModel = "parameter", arrival_mean: ArrivalMean = "smoothed", qp: Solver = "daqp",
+                 speed_model: SpeedModel = "parameter", arrival_mean: ArrivalMean = "smoothed", qp: Solver = "structured",
                  guess: tuple[Real, Real, Real, Real, Real, Real] | None = None):
         states = model.interval(speed_model).states
         if sigma_w is None:

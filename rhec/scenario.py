@@ -36,7 +36,8 @@ class Scenario:
         look_ahead_m       the desired points begin this far beyond the closest point
         input_reference    "measured": the measured yaw rate held, as in the paper; "curvature": what the path asks for (R8)
         command_delay      0: the command computed at t_k is applied at once; 1: one sample later (R10)
-        qp                 "daqp", "qpoases" (the paper's; on the virtual machine), or "qrqp"
+        qp                 "structured": by Riccati recursion, the fastest at every horizon; or the condensed QP by "daqp", "qpoases" (the paper's; on
+                           the virtual machine) or "qrqp"
     The drive
         speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (mpc_ref_ya) (R3, R9)
         path               a rhec.Path; else two rows of row_length_m joined by half circles of headland_radius_m
@@ -70,7 +71,7 @@ class Scenario:
     look_ahead_m: NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
-    qp: Solver = "daqp"
+    qp: Solver = "structured"
 
     speed_mps: Annotated[Positive, Field(le=1.4)] = paper.SPEED_MPS
     duration_s: Annotated[Positive, Field(le=1e7)] = 240.0

@@ -76,6 +76,14 @@ class Terrain:
             return cls(data["mu"], data["kappa"], tuple(data["origin_m"].tolist()), float(data["cell_m"]))
 
 
+def random_for(scenario, path):
+    """The random field a scenario's statistics and seed describe, with a margin around the path."""
+    xy, margin = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2], 5.0 + abs(scenario.start_offset_m)
+    box = (xy[:, 0].min() - margin, xy[:, 0].max() + margin, xy[:, 1].min() - margin, xy[:, 1].max() + margin)
+    return Terrain.random(scenario.seed, box, (scenario.mu_mean, scenario.kappa_mean), (scenario.mu_deviation, scenario.kappa_deviation),
+                          scenario.correlation_length_m, scenario.patches)
+
+
 def lookup(shape):
     """(xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ), bilinear on a grid of this shape, constant beyond its edges; slip: see `flat`."""
     xy, origin_m, cell_m, slip = ca.MX.sym("xy", 2), ca.MX.sym("origin_m", 2), ca.MX.sym("cell_m"), ca.MX.sym("slip", 2 * shape[0] * shape[1])

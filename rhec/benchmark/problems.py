@@ -1,0 +1,72 @@
+"""The problems that all contestants solve: consecutive samples of one closed-loop run, each with the answer at convergence."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rhec import compiled, paper, path
+from rhec.closed_loop import simulate
+from rhec.rhc import RHC
+from rhec.rhe import RHE
+from rhec.scenario import Scenario
+
+ITERATIONS = 20
+
+
+class Problem(NamedTuple):
+    """One sample, and the optimum of its two nonlinear problems, which rhec finds by iterating."""
+
+    z: np.ndarray            # (4, N+1) the window of measurements, the newest last
+    m: np.ndarray            # (6,) mean of the arrival cost
+    P: np.ndarray            # (6, 6) its covariance
+    estimate: np.ndarray     # (6,) answer: x, y, θ, ν, μ, κ at the newest node; also what the controller starts from
+    xi_ref: np.ndarray       # (3, N+1)
+    omega_ref: np.ndarray    # (N,)
+    omega_plan: np.ndarray   # (N,) answer
+
+
+def scenario(samples, horizon):
+    """The run that supplies `samples` samples with a full window."""
+    return Scenario(reading="calibrated", duration_s=(horizon + samples) * paper.DT_S)
+
+
+def measured(run):
+    """The measurements (n, 4) of a run."""
+    return run.log[["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]].to_numpy()
+
+
+def contestants(run, horizon=paper.HORIZON):
+    """rhec's estimator and controller, at the beginning of this run."""
+    guess = (*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], run.scenario.speed_mps, 1.0, 1.0)
+    return RHE(reading=run.scenario.reading, horizon=horizon, guess=guess), RHC(horizon=horizon)
+
+
+def references(run, horizon):
+    """estimate (6,), measured yaw rate -> xi_ref (3, N+1), omega_ref (N,) on this run's path, sample by sample."""
+    call = compiled.Bound(compiled.load(path.functions, paper.DT_S, horizon, len(run.path.segments))["references"])
+    call.set(segments=run.path.segments.T, period_m=run.path.period_m)
+
+    def refer(estimate, omega_measured):
+        call.set(estimate=estimate, omega_measured=omega_measured)
+        call.call()
+        call.set(s=call.results["s"])
+        return call.results["xi_ref"].reshape((3, -1), order="F").copy(), call.results["omega_ref"].copy()
+
+    return refer
+
+
+def record(run, horizon=paper.HORIZON):
+    """The problems of a run, from the first full window on."""
+    (estimator, controller), refer, problems = contestants(run, horizon), references(run, horizon), []
+    z = measured(run)
+    for k, newest in enumerate(z):
+        estimator.prepare()
+        estimate = np.array(estimator.solve(newest, ITERATIONS)[:6])
+        xi_ref, omega_ref = refer(estimate, newest[3])
+        controller.prepare()
+        controller.solve(estimate[:3], estimate[3:], xi_ref, omega_ref, ITERATIONS)
+        if k >= horizon:
+            arrival = estimator.iteration.current
+            problems.append(Problem(z[k - horizon:k + 1].T.copy(), arrival["m"].copy(), arrival["P"].reshape(6, 6).copy(), estimate,
+                                    xi_ref, omega_ref, controller.omega_plan))
+    return problems
