@@ -11,7 +11,7 @@ ifeq ($(MAKECMDGOALS),figures)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures test lab lock clean
+.PHONY: help figures test bench lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -21,6 +21,9 @@ figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 
 test: $(READY) ## run the tests
 	@$(PY) -m pytest -n auto
+
+bench: .venv/peers ## compare computation times with other tools, some minutes; tables and pictures land in figures/
+	@$(PY) -m rhec.benchmark
 
 lab: $(READY) ## open the notebooks in JupyterLab
 	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \
@@ -43,6 +46,10 @@ $(READY): environment.txt pyproject.toml
 	@$(PYTHON) -m venv .venv
 	@$(PY) -m pip --disable-pip-version-check install -q --require-hashes -r environment.txt
 	@$(PY) -m pip --disable-pip-version-check install -q --no-deps --no-build-isolation -e .
+	@touch $@
+
+.venv/peers: rhec/benchmark/peers.txt $(READY)
+	@$(PY) -m pip --disable-pip-version-check install -q --no-deps --require-hashes -r $<
 	@touch $@
 
 # The reason for a run: `$?` is what is newer than the last run, or gone.

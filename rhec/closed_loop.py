@@ -71,7 +71,7 @@ def functions(*structure):
         outputs = dict(zip(["memory", "estimate", *estimate_step.name_out()[2:]], estimate_step.call(inputs)))
         estimate = outputs["estimate"]
 
-        omega_measured = ca.if_else(valid(z[3]), z[3], command)
+        omega_measured = ca.if_else(valid(z, 3), z[3], command)
         target = references(**only(references, settings), s=s, estimate=estimate, omega_measured=omega_measured)
         planned = control(**only(control, settings), memory=controller, s_0=estimate, xi_ref=target["xi_ref"], omega_ref=target["omega_ref"])
         newest = planned["command"]
@@ -116,7 +116,7 @@ def world(scenario):
                           scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
     memory = robot.start(pose, speed_mps) | dict(
         estimator=estimators.first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
-        controller=vector(rhc.start(pose, guess[3:], scenario.horizon)), command=0.0)
+        controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0)
     slow = scenario.gnss_slow_share
     settings = dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow), gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
@@ -159,40 +159,42 @@ def simulate(scenario):
     samples = round(scenario.duration_s / paper.DT_S)
     _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, draw_noise(scenario.seed, samples), made.settings)
     columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))
-    columns["on_straight"] = columns["curvature_radpm"] == 0
     columns["ok"] = columns["ok"] == 1
     columns["error_m"], _ = made.path.project(rows[:, [COLUMNS.index("x_meas_m"), COLUMNS.index("y_meas_m")]])
     columns["error_true_m"], s = made.path.project(rows[:, [COLUMNS.index("x_m"), COLUMNS.index("y_m")]])
-    return Run(scenario, metrics(columns, *made.path.poses(s)), made.path, made.terrain, columns)
+    poses, curvatures = made.path.poses(s)
+    columns["on_straight"] = curvatures == 0
+    return Run(scenario, metrics(columns, poses), made.path, made.terrain, columns)
 
 
-def metrics(columns, poses, curvatures):
+def metrics(columns, poses):
     """What is reported of a run with these log columns whose closest path points are `poses` (n, 3); errors in m, times in s.
 
-    Errors and violations count from the arrival on, the first moment from which the true error stays within the tolerance for 5 s; a robot that
-    never arrives is judged on its whole run. `mean_error_m` is the paper's: raw GNSS to the path (reading R11). Overshoot: how far beyond
+    The robot has arrived when its true error stays within the tolerance for 5 s; errors and violations count from the end of these 5 s, and on the
+    whole run of a robot that never arrives. `mean_error_m` is the paper's: raw GNSS to the path (reading R11). Overshoot: how far beyond
     the path, seen from the start, the robot gets on the first row.
     """
     c = SimpleNamespace(**columns)
     hold = round(5 / paper.DT_S)
     inside = c.error_true_m < paper.TOLERANCE_M
-    stays = np.flatnonzero(np.convolve(inside, np.ones(hold), "valid") == hold) if len(inside) >= hold else []
+    stays = np.flatnonzero(np.convolve(inside, np.ones(hold), "valid") == hold) if len(inside) > hold else []
     arrived = len(stays) > 0
-    after = slice(stays[0] if arrived else 0, None)
+    after = slice(stays[0] + hold if arrived and stays[0] + hold < len(inside) else 0, None)
     straight = c.on_straight[after]
     left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
-    first_row = left[: np.argmax(curvatures != 0) or None]
+    first_row = left[: np.argmin(c.on_straight) or None]
     omega = np.abs(c.omega_cmd_radps)
-    return dict(
-        arrival_s=c.t_s[after][0] if arrived else np.nan,
+    values = dict(
+        arrival_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
         mean_error_m=c.error_m[after].mean(), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
         mean_error_from_start_m=c.error_m.mean(),
-        violations=int(np.sum(c.error_m[after][straight] > paper.TOLERANCE_M)),
-        violations_true=int(np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M)),
-        overshoot_m=max(0.0, (-np.sign(left[0]) * first_row).max()),
+        violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
+        violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
+        overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
         rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]), rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
-        omega_max_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=bool(c.ok.all()))
+        omega_max_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=c.ok.all())
+    return {name: value.item() for name, value in values.items()}   # plain numbers, whatever NumPy made of them
 
 
 def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
+    return np.sqrt(np.mean(np.square(values)))

@@ -27,7 +27,7 @@ def functions(dt_s):
     variances, traction (2,). z (4,) holds the yaw rate of the interval that ends now; a missing one is the last one held.
     """
     def step(m, P, omega, started, z, V, W, traction):
-        omega = ca.if_else(valid(z[3]), z[3], omega)
+        omega = ca.if_else(valid(z, 3), z[3], omega)
         predicted = f(m, omega, traction, dt_s)
         A = ca.jacobian(predicted, m)
         m = ca.if_else(started, predicted, m)

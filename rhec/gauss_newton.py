@@ -23,7 +23,6 @@ from rhec import compiled
 QP_SOLVERS = {
     "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}},
     "qpoases": {"printLevel": "none", "hessian_type": "posdef"},
-    "qrqp": {"print_iter": False, "print_header": False, "print_info": False},
 }
 
 

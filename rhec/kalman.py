@@ -5,12 +5,12 @@ Reading by reading there is nothing to invert, and a sensor that is silent is sk
 
 import casadi as ca
 
-Z_MAX = 1e8   # a reading beyond this, or not a number, is no reading
+Z_MAX = (1e8, 1e8, 100.0, 100.0)   # x, y [m], ν [m/s], ω [rad/s]: a reading beyond, or not a number, is no reading
 
 
-def valid(z):
-    """1 where a reading can be used, 0 where it is missing (NaN), infinite or absurd."""
-    return ca.fabs(z) <= Z_MAX
+def valid(z, row):
+    """1 where the entry `row` of z (4,) can be used, 0 where it is missing (NaN), infinite or absurd."""
+    return ca.fabs(z[row]) <= Z_MAX[row]
 
 
 def symmetric(P):
@@ -26,7 +26,7 @@ def update(m, P, z, V, measured):
     """
     gains, weighted, deviance = [], [], 0
     for place, row in measured:
-        used = valid(z[row])
+        used = valid(z, row)
         y = ca.if_else(used, z[row] - m[place], 0)
         S = P[place, place] + V[row]
         K = P[:, place] * (used / S)

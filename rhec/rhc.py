@@ -100,13 +100,14 @@ def functions(dt_s, horizon, qp="structured"):
         plan = ca.fmin(ca.fmax(omega + x, -limit), limit)   # ω + (ω_max - ω) may round past ω_max
         return dict(omega_plan=plan, multipliers=multipliers, ok=ok, **local)
 
-    def expand(s, omega, F, D, B, s_0, omega_plan, g, lower, upper, multipliers):
+    def expand(s, omega, F, D, B, s_0, omega_plan, g, lower, upper, multipliers, ok):
         """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
         kkt = gauss_newton.kkt_tolerance(ca.dot(g, omega_plan - omega), multipliers, lower, upper)
-        return dict(s=ca.horzcat(*rollout(s, omega, F, D, B, s_0, omega_plan)), omega=omega_plan, kkt=kkt)
+        predicted = ca.horzcat(*rollout(s, omega, F, D, B, s_0, omega_plan))
+        return dict(s=ca.if_else(ok, predicted, s), omega=omega_plan, kkt=kkt)   # a step that failed leaves the shifted plan
 
     feedback = function("rhc_feedback", feedback, prepared | memory | weights | references, ca.MX)
-    result = {name: feedback.sparsity_out(name) for name in ("omega_plan", "g", "lower", "upper", "multipliers")}
+    result = {name: feedback.sparsity_out(name) for name in ("omega_plan", "g", "lower", "upper", "multipliers", "ok")}
     expand = function("rhc_expand", expand, memory | dynamics | dict(s_0=(JOINT, 1)) | result, loops)
 
     def step(Q, QN, R, s_0, xi_ref, omega_ref, omega_max, **memory):
@@ -140,8 +141,8 @@ class RHC:
         self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, qp), ("s", "omega"),
                                                 Q=q, QN=qn_factor * q, R=r, omega_max=omega_max)
         arrays = self.iteration.arrays
-        self._pose, self._p, self._omega_ref = arrays["s_0"][:3], arrays["s_0"][3:], arrays["omega_ref"]
-        self._xi_ref = arrays["xi_ref"].reshape((3, horizon + 1), order="F")   # a view, in CasADi's order
+        xi_ref = arrays["xi_ref"].reshape((3, horizon + 1), order="F")   # a view, in CasADi's order
+        self._inputs = arrays["s_0"][:3], arrays["s_0"][3:], xi_ref, arrays["omega_ref"]
 
     def prepare(self):
         """Shift, integrate, linearise, condense (paper: preparation part)."""
@@ -160,16 +161,10 @@ class RHC:
         return self.iteration.arrays["omega_plan"][0].item()
 
     def _given(self, pose, p, xi_ref, omega_ref):
-        for name, value, length in (("pose", pose, 3), ("p", p, 3), ("xi_ref", xi_ref, 3), ("omega_ref", omega_ref, self.horizon)):
-            if len(value) != length:
-                raise ValueError(f"{name} had {len(value)} entries; it should have {length}")
-        try:
-            self._xi_ref[:] = xi_ref
-        except ValueError:
-            raise ValueError(f"xi_ref had shape {np.shape(xi_ref)}; it should have {self._xi_ref.shape}") from None
-        self._pose[:] = pose
-        self._p[:] = p
-        self._omega_ref[:] = omega_ref
+        for array, name, value in zip(self._inputs, ("pose", "p", "xi_ref", "omega_ref"), (pose, p, xi_ref, omega_ref)):
+            if getattr(value, "shape", None) != array.shape and np.shape(value) != array.shape:
+                raise ValueError(f"{name} had shape {np.shape(value)}; it should have {array.shape}")
+            array[...] = value
         if not self.iteration.started:
             self.iteration.start(start(pose, p, self.horizon))
 

@@ -22,6 +22,7 @@ from rhec.kalman import symmetric, valid
 from rhec.scenario import SIGMA_W
 from rhec.validation import ArrivalMean, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, checked
 
+BEYOND = 1e12                # an estimate beyond this, or not a number, is no estimate
 SIGMA_HELD = (1.0, 1.0)      # ν [m/s], ω [rad/s]: how far a missing input may be from the one before
 
 
@@ -29,9 +30,14 @@ def measured_inputs(interval, z, v, V):
     """What the reading z (4,) says of the inputs before it, and how surely: (v_m, R_v). A missing one is the last one held."""
     mean, variance = [], []
     for place, row in interval.measured_inputs:
-        mean.append(ca.if_else(valid(z[row]), z[row], v[place]))
-        variance.append(ca.if_else(valid(z[row]), V[row], SIGMA_HELD[row - 2] ** 2))
+        mean.append(ca.if_else(valid(z, row), z[row], v[place]))
+        variance.append(ca.if_else(valid(z, row), V[row], SIGMA_HELD[row - 2] ** 2))
     return ca.vertcat(*mean), ca.diag(ca.vertcat(*variance))
+
+
+def sane(x):
+    """1 if every entry is a number of reasonable size."""
+    return ca.mmin(ca.fabs(x) <= BEYOND)
 
 
 def arrival(interval, s, v, m, P, z_0, z_1, V, W, dt_s, mean):
@@ -43,11 +49,13 @@ def arrival(interval, s, v, m, P, z_0, z_1, V, W, dt_s, mean):
     """
     F, D, B = interval.linearised(s[:, 0], v[:, 0], dt_s)
     A = transition(D)
-    m, P, _, _, _ = kalman.update(m, P, z_0, V, interval.measured_states)
+    m, P_updated, _, _, _ = kalman.update(m, P, z_0, V, interval.measured_states)
     v_m, R_v = measured_inputs(interval, z_1, v[:, 0], V)
-    P = A @ P @ A.T + B @ R_v @ B.T + ca.diag(W)
-    m = s[:, 1] if mean == "smoothed" else F + A @ (m - s[:, 0]) + B @ (v_m - v[:, 0])
-    return m, symmetric(P)
+    P_next = symmetric(A @ P_updated @ A.T + B @ R_v @ B.T) + ca.diag(W)
+    m_next = F + A @ (m - s[:, 0]) + B @ (v_m - v[:, 0])
+    # where readings were so wild that no covariance comes out, the old one grows instead
+    good = sane(P_next) * ca.mmin(ca.diag(P_next) > 0)
+    return s[:, 1] if mean == "smoothed" else ca.if_else(sane(m_next), m_next, s[:, 1]), ca.if_else(good, P_next, P + ca.diag(W))
 
 
 def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="structured"):
@@ -96,7 +104,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
             nodes.append(filtered(B=B, v_before=v_before, m=m, P=P, z=z[i], s=s[i], v=v[i], dt_s=dt_s * (age >= N - i), V=V))
             B, v_before, m, P = nodes[-1]["B"], v[i], nodes[-1]["m"], nodes[-1]["P"]
         along = {name: ca.horzcat(*(node[name] for node in nodes)) for name in ("F", "D", "B", "K", "e")}
-        return along | dict(B_N=B, v_N=v_before, m_N=m, P_N=P)
+        return along | dict(B_N=B, v_N=v_before, m_N=m, P_N=P, s_N=s[N])
 
     linearise = function("rhe_linearise", linearise, memory | V, loops)
 
@@ -109,24 +117,29 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         nu = m[3] if speed_model == "parameter" else measured_inputs(iv, z_N, v_N, V)[0][0]
         return dict(H=H, g=-H @ m[q], m=m, covariance=P, nu=nu, K_N=K, e_N=e, deviance=deviance)
 
-    def bounded(H, m, covariance, nu, traction):
-        """The newest estimate (x, y, θ, ν, μ, κ) given (μ, κ), and the multipliers of its bounds."""
+    def bounded(H, m, covariance, nu, traction, solved, s_N):
+        """The newest estimate (x, y, θ, ν, μ, κ) given (μ, κ), and the multipliers of its bounds; what was predicted where nothing sane comes out."""
         multipliers = H @ (m[q] - traction)
-        s_N = m - covariance[:, q] @ multipliers
-        nu = s_N[3] if speed_model == "parameter" else nu
-        return dict(estimate=ca.vertcat(s_N[:3], nu, traction), multipliers=multipliers)
+        corrected = m - covariance[:, q] @ multipliers
+        ok = solved * sane(ca.vertcat(corrected, ca.vec(covariance), multipliers))
+        newest = ca.if_else(ok, corrected, s_N)
+        traction = ca.if_else(ok, traction, ca.fmin(ca.fmax(s_N[q], 0), 1))
+        nu = newest[3] if speed_model == "parameter" else nu
+        return dict(estimate=ca.vertcat(newest[:3], nu, traction), multipliers=multipliers,
+                    covariance=ca.if_else(ok, covariance, BEYOND * ca.SX.eye(n_s)), ok=ok)
 
     prediction = dict(B_N=linearised["B"], v_N=(n_v, 1), m_N=(n_s, 1), P_N=(n_s, n_s))
     newest = function("rhe_newest", newest, prediction | dict(z_N=(4, 1)) | V)
-    bounded = function("rhe_bounded", bounded, dict(H=(2, 2), m=(n_s, 1), covariance=(n_s, n_s), nu=(1, 1), traction=(2, 1)))
+    bounded = function("rhe_bounded", bounded, dict(H=(2, 2), m=(n_s, 1), covariance=(n_s, n_s), nu=(1, 1), traction=(2, 1),
+                                                    solved=(1, 1), s_N=(n_s, 1)))
     solve = gauss_newton.box_qp_2() if qp == "structured" else gauss_newton.box_qp(2, qp)
 
-    def feedback(**given):
+    def feedback(s_N, **given):
         p = newest(**given)
-        traction, _, ok = solve(p["H"], p["g"], ca.DM.zeros(2), ca.DM.ones(2))
-        return bounded(**only(bounded, p), traction=traction) | {name: p[name] for name in ("covariance", "K_N", "e_N", "deviance")} | dict(ok=ok)
+        traction, _, solved = solve(p["H"], p["g"], ca.DM.zeros(2), ca.DM.ones(2))
+        return bounded(**only(bounded, p), traction=traction, solved=solved, s_N=s_N) | {name: p[name] for name in ("K_N", "e_N", "deviance")}
 
-    feedback = function("rhe_feedback", feedback, prediction | dict(z_N=(4, 1)) | V, ca.MX)
+    feedback = function("rhe_feedback", feedback, dict(s_N=(n_s, 1)) | prediction | dict(z_N=(4, 1)) | V, ca.MX)
 
     # expand: the multipliers run backwards through the window, the solution forwards
 
@@ -151,7 +164,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         return dict(s_new=s_new, descent=prior + measured_descent(s_new, s, z, V))
 
     def measured_descent(new, old, z, V):
-        return sum(ca.if_else(valid(z[row]), (old[place] - z[row]) / V[row] * (new[place] - old[place]), 0) for place, row in iv.measured_states)
+        return sum(ca.if_else(valid(z, row), (old[place] - z[row]) / V[row] * (new[place] - old[place]), 0) for place, row in iv.measured_states)
 
     def forward(new, old, F, D, B, s, v, v_new, z, V):
         """One interval of the new solution and of the one where the iteration began (its gap closed), and what it adds to ∇J·Δw."""
@@ -160,13 +173,20 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         v_m, R_v = measured_inputs(iv, z, v, V)
         return dict(new=new, old=old, descent=measured_descent(new, old, z, V) + ca.dot((v - v_m) / ca.diag(R_v), v_new - v))
 
+    def accepted(s, v, s_new, v_new, ok):
+        """The new solution; the shifted one after a step that failed. What is no number anywhere is none at the newest node either."""
+        good = ok * sane(s_new[:, N])
+        return dict(s=ca.if_else(good, s_new, s), v=ca.if_else(good, v_new, v))
+
     gains = dict(K=(n_s, rows), e=(rows, 1))
     backward = function("rhe_backward", backward, dict(adjoint=(n_s, 1), D=linearised["D"], B=linearised["B"]) | gains | dict(z=(4, 1), v=(n_v, 1)) | V)
     oldest = function("rhe_oldest", oldest, dict(adjoint=(n_s, 1)) | gains | dict(m=(n_s, 1), P=(n_s, n_s), s=(n_s, 1), z=(4, 1)) | V)
     forward = function("rhe_forward", forward, dict(new=(n_s, 1), old=(n_s, 1)) | linearised | dict(
         s=(n_s, 1), v=(n_v, 1), v_new=(n_v, 1), z=(4, 1)) | V)
 
-    def expand(s, v, z, age, m, P, V, F, D, B, K, e, K_N, e_N, multipliers, z_N):
+    accepted = function("rhe_accepted", accepted, dict(s=(n_s, N + 1), v=(n_v, N), s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1)))
+
+    def expand(s, v, z, age, m, P, V, F, D, B, K, e, K_N, e_N, multipliers, z_N, ok):
         """Every other unknown of the window, and the KKT tolerance of the linearisation point."""
         window = ca.horzcat(z[:, :N], z_N)
         z, s_old, v_old = ca.horzsplit(window), ca.horzsplit(s), ca.horzsplit(v)
@@ -183,10 +203,11 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
             new, old, more = forward(s_new[i], old, F[i], D[i], B[i], s_old[i], v_old[i], v_new[i], z[i + 1], V)
             s_new, descent = [*s_new, new], descent + more
         kkt = gauss_newton.kkt_tolerance(descent, multipliers, -s_old[N][q], 1 - s_old[N][q])
-        return dict(s=ca.horzcat(*s_new), v=ca.horzcat(*v_new), z=window, age=age, m=m, P=P, kkt=kkt)
+        s, v = accepted(s, v, ca.horzcat(*s_new), ca.horzcat(*v_new), ok)
+        return dict(s=s, v=v, z=window, age=age, m=m, P=P, kkt=kkt)
 
     along = {name: linearise.sparsity_out(name) for name in ("F", "D", "B", "K", "e")}
-    result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers")}
+    result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok")}
     expand = function("rhe_expand", expand, memory | V | along | result | dict(z_N=(4, 1)), loops)
 
     def step(z_N, V, W, **memory):
@@ -260,16 +281,17 @@ class RHE:
         return self._estimate()
 
     def _given(self, z):
-        if len(z) != 4:
-            raise ValueError(f"z had {len(z)} entries; it should have 4: x, y, ν, ω")
+        if getattr(z, "shape", None) != (4,) and np.shape(z) != (4,):
+            raise ValueError(f"z had shape {np.shape(z)}; it should have (4,): x, y, ν, ω")
         self.iteration.arrays["z_N"][:] = z
         if not self.iteration.started:
-            sigma = list(paper.SIGMA_W_RHE)
-            if self.guess is None:
-                x, y, nu, _ = np.where(np.isfinite(z), z, 0.0)
-                self.guess, sigma[2] = (x, y, 0.0, nu, 1.0, 1.0), np.pi / 2
-            memory = start(self.guess, sigma, self.horizon, self.speed_model)
-            self.iteration.start(memory | dict(age=0.0))
+            guess, sigma = self.guess, list(paper.SIGMA_W_RHE)
+            readable = np.abs(z) <= kalman.Z_MAX
+            if guess is None:
+                x, y, nu, _ = np.where(readable, z, 0.0)
+                guess, sigma[2] = (x, y, 0.0, nu, 1.0, 1.0), np.pi / 2
+            self.iteration.start(start(guess, sigma, self.horizon, self.speed_model) | dict(age=0.0))
+            self.iteration.started = self.guess is not None or bool(readable[:2].all())   # without a place, begin again with the next reading
 
     def _estimate(self):
         arrays = self.iteration.arrays

@@ -2,9 +2,10 @@
 
     min  ½ Σ_{i=1..N} ξ_i' Q_i ξ_i + Σ_{i=0..N-1} (½ R v_i² + g_i v_i)    s.t. ξ_0 = 0, ξ_{i+1} = A_i ξ_i + B_i v_i, lower_i ≤ v_i ≤ upper_i
 
-This is the condensed QP min ½ v'Hv + g'v with H never formed. A primal-dual active-set method (Hintermüller, Ito, Kunisch, "The Primal-Dual Active
-Set Strategy as a Semismooth Newton Method", 2003) guesses which inputs are at a bound, solves the rest exactly by one Riccati recursion, and
-corrects the guess by the signs of what comes out; when the guess stands, the solution is exact. It starts from the previous solution's guess.
+This is the condensed QP min ½ v'Hv + g'v with H never formed. Block principal pivoting (Júdice, Pires, "A Block Principal Pivoting Algorithm for
+Large-Scale Strictly Monotone Linear Complementarity Problems", 1994): guess which inputs are at a bound, solve the rest exactly by one Riccati
+recursion, and correct the guess by the signs of what comes out, all wrong ones at once while their number falls, else one at a time, which cannot
+cycle. When the guess stands, the solution is exact. It starts from the previous solution's guess.
 """
 
 import casadi as ca
@@ -13,7 +14,8 @@ from rhec.function import function
 from rhec.gauss_newton import transition
 from rhec.kalman import symmetric
 
-GUESSES = 20   # after so many the search gives up; one to three are usual
+DOUBLINGS = 8   # after 2 to this power guesses the search gives up; one to three are usual
+PATIENCE = 3    # exchanges of all wrong ones that may fail to lessen their number
 
 
 def box_lq(N, D, B, loops):
@@ -32,17 +34,17 @@ def box_lq(N, D, B, loops):
         k = ca.if_else(free, -(g + ca.dot(B, p)) / h, ca.if_else(active > 0, upper, lower))
         return dict(P_before=symmetric(A.T @ P @ (A + B @ K)) + ca.diag(Q), p_before=A.T @ (p + P @ B * k), K=K, k=k)
 
-    def forward(xi, P, p, D, B, R, g, lower, upper, active, K, k):
-        """The interval's input, its multiplier, the state after it, and which bound it should be at."""
+    def forward(xi, wrong, P, p, D, B, R, g, lower, upper, active, K, k):
+        """The interval's input, its multiplier, the state after it, which bound it should be at, how many were wrong so far, the first one set right."""
         v = K @ xi + k
         xi = transition(D) @ xi + B @ v
         multiplier = -(g + R * v + ca.dot(B, p + P @ xi)) * (active != 0)
-        right = ca.if_else(active == 0, (v > upper) - (v < lower), active * (active * multiplier > 0))
-        return dict(xi_after=xi, v=v, multiplier=multiplier, right=right)
+        right = ca.if_else(active == 0, (v > upper) - (v < lower), active * (active * multiplier >= 0))
+        return dict(xi_after=xi, v=v, multiplier=multiplier, right=right, first=ca.if_else(wrong, active, right), wrong_after=wrong + (right != active))
 
     one, state, matrix = (1, 1), (n, 1), (n, n)
     backward = function("lq_backward", backward, dict(P=matrix, p=state, D=D, B=B, Q=state, R=one, g=one, lower=one, upper=one, active=one))
-    forward = function("lq_forward", forward, dict(xi=state, P=matrix, p=state, D=D, B=B, R=one, g=one, lower=one, upper=one, active=one,
+    forward = function("lq_forward", forward, dict(xi=state, wrong=one, P=matrix, p=state, D=D, B=B, R=one, g=one, lower=one, upper=one, active=one,
                                                    K=(1, n), k=one))
 
     def guess(D, B, Q, QN, R, g, lower, upper, active):
@@ -52,35 +54,54 @@ def box_lq(N, D, B, loops):
         P, p, K, k = [None] * N + [ca.diag(QN)], [None] * N + [ca.DM.zeros(n)], [None] * N, [None] * N
         for i in reversed(range(N)):
             P[i], p[i], K[i], k[i] = backward(P[i + 1], p[i + 1], D[i], B[i], Q, R, g[i], lower[i], upper[i], active[i])
-        xi, v, multipliers, right = ca.DM.zeros(n), [None] * N, [None] * N, [None] * N
+        xi, wrong, v, multipliers, right, first = ca.DM.zeros(n), 0, *([None] * N for _ in range(4))
         for i in range(N):
-            xi, v[i], multipliers[i], right[i] = forward(xi, P[i + 1], p[i + 1], D[i], B[i], R, g[i], lower[i], upper[i], active[i], K[i], k[i])
-        v, multipliers, right = (ca.horzcat(*each) for each in (v, multipliers, right))
-        return dict(x=v, multipliers=multipliers, right=right, ok=ca.mmin(ca.horzcat(right == ca.horzcat(*active), ca.fabs(v) < ca.inf)))
+            xi, v[i], multipliers[i], right[i], first[i], wrong = forward(xi, wrong, P[i + 1], p[i + 1], D[i], B[i], R, g[i], lower[i], upper[i],
+                                                                          active[i], K[i], k[i])
+        v, multipliers, right, first = (ca.horzcat(*each) for each in (v, multipliers, right, first))
+        finite = ca.mmin(ca.fabs(v) < ca.inf)   # also 0 where v is not a number
+        return dict(x=v, multipliers=multipliers, right=right, first=first, wrong=ca.if_else(finite, wrong, -1))   # -1: hopeless
 
     row = dict(g=(1, N), lower=(1, N), upper=(1, N), active=(1, N))
     given = dict(D=ca.repmat(D, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=one)
     guess = function("lq_guess", guess, given | row, loops)
 
-    def settled(D, B, Q, QN, R, g, lower, upper, right, x, multipliers):
-        return dict(x=x, multipliers=multipliers, ok=1)
+    # A search is one guess or, if that did not stand, two searches of half its length.
 
-    def given_up(D, B, Q, QN, R, g, lower, upper, active):
-        return dict(x=ca.MX.zeros(1, N), multipliers=ca.MX.zeros(1, N), ok=0)
+    problem = given | {name: (1, N) for name in ("g", "lower", "upper")}
+    state = dict(active=(1, N), least=one, patience=one, wrong=one, x=(1, N), multipliers=(1, N))
 
-    found = dict(x=(1, N), multipliers=(1, N))
-    search = function("lq_given_up", given_up, given | row, ca.MX)
-    for depth in range(GUESSES):   # each guess calls the next only if it did not stand
-        def onward(D, B, Q, QN, R, g, lower, upper, right, x, multipliers, search=search):
-            return dict(zip(("x", "multipliers", "ok"), search(D, B, Q, QN, R, g, lower, upper, right)))
+    def once(active, least, patience, wrong, x, multipliers, **problem):
+        solved = guess(**problem, active=active)
+        right, first, wrong = solved["right"], solved["first"], solved["wrong"]
+        fewer = wrong < least
+        return dict(active=ca.if_else(ca.fmax(fewer, patience > 0), right, first), least=ca.fmin(wrong, least),
+                    patience=ca.if_else(fewer, PATIENCE, patience - 1), wrong=wrong, x=solved["x"], multipliers=solved["multipliers"])
 
-        branch = given | {name: (1, N) for name in ("g", "lower", "upper", "right")} | found
-        choose = ca.Function.if_else(f"lq_choose_{depth}", function("lq_settled", settled, branch, ca.MX),
-                                     function(f"lq_onward_{depth}", onward, branch, ca.MX))
+    def settled(**given):
+        return {name: given[name] for name in state}
 
-        def body(D, B, Q, QN, R, g, lower, upper, active, choose=choose):
-            x, multipliers, right, ok = guess(D, B, Q, QN, R, g, lower, upper, active)
-            return dict(zip(("x", "multipliers", "ok"), choose(ok, D, B, Q, QN, R, g, lower, upper, right, x, multipliers)))
+    once = function("lq_once", once, problem | state, ca.MX)
+    settled = function("lq_settled", settled, problem | state, ca.MX)
 
-        search = function(f"lq_search_{depth}", body, given | row, ca.MX)
-    return search
+    def then(name, search, onward):
+        """`search`, and `onward` from where it got to if no guess has stood yet."""
+        def body(**given):
+            found = search(**given)
+            found = ca.Function.if_else(f"{name}_or_not", settled, onward)(found["wrong"] <= 0, *(given | found).values())
+            return dict(zip(state, found))
+
+        return function(name, body, problem | state, ca.MX)
+
+    search = once
+    for doubling in range(DOUBLINGS):
+        search = then(f"lq_search_{doubling}", search, search)
+    search = then("lq_search", once, search)
+
+    def box_lq(active, **problem):
+        nothing = dict(least=N + 1, patience=PATIENCE, wrong=N + 1, x=ca.MX.zeros(1, N), multipliers=ca.MX.zeros(1, N))
+        found = search(**problem, active=active, **nothing)
+        ok = found["wrong"] == 0
+        return dict(x=ca.if_else(ok, found["x"], 0), multipliers=ca.if_else(ok, found["multipliers"], 0), ok=ok)
+
+    return function("box_lq", box_lq, given | row, ca.MX)

@@ -12,7 +12,7 @@ from rhec.function import function
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 MOTOR_LAG_S = 0.1           # first-order lag from motor command to track speed
-GAIN_P, GAIN_I = 1.0, 10.0  # the speed loop: settles in about 0.3 s without overshoot
+GAIN_P, GAIN_I = 1.0, 10.0  # the speed loop: from a standstill it settles in about half a second
 SPEED_LIMIT_MPS = 1.5       # of a track: saturation of the motor driver
 
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))

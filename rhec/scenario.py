@@ -36,8 +36,8 @@ class Scenario:
         look_ahead_m       the desired points begin this far beyond the closest point
         input_reference    "measured": the measured yaw rate held, as in the paper; "curvature": what the path asks for (R8)
         command_delay      0: the command computed at t_k is applied at once; 1: one sample later (R10)
-        qp                 "structured": by Riccati recursion, the fastest at every horizon; or the condensed QP by "daqp", "qpoases" (the paper's; on
-                           the virtual machine) or "qrqp"
+        qp                 "structured": by Riccati recursion, the fastest at every horizon; or the condensed QP by "daqp" or "qpoases" (the
+                           paper's; on the virtual machine)
     The drive
         speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (mpc_ref_ya) (R3, R9)
         path               a rhec.Path; else two rows of row_length_m joined by half circles of headland_radius_m

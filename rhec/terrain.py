@@ -36,6 +36,10 @@ class Terrain:
             object.__setattr__(self, name, field)
         if self.mu.shape != self.kappa.shape:
             raise ValueError(f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; they must be the same")
+        if np.shape(self.origin_m) != (2,) or not np.all(np.isfinite(self.origin_m)):
+            raise ValueError(f"origin_m was {self.origin_m!r}; it must be two finite coordinates")
+        if not 0 < self.cell_m < np.inf:
+            raise ValueError(f"cell_m was {self.cell_m!r}; it must be above 0 m")
 
     @classmethod
     def uniform(cls, mu, kappa):

@@ -20,7 +20,7 @@ Flag = Annotated[bool, Field(strict=True)]
 # Choices that Scenario, RHE and RHC share; Scenario says what each means.
 Weights = tuple[NotNegative, NotNegative, NotNegative]
 Intervals = Annotated[Whole, Field(ge=2, le=240)]
-Solver = Literal["structured", "daqp", "qpoases", "qrqp"]
+Solver = Literal["structured", "daqp", "qpoases"]
 Reading = Literal["printed", "calibrated"]
 SpeedModel = Literal["parameter", "input"]
 ArrivalMean = Literal["smoothed", "filtered"]

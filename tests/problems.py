@@ -12,7 +12,8 @@ from rhec import paper
 
 DT, N = 0.2, 15
 V = np.square(paper.SIGMA_V)
-IPOPT = {"print_time": 0, "ipopt": dict(print_level=0, sb="yes", tol=1e-12, bound_relax_factor=0.0)}
+IPOPT = {"print_time": 0, "ipopt": dict(print_level=0, sb="yes", tol=1e-11, bound_relax_factor=0.0)}
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")   # what double precision allows
 
 
 def flat(value):
@@ -58,10 +59,8 @@ def rhe_nlp(intervals, speed_model):
     cost = ca.bilin(H, s - m, s - m)
     for i in range(intervals + 1):
         cost += weight[0, i] * (z[0, i] - pose[0]) ** 2 + weight[1, i] * (z[1, i] - pose[1]) ** 2
-        if parameter:
-            cost += weight[2, i] * (z[2, i] - s[3]) ** 2
-        elif i:
-            cost += weight[2, i] * (z[2, i] - v[0, i - 1]) ** 2
+        if parameter or i:
+            cost += weight[2, i] * (z[2, i] - (s[3] if parameter else v[0, i - 1])) ** 2
         if i:
             cost += weight[3, i] * (z[3, i] - v[n_v - 1, i - 1]) ** 2
         if i < intervals:
@@ -71,15 +70,17 @@ def rhe_nlp(intervals, speed_model):
     return ca.nlpsol("rhe", "ipopt", dict(x=unknowns, f=cost / 2, p=given), IPOPT), ca.Function("newest", [unknowns], [newest])
 
 
-def rhe_by_ipopt(z, m, P, speed_model, guess, V=V):
+def rhe_by_ipopt(z, m, P, speed_model, guess=None):
     """Optimum of the window z (n, 4), NaN where there is no reading, with the arrival cost (m, P): unknowns, newest (x, y, θ, ν, μ, κ)."""
+    if guess is None:
+        guess = np.concatenate([m, z[1:, 3 if speed_model == "parameter" else 2:].ravel()])
     solver, newest = rhe_nlp(len(z) - 1, speed_model)
     weight = np.where(np.isnan(z), 0, 1 / V)
     lower = np.full(solver.numel_in("x0"), -np.inf)
     lower[[len(m) - 2, len(m) - 1]] = 0
     upper = np.where(lower == 0, 1, np.inf)
     solution = solver(x0=guess, lbx=lower, ubx=upper, p=np.concatenate([np.nan_to_num(z).ravel(), weight.ravel(), m, np.linalg.inv(P).ravel()]))
-    assert solver.stats()["success"]
+    assert solver.stats()["return_status"] in SOLVED, solver.stats()["return_status"]
     return flat(solution["x"]), flat(newest(solution["x"]))
 
 
@@ -141,7 +142,7 @@ def rhc_by_ipopt(problem, q, qn_factor, r, omega_max):
     given = [problem[name] for name in ("pose", "p", "xi_ref", "omega_ref")]
     solution = rhc_nlp()(x0=0, lbx=-omega_max, ubx=omega_max,
                          p=np.concatenate([flat(each) for each in (*given, q, qn_factor * np.array(q), r)]))
-    assert rhc_nlp().stats()["success"]
+    assert rhc_nlp().stats()["return_status"] in SOLVED
     return flat(solution["x"])
 
 

@@ -1,13 +1,16 @@
 """Receding horizon control: eq. (NMPC), one Gauss-Newton iteration a sample, or iterated."""
 
+import contextlib
+
 import numpy as np
 import pytest
-from problems import N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
+from problems import DT, N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
 
 import rhec
+from rhec import rhc as builders
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
-SOLVERS = ["daqp", "qpoases", "qrqp"]
+SOLVERS = ["structured", "daqp", "qpoases"]
 STRAIGHT = dict(pose=(0.0, 0.0, 0.0), p=(0.5, 0.9, 0.8), xi_ref=drive([0, 0, 0, 0.45, 1, 1], np.zeros(N))[0][:, :3].T, omega_ref=np.zeros(N))
 
 
@@ -16,7 +19,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
     rng, bounded = np.random.default_rng(0), 0
     for k in range(200):
         problem, weights = rhc_instance(rng), rhc_weights(rng)
-        rhc = rhec.RHC(**weights, qp=SOLVERS[k % 2])
+        rhc = rhec.RHC(**weights, qp=SOLVERS[k % 3])
         command = rhc.solve(**problem, iterations=25)
         optimum = rhc_by_ipopt(problem, **weights)
         np.testing.assert_allclose(rhc.omega_plan, optimum, rtol=0, atol=1e-6 * np.abs(optimum).max())
@@ -27,9 +30,10 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
 
 
 def test_all_solvers_give_the_same_commands():
+    """Easy or hard: in some, nearly all inputs are at a bound, some at either."""
     rng = np.random.default_rng(1)
-    for _ in range(10):
-        controllers, weights = [], rhc_weights(rng)
+    for _ in range(20):
+        weights = rhc_weights(rng) | dict(r=10 ** rng.uniform(-3, 1))
         controllers = [rhec.RHC(**weights, qp=solver) for solver in SOLVERS]
         for _ in range(10):
             problem, plans = rhc_instance(rng), []
@@ -37,7 +41,7 @@ def test_all_solvers_give_the_same_commands():
                 rhc.prepare()
                 rhc.feedback(**problem)
                 plans.append(rhc.omega_plan)
-            np.testing.assert_allclose(plans[1:], [plans[0]] * 2, rtol=0, atol=1e-8)
+            np.testing.assert_allclose(plans[1:], [plans[0]] * (len(SOLVERS) - 1), rtol=0, atol=1e-8)
 
 
 def test_commands_never_leave_the_bounds():
@@ -57,21 +61,16 @@ def test_commands_never_leave_the_bounds():
 
 
 def test_one_feedback_solves_a_linear_problem():
-    """With a weight on the yaw alone, yaw rates in and yaw out are linear: whatever the robot did before, one step is exact."""
-    rng = np.random.default_rng(3)
-    rhc = rhec.RHC(q=(0, 0, 1), r=0.3)
+    """With a weight on the yaw alone, yaw rates in and yaw out are linear: whatever was planned before, one step is exact."""
+    rng, weights = np.random.default_rng(3), dict(q=(0, 0, 1), qn_factor=10, r=1.0, omega_max=0.3)
+    rhc = rhec.RHC(**weights)
     for _ in range(10):
-        rhc.prepare()
-        rhc.feedback(**rhc_instance(rng))       # leaves a plan behind
         problem = rhc_instance(rng) | dict(p=(0.5, 0.9, 0.8))
-        rhc.solve(**problem, iterations=1)      # κ of the linearisation
         rhc.prepare()
         rhc.feedback(**problem)
-        optimum = rhc_by_ipopt(problem, q=(0, 0, 1), qn_factor=10, r=0.3, omega_max=0.1)
-        np.testing.assert_allclose(rhc.omega_plan, optimum, rtol=0, atol=1e-7)
-        assert rhc.kkt > 1e-4
-        rhc.solve(**problem, iterations=1)
-        rhc.solve(**problem, iterations=1)
+        assert rhc.kkt > 1e-6
+        np.testing.assert_allclose(rhc.omega_plan, rhc_by_ipopt(problem, **weights), rtol=0, atol=1e-7)
+        rhc.solve(**problem, iterations=2)
         assert rhc.kkt < 1e-12
 
 
@@ -126,32 +125,27 @@ def test_the_plan_is_a_trajectory_of_the_model_from_the_pose():
 
 
 def test_a_sample_later_the_plan_has_moved_on():
-    """Warm start: the plan of a converged sample, one interval on, is where the next sample begins, so that it has next to nothing to change."""
-    reference, _ = drive([0, 0, 0, 0.5, 0.9, 0.8], np.zeros(2 * N))
-    rhc, pose = rhec.RHC(omega_max=1.0), np.array([0.0, 0.1, 0.05])
-    rhc.solve(pose=pose, p=reference[0, 3:], xi_ref=reference[:N + 1, :3].T, omega_ref=np.zeros(N))
-    planned, pose = rhc.omega_plan, rhc.xi_plan[:, 1]
-    rhc.prepare()
-    rhc.feedback(pose=pose, p=reference[0, 3:], xi_ref=reference[1:N + 2, :3].T, omega_ref=np.zeros(N))
-    warm = rhc.kkt
-    cold = rhec.RHC(omega_max=1.0)
-    cold.feedback(pose=pose, p=reference[0, 3:], xi_ref=reference[1:N + 2, :3].T, omega_ref=np.zeros(N)) if cold.prepare() is None else None
-    assert warm < 0.05 * cold.kkt
-    np.testing.assert_allclose(rhc.omega_plan[:5], planned[1:6], atol=0.02)
+    """Warm start: one interval on, the last input repeated, the last node integrated."""
+    rng = np.random.default_rng(7)
+    s, omega = rng.normal(size=(6, N + 1)), rng.normal(size=(1, N))
+    shifted = builders.functions(DT, N)["shift"](s=s, omega=omega)
+    last = [*move(s[:3, -1], *s[3:, -1], omega[0, -1]), *s[3:, -1]]
+    np.testing.assert_allclose(np.array(shifted["s"]), np.column_stack([s[:, 1:], last]), atol=1e-12)
+    np.testing.assert_array_equal(np.array(shifted["omega"]), [[*omega[0, 1:], omega[0, -1]]])
 
 
 def test_estimate_and_references_count_in_feedback_alone():
     """Two controllers with one past and one preparation: what differs is what feedback was given, and it is all there."""
     rng = np.random.default_rng(6)
     past, then = [rhc_instance(rng) for _ in range(3)], rhc_instance(rng)
-    for change in (dict(pose=then["pose"] + 0.05), dict(p=(0.4, 0.7, 0.6)), dict(xi_ref=then["xi_ref"] + 0.05), dict(omega_ref=then["omega_ref"] + 0.01)):
+    for name in ("pose", "p", "xi_ref", "omega_ref"):
         one, other = rhec.RHC(omega_max=1.0), rhec.RHC(omega_max=1.0)
         for rhc in (one, other):
             for problem in past:
                 rhc.prepare()
                 rhc.feedback(**problem)
             rhc.prepare()
-        assert one.feedback(**then) != other.feedback(**then | change)
+        assert one.feedback(**then) != other.feedback(**then | {name: np.array(then[name]) + 0.05})
 
 
 def test_feedback_without_preparation_is_refused():
@@ -164,21 +158,34 @@ def test_feedback_without_preparation_is_refused():
     rhc.feedback(**STRAIGHT)
 
 
-@pytest.mark.parametrize("bad, sentence", [
-    (dict(pose=(0, 0)), r"pose had shape \(2,\); it should have \(3,\)"),
-    (dict(p=(1, 1, 1, 1)), r"p had shape \(4,\); it should have \(3,\)"),
-    (dict(xi_ref=np.zeros((N + 1, 3))), r"xi_ref had shape \(16, 3\); it should have \(3, 16\)"),
-    (dict(omega_ref=0.0), r"omega_ref had shape \(\); it should have \(15,\)"),
+@pytest.mark.parametrize("name", ["pose", "p", "xi_ref", "omega_ref"])
+def test_a_value_that_is_no_number_does_no_lasting_harm(name):
+    """Refused, or forgotten by the time the plan has been made anew."""
+    problem, rhc, other = STRAIGHT | dict(pose=(0.0, 0.1, 0.0)), rhec.RHC(), rhec.RHC()
+    for k in range(2 * N):
+        rhc.prepare(), other.prepare()
+        with contextlib.suppress(ValueError):
+            rhc.feedback(**problem | ({name: np.full(np.shape(problem[name]), np.nan)} if k == 3 else {}))
+        other.feedback(**problem)
+    np.testing.assert_allclose(rhc.omega_plan, other.omega_plan, atol=1e-6)
+    assert np.isfinite(rhc.kkt)
+
+
+@pytest.mark.parametrize("name, value", [
+    ("pose", (0, 0)), ("pose", 0.0), ("p", (1, 1, 1, 1)),
+    ("xi_ref", np.zeros((N + 1, 3))), ("xi_ref", np.zeros((3, N))), ("xi_ref", np.zeros((3, 1))),
+    ("omega_ref", np.zeros(N + 1)), ("omega_ref", np.zeros((N, 1))), ("omega_ref", 0.0),
 ])
-def test_a_wrong_shape_is_named(bad, sentence):
+def test_a_wrong_shape_is_named(name, value):
     rhc = rhec.RHC()
     rhc.prepare()
-    with pytest.raises(ValueError, match=sentence):
-        rhc.feedback(**STRAIGHT | bad)
+    with pytest.raises(ValueError, match=f"^{name} had .* it should have"):
+        rhc.feedback(**STRAIGHT | {name: value})
 
 
 @pytest.mark.parametrize("bad, name", [
-    (dict(q=(1, 1)), "q"), (dict(q=(1, 1, -1)), r"q\[2\]"), (dict(r=0), "r"), (dict(qn_factor="10"), "qn_factor"), (dict(omega_max=float("nan")), "omega_max"),
+    (dict(q=(1, 1)), r"q(\[2\])?"), (dict(q=(1, 1, -1)), r"q\[2\]"), (dict(r=0), "r"), (dict(qn_factor="10"), "qn_factor"),
+    (dict(omega_max=float("nan")), "omega_max"),
     (dict(dt=-0.2), "dt"), (dict(horizon=1), "horizon"), (dict(horizon=15.0), "horizon"), (dict(qp="osqp"), "qp"),
 ])
 def test_a_bad_argument_is_named_in_one_sentence(bad, name):

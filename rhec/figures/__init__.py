@@ -1,11 +1,19 @@
 """The paper's figures, one function each; `style` gives them one look and saves them with their provenance."""
 
-from .drawings import hardware_blocks, robot_in_row, robot_parts, schematic
-from .results import (errors, estimates, kkt, scenario_a_table, scenario_b_table, slip_fields, speed, trajectories, trajectories_q, violations,
-                      weight_sweep, yaw_rate)
-from .style import save, save_table, styled
-from .timing import phases
+import importlib
 
-__all__ = ["errors", "estimates", "hardware_blocks", "kkt", "phases", "robot_in_row", "robot_parts", "save", "save_table", "scenario_a_table",
-           "scenario_b_table", "schematic", "slip_fields", "speed", "styled", "trajectories", "trajectories_q", "violations", "weight_sweep",
-           "yaw_rate"]
+# Loaded on first use, so that a notebook is made again only when a figure of its own changed.
+_HOME = {name: module for module, names in {
+    "drawings": ("hardware_blocks", "robot_in_row", "robot_parts", "schematic"),
+    "results": ("errors", "estimates", "kkt", "scenario_a_table", "scenario_b_table", "slip_fields", "speed", "trajectories", "trajectories_q",
+                "violations", "weight_sweep", "yaw_rate"),
+    "style": ("save", "save_table", "styled"),
+    "timing": ("phases",),
+}.items() for name in names}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name):
+    if name in _HOME:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

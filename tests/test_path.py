@@ -1,0 +1,161 @@
+"""The target path and the references on it."""
+
+import functools
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import flat
+
+import rhec
+from rhec import path as paths
+
+RACETRACK = rhec.Path.racetrack(30.0, 7.8)
+PATHS = {
+    "racetrack": RACETRACK,
+    "open": rhec.Path.from_segments([(5.0, 0.0), (4.0, 0.3), (3.0, -0.5), (2.0, 0.0)], start=(1.0, 2.0, 0.7)),
+    "clockwise circle": rhec.Path.from_segments([(2 * np.pi * 3, -1 / 3)], start=(0.0, 0.0, 1.0), closed=True),
+    "more than half a turn": rhec.Path.from_segments([(10.0, 0.5)]),
+}
+every_path = pytest.mark.parametrize("name", PATHS)
+HORIZON = 15
+
+
+@functools.cache
+def references(n_segments, input_reference):
+    return paths.functions(0.2, HORIZON, n_segments, input_reference)["references"]
+
+
+def along(path, s, **given):
+    """The references' Function on this path, with ordinary arguments where none are given."""
+    function = references(len(path.segments), given.pop("input_reference", "measured"))
+    (pose,), _ = path.poses([s])
+    given = dict(s=s, estimate=[*pose, 0.5, 0.9, 0.8], omega_measured=0.03, look_ahead_m=0, backwards=0) | given
+    result = function(segments=path.segments.T, period_m=path.period_m, **given)
+    return {key: np.array(value) if value.numel() > 1 else float(value) for key, value in result.items()}
+
+
+@every_path
+def test_position_and_yaw_are_continuous(name):
+    path, d = PATHS[name], 1e-7
+    joints = np.append(path.segments[1:, 0], [path.length_m] if path.closed else [])
+    before, after = path.poses(joints - d)[0], path.poses(joints + d)[0]
+    np.testing.assert_allclose(before[:, :2], after[:, :2], atol=1e-6)
+    np.testing.assert_allclose(np.exp(1j * before[:, 2]), np.exp(1j * after[:, 2]), atol=1e-6)
+
+
+@every_path
+def test_arc_length_yaw_and_curvature_belong_together(name):
+    """dr/ds = (cos θ, sin θ), dθ/ds = c."""
+    path, d = PATHS[name], 1e-6
+    s = np.linspace(0.013, path.length_m - 0.017, 58)
+    (here, c), (there, _) = path.poses(s), path.poses(s + d)
+    np.testing.assert_allclose((there - here) / d, np.column_stack([np.cos(here[:, 2]), np.sin(here[:, 2]), c]), atol=1e-5)
+
+
+@every_path
+def test_the_projection_is_the_closest_of_finely_sampled_points(name):
+    path = PATHS[name]
+    s = np.linspace(0, path.length_m, 100_001)
+    samples = path.poses(np.minimum(s, path.length_m - 1e-9))[0][:, :2]
+    xy = np.random.default_rng(0).uniform(samples.min(axis=0) - 3, samples.max(axis=0) + 3, (300, 2))
+    distance, where = path.project(xy)
+    brute = np.array([np.hypot(*(samples - point).T).min() for point in xy])
+    np.testing.assert_allclose(distance, brute, atol=1e-3)
+    assert np.all(distance <= brute + 1e-12)
+    np.testing.assert_allclose(np.hypot(*(path.poses(np.minimum(where, path.length_m - 1e-9))[0][:, :2] - xy).T), distance, atol=1e-6)
+
+
+@every_path
+def test_a_point_beside_the_path_projects_to_where_it_came_from(name):
+    path = PATHS[name]
+    s = np.linspace(0.1, path.length_m - 0.1, 41)
+    poses, _ = path.poses(s)
+    for left in (-0.5, 0.0, 0.5):
+        distance, where = path.project(poses[:, :2] + left * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])]))
+        np.testing.assert_allclose(distance, abs(left), atol=1e-9)
+        np.testing.assert_allclose(where, s, atol=1e-6)
+
+
+@every_path
+def test_the_loop_and_the_evaluation_see_the_same_path(name):
+    """CasADi's `pose_at` and `closest` are NumPy's `poses` and `project`."""
+    path, s = PATHS[name], ca.SX.sym("s")
+    pose, c = paths.pose_at(s, path.segments.T, path.period_m)
+    pose_at, rng = ca.Function("pose_at", [s], [pose, c]), np.random.default_rng(1)
+    xy = ca.SX.sym("xy", 2)
+    closest = ca.Function("closest", [xy, s], [paths.closest(xy, s, path.segments.T, path.period_m, 6)])
+    for place in rng.uniform(0.3, path.length_m - 0.3, 40):
+        (expected,), (curvature,) = path.poses([place])
+        got, got_curvature = pose_at(place)
+        np.testing.assert_allclose(flat(got), expected, atol=1e-9)
+        assert float(got_curvature) == curvature
+        beside = expected[:2] + rng.uniform(-0.6, 0.6) * np.array([-np.sin(expected[2]), np.cos(expected[2])])
+        assert float(closest(beside, place + rng.uniform(-0.2, 0.2))) == pytest.approx(path.project([beside])[1][0], abs=1e-6)
+
+
+def test_the_closest_point_is_followed_at_the_robots_pace():
+    """Two Newton steps a sample keep up with a robot half a metre off, joints included."""
+    s, length = 0.0, RACETRACK.length_m
+    for place in np.arange(0, 1.2 * length, 0.09):
+        (pose,), _ = RACETRACK.poses([place])
+        beside = pose + [-0.5 * np.sin(pose[2]), 0.5 * np.cos(pose[2]), 0]
+        s = along(RACETRACK, s, estimate=[*beside, 0.5, 0.9, 0.8])["s"]
+        assert s == pytest.approx(place, abs=0.02)
+    assert s > length   # where it counts on
+
+
+def test_points_are_one_sample_of_the_robots_own_pace_apart():
+    for nu, mu in ((0.5, 0.9), (0.3, 0.6), (-0.4, 1.0)):
+        points = along(PATHS["open"], 5.5, estimate=[*PATHS["open"].poses([5.5])[0][0], nu, mu, 1.0])["xi_ref"]
+        expected = PATHS["open"].poses(5.5 + 0.2 * abs(nu) * mu * np.arange(HORIZON + 1))[0]
+        np.testing.assert_allclose(points.T, expected, atol=1e-9)
+
+
+def test_the_look_ahead_moves_all_points_on_by_that_distance():
+    points = along(PATHS["open"], 5.5, look_ahead_m=1.3)["xi_ref"]
+    np.testing.assert_allclose(points.T, PATHS["open"].poses(6.8 + 0.09 * np.arange(HORIZON + 1))[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("turns", [-7, -1, 0, 1, 30])
+@pytest.mark.parametrize("off", [-3.0, 0.0, 1.0, 3.0])
+def test_the_yaw_reference_is_in_the_turn_of_the_estimate(turns, off):
+    for s in (3.0, 40.0, 70.0, 100.0):
+        (pose,), _ = RACETRACK.poses([s])
+        theta = pose[2] + off + 2 * np.pi * turns
+        yaw = along(RACETRACK, s, estimate=[*pose[:2], theta, 0.5, 0.9, 0.8])["xi_ref"][2]
+        assert np.all(np.abs(yaw - theta) <= np.pi + 1e-9)
+        expected = RACETRACK.poses(s + 0.09 * np.arange(HORIZON + 1))[0][:, 2]
+        np.testing.assert_allclose(np.exp(1j * yaw), np.exp(1j * expected), atol=1e-9)
+
+
+def test_backwards_the_yaw_reference_is_half_a_turn_further():
+    (pose,), _ = RACETRACK.poses([35.0])
+    forwards = along(RACETRACK, 35.0)["xi_ref"]
+    estimate = [*pose[:2], pose[2] + np.pi, -0.5, 0.9, 0.8]
+    backwards = along(RACETRACK, 35.0, estimate=estimate, backwards=1)["xi_ref"]
+    np.testing.assert_allclose(backwards[:2], forwards[:2], atol=1e-12)
+    np.testing.assert_allclose(backwards[2], forwards[2] + np.pi, atol=1e-9)
+
+
+def test_a_closed_path_goes_round_and_an_open_one_straight_on():
+    points = along(RACETRACK, RACETRACK.length_m - 0.5)["xi_ref"]
+    np.testing.assert_allclose(points[:2, -1], RACETRACK.poses([0.85])[0][0, :2], atol=1e-9)
+    path = PATHS["open"]
+    points = along(path, path.length_m - 0.5)["xi_ref"].T
+    (end,), _ = path.poses([path.length_m - 1e-9])
+    np.testing.assert_allclose(points[-1], end + [0.85 * np.cos(end[2]), 0.85 * np.sin(end[2]), 0], atol=1e-6)
+
+
+def test_the_input_reference_is_the_measured_yaw_rate_or_what_the_curve_asks_for():
+    np.testing.assert_array_equal(along(RACETRACK, 29.5)["omega_ref"], np.full((1, HORIZON), 0.03))
+    omega = along(RACETRACK, 29.5, input_reference="curvature")["omega_ref"].ravel()
+    expected = np.where(29.5 + 0.09 * np.arange(HORIZON) >= 30, 0.5 * 0.9 / 7.8 / 0.8, 0)
+    np.testing.assert_allclose(omega, expected, atol=1e-12)
+    assert 0 < np.count_nonzero(omega) < HORIZON
+
+
+@pytest.mark.parametrize("pieces", [[], [(0.0, 0.1)], [(3.0, 0.0), (-1.0, 0.0)]])
+def test_a_path_of_nothing_is_refused(pieces):
+    with pytest.raises(ValueError, match="^pieces was .*; it must be"):
+        rhec.Path.from_segments(pieces)
