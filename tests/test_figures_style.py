@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import subprocess
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -60,24 +59,15 @@ def test_files_tell_version_scenario_and_notebook(tmp_path):
     assert b"CreationDate" not in pdf
 
 
-def test_commit_is_the_last_that_changed_what_figures_are_made_of(tmp_path, monkeypatch):
-    def git(*command):
-        author = ("-c", "user.name=a", "-c", "user.email=a@b")
-        subprocess.run(["git", *author, *command], cwd=tmp_path, check=True, capture_output=True)
-
-    monkeypatch.setattr(style, "ROOT", tmp_path)
-    assert style.commit() == ""
-    git("init")
-    for file in ("rhec", "README.md"):
-        (tmp_path / file).write_text("one")
-        git("add", file)
-        git("commit", "-m", file)
-    committed = style.commit()
-    assert committed and not committed.endswith("+")
+def test_the_source_is_what_figures_are_made_of(tmp_path):
+    for folder in ("rhec", "data", "notebooks"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "rhec" / "model.py").write_text("one")
+    before = style.source(tmp_path)
     (tmp_path / "README.md").write_text("two")
-    assert style.commit() == committed
-    (tmp_path / "rhec").write_text("two")
-    assert style.commit() == f"{committed}+"
+    assert style.source(tmp_path) == before
+    (tmp_path / "rhec" / "model.py").write_text("two")
+    assert style.source(tmp_path) != before
 
 
 def test_a_table_comes_back_as_it_went(tmp_path):

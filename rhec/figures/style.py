@@ -1,13 +1,13 @@
 """One look for every figure and table, and the file that says where it came from.
 
 A figure function takes data, returns a matplotlib Figure and is decorated with `styled`; `save` and `save_table` write
-files that carry the version, the commit, the scenario and the notebook that made them.
+files that carry the version, a digest of the source, the scenario and the notebook that made them.
 """
 
 import dataclasses
 import functools
+import hashlib
 import json
-import subprocess
 from pathlib import Path
 
 import matplotlib as mpl
@@ -83,18 +83,10 @@ def styled(draw):
     return drawn
 
 
-def commit():
-    """The last commit that touched what figures are made of, `+` if they changed since; "" outside a repository."""
-
-    def git(*command):
-        command = ["git", *command, "--", "rhec", "data", "notebooks"]
-        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-
-    try:
-        last = git("log", "-1", "--format=%h")
-        return last and last + ("+" if git("status", "--porcelain") else "")
-    except (OSError, subprocess.CalledProcessError):
-        return ""
+def source(root=ROOT):
+    """Digest of what figures are made of. Not the commit's name: making them again in a fresh clone would then change them."""
+    files = sorted([*root.glob("rhec/**/*.py"), *root.glob("data/*"), *root.glob("notebooks/*.ipynb")])
+    return hashlib.sha256(b"".join(file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)).hexdigest()[:12]
 
 
 def describe(scenario):
@@ -110,10 +102,9 @@ def describe(scenario):
 
 def provenance(name, scenario, notebook):
     """What a file says of its making, under keys that a PDF allows; the scenario, with its seed, is the Keywords."""
-    last = commit()
     about = {
         "Title": name,
-        "Creator": f"rhec {__version__}" + (f" ({last})" if last else ""),
+        "Creator": f"rhec {__version__} (source {source()})",
         "Subject": notebook,
         "Keywords": None if scenario is None else describe(scenario),
     }
