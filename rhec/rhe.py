@@ -69,6 +69,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
     memory = dict(s=(n_s, N + 1), v=(n_v, N), z=(4, N + 1), age=(1, 1), m=(n_s, 1), P=(n_s, n_s))
     V, W = dict(V=(4, 1)), dict(W=(n_s, 1))
     loops = compiled.kind_of_loops()
+    calls = loops if qp == "structured" else ca.MX   # a QP solver can only be called
     linearised = dict(F=(n_s, 1), D=iv.linearised.sparsity_out(1), B=iv.linearised.sparsity_out(2))
 
     def shift(s, v, z, age, m, P, V, W):
@@ -139,7 +140,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         traction, _, solved = solve(p["H"], p["g"], ca.DM.zeros(2), ca.DM.ones(2))
         return bounded(**only(bounded, p), traction=traction, solved=solved, s_N=s_N) | {name: p[name] for name in ("K_N", "e_N", "deviance")}
 
-    feedback = function("rhe_feedback", feedback, dict(s_N=(n_s, 1)) | prediction | dict(z_N=(4, 1)) | V, ca.MX)
+    feedback = function("rhe_feedback", feedback, dict(s_N=(n_s, 1)) | prediction | dict(z_N=(4, 1)) | V, calls)
 
     # expand: the multipliers run backwards through the window, the solution forwards
 
@@ -218,7 +219,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         expanded = expand(**memory, **only(expand, prepared), **only(expand, result), z_N=z_N, V=V)
         return {name: result[name] for name in ("estimate", "covariance", "deviance", "ok")} | expanded
 
-    step = folded("rhe_step", step, memory, dict(z_N=(4, 1)) | V | W)
+    step = folded("rhe_step", step, memory, dict(z_N=(4, 1)) | V | W, calls)
     return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand, step=step)
 
 
