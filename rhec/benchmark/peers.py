@@ -1,19 +1,29 @@
 """The same two nonlinear problems for other tools, each a function of a Problem that returns its optimum.
 
-What is the same: the model and its Runge-Kutta step, horizon, weights, bounds, and the data, to which belongs the arrival cost (its update costs the
-peers nothing). IPOPT has its defaults, begins at its previous solution, and iterates to convergence, where rhec takes one step a sample.
+The same are the model and its Runge-Kutta step, horizon, weights and bounds, and the data, to which the arrival cost belongs: its update costs the
+peers nothing. IPOPT begins at its previous solution and iterates until its default tolerance is met. Opti tells it that this start is a good one, which
+saves iterations; do-mpc is used as its documentation has it.
 """
 
-import importlib.util
+import functools
+import warnings
 
 import casadi as ca
 import numpy as np
 
 from rhec import model, paper
 
+quiet = functools.partial(warnings.catch_warnings, action="ignore")
+try:
+    with quiet():   # it warns of what it could do if more were installed
+        import do_mpc
+except ImportError:
+    do_mpc = None
+
 WEIGHTS = 1 / np.square(paper.SIGMA_V)
 Q, QN = np.diag(paper.Q3), paper.QN_FACTOR * np.diag(paper.Q3)
-QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+WARM = {"warm_start_init_point": "yes", "mu_init": 1e-6, "warm_start_bound_push": 1e-9, "warm_start_mult_bound_push": 1e-9}
+OPTIONS = {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb": "yes", **WARM}}
 
 
 def next_pose(xi, omega, p):
@@ -44,7 +54,7 @@ def warm(function, guess):
 
 
 def solver(opti, data, answer):
-    opti.solver("ipopt", QUIET | {"expand": True})
+    opti.solver("ipopt", OPTIONS)
     return opti.to_function("solve", [*data, opti.x, opti.lam_g], [answer, opti.x, opti.lam_g])
 
 
@@ -59,7 +69,7 @@ def opti_rhe(first):
     opti.subject_to(opti.bounded(0, p[1:], 1))
     solve = warm(solver(opti, [z, m, H], ca.vertcat(xi[:, -1], p)),
                  np.concatenate([np.tile(first.estimate[:3], N + 1), first.z[3, 1:], first.estimate[3:]]))
-    return lambda problem: solve(problem.z, problem.m, np.linalg.inv(problem.P))
+    return lambda problem: solve(problem.z, problem.m, problem.H)
 
 
 def opti_rhc(first):
@@ -79,9 +89,8 @@ def opti_rhc(first):
 # do-mpc: a discrete-time model with states (x, y, θ), input ω and parameters ν, μ, κ
 
 def do_mpc_rhe(first):
-    """Measurement k belongs to the state after interval k and to the input of it, as rhec's z_{k+1} does. The oldest node has no measurement in do-mpc:
-    it counts in the arrival cost, a function of parameters that are given."""
-    import do_mpc
+    """Measurement k belongs to the state after interval k and to its input, as rhec's z_{k+1} does. At the oldest node do-mpc has no measurement:
+    that one counts in the arrival cost, a function of parameters that are given."""
     robot, N = do_mpc.model.Model("discrete"), len(first.omega_ref)
     xi, omega = robot.set_variable("_x", "xi", (3, 1)), robot.set_variable("_u", "omega")
     p = robot.set_variable("_p", "p", (3, 1))
@@ -101,25 +110,26 @@ def do_mpc_rhe(first):
     given, window = mhe.get_p_template(), mhe.get_y_template()
     mhe.set_p_fun(lambda t: given)
     mhe.set_y_fun(lambda t: window)
-    mhe.setup()
+    with quiet():
+        mhe.setup()
     mhe.x0["xi"], mhe.p_est0["p"] = first.estimate[:3], first.estimate[3:]
     mhe.set_initial_guess()
 
     def solve(problem):
-        given["m"], given["H"], given["z_0"] = problem.m, np.linalg.inv(problem.P).ravel(), problem.z[:3, 0]
+        given.master = ca.DM(np.concatenate([problem.m, problem.H.ravel(), problem.z[:3, 0]]))
         window.master = ca.DM(problem.z[:, 1:].ravel(order="F"))
         pose = mhe.make_step(problem.z[:, -1])
-        return np.append(pose, mhe.p_est0["p"])
+        return np.append(pose, mhe.p_est0["p"].full())
 
     return solve
 
 
 def do_mpc_rhc(first):
     """The term of node 0, which is given, is a constant."""
-    import do_mpc
     robot, N = do_mpc.model.Model("discrete"), len(first.omega_ref)
     xi, omega, p = robot.set_variable("_x", "xi", (3, 1)), robot.set_variable("_u", "omega"), robot.set_variable("_p", "p", (3, 1))
-    xi_ref, omega_ref = robot.set_variable("_tvp", "xi_ref", (3, 1)), robot.set_variable("_tvp", "omega_ref")
+    robot.set_variable("_tvp", "xi_ref", (3, 1))
+    robot.set_variable("_tvp", "omega_ref")
     robot.set_rhs("xi", next_pose(xi, omega, p))
     robot.setup()
 
@@ -133,19 +143,21 @@ def do_mpc_rhc(first):
     given, varying = mpc.get_p_template(1), mpc.get_tvp_template()
     mpc.set_p_fun(lambda t: given)
     mpc.set_tvp_fun(lambda t: varying)
-    mpc.setup()
+    with quiet():
+        mpc.setup()
     mpc.x0["xi"] = first.estimate[:3]
     mpc.set_initial_guess()
+    plan = mpc.opt_x.f["_u"]   # where it is among the unknowns
 
     def solve(problem):
         given["_p", 0] = problem.estimate[3:]
         varying.master = ca.DM(np.vstack([problem.xi_ref, np.append(problem.omega_ref, 0)]).ravel(order="F"))
         mpc.make_step(problem.estimate[:3])
-        return np.array(mpc.opt_x_num["_u", :, 0]).ravel()
+        return mpc.opt_x_num.cat.full()[plan, 0]
 
     return solve
 
 
 PEERS = {"Opti + IPOPT": (opti_rhe, opti_rhc)}
-if importlib.util.find_spec("do_mpc"):
+if do_mpc:
     PEERS["do-mpc"] = (do_mpc_rhe, do_mpc_rhc)

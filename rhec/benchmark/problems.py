@@ -10,24 +10,22 @@ from rhec.rhc import RHC
 from rhec.rhe import RHE
 from rhec.scenario import Scenario
 
-ITERATIONS = 20
-
 
 class Problem(NamedTuple):
-    """One sample, and the optimum of its two nonlinear problems, which rhec finds by iterating."""
+    """One sample, and the optimum of its two nonlinear problems."""
 
     z: np.ndarray            # (4, N+1) the window of measurements, the newest last
     m: np.ndarray            # (6,) mean of the arrival cost
-    P: np.ndarray            # (6, 6) its covariance
+    H: np.ndarray            # (6, 6) its weight
     estimate: np.ndarray     # (6,) answer: x, y, θ, ν, μ, κ at the newest node; also what the controller starts from
     xi_ref: np.ndarray       # (3, N+1)
     omega_ref: np.ndarray    # (N,)
     omega_plan: np.ndarray   # (N,) answer
 
 
-def scenario(samples, horizon):
-    """The run that supplies `samples` samples with a full window."""
-    return Scenario(reading="calibrated", duration_s=(horizon + samples) * paper.DT_S)
+def drive(samples, horizon=paper.HORIZON):
+    """A run with so many samples after the window has filled up."""
+    return simulate(Scenario(reading="calibrated", duration_s=(horizon + samples) * paper.DT_S))
 
 
 def measured(run):
@@ -35,14 +33,14 @@ def measured(run):
     return run.log[["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]].to_numpy()
 
 
-def contestants(run, horizon=paper.HORIZON):
-    """rhec's estimator and controller, at the beginning of this run."""
+def live(run, horizon=paper.HORIZON):
+    """rhec's estimator and controller as they begin this run."""
     guess = (*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], run.scenario.speed_mps, 1.0, 1.0)
     return RHE(reading=run.scenario.reading, horizon=horizon, guess=guess), RHC(horizon=horizon)
 
 
 def references(run, horizon):
-    """estimate (6,), measured yaw rate -> xi_ref (3, N+1), omega_ref (N,) on this run's path, sample by sample."""
+    """The function (estimate (6,), measured yaw rate) -> xi_ref (3, N+1), omega_ref (N,) that follows this run's path."""
     call = compiled.Bound(compiled.load(path.functions, paper.DT_S, horizon, len(run.path.segments))["references"])
     call.set(segments=run.path.segments.T, period_m=run.path.period_m)
 
@@ -55,18 +53,17 @@ def references(run, horizon):
     return refer
 
 
-def record(run, horizon=paper.HORIZON):
-    """The problems of a run, from the first full window on."""
-    (estimator, controller), refer, problems = contestants(run, horizon), references(run, horizon), []
-    z = measured(run)
+def record(run, horizon=paper.HORIZON, iterations=20):
+    """The problems of a run, from the first full window on, each iterated so often."""
+    (estimator, controller), refer, z, problems = live(run, horizon), references(run, horizon), measured(run), []
     for k, newest in enumerate(z):
         estimator.prepare()
-        estimate = np.array(estimator.solve(newest, ITERATIONS)[:6])
+        estimate = np.array(estimator.solve(newest, iterations)[:6])
         xi_ref, omega_ref = refer(estimate, newest[3])
         controller.prepare()
-        controller.solve(estimate[:3], estimate[3:], xi_ref, omega_ref, ITERATIONS)
+        controller.solve(estimate[:3], estimate[3:], xi_ref, omega_ref, iterations)
         if k >= horizon:
             arrival = estimator.iteration.current
-            problems.append(Problem(z[k - horizon:k + 1].T.copy(), arrival["m"].copy(), arrival["P"].reshape(6, 6).copy(), estimate,
+            problems.append(Problem(z[k - horizon:k + 1].T.copy(), arrival["m"].copy(), np.linalg.inv(arrival["P"].reshape(6, 6)), estimate,
                                     xi_ref, omega_ref, controller.omega_plan))
     return problems
