@@ -102,6 +102,19 @@ def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
     return ca.fabs(gradient_along_step) + ca.sum1(ca.vec(ca.fabs(multipliers * bound)))
 
 
+def put(name, value, array):
+    """Copy an argument into its array, or say in one sentence why it does not fit."""
+    shape = getattr(value, "shape", None)
+    if shape is None and isinstance(value, tuple) and len(value) == len(array) and array.ndim == 1:
+        for i, number in enumerate(value):   # a few numbers: faster than making an array of them
+            array[i] = number
+        return
+    shape = np.shape(value) if shape is None else shape
+    if shape != array.shape:
+        raise ValueError(f"{name} had shape {shape}; it should have {array.shape}")
+    array[...] = value
+
+
 class Iteration:
     """The four phases on shared NumPy arrays, compiled: what the RHE and RHC objects are made of.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from rhec import compiled, gauss_newton, model, paper, riccati
 from rhec.function import folded, function, only
-from rhec.gauss_newton import transition
+from rhec.gauss_newton import put, transition
 from rhec.validation import NotNegative, Positive, Solver, Weights, Intervals, checked
 
 JOINT = 6   # s = (x, y, θ, ν, μ, κ)
@@ -161,10 +161,11 @@ class RHC:
         return self.iteration.arrays["omega_plan"][0].item()
 
     def _given(self, pose, p, xi_ref, omega_ref):
-        for array, name, value in zip(self._inputs, ("pose", "p", "xi_ref", "omega_ref"), (pose, p, xi_ref, omega_ref)):
-            if getattr(value, "shape", None) != array.shape and np.shape(value) != array.shape:
-                raise ValueError(f"{name} had shape {np.shape(value)}; it should have {array.shape}")
-            array[...] = value
+        to_pose, to_p, to_xi_ref, to_omega_ref = self._inputs
+        put("pose", pose, to_pose)
+        put("p", p, to_p)
+        put("xi_ref", xi_ref, to_xi_ref)
+        put("omega_ref", omega_ref, to_omega_ref)
         if not self.iteration.started:
             self.iteration.start(start(pose, p, self.horizon))
 

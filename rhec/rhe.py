@@ -17,7 +17,7 @@ import numpy as np
 
 from rhec import compiled, gauss_newton, kalman, model, paper
 from rhec.function import folded, function, only
-from rhec.gauss_newton import transition
+from rhec.gauss_newton import put, transition
 from rhec.kalman import symmetric, valid
 from rhec.scenario import SIGMA_W
 from rhec.validation import ArrivalMean, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, checked
@@ -282,11 +282,10 @@ class RHE:
         return self._estimate()
 
     def _given(self, z):
-        if getattr(z, "shape", None) != (4,) and np.shape(z) != (4,):
-            raise ValueError(f"z had shape {np.shape(z)}; it should have (4,): x, y, ν, ω")
-        self.iteration.arrays["z_N"][:] = z
+        put("z", z, self.iteration.arrays["z_N"])
         if not self.iteration.started:
             guess, sigma = self.guess, list(paper.SIGMA_W_RHE)
+            z = self.iteration.arrays["z_N"]
             readable = np.abs(z) <= kalman.Z_MAX
             if guess is None:
                 x, y, nu, _ = np.where(readable, z, 0.0)
