@@ -30,6 +30,8 @@ def fold(functions, memory, stream, settings):
     stream = np.ascontiguousarray(stream, dtype=float)
     memory, spare, done = memory.copy(), memory.copy(), 0
     for function, length in ((functions["block"], BLOCK), (functions["step"], 1)):
+        if done + length > len(stream):
+            continue
         call = compiled.Bound(function)
         call.set(**settings)
         memory_in, stream_in, *_ = function.name_in()

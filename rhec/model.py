@@ -7,6 +7,7 @@ not move. The paper takes the speed ν as one such constant (`speed_model="param
 measured input of each interval instead (reading R13).
 """
 
+import functools
 from typing import NamedTuple
 
 import casadi as ca
@@ -41,6 +42,7 @@ class Interval(NamedTuple):
     traction: tuple          # places of (μ, κ) in s
 
 
+@functools.cache
 def interval(speed_model="parameter"):
     """The shooting interval for a speed model: s = (ξ, ν, μ, κ), v = ω, or s = (ξ, μ, κ), v = (ν, ω)."""
     dt_s = ca.SX.sym("dt_s")
