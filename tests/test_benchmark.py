@@ -80,7 +80,7 @@ def test_the_step_is_measured_and_drawn(monkeypatch):
     monkeypatch.setattr(step, "SAMPLES", 20)
     agreeing, table = step.measure(rounds=2)
     whole = table[table["problem"].isin(step.WHOLE)].set_index("contestant")
-    assert set(whole.index) == {"rhec, closed loop", "rhec, one iteration", "rhec, to convergence", *peers.PEERS}
+    assert set(whole.index) == {"rhec, closed loop", "rhec, one iteration", "rhec, compiled code alone", "rhec, to convergence", *peers.PEERS}
     assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
     if step.REFERENCE in peers.PEERS:
         assert whole.loc[step.REFERENCE, step.SPEEDUP] == 1
