@@ -14,7 +14,7 @@ BLOCK = 16
 
 def functions(step):
     """{step, block}: the step, and BLOCK of them in one Function."""
-    symbols = [ca.MX.sym(name, sparsity) for name, sparsity in zip(step.name_in(), map(step.sparsity_in, step.name_in()))]
+    symbols = step.mx_in()
     memory, stream, rows = symbols[0], ca.MX.sym("stream", step.size1_in(1), BLOCK), []
     for given in ca.horzsplit(stream):
         memory, row, *_ = step.call([memory, given, *symbols[2:]])

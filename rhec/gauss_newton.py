@@ -1,8 +1,8 @@
 """What RHE and RHC share: one generalised Gauss-Newton iteration on a multiple-shooting problem (paper, Sec. Solution Methods).
 
 Both problems are least squares over trajectories s_0 … s_N, v_0 … v_{N-1} of the same interval s⁺ = F(s, v). Linearised at the
-previous solution (s̄, v̄) the dynamics are s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (v_i - v̄_i); everything unbounded is then eliminated, and
-what is left is a small dense QP with bounds only.
+previous solution (s̄, v̄) the dynamics are s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (v_i - v̄_i); what is unbounded
+is then eliminated, and what is left is a QP with bounds only: in (μ, κ) for the RHE, in the inputs for the RHC (condensed here, or by stages in `riccati`).
 
 Each sample has four phases, each a Function of its own in `rhe` and `rhc`:
     shift      the horizon moves on by one sample, the previous solution with it (warm start)
@@ -17,7 +17,6 @@ import casadi as ca
 import numpy as np
 
 from rhec import compiled
-
 
 # DAQP is asked for more than its usual tolerance, so that all solvers give the same answer to 1e-8.
 QP_SOLVERS = {

@@ -1,4 +1,4 @@
-"""The RHC's QP for long horizons, by its stages instead of condensed: time grows with N, not N³.
+"""The RHC's QP by its stages instead of condensed: time grows with N, not N³, and is less at every horizon.
 
     min  ½ Σ_{i=1..N} ξ_i' Q_i ξ_i + Σ_{i=0..N-1} (½ R v_i² + g_i v_i)    s.t. ξ_0 = 0, ξ_{i+1} = A_i ξ_i + B_i v_i, lower_i ≤ v_i ≤ upper_i
 
