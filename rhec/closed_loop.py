@@ -35,6 +35,7 @@ class Structure(NamedTuple):
     horizon_rhe: int
     speed_model: str
     arrival_mean: str
+    robust: bool
     input_reference: str
     qp: str
     n_segments: int
@@ -45,14 +46,15 @@ def functions(*structure):
     """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), ready to be folded."""
     structure = Structure(*structure)
     measure, drive = robot.measure(paper.DT_S), robot.drive(paper.DT_S)
-    estimate_step = estimators.step(structure.estimator, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp)
+    estimate_step = estimators.step(structure.estimator, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp,
+                                     structure.robust)
     references = path.functions(paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference)["references"]
     control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
     slip = terrain.lookup(structure.terrain_shape)
 
     memory = robot.MEMORY | dict(estimator=(estimate_step.numel_in(0), 1), s=(1, 1), controller=(control.numel_in(0), 1), command=(1, 1))
     settings = (robot.SENSORS | robot.BODY | dict(
-        V=(4, 1), W=(estimate_step.size1_in("W") if "W" in estimate_step.name_in() else 1, 1),
+        **{name: (estimate_step.size1_in(name) if name in estimate_step.name_in() else unused, 1) for name, unused in (("V", 4), ("W", 1))},
         segments=(5, structure.n_segments), period_m=(1, 1), look_ahead_m=(1, 1), backwards=(1, 1),
         Q=(3, 1), QN=(3, 1), R=(1, 1), omega_max=(1, 1), speed_mps=(1, 1), command_delay=(1, 1), origin_m=(2, 1), cell_m=(1, 1),
         slip=(slip.numel_in("slip"), 1)))
@@ -71,7 +73,8 @@ def functions(*structure):
         outputs = dict(zip(["memory", "estimate", *estimate_step.name_out()[2:]], estimate_step.call(inputs)))
         estimate = outputs["estimate"]
 
-        omega_measured = ca.if_else(valid(z, 3), z[3], command)
+        believed = outputs.get("z_used", z)
+        omega_measured = ca.if_else(valid(believed, 3), believed[3], command)
         target = references(**only(references, settings), s=s, estimate=estimate, omega_measured=omega_measured)
         planned = control(**only(control, settings), memory=controller, s_0=estimate, xi_ref=target["xi_ref"], omega_ref=target["omega_ref"])
         newest = planned["command"]
@@ -113,7 +116,7 @@ def world(scenario):
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
     structure = Structure(estimators.identity(scenario.estimator), scenario.horizon, scenario.horizon_rhe, scenario.speed_model,
-                          scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
+                          scenario.arrival_mean, scenario.robust, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
     memory = robot.start(pose, speed_mps) | dict(
         estimator=estimators.first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
         controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0)
@@ -121,7 +124,7 @@ def world(scenario):
     settings = dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow), gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
         gnss_slow_time_s=scenario.gnss_slow_time_s, track_width_m=scenario.track_width_m, encoder_sigma_mps=scenario.encoder_sigma_mps,
-        bump_sigma_radps=scenario.bump_sigma_radps, V=np.square(scenario.sigma_v), W=np.square(estimators.sigma_w(scenario)),
+        bump_sigma_radps=scenario.bump_sigma_radps, **estimators.variances(scenario),
         segments=target.segments.T, period_m=target.period_m, look_ahead_m=scenario.look_ahead_m, backwards=float(scenario.backwards),
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
