@@ -4,6 +4,7 @@
 """
 
 import argparse
+import asyncio
 import contextlib
 import functools
 import hashlib
@@ -19,6 +20,7 @@ import sys
 import textwrap
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, is_dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -36,7 +38,8 @@ from rhec.validation import Whole, checked
 CHUNK = 40_000     # closed-loop samples a worker takes at a time: about a second, which is also what an interruption loses
 MANY = 500_000     # samples that take one core longer than local workers take to start
 AT_ONCE = 3        # chunks handed out for each worker's thread, so that none waits for the next
-PATIENCE_S = 10.0  # for a scheduler to answer, and for the last worker to be replaced
+PATIENCE_S = 10.0  # for a scheduler to answer
+WORKERS_S = 60.0   # for a worker to come where there is none, or to replace the last
 
 
 @checked
@@ -185,15 +188,25 @@ def cluster(workers, samples):
     if workers is None and address:
         from distributed import Client
         try:
+            with ThreadPoolExecutor(1) as thread:   # a notebook has an event loop of its own, and a Client that finds no one leaves threads behind
+                thread.submit(asyncio.run, greet(address)).result()
             client = Client(address, timeout=PATIENCE_S, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise ConnectionError(f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered there within {PATIENCE_S:g} s") from error
+        except Exception as error:   # whatever may be at a wrong address
+            raise ConnectionError(f"DASK_SCHEDULER_ADDRESS was {address!r}; no Dask scheduler answered there within {PATIENCE_S:g} s") from error
         with client:
             yield client
     elif workers is None and (samples < MANY or dask.system.CPU_COUNT < 2):
         yield None
     else:
         yield local(workers or dask.system.CPU_COUNT)
+
+
+async def greet(address):
+    """Connect to a scheduler and leave."""
+    from distributed.comm import connect
+    from distributed.security import Security
+    comm = await connect(address, timeout=PATIENCE_S, **Security().get_connection_args("client"))
+    await comm.close()
 
 
 STARTED = {}   # {workers: client} of the cluster on this machine, once there is one
@@ -279,8 +292,8 @@ def first(client, ready):
             return ready.get(timeout=1)
         if client.nthreads():
             alone_since = time.monotonic()
-        elif time.monotonic() - alone_since > PATIENCE_S:
-            raise ConnectionError(f"the scheduler at {client.scheduler.address} has had no worker for {PATIENCE_S:g} s")
+        elif time.monotonic() - alone_since > WORKERS_S:
+            raise ConnectionError(f"the scheduler at {client.scheduler.address} has had no worker for {WORKERS_S:g} s")
 
 
 # What is kept

@@ -112,8 +112,9 @@ def world(scenario):
                      theta + scenario.start_yaw_rad + np.pi * scenario.backwards])
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
+    shape = terrain.common_shape(soil)
     structure = Structure(estimators.identity(scenario.estimator), scenario.horizon, scenario.horizon_rhe, scenario.speed_model,
-                          scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
+                          scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), shape)
     memory = robot.start(pose, speed_mps) | dict(
         estimator=estimators.first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
         controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0)
@@ -125,7 +126,7 @@ def world(scenario):
         segments=target.segments.T, period_m=target.period_m, look_ahead_m=scenario.look_ahead_m, backwards=float(scenario.backwards),
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
-        slip=terrain.flat(soil))
+        slip=terrain.flat(soil, shape))
     return World(structure, vector(memory), settings, target, soil)
 
 

@@ -97,9 +97,16 @@ def lookup(shape):
     return ca.Function("slip", [xy, origin_m, cell_m, slip], [grid(place, slip)], ["xy", "origin_m", "cell_m", "slip"], ["traction"])
 
 
-def flat(terrain):
-    """Both fields in the order `lookup` reads them."""
-    return np.stack([terrain.mu, terrain.kappa]).ravel(order="F")
+def flat(terrain, shape=None):
+    """Both fields in the order `lookup` reads them, continued to a larger grid of this shape as they are beyond their edges."""
+    fields = np.stack([terrain.mu, terrain.kappa])
+    more = [(0, wanted - given) for wanted, given in zip(shape or terrain.mu.shape, terrain.mu.shape)]
+    return np.pad(fields, [(0, 0), *more], mode="edge").ravel(order="F")
+
+
+def common_shape(terrain, step=64):
+    """The next of a few grid shapes, so that a path or a start of another size needs no compiling."""
+    return tuple(-(-points // step) * step for points in terrain.mu.shape)
 
 
 def beta_from_gaussian(gaussian, mean, deviation):
