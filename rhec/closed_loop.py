@@ -115,8 +115,9 @@ def world(scenario):
                      theta + scenario.start_yaw_rad + np.pi * scenario.backwards])
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
+    shape = terrain.common_shape(soil)
     structure = Structure(estimators.identity(scenario.estimator), scenario.horizon, scenario.horizon_rhe, scenario.speed_model,
-                          scenario.arrival_mean, scenario.robust, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
+                          scenario.arrival_mean, scenario.robust, scenario.input_reference, scenario.qp, len(target.segments), shape)
     memory = robot.start(pose, speed_mps) | dict(
         estimator=estimators.first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
         controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0)
@@ -128,7 +129,7 @@ def world(scenario):
         segments=target.segments.T, period_m=target.period_m, look_ahead_m=scenario.look_ahead_m, backwards=float(scenario.backwards),
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
-        slip=terrain.flat(soil))
+        slip=terrain.flat(soil, shape))
     return World(structure, vector(memory), settings, target, soil)
 
 
@@ -195,7 +196,7 @@ def metrics(columns, poses):
         violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
         rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]), rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
-        omega_max_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=c.ok.all())
+        omega_peak_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=c.ok.all())
     return {name: value.item() for name, value in values.items()}   # plain numbers, whatever NumPy made of them
 
 

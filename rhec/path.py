@@ -68,7 +68,7 @@ class Path:
             left = (xy - (x, y)) @ (-np.sin(theta), np.cos(theta))
             if c:
                 along = np.arctan2(abs(c) * along, 1 - c * left) % (2 * pi) / abs(c)
-            for candidate in (np.clip(along, 0, length), 0.0, length):   # beyond an arc either end may be the closest
+            for candidate in (np.clip(along, 0, length), 0.0)[: 2 if c else 1]:   # beyond an arc its beginning may be closer than its end
                 px, py, _ = advance(x, y, theta, c, candidate, np)
                 distance = np.hypot(xy[:, 0] - px, xy[:, 1] - py)
                 better = distance < best_distance - 1e-9   # of equals, the first
