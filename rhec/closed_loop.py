@@ -13,7 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec import compiled, estimators, fold, paper, path, rhc, robot, terrain
+from rhec import compiled, estimators, faults, fold, paper, path, rhc, robot, terrain
 from rhec.function import folded, only, size, unpack, vector
 from rhec.kalman import valid
 from rhec.scenario import Scenario
@@ -39,6 +39,7 @@ class Structure(NamedTuple):
     qp: str
     n_segments: int
     terrain_shape: tuple
+    faulty: bool            # sensors with faults: what is not there costs nothing
 
 
 def functions(*structure):
@@ -49,8 +50,11 @@ def functions(*structure):
     references = path.functions(paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference)["references"]
     control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
     slip = terrain.lookup(structure.terrain_shape)
+    deliver = faults.deliver()
+    sensors = faults.MEMORY if structure.faulty else {}
+    stream = robot.NOISE | (faults.STREAM if structure.faulty else {})
 
-    memory = robot.MEMORY | dict(estimator=(estimate_step.numel_in(0), 1), s=(1, 1), controller=(control.numel_in(0), 1), command=(1, 1))
+    memory = robot.MEMORY | dict(estimator=(estimate_step.numel_in(0), 1), s=(1, 1), controller=(control.numel_in(0), 1), command=(1, 1)) | sensors
     settings = (robot.SENSORS | robot.BODY | dict(
         V=(4, 1), W=(estimate_step.size1_in("W") if "W" in estimate_step.name_in() else 1, 1),
         segments=(5, structure.n_segments), period_m=(1, 1), look_ahead_m=(1, 1), backwards=(1, 1),
@@ -58,12 +62,14 @@ def functions(*structure):
         slip=(slip.numel_in("slip"), 1)))
 
     def sample(pose, tracks, integral, drift, encoders, estimator, s, controller, command, noise, **settings):
-        noise = unpack(noise, robot.NOISE)
+        noise = unpack(noise, stream)
         traction = slip(pose[:2], settings["origin_m"], settings["cell_m"], settings["slip"])
         nu, omega = robot.body_speeds(tracks, settings["track_width_m"])
         truth = ca.vertcat(pose, nu, traction)
 
         measured = measure(**only(measure, noise | settings), pose=pose, drift=drift, encoders=encoders)
+        if structure.faulty:
+            measured |= deliver(**only(deliver, measured | noise | settings))
         z = measured["z"]
 
         known = settings | dict(truth=truth, traction=traction if structure.estimator == "traction_oracle" else ca.DM.ones(2))
@@ -82,9 +88,9 @@ def functions(*structure):
                    kkt_rhe=outputs.get("kkt", ca.DM.nan(1)), kkt_rhc=planned["kkt"], deviance=outputs.get("deviance", ca.DM.nan(1)),
                    ok=ca.fmin(outputs.get("ok", 1), planned["ok"]))
         return dict(row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"], estimator=outputs["memory"], s=target["s"],
-                    controller=planned["memory"], command=newest, **driven)
+                    controller=planned["memory"], command=newest, **driven, **{name: measured[name] for name in sensors})
 
-    sample = folded("sample", sample, memory, dict(noise=(size(robot.NOISE), 1)) | settings)
+    sample = folded("sample", sample, memory, dict(noise=(size(stream), 1)) | settings)
     return fold.functions(sample)
 
 
@@ -113,10 +119,10 @@ def world(scenario):
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
     structure = Structure(estimators.identity(scenario.estimator), scenario.horizon, scenario.horizon_rhe, scenario.speed_model,
-                          scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
+                          scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape, bool(scenario.faults))
     memory = robot.start(pose, speed_mps) | dict(
         estimator=estimators.first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
-        controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0)
+        controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0) | (faults.start() if scenario.faults else {})
     slow = scenario.gnss_slow_share
     settings = dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow), gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
@@ -132,6 +138,12 @@ def world(scenario):
 def draw_noise(seed, samples):
     """Standard normal noise (samples, n) of a seed; the first rows do not depend on how many are drawn."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 1)))).standard_normal((samples, size(robot.NOISE)))
+
+
+def inputs(scenario, samples):
+    """The stream that a run is folded over: noise, and what the sensors' faults do, one row a sample."""
+    noise = draw_noise(scenario.seed, samples)
+    return np.hstack([noise, faults.stream(scenario.faults, samples, paper.DT_S, scenario.seed)]) if scenario.faults else noise
 
 
 @dataclass(frozen=True)
@@ -157,10 +169,11 @@ def simulate(scenario):
         raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
     made = world(scenario)
     samples = round(scenario.duration_s / paper.DT_S)
-    _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, draw_noise(scenario.seed, samples), made.settings)
+    _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, inputs(scenario, samples), made.settings)
     columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))
     columns["ok"] = columns["ok"] == 1
-    columns["error_m"], _ = made.path.project(rows[:, [COLUMNS.index("x_meas_m"), COLUMNS.index("y_meas_m")]])
+    measured = rows[:, [COLUMNS.index("x_meas_m"), COLUMNS.index("y_meas_m")]]
+    columns["error_m"], _ = made.path.project(np.where(np.isfinite(measured).all(axis=1, keepdims=True), measured, np.nan))
     columns["error_true_m"], s = made.path.project(rows[:, [COLUMNS.index("x_m"), COLUMNS.index("y_m")]])
     poses, curvatures = made.path.poses(s)
     columns["on_straight"] = curvatures == 0
@@ -171,8 +184,8 @@ def metrics(columns, poses):
     """What is reported of a run with these log columns whose closest path points are `poses` (n, 3); errors in m, times in s.
 
     The robot has arrived when its true error stays within the tolerance for 5 s; errors and violations count from the end of these 5 s, and on the
-    whole run of a robot that never arrives. `mean_error_m` is the paper's: raw GNSS to the path (reading R11). Overshoot: how far beyond
-    the path, seen from the start, the robot gets on the first row.
+    whole run of a robot that never arrives. `mean_error_m` is the paper's: raw GNSS to the path (reading R11), over the samples that have a
+    position. Overshoot: how far beyond the path, seen from the start, the robot gets on the first row.
     """
     c = SimpleNamespace(**columns)
     hold = round(5 / paper.DT_S)
@@ -186,8 +199,8 @@ def metrics(columns, poses):
     omega = np.abs(c.omega_cmd_radps)
     values = dict(
         arrival_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
-        mean_error_m=c.error_m[after].mean(), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
-        mean_error_from_start_m=c.error_m.mean(),
+        mean_error_m=np.nanmean(c.error_m[after]), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
+        mean_error_from_start_m=np.nanmean(c.error_m),
         violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
         violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
