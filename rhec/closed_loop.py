@@ -24,6 +24,7 @@ LOG = dict(truth=("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"), omega=("o
            estimate=("x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"),
            command=("omega_cmd_radps",), s=("s_m",), curvature=("curvature_radpm",), kkt_rhe=("kkt_rhe",), kkt_rhc=("kkt_rhc",),
            deviance=("deviance",), ok=("ok",))
+HOLD = round(5 / paper.DT_S)   # samples: who stays within the tolerance so long has arrived
 COLUMNS = [column for columns in LOG.values() for column in columns]
 
 
@@ -188,11 +189,9 @@ def metrics(columns, poses):
     position. Overshoot: how far beyond the path, seen from the start, the robot gets on the first row.
     """
     c = SimpleNamespace(**columns)
-    hold = round(5 / paper.DT_S)
-    inside = c.error_true_m < paper.TOLERANCE_M
-    stays = np.flatnonzero(np.convolve(inside, np.ones(hold), "valid") == hold) if len(inside) > hold else []
+    stays = staying(c.error_true_m)
     arrived = len(stays) > 0
-    after = slice(stays[0] + hold if arrived and stays[0] + hold < len(inside) else 0, None)
+    after = slice(stays[0] + HOLD if arrived and stays[0] + HOLD < len(c.t_s) else 0, None)
     straight = c.on_straight[after]
     left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
     first_row = left[: np.argmin(c.on_straight) or None]
@@ -207,6 +206,12 @@ def metrics(columns, poses):
         rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]), rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
         omega_max_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=c.ok.all())
     return {name: value.item() for name, value in values.items()}   # plain numbers, whatever NumPy made of them
+
+
+def staying(error_m):
+    """The samples from which on the error (n,) stays within the tolerance for 5 s."""
+    inside = error_m < paper.TOLERANCE_M
+    return np.flatnonzero(np.convolve(inside, np.ones(HOLD), "valid") == HOLD) if len(inside) > HOLD else np.array([], dtype=int)
 
 
 def rms(values):
