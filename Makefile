@@ -1,5 +1,5 @@
 PYTHON ?= python3
-NOTEBOOKS := robot_and_terrain scenario_a scenario_b computation_times
+NOTEBOOKS := robot_and_terrain scenario_a scenario_b faults computation_times
 
 PY := .venv/bin/python
 READY := .venv/ready

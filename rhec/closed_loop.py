@@ -198,8 +198,8 @@ def metrics(columns, poses):
     omega = np.abs(c.omega_cmd_radps)
     values = dict(
         arrival_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
-        mean_error_m=np.nanmean(c.error_m[after]), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
-        mean_error_from_start_m=np.nanmean(c.error_m),
+        mean_error_m=mean_of_known(c.error_m[after]), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
+        mean_error_from_start_m=mean_of_known(c.error_m),
         violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
         violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
@@ -212,6 +212,12 @@ def staying(error_m):
     """The samples from which on the error (n,) stays within the tolerance for 5 s."""
     inside = error_m < paper.TOLERANCE_M
     return np.flatnonzero(np.convolve(inside, np.ones(HOLD), "valid") == HOLD) if len(inside) > HOLD else np.array([], dtype=int)
+
+
+def mean_of_known(values):
+    """Their mean without those that are NaN; NaN of none."""
+    known = values[~np.isnan(values)]
+    return known.mean() if len(known) else np.float64(np.nan)
 
 
 def rms(values):

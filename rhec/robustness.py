@@ -15,6 +15,7 @@ from rhec.faults import Fault
 BEFORE_S, AFTER_S = 10.0, 60.0   # what is looked at around a fault
 FIRST_S, LAST_S = 40.0, 130.0    # faults begin between these times: the robot has arrived, and drives on for AFTER_S
 BURST_S, LONG_S, FROM_START_S = 5.0, 30.0, 120.0
+AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""
 WET = dict(radius_m=3.0, mu=0.9, kappa=0.3)
 
 
