@@ -16,8 +16,10 @@ from rhec.validation import NotNegative, Positive, Real, validated
 
 PAST = 5   # earlier measurements that the closed loop keeps
 DELAY_MAX_S = 1.0
+KINDS = ("missing", "infinite", "outliers", "jump", "stuck", "duplicates", "disorder", "latency", "rate", "dead")
 SIZES = {"jump": "size_m", "outliers": "size_m", "latency": "delay_s", "rate": "rate_hz"}   # what a kind must be told
 CHANNELS = {"gnss": (0,), "encoders": (1,), "all": (0, 1)}                                # position, track speeds
+OWN_CHANNELS = {"outliers": ("gnss",), "jump": ("gnss",), "dead": ("left", "right", "encoders")}   # of kinds that cannot hit every one of these
 
 MEMORY = dict(past=(4, PAST), held=(4, 1))
 STREAM = dict(age=(2, 1), hold=(2, 1), dead=(2, 1), added=(4, 1))   # one sample
@@ -36,7 +38,7 @@ class Fault:
     channel    "gnss", "encoders" or "all"; for "dead" it is "left", "right" or "encoders", and outliers and jumps are the GNSS's alone
     """
 
-    kind: Literal["missing", "infinite", "outliers", "jump", "stuck", "duplicates", "disorder", "latency", "rate", "dead"]
+    kind: Literal[KINDS]
     channel: Literal["gnss", "encoders", "all", "left", "right"] = "gnss"
     start_s: Real = 0.0
     duration_s: NotNegative = 1e9
@@ -45,7 +47,7 @@ class Fault:
     rate_hz: Positive | None = None
 
     def __post_init__(self):
-        allowed = {"dead": ("left", "right", "encoders"), "outliers": ("gnss",), "jump": ("gnss",)}.get(self.kind, tuple(CHANNELS))
+        allowed = OWN_CHANNELS.get(self.kind, tuple(CHANNELS))
         if self.channel not in allowed:
             raise ValueError(f"channel was {self.channel!r}; for the kind {self.kind!r} it should be one of {allowed}")
         for name in ("size_m", "delay_s", "rate_hz"):
