@@ -1,5 +1,6 @@
 PYTHON ?= python3
-NOTEBOOKS := robot_and_terrain scenario_a scenario_b computation_times
+SAMPLES ?= 10000000
+NOTEBOOKS := robot_and_terrain scenario_a scenario_b faults computation_times
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -11,7 +12,7 @@ ifeq ($(MAKECMDGOALS),figures)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures test bench lab lock clean
+.PHONY: help figures test bench soak lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -24,6 +25,9 @@ test: $(READY) ## run the tests
 
 bench: .venv/peers ## compare computation times with other tools, some minutes; tables and pictures land in figures/
 	@$(PY) -m rhec.benchmark
+
+soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sensors, by default ten million (23 days), in some ten minutes
+	@$(PY) -m rhec.soak --samples $(SAMPLES)
 
 lab: $(READY) ## open the notebooks in JupyterLab
 	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \

@@ -6,6 +6,7 @@ import casadi as ca
 from pydantic import Field
 
 from rhec import estimators, paper
+from rhec.faults import Fault
 from rhec.path import Path
 from rhec.terrain import Terrain
 from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, Whole,
@@ -52,6 +53,7 @@ class Scenario:
                            time constant gnss_slow_time_s (R4)
         encoder_sigma_mps  of one track at 50 Hz; bump_sigma_radps: yaw rate a bump adds for one sample
         track_width_m      b
+        faults             (rhec.Fault, …): what is wrong with the sensors, and when
         seed               fixes terrain and noise together
     """
 
@@ -98,6 +100,7 @@ class Scenario:
     encoder_sigma_mps: NotNegative = paper.ENCODER_SIGMA_MPS
     bump_sigma_radps: NotNegative = 0.02
     track_width_m: Positive = paper.TRACK_WIDTH_M
+    faults: tuple[Fault, ...] = ()
     seed: Annotated[Whole, Field(ge=0)] = 0
 
     def __post_init__(self):
