@@ -1,6 +1,6 @@
 """The log that the project ships: the simulated robot driven open loop, recorded as a real robot's logger would.
 
-Forward, backward, standing still and turning on the spot, at changing speeds, on a slip field with a wet patch, in two pieces. Ten rows a second, with a
+Forward, backward, standing still and turning on the spot, at changing speeds, on a slip field, in two pieces. Ten rows a second, with a
 new position in every other one; between them the last position is repeated and pos_ok is 0. `python -m rhec.example_log` makes the file again.
 """
 
@@ -18,8 +18,7 @@ FILE = Path(__file__).parents[1] / "data" / "example_log.csv"
 DT_S = 0.1
 SEED = 2018
 GNSS_SIGMA_M = 0.02
-WET = (9.0, 2.0, 3.0, 0.7, 0.5)   # x, y, radius [m], μ, κ
-BOX = (-25.0, 35.0, -30.0, 30.0)  # of the slip field [m]
+BOX = (-25.0, 35.0, -30.0, 30.0)   # of the slip field [m]
 
 # Commands (duration [s], speed [m/s], yaw rate [rad/s]), and the pose where each piece begins
 PIECES = [
@@ -57,7 +56,7 @@ def record(pose, commands, terrain, seed):
 
 def example_log():
     """The whole log, as its file has it."""
-    terrain = Terrain.random(SEED, BOX, (0.9, 0.8), (0.04, 0.08), 4.0, patches=(WET,))
+    terrain = Terrain.random(SEED, BOX, (0.9, 0.8), (0.04, 0.08), 4.0)
     pieces, begin = [], 0.0
     for number, (pose, commands) in enumerate(PIECES):
         piece = record(pose, commands, terrain, SEED + number)
