@@ -1,6 +1,12 @@
 PYTHON ?= python3
 SAMPLES ?= 10000000
-NOTEBOOKS := robot_and_terrain scenario_a scenario_b faults computation_times
+NOTEBOOKS := \
+  robot_and_terrain \
+  scenario_a \
+  scenario_b \
+  faults \
+  replay \
+  computation_times
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -12,7 +18,7 @@ ifeq ($(MAKECMDGOALS),figures)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures test bench soak lab lock clean
+.PHONY: help figures test replay bench soak lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -22,6 +28,12 @@ figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 
 test: $(READY) ## run the tests
 	@$(PY) -m pytest -n auto
+
+# The file's name reaches the shell as data, never as part of a command.
+replay: export REPLAY_LOG = $(value LOG)
+replay: $(READY) ## replay a recorded log: make replay LOG=file.csv; figures and tables land in build/replay/
+	@test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a .csv or .parquet file: make replay LOG=file.csv' >&2; exit 2; }
+	@$(PY) -m rhec.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG"
 
 bench: .venv/peers ## compare computation times with other tools, some minutes; tables and pictures land in figures/
 	@$(PY) -m rhec.benchmark

@@ -29,7 +29,7 @@ def parameters(namespace, **allowed):
 
     To be called with `globals()` right after the cell tagged `parameters`.  Each keyword names a
     parameter and says what it may be: a number `(type, lowest, highest)`, a choice
-    `("one", "other")`, or a list of either, `[(float, 0, 100)]`.
+    `("one", "other")`, any text but an empty one, `str`, or a list of either, `[(float, 0, 100)]`.
     """
     # The first time, all data found here was given as a parameter; later the notebook has its own.
     if "_parameters_checked" not in namespace:
@@ -59,6 +59,8 @@ def _refuse_unknown(namespace, allowed):
 
 
 def _fits(value, spec):
+    if spec is str:
+        return isinstance(value, str) and value != ""
     if isinstance(spec, list):
         return isinstance(value, list | tuple) and value and all(_fits(v, spec[0]) for v in value)
     if isinstance(spec[0], type):
@@ -68,6 +70,8 @@ def _fits(value, spec):
 
 
 def _wanted(spec):
+    if spec is str:
+        return "a text"
     if isinstance(spec, list):
         return f"a list of at least one item, each {_wanted(spec[0])}"
     if isinstance(spec[0], type):

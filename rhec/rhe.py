@@ -29,7 +29,7 @@ SIDE_MPS = 1e-3              # the side slip speed of tracks that stand still
 # Process noise W as standard deviations of (x, y, θ, ν, μ, κ) per sample: to the letter (R2), and as `rhec.calibration` found it on training seeds.
 SIGMA_W = {"printed": paper.SIGMA_W_RHE, "calibrated": (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001)}
 # Where noise is the tracks' slip it grows with the distance d they ran, like √d: of (μ, κ), and of the way of each track and across.
-SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.01, 0.03), 0.035, 0.06   # [1/√m], [m/√m], [m/√m]
+SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.015, 0.03), 0.05, 0.06   # [1/√m], [m/√m], [m/√m]
 # Before the first sample, standard deviations of (x, y, θ, ν, μ, κ, l_f, l_l): the paper's W, and an antenna whose place is known to the millimetre.
 SIGMA_START = (*paper.SIGMA_W_RHE, 1e-3, 1e-3)
 
