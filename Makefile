@@ -11,7 +11,9 @@ ifeq ($(MAKECMDGOALS),figures)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures test bench lab lock clean
+WHAT ?=
+
+.PHONY: help figures test bench campaign lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -24,6 +26,9 @@ test: $(READY) ## run the tests
 
 bench: .venv/peers ## compare computation times with other tools, some minutes; tables and pictures land in figures/
 	@$(PY) -m rhec.benchmark
+
+campaign: $(READY) ## drive a thousand fields, or go on where that stopped; WHAT="-p q [1,1,1] [1,1,0] --seeds 50" says which (--help: how)
+	@$(PY) -m rhec.campaigns $(WHAT)
 
 lab: $(READY) ## open the notebooks in JupyterLab
 	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \

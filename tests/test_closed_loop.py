@@ -209,16 +209,6 @@ def test_a_robot_that_never_arrives_is_judged_on_its_whole_run():
     assert np.isnan(run.metrics["arrival_s"]) and run.metrics["mean_error_m"] == pytest.approx(run.log["error_m"].mean())
 
 
-def test_a_campaign_has_a_row_for_each_scenario_in_order():
-    scenarios = [dataclasses.replace(MINUTE, seed=seed, estimator=estimator) for seed in (5, 2) for estimator in ("rhe", "ekf")]
-    table = rhec.campaign(scenarios)
-    assert list(table["seed"]) == [5, 5, 2, 2] and list(table["estimator"]) == ["rhe", "ekf"] * 2
-    for scenario, (_, row) in zip(scenarios, table.iterrows()):
-        metrics = rhec.simulate(scenario).metrics
-        assert {key: row[key] for key in metrics} == pytest.approx(metrics, nan_ok=True)
-        assert {field.name: row[field.name] for field in dataclasses.fields(scenario)} == dataclasses.asdict(scenario)
-
-
 # What the loop does
 
 @pytest.mark.parametrize("estimator", ["rhe", "ekf", "oracle", "traction_oracle"])
