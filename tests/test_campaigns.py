@@ -280,7 +280,7 @@ def started():
 
     yield start
     for process in processes[::-1]:
-        process.terminate()
+        process.kill()   # they have no children
     for process in processes:
         process.wait(timeout=30)
 
