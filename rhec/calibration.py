@@ -18,7 +18,7 @@ from rhec.scenario import Scenario
 
 TRAINING_SEEDS = range(1000, 1010)
 MEASURED = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]
-UNKNOWNS = {"rhe": 5, "ekf": 3}   # x and y, θ, ν[, μ, κ]
+UNKNOWNS = {"rhe": 5, "ekf": 3, "augmented_ekf": 5}   # x and y, θ, ν[, μ, κ]
 LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
 
 
@@ -51,7 +51,7 @@ def sigma_from(logarithms):
 
 
 def calibrate(estimator, seeds=TRAINING_SEEDS):
-    """Process noise of "rhe" or "ekf" by maximum likelihood on these seeds: standard deviations, rounded to two digits, and the deviance."""
+    """Process noise of "rhe", "ekf" or "augmented_ekf" by maximum likelihood on these seeds: standard deviations, rounded to two digits, and the deviance."""
     runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in seeds]
     unknowns = UNKNOWNS[estimator]
     result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs), np.full(unknowns, np.log(0.03)), method="Powell",
