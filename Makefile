@@ -5,6 +5,8 @@ NOTEBOOKS := \
   scenario_a \
   scenario_b \
   claims \
+  multiverse \
+  readings_audit \
   faults \
   replay \
   computation_times
