@@ -57,7 +57,7 @@ def _against_the_bound(ours, low, high, above, below, verdict):
     return places / (np.nanmax(np.abs(places)) or 1)
 
 
-LEFT, LINE, RIGHT, SIGN = 54.0, 61.5, 69.0, 50.8   # of the figure's width, in hundredths: the intervals' panel, its bound, the verdict's sign
+SIGN, LINE, RIGHT, PAPER = 44.5, 54.5, 62.0, 72.0   # across the figure, in hundredths: the verdict's sign, the bound, the end of the intervals' panel
 
 
 def _sign(axes, x, y, kind):
@@ -104,14 +104,14 @@ def verdicts(table):
         axes.text(4.0, place, row.claim, **text)
         _sign(axes, SIGN, place, kind)
         _intervals(axes, place, row, colour)
-        axes.text(78.5, place, number(row.paper), **text, ha="right")
+        axes.text(PAPER, place, number(row.paper), **text, ha="right")
         interval = "" if np.isnan(row.low) or row.low == row.high else f" [{number(row.low)}, {number(row.high)}]"
         unit = row.unit.removeprefix("share ").strip("-") if number(row.ours) else ""
-        axes.text(79.5, place, f"{number(row.ours)}{interval} {unit}", **text)
+        axes.text(PAPER + 1, place, f"{number(row.ours)}{interval} {unit}", **text)
         if kind == "one reading":
             axes.text(100, place, row.reading, **text, ha="right", color=colour)
-    for x, label, align in [(4.0, "claim", "left"), (LINE - 0.7, "fails", "right"), (LINE + 0.7, "holds", "left"), (78.5, "paper", "right"),
-                            (79.5, "ours [95 %]", "left"), (100, "holds under", "right")]:
+    for x, label, align in [(4.0, "claim", "left"), (LINE - 0.7, "fails", "right"), (LINE + 0.7, "holds", "left"), (PAPER, "paper", "right"),
+                            (PAPER + 1, "ours [95 %]", "left"), (100, "holds under", "right")]:
         axes.text(x, -1.2, label, fontsize=6.5, ha=align, va="center_baseline", weight="bold")
     kinds = table["verdict"].map(_kind)
     for x, kind in zip((1.0, 12.5, 43.0, 60.5, 74.5), LOOKS):
