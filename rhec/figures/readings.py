@@ -44,7 +44,7 @@ def ekf_yaw(analysis, sweep, runs, printed, calibrated):
         _mark(axes, printed=printed, calibrated=calibrated)
         axes.set_xlabel(r"$\sigma_x$ of $W_k$ [m a step]")
         axes.minorticks_off()
-        axes.legend(loc="best", fontsize=6)
+        axes.legend(loc="best", fontsize=6, frameon=True, framealpha=0.85, edgecolor="none")
     for (value, run), colour in zip(sorted(runs.items()), COLOURS):
         c = run.columns
         time.plot(c["t_s"], c["theta_hat_rad"] - c["theta_rad"], color=colour, linewidth=0.7, label=f"{value:g} m")
@@ -77,7 +77,7 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
         _mark(axes, printed=printed, calibrated=calibrated)
         axes.set_xlabel(r"$\sigma_\kappa$ of $W$ [a step]")
         axes.minorticks_off()
-        axes.legend(loc="best", fontsize=6)
+        axes.legend(loc="best", fontsize=6, frameon=True, framealpha=0.85, edgecolor="none")
     for (value, run), colour in zip(sorted(runs.items(), reverse=True), COLOURS):
         time.plot(run.columns["t_s"], run.columns["kappa_hat"], color=colour, linewidth=0.6, label=f"{value:g}")
     c = run.columns
