@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import figures, paper
+from rhec import figures, paper, rhe
 from rhec.claims import estimators, evidence, experiments, ledger, rules
 from rhec.claims.rules import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 
@@ -143,8 +143,13 @@ def test_a_lag_is_found(lag):
 
 
 def test_a_robot_that_never_arrives_has_used_up_its_time():
-    table = evidence.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=[60.0, 60.0])))
+    table = evidence.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=[60.0, 60.0], error="")))
     assert list(table["arrival_s"]) == [3.0, 60.0] and list(table["arrived"]) == [True, False]
+
+
+def test_no_claim_is_judged_on_runs_that_failed():
+    with pytest.raises(RuntimeError, match="1 of 2 runs failed, the first with: ValueError: no"):
+        evidence.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])))
 
 
 # Experiments and estimators
@@ -162,7 +167,7 @@ def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
     log = run.log[:60]
     estimates, P = experiments.estimated(steps, log, "calibrated")
     np.testing.assert_allclose(estimates, log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]], atol=1e-8)
-    W = np.diag(np.square(evidence.SIGMA_W["rhe", "calibrated"]))
+    W = np.diag(np.square(rhe.SIGMA_W["calibrated"]))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
     _, constant = experiments.estimated(steps, log, "calibrated", P_0=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)

@@ -38,14 +38,14 @@ def test_worlds_fill_their_ranges_and_are_the_same_again(drawn):
 
 
 def test_every_world_can_be_driven_and_compiles_nothing_new(drawn):
-    usual = terrain.capacity(closed_loop.world(rhec.Scenario()).terrain.mu.shape)
+    usual = terrain.common_shape(closed_loop.world(rhec.Scenario()).terrain)
     largest = drawn.assign(radius=drawn["speed_mps"] * drawn["mu_mean"] / drawn["kappa_mean"] / drawn["turn_demand"]).nlargest(3, "radius")
     for world in [*largest.drop(columns="radius").to_dict("records"), drawn.loc[0].to_dict()]:
         for variant in multiverse.VARIANTS:
             scenario = multiverse.scenario(world, variant, 2000)
             made = closed_loop.world(scenario)
             asked = world["mu_mean"] * world["speed_mps"] / world["kappa_mean"] / scenario.headland_radius_m
-            assert asked == pytest.approx(0.1 * world["turn_demand"]) and terrain.capacity(made.terrain.mu.shape) == usual
+            assert asked == pytest.approx(0.1 * world["turn_demand"]) and terrain.common_shape(made.terrain) == usual
 
 
 def test_seeds_are_neither_the_ledger_s_nor_the_calibration_s():

@@ -7,7 +7,6 @@ import pytest
 import rhec
 from rhec import ekf, figures, function, paper
 from rhec.claims import readings
-from rhec.scenario import SIGMA_W
 
 DT = paper.DT_S
 
@@ -45,7 +44,7 @@ def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
 def test_a_profile_is_least_where_the_calibration_stopped(virtual_machine):
     table = readings.likelihood_profile("ekf", 0, (0.2, 1.0, 5.0), seeds=1)
     assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
-    assert list(table["sigma"]) == pytest.approx([factor * SIGMA_W["ekf", "calibrated"][0] for factor in (0.2, 1, 5)])
+    assert list(table["sigma"]) == pytest.approx([factor * readings.SIGMA_W["ekf"]["calibrated"][0] for factor in (0.2, 1, 5)])
 
 
 @pytest.fixture(scope="module")
@@ -75,5 +74,5 @@ def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
     simulate = readings.simulate
     monkeypatch.setattr(readings, "simulate", lambda scenario: asked.append(scenario) or simulate(type(scenario)(duration_s=80.0, sigma_w=scenario.sigma_w)))
     runs, sweep = readings.swept("rhe", "printed", 4, (0.25, 0.01), 1)
-    assert [scenario.sigma_w for scenario in asked] == [(*SIGMA_W["rhe", "printed"][:5], value) for value in (0.25, 0.01)]
+    assert [scenario.sigma_w for scenario in asked] == [(*readings.SIGMA_W["rhe"]["printed"][:5], value) for value in (0.25, 0.01)]
     assert list(sweep["sigma"]) == [0.25, 0.01] == list(runs) and isinstance(sweep, pd.DataFrame)

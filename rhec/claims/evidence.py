@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 
-from rhec import paper
+from rhec import ekf, paper, rhe
 from rhec.campaigns import campaign
 from rhec.claims import estimators
 from rhec.closed_loop import rms, simulate
-from rhec.scenario import SIGMA_W, Scenario
+from rhec.scenario import Scenario
 from rhec.terrain import Terrain
 
 READINGS = ("printed", "calibrated")
@@ -44,10 +44,10 @@ RUNS = {
     "Q2, small R": (a_row(q=paper.Q2, r=paper.R / 100), 0.2),
     "Q3, small R": (a_row(q=paper.Q3, r=paper.R / 100), 0.2),
     "Q3, no terminal penalty": (a_row(q=paper.Q3, qn_factor=0.0), 0.2),
-    "traction told": (dict(estimator="traction_oracle", sigma_w=lambda reading: SIGMA_W["ekf", reading]), 0.08),
-    "traction hard-coded": (dict(estimator=lambda reading: estimators.hard_coded(MU, KAPPA, SIGMA_W["ekf", reading])), 0.08),
+    "traction told": (dict(estimator="traction_oracle", sigma_w=lambda reading: ekf.SIGMA_W[reading]), 0.08),
+    "traction hard-coded": (dict(estimator=lambda reading: estimators.hard_coded(MU, KAPPA, ekf.SIGMA_W[reading])), 0.08),
     "RHE, constant soil": (on_constant_soil(), 0.2),
-    "hard-coded, constant soil": (on_constant_soil(estimator=lambda reading: estimators.hard_coded(MU, KAPPA, SIGMA_W["ekf", reading])), 0.2),
+    "hard-coded, constant soil": (on_constant_soil(estimator=lambda reading: estimators.hard_coded(MU, KAPPA, ekf.SIGMA_W[reading])), 0.2),
     "RHE, uncertain soil": (UNCERTAIN, 0.08),
     "EKF, uncertain soil": (UNCERTAIN | dict(estimator="ekf"), 0.08),
     "yaw not estimated": (dict(estimator=lambda reading: estimators.dead_reckoned()), 0.2),
@@ -56,7 +56,7 @@ RUNS = {
 
 def scaled_traction_noise(factor):
     """The reading's W with the standard deviations of μ and κ times `factor`."""
-    return lambda reading: (*SIGMA_W["rhe", reading][:4], *(factor * sigma for sigma in SIGMA_W["rhe", reading][4:]))
+    return lambda reading: (*rhe.SIGMA_W[reading][:4], *(factor * sigma for sigma in rhe.SIGMA_W[reading][4:]))
 
 
 LOGS = {
@@ -91,7 +91,10 @@ def runs(seeds):
 
 
 def complete(table):
-    """Metrics with nothing missing: a robot that never arrives has used up all its time, and `arrived` says so."""
+    """Metrics with nothing missing: a robot that never arrives has used up all its time, and `arrived` says so. RuntimeError if a run failed."""
+    failed = table["error"][table["error"] != ""]
+    if len(failed):
+        raise RuntimeError(f"{len(failed)} of {len(table)} runs failed, the first with: {failed.iloc[0]}")
     return table.assign(arrived=table["arrival_s"].notna(), arrival_s=table["arrival_s"].fillna(table["duration_s"]))
 
 

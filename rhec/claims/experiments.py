@@ -15,7 +15,7 @@ from rhec.closed_loop import rms, simulate
 from rhec.function import folded, only, vector
 from rhec.rhc import RHC
 from rhec.rhe import RHE
-from rhec.scenario import SIGMA_W, Scenario
+from rhec.scenario import Scenario
 
 RHE_MEMORY = ("s", "v", "z", "age", "m", "P")
 
@@ -27,14 +27,15 @@ def with_given_arrival():
 
     (memory, z, V, W, P_0, constant) -> (memory, row); row: the estimate (6,) and the arrival covariance (36,) behind it.
     """
-    shift, linearise, feedback, expand, _ = rhe.functions(paper.DT_S, paper.HORIZON).values()
+    phases = rhe.functions(paper.DT_S, paper.HORIZON)
+    shift, linearise, feedback, expand = (phases[name] for name in ("shift", "linearise", "feedback", "expand"))
 
     def step(z_N, V, W, P_0, constant, **memory):
         memory = shift(**memory, V=V, W=W)
         memory["P"] = ca.if_else(constant, P_0, memory["P"])
-        prepared = linearise(**memory, V=V)
-        result = feedback(**only(feedback, prepared), z_N=z_N, V=V)
-        expanded = expand(**memory, **only(expand, prepared), **only(expand, result), z_N=z_N, V=V)
+        prepared = linearise(**only(linearise, memory), V=V)
+        result = feedback(**only(feedback, prepared | memory), z_N=z_N, V=V)
+        expanded = expand(**only(expand, memory | prepared | result | dict(z_N=z_N, V=V)))
         return dict(row=ca.vertcat(result["estimate"], ca.vec(memory["P"]))) | {name: expanded[name] for name in RHE_MEMORY}
 
     memory = {name: shift.size_in(name) for name in RHE_MEMORY}
@@ -49,7 +50,7 @@ def functions(serialized):
 def estimated(steps, log, reading, P_0=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
     guess = (*log.loc[0, ["x_m", "y_m", "theta_rad"]], log.loc[0, "nu_mps"], 1.0, 1.0)
-    settings = dict(V=np.square(paper.SIGMA_V), W=np.square(SIGMA_W["rhe", reading]), P_0=np.eye(6) if P_0 is None else P_0, constant=float(P_0 is not None))
+    settings = dict(V=np.square(paper.SIGMA_V), W=np.square(rhe.SIGMA_W[reading]), P_0=np.eye(6) if P_0 is None else P_0, constant=float(P_0 is not None))
     memory = vector(rhe.start(guess, paper.SIGMA_W_RHE, paper.HORIZON))
     _, rows = fold.fold(steps, memory, log[MEASURED].to_numpy(), settings)
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
@@ -63,7 +64,7 @@ def arrival_costs(reading, seeds):
     eigenvalue of P - W over all samples, relative to that of W.
     """
     steps, rows = compiled.load(functions, with_given_arrival().serialize()), []
-    W = np.diag(np.square(SIGMA_W["rhe", reading]))
+    W = np.diag(np.square(rhe.SIGMA_W[reading]))
     for seed in range(seeds):
         run = simulate(Scenario(estimator="oracle", seed=seed))
         log, row = run.log, {}
@@ -98,9 +99,9 @@ def live(scenario, iterations):
     command (n,) was from the converged one, and that of a cold RHC (n,), which knows the previous estimate but has planned nothing.
     """
     world, dt = closed_loop.world(scenario), paper.DT_S
-    given, capacity = world.settings, terrain.capacity(world.terrain.mu.shape)
+    given = world.settings
     measure, drive, slip, references = (compiled.Bound(function) for function in (
-        robot.measure(dt), robot.drive(dt), terrain.lookup(capacity),
+        robot.measure(dt), robot.drive(dt), terrain.lookup(terrain.common_shape(world.terrain)),
         path.functions(dt, scenario.horizon, len(world.path.segments), scenario.input_reference)["references"]))
     for call in (measure, drive, slip, references):
         call.set(**only(call.function, given))
@@ -211,7 +212,7 @@ def models(n=100):
     for speed, mu, kappa, _ in drawn_states(n):
         pose, omega = rng.uniform(-3, 3, 3), rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)
         still = np.array(ca.DM(model.f(ca.DM.zeros(3), 0, ca.DM([speed, mu, kappa])))).ravel()
-        moved = np.array(ca.DM(model.rk4(ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S))).ravel()
+        moved = np.array(ca.DM(model.rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S))).ravel()
         turned = omega * paper.DT_S
         chord = speed * paper.DT_S * np.sinc(turned / 2 / np.pi)
         circle = pose + [chord * np.cos(pose[2] + turned / 2), chord * np.sin(pose[2] + turned / 2), turned]

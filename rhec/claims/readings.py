@@ -8,13 +8,15 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
-from rhec import calibration, paper
+from rhec import calibration, ekf, paper, rhe
 from rhec.campaigns import campaign
 from rhec.claims import rules
 from rhec.claims.evidence import complete
 from rhec.closed_loop import rms, simulate
 from rhec.rhe import RHE
-from rhec.scenario import SIGMA_W, Scenario
+from rhec.scenario import Scenario
+
+SIGMA_W = {"ekf": ekf.SIGMA_W, "rhe": rhe.SIGMA_W}
 
 
 # Analysis
@@ -45,10 +47,10 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, reading, samples=300):
                          np.full(samples, nu), np.full(samples, omega_radps)])
     found = []
     for sigma in sigma_kappa:
-        rhe = RHE(sigma_w=(*SIGMA_W["rhe", reading][:5], float(sigma)), guess=(0.0, 0.0, 0.0, nu, mu, kappa))
+        estimator = RHE(sigma_w=(*SIGMA_W["rhe"][reading][:5], float(sigma)), guess=(0.0, 0.0, 0.0, nu, mu, kappa))
         for reading_k in z:
-            rhe.prepare()
-            estimate = rhe.feedback(reading_k)
+            estimator.prepare()
+            estimate = estimator.feedback(reading_k)
         found.append(np.sqrt(estimate.covariance[5, 5]))
     return np.array(found)
 
@@ -62,7 +64,7 @@ def swept(estimator, reading, place, values, seeds):
     """
     runs, rows = {}, []
     for value in values:
-        sigma = list(SIGMA_W[estimator, reading])
+        sigma = list(SIGMA_W[estimator][reading])
         for entry in (0, 1) if place == 0 else (place + 1,):
             sigma[entry] = float(value)
         for seed in range(seeds):
@@ -84,7 +86,7 @@ def likelihood_profile(estimator, place, factors, seeds=3):
     runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in calibration.TRAINING_SEEDS[:seeds]]
     samples, rows = sum(len(run.columns["t_s"]) for run in runs), []
     for factor in factors:
-        sigma = list(SIGMA_W[estimator, "calibrated"])
+        sigma = list(SIGMA_W[estimator]["calibrated"])
         for entry in (0, 1) if place == 0 else (place + 1,):
             sigma[entry] *= factor
         rows.append(dict(sigma=sigma[place + (place > 0)], deviance=calibration.deviance(estimator, sigma, runs) / samples))
@@ -124,8 +126,8 @@ def one_at_a_time(baseline, seeds):
                                for _, *both in asked.values() for estimator, fields in zip(("rhe", "ekf"), both) for seed in range(seeds)]))
     found = {}
     for place, name in enumerate(asked):
-        rhe, ekf = (table.iloc[begin:begin + seeds].reset_index(drop=True) for begin in (2 * seeds * place, 2 * seeds * place + seeds))
-        found[name] = rhe.assign(advantage_m=rhe.mean_error_true_m - ekf.mean_error_true_m)
+        by_rhe, by_ekf = (table.iloc[begin:begin + seeds].reset_index(drop=True) for begin in (2 * seeds * place, 2 * seeds * place + seeds))
+        found[name] = by_rhe.assign(advantage_m=by_rhe.mean_error_true_m - by_ekf.mean_error_true_m)
     rows = []
     for name, (words, *_) in asked.items():
         for column, quantity in QUANTITIES.items():

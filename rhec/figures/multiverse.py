@@ -38,7 +38,7 @@ def multiverse_map(table, correlations, discovered):
         for j, unknown in enumerate(correlations.columns):
             if discovered.loc[claim, unknown]:
                 rho = correlations.loc[claim, unknown]
-                heat.text(j, i, f"{rho:.1f}".replace("-", "−"), ha="center", va="center", fontsize=6, color="white" if abs(rho) > 0.75 else "black")
+                heat.text(j, i, f"{rho:.1f}".replace("-", "−").replace("0.", "."), ha="center", va="center", fontsize=6, color="white" if abs(rho) > 0.75 else "black")
     heat.set_xticks(range(len(correlations.columns)), [LABELS[name] for name in correlations.columns], rotation=50, ha="right", rotation_mode="anchor")
     heat.grid(visible=False)
     heat.tick_params(axis="y", length=0)
