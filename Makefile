@@ -4,6 +4,9 @@ NOTEBOOKS := \
   robot_and_terrain \
   scenario_a \
   scenario_b \
+  claims \
+  multiverse \
+  readings_audit \
   faults \
   replay \
   computation_times
@@ -20,13 +23,15 @@ endif
 
 WHAT ?=
 
-.PHONY: help figures test replay campaign bench soak lab lock clean
+.PHONY: help figures claims test replay campaign bench soak lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
 
 figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 	@echo 'figures: $(if $(made),made,everything is up to date)'
+
+claims: build/notebooks/claims.ipynb ## run the claims ledger alone: figures/claims.csv, .tex, .md and its picture
 
 test: $(READY) ## run the tests
 	@$(PY) -m pytest -n auto

@@ -104,7 +104,7 @@ def flat(terrain, shape=None):
     return np.pad(fields, [(0, 0), *more], mode="edge").ravel(order="F")
 
 
-def common_shape(terrain, step=64):
+def common_shape(terrain, step=160):
     """The next of a few grid shapes, so that a path or a start of another size needs no compiling."""
     return tuple(-(-points // step) * step for points in terrain.mu.shape)
 
