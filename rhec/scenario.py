@@ -10,7 +10,7 @@ from rhec.faults import Fault
 from rhec.path import Path
 from rhec.terrain import Patch, Seed, Terrain
 from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, Whole,
-                             validated)
+                             shown, validated)
 
 
 @validated
@@ -105,11 +105,11 @@ class Scenario:
 
     def __post_init__(self):
         if self.estimator not in estimators.NAMES if isinstance(self.estimator, str) else not isinstance(self.estimator, ca.Function):
-            raise ValueError(f"estimator was {self.estimator!r}; it should be one of {estimators.NAMES} or a CasADi Function")
+            raise ValueError(f"estimator was {shown(self.estimator)}; it should be one of {estimators.NAMES} or a CasADi Function")
         if not isinstance(self.path, Path | None):
-            raise ValueError(f"path was {self.path!r}; it should be a rhec.Path or None")
+            raise ValueError(f"path was {shown(self.path)}; it should be a rhec.Path or None")
         if not isinstance(self.terrain, Terrain | None):
-            raise ValueError(f"terrain was {self.terrain!r}; it should be a rhec.Terrain or None")
+            raise ValueError(f"terrain was {shown(self.terrain)}; it should be a rhec.Terrain or None")
         for name in ("mu", "kappa"):
             mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
             if deviation**2 >= mean * (1 - mean) and deviation:
@@ -117,6 +117,6 @@ class Scenario:
                                  "the most a quantity between 0 and 1 can vary")
         expected = estimators.entries(self.estimator, self.speed_model) if isinstance(self.estimator, str) else 0
         if self.sigma_w is not None and len(self.sigma_w) != expected:
-            raise ValueError(f"sigma_w was {self.sigma_w!r}; for the estimator {self.estimator!r} it should have {expected} entries")
+            raise ValueError(f"sigma_w was {shown(self.sigma_w)}; for the estimator {self.estimator!r} it should have {expected} entries")
         if self.robust and self.estimator not in ("rhe", "dual"):
             raise ValueError(f"robust was True; for the estimator {self.estimator!r} it should be False")

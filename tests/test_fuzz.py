@@ -54,7 +54,7 @@ def test_a_scenario(fields):
         assert all(getattr(scenario, name) == value for name, value in fields.items() if not isinstance(value, np.ndarray))
 
 
-@some(200)
+@some(100)
 @given(st.dictionaries(st.sampled_from([field.name for field in dataclasses.fields(rhec.Fault)]), junk, max_size=3),
        st.sampled_from(faults.KINDS))
 def test_a_fault(fields, kind):
@@ -74,7 +74,7 @@ a_fault = st.sampled_from([dict(kind="missing", channel="all"), dict(kind="infin
 SOIL = rhec.Terrain.uniform(0.9, 0.8)
 
 
-@some(60)
+@some(40)
 @given(weird, st.lists(a_fault, max_size=2), st.booleans(), st.integers(0, 2**70))
 def test_a_simulation(fields, several, robust, seed):
     """Whatever it is tuned to, and wherever it starts: commands keep their bound, estimates are finite, traction between 0 and 1."""
@@ -90,7 +90,7 @@ def test_a_simulation(fields, several, robust, seed):
         assert np.all((columns[name] >= 0) & (columns[name] <= 1)), name
 
 
-@some(60)
+@some(40)
 @given(st.fixed_dictionaries({}, optional=dict(
     row_length_m=positive.filter(lambda m: m <= 1e4), headland_radius_m=positive.filter(lambda m: m <= 1e3), start_offset_m=anywhere, mu_mean=st.floats(1e-300, 1),
     kappa_mean=st.floats(1e-300, 1), mu_deviation=st.floats(0, 0.5), kappa_deviation=st.floats(0, 0.5), correlation_length_m=st.floats(0.5, 1e300),
@@ -103,7 +103,7 @@ def test_a_field(fields):
 
 @pytest.mark.parametrize("entry", [rhec.Path.from_segments, rhec.Path.racetrack, rhec.Path, rhec.Terrain, rhec.Terrain.uniform, rhec.Terrain.random],
                          ids=lambda entry: entry.__qualname__)
-@some(100)
+@some(50)
 @given(st.data())
 def test_paths_and_terrains(entry, data):
     names = list(inspect.signature(entry).parameters)
@@ -158,7 +158,7 @@ def test_a_controller_forgets_what_was_absurd(moments, qp):
     assert command == pytest.approx(expected, abs=1e-6)
 
 
-@some(30)
+@some(20)
 @given(st.lists(st.tuples(absurd, absurd, absurd, absurd), min_size=1, max_size=40), st.sampled_from(["parameter", "input", "slipping"]), st.booleans())
 def test_an_estimator_survives_what_is_absurd(readings, speed_model, robust):
     rhe = rhec.RHE(guess=(0, 0, 0, 0.5, 1, 1), speed_model=speed_model, robust=robust)
@@ -169,7 +169,7 @@ def test_an_estimator_survives_what_is_absurd(readings, speed_model, robust):
         assert 0 <= estimate.mu <= 1 and 0 <= estimate.kappa <= 1
 
 
-@some(100)
+@some(40)
 @given(junk)
 def test_what_is_simulated_in_a_run_or_a_campaign(value):
     refused_by_name(lambda: rhec.simulate(value), ["scenario"])
