@@ -173,6 +173,11 @@ class RHC:
             self.iteration.start(start(pose, p, self.horizon))
 
     @property
+    def ok(self):
+        """Whether the last step was solved; if not, its answer is the shifted previous solution's."""
+        return self.iteration.arrays["ok"].item() == 1
+
+    @property
     def kkt(self):
         """KKT tolerance of the linearisation point of the last feedback."""
         self.iteration.expand()
