@@ -17,6 +17,7 @@ from rhec import compiled, estimators, faults, fold, paper, path, rhc, robot, te
 from rhec.function import folded, only, size, unpack, vector
 from rhec.kalman import valid
 from rhec.scenario import Scenario
+from rhec.validation import shown
 
 # One row of the log, in order: what `sample` returns beside the memory.
 LOG = dict(truth=("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"), omega=("omega_radps",),
@@ -172,7 +173,7 @@ class Run:
 def simulate(scenario):
     """Run a scenario: rhec.Run. A structure's first run compiles it for some seconds; it is cached from then on."""
     if not isinstance(scenario, Scenario):
-        raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
+        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     made = world(scenario)
     samples = round(scenario.duration_s / paper.DT_S)
     _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, inputs(scenario, samples), made.settings)

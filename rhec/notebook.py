@@ -66,7 +66,7 @@ def _fits(value, spec):
     if isinstance(spec[0], type):
         kind, lowest, highest = spec
         return type(value) in {int, kind} and lowest <= value <= highest
-    return value in spec
+    return type(value) in map(type, spec) and value in spec
 
 
 def _wanted(spec):

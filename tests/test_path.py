@@ -157,5 +157,5 @@ def test_the_input_reference_is_the_measured_yaw_rate_or_what_the_curve_asks_for
 
 @pytest.mark.parametrize("pieces", [[], [(0.0, 0.1)], [(3.0, 0.0), (-1.0, 0.0)]])
 def test_a_path_of_nothing_is_refused(pieces):
-    with pytest.raises(ValueError, match="^pieces was .*; it must be"):
+    with pytest.raises(ValueError, match=r"^pieces(\[\d\]\[0\])? was .*; it (must|should) be"):
         rhec.Path.from_segments(pieces)
