@@ -61,9 +61,14 @@ def run(steps, scenario, z, yaw_rad, sigma_yaw_rad):
 def innovations(estimate, z, dt_s):
     """Measured position less the one predicted from the estimate (n, 6) before it and the readings since (n, 2); the first sample has none."""
     x, y, theta, _, mu, kappa = estimate[:-1].T
-    nu, omega = np.nan_to_num(z[1:, 2:].T)
+    nu, omega = held(z[1:, 2:])
     predicted = np.stack(moved(x, y, theta, mu * nu * dt_s, kappa * omega * dt_s)[:2], axis=1)
     return np.concatenate([np.full((1, 2), np.nan), z[1:, :2] - predicted])
+
+
+def held(readings):
+    """The columns of encoder readings (n, 2); a missing one is the last one held, as the estimators do, or 0 before the first."""
+    return pd.DataFrame(readings).ffill().fillna(0).to_numpy().T
 
 
 def moved(x, y, theta, ahead, turn):
@@ -110,13 +115,11 @@ def at_rows(samples, recording):
         tau = since - last * paper.DT_S
         tau[np.abs(tau) < 1e-6] = 0
         result = part.iloc[last].reset_index(drop=True)
-        following = part[recordings.READINGS[2:]].iloc[np.minimum(last + (tau > 0), len(part) - 1)].to_numpy()
-        nu, omega = np.nan_to_num(following.T)
+        nu, omega = held(part[recordings.READINGS[2:]])[:, np.minimum(last + (tau > 0), len(part) - 1)]
         pose = moved(*(result[name].to_numpy() for name in ESTIMATE[:3]), result["mu_hat"] * nu * tau, result["kappa_hat"] * omega * tau)
         for name, value in zip(ESTIMATE, pose):
             result[name] = np.where(tau == 0, result[name], value)
-        once = tau == 0
-        result.loc[~once, ["innovation_x_m", "innovation_y_m", "deviance"]] = np.nan
+        result.loc[np.diff(last, prepend=-1) == 0, ["innovation_x_m", "innovation_y_m", "deviance"]] = np.nan   # they belong to the sample's own row
         given = rows.columns.drop("segment")
         result[given] = rows[given].to_numpy()
         parts.append(result)
@@ -124,7 +127,7 @@ def at_rows(samples, recording):
 
 
 @checked
-def replay(log: pd.DataFrame, estimator="rhe", *, track_width_m: Positive | None = None, first_yaw_rad: Real | tuple[Real, ...] | None = None,
+def replay(log, estimator="rhe", *, track_width_m: Positive | None = None, first_yaw_rad: Real | tuple[Real, ...] | None = None,
            sigma_yaw_rad: Positive = SIGMA_FIRST[2], **fields):
     """A recorded log through an estimator: a DataFrame of estimates, one row for each row of the log, in its order and with its index.
 

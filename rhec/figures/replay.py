@@ -43,6 +43,7 @@ def _time(axes, samples):
     """Time along the last of the axes, what is straight or standing shaded in all."""
     t = samples["t_s"]
     straight = samples["omega_meas_radps"].abs().rolling(SMOOTH, center=True, min_periods=1).median() < STRAIGHT_RADPS
+    straight &= samples["segment"].diff(-1) == 0
     for each in axes:
         each.fill_between(t, 0, 1, where=straight, transform=each.get_xaxis_transform(), color="0.93", linewidth=0, zorder=0)
         each.grid(axis="x", visible=False)
