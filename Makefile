@@ -1,5 +1,12 @@
 PYTHON ?= python3
-NOTEBOOKS := robot_and_terrain scenario_a scenario_b replay computation_times
+SAMPLES ?= 10000000
+NOTEBOOKS := \
+  robot_and_terrain \
+  scenario_a \
+  scenario_b \
+  faults \
+  replay \
+  computation_times
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -11,7 +18,7 @@ ifeq ($(MAKECMDGOALS),figures)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures test replay bench lab lock clean
+.PHONY: help figures test replay bench soak lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -30,6 +37,9 @@ replay: $(READY) ## replay a recorded log: make replay LOG=file.csv; figures and
 
 bench: .venv/peers ## compare computation times with other tools, some minutes; tables and pictures land in figures/
 	@$(PY) -m rhec.benchmark
+
+soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sensors, by default ten million (23 days), in some ten minutes
+	@$(PY) -m rhec.soak --samples $(SAMPLES)
 
 lab: $(READY) ## open the notebooks in JupyterLab
 	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \

@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 # Loaded on first use, so that a program pays only for what it uses.
 _HOME = {
     "Scenario": "closed_loop", "Run": "closed_loop", "simulate": "closed_loop",
-    "RHC": "rhc", "RHE": "rhe", "Terrain": "terrain", "Path": "path", "campaign": "campaigns", "replay": "replays",
+    "RHC": "rhc", "RHE": "rhe", "Terrain": "terrain", "Path": "path", "campaign": "campaigns", "Fault": "faults", "replay": "replays",
 }
 __all__ = sorted(_HOME)
 

@@ -24,7 +24,7 @@ LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 
 
 def functions(estimator):
     """The estimator's step with its deviance as the row: what the likelihood is summed from."""
-    step = estimators.step(estimator, paper.HORIZON, "parameter", "smoothed", "structured")
+    step = estimators.step(estimator, paper.HORIZON, "parameter", "smoothed", "structured", False)
     inputs = step.mx_in()
     outputs = dict(zip(step.name_out(), step.call(inputs)))
     return fold.functions(ca.Function("deviance", inputs, [outputs["memory"], outputs["deviance"]], step.name_in(), ["memory", "deviance"],

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec import compiled, estimators, fold, paper, path, rhc, robot, terrain
+from rhec import compiled, estimators, faults, fold, paper, path, rhc, robot, terrain
 from rhec.function import folded, only, size, unpack, vector
 from rhec.kalman import valid
 from rhec.scenario import Scenario
@@ -24,6 +24,7 @@ LOG = dict(truth=("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"), omega=("o
            estimate=("x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"),
            command=("omega_cmd_radps",), s=("s_m",), curvature=("curvature_radpm",), kkt_rhe=("kkt_rhe",), kkt_rhc=("kkt_rhc",),
            deviance=("deviance",), ok=("ok",))
+HOLD = round(5 / paper.DT_S)   # samples: who stays within the tolerance so long has arrived
 COLUMNS = [column for columns in LOG.values() for column in columns]
 
 
@@ -35,35 +36,43 @@ class Structure(NamedTuple):
     horizon_rhe: int
     speed_model: str
     arrival_mean: str
+    robust: bool
     input_reference: str
     qp: str
     n_segments: int
     terrain_shape: tuple
+    faulty: bool            # sensors with faults: what is not there costs nothing
 
 
 def functions(*structure):
     """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), ready to be folded."""
     structure = Structure(*structure)
     measure, drive = robot.measure(paper.DT_S), robot.drive(paper.DT_S)
-    estimate_step = estimators.step(structure.estimator, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp)
+    estimate_step = estimators.step(structure.estimator, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp,
+                                     structure.robust)
     references = path.functions(paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference)["references"]
     control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
     slip = terrain.lookup(structure.terrain_shape)
+    deliver = faults.deliver()
+    sensors = faults.MEMORY if structure.faulty else {}
+    stream = robot.NOISE | (faults.STREAM if structure.faulty else {})
 
-    memory = robot.MEMORY | dict(estimator=(estimate_step.numel_in(0), 1), s=(1, 1), controller=(control.numel_in(0), 1), command=(1, 1))
+    memory = robot.MEMORY | dict(estimator=(estimate_step.numel_in(0), 1), s=(1, 1), controller=(control.numel_in(0), 1), command=(1, 1)) | sensors
     settings = (robot.SENSORS | robot.BODY | dict(
-        V=(4, 1), W=(estimate_step.size1_in("W") if "W" in estimate_step.name_in() else 1, 1),
+        **{name: (estimate_step.size1_in(name) if name in estimate_step.name_in() else unused, 1) for name, unused in (("V", 4), ("W", 1))},
         segments=(5, structure.n_segments), period_m=(1, 1), look_ahead_m=(1, 1), backwards=(1, 1),
         Q=(3, 1), QN=(3, 1), R=(1, 1), omega_max=(1, 1), speed_mps=(1, 1), command_delay=(1, 1), origin_m=(2, 1), cell_m=(1, 1),
         slip=(slip.numel_in("slip"), 1)))
 
     def sample(pose, tracks, integral, drift, encoders, estimator, s, controller, command, noise, **settings):
-        noise = unpack(noise, robot.NOISE)
+        noise = unpack(noise, stream)
         traction = slip(pose[:2], settings["origin_m"], settings["cell_m"], settings["slip"])
         nu, omega = robot.body_speeds(tracks, settings["track_width_m"])
         truth = ca.vertcat(pose, nu, traction)
 
         measured = measure(**only(measure, noise | settings), pose=pose, drift=drift, encoders=encoders)
+        if structure.faulty:
+            measured |= deliver(**only(deliver, measured | noise | settings))
         z = measured["z"]
 
         known = settings | dict(truth=truth, traction=traction if structure.estimator == "traction_oracle" else ca.DM.ones(2))
@@ -71,7 +80,8 @@ def functions(*structure):
         outputs = dict(zip(["memory", "estimate", *estimate_step.name_out()[2:]], estimate_step.call(inputs)))
         estimate = outputs["estimate"]
 
-        omega_measured = ca.if_else(valid(z, 3), z[3], command)
+        believed = outputs.get("z_used", z)
+        omega_measured = ca.if_else(valid(believed, 3), believed[3], command)
         target = references(**only(references, settings), s=s, estimate=estimate, omega_measured=omega_measured)
         planned = control(**only(control, settings), memory=controller, s_0=estimate, xi_ref=target["xi_ref"], omega_ref=target["omega_ref"])
         newest = planned["command"]
@@ -82,9 +92,9 @@ def functions(*structure):
                    kkt_rhe=outputs.get("kkt", ca.DM.nan(1)), kkt_rhc=planned["kkt"], deviance=outputs.get("deviance", ca.DM.nan(1)),
                    ok=ca.fmin(outputs.get("ok", 1), planned["ok"]))
         return dict(row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"], estimator=outputs["memory"], s=target["s"],
-                    controller=planned["memory"], command=newest, **driven)
+                    controller=planned["memory"], command=newest, **driven, **{name: measured[name] for name in sensors})
 
-    sample = folded("sample", sample, memory, dict(noise=(size(robot.NOISE), 1)) | settings)
+    sample = folded("sample", sample, memory, dict(noise=(size(stream), 1)) | settings)
     return fold.functions(sample)
 
 
@@ -112,26 +122,34 @@ def world(scenario):
                      theta + scenario.start_yaw_rad + np.pi * scenario.backwards])
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
+    shape = terrain.common_shape(soil)
     structure = Structure(estimators.identity(scenario.estimator), scenario.horizon, scenario.horizon_rhe, scenario.speed_model,
-                          scenario.arrival_mean, scenario.input_reference, scenario.qp, len(target.segments), soil.mu.shape)
+                          scenario.arrival_mean, scenario.robust, scenario.input_reference, scenario.qp, len(target.segments), shape,
+                          bool(scenario.faults))
     memory = robot.start(pose, speed_mps) | dict(
         estimator=estimators.first_memory(scenario, guess), s=target.project(pose[None, :2])[1],
-        controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0)
+        controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)), command=0.0) | (faults.start() if scenario.faults else {})
     slow = scenario.gnss_slow_share
     settings = dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow), gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
         gnss_slow_time_s=scenario.gnss_slow_time_s, track_width_m=scenario.track_width_m, encoder_sigma_mps=scenario.encoder_sigma_mps,
-        bump_sigma_radps=scenario.bump_sigma_radps, V=np.square(scenario.sigma_v), W=np.square(estimators.sigma_w(scenario)),
+        bump_sigma_radps=scenario.bump_sigma_radps, **estimators.variances(scenario),
         segments=target.segments.T, period_m=target.period_m, look_ahead_m=scenario.look_ahead_m, backwards=float(scenario.backwards),
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
-        slip=terrain.flat(soil))
+        slip=terrain.flat(soil, shape))
     return World(structure, vector(memory), settings, target, soil)
 
 
 def draw_noise(seed, samples):
     """Standard normal noise (samples, n) of a seed; the first rows do not depend on how many are drawn."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 1)))).standard_normal((samples, size(robot.NOISE)))
+
+
+def inputs(scenario, samples):
+    """The stream that a run is folded over: noise, and what the sensors' faults do, one row a sample."""
+    noise = draw_noise(scenario.seed, samples)
+    return np.hstack([noise, faults.stream(scenario.faults, samples, paper.DT_S, scenario.seed)]) if scenario.faults else noise
 
 
 @dataclass(frozen=True)
@@ -157,10 +175,11 @@ def simulate(scenario):
         raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
     made = world(scenario)
     samples = round(scenario.duration_s / paper.DT_S)
-    _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, draw_noise(scenario.seed, samples), made.settings)
+    _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, inputs(scenario, samples), made.settings)
     columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))
     columns["ok"] = columns["ok"] == 1
-    columns["error_m"], _ = made.path.project(rows[:, [COLUMNS.index("x_meas_m"), COLUMNS.index("y_meas_m")]])
+    measured = rows[:, [COLUMNS.index("x_meas_m"), COLUMNS.index("y_meas_m")]]
+    columns["error_m"], _ = made.path.project(np.where(np.isfinite(measured).all(axis=1, keepdims=True), measured, np.nan))
     columns["error_true_m"], s = made.path.project(rows[:, [COLUMNS.index("x_m"), COLUMNS.index("y_m")]])
     poses, curvatures = made.path.poses(s)
     columns["on_straight"] = curvatures == 0
@@ -171,29 +190,39 @@ def metrics(columns, poses):
     """What is reported of a run with these log columns whose closest path points are `poses` (n, 3); errors in m, times in s.
 
     The robot has arrived when its true error stays within the tolerance for 5 s; errors and violations count from the end of these 5 s, and on the
-    whole run of a robot that never arrives. `mean_error_m` is the paper's: raw GNSS to the path (reading R11). Overshoot: how far beyond
-    the path, seen from the start, the robot gets on the first row.
+    whole run of a robot that never arrives. `mean_error_m` is the paper's: raw GNSS to the path (reading R11), over the samples that have a
+    position. Overshoot: how far beyond the path, seen from the start, the robot gets on the first row.
     """
     c = SimpleNamespace(**columns)
-    hold = round(5 / paper.DT_S)
-    inside = c.error_true_m < paper.TOLERANCE_M
-    stays = np.flatnonzero(np.convolve(inside, np.ones(hold), "valid") == hold) if len(inside) > hold else []
+    stays = staying(c.error_true_m)
     arrived = len(stays) > 0
-    after = slice(stays[0] + hold if arrived and stays[0] + hold < len(inside) else 0, None)
+    after = slice(stays[0] + HOLD if arrived and stays[0] + HOLD < len(c.t_s) else 0, None)
     straight = c.on_straight[after]
     left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
     first_row = left[: np.argmin(c.on_straight) or None]
     omega = np.abs(c.omega_cmd_radps)
     values = dict(
         arrival_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
-        mean_error_m=c.error_m[after].mean(), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
-        mean_error_from_start_m=c.error_m.mean(),
+        mean_error_m=mean_of_known(c.error_m[after]), mean_error_true_m=c.error_true_m[after].mean(), max_error_true_m=c.error_true_m[after].max(),
+        mean_error_from_start_m=mean_of_known(c.error_m),
         violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
         violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
         rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]), rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
-        omega_max_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=c.ok.all())
+        omega_peak_radps=omega.max(), kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]), all_ok=c.ok.all())
     return {name: value.item() for name, value in values.items()}   # plain numbers, whatever NumPy made of them
+
+
+def staying(error_m):
+    """The samples from which on the error (n,) stays within the tolerance for 5 s."""
+    inside = error_m < paper.TOLERANCE_M
+    return np.flatnonzero(np.convolve(inside, np.ones(HOLD), "valid") == HOLD) if len(inside) > HOLD else np.array([], dtype=int)
+
+
+def mean_of_known(values):
+    """Their mean without those that are NaN; NaN of none."""
+    known = values[~np.isnan(values)]
+    return known.mean() if len(known) else np.float64(np.nan)
 
 
 def rms(values):

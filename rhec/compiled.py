@@ -4,6 +4,7 @@ The library's name is a digest of all that made it (this package's source, the s
 found under it is never out of date. It is built under a name of its own and moved into place in one step: builders may race or be killed.
 """
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -59,12 +60,30 @@ def load(build, *structure):
         return build(*structure)
     identity = repr((build.__module__, build.__name__, structure, source_digest(), ca.__version__, compiler(), FLAGS, platform.machine()))
     folder = cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
-    built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
-    generable = {key: function for key, function in built.items() if not calls_qpoases(function)}
-    if not folder.exists():
-        make(folder, generable)
+    with contextlib.nullcontext() if folder.exists() else alone(folder):
+        built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
+        if not folder.exists():
+            make(folder, {key: function for key, function in built.items() if not calls_qpoases(function)})
     names = json.loads((folder / "functions.json").read_text())
     return built | {key: ca.external(name, str(folder / "library.so")) for key, name in names.items()}
+
+
+@contextlib.contextmanager
+def alone(folder):
+    """One process at a time, so that a campaign's workers compile each structure once. A lock goes with its process, however that ends.
+
+    Where there are no locks processes race, which costs time alone.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    name = folder.with_name(f"building-{folder.name}")
+    with open(name, "w") as lock:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            name.unlink(missing_ok=True)
 
 
 def calls_qpoases(function):
@@ -73,7 +92,6 @@ def calls_qpoases(function):
 
 def make(folder, functions):
     """Generate, compile and move into place."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix="building-", ignore_cleanup_errors=True) as building:
         building = Path(building)
         generator = ca.CodeGenerator("code.c")

@@ -7,9 +7,12 @@ is an argument, so that the same filter can also be told the true one.
 import casadi as ca
 import numpy as np
 
+from rhec import paper
 from rhec.function import folded
 from rhec.kalman import symmetric, update, valid
 
+# Process noise W as standard deviations of (x, y, θ, ν) per sample: to the letter (R1), and as `rhec.calibration` found it on training seeds.
+SIGMA_W = {"printed": paper.SIGMA_W_EKF, "calibrated": (0.017, 0.017, 0.013, 0.001)}
 MEASURED = ((0, 0), (1, 1), (3, 2))   # x, y, ν: (place in the state, place in z)
 
 

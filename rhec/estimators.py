@@ -1,11 +1,14 @@
-"""Which estimator a scenario means: its step (memory, z, settings …) -> (memory, estimate, …), its first memory, its process noise."""
+"""Which estimator a scenario means: its step (memory, z, settings …) -> (memory, estimate, …), its first memory, its settings V and W."""
 
 import casadi as ca
 import numpy as np
 
-from rhec import ekf, paper, rhe
+from rhec import dual, ekf, paper, rhe
 from rhec.function import vector
-from rhec.scenario import SIGMA_W
+
+# The traction oracle is not the paper's: W of its own, found as the calibrated ones are.
+SIGMA_W_TRACTION_ORACLE = (0.017, 0.017, 0.013, 0.001)
+NAMES = ("rhe", "ekf", "dual", "oracle", "traction_oracle")
 
 
 def identity(estimator):
@@ -13,10 +16,12 @@ def identity(estimator):
     return estimator.serialize() if isinstance(estimator, ca.Function) else estimator
 
 
-def step(identity, horizon_rhe, speed_model, arrival_mean, qp):
+def step(identity, horizon_rhe, speed_model, arrival_mean, qp, robust):
     """The estimator's Function. Beyond memory and z it takes by name what it needs: V, W, the true `traction` (2,) or all the `truth` (6,)."""
     if identity == "rhe":
-        return rhe.functions(paper.DT_S, horizon_rhe, speed_model, arrival_mean, qp)["step"]
+        return rhe.functions(paper.DT_S, horizon_rhe, speed_model, arrival_mean, qp, robust)["step"]
+    if identity == "dual":
+        return dual.functions(paper.DT_S, horizon_rhe, arrival_mean, qp, robust)["step"]
     if identity in ("ekf", "traction_oracle"):
         return ekf.functions(paper.DT_S)["step"]
     if identity == "oracle":
@@ -26,21 +31,28 @@ def step(identity, horizon_rhe, speed_model, arrival_mean, qp):
     return ca.Function.deserialize(identity)
 
 
-def first_memory(scenario, guess):
-    """The memory before the first sample, from a guess of (x, y, θ, ν, μ, κ). The arrival cost begins at the paper's W."""
+def first_memory(scenario, guess, sigma=rhe.SIGMA_START):
+    """The memory before the first sample, from a guess of (x, y, θ, ν, μ, κ) and its standard deviations, which begin at the paper's W."""
     if scenario.estimator == "rhe":
-        return vector(rhe.start(guess, paper.SIGMA_W_RHE, scenario.horizon_rhe, scenario.speed_model))
+        return vector(rhe.start(guess, sigma, scenario.horizon_rhe, scenario.speed_model, scenario.robust))
     if scenario.estimator in ("ekf", "traction_oracle"):
-        return vector(ekf.start(guess, paper.SIGMA_W_EKF))
+        return vector(ekf.start(guess, sigma))
+    if scenario.estimator == "dual":
+        soil = rhe.start(guess, sigma, scenario.horizon_rhe, robust=scenario.robust)
+        return np.append(vector(soil), vector(ekf.start(guess, sigma)))
     length = scenario.estimator.numel_in(0) if isinstance(scenario.estimator, ca.Function) else len(guess)
     return np.append(guess, np.zeros(length))[:length]
 
 
-def sigma_w(scenario):
-    """The standard deviations behind W. The traction oracle is not the paper's: it always has the calibrated ones."""
-    if scenario.sigma_w is not None:
-        return np.array(scenario.sigma_w)
-    if scenario.estimator == "traction_oracle":
-        return np.array(SIGMA_W["ekf", "calibrated"])
-    sigma = np.array(SIGMA_W.get((scenario.estimator, scenario.reading), (0.0,)))
-    return np.delete(sigma, 3) if scenario.estimator == "rhe" and scenario.speed_model == "input" else sigma
+def entries(estimator, speed_model):
+    """How many standard deviations sigma_w has; 0 for an estimator without process noise."""
+    return {"rhe": rhe.entries(speed_model), "dual": len(dual.SIGMA_W), "ekf": 4, "traction_oracle": 4}.get(estimator, 0)
+
+
+def variances(scenario):
+    """The settings V and W of the scenario's estimator."""
+    if scenario.estimator == "rhe":
+        return rhe.variances(scenario.speed_model, scenario.reading, scenario.sigma_w, scenario.sigma_v, scenario.track_width_m)
+    default = {"ekf": ekf.SIGMA_W[scenario.reading], "traction_oracle": SIGMA_W_TRACTION_ORACLE, "dual": dual.SIGMA_W}
+    sigma_w = default.get(str(scenario.estimator), (0.0,)) if scenario.sigma_w is None else scenario.sigma_w
+    return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w))

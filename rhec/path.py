@@ -59,7 +59,7 @@ class Path:
         return np.column_stack(advance(*row[:, 1:4].T, row[:, 4], s - row[:, 0], np)), row[:, 4]
 
     def project(self, xy):
-        """The closest point of the whole path to each of xy (n, 2) [m]: distance (n,) [m] and arc length (n,) [m]."""
+        """The closest point of the whole path to each of xy (n, 2) [m]: distance (n,) [m] and arc length (n,) [m]; both NaN where xy is."""
         xy = np.asarray(xy, dtype=float)
         best_distance, best_s = np.full(len(xy), np.inf), np.zeros(len(xy))
         lengths = np.diff(np.append(self.segments[:, 0], self.length_m))
@@ -68,12 +68,13 @@ class Path:
             left = (xy - (x, y)) @ (-np.sin(theta), np.cos(theta))
             if c:
                 along = np.arctan2(abs(c) * along, 1 - c * left) % (2 * pi) / abs(c)
-            for candidate in (np.clip(along, 0, length), 0.0, length):   # beyond an arc either end may be the closest
+            for candidate in (np.clip(along, 0, length), 0.0)[: 2 if c else 1]:   # beyond an arc its beginning may be closer than its end
                 px, py, _ = advance(x, y, theta, c, candidate, np)
                 distance = np.hypot(xy[:, 0] - px, xy[:, 1] - py)
                 better = distance < best_distance - 1e-9   # of equals, the first
                 best_distance, best_s = np.where(better, distance, best_distance), np.where(better, s + candidate, best_s)
-        return best_distance, best_s
+        nowhere = np.isnan(xy).any(axis=1)
+        return np.where(nowhere, np.nan, best_distance), np.where(nowhere, np.nan, best_s)
 
 
 def pose_at(s, segments, period_m):

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from rhec import paper
 from rhec.kalman import Z_MAX
 
 READINGS = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]   # z, as the log of a run names it
@@ -26,6 +27,7 @@ MAX_PERIOD_S = 0.25      # between rows, by their median: slower logs are refuse
 POSITION_GAP_S = 0.35    # positions further apart are not interpolated between
 ENCODER_GAP_S = 0.65     # nor encoder readings
 SEGMENT_GAP_S = 2.0      # after a longer silence a new segment begins
+TURNING_RADPS = 0.05     # at a lower yaw rate nothing is said about the track width
 CLOCK_S = 1.0            # a time so far from the median of its neighbours' is wrong; set back by more, the clock begins a new segment
 
 
@@ -35,6 +37,7 @@ class Recording(NamedTuple):
     rows: pd.DataFrame     # segment, t_s, READINGS, and the truth there is, under the names of a run's log
     kept: np.ndarray       # places of these rows in the log
     averaged: bool         # encoder readings are means over the time since the row before, not values of an instant
+    track_width_m: float   # b as given, else as the tracks' speeds and the yaw rate in the log have it, else the paper's robot's
     faults: dict           # how many rows or readings were left out, and why
 
 
@@ -69,7 +72,17 @@ def prepare(log, track_width_m=None):
     period = rows.groupby("segment")["t_s"].diff().median()
     if period > MAX_PERIOD_S:
         raise ValueError(f"the log had rows {period:.3g} s apart (median); they should be at most 0.2 s apart, where need be with missing readings")
-    return Recording(rows, kept, averaged, faults)
+    return Recording(rows, kept, averaged, track_width_m or recorded_width(log), faults)
+
+
+def recorded_width(log):
+    """Track width b [m] of a log that has both the tracks' speeds and the yaw rate, ω = (ν_r - ν_l)/b; else that of the paper's robot."""
+    if not {"v_left_mps", "v_right_mps", "yaw_rate_radps"} <= set(log.columns):
+        return paper.TRACK_WIDTH_M
+    apart, omega = numbers(log, "v_right_mps") - numbers(log, "v_left_mps"), numbers(log, "yaw_rate_radps")
+    turning = np.abs(omega) > TURNING_RADPS
+    width = np.median(apart[turning] / omega[turning]) if turning.any() else np.nan
+    return float(width) if width > 0 else paper.TRACK_WIDTH_M
 
 
 def meanings(log, track_width_m):

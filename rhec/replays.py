@@ -16,9 +16,9 @@ from rhec.validation import Positive, Real, checked
 ESTIMATE = ["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]
 SIGMA = ["sigma_x_m", "sigma_y_m", "sigma_theta_rad", "sigma_nu_mps", "sigma_mu", "sigma_kappa"]
 OUTPUTS = [*ESTIMATE, *SIGMA, "deviance", "kkt_rhe", "ok"]
-FIELDS = ("reading", "sigma_w", "sigma_v", "horizon_rhe", "speed_model", "arrival_mean", "qp")   # of Scenario, those an estimator in a replay reads
+FIELDS = ("reading", "sigma_w", "sigma_v", "horizon_rhe", "speed_model", "arrival_mean", "robust", "qp")   # of Scenario, those an estimator in a replay reads
 HEADINGS = 8             # directions tried where the first yaw is not known
-SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25)   # of the first guess of (x, y, θ, ν, μ, κ); as the paper's W, but for the yaw
+SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)   # of the first guess of (x, y, θ, ν, μ, κ, l_f, l_l); of the first six as the paper's W, but for the yaw
 
 
 def functions(*structure):
@@ -27,23 +27,15 @@ def functions(*structure):
     step = estimators.step(*structure)
     inputs = step.mx_in()
     outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], step.call(inputs)))
-    states = {"rhe": model.interval(speed_model).states, "ekf": (0, 1, 2, 3)}.get(identity, ())
+    states = {"rhe": model.interval(speed_model).states, "ekf": (0, 1, 2, 3), "dual": (0, 1, 2, 3)}.get(identity, ())
     sigma = [ca.DM.nan(1)] * 6
     for place, state in enumerate(states):
-        sigma[state] = ca.sqrt(outputs["covariance"][place, place])
+        if state < 6:
+            sigma[state] = ca.sqrt(outputs["covariance"][place, place])
     row = ca.vertcat(outputs["estimate"], *sigma, *(outputs.get(name, default) for name, default in (
         ("deviance", ca.DM.nan(1)), ("kkt", ca.DM.nan(1)), ("ok", 1))))
     names = step.name_in() if identity in ("rhe", "ekf") else ["memory", "z", *step.name_in()[2:]]
     return fold.functions(ca.Function("replay", inputs, [outputs["memory"], row], names, ["memory", "row"], {"allow_duplicate_io_names": True}))
-
-
-def first_memory(scenario, guess, sigma):
-    """The memory before the first sample, from a guess of (x, y, θ, ν, μ, κ) and its standard deviations."""
-    if scenario.estimator == "rhe":
-        return vector(rhe.start(guess, sigma, scenario.horizon_rhe, scenario.speed_model))
-    if scenario.estimator == "ekf":
-        return vector(ekf.start(guess, sigma))
-    return estimators.first_memory(scenario, guess)
 
 
 def run(steps, scenario, z, yaw_rad, sigma_yaw_rad):
@@ -52,9 +44,9 @@ def run(steps, scenario, z, yaw_rad, sigma_yaw_rad):
     x, y, nu = (z[np.argmax(seen[:, row]), row] if seen[:, row].any() else 0.0 for row in range(3))
     sigma = np.array(SIGMA_FIRST)
     sigma[2] = sigma_yaw_rad
-    settings = dict(V=np.square(scenario.sigma_v), W=np.square(estimators.sigma_w(scenario)), traction=np.ones(2))
+    settings = estimators.variances(scenario) | dict(traction=np.ones(2))
     names = steps["step"].name_in()
-    memory = first_memory(scenario, np.array([x, y, yaw_rad, nu, 1.0, 1.0]), sigma)
+    memory = estimators.first_memory(scenario, np.array([x, y, yaw_rad, nu, 1.0, 1.0]), sigma)
     return fold.fold(steps, memory, z, {name: value for name, value in settings.items() if name in names})[1]
 
 
@@ -88,7 +80,7 @@ def estimate_samples(recording, scenario, first_yaw_rad=None, sigma_yaw_rad=SIGM
     first_yaw_rad: None, or the first guess of the yaw in each segment.
     """
     steps = compiled.load(functions, estimators.identity(scenario.estimator), scenario.horizon_rhe, scenario.speed_model, scenario.arrival_mean,
-                          scenario.qp)
+                          scenario.qp, scenario.robust)
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = recordings.samples(rows, paper.DT_S, recording.averaged)
@@ -132,19 +124,20 @@ def replay(log, estimator="rhe", *, track_width_m: Positive | None = None, first
     """A recorded log through an estimator: a DataFrame of estimates, one row for each row of the log, in its order and with its index.
 
     log               recorded (x_m, y_m measured, …) or of `rhec.simulate`; columns and faults: `rhec.recordings`
-    estimator         "rhe", "ekf", or a CasADi Function of one's own, as in Scenario
+    estimator         "rhe", "ekf", "dual" or a CasADi Function of one's own, as in Scenario
     track_width_m     take ν and ω from v_left_mps and v_right_mps, this far apart, instead of speed_mps and yaw_rate_radps
     first_yaw_rad     first guess of the yaw, one number or one a segment. Unless told, several directions are tried, and the one is taken whose
                       innovations are least: an estimate that knows the whole segment until the robot has driven some metres
     sigma_yaw_rad     how sure that guess is
-    fields            of Scenario: reading, sigma_w, sigma_v, horizon_rhe, speed_model, arrival_mean, qp; speed_model is "input" unless told (R13)
+    fields            of Scenario: reading, sigma_w, sigma_v, horizon_rhe, speed_model, arrival_mean, robust, qp; speed_model is "slipping" unless
+                      told, which is "input" (R13) with noise that scales with motion
 
     Columns: segment, t_s; the truth the log has; READINGS as measured; estimates x_hat_m … kappa_hat and their standard deviations sigma_x_m …
     sigma_kappa; innovation_x_m, innovation_y_m, deviance; kkt_rhe; ok. A row that the estimator cannot use has the estimate before it.
     `.attrs["faults"]` counts what could not be used. ValueError for a log without the columns or times that it takes.
     """
-    scenario = settings(estimator, fields)
     recording = recordings.prepare(log, track_width_m)
+    scenario = settings(estimator, recording, fields)
     segments = recording.rows["segment"].nunique()
     if first_yaw_rad is not None:
         first_yaw_rad = np.broadcast_to(first_yaw_rad, segments) if np.ndim(first_yaw_rad) == 0 else np.array(first_yaw_rad)
@@ -159,12 +152,15 @@ def replay(log, estimator="rhe", *, track_width_m: Positive | None = None, first
     return result
 
 
-def settings(estimator, fields):
+def settings(estimator, recording, fields):
     """The Scenario whose estimator a replay runs."""
     unknown = [name for name in fields if name not in FIELDS]
     if unknown:
         raise ValueError(f"replay has no parameter {unknown[0]!r}; of Scenario's fields it takes {', '.join(FIELDS)}")
-    scenario = Scenario(**dict(estimator=estimator, speed_model="input") | fields)
+    defaults = dict(estimator=estimator, speed_model="slipping", track_width_m=recording.track_width_m) | fields
+    if defaults["speed_model"] == "slipping":
+        defaults = dict(arrival_mean="filtered") | defaults   # nothing of the paper's to reproduce, so each measurement counts once
+    scenario = Scenario(**defaults)
     if scenario.estimator in ("oracle", "traction_oracle"):
-        raise ValueError(f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf' or a CasADi Function, for a recording has no truth to rely on")
+        raise ValueError(f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf', 'dual' or a CasADi Function, for a recording has no truth to rely on")
     return scenario

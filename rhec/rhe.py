@@ -10,29 +10,93 @@ the oldest node to the newest is exactly a Kalman filter over the window (inform
 leaves a QP in (μ, κ); its multiplier then runs backwards through the window and yields every other unknown (Bryson-Frazier). Each costs O(N).
 """
 
+import functools
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from rhec import compiled, gauss_newton, kalman, model, paper
-from rhec.function import folded, function, only
+from rhec import compiled, gauss_newton, kalman, model, paper, screening
+from rhec.function import folded, function, only, size
 from rhec.gauss_newton import put, transition
 from rhec.kalman import symmetric, valid
-from rhec.scenario import SIGMA_W
-from rhec.validation import ArrivalMean, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, checked
+from rhec.validation import ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, checked
 
 BEYOND = 1e12                # an estimate beyond this, or not a number, is no estimate
 SIGMA_HELD = (1.0, 1.0)      # ν [m/s], ω [rad/s]: how far a missing input may be from the one before
+SIDE_MPS = 1e-3              # the side slip speed of tracks that stand still
+
+# Process noise W as standard deviations of (x, y, θ, ν, μ, κ) per sample: to the letter (R2), and as `rhec.calibration` found it on training seeds.
+SIGMA_W = {"printed": paper.SIGMA_W_RHE, "calibrated": (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001)}
+# Where noise is the tracks' slip it grows with the distance d they ran, like √d: of (μ, κ), and of the way of each track and across.
+SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.015, 0.03), 0.05, 0.06   # [1/√m], [m/√m], [m/√m]
+# Before the first sample, standard deviations of (x, y, θ, ν, μ, κ, l_f, l_l): the paper's W, and an antenna whose place is known to the millimetre.
+SIGMA_START = (*paper.SIGMA_W_RHE, 1e-3, 1e-3)
 
 
-def measured_inputs(interval, z, v, V):
+class Window(NamedTuple):
+    """What decides the shape of the Functions: intervals N of dt_s, their model, and how readings, arrival cost and QP are treated."""
+
+    interval: model.Interval
+    N: int
+    dt_s: float
+    arrival_mean: str
+    qp: str
+    robust: bool
+
+    @property
+    def memory(self):
+        """s trajectory, v inputs, z readings, age intervals driven, m and P arrival cost; seen: what `screening` remembers."""
+        n_s, n_v = self.interval.n_s, self.interval.n_v
+        memory = dict(s=(n_s, self.N + 1), v=(n_v, self.N), z=(4, self.N + 1), age=(1, 1), m=(n_s, 1), P=(n_s, n_s))
+        return memory | dict(seen=(size(screening.memory(self.dt_s)), 1)) if self.robust else memory
+
+    @property
+    def weights(self):
+        """Variances: V of the readings, and where tracks slip (σ_track², σ_side², b); W of the process noise."""
+        return dict(V=(7 if self.interval.slips else 4, 1)), dict(W=(self.interval.n_s, 1))
+
+    @property
+    def linearised(self):
+        """Sparsities of one interval's end F, D = A - 1 and B."""
+        return {name: self.interval.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
+
+
+# The model's noise
+
+def ran(nu, omega, b):
+    """Speeds (left, right) [m/s] of the tracks of a robot with track width b [m]."""
+    return ca.fabs(nu - b / 2 * omega), ca.fabs(nu + b / 2 * omega)
+
+
+def measured_inputs(window, z, v, V):
     """What the reading z (4,) says of the inputs before it, and how surely: (v_m, R_v). A missing one is the last one held."""
     mean, variance = [], []
-    for place, row in interval.measured_inputs:
+    for place, row in window.interval.measured_inputs:
         mean.append(ca.if_else(valid(z, row), z[row], v[place]))
         variance.append(ca.if_else(valid(z, row), V[row], SIGMA_HELD[row - 2] ** 2))
+    if window.interval.slips:   # each track's way varies by σ_track √d, and that across by σ_side √d
+        sigma2_track, sigma2_side, b = V[4], V[5], V[6]
+        left, right = ran(*mean, b)
+        variance[0] += sigma2_track * (left + right) / 4 / window.dt_s
+        variance[1] += sigma2_track * (left + right) / b**2 / window.dt_s
+        mean.append(0)
+        variance.append(sigma2_side * (left + right) / 2 / window.dt_s + SIDE_MPS**2)
     return ca.vertcat(*mean), ca.diag(ca.vertcat(*variance))
+
+
+def process_noise(window, v, W, V):
+    """W of one interval: per sample, or where tracks slip per metre that they ran."""
+    if not window.interval.slips:
+        return ca.diag(W)
+    left, right = ran(v[0], v[1], V[6])
+    return ca.diag(W * (left + right) / 2 * window.dt_s)
+
+
+def with_input(window, B, m, P, v, z, V):
+    """A prediction (m, P) made with the input v, corrected by what the reading z says of that input."""
+    v_m, R_v = measured_inputs(window, z, v, V)
+    return m + B @ (v_m - v), P + B @ R_v @ B.T
 
 
 def sane(x):
@@ -40,82 +104,82 @@ def sane(x):
     return ca.mmin(ca.fabs(x) <= BEYOND)
 
 
-def arrival(interval, s, v, m, P, z_0, z_1, V, W, dt_s, mean):
+# shift: the window moves on by one sample, and its oldest node becomes the arrival cost
+
+def arrival(window, s, v, m, P, z_0, z_1, V, W):
     """Smoothed-EKF update of the arrival cost (paper, Sec. Arrival Cost): the window's oldest node leaves.
 
     The prior at the oldest node takes in that node's measurement z_0, passes through the interval linearised at the previous RHE solution
     (s, v), and is down-weighted by W (n_s,), so that H_N = P⁻¹ never exceeds W⁻¹. The mean comes from the previous solution, as the paper
-    says (`mean="smoothed"`), or from the filter itself (`"filtered"`): reading R7.
+    says (`arrival_mean="smoothed"`), or from the filter itself (`"filtered"`): reading R7.
     """
-    F, D, B = interval.linearised(s[:, 0], v[:, 0], dt_s)
+    F, D, B = window.interval.linearised(s[:, 0], v[:, 0], window.dt_s)
     A = transition(D)
-    m, P_updated, _, _, _ = kalman.update(m, P, z_0, V, interval.measured_states)
-    v_m, R_v = measured_inputs(interval, z_1, v[:, 0], V)
-    P_next = symmetric(A @ P_updated @ A.T + B @ R_v @ B.T) + ca.diag(W)
+    m, P_updated, _, _, _ = kalman.update(m, P, z_0, V, window.interval.measured_states)
+    v_m, R_v = measured_inputs(window, z_1, v[:, 0], V)
+    noise = process_noise(window, v_m, W, V)
+    P_next = symmetric(A @ P_updated @ A.T + B @ R_v @ B.T) + noise
     m_next = F + A @ (m - s[:, 0]) + B @ (v_m - v[:, 0])
     # where readings were so wild that no covariance comes out, the old one grows instead
     good = sane(P_next) * ca.mmin(ca.diag(P_next) > 0)
-    return s[:, 1] if mean == "smoothed" else ca.if_else(sane(m_next), m_next, s[:, 1]), ca.if_else(good, P_next, P + ca.diag(W))
+    smoothed = window.arrival_mean == "smoothed"
+    return s[:, 1] if smoothed else ca.if_else(sane(m_next), m_next, s[:, 1]), ca.if_else(good, P_next, P + noise)
 
 
-def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="structured"):
-    """The RHE as CasADi Functions shift, linearise, feedback and expand (each phase: see `gauss_newton`) and step, which is all of them.
+def shift(window):
+    iv, N = window.interval, window.N
 
-    Memory: s (n_s, N+1) trajectory, v (n_v, N) inputs, z (4, N+1) window, age () intervals driven, m (n_s,) and P (n_s, n_s) arrival cost.
-    V (4,) and W (n_s,) are variances. A window that is not full yet has intervals of no length before its first sample.
-    """
-    N, iv = horizon, model.interval(speed_model)
-    q, n_s, n_v, rows = list(iv.traction), iv.n_s, iv.n_v, len(iv.measured_states)
-    memory = dict(s=(n_s, N + 1), v=(n_v, N), z=(4, N + 1), age=(1, 1), m=(n_s, 1), P=(n_s, n_s))
-    V, W = dict(V=(4, 1)), dict(W=(n_s, 1))
-    loops = compiled.kind_of_loops()
-    calls = loops if qp == "structured" else ca.MX   # a QP solver can only be called
-    linearised = dict(F=(n_s, 1), D=iv.linearised.sparsity_out(1), B=iv.linearised.sparsity_out(2))
-
-    def shift(s, v, z, age, m, P, V, W):
-        """The window moves on by one sample; once it is full, its oldest node becomes the arrival cost."""
-        m_next, P_next = arrival(iv, s, v, m, P, z[:, 0], z[:, 1], V, W, dt_s, arrival_mean)
-        s, v = gauss_newton.shift(iv, s, v, dt_s * (age >= 0))
+    def body(s, v, z, age, m, P, V, W, **seen):
+        m_next, P_next = arrival(window, s, v, m, P, z[:, 0], z[:, 1], V, W)
+        s, v = gauss_newton.shift(iv, s, v, window.dt_s * (age >= 0))
         return dict(s=s, v=v, z=ca.horzcat(z[:, 1:], ca.SX.nan(4)), age=ca.fmin(age + 1, N),
-                    m=ca.if_else(age >= N, m_next, m), P=ca.if_else(age >= N, P_next, P))
+                    m=ca.if_else(age >= N, m_next, m), P=ca.if_else(age >= N, P_next, P)) | seen
 
-    shift = function("rhe_shift", shift, memory | V | W)
+    V, W = window.weights
+    return function("rhe_shift", body, window.memory | V | W)
 
-    # linearise: from the oldest node to the newest, whose measurement is yet to come
 
-    def with_input(B, m, P, v, z, V):
-        """A prediction (m, P) made with the input v, corrected by what the reading z says of that input."""
-        v_m, R_v = measured_inputs(iv, z, v, V)
-        return m + B @ (v_m - v), P + B @ R_v @ B.T
+# linearise: from the oldest node to the newest, whose measurement is yet to come
+
+def linearise(window, loops):
+    iv, N, n_s, n_v = window.interval, window.N, window.interval.n_s, window.interval.n_v
+    V, _ = window.weights
 
     def filtered(B, v_before, m, P, z, s, v, dt_s, V):
         """One node: the input before it, its measurement, then the interval after it, integrated and differentiated at (s, v)."""
-        m, P, K, e, _ = kalman.update(*with_input(B, m, P, v_before, z, V), z, V, iv.measured_states)
+        m, P, K, e, _ = kalman.update(*with_input(window, B, m, P, v_before, z, V), z, V, iv.measured_states)
         F, D, B = iv.linearised(s, v, dt_s)
         A = transition(D)
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=symmetric(A @ P @ A.T))
 
     filtered = function("rhe_filtered", filtered, dict(
-        B=linearised["B"], v_before=(n_v, 1), m=(n_s, 1), P=(n_s, n_s), z=(4, 1), s=(n_s, 1), v=(n_v, 1), dt_s=(1, 1)) | V)
+        B=window.linearised["B"], v_before=(n_v, 1), m=(n_s, 1), P=(n_s, n_s), z=(4, 1), s=(n_s, 1), v=(n_v, 1), dt_s=(1, 1)) | V)
 
-    def linearise(s, v, z, age, m, P, V):
+    def body(s, v, z, age, m, P, V):
         s, v, z, nodes = ca.horzsplit(s), ca.horzsplit(v), ca.horzsplit(z), []
-        B, v_before = ca.DM(linearised["B"], 0), ca.DM.zeros(n_v)   # no input acts before the oldest node
+        B, v_before = ca.DM(window.linearised["B"], 0), ca.DM.zeros(n_v)   # no input acts before the oldest node
         for i in range(N):
-            nodes.append(filtered(B=B, v_before=v_before, m=m, P=P, z=z[i], s=s[i], v=v[i], dt_s=dt_s * (age >= N - i), V=V))
+            nodes.append(filtered(B=B, v_before=v_before, m=m, P=P, z=z[i], s=s[i], v=v[i], dt_s=window.dt_s * (age >= N - i), V=V))
             B, v_before, m, P = nodes[-1]["B"], v[i], nodes[-1]["m"], nodes[-1]["P"]
         along = {name: ca.horzcat(*(node[name] for node in nodes)) for name in ("F", "D", "B", "K", "e")}
         return along | dict(B_N=B, v_N=v_before, m_N=m, P_N=P, s_N=s[N])
 
-    linearise = function("rhe_linearise", linearise, memory | V, loops)
+    inputs = {name: shape for name, shape in window.memory.items() if name != "seen"}
+    return function("rhe_linearise", body, inputs | V, loops)
 
-    # feedback: the newest measurement, and the QP that is left
+
+# feedback: the newest measurement, and the QP that is left
+
+def feedback(window, calls):
+    q, n_s, n_v = list(window.interval.traction), window.interval.n_s, window.interval.n_v
+    speed_place = 3 if 3 in window.interval.states else None   # of ν in s, if it is there
+    V, _ = window.weights
 
     def newest(B_N, v_N, m_N, P_N, z_N, V):
         """min ½ (q - q̂)' H (q - q̂), 0 ≤ q = (μ, κ) ≤ 1, where H is the inverse covariance of (μ, κ) alone."""
-        m, P, K, e, deviance = kalman.update(*with_input(B_N, m_N, P_N, v_N, z_N, V), z_N, V, iv.measured_states)
+        m, P, K, e, deviance = kalman.update(*with_input(window, B_N, m_N, P_N, v_N, z_N, V), z_N, V, window.interval.measured_states)
         H = ca.inv_minor(P[q, q])
-        nu = m[3] if speed_model == "parameter" else measured_inputs(iv, z_N, v_N, V)[0][0]
+        nu = m[speed_place] if speed_place else measured_inputs(window, z_N, v_N, V)[0][0]
         return dict(H=H, g=-H @ m[q], m=m, covariance=P, nu=nu, K_N=K, e_N=e, deviance=deviance)
 
     def bounded(H, m, covariance, nu, traction, solved, s_N):
@@ -125,24 +189,45 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         ok = solved * sane(ca.vertcat(corrected, ca.vec(covariance), multipliers))
         newest = ca.if_else(ok, corrected, s_N)
         traction = ca.if_else(ok, traction, ca.fmin(ca.fmax(s_N[q], 0), 1))
-        nu = newest[3] if speed_model == "parameter" else nu
+        nu = newest[speed_place] if speed_place else nu
         return dict(estimate=ca.vertcat(newest[:3], nu, traction), multipliers=multipliers,
                     covariance=ca.if_else(ok, covariance, BEYOND * ca.SX.eye(n_s)), ok=ok)
 
-    prediction = dict(B_N=linearised["B"], v_N=(n_v, 1), m_N=(n_s, 1), P_N=(n_s, n_s))
+    prediction = dict(B_N=window.linearised["B"], v_N=(n_v, 1), m_N=(n_s, 1), P_N=(n_s, n_s))
     newest = function("rhe_newest", newest, prediction | dict(z_N=(4, 1)) | V)
     bounded = function("rhe_bounded", bounded, dict(H=(2, 2), m=(n_s, 1), covariance=(n_s, n_s), nu=(1, 1), traction=(2, 1),
                                                     solved=(1, 1), s_N=(n_s, 1)))
-    solve = gauss_newton.box_qp_2() if qp == "structured" else gauss_newton.box_qp(2, qp)
+    solve = gauss_newton.box_qp_2() if window.qp == "structured" else gauss_newton.box_qp(2, window.qp)
 
-    def feedback(s_N, **given):
+    def answered(s_N, **given):
         p = newest(**given)
         traction, _, solved = solve(p["H"], p["g"], ca.DM.zeros(2), ca.DM.ones(2))
         return bounded(**only(bounded, p), traction=traction, solved=solved, s_N=s_N) | {name: p[name] for name in ("K_N", "e_N", "deviance")}
 
-    feedback = function("rhe_feedback", feedback, dict(s_N=(n_s, 1)) | prediction | dict(z_N=(4, 1)) | V, calls)
+    given = dict(s_N=(n_s, 1)) | prediction | dict(z_N=(4, 1)) | V
+    if not window.robust:
+        return function("rhe_feedback", answered, given, calls)
 
-    # expand: the multipliers run backwards through the window, the solution forwards
+    def screened(B_N, v_N, m_N, P_N, z_N, V, age, seen):
+        return screening.screen(z_N, seen, lambda z: with_input(window, B_N, m_N, P_N, v_N, z, V), V, q[1], age < 1,
+                                speed_place is not None, window.dt_s)
+
+    remembered = {name: window.memory[name] for name in ("age", "seen")}
+    screened = function("rhe_screened", screened, prediction | dict(z_N=(4, 1)) | V | remembered)
+
+    def body(**given):
+        believed = screened(**only(screened, given))
+        answer = answered(**{name: given[name] for name in ("s_N", *prediction, "V")}, z_N=believed["z_used"])
+        return answer | {name: believed[name] for name in ("z_used", "again", "pose")} | dict(seen_after=believed["seen"])
+
+    return function("rhe_feedback", body, given | remembered, calls)
+
+
+# expand: the multipliers run backwards through the window, the solution forwards
+
+def expand(window, linearise, feedback, loops):
+    iv, N, n_s, n_v, rows = window.interval, window.N, window.interval.n_s, window.interval.n_v, len(window.interval.measured_states)
+    q, linearised, (V, _) = list(iv.traction), window.linearised, window.weights
 
     def unmeasured(adjoint, K, e):
         """The adjoint before a node's measurement, from the one after it."""
@@ -155,7 +240,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
     def backward(adjoint, D, B, K, e, z, v, V):
         """One node and the interval before it: the interval's new input, and the adjoint at its beginning."""
         adjoint = unmeasured(adjoint, K, e)
-        v_m, R_v = measured_inputs(iv, z, v, V)
+        v_m, R_v = measured_inputs(window, z, v, V)
         return dict(v_new=v_m - R_v @ B.T @ adjoint, adjoint=transition(D).T @ adjoint)
 
     def oldest(adjoint, K, e, m, P, s, z, V):
@@ -171,7 +256,7 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
         """One interval of the new solution and of the one where the iteration began (its gap closed), and what it adds to ∇J·Δw."""
         A = transition(D)
         new, old = F + A @ (new - s) + B @ (v_new - v), F + A @ (old - s)
-        v_m, R_v = measured_inputs(iv, z, v, V)
+        v_m, R_v = measured_inputs(window, z, v, V)
         return dict(new=new, old=old, descent=measured_descent(new, old, z, V) + ca.dot((v - v_m) / ca.diag(R_v), v_new - v))
 
     def accepted(s, v, s_new, v_new, ok):
@@ -184,13 +269,24 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
     oldest = function("rhe_oldest", oldest, dict(adjoint=(n_s, 1)) | gains | dict(m=(n_s, 1), P=(n_s, n_s), s=(n_s, 1), z=(4, 1)) | V)
     forward = function("rhe_forward", forward, dict(new=(n_s, 1), old=(n_s, 1)) | linearised | dict(
         s=(n_s, 1), v=(n_v, 1), v_new=(n_v, 1), z=(4, 1)) | V)
-
     accepted = function("rhe_accepted", accepted, dict(s=(n_s, N + 1), v=(n_v, N), s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1)))
 
-    def expand(s, v, z, age, m, P, V, F, D, B, K, e, K_N, e_N, multipliers, z_N, ok):
+    def begun_again(again, pose, z_used, s, v, z, age, m, P):
+        """The memory of a new start at this pose with the present speed and traction, where the screening asks for it."""
+        there = ca.vertcat(pose, s[3:, N])
+        there[q] = ca.fmin(ca.fmax(there[q], 0), 1)
+        fresh = dict(s=ca.repmat(there, 1, N + 1), v=ca.repmat(v[:, N - 1], 1, N), z=ca.horzcat(ca.SX.nan(4, N), z_used), age=0, m=there,
+                     P=ca.diag(ca.DM(screening.SIGMA_AGAIN)[list(iv.states)] ** 2))
+        old = dict(s=s, v=v, z=z, age=age, m=m, P=P)
+        return {name: ca.if_else(again, fresh[name], old[name]) for name in old}
+
+    window_memory = {name: shape for name, shape in window.memory.items() if name != "seen"}
+    begun_again = function("rhe_begun_again", begun_again, dict(again=(1, 1), pose=(3, 1), z_used=(4, 1)) | window_memory)
+
+    def body(s, v, z, age, m, P, V, F, D, B, K, e, K_N, e_N, multipliers, ok, z_N=None, z_used=None, again=None, pose=None, seen_after=None):
         """Every other unknown of the window, and the KKT tolerance of the linearisation point."""
-        window = ca.horzcat(z[:, :N], z_N)
-        z, s_old, v_old = ca.horzsplit(window), ca.horzsplit(s), ca.horzsplit(v)
+        readings = ca.horzcat(z[:, :N], z_used if window.robust else z_N)
+        z, s_old, v_old = ca.horzsplit(readings), ca.horzsplit(s), ca.horzsplit(v)
         F, D, B = ca.horzsplit(F), ca.horzsplit(D, n_s), ca.horzsplit(B, n_v)
         K, e = [*ca.horzsplit(K, rows), K_N], [*ca.horzsplit(e), e_N]
 
@@ -205,35 +301,72 @@ def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", q
             s_new, descent = [*s_new, new], descent + more
         kkt = gauss_newton.kkt_tolerance(descent, multipliers, -s_old[N][q], 1 - s_old[N][q])
         s, v = accepted(s, v, ca.horzcat(*s_new), ca.horzcat(*v_new), ok)
-        return dict(s=s, v=v, z=window, age=age, m=m, P=P, kkt=kkt)
+        expanded = dict(s=s, v=v, z=readings, age=age, m=m, P=P)
+        if window.robust:
+            expanded = begun_again(again=again, pose=pose, z_used=z_used, **expanded) | dict(seen=seen_after)
+        return expanded | dict(kkt=kkt)
 
     along = {name: linearise.sparsity_out(name) for name in ("F", "D", "B", "K", "e")}
-    result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok")}
-    expand = function("rhe_expand", expand, memory | V | along | result | dict(z_N=(4, 1)), loops)
+    told = ("z_used", "again", "pose", "seen_after") if window.robust else ()
+    result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok", *told)}
+    return function("rhe_expand", body, window_memory | V | along | result | ({} if window.robust else dict(z_N=(4, 1))), loops)
+
+
+def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="structured", robust=False):
+    """The RHE as CasADi Functions shift, linearise, feedback and expand (each phase: see `gauss_newton`) and step, which is all of them.
+
+    Memory, V and W: see `Window`. A window that is not full yet has intervals of no length before its first sample.
+    """
+    window = Window(model.interval(speed_model), horizon, dt_s, arrival_mean, qp, robust)
+    loops = compiled.kind_of_loops()
+    calls = loops if qp == "structured" else ca.MX   # a QP solver can only be called
+    phases = dict(shift=shift(window), linearise=linearise(window, loops), feedback=feedback(window, calls))
+    phases["expand"] = expand(window, phases["linearise"], phases["feedback"], loops)
 
     def step(z_N, V, W, **memory):
-        """All phases of one sample."""
-        memory = shift(**memory, V=V, W=W)
-        prepared = linearise(**memory, V=V)
-        result = feedback(**only(feedback, prepared), z_N=z_N, V=V)
-        expanded = expand(**memory, **only(expand, prepared), **only(expand, result), z_N=z_N, V=V)
-        return {name: result[name] for name in ("estimate", "covariance", "deviance", "ok")} | expanded
+        """All phases of one sample. Robust: z_used are the readings that were believed, again is 1 if the estimator begins again."""
+        memory = phases["shift"](**memory, V=V, W=W)
+        prepared = phases["linearise"](**only(phases["linearise"], memory), V=V)
+        result = phases["feedback"](**only(phases["feedback"], prepared | memory), z_N=z_N, V=V)
+        expanded = phases["expand"](**only(phases["expand"], memory | prepared | result | dict(z_N=z_N, V=V)))
+        told = ("estimate", "covariance", "deviance", "ok") + (("z_used", "again") if robust else ())
+        return {name: result[name] for name in told} | expanded
 
-    step = folded("rhe_step", step, memory, dict(z_N=(4, 1)) | V | W, calls)
-    return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand, step=step)
+    V, W = window.weights
+    return phases | dict(step=folded("rhe_step", step, window.memory, dict(z_N=(4, 1)) | V | W, calls))
 
 
-def start(guess, sigma, horizon, speed_model="parameter"):
-    """Memory before the first sample: guess (6,) = (x, y, θ, ν, μ, κ), sigma (6,) its standard deviations."""
+def entries(speed_model):
+    """How many standard deviations are behind W: of (x, y, θ, ν, μ, κ) per sample, without ν where that is an input; of (μ, κ) where tracks slip."""
+    return 2 if speed_model == "slipping" else len(model.interval(speed_model).states)
+
+
+def variances(speed_model, reading, sigma_w, sigma_v, track_width_m):
+    """The settings V and W (see `Window`) behind these standard deviations; sigma_w None stands for those of the reading."""
+    states = list(model.interval(speed_model).states)
+    if speed_model == "slipping":
+        sigma_w = (0,) * 5 + tuple(SIGMA_W_SLIPPING if sigma_w is None else sigma_w)
+        return dict(V=np.array([*np.square([*sigma_v, SIGMA_TRACK, SIGMA_SIDE]), track_width_m]), W=np.square(sigma_w))
+    return dict(V=np.square(sigma_v), W=np.square(np.array(SIGMA_W[reading])[states] if sigma_w is None else sigma_w))
+
+
+def start(guess, sigma, horizon, speed_model="parameter", robust=False, dt_s=paper.DT_S):
+    """Memory before the first sample: guess (8,) = (x, y, θ, ν, μ, κ, l_f, l_l), sigma (8,) its standard deviations; an antenna in the middle
+    need not be mentioned."""
     iv = model.interval(speed_model)
-    guess, sigma, states = np.asarray(guess, dtype=float), np.asarray(sigma, dtype=float), list(iv.states)
-    inputs = [0.0] if speed_model == "parameter" else [guess[3], 0.0]
-    return dict(s=np.tile(guess[states], (horizon + 1, 1)).T, v=np.tile(inputs, (horizon, 1)).T, z=np.full((4, horizon + 1), np.nan),
-                age=-1.0, m=guess[states], P=np.diag(sigma[states] ** 2))
+    guess = np.append(guess, np.zeros(8 - len(guess)))
+    sigma, states = np.append(sigma, SIGMA_START[len(sigma):]), list(iv.states)
+    inputs = [0.0] if speed_model == "parameter" else [guess[3], 0.0, 0.0][:iv.n_v]
+    memory = dict(s=np.tile(guess[states], (horizon + 1, 1)).T, v=np.tile(inputs, (horizon, 1)).T, z=np.full((4, horizon + 1), np.nan),
+                  age=-1.0, m=guess[states], P=np.diag(sigma[states] ** 2))
+    return memory | dict(seen=screening.start(dt_s)) if robust else memory
 
 
 class Estimate(NamedTuple):
-    """Pose [m, m, rad], speed [m/s], traction, and the covariance of the estimated ones among (x, y, θ, ν, μ, κ), bounds left aside."""
+    """Pose [m, m, rad], speed [m/s], traction, and the covariance of the estimated ones among (x, y, θ, ν, μ, κ), bounds left aside.
+
+    With speed_model "slipping", (x, y) is the antenna's place, and the covariance is that of (x, y, θ, l_f, l_l, μ, κ).
+    """
 
     x: float
     y: float
@@ -247,23 +380,23 @@ class Estimate(NamedTuple):
 class RHE:
     """The estimator for a loop of one's own: `prepare()` while there is time, `feedback(z)` when the measurement is there.
 
-    dt [s]; horizon: intervals; reading, sigma_w, sigma_v, speed_model, arrival_mean, qp: see Scenario. guess: first (x, y, θ, ν, μ, κ); without it the
-    first measurement's position and speed, yaw 0 and no slip, with a yaw that may be a right angle off.
+    dt [s]; horizon: intervals; reading, sigma_w, sigma_v, speed_model, arrival_mean, robust, track_width_m, qp: see Scenario. guess: first
+    (x, y, θ, ν, μ, κ); without it the first measurement's position and speed, yaw 0 and no slip, with a yaw that may be a right angle off.
     """
 
     @checked
     def __init__(self, *, dt: Positive = paper.DT_S, horizon: Intervals = paper.HORIZON, reading: Reading = "printed",
                  sigma_w: tuple[NotNegative, ...] | None = None, sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V,
-                 speed_model: SpeedModel = "parameter", arrival_mean: ArrivalMean = "smoothed", qp: Solver = "structured",
+                 speed_model: SpeedModel = "parameter", arrival_mean: ArrivalMean = "smoothed", robust: Flag = False,
+                 track_width_m: Positive = paper.TRACK_WIDTH_M, qp: Solver = "structured",
                  guess: tuple[Real, Real, Real, Real, Real, Real] | None = None):
-        states = model.interval(speed_model).states
-        if sigma_w is None:
-            sigma_w = np.array(SIGMA_W["rhe", reading])[list(states)]
-        if len(sigma_w) != len(states):
-            raise ValueError(f"sigma_w was {sigma_w!r}; with speed_model {speed_model!r} it should have {len(states)} entries")
-        self.horizon, self.speed_model, self.guess, self.n_s = horizon, speed_model, guess, len(states)
-        self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, speed_model, arrival_mean, qp),
-                                                ("s", "v", "z", "age", "m", "P"), V=np.square(sigma_v), W=np.square(sigma_w))
+        if sigma_w is not None and len(sigma_w) != entries(speed_model):
+            raise ValueError(f"sigma_w was {sigma_w!r}; with speed_model {speed_model!r} it should have {entries(speed_model)} entries")
+        self.guess, self.n_s = guess, model.interval(speed_model).n_s
+        self.start = functools.partial(start, horizon=horizon, speed_model=speed_model, robust=robust, dt_s=dt)
+        self.iteration = gauss_newton.Iteration(
+            compiled.load(functions, dt, horizon, speed_model, arrival_mean, qp, robust), self.start((0.0,) * 6, SIGMA_START),
+            **variances(speed_model, reading, sigma_w, sigma_v, track_width_m))
 
     def prepare(self):
         """Arrival cost, shift, integrate, linearise, filter (paper: preparation part)."""
@@ -284,13 +417,13 @@ class RHE:
     def _given(self, z):
         put("z", z, self.iteration.arrays["z_N"])
         if not self.iteration.started:
-            guess, sigma = self.guess, list(paper.SIGMA_W_RHE)
+            guess, sigma = self.guess, list(SIGMA_START)
             z = self.iteration.arrays["z_N"]
             readable = np.abs(z) <= kalman.Z_MAX
             if guess is None:
                 x, y, nu, _ = np.where(readable, z, 0.0)
                 guess, sigma[2] = (x, y, 0.0, nu, 1.0, 1.0), np.pi / 2
-            self.iteration.start(start(guess, sigma, self.horizon, self.speed_model) | dict(age=0.0))
+            self.iteration.start(self.start(guess, sigma) | dict(age=0.0))
             self.iteration.started = self.guess is not None or bool(readable[:2].all())   # without a place, begin again with the next reading
 
     def _estimate(self):

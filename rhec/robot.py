@@ -52,7 +52,7 @@ def drive(dt_s):
             limited = ca.fmin(ca.fmax(command, -SPEED_LIMIT_MPS), SPEED_LIMIT_MPS)
             integral = integral + h * GAIN_I * (target - reading) * (command == limited)   # no wind-up
             nu, omega = body_speeds(tracks, track_width_m)
-            pose = model.rk4(pose, omega, ca.vertcat(nu, traction), h) + ca.vertcat(0, 0, h * bump_sigma_radps * bump)
+            pose = model.rk4(model.f, pose, omega, ca.vertcat(nu, traction), h) + ca.vertcat(0, 0, h * bump_sigma_radps * bump)
             tracks = tracks + h / MOTOR_LAG_S * (limited - tracks)
         return dict(pose=pose, tracks=tracks, integral=integral,
                     encoders=ca.vertcat(*body_speeds(sum(readings) / SUBSTEPS, track_width_m)))

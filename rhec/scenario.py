@@ -2,33 +2,34 @@
 
 from typing import Annotated, Any, Literal
 
+import casadi as ca
 from pydantic import Field
 
-from rhec import paper
+from rhec import estimators, paper
+from rhec.faults import Fault
+from rhec.path import Path
+from rhec.terrain import Terrain
 from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, Whole,
                              validated)
 
-# Process noise W as standard deviations per sample: to the letter (R1, R2), and as `rhec.calibration` found it on training seeds.
-SIGMA_W = {
-    ("rhe", "printed"): paper.SIGMA_W_RHE,
-    ("ekf", "printed"): paper.SIGMA_W_EKF,
-    ("rhe", "calibrated"): (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001),
-    ("ekf", "calibrated"): (0.017, 0.017, 0.013, 0.001),
-}
 
 @validated
 class Scenario:
     """One closed-loop run. SI units; angles in radians.
 
     The estimator
-        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true traction, pose estimated), or a CasADi Function
-                           (memory, z) -> (memory, estimate) of one's own; its memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
+        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true traction, pose estimated), "dual" (traction by
+                           the RHE, pose by an EKF that is told it: not in the paper), or a CasADi Function (memory, z) -> (memory, estimate) of
+                           one's own; its memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
         reading            "printed": the paper's W to the letter; "calibrated": W from training seeds (R1, R2)
-        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for the RHE, (x, y, θ, ν) for the EKF
+        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for the RHE, without ν where that is an input,
+                           (μ, κ) per √m where tracks slip; (x, y, θ, ν) for the EKF; both, one after the other, for "dual"
         sigma_v            measurement noise the estimator assumes: (x, y [m], ν [m/s], ω [rad/s])
         horizon_rhe        intervals of the estimation window; N intervals have N + 1 nodes, so 14 is the paper's sum of N terms (R5)
-        speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an interval, from the encoders (R6, R13)
+        speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an interval, from the encoders (R6, R13);
+                           "slipping": the same, with process noise in proportion to how far the tracks ran, sideways, too: not in the paper
         arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper; "filtered": from the EKF update itself (R7)
+        robust             gate positions by their innovations, and begin again where they contradict the estimate for long (`rhec.gating`)
     The controller
         q, r, qn_factor    weights Q_k (x, y, θ), R, and Q_N = qn_factor · Q_k
         omega_max_radps    bound on the commanded yaw rate
@@ -52,6 +53,7 @@ class Scenario:
                            time constant gnss_slow_time_s (R4)
         encoder_sigma_mps  of one track at 50 Hz; bump_sigma_radps: yaw rate a bump adds for one sample
         track_width_m      b
+        faults             (rhec.Fault, …): what is wrong with the sensors, and when
         seed               fixes terrain and noise together
     """
 
@@ -62,6 +64,7 @@ class Scenario:
     horizon_rhe: Intervals = paper.HORIZON
     speed_model: SpeedModel = "parameter"
     arrival_mean: ArrivalMean = "smoothed"
+    robust: Flag = False
 
     q: Weights = paper.Q3
     r: Positive = paper.R
@@ -97,16 +100,12 @@ class Scenario:
     encoder_sigma_mps: NotNegative = paper.ENCODER_SIGMA_MPS
     bump_sigma_radps: NotNegative = 0.02
     track_width_m: Positive = paper.TRACK_WIDTH_M
+    faults: tuple[Fault, ...] = ()
     seed: Annotated[Whole, Field(ge=0)] = 0
 
     def __post_init__(self):
-        import casadi as ca   # here, because only a Function of one's own needs it
-
-        from rhec.path import Path
-        from rhec.terrain import Terrain
-        names = ("rhe", "ekf", "oracle", "traction_oracle")
-        if self.estimator not in names if isinstance(self.estimator, str) else not isinstance(self.estimator, ca.Function):
-            raise ValueError(f"estimator was {self.estimator!r}; it should be one of {names} or a CasADi Function")
+        if self.estimator not in estimators.NAMES if isinstance(self.estimator, str) else not isinstance(self.estimator, ca.Function):
+            raise ValueError(f"estimator was {self.estimator!r}; it should be one of {estimators.NAMES} or a CasADi Function")
         if not isinstance(self.path, Path | None):
             raise ValueError(f"path was {self.path!r}; it should be a rhec.Path or None")
         if not isinstance(self.terrain, Terrain | None):
@@ -116,6 +115,8 @@ class Scenario:
             if deviation**2 >= mean * (1 - mean) and deviation:
                 raise ValueError(f"{name}_deviation was {deviation!r}; with {name}_mean {mean} it should be below {(mean * (1 - mean)) ** 0.5:.3g}, "
                                  "the most a quantity between 0 and 1 can vary")
-        expected = {"rhe": 6 if self.speed_model == "parameter" else 5, "ekf": 4, "traction_oracle": 4}.get(str(self.estimator))
+        expected = estimators.entries(self.estimator, self.speed_model) if isinstance(self.estimator, str) else 0
         if self.sigma_w is not None and len(self.sigma_w) != expected:
             raise ValueError(f"sigma_w was {self.sigma_w!r}; for the estimator {self.estimator!r} it should have {expected} entries")
+        if self.robust and self.estimator not in ("rhe", "dual"):
+            raise ValueError(f"robust was True; for the estimator {self.estimator!r} it should be False")

@@ -76,7 +76,7 @@ def trial(log, seed, noise_m=0.02, yaw_error_rad=0.3, estimator="rhe", *, track_
     rows[["x_meas_m", "y_meas_m"]] += noise_m * np.random.default_rng(seed).standard_normal((len(rows), 2))
     known = "theta_rad" in rows and rows["theta_rad"].groupby(rows["segment"]).any().all()
     first = [each["theta_rad"].dropna().iloc[0] + yaw_error_rad for _, each in rows.groupby("segment")] if known else None
-    return replays.estimate_samples(recording._replace(rows=rows), replays.settings(estimator, fields), first)
+    return replays.estimate_samples(recording._replace(rows=rows), replays.settings(estimator, recording, fields), first)
 
 
 def trials(log, seeds, **given):

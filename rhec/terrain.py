@@ -62,7 +62,7 @@ class Terrain:
         for field, (offset_i, offset_j, turn, _), m, sd in zip(standard, draws, mean, deviation):
             places = np.stack([i.ravel(), j.ravel()])[:: 1 if turn & 1 else -1] * cell_m / correlation_length_m * CELLS_PER_LENGTH
             places = places * [[1 if turn & 2 else -1], [1 if turn & 4 else -1]] + [[offset_i], [offset_j]]
-            gaussian = np.asarray(field(places % period)).reshape(i.shape) * (1 if turn & 8 else -1)
+            gaussian = bilinear(field, places % period).reshape(i.shape) * (1 if turn & 8 else -1)
             fields.append(beta_from_gaussian(gaussian, m, sd))
         mu, kappa = fields
         for x, y, radius, mu_patch, kappa_patch in patches:
@@ -97,9 +97,16 @@ def lookup(shape):
     return ca.Function("slip", [xy, origin_m, cell_m, slip], [grid(place, slip)], ["xy", "origin_m", "cell_m", "slip"], ["traction"])
 
 
-def flat(terrain):
-    """Both fields in the order `lookup` reads them."""
-    return np.stack([terrain.mu, terrain.kappa]).ravel(order="F")
+def flat(terrain, shape=None):
+    """Both fields in the order `lookup` reads them, continued to a larger grid of this shape as they are beyond their edges."""
+    fields = np.stack([terrain.mu, terrain.kappa])
+    more = [(0, wanted - given) for wanted, given in zip(shape or terrain.mu.shape, terrain.mu.shape)]
+    return np.pad(fields, [(0, 0), *more], mode="edge").ravel(order="F")
+
+
+def common_shape(terrain, step=64):
+    """The next of a few grid shapes, so that a path or a start of another size needs no compiling."""
+    return tuple(-(-points // step) * step for points in terrain.mu.shape)
 
 
 def beta_from_gaussian(gaussian, mean, deviation):
@@ -112,17 +119,20 @@ def beta_from_gaussian(gaussian, mean, deviation):
     return np.clip(np.interp(gaussian, quantiles, values), LOWEST, 1)
 
 
+def bilinear(field, places):
+    """A field that repeats itself, given at the corners of square cells, at places (2, n) in [0, its period), counted in cells."""
+    i, j = np.floor(places).astype(int)
+    u, v = places - (i, j)
+    after_i, after_j = (i + 1) % len(field), (j + 1) % len(field)
+    return (1 - u) * (1 - v) * field[i, j] + u * (1 - v) * field[after_i, j] + (1 - u) * v * field[i, after_j] + u * v * field[after_i, after_j]
+
+
 @functools.cache
 def standard_fields():
-    """The pair of standard Gaussian fields, bilinear between cells, as Functions of places (2, n) in [0, period)² cells; and the period.
-
-    CasADi's interpolant, not SciPy's, because importing that would double the time to the first run.
-    """
+    """The pair of standard Gaussian fields, (2, period, period), one value a cell; and the period."""
     with np.load(STANDARD_FIELDS, allow_pickle=False) as data:
-        fields = np.pad(data["fields"].astype(float), ((0, 0), (0, 1), (0, 1)), mode="wrap")
-    axis = np.arange(float(fields.shape[1]))
-    return [ca.interpolant("standard", "linear", [axis, axis], field.ravel(order="F"), {"lookup_mode": ["exact", "exact"]})
-            for field in fields], len(axis) - 1
+        fields = data["fields"].astype(float)
+    return fields, fields.shape[1]
 
 
 def make_standard_fields(period=768, modes=144, seed=2018):

@@ -22,7 +22,7 @@ Weights = tuple[NotNegative, NotNegative, NotNegative]
 Intervals = Annotated[Whole, Field(ge=2, le=240)]
 Solver = Literal["structured", "daqp", "qpoases"]
 Reading = Literal["printed", "calibrated"]
-SpeedModel = Literal["parameter", "input"]
+SpeedModel = Literal["parameter", "input", "slipping"]
 ArrivalMean = Literal["smoothed", "filtered"]
 
 

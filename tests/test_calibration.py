@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec import calibration
-from rhec.scenario import SIGMA_W
+from rhec import calibration, ekf, rhe
+
+SIGMA_W = {"rhe": rhe.SIGMA_W, "ekf": ekf.SIGMA_W}
 
 
 @pytest.fixture(scope="module")
@@ -17,14 +18,14 @@ def runs():
 
 @pytest.mark.parametrize("estimator", ["rhe", "ekf"])
 def test_the_calibrated_noise_explains_the_training_runs_better_than_the_printed(estimator, runs):
-    calibrated = calibration.deviance(estimator, SIGMA_W[estimator, "calibrated"], runs)
-    assert calibrated < calibration.deviance(estimator, SIGMA_W[estimator, "printed"], runs) - 100
+    calibrated = calibration.deviance(estimator, SIGMA_W[estimator]["calibrated"], runs)
+    assert calibrated < calibration.deviance(estimator, SIGMA_W[estimator]["printed"], runs) - 100
     for factor in (0.1, 10):   # and better than others near it
-        assert calibrated < calibration.deviance(estimator, factor * np.array(SIGMA_W[estimator, "calibrated"]), runs)
+        assert calibrated < calibration.deviance(estimator, factor * np.array(SIGMA_W[estimator]["calibrated"]), runs)
 
 
 def test_the_deviance_is_a_sum_over_runs(runs):
-    sigma = SIGMA_W["ekf", "calibrated"]
+    sigma = SIGMA_W["ekf"]["calibrated"]
     each = [calibration.deviance("ekf", sigma, [run]) for run in runs]
     assert calibration.deviance("ekf", sigma, runs) == pytest.approx(sum(each)) and each[0] != each[1]
 

@@ -42,6 +42,15 @@ def test_processes_that_build_the_same_at_once_both_succeed(tmp_path):
 
 
 @needs_compiler
+def test_only_one_of_them_compiles(tmp_path):
+    compiler, calls = tmp_path / "cc", tmp_path / "calls"
+    compiler.write_text(f"#!/bin/sh\necho once >> {calls}\nexec cc \"$@\"\n")
+    compiler.chmod(0o755)
+    assert len({answer(process) for process in [start(tmp_path / "cache", CC=str(compiler)) for _ in range(3)]}) == 1
+    assert calls.read_text() == "once\n"
+
+
+@needs_compiler
 def test_what_is_built_is_found_again(tmp_path):
     answer(start(tmp_path))
     library, = tmp_path.glob("*/library.so")
@@ -77,7 +86,7 @@ def test_a_killed_build_harms_no_later_one(tmp_path):
     time.sleep(0.1)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.communicate()
-    assert [folder.name[:9] for folder in cache.iterdir()] == ["building-"]
+    assert {path.name[:9] for path in cache.iterdir()} == {"building-"}
     answer(start(cache, CC=str(compiler)))
     assert len([name for name in libraries(cache) if not name.startswith("building-")]) == 1
 

@@ -42,7 +42,7 @@ def test_the_runge_kutta_step_is_of_fourth_order():
     pose, p, omega = np.array([1.0, -2.0, 0.7]), (0.8, 0.9, 0.7), 1.3
 
     def error(dt):
-        return np.linalg.norm(flat(model.rk4(pose, omega, p, dt)) - arc(pose, *p, omega, dt))
+        return np.linalg.norm(flat(model.rk4(model.f, pose, omega, p, dt)) - arc(pose, *p, omega, dt))
 
     ratios = [error(dt) / error(dt / 2) for dt in (1.0, 0.5, 0.25)]
     np.testing.assert_allclose(ratios, 32, rtol=0.1)
@@ -61,7 +61,7 @@ def test_with_full_traction_it_is_the_traditional_model():
     """Eq. (kinematicmodelEKF): ẋ = ν cos θ, ẏ = ν sin θ, θ̇ = ω."""
     pose = np.array([0.3, 0.1, 0.4])
     np.testing.assert_allclose(flat(model.f(pose, 0.2, (0.5, 1, 1))), [0.5 * np.cos(0.4), 0.5 * np.sin(0.4), 0.2], rtol=1e-15)
-    np.testing.assert_allclose(flat(model.rk4(pose, 0.2, (0.5, 1, 1), 0.2)), arc(pose, 0.5, 1, 1, 0.2, 0.2), atol=1e-9)
+    np.testing.assert_allclose(flat(model.rk4(model.f, pose, 0.2, (0.5, 1, 1), 0.2)), arc(pose, 0.5, 1, 1, 0.2, 0.2), atol=1e-9)
 
 
 def test_the_two_speed_models_move_alike():

@@ -9,7 +9,6 @@ from problems import N, DT, V, drive, flat, iterate, places, rhe_by_ipopt, rhe_i
 import rhec
 from rhec import paper
 from rhec import rhe as builders
-from rhec.scenario import SIGMA_W
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]
@@ -225,7 +224,7 @@ def test_feedback_without_preparation_is_refused():
 def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, speed_model):
     """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from where the reading says."""
     phases, keep = builders.functions(DT, N, speed_model, arrival_mean), places(speed_model)
-    sigma = np.array(SIGMA_W["rhe", reading])[keep]
+    sigma = np.array(builders.SIGMA_W[reading])[keep]
     _, z = drive(GUESS, weave(4 * N))
     z = noisy(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan
