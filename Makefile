@@ -18,7 +18,9 @@ ifeq ($(MAKECMDGOALS),figures)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures test replay bench soak lab lock clean
+WHAT ?=
+
+.PHONY: help figures test replay campaign bench soak lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -40,6 +42,9 @@ bench: .venv/peers ## compare computation times with other tools, some minutes; 
 
 soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sensors, by default ten million (23 days), in some ten minutes
 	@$(PY) -m rhec.soak --samples $(SAMPLES)
+
+campaign: $(READY) ## drive a thousand fields, or go on where that stopped; WHAT="-p q [1,1,1] [1,1,0] --seeds 50" says which (--help: how)
+	@$(PY) -m rhec.campaigns $(WHAT)
 
 lab: $(READY) ## open the notebooks in JupyterLab
 	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \

@@ -226,8 +226,11 @@ def local(workers):
                     # not forked: a notebook's kernel has threads, which a fork may leave in the middle of something
                     "distributed.worker.multiprocessing-method": "spawn"}
         with dask.config.set(settings), no_interrupt():
-            started = LocalCluster(n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
-                                   silence_logs="CRITICAL", scheduler_kwargs=dict(dashboard=False, allowed_failures=1))
+            try:
+                started = LocalCluster(n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
+                                       silence_logs="CRITICAL", scheduler_kwargs=dict(dashboard=False, allowed_failures=1))
+            except RuntimeError as error:
+                raise RuntimeError("the workers did not start; a script that starts workers needs `if __name__ == '__main__':`") from error
             STARTED[workers] = Client(started, set_as_default=False)
     return STARTED[workers]
 

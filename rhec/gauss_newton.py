@@ -121,7 +121,8 @@ class Iteration:
     leaves it in `previous`, `shift` takes it from there to `current`, where `linearise` and `feedback` read it.
     """
 
-    def __init__(self, functions, memory, **constants):
+    def __init__(self, functions, memory, unknowns, **constants):
+        self.unknowns = unknowns   # of the memory, what an iteration improves
         self.phases = {name: compiled.Bound(functions[name]) for name in ("shift", "linearise", "feedback", "expand")}
         self.previous = {name: np.zeros(self.phases["shift"].arguments[name].shape) for name in memory}
         self.current, self.arrays = {name: array.copy() for name, array in self.previous.items()}, {}
@@ -172,5 +173,5 @@ class Iteration:
             self.phases["linearise"].call()
             self.phases["feedback"].call()
             self.phases["expand"].call()
-            self.set(self.current, self.previous)
+            self.set(self.current, {name: self.previous[name] for name in self.unknowns})
         self.prepared, self.expanded = False, True

@@ -138,7 +138,7 @@ class RHC:
                  omega_max: Positive = paper.OMEGA_MAX_RADPS, dt: Positive = paper.DT_S, horizon: Intervals = paper.HORIZON, qp: Solver = "structured"):
         self.horizon = horizon
         q = np.array(q)
-        self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, qp), ("s", "omega"),
+        self.iteration = gauss_newton.Iteration(compiled.load(functions, dt, horizon, qp), ("s", "omega"), ("s", "omega"),
                                                 Q=q, QN=qn_factor * q, R=r, omega_max=omega_max)
         arrays = self.iteration.arrays
         xi_ref = arrays["xi_ref"].reshape((3, horizon + 1), order="F")   # a view, in CasADi's order

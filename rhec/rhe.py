@@ -395,7 +395,7 @@ class RHE:
         self.guess, self.n_s = guess, model.interval(speed_model).n_s
         self.start = functools.partial(start, horizon=horizon, speed_model=speed_model, robust=robust, dt_s=dt)
         self.iteration = gauss_newton.Iteration(
-            compiled.load(functions, dt, horizon, speed_model, arrival_mean, qp, robust), self.start((0.0,) * 6, SIGMA_START),
+            compiled.load(functions, dt, horizon, speed_model, arrival_mean, qp, robust), self.start((0.0,) * 6, SIGMA_START), ("s", "v"),
             **variances(speed_model, reading, sigma_w, sigma_v, track_width_m))
 
     def prepare(self):

@@ -180,16 +180,17 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     other_soil = rhec.Terrain(soil.mu, np.nextafter(soil.kappa, 1), soil.origin_m, soil.cell_m)
     other_target = rhec.Path.from_segments([(20.0, 0.0)], start=(0.0, 1e-300, 0.0))
     changes = dict(estimator="rhe", reading="calibrated", sigma_w=(1.0,) * 4, speed_model="input", arrival_mean="filtered", input_reference="curvature",
-                   command_delay=1, qp="daqp", backwards=True, path=target, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),))
+                   command_delay=1, qp="daqp", backwards=True, path=target, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
+                   faults=(rhec.Fault(kind="stuck"),))
     for field in dataclasses.fields(SHORT):
-        if field.name not in changes:
+        if field.name not in changes and field.name != "robust":
             old = getattr(SHORT, field.name)
             changes[field.name] = old + 1 if isinstance(old, int) else np.nextafter(old, 0.85) if isinstance(old, float) else (9.0, *old[1:])
     changed = [dataclasses.replace(SHORT, **{name: value}) for name, value in changes.items()]
     changed += [dataclasses.replace(SHORT, **more) for more in (dict(terrain=other_soil), dict(path=other_target), dict(estimator=mine()),
-                                                                dict(estimator=mine(estimate=ca.DM.ones(6))))]
+                                                                dict(estimator=mine(estimate=ca.DM.ones(6))), dict(estimator="rhe", robust=True))]
     keys = [campaigns.key(scenario) for scenario in [SHORT, *changed]]
-    assert len(set(keys)) == len(keys) == len(changes) + 5
+    assert len(set(keys)) == len(keys) == len(changes) + 6
     assert keys == [campaigns.key(dataclasses.replace(scenario)) for scenario in [SHORT, *changed]]
 
 
@@ -279,7 +280,7 @@ def started():
 
     yield start
     for process in processes[::-1]:
-        process.terminate()
+        process.kill()   # they have no children
     for process in processes:
         process.wait(timeout=30)
 
