@@ -57,7 +57,7 @@ def test_each_row_of_the_log_gets_its_estimate(estimates):
 def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
     """Without noise: also between the estimator's samples, and though the log's rate is no multiple of theirs."""
     log = recorded(rate_hz)
-    result = rhec.replay(log, first_yaw_rad=0.4, reading="calibrated")
+    result = rhec.replay(log, first_yaw_rad=0.4, reading="calibrated", speed_model="input")
     late = result["t_s"] > 15
     position, yaw = errors(result[late])
     assert len(result) == len(log) and position.max() < 0.02 and yaw.max() < 0.02
@@ -75,9 +75,10 @@ def test_the_log_of_a_run_gives_its_estimates_again(run):
 
 
 def test_the_live_estimator_agrees():
-    samples = replays.estimate_samples(recordings.prepare(LOG), replays.settings("rhe", dict(reading="calibrated")), [0.4], 0.1)
+    recording, given = recordings.prepare(LOG), dict(reading="calibrated", speed_model="input")
+    samples = replays.estimate_samples(recording, replays.settings("rhe", recording, given), [0.4], 0.1)
     z = samples[recordings.READINGS].to_numpy()
-    live = rhec.RHE(reading="calibrated", speed_model="input", guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
+    live = rhec.RHE(**given, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
     for k in range(len(z)):
         live.prepare()
         estimate = live.feedback(z[k])
