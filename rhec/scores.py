@@ -66,17 +66,18 @@ def rms(*components):
     return float(np.sqrt(np.nanmean(sum(np.square(each) for each in components)))) if len(components[0]) else np.nan
 
 
-def trial(log, seed, noise_m=0.02, yaw_error_rad=0.3, estimator="rhe", *, track_width_m=None, **fields):
+def trial(log, seed, noise_m=0.02, yaw_error_rad=0.3, estimator="rhe", *, track_width_m=None, lever_arm_m=None, faults=(), **fields):
     """A harder replay: with white noise of noise_m on the position and a first yaw that is wrong by yaw_error_rad in each segment. Returns the samples.
 
-    seed: of the noise; fields: as `replay`. Where the log has no true yaw the first one is found as `replay` does.
+    seed: of the noise; faults: (rhec.Fault, …) on top; the rest: as `replay`. Where the log has no true yaw the first one is found as `replay` does.
     """
     recording = recordings.prepare(log, track_width_m)
     rows = recording.rows.copy()
     rows[["x_meas_m", "y_meas_m"]] += noise_m * np.random.default_rng(seed).standard_normal((len(rows), 2))
-    known = "theta_rad" in rows and rows["theta_rad"].groupby(rows["segment"]).any().all()
-    first = [each["theta_rad"].dropna().iloc[0] + yaw_error_rad for _, each in rows.groupby("segment")] if known else None
-    return replays.estimate_samples(recording._replace(rows=rows), replays.settings(estimator, recording, fields), first)
+    known = "theta_rad" in rows and rows["theta_rad"].groupby(rows["segment"]).count().all()
+    yaws = tuple(each["theta_rad"].dropna().iloc[0] + yaw_error_rad for _, each in rows.groupby("segment")) if known else None
+    first = replays.First(yaws, lever_arm_m=lever_arm_m)
+    return replays.estimate_samples(recording._replace(rows=rows), replays.settings(estimator, recording, fields), first, faults, seed)
 
 
 def trials(log, seeds, **given):

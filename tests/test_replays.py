@@ -76,7 +76,7 @@ def test_the_log_of_a_run_gives_its_estimates_again(run):
 
 def test_the_live_estimator_agrees():
     recording, given = recordings.prepare(LOG), dict(reading="calibrated", speed_model="input")
-    samples = replays.estimate_samples(recording, replays.settings("rhe", recording, given), [0.4], 0.1)
+    samples = replays.estimate_samples(recording, replays.settings("rhe", recording, given), replays.First((0.4,), 0.1))
     z = samples[recordings.READINGS].to_numpy()
     live = rhec.RHE(**given, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
     for k in range(len(z)):
