@@ -14,13 +14,15 @@ from rhec.replays import ESTIMATE
 MU, KAPPA, B = 0.9, 0.75, 0.5
 
 
-def recorded(rate_hz=10.0, duration_s=60.0, start_rad=0.4, noise_m=0.0, seed=0):
-    """A log as its columns are documented: forwards, standing, backwards, in curves, integrated finely; without noise unless told."""
+def recorded(rate_hz=10.0, duration_s=60.0, start_rad=0.4, noise_m=0.0, seed=0, arm_m=(0.0, 0.0)):
+    """A log as its columns are documented: forwards, standing, backwards, in curves, integrated finely; without noise unless told. arm_m: the antenna's
+    place ahead and left of the centre."""
     fine = np.arange(round(duration_s * 1000) + 1) / 1000
     speed = np.interp(fine / duration_s, [0, 0.3, 0.33, 0.4, 0.43, 1], [0.6, 0.7, 0, 0, -0.5, -0.6])
     yaw_rate = 0.4 * np.sin(0.35 * fine)
     yaw = start_rad + np.concatenate([[0], np.cumsum(KAPPA * (yaw_rate[1:] + yaw_rate[:-1]) / 2000)])
     x, y = (np.concatenate([[0], np.cumsum((ahead[1:] + ahead[:-1]) / 2000)]) for ahead in (MU * speed * np.cos(yaw), MU * speed * np.sin(yaw)))
+    x, y = x + arm_m[0] * np.cos(yaw) - arm_m[1] * np.sin(yaw), y + arm_m[0] * np.sin(yaw) + arm_m[1] * np.cos(yaw)
     at = np.round(np.arange(0, duration_s, 1 / rate_hz) * 1000).astype(int)
     log = pd.DataFrame(dict(t_s=fine, x_m=x, y_m=y, speed_mps=speed, yaw_rate_radps=yaw_rate, v_left_mps=speed - B / 2 * yaw_rate,
                             v_right_mps=speed + B / 2 * yaw_rate, yaw_true_rad=yaw, x_true_m=x, y_true_m=y, v_true_mps=MU * speed,
@@ -143,6 +145,17 @@ def test_tracks_and_their_width_stand_for_speed_and_yaw_rate(estimates):
     assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
 
 
+def test_the_antennas_place_can_be_told_or_found():
+    log = recorded(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
+    told, wrong, found = (rhec.replay(log, first_yaw_rad=0.4, lever_arm_m=arm) for arm in ((0.3, -0.2), (0.0, 0.0), None))
+    late = slice(900, None)
+    np.testing.assert_allclose(told[["arm_forward_hat_m", "arm_left_hat_m"]][late], np.broadcast_to((0.3, -0.2), (300, 2)), atol=0.02)
+    np.testing.assert_allclose(found[["arm_forward_hat_m", "arm_left_hat_m"]].iloc[-1], (0.3, -0.2), atol=0.08)
+    rms = [scores.rms(scores.yaw_error(result[200:])) for result in (told, found, wrong)]
+    assert rms[0] < 0.7 * rms[2] and rms[1] < 0.8 * rms[2]
+    assert told["sigma_arm_left_m"].iloc[-1] < found["sigma_arm_left_m"].iloc[-1] < found["sigma_arm_left_m"].iloc[0]
+
+
 def test_segments_are_worlds_of_their_own():
     second = recorded(start_rad=2.0, noise_m=0.02, seed=1)
     both = pd.concat([LOG.assign(segment="a"), second.assign(segment="b", t_s=second["t_s"] + 60.0)], ignore_index=True)
@@ -223,7 +236,7 @@ def test_a_log_that_cannot_be_replayed_is_refused_in_a_sentence(log, sentence):
 @pytest.mark.parametrize("given, sentence", [
     (dict(estimator="oracle"), "^estimator was 'oracle'"), (dict(estimator="kalman"), "^estimator was 'kalman'"), (dict(sed=1), "^replay has no parameter 'sed'"),
     (dict(reading="bold"), "^reading was 'bold'"), (dict(first_yaw_rad=(0.0, 1.0)), "^first_yaw_rad had 2 entries"), (dict(first_yaw_rad=np.inf), "^first_yaw_rad"),
-    (dict(track_width_m=-0.5), "^track_width_m was -0.5"), (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
+    (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "^lever_arm_m was"), (dict(lever_arm_m=(0.1,)), "^lever_arm_m"), (dict(track_width_m=-0.5), "^track_width_m was -0.5"), (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
 ])
 def test_bad_parameters_are_named(given, sentence):
     with pytest.raises(ValueError, match=sentence):
@@ -311,6 +324,19 @@ def test_the_trial_is_harder_than_the_log_and_its_seed_decides():
     added = one["x_meas_m"] - LOG["x_m"][::2].to_numpy()
     assert added.std() == pytest.approx(0.02, rel=0.15)
     assert abs(scores.yaw_error(one)[0]) > 0.2
+
+
+def test_faults_on_top_of_a_log():
+    """A schedule of faults reaches the readings, and the estimates stay numbers, robust or not; robust, outliers do little."""
+    outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
+    clean, off, on = (scores.trial(LOG, 0, **given) for given in ({}, dict(faults=outliers), dict(faults=outliers, robust=True)))
+    hit = clean["t_s"].between(30.0, 32.9)
+    np.testing.assert_allclose(np.hypot(off["x_meas_m"] - clean["x_meas_m"], off["y_meas_m"] - clean["y_meas_m"]), np.where(hit, 5.0, 0.0), atol=1e-9)
+    worst = [errors(samples[hit | (clean["t_s"] > 33)])[0].max() for samples in (off, on)]
+    assert worst[1] < 0.3 < worst[0]
+    for kind, more in (("missing", {}), ("infinite", dict(channel="all")), ("disorder", dict(channel="all")), ("dead", dict(channel="left"))):
+        samples = scores.trial(LOG, 0, faults=(rhec.Fault(kind=kind, start_s=30.0, duration_s=5.0, **more),))
+        assert np.isfinite(samples[ESTIMATE]).all(axis=None) and scores.score(samples)["outside"] == 0
 
 
 def test_pictures_of_a_log_with_and_without_truth():

@@ -14,9 +14,9 @@ from matplotlib.ticker import LogLocator
 from rhec import scores
 
 from .results import over_seeds
-from .style import BLACK, COLOURS, DOUBLE_IN, FOLDER, GREY, ORANGE, PURPLE, ROOT, styled
+from .style import BLACK, COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPLE, ROOT, styled
 
-LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]}}
+LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν as input": {"color": GREEN}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]}}
 STRAIGHT_RADPS, SMOOTH = 0.05, 11   # slower turns count as straight, by the median of so many samples
 QUANTITIES = dict(yaw_rms_rad="RMS error of yaw [rad]", yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]", position_rms_m="RMS error of position [m]",
                 innovation_rms_m="RMS innovation [m]", mu_median="median of mu", mu_regression="mu by regression", mu_difference="median - regression, mu",
@@ -119,7 +119,7 @@ def replay_traction(replays, first):
             axes.axhline(scores.regression(samples)[place], color=BLACK, linestyle="--", linewidth=0.8, label="regression, whole log")
         axes.set_ylim(-0.05, 1.15)
         axes.set_ylabel(f"${symbol}$ [-]")
-    panels[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=5, borderaxespad=0.1, handlelength=1.2, columnspacing=1.0)
+    panels[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=6, borderaxespad=0.1, handlelength=1.2, columnspacing=1.0)
     _time(panels, samples)
     return figure
 
