@@ -83,3 +83,23 @@ def trial(log, seed, noise_m=0.02, yaw_error_rad=0.3, estimator="rhe", *, track_
 def trials(log, seeds, **given):
     """Scores of the trial over noise seeds: one row a seed, as a DataFrame."""
     return pd.DataFrame([dict(seed=seed) | score(trial(log, seed, **given)) for seed in seeds])
+
+
+def fault_trials(log, cases, seeds, handling=(False, True), **given):
+    """The trial with each fault of cases {name: rhec.Fault} on top, robust or not: one row a case, handling and noise seed, as a DataFrame.
+
+    worst_position_m, worst_yaw_rad: from the beginning of the fault to the end of its segment; last_yaw_rad: error at the end of the segment;
+    outside, not_ok: as `score`. Only for a log with the true pose.
+    """
+    rows = []
+    for name, fault in cases.items():
+        for robust in handling:
+            for seed in seeds:
+                samples = trial(log, seed, faults=(fault,), robust=robust, **given)
+                segment = samples.loc[(samples["t_s"] - fault.start_s).abs().idxmin(), "segment"]
+                after = samples[(samples["segment"] == segment) & (samples["t_s"] >= fault.start_s)]
+                position, yaw = np.hypot(after["x_hat_m"] - after["x_m"], after["y_hat_m"] - after["y_m"]), yaw_error(after).abs()
+                whole = score(samples)
+                rows.append(dict(fault=name, robust=robust, seed=seed, worst_position_m=position.max(), worst_yaw_rad=yaw.max(),
+                                 last_yaw_rad=yaw.iloc[-1], outside=whole["outside"], not_ok=whole["not_ok"]))
+    return pd.DataFrame(rows)

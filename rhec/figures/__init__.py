@@ -6,7 +6,7 @@ import importlib
 _HOME = {name: module for module, names in {
     "drawings": ("hardware_blocks", "robot_in_row", "robot_parts", "schematic"),
     "faults": ("fault_family", "fault_table"),
-    "replay": ("replay_folder", "replay_innovations", "replay_log", "replay_table", "replay_traction", "replay_trials", "replay_uncertainty", "replay_yaw"),
+    "replay": ("replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_table", "replay_traction", "replay_trials", "replay_uncertainty", "replay_yaw"),
     "results": ("errors", "estimates", "kkt", "scenario_a_table", "scenario_b_table", "slip_fields", "speed", "trajectories", "trajectories_q",
                 "violations", "weight_sweep", "yaw_rate"),
     "style": ("save", "save_table", "styled"),
