@@ -6,6 +6,8 @@ import importlib
 _HOME = {name: module for module, names in {
     "drawings": ("hardware_blocks", "robot_in_row", "robot_parts", "schematic"),
     "faults": ("fault_family", "fault_table"),
+    "moments": ("robots_eye",),
+    "panels": ("field_run",),
     "replay": ("replay_folder", "replay_innovations", "replay_log", "replay_table", "replay_traction", "replay_trials", "replay_uncertainty", "replay_yaw"),
     "results": ("errors", "estimates", "kkt", "scenario_a_table", "scenario_b_table", "slip_fields", "speed", "trajectories", "trajectories_q",
                 "violations", "weight_sweep", "yaw_rate"),
