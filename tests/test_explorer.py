@@ -25,7 +25,8 @@ def made(tmp_path):
 # Controls and scenarios
 
 STARTS = [rhec.Scenario(), rhec.Scenario(estimator="ekf", reading="calibrated", q=paper.Q1, r=3.3, patches=((9.0, 1.0, 2.0, 0.6, 0.5),), seed=7),
-          rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)), rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0)]
+          rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)), rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
+          rhec.Scenario(robust=True, faults=(rhec.Fault(kind="dead", channel="left", start_s=3.0), rhec.Fault(kind="latency", delay_s=0.4)))]
 
 
 @pytest.mark.parametrize("start", STARTS)
@@ -40,8 +41,8 @@ def test_every_field_with_a_control_is_a_field_of_scenario():
 @pytest.mark.parametrize("start", STARTS)
 def test_the_line_is_the_scenario(start):
     assert eval(controls.line_of(start)) == start
-    for field in re.findall(r"(\w+)=", controls.line_of(start)):
-        assert getattr(start, field) != getattr(rhec.Scenario(), field)
+    for field in fields(start):
+        assert (f"{field.name}=" in controls.line_of(start)) == (getattr(start, field.name) != field.default)
 
 
 def test_one_s_own_w_reaches_each_estimator_in_its_own_size():
@@ -50,6 +51,13 @@ def test_one_s_own_w_reaches_each_estimator_in_its_own_size():
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.5)
     assert controls.scenario_of(values | {"speed_model": "input"}, "rhe", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.0034, 0.001)
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
+    assert len(controls.scenario_of(values, "dual", SHORT).sigma_w) == 10
+    assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (0.0034, 0.001)
+
+
+def test_robust_is_for_those_who_can():
+    values = controls.values_of(SHORT) | {"robust": True}
+    assert [controls.scenario_of(values, estimator, SHORT).robust for _, estimator in controls.ESTIMATORS] == [True, False, True, False, False]
 
 
 # The widget
@@ -264,18 +272,22 @@ def test_compiling_apart_leaves_what_load_finds():
 # The robot's eye
 
 @pytest.mark.parametrize("k", [0, 5, 100, 299])
-@pytest.mark.parametrize("estimator, speed_model", [("rhe", "parameter"), ("rhe", "input"), ("ekf", "parameter"), ("oracle", "parameter")])
-def test_the_horizons_are_those_of_the_run(k, estimator, speed_model):
-    run = rhec.simulate(replace(SHORT, estimator=estimator, speed_model=speed_model))
+@pytest.mark.parametrize("changed", [dict(), dict(speed_model="input"), dict(estimator="ekf"), dict(estimator="dual"),
+                                     dict(robust=True, faults=(rhec.Fault(kind="jump", start_s=20.0, size_m=0.5),))])
+def test_the_horizons_are_those_of_the_run(k, changed):
+    run = rhec.simulate(replace(SHORT, **changed))
     at, row = horizons_at(run.scenario, k), run.log.loc[k]
     np.testing.assert_array_equal(at.truth, row[["x_m", "y_m", "theta_rad"]])
     np.testing.assert_array_equal(at.estimate, row[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]])
     assert at.omega_radps[0] == row["omega_cmd_radps"]
     np.testing.assert_allclose(at.plan[0], at.estimate[:3], atol=1e-12)
-    if estimator == "rhe":
+    if run.scenario.estimator in ("rhe", "dual"):
         assert len(at.window) == len(at.measured) == min(k, run.scenario.horizon_rhe) + 1
-        np.testing.assert_allclose(at.window[-1], at.estimate[:3], atol=1e-9)
-        np.testing.assert_array_equal(at.measured, run.log.loc[k - len(at.measured) + 1:k, ["x_meas_m", "y_meas_m"]])
+        if run.scenario.estimator == "rhe":
+            np.testing.assert_allclose(at.window[-1], at.estimate[:3], atol=1e-9)
+        believed = np.isfinite(at.measured)   # a robust estimator leaves out what it does not believe
+        assert believed.all() or run.scenario.robust
+        np.testing.assert_array_equal(at.measured[believed], run.log.loc[k - len(at.measured) + 1:k, ["x_meas_m", "y_meas_m"]].to_numpy()[believed])
     else:
         assert len(at.window) == 0
 

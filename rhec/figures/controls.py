@@ -7,7 +7,9 @@ import math
 from dataclasses import fields
 from typing import NamedTuple
 
-from rhec.scenario import SIGMA_W, Scenario
+from rhec import model, rhe
+from rhec.faults import Fault
+from rhec.scenario import Scenario
 
 
 class Slider(NamedTuple):
@@ -32,15 +34,26 @@ class Choice(NamedTuple):
     about: str
 
 
-ESTIMATORS = (("RHE", "rhe"), ("EKF", "ekf"), ("oracle", "oracle"), ("traction oracle", "traction_oracle"))
+ESTIMATORS = (("RHE", "rhe"), ("EKF", "ekf"), ("dual", "dual"), ("oracle", "oracle"), ("traction oracle", "traction_oracle"))
 READINGS = (("printed", "printed"), ("calibrated", "calibrated"), ("own W", "own"))
 YES_NO = (("no", False), ("yes", True))
+FAULTS = (
+    ("none", ()),
+    ("no GNSS for 5 s", (Fault(kind="missing", start_s=40.0, duration_s=5.0),)),
+    ("no GNSS for 20 s", (Fault(kind="missing", start_s=40.0, duration_s=20.0),)),
+    ("positions 2 m off for 10 s", (Fault(kind="outliers", start_s=40.0, duration_s=10.0, size_m=2.0),)),
+    ("a jump of 0.5 m for 20 s", (Fault(kind="jump", start_s=40.0, duration_s=20.0, size_m=0.5),)),
+    ("positions 0.6 s late", (Fault(kind="latency", delay_s=0.6),)),
+    ("left encoder dead for 20 s", (Fault(kind="dead", channel="left", start_s=40.0, duration_s=20.0),)),
+)
 
 GROUPS = {
     "Estimator": (
         Slider("horizon_rhe", "window [intervals]", 2, 40, 1, "estimation horizon of the RHE, 0.2 s each", "whole", True),
-        Choice("speed_model", "speed ν", (("one a window", "parameter"), ("measured", "input")), "R6, R13: how the RHE takes the speed"),
+        Choice("speed_model", "speed ν", (("one a window", "parameter"), ("measured", "input"), ("slipping tracks", "slipping")),
+               "R6, R13: how the RHE takes the speed"),
         Choice("arrival_mean", "arrival mean", (("smoothed", "smoothed"), ("filtered", "filtered")), "R7: prior mean at the window's oldest node"),
+        Choice("robust", "robust", YES_NO, "RHE and dual: gate positions, and begin again where they contradict for long"),
         *(Slider(("sigma_w", place), f"σ_W of {name}", -4, 1.5, 0.05, "process noise a sample; counts with reading “own W”", "log")
           for place, name in enumerate(("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]"))),
     ),
@@ -77,6 +90,7 @@ GROUPS = {
         Slider("gnss_slow_time_s", "slow over [s]", 5, 300, 5, "time constant of the slow part"),
         Slider("encoder_sigma_mps", "encoder noise [m/s]", 0, 0.2, 0.0025, "of one track at 50 Hz"),
         Slider("bump_sigma_radps", "bumps [rad/s]", 0, 0.2, 0.005, "yaw rate that a bump adds for one sample"),
+        Choice("faults", "fault", FAULTS, "what is wrong with the sensors, and when"),
         *(Slider(("sigma_v", place), f"σ_V of {name}", -3, 0, 0.05, "noise of this measurement that the estimator assumes", "log")
           for place, name in enumerate(("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]"))),
     ),
@@ -97,7 +111,7 @@ NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
 def values_of(scenario):
     """Each control's value in this scenario, with "reading", "seed" and "patches"."""
     values = {key: getattr(scenario, key[0])[key[1]] if isinstance(key, tuple) else getattr(scenario, key) for key in CONTROLS if key[0] != "sigma_w"}
-    own = scenario.sigma_w if scenario.sigma_w is not None and len(scenario.sigma_w) == 6 else SIGMA_W["rhe", scenario.reading]
+    own = scenario.sigma_w if scenario.sigma_w is not None and len(scenario.sigma_w) == 6 else rhe.SIGMA_W[scenario.reading]
     return values | {("sigma_w", place): sigma for place, sigma in enumerate(own)} | {
         "reading": scenario.reading if scenario.sigma_w is None else "own", "seed": scenario.seed, "patches": scenario.patches}
 
@@ -111,6 +125,7 @@ def scenario_of(values, estimator, start):
         else:
             asked[key] = value
     asked |= {name: tuple(entry) for name, entry in entries.items()}
+    asked["robust"] = asked["robust"] and estimator in ("rhe", "dual")
     if asked["reading"] == "own":
         asked |= {"reading": start.reading, "sigma_w": own_sigma_w(asked["sigma_w"], estimator, asked["speed_model"])}
     else:
@@ -119,10 +134,10 @@ def scenario_of(values, estimator, start):
 
 
 def own_sigma_w(six, estimator, speed_model):
-    """Of the standard deviations of (x, y, θ, ν, μ, κ) those that an estimator has; none for one that has none."""
+    """Of the standard deviations of (x, y, θ, ν, μ, κ) those that an estimator has, as Scenario says; none for one that has none."""
     if estimator == "rhe":
-        return tuple(six if speed_model == "parameter" else [*six[:3], *six[4:]])
-    return tuple(six[:4]) if estimator in ("ekf", "traction_oracle") else None
+        return tuple(six[4:]) if speed_model == "slipping" else tuple(six[state] for state in model.interval(speed_model).states)
+    return {"dual": (*six, *six[:4]), "ekf": tuple(six[:4]), "traction_oracle": tuple(six[:4])}.get(estimator)
 
 
 def tidy(control, value, before):
@@ -134,11 +149,13 @@ def tidy(control, value, before):
     return float(f"{value:.4g}") if control.kind == "log" else round(float(value), 10)
 
 
-def line_of(scenario):
-    """The scenario as one line of Python: only what differs from the defaults. A path, a terrain or an estimator of one's own is its name only."""
-    said = []
-    for field in fields(Scenario):
-        value = getattr(scenario, field.name)
-        if value is not field.default and value != field.default:
-            said.append(f"{field.name}={value!r}" if isinstance(value, bool | int | float | str | tuple) else f"{field.name}={field.name}")
-    return f"rhec.Scenario({', '.join(said)})"
+def line_of(thing):
+    """A Scenario, or a Fault, as one line of Python: only what differs from the defaults. A path, a terrain or an estimator of one's own is its name."""
+    given = [(field.name, getattr(thing, field.name)) for field in fields(thing) if getattr(thing, field.name) != field.default]
+    return f"rhec.{type(thing).__name__}({', '.join(f'{name}={_said(value, name)}' for name, value in given)})"
+
+
+def _said(value, name):
+    if isinstance(value, tuple):
+        return f"({', '.join(_said(each, name) for each in value)}{',' if len(value) == 1 else ''})"
+    return line_of(value) if isinstance(value, Fault) else repr(value) if isinstance(value, bool | int | float | str) else name

@@ -38,6 +38,7 @@ STYLE = """<style>
 .rhec { color: var(--jp-ui-font-color1, var(--vscode-foreground, inherit)); font-family: var(--jp-ui-font-family, sans-serif); overflow: hidden; }
 .rhec .widget-html-content, .rhec .widget-html > .widget-html-content { line-height: 1.35; overflow: hidden; }
 .rhec .rhec-picture { display: block; width: 100%; max-height: calc(100vh - 310px); }
+.rhec .rhec-eye .rhec-picture { max-height: calc(100vh - 350px); }
 .rhec .widget-tab, .rhec .jupyter-widget-tab { margin: 0; }
 .rhec .lm-TabBar-tab { min-width: 0 !important; flex: 1 1 auto !important; padding: 0 5px !important; text-align: center; }
 .rhec .lm-TabBar-tabLabel { font-size: 12px; }
@@ -289,6 +290,7 @@ class Explorer(widgets.VBox):
         """The chosen view of the runs there are, their metrics, and the scenario as a line."""
         field = self.view.value == "field run"
         self.time.layout.display = "none" if field else "flex"
+        (self.picture.remove_class if field else self.picture.add_class)("rhec-eye")
         self.unpin.disabled, self.remove_patch.disabled = not self.pinned, not self.patches
         for widget in self.patch:
             widget.disabled = not self.patches
@@ -331,7 +333,8 @@ def _input(control, value):
     """The widget of a control. Its range takes in the value it begins with."""
     look = {"description": control.label, "tooltip": control.about, "layout": {"width": "98%"}, "style": {"description_width": "116px"}}
     if isinstance(control, controls.Choice):
-        return widgets.Dropdown(options=control.options, value=value, **look)
+        known = any(value == option for _, option in control.options)
+        return widgets.Dropdown(options=control.options if known else (*control.options, ("as it began", value)), value=value, **look)
     log, whole = control.kind == "log", control.kind == "whole"
     place = (math.log10(value) if value > 0 else control.low) if log else value
     # steps count from the lowest end: the value it begins with must be one of them, or the front end changes it

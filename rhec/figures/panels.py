@@ -12,11 +12,11 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from rhec import paper
 
-from .style import BLACK, COLOURS, DOUBLE_IN, ORANGE, PURPLE, RC, styled
+from .style import BLACK, COLOURS, DOUBLE_IN, GREY, ORANGE, PURPLE, RC, styled
 from .vector import Layers
 
-NAMES = {"rhe": "RHE", "ekf": "EKF", "oracle": "oracle", "traction_oracle": "traction oracle"}
-ESTIMATOR_COLOURS = {"RHE": COLOURS["RHE"], "EKF": COLOURS["EKF"], "oracle": COLOURS["oracle"], "traction oracle": PURPLE}
+NAMES = {"rhe": "RHE", "ekf": "EKF", "dual": "dual", "oracle": "oracle", "traction_oracle": "traction oracle"}
+ESTIMATOR_COLOURS = {"RHE": COLOURS["RHE"], "EKF": COLOURS["EKF"], "oracle": COLOURS["oracle"], "traction oracle": PURPLE, "dual": ORANGE}
 # Full traction lets the page shine through; wet soil is brown on a light page and on a dark one.
 SOIL = LinearSegmentedColormap.from_list("soil", [(0.50, 0.36, 0.20, 0.9), (0.62, 0.50, 0.34, 0.45), (0.62, 0.50, 0.34, 0.0)])
 ZOOMS = ("whole path", "first row", "worst place")
@@ -43,7 +43,7 @@ def name_of(scenario):
 
 
 def colour_of(scenario):
-    return ESTIMATOR_COLOURS.get(name_of(scenario), ORANGE)
+    return ESTIMATOR_COLOURS.get(name_of(scenario), GREY)
 
 
 # Limits that stay while the data changes a little, so that a picture does not jump
