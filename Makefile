@@ -9,6 +9,7 @@ NOTEBOOKS := \
   readings_audit \
   faults \
   replay \
+  explore \
   computation_times
 
 PY := .venv/bin/python
@@ -23,10 +24,10 @@ endif
 
 WHAT ?=
 
-.PHONY: help figures claims test replay campaign bench soak lab lock clean
+.PHONY: help figures claims report embedded test test-browser lint replay campaign bench soak lab lock clean
 
 help: ## list what can be made
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
 figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 	@echo 'figures: $(if $(made),made,everything is up to date)'
@@ -34,7 +35,10 @@ figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 claims: build/notebooks/claims.ipynb ## run the claims ledger alone: figures/claims.csv, .tex, .md and its picture
 
 test: $(READY) ## run the tests
-	@$(PY) -m pytest -n auto
+	@$(PY) -m pytest -n auto --ignore=tests/browser
+
+test-browser: $(READY) ## run the tests of what the pages show, in a headless Chromium
+	@$(PY) -m pytest -rs tests/browser
 
 # The file's name reaches the shell as data, never as part of a command.
 replay: export REPLAY_LOG = $(value LOG)

@@ -50,6 +50,17 @@ def source_digest():
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
 
 
+def library(build, structure):
+    """The folder where the compiled Functions of build(*structure) are, or will be."""
+    identity = repr((build.__module__, build.__name__, structure, source_digest(), ca.__version__, compiler(), FLAGS, platform.machine()))
+    return cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+
+
+def at_hand(build, *structure):
+    """Whether `load` has nothing to compile."""
+    return not compiler() or library(build, structure).exists()
+
+
 @functools.cache
 def load(build, *structure):
     """The Functions that build(*structure) returns in a dict, compiled. structure: strings, numbers, tuples.
@@ -58,8 +69,7 @@ def load(build, *structure):
     """
     if not compiler():
         return build(*structure)
-    identity = repr((build.__module__, build.__name__, structure, source_digest(), ca.__version__, compiler(), FLAGS, platform.machine()))
-    folder = cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+    folder = library(build, structure)
     with contextlib.nullcontext() if folder.exists() else alone(folder):
         built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
         if not folder.exists():
