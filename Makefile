@@ -20,16 +20,19 @@ endif
 
 WHAT ?=
 
-.PHONY: help figures test replay campaign bench soak lab lock clean
+.PHONY: help figures report test test-browser lint replay campaign bench soak lab lock clean
 
 help: ## list what can be made
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
 figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 	@echo 'figures: $(if $(made),made,everything is up to date)'
 
 test: $(READY) ## run the tests
-	@$(PY) -m pytest -n auto
+	@$(PY) -m pytest -n auto --ignore=tests/browser
+
+test-browser: $(READY) ## run the tests of what the pages show, in a headless Chromium
+	@$(PY) -m pytest -rs tests/browser
 
 # The file's name reaches the shell as data, never as part of a command.
 replay: export REPLAY_LOG = $(value LOG)
