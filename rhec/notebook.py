@@ -115,6 +115,7 @@ def run(notebook, given, output):
 
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
+    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs are the results, not what was waited for
     with tempfile.NamedTemporaryFile("r") as listing:
         started = time.time_ns()
         executed = papermill.execute_notebook(
@@ -127,6 +128,7 @@ def run(notebook, given, output):
             progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
             extra_arguments=[
                 "--IPKernelApp.log_level=CRITICAL",
+                "--InlineBackend.figure_formats=retina",  # sharp in the report
                 "--IPKernelApp.exec_lines="
                 f"__import__('rhec.notebook').notebook.record({listing.name!r})",
             ],
