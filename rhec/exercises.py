@@ -14,7 +14,7 @@ from rhec import model, paper
 from rhec.closed_loop import simulate
 from rhec.path import advance
 from rhec.scenario import Scenario
-from rhec.terrain import Terrain, lookup, flat
+from rhec.terrain import Terrain, flat, lookup
 
 FIELDS = range(100, 110)        # seeds that neither the tutorial nor calibration uses
 SETTLED_S, OVERSHOOT_M = 15.0, 0.1
@@ -137,12 +137,13 @@ def estimator(learner, first):
         size = learner.numel_in(place) if kind.startswith("input") else learner.numel_out(place)
         expect(size == count, f"the {kind} has {size} entries; it should have {count}.")
     expect(learner.numel_in(0) == learner.numel_out(0), "the memory that comes out should be as long as the one that goes in.")
-    runs = {name: [simulate(Scenario(estimator=each, seed=seed)).metrics for seed in FIELDS] for name, each in [("first", first), ("learner", learner)]}
-    gain, low, high = (float(each) for each in paired(*(np.array([run["rms_mu"] for run in runs[name]]) for name in ("learner", "first"))))
+    runs = {name: [simulate(Scenario(estimator=each, seed=seed)).metrics for seed in FIELDS]
+            for name, each in [("first", first), ("learner", learner)]}
+    gain, low, high = paired(*(np.array([run["rms_mu"] for run in runs[name]]) for name in ("learner", "first")))
     said = f"RMS error of μ, learner minus first: {gain:+.4f} (95 % interval {low:+.4f} to {high:+.4f}, {len(FIELDS)} fields)"
     expect(high < 0, f"{said}; the whole interval should be below zero.")
     drove = [np.mean([run["mean_error_true_m"] for run in runs[name]]) for name in ("first", "learner")]
-    return f"{said}. It knows the soil better; the mean true error went from {drove[0]:.4f} m to {drove[1]:.4f} m: does knowing make it drive better?"
+    return f"{said}. It knows μ better; the mean true error went from {drove[0]:.4f} m to {drove[1]:.4f} m: does it drive better for it?"
 
 
 @exercise
@@ -166,12 +167,13 @@ def terrain(soil, path):
 
 @exercise
 def difference(answer, one, other):
-    """(mean, low, high) of one minus other at equal seeds: against the bootstrap of the paired differences, with room for other ways to get there."""
+    """(mean, low, high) of one minus other at equal seeds: against the bootstrap of the paired differences; other ways may come out a little different."""
     mean, low, high = numbers(answer, 3, "your answer")
     one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     right, right_low, right_high = paired(one, other)
     expect(abs(mean - right) < 1e-9 + 1e-6 * abs(right), f"the mean difference is {right:.3g}, not {mean:.3g}.")
-    width, unpaired, spread = right_high - right_low, 2 * 1.96 * np.sqrt((one.var() + other.var()) / len(one)), 2 * 1.96 * np.std(one - other)
+    width = right_high - right_low
+    unpaired, spread = 2 * 1.96 * np.sqrt((one.var() + other.var()) / len(one)), 2 * 1.96 * np.std(one - other)
     given = high - low
     like = {"the seeds taken apart: both ran on the same fields, so take the differences first": unpaired,
             "the spread of single seeds, not how well their mean is known": spread}

@@ -2,8 +2,8 @@
 
     python -m rhec.report build/notebooks/scenario_a.ipynb …
 
-nbconvert turns the notebooks' cells into HTML, Jinja puts every page into one frame, matplotlib typesets the formulas (as SVG, in the figures' fonts), so
-that no page needs a script. The templates stand in `templates/`.
+nbconvert turns the notebooks' cells into HTML, Jinja puts every page into one frame, matplotlib typesets the formulas (as SVG, in the figures' fonts),
+so that no page needs a script. The templates stand in `templates/`.
 """
 
 import argparse
@@ -36,6 +36,7 @@ from rhec.figures import style
 ROOT = Path(__file__).resolve().parents[1]
 TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
+LIVE = '<p class="live">Sliders, and pictures that follow them: run <code>make lab</code> and open this notebook.</p>'
 FONT = FontProperties(math_fontfamily="stix", size=100)   # a hundredth of it is an em
 
 
@@ -83,9 +84,9 @@ class Cells(HTMLExporter):
 # Pages
 
 def notebook_page(file, pages):
-    """What the report shows of an executed notebook: its name, title, lead, contents, body (HTML), first picture (PNG) and run (times). pages: all names."""
+    """What the report shows of an executed notebook: name, title, lead, contents, body (HTML), first picture (PNG), run (times). pages: all names."""
     notebook = nbformat.read(file, as_version=4)
-    describe_images(notebook)
+    prepare_outputs(notebook)
     body, _ = Cells().from_notebook_node(notebook)
     soup = BeautifulSoup(body, "html.parser")
     for link in soup.select("a[href$='.ipynb']"):
@@ -114,15 +115,18 @@ def plain(tag):
     return " ".join(copy.get_text().split())
 
 
-def describe_images(notebook):
-    """Give each picture, as its alternative text, the beginning of the text above it."""
+def prepare_outputs(notebook):
+    """Give each picture the beginning of the text above it as its description, and say where widgets live."""
     above = ""
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
             above = re.sub(r"[*#`$]", "", cell.source.strip().split("\n\n")[-1])
         for output in cell.get("outputs", []):
-            if "image/png" in output.get("data", {}):
+            data = output.get("data", {})
+            if "image/png" in data:
                 output.metadata["alt"] = " ".join(above.split())[:200]
+            if "application/vnd.jupyter.widget-view+json" in data:
+                output.data = nbformat.from_dict({"text/html": LIVE})
 
 
 def first_picture(notebook):
@@ -146,8 +150,8 @@ def figures_of(folder):
     for file in sorted(folder.glob("*.png")):
         with Image.open(file) as image:
             said, (width, height) = image.info, image.size
-        found.append(dict(name=file.stem, notebook=Path(said.get("Subject", "")).stem, source=said.get("Creator", ""), scenario=said.get("Keywords", ""),
-                          width=width, height=height, pdf=file.with_suffix(".pdf").exists()))
+        found.append(dict(name=file.stem, notebook=Path(said.get("Subject", "")).stem, source=said.get("Creator", ""),
+                          scenario=said.get("Keywords", ""), width=width, height=height, pdf=file.with_suffix(".pdf").exists()))
     return found
 
 
@@ -177,8 +181,11 @@ def as_html(frame):
         if isinstance(value, float):
             return "" if pd.isna(value) else f"{value:.4g}"
         return escape(str(value))
-    formatters = {column: (lambda value: f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else "") if column == "verdict" else cell
-                  for column in frame}
+
+    def verdict(value):
+        return f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else ""
+
+    formatters = {column: verdict if column == "verdict" else cell for column in frame}
     return Markup(frame.to_html(index=False, border=0, escape=False, formatters=formatters, na_rep=""))
 
 
@@ -233,7 +240,8 @@ def build(notebooks, figures=style.FOLDER, report=REPORT):
     for story in stories:
         write(unfinished / f"{story['name']}.html", jinja.get_template("story.html.j2").render(common, page=story["name"], story=story))
     light, dark = (HtmlFormatter(style=name).get_style_defs(".highlight") for name in ("friendly", "github-dark"))
-    write(unfinished / "report.css", f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n" + (TEMPLATES / "report.css").read_text(encoding="utf-8"))
+    ours = (TEMPLATES / "report.css").read_text(encoding="utf-8")
+    write(unfinished / "report.css", f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}")
 
     shutil.rmtree(report, ignore_errors=True)
     unfinished.rename(report)
