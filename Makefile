@@ -35,7 +35,7 @@ report: build/report/index.html ## run the notebooks; all of it as one site in b
 test: $(READY) ## run the tests
 	@$(PY) -m pytest -n auto --ignore=tests/browser
 
-test-browser: $(READY) ## run the tests of what the pages show, in a headless Chromium
+test-browser: build/report/index.html ## run the tests of what the pages show, in a headless Chromium
 	@$(PY) -m pytest -rs tests/browser
 
 # The file's name reaches the shell as data, never as part of a command.
