@@ -192,19 +192,24 @@ def main():
     stem = f"{notebook.stem}-custom" if args.p else notebook.stem
     output = args.output or ROOT / f"build/notebooks/{stem}.ipynb"
 
-    from papermill.exceptions import PapermillExecutionError
-
     started = time.monotonic()
     try:
-        run(notebook, {name: _value(text) for name, text in args.p}, output)
+        _run_or_say_why_not(parser, notebook, {name: _value(text) for name, text in args.p}, output)
+    except KeyboardInterrupt:
+        parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
+    seconds = time.monotonic() - started
+    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
+
+
+def _run_or_say_why_not(parser, notebook, given, output):
+    from papermill.exceptions import PapermillExecutionError  # takes a second, in which a person may change their mind
+
+    try:
+        run(notebook, given, output)
     except PapermillExecutionError as error:
         if error.ename == ParameterError.__name__:
             parser.exit(2, f"{error.evalue}\n")
         parser.exit(1, str(error))
-    except KeyboardInterrupt:
-        parser.exit(130, f"{notebook.stem}: interrupted\n")
-    seconds = time.monotonic() - started
-    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
 
 
 def _value(text):

@@ -14,6 +14,7 @@ import platform
 import re
 import shutil
 import subprocess
+import tempfile
 from datetime import datetime
 from html import escape
 from pathlib import Path
@@ -191,12 +192,12 @@ def as_html(frame):
 
 def provenance():
     """[(what, value)]: what the results came from."""
-    commit = subprocess.run(["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"], capture_output=True, text=True)
-    rows = [("Project", f"rhec {__version__}"), ("Source", f"{style.source()} (digest of rhec/, notebooks/ and data/)"),
-            ("Commit", commit.stdout.strip() if commit.returncode == 0 else "no git repository"),
+    ours = (ROOT / ".git").exists()   # not that of a repository around this folder
+    commit = ours and subprocess.run(["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"], capture_output=True, text=True)
+    return [("Project", f"rhec {__version__}"), ("Source", f"{style.source()} (digest of rhec/, notebooks/ and data/)"),
+            ("Commit", commit.stdout.strip() if ours else "no git repository"),
             ("Machine", timing.machine()), ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
             ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))]
-    return rows
 
 
 def packages():
@@ -213,20 +214,28 @@ def packages():
 
 def build(notebooks, figures=style.FOLDER, report=REPORT):
     """Write the site; it replaces the old one only when it is whole."""
-    unfinished = report.with_name(f"{report.name}.unfinished")
-    shutil.rmtree(unfinished, ignore_errors=True)
-    (unfinished / "notebooks").mkdir(parents=True)
-    shutil.copytree(figures, unfinished / "figures")
+    report.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
+        unfinished = Path(folder) / report.name
+        write_site(notebooks, figures, unfinished)
+        shutil.rmtree(report, ignore_errors=True)
+        unfinished.rename(report)
+
+
+def write_site(notebooks, figures, site):
+    """All pages, and what they show, into a new folder."""
+    (site / "notebooks").mkdir(parents=True)
+    shutil.copytree(figures, site / "figures")
     for file in notebooks:
-        shutil.copy(file, unfinished / "notebooks")
+        shutil.copy(file, site / "notebooks")
 
     names = [file.stem for file in notebooks]
     stories = [notebook_page(file, names) for file in notebooks]
     drawn, tables = figures_of(figures), tables_of(figures)
-    (unfinished / "pictures").mkdir()
+    (site / "pictures").mkdir()
     for story in stories:
         if story["picture"]:
-            (unfinished / f"pictures/{story['name']}.png").write_bytes(story["picture"])
+            (site / f"pictures/{story['name']}.png").write_bytes(story["picture"])
     ledger = ledger_of(tables)
     verdicts = pd.concat([rows["verdict"].map(tone) for _, rows in ledger]) if ledger else pd.Series(dtype=str)
     common = dict(stories=stories, figures=drawn, tables=tables, ledger=ledger, counts=verdicts.value_counts().to_dict(), version=__version__,
@@ -236,15 +245,12 @@ def build(notebooks, figures=style.FOLDER, report=REPORT):
                                lstrip_blocks=True)
     jinja.filters.update(table=as_html, seconds=lambda value: "–" if value is None else f"{value:.1f} s", nice=nice)
     for page in ("index", "figures", "tables", "claims", "provenance"):
-        write(unfinished / f"{page}.html", jinja.get_template(f"{page}.html.j2").render(common, page=page))
+        write(site / f"{page}.html", jinja.get_template(f"{page}.html.j2").render(common, page=page))
     for story in stories:
-        write(unfinished / f"{story['name']}.html", jinja.get_template("story.html.j2").render(common, page=story["name"], story=story))
+        write(site / f"{story['name']}.html", jinja.get_template("story.html.j2").render(common, page=story["name"], story=story))
     light, dark = (HtmlFormatter(style=name).get_style_defs(".highlight") for name in ("friendly", "github-dark"))
     ours = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    write(unfinished / "report.css", f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}")
-
-    shutil.rmtree(report, ignore_errors=True)
-    unfinished.rename(report)
+    write(site / "report.css", f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}")
 
 
 def nice(name):
@@ -259,7 +265,10 @@ def write(file, text):
 def main():
     parser = argparse.ArgumentParser(prog="python -m rhec.report", description="Make build/report/ from executed notebooks.")
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path, help="such as build/notebooks/scenario_a.ipynb")
-    build(parser.parse_args().notebooks)
+    try:
+        build(parser.parse_args().notebooks)
+    except KeyboardInterrupt:
+        parser.exit(130, "report: interrupted; an older one is left as it was\n")
     print(f"report: open {os.path.relpath(REPORT / 'index.html')}")
 
 
