@@ -186,6 +186,7 @@ def as_html(frame):
     def verdict(value):
         return f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else ""
 
+    frame = frame.rename(columns=lambda name: escape(str(name)).replace("_", "_<wbr>"))   # where a long name may be broken
     formatters = {column: verdict if column == "verdict" else cell for column in frame}
     return Markup(frame.to_html(index=False, border=0, escape=False, formatters=formatters, na_rep=""))
 
