@@ -48,7 +48,7 @@ def test_solutions_are_folded_away():
 
 
 def rk4(xi, omega, p):
-    return model.rk4(ca.DM(xi), omega, ca.DM(p), DT)
+    return model.rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
 
 
 def midpoint(xi, omega, p):
