@@ -3,6 +3,7 @@
 JupyterLab serves copies of the notebooks from a folder of its own, with settings of its own: nothing of the user's is read or written.
 """
 
+import contextlib
 import json
 import os
 import secrets
@@ -40,10 +41,13 @@ def chromium():
         browser.close()
 
 
-@pytest.fixture
-def page(chromium):
-    """An empty page on a laptop's screen. What its scripts throw and what it asks of other machines fails the test."""
-    page = chromium.new_page(viewport={"width": 1366, "height": 768})
+LOCAL = ("http://127.0.0.1:", "http://localhost:", "ws://127.0.0.1:", "ws://localhost:", "file:", "data:", "blob:", "about:")
+
+
+@contextlib.contextmanager
+def watched_page(chromium, width=1366, height=768):
+    """An empty page, on a laptop's screen unless told. What its scripts throw and what it asks of other machines fails the test."""
+    page = chromium.new_page(viewport={"width": width, "height": height})
     page.set_default_timeout(PATIENCE_MS)
     thrown, outside = [], []
     page.on("pageerror", lambda error: thrown.append(str(error)))
@@ -54,7 +58,11 @@ def page(chromium):
     assert not outside
 
 
-LOCAL = ("http://127.0.0.1:", "http://localhost:", "ws://127.0.0.1:", "ws://localhost:", "file:", "data:", "blob:", "about:")
+@pytest.fixture
+def page(chromium):
+    """A watched page for one test."""
+    with watched_page(chromium) as page:
+        yield page
 
 
 class Lab:
