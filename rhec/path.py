@@ -71,7 +71,7 @@ class Path:
 
     def poses(self, s):
         """Poses (n, 3) and curvatures (n,) at arc lengths s (n,) [m]."""
-        s = np.asarray(s) % self.period_m
+        s = np.asarray(s) % self.length_m if self.closed else np.asarray(s)
         row = self.segments[np.clip(np.searchsorted(self.segments[:, 0], s, side="right") - 1, 0, None)]
         return np.column_stack(advance(*row[:, 1:4].T, row[:, 4], s - row[:, 0], np)), row[:, 4]
 
@@ -95,8 +95,8 @@ class Path:
 
 
 def pose_at(s, segments, period_m):
-    """Pose (3,) and curvature at arc length s, as CasADi expressions; segments (5, M). Beyond an open end the last segment goes on."""
-    s = s - period_m * ca.floor(s / period_m)
+    """Pose (3,) and curvature at arc length s, as CasADi expressions; segments (5, M). Beyond an open end that end's segment goes on."""
+    s = ca.if_else(period_m < OPEN, s - period_m * ca.floor(s / period_m), s)   # before an open path's beginning is not after its end
     rows = ca.horzsplit(segments)
     row = rows[0]
     for before, after in zip(rows, rows[1:]):
