@@ -6,7 +6,8 @@ NOTEBOOKS := \
   scenario_b \
   faults \
   replay \
-  computation_times
+  computation_times \
+  embedded
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -20,7 +21,7 @@ endif
 
 WHAT ?=
 
-.PHONY: help figures test replay campaign bench soak lab lock clean
+.PHONY: help figures test replay campaign bench embedded soak lab lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
@@ -45,6 +46,9 @@ soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sens
 
 campaign: $(READY) ## drive a thousand fields, or go on where that stopped; WHAT="-p q [1,1,1] [1,1,0] --seeds 50" says which (--help: how)
 	@$(PY) -m rhec.campaigns $(WHAT)
+
+embedded: $(READY) ## write the default scenario's estimator and controller as C into build/embedded
+	@$(PY) -m rhec.embedded
 
 lab: $(READY) ## open the notebooks in JupyterLab
 	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \
@@ -83,8 +87,9 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	@$(PY) -m rhec.notebook $<
 	$(eval made := yes)
 
-# It measures time, so it runs alone.
-build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb,$(EXECUTED))
+# They measure time, so they run alone.
+build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb %/embedded.ipynb,$(EXECUTED))
+build/notebooks/embedded.ipynb: | $(filter-out %/embedded.ipynb,$(EXECUTED))
 
 # What each notebook used and made when it was last run.
 $(RECORDS):
