@@ -77,8 +77,7 @@ def built(exported, tmp_path_factory):
         if machine is None:
             pytest.skip("there is no C compiler" if on == "this machine" else "there is no compiler for 64-bit Arm, or no emulator")
         if (name, on) not in made:
-            flags = machines.FLAGS if name == "paper" else QUICKLY
-            made[name, on] = machine, machines.library(machine, exported(name), tmp_path_factory.mktemp("built"), flags)
+            made[name, on] = machine, machines.library(machine, exported(name), tmp_path_factory.mktemp("built"), QUICKLY)
         return made[name, on]
 
     return build
