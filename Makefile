@@ -11,7 +11,8 @@ NOTEBOOKS := \
   faults \
   replay \
   explore \
-  computation_times
+  computation_times \
+  embedded
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -34,6 +35,7 @@ figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 	@echo 'figures: $(if $(made),made,everything is up to date)'
 
 claims: build/notebooks/claims.ipynb ## run the claims ledger alone: figures/claims.csv, .tex, .md and its picture
+
 report: build/report/index.html ## run the notebooks; all of it as one site in build/report/, readable without a network
 	@echo 'report: open build/report/index.html'
 
@@ -61,6 +63,9 @@ soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sens
 
 campaign: $(READY) ## drive a thousand fields, or go on where that stopped; WHAT="-p q [1,1,1] [1,1,0] --seeds 50" says which (--help: how)
 	@$(PY) -m rhec.campaigns $(WHAT)
+
+embedded: $(READY) ## write the default scenario's estimator and controller as C into build/embedded
+	@$(PY) -m rhec.embedded
 
 # No news, no updates, no extensions from the network. Without a display, the address that it prints is to be opened elsewhere.
 lab: $(READY) ## open the notebooks in JupyterLab
@@ -101,8 +106,9 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	@$(PY) -m rhec.notebook $<
 	$(eval made := yes)
 
-# It measures time, so it runs alone.
-build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb,$(EXECUTED))
+# They measure time, so they run alone.
+build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb %/embedded.ipynb,$(EXECUTED))
+build/notebooks/embedded.ipynb: | $(filter-out %/embedded.ipynb,$(EXECUTED))
 
 build/report/index.html: $(EXECUTED) rhec/report.py $(wildcard rhec/templates/* rhec/templates/*/*)
 	@$(PY) -m rhec.report $(EXECUTED)

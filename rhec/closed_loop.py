@@ -108,6 +108,7 @@ class World:
     settings: dict
     path: path.Path
     terrain: terrain.Terrain
+    guess: np.ndarray   # (x, y, θ, ν, μ, κ), the estimator's first
 
 
 def world(scenario):
@@ -139,7 +140,7 @@ def world(scenario):
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
         slip=terrain.flat(soil, shape))
-    return World(structure, vector(memory), settings, target, soil)
+    return World(structure, vector(memory), settings, target, soil, guess)
 
 
 def draw_noise(seed, samples):

@@ -16,6 +16,7 @@ _HOME = {name: module for module, names in {
     "results": ("errors", "estimates", "kkt", "scenario_a_table", "scenario_b_table", "slip_fields", "speed", "trajectories", "trajectories_q",
                 "violations", "weight_sweep", "yaw_rate"),
     "style": ("save", "save_table", "styled"),
+    "embedded": ("embedded_times",),
     "timing": ("phases",),
 }.items() for name in names}
 __all__ = sorted(_HOME)
