@@ -9,8 +9,7 @@ from rhec import estimators, paper
 from rhec.faults import Fault
 from rhec.path import Path
 from rhec.terrain import Patch, Seed, Terrain
-from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, Whole,
-                             shown, validated)
+from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, shown, validated)
 
 
 @validated

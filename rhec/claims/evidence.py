@@ -4,7 +4,6 @@ Every label is run under both readings of the process noise at the same seeds, s
 field and the same noise. RUNS need their metrics alone and run as one campaign; LOGS need what only each sample shows.
 """
 
-import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -125,7 +124,7 @@ def measured(run):
         offset_curves_m=left_m[curved].mean() if curved.any() else 0.0,
         speed_variation=c.nu_mps[driving].std() / abs(c.nu_mps[driving].mean()),
         rms_nu_hat_mps=rms((c.nu_hat_mps - c.nu_mps)[driving]), rms_nu_meas_mps=rms((c.nu_meas_mps - c.nu_mps)[driving]),
-        rms_yaw_rate_radps=rms((c.omega_radps[1:] - c.omega_cmd_radps[:-1])),
+        rms_yaw_rate_radps=rms(c.omega_radps[1:] - c.omega_cmd_radps[:-1]),
         reaches_bound=bool(np.abs(c.omega_cmd_radps).max() >= scenario.omega_max_radps * (1 - 1e-9)),
         within_bound=bool(np.all(np.abs(c.omega_cmd_radps) <= scenario.omega_max_radps)),
         kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= arrival_s),

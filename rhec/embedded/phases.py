@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import closed_loop, estimators, path, paper, rhc, rhe
-from rhec.function import function, only, unpack, vector
+from rhec.function import function, unpack, vector
 from rhec.kalman import valid
 
 # Where in `struct rhec` the phases meet; whatever else they pass on is their owner's.

@@ -2,7 +2,7 @@
 
 import casadi as ca
 
-from rhec import paper, riccati
+from rhec import paper
 
 MEANING = {   # of settings, in comments
     "V": "variances of x, y [m^2], nu [m^2/s^2], omega [rad^2/s^2] as measured", "W": "variances of the process noise, a sample",

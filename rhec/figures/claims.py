@@ -33,7 +33,7 @@ def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
     csv, words = _in(folder, f"{name}.csv"), _in_words(table)
     table.to_csv(csv, index=False)
     caption = "The paper's claims, what the runs say with 95\\,\\% intervals, and the verdicts"
-    latex = words.to_latex(index=False, escape=True, longtable=True, caption=caption, label=f"tab:{name}", 
+    latex = words.to_latex(index=False, escape=True, longtable=True, caption=caption, label=f"tab:{name}",
                            column_format="lp{0.34\\linewidth}llllllp{0.14\\linewidth}")
     csv.with_suffix(".tex").write_text("".join(f"% {key}: {value}\n" for key, value in about.items()) + latex, encoding="utf-8")
     rows = [words.columns, ["---"] * len(words.columns), *words.astype(str).to_numpy()]
