@@ -12,7 +12,8 @@ def hard_coded(mu, kappa, sigma_w):
     memory, z = ca.SX.sym("memory", 6 + step.numel_in(0)), ca.SX.sym("z", 4)
     guess, filtered = memory[:6], memory[6:]
     fresh = ca.vertcat(guess[:4], ca.vec(ca.diag(np.square(paper.SIGMA_W_EKF))), 0, 0)   # m, P, ω, started: see `ekf.start`
-    filtered, estimate, *_ = step.call([ca.if_else(filtered[-1] == 0, fresh, filtered), z, np.square(paper.SIGMA_V), np.square(sigma_w), ca.DM([mu, kappa])])
+    filtered = ca.if_else(filtered[-1] == 0, fresh, filtered)
+    filtered, estimate, *_ = step.call([filtered, z, np.square(paper.SIGMA_V), np.square(sigma_w), ca.DM([mu, kappa])])
     return ca.Function("hard_coded", [memory, z], [ca.vertcat(guess, filtered), estimate])
 
 

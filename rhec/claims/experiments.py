@@ -50,7 +50,8 @@ def functions(serialized):
 def estimated(steps, log, reading, P_0=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
     guess = (*log.loc[0, ["x_m", "y_m", "theta_rad"]], log.loc[0, "nu_mps"], 1.0, 1.0)
-    settings = dict(V=np.square(paper.SIGMA_V), W=np.square(rhe.SIGMA_W[reading]), P_0=np.eye(6) if P_0 is None else P_0, constant=float(P_0 is not None))
+    settings = dict(V=np.square(paper.SIGMA_V), W=np.square(rhe.SIGMA_W[reading]),
+                    P_0=np.eye(6) if P_0 is None else P_0, constant=float(P_0 is not None))
     memory = vector(rhe.start(guess, paper.SIGMA_W_RHE, paper.HORIZON))
     _, rows = fold.fold(steps, memory, log[MEASURED].to_numpy(), settings)
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)

@@ -1,7 +1,8 @@
 """Many worlds: what the paper leaves open is drawn anew, all at once, and the claims about driving are judged in each world on its own.
 
-The worlds are a scrambled Sobol sequence over UNKNOWNS (SciPy's `qmc`), so that no two unknowns move together. Which unknown decides a claim is read from
-rank correlations (SciPy's `spearmanr`) between the unknown and how far the claim is on its side, with the false discovery rate held at 5 % over the table.
+The worlds are a scrambled Sobol sequence over UNKNOWNS (SciPy's `qmc`), so that no two unknowns move together. Which unknown decides a claim is read
+from rank correlations (SciPy's `spearmanr`) between the unknown and how far the claim is on its side, with the false discovery rate held at 5 % over
+the whole table (`false_discovery_control`).
 """
 
 from collections.abc import Callable
@@ -22,7 +23,8 @@ UNKNOWNS = {
     "speed_mps": (0.2, 0.7, False), "mu_mean": (0.75, 0.95, False), "mu_deviation": (0.01, 0.1, False), "kappa_mean": (0.65, 0.95, False),
     "kappa_deviation": (0.02, 0.15, False), "correlation_length_m": (1.0, 10.0, True), "gnss_sigma_m": (0.01, 0.05, False),
     "gnss_slow_share": (0.0, 0.95, False), "gnss_slow_time_s": (5.0, 300.0, True), "bump_sigma_radps": (0.0, 0.05, False),
-    "encoder_sigma_mps": (0.005, 0.035, False), "row_length_m": (15.0, 25.0, False), "turn_demand": (0.6, 0.9, False), "start_offset_m": (0.3, 1.5, False),
+    "encoder_sigma_mps": (0.005, 0.035, False), "row_length_m": (15.0, 25.0, False), "turn_demand": (0.6, 0.9, False),
+    "start_offset_m": (0.3, 1.5, False),
 }
 FIRST_SEED = 2000                   # beyond the ledger's and the calibration's; every world has fields of its own
 DISCOVERIES = 0.05                  # false discovery rate of the rank correlations
@@ -77,7 +79,8 @@ CLAIMS = (   # ids as in the ledger, with the reading: p printed, c calibrated
           lambda runs: runs["RHE, calibrated"].omega_max_radps >= paper.OMEGA_MAX_RADPS * (1 - 1e-9), True),
     Claim("C1 c", "RHE's yaw is good to 2°", lambda runs: np.log(0.035 / runs["RHE, calibrated"].rms_yaw_rad)),
     Claim("C2 c", "RHE's μ is better than a constant", lambda runs: np.log(runs["RHE, calibrated"].mu_deviation / runs["RHE, calibrated"].rms_mu)),
-    Claim("C3 c", "RHE's κ is better than a constant", lambda runs: np.log(runs["RHE, calibrated"].kappa_deviation / runs["RHE, calibrated"].rms_kappa)),
+    Claim("C3 c", "RHE's κ is better than a constant",
+          lambda runs: np.log(runs["RHE, calibrated"].kappa_deviation / runs["RHE, calibrated"].rms_kappa)),
     Claim("R2", "Calibrated W tracks better than printed", closer("RHE, calibrated", "RHE, printed", "mean_error_true_m")),
 )
 
@@ -109,7 +112,7 @@ def drive(drawn, seeds):
 
 
 def in_world(values, exact):
-    """A claim in one world on its runs' numbers: (verdict, how far on its side). Student's t interval, since five runs are too few for a bootstrap."""
+    """A claim in one world on its runs' numbers: (verdict, how far on its side). Student's t interval: five runs are too few for a bootstrap."""
     if exact:
         return always(values).verdict, np.mean(values)
     if np.ptp(values) == 0:
@@ -140,14 +143,14 @@ def correlations(drawn, margins):
 
 
 def summary(drawn, verdicts, margins):
-    """One row a claim: the share of worlds where it holds with its interval, and the unknown that decides it: the strongest discovery, if there is one."""
+    """One row a claim: the share of worlds where it holds with its interval, and the unknown that decides it: the strongest discovery, if any."""
     rho, discovered = correlations(drawn, margins)
     rows = []
     for claim in CLAIMS:
         holds, of = share(verdicts[claim.id] == HOLDS), rho.loc[claim.id].where(discovered.loc[claim.id])
         deciding = "" if of.isna().all() else of.abs().idxmax()
-        rows.append(dict(id=claim.id, claim=claim.claim, holds=holds.ours, low=holds.low, high=holds.high, undecided=np.mean(verdicts[claim.id] == UNDECIDED),
-                         fails=np.mean(verdicts[claim.id] == FAILS), worlds=holds.n, decided_by=deciding,
+        rows.append(dict(id=claim.id, claim=claim.claim, holds=holds.ours, low=holds.low, high=holds.high,
+                         undecided=np.mean(verdicts[claim.id] == UNDECIDED), fails=np.mean(verdicts[claim.id] == FAILS), worlds=holds.n, decided_by=deciding,
                          direction="" if not deciding else "more helps" if of[deciding] > 0 else "less helps",
                          rank_correlation=np.nan if not deciding else of[deciding]))
     return pd.DataFrame(rows)

@@ -1,7 +1,7 @@
 """The readings audit: what each reading of the paper does to the estimators, by analysis and by simulation.
 
-Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ, and GNSS measures y. The steady state of their Riccati
-recursion (SciPy's `solve_discrete_are`) obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x², the yaw gain falls as 1/σ_x.
+Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ, and GNSS measures y. The steady state of their
+Riccati recursion (SciPy's `solve_discrete_are`) obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x², the yaw gain falls as 1/σ_x.
 """
 
 import numpy as np
@@ -22,8 +22,8 @@ SIGMA_W = {"ekf": ekf.SIGMA_W, "rhe": rhe.SIGMA_W}
 # Analysis
 
 def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
-    """The steady EKF on a straight for each process noise sigma_x_m of the position: a DataFrame of its gains on position [-] and yaw [rad/m], its yaw's
-    standard deviation [rad], and the time [s] in which it corrects a yaw error to 1/e."""
+    """The steady EKF on a straight for each process noise sigma_x_m of the position: a DataFrame of its gains on position [-] and yaw [rad/m], its
+    yaw's standard deviation [rad], and the time [s] in which it corrects a yaw error to 1/e."""
     A, H, V = np.array([[1, paper.DT_S * pace_mps], [0, 1]]), np.array([[1.0, 0.0]]), np.array([[paper.SIGMA_V[0] ** 2]])
     rows = []
     for sigma_x in sigma_x_m:
@@ -117,7 +117,8 @@ QUANTITIES = {"mean_error_m": "mean error, raw GNSS [m]", "mean_error_true_m": "
 def one_at_a_time(baseline, seeds):
     """How much each reading moves the RHE's results from those of the baseline reading ("printed" or "calibrated"), paired by seed.
 
-    R1 and R2 are the other W, for one estimator at a time. One row a reading and quantity: value, and its difference from the baseline with the 95 % interval. "advantage_m" is RHE - EKF, both under the reading.
+    R1 and R2 are the other W, for one estimator at a time. One row a reading and quantity: value, and its difference from the baseline with the 95 %
+    interval. "advantage_m" is RHE - EKF, both under the reading.
     """
     other = "calibrated" if baseline == "printed" else "printed"
     asked = {"baseline": ("baseline", dict(), dict()), "R1": (f"EKF: W {other}", dict(), dict(reading=other)),

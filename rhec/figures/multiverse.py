@@ -26,8 +26,8 @@ def multiverse_map(table, correlations, discovered):
     for column, verdict, colour, hatch in [("holds", HOLDS, GREEN, ""), ("undecided", UNDECIDED, ORANGE, "...."), ("fails", FAILS, VERMILLION, "xxxx")]:
         bars.barh(places, 100 * table[column], left=left, height=0.7, color=colour, hatch=hatch, edgecolor="white", linewidth=0, label=verdict)
         left = left + 100 * table[column]
-    bars.errorbar(100 * table["holds"], places, xerr=100 * abs(table[["low", "high"]].sub(table["holds"], axis=0).to_numpy().T), fmt="none", ecolor="k",
-                  elinewidth=0.8, capsize=1.5)
+    ends = table[["low", "high"]].sub(table["holds"], axis=0).to_numpy().T
+    bars.errorbar(100 * table["holds"], places, xerr=100 * abs(ends), fmt="none", ecolor="k", elinewidth=0.8, capsize=1.5)
     bars.set_yticks(places, [f"{row.claim}  {row.id}" for row in table.itertuples()])
     bars.set(xlim=(0, 100), ylim=(len(table) - 0.5, -0.5), xlabel=f"worlds [%]  (n = {table['worlds'].iloc[0]})")
     bars.grid(axis="y", visible=False)
@@ -38,7 +38,8 @@ def multiverse_map(table, correlations, discovered):
         for j, unknown in enumerate(correlations.columns):
             if discovered.loc[claim, unknown]:
                 rho = correlations.loc[claim, unknown]
-                heat.text(j, i, f"{rho:.1f}".replace("-", "−").replace("0.", "."), ha="center", va="center", fontsize=6, color="white" if abs(rho) > 0.75 else "black")
+                heat.text(j, i, f"{rho:.1f}".replace("-", "−").replace("0.", "."), ha="center", va="center", fontsize=6,
+                          color="white" if abs(rho) > 0.75 else "black")
     heat.set_xticks(range(len(correlations.columns)), [LABELS[name] for name in correlations.columns], rotation=50, ha="right", rotation_mode="anchor")
     heat.grid(visible=False)
     heat.tick_params(axis="y", length=0)
