@@ -84,7 +84,8 @@ def made_up(run, virtual_machine):
     def table(columns, rows=50):
         return pd.DataFrame({name: rng.random(rows) < 0.5 if isinstance(value, bool | np.bool_) else rng.random(rows) for name, value in columns.items()})
 
-    arrival = table({f"{name}_{kind}": name == "lost" for name in ("step", "reached_s", "lost") for kind in ("adaptive", "heavy", "light", "none")} | dict(least=0.0))
+    kinds = ("adaptive", "heavy", "light", "none")
+    arrival = table({f"{name}_{kind}": name == "lost" for name in ("step", "reached_s", "lost") for kind in kinds} | dict(least=0.0))
     iterations = table(dict.fromkeys(["error_one_m", "error_many_m", "one_us", "many_us", "rms_warm", "rms_cold"], 0.0))
     exact = {"kkt": experiments.kkt_tolerances(3), "gains": experiments.gains(3), "models": experiments.models(3), "times": experiments.times(4.0)}
     runs = {label: table({**run.metrics, "arrived": True}).assign(duration_s=240.0) for label in evidence.RUNS}

@@ -356,7 +356,8 @@ def ledger(found, claims=CLAIMS):
         verdict, reading = combined(findings)
         ours = findings[reading]
         row = dict(id=claim.id, section=claim.section, claim=claim.claim, test=claim.test, paper=claim.paper,
-                   ours=ours.ours, low=ours.low, high=ours.high, n=ours.n, unit=claim.unit, verdict=verdict, reading=reading, above=ours.above, below=ours.below)
+                   ours=ours.ours, low=ours.low, high=ours.high, n=ours.n, unit=claim.unit,
+                   verdict=verdict, reading=reading, above=ours.above, below=ours.below)
         for other, finding in findings.items():
             if other != reading:
                 row |= dict(other_reading=other, other_ours=finding.ours, other_low=finding.low, other_high=finding.high, other_n=finding.n,
