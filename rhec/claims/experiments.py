@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from rhec import closed_loop, compiled, fold, model, paper, path, rhc, rhe, robot, terrain, timing
-from rhec.calibration import MEASURED
 from rhec.closed_loop import rms, simulate
 from rhec.function import folded, only, vector
 from rhec.rhc import RHC
@@ -53,7 +52,7 @@ def estimated(steps, log, reading, P_0=None):
     settings = dict(V=np.square(paper.SIGMA_V), W=np.square(rhe.SIGMA_W[reading]),
                     P_0=np.eye(6) if P_0 is None else P_0, constant=float(P_0 is not None))
     memory = vector(rhe.start(guess, paper.SIGMA_W_RHE, paper.HORIZON))
-    _, rows = fold.fold(steps, memory, log[MEASURED].to_numpy(), settings)
+    _, rows = fold.fold(steps, memory, log[[*closed_loop.LOG["z"]]].to_numpy(), settings)
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
 
 
