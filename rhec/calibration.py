@@ -1,9 +1,12 @@
-"""The calibrated reading: W from the likelihood of innovations on training seeds, never from the paper's results (readings R1, R2).
+"""Process noise from training seeds, never from the paper's results: by likelihood (the calibrated reading, R1, R2), and by tracking.
 
-Procedure. 1. Drive the default scenario on the training seeds with the true state in the loop, so that the data do not depend on any estimator.
+By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop, so that the data do not depend on any estimator.
 2. Run an estimator over the recorded measurements; its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the
 standard deviations behind W that minimise the deviance summed over all training runs (Powell's method on their logarithms, position x and y
-sharing one), between LEAST and MOST. The paper's text is not consulted; seeds below 1000 are never used. `python -m rhec.calibration` repeats it.
+sharing one), between LEAST and MOST. By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true error
+(Nelder and Mead's method): not an estimator's best guess of the truth, but the one that this controller drives best by. Seeds below 1000 are never used.
+
+    python -m rhec.calibration    repeats all of it (minutes)
 """
 
 import dataclasses
@@ -17,30 +20,38 @@ from rhec.closed_loop import simulate
 from rhec.scenario import Scenario
 
 TRAINING_SEEDS = range(1000, 1010)
-MEASURED = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]
-UNKNOWNS = {"rhe": 5, "ekf": 3}   # x and y, θ, ν[, μ, κ]
+TRACKING_SEEDS = range(1000, 1024)
+STREAM = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps", "mu", "kappa"]   # z, and what the traction oracle is told
 LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
+UNKNOWNS = {"rhe": 5, "ekf": 3, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
+# What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest is LEAST.
+TRACKING = {
+    "rhe": (dict(horizon_rhe=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01}),
+    "traction_oracle": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
+    "dual": (dict(horizon_rhe=10), {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01}),
+}
 
 
 def functions(estimator):
-    """The estimator's step with its deviance as the row: what the likelihood is summed from."""
+    """The estimator's step over a stream of z and true traction, with its deviance as the row: what the likelihood is summed from."""
     step = estimators.step(estimator, paper.HORIZON, "parameter", "smoothed", "structured", False)
-    inputs = step.mx_in()
-    outputs = dict(zip(step.name_out(), step.call(inputs)))
-    return fold.functions(ca.Function("deviance", inputs, [outputs["memory"], outputs["deviance"]], step.name_in(), ["memory", "deviance"],
-                                      {"allow_duplicate_io_names": True}))
+    memory, stream, V, W = (ca.MX.sym(name, step.size1_in(name) if name in step.name_in() else 6) for name in ("memory", "stream", "V", "W"))
+    given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W,
+                 traction=stream[4:] if estimator == "traction_oracle" else ca.DM.ones(2))
+    outputs = step(**{name: given[name] for name in step.name_in()})
+    return fold.functions(ca.Function("deviance", [memory, stream, V, W], [outputs["memory"], outputs["deviance"]], ["memory", "stream", "V", "W"],
+                                      ["memory", "deviance"], {"allow_duplicate_io_names": True}))
 
 
 def deviance(estimator, sigma_w, runs):
     """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w."""
     steps = compiled.load(functions, estimator)
-    settings = dict(V=np.square(paper.SIGMA_V), W=np.square(sigma_w)) | (dict(traction=np.ones(2)) if estimator == "ekf" else {})
     total = 0.0
     for run in runs:
         x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
         scenario = dataclasses.replace(run.scenario, estimator=estimator)
         memory = estimators.first_memory(scenario, (x, y, theta, scenario.speed_mps, 1.0, 1.0))
-        total += fold.fold(steps, memory, run.log[MEASURED].to_numpy(), settings)[1].sum()
+        total += fold.fold(steps, memory, run.log[STREAM].to_numpy(), dict(V=np.square(paper.SIGMA_V), W=np.square(sigma_w)))[1].sum()
     return total
 
 
@@ -50,15 +61,39 @@ def sigma_from(logarithms):
     return np.insert(sigma, 0, sigma[0])
 
 
+def rounded(sigma):
+    return tuple(float(f"{value:.2g}") for value in sigma)
+
+
 def calibrate(estimator, seeds=TRAINING_SEEDS):
-    """Process noise of "rhe" or "ekf" by maximum likelihood on these seeds: standard deviations, rounded to two digits, and the deviance."""
+    """Process noise of "rhe", "ekf" or "traction_oracle" by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
     runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in seeds]
     unknowns = UNKNOWNS[estimator]
     result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs), np.full(unknowns, np.log(0.03)), method="Powell",
                       bounds=[np.log((LEAST, MOST))] * unknowns, options=dict(xtol=0.01, ftol=1e-6))
-    return tuple(float(f"{value:.2g}") for value in sigma_from(result.x)), result.fun
+    return rounded(sigma_from(result.x)), result.fun
+
+
+def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
+    """Process noise of "rhe", "traction_oracle" or "dual" by least mean true error on these seeds: standard deviations, to two digits, and the error [m]."""
+    fields, unknowns = TRACKING[estimator]
+
+    def sigma_w(logarithms):
+        sigma = np.full(estimators.entries(estimator, "parameter"), LEAST)
+        for places, logarithm in zip(unknowns, logarithms):
+            sigma[list(places)] = np.exp(logarithm)
+        return sigma
+
+    def error_m(logarithms):
+        given = dict(estimator=estimator, sigma_w=tuple(sigma_w(logarithms)), **fields)
+        return np.mean([simulate(Scenario(seed=seed, **given)).metrics["mean_error_true_m"] for seed in seeds])
+
+    result = minimize(error_m, np.log([*unknowns.values()]), method="Nelder-Mead", options=dict(maxfev=evaluations, adaptive=True))
+    return rounded(sigma_w(result.x)), result.fun
 
 
 if __name__ == "__main__":
     for name in UNKNOWNS:
-        print(name, *calibrate(name))
+        print("by likelihood", name, *calibrate(name))
+    for name in TRACKING:
+        print("by tracking", name, *track(name))

@@ -1,22 +1,28 @@
 """Dual estimation (Wan, Nelson, "Dual Extended Kalman Filter Methods", 2001): one estimator for the soil, one for the pose. Not in the paper.
 
 The RHE needs a long memory to tell traction from noise; a pose that steers should follow its measurements faster than that. Here the RHE gives
-(μ, κ), as in the paper, and the EKF of eq. (kinematicmodelEKF) with that traction gives (x, y, θ, ν), each with the process noise that suits it.
+(μ, κ), as in the paper, and an EKF with that traction gives (x, y, θ, ν), each with the process noise that suits it. The paper's Euler step would
+put the yaw of that filter half a sample's turn ahead; a Runge-Kutta step does not.
 """
 
 import casadi as ca
 import numpy as np
 
-from rhec import ekf, rhe
+from rhec import ekf, model, rhe
 from rhec.function import vector
 
 # Of the RHE's (x, y, θ, ν, μ, κ), then of the EKF's (x, y, θ, ν), per sample: least true error on the training seeds (`rhec.calibration`).
 SIGMA_W = (0.001, 0.001, 0.001, 0.001, 0.006, 0.04, 0.0015, 0.0015, 0.0235, 0.0085)
 
 
+def f(m, omega, traction, dt_s):
+    """Eq. (systemmodel) over `dt_s` [s] by one Runge-Kutta step from (x, y, θ, ν)."""
+    return ca.vertcat(model.rk4(model.f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+
+
 def functions(dt_s, horizon, arrival_mean="smoothed", qp="structured", robust=False):
     """Both as one CasADi Function {step}: memory is the RHE's, then the EKF's; V (4,) and W (10,) are variances, W the RHE's, then the EKF's."""
-    soil, pose = rhe.functions(dt_s, horizon, "parameter", arrival_mean, qp, robust)["step"], ekf.functions(dt_s)["step"]
+    soil, pose = rhe.functions(dt_s, horizon, "parameter", arrival_mean, qp, robust)["step"], ekf.functions(dt_s, f)["step"]
     memory, z = ca.MX.sym("memory", soil.numel_in("memory") + pose.numel_in("memory")), ca.MX.sym("z", 4)
     V, W = ca.MX.sym("V", 4), ca.MX.sym("W", 10)
     of_soil, of_pose = ca.vertsplit(memory, [0, soil.numel_in("memory"), memory.numel()])

@@ -23,8 +23,8 @@ def f(m, omega, traction, dt_s):
     return ca.vertcat(x + dt_s * mu * nu * ca.cos(theta), y + dt_s * mu * nu * ca.sin(theta), theta + dt_s * kappa * omega, nu)
 
 
-def functions(dt_s):
-    """The EKF as one CasADi Function {step}: predict, then correct.
+def functions(dt_s, f=f):
+    """The EKF as one CasADi Function {step}: predict by f, then correct.
 
     Memory: m (4,), P (4, 4), omega () last yaw rate [rad/s], started () 0 before the first sample, which only corrects. V (4,), W (4,) are
     variances, traction (2,). z (4,) holds the yaw rate of the interval that ends now; a missing one is the last one held.
