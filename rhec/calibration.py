@@ -23,7 +23,7 @@ TRAINING_SEEDS = range(1000, 1010)
 TRACKING_SEEDS = range(1000, 1024)
 STREAM = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps", "mu", "kappa"]   # z, and what the traction oracle is told
 LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
-UNKNOWNS = {"rhe": 5, "ekf": 3, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
+UNKNOWNS = {"rhe": 5, "ekf": 3, "augmented_ekf": 5, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
 # What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest is LEAST.
 TRACKING = {
     "rhe": (dict(horizon_rhe=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01}),
@@ -66,7 +66,7 @@ def rounded(sigma):
 
 
 def calibrate(estimator, seeds=TRAINING_SEEDS):
-    """Process noise of "rhe", "ekf" or "traction_oracle" by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
+    """Process noise of an estimator of UNKNOWNS by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
     runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in seeds]
     unknowns = UNKNOWNS[estimator]
     result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs), np.full(unknowns, np.log(0.03)), method="Powell",

@@ -17,6 +17,7 @@ from rhec import compiled, estimators, faults, fold, paper, path, rhc, robot, te
 from rhec.function import folded, only, size, unpack, vector
 from rhec.kalman import valid
 from rhec.scenario import Scenario
+from rhec.validation import shown
 
 # One row of the log, in order: what `sample` returns beside the memory.
 LOG = dict(truth=("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"), omega=("omega_radps",),
@@ -107,6 +108,7 @@ class World:
     settings: dict
     path: path.Path
     terrain: terrain.Terrain
+    guess: np.ndarray   # (x, y, θ, ν, μ, κ), the estimator's first
 
 
 def world(scenario):
@@ -138,7 +140,7 @@ def world(scenario):
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
         slip=terrain.flat(soil, shape))
-    return World(structure, vector(memory), settings, target, soil)
+    return World(structure, vector(memory), settings, target, soil, guess)
 
 
 def draw_noise(seed, samples):
@@ -172,7 +174,7 @@ class Run:
 def simulate(scenario):
     """Run a scenario: rhec.Run. A structure's first run compiles it for some seconds; it is cached from then on."""
     if not isinstance(scenario, Scenario):
-        raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
+        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     made = world(scenario)
     samples = round(scenario.duration_s / paper.DT_S)
     _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, inputs(scenario, samples), made.settings)

@@ -22,7 +22,8 @@ SIGMA = ["sigma_x_m", "sigma_y_m", "sigma_theta_rad", "sigma_nu_mps", "sigma_mu"
 OUTPUTS = [*ESTIMATE, *ARM, *SIGMA, "deviance", "kkt_rhe", "ok"]
 FIELDS = ("reading", "sigma_w", "sigma_v", "horizon_rhe", "speed_model", "arrival_mean", "robust", "qp")   # of Scenario, those an estimator in a replay reads
 HEADINGS = 8             # directions tried where the first yaw is not known
-SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)   # of the first guess of (x, y, θ, ν, μ, κ, l_f, l_l); of the first six as the paper's W, but for the yaw
+# Of the first guess of (x, y, θ, ν, μ, κ, l_f, l_l); of the first six as the paper's W, but for the yaw.
+SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)
 SIGMA_ARM_M = 0.005      # of an antenna's place that is told
 
 

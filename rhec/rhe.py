@@ -431,6 +431,11 @@ class RHE:
         return Estimate(*arrays["estimate"].tolist(), arrays["covariance"].reshape(self.n_s, self.n_s).copy())
 
     @property
+    def ok(self):
+        """Whether the last step was solved; if not, its answer is the shifted previous solution's."""
+        return self.iteration.arrays["ok"].item() == 1
+
+    @property
     def kkt(self):
         """KKT tolerance of the linearisation point of the last feedback."""
         self.iteration.expand()

@@ -171,7 +171,7 @@ def test_a_response_is_what_the_errors_say():
 
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
     cases = {family: dict(list(robustness.CASES[family].items())[:2]) for family in ("GNSS outage", "start")}
-    table, errors = robustness.study(rhec.Scenario(reading="calibrated"), 2, {"off": {}, "on": {"arrival_mean": "filtered"}}, cases)
+    table, errors = robustness.study(rhec.Scenario(reading="calibrated"), range(2), {"off": {}, "on": {"arrival_mean": "filtered"}}, cases)
     assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(zip(table["family"], table["case"], table["handling"]))
     outage = errors["GNSS outage", "3 s", "off"]
     assert outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT)) and np.isfinite(outage).all()

@@ -18,7 +18,8 @@ from .style import BLACK, COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPL
 
 LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν as input": {"color": GREEN}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]}}
 STRAIGHT_RADPS, SMOOTH = 0.05, 11   # slower turns count as straight, by the median of so many samples
-QUANTITIES = dict(yaw_rms_rad="RMS error of yaw [rad]", yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]", position_rms_m="RMS error of position [m]",
+QUANTITIES = dict(yaw_rms_rad="RMS error of yaw [rad]", yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]",
+                position_rms_m="RMS error of position [m]",
                 innovation_rms_m="RMS innovation [m]", mu_median="median of mu", mu_regression="mu by regression", mu_difference="median - regression, mu",
                 kappa_median="median of kappa", kappa_regression="kappa by regression", kappa_difference="median - regression, kappa",
                 nees_yaw="squared yaw error by its variance", inside_95="yaw errors within 95 % bounds", outside="samples with mu or kappa outside [0, 1]",
