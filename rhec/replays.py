@@ -35,6 +35,9 @@ class First(NamedTuple):
     lever_arm_m: tuple | None = None        # the antenna's place, ahead and left of the robot's centre
 
 
+NOTHING_KNOWN = First()
+
+
 def functions(*structure):
     """The estimator's step with a row of OUTPUTS, ready to be folded; what an estimator does not tell is not a number."""
     identity, horizon, speed_model, arrival_mean, qp, robust = structure
@@ -97,7 +100,7 @@ def likeliest(steps, scenario, z, first):
     return min(runs, key=lambda outputs: np.nansum(np.square(innovations(scenario, outputs[:, :8], z))))
 
 
-def estimate_samples(recording, scenario, first=First(), faults=(), seed=0):
+def estimate_samples(recording, scenario, first=NOTHING_KNOWN, faults=(), seed=0):
     """Estimates of a Recording, one row for each sample: segment, t_s, truth, READINGS, OUTPUTS, innovation_x_m, innovation_y_m.
 
     faults: (rhec.Fault, …) that the readings are given, at times as in the log; seed: of their random directions.
@@ -108,7 +111,8 @@ def estimate_samples(recording, scenario, first=First(), faults=(), seed=0):
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = recordings.samples(rows, paper.DT_S, recording.averaged)
         if faults:
-            part[recordings.READINGS] = corrupted(part[recordings.READINGS], faults, part["t_s"], recording.track_width_m, seed)
+            wrong = corrupted(part[recordings.READINGS], faults, part["t_s"], recording.track_width_m, seed)
+            part[recordings.READINGS] = np.where(np.isfinite(wrong), wrong, np.nan)
         z = part[recordings.READINGS].to_numpy()
         outputs = likeliest(steps, scenario, z, first) if first.yaw_rad is None else run(steps, scenario, z, first.yaw_rad[number], first)
         part[OUTPUTS] = outputs
