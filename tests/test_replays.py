@@ -223,7 +223,8 @@ def test_whatever_breaks_estimates_are_numbers(broken):
 
 
 @pytest.mark.parametrize("log, sentence", [
-    ([1, 2], "^log was list; it should be a DataFrame"), (LOG.iloc[:0], "^log was DataFrame without rows"), (LOG.drop(columns="x_m"), "^the log had no column x_m"),
+    ([1, 2], "^log was list; it should be a DataFrame"), (LOG.iloc[:0], "^log was DataFrame without rows"),
+    (LOG.drop(columns="x_m"), "^the log had no column x_m"),
     (LOG.drop(columns=["t_s", "speed_mps"]), "no column t_s, speed_mps;.*and a track_width_m"),
     (LOG.assign(y_m="east"), "column y_m had no number"),
     (LOG.assign(t_s=np.nan), "column t_s had no number"), (LOG.iloc[::10], "rows 1 s apart"),
