@@ -7,7 +7,7 @@ from rhec import augmented_ekf, dual, ekf, paper, rhe
 from rhec.function import vector
 
 # The traction oracle is not the paper's: W of its own, found as the calibrated ones are.
-SIGMA_W_TRACTION_ORACLE = (0.017, 0.017, 0.013, 0.001)
+SIGMA_W_TRACTION_ORACLE = (0.001, 0.001, 0.0048, 0.001)
 NAMES = ("rhe", "ekf", "augmented_ekf", "dual", "oracle", "traction_oracle")
 
 

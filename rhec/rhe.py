@@ -28,8 +28,8 @@ SIDE_MPS = 1e-3              # the side slip speed of tracks that stand still
 
 # Process noise W as standard deviations of (x, y, θ, ν, μ, κ) per sample: to the letter (R2), and as `rhec.calibration` found it on training seeds.
 SIGMA_W = {"printed": paper.SIGMA_W_RHE, "calibrated": (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001)}
-# Where noise is the tracks' slip it grows with the distance d they ran, like √d: of (μ, κ), and of the way of each track and across.
-SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.015, 0.03), 0.05, 0.06   # [1/√m], [m/√m], [m/√m]
+# Where noise is the tracks' slip it grows with the distance d they ran, like √d: of (μ, κ), of the way of each track, and across in turning.
+SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.015, 0.02), 0.05, 0.05   # [1/√m], [m/√m], [m/√m]
 # Before the first sample, standard deviations of (x, y, θ, ν, μ, κ, l_f, l_l): the paper's W, and an antenna whose place is known to the millimetre.
 SIGMA_START = (*paper.SIGMA_W_RHE, 1e-3, 1e-3)
 
@@ -75,13 +75,13 @@ def measured_inputs(window, z, v, V):
     for place, row in window.interval.measured_inputs:
         mean.append(ca.if_else(valid(z, row), z[row], v[place]))
         variance.append(ca.if_else(valid(z, row), V[row], SIGMA_HELD[row - 2] ** 2))
-    if window.interval.slips:   # each track's way varies by σ_track √d, and that across by σ_side √d
+    if window.interval.slips:   # each track's way varies by σ_track √d; across it slips by σ_side √(way of the tracks in turning)
         sigma2_track, sigma2_side, b = V[4], V[5], V[6]
         left, right = ran(*mean, b)
         variance[0] += sigma2_track * (left + right) / 4 / window.dt_s
         variance[1] += sigma2_track * (left + right) / b**2 / window.dt_s
         mean.append(0)
-        variance.append(sigma2_side * (left + right) / 2 / window.dt_s + SIDE_MPS**2)
+        variance.append(sigma2_side * ca.fabs(b / 2 * mean[1]) / window.dt_s + SIDE_MPS**2)
     return ca.vertcat(*mean), ca.diag(ca.vertcat(*variance))
 
 
