@@ -44,7 +44,7 @@ def functions(*structure):
     step = estimators.step(*structure)
     inputs = step.mx_in()
     outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], step.call(inputs)))
-    states = {"rhe": model.interval(speed_model).states, "ekf": (0, 1, 2, 3), "dual": (0, 1, 2, 3)}.get(identity, ())
+    states = {"rhe": model.interval(speed_model).states, "augmented_ekf": range(6), "ekf": range(4), "dual": range(4)}.get(identity, ())
     estimate, sigma = [*ca.vertsplit(outputs["estimate"]), *[ca.DM.nan(1)] * 2], [ca.DM.nan(1)] * 8
     for place, state in enumerate(states):
         sigma[state] = ca.sqrt(outputs["covariance"][place, place])
@@ -74,7 +74,7 @@ def run(steps, scenario, z, yaw_rad, first):
 
 def moved(scenario, estimate, readings, tau_s):
     """Estimates (n, 8) after tau_s (n,) of driving by the readings (n, 2) of the encoders, in the estimator's own model; missing readings are those before."""
-    iv = model.interval({"rhe": scenario.speed_model, "ekf": "parameter", "dual": "parameter"}.get(str(scenario.estimator), "input"))
+    iv = model.interval(scenario.speed_model if scenario.estimator == "rhe" else "parameter" if scenario.estimator in estimators.NAMES else "input")
     states, n = list(iv.states), len(estimate)
     held = pd.DataFrame(readings).ffill().fillna(0).to_numpy()
     v = np.zeros((n, iv.n_v))
@@ -149,7 +149,7 @@ def replay(log, estimator="rhe", *, track_width_m: Positive | None = None, lever
     """A recorded log through an estimator: a DataFrame of estimates, one row for each row of the log, in its order and with its index.
 
     log               recorded (x_m, y_m measured, …) or of `rhec.simulate`; columns and faults: `rhec.recordings`
-    estimator         "rhe", "ekf", "dual" or a CasADi Function of one's own, as in Scenario
+    estimator         "rhe", "ekf", "augmented_ekf", "dual" or a CasADi Function of one's own, as in Scenario
     track_width_m     take ν and ω from v_left_mps and v_right_mps, this far apart, instead of speed_mps and yaw_rate_radps
     lever_arm_m       where the antenna is, (ahead, left) of the robot's centre of turning; unless told it is estimated, within some decimetres. Only
                       speed_model "slipping" knows of it. The position estimated is the antenna's
@@ -192,5 +192,6 @@ def settings(estimator, recording, fields):
         defaults = dict(arrival_mean="filtered") | defaults   # nothing of the paper's to reproduce, so each measurement counts once
     scenario = Scenario(**defaults)
     if scenario.estimator in ("oracle", "traction_oracle"):
-        raise ValueError(f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf', 'dual' or a CasADi Function, for a recording has no truth to rely on")
+        raise ValueError(f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf', 'augmented_ekf', 'dual' or a CasADi Function: a recording has no truth "
+                         "to rely on")
     return scenario

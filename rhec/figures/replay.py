@@ -16,7 +16,8 @@ from rhec import scores
 from .results import over_seeds
 from .style import BLACK, COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPLE, ROOT, styled
 
-LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν as input": {"color": GREEN}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]}}
+LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν as input": {"color": GREEN}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]},
+         "augmented EKF": {"color": ORANGE}}
 STRAIGHT_RADPS, SMOOTH = 0.05, 11   # slower turns count as straight, by the median of so many samples
 QUANTITIES = dict(yaw_rms_rad="RMS error of yaw [rad]", yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]",
                 position_rms_m="RMS error of position [m]",
