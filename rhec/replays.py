@@ -35,13 +35,16 @@ class First(NamedTuple):
     lever_arm_m: tuple | None = None        # the antenna's place, ahead and left of the robot's centre
 
 
+NOTHING_KNOWN = First()
+
+
 def functions(*structure):
     """The estimator's step with a row of OUTPUTS, ready to be folded; what an estimator does not tell is not a number."""
     identity, horizon, speed_model, arrival_mean, qp, robust = structure
     step = estimators.step(*structure)
     inputs = step.mx_in()
     outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], step.call(inputs)))
-    states = {"rhe": model.interval(speed_model).states, "ekf": (0, 1, 2, 3), "dual": (0, 1, 2, 3)}.get(identity, ())
+    states = {"rhe": model.interval(speed_model).states, "augmented_ekf": range(6), "ekf": range(4), "dual": range(4)}.get(identity, ())
     estimate, sigma = [*ca.vertsplit(outputs["estimate"]), *[ca.DM.nan(1)] * 2], [ca.DM.nan(1)] * 8
     for place, state in enumerate(states):
         sigma[state] = ca.sqrt(outputs["covariance"][place, place])
@@ -71,7 +74,7 @@ def run(steps, scenario, z, yaw_rad, first):
 
 def moved(scenario, estimate, readings, tau_s):
     """Estimates (n, 8) after tau_s (n,) of driving by the readings (n, 2) of the encoders, in the estimator's own model; missing readings are those before."""
-    iv = model.interval({"rhe": scenario.speed_model, "ekf": "parameter", "dual": "parameter"}.get(str(scenario.estimator), "input"))
+    iv = model.interval(scenario.speed_model if scenario.estimator == "rhe" else "parameter" if scenario.estimator in estimators.NAMES else "input")
     states, n = list(iv.states), len(estimate)
     held = pd.DataFrame(readings).ffill().fillna(0).to_numpy()
     v = np.zeros((n, iv.n_v))
@@ -97,7 +100,7 @@ def likeliest(steps, scenario, z, first):
     return min(runs, key=lambda outputs: np.nansum(np.square(innovations(scenario, outputs[:, :8], z))))
 
 
-def estimate_samples(recording, scenario, first=First(), faults=(), seed=0):
+def estimate_samples(recording, scenario, first=NOTHING_KNOWN, faults=(), seed=0):
     """Estimates of a Recording, one row for each sample: segment, t_s, truth, READINGS, OUTPUTS, innovation_x_m, innovation_y_m.
 
     faults: (rhec.Fault, …) that the readings are given, at times as in the log; seed: of their random directions.
@@ -108,7 +111,8 @@ def estimate_samples(recording, scenario, first=First(), faults=(), seed=0):
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = recordings.samples(rows, paper.DT_S, recording.averaged)
         if faults:
-            part[recordings.READINGS] = corrupted(part[recordings.READINGS], faults, part["t_s"], recording.track_width_m, seed)
+            wrong = corrupted(part[recordings.READINGS], faults, part["t_s"], recording.track_width_m, seed)
+            part[recordings.READINGS] = np.where(np.isfinite(wrong), wrong, np.nan)
         z = part[recordings.READINGS].to_numpy()
         outputs = likeliest(steps, scenario, z, first) if first.yaw_rad is None else run(steps, scenario, z, first.yaw_rad[number], first)
         part[OUTPUTS] = outputs
@@ -145,7 +149,7 @@ def replay(log, estimator="rhe", *, track_width_m: Positive | None = None, lever
     """A recorded log through an estimator: a DataFrame of estimates, one row for each row of the log, in its order and with its index.
 
     log               recorded (x_m, y_m measured, …) or of `rhec.simulate`; columns and faults: `rhec.recordings`
-    estimator         "rhe", "ekf", "dual" or a CasADi Function of one's own, as in Scenario
+    estimator         "rhe", "ekf", "augmented_ekf", "dual" or a CasADi Function of one's own, as in Scenario
     track_width_m     take ν and ω from v_left_mps and v_right_mps, this far apart, instead of speed_mps and yaw_rate_radps
     lever_arm_m       where the antenna is, (ahead, left) of the robot's centre of turning; unless told it is estimated, within some decimetres. Only
                       speed_model "slipping" knows of it. The position estimated is the antenna's
@@ -188,5 +192,6 @@ def settings(estimator, recording, fields):
         defaults = dict(arrival_mean="filtered") | defaults   # nothing of the paper's to reproduce, so each measurement counts once
     scenario = Scenario(**defaults)
     if scenario.estimator in ("oracle", "traction_oracle"):
-        raise ValueError(f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf', 'dual' or a CasADi Function, for a recording has no truth to rely on")
+        raise ValueError(f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf', 'augmented_ekf', 'dual' or a CasADi Function: a recording has no truth "
+                         "to rely on")
     return scenario

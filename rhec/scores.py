@@ -14,7 +14,9 @@ REGRESSIONS = (("nu_meas_mps", "v_true_mps"), ("omega_meas_radps", "yaw_rate_tru
 
 def regression(samples):
     """Apparent (μ, κ) of the whole log: true speed and yaw rate over ground on what the encoders read, least squares through the origin."""
-    return tuple((samples[reading] * samples[truth]).sum() / (samples[reading] ** 2)[samples[truth].notna()].sum() for reading, truth in REGRESSIONS)
+    products = [(samples[reading] * samples[truth], samples[reading] ** 2) for reading, truth in REGRESSIONS]
+    totals = [(xy.sum(), xx[xy.notna()].sum()) for xy, xx in products]
+    return tuple(xy / xx if xx > 0 else np.nan for xy, xx in totals)   # a robot that never moves tells nothing
 
 
 def sliding_regression(samples):

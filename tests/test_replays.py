@@ -223,8 +223,10 @@ def test_whatever_breaks_estimates_are_numbers(broken):
 
 
 @pytest.mark.parametrize("log, sentence", [
-    ([1, 2], "^log was list; it should be a DataFrame"), (LOG.iloc[:0], "^log was DataFrame without rows"), (LOG.drop(columns="x_m"), "^the log had no column x_m"),
-    (LOG.drop(columns=["t_s", "speed_mps"]), "no column t_s, speed_mps;.*and a track_width_m"), (LOG.assign(y_m="east"), "column y_m had no number"),
+    ([1, 2], "^log was list; it should be a DataFrame"), (LOG.iloc[:0], "^log was DataFrame without rows"),
+    (LOG.drop(columns="x_m"), "^the log had no column x_m"),
+    (LOG.drop(columns=["t_s", "speed_mps"]), "no column t_s, speed_mps;.*and a track_width_m"),
+    (LOG.assign(y_m="east"), "column y_m had no number"),
     (LOG.assign(t_s=np.nan), "column t_s had no number"), (LOG.iloc[::10], "rows 1 s apart"),
     (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m"),
 ])
@@ -234,9 +236,12 @@ def test_a_log_that_cannot_be_replayed_is_refused_in_a_sentence(log, sentence):
 
 
 @pytest.mark.parametrize("given, sentence", [
-    (dict(estimator="oracle"), "^estimator was 'oracle'"), (dict(estimator="kalman"), "^estimator was 'kalman'"), (dict(sed=1), "^replay has no parameter 'sed'"),
-    (dict(reading="bold"), "^reading was 'bold'"), (dict(first_yaw_rad=(0.0, 1.0)), "^first_yaw_rad had 2 entries"), (dict(first_yaw_rad=np.inf), "^first_yaw_rad"),
-    (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "^lever_arm_m was"), (dict(lever_arm_m=(0.1,)), "^lever_arm_m"), (dict(track_width_m=-0.5), "^track_width_m was -0.5"), (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
+    (dict(estimator="oracle"), "^estimator was 'oracle'"), (dict(estimator="kalman"), "^estimator was 'kalman'"),
+    (dict(sed=1), "^replay has no parameter 'sed'"),
+    (dict(reading="bold"), "^reading was 'bold'"), (dict(first_yaw_rad=(0.0, 1.0)), "^first_yaw_rad had 2 entries"),
+    (dict(first_yaw_rad=np.inf), "^first_yaw_rad"),
+    (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "^lever_arm_m was"), (dict(lever_arm_m=(0.1,)), "^lever_arm_m"),
+    (dict(track_width_m=-0.5), "^track_width_m was -0.5"), (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
 ])
 def test_bad_parameters_are_named(given, sentence):
     with pytest.raises(ValueError, match=sentence):

@@ -16,7 +16,8 @@ from rhec import scores
 from .results import over_seeds
 from .style import BLACK, COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPLE, ROOT, styled
 
-LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν as input": {"color": GREEN}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]}}
+LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν as input": {"color": GREEN}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]},
+         "augmented EKF": {"color": ORANGE}}
 STRAIGHT_RADPS, SMOOTH = 0.05, 11   # slower turns count as straight, by the median of so many samples
 QUANTITIES = dict(yaw_rms_rad="RMS error of yaw [rad]", yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]",
                 position_rms_m="RMS error of position [m]",
@@ -52,12 +53,12 @@ def _time(axes, samples):
     axes[-1].set_xlim(t.min(), t.max())
 
 
-def _decades(axes):
+def _decades(axis):
     """A logarithmic axis with 1, 2 and 5 written out."""
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.minorticks_off()
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.axes.minorticks_off()
 
 
 @styled
@@ -146,7 +147,7 @@ def replay_uncertainty(samples, name):
         traction.plot(*_broken(samples, "t_s", column), color=colour, label=label)
     traction.set_ylabel(r"$\sigma_\mu$, $\sigma_\kappa$ [-]")
     for axes in (yaw, traction):
-        _decades(axes)
+        _decades(axes.yaxis)
     for axes in (motion, traction):
         axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.1)
     motion.set_title(name, loc="left")
@@ -180,7 +181,7 @@ def replay_trials(trials):
         axes.annotate(f"{mean:.3g}", (place + 0.25, mean), (3, 0), textcoords="offset points", va="center")
     axes.set_xticks(range(len(trials)), list(trials))
     axes.set_xlim(-0.5, len(trials) - 0.3)
-    _decades(axes)
+    _decades(axes.yaxis)
     axes.set_ylim(0.7 * min(rows["yaw_rms_rad"].min() for rows in trials.values()), 1.4 * max(rows["yaw_rms_rad"].max() for rows in trials.values()))
     axes.set_ylabel("RMS yaw error [rad]")
     axes.set_title(f"{n} noise seeds; mean and 95 % interval", loc="left")
@@ -202,8 +203,7 @@ def replay_faults(table):
                 values = table.loc[(table["fault"] == name) & (table["robust"] == robust), column]
                 axes.plot(values, np.full(len(values), place + shift), "o", markersize=2, alpha=0.5, markeredgewidth=0, color=look)
                 axes.plot(values.mean(), place + shift, "|", markersize=8, color=look, label=("robust" if robust else "as it is") if place == 0 else None)
-        axes.set_xscale("log")
-        axes.minorticks_off()
+        _decades(axes.xaxis)
         axes.set_xlabel(label)
     panels[0].set_yticks(range(len(names)), names)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
