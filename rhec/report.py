@@ -45,7 +45,8 @@ FONT = FontProperties(math_fontfamily="stix", size=100)   # a hundredth of it is
 
 def formula(tex, display=False):
     """The SVG of a formula, as high as the text around it (1 em), in the text's colour. Raises a ValueError for what mathtext does not know."""
-    text = f"${' '.join(tex.split())}$"
+    tex_long = re.sub(r"\\([gln]e)\b", r"\\\1q", tex)   # mathtext has \geq, \leq and \neq by their long names alone
+    text = f"${' '.join(tex_long.split())}$"
     try:
         width, height, depth = text_to_path.get_text_width_height_descent(text, FONT, ismath=True)
         outline = TextPath((0, 0), text, prop=FONT)

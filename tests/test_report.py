@@ -86,6 +86,7 @@ def test_the_formula_stands_on_the_line():
 
     assert depth("x") == pytest.approx(0, abs=0.02)
     assert depth(r"\frac{1}{2}") < -0.2
+    assert report.formula(r"a \ge b").count("<path") == 1
     with pytest.raises(ValueError, match=r"formula was '\\\\nonsense'; it must be TeX that matplotlib's mathtext knows"):
         report.formula(r"\nonsense")
 
