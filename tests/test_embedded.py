@@ -21,7 +21,7 @@ from rhec.kalman import Z_MAX
 SECONDS = 20.0
 TOLERANCE = 1e-9
 PREDICTED, AS_PLANNED, ESTIMATOR_RESTARTED, CONTROLLER_RESTARTED = 1, 2, 4, 8
-QUICKLY = [flag.replace("-O3", "-O1") for flag in machines.FLAGS]
+QUICKLY = [flag.replace("-O3", "-O0") for flag in machines.FLAGS]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 needs_valgrind = pytest.mark.skipif(not shutil.which("valgrind"), reason="there is no valgrind")
 ON = {"this machine": machines.this_machine, "Arm": machines.arm}
@@ -41,10 +41,10 @@ SCENARIOS = {
     "everything else": dict(speed_model="input", arrival_mean="filtered", input_reference="curvature", horizon=8, horizon_rhe=6, q=(1, 1, 10),
                             backwards=True, look_ahead_m=0.3, command_delay=1, guess_yaw_rad=0.2, reading="calibrated",
                             path=rhec.Path.from_segments([(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5))),
-    "robust": dict(robust=True, faults=(rhec.Fault("gnss_outage", 5.0, 4.0),)),
-    "slipping": dict(speed_model="slipping", robust=True),
+    "robust": dict(speed_model="slipping", robust=True, faults=(rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0),
+                                                                rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0))),
     "EKF": dict(estimator="ekf", reading="calibrated"),
-    "dual": dict(estimator="dual"),
+    "dual": dict(estimator="dual", robust=True),
     "own estimator": dict(estimator=own_estimator()),
 }
 
@@ -144,7 +144,7 @@ def in_python(scenario, measurements):
 
 # It says what Python says
 
-@pytest.mark.parametrize("name, on", [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("everything else", "Arm")])
+@pytest.mark.parametrize("name, on", [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")])
 def test_replay_of_a_closed_loop_answers_what_python_answered(name, on, exported, built):
     machine, objects = built(name, on)
     program = machines.program(machine, exported(name), "replay", objects, QUICKLY)
@@ -285,16 +285,16 @@ def test_sanitizers_find_nothing_in_nonsense(exported, tmp_path):
         pytest.skip(f"{compiler} has no sanitizers")
     sources = [f"{exported('paper')}/{source}" for source in ("fuzz.c", *machines.LIBRARY)]
     subprocess.run([compiler, *flags, f"-I{exported('paper')}", *sources, "-o", tmp_path / "fuzz", "-lm"], check=True)
-    finished = subprocess.run([tmp_path / "fuzz", "3000"], capture_output=True, text=True)
+    finished = subprocess.run([tmp_path / "fuzz", "1500"], capture_output=True, text=True)
     assert finished.returncode == 0 and not finished.stderr
 
 
 @needs_compiler
 @needs_valgrind
 def test_valgrind_finds_nothing(exported, built, tmp_path):
-    machine, objects = built("everything else", "this machine")
-    for name, argument in (("replay", exported("everything else") / "log.csv"), ("fuzz", "300")):
-        program = machines.program(machine, exported("everything else"), name, objects)
+    machine, objects = built("robust", "this machine")
+    for name, argument in (("replay", exported("robust") / "log.csv"), ("fuzz", "100")):
+        program = machines.program(machine, exported("robust"), name, objects)
         finished = subprocess.run(["valgrind", "--error-exitcode=9", "--leak-check=full", program, str(argument)], capture_output=True, text=True)
         assert finished.returncode == 0 and "0 errors from 0 contexts" in finished.stderr
 
@@ -302,12 +302,12 @@ def test_valgrind_finds_nothing(exported, built, tmp_path):
 @needs_compiler
 def test_nonsense_is_survived(exported, built):
     """The program fails where an estimate is not finite or a command out of bounds."""
-    for name in ("paper", "EKF"):
+    for name in ("paper", "robust", "EKF"):
         machine, objects = built(name, "this machine")
-        finished = machines.run(machine, machines.program(machine, exported(name), "fuzz", objects), 50_000, 7)
+        finished = machines.run(machine, machines.program(machine, exported(name), "fuzz", objects), 30_000, 7)
         assert finished.returncode == 0, finished.stderr
         statuses = dict(map(int, line.split(",")) for line in finished.stdout.splitlines()[2:])
-        assert sum(statuses.values()) >= 50_000 and statuses[0] > 0 and any(status & ESTIMATOR_RESTARTED for status in statuses)
+        assert sum(statuses.values()) >= 30_000 and statuses[0] > 0 and any(status & ESTIMATOR_RESTARTED for status in statuses)
 
 
 def test_what_it_needs_is_far_below_256_kib(exported, built):
@@ -323,7 +323,7 @@ def test_instructions_are_counted_the_same_every_time(exported, built, tmp_path)
     machine, objects = built("paper", "Arm")
     if not machine.emulator:
         pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
-    program, samples = machines.program(machine, exported("paper"), "replay", objects), 12
+    program, samples = machines.program(machine, exported("paper"), "replay", objects), 6
     (tmp_path / "log.csv").write_text("".join((exported("paper") / "log.csv").read_text().splitlines(keepends=True)[:samples + 1]))
     first, again = (instructions.trace(machine, program, tmp_path / "log.csv") for _ in range(2))
     np.testing.assert_array_equal(instructions.counts(first), instructions.counts(again))

@@ -12,6 +12,7 @@ from rhec.embedded import instructions, machines
 from rhec.embedded.machines import PHASES
 
 PI = "Raspberry Pi 3"
+TOLERANCE = 1e-9   # m, rad, m/s, 1, rad/s: how far C may be from Python
 
 
 def measure(export, samples=60):
