@@ -7,7 +7,7 @@ from rhec.embedded import report
 def main():
     folder = export(Scenario())
     made = report.measure(folder)
-    for name in ("sizes", "counted"):
+    for name in ("sizes", "nonsense", "counted"):
         made[name].to_csv(folder / f"{name}.csv", index=False)
         if not made[name].empty:
             print(made[name].to_string(index=False), end="\n\n")
