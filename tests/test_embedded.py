@@ -21,7 +21,7 @@ from rhec.kalman import Z_MAX
 SECONDS = 20.0
 TOLERANCE = 1e-9
 PREDICTED, AS_PLANNED, ESTIMATOR_RESTARTED, CONTROLLER_RESTARTED = 1, 2, 4, 8
-QUICKLY = [flag.replace("-O3", "-O1") for flag in machines.FLAGS]
+QUICKLY = [flag.replace("-O3", "-O0") for flag in machines.FLAGS]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 needs_valgrind = pytest.mark.skipif(not shutil.which("valgrind"), reason="there is no valgrind")
 ON = {"this machine": machines.this_machine, "Arm": machines.arm}
@@ -41,10 +41,10 @@ SCENARIOS = {
     "everything else": dict(speed_model="input", arrival_mean="filtered", input_reference="curvature", horizon=8, horizon_rhe=6, q=(1, 1, 10),
                             backwards=True, look_ahead_m=0.3, command_delay=1, guess_yaw_rad=0.2, reading="calibrated",
                             path=rhec.Path.from_segments([(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5))),
-    "robust": dict(robust=True, faults=(rhec.Fault("gnss_outage", 5.0, 4.0),)),
-    "slipping": dict(speed_model="slipping", robust=True),
+    "robust": dict(speed_model="slipping", robust=True, faults=(rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0),
+                                                                rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0))),
     "EKF": dict(estimator="ekf", reading="calibrated"),
-    "dual": dict(estimator="dual"),
+    "dual": dict(estimator="dual", robust=True),
     "own estimator": dict(estimator=own_estimator()),
 }
 
@@ -144,7 +144,7 @@ def in_python(scenario, measurements):
 
 # It says what Python says
 
-@pytest.mark.parametrize("name, on", [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("everything else", "Arm")])
+@pytest.mark.parametrize("name, on", [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")])
 def test_replay_of_a_closed_loop_answers_what_python_answered(name, on, exported, built):
     machine, objects = built(name, on)
     program = machines.program(machine, exported(name), "replay", objects, QUICKLY)
@@ -285,16 +285,16 @@ def test_sanitizers_find_nothing_in_nonsense(exported, tmp_path):
         pytest.skip(f"{compiler} has no sanitizers")
     sources = [f"{exported('paper')}/{source}" for source in ("fuzz.c", *machines.LIBRARY)]
     subprocess.run([compiler, *flags, f"-I{exported('paper')}", *sources, "-o", tmp_path / "fuzz", "-lm"], check=True)
-    finished = subprocess.run([tmp_path / "fuzz", "3000"], capture_output=True, text=True)
+    finished = subprocess.run([tmp_path / "fuzz", "1500"], capture_output=True, text=True)
     assert finished.returncode == 0 and not finished.stderr
 
 
 @needs_compiler
 @needs_valgrind
 def test_valgrind_finds_nothing(exported, built, tmp_path):
-    machine, objects = built("everything else", "this machine")
-    for name, argument in (("replay", exported("everything else") / "log.csv"), ("fuzz", "300")):
-        program = machines.program(machine, exported("everything else"), name, objects)
+    machine, objects = built("robust", "this machine")
+    for name, argument in (("replay", exported("robust") / "log.csv"), ("fuzz", "100")):
+        program = machines.program(machine, exported("robust"), name, objects)
         finished = subprocess.run(["valgrind", "--error-exitcode=9", "--leak-check=full", program, str(argument)], capture_output=True, text=True)
         assert finished.returncode == 0 and "0 errors from 0 contexts" in finished.stderr
 
@@ -302,12 +302,23 @@ def test_valgrind_finds_nothing(exported, built, tmp_path):
 @needs_compiler
 def test_nonsense_is_survived(exported, built):
     """The program fails where an estimate is not finite or a command out of bounds."""
-    for name in ("paper", "EKF"):
+    for name in ("paper", "robust", "EKF"):
         machine, objects = built(name, "this machine")
-        finished = machines.run(machine, machines.program(machine, exported(name), "fuzz", objects), 50_000, 7)
-        assert finished.returncode == 0, finished.stderr
-        statuses = dict(map(int, line.split(",")) for line in finished.stdout.splitlines()[2:])
-        assert sum(statuses.values()) >= 50_000 and statuses[0] > 0 and any(status & ESTIMATOR_RESTARTED for status in statuses)
+        came_back = machines.nonsense(machine, machines.program(machine, exported(name), "fuzz", objects), 30_000, 7).iloc[0]
+        assert 30_000 <= came_back["samples"] and came_back["still_lost"] < came_back["storms"]
+        assert 0 < came_back["estimator_restarted"] < came_back["samples"]
+
+
+@needs_compiler
+def test_the_program_that_feeds_nonsense_can_fail(exported, tmp_path):
+    """With a command that leaves its bounds it does."""
+    shutil.copytree(exported("EKF"), tmp_path / "broken")
+    source = (tmp_path / "broken" / "rhec.c").read_text()
+    (tmp_path / "broken" / "rhec.c").write_text(source.replace("*omega = r->omega[0];", "*omega = 1.001 * r->omega[0];"))
+    machine = machines.this_machine()
+    objects = machines.library(machine, tmp_path / "broken", tmp_path, QUICKLY)
+    with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
+        machines.nonsense(machine, machines.program(machine, tmp_path / "broken", "fuzz", objects), 3000)
 
 
 def test_what_it_needs_is_far_below_256_kib(exported, built):
@@ -323,7 +334,7 @@ def test_instructions_are_counted_the_same_every_time(exported, built, tmp_path)
     machine, objects = built("paper", "Arm")
     if not machine.emulator:
         pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
-    program, samples = machines.program(machine, exported("paper"), "replay", objects), 12
+    program, samples = machines.program(machine, exported("paper"), "replay", objects), 6
     (tmp_path / "log.csv").write_text("".join((exported("paper") / "log.csv").read_text().splitlines(keepends=True)[:samples + 1]))
     first, again = (instructions.trace(machine, program, tmp_path / "log.csv") for _ in range(2))
     np.testing.assert_array_equal(instructions.counts(first), instructions.counts(again))
@@ -331,8 +342,9 @@ def test_instructions_are_counted_the_same_every_time(exported, built, tmp_path)
     table = instructions.table(first, 50_000)
     assert (table["worst_instructions"] >= table["mean_instructions"]).all()
     if shutil.which("llvm-mca"):
-        assert table["mean_ms"].iloc[-1] == pytest.approx(table["mean_ms"].iloc[:-1].sum())
-        assert 0.25 < table["mean_ms"].iloc[-1] * 1e-3 * instructions.CLOCK_HZ / table["mean_instructions"].iloc[-1] / 2 < 2.5   # cycles an instruction, halved
+        np.testing.assert_allclose(table[["mean_ms", "worst_ms"]].iloc[-1], table[["mean_ms", "worst_ms"]].iloc[:-1].sum())
+        at_best_ms = 1e3 * table["mean_instructions"] / 2 / instructions.CLOCK_HZ   # two a cycle
+        assert (table["mean_ms"] > at_best_ms).all() and (table["worst_ms"] > table["mean_ms"]).all()
 
 
 # The folder
@@ -372,10 +384,18 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+def solving_estimator():
+    """It solves a QP with a library."""
+    memory, z = ca.MX.sym("memory", 6), ca.MX.sym("z", 4)
+    x = ca.conic("qp", "daqp", {"h": ca.Sparsity.dense(2, 2)})(h=ca.DM.eye(2), g=-z[:2])["x"]
+    return ca.Function("mine", [memory, z], [ca.vertcat(x, memory[2:])] * 2)
+
+
 @pytest.mark.parametrize("scenario, message", [
     ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
     (rhec.Scenario(estimator="oracle"), "^estimator was 'oracle', which knows the truth; to export, it should be"),
     (rhec.Scenario(estimator="traction_oracle"), "^estimator was 'traction_oracle', which knows the truth"),
+    (rhec.Scenario(estimator=solving_estimator()), "^estimator was .*mine.*, which calls 'qp' .DaqpInterface.; to export, it should be made of expressions alone$"),
     (rhec.Scenario(qp="daqp"), "^qp was 'daqp', which needs a library; to export, it should be 'structured'$"),
     (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
 ])
@@ -403,5 +423,5 @@ def test_without_any_compiler_the_paper_s_times_are_left(exported, monkeypatch):
     monkeypatch.setattr(machines, "this_machine", lambda: None)
     monkeypatch.setattr(machines, "arm", lambda: None)
     made = report.measure(folder)
-    assert made["sizes"].empty and made["counted"].empty and set(made["times"]["who"]) == {"paper, reported"}
+    assert made["sizes"].empty and made["counted"].empty and made["nonsense"].empty and set(made["times"]["who"]) == {"paper, reported"}
     assert figures.embedded_times(made["times"]).axes

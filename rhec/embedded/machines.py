@@ -18,6 +18,7 @@ from rhec import compiled
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 LIBRARY = ("rhec.c", "rhec_scenario.c")
 ARM = "aarch64"
+STATUS = dict(predicted=1, as_planned=2, estimator_restarted=4, controller_restarted=8)   # of c/rhec.h
 PHASES = ("RHE", "preparation"), ("RHE", "feedback"), ("RHC", "preparation"), ("RHC", "feedback")
 
 
@@ -74,6 +75,20 @@ def replay(machine, program, log):
 def times(machine, program, log, repetitions=5):
     """Times [µs] that `times` measures, (samples, 4) as in PHASES: of each sample the least of some runs; the first is left out."""
     return np.min([np.loadtxt(io.StringIO(run(machine, program, log).stdout), delimiter=",", skiprows=2) for _ in range(repetitions)], axis=0) / 1e3
+
+
+def nonsense(machine, program, samples=50_000, seed=0):
+    """What `fuzz` reports: one row with samples, storms, those after which the estimate was still lost 20 s later, and samples with each status bit.
+
+    Raises where an estimate was not finite or a command out of bounds.
+    """
+    finished = run(machine, program, samples, seed)
+    if finished.returncode:
+        raise RuntimeError(f"{program.name} failed: {finished.stderr.strip()}")
+    summary, _, *rows = finished.stdout.splitlines()
+    statuses = [tuple(map(int, row.split(","))) for row in rows]
+    bits = {name: sum(count for status, count in statuses if status & bit) for name, bit in STATUS.items()}
+    return pd.DataFrame([dict(zip(("samples", "storms", "still_lost"), map(int, re.findall(r"\d+", summary)))) | bits])
 
 
 def sizes(machine, objects):

@@ -12,16 +12,17 @@ from rhec.embedded import instructions, machines
 from rhec.embedded.machines import PHASES
 
 PI = "Raspberry Pi 3"
+TOLERANCE = 1e-9   # m, rad, m/s, 1, rad/s: how far C may be from Python
 
 
 def measure(export, samples=60):
-    """Tables of an export: {sizes, times, counted}, the last empty without the means to run code for 64-bit Arm.
+    """Tables of an export: {sizes, times, nonsense, counted}, the last two empty without a compiler, or without one for 64-bit Arm.
 
     sizes: one row a machine, the largest difference to Python in the export's log and bytes of code, memory and stack. times: [ms], one row a machine,
-    who says so, problem and phase; least, mean and worst. counted: instructions of the first `samples` of the log on 64-bit Arm and what follows
+    who says so, problem and phase; mean and worst. nonsense: what `fuzz` reports on this machine. counted: instructions of the first `samples` of the log on 64-bit Arm and what follows
     from them, see `instructions.table`.
     """
-    export, sizes, times, counted = Path(export), [], reported(), pd.DataFrame()
+    export, sizes, times, nonsense, counted = Path(export), [], reported(), pd.DataFrame(), pd.DataFrame()
     memory_bytes = int(re.search(r"RHEC_MEMORY_BYTES (\d+)", (export / "rhec_memory.h").read_text())[1])
     expected = pd.read_csv(export / "log.csv").iloc[:, 4:]
     for machine in dict.fromkeys(filter(None, (machines.this_machine(), machines.arm()))):
@@ -38,10 +39,11 @@ def measure(export, samples=60):
                 times += [dict(machine=PI, who="rhec, estimated", problem=row.problem, phase=row.phase, mean_ms=row.mean_ms, worst_ms=row.worst_ms)
                           for row in counted.itertuples() if row.phase != "overall"]
             else:
+                nonsense = machines.nonsense(machine, machines.program(machine, export, "fuzz", objects))
                 taken = machines.times(machine, machines.program(machine, export, "times", objects), export / "log.csv") / 1e3
                 times += [dict(machine="this machine", who="rhec, measured", problem=problem, phase=phase, mean_ms=taken[:, i].mean(),
                                worst_ms=taken[:, i].max()) for i, (problem, phase) in enumerate(PHASES)]
-    return dict(sizes=pd.DataFrame(sizes), times=pd.DataFrame(times), counted=counted)
+    return dict(sizes=pd.DataFrame(sizes), times=pd.DataFrame(times), nonsense=nonsense, counted=counted)
 
 
 def reported():
