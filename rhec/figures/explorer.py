@@ -1,6 +1,6 @@
 """The explorer: controls on the left, and the whole field run again at once on the right, whenever one of them moves.
 
-The widgets are glue. `controls` turns their values into scenarios, `rhec.simulate` runs them, `panels` and `robots_eye` draw. A front end holds a widget's
+The widgets are glue. `controls` turns their values into scenarios, `closed_loop` runs them, `panels` and `robots_eye` draw. A front end holds a widget's
 newest value back until the one before has been answered, so that dragging drops frames and never queues them.
 """
 
@@ -18,7 +18,6 @@ from pathlib import Path
 import ipywidgets as widgets
 
 from rhec import closed_loop, compiled, paper
-from rhec.closed_loop import simulate
 from rhec.horizons import horizons_at
 from rhec.scenario import Scenario
 
@@ -258,11 +257,12 @@ class Explorer(widgets.VBox):
         """Run what the controls ask for and show it, or first compile it elsewhere."""
         started = time.perf_counter()
         scenarios = self.scenarios
-        missing = [world.structure for world in map(closed_loop.world, scenarios) if not compiled.at_hand(closed_loop.functions, *world.structure)]
+        worlds = [closed_loop.world(scenario) for scenario in scenarios]
+        missing = [world.structure for world in worlds if not compiled.at_hand(closed_loop.functions, *world.structure)]
         if missing and self.runs and _running_loop():   # the first runs are waited for: without them there is nothing to see
             self._compile(missing)
             return
-        self.runs = tuple(map(simulate, scenarios))
+        self.runs = tuple(map(closed_loop.driven, scenarios, worlds))
         ran = time.perf_counter()
         self._draw()
         drawn = time.perf_counter()

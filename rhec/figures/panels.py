@@ -226,13 +226,13 @@ class FieldRun:
         entries = [(name_of(run.scenario), colour_of(run.scenario), "-") for run in runs]
         entries += [(f"pinned {name_of(run.scenario)}", colour_of(run.scenario), "--") for run in pinned]
         entries += [("truth, and bounds (dashed)", BLACK, "-")]
-        if self.keys.get("legend") != entries:
+        if self.keys.get("legend") != tuple(entries):
             for old in list(self.figure.legends):
                 old.remove()
             with mpl.rc_context(RC):
                 handles = [Line2D([], [], color=colour, linestyle=line, label=label) for label, colour, line in entries]
                 self.figure.legend(handles=handles, loc="upper right", ncols=len(entries), borderaxespad=0.1, handlelength=1.6, columnspacing=1.2)
-            self.keys["legend"] = entries
+            self.keys["legend"] = tuple(entries)
 
     def svg(self):
         """The picture for a page."""
