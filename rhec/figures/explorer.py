@@ -41,7 +41,7 @@ STYLE = """<style>
 .rhec .widget-tab, .rhec .jupyter-widget-tab { margin: 0; }
 .rhec .lm-TabBar-tab { min-width: 0 !important; flex: 1 1 auto !important; padding: 0 5px !important; text-align: center; }
 .rhec .lm-TabBar-tabLabel { font-size: 12px; }
-.rhec .jupyter-widget-tab > .widget-tab-contents, .rhec .widget-tab-contents { padding: 5px 6px 6px 2px !important; max-height: calc(100vh - 225px); overflow: hidden auto !important; }
+.rhec .widget-tab-contents { padding: 5px 6px 6px 2px !important; max-height: calc(100vh - 225px); overflow: hidden auto !important; }
 .rhec .widget-inline-hbox .widget-readout { min-width: 48px; max-width: 52px; font-size: 12px; padding: 1px 2px; }
 .rhec .widget-label { font-size: 12px; }
 .rhec .widget-slider { height: 25px; }
@@ -146,8 +146,8 @@ class Explorer(widgets.VBox):
         wide = {"layout": {"width": "96%"}, "style": {"description_width": "50px"}, "continuous_update": False}
         self.folder, self.name = widgets.Text(str(folder), description="folder", **wide), widgets.Text("run", description="name", **wide)
         self.save = _button("save runs and figure", "CSV and Parquet of each run, the figure as PNG and PDF")
-        self.play = widgets.Play(min=0, max=1, interval=100, show_repeat=False)
-        self.moment = widgets.IntSlider(0, 0, 1, description="sample", layout={"flex": "1 1 auto"}, style={"description_width": "50px"})
+        self.play = widgets.Play(100, min=0, max=100, interval=100, show_repeat=False)
+        self.moment = widgets.IntSlider(100, 0, 100, description="sample", layout={"flex": "1 1 auto"}, style={"description_width": "50px"})
         self.link = widgets.jslink((self.play, "value"), (self.moment, "value"))
         self.time = widgets.HBox([self.play, self.moment], layout={"display": "none"})
 

@@ -161,7 +161,8 @@ class FieldRun:
                 "bounds": [self.axes["yaw_rate"].axhline(0, **look) for _ in range(2)]}
 
     def _line(self, panel, look, slot):
-        style = LOOKS[look] | (dict(linestyle=(0, (2.5, 1.5)), alpha=0.6, zorder=1.9) if "pinned" in slot else {})
+        style = dict(zorder=2.4 - 0.1 * SLOTS.index(slot)) | LOOKS[look]
+        style |= dict(linestyle=(0, (2.5, 1.5)), alpha=0.6) if "pinned" in slot else {}
         style |= dict(linestyle=":", alpha=0.7) if look == "truth" and slot == "other" else {}
         hidden = "pinned" in slot and look != "bold"
         return self.axes[panel].add_line(Line2D([], [], animated=True, visible=not hidden, **style))
