@@ -175,7 +175,11 @@ def simulate(scenario):
     """Run a scenario: rhec.Run. A structure's first run compiles it for some seconds; it is cached from then on."""
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
-    made = world(scenario)
+    return driven(scenario, world(scenario))
+
+
+def driven(scenario, made):
+    """The run of a scenario whose World is made."""
     samples = round(scenario.duration_s / paper.DT_S)
     _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, inputs(scenario, samples), made.settings)
     columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))

@@ -144,13 +144,17 @@ def test_every_view_is_well_formed_and_has_no_style_for_the_whole_page(made, vie
     assert "<style" not in picture and "nan" not in picture and "#000000" not in picture
 
 
-def test_what_stays_is_not_drawn_again(made):
-    before = dict(made.field.layers.kept)
+def test_what_stays_is_not_drawn_again(made, monkeypatch):
+    drawn = []
+    layer = made.field.layers.layer
+    monkeypatch.setattr(made.field.layers, "layer", lambda *artists: drawn.extend(artists) or layer(*artists))
     made.inputs["q", 0].value = 1.5
-    kept = made.field.layers.kept
-    assert kept["map"] is before["map"] and kept["yaw_rate"] is before["yaw_rate"]
+    assert made.field.axes["map"] not in drawn and made.field.axes["yaw_rate"] not in drawn
     made.seed.value = 3
-    assert made.field.layers.kept["map"] is not before["map"]
+    assert made.field.axes["map"] in drawn
+    drawn.clear()
+    made.seed.value = 0
+    assert made.field.axes["map"] not in drawn   # that picture is still known
 
 
 # What cannot be
@@ -175,10 +179,10 @@ def test_a_file_name_cannot_leave_its_folder(made, name, tmp_path):
 
 
 def test_what_goes_wrong_inside_is_said(made, monkeypatch, capsys):
-    def broken(scenario):
+    def broken(scenario, world):
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr(explorer, "simulate", broken)
+    monkeypatch.setattr(explorer.closed_loop, "driven", broken)
     made.inputs["r"].value = 20.0
     assert "ZeroDivisionError: of all things" in made.status.value
     assert capsys.readouterr() == ("", "")

@@ -1,6 +1,6 @@
 """The explorer: controls on the left, and the whole field run again at once on the right, whenever one of them moves.
 
-The widgets are glue. `controls` turns their values into scenarios, `rhec.simulate` runs them, `panels` and `robots_eye` draw. A front end holds a widget's
+The widgets are glue. `controls` turns their values into scenarios, `closed_loop` runs them, `panels` and `robots_eye` draw. A front end holds a widget's
 newest value back until the one before has been answered, so that dragging drops frames and never queues them.
 """
 
@@ -18,7 +18,6 @@ from pathlib import Path
 import ipywidgets as widgets
 
 from rhec import closed_loop, compiled, paper
-from rhec.closed_loop import simulate
 from rhec.horizons import horizons_at
 from rhec.scenario import Scenario
 
@@ -42,7 +41,7 @@ STYLE = """<style>
 .rhec .widget-tab, .rhec .jupyter-widget-tab { margin: 0; }
 .rhec .lm-TabBar-tab { min-width: 0 !important; flex: 1 1 auto !important; padding: 0 5px !important; text-align: center; }
 .rhec .lm-TabBar-tabLabel { font-size: 12px; }
-.rhec .jupyter-widget-tab > .widget-tab-contents, .rhec .widget-tab-contents { padding: 5px 6px 6px 2px !important; max-height: calc(100vh - 225px); overflow: hidden auto !important; }
+.rhec .widget-tab-contents { padding: 5px 6px 6px 2px !important; max-height: calc(100vh - 225px); overflow: hidden auto !important; }
 .rhec .widget-inline-hbox .widget-readout { min-width: 48px; max-width: 52px; font-size: 12px; padding: 1px 2px; }
 .rhec .widget-label { font-size: 12px; }
 .rhec .widget-slider { height: 25px; }
@@ -147,8 +146,8 @@ class Explorer(widgets.VBox):
         wide = {"layout": {"width": "96%"}, "style": {"description_width": "50px"}, "continuous_update": False}
         self.folder, self.name = widgets.Text(str(folder), description="folder", **wide), widgets.Text("run", description="name", **wide)
         self.save = _button("save runs and figure", "CSV and Parquet of each run, the figure as PNG and PDF")
-        self.play = widgets.Play(min=0, max=1, interval=100, show_repeat=False)
-        self.moment = widgets.IntSlider(0, 0, 1, description="sample", layout={"flex": "1 1 auto"}, style={"description_width": "50px"})
+        self.play = widgets.Play(100, min=0, max=100, interval=100, show_repeat=False)
+        self.moment = widgets.IntSlider(100, 0, 100, description="sample", layout={"flex": "1 1 auto"}, style={"description_width": "50px"})
         self.link = widgets.jslink((self.play, "value"), (self.moment, "value"))
         self.time = widgets.HBox([self.play, self.moment], layout={"display": "none"})
 
@@ -258,11 +257,12 @@ class Explorer(widgets.VBox):
         """Run what the controls ask for and show it, or first compile it elsewhere."""
         started = time.perf_counter()
         scenarios = self.scenarios
-        missing = [world.structure for world in map(closed_loop.world, scenarios) if not compiled.at_hand(closed_loop.functions, *world.structure)]
+        worlds = [closed_loop.world(scenario) for scenario in scenarios]
+        missing = [world.structure for world in worlds if not compiled.at_hand(closed_loop.functions, *world.structure)]
         if missing and self.runs and _running_loop():   # the first runs are waited for: without them there is nothing to see
             self._compile(missing)
             return
-        self.runs = tuple(map(simulate, scenarios))
+        self.runs = tuple(map(closed_loop.driven, scenarios, worlds))
         ran = time.perf_counter()
         self._draw()
         drawn = time.perf_counter()

@@ -43,13 +43,12 @@ class RobotsEye:
             self.figure = Figure(figsize=size_in)
             self.figure.patch.set_visible(False)
             width, height = size_in
-            above = self.figure.add_axes((0.46 / width, 0.47, 1 - 0.54 / width, 0.50 - 0.2 / height))
-            left = self.figure.add_axes((0.46 / width, 0.40 / height, 0.5 - 0.56 / width, 0.36 - 0.30 / height))
-            right = self.figure.add_axes((0.5 + 0.46 / width, 0.40 / height, 0.5 - 0.54 / width, 0.36 - 0.30 / height))
+            above = self.figure.add_axes((0.52 / width, 0.51, 1 - 0.60 / width, 0.48 - 0.2 / height))
+            left = self.figure.add_axes((0.52 / width, 0.40 / height, 0.5 - 0.62 / width, 0.37 - 0.30 / height))
+            right = self.figure.add_axes((0.5 + 0.46 / width, 0.40 / height, 0.5 - 0.54 / width, 0.37 - 0.30 / height))
             self.axes = {"above": above, "across": left, "yaw_rate": right}
             self._still()
             self.moving = self._moving()
-            self._legend()
             self.figure.draw_without_rendering()
         self.layers, self.keys = Layers(self.figure, name), {}
 
@@ -58,7 +57,9 @@ class RobotsEye:
             axes.patch.set_visible(False)
             axes.grid(visible=False)
         above, across, yaw_rate = self.axes.values()
-        above.set(xlabel="ahead [m]", ylabel="to the left [m]", aspect="equal")
+        above.set(aspect="equal")
+        above.set_xlabel("ahead [m]", labelpad=1)
+        above.set_ylabel("to the left [m]", labelpad=2)
         for axes in (across, yaw_rate):
             axes.grid(axis="y", color=BLACK, alpha=0.12)
             axes.axvline(0, color=BLACK, linewidth=0.5)
@@ -66,7 +67,7 @@ class RobotsEye:
         across.axhspan(-paper.TOLERANCE_M, paper.TOLERANCE_M, color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
         across.axhline(0, color=BLACK, linewidth=0.6, linestyle=(0, (4, 2.5)))
         across.set_title("beside the path, to the left [m]", loc="left", pad=3, fontsize=8)
-        yaw_rate.set_title("commanded yaw rate [rad/s]: driven, planned; dashed: bounds", loc="left", pad=3, fontsize=8)
+        yaw_rate.set_title("yaw rate [rad/s]: commanded, planned; dashed: bounds", loc="left", pad=3, fontsize=8)
         self.bounds = [yaw_rate.axhline(0, color=BLACK, linewidth=0.6, linestyle=(0, (4, 2.5))) for _ in range(2)]
 
     def _moving(self):
@@ -92,12 +93,17 @@ class RobotsEye:
             across_window=line(across, marker=".", markersize=4), across_plan=line(across, color=PLAN, marker=".", markersize=4),
             commanded=line(yaw_rate, drawstyle="steps-post"), planned=line(yaw_rate, color=PLAN, drawstyle="steps-post"))
 
-    def _legend(self):
-        """What the colours mean. The estimator's own colour is said in the page's words, because it changes with the run."""
-        shown = {"driven": "driven (truth)", "measured": "GNSS", "plan": "plan of the RHC", "desired": "desired points", "rows": "plants"}
-        handles = [Line2D([], [], **{look: getattr(self.moving[name], f"get_{look}")() for look in (
-            "color", "linestyle", "marker", "markersize", "markerfacecolor", "linewidth", "alpha")}, label=label) for name, label in shown.items()]
-        self.figure.legend(handles=handles, loc="upper right", ncols=len(handles), borderaxespad=0.1, handlelength=1.6, columnspacing=1.2)
+    def _legend(self, estimator):
+        """What the colours mean; the estimator's own comes with the run."""
+        shown = {"driven": "driven (truth)", "measured": "GNSS", "window": f"{estimator}’s window and robot", "plan": "plan of the RHC",
+                 "desired": "desired points", "rows": "plants"}
+        looks = ("color", "linestyle", "marker", "markersize", "markerfacecolor", "linewidth", "alpha")
+        handles = [Line2D([], [], **{look: getattr(self.moving[name], f"get_{look}")() for look in looks}, label=label) for name, label in shown.items()]
+        for old in list(self.figure.legends):
+            old.remove()
+        with mpl.rc_context(RC):
+            self.figure.legend(handles=handles, loc="upper right", ncols=len(handles), borderaxespad=0.1, handlelength=1.6, columnspacing=1.2)
+        self.keys["legend"] = estimator
 
     def show(self, run, k, horizons):
         """Sample k of a run with the Horizons of that sample."""
@@ -136,6 +142,8 @@ class RobotsEye:
         self.moving["robot"].set_xy(FOOTPRINT)
         for name in ("window", "estimate", "across_window", "commanded"):
             self.moving[name].set_color(colour_of(run.scenario))
+        if self.keys.get("legend") != name_of(run.scenario):
+            self._legend(name_of(run.scenario))
         self._limits(run, reach_m, reach_s, np.concatenate([where["across_driven"], where["across_window"], where["across_plan"]])[:, 1])
 
     def _limits(self, run, reach_m, reach_s, across):
@@ -155,7 +163,7 @@ class RobotsEye:
     def svg(self):
         """The picture for a page."""
         still = [self.layers.kept_layer(panel, self.keys[panel], axes) for panel, axes in self.axes.items()]
-        still.append(self.layers.kept_layer("legend", True, *self.figure.legends))
+        still.append(self.layers.kept_layer("legend", self.keys["legend"], *self.figure.legends))
         return self.layers.svg(*still, self.layers.layer(*self.moving.values()), label="what the robot estimates and plans at one moment")
 
 

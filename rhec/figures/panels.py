@@ -161,7 +161,8 @@ class FieldRun:
                 "bounds": [self.axes["yaw_rate"].axhline(0, **look) for _ in range(2)]}
 
     def _line(self, panel, look, slot):
-        style = LOOKS[look] | (dict(linestyle=(0, (2.5, 1.5)), alpha=0.6, zorder=1.9) if "pinned" in slot else {})
+        style = dict(zorder=2.4 - 0.1 * SLOTS.index(slot)) | LOOKS[look]
+        style |= dict(linestyle=(0, (2.5, 1.5)), alpha=0.6) if "pinned" in slot else {}
         style |= dict(linestyle=":", alpha=0.7) if look == "truth" and slot == "other" else {}
         hidden = "pinned" in slot and look != "bold"
         return self.axes[panel].add_line(Line2D([], [], animated=True, visible=not hidden, **style))
@@ -226,13 +227,13 @@ class FieldRun:
         entries = [(name_of(run.scenario), colour_of(run.scenario), "-") for run in runs]
         entries += [(f"pinned {name_of(run.scenario)}", colour_of(run.scenario), "--") for run in pinned]
         entries += [("truth, and bounds (dashed)", BLACK, "-")]
-        if self.keys.get("legend") != entries:
+        if self.keys.get("legend") != tuple(entries):
             for old in list(self.figure.legends):
                 old.remove()
             with mpl.rc_context(RC):
                 handles = [Line2D([], [], color=colour, linestyle=line, label=label) for label, colour, line in entries]
                 self.figure.legend(handles=handles, loc="upper right", ncols=len(entries), borderaxespad=0.1, handlelength=1.6, columnspacing=1.2)
-            self.keys["legend"] = entries
+            self.keys["legend"] = tuple(entries)
 
     def svg(self):
         """The picture for a page."""

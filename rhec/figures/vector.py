@@ -11,6 +11,7 @@ from matplotlib.backends.backend_svg import RendererSVG
 
 from .style import BLUE
 
+KEPT = 64   # layers of a figure
 INK = "#000000"
 # The paper's blue is too dark for a dark page; a little of the page's ink there makes it lighter, and hardly changes it on a light page.
 FOR_THE_PAGE = {INK: "currentColor", BLUE.lower(): f"color-mix(in srgb, {BLUE} 78%, currentColor)"}
@@ -26,10 +27,12 @@ class Layers:
         self.kept = {}
 
     def kept_layer(self, name, key, *artists):
-        """The layer of these artists, drawn only if its key is not the one it was drawn for."""
-        if self.kept.get(name, (None, None))[0] != key:
-            self.kept[name] = key, self.layer(*artists)
-        return self.kept[name][1]
+        """The layer of these artists, drawn only if none of this name is known for this key."""
+        known = self.kept.pop((name, key), None)
+        self.kept[name, key] = self.layer(*artists) if known is None else known   # the newest last
+        while len(self.kept) > KEPT:
+            del self.kept[next(iter(self.kept))]
+        return self.kept[name, key]
 
     def layer(self, *artists):
         """These artists as SVG elements."""
