@@ -265,6 +265,7 @@ def expand(window, linearise, feedback, loops):
         the first start: what made it fail may be in the readings or in the arrival cost, and would stay. What is no number anywhere is none at the
         newest node either."""
         good = ok * sane(s_new[:, N])
+        s = ca.if_else(sane(s[:, N]), s, 0)
         held = ca.if_else(ca.fabs(v) <= Z_MAX[3], v, 0)   # an input beyond what can be read
         return dict(s=ca.if_else(good, s_new, s), v=ca.if_else(good, v_new, held), z=ca.if_else(good, z, ca.SX.nan(4, N + 1)),
                     age=ca.if_else(good, age, 0), m=ca.if_else(good, m, s[:, N]),
