@@ -45,8 +45,8 @@ FONT = FontProperties(math_fontfamily="stix", size=100)   # a hundredth of it is
 
 def formula(tex, display=False):
     """The SVG of a formula, as high as the text around it (1 em), in the text's colour. Raises a ValueError for what mathtext does not know."""
-    tex_long = re.sub(r"\\([gln]e)\b", r"\\\1q", tex)   # mathtext has \geq, \leq and \neq by their long names alone
-    text = f"${' '.join(tex_long.split())}$"
+    text = f"${' '.join(tex.split())}$"
+    text = re.sub(r"\\([gln]e)\b", r"\\\1q", text)   # mathtext has \geq, \leq and \neq by their long names alone
     try:
         width, height, depth = text_to_path.get_text_width_height_descent(text, FONT, ismath=True)
         outline = TextPath((0, 0), text, prop=FONT)
@@ -89,7 +89,10 @@ def notebook_page(file, pages):
     """What the report shows of an executed notebook: name, title, lead, contents, body (HTML), first picture (PNG), run (times). pages: all names."""
     notebook = nbformat.read(file, as_version=4)
     prepare_outputs(notebook)
-    body, _ = Cells().from_notebook_node(notebook)
+    try:
+        body, _ = Cells().from_notebook_node(notebook)
+    except ValueError as error:
+        raise ValueError(f"{file.name}: {error}") from None
     soup = BeautifulSoup(body, "html.parser")
     for link in soup.select("a[href$='.ipynb']"):
         name = Path(link["href"]).stem
@@ -118,11 +121,13 @@ def plain(tag):
 
 
 def prepare_outputs(notebook):
-    """Give each picture the beginning of the text above it as its description, and say where widgets live."""
+    """Give each picture the beginning of the text above it as its description, drop progress bars, and say where other widgets live."""
     above = ""
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
             above = re.sub(r"[*#`$]", "", cell.source.strip().split("\n\n")[-1])
+        if cell.cell_type == "code":
+            cell.outputs = [output for output in cell.outputs if not re.search(r"\d%\|", output.get("data", {}).get("text/plain", ""))]
         for output in cell.get("outputs", []):
             data = output.get("data", {})
             if "image/png" in data:
@@ -246,7 +251,7 @@ def write_site(notebooks, figures, site):
     jinja = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                lstrip_blocks=True)
     jinja.filters.update(table=as_html, seconds=lambda value: "–" if value is None else f"{value:.1f} s", nice=nice)
-    for page in ("index", "figures", "tables", "claims", "provenance"):
+    for page in ("index", "results-claims", "results-figures", "results-tables", "results-provenance"):   # a notebook may be called claims, too
         write(site / f"{page}.html", jinja.get_template(f"{page}.html.j2").render(common, page=page))
     for story in stories:
         write(site / f"{story['name']}.html", jinja.get_template("story.html.j2").render(common, page=story["name"], story=story))
@@ -271,6 +276,8 @@ def main():
         build(parser.parse_args().notebooks)
     except KeyboardInterrupt:
         parser.exit(130, "report: interrupted; an older one is left as it was\n")
+    except ValueError as error:
+        parser.exit(1, f"report: {error}\n")
     print(f"report: open {os.path.relpath(REPORT / 'index.html')}")
 
 
