@@ -37,6 +37,7 @@ from rhec.figures import style
 ROOT = Path(__file__).resolve().parents[1]
 TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
+LONG = 40   # characters: a text in a table that wants room
 LIVE = '<p class="live">Sliders, and pictures that follow them: run <code>make lab</code> and open this notebook.</p>'
 FONT = FontProperties(math_fontfamily="stix", size=100)   # a hundredth of it is an em
 
@@ -101,6 +102,9 @@ def notebook_page(file, pages):
     for table in soup.select("table"):
         table.attrs.pop("border", None)
         table.wrap(soup.new_tag("div", attrs={"class": "scroll"}))
+    for cell in soup.select("td"):
+        if len(cell.get_text()) > LONG:
+            cell["class"] = "long"
     for old in soup.select("style"):   # pandas' own, for each table
         old.decompose()
     heading, lead = soup.select_one("h1"), soup.select_one(".markdown p")
@@ -173,13 +177,19 @@ def tables_of(folder):
 
 
 def ledger_of(tables):
-    """[(table, its rows with a claim)]: every table that has the columns `claim` and `verdict`."""
-    return [(table, table["frame"].dropna(subset=["claim"])) for table in tables if {"claim", "verdict"} <= set(table["frame"])]
+    """[(table, its rows with a claim, the verdict beside it)]: every table that has the columns `claim` and `verdict`."""
+    found = []
+    for table in tables:
+        columns = list(table["frame"])
+        if {"claim", "verdict"} <= set(columns):
+            columns.insert(columns.index("claim") + 1, columns.pop(columns.index("verdict")))
+            found.append((table, table["frame"].dropna(subset=["claim"])[columns].dropna(axis="columns", how="all")))
+    return found
 
 
 def tone(verdict):
-    """Which of three colours a verdict has."""
-    return "good" if str(verdict).startswith("holds") else "bad" if str(verdict).startswith(("fails", "does not hold")) else "open"
+    """Which of four kinds a verdict is of: good, part (of the readings), bad or open."""
+    return {"holds": "good", "fails": "bad", "does not hold": "bad"}.get(str(verdict), "part" if str(verdict).startswith("holds ") else "open")
 
 
 def as_html(frame):
@@ -187,7 +197,7 @@ def as_html(frame):
     def cell(value):
         if isinstance(value, float):
             return "" if pd.isna(value) else f"{value:.4g}"
-        return escape(str(value))
+        return f'<div class="long">{escape(value)}</div>' if len(str(value)) > LONG else escape(str(value))
 
     def verdict(value):
         return f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else ""

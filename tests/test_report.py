@@ -117,6 +117,7 @@ def test_tables_stay_text(site):
     assert table.select_one("td").get_text() == "error <m>"
     assert table.select_one(".verdict.good").get_text() == "holds"
     assert len(table.select("tbody tr")) == 1   # the row without a claim is none
+    assert [report.tone(verdict) for verdict in ("holds", "holds under printed", "fails", "does not hold", "undecided")] == ["good", "part", "bad", "bad", "open"]
     assert "1 hold" in pages(site)["index.html"].select_one(".counts").get_text()
 
 
