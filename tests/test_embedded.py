@@ -305,7 +305,7 @@ def test_nonsense_is_survived(exported, built):
     for name in ("paper", "robust", "EKF"):
         machine, objects = built(name, "this machine")
         came_back = machines.nonsense(machine, machines.program(machine, exported(name), "fuzz", objects), 30_000, 7).iloc[0]
-        assert 30_000 <= came_back["samples"] and came_back["still_lost"] < came_back["storms"]
+        assert came_back["samples"] >= 30_000 and came_back["still_lost"] < came_back["storms"]
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 
