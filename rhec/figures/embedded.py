@@ -20,7 +20,7 @@ def embedded_times(times):
                                     squeeze=False)
     for axes, (machine, of) in zip(all_axes[:, 0], panels):
         unit, factor = ("ms", 1.0) if of["mean_ms"].max() > 0.1 else ("µs", 1e3)
-        for place, (who, said) in enumerate(of.groupby("who", sort=False)):
+        for place, (_, said) in enumerate(of.groupby("who", sort=False)):
             mean = factor * said.set_index(["problem", "phase"])["mean_ms"]
             begin = -(mean["RHE", "preparation"] + mean["RHC", "preparation"])
             for which, colour in PHASES.items():
