@@ -21,26 +21,36 @@ from rhec.scenario import Scenario
 
 TRAINING_SEEDS = range(1000, 1010)
 TRACKING_SEEDS = range(1000, 1024)
-STREAM = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps", "mu", "kappa"]   # z, and what the traction oracle is told
+MEASURED = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]
 LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
-UNKNOWNS = {"rhe": 5, "ekf": 3, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
+UNKNOWNS = {"rhe": 5, "ekf": 3, "augmented_ekf": 5, "fixed_traction": 3, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
 # What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest is LEAST.
 TRACKING = {
     "rhe": (dict(horizon_rhe=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01}),
+    "ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
+    "augmented_ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01, (4,): 0.01, (5,): 0.01}),
+    "fixed_traction": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "traction_oracle": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "dual": (dict(horizon_rhe=10), {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01}),
 }
 
 
 def functions(estimator):
-    """The estimator's step over a stream of z and true traction, with its deviance as the row: what the likelihood is summed from."""
+    """The estimator's step over a stream of z and the traction that it is told, with its deviance as the row: what the likelihood is summed from."""
     step = estimators.step(estimator, paper.HORIZON, "parameter", "smoothed", "structured", False)
     memory, stream, V, W = (ca.MX.sym(name, step.size1_in(name) if name in step.name_in() else 6) for name in ("memory", "stream", "V", "W"))
     given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W,
-                 traction=stream[4:] if estimator == "traction_oracle" else ca.DM.ones(2))
+                 traction=stream[4:])
     outputs = step(**{name: given[name] for name in step.name_in()})
     return fold.functions(ca.Function("deviance", [memory, stream, V, W], [outputs["memory"], outputs["deviance"]], ["memory", "stream", "V", "W"],
                                       ["memory", "deviance"], {"allow_duplicate_io_names": True}))
+
+
+def told(estimator, run):
+    """Traction (n, 2) that the estimator is told along a run."""
+    if estimator == "fixed_traction":
+        return np.tile(run.terrain.mean, (len(run.log), 1))
+    return run.log[["mu", "kappa"]].to_numpy() if estimator == "traction_oracle" else np.ones((len(run.log), 2))
 
 
 def deviance(estimator, sigma_w, runs):
@@ -51,7 +61,7 @@ def deviance(estimator, sigma_w, runs):
         x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
         scenario = dataclasses.replace(run.scenario, estimator=estimator)
         memory = estimators.first_memory(scenario, (x, y, theta, scenario.speed_mps, 1.0, 1.0))
-        total += fold.fold(steps, memory, run.log[STREAM].to_numpy(), dict(V=np.square(paper.SIGMA_V), W=np.square(sigma_w)))[1].sum()
+        total += fold.fold(steps, memory, np.hstack([run.log[MEASURED], told(estimator, run)]), dict(V=np.square(paper.SIGMA_V), W=np.square(sigma_w)))[1].sum()
     return total
 
 
@@ -66,7 +76,7 @@ def rounded(sigma):
 
 
 def calibrate(estimator, seeds=TRAINING_SEEDS):
-    """Process noise of "rhe", "ekf" or "traction_oracle" by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
+    """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
     runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in seeds]
     unknowns = UNKNOWNS[estimator]
     result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs), np.full(unknowns, np.log(0.03)), method="Powell",
@@ -75,7 +85,7 @@ def calibrate(estimator, seeds=TRAINING_SEEDS):
 
 
 def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
-    """Process noise of "rhe", "traction_oracle" or "dual" by least mean true error on these seeds: standard deviations, to two digits, and the error [m]."""
+    """Process noise of an estimator in TRACKING by least mean true error on these seeds: standard deviations, to two digits, and the error [m]."""
     fields, unknowns = TRACKING[estimator]
 
     def sigma_w(logarithms):

@@ -23,6 +23,15 @@ def f(m, omega, traction, dt_s):
     return ca.vertcat(x + dt_s * mu * nu * ca.cos(theta), y + dt_s * mu * nu * ca.sin(theta), theta + dt_s * kappa * omega, nu)
 
 
+def predict_and_correct(m, P, predicted, started, z, V, W):
+    """Mean and covariance predicted by the model's step m -> predicted (not before the first sample), then corrected by z; with the deviance."""
+    A = ca.jacobian(predicted, m)
+    m = ca.if_else(started, predicted, m)
+    P = ca.if_else(started, symmetric(A @ P @ A.T) + ca.diag(W), P)
+    m, P, _, _, deviance = update(m, P, z, V, MEASURED)
+    return m, P, deviance
+
+
 def functions(dt_s, f=f):
     """The EKF as one CasADi Function {step}: predict by f, then correct.
 
@@ -31,11 +40,7 @@ def functions(dt_s, f=f):
     """
     def step(m, P, omega, started, z, V, W, traction):
         omega = ca.if_else(valid(z, 3), z[3], omega)
-        predicted = f(m, omega, traction, dt_s)
-        A = ca.jacobian(predicted, m)
-        m = ca.if_else(started, predicted, m)
-        P = ca.if_else(started, symmetric(A @ P @ A.T) + ca.diag(W), P)
-        m, P, _, _, deviance = update(m, P, z, V, MEASURED)
+        m, P, deviance = predict_and_correct(m, P, f(m, omega, traction, dt_s), started, z, V, W)
         return dict(estimate=ca.vertcat(m, traction), covariance=P, deviance=deviance, m=m, P=P, omega=omega, started=1)
 
     memory = dict(m=(4, 1), P=(4, 4), omega=(1, 1), started=(1, 1))
