@@ -6,6 +6,7 @@ NOTEBOOKS := \
   scenario_b \
   faults \
   replay \
+  beyond \
   computation_times
 
 PY := .venv/bin/python

@@ -9,13 +9,11 @@ sharing one), between LEAST and MOST. By tracking. The robot drives the training
     python -m rhec.calibration    repeats all of it (minutes)
 """
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from rhec import compiled, estimators, fold, paper
+from rhec import compiled, estimators, fold
 from rhec.closed_loop import simulate
 from rhec.scenario import Scenario
 
@@ -35,15 +33,23 @@ TRACKING = {
 }
 
 
-def functions(estimator):
-    """The estimator's step over a stream of z and the traction that it is told, with its deviance as the row: what the likelihood is summed from."""
-    step = estimators.step(estimator, paper.HORIZON, "parameter", "smoothed", "structured", False)
+# Found by `track`; "dual" has its own in `rhec.dual`.
+SIGMA_W_TRACKING = {
+    "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
+    "augmented_ekf": (0.00013, 0.00013, 0.0079, 0.0042, 0.0077, 0.016),
+    "fixed_traction": (0.00067, 0.00067, 0.026, 0.015),
+    "traction_oracle": (8.1e-05, 8.1e-05, 0.02, 0.04),
+}
+
+
+def functions(outputs, *structure):
+    """An estimator's step over a stream of z and the traction that it is told, with these of its outputs as the row, ready to be folded."""
+    step = estimators.step(*structure)
     memory, stream, V, W = (ca.MX.sym(name, step.size1_in(name) if name in step.name_in() else 6) for name in ("memory", "stream", "V", "W"))
-    given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W,
-                 traction=stream[4:])
-    outputs = step(**{name: given[name] for name in step.name_in()})
-    return fold.functions(ca.Function("deviance", [memory, stream, V, W], [outputs["memory"], outputs["deviance"]], ["memory", "stream", "V", "W"],
-                                      ["memory", "deviance"], {"allow_duplicate_io_names": True}))
+    given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W, traction=stream[4:])
+    result = step(**{name: given[name] for name in step.name_in()})
+    return fold.functions(ca.Function("recorded", [memory, stream, V, W], [result["memory"], ca.veccat(*(result[name] for name in outputs))],
+                                      ["memory", "stream", "V", "W"], ["memory", "row"], {"allow_duplicate_io_names": True}))
 
 
 def told(estimator, run):
@@ -53,16 +59,25 @@ def told(estimator, run):
     return run.log[["mu", "kappa"]].to_numpy() if estimator == "traction_oracle" else np.ones((len(run.log), 2))
 
 
-def deviance(estimator, sigma_w, runs):
-    """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w."""
-    steps = compiled.load(functions, estimator)
-    total = 0.0
-    for run in runs:
-        x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
-        scenario = dataclasses.replace(run.scenario, estimator=estimator)
-        memory = estimators.first_memory(scenario, (x, y, theta, scenario.speed_mps, 1.0, 1.0))
-        total += fold.fold(steps, memory, np.hstack([run.log[MEASURED], told(estimator, run)]), dict(V=np.square(paper.SIGMA_V), W=np.square(sigma_w)))[1].sum()
-    return total
+def prepared(scenario, run, *outputs):
+    """What to fold for these outputs of the scenario's estimator on the recorded measurements of a run; it starts where the robot is."""
+    steps = compiled.load(functions, outputs, estimators.identity(scenario.estimator), scenario.horizon_rhe, scenario.speed_model,
+                          scenario.arrival_mean, scenario.qp, scenario.robust)
+    x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
+    memory = estimators.first_memory(scenario, (x, y, theta, run.scenario.speed_mps, 1.0, 1.0))
+    stream = np.hstack([run.log[MEASURED], told(scenario.estimator, run)])
+    return steps, memory, stream, estimators.variances(scenario)
+
+
+def estimated(scenario, run, *outputs):
+    """These outputs, side by side (n, …)."""
+    return fold.fold(*prepared(scenario, run, *outputs))[1]
+
+
+def deviance(estimator, sigma_w, runs, **fields):
+    """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w; fields of Scenario: how else the estimator is set."""
+    scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
+    return sum(estimated(scenario, run, "deviance").sum() for run in runs)
 
 
 def sigma_from(logarithms):
@@ -75,11 +90,11 @@ def rounded(sigma):
     return tuple(float(f"{value:.2g}") for value in sigma)
 
 
-def calibrate(estimator, seeds=TRAINING_SEEDS):
+def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
     """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
     runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in seeds]
     unknowns = UNKNOWNS[estimator]
-    result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs), np.full(unknowns, np.log(0.03)), method="Powell",
+    result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs, **fields), np.full(unknowns, np.log(0.03)), method="Powell",
                       bounds=[np.log((LEAST, MOST))] * unknowns, options=dict(xtol=0.01, ftol=1e-6))
     return rounded(sigma_from(result.x)), result.fun
 

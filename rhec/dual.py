@@ -12,7 +12,7 @@ from rhec import ekf, model, rhe
 from rhec.function import vector
 
 # Of the RHE's (x, y, θ, ν, μ, κ), then of the EKF's (x, y, θ, ν), per sample: least true error on the training seeds (`rhec.calibration`).
-SIGMA_W = (0.001, 0.001, 0.001, 0.001, 0.006, 0.04, 0.0015, 0.0015, 0.0235, 0.0085)
+SIGMA_W = (0.001, 0.001, 0.001, 0.001, 0.0053, 0.025, 0.0058, 0.0058, 0.028, 0.0054)
 
 
 def f(m, omega, traction, dt_s):

@@ -7,7 +7,7 @@ from rhec import augmented_ekf, dual, ekf, paper, rhe
 from rhec.function import vector
 
 # Those that are told the traction are not the paper's: W of their own, found as the calibrated ones are.
-SIGMA_W_TRACTION_ORACLE, SIGMA_W_FIXED_TRACTION = (0.001, 0.001, 0.0048, 0.001), (0.001, 0.001, 0.01, 0.001)
+SIGMA_W_TRACTION_ORACLE, SIGMA_W_FIXED_TRACTION = (0.001, 0.001, 0.0048, 0.001), (0.0075, 0.0075, 0.0052, 0.0016)
 NAMES = ("rhe", "ekf", "augmented_ekf", "fixed_traction", "dual", "oracle", "traction_oracle")
 EKFS = ("ekf", "fixed_traction", "traction_oracle")   # one filter, told another traction each
 
