@@ -36,6 +36,7 @@ TRACKING = {
 # Found by `track`; "dual" has its own in `rhec.dual`.
 SIGMA_W_TRACKING = {
     "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
+    "ekf": (2e-05, 2e-05, 0.033, 950.0),
     "augmented_ekf": (0.00013, 0.00013, 0.0079, 0.0042, 0.0077, 0.016),
     "fixed_traction": (0.00067, 0.00067, 0.026, 0.015),
     "traction_oracle": (8.1e-05, 8.1e-05, 0.02, 0.04),

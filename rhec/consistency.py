@@ -21,6 +21,18 @@ from rhec.scenario import Scenario
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
 READINGS = ["x_meas_m", "y_meas_m", "nu_meas_mps"]
 TRUTH = ["x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"]
+# Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe", arrival_mean="filtered")`.
+SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
+ESTIMATORS = {   # fields of Scenario; all W that are not printed are by likelihood
+    "EKF, printed": dict(estimator="ekf", reading="printed"),
+    "EKF, calibrated": dict(estimator="ekf", reading="calibrated"),
+    "RHE, printed": dict(reading="printed"),
+    "RHE, calibrated": dict(reading="calibrated"),
+    "RHE, filtered arrival": dict(arrival_mean="filtered", reading="calibrated"),
+    "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=SIGMA_W_FILTERED),
+    "augmented EKF, calibrated": dict(estimator="augmented_ekf", reading="calibrated"),
+    "traction oracle": dict(estimator="traction_oracle"),
+}
 FROM_S = 20.0   # means over time count from here: before, the first guess, which is exact, still counts
 
 

@@ -26,6 +26,7 @@ def tracking(estimator, **fields):
 CONTESTANTS = {
     "EKF, W printed": dict(estimator="ekf", reading="printed"),
     "EKF, W by likelihood": dict(estimator="ekf", reading="calibrated"),
+    "EKF, W by tracking": tracking("ekf"),
     "augmented EKF, W printed": dict(estimator="augmented_ekf", reading="printed"),
     "augmented EKF, W by likelihood": dict(estimator="augmented_ekf", reading="calibrated"),
     "augmented EKF, W by tracking": tracking("augmented_ekf"),
