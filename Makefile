@@ -11,6 +11,7 @@ NOTEBOOKS := \
   faults \
   replay \
   explore \
+  beyond \
   computation_times \
   embedded
 

@@ -9,50 +9,76 @@ sharing one), between LEAST and MOST. By tracking. The robot drives the training
     python -m rhec.calibration    repeats all of it (minutes)
 """
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from rhec import compiled, estimators, fold, paper
+from rhec import compiled, estimators, fold
 from rhec.closed_loop import simulate
 from rhec.scenario import Scenario
 
 TRAINING_SEEDS = range(1000, 1010)
 TRACKING_SEEDS = range(1000, 1024)
-STREAM = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps", "mu", "kappa"]   # z, and what the traction oracle is told
+MEASURED = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]
 LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
-UNKNOWNS = {"rhe": 5, "ekf": 3, "augmented_ekf": 5, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
+UNKNOWNS = {"rhe": 5, "ekf": 3, "augmented_ekf": 5, "fixed_traction": 3, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
 # What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest is LEAST.
 TRACKING = {
     "rhe": (dict(horizon_rhe=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01}),
+    "ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
+    "augmented_ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01, (4,): 0.01, (5,): 0.01}),
+    "fixed_traction": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "traction_oracle": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "dual": (dict(horizon_rhe=10), {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01}),
 }
 
 
-def functions(estimator):
-    """The estimator's step over a stream of z and true traction, with its deviance as the row: what the likelihood is summed from."""
-    step = estimators.step(estimator, paper.HORIZON, "parameter", "smoothed", "structured", False)
+# Found by `track`; "dual" has its own in `rhec.dual`.
+SIGMA_W_TRACKING = {
+    "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
+    "ekf": (2e-05, 2e-05, 0.033, 950.0),
+    "augmented_ekf": (0.00013, 0.00013, 0.0079, 0.0042, 0.0077, 0.016),
+    "fixed_traction": (0.00067, 0.00067, 0.026, 0.015),
+    "traction_oracle": (8.1e-05, 8.1e-05, 0.02, 0.04),
+}
+
+
+def functions(outputs, *structure):
+    """An estimator's step over a stream of z and the traction that it is told, with these of its outputs as the row, ready to be folded."""
+    step = estimators.step(*structure)
     memory, stream, V, W = (ca.MX.sym(name, step.size1_in(name) if name in step.name_in() else 6) for name in ("memory", "stream", "V", "W"))
-    given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W,
-                 traction=stream[4:] if estimator == "traction_oracle" else ca.DM.ones(2))
-    outputs = step(**{name: given[name] for name in step.name_in()})
-    return fold.functions(ca.Function("deviance", [memory, stream, V, W], [outputs["memory"], outputs["deviance"]], ["memory", "stream", "V", "W"],
-                                      ["memory", "deviance"], {"allow_duplicate_io_names": True}))
+    given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W, traction=stream[4:])
+    result = step(**{name: given[name] for name in step.name_in()})
+    return fold.functions(ca.Function("recorded", [memory, stream, V, W], [result["memory"], ca.veccat(*(result[name] for name in outputs))],
+                                      ["memory", "stream", "V", "W"], ["memory", "row"], {"allow_duplicate_io_names": True}))
 
 
-def deviance(estimator, sigma_w, runs):
-    """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w."""
-    steps = compiled.load(functions, estimator)
-    total = 0.0
-    for run in runs:
-        x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
-        scenario = dataclasses.replace(run.scenario, estimator=estimator)
-        memory = estimators.first_memory(scenario, (x, y, theta, scenario.speed_mps, 1.0, 1.0))
-        total += fold.fold(steps, memory, run.log[STREAM].to_numpy(), dict(V=np.square(paper.SIGMA_V), W=np.square(sigma_w)))[1].sum()
-    return total
+def told(estimator, run):
+    """Traction (n, 2) that the estimator is told along a run."""
+    if estimator == "fixed_traction":
+        return np.tile(run.terrain.mean, (len(run.log), 1))
+    return run.log[["mu", "kappa"]].to_numpy() if estimator == "traction_oracle" else np.ones((len(run.log), 2))
+
+
+def prepared(scenario, run, *outputs):
+    """What to fold for these outputs of the scenario's estimator on the recorded measurements of a run; it starts where the robot is."""
+    steps = compiled.load(functions, outputs, estimators.identity(scenario.estimator), scenario.horizon_rhe, scenario.speed_model,
+                          scenario.arrival_mean, scenario.qp, scenario.robust)
+    x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
+    memory = estimators.first_memory(scenario, (x, y, theta, run.scenario.speed_mps, 1.0, 1.0))
+    stream = np.hstack([run.log[MEASURED], told(scenario.estimator, run)])
+    return steps, memory, stream, estimators.variances(scenario)
+
+
+def estimated(scenario, run, *outputs):
+    """These outputs, side by side (n, …)."""
+    return fold.fold(*prepared(scenario, run, *outputs))[1]
+
+
+def deviance(estimator, sigma_w, runs, **fields):
+    """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w; fields of Scenario: how else the estimator is set."""
+    scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
+    return sum(estimated(scenario, run, "deviance").sum() for run in runs)
 
 
 def sigma_from(logarithms):
@@ -65,17 +91,17 @@ def rounded(sigma):
     return tuple(float(f"{value:.2g}") for value in sigma)
 
 
-def calibrate(estimator, seeds=TRAINING_SEEDS):
-    """Process noise of an estimator of UNKNOWNS by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
+def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
+    """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
     runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in seeds]
     unknowns = UNKNOWNS[estimator]
-    result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs), np.full(unknowns, np.log(0.03)), method="Powell",
+    result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs, **fields), np.full(unknowns, np.log(0.03)), method="Powell",
                       bounds=[np.log((LEAST, MOST))] * unknowns, options=dict(xtol=0.01, ftol=1e-6))
     return rounded(sigma_from(result.x)), result.fun
 
 
 def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
-    """Process noise of "rhe", "traction_oracle" or "dual" by least mean true error on these seeds: standard deviations, to two digits, and the error [m]."""
+    """Process noise of an estimator in TRACKING by least mean true error on these seeds: standard deviations, to two digits, and the error [m]."""
     fields, unknowns = TRACKING[estimator]
 
     def sigma_w(logarithms):

@@ -32,7 +32,7 @@ COLUMNS = [column for columns in LOG.values() for column in columns]
 class Structure(NamedTuple):
     """What decides the shape of the loop's Function, and so what is compiled."""
 
-    estimator: str          # "rhe", "ekf", "oracle", "traction_oracle", or a serialized Function
+    estimator: str          # one of estimators.NAMES, or a serialized Function
     horizon: int
     horizon_rhe: int
     speed_model: str
@@ -63,7 +63,7 @@ def functions(*structure):
         **{name: (estimate_step.size1_in(name) if name in estimate_step.name_in() else unused, 1) for name, unused in (("V", 4), ("W", 1))},
         segments=(5, structure.n_segments), period_m=(1, 1), look_ahead_m=(1, 1), backwards=(1, 1),
         Q=(3, 1), QN=(3, 1), R=(1, 1), omega_max=(1, 1), speed_mps=(1, 1), command_delay=(1, 1), origin_m=(2, 1), cell_m=(1, 1),
-        slip=(slip.numel_in("slip"), 1)))
+        slip=(slip.numel_in("slip"), 1), mean_traction=(2, 1)))
 
     def sample(pose, tracks, integral, drift, encoders, estimator, s, controller, command, noise, **settings):
         noise = unpack(noise, stream)
@@ -76,7 +76,8 @@ def functions(*structure):
             measured |= deliver(**only(deliver, measured | noise | settings))
         z = measured["z"]
 
-        known = settings | dict(truth=truth, traction=traction if structure.estimator == "traction_oracle" else ca.DM.ones(2))
+        told = dict(traction_oracle=traction, fixed_traction=settings["mean_traction"]).get(structure.estimator, ca.DM.ones(2))
+        known = settings | dict(truth=truth, traction=told)
         inputs = [estimator, z] + [known[name] for name in estimate_step.name_in()[2:]]
         outputs = dict(zip(["memory", "estimate", *estimate_step.name_out()[2:]], estimate_step.call(inputs)))
         estimate = outputs["estimate"]
@@ -139,7 +140,7 @@ def world(scenario):
         segments=target.segments.T, period_m=target.period_m, look_ahead_m=scenario.look_ahead_m, backwards=float(scenario.backwards),
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
-        slip=terrain.flat(soil, shape))
+        slip=terrain.flat(soil, shape), mean_traction=soil.mean)
     return World(structure, vector(memory), settings, target, soil, guess)
 
 

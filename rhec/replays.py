@@ -191,7 +191,7 @@ def settings(estimator, recording, fields):
     if defaults["speed_model"] == "slipping":
         defaults = dict(arrival_mean="filtered") | defaults   # nothing of the paper's to reproduce, so each measurement counts once
     scenario = Scenario(**defaults)
-    if scenario.estimator in ("oracle", "traction_oracle"):
+    if scenario.estimator in ("oracle", "traction_oracle", "fixed_traction"):
         raise ValueError(f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf', 'augmented_ekf', 'dual' or a CasADi Function: a recording has no truth "
                          "to rely on")
     return scenario

@@ -17,12 +17,13 @@ class Scenario:
     """One closed-loop run. SI units; angles in radians.
 
     The estimator
-        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true traction, pose estimated), "dual" (traction by
-                           the RHE, pose by an EKF that is told it: not in the paper), "augmented_ekf" (an EKF that estimates μ and κ, too,
-                           without bounds: what the paper warns of), or a CasADi Function (memory, z) -> (memory, estimate) of one's own; its memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
+        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true traction, pose estimated), "fixed_traction" (the
+                           EKF, told the field's mean traction), "augmented_ekf" (an EKF that estimates μ and κ, too, without bounds: what the
+                           paper warns of), "dual" (traction by the RHE, pose by an EKF that is told it: not in the paper), or a CasADi Function
+                           (memory, z) -> (memory, estimate) of one's own; its memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
         reading            "printed": the paper's W to the letter; "calibrated": W from training seeds (R1, R2)
-        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for RHE and augmented EKF, without ν where that is an input,
-                           (μ, κ) per √m where tracks slip; (x, y, θ, ν) for the EKF; both, one after the other, for "dual"
+        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for RHE and augmented EKF, without ν where that is an
+                           input, (μ, κ) per √m where tracks slip; (x, y, θ, ν) for the EKFs; both, one after the other, for "dual"
         sigma_v            measurement noise the estimator assumes: (x, y [m], ν [m/s], ω [rad/s])
         horizon_rhe        intervals of the estimation window; N intervals have N + 1 nodes, so 14 is the paper's sum of N terms (R5)
         speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an interval, from the encoders (R6, R13);

@@ -85,6 +85,11 @@ class Terrain:
             mu, kappa = np.where(inside, mu_patch, mu), np.where(inside, kappa_patch, kappa)
         return cls(mu, kappa, (float(x_min), float(y_min)), cell_m)
 
+    @property
+    def mean(self):
+        """Mean (μ, κ) of the field."""
+        return np.array([self.mu.mean(), self.kappa.mean()])
+
     def save(self, file):
         """As .npz: plain arrays, nothing that is executed on loading."""
         np.savez_compressed(file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m)

@@ -4,6 +4,7 @@ import importlib
 
 # Loaded on first use, so that a notebook is made again only when a figure of its own changed.
 _HOME = {name: module for module, names in {
+    "beyond": ("consistency_table", "errors_over_sigma", "nees_over_time", "pose_noise", "ranked", "ranking_table"),
     "claims": ("save_ledger", "verdicts"),
     "drawings": ("hardware_blocks", "robot_in_row", "robot_parts", "schematic"),
     "faults": ("fault_family", "fault_table"),
