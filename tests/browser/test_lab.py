@@ -13,6 +13,11 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
+def answers(port):
+    with socket.socket() as client:
+        return client.connect_ex(("127.0.0.1", port)) == 0
+
+
 @pytest.fixture
 def address(tmp_path):
     """The address that `make lab` prints where there is no display, in a home that is empty."""
@@ -26,12 +31,14 @@ def address(tmp_path):
                                stdout=log, stderr=subprocess.STDOUT, start_new_session=True)
     try:
         for _ in range(1200):
-            if found := re.search(rf"http://127\.0\.0\.1:{port}/lab\S*", said.read_text()):
+            found = re.search(rf"http://127\.0\.0\.1:{port}/lab\S*\n", said.read_text())
+            if found and answers(port):   # it is printed a moment before
                 break
             assert lab.poll() is None, said.read_text()
             time.sleep(0.1)
-        assert found, said.read_text()
-        yield found[0]
+        else:
+            pytest.fail(said.read_text())
+        yield found[0].strip()
     finally:
         if lab.poll() is None:
             os.killpg(lab.pid, signal.SIGTERM)
