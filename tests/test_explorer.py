@@ -3,6 +3,7 @@
 import asyncio
 import re
 import threading
+import time
 from dataclasses import fields, replace
 
 import numpy as np
@@ -179,23 +180,25 @@ def test_a_file_name_cannot_leave_its_folder(made, name, tmp_path):
     assert not [*tmp_path.iterdir()]
 
 
-def test_callbacks_in_two_threads_do_not_meet(made):
+def test_callbacks_in_two_threads_do_not_meet(made, monkeypatch):
     """As with a kernel whose page's messages are answered in its main thread and in a subshell's."""
-    def move(values):
-        for value in values:
-            made.inputs["r"].value = value
-            made.seed.value = round(value)
+    drawing, met = threading.Lock(), []
 
-    threads = [threading.Thread(target=move, args=(values,)) for values in ((11.0, 12.0, 13.0, 20.0), (21.0, 22.0, 23.0, 20.0))]
+    def draw():
+        if drawing.acquire(blocking=False):
+            time.sleep(0.05)
+            drawing.release()
+        else:
+            met.append(threading.current_thread().name)
+
+    monkeypatch.setattr(made, "_draw", draw)
+    threads = [threading.Thread(target=widget.set_trait, args=("value", value)) for widget, value in ((made.inputs["r"], 20.0), (made.seed, 3))]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert [run.scenario for run in made.runs] == made.scenarios
-    picture = made.picture.value
-    made.seed.value = 0
-    made.seed.value = 20
-    assert made.picture.value == picture
+    assert not met
+    assert [run.scenario for run in made.runs] == made.scenarios == [replace(SHORT, r=20.0, seed=3, estimator=name) for name in ("rhe", "ekf")]
 
 
 def test_what_goes_wrong_inside_is_said(made, monkeypatch, capsys):
