@@ -1,13 +1,19 @@
 PYTHON ?= python3
 SAMPLES ?= 10000000
 NOTEBOOKS := \
+  tutorial \
   robot_and_terrain \
   scenario_a \
   scenario_b \
+  claims \
+  multiverse \
+  readings_audit \
   faults \
   replay \
   beyond \
-  computation_times
+  explore \
+  computation_times \
+  embedded
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -15,28 +21,40 @@ EXECUTED := $(NOTEBOOKS:%=build/notebooks/%.ipynb)
 RECORDS := $(EXECUTED:.ipynb=.d)
 
 # Two notebooks at a time; several goals at once stay in the order given.
-ifeq ($(MAKECMDGOALS),figures)
+ifeq ($(words $(MAKECMDGOALS))$(filter-out figures report,$(MAKECMDGOALS)),1)
 MAKEFLAGS += -j2
 endif
 
 WHAT ?=
 
-.PHONY: help figures test replay campaign bench soak lab lock clean
+.PHONY: help figures claims report embedded test test-browser lint replay campaign bench soak lab lock clean
 
 help: ## list what can be made
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
 figures: $(EXECUTED) ## run the notebooks; figures and tables land in figures/
 	@echo 'figures: $(if $(made),made,everything is up to date)'
 
+claims: build/notebooks/claims.ipynb ## run the claims ledger alone: figures/claims.csv, .tex, .md and its picture
+
+report: build/report/index.html ## run the notebooks; all of it as one site in build/report/, readable without a network
+	@echo 'report: open build/report/index.html'
+
 test: $(READY) ## run the tests
-	@$(PY) -m pytest -n auto
+	@$(PY) -m pytest -n auto --ignore=tests/browser
+
+test-browser: build/report/index.html ## run the tests of what the pages show, in a headless Chromium
+	@$(PY) -m pytest -rs tests/browser
 
 # The file's name reaches the shell as data, never as part of a command.
 replay: export REPLAY_LOG = $(value LOG)
 replay: $(READY) ## replay a recorded log: make replay LOG=file.csv; figures and tables land in build/replay/
 	@test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a .csv or .parquet file: make replay LOG=file.csv' >&2; exit 2; }
 	@$(PY) -m rhec.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG"
+
+lint: $(READY) ## check the code's style, and that notebooks in git carry no outputs
+	@$(PY) -m ruff check --quiet
+	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id
 
 bench: .venv/peers ## compare computation times with other tools, some minutes; tables and pictures land in figures/
 	@$(PY) -m rhec.benchmark
@@ -47,9 +65,14 @@ soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sens
 campaign: $(READY) ## drive a thousand fields, or go on where that stopped; WHAT="-p q [1,1,1] [1,1,0] --seeds 50" says which (--help: how)
 	@$(PY) -m rhec.campaigns $(WHAT)
 
+embedded: $(READY) ## write the default scenario's estimator and controller as C into build/embedded
+	@$(PY) -m rhec.embedded
+
+# No news, no updates, no extensions from the network. Without a display, the address that it prints is to be opened elsewhere.
 lab: $(READY) ## open the notebooks in JupyterLab
-	@$(PY) -m jupyter lab --LabApp.extension_manager=readonly --LabApp.news_url=None \
-	  --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate
+	@JUPYTER_CONFIG_PATH="$(CURDIR)/.jupyter:$$JUPYTER_CONFIG_PATH" $(PY) -m jupyter lab --ServerApp.preferred_dir=notebooks \
+	  --LabApp.extension_manager=readonly --LabApp.news_url=None --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
+	  $(if $(DISPLAY)$(WAYLAND_DISPLAY)$(filter Darwin,$(shell uname)),,--no-browser) $(if $(filter 0,$(shell id -u)),--allow-root)
 
 lock: ## pin the newest packages that pyproject.toml allows in environment.txt (needs uv)
 	@command -v uv >/dev/null || { echo 'make lock needs uv on the PATH' >&2; exit 1; }
@@ -84,8 +107,12 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	@$(PY) -m rhec.notebook $<
 	$(eval made := yes)
 
-# It measures time, so it runs alone.
-build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb,$(EXECUTED))
+# They measure time, so they run alone.
+build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb %/embedded.ipynb,$(EXECUTED))
+build/notebooks/embedded.ipynb: | $(filter-out %/embedded.ipynb,$(EXECUTED))
+
+build/report/index.html: $(EXECUTED) rhec/report.py $(wildcard rhec/templates/* rhec/templates/*/*)
+	@$(PY) -m rhec.report $(EXECUTED)
 
 # What each notebook used and made when it was last run.
 $(RECORDS):

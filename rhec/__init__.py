@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Scenario": "closed_loop", "Run": "closed_loop", "simulate": "closed_loop",
     "RHC": "rhc", "RHE": "rhe", "Terrain": "terrain", "Path": "path", "campaign": "campaigns", "Fault": "faults", "replay": "replays",
+    "Explorer": "figures.explorer", "export": "embedded",
 }
 __all__ = sorted(_HOME)
 

@@ -17,6 +17,7 @@ from rhec import compiled, estimators, faults, fold, paper, path, rhc, robot, te
 from rhec.function import folded, only, size, unpack, vector
 from rhec.kalman import valid
 from rhec.scenario import Scenario
+from rhec.validation import shown
 
 # One row of the log, in order: what `sample` returns beside the memory.
 LOG = dict(truth=("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"), omega=("omega_radps",),
@@ -108,6 +109,7 @@ class World:
     settings: dict
     path: path.Path
     terrain: terrain.Terrain
+    guess: np.ndarray   # (x, y, θ, ν, μ, κ), the estimator's first
 
 
 def world(scenario):
@@ -139,7 +141,7 @@ def world(scenario):
         Q=np.array(scenario.q), QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r, omega_max=scenario.omega_max_radps,
         speed_mps=speed_mps, command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m), cell_m=soil.cell_m,
         slip=terrain.flat(soil, shape), mean_traction=soil.mean)
-    return World(structure, vector(memory), settings, target, soil)
+    return World(structure, vector(memory), settings, target, soil, guess)
 
 
 def draw_noise(seed, samples):
@@ -173,8 +175,12 @@ class Run:
 def simulate(scenario):
     """Run a scenario: rhec.Run. A structure's first run compiles it for some seconds; it is cached from then on."""
     if not isinstance(scenario, Scenario):
-        raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
-    made = world(scenario)
+        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
+    return driven(scenario, world(scenario))
+
+
+def driven(scenario, made):
+    """The run of a scenario whose World is made."""
     samples = round(scenario.duration_s / paper.DT_S)
     _, rows = fold.fold(compiled.load(functions, *made.structure), made.memory, inputs(scenario, samples), made.settings)
     columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))

@@ -8,6 +8,7 @@ import contextlib
 import functools
 import hashlib
 import json
+import multiprocessing
 import os
 import platform
 import shutil
@@ -50,6 +51,17 @@ def source_digest():
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
 
 
+def library(build, structure):
+    """The folder where the compiled Functions of build(*structure) are, or will be."""
+    identity = repr((build.__module__, build.__name__, structure, source_digest(), ca.__version__, compiler(), FLAGS, platform.machine()))
+    return cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+
+
+def at_hand(build, *structure):
+    """Whether `load` has nothing to compile."""
+    return not compiler() or library(build, structure).exists()
+
+
 @functools.cache
 def load(build, *structure):
     """The Functions that build(*structure) returns in a dict, compiled. structure: strings, numbers, tuples.
@@ -58,14 +70,21 @@ def load(build, *structure):
     """
     if not compiler():
         return build(*structure)
-    identity = repr((build.__module__, build.__name__, structure, source_digest(), ca.__version__, compiler(), FLAGS, platform.machine()))
-    folder = cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+    folder = library(build, structure)
+    if not folder.exists() and someone_waits():
+        print(f"rhec: compiling the {build.__module__.split('.')[-1].replace('_', ' ')}, once (some seconds)", file=sys.stderr, flush=True)
     with contextlib.nullcontext() if folder.exists() else alone(folder):
         built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
         if not folder.exists():
             make(folder, {key: function for key, function in built.items() if not calls_qpoases(function)})
     names = json.loads((folder / "functions.json").read_text())
     return built | {key: ca.external(name, str(folder / "library.so")) for key, name in names.items()}
+
+
+def someone_waits():
+    """Whether a person looks at this process: in a terminal or a notebook, not in a worker, nor in a notebook that the runner executes."""
+    notebook = "ipykernel" in sys.modules and not os.environ.get("RHEC_UNATTENDED")
+    return multiprocessing.parent_process() is None and (notebook or sys.stderr.isatty())
 
 
 @contextlib.contextmanager

@@ -17,12 +17,14 @@ import casadi as ca
 import numpy as np
 
 from rhec import compiled
+from rhec.validation import shown
 
 # DAQP is asked for more than its usual tolerance, so that all solvers give the same answer to 1e-8.
 QP_SOLVERS = {
     "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}},
     "qpoases": {"printLevel": "none", "hessian_type": "posdef"},
 }
+LARGEST = 1e20               # entry of a QP that a solver is given
 
 
 def linearise(interval, s, v, dt_s):
@@ -84,13 +86,16 @@ def box_qp_2():
 def box_qp(n, solver):
     """min ½ x'Hx + g'x, lb ≤ x ≤ ub, as a Function (H, g, lb, ub) -> (x, λ, ok); λ > 0 at an upper, λ < 0 at a lower bound.
 
-    CasADi's solvers report a failure and go on; then ok is 0 and x and λ are 0: no step.
+    CasADi's solvers report a failure and go on; then ok is 0 and x and λ are 0: no step. What is not a number, or absurd, never reaches the solver:
+    one that starts from its last solution might keep it.
     """
     H, g, lb, ub = ca.MX.sym("H", n, n), ca.MX.sym("g", n), ca.MX.sym("lb", n), ca.MX.sym("ub", n)
     options = {"error_on_fail": False, **QP_SOLVERS[solver]}
-    solution = ca.conic("qp", solver, {"h": H.sparsity()}, options)(h=H, g=g, lbx=lb, ubx=ub)
+    sane = ca.mmin(ca.fabs(ca.veccat(H, g, lb, ub)) <= LARGEST)
+    given = [ca.if_else(sane, value, default) for value, default in ((H, ca.DM.eye(n)), (g, 0), (lb, 0), (ub, 0))]
+    solution = ca.conic("qp", solver, {"h": H.sparsity()}, options)(**dict(zip(("h", "g", "lbx", "ubx"), given)))
     x, multipliers = solution["x"], solution["lam_x"]
-    ok = ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))   # also 0 where x is not a number
+    ok = sane * ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))   # also 0 where x is not a number
     # an active-set solver may leave the box by its tolerance; the bounds are hard
     return ca.Function("box_qp", [H, g, lb, ub], [ca.if_else(ok, ca.fmin(ca.fmax(x, lb), ub), 0), ca.if_else(ok, multipliers, 0), ok])
 
@@ -104,14 +109,18 @@ def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
 def put(name, value, array):
     """Copy an argument into its array, or say in one sentence why it does not fit."""
     shape = getattr(value, "shape", None)
-    if shape is None and isinstance(value, tuple) and len(value) == len(array) and array.ndim == 1:
-        for i, number in enumerate(value):   # a few numbers: faster than making an array of them
-            array[i] = number
-        return
-    shape = np.shape(value) if shape is None else shape
-    if shape != array.shape:
-        raise ValueError(f"{name} had shape {shape}; it should have {array.shape}")
-    array[...] = value
+    try:
+        if shape is None and isinstance(value, tuple) and len(value) == len(array) and array.ndim == 1:
+            for i, number in enumerate(value):   # a few numbers: faster than making an array of them
+                array[i] = number
+            return
+        shape = np.shape(value) if shape is None else shape
+        if shape == array.shape:
+            array[...] = value
+            return
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} was {shown(value)}; it should be made of numbers") from None
+    raise ValueError(f"{name} had shape {shape}; it should have {array.shape}")
 
 
 class Iteration:

@@ -77,6 +77,7 @@ def interval(speed_model="parameter"):
     s, s_next = ca.vertcat(xi, p), ca.vertcat(xi_next, p)
     return Interval(
         step=ca.Function("interval", [s, v, dt_s], [s_next]),
-        linearised=ca.Function("linearised", [s, v, dt_s], [s_next, ca.sparsify(ca.jacobian(s_next, s) - ca.SX.eye(s.numel())), ca.jacobian(s_next, v)], {"cse": True}),
+        linearised=ca.Function("linearised", [s, v, dt_s], [s_next, ca.sparsify(ca.jacobian(s_next, s) - ca.SX.eye(s.numel())),
+                                                            ca.jacobian(s_next, v)], {"cse": True}),
         n_s=s.numel(), n_v=v.numel(), states=states, measured_states=measured_states, measured_inputs=measured_inputs,
         traction=(s.numel() - 2, s.numel() - 1), slips=speed_model == "slipping")

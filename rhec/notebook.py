@@ -66,7 +66,7 @@ def _fits(value, spec):
     if isinstance(spec[0], type):
         kind, lowest, highest = spec
         return type(value) in {int, kind} and lowest <= value <= highest
-    return value in spec
+    return type(value) in map(type, spec) and value in spec
 
 
 def _wanted(spec):
@@ -115,6 +115,7 @@ def run(notebook, given, output):
 
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
+    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs are the results, not what was waited for
     with tempfile.NamedTemporaryFile("r") as listing:
         started = time.time_ns()
         executed = papermill.execute_notebook(
@@ -127,6 +128,7 @@ def run(notebook, given, output):
             progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
             extra_arguments=[
                 "--IPKernelApp.log_level=CRITICAL",
+                "--InlineBackend.figure_formats=retina",  # sharp in the report
                 "--IPKernelApp.exec_lines="
                 f"__import__('rhec.notebook').notebook.record({listing.name!r})",
             ],
@@ -190,19 +192,24 @@ def main():
     stem = f"{notebook.stem}-custom" if args.p else notebook.stem
     output = args.output or ROOT / f"build/notebooks/{stem}.ipynb"
 
-    from papermill.exceptions import PapermillExecutionError
-
     started = time.monotonic()
     try:
-        run(notebook, {name: _value(text) for name, text in args.p}, output)
+        _run_or_say_why_not(parser, notebook, {name: _value(text) for name, text in args.p}, output)
+    except KeyboardInterrupt:
+        parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
+    seconds = time.monotonic() - started
+    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
+
+
+def _run_or_say_why_not(parser, notebook, given, output):
+    from papermill.exceptions import PapermillExecutionError  # takes a second, in which a person may change their mind
+
+    try:
+        run(notebook, given, output)
     except PapermillExecutionError as error:
         if error.ename == ParameterError.__name__:
             parser.exit(2, f"{error.evalue}\n")
         parser.exit(1, str(error))
-    except KeyboardInterrupt:
-        parser.exit(130, f"{notebook.stem}: interrupted\n")
-    seconds = time.monotonic() - started
-    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
 
 
 def _value(text):

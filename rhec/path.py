@@ -10,8 +10,11 @@ import casadi as ca
 import numpy as np
 
 from rhec.function import function
+from rhec.validation import Flag, Positive, Real, checked, numbers, shown
 
-OPEN = 1e9   # the "period" of a path that does not close [m]
+OPEN = 1e9         # the "period" of a path that does not close [m]
+LONGEST_M = 1e6    # a path: its field is made of points, and must fit into memory
+CLOSED = 1e-6      # how far its end may be from its beginning [m, rad], for a path to close
 
 
 def advance(x, y, theta, curvature, length, lib):
@@ -33,18 +36,32 @@ class Path:
     closed: bool = False
 
     @classmethod
-    def from_segments(cls, pieces, start=(0.0, 0.0, 0.0), closed=False):
-        """From [(length [m], curvature [1/m]), …], the first beginning at the pose `start`."""
-        if not pieces or any(length <= 0 for length, _ in pieces):
-            raise ValueError(f"pieces was {pieces!r}; it must be a list of (length, curvature) with at least one entry, each length above 0 m")
+    @checked
+    def from_segments(cls, pieces: list[tuple[Positive, Real]], start: tuple[Real, Real, Real] = (0.0, 0.0, 0.0), closed: Flag = False):
+        """From [(length [m], curvature [1/m]), …], the first beginning at the pose `start`; a closed path ends there."""
+        length_m = sum(length for length, _ in pieces)
+        if not 0 < length_m <= LONGEST_M:
+            raise ValueError(f"pieces was {shown(pieces)}; it must be a list of (length, curvature) with at least one entry, at most {LONGEST_M:g} m in all")
         s, pose, table = 0.0, start, []
         for length, curvature in pieces:
             table.append((s, *pose, curvature))
             s, pose = s + length, advance(*pose, curvature, length, np)
+        gap = np.hypot(pose[0] - start[0], pose[1] - start[1]), abs(np.remainder(pose[2] - start[2] + pi, 2 * pi) - pi)
+        if closed and not max(gap) <= CLOSED * max(1, *map(abs, start), length_m):
+            raise ValueError(f"closed was True; the path ends {gap[0]:.3g} m and {gap[1]:.3g} rad from where it begins, so it should be False")
         return cls(np.array(table, dtype=float), s, closed)
 
+    def __post_init__(self):
+        segments = numbers("segments", self.segments)
+        if segments.ndim != 2 or segments.shape[1] != 5 or not len(segments) or not np.isfinite(segments).all():
+            raise ValueError(f"segments was {shown(self.segments)}; it must be rows of five finite numbers (s, x, y, θ, c)")
+        if numbers("length_m", self.length_m).shape or not 0 < self.length_m <= LONGEST_M:
+            raise ValueError(f"length_m was {shown(self.length_m)}; it must be above 0 and at most {LONGEST_M:g} m")
+        object.__setattr__(self, "segments", segments)
+
     @classmethod
-    def racetrack(cls, row_length_m, radius_m):
+    @checked
+    def racetrack(cls, row_length_m: Positive, radius_m: Positive):
         """Two rows, joined by half circles on the headlands."""
         return cls.from_segments([(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)] * 2, closed=True)
 
@@ -54,7 +71,7 @@ class Path:
 
     def poses(self, s):
         """Poses (n, 3) and curvatures (n,) at arc lengths s (n,) [m]."""
-        s = np.asarray(s) % self.period_m
+        s = np.asarray(s) % self.length_m if self.closed else np.asarray(s)
         row = self.segments[np.clip(np.searchsorted(self.segments[:, 0], s, side="right") - 1, 0, None)]
         return np.column_stack(advance(*row[:, 1:4].T, row[:, 4], s - row[:, 0], np)), row[:, 4]
 
@@ -78,8 +95,8 @@ class Path:
 
 
 def pose_at(s, segments, period_m):
-    """Pose (3,) and curvature at arc length s, as CasADi expressions; segments (5, M). Beyond an open end the last segment goes on."""
-    s = s - period_m * ca.floor(s / period_m)
+    """Pose (3,) and curvature at arc length s, as CasADi expressions; segments (5, M). Beyond an open end that end's segment goes on."""
+    s = ca.if_else(period_m < OPEN, s - period_m * ca.floor(s / period_m), s)   # before an open path's beginning is not after its end
     rows = ca.horzsplit(segments)
     row = rows[0]
     for before, after in zip(rows, rows[1:]):

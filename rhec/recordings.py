@@ -151,7 +151,7 @@ def samples(rows, dt_s, averaged):
     what the model's inputs are.
     """
     t = rows["t_s"].to_numpy()
-    at = t[0] + dt_s * np.arange(int((t[-1] - t[0]) / dt_s + 0.1) + 1)
+    at = t[0] + dt_s * np.arange(int((t[-1] - t[0]) / dt_s + 0.01) + 1)
     result = dict(t_s=at)
     for name in rows.columns.drop(["segment", "t_s"]):
         value = rows[name].to_numpy()

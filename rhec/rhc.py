@@ -15,7 +15,8 @@ from rhec.function import folded, function, only
 from rhec.gauss_newton import put, transition
 from rhec.validation import NotNegative, Positive, Solver, Weights, Intervals, checked
 
-JOINT = 6   # s = (x, y, θ, ν, μ, κ)
+JOINT = 6      # s = (x, y, θ, ν, μ, κ)
+BEYOND = 1e9   # a plan beyond this, or not a number, is no plan
 
 
 def functions(dt_s, horizon, qp="structured"):
@@ -104,7 +105,9 @@ def functions(dt_s, horizon, qp="structured"):
         """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
         kkt = gauss_newton.kkt_tolerance(ca.dot(g, omega_plan - omega), multipliers, lower, upper)
         predicted = ca.horzcat(*rollout(s, omega, F, D, B, s_0, omega_plan))
-        return dict(s=ca.if_else(ok, predicted, s), omega=omega_plan, kkt=kkt)   # a step that failed leaves the shifted plan
+        # a step that failed leaves the shifted plan, unless nothing can be linearised there, which its last node shows: then the next begins at the estimate
+        shifted = ca.if_else(ca.mmin(ca.fabs(s[:, N]) <= BEYOND), s, ca.repmat(s_0, 1, N + 1))
+        return dict(s=ca.if_else(ok, predicted, shifted), omega=omega_plan, kkt=kkt)
 
     feedback = function("rhc_feedback", feedback, prepared | memory | weights | references, ca.MX)
     result = {name: feedback.sparsity_out(name) for name in ("omega_plan", "g", "lower", "upper", "multipliers", "ok")}
@@ -168,6 +171,11 @@ class RHC:
         put("omega_ref", omega_ref, to_omega_ref)
         if not self.iteration.started:
             self.iteration.start(start(pose, p, self.horizon))
+
+    @property
+    def ok(self):
+        """Whether the last step was solved; if not, its answer is the shifted previous solution's."""
+        return self.iteration.arrays["ok"].item() == 1
 
     @property
     def kkt(self):

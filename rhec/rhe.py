@@ -19,7 +19,7 @@ import numpy as np
 from rhec import compiled, gauss_newton, kalman, model, paper, screening
 from rhec.function import folded, function, only, size
 from rhec.gauss_newton import put, transition
-from rhec.kalman import symmetric, valid
+from rhec.kalman import Z_MAX, symmetric, valid
 from rhec.validation import ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, checked
 
 BEYOND = 1e12                # an estimate beyond this, or not a number, is no estimate
@@ -28,8 +28,8 @@ SIDE_MPS = 1e-3              # the side slip speed of tracks that stand still
 
 # Process noise W as standard deviations of (x, y, θ, ν, μ, κ) per sample: to the letter (R2), and as `rhec.calibration` found it on training seeds.
 SIGMA_W = {"printed": paper.SIGMA_W_RHE, "calibrated": (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001)}
-# Where noise is the tracks' slip it grows with the distance d they ran, like √d: of (μ, κ), and of the way of each track and across.
-SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.015, 0.03), 0.05, 0.06   # [1/√m], [m/√m], [m/√m]
+# Where noise is the tracks' slip it grows with the distance d they ran, like √d: of (μ, κ), of the way of each track, and across in turning.
+SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.015, 0.02), 0.05, 0.05   # [1/√m], [m/√m], [m/√m]
 # Before the first sample, standard deviations of (x, y, θ, ν, μ, κ, l_f, l_l): the paper's W, and an antenna whose place is known to the millimetre.
 SIGMA_START = (*paper.SIGMA_W_RHE, 1e-3, 1e-3)
 
@@ -75,13 +75,13 @@ def measured_inputs(window, z, v, V):
     for place, row in window.interval.measured_inputs:
         mean.append(ca.if_else(valid(z, row), z[row], v[place]))
         variance.append(ca.if_else(valid(z, row), V[row], SIGMA_HELD[row - 2] ** 2))
-    if window.interval.slips:   # each track's way varies by σ_track √d, and that across by σ_side √d
+    if window.interval.slips:   # each track's way varies by σ_track √d; across it slips by σ_side √(way of the tracks in turning)
         sigma2_track, sigma2_side, b = V[4], V[5], V[6]
         left, right = ran(*mean, b)
         variance[0] += sigma2_track * (left + right) / 4 / window.dt_s
         variance[1] += sigma2_track * (left + right) / b**2 / window.dt_s
         mean.append(0)
-        variance.append(sigma2_side * (left + right) / 2 / window.dt_s + SIDE_MPS**2)
+        variance.append(sigma2_side * ca.fabs(b / 2 * mean[1]) / window.dt_s + SIDE_MPS**2)
     return ca.vertcat(*mean), ca.diag(ca.vertcat(*variance))
 
 
@@ -259,17 +259,23 @@ def expand(window, linearise, feedback, loops):
         v_m, R_v = measured_inputs(window, z, v, V)
         return dict(new=new, old=old, descent=measured_descent(new, old, z, V) + ca.dot((v - v_m) / ca.diag(R_v), v_new - v))
 
-    def accepted(s, v, s_new, v_new, ok):
-        """The new solution; the shifted one after a step that failed. What is no number anywhere is none at the newest node either."""
+    def accepted(s, v, z, age, m, P, s_new, v_new, ok):
+        """The memory after the new solution. A step that failed leaves the shifted one, and begins a window of its own from there, as uncertain as at
+        the first start: what made it fail may be in the readings or in the arrival cost, and would stay. What is no number anywhere is none at the
+        newest node either."""
         good = ok * sane(s_new[:, N])
-        return dict(s=ca.if_else(good, s_new, s), v=ca.if_else(good, v_new, v))
+        held = ca.if_else(ca.fabs(v) <= Z_MAX[3], v, 0)   # an input beyond what can be read
+        return dict(s=ca.if_else(good, s_new, s), v=ca.if_else(good, v_new, held), z=ca.if_else(good, z, ca.SX.nan(4, N + 1)),
+                    age=ca.if_else(good, age, 0), m=ca.if_else(good, m, s[:, N]),
+                    P=ca.if_else(good, P, ca.diag(ca.DM(SIGMA_START)[list(iv.states)] ** 2)))
 
     gains = dict(K=(n_s, rows), e=(rows, 1))
     backward = function("rhe_backward", backward, dict(adjoint=(n_s, 1), D=linearised["D"], B=linearised["B"]) | gains | dict(z=(4, 1), v=(n_v, 1)) | V)
     oldest = function("rhe_oldest", oldest, dict(adjoint=(n_s, 1)) | gains | dict(m=(n_s, 1), P=(n_s, n_s), s=(n_s, 1), z=(4, 1)) | V)
     forward = function("rhe_forward", forward, dict(new=(n_s, 1), old=(n_s, 1)) | linearised | dict(
         s=(n_s, 1), v=(n_v, 1), v_new=(n_v, 1), z=(4, 1)) | V)
-    accepted = function("rhe_accepted", accepted, dict(s=(n_s, N + 1), v=(n_v, N), s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1)))
+    window_memory = {name: shape for name, shape in window.memory.items() if name != "seen"}
+    accepted = function("rhe_accepted", accepted, window_memory | dict(s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1)))
 
     def begun_again(again, pose, z_used, s, v, z, age, m, P):
         """The memory of a new start at this pose with the present speed and traction, where the screening asks for it."""
@@ -280,7 +286,6 @@ def expand(window, linearise, feedback, loops):
         old = dict(s=s, v=v, z=z, age=age, m=m, P=P)
         return {name: ca.if_else(again, fresh[name], old[name]) for name in old}
 
-    window_memory = {name: shape for name, shape in window.memory.items() if name != "seen"}
     begun_again = function("rhe_begun_again", begun_again, dict(again=(1, 1), pose=(3, 1), z_used=(4, 1)) | window_memory)
 
     def body(s, v, z, age, m, P, V, F, D, B, K, e, K_N, e_N, multipliers, ok, z_N=None, z_used=None, again=None, pose=None, seen_after=None):
@@ -300,8 +305,7 @@ def expand(window, linearise, feedback, loops):
             new, old, more = forward(s_new[i], old, F[i], D[i], B[i], s_old[i], v_old[i], v_new[i], z[i + 1], V)
             s_new, descent = [*s_new, new], descent + more
         kkt = gauss_newton.kkt_tolerance(descent, multipliers, -s_old[N][q], 1 - s_old[N][q])
-        s, v = accepted(s, v, ca.horzcat(*s_new), ca.horzcat(*v_new), ok)
-        expanded = dict(s=s, v=v, z=readings, age=age, m=m, P=P)
+        expanded = accepted(s=s, v=v, z=readings, age=age, m=m, P=P, s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new), ok=ok)
         if window.robust:
             expanded = begun_again(again=again, pose=pose, z_used=z_used, **expanded) | dict(seen=seen_after)
         return expanded | dict(kkt=kkt)
@@ -429,6 +433,11 @@ class RHE:
     def _estimate(self):
         arrays = self.iteration.arrays
         return Estimate(*arrays["estimate"].tolist(), arrays["covariance"].reshape(self.n_s, self.n_s).copy())
+
+    @property
+    def ok(self):
+        """Whether the last step was solved; if not, its answer is the shifted previous solution's."""
+        return self.iteration.arrays["ok"].item() == 1
 
     @property
     def kkt(self):

@@ -46,9 +46,9 @@ CASES = {
 }
 
 
-def start_s(seed, seeds):
-    """When the fault hits this one of so many seeds: spread over the lap."""
-    return FIRST_S + (LAST_S - FIRST_S) * seed / seeds
+def starts_s(n):
+    """When the trouble begins [s] for each of n seeds: spread over the lap."""
+    return np.linspace(FIRST_S, LAST_S, n, endpoint=False).tolist()
 
 
 def scenario(case, begin_s, base):
@@ -94,7 +94,7 @@ def response(run, begin_s, end_s):
 
 
 def study(base, seeds, handling, cases=CASES):
-    """All cases on the seeds 0 … seeds - 1, each with every way of `handling` ({name: Scenario fields}).
+    """All cases on these seeds, each with every way of `handling` ({name: Scenario fields}).
 
     Returns a DataFrame, one row a run (family, case, handling, seed, begin_s, end_s and the `response`), and the true errors over time,
     {(family, case, handling): (seeds, samples)}, from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN beyond.
@@ -105,8 +105,7 @@ def study(base, seeds, handling, cases=CASES):
         for name, case in of_family.items():
             for how, fields in handling.items():
                 curves = []
-                for seed in range(seeds):
-                    begin_s = start_s(seed, seeds)
+                for seed, begin_s in zip(seeds, starts_s(len(seeds))):
                     run = simulate(scenario(case, begin_s, replace(base, seed=seed, **fields)))
                     begin_s, end_s = interval_s(run, case, begin_s)
                     rows.append(dict(family=family, case=name, handling=how, seed=seed, begin_s=begin_s, end_s=end_s) | response(run, begin_s, end_s))

@@ -8,9 +8,8 @@ from pydantic import Field
 from rhec import estimators, paper
 from rhec.faults import Fault
 from rhec.path import Path
-from rhec.terrain import Terrain
-from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, Whole,
-                             validated)
+from rhec.terrain import Patch, Seed, Terrain
+from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, shown, validated)
 
 
 @validated
@@ -78,11 +77,11 @@ class Scenario:
     qp: Solver = "structured"
 
     speed_mps: Annotated[Positive, Field(le=1.4)] = paper.SPEED_MPS
-    duration_s: Annotated[Positive, Field(le=1e7)] = 240.0
+    duration_s: Annotated[Positive, Field(ge=paper.DT_S, le=1e6)] = 240.0
     backwards: Flag = False
     path: Any = None
-    row_length_m: Positive = paper.ROW_LENGTH_M
-    headland_radius_m: Positive = paper.HEADLAND_RADIUS_M
+    row_length_m: Annotated[Positive, Field(le=1e4)] = paper.ROW_LENGTH_M
+    headland_radius_m: Annotated[Positive, Field(le=1e3)] = paper.HEADLAND_RADIUS_M
     start_offset_m: Real = paper.START_OFFSET_M
     start_yaw_rad: Real = 0.0
     guess_yaw_rad: Real = 0.0
@@ -93,7 +92,7 @@ class Scenario:
     kappa_mean: Traction = 0.8
     kappa_deviation: NotNegative = 0.08
     correlation_length_m: Annotated[Positive, Field(ge=0.5)] = 4.0
-    patches: tuple[tuple[Real, Real, Positive, Traction, Traction], ...] = ()
+    patches: tuple[Patch, ...] = ()
 
     gnss_sigma_m: NotNegative = paper.SIGMA_V[0]
     gnss_slow_share: Annotated[NotNegative, Field(le=1)] = 0.0
@@ -102,15 +101,15 @@ class Scenario:
     bump_sigma_radps: NotNegative = 0.02
     track_width_m: Positive = paper.TRACK_WIDTH_M
     faults: tuple[Fault, ...] = ()
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    seed: Seed = 0
 
     def __post_init__(self):
         if self.estimator not in estimators.NAMES if isinstance(self.estimator, str) else not isinstance(self.estimator, ca.Function):
-            raise ValueError(f"estimator was {self.estimator!r}; it should be one of {estimators.NAMES} or a CasADi Function")
+            raise ValueError(f"estimator was {shown(self.estimator)}; it should be one of {estimators.NAMES} or a CasADi Function")
         if not isinstance(self.path, Path | None):
-            raise ValueError(f"path was {self.path!r}; it should be a rhec.Path or None")
+            raise ValueError(f"path was {shown(self.path)}; it should be a rhec.Path or None")
         if not isinstance(self.terrain, Terrain | None):
-            raise ValueError(f"terrain was {self.terrain!r}; it should be a rhec.Terrain or None")
+            raise ValueError(f"terrain was {shown(self.terrain)}; it should be a rhec.Terrain or None")
         for name in ("mu", "kappa"):
             mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
             if deviation**2 >= mean * (1 - mean) and deviation:
@@ -118,6 +117,6 @@ class Scenario:
                                  "the most a quantity between 0 and 1 can vary")
         expected = estimators.entries(self.estimator, self.speed_model) if isinstance(self.estimator, str) else 0
         if self.sigma_w is not None and len(self.sigma_w) != expected:
-            raise ValueError(f"sigma_w was {self.sigma_w!r}; for the estimator {self.estimator!r} it should have {expected} entries")
+            raise ValueError(f"sigma_w was {shown(self.sigma_w)}; for the estimator {self.estimator!r} it should have {expected} entries")
         if self.robust and self.estimator not in ("rhe", "dual"):
             raise ValueError(f"robust was True; for the estimator {self.estimator!r} it should be False")

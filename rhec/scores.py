@@ -14,7 +14,9 @@ REGRESSIONS = (("nu_meas_mps", "v_true_mps"), ("omega_meas_radps", "yaw_rate_tru
 
 def regression(samples):
     """Apparent (μ, κ) of the whole log: true speed and yaw rate over ground on what the encoders read, least squares through the origin."""
-    return tuple((samples[reading] * samples[truth]).sum() / (samples[reading] ** 2)[samples[truth].notna()].sum() for reading, truth in REGRESSIONS)
+    products = [(samples[reading] * samples[truth], samples[reading] ** 2) for reading, truth in REGRESSIONS]
+    totals = [(xy.sum(), xx[xy.notna()].sum()) for xy, xx in products]
+    return tuple(xy / xx if xx > 0 else np.nan for xy, xx in totals)   # a robot that never moves tells nothing
 
 
 def sliding_regression(samples):
@@ -66,19 +68,40 @@ def rms(*components):
     return float(np.sqrt(np.nanmean(sum(np.square(each) for each in components)))) if len(components[0]) else np.nan
 
 
-def trial(log, seed, noise_m=0.02, yaw_error_rad=0.3, estimator="rhe", *, track_width_m=None, **fields):
+def trial(log, seed, noise_m=0.02, yaw_error_rad=0.3, estimator="rhe", *, track_width_m=None, lever_arm_m=None, faults=(), **fields):
     """A harder replay: with white noise of noise_m on the position and a first yaw that is wrong by yaw_error_rad in each segment. Returns the samples.
 
-    seed: of the noise; fields: as `replay`. Where the log has no true yaw the first one is found as `replay` does.
+    seed: of the noise; faults: (rhec.Fault, …) on top; the rest: as `replay`. Where the log has no true yaw the first one is found as `replay` does.
     """
     recording = recordings.prepare(log, track_width_m)
     rows = recording.rows.copy()
     rows[["x_meas_m", "y_meas_m"]] += noise_m * np.random.default_rng(seed).standard_normal((len(rows), 2))
-    known = "theta_rad" in rows and rows["theta_rad"].groupby(rows["segment"]).any().all()
-    first = [each["theta_rad"].dropna().iloc[0] + yaw_error_rad for _, each in rows.groupby("segment")] if known else None
-    return replays.estimate_samples(recording._replace(rows=rows), replays.settings(estimator, recording, fields), first)
+    known = "theta_rad" in rows and rows["theta_rad"].groupby(rows["segment"]).count().all()
+    yaws = tuple(each["theta_rad"].dropna().iloc[0] + yaw_error_rad for _, each in rows.groupby("segment")) if known else None
+    first = replays.First(yaws, lever_arm_m=lever_arm_m)
+    return replays.estimate_samples(recording._replace(rows=rows), replays.settings(estimator, recording, fields), first, faults, seed)
 
 
 def trials(log, seeds, **given):
     """Scores of the trial over noise seeds: one row a seed, as a DataFrame."""
     return pd.DataFrame([dict(seed=seed) | score(trial(log, seed, **given)) for seed in seeds])
+
+
+def fault_trials(log, cases, seeds, handling=(False, True), **given):
+    """The trial with each fault of cases {name: rhec.Fault} on top, robust or not: one row a case, handling and noise seed, as a DataFrame.
+
+    worst_position_m, worst_yaw_rad: from the beginning of the fault to the end of its segment; last_yaw_rad: error at the end of the segment;
+    outside, not_ok: as `score`. Only for a log with the true pose.
+    """
+    rows = []
+    for name, fault in cases.items():
+        for robust in handling:
+            for seed in seeds:
+                samples = trial(log, seed, faults=(fault,), robust=robust, **given)
+                segment = samples.loc[(samples["t_s"] - fault.start_s).abs().idxmin(), "segment"]
+                after = samples[(samples["segment"] == segment) & (samples["t_s"] >= fault.start_s)]
+                position, yaw = np.hypot(after["x_hat_m"] - after["x_m"], after["y_hat_m"] - after["y_m"]), yaw_error(after).abs()
+                whole = score(samples)
+                rows.append(dict(fault=name, robust=robust, seed=seed, worst_position_m=position.max(), worst_yaw_rad=yaw.max(),
+                                 last_yaw_rad=yaw.iloc[-1], outside=whole["outside"], not_ok=whole["not_ok"]))
+    return pd.DataFrame(rows)

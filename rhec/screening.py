@@ -2,7 +2,8 @@
 
 A position is refused where it is the last one repeated, to the last digit (the receiver is stuck), or where its innovation y is improbable,
 y' S⁻¹ y > GATE (innovation gating: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7). While
-positions are refused, S grows by what dead reckoning may be off, so that a good one after a long gap is let in. Where speed is taken to be constant,
+positions are missing or refused, S grows by what dead reckoning may be off, so that good ones after a long gap are let in; outliers, which do not lie
+near each other, would slip in, too, so it does not grow for those. Where speed is taken to be constant,
 encoder readings that jump are refused, too. All refused readings are missing ones, as if there had been none.
 
 An estimate that is wrong itself, such as a yaw turned round, would so be cut off from what could mend it. Therefore the estimator begins again at
@@ -17,8 +18,9 @@ from rhec.function import unpack, vector
 from rhec.kalman import valid
 
 GATE = 13.8                  # of a squared, normalised innovation with two degrees of freedom: a good one is beyond once in a thousand
-DEAD_RECKONING = 0.1         # error per distance that it may add since the last position that was believed
+DEAD_RECKONING = 0.07        # error per distance that it may add since the last position that was believed
 JUMP = (0.1, 0.3)            # ν [m/s], ω [rad/s]: standard deviations of the encoders' change from one sample to the next
+STEADY = 5                   # so many positions in a row must lie near the one before, for dead reckoning to be doubted rather than them
 COURSE_S = 2.0               # a course over ground takes this long
 SHORTEST_M = 0.3             # over less than this it tells no yaw
 LONGER, SLACK_M = 1.3, 0.15  # the way by positions may be so many times that by encoders, and so much more
@@ -30,8 +32,9 @@ SIGMA_AGAIN = (0.05, 0.05, 0.1, 0.05, 0.1, 0.1, 0.1, 0.1)   # of (x, y, θ, ν, 
 
 def memory(dt_s):
     """Shapes of what is remembered: `past` raw readings; the position that came `last` and the encoder readings last believed; samples `since` a
-    position and since encoder readings were believed, and how many in a row the course has `contradicted` the yaw."""
-    return dict(past=(4, round(COURSE_S / dt_s)), last=(4, 1), since=(2, 1), contradicted=(1, 1))
+    position and since encoder readings were believed, and how many in a row the course has `contradicted` the yaw; samples since a position `came`,
+    and how many of them in a row were `steady`, near the one before."""
+    return dict(past=(4, round(COURSE_S / dt_s)), last=(4, 1), since=(2, 1), contradicted=(1, 1), came=(1, 1), steady=(1, 1))
 
 
 def start(dt_s):
@@ -54,7 +57,7 @@ def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
     seen: the memory (vector) before; predict(z) -> mean (n,) and covariance (n, n) of the pose and more by the encoders in z alone; traction: place
     of κ there; first: 1 if nothing was measured before.
     """
-    past, last, since, contradicted = unpack(seen, memory(dt_s)).values()
+    past, last, since, contradicted, came, steady = unpack(seen, memory(dt_s)).values()
     patient = since * dt_s < REFUSED_S
 
     jump = ca.sumsqr((z[2:] - last[2:]) / ca.DM(JUMP)) > GATE if constant_speed else 0   # never where there is no last one
@@ -65,7 +68,9 @@ def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
     speed = ca.if_else(encoders, ca.fabs(z[2]), 0)
     there = valid(z, 0) * valid(z, 1) * (1 - (z[0] == last[0]) * (z[1] == last[1]))
     y = z[:2] - m[:2]
-    S = P[:2, :2] + ca.diag(V[:2]) + (DEAD_RECKONING * speed * dt_s * since[0]) ** 2 * ca.SX.eye(2)
+    near = ca.norm_2(z[:2] - last[:2]) < LONGER * speed * dt_s * (came + 1) + SLACK_M
+    steady = ca.if_else(there, ca.if_else(near, steady + 1, 0), steady)
+    S = P[:2, :2] + ca.diag(V[:2]) + (DEAD_RECKONING * speed * dt_s * since[0] * (steady >= STEADY)) ** 2 * ca.SX.eye(2)
     position = there * ca.logic_or(first, ca.bilin(ca.inv_minor(S), y, y) <= GATE)
 
     yaw, drove, far = course(past, z, m[traction], dt_s)
@@ -78,6 +83,6 @@ def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
     after = dict(past=ca.horzcat(past[:, 1:], ca.if_else(there, z, ca.DM.nan(4))),
                  last=ca.vertcat(ca.if_else(valid(z, 0) * valid(z, 1), z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:])),
                  since=ca.vertcat(ca.if_else(believed, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1)),
-                 contradicted=ca.if_else(again, 0, contradicted))
+                 contradicted=ca.if_else(again, 0, contradicted), came=ca.if_else(there, 0, came + 1), steady=steady)
     return dict(z_used=ca.vertcat(ca.if_else(believed, z[:2], ca.DM.nan(2)), turning), again=again,
                 pose=ca.vertcat(z[:2], ca.if_else(far, nearest, m[2])), seen=ca.veccat(*after.values()))

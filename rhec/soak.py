@@ -58,7 +58,7 @@ def start(base, seed):
 def arrival_covariance(base, memory):
     """P (n_s, n_s) of the RHE within the memory of the closed loop."""
     offset = size(robot.MEMORY)
-    for name, piece in rhe.start(np.zeros(6), np.ones(6), base.horizon_rhe, base.speed_model).items():
+    for name, piece in rhe.start(np.zeros(6), np.ones(6), base.horizon_rhe, base.speed_model, base.robust).items():
         if name == "P":
             return memory[offset:offset + piece.size].reshape(piece.shape)
         offset += np.size(piece)
@@ -128,9 +128,10 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m rhec.soak", description="Drive on and on, over ever-changing fields and with random faults.")
     parser.add_argument("--samples", type=int, default=10_000_000, help="at 5 Hz; 10,000,000 are 23 days")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--robust", action=argparse.BooleanOptionalAction, default=True, help="see Scenario")
     parser.add_argument("--state", type=Path, help="a file to resume from, if it is there, and to save the last state in")
     given = parser.parse_args()
-    base = Scenario()
+    base = Scenario(robust=given.robust)
     state = load(given.state, base) if given.state and given.state.exists() else start(base, given.seed)
     began, first, memory_mb = time.monotonic(), state["done"], []
     for _ in range(20):   # twentieths, to see whether memory grows

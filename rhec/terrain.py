@@ -7,14 +7,22 @@ run never depends on a library's random stream. `python -m rhec.terrain` makes t
 import functools
 from dataclasses import dataclass
 from pathlib import Path as File
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
+from pydantic import Field
 from scipy.special import betaincinv, ndtr
+
+from rhec.validation import NotNegative, Positive, Real, Traction, Whole, checked, numbers, shown
 
 STANDARD_FIELDS = File(__file__).parents[1] / "data" / "standard_gaussian_fields.npz"
 CELLS_PER_LENGTH = 8     # of the standard fields: cells in one correlation length
 LOWEST = 0.01            # traction never vanishes: a robot that cannot move teaches nothing
+MOST_CELLS = 4_000_000   # of a random field: a square kilometre
+
+Seed = Annotated[Whole, Field(ge=0)]
+Patch = tuple[Real, Real, Positive, Traction, Traction]   # disc of sudden change: (x_m, y_m, radius_m, μ, κ)
 
 
 @dataclass(frozen=True)
@@ -28,7 +36,7 @@ class Terrain:
 
     def __post_init__(self):
         for name in ("mu", "kappa"):
-            field = np.asarray(getattr(self, name), dtype=float)
+            field = numbers(name, getattr(self, name))
             if field.ndim != 2 or min(field.shape) < 2:
                 raise ValueError(f"{name} had shape {field.shape}; it must be a grid of at least 2 by 2 points")
             if not (np.all(field > 0) and np.all(field <= 1)):
@@ -36,25 +44,32 @@ class Terrain:
             object.__setattr__(self, name, field)
         if self.mu.shape != self.kappa.shape:
             raise ValueError(f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; they must be the same")
-        if np.shape(self.origin_m) != (2,) or not np.all(np.isfinite(self.origin_m)):
+        origin, cell = numbers("origin_m", self.origin_m), numbers("cell_m", self.cell_m)
+        if origin.shape != (2,) or not np.all(np.isfinite(origin)):
             raise ValueError(f"origin_m was {self.origin_m!r}; it must be two finite coordinates")
-        if not 0 < self.cell_m < np.inf:
+        if cell.shape or not 0 < cell < np.inf:
             raise ValueError(f"cell_m was {self.cell_m!r}; it must be above 0 m")
 
     @classmethod
     def uniform(cls, mu, kappa):
         """The same traction everywhere."""
-        return cls(np.full((2, 2), float(mu)), np.full((2, 2), float(kappa)), (0.0, 0.0), 1.0)
+        return cls(*([[value, value], [value, value]] for value in (mu, kappa)), (0.0, 0.0), 1.0)
 
     @classmethod
-    def random(cls, seed, box, mean, deviation, correlation_length_m, patches=(), cell_m=0.5):
+    @checked
+    def random(cls, seed: Seed, box: tuple[Real, Real, Real, Real], mean: tuple[Traction, Traction], deviation: tuple[NotNegative, NotNegative],
+               correlation_length_m: Positive, patches: tuple[Patch, ...] = (), cell_m: Positive = 0.5):
         """Beta-distributed fields over box = (x_min, x_max, y_min, y_max) [m]; mean and deviation are pairs for (μ, κ).
 
         The seed places two windows in the standard fields, turns and mirrors them. patches: ((x_m, y_m, radius_m, μ, κ), …), discs that
         replace the field.
         """
         x_min, x_max, y_min, y_max = box
-        i, j = np.mgrid[0:int(np.ceil((x_max - x_min) / cell_m)) + 1, 0:int(np.ceil((y_max - y_min) / cell_m)) + 1]
+        cells = np.ceil(np.array([x_max - x_min, y_max - y_min]) / cell_m)
+        if not (np.all(cells >= 1) and np.prod(cells) <= MOST_CELLS):
+            raise ValueError(f"box was {shown(box)}; it must be (x_min, x_max, y_min, y_max) with 1 to {MOST_CELLS:,} cells of {cell_m:g} m. "
+                             "A path or a start that takes the robot so far needs a terrain of its own")
+        i, j = np.mgrid[0:int(cells[0]) + 1, 0:int(cells[1]) + 1]
         standard, period = standard_fields()
         # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's stream is not
         draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
@@ -81,8 +96,15 @@ class Terrain:
 
     @classmethod
     def load(cls, file):
-        with np.load(file, allow_pickle=False) as data:
-            return cls(data["mu"], data["kappa"], tuple(data["origin_m"].tolist()), float(data["cell_m"]))
+        """What `save` wrote. ValueError for any other file; what is in it is never executed."""
+        try:
+            with np.load(file, allow_pickle=False) as data:
+                given = data["mu"], data["kappa"], tuple(data["origin_m"].tolist()), data["cell_m"].item()
+        except (FileNotFoundError, IsADirectoryError, PermissionError):
+            raise
+        except Exception as error:   # whatever NumPy and zipfile make of a file that is none of theirs
+            raise ValueError(f"file was {str(file)!r}; it should be a field that Terrain.save wrote ({error})") from None
+        return cls(*given)
 
 
 def random_for(scenario, path):
@@ -109,7 +131,7 @@ def flat(terrain, shape=None):
     return np.pad(fields, [(0, 0), *more], mode="edge").ravel(order="F")
 
 
-def common_shape(terrain, step=64):
+def common_shape(terrain, step=160):
     """The next of a few grid shapes, so that a path or a start of another size needs no compiling."""
     return tuple(-(-points // step) * step for points in terrain.mu.shape)
 

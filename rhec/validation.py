@@ -35,8 +35,23 @@ def sentence(name, fields, error):
         return f"{name} has no parameter {unknown!r}" + (f"; did you mean {close[0]!r}?" if close else "")
     if not first["loc"]:   # a check across fields, which speaks for itself
         return str(first["ctx"]["error"])
-    where = str(first["loc"][0]) + "".join(f"[{place}]" for place in first["loc"][1:])
-    return f"{where} was {first['input']!r}; {first['msg'].replace('Input', 'it', 1)}"
+    head = first["loc"][0]
+    where = (fields[head] if isinstance(head, int) else str(head)) + "".join(f"[{place}]" for place in first["loc"][1:])
+    return f"{where} was {shown(first['input'])}; {first['msg'].replace('Input', 'it', 1)}"
+
+
+def shown(value, length=200):
+    """A value in one line of a sentence, of a length that can be read."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= length else f"{text[:length]} …"
+
+
+def numbers(name, value):
+    """The value as an array of numbers, or in one sentence why it is none."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} was {shown(value)}; it must be made of numbers") from None
 
 
 def checked(function):

@@ -285,3 +285,11 @@ def test_the_oracles_know_what_they_say():
     log = simulated(estimator="traction_oracle").log
     np.testing.assert_array_equal(log[["mu_hat", "kappa_hat"]], log[["mu", "kappa"]])
     assert np.all(simulated(estimator="ekf").log[["mu_hat", "kappa_hat"]] == 1)
+
+
+def test_an_open_path_is_followed_from_its_first_sample_whatever_the_noise():
+    path = rhec.Path.from_segments([(15.0, 0.0), (12.0, 0.1), (15.0, 0.0)])
+    for seed in range(5):
+        run = rhec.simulate(rhec.Scenario(path=path, reading="calibrated", seed=seed, duration_s=60.0))
+        assert run.log["s_m"].between(-0.2, path.length_m).all()
+        assert run.metrics["mean_error_true_m"] < 0.12

@@ -60,6 +60,17 @@ def test_what_is_built_is_found_again(tmp_path):
 
 
 @needs_compiler
+def test_whoever_waits_at_a_terminal_is_told_what_for_once(tmp_path):
+    terminal, stderr = os.openpty()
+    build = [sys.executable, "-c", BUILD.format(dt=0.2)]
+    for _ in range(2):
+        subprocess.run(build, stdout=subprocess.DEVNULL, stderr=stderr, env=os.environ | dict(RHEC_CACHE=str(tmp_path / "one")), check=True)
+    assert os.read(terminal, 1000).decode().splitlines() == ["rhec: compiling the ekf, once (some seconds)"]
+    quiet = subprocess.run(build, capture_output=True, env=os.environ | dict(RHEC_CACHE=str(tmp_path / "two")), check=True)
+    assert quiet.stderr == b""
+
+
+@needs_compiler
 def test_another_structure_or_another_source_is_another_library(tmp_path):
     answer(start(tmp_path / "cache"))
     answer(start(tmp_path / "cache", dt=0.1))

@@ -144,6 +144,15 @@ def test_means_by_gnss_are_over_the_samples_that_have_a_position():
     assert np.isnan(silent.metrics["mean_error_m"]) and np.isfinite(silent.metrics["mean_error_true_m"])
 
 
+def test_the_log_of_a_run_says_when_a_step_was_not_solved():
+    """Ninety thousand kilometres off for a second, without robust handling: commands keep their bound, `ok` is False for some samples, True again after."""
+    fault = rhec.Fault(kind="jump", size_m=9e7, start_s=20.0, duration_s=1.0)
+    run = simulated(fault, duration_s=60.0)
+    log = run.log
+    assert log["ok"][:100].all() and not log["ok"].all() and log["ok"][140:].all() and not run.metrics["all_ok"]
+    assert log["omega_cmd_radps"].abs().max() <= 0.1 and np.isfinite(log.filter(like="hat")).all(axis=None)
+
+
 CASES = {(family, name): case for family, of_family in robustness.CASES.items() for name, case in of_family.items()}
 
 
@@ -171,7 +180,7 @@ def test_a_response_is_what_the_errors_say():
 
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
     cases = {family: dict(list(robustness.CASES[family].items())[:2]) for family in ("GNSS outage", "start")}
-    table, errors = robustness.study(rhec.Scenario(reading="calibrated"), 2, {"off": {}, "on": {"arrival_mean": "filtered"}}, cases)
+    table, errors = robustness.study(rhec.Scenario(reading="calibrated"), range(2), {"off": {}, "on": {"arrival_mean": "filtered"}}, cases)
     assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(zip(table["family"], table["case"], table["handling"]))
     outage = errors["GNSS outage", "3 s", "off"]
     assert outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT)) and np.isfinite(outage).all()

@@ -10,7 +10,7 @@ import pytest
 import rhec
 from rhec import closed_loop, soak
 
-BASE = rhec.Scenario()
+BASE = rhec.Scenario(robust=True)
 
 
 def same(one, other):

@@ -169,8 +169,8 @@ def measure(rounds=30):
     run = problems.drive(SAMPLES)
     recorded = problems.record(run)
     agreeing, iterations = agreement(run, recorded)
-    contestants = {"rhec, closed loop": fused(run.scenario), "rhec, compiled code alone": without_python(run, recorded), "rhec, one iteration": from_python(run, recorded),
-                   "rhec, to convergence": from_python(run, recorded, iterations)}
+    contestants = {"rhec, closed loop": fused(run.scenario), "rhec, compiled code alone": without_python(run, recorded),
+                   "rhec, one iteration": from_python(run, recorded), "rhec, to convergence": from_python(run, recorded, iterations)}
     times = interleaved(contestants | {name: peer(makers, recorded) for name, makers in peers.PEERS.items()}, rounds)
     table = spread(times, ["contestant", "problem", "phase"])
     whole = times[times["problem"].isin(WHOLE)].pivot(index="block", columns="contestant", values="us")

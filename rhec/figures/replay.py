@@ -14,11 +14,13 @@ from matplotlib.ticker import LogLocator
 from rhec import scores
 
 from .results import over_seeds
-from .style import BLACK, COLOURS, DOUBLE_IN, FOLDER, GREY, ORANGE, PURPLE, ROOT, styled
+from .style import BLACK, COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPLE, ROOT, styled
 
-LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]}}
+LOOKS = {"RHE": {"color": COLOURS["RHE"]}, "RHE, ν as input": {"color": GREEN}, "RHE, ν over the window": {"color": PURPLE}, "EKF": {"color": COLOURS["EKF"]},
+         "augmented EKF": {"color": ORANGE}}
 STRAIGHT_RADPS, SMOOTH = 0.05, 11   # slower turns count as straight, by the median of so many samples
-QUANTITIES = dict(yaw_rms_rad="RMS error of yaw [rad]", yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]", position_rms_m="RMS error of position [m]",
+QUANTITIES = dict(yaw_rms_rad="RMS error of yaw [rad]", yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]",
+                position_rms_m="RMS error of position [m]",
                 innovation_rms_m="RMS innovation [m]", mu_median="median of mu", mu_regression="mu by regression", mu_difference="median - regression, mu",
                 kappa_median="median of kappa", kappa_regression="kappa by regression", kappa_difference="median - regression, kappa",
                 nees_yaw="squared yaw error by its variance", inside_95="yaw errors within 95 % bounds", outside="samples with mu or kappa outside [0, 1]",
@@ -43,11 +45,20 @@ def _time(axes, samples):
     """Time along the last of the axes, what is straight or standing shaded in all."""
     t = samples["t_s"]
     straight = samples["omega_meas_radps"].abs().rolling(SMOOTH, center=True, min_periods=1).median() < STRAIGHT_RADPS
+    straight &= samples["segment"].diff(-1) == 0
     for each in axes:
         each.fill_between(t, 0, 1, where=straight, transform=each.get_xaxis_transform(), color="0.93", linewidth=0, zorder=0)
         each.grid(axis="x", visible=False)
     axes[-1].set_xlabel(f"time [s]  (shaded: straight or standing, the tracks turn by less than {STRAIGHT_RADPS} rad/s)")
     axes[-1].set_xlim(t.min(), t.max())
+
+
+def _decades(axis):
+    """A logarithmic axis with 1, 2 and 5 written out."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.axes.minorticks_off()
 
 
 @styled
@@ -118,7 +129,7 @@ def replay_traction(replays, first):
             axes.axhline(scores.regression(samples)[place], color=BLACK, linestyle="--", linewidth=0.8, label="regression, whole log")
         axes.set_ylim(-0.05, 1.15)
         axes.set_ylabel(f"${symbol}$ [-]")
-    panels[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=5, borderaxespad=0.1, handlelength=1.2, columnspacing=1.0)
+    panels[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=6, borderaxespad=0.1, handlelength=1.2, columnspacing=1.0)
     _time(panels, samples)
     return figure
 
@@ -130,11 +141,13 @@ def replay_uncertainty(samples, name):
     motion.plot(*_broken(samples, "t_s", "nu_meas_mps"), color=BLACK, linewidth=0.7, label="speed [m/s]")
     motion.plot(*_broken(samples, "t_s", "omega_meas_radps"), color=COLOURS["measured"], linewidth=0.7, label="yaw rate [rad/s]")
     motion.set_ylabel("encoders")
-    yaw.semilogy(*_broken(samples, "t_s", "sigma_theta_rad"), color=COLOURS["RHE"], label=r"$\sigma_\theta$ [rad]")
+    yaw.plot(*_broken(samples, "t_s", "sigma_theta_rad"), color=COLOURS["RHE"], label=r"$\sigma_\theta$ [rad]")
     yaw.set_ylabel(r"$\sigma_\theta$ [rad]")
     for column, label, colour in [("sigma_mu", r"$\sigma_\mu$", ORANGE), ("sigma_kappa", r"$\sigma_\kappa$", PURPLE)]:
-        traction.semilogy(*_broken(samples, "t_s", column), color=colour, label=label)
+        traction.plot(*_broken(samples, "t_s", column), color=colour, label=label)
     traction.set_ylabel(r"$\sigma_\mu$, $\sigma_\kappa$ [-]")
+    for axes in (yaw, traction):
+        _decades(axes.yaxis)
     for axes in (motion, traction):
         axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.1)
     motion.set_title(name, loc="left")
@@ -168,14 +181,33 @@ def replay_trials(trials):
         axes.annotate(f"{mean:.3g}", (place + 0.25, mean), (3, 0), textcoords="offset points", va="center")
     axes.set_xticks(range(len(trials)), list(trials))
     axes.set_xlim(-0.5, len(trials) - 0.3)
-    axes.set_yscale("log")
+    _decades(axes.yaxis)
     axes.set_ylim(0.7 * min(rows["yaw_rms_rad"].min() for rows in trials.values()), 1.4 * max(rows["yaw_rms_rad"].max() for rows in trials.values()))
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.minorticks_off()
     axes.set_ylabel("RMS yaw error [rad]")
     axes.set_title(f"{n} noise seeds; mean and 95 % interval", loc="left")
     axes.grid(axis="x", visible=False)
+    return figure
+
+
+@styled
+def replay_faults(table):
+    """Largest error of the position [m] and of the yaw [rad] from the beginning of each fault on, as it is and robust; every noise seed a dot, means bars.
+
+    table: rows of `scores.fault_trials`.
+    """
+    figure, panels = plt.subplots(1, 2, figsize=(DOUBLE_IN, 0.6 + 0.26 * table["fault"].nunique()), sharey=True)
+    names = list(dict.fromkeys(table["fault"]))
+    for axes, column, label in zip(panels, ("worst_position_m", "worst_yaw_rad"), ("largest position error [m]", "largest yaw error [rad]")):
+        for (robust, look), shift in zip({False: COLOURS["EKF"], True: COLOURS["RHE"]}.items(), (-0.18, 0.18)):
+            for place, name in enumerate(names):
+                values = table.loc[(table["fault"] == name) & (table["robust"] == robust), column]
+                axes.plot(values, np.full(len(values), place + shift), "o", markersize=2, alpha=0.5, markeredgewidth=0, color=look)
+                axes.plot(values.mean(), place + shift, "|", markersize=8, color=look, label=("robust" if robust else "as it is") if place == 0 else None)
+        _decades(axes.xaxis)
+        axes.set_xlabel(label)
+    panels[0].set_yticks(range(len(names)), names)
+    panels[0].set_ylim(len(names) - 0.5, -0.5)
+    panels[1].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.1)
     return figure
 
 

@@ -1,0 +1,132 @@
+/* Feeds rhec with what no sensor should ever say: fuzz [steps [seed]]
+ *
+ * NaN, infinities, denormals, huge and ordinary numbers, in storms and alone, and at times a struct rhec whose memory has been written over. After every
+ * step the estimate must be finite and the command within its bounds: if not, it says so and returns 1. After each storm come 20 s of ordinary driving; how
+ * many storms leave an estimate that is then still wrong by more than 0.5 m, or a fall-back, is reported, and so is how often each status came back. */
+#include <float.h>
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "rhec.h"
+
+static uint64_t state;
+
+/* splitmix64 */
+static uint64_t bits(void)
+{
+    uint64_t b = state += UINT64_C(0x9E3779B97F4A7C15);
+    b = (b ^ (b >> 30)) * UINT64_C(0xBF58476D1CE4E5B9);
+    b = (b ^ (b >> 27)) * UINT64_C(0x94D049BB133111EB);
+    return b ^ (b >> 31);
+}
+
+static double uniform(void)
+{
+    return (double)(bits() >> 11) / 9007199254740992.0;
+}
+
+static double nonsense(void)
+{
+    static const double odd[] = {0, -0.0, NAN, INFINITY, -INFINITY, DBL_MAX, -DBL_MAX, DBL_MIN, 4e-324, -4e-324, 1e8, -1e8, 100, -100, 1e12, 1e300};
+    uint64_t b = bits();
+    double sign = uniform() < 0.5 ? -1 : 1, number;
+    switch (bits() % 4) {
+    case 0:
+        return odd[b % (sizeof odd / sizeof *odd)];
+    case 1:
+        memcpy(&number, &b, sizeof number); /* any double there is */
+        return number;
+    case 2:
+        return sign * pow(10, 600 * uniform() - 300);
+    default:
+        return sign * 100 * uniform();
+    }
+}
+
+/* The robot drives on: eq. (systemmodel) at the scenario's set speed, little slip. */
+static void drive(double pose[3], double speed, double omega)
+{
+    for (int i = 0; i < 10; i++) {
+        pose[0] += RHEC_DT_S / 10 * 0.9 * speed * cos(pose[2]);
+        pose[1] += RHEC_DT_S / 10 * 0.9 * speed * sin(pose[2]);
+        pose[2] += RHEC_DT_S / 10 * 0.8 * omega;
+    }
+}
+
+/* One sample; z measured, or spoilt with this probability. Returns the status; dies where a promise is broken. */
+static int sample(struct rhec *r, double pose[3], double spoilt, double error[1])
+{
+    double speed = rhec_scenario_guess[3], omega = 0, estimate[6] = {0};
+    double z[4] = {pose[0], pose[1], speed, r->omega[0]};
+    for (int i = 0; i < 4; i++) {
+        z[i] += i < 2 ? 0.06 * (uniform() - 0.5) : 0;
+        z[i] = uniform() < spoilt ? nonsense() : z[i];
+    }
+    if (bits() % 2) {
+        rhec_prepare_estimate(r);
+    }
+    int status = rhec_estimate(r, z, estimate);
+    if (bits() % 2) {
+        rhec_prepare_control(r);
+    }
+    status |= rhec_control(r, &omega);
+    for (int i = 0; i < 6; i++) {
+        if (!isfinite(estimate[i])) {
+            fprintf(stderr, "estimate %d was %g\n", i, estimate[i]);
+            exit(1);
+        }
+    }
+    if (!(fabs(omega) <= rhec_scenario.omega_max[0])) {
+        fprintf(stderr, "omega was %g\n", omega);
+        exit(1);
+    }
+    drive(pose, speed, omega);
+    error[0] = hypot(estimate[0] - pose[0], estimate[1] - pose[1]);
+    return status;
+}
+
+int main(int argc, char **argv)
+{
+    static struct rhec r;
+    long steps = argc > 1 ? atol(argv[1]) : 1000000, done = 0;
+    long by_status[16] = {0}, storms = 0, lost = 0;
+    state = argc > 2 ? strtoull(argv[2], NULL, 10) : 0;
+    while (done < steps) {
+        double guess[6], pose[3], error[1];
+        memcpy(guess, rhec_scenario_guess, sizeof guess);
+        memcpy(pose, rhec_scenario_guess, sizeof pose);
+        for (int i = 0; i < 6; i++) {
+            guess[i] = bits() % 16 ? guess[i] : nonsense();
+        }
+        rhec_init(&r, &rhec_scenario, guess);
+        for (int storm = 0; storm < 10; storm++, storms++) {
+            double spoilt = uniform();
+            int length = 1 + (int)(bits() % 60), calm = 100, status = 0;
+            if (bits() % 8 == 0) { /* memory gone bad */
+                double *memory[] = {(double *)&r.estimator, (double *)&r.controller, (double *)&r.path};
+                size_t sizes[] = {sizeof r.estimator, sizeof r.controller, sizeof r.path};
+                for (int i = 0; i < 5; i++) {
+                    size_t which = bits() % 3, place = bits() % (sizes[which] / sizeof(double));
+                    memory[which][place] = nonsense();
+                }
+            }
+            for (int i = 0; i < length + calm; i++, done++) {
+                status = sample(&r, pose, i < length ? spoilt : 0, error);
+                by_status[status]++;
+            }
+            if (status != 0 || error[0] > 0.5) {
+                lost++;
+            }
+        }
+    }
+    printf("%ld samples, %ld storms, after %ld of them still lost 20 s later\nstatus,samples\n", done, storms, lost);
+    for (int status = 0; status < 16; status++) {
+        if (by_status[status]) {
+            printf("%d,%ld\n", status, by_status[status]);
+        }
+    }
+    return 0;
+}

@@ -1,0 +1,67 @@
+/* Replays a log: replay log.csv > answers.csv
+ *
+ * Each row of the log holds a measurement, x, y, nu, omega (nothing, or nan: no measurement), below a line of titles. If it also holds what rhec
+ * answered in Python, x, y, theta, nu, mu, kappa and the command, the largest difference is reported, and is an error above 1e-9. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "rhec.h"
+
+enum { GIVEN = 4, ANSWERED = 7 };
+
+/* The numbers of a line, NaN where there is none; returns how many. */
+static int parse(char *line, double *numbers, int most)
+{
+    int count = 0;
+    for (char *field = line; field && count < most; count++) {
+        char *end, *next = strchr(field, ',');
+        double number = strtod(field, &end);
+        numbers[count] = end > field ? number : NAN;
+        field = next ? next + 1 : NULL;
+    }
+    return count;
+}
+
+int main(int argc, char **argv)
+{
+    static struct rhec r; /* too large for small stacks */
+    static char line[4096];
+    FILE *log = argc == 2 ? fopen(argv[1], "r") : NULL;
+    if (!log || !fgets(line, sizeof line, log)) {
+        fprintf(stderr, "usage: %s log.csv\n", argv[0]);
+        return 2;
+    }
+    double largest = 0;
+    int compared = 0;
+    rhec_init(&r, &rhec_scenario, rhec_scenario_guess);
+    puts("x_hat_m,y_hat_m,theta_hat_rad,nu_hat_mps,mu_hat,kappa_hat,omega_cmd_radps,status");
+    while (fgets(line, sizeof line, log)) {
+        double numbers[GIVEN + ANSWERED], answer[ANSWERED];
+        int count = parse(line, numbers, GIVEN + ANSWERED);
+        for (int i = count; i < GIVEN; i++) {
+            numbers[i] = NAN;
+        }
+        rhec_prepare_estimate(&r);
+        rhec_prepare_control(&r);
+        int status = rhec_estimate(&r, numbers, answer);
+        status |= rhec_control(&r, &answer[6]);
+        for (int i = 0; i < ANSWERED; i++) {
+            printf("%.17g,", answer[i]);
+        }
+        printf("%d\n", status);
+        if (count == GIVEN + ANSWERED) {
+            compared++;
+            for (int i = 0; i < ANSWERED; i++) {
+                double difference = fabs(answer[i] - numbers[GIVEN + i]);
+                largest = difference <= largest ? largest : difference; /* NaN counts */
+            }
+        }
+    }
+    fclose(log);
+    if (compared) {
+        fprintf(stderr, "largest difference in %d samples: %.3g\n", compared, largest);
+    }
+    return !(largest <= 1e-9);
+}

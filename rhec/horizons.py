@@ -1,0 +1,59 @@
+"""What the robot has in mind at one sample of a run: the window of its estimator and the plan of its controller.
+
+A run is a fold, so that the memory at sample k is the fold of the samples up to k: nothing needs to have been kept.
+"""
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from rhec import closed_loop, compiled, faults, fold, paper, rhc, rhe, robot
+from rhec.function import unpack, vector
+
+
+class Horizons(NamedTuple):
+    """At sample k. Poses are (x, y, θ) [m, m, rad] of the field; nodes run from the oldest to the newest."""
+
+    truth: np.ndarray         # (3,) where the robot is
+    estimate: np.ndarray      # (6,) (x, y, θ, ν, μ, κ)
+    window: np.ndarray        # (n, 3) poses of the RHE's trajectory, the newest last; no rows for other estimators
+    measured: np.ndarray      # (n, 2) the GNSS positions it is fitted to [m]
+    desired: np.ndarray       # (N + 1, 3) poses of the path that the RHC was asked for; the first is now
+    plan: np.ndarray          # (N + 1, 3) poses that the RHC predicts
+    omega_radps: np.ndarray   # (N,) yaw rates that it plans
+
+
+def horizons_at(scenario, k):
+    """The Horizons of a scenario's run at sample k."""
+    made = closed_loop.world(scenario)
+    functions = compiled.load(closed_loop.functions, *made.structure)
+    memory, rows = fold.fold(functions, made.memory, closed_loop.inputs(scenario, k + 1), made.settings)
+    row = dict(zip(closed_loop.COLUMNS, rows[-1]))
+    truth, estimate = rows[-1, :3], np.array([row[name] for name in closed_loop.LOG["estimate"]])
+
+    controller = rhc.start(np.zeros(3), np.zeros(3), scenario.horizon)
+    after = dict(s=(1, 1), controller=(vector(controller).size, 1), command=(1, 1)) | (faults.MEMORY if scenario.faults else {})
+    estimator = len(memory) - sum(rows * columns for rows, columns in (robot.MEMORY | after).values())
+    pieces = _pieces(memory, robot.MEMORY | dict(estimator=(estimator, 1)) | after)
+    planned = _pieces(pieces["controller"], _shapes(controller))
+    window, measured = np.empty((0, 3)), np.empty((0, 2))
+    if scenario.estimator in ("rhe", "dual"):   # the memory of both begins with the RHE's
+        speed_model = scenario.speed_model if scenario.estimator == "rhe" else "parameter"
+        shapes = _shapes(rhe.start(np.zeros(6), rhe.SIGMA_START, scenario.horizon_rhe, speed_model))
+        past = _pieces(pieces["estimator"][:sum(rows * columns for rows, columns in shapes.values())], shapes)
+        nodes = int(past["age"].item()) + 1     # a window that is not full yet has its oldest nodes at its first sample
+        window, measured = past["s"].T[-nodes:, :3], past["z"].T[-nodes:, :2]
+        measured = np.where(np.isfinite(measured), measured, np.nan)
+    pace = abs(row["mu_hat"] * row["nu_hat_mps"]) * paper.DT_S
+    desired, _ = made.path.poses(row["s_m"] + scenario.look_ahead_m + pace * np.arange(scenario.horizon + 1))
+    return Horizons(truth, estimate, window, measured, desired, planned["s"].T[:, :3], planned["omega"].ravel())
+
+
+def _shapes(memory):
+    return {name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1) for name, piece in memory.items()}
+
+
+def _pieces(memory, shapes):
+    """NumPy arrays, by name, of what a memory holds."""
+    return {name: np.array(piece) for name, piece in unpack(ca.DM(memory), shapes).items()}

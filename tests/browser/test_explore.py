@@ -1,0 +1,251 @@
+"""The explorer as its user has it: JupyterLab in a browser, sliders moved by mouse and keyboard, and what the page then shows."""
+
+import numpy as np
+import pytest
+from conftest import watched_page
+
+# From here on the page notes when each picture that follows a change was painted, and when a pointer was last pressed and let go [ms].
+WATCH = """() => {
+    window.seen = {painted: [], pressed: 0, released: 0}
+    const painted = () => requestAnimationFrame(() => setTimeout(() => seen.painted.push(performance.now())))
+    new MutationObserver(records => records.some(record => [...record.addedNodes].some(node => node.querySelector?.('svg') || node.tagName == 'svg'))
+        && painted()).observe(document.querySelector('.rhec'), {childList: true, subtree: true})
+    document.addEventListener('pointerdown', () => { seen.pressed = performance.now() }, true)
+    document.addEventListener('pointerup', () => { seen.released = performance.now() }, true)
+}"""
+QUIET_MS = 400
+
+
+class Explorer:
+    """What a user does with the page, and sees on it."""
+
+    def __init__(self, page):
+        self.page = page
+        page.evaluate("document.querySelector('.rhec').scrollIntoView()")
+        page.evaluate(WATCH)
+
+    @property
+    def picture(self):
+        return self.page.inner_html(".rhec-picture")
+
+    @property
+    def metrics(self):
+        return self.page.locator(".rhec-table tr").all_inner_texts()[1:]
+
+    @property
+    def line(self):
+        return self.page.inner_text(".rhec-line")
+
+    @property
+    def status(self):
+        return self.page.inner_text(".rhec-status")
+
+    def tab(self, name):
+        self.page.locator(".rhec .lm-TabBar-tab", has_text=name).click()
+
+    def press(self, name):
+        self.page.locator(".rhec").get_by_role("button", name=name, exact=True).click()
+
+    def slider(self, label):
+        """The box of the slider with this label, which is in the open tab."""
+        return self.page.locator(".rhec .widget-slider:visible", has=self.page.get_by_text(label, exact=True))
+
+    def keys(self, label, key, times=1):
+        self.slider(label).locator(".noUi-handle").focus()
+        for _ in range(times):
+            self.page.keyboard.press(key)
+
+    def tap(self, label, from_end):
+        """Press and let go on a slider, on the other side of its handle, so far from its end (a share of its length)."""
+        box, handle = self.slider(label).locator(".noUi-target").bounding_box(), self.slider(label).locator(".noUi-handle").bounding_box()
+        on_the_left = handle["x"] + handle["width"] / 2 < box["x"] + box["width"] / 2
+        self.page.mouse.move(box["x"] + box["width"] * (1 - from_end if on_the_left else from_end), box["y"] + box["height"] / 2)
+        self.page.mouse.down()
+        self.page.mouse.up()
+
+    def settled(self):
+        """Wait until a picture has come and no more do. Returns when each was painted since the last time, and when the pointer was pressed and let
+        go [ms]."""
+        self.page.wait_for_function("seen.painted.length")
+        self.quiet()
+        seen = self.page.evaluate("() => ({...seen})")
+        self.page.evaluate("seen.painted = []")
+        return seen
+
+    def quiet(self):
+        """Wait until the kernel has had nothing to do for a while."""
+        self.page.evaluate("""async quiet_ms => {
+            const kernel = jupyterapp.shell.currentWidget.context.sessionContext.session.kernel
+            for (let since = performance.now(); performance.now() - since < quiet_ms; await new Promise(done => setTimeout(done, 20)))
+                if (kernel.status != 'idle') since = performance.now()
+        }""", QUIET_MS)
+
+    def no_error(self, lab):
+        for output in lab.outputs(self.page):   # the first compile says so on stderr
+            assert output["output_type"] != "error" and "Error" not in "".join(output.get("text", ""))
+
+
+@pytest.fixture(scope="module")
+def opened(lab, chromium):
+    with watched_page(chromium) as page:
+        lab.open(page, "explore.ipynb")
+        lab.run(page)
+        page.wait_for_selector(".rhec-picture")
+        yield Explorer(page)
+        lab.close(page)
+
+
+@pytest.fixture
+def explorer(opened, lab):
+    """The explorer as it begins."""
+    opened.press("unpin") if opened.page.get_by_role("button", name="unpin").is_enabled() else None
+    opened.press("field run")
+    opened.press("reset")
+    opened.quiet()
+    opened.page.evaluate("seen.painted = []")
+    yield opened
+    opened.no_error(lab)
+
+
+def test_a_moved_slider_drives_the_field_again(explorer):
+    picture, metrics, line = explorer.picture, explorer.metrics, explorer.line
+    assert len(metrics) == 2
+    explorer.tab("Controller")
+    explorer.keys("R", "ArrowRight", 5)
+    explorer.settled()
+    assert explorer.picture != picture
+    assert all(now != before for now, before in zip(explorer.metrics, metrics))
+    assert "r=" in explorer.line and "r=" not in line
+    explorer.press("reset")
+    explorer.settled()
+    assert (explorer.picture, explorer.metrics, explorer.line) == (picture, metrics, line)
+
+
+def test_the_setting_is_copied_by_a_click(explorer):
+    explorer.tab("Controller")
+    explorer.press("Q²")
+    explorer.settled()
+    explorer.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    explorer.page.locator(".rhec-line").click()
+    assert explorer.page.evaluate("navigator.clipboard.readText()") == explorer.line == "rhec.Scenario(reading='calibrated', q=(1.0, 1.0, 0.0))"
+
+
+def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, capsys):
+    explorer.tab("Drive")
+    box = explorer.slider("speed [m/s]").locator(".noUi-target").bounding_box()
+    steps, mouse = 60, explorer.page.mouse
+    mouse.move(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
+    mouse.down()
+    for step in range(steps):
+        mouse.move(box["x"] + (0.3 + 0.4 * step / steps) * box["width"], box["y"] + box["height"] / 2)
+        explorer.page.wait_for_timeout(16)
+    mouse.up()
+    seen = explorer.settled()
+    while_dragging = sum(painted < seen["released"] for painted in seen["painted"])
+    last = seen["painted"][-1] - seen["released"]
+    with capsys.disabled():
+        print(f"\ndragging: {while_dragging} pictures in {(seen['released'] - seen['pressed']) / 1000:.1f} s, the last one {last:.0f} ms after the release")
+    assert 2 <= while_dragging < steps
+    readout = float(explorer.slider("speed [m/s]").locator(".widget-readout").inner_text())
+    assert f"speed_mps={readout!r}" in explorer.line
+
+
+def test_the_time_from_a_slider_to_the_new_picture(explorer, capsys):
+    """Told, not judged: it depends on the machine."""
+    places = [("Controller", "R"), ("Controller", "Q of θ"), ("Drive", "speed [m/s]"), ("Soil", "κ mean"), ("Sensors", "GNSS noise [m]")]
+    times, rng = [], np.random.default_rng(0)
+    for tab, label in places:
+        explorer.tab(tab)
+        for from_end in rng.uniform(0.05, 0.3, 8):
+            explorer.tap(label, from_end)
+            seen = explorer.settled()
+            times.append(seen["painted"][-1] - seen["pressed"])
+    median, high = np.percentile(times, [50, 95])
+    with capsys.disabled():
+        print(f"\nslider to painted picture: median {median:.0f} ms, 95 % {high:.0f} ms, {len(times)} moves, two runs each; {explorer.status}")
+    assert len(times) >= 30
+
+
+def test_a_pinned_run_stays_and_the_table_tells_the_difference(explorer):
+    explorer.press("pin")
+    explorer.settled()
+    assert len(explorer.metrics) == 4
+    assert all(set(row.split("\t")[1:]) == {"0"} for row in explorer.metrics[2:])
+    explorer.tab("Controller")
+    explorer.press("Q¹")
+    explorer.settled()
+    assert "q=(1.0, 1.0, 10.0)" in explorer.line
+    assert all("+" in row or "−" in row.split("\t", 1)[1] for row in explorer.metrics[2:])
+
+
+def test_an_impossible_setting_is_one_sentence_and_the_picture_stays(explorer):
+    explorer.tab("Soil")
+    explorer.keys("μ mean", "End")
+    explorer.settled()
+    picture = explorer.picture
+    explorer.keys("μ deviation", "End")
+    explorer.page.wait_for_function("document.querySelector('.rhec-status').innerText.includes('mu_deviation was 0.3')")
+    assert "\n" not in explorer.status
+    assert explorer.picture == picture
+
+
+def test_a_wet_patch_is_added_and_removed(explorer):
+    picture = explorer.picture
+    explorer.tab("Soil")
+    explorer.press("add a wet patch")
+    explorer.settled()
+    assert "patches=((15.0, 0.0, 2.5, 0.7, 0.55),)" in explorer.line
+    explorer.keys("along x [m]", "ArrowRight", 4)
+    explorer.settled()
+    assert "patches=((17.0, 0.0, 2.5, 0.7, 0.55),)" in explorer.line
+    explorer.press("remove the last")
+    explorer.settled()
+    assert explorer.picture == picture
+
+
+def test_the_robots_eye_plays(explorer):
+    explorer.press("robot’s eye")
+    explorer.settled()
+    first = explorer.picture
+    explorer.page.locator(".rhec .jupyter-widget-play button, .rhec .widget-play button").first.click()
+    explorer.page.wait_for_function("seen.painted.length >= 5")
+    explorer.page.locator(".rhec .jupyter-widget-play button, .rhec .widget-play button").first.click()
+    explorer.settled()
+    assert explorer.picture != first
+
+
+def test_a_new_horizon_compiles_in_the_background(explorer):
+    explorer.tab("Controller")
+    explorer.keys("horizon [intervals]", "ArrowRight", 1)
+    explorer.page.wait_for_function("document.querySelector('.rhec-line').innerText.includes('horizon=16')")
+    assert "runs of 240 s" in explorer.status
+
+
+@pytest.mark.parametrize("theme", ["JupyterLab Light", "JupyterLab Dark"])
+@pytest.mark.parametrize("width, height", [(1366, 768), (2560, 1440)])
+def test_it_fits_the_screen_and_is_readable(lab, chromium, theme, width, height):
+    with watched_page(chromium, width, height) as page:
+        lab.open(page, "explore.ipynb", theme)
+        lab.run(page)
+        page.wait_for_selector(".rhec-picture")
+        explorer = Explorer(page)
+        explorer.press("pin")
+        explorer.settled()
+        box, panel = page.locator(".rhec").bounding_box(), page.locator(".jp-NotebookPanel-notebook").bounding_box()
+        assert box["height"] <= panel["height"] and box["width"] > 0.85 * panel["width"]
+        assert page.locator(".rhec-picture").bounding_box()["width"] > 0.5 * box["width"]
+        assert page.evaluate("[...document.querySelectorAll('.rhec, .rhec-table, .rhec-picture')].every(each => each.scrollWidth <= each.clientWidth + 1)")
+        ink, paper = page.evaluate("""() => [getComputedStyle(document.querySelector('.rhec-picture')).color,
+                                             getComputedStyle(document.querySelector('.jp-Notebook')).backgroundColor]""")
+        assert contrast(ink, paper) > 7
+        lab.close(page)
+
+
+def contrast(one, other):
+    """WCAG's contrast ratio of two colours as CSS computes them."""
+    def luminance(colour):
+        rgb = np.array([float(part) for part in colour.partition("(")[2].rstrip(")").split(",")[:3]]) / 255
+        return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+
+    low, high = sorted([luminance(one), luminance(other)])
+    return (high + 0.05) / (low + 0.05)
