@@ -70,7 +70,7 @@ def test_traction_stays_within_its_bounds(step):
     _, z = drive((0, 0, 0, 0.5, 1.15, 1.2), weave(80))
     z = z + np.random.default_rng(1).normal(size=z.shape) * np.sqrt(V)
     estimates, _ = run(step, first((0, 0, 0, 0.5, 1, 1)), z)
-    assert ((0 <= estimates[:, 4:]) & (estimates[:, 4:] <= 1)).all() and (estimates[:, 4:] == 1).any()
+    assert ((estimates[:, 4:] >= 0) & (estimates[:, 4:] <= 1)).all() and (estimates[:, 4:] == 1).any()
 
 
 def test_a_run_cut_in_two_goes_on_as_if_it_had_not_been(step):
