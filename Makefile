@@ -10,8 +10,8 @@ NOTEBOOKS := \
   readings_audit \
   faults \
   replay \
-  beyond \
   explore \
+  beyond \
   computation_times \
   embedded
 

@@ -37,6 +37,7 @@ from rhec.figures import style
 ROOT = Path(__file__).resolve().parents[1]
 TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
+LONG = 40   # characters: a text in a table that wants room
 LIVE = '<p class="live">Sliders, and pictures that follow them: run <code>make lab</code> and open this notebook.</p>'
 FONT = FontProperties(math_fontfamily="stix", size=100)   # a hundredth of it is an em
 
@@ -45,8 +46,8 @@ FONT = FontProperties(math_fontfamily="stix", size=100)   # a hundredth of it is
 
 def formula(tex, display=False):
     """The SVG of a formula, as high as the text around it (1 em), in the text's colour. Raises a ValueError for what mathtext does not know."""
-    tex_long = re.sub(r"\\([gln]e)\b", r"\\\1q", tex)   # mathtext has \geq, \leq and \neq by their long names alone
-    text = f"${' '.join(tex_long.split())}$"
+    text = f"${' '.join(tex.split())}$"
+    text = re.sub(r"\\([gln]e)\b", r"\\\1q", text)   # mathtext has \geq, \leq and \neq by their long names alone
     try:
         width, height, depth = text_to_path.get_text_width_height_descent(text, FONT, ismath=True)
         outline = TextPath((0, 0), text, prop=FONT)
@@ -89,7 +90,10 @@ def notebook_page(file, pages):
     """What the report shows of an executed notebook: name, title, lead, contents, body (HTML), first picture (PNG), run (times). pages: all names."""
     notebook = nbformat.read(file, as_version=4)
     prepare_outputs(notebook)
-    body, _ = Cells().from_notebook_node(notebook)
+    try:
+        body, _ = Cells().from_notebook_node(notebook)
+    except ValueError as error:
+        raise ValueError(f"{file.name}: {error}") from None
     soup = BeautifulSoup(body, "html.parser")
     for link in soup.select("a[href$='.ipynb']"):
         name = Path(link["href"]).stem
@@ -98,6 +102,9 @@ def notebook_page(file, pages):
     for table in soup.select("table"):
         table.attrs.pop("border", None)
         table.wrap(soup.new_tag("div", attrs={"class": "scroll"}))
+    for cell in soup.select("td"):
+        if len(cell.get_text()) > LONG:
+            cell["class"] = "long"
     for old in soup.select("style"):   # pandas' own, for each table
         old.decompose()
     heading, lead = soup.select_one("h1"), soup.select_one(".markdown p")
@@ -118,11 +125,13 @@ def plain(tag):
 
 
 def prepare_outputs(notebook):
-    """Give each picture the beginning of the text above it as its description, and say where widgets live."""
+    """Give each picture the beginning of the text above it as its description, drop progress bars, and say where other widgets live."""
     above = ""
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
             above = re.sub(r"[*#`$]", "", cell.source.strip().split("\n\n")[-1])
+        if cell.cell_type == "code":
+            cell.outputs = [output for output in cell.outputs if not re.search(r"\d%\|", output.get("data", {}).get("text/plain", ""))]
         for output in cell.get("outputs", []):
             data = output.get("data", {})
             if "image/png" in data:
@@ -168,13 +177,19 @@ def tables_of(folder):
 
 
 def ledger_of(tables):
-    """[(table, its rows with a claim)]: every table that has the columns `claim` and `verdict`."""
-    return [(table, table["frame"].dropna(subset=["claim"])) for table in tables if {"claim", "verdict"} <= set(table["frame"])]
+    """[(table, its rows with a claim, the verdict beside it)]: every table that has the columns `claim` and `verdict`."""
+    found = []
+    for table in tables:
+        columns = list(table["frame"])
+        if {"claim", "verdict"} <= set(columns):
+            columns.insert(columns.index("claim") + 1, columns.pop(columns.index("verdict")))
+            found.append((table, table["frame"].dropna(subset=["claim"])[columns].dropna(axis="columns", how="all")))
+    return found
 
 
 def tone(verdict):
-    """Which of three colours a verdict has."""
-    return "good" if str(verdict).startswith("holds") else "bad" if str(verdict).startswith(("fails", "does not hold")) else "open"
+    """Which of four kinds a verdict is of: good, part (of the readings), bad or open."""
+    return {"holds": "good", "fails": "bad", "does not hold": "bad"}.get(str(verdict), "part" if str(verdict).startswith("holds ") else "open")
 
 
 def as_html(frame):
@@ -182,7 +197,7 @@ def as_html(frame):
     def cell(value):
         if isinstance(value, float):
             return "" if pd.isna(value) else f"{value:.4g}"
-        return escape(str(value))
+        return f'<div class="long">{escape(value)}</div>' if len(str(value)) > LONG else escape(str(value))
 
     def verdict(value):
         return f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else ""
@@ -246,7 +261,7 @@ def write_site(notebooks, figures, site):
     jinja = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                lstrip_blocks=True)
     jinja.filters.update(table=as_html, seconds=lambda value: "–" if value is None else f"{value:.1f} s", nice=nice)
-    for page in ("index", "figures", "tables", "claims", "provenance"):
+    for page in ("index", "results-claims", "results-figures", "results-tables", "results-provenance"):   # a notebook may be called claims, too
         write(site / f"{page}.html", jinja.get_template(f"{page}.html.j2").render(common, page=page))
     for story in stories:
         write(site / f"{story['name']}.html", jinja.get_template("story.html.j2").render(common, page=story["name"], story=story))
@@ -271,6 +286,8 @@ def main():
         build(parser.parse_args().notebooks)
     except KeyboardInterrupt:
         parser.exit(130, "report: interrupted; an older one is left as it was\n")
+    except ValueError as error:
+        parser.exit(1, f"report: {error}\n")
     print(f"report: open {os.path.relpath(REPORT / 'index.html')}")
 
 

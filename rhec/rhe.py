@@ -24,12 +24,13 @@ from rhec.validation import ArrivalMean, Flag, Intervals, NotNegative, Positive,
 
 BEYOND = 1e12                # an estimate beyond this, or not a number, is no estimate
 SIGMA_HELD = (1.0, 1.0)      # ν [m/s], ω [rad/s]: how far a missing input may be from the one before
-SIDE_MPS = 1e-3              # the side slip speed of tracks that stand still
+SIDE_MPS = 1e-3              # the side slip speed of a robot that does not turn
 
 # Process noise W as standard deviations of (x, y, θ, ν, μ, κ) per sample: to the letter (R2), and as `rhec.calibration` found it on training seeds.
 SIGMA_W = {"printed": paper.SIGMA_W_RHE, "calibrated": (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001)}
-# Where noise is the tracks' slip it grows with the distance d they ran, like √d: of (μ, κ), of the way of each track, and across in turning.
-SIGMA_W_SLIPPING, SIGMA_TRACK, SIGMA_SIDE = (0.015, 0.02), 0.05, 0.05   # [1/√m], [m/√m], [m/√m]
+# Where noise is the tracks' slip it grows with the motion: of (μ, κ) with the distance d that the tracks ran, like √d; of the motion itself in proportion,
+# ν and ω by shares of themselves, the side slip speed by a share of bω; and bumps turn the robot, like √d.
+SIGMA_W_SLIPPING, SHARES, SIGMA_BUMPS = (0.01, 0.015), (0.1, 0.25, 0.08), 0.02   # [1/√m], [-], [rad/√m]
 # Before the first sample, standard deviations of (x, y, θ, ν, μ, κ, l_f, l_l): the paper's W, and an antenna whose place is known to the millimetre.
 SIGMA_START = (*paper.SIGMA_W_RHE, 1e-3, 1e-3)
 
@@ -53,8 +54,8 @@ class Window(NamedTuple):
 
     @property
     def weights(self):
-        """Variances: V of the readings, and where tracks slip (σ_track², σ_side², b); W of the process noise."""
-        return dict(V=(7 if self.interval.slips else 4, 1)), dict(W=(self.interval.n_s, 1))
+        """Variances: V of the readings, and where tracks slip of shares and bumps, with b; W of the process noise."""
+        return dict(V=(9 if self.interval.slips else 4, 1)), dict(W=(self.interval.n_s, 1))
 
     @property
     def linearised(self):
@@ -75,13 +76,13 @@ def measured_inputs(window, z, v, V):
     for place, row in window.interval.measured_inputs:
         mean.append(ca.if_else(valid(z, row), z[row], v[place]))
         variance.append(ca.if_else(valid(z, row), V[row], SIGMA_HELD[row - 2] ** 2))
-    if window.interval.slips:   # each track's way varies by σ_track √d; across it slips by σ_side √(way of the tracks in turning)
-        sigma2_track, sigma2_side, b = V[4], V[5], V[6]
-        left, right = ran(*mean, b)
-        variance[0] += sigma2_track * (left + right) / 4 / window.dt_s
-        variance[1] += sigma2_track * (left + right) / b**2 / window.dt_s
+    if window.interval.slips:
+        nu, omega = mean
+        share2_nu, share2_omega, share2_side, sigma2_bumps, b = ca.vertsplit(V[4:])
+        variance[0] += share2_nu * nu**2
+        variance[1] += share2_omega * omega**2 + sigma2_bumps * ca.fabs(nu) / window.dt_s
         mean.append(0)
-        variance.append(sigma2_side * ca.fabs(b / 2 * mean[1]) / window.dt_s + SIDE_MPS**2)
+        variance.append(share2_side * (b * omega) ** 2 + SIDE_MPS**2)
     return ca.vertcat(*mean), ca.diag(ca.vertcat(*variance))
 
 
@@ -89,7 +90,7 @@ def process_noise(window, v, W, V):
     """W of one interval: per sample, or where tracks slip per metre that they ran."""
     if not window.interval.slips:
         return ca.diag(W)
-    left, right = ran(v[0], v[1], V[6])
+    left, right = ran(v[0], v[1], V[8])
     return ca.diag(W * (left + right) / 2 * window.dt_s)
 
 
@@ -264,6 +265,7 @@ def expand(window, linearise, feedback, loops):
         the first start: what made it fail may be in the readings or in the arrival cost, and would stay. What is no number anywhere is none at the
         newest node either."""
         good = ok * sane(s_new[:, N])
+        s = ca.if_else(sane(s[:, N]), s, 0)
         held = ca.if_else(ca.fabs(v) <= Z_MAX[3], v, 0)   # an input beyond what can be read
         return dict(s=ca.if_else(good, s_new, s), v=ca.if_else(good, v_new, held), z=ca.if_else(good, z, ca.SX.nan(4, N + 1)),
                     age=ca.if_else(good, age, 0), m=ca.if_else(good, m, s[:, N]),
@@ -350,7 +352,7 @@ def variances(speed_model, reading, sigma_w, sigma_v, track_width_m):
     states = list(model.interval(speed_model).states)
     if speed_model == "slipping":
         sigma_w = (0,) * 5 + tuple(SIGMA_W_SLIPPING if sigma_w is None else sigma_w)
-        return dict(V=np.array([*np.square([*sigma_v, SIGMA_TRACK, SIGMA_SIDE]), track_width_m]), W=np.square(sigma_w))
+        return dict(V=np.array([*np.square([*sigma_v, *SHARES, SIGMA_BUMPS]), track_width_m]), W=np.square(sigma_w))
     return dict(V=np.square(sigma_v), W=np.square(np.array(SIGMA_W[reading])[states] if sigma_w is None else sigma_w))
 
 

@@ -31,9 +31,9 @@ SIGMA_AGAIN = (0.05, 0.05, 0.1, 0.05, 0.1, 0.1, 0.1, 0.1)   # of (x, y, θ, ν, 
 
 
 def memory(dt_s):
-    """Shapes of what is remembered: `past` raw readings; the position that came `last` and the encoder readings last believed; samples `since` a
-    position and since encoder readings were believed, and how many in a row the course has `contradicted` the yaw; samples since a position `came`,
-    and how many of them in a row were `steady`, near the one before."""
+    """Shapes of what is remembered: `past` positions, with the encoder readings believed then; the position that came `last` and the encoder readings
+    last believed; samples `since` a position and since encoder readings were believed, and how many in a row the course has `contradicted` the yaw;
+    samples since a position `came`, and how many of them in a row were `steady`, near the one before."""
     return dict(past=(4, round(COURSE_S / dt_s)), last=(4, 1), since=(2, 1), contradicted=(1, 1), came=(1, 1), steady=(1, 1))
 
 
@@ -64,7 +64,8 @@ def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
     encoders = valid(z, 2) * valid(z, 3) * (1 - jump * patient[1])
     turning = ca.if_else(encoders, z[2:], ca.DM.nan(2))
 
-    m, P = predict(ca.vertcat(z[:2], turning))
+    usable = ca.vertcat(z[:2], turning)
+    m, P = predict(usable)
     speed = ca.if_else(encoders, ca.fabs(z[2]), 0)
     there = valid(z, 0) * valid(z, 1) * (1 - (z[0] == last[0]) * (z[1] == last[1]))
     y = z[:2] - m[:2]
@@ -73,14 +74,14 @@ def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
     S = P[:2, :2] + ca.diag(V[:2]) + (DEAD_RECKONING * speed * dt_s * since[0] * (steady >= STEADY)) ** 2 * ca.SX.eye(2)
     position = there * ca.logic_or(first, ca.bilin(ca.inv_minor(S), y, y) <= GATE)
 
-    yaw, drove, far = course(past, z, m[traction], dt_s)
+    yaw, drove, far = course(past, usable, m[traction], dt_s)
     suspect = there * (1 - position) * drove
     contradicted = ca.if_else(suspect * far * (ca.cos(yaw - m[2]) < AWAY), contradicted + 1, 0)
     again = suspect * ca.logic_or(contradicted >= TURNED, 1 - patient[0])
     nearest = yaw - 2 * ca.pi * ca.floor((yaw - m[2]) / (2 * ca.pi) + 0.5)
 
     believed = ca.logic_or(position, again)
-    after = dict(past=ca.horzcat(past[:, 1:], ca.if_else(there, z, ca.DM.nan(4))),
+    after = dict(past=ca.horzcat(past[:, 1:], ca.if_else(there, usable, ca.DM.nan(4))),
                  last=ca.vertcat(ca.if_else(valid(z, 0) * valid(z, 1), z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:])),
                  since=ca.vertcat(ca.if_else(believed, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1)),
                  contradicted=ca.if_else(again, 0, contradicted), came=ca.if_else(there, 0, came + 1), steady=steady)

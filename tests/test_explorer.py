@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+import threading
 from dataclasses import fields, replace
 
 import numpy as np
@@ -176,6 +177,25 @@ def test_a_file_name_cannot_leave_its_folder(made, name, tmp_path):
     made.save.click()
     assert "name was " in made.status.value
     assert not [*tmp_path.iterdir()]
+
+
+def test_callbacks_in_two_threads_do_not_meet(made):
+    """As with a kernel whose page's messages are answered in its main thread and in a subshell's."""
+    def move(values):
+        for value in values:
+            made.inputs["r"].value = value
+            made.seed.value = round(value)
+
+    threads = [threading.Thread(target=move, args=(values,)) for values in ((11.0, 12.0, 13.0, 20.0), (21.0, 22.0, 23.0, 20.0))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [run.scenario for run in made.runs] == made.scenarios
+    picture = made.picture.value
+    made.seed.value = 0
+    made.seed.value = 20
+    assert made.picture.value == picture
 
 
 def test_what_goes_wrong_inside_is_said(made, monkeypatch, capsys):

@@ -153,6 +153,13 @@ def test_the_log_of_a_run_says_when_a_step_was_not_solved():
     assert log["omega_cmd_radps"].abs().max() <= 0.1 and np.isfinite(log.filter(like="hat")).all(axis=None)
 
 
+def test_infinite_encoder_readings_are_no_course_to_begin_again_with():
+    """Where a position jump has been refused for as long as it may be, and the encoders then fail."""
+    several = Fault(kind="jump", size_m=5.0, start_s=10.0), Fault(kind="infinite", channel="encoders", start_s=19.0, duration_s=5.0)
+    run = simulated(*several, robust=True)
+    assert np.isfinite(run.log.filter(like="hat")).all(axis=None) and run.log["ok"].all()
+
+
 CASES = {(family, name): case for family, of_family in robustness.CASES.items() for name, case in of_family.items()}
 
 

@@ -36,15 +36,16 @@ def site(tmp_path_factory):
                v4.new_output("execute_result", {"text/html": claims.to_html(), "text/plain": "a table"}),
                v4.new_output("display_data", {"application/vnd.jupyter.widget-view+json": {"model_id": "x"}, "text/plain": "VBox()"}),
                v4.new_output("display_data", {"application/javascript": "alert(1)", "text/plain": "js"}),
+               v4.new_output("display_data", {"application/vnd.jupyter.widget-view+json": {"model_id": "y"}, "text/plain": "  0%|          | 0/9 [00:00<?]"}),
                v4.new_output("stream", name="stderr", text="a warning")]
     one = v4.new_notebook(metadata=timed, cells=[
-        v4.new_markdown_cell("# One: the $Q^3$ story\n\nWhat it *shows*, see [the other](two.ipynb).\n\n## First & last\n\n"
+        v4.new_markdown_cell("# One: the $Q^3$ story\n\nWhat it *shows*, see [the other](claims.ipynb).\n\n## First & last\n\n"
                              "Here $\\dot x = \\mu\\nu$ and $$\\frac{1}{2}$$"),
         v4.new_code_cell("1 < 2", metadata={"tags": ["solution"], "jupyter": {"source_hidden": True}}, outputs=outputs, execution_count=1)])
     two = v4.new_notebook(cells=[v4.new_markdown_cell("# Two")])
-    for name, notebook in [("one", one), ("two", two)]:
+    for name, notebook in [("one", one), ("claims", two)]:
         nbformat.write(notebook, folder / f"{name}.ipynb")
-    report.build([folder / "one.ipynb", folder / "two.ipynb"], folder / "figures", folder / "report")
+    report.build([folder / "one.ipynb", folder / "claims.ipynb"], folder / "figures", folder / "report")
     return folder / "report"
 
 
@@ -54,7 +55,7 @@ def pages(site):
 
 def test_every_link_and_picture_is_there(site):
     found = pages(site)
-    assert {"index.html", "one.html", "two.html", "figures.html", "tables.html", "claims.html", "provenance.html"} == set(found)
+    assert {"index.html", "one.html", "claims.html", "results-figures.html", "results-tables.html", "results-claims.html", "results-provenance.html"} == set(found)
     for name, soup in found.items():
         for tag in soup.select("[href], [src]"):
             target = unquote(tag.get("href") or tag.get("src"))
@@ -112,18 +113,19 @@ def test_pictures_have_a_description_and_a_size(site):
 
 
 def test_tables_stay_text(site):
-    table = pages(site)["claims.html"].select_one("table")
+    table = pages(site)["results-claims.html"].select_one("table")
     assert table.select_one("td").get_text() == "error <m>"
     assert table.select_one(".verdict.good").get_text() == "holds"
     assert len(table.select("tbody tr")) == 1   # the row without a claim is none
+    assert [report.tone(verdict) for verdict in ("holds", "holds under printed", "fails", "does not hold", "undecided")] == ["good", "part", "bad", "bad", "open"]
     assert "1 hold" in pages(site)["index.html"].select_one(".counts").get_text()
 
 
 def test_it_says_where_the_results_came_from(site):
-    text = pages(site)["provenance.html"].get_text()
+    text = pages(site)["results-provenance.html"].get_text()
     for said in ["2026-01-02 03:04:05", "1.2 s", "{'seed': 7}", f"rhec {rhec.__version__} (source ", "Commit", "Machine", "numpy"]:
         assert said in text
-    assert json.loads(pages(site)["figures.html"].select_one("#fig99_line code").get_text())["seed"] == 0
+    assert json.loads(pages(site)["results-figures.html"].select_one("#fig99_line code").get_text())["seed"] == 0
     assert (site / "notebooks/one.ipynb").is_file()
 
 
@@ -132,6 +134,6 @@ def test_a_report_that_fails_leaves_the_old_one(site, tmp_path):
     old.mkdir()
     (old / "index.html").write_text("old")
     nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell(r"$\nonsense$")]), tmp_path / "bad.ipynb")
-    with pytest.raises(ValueError, match="nonsense"):
+    with pytest.raises(ValueError, match="bad.ipynb: formula was .*nonsense"):
         report.build([tmp_path / "bad.ipynb"], site / "figures", old)
     assert (old / "index.html").read_text() == "old"

@@ -59,8 +59,8 @@ def check(scenario, folder):
     if isinstance(scenario.estimator, ca.Function):
         for called in scenario.estimator.find_functions():
             if called.class_name() not in PLAIN:
-                raise ValueError(f"estimator was {scenario.estimator!r}, which calls {called.name()!r} ({called.class_name()}); to export, it should be made of "
-                                 "expressions alone")
+                raise ValueError(f"estimator was {scenario.estimator!r}, which calls {called.name()!r} ({called.class_name()}); to export, it should be "
+                                 "made of expressions alone")
     if scenario.qp != "structured":
         raise ValueError(f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'")
     if folder.exists() and not folder.is_dir():

@@ -34,10 +34,15 @@ class Trace(NamedTuple):
 
 def trace(machine, program, *arguments):
     """Run a program of an export under the emulator and write down what each call of each sample executes."""
-    process = subprocess.Popen([*machine.emulator, "-d", "in_asm,exec,nochain", program, *map(str, arguments)], stdout=subprocess.DEVNULL,
-                               stderr=subprocess.PIPE, text=True, bufsize=1 << 20)
+    command = [*machine.emulator, "-d", "in_asm,exec,nochain", program, *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, bufsize=1 << 20) as process:
+        return read(process.stderr)
+
+
+def read(listing):
+    """The Trace in the emulator's listing."""
     blocks, numbers, samples, phase, fresh = [], {}, [], None, None
-    for line in process.stderr:
+    for line in listing:
         if line.startswith("Trace"):
             address = line[line.index("/") + 1:].split("/", 1)[0]
             function = line.rsplit(None, 1)[-1].split(".")[0]
@@ -57,7 +62,6 @@ def trace(machine, program, *arguments):
             fresh.append(line.split()[1])
         elif line.startswith("IN:"):
             fresh = []
-    process.wait()
     return Trace(blocks, samples)
 
 

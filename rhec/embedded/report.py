@@ -16,11 +16,11 @@ TOLERANCE = 1e-9   # m, rad, m/s, 1, rad/s: how far C may be from Python
 
 
 def measure(export, samples=60):
-    """Tables of an export: {sizes, times, nonsense, counted}, the last two empty without a compiler, or without one for 64-bit Arm.
+    """Tables of an export: {sizes, times, nonsense, counted}; nonsense is empty without a compiler, counted without one for 64-bit Arm and an emulator.
 
-    sizes: one row a machine, the largest difference to Python in the export's log and bytes of code, memory and stack. times: [ms], one row a machine,
-    who says so, problem and phase; mean and worst. nonsense: what `fuzz` reports on this machine. counted: instructions of the first `samples` of the log on 64-bit Arm and what follows
-    from them, see `instructions.table`.
+    sizes: one row a machine, the largest difference to Python in the export's log and bytes of code, memory and stack. times: mean and worst [ms], one
+    row a machine, who says so, problem and phase. nonsense: what `fuzz` reports on this machine. counted: instructions of the first `samples` of the
+    log on 64-bit Arm and what follows from them, see `instructions.table`.
     """
     export, sizes, times, nonsense, counted = Path(export), [], reported(), pd.DataFrame(), pd.DataFrame()
     memory_bytes = int(re.search(r"RHEC_MEMORY_BYTES (\d+)", (export / "rhec_memory.h").read_text())[1])

@@ -10,6 +10,7 @@ import html
 import math
 import multiprocessing
 import re
+import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -113,6 +114,7 @@ class Explorer(widgets.VBox):
             raise ValueError(f"start was {start!r}; it should be a rhec.Scenario")
         self.start, self.patches = start, start.patches
         self.runs, self.pinned, self.compiling, self.held = (), (), None, False
+        self.one_at_a_time = threading.RLock()   # a kernel may answer a page's messages in two threads, its main one and a subshell's
         self.field, self.eye = FieldRun(), RobotsEye()
         self._make_inputs(against)
         self._make_outputs(folder)
@@ -182,12 +184,13 @@ class Explorer(widgets.VBox):
         """The action as a widget's callback: what goes wrong is one sentence in the status line."""
 
         def callback(_):
-            if self.held:
-                return
-            try:
-                action()
-            except Exception as error:
-                self._say(_sentence(error), "bad")
+            with self.one_at_a_time:
+                if self.held:
+                    return
+                try:
+                    action()
+                except Exception as error:
+                    self._say(_sentence(error), "bad")
 
         return callback
 
@@ -314,7 +317,8 @@ class Explorer(widgets.VBox):
 
     def figure(self):
         """The field run as a matplotlib figure, as it is saved."""
-        return field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
+        with self.one_at_a_time:
+            return field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
 
     def _save(self):
         name, folder = safe_name(self.name.value), Path(self.folder.value).expanduser()

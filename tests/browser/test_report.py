@@ -30,6 +30,7 @@ def test_a_page_shows_all_it_has(offline, name):
     page.evaluate("document.querySelectorAll('img').forEach(image => image.loading = 'eager')")
     page.wait_for_load_state("load")
     page.evaluate("Promise.all([...document.images].map(image => image.decode()))")   # throws for a broken one
+    assert all(page.eval_on_selector_all("article img", "images => images.map(image => image.getBoundingClientRect().width > 100)"))
     formulas = page.eval_on_selector_all("svg.formula path", "paths => paths.map(path => path.getBoundingClientRect().width)")
     assert all(width > 1 for width in formulas)
     assert page.evaluate("performance.getEntriesByType('resource').every(resource => resource.name.startsWith('file:'))")
