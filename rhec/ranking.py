@@ -57,7 +57,8 @@ def by_pose_noise(sigmas_rad, seeds):
         sigma_w = (*dual.SIGMA_W[:8], float(sigma), dual.SIGMA_W[9])
         for seed in seeds:
             run = simulate(Scenario(seed=seed, sigma_w=sigma_w, **CONTESTANTS[PROPOSAL]))
-            log = run.log[staying(run.columns["error_true_m"])[0] + HOLD:] if run.metrics["arrival_s"] >= 0 else run.log
+            stays = staying(run.columns["error_true_m"])
+            log = run.log[stays[0] + HOLD:] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()
             rows.append(dict(sigma_theta_rad=sigma, seed=seed, straights_m=errors.get(True, np.nan), curves_m=errors.get(False, np.nan),
                              all_m=run.metrics["mean_error_true_m"], rms_yaw_rad=run.metrics["rms_yaw_rad"]))

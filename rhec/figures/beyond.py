@@ -3,6 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import LogLocator
 
 from rhec import consistency, ranking
 
@@ -78,6 +79,13 @@ def ranked(sweep):
     return figure
 
 
+def _plain(axis):
+    """Plain numbers along a logarithmic axis."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.axes.minorticks_off()
+
+
 @styled
 def pose_noise(rows):
     """What the process noise σ_θ of the proposal's pose filter does: true errors [m] on straights and in curves, and the RMS error of the yaw [rad].
@@ -97,6 +105,7 @@ def pose_noise(rows):
     for axes in (errors, yaw):
         axes.axvline(ranking.SIGMA_THETA, color=GREY, linestyle=":")
         axes.set_xscale("log")
+        _plain(axes.xaxis)
     errors.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0.1, handlelength=1.5)
     errors.set_ylabel("mean true error [m]")
     yaw.set_ylabel("RMS error of estimated yaw [rad]")
@@ -138,11 +147,13 @@ def nees_over_time(measured):
                                   sharey=True)
     for axes, (name, each) in zip(panels.flat, measured.items()):
         degrees, runs = len(each.states), len(each.nees)
-        axes.axhspan(*consistency.bounds(runs, degrees), color=COLOURS["oracle"], alpha=0.3, linewidth=0)
-        axes.semilogy(each.t_s, each.nees.mean(axis=0) / degrees, color=COLOURS["EKF" if "EKF" in name else "RHE"], linewidth=0.6)
+        axes.axhspan(*consistency.bounds(runs, degrees), color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
+        colour = COLOURS[next(role for role in ("EKF", "RHE", "oracle") if role in name)]
+        axes.semilogy(each.t_s, each.nees.mean(axis=0) / degrees, color=colour, linewidth=0.6)
         (_, values, _), *_ = _means(each, consistency.FROM_S)
-        axes.set_title(f"{name}: {consistency.share_inside(values, degrees):.0%} inside", loc="left")
-        axes.minorticks_off()
+        axes.set_title(f"{name}: {100 * consistency.share_inside(values, degrees):.0f} % inside", loc="left")
+        axes.set_xlim(0, each.t_s[-1])
+        _plain(axes.yaxis)
     for axes in panels.flat[len(measured):]:
         axes.set_visible(False)
     for axes in panels[-1]:
