@@ -138,7 +138,7 @@ def common_shape(terrain, step=160):
 
 def beta_from_gaussian(gaussian, mean, deviation):
     """A standard Gaussian field reshaped, point by point, to the beta distribution on (0, 1) with that mean and standard deviation."""
-    if deviation == 0:
+    if deviation < 1e-6:   # as good as none, and its square may vanish
         return np.full(gaussian.shape, float(mean))
     nu = mean * (1 - mean) / deviation**2 - 1
     quantiles = np.linspace(-5, 5, 257)

@@ -27,7 +27,7 @@ OPTIONS = {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb"
 
 
 def next_pose(xi, omega, p):
-    return model.rk4(xi, omega, p, paper.DT_S)
+    return model.rk4(model.f, xi, omega, p, paper.DT_S)
 
 
 def squared(error, weight):
