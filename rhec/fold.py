@@ -9,7 +9,7 @@ import numpy as np
 
 from rhec import compiled
 
-BLOCK = 16
+BLOCK = 48
 
 
 def functions(step):

@@ -6,7 +6,7 @@ import pytest
 
 import rhec
 from rhec import figures, paper, rhe
-from rhec.claims import estimators, evidence, experiments, ledger, rules
+from rhec.claims import evidence, experiments, ledger, rules
 from rhec.claims.rules import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 
 RNG = np.random.default_rng(0)
@@ -189,7 +189,7 @@ def test_hard_coded_traction_on_soil_of_that_traction_is_the_traction_oracle(vir
     sigma_w = (0.02, 0.02, 0.01, 0.01)
     common = dict(terrain=rhec.Terrain.uniform(0.9, 0.8), duration_s=20.0)
     told = rhec.simulate(rhec.Scenario(estimator="traction_oracle", sigma_w=sigma_w, **common)).log
-    coded = rhec.simulate(rhec.Scenario(estimator=estimators.hard_coded(0.9, 0.8, sigma_w), **common)).log
+    coded = rhec.simulate(rhec.Scenario(estimator="fixed_traction", sigma_w=sigma_w, **common)).log
     columns = ["x_m", "y_m", "theta_rad", "x_hat_m", "theta_hat_rad", "kappa_hat", "omega_cmd_radps"]
     np.testing.assert_allclose(coded[columns], told[columns], atol=1e-9)
 

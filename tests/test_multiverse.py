@@ -21,7 +21,7 @@ def drawn():
 def made_up(drawn, **errors):
     """Runs whose metrics are all one, but for the mean errors given as {variant: (worlds, seeds)}."""
     metrics = ("arrival_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true", "overshoot_m", "rms_mu", "rms_kappa", "rms_yaw_rad",
-               "omega_max_radps", "mu_deviation", "kappa_deviation")
+               "omega_peak_radps", "mu_deviation", "kappa_deviation")
     runs = {variant: pd.DataFrame(1.0, range(len(drawn) * SEEDS), metrics).assign(arrived=True) for variant in multiverse.VARIANTS}
     for variant, values in errors.items():
         runs[variant]["mean_error_m"] = np.ravel(values)

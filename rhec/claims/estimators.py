@@ -1,20 +1,8 @@
 """Estimators that claims need beside the paper's own, as Functions (memory, z) -> (memory, estimate); the memory begins with the first guess."""
 
 import casadi as ca
-import numpy as np
 
-from rhec import ekf, paper
-
-
-def hard_coded(mu, kappa, sigma_w):
-    """The EKF with traction coefficients identified once and for all: (μ, κ) everywhere; sigma_w as for the EKF."""
-    step = ekf.functions(paper.DT_S)["step"]
-    memory, z = ca.SX.sym("memory", 6 + step.numel_in(0)), ca.SX.sym("z", 4)
-    guess, filtered = memory[:6], memory[6:]
-    fresh = ca.vertcat(guess[:4], ca.vec(ca.diag(np.square(paper.SIGMA_W_EKF))), 0, 0)   # m, P, ω, started: see `ekf.start`
-    filtered = ca.if_else(filtered[-1] == 0, fresh, filtered)
-    filtered, estimate, *_ = step.call([filtered, z, np.square(paper.SIGMA_V), np.square(sigma_w), ca.DM([mu, kappa])])
-    return ca.Function("hard_coded", [memory, z], [ca.vertcat(guess, filtered), estimate])
+from rhec import paper
 
 
 def dead_reckoned():
