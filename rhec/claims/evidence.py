@@ -40,7 +40,7 @@ RUNS = {
     "Q2": (a_row(q=paper.Q2), 0.1),
     "Q2, look-ahead": (a_row(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M), 0.1),
     "Q3": (a_row(q=paper.Q3), 0.2),
-    "Q2, small R": (a_row(q=paper.Q2, r=paper.R / 100), 0.1),
+    "Q2, small R": (a_row(q=paper.Q2, r=paper.R / 100), 0.2),
     "Q3, small R": (a_row(q=paper.Q3, r=paper.R / 100), 0.1),
     "Q3, no terminal penalty": (a_row(q=paper.Q3, qn_factor=0.0), 0.1),
     "traction told": (dict(estimator="traction_oracle", sigma_w=lambda reading: ekf.SIGMA_W[reading]), 0.08),
