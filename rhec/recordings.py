@@ -127,7 +127,7 @@ def numbers(log, column):
     if not isinstance(values, pd.Series):
         raise ValueError(f"the log had several columns {column}; it should have one")
     if not (pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values)):
-        values = pd.to_numeric(values.astype(str), errors="coerce")
+        values = pd.to_numeric(values.map(str), errors="coerce")   # bytes, too, are no number
     values = values.to_numpy(dtype=float, na_value=np.nan)
     return np.where(np.isfinite(values), values, np.nan)
 

@@ -9,6 +9,7 @@ import sys
 
 import nbformat
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -243,3 +244,31 @@ def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
         notebook.main()
     assert refusal.value.code == 2 and capfd.readouterr().err.startswith("reading was ")
     assert os.listdir() == ["toy.ipynb"] and "executed" not in os.listdir("..")
+
+
+# Recorded logs
+
+COLUMNS = ["t_s", "x_m", "y_m", "speed_mps", "yaw_rate_radps", "v_left_mps", "v_right_mps", "pos_ok", "encoders_ok", "segment", "yaw_true_rad", "anything"]
+PARAMETERS = ["track_width_m", "lever_arm_m", "first_yaw_rad", "sigma_yaw_rad", "sigma_v", "reading", "robust", "speed_model", "nonsense"]
+
+
+@st.composite
+def logs(draw):
+    """A log whose columns may be missing, absurd or of any type; half of the time with a clock that runs."""
+    rows = draw(st.integers(1, 12))
+    columns = COLUMNS[:5] if draw(st.booleans()) else draw(st.lists(st.sampled_from(COLUMNS), unique=True))
+    log = pd.DataFrame({column: draw(st.lists(number | scalar if draw(st.integers(0, 5)) == 0 else number, min_size=rows, max_size=rows))
+                        for column in columns})
+    return log.assign(t_s=0.2 * np.arange(rows)) if draw(st.booleans()) else log
+
+
+@some(150)
+@given(logs() | junk, st.dictionaries(st.sampled_from(PARAMETERS), junk | numbers, max_size=1), st.booleans())
+def test_a_recorded_log(log, fields, simplest):
+    """Refused in one sentence, or one finite estimate a row that could be used, with traction between 0 and 1."""
+    fields = {} if simplest else fields
+    result = refused_by_name(lambda: rhec.replay(log, estimator="ekf", **fields), ["log", "the", "replay", *PARAMETERS])
+    if result is not None:
+        assert len(result) == len(log) and result.index.equals(log.index)
+        assert np.isfinite(result[["x_hat_m", "y_hat_m", "theta_hat_rad"]].to_numpy(float)).all()
+        assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
