@@ -254,7 +254,8 @@ def write_site(notebooks, figures, site):
         if story["picture"]:
             (site / f"pictures/{story['name']}.png").write_bytes(story["picture"])
     ledger = ledger_of(tables)
-    verdicts = pd.concat([rows["verdict"].map(tone) for _, rows in ledger]) if ledger else pd.Series(dtype=str)
+    counted = [rows for table, rows in ledger if table["name"] == "claims"] or [rows for _, rows in ledger]   # other tables repeat what the ledger says
+    verdicts = pd.concat([rows["verdict"].map(tone) for rows in counted]) if counted else pd.Series(dtype=str)
     common = dict(stories=stories, figures=drawn, tables=tables, ledger=ledger, counts=verdicts.value_counts().to_dict(), version=__version__,
                   source=style.source(), provenance=provenance(), packages=packages(), environment=sorted({figure["source"] for figure in drawn}))
 
