@@ -14,12 +14,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from rhec import compiled, estimators, fold
-from rhec.closed_loop import simulate
+from rhec.closed_loop import LOG, simulate
 from rhec.scenario import Scenario
 
 TRAINING_SEEDS = range(1000, 1010)
 TRACKING_SEEDS = range(1000, 1024)
-MEASURED = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]
 LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
 UNKNOWNS = {"rhe": 5, "ekf": 3, "augmented_ekf": 5, "fixed_traction": 3, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
 # What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest is LEAST.
@@ -41,6 +40,11 @@ SIGMA_W_TRACKING = {
     "fixed_traction": (0.00067, 0.00067, 0.026, 0.015),
     "traction_oracle": (8.1e-05, 8.1e-05, 0.02, 0.04),
 }
+
+
+def recorded(seeds, duration_s=240.0):
+    """Runs of the default scenario with the true state in the loop."""
+    return [simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds]
 
 
 def functions(outputs, *structure):
@@ -66,7 +70,7 @@ def prepared(scenario, run, *outputs):
                           scenario.arrival_mean, scenario.qp, scenario.robust)
     x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
     memory = estimators.first_memory(scenario, (x, y, theta, run.scenario.speed_mps, 1.0, 1.0))
-    stream = np.hstack([run.log[MEASURED], told(scenario.estimator, run)])
+    stream = np.hstack([run.log[[*LOG["z"]]], told(scenario.estimator, run)])
     return steps, memory, stream, estimators.variances(scenario)
 
 
@@ -93,7 +97,7 @@ def rounded(sigma):
 
 def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
     """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
-    runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in seeds]
+    runs = recorded(seeds)
     unknowns = UNKNOWNS[estimator]
     result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs, **fields), np.full(unknowns, np.log(0.03)), method="Powell",
                       bounds=[np.log((LEAST, MOST))] * unknowns, options=dict(xtol=0.01, ftol=1e-6))

@@ -220,9 +220,9 @@ def metrics(columns, poses):
     return {name: value.item() for name, value in values.items()}   # plain numbers, whatever NumPy made of them
 
 
-def staying(error_m):
-    """The samples from which on the error (n,) stays within the tolerance for 5 s."""
-    inside = error_m < paper.TOLERANCE_M
+def staying(error, within=paper.TOLERANCE_M):
+    """The samples from which on the error (n,) stays within so much, unless told the tolerance [m], for 5 s."""
+    inside = error < within
     return np.flatnonzero(np.convolve(inside, np.ones(HOLD), "valid") == HOLD) if len(inside) > HOLD else np.array([], dtype=int)
 
 

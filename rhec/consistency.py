@@ -14,13 +14,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from rhec import calibration
-from rhec.closed_loop import simulate
+from rhec.closed_loop import LOG
 from rhec.ekf import MEASURED
-from rhec.scenario import Scenario
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
-READINGS = ["x_meas_m", "y_meas_m", "nu_meas_mps"]
-TRUTH = ["x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"]
 # Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe", arrival_mean="filtered")`.
 SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
 ESTIMATORS = {   # fields of Scenario; all W that are not printed are by likelihood
@@ -51,19 +48,14 @@ class Consistency(NamedTuple):
         return STATES[:self.errors.shape[2]]
 
 
-def recorded(seeds, duration_s=240.0):
-    """Runs of the default scenario with the true state in the loop."""
-    return [simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds]
-
-
 def measure(scenario, runs):
     """The Consistency of a scenario's estimator, "rhe" with speed_model "parameter" or any of the EKFs, on the measurements of `runs`."""
     results, places, V = [], [place for place, _ in MEASURED], np.square(scenario.sigma_v)[[row for _, row in MEASURED]]
     for run in runs:
         estimate, covariance = np.split(calibration.estimated(scenario, run, "estimate", "covariance"), [6], axis=1)
         n_x = round(np.sqrt(covariance.shape[1]))
-        error, P = estimate[:, :n_x] - run.log[TRUTH[:n_x]].to_numpy(), covariance.reshape(-1, n_x, n_x)
-        y, S = innovations(run.log[READINGS].to_numpy() - estimate[:, places], P[:, places][:, :, places], np.diag(V))
+        error, P = estimate[:, :n_x] - run.log[[*LOG["truth"][:n_x]]].to_numpy(), covariance.reshape(-1, n_x, n_x)
+        y, S = innovations(run.log[[*LOG["z"][:3]]].to_numpy() - estimate[:, places], P[:, places][:, :, places], np.diag(V))
         results.append((error / np.sqrt(np.diagonal(P, axis1=1, axis2=2)), normalised_squared(error, P),
                         normalised_squared(y[:, :2], S[:, :2, :2]), normalised_squared(y[:, 2:], S[:, 2:, 2:])))
     return Consistency(run.log["t_s"].to_numpy(), *(np.array(each) for each in zip(*results)))

@@ -40,6 +40,17 @@ def unpack(vector, shapes):
     return {name: ca.reshape(part, *shapes[name]) for name, part in zip(shapes, ca.vertsplit(vector, offsets))}
 
 
+def pieces(vector, shapes):
+    """The same of a NumPy vector, as views of it."""
+    ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
+    return {name: part.reshape(shape, order="F") for (name, shape), part in zip(shapes.items(), np.split(vector, ends[:-1]))}
+
+
+def shapes(memory):
+    """The shapes of a memory's pieces, as `size`, `unpack` and `pieces` take them."""
+    return {name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1) for name, piece in memory.items()}
+
+
 def vector(memory):
     """The NumPy vector of a memory's pieces, as `unpack` reads it."""
     return np.concatenate([np.ravel(piece, order="F") for piece in memory.values()]).astype(float)

@@ -5,11 +5,10 @@ A run is a fold, so that the memory at sample k is the fold of the samples up to
 
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from rhec import closed_loop, compiled, faults, fold, paper, rhc, rhe, robot
-from rhec.function import unpack, vector
+from rhec.function import pieces, shapes, size, vector
 
 
 class Horizons(NamedTuple):
@@ -34,26 +33,17 @@ def horizons_at(scenario, k):
 
     controller = rhc.start(np.zeros(3), np.zeros(3), scenario.horizon)
     after = dict(s=(1, 1), controller=(vector(controller).size, 1), command=(1, 1)) | (faults.MEMORY if scenario.faults else {})
-    estimator = len(memory) - sum(rows * columns for rows, columns in (robot.MEMORY | after).values())
-    pieces = _pieces(memory, robot.MEMORY | dict(estimator=(estimator, 1)) | after)
-    planned = _pieces(pieces["controller"], _shapes(controller))
+    estimator = len(memory) - size(robot.MEMORY | after)
+    of = pieces(memory, robot.MEMORY | dict(estimator=(estimator, 1)) | after)
+    planned = pieces(of["controller"], shapes(controller))
     window, measured = np.empty((0, 3)), np.empty((0, 2))
     if scenario.estimator in ("rhe", "dual"):   # the memory of both begins with the RHE's
         speed_model = scenario.speed_model if scenario.estimator == "rhe" else "parameter"
-        shapes = _shapes(rhe.start(np.zeros(6), rhe.SIGMA_START, scenario.horizon_rhe, speed_model))
-        past = _pieces(pieces["estimator"][:sum(rows * columns for rows, columns in shapes.values())], shapes)
+        of_rhe = shapes(rhe.start(np.zeros(6), rhe.SIGMA_START, scenario.horizon_rhe, speed_model))
+        past = pieces(of["estimator"][:size(of_rhe)], of_rhe)
         nodes = int(past["age"].item()) + 1     # a window that is not full yet has its oldest nodes at its first sample
         window, measured = past["s"].T[-nodes:, :3], past["z"].T[-nodes:, :2]
         measured = np.where(np.isfinite(measured), measured, np.nan)
     pace = abs(row["mu_hat"] * row["nu_hat_mps"]) * paper.DT_S
     desired, _ = made.path.poses(row["s_m"] + scenario.look_ahead_m + pace * np.arange(scenario.horizon + 1))
     return Horizons(truth, estimate, window, measured, desired, planned["s"].T[:, :3], planned["omega"].ravel())
-
-
-def _shapes(memory):
-    return {name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1) for name, piece in memory.items()}
-
-
-def _pieces(memory, shapes):
-    """NumPy arrays, by name, of what a memory holds."""
-    return {name: np.array(piece) for name, piece in unpack(ca.DM(memory), shapes).items()}

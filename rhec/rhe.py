@@ -46,11 +46,15 @@ class Window(NamedTuple):
     robust: bool
 
     @property
-    def memory(self):
-        """s trajectory, v inputs, z readings, age intervals driven, m and P arrival cost; seen: what `screening` remembers."""
+    def problem(self):
+        """s trajectory, v inputs, z readings, age intervals driven, m and P arrival cost."""
         n_s, n_v = self.interval.n_s, self.interval.n_v
-        memory = dict(s=(n_s, self.N + 1), v=(n_v, self.N), z=(4, self.N + 1), age=(1, 1), m=(n_s, 1), P=(n_s, n_s))
-        return memory | dict(seen=(size(screening.memory(self.dt_s)), 1)) if self.robust else memory
+        return dict(s=(n_s, self.N + 1), v=(n_v, self.N), z=(4, self.N + 1), age=(1, 1), m=(n_s, 1), P=(n_s, n_s))
+
+    @property
+    def memory(self):
+        """The problem; and seen: what `screening` remembers."""
+        return self.problem | dict(seen=(size(screening.memory(self.dt_s)), 1)) if self.robust else self.problem
 
     @property
     def weights(self):
@@ -165,8 +169,7 @@ def linearise(window, loops):
         along = {name: ca.horzcat(*(node[name] for node in nodes)) for name in ("F", "D", "B", "K", "e")}
         return along | dict(B_N=B, v_N=v_before, m_N=m, P_N=P, s_N=s[N])
 
-    inputs = {name: shape for name, shape in window.memory.items() if name != "seen"}
-    return function("rhe_linearise", body, inputs | V, loops)
+    return function("rhe_linearise", body, window.problem | V, loops)
 
 
 # feedback: the newest measurement, and the QP that is left
@@ -276,8 +279,7 @@ def expand(window, linearise, feedback, loops):
     oldest = function("rhe_oldest", oldest, dict(adjoint=(n_s, 1)) | gains | dict(m=(n_s, 1), P=(n_s, n_s), s=(n_s, 1), z=(4, 1)) | V)
     forward = function("rhe_forward", forward, dict(new=(n_s, 1), old=(n_s, 1)) | linearised | dict(
         s=(n_s, 1), v=(n_v, 1), v_new=(n_v, 1), z=(4, 1)) | V)
-    window_memory = {name: shape for name, shape in window.memory.items() if name != "seen"}
-    accepted = function("rhe_accepted", accepted, window_memory | dict(s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1)))
+    accepted = function("rhe_accepted", accepted, window.problem | dict(s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1)))
 
     def begun_again(again, pose, z_used, s, v, z, age, m, P):
         """The memory of a new start at this pose with the present speed and traction, where the screening asks for it."""
@@ -288,7 +290,7 @@ def expand(window, linearise, feedback, loops):
         old = dict(s=s, v=v, z=z, age=age, m=m, P=P)
         return {name: ca.if_else(again, fresh[name], old[name]) for name in old}
 
-    begun_again = function("rhe_begun_again", begun_again, dict(again=(1, 1), pose=(3, 1), z_used=(4, 1)) | window_memory)
+    begun_again = function("rhe_begun_again", begun_again, dict(again=(1, 1), pose=(3, 1), z_used=(4, 1)) | window.problem)
 
     def body(s, v, z, age, m, P, V, F, D, B, K, e, K_N, e_N, multipliers, ok, z_N=None, z_used=None, again=None, pose=None, seen_after=None):
         """Every other unknown of the window, and the KKT tolerance of the linearisation point."""
@@ -315,7 +317,7 @@ def expand(window, linearise, feedback, loops):
     along = {name: linearise.sparsity_out(name) for name in ("F", "D", "B", "K", "e")}
     told = ("z_used", "again", "pose", "seen_after") if window.robust else ()
     result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok", *told)}
-    return function("rhe_expand", body, window_memory | V | along | result | ({} if window.robust else dict(z_N=(4, 1))), loops)
+    return function("rhe_expand", body, window.problem | V | along | result | ({} if window.robust else dict(z_N=(4, 1))), loops)
 
 
 def functions(dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="structured", robust=False):

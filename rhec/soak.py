@@ -16,7 +16,7 @@ import numpy as np
 
 from rhec import closed_loop, compiled, faults, fold, paper, rhe, robot
 from rhec.faults import Fault
-from rhec.function import size
+from rhec.function import pieces, shapes, size
 from rhec.scenario import Scenario
 
 LEG = 1500                # samples
@@ -57,11 +57,9 @@ def start(base, seed):
 
 def arrival_covariance(base, memory):
     """P (n_s, n_s) of the RHE within the memory of the closed loop."""
-    offset = size(robot.MEMORY)
-    for name, piece in rhe.start(np.zeros(6), np.ones(6), base.horizon_rhe, base.speed_model, base.robust).items():
-        if name == "P":
-            return memory[offset:offset + piece.size].reshape(piece.shape)
-        offset += np.size(piece)
+    of_rhe = shapes(rhe.start(np.zeros(6), np.ones(6), base.horizon_rhe, base.speed_model, base.robust))
+    begin = size(robot.MEMORY)
+    return pieces(memory[begin:begin + size(of_rhe)], of_rhe)["P"]
 
 
 def lowest_eigenvalue(P):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rhec import Scenario, consistency
+from rhec import Scenario, calibration, consistency
 
 RUNS, SAMPLES = 40, 60
 A = np.array([[1, 0, 0, 0.2], [0, 1, 0, 0.1], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -62,7 +62,7 @@ def test_bounds_hold_what_they_promise():
 
 @pytest.fixture(scope="module")
 def runs():
-    return consistency.recorded(range(3), duration_s=60.0)
+    return calibration.recorded(range(3), duration_s=60.0)
 
 
 def test_the_filter_that_knows_the_soil_is_nearly_consistent_and_the_printed_one_is_not(runs):

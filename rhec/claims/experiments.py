@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from rhec import closed_loop, compiled, fold, model, paper, path, rhc, rhe, robot, terrain, timing
-from rhec.closed_loop import rms, simulate
-from rhec.function import folded, only, vector
+from rhec.closed_loop import rms, simulate, staying
+from rhec.function import folded, only, pieces, size, vector
 from rhec.rhc import RHC
 from rhec.rhe import RHE
 from rhec.scenario import Scenario
@@ -83,10 +83,9 @@ def arrival_costs(reading, seeds):
     return pd.DataFrame(rows)
 
 
-def reached_s(error, within=0.1, hold_s=5.0):
-    """When an error first stays within its bound for hold_s [s]; the run's length if it never does."""
-    hold = round(hold_s / paper.DT_S)
-    stays = np.flatnonzero(np.convolve(np.abs(error) < within, np.ones(hold), "valid") == hold)
+def reached_s(error):
+    """When an error first stays within 0.1 for 5 s; the run's length if it never does [s]."""
+    stays = staying(np.abs(error), 0.1)
     return paper.DT_S * (stays[0] if len(stays) else len(error))
 
 
@@ -105,16 +104,13 @@ def live(scenario, iterations):
         path.functions(dt, scenario.horizon, len(world.path.segments), scenario.input_reference)["references"]))
     for call in (measure, drive, slip, references):
         call.set(**only(call.function, given))
-    pose, _ = world.path.poses([0.0])
-    pose = pose[0] + [-scenario.start_offset_m * np.sin(pose[0, 2]), scenario.start_offset_m * np.cos(pose[0, 2]), scenario.start_yaw_rad]
-    estimator = RHE(reading=scenario.reading, guess=(*map(float, pose), scenario.speed_mps, 1.0, 1.0))
+    estimator = RHE(reading=scenario.reading, guess=tuple(world.guess))
     controller, unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(3))
-    previous = (*pose, scenario.speed_mps, 1.0, 1.0)
-    memory, s, positions, taken, warm, cold = robot.start(pose, scenario.speed_mps), 0.0, [], [], [], []
+    previous, memory = tuple(world.guess), pieces(world.memory[:size(robot.MEMORY)], robot.MEMORY)
+    s, positions, taken, warm, cold = 0.0, [], [], [], []
     for noise in closed_loop.draw_noise(scenario.seed, round(scenario.duration_s / dt)):
-        offsets = np.cumsum([0, *(rows * columns for rows, columns in robot.NOISE.values())])
-        now = memory | {name: noise[begin:end] for name, begin, end in zip(robot.NOISE, offsets, offsets[1:])}
-        slip.set(xy=memory["pose"][:2])
+        now = memory | pieces(noise, robot.NOISE)
+        slip.set(xy=now["pose"][:2])
         slip.call()
         measure.set(**only(measure.function, now))
         measure.call()
@@ -141,7 +137,7 @@ def live(scenario, iterations):
 
         drive.set(**only(drive.function, now), traction=slip.results["traction"], omega_radps=command)
         drive.call()
-        positions.append(memory["pose"][:2])
+        positions.append(now["pose"][:2].ravel())
         memory = {name: value.copy() for name, value in (drive.results | dict(drift=measure.results["drift"])).items()}
     distance_m, _ = world.path.project(positions)
     return distance_m, np.array(taken), np.array(warm), np.array(cold)
@@ -213,9 +209,7 @@ def models(n=100):
         pose, omega = rng.uniform(-3, 3, 3), rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)
         still = np.array(ca.DM(model.f(ca.DM.zeros(3), 0, ca.DM([speed, mu, kappa])))).ravel()
         moved = np.array(ca.DM(model.rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S))).ravel()
-        turned = omega * paper.DT_S
-        chord = speed * paper.DT_S * np.sinc(turned / 2 / np.pi)
-        circle = pose + [chord * np.cos(pose[2] + turned / 2), chord * np.sin(pose[2] + turned / 2), turned]
+        circle = path.advance(*pose, omega / speed, speed * paper.DT_S, np)
         rows.append(dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=np.abs(moved - circle).max()))
     return pd.DataFrame(rows)
 

@@ -55,6 +55,11 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, reading, samples=300):
     return np.array(found)
 
 
+def entries(place):
+    """Where W holds the standard deviation at this place of (x and y, θ, ν, μ, κ)."""
+    return (0, 1) if place == 0 else (place + 1,)
+
+
 # Simulation
 
 def swept(estimator, reading, place, values, seeds):
@@ -65,7 +70,7 @@ def swept(estimator, reading, place, values, seeds):
     runs, rows = {}, []
     for value in values:
         sigma = list(SIGMA_W[estimator][reading])
-        for entry in (0, 1) if place == 0 else (place + 1,):
+        for entry in entries(place):
             sigma[entry] = float(value)
         for seed in range(seeds):
             run = simulate(Scenario(estimator=estimator, reading=reading, sigma_w=tuple(sigma), seed=seed))
@@ -83,13 +88,13 @@ def swept(estimator, reading, place, values, seeds):
 def likelihood_profile(estimator, place, factors, seeds=3):
     """How much less likely (in -2 log likelihood a sample) the measurements of the first training runs become when one of the calibrated W's standard
     deviations is multiplied by each factor; x and y move together."""
-    runs = [simulate(Scenario(estimator="oracle", seed=seed)) for seed in calibration.TRAINING_SEEDS[:seeds]]
+    runs = calibration.recorded(calibration.TRAINING_SEEDS[:seeds])
     samples, rows = sum(len(run.columns["t_s"]) for run in runs), []
     for factor in factors:
         sigma = list(SIGMA_W[estimator]["calibrated"])
-        for entry in (0, 1) if place == 0 else (place + 1,):
+        for entry in entries(place):
             sigma[entry] *= factor
-        rows.append(dict(sigma=sigma[place + (place > 0)], deviance=calibration.deviance(estimator, sigma, runs) / samples))
+        rows.append(dict(sigma=sigma[entries(place)[0]], deviance=calibration.deviance(estimator, sigma, runs) / samples))
     table = pd.DataFrame(rows)
     return table.assign(deviance=table["deviance"] - table["deviance"].min())
 

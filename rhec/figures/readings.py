@@ -12,14 +12,18 @@ COLOURS = (SKY, ORANGE, VERMILLION)
 NOTHING_KNOWN = 1 / np.sqrt(12)   # standard deviation of a uniform distribution on [0, 1]
 
 
-def _title(axes, text):
-    axes.set_title(text, loc="left")
-
-
 def _mark(axes, **values):
     """Vertical lines at the printed and the calibrated value of what the x axis shows."""
     for (name, value), style in zip(values.items(), ((0, (1, 1)), (0, (4, 2)))):
         axes.axvline(value, color=GREY, linewidth=0.8, linestyle=style, label=name, zorder=1)
+
+
+def _swept(axes, label, **values):
+    """The axis of the swept standard deviation, with both readings' values and a legend."""
+    _mark(axes, **values)
+    axes.set_xlabel(label)
+    axes.minorticks_off()
+    axes.legend(loc="best", fontsize=6, frameon=True, framealpha=0.85, edgecolor="none")
 
 
 def _means(axes, sweep, column, label, colour, marker):
@@ -41,10 +45,7 @@ def ekf_yaw(analysis, sweep, runs, printed, calibrated):
     yaw.loglog(analysis["sigma_x_m"], analysis["sigma_yaw_rad"], color=VERMILLION, label="filter's own, steady")
     _means(yaw, sweep, "rms_yaw_rad", "RMS error, simulated", BLACK, "o")
     for axes in (gains, yaw):
-        _mark(axes, printed=printed, calibrated=calibrated)
-        axes.set_xlabel(r"$\sigma_x$ of $W_k$ [m a step]")
-        axes.minorticks_off()
-        axes.legend(loc="best", fontsize=6, frameon=True, framealpha=0.85, edgecolor="none")
+        _swept(axes, r"$\sigma_x$ of $W_k$ [m a step]", printed=printed, calibrated=calibrated)
     for (value, run), colour in zip(sorted(runs.items()), COLOURS):
         c = run.columns
         time.plot(c["t_s"], c["theta_hat_rad"] - c["theta_rad"], color=colour, linewidth=0.7, label=f"{value:g} m")
@@ -53,9 +54,9 @@ def ekf_yaw(analysis, sweep, runs, printed, calibrated):
     gains.set_ylabel("steady gain of GNSS")
     yaw.set_ylabel("yaw error [rad]")
     time.set(xlabel="time [s]", ylabel=r"$\hat\theta-\theta$ [rad]")
-    _title(gains, "gains on a straight")
-    _title(yaw, f"{sweep['seed'].nunique()} seeds")
-    _title(time, "seed 0")
+    gains.set_title("gains on a straight", loc="left")
+    yaw.set_title(f"{sweep['seed'].nunique()} seeds", loc="left")
+    time.set_title("seed 0", loc="left")
     return figure
 
 
@@ -74,10 +75,7 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
     found.set_ylim(0)
     for axes in (known, found):
         axes.axhline(NOTHING_KNOWN, color=BLACK, linewidth=0.6, linestyle="--", label="anything in [0, 1]")
-        _mark(axes, printed=printed, calibrated=calibrated)
-        axes.set_xlabel(r"$\sigma_\kappa$ of $W$ [a step]")
-        axes.minorticks_off()
-        axes.legend(loc="best", fontsize=6, frameon=True, framealpha=0.85, edgecolor="none")
+        _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, calibrated=calibrated)
     for (value, run), colour in zip(sorted(runs.items(), reverse=True), COLOURS):
         time.plot(run.columns["t_s"], run.columns["kappa_hat"], color=colour, linewidth=0.6, label=f"{value:g}")
     c = run.columns
@@ -88,9 +86,9 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
     known.set_ylabel(r"standard deviation of $\hat\kappa$")
     found.set_ylabel(r"RMS error of $\hat\kappa$")
     time.set(xlabel="time [s]  (shaded: curves)", ylabel=r"$\hat\kappa$ [-]")
-    _title(known, "by the RHE's own window")
-    _title(found, f"simulated, {sweep['seed'].nunique()} seeds")
-    _title(time, "seed 0")
+    known.set_title("by the RHE's own window", loc="left")
+    found.set_title(f"simulated, {sweep['seed'].nunique()} seeds", loc="left")
+    time.set_title("seed 0", loc="left")
     return figure
 
 
