@@ -50,23 +50,23 @@ test-browser: build/report/index.html ## run the tests of what the pages show, i
 replay: export REPLAY_LOG = $(value LOG)
 replay: $(READY) ## replay a recorded log: make replay LOG=file.csv; figures and tables land in build/replay/
 	@test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a .csv or .parquet file: make replay LOG=file.csv' >&2; exit 2; }
-	@$(PY) -m rhec.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG"
+	@$(PY) -m rhec.workbench.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG"
 
 lint: $(READY) ## check the code's style, and that notebooks in git carry no outputs
 	@$(PY) -m ruff check --quiet
 	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id
 
 bench: .venv/peers ## compare computation times with other tools, some minutes; tables and pictures land in figures/
-	@$(PY) -m rhec.benchmark
+	@cd tests && ../$(PY) -m benchmark
 
 soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sensors, by default ten million (23 days), in some ten minutes
-	@$(PY) -m rhec.soak --samples $(SAMPLES)
+	@$(PY) tests/soak.py --samples $(SAMPLES)
 
 campaign: $(READY) ## drive a thousand fields, or go on where that stopped; WHAT="-p q [1,1,1] [1,1,0] --seeds 50" says which (--help: how)
-	@$(PY) -m rhec.campaigns $(WHAT)
+	@$(PY) -m rhec.campaigns.campaign $(WHAT)
 
 embedded: $(READY) ## write the default scenario's estimator and controller as C into build/embedded
-	@$(PY) -m rhec.embedded
+	@$(PY) -m rhec.codegen
 
 # No news, no updates, no extensions from the network. Without a display, the address that it prints is to be opened elsewhere.
 lab: $(READY) ## open the notebooks in JupyterLab
@@ -93,7 +93,7 @@ $(READY): environment.txt pyproject.toml
 	@$(PY) -m pip --disable-pip-version-check install -q --no-deps --no-build-isolation -e .
 	@touch $@
 
-.venv/peers: rhec/benchmark/peers.txt $(READY)
+.venv/peers: tests/benchmark/peers.txt $(READY)
 	@$(PY) -m pip --disable-pip-version-check install -q --no-deps --require-hashes -r $<
 	@touch $@
 
@@ -104,15 +104,15 @@ why = $(strip $(if $(changed),$(changed) changed) $(if $(gone),$(if $(changed),a
 
 $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d environment.txt | $(READY)
 	@echo '$*: $(if $(wildcard $@),made again because $(why),made for the first time)'
-	@$(PY) -m rhec.notebook $<
+	@$(PY) -m rhec.workbench.notebook $<
 	$(eval made := yes)
 
 # They measure time, so they run alone.
 build/notebooks/computation_times.ipynb: | $(filter-out %/computation_times.ipynb %/embedded.ipynb,$(EXECUTED))
 build/notebooks/embedded.ipynb: | $(filter-out %/embedded.ipynb,$(EXECUTED))
 
-build/report/index.html: $(EXECUTED) rhec/report.py $(wildcard rhec/templates/* rhec/templates/*/*)
-	@$(PY) -m rhec.report $(EXECUTED)
+build/report/index.html: $(EXECUTED) rhec/workbench/report.py $(wildcard rhec/workbench/templates/* rhec/workbench/templates/*/*)
+	@$(PY) -m rhec.workbench.report $(EXECUTED)
 
 # What each notebook used and made when it was last run.
 $(RECORDS):

@@ -10,9 +10,9 @@ __version__ = "0.1.0"
 
 # Loaded on first use, so that a program pays only for what it uses.
 _HOME = {
-    "Scenario": "closed_loop", "Run": "closed_loop", "simulate": "closed_loop",
-    "RHC": "rhc", "RHE": "rhe", "Terrain": "terrain", "Path": "path", "campaign": "campaigns", "Fault": "faults", "replay": "replays",
-    "Explorer": "figures.explorer", "export": "embedded",
+    "Scenario": "scenario", "Run": "simulation", "simulate": "simulation",
+    "RHC": "controller.rhc", "RHE": "estimator.rhe", "Terrain": "model.terrain", "Path": "model.path", "campaign": "campaigns.campaign",
+    "Fault": "extensions.faults", "replay": "logs.replay", "Explorer": "workbench.explorer.explorer", "export": "codegen",
 }
 __all__ = sorted(_HOME)
 

@@ -5,11 +5,12 @@ from typing import Annotated, Any, Literal
 import casadi as ca
 from pydantic import Field
 
-from rhec import estimators, paper
-from rhec.faults import Fault
-from rhec.path import Path
-from rhec.terrain import Patch, Seed, Terrain
-from rhec.validation import (ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, shown, validated)
+from rhec.estimator import base as estimators
+from rhec import paper
+from rhec.extensions.faults import Fault
+from rhec.model.path import Path
+from rhec.model.terrain import Patch, Seed, Terrain
+from rhec._casadi.validation import ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, shown, validated
 
 
 @validated

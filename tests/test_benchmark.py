@@ -4,7 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rhec.benchmark import drawings, horizon, instructions, peers, problems, processes, step, tails
+from benchmark import drawings
+from benchmark import horizon
+from benchmark import instructions
+from benchmark import peers
+from benchmark import problems
+from benchmark import processes
+from benchmark import step
+from benchmark import tails
 
 
 @pytest.fixture(scope="module")

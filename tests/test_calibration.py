@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec import calibration, ekf, rhe
+from rhec.studies import calibration
+from rhec.estimator import ekf
+from rhec.estimator import rhe
 
 SIGMA_W = {"rhe": rhe.SIGMA_W, "ekf": ekf.SIGMA_W}
 

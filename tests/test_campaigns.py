@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import rhec
-from rhec import campaigns
+from rhec.campaigns import campaign as campaigns
 
 SHORT = rhec.Scenario(estimator="ekf", duration_s=6.0)
 ROOT = Path(rhec.__file__).parents[1]
@@ -342,7 +342,7 @@ def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
 # From the command line
 
 def command(folder, *arguments):
-    return [sys.executable, "-m", "rhec.campaigns", "-p", "estimator", "ekf", "oracle", "-p", "q", "[1,1,1]", "[1, 1, 0]", "-p", "duration_s", "6",
+    return [sys.executable, "-m", "rhec.campaigns.campaign", "-p", "estimator", "ekf", "oracle", "-p", "q", "[1,1,1]", "[1, 1, 0]", "-p", "duration_s", "6",
             "--seeds", "5", "--folder", str(folder), *arguments]
 
 

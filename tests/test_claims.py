@@ -5,9 +5,14 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import figures, paper, rhe
-from rhec.claims import evidence, experiments, ledger, rules
-from rhec.claims.rules import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
+from rhec import plots
+from rhec import paper
+from rhec.estimator import rhe
+from rhec.studies.claims import run_sets
+from rhec.studies.claims import experiments
+from rhec.studies.claims import ledger
+from rhec.studies import statistics
+from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 
 RNG = np.random.default_rng(0)
 NORMAL = RNG.normal(size=200)
@@ -16,17 +21,17 @@ SHARES = np.arange(200)
 
 
 @pytest.mark.parametrize("rule, holds, fails, undecided", [
-    (lambda values: rules.mean(values, above=1), 2 + NORMAL, NORMAL, 1 + NORMAL),
-    (lambda values: rules.mean(values, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
-    (lambda values: rules.mean(values, above=-1, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
-    (lambda values: rules.difference(values + 10 * PAIRED, 10 * PAIRED, below=0), NORMAL - 1, NORMAL + 1, NORMAL),
-    (lambda values: rules.ratio(values * (5 + PAIRED), 5 + PAIRED, above=2), 3 + 0.1 * NORMAL, 1 + 0.1 * NORMAL, 2 + 0.1 * NORMAL),
-    (lambda flags: rules.share(flags, above=0.5), SHARES < 150, SHARES < 50, SHARES < 100),
-    (lambda flags: rules.share(flags, below=0.5), SHARES < 50, SHARES < 150, SHARES < 100),
-    (rules.always, np.ones(9, bool), np.arange(9) > 0, np.ones(0, bool)),
-    (rules.possible, np.arange(9) == 0, np.zeros(400, bool), np.zeros(100, bool)),
-    (lambda values: rules.reported(values, 0.0), NORMAL, NORMAL + 5, NORMAL[:39]),
-    (lambda value: rules.equal(value, 0.12, 0.005), 0.124, 0.126, np.nan),
+    (lambda values: statistics.mean(values, above=1), 2 + NORMAL, NORMAL, 1 + NORMAL),
+    (lambda values: statistics.mean(values, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
+    (lambda values: statistics.mean(values, above=-1, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
+    (lambda values: statistics.difference(values + 10 * PAIRED, 10 * PAIRED, below=0), NORMAL - 1, NORMAL + 1, NORMAL),
+    (lambda values: statistics.ratio(values * (5 + PAIRED), 5 + PAIRED, above=2), 3 + 0.1 * NORMAL, 1 + 0.1 * NORMAL, 2 + 0.1 * NORMAL),
+    (lambda flags: statistics.share(flags, above=0.5), SHARES < 150, SHARES < 50, SHARES < 100),
+    (lambda flags: statistics.share(flags, below=0.5), SHARES < 50, SHARES < 150, SHARES < 100),
+    (statistics.always, np.ones(9, bool), np.arange(9) > 0, np.ones(0, bool)),
+    (statistics.possible, np.arange(9) == 0, np.zeros(400, bool), np.zeros(100, bool)),
+    (lambda values: statistics.reported(values, 0.0), NORMAL, NORMAL + 5, NORMAL[:39]),
+    (lambda value: statistics.equal(value, 0.12, 0.005), 0.124, 0.126, np.nan),
 ], ids=["mean above", "mean below", "mean between", "difference", "ratio", "share above", "share below", "always", "possible", "reported", "equal"])
 def test_each_rule_holds_fails_and_stays_open(rule, holds, fails, undecided):
     found = {verdict: rule(data) for verdict, data in ((HOLDS, holds), (FAILS, fails), (UNDECIDED, undecided))}
@@ -37,29 +42,29 @@ def test_each_rule_holds_fails_and_stays_open(rule, holds, fails, undecided):
 
 def test_the_intervals_cover_the_truth_as_often_as_they_say():
     rng = np.random.default_rng(1)
-    means = [rules.mean(rng.exponential(size=60)) for _ in range(200)]
-    shares = [rules.share(rng.random(60) < 0.3) for _ in range(200)]
+    means = [statistics.mean(rng.exponential(size=60)) for _ in range(200)]
+    shares = [statistics.share(rng.random(60) < 0.3) for _ in range(200)]
     assert 0.89 <= np.mean([each.low <= 1 <= each.high for each in means]) <= 0.99
     assert np.mean([each.low <= 0.3 <= each.high for each in shares]) >= 0.93
 
 
 def test_pairs_are_compared_as_pairs():
     """A difference far smaller than what both samples share is still seen."""
-    assert rules.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED, above=0).verdict == HOLDS
-    assert rules.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED[::-1], above=0).verdict == UNDECIDED
+    assert statistics.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED, above=0).verdict == HOLDS
+    assert statistics.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED[::-1], above=0).verdict == UNDECIDED
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_what_does_not_vary_is_judged_too_and_a_bound_is_not_included(value):
-    assert rules.difference(np.full(5, value), np.zeros(5), above=0).verdict == (HOLDS if value else FAILS)
-    assert rules.mean([value]).verdict == UNDECIDED
+    assert statistics.difference(np.full(5, value), np.zeros(5), above=0).verdict == (HOLDS if value else FAILS)
+    assert statistics.mean([value]).verdict == UNDECIDED
 
 
 def test_missing_values_and_unequal_samples_are_refused():
     with pytest.raises(ValueError, match="missing values"):
-        rules.mean([1.0, np.nan])
+        statistics.mean([1.0, np.nan])
     with pytest.raises(ValueError, match="lengths"):
-        rules.difference([1.0, 2.0], [1.0])
+        statistics.difference([1.0, 2.0], [1.0])
 
 
 def finding(verdict):
@@ -71,7 +76,7 @@ def finding(verdict):
     (UNDECIDED, HOLDS, ("holds under calibrated", "calibrated")), (FAILS, FAILS, (FAILS, "printed")), (FAILS, UNDECIDED, (UNDECIDED, "calibrated")),
 ])
 def test_one_verdict_from_two_readings(printed, calibrated, expected):
-    assert rules.combined(dict(printed=finding(printed), calibrated=finding(calibrated))) == expected
+    assert statistics.combined(dict(printed=finding(printed), calibrated=finding(calibrated))) == expected
 
 
 # The ledger itself
@@ -79,7 +84,7 @@ def test_one_verdict_from_two_readings(printed, calibrated, expected):
 @pytest.fixture(scope="module")
 def made_up(run, virtual_machine):
     """Evidence of the right form whose every number is drawn, so that no verdict means anything."""
-    rng, log = np.random.default_rng(0), evidence.measured(run)
+    rng, log = np.random.default_rng(0), run_sets.measured(run)
 
     def table(columns, rows=50):
         return pd.DataFrame({name: rng.random(rows) < 0.5 if isinstance(value, bool | np.bool_) else rng.random(rows) for name, value in columns.items()})
@@ -88,9 +93,9 @@ def made_up(run, virtual_machine):
     arrival = table({f"{name}_{kind}": name == "lost" for name in ("step", "reached_s", "lost") for kind in kinds} | dict(least=0.0))
     iterations = table(dict.fromkeys(["error_one_m", "error_many_m", "one_us", "many_us", "rms_warm", "rms_cold"], 0.0))
     exact = {"kkt": experiments.kkt_tolerances(3), "gains": experiments.gains(3), "models": experiments.models(3), "times": experiments.times(4.0)}
-    runs = {label: table({**run.metrics, "arrived": True}).assign(duration_s=240.0) for label in evidence.RUNS}
-    logs = {label: table(log) for label in evidence.LOGS}
-    return {reading: dict(runs=runs, logs=logs, experiments=exact | {"arrival cost": arrival, "iterations": iterations}) for reading in evidence.READINGS}
+    runs = {label: table({**run.metrics, "arrived": True}).assign(duration_s=240.0) for label in run_sets.RUNS}
+    logs = {label: table(log) for label in run_sets.LOGS}
+    return {reading: dict(runs=runs, logs=logs, experiments=exact | {"arrival cost": arrival, "iterations": iterations}) for reading in run_sets.READINGS}
 
 
 def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
@@ -106,27 +111,27 @@ def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
 def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
     runs = {label: pd.DataFrame(dict(mean_error_m=0.05 - 0.01 * (label == smaller) + 0.001 * RNG.normal(size=60))) for label in ("RHE", "EKF")}
     claims = [claim for claim in ledger.CLAIMS if claim.id == "B5"]
-    (row,) = ledger.ledger({reading: dict(runs=runs) for reading in evidence.READINGS}, claims).itertuples()
+    (row,) = ledger.ledger({reading: dict(runs=runs) for reading in run_sets.READINGS}, claims).itertuples()
     assert row.verdict == verdict and row.n == row.other_n == 60
     assert row.ours == pytest.approx(-0.01 if smaller == "RHE" else 0.01, abs=5e-4)
 
 
 def test_no_claim_is_judged_on_the_calibrations_seeds():
-    from rhec.calibration import TRAINING_SEEDS
-    asked = {scenario.seed for scenario in evidence.scenarios({}, "printed", 1000)}
+    from rhec.studies.calibration import TRAINING_SEEDS
+    asked = {scenario.seed for scenario in run_sets.scenarios({}, "printed", 1000)}
     assert len(asked) == 1000 and asked.isdisjoint(TRAINING_SEEDS)
 
 
 def test_the_same_label_meets_the_same_fields_under_both_readings():
-    fields, _ = evidence.RUNS["Q2"]
-    for one, other in zip(evidence.scenarios(fields, "printed", 3), evidence.scenarios(fields, "calibrated", 3)):
-        assert one.seed == other.seed and one.q == other.q == paper.Q2 and (one.reading, other.reading) == evidence.READINGS
+    fields, _ = run_sets.RUNS["Q2"]
+    for one, other in zip(run_sets.scenarios(fields, "printed", 3), run_sets.scenarios(fields, "calibrated", 3)):
+        assert one.seed == other.seed and one.q == other.q == paper.Q2 and (one.reading, other.reading) == run_sets.READINGS
 
 
 # What is measured
 
 def test_what_a_log_shows(run):
-    shown, log = evidence.measured(run), run.log
+    shown, log = run_sets.measured(run), run.log
     assert shown["in_bounds"] == log[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
     assert shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all() and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
     assert shown["arrival_s"] == run.metrics["arrival_s"] and shown["arrived"]
@@ -140,17 +145,17 @@ def test_what_a_log_shows(run):
 def test_a_lag_is_found(lag):
     truth = np.convolve(np.random.default_rng(0).normal(size=600), np.ones(25) / 25, "same")
     shift = round(lag / 0.2)
-    assert evidence.lag_s(np.concatenate([np.zeros(shift), truth[: 600 - shift]]), truth) == pytest.approx(lag, abs=0.2)
+    assert run_sets.lag_s(np.concatenate([np.zeros(shift), truth[: 600 - shift]]), truth) == pytest.approx(lag, abs=0.2)
 
 
 def test_a_robot_that_never_arrives_has_used_up_its_time():
-    table = evidence.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=[60.0, 60.0], error="")))
+    table = run_sets.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=[60.0, 60.0], error="")))
     assert list(table["arrival_s"]) == [3.0, 60.0] and list(table["arrived"]) == [True, False]
 
 
 def test_no_claim_is_judged_on_runs_that_failed():
     with pytest.raises(RuntimeError, match="1 of 2 runs failed, the first with: ValueError: no"):
-        evidence.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])))
+        run_sets.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])))
 
 
 # Experiments and estimators
@@ -163,8 +168,8 @@ def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virt
 def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
     import casadi as ca
 
-    from rhec import fold
-    steps = fold.functions(ca.Function.deserialize(experiments.with_given_arrival().serialize()))
+    from rhec._casadi import scan
+    steps = scan.functions(ca.Function.deserialize(experiments.with_given_arrival().serialize()))
     log = run.log[:60]
     estimates, P = experiments.estimated(steps, log, "calibrated")
     np.testing.assert_allclose(estimates, log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]], atol=1e-8)
@@ -206,7 +211,7 @@ def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machi
 
 def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
     table = ledger.ledger(made_up)
-    csv = figures.save_ledger(table, folder=tmp_path, notebook="claims.ipynb")
+    csv = plots.save_ledger(table, folder=tmp_path, notebook="claims.ipynb")
     read = pd.read_csv(csv, keep_default_na=False, na_values=[""])
     assert list(read["id"]) == list(table["id"]) and list(read["verdict"]) == list(table["verdict"])
     np.testing.assert_allclose(read["ours"], table["ours"])
@@ -216,6 +221,6 @@ def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
 
 def test_the_picture_names_every_claim_and_counts_the_verdicts(made_up):
     table = ledger.ledger(made_up)
-    texts = [text.get_text() for text in figures.verdicts(table).axes[0].texts]
+    texts = [text.get_text() for text in plots.verdicts(table).axes[0].texts]
     assert set(table["id"]) <= set(texts) and set(table["claim"]) <= set(texts)
     assert f"undecided: {(table['verdict'] == UNDECIDED).sum()}" in texts

@@ -10,7 +10,14 @@ from conftest import no_compiler
 from problems import flat
 
 import rhec
-from rhec import closed_loop, compiled, fold, function, paper, path, robot, terrain
+from rhec import simulation
+from rhec._casadi import compiled
+from rhec._casadi import scan
+from rhec._casadi import build as function
+from rhec import paper
+from rhec.model import path
+from rhec.model import robot
+from rhec.model import terrain
 
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m y_hat_m theta_hat_rad
     nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
@@ -29,7 +36,7 @@ def same(one, other, atol=0.0):
 
 def live(scenario, samples):
     """The loop in plain Python, from the parts that anyone may use."""
-    world, DT = closed_loop.world(scenario), paper.DT_S
+    world, DT = simulation.world(scenario), paper.DT_S
     given, soil, n_segments = world.settings, world.terrain, len(world.path.segments)
     measure, drive, slip = robot.measure(DT), robot.drive(DT), terrain.lookup(terrain.common_shape(soil))
     references = path.functions(DT, scenario.horizon, n_segments, scenario.input_reference)["references"]
@@ -37,7 +44,7 @@ def live(scenario, samples):
     rhe = rhec.RHE(reading=scenario.reading, guess=(*pose[:2], pose[2] + scenario.guess_yaw_rad, nu, 1.0, 1.0))
     rhc = rhec.RHC(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
     memory, s, previous, rows = robot.start(pose, nu), 0.0, 0.0, []
-    for drawn in closed_loop.draw_noise(scenario.seed, samples):
+    for drawn in simulation.draw_noise(scenario.seed, samples):
         drawn = {name: np.array(ca.evalf(value)) for name, value in function.unpack(ca.MX(ca.DM(drawn)), robot.NOISE).items()}
         now = given | memory | drawn
         traction = flat(slip(memory["pose"][:2], given["origin_m"], given["cell_m"], given["slip"]))
@@ -79,17 +86,17 @@ def test_compiled_code_and_the_virtual_machine_agree(estimator):
 
 
 def test_a_run_can_be_cut_anywhere(run):
-    made = closed_loop.world(MINUTE)
-    functions, noise = compiled.load(closed_loop.functions, *made.structure), closed_loop.draw_noise(MINUTE.seed, 300)
+    made = simulation.world(MINUTE)
+    functions, noise = compiled.load(simulation.functions, *made.structure), simulation.draw_noise(MINUTE.seed, 300)
     memory, rows = made.memory, []
     for part in np.split(noise, [1, 16, 37, 200]):
-        memory, more = fold.fold(functions, memory, part, made.settings)
+        memory, more = scan.fold(functions, memory, part, made.settings)
         rows.append(more)
-    last, whole = fold.fold(functions, made.memory, noise, made.settings)
+    last, whole = scan.fold(functions, made.memory, noise, made.settings)
     np.testing.assert_allclose(np.vstack(rows), whole, rtol=0, atol=1e-12)
     np.testing.assert_allclose(memory, last, rtol=0, atol=1e-12)
-    columns = [column for column in closed_loop.COLUMNS if column in run.log and column != "ok"]
-    np.testing.assert_allclose(pd.DataFrame(whole, columns=closed_loop.COLUMNS)[columns], run.log[columns], rtol=0, atol=1e-12)
+    columns = [column for column in simulation.COLUMNS if column in run.log and column != "ok"]
+    np.testing.assert_allclose(pd.DataFrame(whole, columns=simulation.COLUMNS)[columns], run.log[columns], rtol=0, atol=1e-12)
 
 
 # Seeds and noise

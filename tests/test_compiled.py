@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec import compiled
+from rhec._casadi import compiled
 
-BUILD = "from rhec import compiled, ekf; f = compiled.load(ekf.functions, {dt})['step']; print(f(memory=[1]*22, V=[1]*4)['estimate'])"
+BUILD = "from rhec._casadi import compiled; from rhec.estimator import ekf; f = compiled.load(ekf.functions, {dt})['step']; print(f(memory=[1]*22, V=[1]*4)['estimate'])"
 needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
 
 
@@ -79,7 +79,7 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
     shutil.copytree(Path(rhec.__file__).parents[1] / "data", tmp_path / "data")
     answer(start(tmp_path / "cache", package=tmp_path))
     assert len(libraries(tmp_path / "cache")) == 2    # where it lies does not matter
-    with open(tmp_path / "rhec" / "ekf.py", "a") as source:
+    with open(tmp_path / "rhec" / "estimator" / "ekf.py", "a") as source:
         source.write("# a new idea\n")
     answer(start(tmp_path / "cache", package=tmp_path))
     assert len(libraries(tmp_path / "cache")) == 3

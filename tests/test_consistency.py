@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rhec import Scenario, calibration, consistency
+from rhec.studies import calibration
+from rhec.studies import consistency
+from rhec import Scenario
 
 RUNS, SAMPLES = 40, 60
 A = np.array([[1, 0, 0, 0.2], [0, 1, 0, 0.1], [0, 0, 1, 0], [0, 0, 0, 1]])

@@ -5,8 +5,10 @@ import pytest
 from problems import DT, V, drive, flat
 
 import rhec
-from rhec import dual, estimators, rhe
-from rhec.function import vector
+from rhec.extensions import dual
+from rhec.estimator import base as estimators
+from rhec.estimator import rhe
+from rhec._casadi.build import vector
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 HORIZON, TRUTH = 8, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)

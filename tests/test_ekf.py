@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from problems import DT, V, drive, flat
 
-from rhec import ekf, function
+from rhec.estimator import ekf
+from rhec._casadi import build as function
 
 W = np.square([0.02, 0.02, 0.01, 0.05])
 STEP = ekf.functions(DT)["step"]

@@ -13,18 +13,28 @@ import pytest
 from conftest import no_compiler
 
 import rhec
-from rhec import closed_loop, compiled, estimators, figures, path, paper, rhc
-from rhec.embedded import LOG, instructions, machines, phases, report
-from rhec.function import only, vector
-from rhec.kalman import Z_MAX
+from rhec import simulation
+from rhec._casadi import compiled
+from rhec.estimator import base as estimators
+from rhec import plots
+from rhec.model import path
+from rhec import paper
+from rhec.controller import rhc
+from rhec.studies.embedded import instructions
+from rhec.studies.embedded import toolchain
+from rhec.codegen import phases
+from rhec.studies.embedded import report
+from rhec.codegen import LOG
+from rhec._casadi.build import only, vector
+from rhec.estimator.kalman import Z_MAX
 
 SECONDS = 20.0
 TOLERANCE = 1e-9
 PREDICTED, AS_PLANNED, ESTIMATOR_RESTARTED, CONTROLLER_RESTARTED = 1, 2, 4, 8
-QUICKLY = [flag.replace("-O3", "-O0") for flag in machines.FLAGS]
+QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 needs_valgrind = pytest.mark.skipif(not shutil.which("valgrind"), reason="there is no valgrind")
-ON = {"this machine": machines.this_machine, "Arm": machines.arm}
+ON = {"this machine": toolchain.this_machine, "Arm": toolchain.arm}
 
 
 def own_estimator():
@@ -77,7 +87,7 @@ def built(exported, tmp_path_factory):
         if machine is None:
             pytest.skip("there is no C compiler" if on == "this machine" else "there is no compiler for 64-bit Arm, or no emulator")
         if (name, on) not in made:
-            made[name, on] = machine, machines.library(machine, exported(name), tmp_path_factory.mktemp("built"), QUICKLY)
+            made[name, on] = machine, toolchain.library(machine, exported(name), tmp_path_factory.mktemp("built"), QUICKLY)
         return made[name, on]
 
     return build
@@ -90,7 +100,7 @@ def library(exported, tmp_path_factory):
         pytest.skip("there is no C compiler")
     out = tmp_path_factory.mktemp("shared") / "rhec.so"
     subprocess.run([compiled.compiler(), "-std=c99", "-ffp-contract=off", "-shared", "-fPIC", f"-I{exported('paper')}",
-                    *(f"{exported('paper')}/{source}" for source in machines.LIBRARY), "-o", out, "-lm"], check=True)
+                    *(f"{exported('paper')}/{source}" for source in toolchain.LIBRARY), "-o", out, "-lm"], check=True)
     return ctypes.CDLL(str(out))
 
 
@@ -122,7 +132,7 @@ def log_of(export):
 
 def in_python(scenario, measurements):
     """What the closed loop's own Functions answer to these measurements: (samples, 7)."""
-    world = closed_loop.world(scenario)
+    world = simulation.world(scenario)
     structure = world.structure
     estimate_step = estimators.step(structure.estimator, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp,
                                      structure.robust)
@@ -147,12 +157,12 @@ def in_python(scenario, measurements):
 @pytest.mark.parametrize("name, on", [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")])
 def test_replay_of_a_closed_loop_answers_what_python_answered(name, on, exported, built):
     machine, objects = built(name, on)
-    program = machines.program(machine, exported(name), "replay", objects, QUICKLY)
-    answers, expected = machines.replay(machine, program, exported(name) / "log.csv"), log_of(exported(name))
+    program = toolchain.program(machine, exported(name), "replay", objects, QUICKLY)
+    answers, expected = toolchain.replay(machine, program, exported(name) / "log.csv"), log_of(exported(name))
     assert len(answers) == len(expected) == SECONDS / paper.DT_S
     np.testing.assert_allclose(answers[LOG[4:]], expected[LOG[4:]], rtol=0, atol=TOLERANCE)
     assert (answers["status"] == 0).all()
-    assert machines.run(machine, program, exported(name) / "log.csv").returncode == 0
+    assert toolchain.run(machine, program, exported(name) / "log.csv").returncode == 0
 
 
 def test_silent_and_absurd_sensors_are_answered_as_in_python(exported, library):
@@ -171,7 +181,7 @@ def test_replay_finds_a_wrong_answer(exported, built, tmp_path):
     log = log_of(exported("paper"))
     log.loc[50, "kappa_hat"] += 1e-8
     log.to_csv(tmp_path / "log.csv", index=False)
-    finished = machines.run(machine, machines.program(machine, exported("paper"), "replay", objects), tmp_path / "log.csv")
+    finished = toolchain.run(machine, toolchain.program(machine, exported("paper"), "replay", objects), tmp_path / "log.csv")
     assert finished.returncode == 1 and "largest difference in 100 samples: 1e-08" in finished.stderr
 
 
@@ -179,7 +189,7 @@ def test_replay_takes_a_log_without_answers_and_with_gaps(exported, built, tmp_p
     machine, objects = built("paper", "this machine")
     log = log_of(exported("paper"))[LOG[:4]].mask(lambda z: z > 1.2)
     log.to_csv(tmp_path / "log.csv", index=False)
-    answers = machines.replay(machine, machines.program(machine, exported("paper"), "replay", objects), tmp_path / "log.csv")
+    answers = toolchain.replay(machine, toolchain.program(machine, exported("paper"), "replay", objects), tmp_path / "log.csv")
     np.testing.assert_allclose(answers[LOG[4:]], in_python(rhec.Scenario(duration_s=SECONDS, seed=1), log.to_numpy()), rtol=0, atol=TOLERANCE)
 
 
@@ -284,7 +294,7 @@ def test_sanitizers_find_nothing_in_nonsense(exported, tmp_path):
     probe = [compiler, *flags, "-x", "c", "-", "-o", tmp_path / "probe"]
     if subprocess.run(probe, input="int main(void) { return 0; }", text=True, capture_output=True).returncode:
         pytest.skip(f"{compiler} has no sanitizers")
-    sources = [f"{exported('paper')}/{source}" for source in ("fuzz.c", *machines.LIBRARY)]
+    sources = [f"{exported('paper')}/{source}" for source in ("fuzz.c", *toolchain.LIBRARY)]
     subprocess.run([compiler, *flags, f"-I{exported('paper')}", *sources, "-o", tmp_path / "fuzz", "-lm"], check=True)
     finished = subprocess.run([tmp_path / "fuzz", "1500"], capture_output=True, text=True)
     assert finished.returncode == 0 and not finished.stderr
@@ -295,7 +305,7 @@ def test_sanitizers_find_nothing_in_nonsense(exported, tmp_path):
 def test_valgrind_finds_nothing(exported, built, tmp_path):
     machine, objects = built("robust", "this machine")
     for name, argument in (("replay", exported("robust") / "log.csv"), ("fuzz", "100")):
-        program = machines.program(machine, exported("robust"), name, objects)
+        program = toolchain.program(machine, exported("robust"), name, objects)
         finished = subprocess.run(["valgrind", "--error-exitcode=9", "--leak-check=full", program, str(argument)], capture_output=True, text=True)
         assert finished.returncode == 0 and "0 errors from 0 contexts" in finished.stderr
 
@@ -305,7 +315,7 @@ def test_nonsense_is_survived(exported, built):
     """The program fails where an estimate is not finite or a command out of bounds."""
     for name in ("paper", "robust", "EKF"):
         machine, objects = built(name, "this machine")
-        came_back = machines.nonsense(machine, machines.program(machine, exported(name), "fuzz", objects), 30_000, 7).iloc[0]
+        came_back = toolchain.nonsense(machine, toolchain.program(machine, exported(name), "fuzz", objects), 30_000, 7).iloc[0]
         assert came_back["samples"] >= 30_000 and came_back["still_lost"] < came_back["storms"]
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
@@ -316,17 +326,17 @@ def test_the_program_that_feeds_nonsense_can_fail(exported, tmp_path):
     shutil.copytree(exported("EKF"), tmp_path / "broken")
     source = (tmp_path / "broken" / "rhec.c").read_text()
     (tmp_path / "broken" / "rhec.c").write_text(source.replace("*omega = r->omega[0];", "*omega = 1.001 * r->omega[0];"))
-    machine = machines.this_machine()
-    objects = machines.library(machine, tmp_path / "broken", tmp_path, QUICKLY)
+    machine = toolchain.this_machine()
+    objects = toolchain.library(machine, tmp_path / "broken", tmp_path, QUICKLY)
     with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
-        machines.nonsense(machine, machines.program(machine, tmp_path / "broken", "fuzz", objects), 3000)
+        toolchain.nonsense(machine, toolchain.program(machine, tmp_path / "broken", "fuzz", objects), 3000)
 
 
 def test_what_it_needs_is_far_below_256_kib(exported, built):
     machine, objects = built("paper", "this machine")
     header = (exported("paper") / "rhec_memory.h").read_text()
     memory = int(header.split("RHEC_MEMORY_BYTES ")[1].split()[0])
-    sizes = machines.sizes(machine, objects)
+    sizes = toolchain.sizes(machine, objects)
     assert memory + np.nan_to_num(sizes["stack_bytes"]) < 256 * 1024
     assert 0 < sizes["code_bytes"] < 1024 * 1024
 
@@ -335,7 +345,7 @@ def test_instructions_are_counted_the_same_every_time(exported, built, tmp_path)
     machine, objects = built("paper", "Arm")
     if not machine.emulator:
         pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
-    program, samples = machines.program(machine, exported("paper"), "replay", objects), 6
+    program, samples = toolchain.program(machine, exported("paper"), "replay", objects), 6
     (tmp_path / "log.csv").write_text("".join((exported("paper") / "log.csv").read_text().splitlines(keepends=True)[:samples + 1]))
     first, again = (instructions.trace(machine, program, tmp_path / "log.csv") for _ in range(2))
     np.testing.assert_array_equal(instructions.counts(first), instructions.counts(again))
@@ -410,8 +420,8 @@ def test_what_cannot_be_exported_is_refused_in_one_sentence(scenario, message, t
 
 def test_the_figure_shows_each_time_it_was_given():
     times = pd.DataFrame([*report.reported(), *(dict(machine="this machine", who="rhec, measured", problem=problem, phase=phase, mean_ms=mean, worst_ms=1.0)
-                                                for (problem, phase), mean in zip(machines.PHASES, (0.004, 0.0003, 0.001, 0.0015)))])
-    figure = figures.embedded_times(times)
+                                                for (problem, phase), mean in zip(toolchain.PHASES, (0.004, 0.0003, 0.001, 0.0015)))])
+    figure = plots.embedded_times(times)
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert texts == ["0.152 of 0.88 ms", "1.8 of 6.8 µs"]
     for axes, unit in zip(figure.axes, ("ms", "µs")):
@@ -425,4 +435,4 @@ def test_without_any_compiler_the_paper_s_times_are_left(exported, monkeypatch):
     monkeypatch.setattr(machines, "arm", lambda: None)
     made = report.measure(folder)
     assert made["sizes"].empty and made["counted"].empty and made["nonsense"].empty and set(made["times"]["who"]) == {"paper, reported"}
-    assert figures.embedded_times(made["times"]).axes
+    assert plots.embedded_times(made["times"]).axes

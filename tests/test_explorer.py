@@ -11,10 +11,13 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import figures, paper
-from rhec.figures import controls, explorer, panels
-from rhec.figures.moments import seen_from
-from rhec.horizons import horizons_at
+from rhec import plots
+from rhec import paper
+from rhec.workbench.explorer import controls
+from rhec.workbench.explorer import explorer
+from rhec.workbench.explorer import field_run
+from rhec.workbench.explorer.robot_view import robots_eye, seen_from
+from rhec.workbench.explorer.snapshot import horizons_at
 
 SHORT = rhec.Scenario(reading="calibrated", duration_s=60.0)
 
@@ -136,7 +139,7 @@ def test_pinned_runs_stay(made):
 
 
 @pytest.mark.parametrize("view", ["field run", "robot’s eye"])
-@pytest.mark.parametrize("zoom", panels.ZOOMS)
+@pytest.mark.parametrize("zoom", field_run.ZOOMS)
 def test_every_view_is_well_formed_and_has_no_style_for_the_whole_page(made, view, zoom):
     from xml.etree import ElementTree
     made.pin.click()
@@ -223,8 +226,8 @@ def test_a_lost_robot_is_drawn():
     columns = {name: np.full(len(values), np.nan) if name.endswith("_hat") or name.startswith("kkt") else values for name, values in run.columns.items()}
     columns |= {"error_true_m": 1e6 * run.columns["t_s"], "x_m": 1e6 * run.columns["t_s"]}
     lost = replace(run, columns=columns, metrics=run.metrics | {"arrival_s": float("nan")})
-    picture = panels.FieldRun()
-    for zoom in panels.ZOOMS:
+    picture = field_run.FieldRun()
+    for zoom in field_run.ZOOMS:
         picture.show([lost], (), zoom)
         assert "<svg" in picture.svg()
     assert "never" in explorer.metrics_table([lost])
@@ -290,10 +293,11 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
 
 
 def test_compiling_apart_leaves_what_load_finds():
-    from rhec import closed_loop, compiled
-    structure = closed_loop.world(rhec.Scenario(estimator="oracle", horizon=2)).structure
+    from rhec import simulation
+    from rhec._casadi import compiled
+    structure = simulation.world(rhec.Scenario(estimator="oracle", horizon=2)).structure
     explorer.compile_apart([structure])
-    assert compiled.at_hand(closed_loop.functions, *structure)
+    assert compiled.at_hand(simulation.functions, *structure)
 
 
 # The robot's eye
@@ -332,6 +336,6 @@ def test_seen_from_a_pose_what_is_ahead_is_ahead():
 
 
 def test_the_figures_are_complete_without_an_explorer(run, tmp_path):
-    for figure in (figures.field_run([run]), figures.robots_eye(run, 50, horizons_at(run.scenario, 50))):
+    for figure in (field_run.field_run([run]), robots_eye(run, 50, horizons_at(run.scenario, 50))):
         assert not figure.findobj(lambda artist: artist.get_animated())
-        assert figures.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000
+        assert plots.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000

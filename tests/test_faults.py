@@ -9,8 +9,12 @@ from hypothesis import strategies as st
 from problems import flat
 
 import rhec
-from rhec import closed_loop, faults, figures, paper, robustness
-from rhec.faults import Fault
+from rhec import simulation
+from rhec.extensions import faults
+from rhec import plots
+from rhec import paper
+from rhec.studies import robustness
+from rhec.extensions.faults import Fault
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 DT, B = paper.DT_S, paper.TRACK_WIDTH_M
@@ -191,13 +195,13 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
     assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(zip(table["family"], table["case"], table["handling"]))
     outage = errors["GNSS outage", "3 s", "off"]
     assert outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT)) and np.isfinite(outage).all()
-    numbers = figures.fault_table(table, {"": 20.0, "start": 1.0}).set_index(["family", "case", "handling"])
+    numbers = plots.fault_table(table, {"": 20.0, "start": 1.0}).set_index(["family", "case", "handling"])
     for key, runs in table.groupby(["family", "case", "handling"], sort=False):
         assert numbers.loc[key, "recovery_s"] == pytest.approx(runs["recovery_s"].mean(), nan_ok=True)
         assert numbers.loc[key, "back"] == runs["recovery_s"].notna().sum() and numbers.loc[key, "n"] == 2
         assert numbers.loc[key, "verdict"] == ("fails" if "start" in key else "holds")
     for family in cases:
-        figure = figures.fault_family(family, table, errors, robustness.BEFORE_S)
+        figure = plots.fault_family(family, table, errors, robustness.BEFORE_S)
         assert [axes.get_xlabel() for axes in figure.axes] == ["time since it began [s]"] * 2
         assert figure.axes[0].get_ylabel() == "true error [m]" and "2 seeds" in figure.get_suptitle()
 
@@ -221,4 +225,4 @@ def test_a_bad_fault_is_named_in_one_sentence(bad, sentence):
 def test_a_scenario_takes_faults_only():
     with pytest.raises(ValueError, match="^faults"):
         rhec.Scenario(faults=("missing",))
-    assert closed_loop.world(SHORT).structure.faulty is False
+    assert simulation.world(SHORT).structure.faulty is False

@@ -9,8 +9,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import rhec
-from rhec import figures, paper
-from rhec.figures import results, style
+from rhec import plots
+from rhec import paper
+from rhec.plots import scenarios
+from rhec.plots import style
 
 SEEDS = range(3)
 WEIGHTS = {"Q1": {"q": paper.Q1}, "Q2": {"q": paper.Q2}, "Q2, look-ahead": {"q": paper.Q2, "look_ahead_m": 0.5}, "Q3": {"q": paper.Q3}}
@@ -53,14 +55,14 @@ def drawn(runs, by_weight, sweep_a, sweep_b):
     """Every figure, by its function's name."""
     pair = runs["calibrated"]
     return {
-        "trajectories_q": figures.trajectories_q({weight: of_seeds[0] for weight, of_seeds in by_weight.items()}),
-        "weight_sweep": figures.weight_sweep(sweep_a),
-        "slip_fields": figures.slip_fields(pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"),
-        "trajectories": figures.trajectories(pair),
-        "errors": figures.errors(runs),
-        "violations": figures.violations(sweep_b),
-        "phases": figures.phases(TIMES),
-    } | {draw.__name__: draw(pair["RHE"]) for draw in (figures.estimates, figures.speed, figures.yaw_rate, figures.kkt)}
+        "trajectories_q": plots.trajectories_q({weight: of_seeds[0] for weight, of_seeds in by_weight.items()}),
+        "weight_sweep": plots.weight_sweep(sweep_a),
+        "slip_fields": plots.slip_fields(pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"),
+        "trajectories": plots.trajectories(pair),
+        "errors": plots.errors(runs),
+        "violations": plots.violations(sweep_b),
+        "phases": plots.phases(TIMES),
+    } | {draw.__name__: draw(pair["RHE"]) for draw in (plots.estimates, plots.speed, plots.yaw_rate, plots.kkt)}
 
 
 def words(figure):
@@ -108,7 +110,7 @@ def test_preparation_is_over_when_the_measurement_arrives(drawn):
 
 
 def test_table_a_equals_the_logs(by_weight, sweep_a):
-    table = figures.scenario_a_table(sweep_a).set_index(["weight", "quantity"])
+    table = plots.scenario_a_table(sweep_a).set_index(["weight", "quantity"])
     for weight, of_seeds in by_weight.items():
         arrivals = [run.metrics["arrival_s"] for run in of_seeds]
         assert table.loc[(weight, "settling time [s]"), "mean"] == pytest.approx(np.mean(arrivals))
@@ -122,7 +124,7 @@ def test_table_a_equals_the_logs(by_weight, sweep_a):
 
 def test_table_b_equals_the_logs(runs, sweep_b):
     first_seed = sweep_b[sweep_b["seed"] == 0].set_index(["reading", "estimator"])
-    table = figures.scenario_b_table(sweep_b).set_index(["reading", "estimator", "quantity"])
+    table = plots.scenario_b_table(sweep_b).set_index(["reading", "estimator", "quantity"])
     for reading, pair in runs.items():
         for name, run in pair.items():
             log = run.log[run.log["t_s"] > run.metrics["arrival_s"] + 4.9]
@@ -138,23 +140,23 @@ def test_table_b_equals_the_logs(runs, sweep_b):
 
 
 def test_intervals_shrink_to_a_constant_and_cover_a_mean():
-    assert results.over_seeds(np.mean, [2.0, 2.0, np.nan, 2.0]) == (2.0, 2.0, 2.0, 3)
+    assert scenarios.over_seeds(np.mean, [2.0, 2.0, np.nan, 2.0]) == (2.0, 2.0, 2.0, 3)
     draws = np.random.default_rng(1).normal(1.0, 1.0, (200, 20))
-    intervals = [results.over_seeds(np.mean, values)[1:3] for values in draws]
+    intervals = [scenarios.over_seeds(np.mean, values)[1:3] for values in draws]
     assert 0.88 < np.mean([low < 1.0 < high for low, high in intervals]) < 0.98   # the bootstrap is a little narrow at n = 20
 
 
 def test_verdicts_follow_the_rule():
-    assert results.verdict(2.1, 3.0, above=2) == "holds"
-    assert results.verdict(1.9, 3.0, above=2) == "undecided"
-    assert results.verdict(1.0, 1.9, above=2) == "fails"
-    assert results.verdict(-2.0, -1.0, below=0) == "holds"
-    assert results.verdict(1.0, 2.0, below=0) == "fails"
-    assert results.verdict(np.nan, np.nan, below=0) == "undecided"
+    assert scenarios.verdict(2.1, 3.0, above=2) == "holds"
+    assert scenarios.verdict(1.9, 3.0, above=2) == "undecided"
+    assert scenarios.verdict(1.0, 1.9, above=2) == "fails"
+    assert scenarios.verdict(-2.0, -1.0, below=0) == "holds"
+    assert scenarios.verdict(1.0, 2.0, below=0) == "fails"
+    assert scenarios.verdict(np.nan, np.nan, below=0) == "undecided"
 
 
 def test_runs_that_never_settle_are_counted(sweep_a):
     never = sweep_a.assign(arrival_s=sweep_a["arrival_s"].where(sweep_a["weight"] != "Q1"))
-    table = figures.scenario_a_table(never).set_index(["weight", "quantity"])
+    table = plots.scenario_a_table(never).set_index(["weight", "quantity"])
     assert table.loc[("Q1", "settling time [s]"), "n"] == 0 and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
-    assert "0 of 3 settle" in words(figures.weight_sweep(never))
+    assert "0 of 3 settle" in words(plots.weight_sweep(never))

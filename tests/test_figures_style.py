@@ -12,9 +12,10 @@ from PIL import Image
 
 import rhec
 from rhec import paper
-from rhec.figures import drawings, style
+from rhec.plots import robot_drawings
+from rhec.plots import style
 
-DRAWINGS = [drawings.robot_in_row, drawings.robot_parts, drawings.hardware_blocks, drawings.schematic]
+DRAWINGS = [robot_drawings.robot_in_row, robot_drawings.robot_parts, robot_drawings.hardware_blocks, robot_drawings.schematic]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +89,7 @@ def test_style_stays_inside_its_figures():
 
 
 def test_saving_leaves_the_layout_alone(tmp_path):
-    for figure in (parabola(), drawings.schematic()):
+    for figure in (parabola(), robot_drawings.schematic()):
         layout = type(figure.get_layout_engine())
         style.save(figure, "figure", folder=tmp_path)
         assert type(figure.get_layout_engine()) is layout
@@ -108,5 +109,5 @@ def test_labels_of_a_drawing_are_whole_and_apart(draw):
 
 @pytest.mark.parametrize("spacing, tolerance", [(paper.ROW_SPACING_M, paper.TOLERANCE_M), (1.0, 0.23)])
 def test_tolerance_is_computed_from_the_row(spacing, tolerance):
-    figure = drawings.robot_in_row(row_spacing_m=spacing)
+    figure = robot_drawings.robot_in_row(row_spacing_m=spacing)
     assert sum(text.get_text() == f"{tolerance:.2f} m" for text in texts(figure)) == 2

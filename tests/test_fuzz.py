@@ -16,7 +16,10 @@ from hypothesis import strategies as st
 from nbformat import v4
 
 import rhec
-from rhec import closed_loop, faults, notebook, paper
+from rhec import simulation
+from rhec.extensions import faults
+from rhec.workbench import notebook
+from rhec import paper
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 N = paper.HORIZON
@@ -84,7 +87,7 @@ def test_a_simulation(fields, several, robust, seed):
     with np.errstate(all="ignore"):
         columns = rhec.simulate(scenario).columns
     assert len(columns["t_s"]) == round(scenario.duration_s / 0.2)
-    for name in (*closed_loop.LOG["truth"], *closed_loop.LOG["estimate"], "omega_cmd_radps"):
+    for name in (*simulation.LOG["truth"], *simulation.LOG["estimate"], "omega_cmd_radps"):
         assert np.isfinite(columns[name]).all(), name
     assert np.all(np.abs(columns["omega_cmd_radps"]) <= scenario.omega_max_radps)
     for name in ("mu_hat", "kappa_hat", "mu", "kappa"):
@@ -98,7 +101,7 @@ def test_a_simulation(fields, several, robust, seed):
     patches=st.lists(st.tuples(anywhere, anywhere, positive, st.floats(1e-300, 1), st.floats(1e-300, 1)), max_size=2).map(tuple))))
 def test_a_field(fields):
     with np.errstate(all="ignore"):
-        made = refused_by_name(lambda: closed_loop.world(rhec.Scenario(**fields)), [*FIELDS, "box", "mu", "kappa"])
+        made = refused_by_name(lambda: simulation.world(rhec.Scenario(**fields)), [*FIELDS, "box", "mu", "kappa"])
     assert made is None or np.isfinite(made.settings["slip"]).all()
 
 
@@ -236,7 +239,7 @@ def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
     """Values that would leave the string they are in, or the folder, arrive as they are, to be refused."""
     monkeypatch.chdir(tmp_path)
     tagged = v4.new_code_cell("reading = 'printed'", metadata={"tags": ["parameters"]})
-    check = v4.new_code_cell("from rhec.notebook import parameters\nparameters(globals(), reading=('printed', 'calibrated'))")
+    check = v4.new_code_cell("from rhec.workbench.notebook import parameters\nparameters(globals(), reading=('printed', 'calibrated'))")
     nbformat.write(v4.new_notebook(cells=[tagged, check]), "toy.ipynb")
     value = "'); open('../executed', 'w'); ('\\'); open('../executed', 'w') #\nopen('../executed', 'w')"
     monkeypatch.setattr(sys, "argv", ["notebook", "toy.ipynb", "-p", "reading", value, "--output", "out.ipynb"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import flat
 
-from rhec import model
+from rhec.model import tracked_robot as model
 
 SPEED_MODELS = ["parameter", "input"]
 

@@ -5,10 +5,12 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import closed_loop, figures, terrain
-from rhec.calibration import TRAINING_SEEDS
-from rhec.claims import multiverse
-from rhec.claims.rules import FAILS, HOLDS, UNDECIDED
+from rhec import simulation
+from rhec import plots
+from rhec.model import terrain
+from rhec.studies.calibration import TRAINING_SEEDS
+from rhec.studies import multiverse
+from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED
 
 WORLDS, SEEDS = 64, 5
 
@@ -38,12 +40,12 @@ def test_worlds_fill_their_ranges_and_are_the_same_again(drawn):
 
 
 def test_every_world_can_be_driven_and_compiles_nothing_new(drawn):
-    usual = terrain.common_shape(closed_loop.world(rhec.Scenario()).terrain)
+    usual = terrain.common_shape(simulation.world(rhec.Scenario()).terrain)
     largest = drawn.assign(radius=drawn["speed_mps"] * drawn["mu_mean"] / drawn["kappa_mean"] / drawn["turn_demand"]).nlargest(3, "radius")
     for world in [*largest.drop(columns="radius").to_dict("records"), drawn.loc[0].to_dict()]:
         for variant in multiverse.VARIANTS:
             scenario = multiverse.scenario(world, variant, 2000)
-            made = closed_loop.world(scenario)
+            made = simulation.world(scenario)
             asked = world["mu_mean"] * world["speed_mps"] / world["kappa_mean"] / scenario.headland_radius_m
             assert asked == pytest.approx(0.1 * world["turn_demand"]) and terrain.common_shape(made.terrain) == usual
 
@@ -83,5 +85,5 @@ def test_noise_is_no_discovery(drawn):
 def test_the_map_shows_every_claim_and_unknown(drawn):
     verdicts, margins = multiverse.judge(made_up(drawn), WORLDS)
     correlations, discovered = multiverse.correlations(drawn, margins)
-    bars, heat, _ = figures.multiverse_map(multiverse.summary(drawn, verdicts, margins), correlations, discovered).axes
+    bars, heat, _ = plots.multiverse_map(multiverse.summary(drawn, verdicts, margins), correlations, discovered).axes
     assert len(bars.get_yticklabels()) == len(multiverse.CLAIMS) and len(heat.get_xticklabels()) == len(multiverse.UNKNOWNS)

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nbformat import v4
 
-from rhec import notebook
-from rhec.notebook import ParameterError, parameters
+from rhec.workbench import notebook
+from rhec.workbench.notebook import ParameterError, parameters
 
 ALLOWED = {
     "seed": (int, 0, 999_999),
@@ -78,7 +78,7 @@ def test_the_cell_can_be_run_again():
 def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monkeypatch, capfd):
     tagged = v4.new_code_cell("seed = 7", metadata={"tags": ["parameters"]})
     check = v4.new_code_cell(
-        "from rhec.notebook import parameters\nparameters(globals(), seed=(int, 0, 9))"
+        "from rhec.workbench.notebook import parameters\nparameters(globals(), seed=(int, 0, 9))"
     )
     nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
     monkeypatch.chdir(tmp_path)
@@ -101,7 +101,7 @@ def test_the_runner_refuses_what_is_no_notebook(path, monkeypatch, capsys):
 
 SCRIPT = """
 import os, pathlib, sys
-from rhec import notebook
+from rhec.workbench import notebook
 
 notebook.ROOT = pathlib.Path.cwd()
 sys.path.insert(0, os.getcwd())

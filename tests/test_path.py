@@ -8,7 +8,7 @@ import pytest
 from problems import flat
 
 import rhec
-from rhec import path as paths
+from rhec.model import path as paths
 
 RACETRACK = rhec.Path.racetrack(30.0, 7.8)
 PATHS = {

@@ -8,8 +8,12 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import example_log, figures, recordings, replays, scores
-from rhec.replays import ESTIMATE
+import make_example_log
+from rhec import plots
+from rhec.logs import recording as recordings
+from rhec.logs import replay as replays
+from rhec.logs import scores
+from rhec.logs.replay import ESTIMATE
 
 MU, KAPPA, B = 0.9, 0.75, 0.5
 
@@ -274,20 +278,20 @@ def test_files_are_data(tmp_path):
 
 @pytest.mark.parametrize("name", ["../../etc/passwd.csv", "..csv", "a b$(x).csv", "/", "日誌.csv", "C:\\log.csv"])
 def test_pictures_of_a_log_stay_in_the_folder_for_them(name):
-    folder = figures.replay_folder(name)
-    assert folder.parent == figures.replay_folder("x.csv").parent and folder.resolve() == folder
+    folder = plots.replay_folder(name)
+    assert folder.parent == plots.replay_folder("x.csv").parent and folder.resolve() == folder
 
 
 # The shipped log
 
 @pytest.fixture(scope="module")
 def shipped():
-    return recordings.read(example_log.FILE)
+    return recordings.read(make_example_log.FILE)
 
 
 def test_the_shipped_log_can_be_made_again(shipped):
-    pd.testing.assert_frame_equal(example_log.example_log(), shipped, rtol=0, atol=2e-4)
-    assert example_log.FILE.stat().st_size < 300_000
+    pd.testing.assert_frame_equal(make_example_log.example_log(), shipped, rtol=0, atol=2e-4)
+    assert make_example_log.FILE.stat().st_size < 300_000
 
 
 def test_the_shipped_log_has_all_kinds_of_motion(shipped):
@@ -348,8 +352,8 @@ def test_pictures_of_a_log_with_and_without_truth():
     for log in (LOG, LOG.drop(columns=list(recordings.TRUTH.values()))):
         replay = {"RHE": scores.trial(log, 0, reading="calibrated")}
         trials = {"RHE": scores.trials(log, range(2), reading="calibrated")}
-        for figure in (figures.replay_log(replay["RHE"], "a $ b"), figures.replay_yaw(replay), figures.replay_traction(replay, "RHE"),
-                       figures.replay_uncertainty(replay["RHE"], "RHE"), figures.replay_innovations(replay)):
+        for figure in (plots.replay_log(replay["RHE"], "a $ b"), plots.replay_yaw(replay), plots.replay_traction(replay, "RHE"),
+                       plots.replay_uncertainty(replay["RHE"], "RHE"), plots.replay_innovations(replay)):
             assert figure.axes
-        table = figures.replay_table(trials)
+        table = plots.replay_table(trials)
         assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == ("yaw_true_rad" in log)

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from nbformat import v4
 
 import rhec
-from rhec import figures, report
+from rhec import plots
+from rhec.workbench import report
 
 ROOT = Path(__file__).parents[1]
 PNG = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
@@ -27,9 +28,9 @@ def site(tmp_path_factory):
     (folder / "figures").mkdir()
     drawing = Figure()
     drawing.subplots().plot([0, 1])
-    figures.save(drawing, "fig99_line", rhec.Scenario(), folder / "figures", "one.ipynb")
+    plots.save(drawing, "fig99_line", rhec.Scenario(), folder / "figures", "one.ipynb")
     claims = pd.DataFrame({"quantity": ["error <m>", "yaw"], "mean": [0.1, np.nan], "claim": ["below 1", ""], "verdict": ["holds", ""]})
-    figures.save_table(claims, "table_claims", "Claims", folder / "figures", notebook="one.ipynb")
+    plots.save_table(claims, "table_claims", "Claims", folder / "figures", notebook="one.ipynb")
 
     timed = {"papermill": {"duration": 1.25, "start_time": "2026-01-02T03:04:05+00:00", "parameters": {"seed": 7}}}
     outputs = [v4.new_output("display_data", {"image/png": PNG, "text/plain": "a picture"}, metadata={"image/png": {"width": 340, "height": 200}}),

@@ -7,7 +7,7 @@ import pytest
 from problems import DT, N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
 
 import rhec
-from rhec import rhc as builders
+from rhec.controller import rhc as builders
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]

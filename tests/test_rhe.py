@@ -8,7 +8,7 @@ from problems import N, DT, V, drive, flat, iterate, places, rhe_by_ipopt, rhe_i
 
 import rhec
 from rhec import paper
-from rhec import rhe as builders
+from rhec.estimator import rhe as builders
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from problems import DT, flat
 
-from rhec import function, robot
+from rhec._casadi import build as function
+from rhec.model import robot
 
 DRIVE, MEASURE = robot.drive(DT), robot.measure(DT)
 QUIET = dict(bump=0, encoder=np.zeros((2, robot.SUBSTEPS)), track_width_m=0.4, encoder_sigma_mps=0, bump_sigma_radps=0)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec import closed_loop, soak
+from rhec import simulation
+import soak
 
 BASE = rhec.Scenario(robust=True)
 
@@ -20,7 +21,7 @@ def same(one, other):
 
 def test_five_hours_on_hard_ground_with_failing_sensors():
     """100,000 samples: no exception, everything finite and within its bounds, the arrival covariance positive definite, memory flat."""
-    done = subprocess.run([sys.executable, "-m", "rhec.soak", "--samples", "100000", "--seed", "1"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "soak", "--samples", "100000", "--seed", "1"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout[done.stdout.index("{"):])
     assert report["done"] == 100_000 and report["not_finite"] == report["out_of_bounds"] == report["not_definite"] == 0
@@ -43,21 +44,21 @@ def test_a_drive_can_be_cut_saved_and_resumed_anywhere(tmp_path):
 def test_a_leg_is_a_scenario_of_its_own_and_leaves_the_shape_of_the_loop_alone():
     legs = [soak.leg(BASE, 0, number) for number in range(40)]
     assert legs == [soak.leg(BASE, 0, number) for number in range(40)] and legs[3] != soak.leg(BASE, 1, 3)
-    assert len({leg.seed for leg in legs}) == 40 and {fault.kind for leg in legs for fault in leg.faults} == set(closed_loop.faults.KINDS)
-    assert len({closed_loop.world(leg).structure for leg in legs[:8]}) == 1
+    assert len({leg.seed for leg in legs}) == 40 and {fault.kind for leg in legs for fault in leg.faults} == set(simulation.faults.KINDS)
+    assert len({simulation.world(leg).structure for leg in legs[:8]}) == 1
 
 
 def test_what_is_wrong_is_counted():
     state = soak.drive(soak.start(BASE, 0), BASE, 20)
     scenario = soak.leg(BASE, 0, 0)
-    made = closed_loop.world(scenario)
-    healthy = np.zeros((5, len(closed_loop.COLUMNS)))
-    healthy[:, closed_loop.COLUMNS.index("ok")] = 1
+    made = simulation.world(scenario)
+    healthy = np.zeros((5, len(simulation.COLUMNS)))
+    healthy[:, simulation.COLUMNS.index("ok")] = 1
 
     def found(memory=state["memory"], **wrong):
         rows = healthy.copy()
         for name, value in wrong.items():
-            rows[2, closed_loop.COLUMNS.index(name)] = value
+            rows[2, simulation.COLUMNS.index(name)] = value
         return {name: count for name, count in soak.counted(BASE, scenario, made, rows, memory)[0].items() if count}
 
     assert found() == {}

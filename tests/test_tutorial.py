@@ -10,7 +10,9 @@ import pytest
 from nbclient import NotebookClient
 
 import rhec
-from rhec import exercises, model, paper
+import tutorial_checks
+from rhec.model import tracked_robot as model
+from rhec import paper
 
 TUTORIAL = Path(__file__).parents[1] / "notebooks/tutorial.ipynb"
 DT = paper.DT_S
@@ -68,7 +70,7 @@ def midpoint(xi, omega, p):
     (..., "nothing here yet"),
 ])
 def test_a_wrong_interval_is_found_out(step, said):
-    answer = exercises.interval(step)
+    answer = tutorial_checks.interval(step)
     assert not answer.right and said in answer.sentence
 
 
@@ -79,32 +81,32 @@ def test_any_right_interval_is_accepted():
         end = xi[2] + kappa * omega * DT
         return xi[0] + radius * (np.sin(end) - np.sin(xi[2])), xi[1] + radius * (np.cos(xi[2]) - np.cos(end)), end
 
-    assert exercises.interval(rk4).right
-    assert exercises.interval(exact).right
+    assert tutorial_checks.interval(rk4).right
+    assert tutorial_checks.interval(exact).right
 
 
 @pytest.mark.parametrize("q, said", [(paper.Q1, "too slow"), (paper.Q2, "too"), (paper.Q3, "too slow"), ((0.0, 0.0, 1.0), "never settles"),
                                      ((1.0, 1.0), "raised ValueError"), ((-1.0, 1.0, 1.0), "raised ValueError")])
 def test_weights_that_do_not_do_are_found_out(q, said):
-    answer = exercises.weights(q)
+    answer = tutorial_checks.weights(q)
     assert not answer.right and said in answer.sentence
 
 
 def test_more_than_one_choice_of_weights_does():
-    assert exercises.weights((10.0, 10.0, 10.0)).right
-    assert exercises.weights((1.0, 1.0, 0.3)).right
+    assert tutorial_checks.weights((10.0, 10.0, 10.0)).right
+    assert tutorial_checks.weights((1.0, 1.0, 0.3)).right
 
 
 @pytest.mark.parametrize("turn, said", [(lambda c, p: c * p[0] * p[1], "what does κ do"), (lambda c, p: c * p[0] / p[2], "what does μ do"),
                                         (lambda c, p: -c * p[0] * p[1] / p[2], "off the circle"), (lambda c, p: 0.0, "off the circle"),
                                         (lambda c, p: np.nan, "finite"), (lambda c: c, "raised TypeError")])
 def test_a_wrong_turn_is_found_out(turn, said):
-    answer = exercises.feedforward(turn)
+    answer = tutorial_checks.feedforward(turn)
     assert not answer.right and said in answer.sentence
 
 
 def test_the_right_turn_is_accepted():
-    assert exercises.feedforward(lambda c, p: c * p[0] * p[1] / p[2]).right
+    assert tutorial_checks.feedforward(lambda c, p: c * p[0] * p[1] / p[2]).right
 
 
 def estimator(mu_next):
@@ -119,10 +121,10 @@ def estimator(mu_next):
 
 def test_an_estimator_must_learn(virtual_machine):
     first = estimator(lambda mu, ahead: 0.9)
-    assert exercises.estimator(estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu + 0.1 * ahead, 0), 1)), first).right
+    assert tutorial_checks.estimator(estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu + 0.1 * ahead, 0), 1)), first).right
     for wrong, said in [(first, "below zero"), (estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu - 0.1 * ahead, 0), 1)), "below zero"),
                         ("rhe", "is a str"), (ca.Function("short", [ca.SX.sym("m", 6), ca.SX.sym("z", 3)], [ca.SX(6, 1), ca.SX(6, 1)]), "should have 4")]:
-        answer = exercises.estimator(wrong, first)
+        answer = tutorial_checks.estimator(wrong, first)
         assert not answer.right and said in answer.sentence
 
 
@@ -136,12 +138,12 @@ PATH = rhec.Path.from_segments([(30.0, 0.0), (np.pi * 7.8, 1 / 7.8), (30.0, 0.0)
 
 
 def test_a_terrain_must_have_the_strip():
-    assert exercises.terrain(strip(), PATH).right
-    assert exercises.terrain(strip(cell=0.25), PATH).right
+    assert tutorial_checks.terrain(strip(), PATH).right
+    assert tutorial_checks.terrain(strip(cell=0.25), PATH).right
     for wrong, said in [(strip(edges=(18, 25)), "outside the strip"), (strip(edges=(22, 25)), "in the strip"), (strip(kappa=(0.8, 0.8)), "in the strip"),
                         (strip(end=23.0), "outside the strip"), (strip(cell=1.0), "at most 0.5 m"), (rhec.Terrain.uniform(0.9, 0.8), "at most 0.5 m"),
                         (np.ones((9, 9)), "is a ndarray")]:
-        answer = exercises.terrain(wrong, PATH)
+        answer = tutorial_checks.terrain(wrong, PATH)
         assert not answer.right and said in answer.sentence, answer
 
 
@@ -151,16 +153,16 @@ def test_an_interval_must_be_of_the_paired_differences():
     one, other = hard + 0.1 * draw.normal(size=40), hard + 0.1 + 0.1 * draw.normal(size=40)
     gain = one - other
     mean, half = gain.mean(), 1.96 * gain.std(ddof=1) / np.sqrt(40)
-    assert exercises.difference(exercises.paired(one, other), one, other).right
-    assert exercises.difference((mean, mean - half, mean + half), one, other).right   # the normal distribution's is as good
+    assert tutorial_checks.difference(tutorial_checks.paired(one, other), one, other).right
+    assert tutorial_checks.difference((mean, mean - half, mean + half), one, other).right   # the normal distribution's is as good
     apart = 1.96 * np.sqrt((one.var() + other.var()) / 40)
     for wrong, said in [((mean, mean - apart, mean + apart), "taken apart"), ((mean, mean - 1.96 * gain.std(), mean + 1.96 * gain.std()), "single seeds"),
                         ((-mean, -mean - half, -mean + half), "the mean difference is"), ((mean, mean, mean), "wide"), ((mean, half), "2 numbers")]:
-        answer = exercises.difference(wrong, one, other)
+        answer = tutorial_checks.difference(wrong, one, other)
         assert not answer.right and said in answer.sentence, answer
 
 
 def test_an_answer_is_shown_as_text_and_without_the_students_markup():
-    answer = exercises.Answer(False, "<b>x</b>")
+    answer = tutorial_checks.Answer(False, "<b>x</b>")
     assert repr(answer) == "Not yet: <b>x</b>"
     assert re.search("&lt;b&gt;x", answer._repr_html_())

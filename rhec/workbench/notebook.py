@@ -1,0 +1,223 @@
+"""Strict parameters for notebooks, and a runner that records what a notebook used and made.
+
+    python -m rhec.workbench.notebook notebooks/scenario_a.ipynb -p seed 7
+"""
+
+import argparse
+import contextlib
+import difflib
+import importlib.util
+import json
+import logging
+import os
+import reprlib
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
+
+
+class ParameterError(ValueError):
+    """A notebook was given a parameter that it does not take."""
+
+
+def parameters(namespace, **allowed):
+    """Refuse, in one sentence, what a notebook's parameters may not be.
+
+    To be called with `globals()` right after the cell tagged `parameters`.  Each keyword names a
+    parameter and says what it may be: a number `(type, lowest, highest)`, a choice
+    `("one", "other")`, any text but an empty one, `str`, or a list of either, `[(float, 0, 100)]`.
+    """
+    # The first time, all data found here was given as a parameter; later the notebook has its own.
+    if "_parameters_checked" not in namespace:
+        _refuse_unknown(namespace, allowed)
+    for name, spec in allowed.items():
+        if name not in namespace:
+            raise ParameterError(f"{name} was not given; it must be {_wanted(spec)}")
+        value = namespace[name]
+        if not _fits(value, spec):
+            was = f"{reprlib.repr(value)} ({type(value).__name__})"
+            raise ParameterError(f"{name} was {was}; it must be {_wanted(spec)}")
+    namespace["_parameters_checked"] = True
+
+
+def _refuse_unknown(namespace, allowed):
+    # Papermill makes a misspelt parameter a new global, next to the untouched one that was meant.
+    ipython = namespace.get("get_ipython")
+    known = allowed.keys() | (ipython().user_ns_hidden if ipython else ())
+    for name, value in list(namespace.items()):
+        if isinstance(value, PLAIN_DATA) and not name.startswith("_") and name not in known:
+            del namespace[name]  # so that the cells, once corrected, can be run again
+            meant = difflib.get_close_matches(name, allowed, n=1) or allowed
+            raise ParameterError(
+                f"{name} was {reprlib.repr(value)}, but there is no such parameter; "
+                f"did you mean {' or '.join(meant)}?"
+            )
+
+
+def _fits(value, spec):
+    if spec is str:
+        return isinstance(value, str) and value != ""
+    if isinstance(spec, list):
+        return isinstance(value, list | tuple) and value and all(_fits(v, spec[0]) for v in value)
+    if isinstance(spec[0], type):
+        kind, lowest, highest = spec
+        return type(value) in {int, kind} and lowest <= value <= highest
+    return type(value) in map(type, spec) and value in spec
+
+
+def _wanted(spec):
+    if spec is str:
+        return "a text"
+    if isinstance(spec, list):
+        return f"a list of at least one item, each {_wanted(spec[0])}"
+    if isinstance(spec[0], type):
+        kind, lowest, highest = spec
+        return f"{'an int' if kind is int else 'a number'} from {lowest} to {highest}"
+    return " or ".join(map(repr, spec))
+
+
+def record(listing):
+    """Append to the file `listing` what this process, or a fork of it, opens in the project.
+
+    A module counts when it is imported, which always tries to open its bytecode first, and not
+    when its source is merely read, as it is to name the compiled libraries.
+    """
+    log = os.open(listing, os.O_WRONLY | os.O_APPEND)
+
+    def note(event, args):
+        if event == "open" and not isinstance(args[0], int):
+            path, written = args[0], args[2] & (os.O_WRONLY | os.O_RDWR)
+        elif event == "os.rename":
+            path, written = args[1], True
+        else:
+            return
+        path = os.path.realpath(os.fsdecode(path))
+        if path.endswith(".py"):
+            return
+        if path.endswith(".pyc") and not written:
+            with contextlib.suppress(ValueError):  # bytecode without a source
+                path = importlib.util.source_from_cache(path)
+        if path.startswith(f"{ROOT}{os.sep}"):
+            os.write(log, f"{'made' if written else 'used'} {path}\n".encode())
+
+    sys.addaudithook(note)
+
+
+def run(notebook, given, output):
+    """Execute a notebook into `output` and write beside it, for make, what it used and made."""
+    # Not imported above: every notebook imports this module, and none needs these.
+    import nbformat
+    import papermill
+
+    logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
+    os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
+    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs are the results, not what was waited for
+    with tempfile.NamedTemporaryFile("r") as listing:
+        started = time.time_ns()
+        executed = papermill.execute_notebook(
+            str(notebook),
+            None,
+            given,
+            kernel_name="python3",
+            language="python",
+            cwd=notebook.parent,
+            progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
+            extra_arguments=[
+                "--IPKernelApp.log_level=CRITICAL",
+                "--InlineBackend.figure_formats=retina",  # sharp in the report
+                "--IPKernelApp.exec_lines="
+                f"__import__('rhec.workbench.notebook').workbench.notebook.record({listing.name!r})",
+            ],
+        )
+        opened = [line.rstrip("\n").split(" ", 1) for line in listing]
+    made = _in_project(path for verb, path in opened if verb == "made")
+    used = _in_project([__file__, ROOT / "rhec/__init__.py", *(path for _, path in opened)]) - made
+
+    # All are dated to the start, so that whatever is edited during the run counts as newer.
+    for path in made:
+        os.utime(ROOT / path, ns=(started, started))
+    output.parent.mkdir(parents=True, exist_ok=True)
+    files = " ".join(sorted(used | made))
+    rule = f"{os.path.relpath(output, ROOT)}: {files}\n{files}:\n"
+    _write(output.with_suffix(".d"), rule, started)
+    _write(output, nbformat.writes(executed), started)
+
+
+def _in_project(paths):
+    """The paths that still exist, from the project's folder, without caches and what is built."""
+    paths = {Path(path).resolve().relative_to(ROOT) for path in paths if os.path.isfile(path)}
+    return {
+        str(path)
+        for path in paths
+        if not any(part in {"build", "__pycache__"} or part[0] == "." for part in path.parts)
+    }
+
+
+def _write(path, text, date):
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    unfinished.write_text(text, encoding="utf-8")
+    os.utime(unfinished, ns=(date, date))
+    unfinished.replace(path)
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m rhec.workbench.notebook", description="Run a notebook.")
+    parser.add_argument(
+        "notebook", metavar="NOTEBOOK", type=Path, help="such as notebooks/scenario_a.ipynb"
+    )
+    parser.add_argument(
+        "-p",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "VALUE"),
+        help="a parameter and its value: a number, a word or a list such as [1,2]",
+    )
+    parser.add_argument(
+        "--output", type=Path, help="the executed notebook, by default in build/notebooks"
+    )
+    args = parser.parse_args()
+
+    places = (args.notebook, ROOT / args.notebook)
+    notebook = next((path.resolve() for path in places if path.is_file()), None)
+    if notebook is None or notebook.suffix != ".ipynb":
+        parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
+    for name, _ in args.p:
+        if not name.isidentifier():
+            parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
+    stem = f"{notebook.stem}-custom" if args.p else notebook.stem
+    output = args.output or ROOT / f"build/notebooks/{stem}.ipynb"
+
+    started = time.monotonic()
+    try:
+        _run_or_say_why_not(parser, notebook, {name: _value(text) for name, text in args.p}, output)
+    except KeyboardInterrupt:
+        parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
+    seconds = time.monotonic() - started
+    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
+
+
+def _run_or_say_why_not(parser, notebook, given, output):
+    from papermill.exceptions import PapermillExecutionError  # takes a second, in which a person may change their mind
+
+    try:
+        run(notebook, given, output)
+    except PapermillExecutionError as error:
+        if error.ename == ParameterError.__name__:
+            parser.exit(2, f"{error.evalue}\n")
+        parser.exit(1, str(error))
+
+
+def _value(text):
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""The problems that all contestants solve: consecutive samples of one closed-loop run, each with the answer at convergence."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rhec._casadi import compiled
+from rhec import paper
+from rhec.model import path
+from rhec.simulation import simulate
+from rhec.controller.rhc import RHC
+from rhec.estimator.rhe import RHE
+from rhec.scenario import Scenario
+
+
+class Problem(NamedTuple):
+    """One sample, and the optimum of its two nonlinear problems."""
+
+    z: np.ndarray            # (4, N+1) the window of measurements, the newest last
+    m: np.ndarray            # (6,) mean of the arrival cost
+    H: np.ndarray            # (6, 6) its weight
+    estimate: np.ndarray     # (6,) answer: x, y, θ, ν, μ, κ at the newest node; also what the controller starts from
+    xi_ref: np.ndarray       # (3, N+1)
+    omega_ref: np.ndarray    # (N,)
+    omega_plan: np.ndarray   # (N,) answer
+
+
+def drive(samples, horizon=paper.HORIZON):
+    """A run with so many samples after the window has filled up."""
+    return simulate(Scenario(reading="calibrated", duration_s=(horizon + samples) * paper.DT_S))
+
+
+def measured(run):
+    """The measurements (n, 4) of a run."""
+    return run.log[["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]].to_numpy()
+
+
+def live(run, horizon=paper.HORIZON):
+    """rhec's estimator and controller as they begin this run."""
+    guess = (*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], run.scenario.speed_mps, 1.0, 1.0)
+    return RHE(reading=run.scenario.reading, horizon=horizon, guess=guess), RHC(horizon=horizon)
+
+
+def references(run, horizon):
+    """The function (estimate (6,), measured yaw rate) -> xi_ref (3, N+1), omega_ref (N,) that follows this run's path."""
+    call = compiled.Bound(compiled.load(path.functions, paper.DT_S, horizon, len(run.path.segments))["references"])
+    call.set(segments=run.path.segments.T, period_m=run.path.period_m)
+
+    def refer(estimate, omega_measured):
+        call.set(estimate=estimate, omega_measured=omega_measured)
+        call.call()
+        call.set(s=call.results["s"])
+        return call.results["xi_ref"].reshape((3, -1), order="F").copy(), call.results["omega_ref"].copy()
+
+    return refer
+
+
+def record(run, horizon=paper.HORIZON, iterations=20):
+    """The problems of a run, from the first full window on, each iterated so often."""
+    (estimator, controller), refer, z, problems = live(run, horizon), references(run, horizon), measured(run), []
+    for k, newest in enumerate(z):
+        estimator.prepare()
+        estimate = np.array(estimator.solve(newest, iterations)[:6])
+        xi_ref, omega_ref = refer(estimate, newest[3])
+        controller.prepare()
+        controller.solve(estimate[:3], estimate[3:], xi_ref, omega_ref, iterations)
+        if k >= horizon:
+            arrival = estimator.iteration.current
+            problems.append(Problem(z[k - horizon:k + 1].T.copy(), arrival["m"].copy(), np.linalg.inv(arrival["P"].reshape(6, 6)), estimate,
+                                    xi_ref, omega_ref, controller.omega_plan))
+    return problems
