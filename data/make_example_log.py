@@ -1,7 +1,9 @@
-"""The log that the project ships: the simulated robot driven open loop, recorded as a real robot's logger would.
+"""The log that the project ships: the simulated robot driven open loop, recorded as a real robot's
+logger would.
 
-Forward, backward, standing still and turning on the spot, at changing speeds, on a slip field, in two pieces. Ten rows a second, with a
-new position in every other one; between them the last position is repeated and pos_ok is 0. `python -m make_example_log` makes the file again.
+Forward, backward, standing still and turning on the spot, at changing speeds, on a slip field, in
+two pieces. Ten rows a second, with a new position in every other one; between them the last
+position is repeated and pos_ok is 0. `python -m make_example_log` makes the file again.
 """
 
 from pathlib import Path
@@ -10,42 +12,101 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec._casadi import scan
 from rhec import paper
-from rhec.model import robot
-from rhec.simulation import draw_noise
+from rhec._casadi import scan
 from rhec._casadi.build import folded, only, size, unpack, vector
+from rhec.model import robot
 from rhec.model.terrain import Terrain, flat, lookup
+from rhec.simulation import draw_noise
 
 FILE = Path(__file__).parents[1] / "data" / "example_log.csv"
 DT_S = 0.1
 SEED = 2018
 GNSS_SIGMA_M, BUMP_SIGMA_RADPS = 0.02, 0.02
-BOX = (-25.0, 35.0, -30.0, 30.0)   # of the slip field [m]
+BOX = (-25.0, 35.0, -30.0, 30.0)  # of the slip field [m]
 
 # Pose where each piece begins, and its commands (duration [s], speed [m/s], yaw rate [rad/s])
 PIECES = [
-    ((0.0, 0.0, 0.4), [(4, 0, 0), (12, 0.5, 0), (8, 0.5, 0.3), (8, 0.8, -0.25), (3, 0, 0), (10, -0.5, 0), (8, -0.4, 0.35), (3, 0, 0), (5, 0, 0.7),
-                       (10, 0.6, 0), (12, 0.35, -0.4), (8, 1.0, 0.1), (6, -0.7, -0.3), (4, 0, -0.7), (14, 0.5, 0.15), (5, 0, 0)]),
-    ((-3.0, 4.0, -2.0), [(10, 0.4, 0.2), (10, 0.7, -0.3), (6, -0.6, 0), (5, -0.3, 0.5), (4, 0, 0), (20, 0.5, 0), (10, 0.9, 0.2), (10, 0.3, -0.5),
-                         (8, -0.5, 0.2), (20, 0.6, 0.25), (4, 0, 0)]),
+    (
+        (0.0, 0.0, 0.4),
+        [
+            (4, 0, 0),
+            (12, 0.5, 0),
+            (8, 0.5, 0.3),
+            (8, 0.8, -0.25),
+            (3, 0, 0),
+            (10, -0.5, 0),
+            (8, -0.4, 0.35),
+            (3, 0, 0),
+            (5, 0, 0.7),
+            (10, 0.6, 0),
+            (12, 0.35, -0.4),
+            (8, 1.0, 0.1),
+            (6, -0.7, -0.3),
+            (4, 0, -0.7),
+            (14, 0.5, 0.15),
+            (5, 0, 0),
+        ],
+    ),
+    (
+        (-3.0, 4.0, -2.0),
+        [
+            (10, 0.4, 0.2),
+            (10, 0.7, -0.3),
+            (6, -0.6, 0),
+            (5, -0.3, 0.5),
+            (4, 0, 0),
+            (20, 0.5, 0),
+            (10, 0.9, 0.2),
+            (10, 0.3, -0.5),
+            (8, -0.5, 0.2),
+            (20, 0.6, 0.25),
+            (4, 0, 0),
+        ],
+    ),
 ]
 MEMORY = {name: robot.MEMORY[name] for name in ("pose", "tracks", "integral")}
-COLUMNS = ["x_m", "y_m", "v_left_mps", "v_right_mps", "x_true_m", "y_true_m", "yaw_true_rad", "v_true_mps", "yaw_rate_true_radps"]
+COLUMNS = [
+    "x_m",
+    "y_m",
+    "v_left_mps",
+    "v_right_mps",
+    "x_true_m",
+    "y_true_m",
+    "yaw_true_rad",
+    "v_true_mps",
+    "yaw_rate_true_radps",
+]
 
 
 def sample(terrain):
-    """One row: (memory, command and noise) -> (memory, COLUMNS). The encoders are read at this instant."""
+    """One row: (memory, command and noise) -> (memory, COLUMNS). The encoders are read at this
+    instant.
+    """
     drive, slip = robot.drive(DT_S), lookup(terrain.mu.shape)
-    body = dict(track_width_m=paper.TRACK_WIDTH_M, encoder_sigma_mps=0.0, bump_sigma_radps=BUMP_SIGMA_RADPS)
+    body = dict(
+        track_width_m=paper.TRACK_WIDTH_M, encoder_sigma_mps=0.0, bump_sigma_radps=BUMP_SIGMA_RADPS
+    )
 
     def moved(pose, tracks, integral, given):
         command, noise = given[:2], unpack(given[2:], robot.NOISE)
         traction = slip(pose[:2], terrain.origin_m, terrain.cell_m, flat(terrain))
-        row = ca.vertcat(pose[:2] + GNSS_SIGMA_M * noise["white"], tracks + paper.ENCODER_SIGMA_MPS * noise["encoder"][:, 0],
-                         pose, traction * ca.vertcat(*robot.body_speeds(tracks, paper.TRACK_WIDTH_M)))
-        driven = drive(pose=pose, tracks=tracks, integral=integral, speed_mps=command[0], omega_radps=command[1], traction=traction,
-                       **only(drive, noise), **body)
+        row = ca.vertcat(
+            pose[:2] + GNSS_SIGMA_M * noise["white"],
+            tracks + paper.ENCODER_SIGMA_MPS * noise["encoder"][:, 0],
+            pose,
+            traction * ca.vertcat(*robot.body_speeds(tracks, paper.TRACK_WIDTH_M)),
+        )
+        driven = drive(
+            pose=pose,
+            tracks=tracks,
+            integral=integral,
+            speed_mps=command[0],
+            omega_radps=command[1],
+            traction=traction,
+            **only(drive, noise),
+            **body,
+        )
         return {name: driven[name] for name in MEMORY} | dict(row=row)
 
     return folded("sample", moved, MEMORY, dict(given=(2 + size(robot.NOISE), 1)))
@@ -53,7 +114,9 @@ def sample(terrain):
 
 def record(pose, commands, terrain, seed):
     """One piece of the log: the robot starts at this pose and follows the commands."""
-    asked = np.array([command for duration, *command in commands for _ in range(round(duration / DT_S))])
+    asked = np.array(
+        [command for duration, *command in commands for _ in range(round(duration / DT_S))]
+    )
     given = np.hstack([asked, draw_noise(seed, len(asked))])
     memory = vector({name: robot.start(pose, 0.0)[name] for name in MEMORY})
     _, rows = scan.fold(scan.functions(sample(terrain)), memory, given, {})

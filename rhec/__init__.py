@@ -1,7 +1,8 @@
 """rhec: receding horizon estimation and control of a tracked field robot with unknown traction.
 
-A workbench around one paper: Kayacan, Young, Peschel, Chowdhary, "High-Precision Control of Tracked Field Robots in the Presence
-of Unknown Traction Coefficients" (2018). The names below are the whole public face.
+A workbench around one paper: Kayacan, Young, Peschel, Chowdhary, "High-Precision Control of Tracked
+Field Robots in the Presence of Unknown Traction Coefficients" (2018). The names below are the whole
+public face.
 """
 
 import importlib
@@ -10,9 +11,18 @@ __version__ = "0.1.0"
 
 # Loaded on first use, so that a program pays only for what it uses.
 _HOME = {
-    "Scenario": "scenario", "Run": "simulation", "simulate": "simulation",
-    "RHC": "controller.rhc", "RHE": "estimator.rhe", "Terrain": "model.terrain", "Path": "model.path", "campaign": "campaigns.campaign",
-    "Fault": "extensions.faults", "replay": "logs.replay", "Explorer": "workbench.explorer.explorer", "export": "codegen",
+    "Scenario": "scenario",
+    "Run": "simulation",
+    "simulate": "simulation",
+    "RHC": "controller.rhc",
+    "RHE": "estimator.rhe",
+    "Terrain": "model.terrain",
+    "Path": "model.path",
+    "campaign": "campaigns.campaign",
+    "Fault": "extensions.faults",
+    "replay": "logs.replay",
+    "Explorer": "workbench.explorer.explorer",
+    "export": "codegen",
 }
 __all__ = sorted(_HOME)
 

@@ -1,8 +1,8 @@
 """The paper's constants and reported results, each with its place. SI units; angles in radians.
 
-Where the paper gives no number, the value is this project's choice and is listed under "Not in the paper" (see readings R3, R4).
+Where the paper gives no number, the value is this project's choice and is listed under "Not in the
+paper" (see readings R3, R4).
 """
-
 
 # Sec. Introduction: the row and the tolerance
 ROBOT_WIDTH_M = 0.48
@@ -19,19 +19,28 @@ ENCODER_ACCURACY_MPS = 0.035
 SPEED_LOOP_RATE_HZ = 50.0
 DT_S = 1 / GNSS_RATE_HZ
 
-# Sec. Experimental Results: "prediction and estimation horizons are set to 3 seconds"; Table 1's text: 15 intervals
+# Sec. Experimental Results: "prediction and estimation horizons are set to 3 seconds"; Table 1's
+# text: 15 intervals
 HORIZON = 15
 
-# Sec. Implementation of Nonlinear RHE: standard deviations behind H_k = V_k⁻¹ and W, eq. (mhe_weightingmatrices)
-SIGMA_V = (0.03, 0.03, 0.05, 0.0175)               # x, y [m], ν [m/s], ω [rad/s]
-SIGMA_W_RHE = (10.0, 10.0, 0.1, 1.0, 0.25, 0.25)   # x, y [m], θ [rad], ν [m/s], μ, κ, each per sample
+# Sec. Implementation of Nonlinear RHE: standard deviations behind H_k = V_k⁻¹ and W, eq.
+# (mhe_weightingmatrices)
+SIGMA_V = (0.03, 0.03, 0.05, 0.0175)  # x, y [m], ν [m/s], ω [rad/s]
+SIGMA_W_RHE = (
+    10.0,
+    10.0,
+    0.1,
+    1.0,
+    0.25,
+    0.25,
+)  # x, y [m], θ [rad], ν [m/s], μ, κ, each per sample
 # Sec. Extended Kalman Filter, eq. (ekf_weightingmatrices)
-SIGMA_W_EKF = (10.0, 10.0, 0.1, 1.0)               # x, y [m], θ [rad], ν [m/s], each per sample
+SIGMA_W_EKF = (10.0, 10.0, 0.1, 1.0)  # x, y [m], θ [rad], ν [m/s], each per sample
 
 # Sec. Implementation of Nonlinear RHC
-OMEGA_MAX_RADPS = 0.1                              # eq. (mpc_constraints): 5.73 °/s
+OMEGA_MAX_RADPS = 0.1  # eq. (mpc_constraints): 5.73 °/s
 Q1, Q2, Q3 = (1.0, 1.0, 10.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
-R = 10.0                                           # eq. (mpc_weightingmatricesRQN)
+R = 10.0  # eq. (mpc_weightingmatricesRQN)
 QN_FACTOR = 10.0
 
 # Sec. Experimental Results: what the paper reports
@@ -39,7 +48,7 @@ MEAN_ERROR_RHE_M = 0.0423
 MEAN_ERROR_EKF_M = 0.0514
 VIOLATIONS_RHE = 0
 VIOLATIONS_EKF = 17
-TABLE_1_MS = {                                     # minimum, average, maximum on a Raspberry Pi 3
+TABLE_1_MS = {  # minimum, average, maximum on a Raspberry Pi 3
     ("RHE", "preparation"): (0.2921, 0.3523, 1.0075),
     ("RHE", "feedback"): (0.0766, 0.1309, 0.4925),
     ("RHE", "overall"): (0.3687, 0.4832, 1.5000),
@@ -50,9 +59,13 @@ TABLE_1_MS = {                                     # minimum, average, maximum o
 STEP_MEAN_MS, STEP_MAX_MS = 0.88, 2.8534
 
 # Not in the paper
-TRACK_WIDTH_M = 0.40                               # b: 0.48 m outside, tracks of about 0.08 m
-SPEED_MPS = 0.5                                    # R3: at this speed Scenario A looks as the paper describes it
+TRACK_WIDTH_M = 0.40  # b: 0.48 m outside, tracks of about 0.08 m
+SPEED_MPS = 0.5  # R3: at this speed Scenario A looks as the paper describes it
 ROW_LENGTH_M = 30.0
-HEADLAND_RADIUS_M = 10 * ROW_SPACING_M             # turns into the 20th row over; needs about 70 % of the yaw rate bound
-START_OFFSET_M = 1.0                               # "starts off-track"
-ENCODER_SIGMA_MPS = ENCODER_ACCURACY_MPS / 2       # the accuracy read as a 95 % bound of one 50 Hz reading
+HEADLAND_RADIUS_M = (
+    10 * ROW_SPACING_M
+)  # turns into the 20th row over; needs about 70 % of the yaw rate bound
+START_OFFSET_M = 1.0  # "starts off-track"
+ENCODER_SIGMA_MPS = (
+    ENCODER_ACCURACY_MPS / 2
+)  # the accuracy read as a 95 % bound of one 50 Hz reading

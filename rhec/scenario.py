@@ -1,16 +1,32 @@
-"""A scenario: every choice behind one closed-loop run, validated, with the reading of the paper it stands for (README, "Readings")."""
+"""A scenario: every choice behind one closed-loop run, validated, with the reading of the paper it
+stands for (README, "Readings").
+"""
 
 from typing import Annotated, Any, Literal
 
 import casadi as ca
 from pydantic import Field
 
-from rhec.estimator import base as estimators
 from rhec import paper
+from rhec._casadi.validation import (
+    ArrivalMean,
+    Flag,
+    Intervals,
+    NotNegative,
+    Positive,
+    Reading,
+    Real,
+    Solver,
+    SpeedModel,
+    Traction,
+    Weights,
+    shown,
+    validated,
+)
+from rhec.estimator import base as estimators
 from rhec.extensions.faults import Fault
 from rhec.model.path import Path
 from rhec.model.terrain import Patch, Seed, Terrain
-from rhec._casadi.validation import ArrivalMean, Flag, Intervals, NotNegative, Positive, Reading, Real, Solver, SpeedModel, Traction, Weights, shown, validated
 
 
 @validated
@@ -18,41 +34,59 @@ class Scenario:
     """One closed-loop run. SI units; angles in radians.
 
     The estimator
-        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true traction, pose estimated), "fixed_traction" (the
-                           EKF, told the field's mean traction), "augmented_ekf" (an EKF that estimates μ and κ, too, without bounds: what the
-                           paper warns of), "dual" (traction by the RHE, pose by an EKF that is told it: not in the paper), or a CasADi Function
-                           (memory, z) -> (memory, estimate) of one's own; its memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
-        reading            "printed": the paper's W to the letter; "calibrated": W from training seeds (R1, R2)
-        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for RHE and augmented EKF, without ν where that is an
-                           input, (μ, κ) per √m where tracks slip; (x, y, θ, ν) for the EKFs; both, one after the other, for "dual"
+        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true
+                           traction, pose estimated), "fixed_traction" (the EKF, told the field's
+                           mean traction), "augmented_ekf" (an EKF that estimates μ and κ, too,
+                           without bounds: what the paper warns of), "dual" (traction by the RHE,
+                           pose by an EKF that is told it: not in the paper), or a CasADi Function
+                           (memory, z) -> (memory, estimate) of one's own; its memory starts as the
+                           first guess (x, y, θ, ν, μ, κ), then zeros
+        reading            "printed": the paper's W to the letter; "calibrated": W from training
+                           seeds (R1, R2)
+        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for
+                           RHE and augmented EKF, without ν where that is an input, (μ, κ) per √m
+                           where tracks slip; (x, y, θ, ν) for the EKFs; both, one after the other,
+                           for "dual"
         sigma_v            measurement noise the estimator assumes: (x, y [m], ν [m/s], ω [rad/s])
-        horizon_rhe        intervals of the estimation window; N intervals have N + 1 nodes, so 14 is the paper's sum of N terms (R5)
-        speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an interval, from the encoders (R6, R13);
-                           "slipping": the same, with process noise in proportion to how far the tracks ran, sideways, too: not in the paper
-        arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper; "filtered": from the EKF update itself (R7)
-        robust             gate positions by their innovations, and begin again where they contradict the estimate for long (`rhec.gating`)
+        horizon_rhe        intervals of the estimation window; N intervals have N + 1 nodes, so 14
+                           is the paper's sum of N terms (R5)
+        speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an
+                           interval, from the encoders (R6, R13); "slipping": the same, with process
+                           noise in proportion to how far the tracks ran, sideways, too: not in the
+                           paper
+        arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper;
+                           "filtered": from the EKF update itself (R7)
+        robust             gate positions by their innovations, and begin again where they
+                           contradict the estimate for long (`rhec.gating`)
     The controller
         q, r, qn_factor    weights Q_k (x, y, θ), R, and Q_N = qn_factor · Q_k
         omega_max_radps    bound on the commanded yaw rate
         horizon            prediction intervals
         look_ahead_m       the desired points begin this far beyond the closest point
-        input_reference    "measured": the measured yaw rate held, as in the paper; "curvature": what the path asks for (R8)
-        command_delay      0: the command computed at t_k is applied at once; 1: one sample later (R10)
-        qp                 "structured": by Riccati recursion, the fastest at every horizon; or the condensed QP by "daqp" or "qpoases" (the
-                           paper's; on the virtual machine)
+        input_reference    "measured": the measured yaw rate held, as in the paper; "curvature":
+                           what the path asks for (R8)
+        command_delay      0: the command computed at t_k is applied at once; 1: one sample later
+                           (R10)
+        qp                 "structured": by Riccati recursion, the fastest at every horizon; or the
+                           condensed QP by "daqp" or "qpoases" (the paper's; on the virtual machine)
     The drive
-        speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (mpc_ref_ya) (R3, R9)
-        path               a rhec.Path; else two rows of row_length_m joined by half circles of headland_radius_m
-        start_offset_m, start_yaw_rad      where the robot starts, left of the path's beginning and turned from it (R3)
+        speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (mpc_ref_ya)
+                                           (R3, R9)
+        path               a rhec.Path; else two rows of row_length_m joined by half circles of
+                           headland_radius_m
+        start_offset_m, start_yaw_rad      where the robot starts, left of the path's beginning and
+                                           turned from it (R3)
         guess_yaw_rad      error of the estimator's first guess of the yaw
     The field
         terrain            a rhec.Terrain; else random fields from seed with these statistics:
         mu_mean, mu_deviation, kappa_mean, kappa_deviation, correlation_length_m
         patches            ((x_m, y_m, radius_m, mu, kappa), …): discs of sudden change
     The sensors and the ground
-        gnss_sigma_m       standard deviation of the position error, of which the share gnss_slow_share (of the variance) varies slowly, with
-                           time constant gnss_slow_time_s (R4)
-        encoder_sigma_mps  of one track at 50 Hz; bump_sigma_radps: yaw rate a bump adds for one sample
+        gnss_sigma_m       standard deviation of the position error, of which the share
+                           gnss_slow_share (of the variance) varies slowly, with time constant
+                           gnss_slow_time_s (R4)
+        encoder_sigma_mps  of one track at 50 Hz; bump_sigma_radps: yaw rate a bump adds for one
+                           sample
         track_width_m      b
         faults             (rhec.Fault, …): what is wrong with the sensors, and when
         seed               fixes terrain and noise together
@@ -105,19 +139,37 @@ class Scenario:
     seed: Seed = 0
 
     def __post_init__(self):
-        if self.estimator not in estimators.NAMES if isinstance(self.estimator, str) else not isinstance(self.estimator, ca.Function):
-            raise ValueError(f"estimator was {shown(self.estimator)}; it should be one of {estimators.NAMES} or a CasADi Function")
+        if (
+            self.estimator not in estimators.NAMES
+            if isinstance(self.estimator, str)
+            else not isinstance(self.estimator, ca.Function)
+        ):
+            raise ValueError(
+                f"estimator was {shown(self.estimator)}; it should be one of {estimators.NAMES} or a CasADi Function"
+            )
         if not isinstance(self.path, Path | None):
             raise ValueError(f"path was {shown(self.path)}; it should be a rhec.Path or None")
         if not isinstance(self.terrain, Terrain | None):
-            raise ValueError(f"terrain was {shown(self.terrain)}; it should be a rhec.Terrain or None")
+            raise ValueError(
+                f"terrain was {shown(self.terrain)}; it should be a rhec.Terrain or None"
+            )
         for name in ("mu", "kappa"):
             mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
             if deviation**2 >= mean * (1 - mean) and deviation:
-                raise ValueError(f"{name}_deviation was {deviation!r}; with {name}_mean {mean} it should be below {(mean * (1 - mean)) ** 0.5:.3g}, "
-                                 "the most a quantity between 0 and 1 can vary")
-        expected = estimators.entries(self.estimator, self.speed_model) if isinstance(self.estimator, str) else 0
+                raise ValueError(
+                    f"{name}_deviation was {deviation!r}; with {name}_mean {mean} it should be below {(mean * (1 - mean)) ** 0.5:.3g}, "
+                    "the most a quantity between 0 and 1 can vary"
+                )
+        expected = (
+            estimators.entries(self.estimator, self.speed_model)
+            if isinstance(self.estimator, str)
+            else 0
+        )
         if self.sigma_w is not None and len(self.sigma_w) != expected:
-            raise ValueError(f"sigma_w was {shown(self.sigma_w)}; for the estimator {self.estimator!r} it should have {expected} entries")
+            raise ValueError(
+                f"sigma_w was {shown(self.sigma_w)}; for the estimator {self.estimator!r} it should have {expected} entries"
+            )
         if self.robust and self.estimator not in ("rhe", "dual"):
-            raise ValueError(f"robust was True; for the estimator {self.estimator!r} it should be False")
+            raise ValueError(
+                f"robust was True; for the estimator {self.estimator!r} it should be False"
+            )

@@ -18,7 +18,9 @@ def no_compiler():
 
 @pytest.fixture(scope="module")
 def virtual_machine():
-    """The module's tests need no compiled code: what they build is used for moments only. `test_closed_loop` shows that both agree."""
+    """The module's tests need no compiled code: what they build is used for moments only.
+    `test_closed_loop` shows that both agree.
+    """
     with no_compiler():
         yield
 

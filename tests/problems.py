@@ -1,6 +1,8 @@
-"""The window's and the horizon's nonlinear problems, written down once more for IPOPT, and random instances of them.
+"""The window's and the horizon's nonlinear problems, written down once more for IPOPT, and random
+instances of them.
 
-Nothing here uses `rhec` beyond the paper's constants. Where θ is linear in time, as here, one Runge-Kutta step is Simpson's rule.
+Nothing here uses `rhec` beyond the paper's constants. Where θ is linear in time, as here, one
+Runge-Kutta step is Simpson's rule.
 """
 
 import functools
@@ -13,7 +15,11 @@ from rhec import paper
 DT, N = 0.2, 15
 V = np.square(paper.SIGMA_V)
 IPOPT = {"print_time": 0, "ipopt": dict(print_level=0, sb="yes", tol=1e-11, bound_relax_factor=0.0)}
-SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")   # what double precision allows
+SOLVED = (
+    "Solve_Succeeded",
+    "Solved_To_Acceptable_Level",
+    "Search_Direction_Becomes_Too_Small",
+)  # what double precision allows
 
 
 def flat(value):
@@ -26,13 +32,19 @@ def move(pose, nu, mu, kappa, omega, dt=DT):
     x, y, theta = pose[0], pose[1], pose[2]
     turns = [theta, theta + dt / 2 * kappa * omega, theta + dt * kappa * omega]
     simpson = [dt / 6 * mu * nu * weight for weight in (1, 4, 1)]
-    return [x + sum(w * ca.cos(turn) for w, turn in zip(simpson, turns)), y + sum(w * ca.sin(turn) for w, turn in zip(simpson, turns)), turns[2]]
+    return [
+        x + sum(w * ca.cos(turn) for w, turn in zip(simpson, turns)),
+        y + sum(w * ca.sin(turn) for w, turn in zip(simpson, turns)),
+        turns[2],
+    ]
 
 
 def drive(first, omegas, dt=DT):
-    """Truth (n+1, 6) of a robot that starts at (x, y, θ, ν, μ, κ) and turns at `omegas` (n,), and readings without noise (n+1, 4).
+    """Truth (n+1, 6) of a robot that starts at (x, y, θ, ν, μ, κ) and turns at `omegas` (n,), and
+    readings without noise (n+1, 4).
 
-    Reading i holds the yaw rate of the interval that ends at i; the one before the first is taken to be 0.
+    Reading i holds the yaw rate of the interval that ends at i; the one before the first is taken
+    to be 0.
     """
     truth = [np.array(first, dtype=float)]
     for omega in omegas:
@@ -49,7 +61,9 @@ def places(speed_model):
 
 @functools.cache
 def rhe_nlp(intervals, speed_model):
-    """Eq. (mhe) for a window of so many intervals, to be solved by IPOPT. Unknowns: s_0, then all inputs, interval by interval."""
+    """Eq. (mhe) for a window of so many intervals, to be solved by IPOPT. Unknowns: s_0, then all
+    inputs, interval by interval.
+    """
     parameter = speed_model == "parameter"
     n_s, n_v = (6, 1) if parameter else (5, 2)
     s, v = ca.MX.sym("s", n_s), ca.MX.sym("v", n_v, intervals)
@@ -65,27 +79,40 @@ def rhe_nlp(intervals, speed_model):
             cost += weight[3, i] * (z[3, i] - v[n_v - 1, i - 1]) ** 2
         if i < intervals:
             pose = move(pose, s[3] if parameter else v[0, i], mu, kappa, v[n_v - 1, i])
-    newest = ca.vertcat(pose[0], pose[1], pose[2], s[3] if parameter else v[0, intervals - 1], mu, kappa)
+    newest = ca.vertcat(
+        pose[0], pose[1], pose[2], s[3] if parameter else v[0, intervals - 1], mu, kappa
+    )
     unknowns, given = ca.veccat(s, v), ca.veccat(z, weight, m, H)
-    return ca.nlpsol("rhe", "ipopt", dict(x=unknowns, f=cost / 2, p=given), IPOPT), ca.Function("newest", [unknowns], [newest])
+    return ca.nlpsol("rhe", "ipopt", dict(x=unknowns, f=cost / 2, p=given), IPOPT), ca.Function(
+        "newest", [unknowns], [newest]
+    )
 
 
 def rhe_by_ipopt(z, m, P, speed_model, guess=None):
-    """Optimum of the window z (n, 4), NaN where there is no reading, with the arrival cost (m, P): unknowns, newest (x, y, θ, ν, μ, κ)."""
+    """Optimum of the window z (n, 4), NaN where there is no reading, with the arrival cost (m, P):
+    unknowns, newest (x, y, θ, ν, μ, κ).
+    """
     if guess is None:
-        guess = np.concatenate([m, z[1:, 3 if speed_model == "parameter" else 2:].ravel()])
+        guess = np.concatenate([m, z[1:, 3 if speed_model == "parameter" else 2 :].ravel()])
     solver, newest = rhe_nlp(len(z) - 1, speed_model)
     weight = np.where(np.isnan(z), 0, 1 / V)
     lower = np.full(solver.numel_in("x0"), -np.inf)
     lower[[len(m) - 2, len(m) - 1]] = 0
     upper = np.where(lower == 0, 1, np.inf)
-    solution = solver(x0=guess, lbx=lower, ubx=upper, p=np.concatenate([np.nan_to_num(z).ravel(), weight.ravel(), m, np.linalg.inv(P).ravel()]))
+    solution = solver(
+        x0=guess,
+        lbx=lower,
+        ubx=upper,
+        p=np.concatenate([np.nan_to_num(z).ravel(), weight.ravel(), m, np.linalg.inv(P).ravel()]),
+    )
     assert solver.stats()["return_status"] in SOLVED, solver.stats()["return_status"]
     return flat(solution["x"]), flat(newest(solution["x"]))
 
 
 def rhe_instance(rng, speed_model):
-    """A window of noisy readings (N+1, 4) and an arrival cost (m, P) from a prior that is off; the traction is as often above 1 as below."""
+    """A window of noisy readings (N+1, 4) and an arrival cost (m, P) from a prior that is off; the
+    traction is as often above 1 as below.
+    """
     keep = places(speed_model)
     first = np.array([*rng.normal(0, 1, 2), rng.uniform(-3, 3), 0.5, *rng.uniform(0.7, 1.3, 2)])
     _, z = drive(first, rng.uniform(-0.3, 0.3, N))
@@ -98,7 +125,9 @@ def rhe_instance(rng, speed_model):
 
 
 def window_memory(z, m, P, speed_model):
-    """The RHE's memory before the newest reading of the full window z enters, linearised where the arrival cost says."""
+    """The RHE's memory before the newest reading of the full window z enters, linearised where the
+    arrival cost says.
+    """
     inputs = [[0.0]] if speed_model == "parameter" else [[0.5], [0.0]]
     z = z.T.copy()
     z[:, -1] = np.nan
@@ -106,7 +135,9 @@ def window_memory(z, m, P, speed_model):
 
 
 def iterate(phases, memory, newest, settings, iterations):
-    """Linearise, feedback, expand, again and again: the last memory and feedback, and the KKT tolerance of every iteration."""
+    """Linearise, feedback, expand, again and again: the last memory and feedback, and the KKT
+    tolerance of every iteration.
+    """
     tolerances = []
     for _ in range(iterations):
         given = dict(memory) | settings | newest
@@ -130,18 +161,33 @@ def unknowns(memory):
 def rhc_nlp():
     """Eq. (NMPC), to be solved by IPOPT. Unknowns: ω_0 … ω_{N-1}."""
     omega, pose, p = ca.MX.sym("omega", N), ca.MX.sym("pose", 3), ca.MX.sym("p", 3)
-    xi_ref, omega_ref, q, qn, r = ca.MX.sym("xi_ref", 3, N + 1), ca.MX.sym("omega_ref", N), ca.MX.sym("q", 3), ca.MX.sym("qn", 3), ca.MX.sym("r")
+    xi_ref, omega_ref, q, qn, r = (
+        ca.MX.sym("xi_ref", 3, N + 1),
+        ca.MX.sym("omega_ref", N),
+        ca.MX.sym("q", 3),
+        ca.MX.sym("qn", 3),
+        ca.MX.sym("r"),
+    )
     cost, xi = r * ca.sumsqr(omega - omega_ref), pose
     for i in range(N):
         xi = move(xi, *ca.vertsplit(p), omega[i])
         cost += ca.dot(qn if i + 1 == N else q, (ca.vertcat(*xi) - xi_ref[:, i + 1]) ** 2)
-    return ca.nlpsol("rhc", "ipopt", dict(x=omega, f=cost / 2, p=ca.veccat(pose, p, xi_ref, omega_ref, q, qn, r)), IPOPT)
+    return ca.nlpsol(
+        "rhc",
+        "ipopt",
+        dict(x=omega, f=cost / 2, p=ca.veccat(pose, p, xi_ref, omega_ref, q, qn, r)),
+        IPOPT,
+    )
 
 
 def rhc_by_ipopt(problem, q, qn_factor, r, omega_max):
     given = [problem[name] for name in ("pose", "p", "xi_ref", "omega_ref")]
-    solution = rhc_nlp()(x0=0, lbx=-omega_max, ubx=omega_max,
-                         p=np.concatenate([flat(each) for each in (*given, q, qn_factor * np.array(q), r)]))
+    solution = rhc_nlp()(
+        x0=0,
+        lbx=-omega_max,
+        ubx=omega_max,
+        p=np.concatenate([flat(each) for each in (*given, q, qn_factor * np.array(q), r)]),
+    )
     assert rhc_nlp().stats()["return_status"] in SOLVED
     return flat(solution["x"])
 
@@ -151,9 +197,19 @@ def rhc_instance(rng):
     omegas = rng.normal(0, 0.05) + rng.normal(0, 0.02, N)
     reference, _ = drive([0, 0, rng.normal(0, 0.3), 0.45, 1, 1], omegas)
     pose = reference[0, :3] + rng.normal(size=3) * (0.3, 0.3, 0.3)
-    return dict(pose=pose, p=(0.5, *rng.uniform(0.5, 1, 2)), xi_ref=reference[:, :3].T, omega_ref=np.full(N, rng.normal(0, 0.03)))
+    return dict(
+        pose=pose,
+        p=(0.5, *rng.uniform(0.5, 1, 2)),
+        xi_ref=reference[:, :3].T,
+        omega_ref=np.full(N, rng.normal(0, 0.03)),
+    )
 
 
 def rhc_weights(rng):
     """Weights in which no two are alike."""
-    return dict(q=tuple(rng.uniform(0.2, 3, 3)), qn_factor=rng.uniform(0.5, 12), r=rng.uniform(2, 12), omega_max=rng.uniform(0.05, 0.15))
+    return dict(
+        q=tuple(rng.uniform(0.2, 3, 3)),
+        qn_factor=rng.uniform(0.5, 12),
+        r=rng.uniform(2, 12),
+        omega_max=rng.uniform(0.05, 0.15),
+    )

@@ -1,7 +1,10 @@
-"""Soak: one endless drive over ever-changing fields, with sensors that fail at random. `make soak SAMPLES=10000000` drives 23 days at 5 Hz.
+"""Soak: one endless drive over ever-changing fields, with sensors that fail at random. `make soak
+SAMPLES=10000000` drives 23 days at 5 Hz.
 
-The drive is a fold like any other, over legs of five minutes: a leg has its own soil, noise, tuning and faults, a pure function of (seed, leg), and takes
-over the robot, the estimator and the controller as the leg before left them. So it can be cut at any sample, saved as plain arrays, and resumed.
+The drive is a fold like any other, over legs of five minutes: a leg has its own soil, noise, tuning
+and faults, a pure function of (seed, leg), and takes over the robot, the estimator and the
+controller as the leg before left them. So it can be cut at any sample, saved as plain arrays, and
+resumed.
 """
 
 import argparse
@@ -14,62 +17,112 @@ from pathlib import Path
 
 import numpy as np
 
-from rhec import simulation
-from rhec._casadi import compiled
-from rhec.extensions import faults
-from rhec._casadi import scan
-from rhec import paper
-from rhec.estimator import rhe
-from rhec.model import robot
-from rhec.extensions.faults import Fault
+from rhec import paper, simulation
+from rhec._casadi import compiled, scan
 from rhec._casadi.build import pieces, shapes, size
+from rhec.estimator import rhe
+from rhec.extensions import faults
+from rhec.extensions.faults import Fault
+from rhec.model import robot
 from rhec.scenario import Scenario
 
-LEG = 1500                # samples
-CHECK = 500               # so often is the arrival covariance looked at
-COUNTS = ("done", "not_finite", "out_of_bounds", "not_definite", "not_ok", "outside", "digest")   # whole numbers of the state
+LEG = 1500  # samples
+CHECK = 500  # so often is the arrival covariance looked at
+COUNTS = (
+    "done",
+    "not_finite",
+    "out_of_bounds",
+    "not_definite",
+    "not_ok",
+    "outside",
+    "digest",
+)  # whole numbers of the state
 
 
 def random_fault(rng, duration_s):
     """Any kind of fault, anywhere in a leg, for up to 30 s."""
     kind = str(rng.choice(faults.KINDS))
     channels = faults.OWN_CHANNELS.get(kind, tuple(faults.CHANNELS))
-    sizes = dict(size_m=10 ** rng.uniform(-0.5, 3), delay_s=rng.uniform(0, faults.DELAY_MAX_S), rate_hz=rng.uniform(0.2, 4))
+    sizes = dict(
+        size_m=10 ** rng.uniform(-0.5, 3),
+        delay_s=rng.uniform(0, faults.DELAY_MAX_S),
+        rate_hz=rng.uniform(0.2, 4),
+    )
     told = {faults.SIZES[kind]: float(sizes[faults.SIZES[kind]])} if kind in faults.SIZES else {}
-    return Fault(kind=kind, channel=str(rng.choice(channels)), start_s=rng.uniform(0, duration_s), duration_s=rng.uniform(0, 30), **told)
+    return Fault(
+        kind=kind,
+        channel=str(rng.choice(channels)),
+        start_s=rng.uniform(0, duration_s),
+        duration_s=rng.uniform(0, 30),
+        **told,
+    )
 
 
 def leg(base, seed, number):
-    """The scenario of a leg: what does not change the shape of the loop is drawn anew; one leg in four has no faults."""
+    """The scenario of a leg: what does not change the shape of the loop is drawn anew; one leg in
+    four has no faults.
+    """
     rng = np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 3, number))))
     duration_s = LEG * paper.DT_S
     mu, kappa = rng.uniform(0.4, 0.95, 2)
     spread = rng.uniform(0, 0.5, 2) * np.sqrt([mu * (1 - mu), kappa * (1 - kappa)])
     box_m = (base.row_length_m, 2 * base.headland_radius_m)
-    patches = tuple((rng.uniform(0, box_m[0]), rng.uniform(0, box_m[1]), rng.uniform(0.5, 5), *rng.uniform(0.05, 1, 2)) for _ in range(rng.integers(3)))
+    patches = tuple(
+        (
+            rng.uniform(0, box_m[0]),
+            rng.uniform(0, box_m[1]),
+            rng.uniform(0.5, 5),
+            *rng.uniform(0.05, 1, 2),
+        )
+        for _ in range(rng.integers(3))
+    )
     return dataclasses.replace(
-        base, seed=int(rng.integers(2**31)), duration_s=duration_s, reading=str(rng.choice(["printed", "calibrated"])),
-        q=tuple(rng.uniform(0.1, 3, 3)), r=rng.uniform(1, 20), qn_factor=rng.uniform(1, 10), omega_max_radps=rng.uniform(0.05, 0.3),
-        look_ahead_m=rng.uniform(0, 0.5), command_delay=int(rng.integers(2)), speed_mps=rng.uniform(0.1, 1.2), mu_mean=mu, kappa_mean=kappa,
-        mu_deviation=spread[0], kappa_deviation=spread[1], correlation_length_m=rng.uniform(1, 8), patches=patches,
-        gnss_sigma_m=rng.uniform(0, 0.1), gnss_slow_share=rng.uniform(0, 1), encoder_sigma_mps=rng.uniform(0, 0.05), bump_sigma_radps=rng.uniform(0, 0.1),
-        faults=tuple(random_fault(rng, duration_s) for _ in range(rng.choice([0, 1, 2, 4]))) or (Fault(kind="missing", duration_s=0.0),))
+        base,
+        seed=int(rng.integers(2**31)),
+        duration_s=duration_s,
+        reading=str(rng.choice(["printed", "calibrated"])),
+        q=tuple(rng.uniform(0.1, 3, 3)),
+        r=rng.uniform(1, 20),
+        qn_factor=rng.uniform(1, 10),
+        omega_max_radps=rng.uniform(0.05, 0.3),
+        look_ahead_m=rng.uniform(0, 0.5),
+        command_delay=int(rng.integers(2)),
+        speed_mps=rng.uniform(0.1, 1.2),
+        mu_mean=mu,
+        kappa_mean=kappa,
+        mu_deviation=spread[0],
+        kappa_deviation=spread[1],
+        correlation_length_m=rng.uniform(1, 8),
+        patches=patches,
+        gnss_sigma_m=rng.uniform(0, 0.1),
+        gnss_slow_share=rng.uniform(0, 1),
+        encoder_sigma_mps=rng.uniform(0, 0.05),
+        bump_sigma_radps=rng.uniform(0, 0.1),
+        faults=tuple(random_fault(rng, duration_s) for _ in range(rng.choice([0, 1, 2, 4])))
+        or (Fault(kind="missing", duration_s=0.0),),
+    )
 
 
 def start(base, seed):
     """The state before the first sample: where the drive is, and what was counted on the way."""
-    return dict.fromkeys(COUNTS, 0) | dict(seed=seed, lowest_eigenvalue=np.inf, memory=simulation.world(leg(base, seed, 0)).memory)
+    return dict.fromkeys(COUNTS, 0) | dict(
+        seed=seed, lowest_eigenvalue=np.inf, memory=simulation.world(leg(base, seed, 0)).memory
+    )
 
 
 def arrival_covariance(base, memory):
     """P (n_s, n_s) of the RHE within the memory of the closed loop."""
-    of_rhe = shapes(rhe.start(np.zeros(6), np.ones(6), base.horizon_rhe, base.speed_model, base.robust))
+    of_rhe = shapes(
+        rhe.start(np.zeros(6), np.ones(6), base.horizon_rhe, base.speed_model, base.robust)
+    )
     begin = size(robot.MEMORY)
-    return pieces(memory[begin:begin + size(of_rhe)], of_rhe)["P"]
+    return pieces(memory[begin : begin + size(of_rhe)], of_rhe)["P"]
 
 
 def lowest_eigenvalue(P):
-    """Of P scaled to a unit diagonal; -Inf if P is not finite, not symmetric to the last bit, or has a variance that is not above 0."""
+    """Of P scaled to a unit diagonal; -Inf if P is not finite, not symmetric to the last bit, or
+    has a variance that is not above 0.
+    """
     if not (np.isfinite(P).all() and np.array_equal(P, P.T) and np.all(np.diag(P) > 0)):
         return -np.inf
     scale = np.sqrt(np.diag(P))
@@ -77,31 +130,61 @@ def lowest_eigenvalue(P):
 
 
 def counted(base, scenario, made, rows, memory):
-    """What is wrong with these samples and the arrival covariance after them, and the lowest eigenvalue of that."""
+    """What is wrong with these samples and the arrival covariance after them, and the lowest
+    eigenvalue of that.
+    """
     log = dict(zip(simulation.COLUMNS, rows.T))
-    finite = np.isfinite(rows[:, [simulation.COLUMNS.index(name) for name in (*simulation.LOG["truth"], *simulation.LOG["estimate"], "omega_cmd_radps")]])
+    finite = np.isfinite(
+        rows[
+            :,
+            [
+                simulation.COLUMNS.index(name)
+                for name in (
+                    *simulation.LOG["truth"],
+                    *simulation.LOG["estimate"],
+                    "omega_cmd_radps",
+                )
+            ],
+        ]
+    )
     traction = np.stack([log["mu_hat"], log["kappa_hat"]])
-    outside = (np.abs(log["omega_cmd_radps"]) > scenario.omega_max_radps) | ((traction < 0) | (traction > 1)).any(axis=0)
+    outside = (np.abs(log["omega_cmd_radps"]) > scenario.omega_max_radps) | (
+        (traction < 0) | (traction > 1)
+    ).any(axis=0)
     lowest = lowest_eigenvalue(arrival_covariance(base, memory))
     far = made.path.project(rows[:, :2])[0] > paper.TOLERANCE_M
-    return dict(not_finite=int((~finite).any(axis=1).sum()), out_of_bounds=int(outside.sum()), not_definite=int(not lowest > 0),
-                not_ok=int((log["ok"] != 1).sum()), outside=int(far.sum())), lowest
+    return dict(
+        not_finite=int((~finite).any(axis=1).sum()),
+        out_of_bounds=int(outside.sum()),
+        not_definite=int(not lowest > 0),
+        not_ok=int((log["ok"] != 1).sum()),
+        outside=int(far.sum()),
+    ), lowest
 
 
 def drive(state, base, samples):
-    """Drive so many samples on from a state: the next state. The same in one piece or in many, to the last bit of every row (`digest`)."""
+    """Drive so many samples on from a state: the next state. The same in one piece or in many, to
+    the last bit of every row (`digest`).
+    """
     state, end = dict(state), state["done"] + samples
     while state["done"] < end:
         number, place = divmod(state["done"], LEG)
         scenario = leg(base, state["seed"], number)
         made = simulation.world(scenario)
-        functions, stream = compiled.load(simulation.functions, *made.structure), simulation.inputs(scenario, LEG)
+        functions, stream = (
+            compiled.load(simulation.functions, *made.structure),
+            simulation.inputs(scenario, LEG),
+        )
         while place < LEG and state["done"] < end:
             until = min(place - place % CHECK + CHECK, place + end - state["done"])
-            state["memory"], rows = scan.fold(functions, state["memory"], stream[place:until], made.settings)
+            state["memory"], rows = scan.fold(
+                functions, state["memory"], stream[place:until], made.settings
+            )
             found, lowest = counted(base, scenario, made, rows, state["memory"])
             state |= {name: state[name] + count for name, count in found.items()}
-            state |= dict(done=state["done"] + until - place, digest=zlib.crc32(rows, state["digest"]))
+            state |= dict(
+                done=state["done"] + until - place, digest=zlib.crc32(rows, state["digest"])
+            )
             if until % CHECK == 0:
                 state["lowest_eigenvalue"] = min(state["lowest_eigenvalue"], float(lowest))
             place = until
@@ -118,8 +201,12 @@ def load(file, base):
     with np.load(file, allow_pickle=False) as data:
         state = {name: data[name] for name in data.files}
     first = start(base, 0)
-    if state.keys() != first.keys() or any(np.shape(value) != np.shape(first[name]) for name, value in state.items()):
-        raise ValueError(f"file was {str(file)!r}; it should hold the state of a drive of this scenario, as soak.save leaves it")
+    if state.keys() != first.keys() or any(
+        np.shape(value) != np.shape(first[name]) for name, value in state.items()
+    ):
+        raise ValueError(
+            f"file was {str(file)!r}; it should hold the state of a drive of this scenario, as soak.save leaves it"
+        )
     return {name: value if name == "memory" else value.item() for name, value in state.items()}
 
 
@@ -129,24 +216,50 @@ def resident_mb():
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="python -m soak", description="Drive on and on, over ever-changing fields and with random faults.")
-    parser.add_argument("--samples", type=int, default=10_000_000, help="at 5 Hz; 10,000,000 are 23 days")
+    parser = argparse.ArgumentParser(
+        prog="python -m soak",
+        description="Drive on and on, over ever-changing fields and with random faults.",
+    )
+    parser.add_argument(
+        "--samples", type=int, default=10_000_000, help="at 5 Hz; 10,000,000 are 23 days"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--robust", action=argparse.BooleanOptionalAction, default=True, help="see Scenario")
-    parser.add_argument("--state", type=Path, help="a file to resume from, if it is there, and to save the last state in")
+    parser.add_argument(
+        "--robust", action=argparse.BooleanOptionalAction, default=True, help="see Scenario"
+    )
+    parser.add_argument(
+        "--state",
+        type=Path,
+        help="a file to resume from, if it is there, and to save the last state in",
+    )
     given = parser.parse_args()
     base = Scenario(robust=given.robust)
-    state = load(given.state, base) if given.state and given.state.exists() else start(base, given.seed)
+    state = (
+        load(given.state, base) if given.state and given.state.exists() else start(base, given.seed)
+    )
     began, first, memory_mb = time.monotonic(), state["done"], []
-    for _ in range(20):   # twentieths, to see whether memory grows
+    for _ in range(20):  # twentieths, to see whether memory grows
         state = drive(state, base, -(-given.samples // 20))
         memory_mb.append(resident_mb())
-        print(f"{state['done']:>12,} samples, digest {state['digest']:08x}, memory {memory_mb[-1]:.1f} MB", flush=True)
+        print(
+            f"{state['done']:>12,} samples, digest {state['digest']:08x}, memory {memory_mb[-1]:.1f} MB",
+            flush=True,
+        )
         if given.state:
             save(state, given.state)
     seconds, driven = time.monotonic() - began, state["done"] - first
-    print(json.dumps({name: value for name, value in state.items() if name != "memory"} | dict(
-        seconds=round(seconds, 1), samples_per_s=round(driven / seconds), memory_mb_at_one_tenth=memory_mb[1], memory_mb_at_the_end=memory_mb[-1]), indent=1))
+    print(
+        json.dumps(
+            {name: value for name, value in state.items() if name != "memory"}
+            | dict(
+                seconds=round(seconds, 1),
+                samples_per_s=round(driven / seconds),
+                memory_mb_at_one_tenth=memory_mb[1],
+                memory_mb_at_the_end=memory_mb[-1],
+            ),
+            indent=1,
+        )
+    )
     raise SystemExit(any(state[name] for name in ("not_finite", "out_of_bounds", "not_definite")))
 
 

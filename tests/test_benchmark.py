@@ -1,17 +1,11 @@
-"""The benchmark: what it compares is the same problem, and what it reports is what was measured. No time is asserted."""
+"""The benchmark: what it compares is the same problem, and what it reports is what was measured. No
+time is asserted.
+"""
 
 import numpy as np
 import pandas as pd
 import pytest
-
-from benchmark import drawings
-from benchmark import horizon
-from benchmark import instructions
-from benchmark import peers
-from benchmark import problems
-from benchmark import processes
-from benchmark import step
-from benchmark import tails
+from benchmark import drawings, horizon, instructions, peers, problems, processes, step, tails
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +22,12 @@ def test_problems_are_the_full_windows_of_the_run(run, recorded):
     z = problems.measured(run)
     assert len(recorded) == 20
     for k, problem in enumerate(recorded):
-        np.testing.assert_array_equal(problem.z, z[k:k + 16].T)
+        np.testing.assert_array_equal(problem.z, z[k : k + 16].T)
         assert np.linalg.eigvalsh(problem.H).min() > 0
-        assert problem.xi_ref.shape == (3, 16) and problem.omega_ref.shape == problem.omega_plan.shape == (15,)
+        assert problem.xi_ref.shape == (
+            3,
+            16,
+        ) and problem.omega_ref.shape == problem.omega_plan.shape == (15,)
 
 
 @pytest.mark.parametrize("name", peers.PEERS)
@@ -46,14 +43,20 @@ def test_peers_are_sensitive_to_every_part_of_the_data(recorded):
     last = recorded[-1]
     for change in (dict(z=last.z + 0.01), dict(m=last.m + 0.01), dict(H=2 * last.H)):
         assert np.abs(rhe(last._replace(**change)) - last.estimate).max() > step.TOLERANCE
-    for change in (dict(estimate=last.estimate + 0.01), dict(xi_ref=last.xi_ref + 0.01), dict(omega_ref=last.omega_ref + 0.01)):
+    for change in (
+        dict(estimate=last.estimate + 0.01),
+        dict(xi_ref=last.xi_ref + 0.01),
+        dict(omega_ref=last.omega_ref + 0.01),
+    ):
         assert np.abs(rhc(last._replace(**change)) - last.omega_plan).max() > step.TOLERANCE
 
 
 def test_agreement_counts_the_iterations_that_convergence_takes(run, recorded):
     table, iterations = step.agreement(run, recorded)
     assert iterations > 1
-    assert list(table["contestant"])[-iterations:] == [f"rhec, {n} iteration{'s' * (n > 1)} a sample" for n in range(1, iterations + 1)]
+    assert list(table["contestant"])[-iterations:] == [
+        f"rhec, {n} iteration{'s' * (n > 1)} a sample" for n in range(1, iterations + 1)
+    ]
     assert table["rhe_maximum"].iloc[-1] <= step.TOLERANCE < table["rhe_maximum"].iloc[-iterations]
 
 
@@ -70,16 +73,32 @@ def test_contestants_take_turns_and_sums_are_sums():
         return lambda number: turns.append((name, number)) or dict(times)
 
     parts = dict(zip(step.PHASES, (1.0, 2.0, 3.0, 4.0)))
-    times = step.interleaved({"A": contestant("A", parts), "B": contestant("B", {("closed loop", "overall"): 5.0})}, rounds=2)
+    times = step.interleaved(
+        {"A": contestant("A", parts), "B": contestant("B", {("closed loop", "overall"): 5.0})},
+        rounds=2,
+    )
     assert turns == [("A", 0), ("B", 0)] * 2 + [("A", 1), ("B", 1)]
-    table = step.spread(times, ["contestant", "problem", "phase"]).set_index(["contestant", "problem", "phase"])["median_us"]
-    assert table["A", "RHE", "overall"] == 3 and table["A", "RHC", "overall"] == 7 and table["A", "RHE + RHC", "overall"] == 10
+    table = step.spread(times, ["contestant", "problem", "phase"]).set_index(
+        ["contestant", "problem", "phase"]
+    )["median_us"]
+    assert (
+        table["A", "RHE", "overall"] == 3
+        and table["A", "RHC", "overall"] == 7
+        and table["A", "RHE + RHC", "overall"] == 10
+    )
     assert table["B", "closed loop", "overall"] == 5
 
 
 def test_spread_is_the_quartiles():
     times = pd.DataFrame(dict(who=["b"] * 5 + ["a"] * 5, us=[5, 1, 2, 4, 3, 50, 10, 20, 40, 30]))
-    expected = pd.DataFrame(dict(who=["b", "a"], lower_quartile_us=[2.0, 20], median_us=[3.0, 30], upper_quartile_us=[4.0, 40]))
+    expected = pd.DataFrame(
+        dict(
+            who=["b", "a"],
+            lower_quartile_us=[2.0, 20],
+            median_us=[3.0, 30],
+            upper_quartile_us=[4.0, 40],
+        )
+    )
     pd.testing.assert_frame_equal(step.spread(times, ["who"]), expected, check_names=False)
 
 
@@ -87,7 +106,13 @@ def test_the_step_is_measured_and_drawn(monkeypatch):
     monkeypatch.setattr(step, "SAMPLES", 20)
     agreeing, table = step.measure(rounds=2)
     whole = table[table["problem"].isin(step.WHOLE)].set_index("contestant")
-    assert set(whole.index) == {"rhec, closed loop", "rhec, one iteration", "rhec, compiled code alone", "rhec, to convergence", *peers.PEERS}
+    assert set(whole.index) == {
+        "rhec, closed loop",
+        "rhec, one iteration",
+        "rhec, compiled code alone",
+        "rhec, to convergence",
+        *peers.PEERS,
+    }
     assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
     if step.REFERENCE in peers.PEERS:
         assert whole.loc[step.REFERENCE, step.SPEEDUP] == 1
@@ -134,5 +159,8 @@ def test_the_worst_case_is_at_least_every_percentile():
 
 def test_starts_and_campaigns_run_in_processes_of_their_own(monkeypatch):
     starts = processes.starts(rounds=1)
-    assert list(starts["start"].unique()) == ["nothing cached", "cached"] and (starts["min_s"] > 0).all()
+    assert (
+        list(starts["start"].unique()) == ["nothing cached", "cached"]
+        and (starts["min_s"] > 0).all()
+    )
     assert list(processes.throughput(few=2, many=4, rounds=1)["workers"]) == [1, 2]

@@ -6,37 +6,49 @@ import numpy as np
 import pytest
 
 import rhec
+from rhec.estimator import ekf, rhe
 from rhec.studies import calibration
-from rhec.estimator import ekf
-from rhec.estimator import rhe
 
 SIGMA_W = {"rhe": rhe.SIGMA_W, "ekf": ekf.SIGMA_W}
 
 
 @pytest.fixture(scope="module")
 def runs():
-    return [rhec.simulate(rhec.Scenario(estimator="oracle", seed=seed)) for seed in calibration.TRAINING_SEEDS[:2]]
+    return [
+        rhec.simulate(rhec.Scenario(estimator="oracle", seed=seed))
+        for seed in calibration.TRAINING_SEEDS[:2]
+    ]
 
 
 @pytest.mark.parametrize("estimator", ["rhe", "ekf"])
 def test_the_calibrated_noise_explains_the_training_runs_better_than_the_printed(estimator, runs):
     calibrated = calibration.deviance(estimator, SIGMA_W[estimator]["calibrated"], runs)
     assert calibrated < calibration.deviance(estimator, SIGMA_W[estimator]["printed"], runs) - 100
-    for factor in (0.1, 10):   # and better than others near it
-        assert calibrated < calibration.deviance(estimator, factor * np.array(SIGMA_W[estimator]["calibrated"]), runs)
+    for factor in (0.1, 10):  # and better than others near it
+        assert calibrated < calibration.deviance(
+            estimator, factor * np.array(SIGMA_W[estimator]["calibrated"]), runs
+        )
 
 
 def test_the_deviance_is_a_sum_over_runs(runs):
     sigma = SIGMA_W["ekf"]["calibrated"]
     each = [calibration.deviance("ekf", sigma, [run]) for run in runs]
-    assert calibration.deviance("ekf", sigma, runs) == pytest.approx(sum(each)) and each[0] != each[1]
+    assert (
+        calibration.deviance("ekf", sigma, runs) == pytest.approx(sum(each)) and each[0] != each[1]
+    )
 
 
 @pytest.mark.parametrize("estimator, entries", [("rhe", 6), ("ekf", 4)])
-def test_calibration_sees_training_seeds_alone_and_no_estimator_in_the_loop(estimator, entries, monkeypatch):
+def test_calibration_sees_training_seeds_alone_and_no_estimator_in_the_loop(
+    estimator, entries, monkeypatch
+):
     seen = []
     monkeypatch.setattr(calibration, "simulate", seen.append)
-    monkeypatch.setattr(calibration, "minimize", lambda *_, **__: types.SimpleNamespace(x=np.log(np.full(entries - 1, 0.0123)), fun=1.0))
+    monkeypatch.setattr(
+        calibration,
+        "minimize",
+        lambda *_, **__: types.SimpleNamespace(x=np.log(np.full(entries - 1, 0.0123)), fun=1.0),
+    )
     sigma, _ = calibration.calibrate(estimator)
     assert sigma == (0.012,) * entries
     assert len(seen) >= 10 and min(scenario.seed for scenario in seen) >= 1000

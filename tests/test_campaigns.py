@@ -34,7 +34,12 @@ def short(seeds=4, **changes):
 
 def same(one, other):
     """The same to the last bit; a column with holes may be of another type."""
-    pd.testing.assert_frame_equal(one.reset_index(drop=True), other.reset_index(drop=True), check_exact=True, check_dtype=False)
+    pd.testing.assert_frame_equal(
+        one.reset_index(drop=True),
+        other.reset_index(drop=True),
+        check_exact=True,
+        check_dtype=False,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,27 +63,44 @@ def mine(**result):
 
 # Rows
 
+
 def test_a_campaign_has_a_row_for_each_scenario_in_order():
-    scenarios = [dataclasses.replace(SHORT, seed=seed, estimator=estimator) for seed in (5, 2, 5) for estimator in ("ekf", "oracle")]
+    scenarios = [
+        dataclasses.replace(SHORT, seed=seed, estimator=estimator)
+        for seed in (5, 2, 5)
+        for estimator in ("ekf", "oracle")
+    ]
     table = rhec.campaign(scenarios)
-    assert list(table["seed"]) == [5, 5, 2, 2, 5, 5] and list(table["estimator"]) == ["ekf", "oracle"] * 3 and (table["error"] == "").all()
+    assert (
+        list(table["seed"]) == [5, 5, 2, 2, 5, 5]
+        and list(table["estimator"]) == ["ekf", "oracle"] * 3
+        and (table["error"] == "").all()
+    )
     for scenario, (_, row) in zip(scenarios, table.iterrows()):
         metrics = rhec.simulate(scenario).metrics
         assert {key: row[key] for key in metrics} == pytest.approx(metrics, nan_ok=True)
-        assert {field.name: row[field.name] for field in dataclasses.fields(scenario)} == dataclasses.asdict(scenario)
+        assert {
+            field.name: row[field.name] for field in dataclasses.fields(scenario)
+        } == dataclasses.asdict(scenario)
 
 
 def test_no_metric_hides_a_field():
     names = [field.name for field in dataclasses.fields(rhec.Scenario)]
     metrics = rhec.simulate(SHORT).metrics
     assert list(metrics) == list(campaigns.no_metrics()) and not set(names) & set(metrics)
-    assert list(rhec.campaign([]).columns) == list(rhec.campaign([SHORT]).columns) == [*names, *metrics, "error"]
+    assert (
+        list(rhec.campaign([]).columns)
+        == list(rhec.campaign([SHORT]).columns)
+        == [*names, *metrics, "error"]
+    )
     assert len(rhec.campaign([])) == 0
 
 
 def test_equal_scenarios_run_once(monkeypatch):
     ran = []
-    monkeypatch.setattr(campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario))
+    monkeypatch.setattr(
+        campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario)
+    )
     table = rhec.campaign([SHORT, *short(2), SHORT])
     assert ran == short(2) and list(table["seed"]) == [0, 0, 1, 0]
 
@@ -89,7 +111,10 @@ def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
     table = rhec.campaign([SHORT, broken, other, *short(2)])
     good = table["error"] == ""
     assert list(good) == [True, False, False, True, True]
-    assert table.loc[~good, list(set(campaigns.no_metrics()) - {"all_ok"})].isna().all(axis=None) and not table.loc[~good, "all_ok"].any()
+    assert (
+        table.loc[~good, list(set(campaigns.no_metrics()) - {"all_ok"})].isna().all(axis=None)
+        and not table.loc[~good, "all_ok"].any()
+    )
     assert table["error"].str.fullmatch(r"|\w+: .*").all() and table["error"].str.len().max() < 400
     assert table.loc[1, "estimator"] is broken.estimator
     same(table[good], rhec.campaign([SHORT, *short(2)]))
@@ -100,13 +125,23 @@ def test_nothing_is_shown_where_nobody_looks(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("arguments, sentence", [
-    (dict(scenarios=SHORT), "scenarios was Scenario"), (dict(scenarios=None), "scenarios was None; it should be a list of rhec.Scenario"),
-    (dict(scenarios="rhe"), "scenarios was 'rhe'; "), (dict(scenarios=[SHORT, 3]), r"scenarios\[1\] was 3; it should be a rhec.Scenario"),
-    (dict(scenarios=[], workers=0), "workers was 0; "), (dict(scenarios=[], workers=-1), "workers was -1; "),
-    (dict(scenarios=[], workers=1.5), "workers was 1.5; "), (dict(scenarios=[], workers="2"), "workers was '2'; "),
-    (dict(scenarios=[], folder=__file__), "folder was .*file"), (dict(scenarios=[], folder=3), "folder was 3; "),
-    (dict(scenarios=[], worker=2), "no parameter 'worker'; did you mean 'workers'")], ids=str)
+@pytest.mark.parametrize(
+    "arguments, sentence",
+    [
+        (dict(scenarios=SHORT), "scenarios was Scenario"),
+        (dict(scenarios=None), "scenarios was None; it should be a list of rhec.Scenario"),
+        (dict(scenarios="rhe"), "scenarios was 'rhe'; "),
+        (dict(scenarios=[SHORT, 3]), r"scenarios\[1\] was 3; it should be a rhec.Scenario"),
+        (dict(scenarios=[], workers=0), "workers was 0; "),
+        (dict(scenarios=[], workers=-1), "workers was -1; "),
+        (dict(scenarios=[], workers=1.5), "workers was 1.5; "),
+        (dict(scenarios=[], workers="2"), "workers was '2'; "),
+        (dict(scenarios=[], folder=__file__), "folder was .*file"),
+        (dict(scenarios=[], folder=3), "folder was 3; "),
+        (dict(scenarios=[], worker=2), "no parameter 'worker'; did you mean 'workers'"),
+    ],
+    ids=str,
+)
 def test_bad_arguments_are_refused_in_a_sentence(arguments, sentence):
     with pytest.raises(ValueError, match=sentence):
         rhec.campaign(**arguments)
@@ -114,11 +149,14 @@ def test_bad_arguments_are_refused_in_a_sentence(arguments, sentence):
 
 # What is kept
 
+
 @pytest.fixture
 def ran(monkeypatch):
     """The scenarios that really ran."""
     ran = []
-    monkeypatch.setattr(campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario))
+    monkeypatch.setattr(
+        campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario)
+    )
     return ran
 
 
@@ -128,13 +166,17 @@ def test_what_is_kept_is_not_run_again(tmp_path, ran):
     ran.clear()
     same(rhec.campaign(short(), tmp_path), first)
     assert ran == []
-    backwards = rhec.campaign([*short(6)[::-1], dataclasses.replace(SHORT, estimator=mine())], tmp_path)
+    backwards = rhec.campaign(
+        [*short(6)[::-1], dataclasses.replace(SHORT, estimator=mine())], tmp_path
+    )
     assert [scenario.seed for scenario in ran] == [5, 4, 0]
     same(backwards[2:6][::-1], first)
 
 
 def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
-    """Interrupted anywhere, again and again: each time it gets on, and what was finished is never run again."""
+    """Interrupted anywhere, again and again: each time it gets on, and what was finished is never
+    run again.
+    """
     monkeypatch.setattr(campaigns, "CHUNK", 30)
     runs = []
 
@@ -159,7 +201,9 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
 
 def test_failures_are_tried_again(tmp_path, ran, monkeypatch):
     monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
-    assert (rhec.campaign(short(), tmp_path)["error"] == "ZeroDivisionError: division by zero").all()
+    assert (
+        rhec.campaign(short(), tmp_path)["error"] == "ZeroDivisionError: division by zero"
+    ).all()
     monkeypatch.setattr(campaigns, "simulate", rhec.simulate)
     assert (rhec.campaign(short(), tmp_path)["error"] == "").all()
 
@@ -179,16 +223,42 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     soil, target = rhec.Terrain.uniform(0.7, 0.6), rhec.Path.from_segments([(20.0, 0.0)])
     other_soil = rhec.Terrain(soil.mu, np.nextafter(soil.kappa, 1), soil.origin_m, soil.cell_m)
     other_target = rhec.Path.from_segments([(20.0, 0.0)], start=(0.0, 1e-300, 0.0))
-    changes = dict(estimator="rhe", reading="calibrated", sigma_w=(1.0,) * 4, speed_model="input", arrival_mean="filtered", input_reference="curvature",
-                   command_delay=1, qp="daqp", backwards=True, path=target, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
-                   faults=(rhec.Fault(kind="stuck"),))
+    changes = dict(
+        estimator="rhe",
+        reading="calibrated",
+        sigma_w=(1.0,) * 4,
+        speed_model="input",
+        arrival_mean="filtered",
+        input_reference="curvature",
+        command_delay=1,
+        qp="daqp",
+        backwards=True,
+        path=target,
+        terrain=soil,
+        patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
+        faults=(rhec.Fault(kind="stuck"),),
+    )
     for field in dataclasses.fields(SHORT):
         if field.name not in changes and field.name != "robust":
             old = getattr(SHORT, field.name)
-            changes[field.name] = old + 1 if isinstance(old, int) else np.nextafter(old, 0.85) if isinstance(old, float) else (9.0, *old[1:])
+            changes[field.name] = (
+                old + 1
+                if isinstance(old, int)
+                else np.nextafter(old, 0.85)
+                if isinstance(old, float)
+                else (9.0, *old[1:])
+            )
     changed = [dataclasses.replace(SHORT, **{name: value}) for name, value in changes.items()]
-    changed += [dataclasses.replace(SHORT, **more) for more in (dict(terrain=other_soil), dict(path=other_target), dict(estimator=mine()),
-                                                                dict(estimator=mine(estimate=ca.DM.ones(6))), dict(estimator="rhe", robust=True))]
+    changed += [
+        dataclasses.replace(SHORT, **more)
+        for more in (
+            dict(terrain=other_soil),
+            dict(path=other_target),
+            dict(estimator=mine()),
+            dict(estimator=mine(estimate=ca.DM.ones(6))),
+            dict(estimator="rhe", robust=True),
+        )
+    ]
     keys = [campaigns.key(scenario) for scenario in [SHORT, *changed]]
     assert len(set(keys)) == len(keys) == len(changes) + 6
     assert keys == [campaigns.key(dataclasses.replace(scenario)) for scenario in [SHORT, *changed]]
@@ -204,14 +274,27 @@ def of_something_else(file):
 
 def of_other_types(file):
     table = pq.read_table(file)
-    pq.write_table(table.set_column(table.column_names.index("violations"), "violations", pa.array(["many"] * len(table))), file)
+    pq.write_table(
+        table.set_column(
+            table.column_names.index("violations"), "violations", pa.array(["many"] * len(table))
+        ),
+        file,
+    )
 
 
-@pytest.mark.parametrize("spoil", [truncated, of_something_else, of_other_types, lambda file: file.write_bytes(b""),
-                                   lambda file: file.write_text("key,scenario\n")])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        truncated,
+        of_something_else,
+        of_other_types,
+        lambda file: file.write_bytes(b""),
+        lambda file: file.write_text("key,scenario\n"),
+    ],
+)
 def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
     first = rhec.campaign(short(), tmp_path)
-    file, = tmp_path.glob("*/*.parquet")
+    (file,) = tmp_path.glob("*/*.parquet")
     spoil(file)
     ran.clear()
     with pytest.warns(UserWarning, match="cannot be read .* done again"):
@@ -224,10 +307,10 @@ def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
 def test_no_damaged_row_is_ever_taken(tmp_path):
     """One bit anywhere in the file: either it does not matter, or the file is left aside."""
     rhec.campaign(short(3), tmp_path)
-    file, = tmp_path.glob("*/*.parquet")
+    (file,) = tmp_path.glob("*/*.parquet")
     content, rows, left_aside = file.read_bytes(), campaigns.kept(file.parent), 0
     for place in np.random.default_rng(0).integers(len(content), size=300):
-        file.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1:])
+        file.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             got = campaigns.kept(file.parent)
@@ -238,35 +321,54 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
 
 # Workers of its own
 
+
 def test_it_is_the_same_on_any_number_of_workers_and_without():
-    scenarios = short(20) + [dataclasses.replace(SHORT, estimator=mine()), dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
-                             dataclasses.replace(SHORT, duration_s=0.2), dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))]
+    scenarios = short(20) + [
+        dataclasses.replace(SHORT, estimator=mine()),
+        dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
+        dataclasses.replace(SHORT, duration_s=0.2),
+        dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2))),
+    ]
     here = rhec.campaign(scenarios)
     for workers in (1, 2):
         same(rhec.campaign(scenarios, workers=workers), here)
 
 
-def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_its_error(tmp_path, monkeypatch):
+def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_its_error(
+    tmp_path, monkeypatch
+):
     track = rhec.Path.racetrack(30.0, 7.8)
-    lethal = dataclasses.replace(SHORT, path=Lethal(track.segments, track.length_m, True, home=os.getpid()))
+    lethal = dataclasses.replace(
+        SHORT, path=Lethal(track.segments, track.length_m, True, home=os.getpid())
+    )
     scenarios = [*short(3), lethal, *short(40)]
     campaigns.local(2)
     killed, keep = [], campaigns.keep
 
     def kill_a_worker_and_keep(*given):
         if not killed:
-            killed.append(next(child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())))
+            killed.append(
+                next(
+                    child
+                    for child in psutil.Process().children()
+                    if "spawn_main" in " ".join(child.cmdline())
+                )
+            )
             killed[0].kill()
         keep(*given)
 
     monkeypatch.setattr(campaigns, "keep", kill_a_worker_and_keep)
     table = rhec.campaign(scenarios, tmp_path, workers=2)
     assert killed and not killed[0].is_running()
-    assert list(table.index[table["error"] != ""]) == [3] and table.loc[3, "error"] == "KilledWorker: every worker that ran it died"
+    assert (
+        list(table.index[table["error"] != ""]) == [3]
+        and table.loc[3, "error"] == "KilledWorker: every worker that ran it died"
+    )
     same(table.drop(index=3), rhec.campaign(short(3) + short(40)))
 
 
 # A cluster that is there already
+
 
 @pytest.fixture
 def started():
@@ -274,13 +376,19 @@ def started():
     processes = []
 
     def start(module, *arguments, **environment):
-        processes.append(subprocess.Popen([sys.executable, "-P", "-m", f"distributed.cli.{module}", *map(str, arguments)], stdout=subprocess.DEVNULL,
-                                          stderr=subprocess.DEVNULL, env=os.environ | dict(PYTHONPATH=str(ROOT)) | environment))
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, "-P", "-m", f"distributed.cli.{module}", *map(str, arguments)],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | dict(PYTHONPATH=str(ROOT)) | environment,
+            )
+        )
         return processes[-1]
 
     yield start
     for process in processes[::-1]:
-        process.kill()   # they have no children
+        process.kill()  # they have no children
     for process in processes:
         process.wait(timeout=30)
 
@@ -288,14 +396,37 @@ def started():
 def scheduler(start, folder):
     """The address of a scheduler in a process of its own."""
     file = folder / "scheduler.json"
-    start("dask_scheduler", "--host", "127.0.0.1", "--port", 0, "--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--scheduler-file", file)
+    start(
+        "dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        0,
+        "--no-dashboard",
+        "--dashboard-address",
+        "127.0.0.1:0",
+        "--scheduler-file",
+        file,
+    )
     while not file.exists() or not file.read_text():
         time.sleep(0.05)
     return json.loads(file.read_text())["address"]
 
 
 def worker(start, address, folder, **environment):
-    return start("dask_worker", address, "--host", "127.0.0.1", "--nthreads", 1, "--no-dashboard", "--no-nanny", "--local-directory", folder, **environment)
+    return start(
+        "dask_worker",
+        address,
+        "--host",
+        "127.0.0.1",
+        "--nthreads",
+        1,
+        "--no-dashboard",
+        "--no-nanny",
+        "--local-directory",
+        folder,
+        **environment,
+    )
 
 
 CAMPAIGN = """
@@ -306,12 +437,23 @@ rhec.campaign(scenarios, sys.argv[1])
 
 
 def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path):
-    """A scheduler and two workers, one of which compiles for itself; the campaign finds them by DASK_SCHEDULER_ADDRESS alone."""
+    """A scheduler and two workers, one of which compiles for itself; the campaign finds them by
+    DASK_SCHEDULER_ADDRESS alone.
+    """
     address = scheduler(started, tmp_path)
-    workers = [worker(started, address, tmp_path), worker(started, address, tmp_path, RHEC_CACHE=str(tmp_path / "cache"))]
-    subprocess.run([sys.executable, "-c", CAMPAIGN, tmp_path / "rows"], env=os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT)),
-                   check=True, timeout=120)
-    assert list((tmp_path / "cache").glob("*/library.so")) and all(process.poll() is None for process in workers)
+    workers = [
+        worker(started, address, tmp_path),
+        worker(started, address, tmp_path, RHEC_CACHE=str(tmp_path / "cache")),
+    ]
+    subprocess.run(
+        [sys.executable, "-c", CAMPAIGN, tmp_path / "rows"],
+        env=os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT)),
+        check=True,
+        timeout=120,
+    )
+    assert list((tmp_path / "cache").glob("*/library.so")) and all(
+        process.poll() is None for process in workers
+    )
     rows = campaigns.kept(campaigns.prepared(tmp_path / "rows"))
     assert set(rows) == set(map(campaigns.key, short(20)))
     same(rhec.campaign(short(20), tmp_path / "rows"), rhec.campaign(short(20)))
@@ -324,30 +466,70 @@ def test_workers_with_other_code_are_refused(started, tmp_path):
         source.write("# a new idea\n")
     address = scheduler(started, tmp_path)
     worker(started, address, tmp_path, PYTHONPATH=str(tmp_path))
-    with dask.config.set({"scheduler-address": address}), pytest.raises(RuntimeError, match=f"{address} has source of rhec .* they must be the same"):
+    with (
+        dask.config.set({"scheduler-address": address}),
+        pytest.raises(RuntimeError, match=f"{address} has source of rhec .* they must be the same"),
+    ):
         rhec.campaign(short())
 
 
 def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
     monkeypatch.setattr(campaigns, "PATIENCE_S", 1.0)
     monkeypatch.setattr(campaigns, "WORKERS_S", 1.0)
-    for address in ("tcp://127.0.0.1:9", "nonsense://127.0.0.1", "127.0.0.1", "a b", "tcp://no.such.host.invalid:8786"):
-        with dask.config.set({"scheduler-address": address}), pytest.raises(ConnectionError, match=f"DASK_SCHEDULER_ADDRESS was '{address}'"):
+    for address in (
+        "tcp://127.0.0.1:9",
+        "nonsense://127.0.0.1",
+        "127.0.0.1",
+        "a b",
+        "tcp://no.such.host.invalid:8786",
+    ):
+        with (
+            dask.config.set({"scheduler-address": address}),
+            pytest.raises(ConnectionError, match=f"DASK_SCHEDULER_ADDRESS was '{address}'"),
+        ):
             rhec.campaign(short())
     address = scheduler(started, tmp_path)
-    with dask.config.set({"scheduler-address": address}), pytest.raises(ConnectionError, match="has had no worker for 1 s"):
+    with (
+        dask.config.set({"scheduler-address": address}),
+        pytest.raises(ConnectionError, match="has had no worker for 1 s"),
+    ):
         rhec.campaign(short())
 
 
 # From the command line
 
+
 def command(folder, *arguments):
-    return [sys.executable, "-m", "rhec.campaigns.campaign", "-p", "estimator", "ekf", "oracle", "-p", "q", "[1,1,1]", "[1, 1, 0]", "-p", "duration_s", "6",
-            "--seeds", "5", "--folder", str(folder), *arguments]
+    return [
+        sys.executable,
+        "-m",
+        "rhec.campaigns.campaign",
+        "-p",
+        "estimator",
+        "ekf",
+        "oracle",
+        "-p",
+        "q",
+        "[1,1,1]",
+        "[1, 1, 0]",
+        "-p",
+        "duration_s",
+        "6",
+        "--seeds",
+        "5",
+        "--folder",
+        str(folder),
+        *arguments,
+    ]
 
 
 def test_make_campaigns_command_runs_every_combination_and_goes_on_from_what_is_there(tmp_path):
-    first, again = (subprocess.run(command(tmp_path), capture_output=True, text=True, check=True, timeout=120, cwd=ROOT).stdout for _ in range(2))
+    first, again = (
+        subprocess.run(
+            command(tmp_path), capture_output=True, text=True, check=True, timeout=120, cwd=ROOT
+        ).stdout
+        for _ in range(2)
+    )
     assert first == again and "20 runs, 0 failed" in first
     table = pd.read_parquet(tmp_path / "campaign.parquet")
     assert len(table) == 20 and (table.groupby("estimator").size() == 10).all()
@@ -356,7 +538,14 @@ def test_make_campaigns_command_runs_every_combination_and_goes_on_from_what_is_
 
 
 def test_the_command_refuses_in_a_sentence(tmp_path):
-    for arguments, sentence in ((("-p", "sped_mps", "1"), "Scenario has no parameter 'sped_mps'; did you mean 'speed_mps'?\n"),
-                                (("-p", "r", "ten"), "r was 'ten'; it should be a valid number\n")):
-        done = subprocess.run(command(tmp_path, *arguments), capture_output=True, text=True, timeout=60, cwd=ROOT)
+    for arguments, sentence in (
+        (
+            ("-p", "sped_mps", "1"),
+            "Scenario has no parameter 'sped_mps'; did you mean 'speed_mps'?\n",
+        ),
+        (("-p", "r", "ten"), "r was 'ten'; it should be a valid number\n"),
+    ):
+        done = subprocess.run(
+            command(tmp_path, *arguments), capture_output=True, text=True, timeout=60, cwd=ROOT
+        )
         assert (done.returncode, done.stdout, done.stderr) == (2, "", sentence)

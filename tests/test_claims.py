@@ -1,43 +1,75 @@
-"""The claims ledger: every rule can come out either way, every claim is judged by its own, and what it is judged on is what the log shows."""
+"""The claims ledger: every rule can come out either way, every claim is judged by its own, and what
+it is judged on is what the log shows.
+"""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import rhec
-from rhec import plots
-from rhec import paper
+from rhec import paper, plots
 from rhec.estimator import rhe
-from rhec.studies.claims import run_sets
-from rhec.studies.claims import experiments
-from rhec.studies.claims import ledger
 from rhec.studies import statistics
+from rhec.studies.claims import experiments, ledger, run_sets
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 
 RNG = np.random.default_rng(0)
 NORMAL = RNG.normal(size=200)
-PAIRED = RNG.normal(size=200)          # what two paired samples share
+PAIRED = RNG.normal(size=200)  # what two paired samples share
 SHARES = np.arange(200)
 
 
-@pytest.mark.parametrize("rule, holds, fails, undecided", [
-    (lambda values: statistics.mean(values, above=1), 2 + NORMAL, NORMAL, 1 + NORMAL),
-    (lambda values: statistics.mean(values, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
-    (lambda values: statistics.mean(values, above=-1, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
-    (lambda values: statistics.difference(values + 10 * PAIRED, 10 * PAIRED, below=0), NORMAL - 1, NORMAL + 1, NORMAL),
-    (lambda values: statistics.ratio(values * (5 + PAIRED), 5 + PAIRED, above=2), 3 + 0.1 * NORMAL, 1 + 0.1 * NORMAL, 2 + 0.1 * NORMAL),
-    (lambda flags: statistics.share(flags, above=0.5), SHARES < 150, SHARES < 50, SHARES < 100),
-    (lambda flags: statistics.share(flags, below=0.5), SHARES < 50, SHARES < 150, SHARES < 100),
-    (statistics.always, np.ones(9, bool), np.arange(9) > 0, np.ones(0, bool)),
-    (statistics.possible, np.arange(9) == 0, np.zeros(400, bool), np.zeros(100, bool)),
-    (lambda values: statistics.reported(values, 0.0), NORMAL, NORMAL + 5, NORMAL[:39]),
-    (lambda value: statistics.equal(value, 0.12, 0.005), 0.124, 0.126, np.nan),
-], ids=["mean above", "mean below", "mean between", "difference", "ratio", "share above", "share below", "always", "possible", "reported", "equal"])
+@pytest.mark.parametrize(
+    "rule, holds, fails, undecided",
+    [
+        (lambda values: statistics.mean(values, above=1), 2 + NORMAL, NORMAL, 1 + NORMAL),
+        (lambda values: statistics.mean(values, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
+        (lambda values: statistics.mean(values, above=-1, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
+        (
+            lambda values: statistics.difference(values + 10 * PAIRED, 10 * PAIRED, below=0),
+            NORMAL - 1,
+            NORMAL + 1,
+            NORMAL,
+        ),
+        (
+            lambda values: statistics.ratio(values * (5 + PAIRED), 5 + PAIRED, above=2),
+            3 + 0.1 * NORMAL,
+            1 + 0.1 * NORMAL,
+            2 + 0.1 * NORMAL,
+        ),
+        (lambda flags: statistics.share(flags, above=0.5), SHARES < 150, SHARES < 50, SHARES < 100),
+        (lambda flags: statistics.share(flags, below=0.5), SHARES < 50, SHARES < 150, SHARES < 100),
+        (statistics.always, np.ones(9, bool), np.arange(9) > 0, np.ones(0, bool)),
+        (statistics.possible, np.arange(9) == 0, np.zeros(400, bool), np.zeros(100, bool)),
+        (lambda values: statistics.reported(values, 0.0), NORMAL, NORMAL + 5, NORMAL[:39]),
+        (lambda value: statistics.equal(value, 0.12, 0.005), 0.124, 0.126, np.nan),
+    ],
+    ids=[
+        "mean above",
+        "mean below",
+        "mean between",
+        "difference",
+        "ratio",
+        "share above",
+        "share below",
+        "always",
+        "possible",
+        "reported",
+        "equal",
+    ],
+)
 def test_each_rule_holds_fails_and_stays_open(rule, holds, fails, undecided):
-    found = {verdict: rule(data) for verdict, data in ((HOLDS, holds), (FAILS, fails), (UNDECIDED, undecided))}
-    assert {verdict: each.verdict for verdict, each in found.items()} == {verdict: verdict for verdict in found}
+    found = {
+        verdict: rule(data)
+        for verdict, data in ((HOLDS, holds), (FAILS, fails), (UNDECIDED, undecided))
+    }
+    assert {verdict: each.verdict for verdict, each in found.items()} == {
+        verdict: verdict for verdict in found
+    }
     for each in (found[HOLDS], found[FAILS]):
-        assert each.low <= each.ours <= each.high and each.n == np.size(holds if each is found[HOLDS] else fails)
+        assert each.low <= each.ours <= each.high and each.n == np.size(
+            holds if each is found[HOLDS] else fails
+        )
 
 
 def test_the_intervals_cover_the_truth_as_often_as_they_say():
@@ -50,13 +82,23 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say():
 
 def test_pairs_are_compared_as_pairs():
     """A difference far smaller than what both samples share is still seen."""
-    assert statistics.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED, above=0).verdict == HOLDS
-    assert statistics.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED[::-1], above=0).verdict == UNDECIDED
+    assert (
+        statistics.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED, above=0).verdict
+        == HOLDS
+    )
+    assert (
+        statistics.difference(
+            100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED[::-1], above=0
+        ).verdict
+        == UNDECIDED
+    )
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_what_does_not_vary_is_judged_too_and_a_bound_is_not_included(value):
-    assert statistics.difference(np.full(5, value), np.zeros(5), above=0).verdict == (HOLDS if value else FAILS)
+    assert statistics.difference(np.full(5, value), np.zeros(5), above=0).verdict == (
+        HOLDS if value else FAILS
+    )
     assert statistics.mean([value]).verdict == UNDECIDED
 
 
@@ -71,15 +113,26 @@ def finding(verdict):
     return Finding(1.0, 0.0, 2.0, 9, verdict)
 
 
-@pytest.mark.parametrize("printed, calibrated, expected", [
-    (HOLDS, HOLDS, (HOLDS, "printed")), (HOLDS, FAILS, ("holds under printed", "printed")), (FAILS, HOLDS, ("holds under calibrated", "calibrated")),
-    (UNDECIDED, HOLDS, ("holds under calibrated", "calibrated")), (FAILS, FAILS, (FAILS, "printed")), (FAILS, UNDECIDED, (UNDECIDED, "calibrated")),
-])
+@pytest.mark.parametrize(
+    "printed, calibrated, expected",
+    [
+        (HOLDS, HOLDS, (HOLDS, "printed")),
+        (HOLDS, FAILS, ("holds under printed", "printed")),
+        (FAILS, HOLDS, ("holds under calibrated", "calibrated")),
+        (UNDECIDED, HOLDS, ("holds under calibrated", "calibrated")),
+        (FAILS, FAILS, (FAILS, "printed")),
+        (FAILS, UNDECIDED, (UNDECIDED, "calibrated")),
+    ],
+)
 def test_one_verdict_from_two_readings(printed, calibrated, expected):
-    assert statistics.combined(dict(printed=finding(printed), calibrated=finding(calibrated))) == expected
+    assert (
+        statistics.combined(dict(printed=finding(printed), calibrated=finding(calibrated)))
+        == expected
+    )
 
 
 # The ledger itself
+
 
 @pytest.fixture(scope="module")
 def made_up(run, virtual_machine):
@@ -87,53 +140,108 @@ def made_up(run, virtual_machine):
     rng, log = np.random.default_rng(0), run_sets.measured(run)
 
     def table(columns, rows=50):
-        return pd.DataFrame({name: rng.random(rows) < 0.5 if isinstance(value, bool | np.bool_) else rng.random(rows) for name, value in columns.items()})
+        return pd.DataFrame(
+            {
+                name: rng.random(rows) < 0.5
+                if isinstance(value, bool | np.bool_)
+                else rng.random(rows)
+                for name, value in columns.items()
+            }
+        )
 
     kinds = ("adaptive", "heavy", "light", "none")
-    arrival = table({f"{name}_{kind}": name == "lost" for name in ("step", "reached_s", "lost") for kind in kinds} | dict(least=0.0))
-    iterations = table(dict.fromkeys(["error_one_m", "error_many_m", "one_us", "many_us", "rms_warm", "rms_cold"], 0.0))
-    exact = {"kkt": experiments.kkt_tolerances(3), "gains": experiments.gains(3), "models": experiments.models(3), "times": experiments.times(4.0)}
-    runs = {label: table({**run.metrics, "arrived": True}).assign(duration_s=240.0) for label in run_sets.RUNS}
+    arrival = table(
+        {
+            f"{name}_{kind}": name == "lost"
+            for name in ("step", "reached_s", "lost")
+            for kind in kinds
+        }
+        | dict(least=0.0)
+    )
+    iterations = table(
+        dict.fromkeys(
+            ["error_one_m", "error_many_m", "one_us", "many_us", "rms_warm", "rms_cold"], 0.0
+        )
+    )
+    exact = {
+        "kkt": experiments.kkt_tolerances(3),
+        "gains": experiments.gains(3),
+        "models": experiments.models(3),
+        "times": experiments.times(4.0),
+    }
+    runs = {
+        label: table({**run.metrics, "arrived": True}).assign(duration_s=240.0)
+        for label in run_sets.RUNS
+    }
     logs = {label: table(log) for label in run_sets.LOGS}
-    return {reading: dict(runs=runs, logs=logs, experiments=exact | {"arrival cost": arrival, "iterations": iterations}) for reading in run_sets.READINGS}
+    return {
+        reading: dict(
+            runs=runs,
+            logs=logs,
+            experiments=exact | {"arrival cost": arrival, "iterations": iterations},
+        )
+        for reading in run_sets.READINGS
+    }
 
 
 def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     table = ledger.ledger(made_up)
     assert len(table) >= 30 and table["id"].is_unique and len(table) == len(ledger.CLAIMS)
-    assert set(table["verdict"]) <= {HOLDS, FAILS, UNDECIDED, UNTESTABLE} | {f"{HOLDS} under {reading}" for each in ledger.CLAIMS for reading in each.rules}
+    assert set(table["verdict"]) <= {HOLDS, FAILS, UNDECIDED, UNTESTABLE} | {
+        f"{HOLDS} under {reading}" for each in ledger.CLAIMS for reading in each.rules
+    }
     untested = table[table["verdict"] == UNTESTABLE]
-    assert (untested["why"] != "").all() and (table.drop(untested.index)["test"].str.len() > 10).all()
+    assert (untested["why"] != "").all() and (
+        table.drop(untested.index)["test"].str.len() > 10
+    ).all()
     assert ledger.counts(table).sum() == len(table)
 
 
 @pytest.mark.parametrize("smaller, verdict", [("RHE", HOLDS), ("EKF", FAILS)])
 def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
-    runs = {label: pd.DataFrame(dict(mean_error_m=0.05 - 0.01 * (label == smaller) + 0.001 * RNG.normal(size=60))) for label in ("RHE", "EKF")}
+    runs = {
+        label: pd.DataFrame(
+            dict(mean_error_m=0.05 - 0.01 * (label == smaller) + 0.001 * RNG.normal(size=60))
+        )
+        for label in ("RHE", "EKF")
+    }
     claims = [claim for claim in ledger.CLAIMS if claim.id == "B5"]
-    (row,) = ledger.ledger({reading: dict(runs=runs) for reading in run_sets.READINGS}, claims).itertuples()
+    (row,) = ledger.ledger(
+        {reading: dict(runs=runs) for reading in run_sets.READINGS}, claims
+    ).itertuples()
     assert row.verdict == verdict and row.n == row.other_n == 60
     assert row.ours == pytest.approx(-0.01 if smaller == "RHE" else 0.01, abs=5e-4)
 
 
 def test_no_claim_is_judged_on_the_calibrations_seeds():
     from rhec.studies.calibration import TRAINING_SEEDS
+
     asked = {scenario.seed for scenario in run_sets.scenarios({}, "printed", 1000)}
     assert len(asked) == 1000 and asked.isdisjoint(TRAINING_SEEDS)
 
 
 def test_the_same_label_meets_the_same_fields_under_both_readings():
     fields, _ = run_sets.RUNS["Q2"]
-    for one, other in zip(run_sets.scenarios(fields, "printed", 3), run_sets.scenarios(fields, "calibrated", 3)):
-        assert one.seed == other.seed and one.q == other.q == paper.Q2 and (one.reading, other.reading) == run_sets.READINGS
+    for one, other in zip(
+        run_sets.scenarios(fields, "printed", 3), run_sets.scenarios(fields, "calibrated", 3)
+    ):
+        assert (
+            one.seed == other.seed
+            and one.q == other.q == paper.Q2
+            and (one.reading, other.reading) == run_sets.READINGS
+        )
 
 
 # What is measured
 
+
 def test_what_a_log_shows(run):
     shown, log = run_sets.measured(run), run.log
     assert shown["in_bounds"] == log[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
-    assert shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all() and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
+    assert (
+        shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all()
+        and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
+    )
     assert shown["arrival_s"] == run.metrics["arrival_s"] and shown["arrived"]
     late = log[log["t_s"] >= 30]
     assert shown["kkt_rhe_late"] == pytest.approx(late["kkt_rhe"].median())
@@ -145,34 +253,52 @@ def test_what_a_log_shows(run):
 def test_a_lag_is_found(lag):
     truth = np.convolve(np.random.default_rng(0).normal(size=600), np.ones(25) / 25, "same")
     shift = round(lag / 0.2)
-    assert run_sets.lag_s(np.concatenate([np.zeros(shift), truth[: 600 - shift]]), truth) == pytest.approx(lag, abs=0.2)
+    assert run_sets.lag_s(
+        np.concatenate([np.zeros(shift), truth[: 600 - shift]]), truth
+    ) == pytest.approx(lag, abs=0.2)
 
 
 def test_a_robot_that_never_arrives_has_used_up_its_time():
-    table = run_sets.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=[60.0, 60.0], error="")))
+    table = run_sets.complete(
+        pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=[60.0, 60.0], error=""))
+    )
     assert list(table["arrival_s"]) == [3.0, 60.0] and list(table["arrived"]) == [True, False]
 
 
 def test_no_claim_is_judged_on_runs_that_failed():
     with pytest.raises(RuntimeError, match="1 of 2 runs failed, the first with: ValueError: no"):
-        run_sets.complete(pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])))
+        run_sets.complete(
+            pd.DataFrame(
+                dict(arrival_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])
+            )
+        )
 
 
 # Experiments and estimators
 
+
 def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virtual_machine):
     kkt = experiments.kkt_tolerances(5)
-    assert (kkt["linear_after the step"] < 1e-9).all() and (kkt["nonlinear_after the step"] > 1e-9).any() and (kkt["linear_reported"] > 1e-9).any()
+    assert (
+        (kkt["linear_after the step"] < 1e-9).all()
+        and (kkt["nonlinear_after the step"] > 1e-9).any()
+        and (kkt["linear_reported"] > 1e-9).any()
+    )
 
 
 def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
     import casadi as ca
 
     from rhec._casadi import scan
+
     steps = scan.functions(ca.Function.deserialize(experiments.with_given_arrival().serialize()))
     log = run.log[:60]
     estimates, P = experiments.estimated(steps, log, "calibrated")
-    np.testing.assert_allclose(estimates, log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]], atol=1e-8)
+    np.testing.assert_allclose(
+        estimates,
+        log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
+        atol=1e-8,
+    )
     W = np.diag(np.square(rhe.SIGMA_W["calibrated"]))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
     _, constant = experiments.estimated(steps, log, "calibrated", P_0=np.eye(6))
@@ -185,7 +311,10 @@ def test_the_live_loop_is_the_fused_one(virtual_machine):
     np.testing.assert_allclose(distance_m, rhec.simulate(scenario).log["error_true_m"], atol=1e-8)
 
 
-@pytest.mark.parametrize("error, reached", [(np.zeros(50), 0.0), (np.r_[np.ones(10), np.zeros(40)], 2.0), (np.ones(50), 10.0)])
+@pytest.mark.parametrize(
+    "error, reached",
+    [(np.zeros(50), 0.0), (np.r_[np.ones(10), np.zeros(40)], 2.0), (np.ones(50), 10.0)],
+)
 def test_when_the_truth_is_reached(error, reached):
     assert experiments.reached_s(error) == pytest.approx(reached)
 
@@ -195,19 +324,33 @@ def test_hard_coded_traction_on_soil_of_that_traction_is_the_traction_oracle(vir
     common = dict(terrain=rhec.Terrain.uniform(0.9, 0.8), duration_s=20.0)
     told = rhec.simulate(rhec.Scenario(estimator="traction_oracle", sigma_w=sigma_w, **common)).log
     coded = rhec.simulate(rhec.Scenario(estimator="fixed_traction", sigma_w=sigma_w, **common)).log
-    columns = ["x_m", "y_m", "theta_rad", "x_hat_m", "theta_hat_rad", "kappa_hat", "omega_cmd_radps"]
+    columns = [
+        "x_m",
+        "y_m",
+        "theta_rad",
+        "x_hat_m",
+        "theta_hat_rad",
+        "kappa_hat",
+        "omega_cmd_radps",
+    ]
     np.testing.assert_allclose(coded[columns], told[columns], atol=1e-9)
 
 
 # The augmented EKF
 
+
 def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machine):
-    log = rhec.simulate(rhec.Scenario(estimator="augmented_ekf", reading="calibrated", terrain=rhec.Terrain.uniform(0.9, 0.8))).log
+    log = rhec.simulate(
+        rhec.Scenario(
+            estimator="augmented_ekf", reading="calibrated", terrain=rhec.Terrain.uniform(0.9, 0.8)
+        )
+    ).log
     assert np.abs(log[["mu_hat", "kappa_hat"]].iloc[-1].to_numpy() - (0.9, 0.8)).max() < 0.05
     assert log[["mu_hat", "kappa_hat"]].to_numpy().max() > 1
 
 
 # Files and figure
+
 
 def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
     table = ledger.ledger(made_up)
@@ -216,7 +359,9 @@ def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
     assert list(read["id"]) == list(table["id"]) and list(read["verdict"]) == list(table["verdict"])
     np.testing.assert_allclose(read["ours"], table["ours"])
     markdown = csv.with_suffix(".md").read_text(encoding="utf-8")
-    assert markdown.count("\n|") == len(table) + 2 and "claims.ipynb" in csv.with_suffix(".tex").read_text(encoding="utf-8")
+    assert markdown.count("\n|") == len(table) + 2 and "claims.ipynb" in csv.with_suffix(
+        ".tex"
+    ).read_text(encoding="utf-8")
 
 
 def test_the_picture_names_every_claim_and_counts_the_verdicts(made_up):

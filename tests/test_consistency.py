@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rhec.studies import calibration
-from rhec.studies import consistency
 from rhec import Scenario
+from rhec.studies import calibration, consistency
 
 RUNS, SAMPLES = 40, 60
 A = np.array([[1, 0, 0, 0.2], [0, 1, 0, 0.1], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -15,7 +14,9 @@ W, R = np.diag(np.square([0.02, 0.01, 0.005, 0.03])), np.diag(np.square([0.03, 0
 
 
 def kalman(rng, believed=1.0):
-    """A textbook filter on a linear system it knows, but for a factor on its noise: errors, P, innovations, S, residuals after the update, HPH'."""
+    """A textbook filter on a linear system it knows, but for a factor on its noise: errors, P,
+    innovations, S, residuals after the update, HPH'.
+    """
     P = np.diag([0.1, 0.2, 0.05, 0.1])
     truth, m = rng.multivariate_normal(np.zeros(4), P), np.zeros(4)
     steps, P = [], believed * P
@@ -34,7 +35,10 @@ def test_of_a_kalman_filter_that_knows_its_noise_nees_and_nis_are_chi_squared():
     runs = [kalman(rng) for _ in range(RUNS)]
     nees = np.array([consistency.normalised_squared(errors, P) for errors, P, *_ in runs])
     nis = np.array([consistency.normalised_squared(y, S) for _, _, y, S, _, _ in runs])
-    for values, degrees in ((nees[:, ::20], 4), (nis, 3)):   # estimation errors are correlated in time, innovations are not
+    for values, degrees in (
+        (nees[:, ::20], 4),
+        (nis, 3),
+    ):  # estimation errors are correlated in time, innovations are not
         assert stats.kstest(values.ravel(), stats.chi2(degrees).cdf).pvalue > 0.01
         assert consistency.share_inside(values, degrees) > 0.85
 
@@ -42,7 +46,9 @@ def test_of_a_kalman_filter_that_knows_its_noise_nees_and_nis_are_chi_squared():
 @pytest.mark.parametrize("believed", [0.5, 2.0])
 def test_who_is_too_sure_or_not_sure_enough_is_found_out(believed):
     rng = np.random.default_rng(1)
-    nees = np.array([consistency.normalised_squared(*kalman(rng, believed)[:2]) for _ in range(RUNS)])
+    nees = np.array(
+        [consistency.normalised_squared(*kalman(rng, believed)[:2]) for _ in range(RUNS)]
+    )
     assert nees.mean() == pytest.approx(4 / believed, rel=0.15)
     assert consistency.share_inside(nees, 4) < 0.2
 
@@ -79,5 +85,9 @@ def test_the_filter_that_knows_the_soil_is_nearly_consistent_and_the_printed_one
 
 def test_the_rhe_is_measured_in_all_its_states(runs):
     rhe = consistency.measure(Scenario(), runs)
-    assert rhe.errors.shape == (3, 300, 6) and rhe.nees.shape == rhe.nis_position.shape == rhe.nis_speed.shape == (3, 300)
+    assert rhe.errors.shape == (
+        3,
+        300,
+        6,
+    ) and rhe.nees.shape == rhe.nis_position.shape == rhe.nis_speed.shape == (3, 300)
     assert np.isfinite(rhe.nees).all() and (rhe.nees >= 0).all()

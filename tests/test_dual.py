@@ -5,10 +5,10 @@ import pytest
 from problems import DT, V, drive, flat
 
 import rhec
-from rhec.extensions import dual
+from rhec._casadi.build import vector
 from rhec.estimator import base as estimators
 from rhec.estimator import rhe
-from rhec._casadi.build import vector
+from rhec.extensions import dual
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 HORIZON, TRUTH = 8, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)
@@ -72,7 +72,9 @@ def test_traction_stays_within_its_bounds(step):
     _, z = drive((0, 0, 0, 0.5, 1.15, 1.2), weave(80))
     z = z + np.random.default_rng(1).normal(size=z.shape) * np.sqrt(V)
     estimates, _ = run(step, first((0, 0, 0, 0.5, 1, 1)), z)
-    assert ((estimates[:, 4:] >= 0) & (estimates[:, 4:] <= 1)).all() and (estimates[:, 4:] == 1).any()
+    assert ((estimates[:, 4:] >= 0) & (estimates[:, 4:] <= 1)).all() and (
+        estimates[:, 4:] == 1
+    ).any()
 
 
 def test_a_run_cut_in_two_goes_on_as_if_it_had_not_been(step):
@@ -86,7 +88,7 @@ def test_a_run_cut_in_two_goes_on_as_if_it_had_not_been(step):
 
 def test_its_pose_follows_the_readings_the_faster_the_more_noise_it_is_told(step):
     truth, z = readings()
-    z[60:, :2] += [0.3, -0.2]   # the robot is pushed
+    z[60:, :2] += [0.3, -0.2]  # the robot is pushed
     lags = []
     for factor in (0.2, 1, 5):
         sigma = np.array(dual.SIGMA_W)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from problems import DT, V, drive, flat
 
-from rhec.estimator import ekf
 from rhec._casadi import build as function
+from rhec.estimator import ekf
 
 W = np.square([0.02, 0.02, 0.01, 0.05])
 STEP = ekf.functions(DT)["step"]
@@ -17,9 +17,18 @@ def textbook(m, P, z, traction, first):
     x, y, theta, nu = m
     if not first:
         ahead, turn = DT * mu * nu, DT * kappa * z[3]
-        A = np.array([[1, 0, -ahead * np.sin(theta), DT * mu * np.cos(theta)], [0, 1, ahead * np.cos(theta), DT * mu * np.sin(theta)],
-                      [0, 0, 1, 0], [0, 0, 0, 1]])
-        m, P = np.array([x + ahead * np.cos(theta), y + ahead * np.sin(theta), theta + turn, nu]), A @ P @ A.T + np.diag(W)
+        A = np.array(
+            [
+                [1, 0, -ahead * np.sin(theta), DT * mu * np.cos(theta)],
+                [0, 1, ahead * np.cos(theta), DT * mu * np.sin(theta)],
+                [0, 0, 1, 0],
+                [0, 0, 0, 1],
+            ]
+        )
+        m, P = (
+            np.array([x + ahead * np.cos(theta), y + ahead * np.sin(theta), theta + turn, nu]),
+            A @ P @ A.T + np.diag(W),
+        )
     there = ~np.isnan(z[:3])
     H, R, y = np.eye(4)[[0, 1, 3]][there], np.diag(V[:3][there]), (z[:3] - m[[0, 1, 3]])[there]
     S = H @ P @ H.T + R
@@ -32,7 +41,9 @@ def run(z, start, traction):
     for reading in z:
         result = STEP(memory=memory, z=reading, V=V, W=W, traction=traction)
         memory = result["memory"]
-        results.append((flat(result["estimate"]), np.array(result["covariance"]), float(result["deviance"])))
+        results.append(
+            (flat(result["estimate"]), np.array(result["covariance"]), float(result["deviance"]))
+        )
     return results
 
 
@@ -45,7 +56,9 @@ def test_it_is_the_textbook_filter(traction, missing):
     z += rng.normal(size=z.shape) * np.sqrt(V)
     z[:, :3][rng.random((len(z), 3)) < missing] = np.nan
     m, P = np.array([0.9, 2.1, 0.3, 0.4]), np.diag([1, 1, 0.1, 0.2])
-    for k, (estimate, covariance, deviance) in enumerate(run(z, ekf.start((*m, 1, 1), np.sqrt([1, 1, 0.1, 0.2, 1, 1])), traction)):
+    for k, (estimate, covariance, deviance) in enumerate(
+        run(z, ekf.start((*m, 1, 1), np.sqrt([1, 1, 0.1, 0.2, 1, 1])), traction)
+    ):
         m, P, expected = textbook(m, P, z[k], traction, first=k == 0)
         np.testing.assert_allclose(estimate, [*m, *traction], atol=1e-10)
         np.testing.assert_allclose(covariance, P, atol=1e-10)
@@ -54,7 +67,9 @@ def test_it_is_the_textbook_filter(traction, missing):
 
 
 def test_on_a_straight_line_it_is_the_kalman_filter():
-    """With the yaw known and no yaw rate the model is linear: the best estimate of all readings and steps at once, by ordinary least squares."""
+    """With the yaw known and no yaw rate the model is linear: the best estimate of all readings and
+    steps at once, by ordinary least squares.
+    """
     rng, n = np.random.default_rng(1), 30
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.zeros(n - 1))
     z[:, :3] += rng.normal(size=(n, 3)) * np.sqrt(V[:3])
@@ -64,13 +79,18 @@ def test_on_a_straight_line_it_is_the_kalman_filter():
         result = STEP(memory=memory, z=reading, V=V, W=w**2, traction=(1, 1))
         memory = result["memory"]
 
-    A = np.array([[1, 0, DT], [0, 1, 0], [0, 0, 1]])       # of (x, y, ν)
-    rows, values = [np.eye(3, 3 * n) / sigma[[0, 1, 3], None]], [np.array([0.3, -0.2, 0.6]) / sigma[[0, 1, 3]]]
+    A = np.array([[1, 0, DT], [0, 1, 0], [0, 0, 1]])  # of (x, y, ν)
+    rows, values = (
+        [np.eye(3, 3 * n) / sigma[[0, 1, 3], None]],
+        [np.array([0.3, -0.2, 0.6]) / sigma[[0, 1, 3]]],
+    )
     for k in range(n):
         rows.append(np.eye(3, 3 * n, 3 * k) / np.sqrt(V[:3, None]))
         values.append(z[k, :3] / np.sqrt(V[:3]))
         if k:
-            rows.append((np.eye(3, 3 * n, 3 * k) - A @ np.eye(3, 3 * n, 3 * k - 3)) / w[[0, 1, 3], None])
+            rows.append(
+                (np.eye(3, 3 * n, 3 * k) - A @ np.eye(3, 3 * n, 3 * k - 3)) / w[[0, 1, 3], None]
+            )
             values.append(np.zeros(3))
     best = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0][-3:]
     np.testing.assert_allclose(flat(result["estimate"])[[0, 1, 3]], best, atol=1e-9)

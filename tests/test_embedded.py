@@ -1,4 +1,6 @@
-"""The exported C: it says what Python says, on every machine; it needs nothing; nothing that comes in makes it fail."""
+"""The exported C: it says what Python says, on every machine; it needs nothing; nothing that comes
+in makes it fail.
+"""
 
 import ctypes
 import dataclasses
@@ -13,20 +15,15 @@ import pytest
 from conftest import no_compiler
 
 import rhec
-from rhec import simulation
+from rhec import paper, plots, simulation
 from rhec._casadi import compiled
-from rhec.estimator import base as estimators
-from rhec import plots
-from rhec.model import path
-from rhec import paper
-from rhec.controller import rhc
-from rhec.studies.embedded import instructions
-from rhec.studies.embedded import toolchain
-from rhec.codegen import phases
-from rhec.studies.embedded import report
-from rhec.codegen import LOG
 from rhec._casadi.build import only, vector
+from rhec.codegen import LOG, phases
+from rhec.controller import rhc
+from rhec.estimator import base as estimators
 from rhec.estimator.kalman import Z_MAX
+from rhec.model import path
+from rhec.studies.embedded import instructions, report, toolchain
 
 SECONDS = 20.0
 TOLERANCE = 1e-9
@@ -48,11 +45,30 @@ def own_estimator():
 
 SCENARIOS = {
     "paper": dict(),
-    "everything else": dict(speed_model="input", arrival_mean="filtered", input_reference="curvature", horizon=8, horizon_rhe=6, q=(1, 1, 10),
-                            backwards=True, look_ahead_m=0.3, command_delay=1, guess_yaw_rad=0.2, reading="calibrated",
-                            path=rhec.Path.from_segments([(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5))),
-    "robust": dict(speed_model="slipping", robust=True, faults=(rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0),
-                                                                rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0))),
+    "everything else": dict(
+        speed_model="input",
+        arrival_mean="filtered",
+        input_reference="curvature",
+        horizon=8,
+        horizon_rhe=6,
+        q=(1, 1, 10),
+        backwards=True,
+        look_ahead_m=0.3,
+        command_delay=1,
+        guess_yaw_rad=0.2,
+        reading="calibrated",
+        path=rhec.Path.from_segments(
+            [(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5)
+        ),
+    ),
+    "robust": dict(
+        speed_model="slipping",
+        robust=True,
+        faults=(
+            rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0),
+            rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0),
+        ),
+    ),
     "EKF": dict(estimator="ekf", reading="calibrated"),
     "dual": dict(estimator="dual", robust=True),
     "own estimator": dict(estimator=own_estimator()),
@@ -61,12 +77,17 @@ SCENARIOS = {
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """name of a scenario -> its export, made once. What is not the paper's runs on the virtual machine here, which is made sooner."""
+    """name of a scenario -> its export, made once. What is not the paper's runs on the virtual
+    machine here, which is made sooner.
+    """
     made = {}
 
     def export(name):
         if name not in made:
-            scenario, folder = rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS[name]), tmp_path_factory.mktemp("export") / "rhec"
+            scenario, folder = (
+                rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS[name]),
+                tmp_path_factory.mktemp("export") / "rhec",
+            )
             if name == "paper":
                 made[name] = rhec.export(scenario, folder)
             else:
@@ -85,9 +106,18 @@ def built(exported, tmp_path_factory):
     def build(name, on):
         machine = ON[on]()
         if machine is None:
-            pytest.skip("there is no C compiler" if on == "this machine" else "there is no compiler for 64-bit Arm, or no emulator")
+            pytest.skip(
+                "there is no C compiler"
+                if on == "this machine"
+                else "there is no compiler for 64-bit Arm, or no emulator"
+            )
         if (name, on) not in made:
-            made[name, on] = machine, toolchain.library(machine, exported(name), tmp_path_factory.mktemp("built"), QUICKLY)
+            made[name, on] = (
+                machine,
+                toolchain.library(
+                    machine, exported(name), tmp_path_factory.mktemp("built"), QUICKLY
+                ),
+            )
         return made[name, on]
 
     return build
@@ -95,12 +125,27 @@ def built(exported, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def library(exported, tmp_path_factory):
-    """The paper's export as a shared library, to be called from Python; not optimised, and the same answers."""
+    """The paper's export as a shared library, to be called from Python; not optimised, and the same
+    answers.
+    """
     if not compiled.compiler():
         pytest.skip("there is no C compiler")
     out = tmp_path_factory.mktemp("shared") / "rhec.so"
-    subprocess.run([compiled.compiler(), "-std=c99", "-ffp-contract=off", "-shared", "-fPIC", f"-I{exported('paper')}",
-                    *(f"{exported('paper')}/{source}" for source in toolchain.LIBRARY), "-o", out, "-lm"], check=True)
+    subprocess.run(
+        [
+            compiled.compiler(),
+            "-std=c99",
+            "-ffp-contract=off",
+            "-shared",
+            "-fPIC",
+            f"-I{exported('paper')}",
+            *(f"{exported('paper')}/{source}" for source in toolchain.LIBRARY),
+            "-o",
+            out,
+            "-lm",
+        ],
+        check=True,
+    )
     return ctypes.CDLL(str(out))
 
 
@@ -108,9 +153,14 @@ class Robot:
     """struct rhec and its functions."""
 
     def __init__(self, library, export, guess=None):
-        self.library, self.settings = library, ctypes.byref(ctypes.c_char.in_dll(library, "rhec_scenario"))
+        self.library, self.settings = (
+            library,
+            ctypes.byref(ctypes.c_char.in_dll(library, "rhec_scenario")),
+        )
         header = (export / "rhec_memory.h").read_text()
-        self.memory = ctypes.create_string_buffer(int(header.split("RHEC_MEMORY_BYTES ")[1].split()[0]))
+        self.memory = ctypes.create_string_buffer(
+            int(header.split("RHEC_MEMORY_BYTES ")[1].split()[0])
+        )
         scenario_guess = (ctypes.c_double * 6).in_dll(library, "rhec_scenario_guess")
         self.guess = np.array(scenario_guess if guess is None else guess, dtype=float)
         library.rhec_init(self.memory, self.settings, self.guess.ctypes)
@@ -134,19 +184,47 @@ def in_python(scenario, measurements):
     """What the closed loop's own Functions answer to these measurements: (samples, 7)."""
     world = simulation.world(scenario)
     structure = world.structure
-    estimate_step = estimators.step(structure.estimator, structure.horizon_rhe, structure.speed_model, structure.arrival_mean, structure.qp,
-                                     structure.robust)
-    references = path.functions(paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference)["references"]
+    estimate_step = estimators.step(
+        structure.estimator,
+        structure.horizon_rhe,
+        structure.speed_model,
+        structure.arrival_mean,
+        structure.qp,
+        structure.robust,
+    )
+    references = path.functions(
+        paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference
+    )["references"]
     control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
-    estimator, controller = estimators.first_memory(scenario, world.guess), vector(rhc.start(world.guess[:3], world.guess[3:], scenario.horizon))
+    estimator, controller = (
+        estimators.first_memory(scenario, world.guess),
+        vector(rhc.start(world.guess[:3], world.guess[3:], scenario.horizon)),
+    )
     s, omega, answers = world.path.project(world.guess[None, :2])[1], 0.0, []
     for z in measurements:
         known = [world.settings[name] for name in estimate_step.name_in()[2:]]
-        outputs = dict(zip(["memory", "estimate", *estimate_step.name_out()[2:]], estimate_step.call([estimator, z, *known])))
-        estimator, estimate, believed = outputs["memory"], outputs["estimate"], ca.DM(outputs.get("z_used", z)).full().ravel()
+        outputs = dict(
+            zip(
+                ["memory", "estimate", *estimate_step.name_out()[2:]],
+                estimate_step.call([estimator, z, *known]),
+            )
+        )
+        estimator, estimate, believed = (
+            outputs["memory"],
+            outputs["estimate"],
+            ca.DM(outputs.get("z_used", z)).full().ravel(),
+        )
         measured = believed[3] if abs(believed[3]) <= Z_MAX[3] else omega
-        target = references(**only(references, world.settings), s=s, estimate=estimate, omega_measured=measured)
-        planned = control(**only(control, world.settings), memory=controller, s_0=estimate, xi_ref=target["xi_ref"], omega_ref=target["omega_ref"])
+        target = references(
+            **only(references, world.settings), s=s, estimate=estimate, omega_measured=measured
+        )
+        planned = control(
+            **only(control, world.settings),
+            memory=controller,
+            s_0=estimate,
+            xi_ref=target["xi_ref"],
+            omega_ref=target["omega_ref"],
+        )
         s, controller, omega = target["s"], planned["memory"], float(planned["command"])
         answers.append([*estimate.full().ravel(), omega])
     return np.array(answers)
@@ -154,11 +232,18 @@ def in_python(scenario, measurements):
 
 # It says what Python says
 
-@pytest.mark.parametrize("name, on", [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")])
+
+@pytest.mark.parametrize(
+    "name, on",
+    [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")],
+)
 def test_replay_of_a_closed_loop_answers_what_python_answered(name, on, exported, built):
     machine, objects = built(name, on)
     program = toolchain.program(machine, exported(name), "replay", objects, QUICKLY)
-    answers, expected = toolchain.replay(machine, program, exported(name) / "log.csv"), log_of(exported(name))
+    answers, expected = (
+        toolchain.replay(machine, program, exported(name) / "log.csv"),
+        log_of(exported(name)),
+    )
     assert len(answers) == len(expected) == SECONDS / paper.DT_S
     np.testing.assert_allclose(answers[LOG[4:]], expected[LOG[4:]], rtol=0, atol=TOLERANCE)
     assert (answers["status"] == 0).all()
@@ -173,7 +258,12 @@ def test_silent_and_absurd_sensors_are_answered_as_in_python(exported, library):
     measurements[40:44] = np.nan
     robot = Robot(library, exported("paper"))
     answers = np.array([[*estimate, omega] for estimate, omega, _ in map(robot.step, measurements)])
-    np.testing.assert_allclose(answers, in_python(rhec.Scenario(duration_s=SECONDS, seed=1), measurements), rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(
+        answers,
+        in_python(rhec.Scenario(duration_s=SECONDS, seed=1), measurements),
+        rtol=0,
+        atol=TOLERANCE,
+    )
 
 
 def test_replay_finds_a_wrong_answer(exported, built, tmp_path):
@@ -181,29 +271,51 @@ def test_replay_finds_a_wrong_answer(exported, built, tmp_path):
     log = log_of(exported("paper"))
     log.loc[50, "kappa_hat"] += 1e-8
     log.to_csv(tmp_path / "log.csv", index=False)
-    finished = toolchain.run(machine, toolchain.program(machine, exported("paper"), "replay", objects), tmp_path / "log.csv")
-    assert finished.returncode == 1 and "largest difference in 100 samples: 1e-08" in finished.stderr
+    finished = toolchain.run(
+        machine,
+        toolchain.program(machine, exported("paper"), "replay", objects),
+        tmp_path / "log.csv",
+    )
+    assert (
+        finished.returncode == 1 and "largest difference in 100 samples: 1e-08" in finished.stderr
+    )
 
 
 def test_replay_takes_a_log_without_answers_and_with_gaps(exported, built, tmp_path):
     machine, objects = built("paper", "this machine")
     log = log_of(exported("paper"))[LOG[:4]].mask(lambda z: z > 1.2)
     log.to_csv(tmp_path / "log.csv", index=False)
-    answers = toolchain.replay(machine, toolchain.program(machine, exported("paper"), "replay", objects), tmp_path / "log.csv")
-    np.testing.assert_allclose(answers[LOG[4:]], in_python(rhec.Scenario(duration_s=SECONDS, seed=1), log.to_numpy()), rtol=0, atol=TOLERANCE)
+    answers = toolchain.replay(
+        machine,
+        toolchain.program(machine, exported("paper"), "replay", objects),
+        tmp_path / "log.csv",
+    )
+    np.testing.assert_allclose(
+        answers[LOG[4:]],
+        in_python(rhec.Scenario(duration_s=SECONDS, seed=1), log.to_numpy()),
+        rtol=0,
+        atol=TOLERANCE,
+    )
 
 
 def test_the_closest_point_is_the_path_s():
     rng = np.random.default_rng(2)
-    for target in (rhec.Path.racetrack(30.0, 7.8), SCENARIOS["everything else"]["path"], rhec.Path.from_segments([(5.0, -0.3), (2.0, 0.0)])):
+    for target in (
+        rhec.Path.racetrack(30.0, 7.8),
+        SCENARIOS["everything else"]["path"],
+        rhec.Path.from_segments([(5.0, -0.3), (2.0, 0.0)]),
+    ):
         xy = rng.uniform(-20, 40, (300, 2))
         estimates = np.column_stack([xy, np.zeros((300, 4))]).T
-        found = phases.closest(len(target.segments))(estimate=estimates, segments=target.segments.T, length_m=target.length_m)["s"]
+        found = phases.closest(len(target.segments))(
+            estimate=estimates, segments=target.segments.T, length_m=target.length_m
+        )["s"]
         _, s = target.project(xy)
         np.testing.assert_allclose(found.full().ravel(), s, atol=1e-6)
 
 
 # How it is called
+
 
 def test_what_was_not_prepared_is_prepared_when_it_is_needed(exported, library):
     one, other = Robot(library, exported("paper")), Robot(library, exported("paper"))
@@ -216,7 +328,10 @@ def test_what_was_not_prepared_is_prepared_when_it_is_needed(exported, library):
 def test_robots_do_not_disturb_each_other(exported, library):
     measurements = log_of(exported("paper"))[LOG[:4]].to_numpy()[:30]
     alone = [Robot(library, exported("paper")).step(measurements[0])[1]]
-    one, other = Robot(library, exported("paper")), Robot(library, exported("paper"), guess=[5, 5, 1, 0.3, 1, 1])
+    one, other = (
+        Robot(library, exported("paper")),
+        Robot(library, exported("paper"), guess=[5, 5, 1, 0.3, 1, 1]),
+    )
     together = []
     for z in measurements:
         together.append(one.step(z)[1])
@@ -238,9 +353,11 @@ def test_memory_that_was_written_over_is_begun_again_and_said(exported, library)
     for z in log[LOG[:4]].to_numpy()[:50]:
         assert robot.step(z)[2] == 0
     doubles = np.frombuffer(robot.memory, dtype=float)
-    doubles[4:] = np.nan   # all but the settings' address and the counters
+    doubles[4:] = np.nan  # all but the settings' address and the counters
     _, omega, status = robot.step(log[LOG[:4]].to_numpy()[50])
-    assert status == ESTIMATOR_RESTARTED | CONTROLLER_RESTARTED and abs(omega) <= paper.OMEGA_MAX_RADPS
+    assert (
+        status == ESTIMATOR_RESTARTED | CONTROLLER_RESTARTED and abs(omega) <= paper.OMEGA_MAX_RADPS
+    )
     for z in log[LOG[:4]].to_numpy()[51:]:
         estimate, omega, status = robot.step(z)
         assert status == 0 and abs(omega) <= paper.OMEGA_MAX_RADPS and np.isfinite(estimate).all()
@@ -248,7 +365,9 @@ def test_memory_that_was_written_over_is_begun_again_and_said(exported, library)
 
 
 def test_an_estimate_that_no_robot_has_is_begun_again(exported, library):
-    """Positions that jump by more than anything drives are believed for a while; then the estimate is where the sensors say, not where it got to."""
+    """Positions that jump by more than anything drives are believed for a while; then the estimate
+    is where the sensors say, not where it got to.
+    """
     robot, z = Robot(library, exported("paper")), log_of(exported("paper"))[LOG[:4]].to_numpy()
     seen = 0
     for k, row in enumerate(np.tile(z[:30], (3, 1))):
@@ -261,6 +380,7 @@ def test_an_estimate_that_no_robot_has_is_begun_again(exported, library):
 
 # What it needs, and that nothing breaks it
 
+
 @needs_compiler
 @pytest.mark.parametrize("compiler", ["gcc", "clang", "g++", "clang++", "aarch64-linux-gnu-gcc"])
 def test_no_compiler_has_anything_to_say(compiler, exported):
@@ -269,33 +389,72 @@ def test_no_compiler_has_anything_to_say(compiler, exported):
     strict = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
     for name in ("paper", "EKF"):
         folder = exported(name)
-        if compiler.endswith("++"):   # the header is for C++ as well
+        if compiler.endswith("++"):  # the header is for C++ as well
             program = '#include "rhec.h"\nint main() { static rhec r; rhec_init(&r, &rhec_scenario, rhec_scenario_guess); }\n'
-            subprocess.run([compiler, "-std=c++11", *strict, f"-I{folder}", "-x", "c++", "-"], input=program, check=True, text=True)
+            subprocess.run(
+                [compiler, "-std=c++11", *strict, f"-I{folder}", "-x", "c++", "-"],
+                input=program,
+                check=True,
+                text=True,
+            )
         else:
-            subprocess.run([compiler, "-std=c99", *strict, *sorted(map(str, folder.glob("*.c")))], check=True)
+            subprocess.run(
+                [compiler, "-std=c99", *strict, *sorted(map(str, folder.glob("*.c")))], check=True
+            )
 
 
 @needs_compiler
 def test_it_needs_libm_alone_and_has_no_variables(built):
     _, objects = built("paper", "this machine")
-    undefined = subprocess.run(["nm", "-u", *objects], check=True, capture_output=True, text=True).stdout.split()
-    own, libc = {"rhec_scenario", "rhec_scenario_guess", "_GLOBAL_OFFSET_TABLE_"}, {"memcpy", "memset", "memmove"}   # what compilers themselves call
-    libm = {"sin", "cos", "sincos", "atan2", "hypot", "floor", "fmin", "fmax", "fabs", "log", "sqrt"}
-    assert {name for name in undefined if name not in ("U", ":") and not name.endswith(".o:")} <= own | libc | libm
-    for line in subprocess.run(["size", *objects], check=True, capture_output=True, text=True).stdout.splitlines()[1:]:
-        assert line.split()[1:3] == ["0", "0"]   # data, bss
+    undefined = subprocess.run(
+        ["nm", "-u", *objects], check=True, capture_output=True, text=True
+    ).stdout.split()
+    own, libc = (
+        {"rhec_scenario", "rhec_scenario_guess", "_GLOBAL_OFFSET_TABLE_"},
+        {"memcpy", "memset", "memmove"},
+    )  # what compilers themselves call
+    libm = {
+        "sin",
+        "cos",
+        "sincos",
+        "atan2",
+        "hypot",
+        "floor",
+        "fmin",
+        "fmax",
+        "fabs",
+        "log",
+        "sqrt",
+    }
+    assert {
+        name for name in undefined if name not in ("U", ":") and not name.endswith(".o:")
+    } <= own | libc | libm
+    for line in subprocess.run(
+        ["size", *objects], check=True, capture_output=True, text=True
+    ).stdout.splitlines()[1:]:
+        assert line.split()[1:3] == ["0", "0"]  # data, bss
 
 
 @needs_compiler
 def test_sanitizers_find_nothing_in_nonsense(exported, tmp_path):
     compiler = shutil.which("clang") or compiled.compiler()
-    flags = ["-std=c99", "-O0", "-g1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    flags = [
+        "-std=c99",
+        "-O0",
+        "-g1",
+        "-fsanitize=address,undefined,float-cast-overflow",
+        "-fno-sanitize-recover=all",
+    ]
     probe = [compiler, *flags, "-x", "c", "-", "-o", tmp_path / "probe"]
-    if subprocess.run(probe, input="int main(void) { return 0; }", text=True, capture_output=True).returncode:
+    if subprocess.run(
+        probe, input="int main(void) { return 0; }", text=True, capture_output=True
+    ).returncode:
         pytest.skip(f"{compiler} has no sanitizers")
     sources = [f"{exported('paper')}/{source}" for source in ("fuzz.c", *toolchain.LIBRARY)]
-    subprocess.run([compiler, *flags, f"-I{exported('paper')}", *sources, "-o", tmp_path / "fuzz", "-lm"], check=True)
+    subprocess.run(
+        [compiler, *flags, f"-I{exported('paper')}", *sources, "-o", tmp_path / "fuzz", "-lm"],
+        check=True,
+    )
     finished = subprocess.run([tmp_path / "fuzz", "1500"], capture_output=True, text=True)
     assert finished.returncode == 0 and not finished.stderr
 
@@ -306,7 +465,11 @@ def test_valgrind_finds_nothing(exported, built, tmp_path):
     machine, objects = built("robust", "this machine")
     for name, argument in (("replay", exported("robust") / "log.csv"), ("fuzz", "100")):
         program = toolchain.program(machine, exported("robust"), name, objects)
-        finished = subprocess.run(["valgrind", "--error-exitcode=9", "--leak-check=full", program, str(argument)], capture_output=True, text=True)
+        finished = subprocess.run(
+            ["valgrind", "--error-exitcode=9", "--leak-check=full", program, str(argument)],
+            capture_output=True,
+            text=True,
+        )
         assert finished.returncode == 0 and "0 errors from 0 contexts" in finished.stderr
 
 
@@ -315,7 +478,9 @@ def test_nonsense_is_survived(exported, built):
     """The program fails where an estimate is not finite or a command out of bounds."""
     for name in ("paper", "robust", "EKF"):
         machine, objects = built(name, "this machine")
-        came_back = toolchain.nonsense(machine, toolchain.program(machine, exported(name), "fuzz", objects), 30_000, 7).iloc[0]
+        came_back = toolchain.nonsense(
+            machine, toolchain.program(machine, exported(name), "fuzz", objects), 30_000, 7
+        ).iloc[0]
         assert came_back["samples"] >= 30_000 and came_back["still_lost"] < came_back["storms"]
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
@@ -325,11 +490,15 @@ def test_the_program_that_feeds_nonsense_can_fail(exported, tmp_path):
     """With a command that leaves its bounds it does."""
     shutil.copytree(exported("EKF"), tmp_path / "broken")
     source = (tmp_path / "broken" / "rhec.c").read_text()
-    (tmp_path / "broken" / "rhec.c").write_text(source.replace("*omega = r->omega[0];", "*omega = 1.001 * r->omega[0];"))
+    (tmp_path / "broken" / "rhec.c").write_text(
+        source.replace("*omega = r->omega[0];", "*omega = 1.001 * r->omega[0];")
+    )
     machine = toolchain.this_machine()
     objects = toolchain.library(machine, tmp_path / "broken", tmp_path, QUICKLY)
     with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
-        toolchain.nonsense(machine, toolchain.program(machine, tmp_path / "broken", "fuzz", objects), 3000)
+        toolchain.nonsense(
+            machine, toolchain.program(machine, tmp_path / "broken", "fuzz", objects), 3000
+        )
 
 
 def test_what_it_needs_is_far_below_256_kib(exported, built):
@@ -346,33 +515,52 @@ def test_instructions_are_counted_the_same_every_time(exported, built, tmp_path)
     if not machine.emulator:
         pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
     program, samples = toolchain.program(machine, exported("paper"), "replay", objects), 6
-    (tmp_path / "log.csv").write_text("".join((exported("paper") / "log.csv").read_text().splitlines(keepends=True)[:samples + 1]))
+    (tmp_path / "log.csv").write_text(
+        "".join(
+            (exported("paper") / "log.csv").read_text().splitlines(keepends=True)[: samples + 1]
+        )
+    )
     first, again = (instructions.trace(machine, program, tmp_path / "log.csv") for _ in range(2))
     np.testing.assert_array_equal(instructions.counts(first), instructions.counts(again))
-    assert instructions.counts(first).shape == (samples, 4) and instructions.counts(first).min() > 500
+    assert (
+        instructions.counts(first).shape == (samples, 4) and instructions.counts(first).min() > 500
+    )
     table = instructions.table(first, 50_000)
     assert (table["worst_instructions"] >= table["mean_instructions"]).all()
     if shutil.which("llvm-mca"):
-        np.testing.assert_allclose(table[["mean_ms", "worst_ms"]].iloc[-1], table[["mean_ms", "worst_ms"]].iloc[:-1].sum())
-        at_best_ms = 1e3 * table["mean_instructions"] / 2 / instructions.CLOCK_HZ   # two a cycle
-        assert (table["mean_ms"] > at_best_ms).all() and (table["worst_ms"] > table["mean_ms"]).all()
+        np.testing.assert_allclose(
+            table[["mean_ms", "worst_ms"]].iloc[-1], table[["mean_ms", "worst_ms"]].iloc[:-1].sum()
+        )
+        at_best_ms = 1e3 * table["mean_instructions"] / 2 / instructions.CLOCK_HZ  # two a cycle
+        assert (table["mean_ms"] > at_best_ms).all() and (
+            table["worst_ms"] > table["mean_ms"]
+        ).all()
 
 
 # The folder
 
+
 def test_two_exports_of_one_scenario_are_the_same(exported, tmp_path):
     again = rhec.export(rhec.Scenario(duration_s=SECONDS, seed=1), tmp_path / "again")
-    assert sorted(path.name for path in again.iterdir()) == sorted(path.name for path in exported("paper").iterdir())
+    assert sorted(path.name for path in again.iterdir()) == sorted(
+        path.name for path in exported("paper").iterdir()
+    )
     for file in again.iterdir():
         assert file.read_bytes() == (exported("paper") / file.name).read_bytes()
 
 
 def test_the_scenario_is_there_to_be_read_again(exported):
     fields = json.loads((exported("paper") / "scenario.json").read_text())
-    assert rhec.Scenario(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}) == rhec.Scenario(
-        duration_s=SECONDS, seed=1)
+    assert rhec.Scenario(
+        **{
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in fields.items()
+        }
+    ) == rhec.Scenario(duration_s=SECONDS, seed=1)
     for name in SCENARIOS:
-        assert set(json.loads((exported(name) / "scenario.json").read_text())) == {field.name for field in dataclasses.fields(rhec.Scenario)}
+        assert set(json.loads((exported(name) / "scenario.json").read_text())) == {
+            field.name for field in dataclasses.fields(rhec.Scenario)
+        }
 
 
 def test_an_earlier_export_is_replaced_and_what_else_is_there_stays(exported, tmp_path):
@@ -380,17 +568,28 @@ def test_an_earlier_export_is_replaced_and_what_else_is_there_stays(exported, tm
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     (tmp_path / "mine" / "rhec.h").write_text("broken")
     with no_compiler():
-        assert rhec.export(rhec.Scenario(estimator="ekf", duration_s=2.0), str(tmp_path / "mine")) == tmp_path / "mine"
+        assert (
+            rhec.export(rhec.Scenario(estimator="ekf", duration_s=2.0), str(tmp_path / "mine"))
+            == tmp_path / "mine"
+        )
     assert (tmp_path / "mine" / "notes.txt").read_text() == "mine"
-    assert (tmp_path / "mine" / "rhec.h").read_bytes() == (exported("paper") / "rhec.h").read_bytes()
+    assert (tmp_path / "mine" / "rhec.h").read_bytes() == (
+        exported("paper") / "rhec.h"
+    ).read_bytes()
     assert '"ekf"' in (tmp_path / "mine" / "scenario.json").read_text()
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
 def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    for folder, reason in ((tmp_path, "which holds other files"), (tmp_path / "thesis.tex", "which is a file")):
-        with pytest.raises(ValueError, match=f"^folder was .*{reason}; it should be a new or empty folder or an earlier export$"):
+    for folder, reason in (
+        (tmp_path, "which holds other files"),
+        (tmp_path / "thesis.tex", "which is a file"),
+    ):
+        with pytest.raises(
+            ValueError,
+            match=f"^folder was .*{reason}; it should be a new or empty folder or an earlier export$",
+        ):
             rhec.export(rhec.Scenario(), folder)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
@@ -402,14 +601,29 @@ def solving_estimator():
     return ca.Function("mine", [memory, z], [ca.vertcat(x, memory[2:])] * 2)
 
 
-@pytest.mark.parametrize("scenario, message", [
-    ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
-    (rhec.Scenario(estimator="oracle"), "^estimator was 'oracle', which knows the truth; to export, it should be"),
-    (rhec.Scenario(estimator="traction_oracle"), "^estimator was 'traction_oracle', which knows the truth"),
-    (rhec.Scenario(estimator=solving_estimator()), "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of expressions alone$"),
-    (rhec.Scenario(qp="daqp"), "^qp was 'daqp', which needs a library; to export, it should be 'structured'$"),
-    (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
-])
+@pytest.mark.parametrize(
+    "scenario, message",
+    [
+        ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
+        (
+            rhec.Scenario(estimator="oracle"),
+            "^estimator was 'oracle', which knows the truth; to export, it should be",
+        ),
+        (
+            rhec.Scenario(estimator="traction_oracle"),
+            "^estimator was 'traction_oracle', which knows the truth",
+        ),
+        (
+            rhec.Scenario(estimator=solving_estimator()),
+            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of expressions alone$",
+        ),
+        (
+            rhec.Scenario(qp="daqp"),
+            "^qp was 'daqp', which needs a library; to export, it should be 'structured'$",
+        ),
+        (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
+    ],
+)
 def test_what_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         rhec.export(scenario, tmp_path / "new")
@@ -418,21 +632,43 @@ def test_what_cannot_be_exported_is_refused_in_one_sentence(scenario, message, t
 
 # The report
 
+
 def test_the_figure_shows_each_time_it_was_given():
-    times = pd.DataFrame([*report.reported(), *(dict(machine="this machine", who="rhec, measured", problem=problem, phase=phase, mean_ms=mean, worst_ms=1.0)
-                                                for (problem, phase), mean in zip(toolchain.PHASES, (0.004, 0.0003, 0.001, 0.0015)))])
+    times = pd.DataFrame(
+        [
+            *report.reported(),
+            *(
+                dict(
+                    machine="this machine",
+                    who="rhec, measured",
+                    problem=problem,
+                    phase=phase,
+                    mean_ms=mean,
+                    worst_ms=1.0,
+                )
+                for (problem, phase), mean in zip(toolchain.PHASES, (0.004, 0.0003, 0.001, 0.0015))
+            ),
+        ]
+    )
     figure = plots.embedded_times(times)
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert texts == ["0.152 of 0.88 ms", "1.8 of 6.8 µs"]
     for axes, unit in zip(figure.axes, ("ms", "µs")):
         assert axes.get_xlabel().endswith(f"[{unit}]")
-        assert max(bar.get_x() + bar.get_width() for bar in axes.patches) == pytest.approx(float(axes.texts[0].xy[0]))
+        assert max(bar.get_x() + bar.get_width() for bar in axes.patches) == pytest.approx(
+            float(axes.texts[0].xy[0])
+        )
 
 
 def test_without_any_compiler_the_paper_s_times_are_left(exported, monkeypatch):
     folder = exported("paper")
-    monkeypatch.setattr(machines, "this_machine", lambda: None)
-    monkeypatch.setattr(machines, "arm", lambda: None)
+    monkeypatch.setattr(toolchain, "this_machine", lambda: None)
+    monkeypatch.setattr(toolchain, "arm", lambda: None)
     made = report.measure(folder)
-    assert made["sizes"].empty and made["counted"].empty and made["nonsense"].empty and set(made["times"]["who"]) == {"paper, reported"}
+    assert (
+        made["sizes"].empty
+        and made["counted"].empty
+        and made["nonsense"].empty
+        and set(made["times"]["who"]) == {"paper, reported"}
+    )
     assert plots.embedded_times(made["times"]).axes

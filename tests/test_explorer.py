@@ -1,4 +1,6 @@
-"""The explorer without a browser: controls to scenarios, changes to new pictures, and nothing but a sentence where something cannot be."""
+"""The explorer without a browser: controls to scenarios, changes to new pictures, and nothing but a
+sentence where something cannot be.
+"""
 
 import asyncio
 import re
@@ -11,11 +13,8 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import plots
-from rhec import paper
-from rhec.workbench.explorer import controls
-from rhec.workbench.explorer import explorer
-from rhec.workbench.explorer import field_run
+from rhec import paper, plots
+from rhec.workbench.explorer import controls, explorer, field_run
 from rhec.workbench.explorer.robot_view import robots_eye, seen_from
 from rhec.workbench.explorer.snapshot import horizons_at
 
@@ -29,9 +28,26 @@ def made(tmp_path):
 
 # Controls and scenarios
 
-STARTS = [rhec.Scenario(), rhec.Scenario(estimator="ekf", reading="calibrated", q=paper.Q1, r=3.3, patches=((9.0, 1.0, 2.0, 0.6, 0.5),), seed=7),
-          rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)), rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
-          rhec.Scenario(robust=True, faults=(rhec.Fault(kind="dead", channel="left", start_s=3.0), rhec.Fault(kind="latency", delay_s=0.4)))]
+STARTS = [
+    rhec.Scenario(),
+    rhec.Scenario(
+        estimator="ekf",
+        reading="calibrated",
+        q=paper.Q1,
+        r=3.3,
+        patches=((9.0, 1.0, 2.0, 0.6, 0.5),),
+        seed=7,
+    ),
+    rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)),
+    rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
+    rhec.Scenario(
+        robust=True,
+        faults=(
+            rhec.Fault(kind="dead", channel="left", start_s=3.0),
+            rhec.Fault(kind="latency", delay_s=0.4),
+        ),
+    ),
+]
 
 
 @pytest.mark.parametrize("start", STARTS)
@@ -40,36 +56,62 @@ def test_untouched_controls_mean_the_scenario_they_began_with(start):
 
 
 def test_every_field_with_a_control_is_a_field_of_scenario():
-    assert {key if isinstance(key, str) else key[0] for key in controls.CONTROLS} <= {field.name for field in fields(rhec.Scenario)}
+    assert {key if isinstance(key, str) else key[0] for key in controls.CONTROLS} <= {
+        field.name for field in fields(rhec.Scenario)
+    }
 
 
 @pytest.mark.parametrize("start", STARTS)
 def test_the_line_is_the_scenario(start):
     assert eval(controls.line_of(start)) == start
     for field in fields(start):
-        assert (f"{field.name}=" in controls.line_of(start)) == (getattr(start, field.name) != field.default)
+        assert (f"{field.name}=" in controls.line_of(start)) == (
+            getattr(start, field.name) != field.default
+        )
 
 
 def test_one_s_own_w_reaches_each_estimator_in_its_own_size():
     values = controls.values_of(SHORT) | {"reading": "own", ("sigma_w", 3): 0.5}
-    assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.5, 0.0034, 0.001)
+    assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
+        0.001,
+        0.001,
+        0.001,
+        0.5,
+        0.0034,
+        0.001,
+    )
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.5)
-    assert controls.scenario_of(values | {"speed_model": "input"}, "rhe", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.0034, 0.001)
+    assert controls.scenario_of(values | {"speed_model": "input"}, "rhe", SHORT).sigma_w == (
+        0.001,
+        0.001,
+        0.001,
+        0.0034,
+        0.001,
+    )
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
     assert len(controls.scenario_of(values, "dual", SHORT).sigma_w) == 10
-    assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (0.0034, 0.001)
+    assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (
+        0.0034,
+        0.001,
+    )
 
 
 def test_robust_is_for_those_who_can():
     values = controls.values_of(SHORT) | {"robust": True}
-    assert [controls.scenario_of(values, estimator, SHORT).robust for _, estimator in controls.ESTIMATORS] == [True, False, True, False, False]
+    assert [
+        controls.scenario_of(values, estimator, SHORT).robust
+        for _, estimator in controls.ESTIMATORS
+    ] == [True, False, True, False, False]
 
 
 # The widget
 
+
 @pytest.mark.parametrize("start", STARTS)
 def test_widgets_begin_where_the_scenario_is(start):
-    assert rhec.Explorer(replace(start, duration_s=20.0), None).scenarios == [replace(start, duration_s=20.0)]
+    assert rhec.Explorer(replace(start, duration_s=20.0), None).scenarios == [
+        replace(start, duration_s=20.0)
+    ]
 
 
 def test_a_steps_grid_holds_the_value_it_begins_with():
@@ -79,16 +121,35 @@ def test_a_steps_grid_holds_the_value_it_begins_with():
             if isinstance(control, controls.Slider) and values[key] > 0:
                 widget = explorer._input(control, values[key])
                 np.testing.assert_allclose(widget.value, values[key], rtol=1e-12)
-                steps = ((np.log10(values[key]) if control.kind == "log" else values[key]) - widget.min) / widget.step
+                steps = (
+                    (np.log10(values[key]) if control.kind == "log" else values[key]) - widget.min
+                ) / widget.step
                 assert abs(steps - round(steps)) < 1e-6
 
 
-@pytest.mark.parametrize("key, value", [("r", 30.0), (("q", 2), 5.0), ("speed_mps", 0.4), ("kappa_mean", 0.7), ("gnss_slow_share", 0.5), ("look_ahead_m", 0.5)])
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("r", 30.0),
+        (("q", 2), 5.0),
+        ("speed_mps", 0.4),
+        ("kappa_mean", 0.7),
+        ("gnss_slow_share", 0.5),
+        ("look_ahead_m", 0.5),
+    ],
+)
 def test_a_changed_control_is_a_new_run_and_a_new_picture(made, key, value):
     picture, table, line = made.picture.value, made.table.value, made.line.value
     made.inputs[key].value = value
     assert [run.scenario for run in made.runs] == made.scenarios
-    assert all(before != now for before, now in ((picture, made.picture.value), (table, made.table.value), (line, made.line.value)))
+    assert all(
+        before != now
+        for before, now in (
+            (picture, made.picture.value),
+            (table, made.table.value),
+            (line, made.line.value),
+        )
+    )
     expected = rhec.simulate(made.scenarios[0])
     assert made.runs[0].metrics == expected.metrics
     made.reset.click()
@@ -120,7 +181,7 @@ def test_wet_patches_come_go_and_move(made):
     made.remove_patch.click()
     assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]),)
     made.remove_patch.click()
-    made.patch[0].value = 3.0   # without a patch it moves nothing
+    made.patch[0].value = 3.0  # without a patch it moves nothing
     assert made.runs[0].scenario == SHORT
 
 
@@ -142,27 +203,35 @@ def test_pinned_runs_stay(made):
 @pytest.mark.parametrize("zoom", field_run.ZOOMS)
 def test_every_view_is_well_formed_and_has_no_style_for_the_whole_page(made, view, zoom):
     from xml.etree import ElementTree
+
     made.pin.click()
     made.view.value, made.zoom.value, made.soil.value, made.moment.value = view, zoom, "mu", 100
     picture = made.picture.value.replace("xlink:href", "href")
-    assert {element.tag for element in ElementTree.fromstring(picture).iter()} >= {"svg", "path", "g"}
+    assert {element.tag for element in ElementTree.fromstring(picture).iter()} >= {
+        "svg",
+        "path",
+        "g",
+    }
     assert "<style" not in picture and "nan" not in picture and "#000000" not in picture
 
 
 def test_what_stays_is_not_drawn_again(made, monkeypatch):
     drawn = []
     layer = made.field.layers.layer
-    monkeypatch.setattr(made.field.layers, "layer", lambda *artists: drawn.extend(artists) or layer(*artists))
+    monkeypatch.setattr(
+        made.field.layers, "layer", lambda *artists: drawn.extend(artists) or layer(*artists)
+    )
     made.inputs["q", 0].value = 1.5
     assert made.field.axes["map"] not in drawn and made.field.axes["yaw_rate"] not in drawn
     made.seed.value = 3
     assert made.field.axes["map"] in drawn
     drawn.clear()
     made.seed.value = 0
-    assert made.field.axes["map"] not in drawn   # that picture is still known
+    assert made.field.axes["map"] not in drawn  # that picture is still known
 
 
 # What cannot be
+
 
 def test_an_impossible_setting_is_one_sentence(made, capsys):
     made.inputs["mu_mean"].value = 0.99
@@ -195,13 +264,20 @@ def test_callbacks_in_two_threads_do_not_meet(made, monkeypatch):
             met.append(threading.current_thread().name)
 
     monkeypatch.setattr(made, "_draw", draw)
-    threads = [threading.Thread(target=widget.set_trait, args=("value", value)) for widget, value in ((made.inputs["r"], 20.0), (made.seed, 3))]
+    threads = [
+        threading.Thread(target=widget.set_trait, args=("value", value))
+        for widget, value in ((made.inputs["r"], 20.0), (made.seed, 3))
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert not met
-    assert [run.scenario for run in made.runs] == made.scenarios == [replace(SHORT, r=20.0, seed=3, estimator=name) for name in ("rhe", "ekf")]
+    assert (
+        [run.scenario for run in made.runs]
+        == made.scenarios
+        == [replace(SHORT, r=20.0, seed=3, estimator=name) for name in ("rhe", "ekf")]
+    )
 
 
 def test_what_goes_wrong_inside_is_said(made, monkeypatch, capsys):
@@ -214,7 +290,9 @@ def test_what_goes_wrong_inside_is_said(made, monkeypatch, capsys):
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("start, said", [(3, "start was 3; it should be a rhec.Scenario"), ("rhe", "start was 'rhe'")])
+@pytest.mark.parametrize(
+    "start, said", [(3, "start was 3; it should be a rhec.Scenario"), ("rhe", "start was 'rhe'")]
+)
 def test_it_begins_at_a_scenario(start, said):
     with pytest.raises(ValueError, match=said):
         rhec.Explorer(start)
@@ -223,7 +301,12 @@ def test_it_begins_at_a_scenario(start, said):
 def test_a_lost_robot_is_drawn():
     """Wherever it gets to, and however little is finite."""
     run = rhec.simulate(replace(SHORT, duration_s=20.0))
-    columns = {name: np.full(len(values), np.nan) if name.endswith("_hat") or name.startswith("kkt") else values for name, values in run.columns.items()}
+    columns = {
+        name: np.full(len(values), np.nan)
+        if name.endswith("_hat") or name.startswith("kkt")
+        else values
+        for name, values in run.columns.items()
+    }
     columns |= {"error_true_m": 1e6 * run.columns["t_s"], "x_m": 1e6 * run.columns["t_s"]}
     lost = replace(run, columns=columns, metrics=run.metrics | {"arrival_s": float("nan")})
     picture = field_run.FieldRun()
@@ -235,16 +318,27 @@ def test_a_lost_robot_is_drawn():
 
 # What is taken away
 
+
 def test_runs_and_figure_are_saved(made, tmp_path):
     made.pin.click()
     made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper")
     made.save.click()
     assert "saved" in made.status.value
     assert sorted(path.name for path in (tmp_path / "deeper").iterdir()) == [
-        "wet_row-1.pdf", "wet_row-1.png", "wet_row-1_1_rhe.csv", "wet_row-1_1_rhe.parquet", "wet_row-1_2_ekf.csv", "wet_row-1_2_ekf.parquet"]
+        "wet_row-1.pdf",
+        "wet_row-1.png",
+        "wet_row-1_1_rhe.csv",
+        "wet_row-1_1_rhe.parquet",
+        "wet_row-1_2_ekf.csv",
+        "wet_row-1_2_ekf.parquet",
+    ]
     for run, name in zip(made.runs, ("1_rhe", "2_ekf")):
-        pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "deeper" / f"wet_row-1_{name}.parquet"), run.log)
-        pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "deeper" / f"wet_row-1_{name}.csv"), run.log)
+        pd.testing.assert_frame_equal(
+            pd.read_parquet(tmp_path / "deeper" / f"wet_row-1_{name}.parquet"), run.log
+        )
+        pd.testing.assert_frame_equal(
+            pd.read_csv(tmp_path / "deeper" / f"wet_row-1_{name}.csv"), run.log
+        )
 
 
 def test_without_widgets_the_picture_and_the_table_stand_for_them(made):
@@ -254,6 +348,7 @@ def test_without_widgets_the_picture_and_the_table_stand_for_them(made):
 
 # Compiling
 
+
 def test_a_new_structure_is_compiled_elsewhere_and_the_newest_setting_run_then(made, monkeypatch):
     at_hand, compiled = set(), []
 
@@ -262,7 +357,9 @@ def test_a_new_structure_is_compiled_elsewhere_and_the_newest_setting_run_then(m
         at_hand.update(structures)
 
     monkeypatch.setattr(explorer, "compile_apart", compile_apart)
-    monkeypatch.setattr(explorer.compiled, "at_hand", lambda build, *structure: structure in at_hand)
+    monkeypatch.setattr(
+        explorer.compiled, "at_hand", lambda build, *structure: structure in at_hand
+    )
 
     async def user():
         runs = made.runs
@@ -295,6 +392,7 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
 def test_compiling_apart_leaves_what_load_finds():
     from rhec import simulation
     from rhec._casadi import compiled
+
     structure = simulation.world(rhec.Scenario(estimator="oracle", horizon=2)).structure
     explorer.compile_apart([structure])
     assert compiled.at_hand(simulation.functions, *structure)
@@ -302,23 +400,42 @@ def test_compiling_apart_leaves_what_load_finds():
 
 # The robot's eye
 
+
 @pytest.mark.parametrize("k", [0, 5, 100, 299])
-@pytest.mark.parametrize("changed", [dict(), dict(speed_model="input"), dict(estimator="ekf"), dict(estimator="dual"),
-                                     dict(robust=True, faults=(rhec.Fault(kind="jump", start_s=20.0, size_m=0.5),))])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        dict(),
+        dict(speed_model="input"),
+        dict(estimator="ekf"),
+        dict(estimator="dual"),
+        dict(robust=True, faults=(rhec.Fault(kind="jump", start_s=20.0, size_m=0.5),)),
+    ],
+)
 def test_the_horizons_are_those_of_the_run(k, changed):
     run = rhec.simulate(replace(SHORT, **changed))
     at, row = horizons_at(run.scenario, k), run.log.loc[k]
     np.testing.assert_array_equal(at.truth, row[["x_m", "y_m", "theta_rad"]])
-    np.testing.assert_array_equal(at.estimate, row[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]])
+    np.testing.assert_array_equal(
+        at.estimate,
+        row[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
+    )
     assert at.omega_radps[0] == row["omega_cmd_radps"]
     np.testing.assert_allclose(at.plan[0], at.estimate[:3], atol=1e-12)
     if run.scenario.estimator in ("rhe", "dual"):
         assert len(at.window) == len(at.measured) == min(k, run.scenario.horizon_rhe) + 1
         if run.scenario.estimator == "rhe":
             np.testing.assert_allclose(at.window[-1], at.estimate[:3], atol=1e-9)
-        believed = np.isfinite(at.measured)   # a robust estimator leaves out what it does not believe
+        believed = np.isfinite(
+            at.measured
+        )  # a robust estimator leaves out what it does not believe
         assert believed.all() or run.scenario.robust
-        np.testing.assert_array_equal(at.measured[believed], run.log.loc[k - len(at.measured) + 1:k, ["x_meas_m", "y_meas_m"]].to_numpy()[believed])
+        np.testing.assert_array_equal(
+            at.measured[believed],
+            run.log.loc[k - len(at.measured) + 1 : k, ["x_meas_m", "y_meas_m"]].to_numpy()[
+                believed
+            ],
+        )
     else:
         assert len(at.window) == 0
 
@@ -328,11 +445,17 @@ def test_the_desired_points_are_on_the_path_a_sample_apart(run):
     distance, _ = run.path.project(at.desired[:, :2])
     np.testing.assert_allclose(distance, 0, atol=1e-9)
     steps = np.hypot(*np.diff(at.desired[:, :2], axis=0).T)
-    np.testing.assert_allclose(steps, 0.2 * run.log.loc[200, "mu_hat"] * run.log.loc[200, "nu_hat_mps"], rtol=1e-3)
+    np.testing.assert_allclose(
+        steps, 0.2 * run.log.loc[200, "mu_hat"] * run.log.loc[200, "nu_hat_mps"], rtol=1e-3
+    )
 
 
 def test_seen_from_a_pose_what_is_ahead_is_ahead():
-    np.testing.assert_allclose(seen_from((1, 2, np.pi / 2), np.array([[1.0, 5.0], [-1.0, 2.0]])), [[3, 0], [0, 2]], atol=1e-12)
+    np.testing.assert_allclose(
+        seen_from((1, 2, np.pi / 2), np.array([[1.0, 5.0], [-1.0, 2.0]])),
+        [[3, 0], [0, 2]],
+        atol=1e-12,
+    )
 
 
 def test_the_figures_are_complete_without_an_explorer(run, tmp_path):

@@ -1,4 +1,6 @@
-"""When a step cannot be solved: the shifted previous solution answers, `ok` says so, and the steps after find back."""
+"""When a step cannot be solved: the shifted previous solution answers, `ok` says so, and the steps
+after find back.
+"""
 
 import numpy as np
 import pytest
@@ -12,15 +14,26 @@ GUESS = (0.0, 0.0, 0.0, 0.5, 1.0, 1.0)
 WEAVE = 0.1 * np.sin(0.7 * np.arange(450)) + 0.05 * np.cos(0.31 * np.arange(450))
 TRUTH, QUIET = drive((0.0, 0.0, 0.0, 0.5, 0.9, 0.8), WEAVE)
 Z = QUIET + np.random.default_rng(0).normal(size=QUIET.shape) * (0.03, 0.03, 0.003, 0.003)
-HIT = 100   # the sample at which something goes wrong
+HIT = 100  # the sample at which something goes wrong
 SOON = 220  # samples are enough for most
 
-estimators = pytest.mark.parametrize("given", [dict(), dict(qp="daqp"), dict(speed_model="input", qp="qpoases"), dict(speed_model="slipping"),
-                                               dict(speed_model="slipping", robust=True)], ids=str)
+estimators = pytest.mark.parametrize(
+    "given",
+    [
+        dict(),
+        dict(qp="daqp"),
+        dict(speed_model="input", qp="qpoases"),
+        dict(speed_model="slipping"),
+        dict(speed_model="slipping", robust=True),
+    ],
+    ids=str,
+)
 
 
 def estimated(rhe, z, upset=lambda rhe: None):
-    """Estimates (n, 6) and whether each step was solved; `upset` reaches into the estimator after the sample HIT."""
+    """Estimates (n, 6) and whether each step was solved; `upset` reaches into the estimator after
+    the sample HIT.
+    """
     estimates, solved = [], []
     for k, reading in enumerate(z):
         rhe.prepare()
@@ -32,7 +45,9 @@ def estimated(rhe, z, upset=lambda rhe: None):
 
 
 def sound(estimates):
-    return np.isfinite(estimates).all() and np.all((estimates[:, 4:] >= 0) & (estimates[:, 4:] <= 1))
+    return np.isfinite(estimates).all() and np.all(
+        (estimates[:, 4:] >= 0) & (estimates[:, 4:] <= 1)
+    )
 
 
 def arrival_covariance(rhe):
@@ -47,19 +62,23 @@ def test_without_numbers_in_the_arrival_cost_one_step_fails_and_the_next_begins_
     estimates, solved = estimated(rhe, Z[:SOON], lambda rhe: arrival_covariance(rhe).fill(np.nan))
     assert np.flatnonzero(~solved).tolist() == [HIT + 1] and sound(estimates)
     x, y, theta, nu, mu, kappa = estimates[HIT]
-    np.testing.assert_allclose(estimates[HIT + 1, :3], move((x, y, theta), nu, mu, kappa, WEAVE[HIT - 1]), atol=0.02)   # the last input, repeated
+    np.testing.assert_allclose(
+        estimates[HIT + 1, :3], move((x, y, theta), nu, mu, kappa, WEAVE[HIT - 1]), atol=0.02
+    )  # the last input, repeated
     np.testing.assert_allclose(estimates[HIT + 1, 4:], estimates[HIT, 4:], atol=1e-12)
-    assert np.abs(estimates - TRUTH[:SOON])[HIT + 2 * N:, :3].max() < 0.15
+    assert np.abs(estimates - TRUTH[:SOON])[HIT + 2 * N :, :3].max() < 0.15
 
 
 @estimators
 @pytest.mark.parametrize("value", [0.0, 1.0, 1e300])
 def test_a_singular_arrival_covariance_does_no_lasting_harm(given, value):
-    """No prior at all, one of rank 1, one beyond all numbers: solved or flagged, and forgotten once it has left the window."""
+    """No prior at all, one of rank 1, one beyond all numbers: solved or flagged, and forgotten once
+    it has left the window.
+    """
     rhe = rhec.RHE(guess=GUESS, reading="calibrated", **given)
     estimates, solved = estimated(rhe, Z[:SOON], lambda rhe: arrival_covariance(rhe).fill(value))
-    assert sound(estimates) and np.sum(~solved) <= 1 and solved[HIT + 2:].all()
-    assert np.abs(estimates - TRUTH[:SOON])[HIT + 3 * N:, :3].max() < 0.15
+    assert sound(estimates) and np.sum(~solved) <= 1 and solved[HIT + 2 :].all()
+    assert np.abs(estimates - TRUTH[:SOON])[HIT + 3 * N :, :3].max() < 0.15
     P = arrival_covariance(rhe)
     np.testing.assert_array_equal(P, P.T)
 
@@ -72,17 +91,28 @@ def test_a_memory_without_any_number_does_no_lasting_harm(given):
             rhe.iteration.previous[name].fill(np.nan)
 
     estimates, solved = estimated(rhec.RHE(guess=GUESS, reading="calibrated", **given), Z, emptied)
-    assert sound(estimates[HIT + 3:]) and not solved[HIT + 1] and solved[-20:].all()
+    assert sound(estimates[HIT + 3 :]) and not solved[HIT + 1] and solved[-20:].all()
     assert np.abs(estimates - TRUTH)[-20:, :2].max() < 1
 
 
-@pytest.mark.parametrize("given", [dict(), dict(qp="daqp"), dict(speed_model="input", qp="qpoases"), dict(speed_model="slipping", robust=True)], ids=str)
+@pytest.mark.parametrize(
+    "given",
+    [
+        dict(),
+        dict(qp="daqp"),
+        dict(speed_model="input", qp="qpoases"),
+        dict(speed_model="slipping", robust=True),
+    ],
+    ids=str,
+)
 @pytest.mark.parametrize("wrong", [1e5, -9.9e7])
 def test_positions_that_break_the_problem_are_dropped_with_their_window(given, wrong):
-    """Numbers that a reading can have, for four samples: steps fail, are flagged, and the position is found again. Where tracks slip, that takes robust
-    handling: without it such positions may end up in the antenna's lever arm."""
+    """Numbers that a reading can have, for four samples: steps fail, are flagged, and the position
+    is found again. Where tracks slip, that takes robust handling: without it such positions may end
+    up in the antenna's lever arm.
+    """
     z = Z.copy()
-    z[HIT:HIT + 4, :2] = wrong
+    z[HIT : HIT + 4, :2] = wrong
     rhe = rhec.RHE(guess=GUESS, reading="calibrated", **given)
     estimates, solved = estimated(rhe, z)
     assert sound(estimates) and solved[:HIT].all() and solved[-20:].all()
@@ -90,24 +120,45 @@ def test_positions_that_break_the_problem_are_dropped_with_their_window(given, w
     assert np.abs(estimates - TRUTH)[-20:, :2].max() < (0.1 if given.get("robust") else 1.0)
 
 
-@pytest.mark.parametrize("sigma", [dict(sigma_v=(1e-9,) * 4), dict(sigma_w=(1e8, 1e-8, 1e8, 1e-8, 1e8, 1e-8)), dict(sigma_w=(0.0,) * 6),
-                                   dict(sigma_v=(1e160,) * 4), dict(sigma_w=(1e160,) * 6), dict(sigma_v=(1e-160,) * 4)], ids=str)
+@pytest.mark.parametrize(
+    "sigma",
+    [
+        dict(sigma_v=(1e-9,) * 4),
+        dict(sigma_w=(1e8, 1e-8, 1e8, 1e-8, 1e8, 1e-8)),
+        dict(sigma_w=(0.0,) * 6),
+        dict(sigma_v=(1e160,) * 4),
+        dict(sigma_w=(1e160,) * 6),
+        dict(sigma_v=(1e-160,) * 4),
+    ],
+    ids=str,
+)
 def test_an_ill_conditioned_window_is_solved_or_flagged(sigma):
     with np.errstate(over="ignore"):
         rhe = rhec.RHE(guess=GUESS, **sigma)
     estimates, solved = estimated(rhe, Z[:SOON])
     assert sound(estimates)
-    assert np.all(np.abs(estimates - TRUTH[:SOON])[solved, :2] < 100) and np.isfinite(arrival_covariance(rhe)).all()
+    assert (
+        np.all(np.abs(estimates - TRUTH[:SOON])[solved, :2] < 100)
+        and np.isfinite(arrival_covariance(rhe)).all()
+    )
 
 
 @pytest.mark.parametrize("qp", ["structured", "daqp", "qpoases"])
 def test_a_controller_that_fails_commands_its_shifted_plan(qp):
-    straight = dict(pose=(0.0, 0.1, 0.0), p=(0.5, 0.9, 0.8), xi_ref=np.vstack([0.1 * np.arange(N + 1), np.zeros((2, N + 1))]), omega_ref=np.zeros(N))
+    straight = dict(
+        pose=(0.0, 0.1, 0.0),
+        p=(0.5, 0.9, 0.8),
+        xi_ref=np.vstack([0.1 * np.arange(N + 1), np.zeros((2, N + 1))]),
+        omega_ref=np.zeros(N),
+    )
     rhc, spared = rhec.RHC(qp=qp), rhec.RHC(qp=qp)
     for k in range(4 * N):
         plan = rhc.omega_plan
         rhc.prepare(), spared.prepare()
-        command, expected = rhc.feedback(**straight | (dict(pose=(np.nan,) * 3) if k == 5 else {})), spared.feedback(**straight)
+        command, expected = (
+            rhc.feedback(**straight | (dict(pose=(np.nan,) * 3) if k == 5 else {})),
+            spared.feedback(**straight),
+        )
         assert rhc.ok == (k != 5) and abs(command) <= paper.OMEGA_MAX_RADPS
         if k == 5:
             assert command == plan[1]

@@ -1,4 +1,6 @@
-"""Sensor faults: what each does to a stream of readings, the same in the closed loop, and what the robot does about it."""
+"""Sensor faults: what each does to a stream of readings, the same in the closed loop, and what the
+robot does about it.
+"""
 
 import dataclasses
 
@@ -9,18 +11,18 @@ from hypothesis import strategies as st
 from problems import flat
 
 import rhec
-from rhec import simulation
+from rhec import paper, plots, simulation
 from rhec.extensions import faults
-from rhec import plots
-from rhec import paper
-from rhec.studies import robustness
 from rhec.extensions.faults import Fault
+from rhec.studies import robustness
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 DT, B = paper.DT_S, paper.TRACK_WIDTH_M
 T = np.arange(100) * DT
-Z = np.column_stack([0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)])   # smooth, and no two samples alike
-DURING = slice(50, 60)                                                       # 10 s ≤ t < 12 s
+Z = np.column_stack(
+    [0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)]
+)  # smooth, and no two samples alike
+DURING = slice(50, 60)  # 10 s ≤ t < 12 s
 SHORT = rhec.Scenario(reading="calibrated", duration_s=30.0)
 
 
@@ -29,12 +31,30 @@ def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **given):
     return faults.corrupted(Z, [Fault(start_s=start_s, duration_s=duration_s, **given)], T, B, seed)
 
 
-@pytest.mark.parametrize("given", [
-    dict(kind="missing"), dict(kind="infinite"), dict(kind="outliers", size_m=1.0), dict(kind="jump", size_m=1.0), dict(kind="stuck"),
-    dict(kind="duplicates"), dict(kind="disorder"), dict(kind="latency", delay_s=0.3), dict(kind="rate", rate_hz=1.0), dict(kind="dead", channel="left"),
-], ids=str)
+@pytest.mark.parametrize(
+    "given",
+    [
+        dict(kind="missing"),
+        dict(kind="infinite"),
+        dict(kind="outliers", size_m=1.0),
+        dict(kind="jump", size_m=1.0),
+        dict(kind="stuck"),
+        dict(kind="duplicates"),
+        dict(kind="disorder"),
+        dict(kind="latency", delay_s=0.3),
+        dict(kind="rate", rate_hz=1.0),
+        dict(kind="dead", channel="left"),
+    ],
+    ids=str,
+)
 def test_only_the_channel_and_the_time_of_the_fault_are_touched(given):
-    for channel in ("left", "encoders") if given["kind"] == "dead" else ("gnss",) if "size_m" in given else faults.CHANNELS:
+    for channel in (
+        ("left", "encoders")
+        if given["kind"] == "dead"
+        else ("gnss",)
+        if "size_m" in given
+        else faults.CHANNELS
+    ):
         got = arriving(**given | {"channel": channel})
         changed = ~((got == Z) | (np.isnan(got) & np.isnan(Z)))
         assert not changed[:50].any() and not changed[60:].any()
@@ -48,7 +68,11 @@ def test_missing_is_nan_and_infinite_inf():
 
 
 def test_outliers_have_their_size_and_a_seed_has_its_directions():
-    off = [(arriving(kind=kind, size_m=3.0, seed=seed) - Z)[DURING, :2] for kind in ("outliers", "jump") for seed in (0, 0, 1)]
+    off = [
+        (arriving(kind=kind, size_m=3.0, seed=seed) - Z)[DURING, :2]
+        for kind in ("outliers", "jump")
+        for seed in (0, 0, 1)
+    ]
     np.testing.assert_allclose(np.hypot(*np.concatenate(off).T), 3.0)
     for kind in (off[:3], off[3:]):
         np.testing.assert_array_equal(kind[0], kind[1])
@@ -58,10 +82,19 @@ def test_outliers_have_their_size_and_a_seed_has_its_directions():
 
 def test_a_stuck_position_is_the_last_one_before():
     np.testing.assert_array_equal(arriving(kind="stuck")[DURING, :2], Z[[49] * 10, :2])
-    np.testing.assert_array_equal(arriving(kind="stuck", start_s=-1.0, duration_s=2.0)[:5], np.column_stack([Z[[0] * 5, :2], Z[:5, 2:]]))
+    np.testing.assert_array_equal(
+        arriving(kind="stuck", start_s=-1.0, duration_s=2.0)[:5],
+        np.column_stack([Z[[0] * 5, :2], Z[:5, 2:]]),
+    )
 
 
-@pytest.mark.parametrize("kind, order", [("duplicates", [50, 50, 52, 52, 54, 54, 56, 56, 58, 58]), ("disorder", [50, 49, 52, 51, 54, 53, 56, 55, 58, 57])])
+@pytest.mark.parametrize(
+    "kind, order",
+    [
+        ("duplicates", [50, 50, 52, 52, 54, 54, 56, 56, 58, 58]),
+        ("disorder", [50, 49, 52, 51, 54, 53, 56, 55, 58, 57]),
+    ],
+)
 def test_samples_come_twice_or_out_of_order(kind, order):
     np.testing.assert_array_equal(arriving(kind=kind, channel="all")[DURING], Z[order])
 
@@ -71,7 +104,9 @@ def test_a_late_position_is_that_of_an_earlier_time(delay_s):
     """Linear between the samples."""
     got = arriving(kind="latency", delay_s=delay_s)
     np.testing.assert_allclose(got[DURING, 0], 0.1 * (T[DURING] - delay_s), atol=1e-12)
-    np.testing.assert_array_equal(arriving(kind="latency", delay_s=delay_s, start_s=0.0)[0], Z[0])   # there is none before the first
+    np.testing.assert_array_equal(
+        arriving(kind="latency", delay_s=delay_s, start_s=0.0)[0], Z[0]
+    )  # there is none before the first
 
 
 @pytest.mark.parametrize("rate_hz, every", [(5.0, 1), (2.5, 2), (1.0, 5), (0.5, 10)])
@@ -82,12 +117,23 @@ def test_at_a_lower_rate_some_positions_never_come(rate_hz, every):
 
 def test_a_dead_encoder_reads_0():
     left, right = Z[DURING, 2] - B / 2 * Z[DURING, 3], Z[DURING, 2] + B / 2 * Z[DURING, 3]
-    for channel, l, r in (("left", 0 * left, right), ("right", left, 0 * right), ("encoders", 0 * left, 0 * right)):
-        np.testing.assert_allclose(arriving(kind="dead", channel=channel)[DURING, 2:], np.column_stack([(l + r) / 2, (r - l) / B]), atol=1e-15)
+    for channel, l, r in (
+        ("left", 0 * left, right),
+        ("right", left, 0 * right),
+        ("encoders", 0 * left, 0 * right),
+    ):
+        np.testing.assert_allclose(
+            arriving(kind="dead", channel=channel)[DURING, 2:],
+            np.column_stack([(l + r) / 2, (r - l) / B]),
+            atol=1e-15,
+        )
 
 
 def test_faults_add_up():
-    both = [Fault(kind="jump", size_m=1.0, start_s=2.0, duration_s=5.0), Fault(kind="stuck", start_s=4.0, duration_s=1.0)]
+    both = [
+        Fault(kind="jump", size_m=1.0, start_s=2.0, duration_s=5.0),
+        Fault(kind="stuck", start_s=4.0, duration_s=1.0),
+    ]
     got = faults.corrupted(Z, both, T, B)
     jump = got[15] - Z[15]
     np.testing.assert_allclose(np.hypot(*jump[:2]), 1.0)
@@ -96,12 +142,29 @@ def test_faults_add_up():
 
 
 kinds = st.sampled_from(["missing", "infinite", "stuck", "duplicates", "disorder"]).flatmap(
-    lambda kind: st.fixed_dictionaries(dict(kind=st.just(kind), channel=st.sampled_from(list(faults.CHANNELS)))))
-sized = (st.fixed_dictionaries(dict(kind=st.sampled_from(["outliers", "jump"]), size_m=st.floats(0, 100)))
-         | st.fixed_dictionaries(dict(kind=st.just("latency"), channel=st.sampled_from(list(faults.CHANNELS)), delay_s=st.floats(0, 1)))
-         | st.fixed_dictionaries(dict(kind=st.just("rate"), rate_hz=st.floats(0.1, 20)))
-         | st.fixed_dictionaries(dict(kind=st.just("dead"), channel=st.sampled_from(["left", "right", "encoders"]))))
-a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(lambda drawn: Fault(**drawn[0], start_s=drawn[1], duration_s=drawn[2]))
+    lambda kind: st.fixed_dictionaries(
+        dict(kind=st.just(kind), channel=st.sampled_from(list(faults.CHANNELS)))
+    )
+)
+sized = (
+    st.fixed_dictionaries(
+        dict(kind=st.sampled_from(["outliers", "jump"]), size_m=st.floats(0, 100))
+    )
+    | st.fixed_dictionaries(
+        dict(
+            kind=st.just("latency"),
+            channel=st.sampled_from(list(faults.CHANNELS)),
+            delay_s=st.floats(0, 1),
+        )
+    )
+    | st.fixed_dictionaries(dict(kind=st.just("rate"), rate_hz=st.floats(0.1, 20)))
+    | st.fixed_dictionaries(
+        dict(kind=st.just("dead"), channel=st.sampled_from(["left", "right", "encoders"]))
+    )
+)
+a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(
+    lambda drawn: Fault(**drawn[0], start_s=drawn[1], duration_s=drawn[2])
+)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -109,7 +172,9 @@ a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(lamb
 def test_the_closed_loop_and_a_recorded_stream_suffer_alike(several, seed):
     deliver, memory, rows = faults.deliver(), faults.start(), []
     for z, row in zip(Z, faults.stream(several, len(Z), DT, seed)):
-        columns = np.split(row, np.cumsum([rows * columns for rows, columns in faults.STREAM.values()])[:-1])
+        columns = np.split(
+            row, np.cumsum([rows * columns for rows, columns in faults.STREAM.values()])[:-1]
+        )
         result = deliver(z=z, **memory, **dict(zip(faults.STREAM, columns)), track_width_m=B)
         memory = {name: result[name] for name in memory}
         rows.append(flat(result["z"]))
@@ -119,10 +184,13 @@ def test_the_closed_loop_and_a_recorded_stream_suffer_alike(several, seed):
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.lists(a_fault, max_size=4), st.integers(1, 100))
 def test_a_longer_stream_begins_like_a_shorter_one(several, n):
-    np.testing.assert_array_equal(faults.stream(several, 100, DT, 3)[:n], faults.stream(several, n, DT, 3))
+    np.testing.assert_array_equal(
+        faults.stream(several, 100, DT, 3)[:n], faults.stream(several, n, DT, 3)
+    )
 
 
 # In the closed loop
+
 
 def simulated(*several, **changes):
     return rhec.simulate(dataclasses.replace(SHORT, faults=several, **changes))
@@ -133,38 +201,68 @@ def test_what_the_log_says_was_measured_is_what_arrived():
     healthy, never = simulated(), simulated(Fault(kind="missing", start_s=1e6))
     for name in healthy.columns:
         np.testing.assert_array_equal(never.columns[name], healthy.columns[name])
-    out, stuck = simulated(Fault(kind="missing", start_s=10.0, duration_s=2.0)).log, simulated(Fault(kind="stuck", start_s=10.0, duration_s=2.0)).log
-    assert out.loc[50:59, ["x_meas_m", "y_meas_m", "error_m"]].isna().all(axis=None) and out.drop(range(50, 60))["error_m"].notna().all()
-    assert (stuck.loc[50:59, ["x_meas_m", "y_meas_m"]] == stuck.loc[49, ["x_meas_m", "y_meas_m"]]).all(axis=None)
+    out, stuck = (
+        simulated(Fault(kind="missing", start_s=10.0, duration_s=2.0)).log,
+        simulated(Fault(kind="stuck", start_s=10.0, duration_s=2.0)).log,
+    )
+    assert (
+        out.loc[50:59, ["x_meas_m", "y_meas_m", "error_m"]].isna().all(axis=None)
+        and out.drop(range(50, 60))["error_m"].notna().all()
+    )
+    assert (
+        stuck.loc[50:59, ["x_meas_m", "y_meas_m"]] == stuck.loc[49, ["x_meas_m", "y_meas_m"]]
+    ).all(axis=None)
     for log in (out, stuck):
-        np.testing.assert_array_equal(log.drop(columns="on_straight")[:50], healthy.log.drop(columns="on_straight")[:50])
+        np.testing.assert_array_equal(
+            log.drop(columns="on_straight")[:50], healthy.log.drop(columns="on_straight")[:50]
+        )
         assert log["error_true_m"].notna().all()
 
 
 def test_means_by_gnss_are_over_the_samples_that_have_a_position():
     run = simulated(Fault(kind="missing", start_s=10.0, duration_s=2.0))
-    assert run.metrics["mean_error_from_start_m"] == pytest.approx(run.log["error_m"].mean(skipna=True))
+    assert run.metrics["mean_error_from_start_m"] == pytest.approx(
+        run.log["error_m"].mean(skipna=True)
+    )
     silent = simulated(Fault(kind="missing"))
-    assert np.isnan(silent.metrics["mean_error_m"]) and np.isfinite(silent.metrics["mean_error_true_m"])
+    assert np.isnan(silent.metrics["mean_error_m"]) and np.isfinite(
+        silent.metrics["mean_error_true_m"]
+    )
 
 
 def test_the_log_of_a_run_says_when_a_step_was_not_solved():
-    """Ninety thousand kilometres off for a second, without robust handling: commands keep their bound, `ok` is False for some samples, True again after."""
+    """Ninety thousand kilometres off for a second, without robust handling: commands keep their
+    bound, `ok` is False for some samples, True again after.
+    """
     fault = rhec.Fault(kind="jump", size_m=9e7, start_s=20.0, duration_s=1.0)
     run = simulated(fault, duration_s=60.0)
     log = run.log
-    assert log["ok"][:100].all() and not log["ok"].all() and log["ok"][140:].all() and not run.metrics["all_ok"]
-    assert log["omega_cmd_radps"].abs().max() <= 0.1 and np.isfinite(log.filter(like="hat")).all(axis=None)
+    assert (
+        log["ok"][:100].all()
+        and not log["ok"].all()
+        and log["ok"][140:].all()
+        and not run.metrics["all_ok"]
+    )
+    assert log["omega_cmd_radps"].abs().max() <= 0.1 and np.isfinite(log.filter(like="hat")).all(
+        axis=None
+    )
 
 
 def test_infinite_encoder_readings_are_no_course_to_begin_again_with():
     """Where a position jump has been refused for as long as it may be, and the encoders then fail."""
-    several = Fault(kind="jump", size_m=5.0, start_s=10.0), Fault(kind="infinite", channel="encoders", start_s=19.0, duration_s=5.0)
+    several = (
+        Fault(kind="jump", size_m=5.0, start_s=10.0),
+        Fault(kind="infinite", channel="encoders", start_s=19.0, duration_s=5.0),
+    )
     run = simulated(*several, robust=True)
     assert np.isfinite(run.log.filter(like="hat")).all(axis=None) and run.log["ok"].all()
 
 
-CASES = {(family, name): case for family, of_family in robustness.CASES.items() for name, case in of_family.items()}
+CASES = {
+    (family, name): case
+    for family, of_family in robustness.CASES.items()
+    for name, case in of_family.items()
+}
 
 
 @pytest.mark.parametrize("family, name", CASES)
@@ -178,10 +276,15 @@ def test_whatever_happens_commands_and_estimates_stay_in_bounds(family, name):
 def test_a_response_is_what_the_errors_say():
     run = simulated()
     error = np.full(150, 0.01)
-    error[50:80], error[95] = 0.5, 0.2          # off for 6 s; then once more, too soon to have been back for 5 s
+    error[50:80], error[95] = (
+        0.5,
+        0.2,
+    )  # off for 6 s; then once more, too soon to have been back for 5 s
     made = dataclasses.replace(run, columns=run.columns | {"error_true_m": error})
     response = robustness.response(made, 10.0, 12.0)
-    assert response == dict(max_during_m=0.5, max_after_m=0.5, recovery_s=pytest.approx(96 * DT - 12.0), in_bounds=True)
+    assert response == dict(
+        max_during_m=0.5, max_after_m=0.5, recovery_s=pytest.approx(96 * DT - 12.0), in_bounds=True
+    )
     assert robustness.response(made, 24.0, 24.0)["recovery_s"] == 0
     never = dataclasses.replace(run, columns=run.columns | {"error_true_m": error + 1})
     assert np.isnan(robustness.response(never, 10.0, 12.0)["recovery_s"])
@@ -190,33 +293,68 @@ def test_a_response_is_what_the_errors_say():
 
 
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
-    cases = {family: dict(list(robustness.CASES[family].items())[:2]) for family in ("GNSS outage", "start")}
-    table, errors = robustness.study(rhec.Scenario(reading="calibrated"), range(2), {"off": {}, "on": {"arrival_mean": "filtered"}}, cases)
-    assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(zip(table["family"], table["case"], table["handling"]))
+    cases = {
+        family: dict(list(robustness.CASES[family].items())[:2])
+        for family in ("GNSS outage", "start")
+    }
+    table, errors = robustness.study(
+        rhec.Scenario(reading="calibrated"),
+        range(2),
+        {"off": {}, "on": {"arrival_mean": "filtered"}},
+        cases,
+    )
+    assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(
+        zip(table["family"], table["case"], table["handling"])
+    )
     outage = errors["GNSS outage", "3 s", "off"]
-    assert outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT)) and np.isfinite(outage).all()
-    numbers = plots.fault_table(table, {"": 20.0, "start": 1.0}).set_index(["family", "case", "handling"])
+    assert (
+        outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT))
+        and np.isfinite(outage).all()
+    )
+    numbers = plots.fault_table(table, {"": 20.0, "start": 1.0}).set_index(
+        ["family", "case", "handling"]
+    )
     for key, runs in table.groupby(["family", "case", "handling"], sort=False):
-        assert numbers.loc[key, "recovery_s"] == pytest.approx(runs["recovery_s"].mean(), nan_ok=True)
-        assert numbers.loc[key, "back"] == runs["recovery_s"].notna().sum() and numbers.loc[key, "n"] == 2
+        assert numbers.loc[key, "recovery_s"] == pytest.approx(
+            runs["recovery_s"].mean(), nan_ok=True
+        )
+        assert (
+            numbers.loc[key, "back"] == runs["recovery_s"].notna().sum()
+            and numbers.loc[key, "n"] == 2
+        )
         assert numbers.loc[key, "verdict"] == ("fails" if "start" in key else "holds")
     for family in cases:
         figure = plots.fault_family(family, table, errors, robustness.BEFORE_S)
         assert [axes.get_xlabel() for axes in figure.axes] == ["time since it began [s]"] * 2
-        assert figure.axes[0].get_ylabel() == "true error [m]" and "2 seeds" in figure.get_suptitle()
+        assert (
+            figure.axes[0].get_ylabel() == "true error [m]" and "2 seeds" in figure.get_suptitle()
+        )
 
 
 # What one can get wrong
 
-@pytest.mark.parametrize("bad, sentence", [
-    (dict(kind="broken"), "^kind was 'broken'; "), (dict(kind="missing", channel="lidar"), "^channel was 'lidar'; "),
-    (dict(kind="missing", channel="left"), "^channel was 'left'; for the kind 'missing' it should be one of"),
-    (dict(kind="dead"), "^channel was 'gnss'; for the kind 'dead'"), (dict(kind="outliers", channel="all", size_m=1.0), "^channel was 'all'; "),
-    (dict(kind="jump"), "^size_m was None; for the kind 'jump' it should be given"), (dict(kind="rate"), "^rate_hz was None; "),
-    (dict(kind="latency", delay_s=1.1), "^delay_s was 1.1; "), (dict(kind="stuck", size_m=1.0), "^size_m was 1.0; for the kind 'stuck' it should be None"),
-    (dict(kind="rate", rate_hz=0), "^rate_hz was 0; "), (dict(kind="missing", start_s=np.nan), "^start_s was nan; "),
-    (dict(kind="missing", duration_s=-1), "^duration_s was -1; "), (dict(kind="missing", begin_s=1), "^Fault has no parameter 'begin_s'"),
-])
+
+@pytest.mark.parametrize(
+    "bad, sentence",
+    [
+        (dict(kind="broken"), "^kind was 'broken'; "),
+        (dict(kind="missing", channel="lidar"), "^channel was 'lidar'; "),
+        (
+            dict(kind="missing", channel="left"),
+            "^channel was 'left'; for the kind 'missing' it should be one of",
+        ),
+        (dict(kind="dead"), "^channel was 'gnss'; for the kind 'dead'"),
+        (dict(kind="outliers", channel="all", size_m=1.0), "^channel was 'all'; "),
+        (dict(kind="jump"), "^size_m was None; for the kind 'jump' it should be given"),
+        (dict(kind="rate"), "^rate_hz was None; "),
+        (dict(kind="latency", delay_s=1.1), "^delay_s was 1.1; "),
+        (dict(kind="stuck", size_m=1.0), "^size_m was 1.0; for the kind 'stuck' it should be None"),
+        (dict(kind="rate", rate_hz=0), "^rate_hz was 0; "),
+        (dict(kind="missing", start_s=np.nan), "^start_s was nan; "),
+        (dict(kind="missing", duration_s=-1), "^duration_s was -1; "),
+        (dict(kind="missing", begin_s=1), "^Fault has no parameter 'begin_s'"),
+    ],
+)
 def test_a_bad_fault_is_named_in_one_sentence(bad, sentence):
     with pytest.raises(ValueError, match=sentence):
         Fault(**bad)

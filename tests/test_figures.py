@@ -1,4 +1,6 @@
-"""Results: axes with units, our number beside the paper's, tables that equal what the logs give, verdicts by the rule."""
+"""Results: axes with units, our number beside the paper's, tables that equal what the logs give,
+verdicts by the rule.
+"""
 
 import itertools
 import re
@@ -9,16 +11,25 @@ import pytest
 from matplotlib.figure import Figure
 
 import rhec
-from rhec import plots
-from rhec import paper
-from rhec.plots import scenarios
-from rhec.plots import style
+from rhec import paper, plots
+from rhec.plots import scenarios, style
 
 SEEDS = range(3)
-WEIGHTS = {"Q1": {"q": paper.Q1}, "Q2": {"q": paper.Q2}, "Q2, look-ahead": {"q": paper.Q2, "look_ahead_m": 0.5}, "Q3": {"q": paper.Q3}}
-TIMES = pd.DataFrame([("RHE", "preparation", 4.0, 5.0, 40.0), ("RHE", "feedback", 3.0, 6.0, 30.0),   # made up
-                      ("RHC", "preparation", 3.0, 4.0, 20.0), ("RHC", "feedback", 2.0, 3.5, 15.0)],
-                     columns=["problem", "phase", "minimum_us", "average_us", "maximum_us"])
+WEIGHTS = {
+    "Q1": {"q": paper.Q1},
+    "Q2": {"q": paper.Q2},
+    "Q2, look-ahead": {"q": paper.Q2, "look_ahead_m": 0.5},
+    "Q3": {"q": paper.Q3},
+}
+TIMES = pd.DataFrame(
+    [
+        ("RHE", "preparation", 4.0, 5.0, 40.0),
+        ("RHE", "feedback", 3.0, 6.0, 30.0),  # made up
+        ("RHC", "preparation", 3.0, 4.0, 20.0),
+        ("RHC", "feedback", 2.0, 3.5, 15.0),
+    ],
+    columns=["problem", "phase", "minimum_us", "average_us", "maximum_us"],
+)
 
 
 def scenario(**choice):
@@ -28,26 +39,47 @@ def scenario(**choice):
 @pytest.fixture(scope="module")
 def runs(virtual_machine):
     """{reading: {"RHE": Run, "EKF": Run}}"""
-    return {reading: {name: rhec.simulate(scenario(reading=reading, estimator=name.lower())) for name in ("RHE", "EKF")}
-            for reading in ("printed", "calibrated")}
+    return {
+        reading: {
+            name: rhec.simulate(scenario(reading=reading, estimator=name.lower()))
+            for name in ("RHE", "EKF")
+        }
+        for reading in ("printed", "calibrated")
+    }
 
 
 @pytest.fixture(scope="module")
 def by_weight(virtual_machine):
     """{weight: one Run a seed}"""
-    return {weight: [rhec.simulate(scenario(reading="calibrated", seed=seed, **choice)) for seed in SEEDS] for weight, choice in WEIGHTS.items()}
+    return {
+        weight: [
+            rhec.simulate(scenario(reading="calibrated", seed=seed, **choice)) for seed in SEEDS
+        ]
+        for weight, choice in WEIGHTS.items()
+    }
 
 
 @pytest.fixture(scope="module")
 def sweep_a(by_weight):
-    return pd.DataFrame([{"weight": weight, "reading": "calibrated", "seed": seed} | run.metrics
-                         for weight, runs in by_weight.items() for seed, run in enumerate(runs)])
+    return pd.DataFrame(
+        [
+            {"weight": weight, "reading": "calibrated", "seed": seed} | run.metrics
+            for weight, runs in by_weight.items()
+            for seed, run in enumerate(runs)
+        ]
+    )
 
 
 @pytest.fixture(scope="module")
 def sweep_b(virtual_machine):
-    return rhec.campaign([scenario(reading=reading, estimator=estimator, seed=seed)
-                          for reading in ("printed", "calibrated") for estimator in ("rhe", "ekf") for seed in SEEDS])
+    return rhec.campaign(
+        [
+            scenario(reading=reading, estimator=estimator, seed=seed)
+            for reading in ("printed", "calibrated")
+            for estimator in ("rhe", "ekf")
+            for seed in SEEDS
+        ]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -55,25 +87,39 @@ def drawn(runs, by_weight, sweep_a, sweep_b):
     """Every figure, by its function's name."""
     pair = runs["calibrated"]
     return {
-        "trajectories_q": plots.trajectories_q({weight: of_seeds[0] for weight, of_seeds in by_weight.items()}),
+        "trajectories_q": plots.trajectories_q(
+            {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
+        ),
         "weight_sweep": plots.weight_sweep(sweep_a),
-        "slip_fields": plots.slip_fields(pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"),
+        "slip_fields": plots.slip_fields(
+            pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"
+        ),
         "trajectories": plots.trajectories(pair),
         "errors": plots.errors(runs),
         "violations": plots.violations(sweep_b),
         "phases": plots.phases(TIMES),
-    } | {draw.__name__: draw(pair["RHE"]) for draw in (plots.estimates, plots.speed, plots.yaw_rate, plots.kkt)}
+    } | {
+        draw.__name__: draw(pair["RHE"])
+        for draw in (plots.estimates, plots.speed, plots.yaw_rate, plots.kkt)
+    }
 
 
 def words(figure):
-    return " ".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text") and artist.get_visible()))
+    return " ".join(
+        text.get_text()
+        for text in figure.findobj(
+            lambda artist: hasattr(artist, "get_text") and artist.get_visible()
+        )
+    )
 
 
 def test_axes_are_labelled_with_units(drawn):
     for name, figure in drawn.items():
         assert isinstance(figure, Figure)
         assert figure.get_figwidth() in (style.COLUMN_IN, style.DOUBLE_IN), name
-        labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+        labels = [
+            text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text
+        ]
         assert labels and all(re.search(r"\[.+\]", label) for label in labels), (name, labels)
 
 
@@ -87,7 +133,12 @@ def test_figures_say_which_reading_and_seeds(drawn):
 def test_titles_and_legends_are_inside_the_figure_and_apart(drawn):
     for name, figure in drawn.items():
         figure.draw_without_rendering()
-        boxes = [(text.get_text(), text.get_window_extent()) for axes in figure.axes for text in (axes.title, axes._left_title) if text.get_text()]
+        boxes = [
+            (text.get_text(), text.get_window_extent())
+            for axes in figure.axes
+            for text in (axes.title, axes._left_title)
+            if text.get_text()
+        ]
         for text, box in boxes:
             assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1, (name, text)
         for (one, a), (other, b) in itertools.combinations(boxes, 2):
@@ -105,7 +156,10 @@ def test_the_papers_numbers_stand_beside_ours(drawn, runs):
 
 
 def test_preparation_is_over_when_the_measurement_arrives(drawn):
-    bars = {round(bar.get_y() + bar.get_height() / 2): (bar.get_x(), bar.get_x() + bar.get_width()) for bar in drawn["phases"].axes[0].patches}
+    bars = {
+        round(bar.get_y() + bar.get_height() / 2): (bar.get_x(), bar.get_x() + bar.get_width())
+        for bar in drawn["phases"].axes[0].patches
+    }
     assert [bars[place] for place in range(4)] == [(-9, -4), (-4, 0), (0, 6), (6, 9.5)]
 
 
@@ -114,12 +168,21 @@ def test_table_a_equals_the_logs(by_weight, sweep_a):
     for weight, of_seeds in by_weight.items():
         arrivals = [run.metrics["arrival_s"] for run in of_seeds]
         assert table.loc[(weight, "settling time [s]"), "mean"] == pytest.approx(np.mean(arrivals))
-        raw = [run.log.loc[run.log["t_s"] > arrival + 4.9, "error_m"].mean() for run, arrival in zip(of_seeds, arrivals)]
-        assert table.loc[(weight, "mean error, raw GNSS [m]"), "mean"] == pytest.approx(np.mean(raw))
+        raw = [
+            run.log.loc[run.log["t_s"] > arrival + 4.9, "error_m"].mean()
+            for run, arrival in zip(of_seeds, arrivals)
+        ]
+        assert table.loc[(weight, "mean error, raw GNSS [m]"), "mean"] == pytest.approx(
+            np.mean(raw)
+        )
         assert (table.loc[weight, "n"] == len(SEEDS)).all()
     mean = table["mean"]
-    assert mean["Q1 / Q3", "settling time, ratio"] == pytest.approx(mean["Q1", "settling time [s]"] / mean["Q3", "settling time [s]"])
-    assert mean["Q2 / Q3", "overshoot, ratio"] == pytest.approx(mean["Q2", "overshoot [m]"] / mean["Q3", "overshoot [m]"])
+    assert mean["Q1 / Q3", "settling time, ratio"] == pytest.approx(
+        mean["Q1", "settling time [s]"] / mean["Q3", "settling time [s]"]
+    )
+    assert mean["Q2 / Q3", "overshoot, ratio"] == pytest.approx(
+        mean["Q2", "overshoot [m]"] / mean["Q3", "overshoot [m]"]
+    )
 
 
 def test_table_b_equals_the_logs(runs, sweep_b):
@@ -128,14 +191,25 @@ def test_table_b_equals_the_logs(runs, sweep_b):
     for reading, pair in runs.items():
         for name, run in pair.items():
             log = run.log[run.log["t_s"] > run.metrics["arrival_s"] + 4.9]
-            assert first_seed.loc[(reading, name.lower()), "violations"] == (log["on_straight"] & (log["error_m"] > 0.12)).sum()
+            assert (
+                first_seed.loc[(reading, name.lower()), "violations"]
+                == (log["on_straight"] & (log["error_m"] > 0.12)).sum()
+            )
             row = table.loc[(reading, name, "violations on straights, raw GNSS")]
             of = sweep_b[(sweep_b["reading"] == reading) & (sweep_b["estimator"] == name.lower())]
             assert row["mean"] == pytest.approx(of["violations"].mean())
-            assert of["violations"].min() <= row["low"] <= row["mean"] <= row["high"] <= of["violations"].max()
+            assert (
+                of["violations"].min()
+                <= row["low"]
+                <= row["mean"]
+                <= row["high"]
+                <= of["violations"].max()
+            )
             assert row["paper"] == {"RHE": 0, "EKF": 17}[name] and row["n"] == len(SEEDS)
         error = table.loc[reading].xs("mean error, raw GNSS [m]", level="quantity")
-        assert error["mean"]["RHE - EKF"] == pytest.approx(error["mean"]["RHE"] - error["mean"]["EKF"])
+        assert error["mean"]["RHE - EKF"] == pytest.approx(
+            error["mean"]["RHE"] - error["mean"]["EKF"]
+        )
         assert list(error["paper"]) == [0.0423, 0.0514, -0.0091]
 
 
@@ -143,7 +217,9 @@ def test_intervals_shrink_to_a_constant_and_cover_a_mean():
     assert scenarios.over_seeds(np.mean, [2.0, 2.0, np.nan, 2.0]) == (2.0, 2.0, 2.0, 3)
     draws = np.random.default_rng(1).normal(1.0, 1.0, (200, 20))
     intervals = [scenarios.over_seeds(np.mean, values)[1:3] for values in draws]
-    assert 0.88 < np.mean([low < 1.0 < high for low, high in intervals]) < 0.98   # the bootstrap is a little narrow at n = 20
+    assert (
+        0.88 < np.mean([low < 1.0 < high for low, high in intervals]) < 0.98
+    )  # the bootstrap is a little narrow at n = 20
 
 
 def test_verdicts_follow_the_rule():
@@ -158,5 +234,8 @@ def test_verdicts_follow_the_rule():
 def test_runs_that_never_settle_are_counted(sweep_a):
     never = sweep_a.assign(arrival_s=sweep_a["arrival_s"].where(sweep_a["weight"] != "Q1"))
     table = plots.scenario_a_table(never).set_index(["weight", "quantity"])
-    assert table.loc[("Q1", "settling time [s]"), "n"] == 0 and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
+    assert (
+        table.loc[("Q1", "settling time [s]"), "n"] == 0
+        and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
+    )
     assert "0 of 3 settle" in words(plots.weight_sweep(never))

@@ -1,4 +1,6 @@
-"""Figures and tables: the same bytes again, where they came from inside, no label cut off or on another."""
+"""Figures and tables: the same bytes again, where they came from inside, no label cut off or on
+another.
+"""
 
 import dataclasses
 import itertools
@@ -12,10 +14,14 @@ from PIL import Image
 
 import rhec
 from rhec import paper
-from rhec.plots import robot_drawings
-from rhec.plots import style
+from rhec.plots import robot_drawings, style
 
-DRAWINGS = [robot_drawings.robot_in_row, robot_drawings.robot_parts, robot_drawings.hardware_blocks, robot_drawings.schematic]
+DRAWINGS = [
+    robot_drawings.robot_in_row,
+    robot_drawings.robot_parts,
+    robot_drawings.hardware_blocks,
+    robot_drawings.schematic,
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +78,9 @@ def test_the_source_is_what_figures_are_made_of(tmp_path):
 
 
 def test_a_table_comes_back_as_it_went(tmp_path):
-    table = pd.DataFrame({"estimator": ["RHE", "EKF"], "error_m": [0.0423, 1 / 3], "violations": [0, 17]})
+    table = pd.DataFrame(
+        {"estimator": ["RHE", "EKF"], "error_m": [0.0423, 1 / 3], "violations": [0, 17]}
+    )
     csv = style.save_table(table, "errors", "Errors", tmp_path, Scenario())
     pd.testing.assert_frame_equal(pd.read_csv(csv), table)
     tex = csv.with_suffix(".tex").read_text()
@@ -85,7 +93,9 @@ def test_style_stays_inside_its_figures():
     figure = parabola()
     assert dict(mpl.rcParams) == before
     assert not plt.get_fignums()
-    assert {tick.get_fontsize() for tick in figure.axes[0].get_xticklabels()} == {style.RC["xtick.labelsize"]}
+    assert {tick.get_fontsize() for tick in figure.axes[0].get_xticklabels()} == {
+        style.RC["xtick.labelsize"]
+    }
 
 
 def test_saving_leaves_the_layout_alone(tmp_path):
@@ -107,7 +117,9 @@ def test_labels_of_a_drawing_are_whole_and_apart(draw):
         assert not a.overlaps(b), (one, other)
 
 
-@pytest.mark.parametrize("spacing, tolerance", [(paper.ROW_SPACING_M, paper.TOLERANCE_M), (1.0, 0.23)])
+@pytest.mark.parametrize(
+    "spacing, tolerance", [(paper.ROW_SPACING_M, paper.TOLERANCE_M), (1.0, 0.23)]
+)
 def test_tolerance_is_computed_from_the_row(spacing, tolerance):
     figure = robot_drawings.robot_in_row(row_spacing_m=spacing)
     assert sum(text.get_text() == f"{tolerance:.2f} m" for text in texts(figure)) == 2

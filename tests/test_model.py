@@ -11,15 +11,30 @@ SPEED_MODELS = ["parameter", "input"]
 
 def instance(rng, speed_model):
     """Joint state and input with ordinary values."""
-    xi, nu, traction, omega = rng.normal(size=3), 0.5 + 0.2 * rng.normal(), rng.uniform(0.3, 1, 2), rng.normal()
-    return (np.array([*xi, nu, *traction]), [omega]) if speed_model == "parameter" else (np.array([*xi, *traction]), [nu, omega])
+    xi, nu, traction, omega = (
+        rng.normal(size=3),
+        0.5 + 0.2 * rng.normal(),
+        rng.uniform(0.3, 1, 2),
+        rng.normal(),
+    )
+    return (
+        (np.array([*xi, nu, *traction]), [omega])
+        if speed_model == "parameter"
+        else (np.array([*xi, *traction]), [nu, omega])
+    )
 
 
 def arc(pose, nu, mu, kappa, omega, t):
     """Where the robot really is after t seconds: it drives a circle."""
     x, y, theta = pose
     turn, radius = kappa * omega * t, mu * nu / (kappa * omega)
-    return np.array([x + radius * (np.sin(theta + turn) - np.sin(theta)), y - radius * (np.cos(theta + turn) - np.cos(theta)), theta + turn])
+    return np.array(
+        [
+            x + radius * (np.sin(theta + turn) - np.sin(theta)),
+            y - radius * (np.cos(theta + turn) - np.cos(theta)),
+            theta + turn,
+        ]
+    )
 
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
@@ -28,10 +43,13 @@ def test_sensitivities_are_the_finite_differences(speed_model):
     for _ in range(10):
         s, v = instance(rng, speed_model)
         w, n = np.array([*s, *v]), len(s)
+
         def step(w):
             return flat(interval.step(w[:n], w[n:], 0.2))
 
-        differences = np.array([(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(len(w))]).T
+        differences = np.array(
+            [(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(len(w))]
+        ).T
         s_next, D, B = (np.array(each) for each in interval.linearised(s, v, 0.2))
         np.testing.assert_allclose(np.hstack([np.eye(n) + D, B]), differences, atol=1e-8)
         np.testing.assert_array_equal(s_next.ravel(), step(w))
@@ -42,7 +60,9 @@ def test_the_runge_kutta_step_is_of_fourth_order():
     pose, p, omega = np.array([1.0, -2.0, 0.7]), (0.8, 0.9, 0.7), 1.3
 
     def error(dt):
-        return np.linalg.norm(flat(model.rk4(model.f, pose, omega, p, dt)) - arc(pose, *p, omega, dt))
+        return np.linalg.norm(
+            flat(model.rk4(model.f, pose, omega, p, dt)) - arc(pose, *p, omega, dt)
+        )
 
     ratios = [error(dt) / error(dt / 2) for dt in (1.0, 0.5, 0.25)]
     np.testing.assert_allclose(ratios, 32, rtol=0.1)
@@ -60,8 +80,16 @@ def test_parameters_stay_constant_over_an_interval_and_zero_time_changes_nothing
 def test_with_full_traction_it_is_the_traditional_model():
     """Eq. (kinematicmodelEKF): ẋ = ν cos θ, ẏ = ν sin θ, θ̇ = ω."""
     pose = np.array([0.3, 0.1, 0.4])
-    np.testing.assert_allclose(flat(model.f(pose, 0.2, (0.5, 1, 1))), [0.5 * np.cos(0.4), 0.5 * np.sin(0.4), 0.2], rtol=1e-15)
-    np.testing.assert_allclose(flat(model.rk4(model.f, pose, 0.2, (0.5, 1, 1), 0.2)), arc(pose, 0.5, 1, 1, 0.2, 0.2), atol=1e-9)
+    np.testing.assert_allclose(
+        flat(model.f(pose, 0.2, (0.5, 1, 1))),
+        [0.5 * np.cos(0.4), 0.5 * np.sin(0.4), 0.2],
+        rtol=1e-15,
+    )
+    np.testing.assert_allclose(
+        flat(model.rk4(model.f, pose, 0.2, (0.5, 1, 1), 0.2)),
+        arc(pose, 0.5, 1, 1, 0.2, 0.2),
+        atol=1e-9,
+    )
 
 
 def test_the_two_speed_models_move_alike():
@@ -76,5 +104,14 @@ def test_an_interval_says_which_entry_is_what(speed_model):
     """Names (x, y, θ, ν, μ, κ) by place: what moves with μ and κ, and what z measures."""
     interval = model.interval(speed_model)
     assert [interval.states[place] for place in interval.traction] == [4, 5]
-    assert {interval.states[place]: row for place, row in interval.measured_states}.items() <= {0: 0, 1: 1, 3: 2}.items()
-    assert sorted(row for _, row in interval.measured_states + interval.measured_inputs) == [0, 1, 2, 3]
+    assert {interval.states[place]: row for place, row in interval.measured_states}.items() <= {
+        0: 0,
+        1: 1,
+        3: 2,
+    }.items()
+    assert sorted(row for _, row in interval.measured_states + interval.measured_inputs) == [
+        0,
+        1,
+        2,
+        3,
+    ]

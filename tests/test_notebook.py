@@ -24,7 +24,13 @@ GAINS = "a list of at least one item, each a number from 0 to 100"
 
 @pytest.mark.parametrize(
     "name, value",
-    [("seed", 0), ("seed", 999_999), ("speed_mps", 2), ("reading", "calibrated"), ("gains", (100,))],
+    [
+        ("seed", 0),
+        ("seed", 999_999),
+        ("speed_mps", 2),
+        ("reading", "calibrated"),
+        ("gains", (100,)),
+    ],
 )
 def test_allowed_values_pass(name, value):
     parameters(DEFAULTS | {name: value}, **ALLOWED)
@@ -51,7 +57,9 @@ def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
     assert str(refusal.value) == sentence
 
 
-@given(st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers()))
+@given(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
+)
 def test_only_an_int_in_range_is_a_seed(value):
     try:
         parameters({"seed": value}, seed=(int, 0, 9))
@@ -86,7 +94,9 @@ def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monke
     with pytest.raises(SystemExit) as refusal:
         notebook.main()
     assert refusal.value.code == 2
-    assert capfd.readouterr().err == "sed was 9, but there is no such parameter; did you mean seed?\n"
+    assert (
+        capfd.readouterr().err == "sed was 9, but there is no such parameter; did you mean seed?\n"
+    )
     assert os.listdir(tmp_path) == ["toy.ipynb"]
 
 

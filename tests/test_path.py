@@ -13,8 +13,12 @@ from rhec.model import path as paths
 RACETRACK = rhec.Path.racetrack(30.0, 7.8)
 PATHS = {
     "racetrack": RACETRACK,
-    "open": rhec.Path.from_segments([(5.0, 0.0), (4.0, 0.3), (3.0, -0.5), (2.0, 0.0)], start=(1.0, 2.0, 0.7)),
-    "clockwise circle": rhec.Path.from_segments([(2 * np.pi * 3, -1 / 3)], start=(0.0, 0.0, 1.0), closed=True),
+    "open": rhec.Path.from_segments(
+        [(5.0, 0.0), (4.0, 0.3), (3.0, -0.5), (2.0, 0.0)], start=(1.0, 2.0, 0.7)
+    ),
+    "clockwise circle": rhec.Path.from_segments(
+        [(2 * np.pi * 3, -1 / 3)], start=(0.0, 0.0, 1.0), closed=True
+    ),
     "more than half a turn": rhec.Path.from_segments([(10.0, 0.5)]),
 }
 every_path = pytest.mark.parametrize("name", PATHS)
@@ -30,9 +34,14 @@ def along(path, s, **given):
     """The references' Function on this path, with ordinary arguments where none are given."""
     function = references(len(path.segments), given.pop("input_reference", "measured"))
     (pose,), _ = path.poses([s])
-    given = dict(s=s, estimate=[*pose, 0.5, 0.9, 0.8], omega_measured=0.03, look_ahead_m=0, backwards=0) | given
+    given = (
+        dict(s=s, estimate=[*pose, 0.5, 0.9, 0.8], omega_measured=0.03, look_ahead_m=0, backwards=0)
+        | given
+    )
     result = function(segments=path.segments.T, period_m=path.period_m, **given)
-    return {key: np.array(value) if value.numel() > 1 else float(value) for key, value in result.items()}
+    return {
+        key: np.array(value) if value.numel() > 1 else float(value) for key, value in result.items()
+    }
 
 
 @every_path
@@ -50,7 +59,9 @@ def test_arc_length_yaw_and_curvature_belong_together(name):
     path, d = PATHS[name], 1e-6
     s = np.linspace(0.013, path.length_m - 0.017, 58)
     (here, c), (there, _) = path.poses(s), path.poses(s + d)
-    np.testing.assert_allclose((there - here) / d, np.column_stack([np.cos(here[:, 2]), np.sin(here[:, 2]), c]), atol=1e-5)
+    np.testing.assert_allclose(
+        (there - here) / d, np.column_stack([np.cos(here[:, 2]), np.sin(here[:, 2]), c]), atol=1e-5
+    )
 
 
 @every_path
@@ -58,12 +69,18 @@ def test_the_projection_is_the_closest_of_finely_sampled_points(name):
     path = PATHS[name]
     s = np.linspace(0, path.length_m, 100_001)
     samples = path.poses(np.minimum(s, path.length_m - 1e-9))[0][:, :2]
-    xy = np.random.default_rng(0).uniform(samples.min(axis=0) - 3, samples.max(axis=0) + 3, (300, 2))
+    xy = np.random.default_rng(0).uniform(
+        samples.min(axis=0) - 3, samples.max(axis=0) + 3, (300, 2)
+    )
     distance, where = path.project(xy)
     brute = np.array([np.hypot(*(samples - point).T).min() for point in xy])
     np.testing.assert_allclose(distance, brute, atol=1e-3)
     assert np.all(distance <= brute + 1e-12)
-    np.testing.assert_allclose(np.hypot(*(path.poses(np.minimum(where, path.length_m - 1e-9))[0][:, :2] - xy).T), distance, atol=1e-6)
+    np.testing.assert_allclose(
+        np.hypot(*(path.poses(np.minimum(where, path.length_m - 1e-9))[0][:, :2] - xy).T),
+        distance,
+        atol=1e-6,
+    )
 
 
 @every_path
@@ -72,7 +89,9 @@ def test_a_point_beside_the_path_projects_to_where_it_came_from(name):
     s = np.linspace(0.1, path.length_m - 0.1, 41)
     poses, _ = path.poses(s)
     for left in (-0.5, 0.0, 0.5):
-        distance, where = path.project(poses[:, :2] + left * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])]))
+        distance, where = path.project(
+            poses[:, :2] + left * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
+        )
         np.testing.assert_allclose(distance, abs(left), atol=1e-9)
         np.testing.assert_allclose(where, s, atol=1e-6)
 
@@ -84,21 +103,29 @@ def test_the_loop_and_the_evaluation_see_the_same_path(name):
     pose, c = paths.pose_at(s, path.segments.T, path.period_m)
     pose_at, rng = ca.Function("pose_at", [s], [pose, c]), np.random.default_rng(1)
     xy = ca.SX.sym("xy", 2)
-    closest = ca.Function("closest", [xy, s], [paths.closest(xy, s, path.segments.T, path.period_m, 6)])
+    closest = ca.Function(
+        "closest", [xy, s], [paths.closest(xy, s, path.segments.T, path.period_m, 6)]
+    )
     for place in rng.uniform(0.3, path.length_m - 0.3, 40):
         (expected,), (curvature,) = path.poses([place])
         got, got_curvature = pose_at(place)
         np.testing.assert_allclose(flat(got), expected, atol=1e-9)
         assert float(got_curvature) == curvature
-        beside = expected[:2] + rng.uniform(-0.6, 0.6) * np.array([-np.sin(expected[2]), np.cos(expected[2])])
-        assert float(closest(beside, place + rng.uniform(-0.2, 0.2))) == pytest.approx(path.project([beside])[1][0], abs=1e-6)
+        beside = expected[:2] + rng.uniform(-0.6, 0.6) * np.array(
+            [-np.sin(expected[2]), np.cos(expected[2])]
+        )
+        assert float(closest(beside, place + rng.uniform(-0.2, 0.2))) == pytest.approx(
+            path.project([beside])[1][0], abs=1e-6
+        )
 
 
 def test_before_an_open_path_its_first_segment_goes_on():
     path = rhec.Path.from_segments([(30.0, 0.0), (20.0, 0.1), (30.0, 0.0)], start=(1.0, 2.0, 0.3))
     behind = np.array([1.0 - 0.05 * np.cos(0.3), 2.0 - 0.05 * np.sin(0.3), 0.3])
     np.testing.assert_allclose(path.poses([-0.05])[0][0], behind)
-    result = along(path, -0.05, estimate=[*behind, 0.5, 0.9, 0.8])   # as GNSS noise may have it at the start
+    result = along(
+        path, -0.05, estimate=[*behind, 0.5, 0.9, 0.8]
+    )  # as GNSS noise may have it at the start
     assert result["s"] == pytest.approx(-0.05)
     np.testing.assert_allclose(result["xi_ref"][2], 0.3)
 
@@ -111,19 +138,23 @@ def test_the_closest_point_is_followed_at_the_robots_pace():
         beside = pose + [-0.5 * np.sin(pose[2]), 0.5 * np.cos(pose[2]), 0]
         s = along(RACETRACK, s, estimate=[*beside, 0.5, 0.9, 0.8])["s"]
         assert s == pytest.approx(place, abs=0.02)
-    assert s > length   # where it counts on
+    assert s > length  # where it counts on
 
 
 def test_points_are_one_sample_of_the_robots_own_pace_apart():
     for nu, mu in ((0.5, 0.9), (0.3, 0.6), (-0.4, 1.0)):
-        points = along(PATHS["open"], 5.5, estimate=[*PATHS["open"].poses([5.5])[0][0], nu, mu, 1.0])["xi_ref"]
+        points = along(
+            PATHS["open"], 5.5, estimate=[*PATHS["open"].poses([5.5])[0][0], nu, mu, 1.0]
+        )["xi_ref"]
         expected = PATHS["open"].poses(5.5 + 0.2 * abs(nu) * mu * np.arange(HORIZON + 1))[0]
         np.testing.assert_allclose(points.T, expected, atol=1e-9)
 
 
 def test_the_look_ahead_moves_all_points_on_by_that_distance():
     points = along(PATHS["open"], 5.5, look_ahead_m=1.3)["xi_ref"]
-    np.testing.assert_allclose(points.T, PATHS["open"].poses(6.8 + 0.09 * np.arange(HORIZON + 1))[0], atol=1e-9)
+    np.testing.assert_allclose(
+        points.T, PATHS["open"].poses(6.8 + 0.09 * np.arange(HORIZON + 1))[0], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("turns", [-7, -1, 0, 1, 30])
@@ -153,7 +184,9 @@ def test_a_closed_path_goes_round_and_an_open_one_straight_on():
     path = PATHS["open"]
     points = along(path, path.length_m - 0.5)["xi_ref"].T
     (end,), _ = path.poses([path.length_m - 1e-9])
-    np.testing.assert_allclose(points[-1], end + [0.85 * np.cos(end[2]), 0.85 * np.sin(end[2]), 0], atol=1e-6)
+    np.testing.assert_allclose(
+        points[-1], end + [0.85 * np.cos(end[2]), 0.85 * np.sin(end[2]), 0], atol=1e-6
+    )
 
 
 def test_the_input_reference_is_the_measured_yaw_rate_or_what_the_curve_asks_for():

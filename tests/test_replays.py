@@ -1,14 +1,16 @@
-"""Replay of recorded logs: what a log's rows mean, what is done about its faults, and how good the estimates are."""
+"""Replay of recorded logs: what a log's rows mean, what is done about its faults, and how good the
+estimates are.
+"""
 
 import pickle
 
 import casadi as ca
+import make_example_log
 import numpy as np
 import pandas as pd
 import pytest
 
 import rhec
-import make_example_log
 from rhec import plots
 from rhec.logs import recording as recordings
 from rhec.logs import replay as replays
@@ -19,18 +21,44 @@ MU, KAPPA, B = 0.9, 0.75, 0.5
 
 
 def recorded(rate_hz=10.0, duration_s=60.0, start_rad=0.4, noise_m=0.0, seed=0, arm_m=(0.0, 0.0)):
-    """A log as its columns are documented: forwards, standing, backwards, in curves, integrated finely; without noise unless told. arm_m: the antenna's
-    place ahead and left of the centre."""
+    """A log as its columns are documented: forwards, standing, backwards, in curves, integrated
+    finely; without noise unless told. arm_m: the antenna's place ahead and left of the centre.
+    """
     fine = np.arange(round(duration_s * 1000) + 1) / 1000
     speed = np.interp(fine / duration_s, [0, 0.3, 0.33, 0.4, 0.43, 1], [0.6, 0.7, 0, 0, -0.5, -0.6])
     yaw_rate = 0.4 * np.sin(0.35 * fine)
-    yaw = start_rad + np.concatenate([[0], np.cumsum(KAPPA * (yaw_rate[1:] + yaw_rate[:-1]) / 2000)])
-    x, y = (np.concatenate([[0], np.cumsum((ahead[1:] + ahead[:-1]) / 2000)]) for ahead in (MU * speed * np.cos(yaw), MU * speed * np.sin(yaw)))
-    x, y = x + arm_m[0] * np.cos(yaw) - arm_m[1] * np.sin(yaw), y + arm_m[0] * np.sin(yaw) + arm_m[1] * np.cos(yaw)
+    yaw = start_rad + np.concatenate(
+        [[0], np.cumsum(KAPPA * (yaw_rate[1:] + yaw_rate[:-1]) / 2000)]
+    )
+    x, y = (
+        np.concatenate([[0], np.cumsum((ahead[1:] + ahead[:-1]) / 2000)])
+        for ahead in (MU * speed * np.cos(yaw), MU * speed * np.sin(yaw))
+    )
+    x, y = (
+        x + arm_m[0] * np.cos(yaw) - arm_m[1] * np.sin(yaw),
+        y + arm_m[0] * np.sin(yaw) + arm_m[1] * np.cos(yaw),
+    )
     at = np.round(np.arange(0, duration_s, 1 / rate_hz) * 1000).astype(int)
-    log = pd.DataFrame(dict(t_s=fine, x_m=x, y_m=y, speed_mps=speed, yaw_rate_radps=yaw_rate, v_left_mps=speed - B / 2 * yaw_rate,
-                            v_right_mps=speed + B / 2 * yaw_rate, yaw_true_rad=yaw, x_true_m=x, y_true_m=y, v_true_mps=MU * speed,
-                            yaw_rate_true_radps=KAPPA * yaw_rate)).iloc[at].reset_index(drop=True)
+    log = (
+        pd.DataFrame(
+            dict(
+                t_s=fine,
+                x_m=x,
+                y_m=y,
+                speed_mps=speed,
+                yaw_rate_radps=yaw_rate,
+                v_left_mps=speed - B / 2 * yaw_rate,
+                v_right_mps=speed + B / 2 * yaw_rate,
+                yaw_true_rad=yaw,
+                x_true_m=x,
+                y_true_m=y,
+                v_true_mps=MU * speed,
+                yaw_rate_true_radps=KAPPA * yaw_rate,
+            )
+        )
+        .iloc[at]
+        .reset_index(drop=True)
+    )
     log[["x_m", "y_m"]] += noise_m * np.random.default_rng(seed).standard_normal((len(log), 2))
     return log
 
@@ -44,10 +72,13 @@ def estimates():
 
 
 def errors(result):
-    return np.hypot(result["x_hat_m"] - result["x_m"], result["y_hat_m"] - result["y_m"]), scores.yaw_error(result).abs()
+    return np.hypot(
+        result["x_hat_m"] - result["x_m"], result["y_hat_m"] - result["y_m"]
+    ), scores.yaw_error(result).abs()
 
 
 # What comes out
+
 
 def test_each_row_of_the_log_gets_its_estimate(estimates):
     log = LOG.set_index(pd.Index(np.arange(len(LOG))[::-1], name="row"))
@@ -61,18 +92,29 @@ def test_each_row_of_the_log_gets_its_estimate(estimates):
 
 @pytest.mark.parametrize("rate_hz", [5.0, 6.25, 8.0, 10.0, 20.0, 50.0])
 def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
-    """Without noise: also between the estimator's samples, and though the log's rate is no multiple of theirs."""
+    """Without noise: also between the estimator's samples, and though the log's rate is no multiple
+    of theirs.
+    """
     log = recorded(rate_hz)
     result = rhec.replay(log, first_yaw_rad=0.4, reading="calibrated", speed_model="input")
     late = result["t_s"] > 15
     position, yaw = errors(result[late])
     assert len(result) == len(log) and position.max() < 0.02 and yaw.max() < 0.02
-    assert result["mu_hat"][late].median() == pytest.approx(MU, abs=0.01) and result["kappa_hat"][late].median() == pytest.approx(KAPPA, abs=0.02)
+    assert result["mu_hat"][late].median() == pytest.approx(MU, abs=0.01) and result["kappa_hat"][
+        late
+    ].median() == pytest.approx(KAPPA, abs=0.02)
 
 
 def test_the_log_of_a_run_gives_its_estimates_again(run):
-    """One source, four uses: what was estimated in the closed loop is estimated again from its log, which has measurements beside the truth."""
-    given = dict(reading="calibrated", speed_model="parameter", first_yaw_rad=float(run.log["theta_rad"][0]), sigma_yaw_rad=0.1)
+    """One source, four uses: what was estimated in the closed loop is estimated again from its log,
+    which has measurements beside the truth.
+    """
+    given = dict(
+        reading="calibrated",
+        speed_model="parameter",
+        first_yaw_rad=float(run.log["theta_rad"][0]),
+        sigma_yaw_rad=0.1,
+    )
     result = rhec.replay(run.log, **given)
     np.testing.assert_allclose(result[ESTIMATE][50:], run.log[ESTIMATE][50:], atol=2e-3)
     np.testing.assert_array_equal(result[["x_m", "theta_rad"]], run.log[["x_m", "theta_rad"]])
@@ -82,7 +124,9 @@ def test_the_log_of_a_run_gives_its_estimates_again(run):
 
 def test_the_live_estimator_agrees():
     recording, given = recordings.prepare(LOG), dict(reading="calibrated", speed_model="input")
-    samples = replays.estimate_samples(recording, replays.settings("rhe", recording, given), replays.First((0.4,), 0.1))
+    samples = replays.estimate_samples(
+        recording, replays.settings("rhe", recording, given), replays.First((0.4,), 0.1)
+    )
     z = samples[recordings.READINGS].to_numpy()
     live = rhec.RHE(**given, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
     for k in range(len(z)):
@@ -93,7 +137,9 @@ def test_the_live_estimator_agrees():
 
 def test_an_estimator_of_ones_own():
     memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
-    believing = ca.Function("believing", [memory, z], [memory, ca.vertcat(z[:2], memory[2], z[2], 0.5, 0.5)])
+    believing = ca.Function(
+        "believing", [memory, z], [memory, ca.vertcat(z[:2], memory[2], z[2], 0.5, 0.5)]
+    )
     result = rhec.replay(LOG, estimator=believing, first_yaw_rad=0.4)
     np.testing.assert_allclose(result["x_hat_m"][::2], LOG["x_m"][::2], atol=1e-12)
     assert (result["theta_hat_rad"][::2] == 0.4).all() and result["sigma_theta_rad"].isna().all()
@@ -102,7 +148,9 @@ def test_an_estimator_of_ones_own():
 def test_no_estimate_sees_the_truth(estimates):
     truth = list(recordings.TRUTH.values())
     for blind in (LOG.drop(columns=truth), LOG.assign(**dict.fromkeys(truth, 7.0))):
-        np.testing.assert_array_equal(rhec.replay(blind, first_yaw_rad=0.4)[ESTIMATE], estimates[ESTIMATE])
+        np.testing.assert_array_equal(
+            rhec.replay(blind, first_yaw_rad=0.4)[ESTIMATE], estimates[ESTIMATE]
+        )
 
 
 @pytest.mark.parametrize("start_rad", [-2.9, -1.2, 0.0, 1.0, 2.6])
@@ -115,15 +163,25 @@ def test_a_first_yaw_that_nobody_knows_is_found(start_rad):
 
 def test_on_a_straight_the_estimator_says_that_it_forgets_kappa():
     log = recorded(duration_s=80.0, noise_m=0.02)
-    straight = log.iloc[[-1] * 300].assign(t_s=log["t_s"].iloc[-1] + 0.1 * np.arange(1, 301), speed_mps=0.5, yaw_rate_radps=0.0)
+    straight = log.iloc[[-1] * 300].assign(
+        t_s=log["t_s"].iloc[-1] + 0.1 * np.arange(1, 301), speed_mps=0.5, yaw_rate_radps=0.0
+    )
     ahead = 0.05 * MU * np.arange(1, 301)
-    straight = straight.assign(x_m=straight["x_m"] + ahead * np.cos(straight["yaw_true_rad"]), y_m=straight["y_m"] + ahead * np.sin(straight["yaw_true_rad"]))
-    result = rhec.replay(pd.concat([log, straight], ignore_index=True), reading="calibrated", first_yaw_rad=0.4)
+    straight = straight.assign(
+        x_m=straight["x_m"] + ahead * np.cos(straight["yaw_true_rad"]),
+        y_m=straight["y_m"] + ahead * np.sin(straight["yaw_true_rad"]),
+    )
+    result = rhec.replay(
+        pd.concat([log, straight], ignore_index=True), reading="calibrated", first_yaw_rad=0.4
+    )
     sigma = result["sigma_kappa"].to_numpy()
-    assert sigma[-1] > 1.2 * sigma[len(log) + 40] and np.all(np.diff(sigma[len(log) + 40:]) > -1e-4)
+    assert sigma[-1] > 1.2 * sigma[len(log) + 40] and np.all(
+        np.diff(sigma[len(log) + 40 :]) > -1e-4
+    )
 
 
 # What a log's rows mean
+
 
 @pytest.mark.parametrize("rate_hz", [5.0, 8.0, 50.0])
 def test_the_readings_of_a_sample_are_means_over_the_interval_that_ends_there(rate_hz):
@@ -132,13 +190,15 @@ def test_the_readings_of_a_sample_are_means_over_the_interval_that_ends_there(ra
     fine = recorded(1000.0)
     for reading, column in (("nu_meas_mps", "speed_mps"), ("omega_meas_radps", "yaw_rate_radps")):
         expected = fine[column].to_numpy()[1:59_801].reshape(-1, 200).mean(axis=1)
-        np.testing.assert_allclose(samples[reading][1:], expected[:len(samples) - 1], atol=0.01)
+        np.testing.assert_allclose(samples[reading][1:], expected[: len(samples) - 1], atol=0.01)
 
 
 def test_readings_of_a_run_are_means_already(run):
     recording = recordings.prepare(run.log)
     samples = recordings.samples(recording.rows, 0.2, recording.averaged)
-    np.testing.assert_allclose(samples[recordings.READINGS], run.log[recordings.READINGS], atol=1e-9)
+    np.testing.assert_allclose(
+        samples[recordings.READINGS], run.log[recordings.READINGS], atol=1e-9
+    )
 
 
 def test_tracks_and_their_width_stand_for_speed_and_yaw_rate(estimates):
@@ -151,21 +211,39 @@ def test_tracks_and_their_width_stand_for_speed_and_yaw_rate(estimates):
 
 def test_the_antennas_place_can_be_told_or_found():
     log = recorded(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
-    told, wrong, found = (rhec.replay(log, first_yaw_rad=0.4, lever_arm_m=arm) for arm in ((0.3, -0.2), (0.0, 0.0), None))
+    told, wrong, found = (
+        rhec.replay(log, first_yaw_rad=0.4, lever_arm_m=arm)
+        for arm in ((0.3, -0.2), (0.0, 0.0), None)
+    )
     late = slice(900, None)
-    np.testing.assert_allclose(told[["arm_forward_hat_m", "arm_left_hat_m"]][late], np.broadcast_to((0.3, -0.2), (300, 2)), atol=0.02)
-    np.testing.assert_allclose(found[["arm_forward_hat_m", "arm_left_hat_m"]].iloc[-1], (0.3, -0.2), atol=0.08)
+    np.testing.assert_allclose(
+        told[["arm_forward_hat_m", "arm_left_hat_m"]][late],
+        np.broadcast_to((0.3, -0.2), (300, 2)),
+        atol=0.02,
+    )
+    np.testing.assert_allclose(
+        found[["arm_forward_hat_m", "arm_left_hat_m"]].iloc[-1], (0.3, -0.2), atol=0.08
+    )
     rms = [scores.rms(scores.yaw_error(result[200:])) for result in (told, found, wrong)]
     assert rms[0] < 0.7 * rms[2] and rms[1] < 0.8 * rms[2]
-    assert told["sigma_arm_left_m"].iloc[-1] < found["sigma_arm_left_m"].iloc[-1] < found["sigma_arm_left_m"].iloc[0]
+    assert (
+        told["sigma_arm_left_m"].iloc[-1]
+        < found["sigma_arm_left_m"].iloc[-1]
+        < found["sigma_arm_left_m"].iloc[0]
+    )
 
 
 def test_segments_are_worlds_of_their_own():
     second = recorded(start_rad=2.0, noise_m=0.02, seed=1)
-    both = pd.concat([LOG.assign(segment="a"), second.assign(segment="b", t_s=second["t_s"] + 60.0)], ignore_index=True)
+    both = pd.concat(
+        [LOG.assign(segment="a"), second.assign(segment="b", t_s=second["t_s"] + 60.0)],
+        ignore_index=True,
+    )
     result = rhec.replay(both, first_yaw_rad=(0.4, 2.0))
-    for alone, part, yaw in ((LOG, result[:len(LOG)], 0.4), (second, result[len(LOG):], 2.0)):
-        np.testing.assert_allclose(part[ESTIMATE], rhec.replay(alone, first_yaw_rad=yaw)[ESTIMATE], atol=1e-9)
+    for alone, part, yaw in ((LOG, result[: len(LOG)], 0.4), (second, result[len(LOG) :], 2.0)):
+        np.testing.assert_allclose(
+            part[ESTIMATE], rhec.replay(alone, first_yaw_rad=yaw)[ESTIMATE], atol=1e-9
+        )
 
 
 def test_positions_of_1_hz_are_enough():
@@ -177,6 +255,7 @@ def test_positions_of_1_hz_are_enough():
 
 # Faults
 
+
 def test_flagged_and_impossible_readings_do_not_exist(estimates):
     bad = np.random.default_rng(0).random(len(LOG)) < 0.1
     silent = LOG.copy()
@@ -184,8 +263,14 @@ def test_flagged_and_impossible_readings_do_not_exist(estimates):
     expected = rhec.replay(silent, first_yaw_rad=0.4)
     flagged = LOG.assign(pos_ok=np.where(bad, 0, 1))
     flagged.loc[bad, ["x_m", "y_m"]] = 1e5
-    for log in (flagged, silent.fillna({"x_m": np.inf, "y_m": -1e300}), silent.assign(x_m=silent["x_m"].astype(object).where(~bad, "lost"))):
-        np.testing.assert_array_equal(rhec.replay(log, first_yaw_rad=0.4)[ESTIMATE], expected[ESTIMATE])
+    for log in (
+        flagged,
+        silent.fillna({"x_m": np.inf, "y_m": -1e300}),
+        silent.assign(x_m=silent["x_m"].astype(object).where(~bad, "lost")),
+    ):
+        np.testing.assert_array_equal(
+            rhec.replay(log, first_yaw_rad=0.4)[ESTIMATE], expected[ESTIMATE]
+        )
     assert not np.array_equal(expected[ESTIMATE], estimates[ESTIMATE])
 
 
@@ -199,26 +284,39 @@ def test_a_repeated_position_is_an_old_one():
 
 
 def test_rows_out_of_time_change_nothing(estimates):
-    """Duplicates, older rows and wild times are left out; each such row shows the estimate before it."""
+    """Duplicates, older rows and wild times are left out; each such row shows the estimate before
+    it.
+    """
     wrong = LOG.iloc[[100, 50, 200, 201]].assign(t_s=[10.0, 9.85, 1e9, np.nan], x_m=77.0, y_m=-77.0)
-    order = np.concatenate([np.arange(101), [600, 601], np.arange(101, 201), [602, 603], np.arange(201, 600)])
+    order = np.concatenate(
+        [np.arange(101), [600, 601], np.arange(101, 201), [602, 603], np.arange(201, 600)]
+    )
     log = pd.concat([LOG, wrong], ignore_index=True).iloc[order]
     result = rhec.replay(log, first_yaw_rad=0.4)
     np.testing.assert_array_equal(result.index, order)
     np.testing.assert_array_equal(result.drop(index=range(600, 604))[ESTIMATE], estimates[ESTIMATE])
-    np.testing.assert_array_equal(result.loc[[600, 601], ESTIMATE], estimates.loc[[100, 100], ESTIMATE])
+    np.testing.assert_array_equal(
+        result.loc[[600, 601], ESTIMATE], estimates.loc[[100, 100], ESTIMATE]
+    )
     assert result.attrs["faults"]["unusable_times"] == 4
 
 
-@pytest.mark.parametrize("broken", [
-    lambda log: log.assign(t_s=np.where(log.index < 300, log["t_s"], log["t_s"] - 20.0)),
-    lambda log: log.drop(index=range(200, 290)),
-    lambda log: log.drop(index=log.index[1::3]),
-    lambda log: log.assign(speed_mps=log["speed_mps"].where(log.index % 50 > 25)),
-    lambda log: log.assign(speed_mps=np.inf).assign(speed_mps=lambda each: each["speed_mps"].where(each.index > 30, 0.0)),
-    lambda log: log.assign(x_m=np.where(log.index % 7 == 0, 1e7, log["x_m"])),
-    lambda log: log.iloc[:1], lambda log: log.iloc[:2], lambda log: log.iloc[:5],
-])
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda log: log.assign(t_s=np.where(log.index < 300, log["t_s"], log["t_s"] - 20.0)),
+        lambda log: log.drop(index=range(200, 290)),
+        lambda log: log.drop(index=log.index[1::3]),
+        lambda log: log.assign(speed_mps=log["speed_mps"].where(log.index % 50 > 25)),
+        lambda log: log.assign(speed_mps=np.inf).assign(
+            speed_mps=lambda each: each["speed_mps"].where(each.index > 30, 0.0)
+        ),
+        lambda log: log.assign(x_m=np.where(log.index % 7 == 0, 1e7, log["x_m"])),
+        lambda log: log.iloc[:1],
+        lambda log: log.iloc[:2],
+        lambda log: log.iloc[:5],
+    ],
+)
 def test_whatever_breaks_estimates_are_numbers(broken):
     log = broken(LOG)
     result = rhec.replay(log, first_yaw_rad=None)
@@ -226,33 +324,46 @@ def test_whatever_breaks_estimates_are_numbers(broken):
     assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
 
 
-@pytest.mark.parametrize("log, sentence", [
-    ([1, 2], "^log was list; it should be a DataFrame"), (LOG.iloc[:0], "^log was DataFrame without rows"),
-    (LOG.drop(columns="x_m"), "^the log had no column x_m"),
-    (LOG.drop(columns=["t_s", "speed_mps"]), "no column t_s, speed_mps;.*and a track_width_m"),
-    (LOG.assign(y_m="east"), "column y_m had no number"),
-    (LOG.assign(t_s=np.nan), "column t_s had no number"), (LOG.iloc[::10], "rows 1 s apart"),
-    (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m"),
-])
+@pytest.mark.parametrize(
+    "log, sentence",
+    [
+        ([1, 2], "^log was list; it should be a DataFrame"),
+        (LOG.iloc[:0], "^log was DataFrame without rows"),
+        (LOG.drop(columns="x_m"), "^the log had no column x_m"),
+        (LOG.drop(columns=["t_s", "speed_mps"]), "no column t_s, speed_mps;.*and a track_width_m"),
+        (LOG.assign(y_m="east"), "column y_m had no number"),
+        (LOG.assign(t_s=np.nan), "column t_s had no number"),
+        (LOG.iloc[::10], "rows 1 s apart"),
+        (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m"),
+    ],
+)
 def test_a_log_that_cannot_be_replayed_is_refused_in_a_sentence(log, sentence):
     with pytest.raises(ValueError, match=sentence):
         rhec.replay(log)
 
 
-@pytest.mark.parametrize("given, sentence", [
-    (dict(estimator="oracle"), "^estimator was 'oracle'"), (dict(estimator="kalman"), "^estimator was 'kalman'"),
-    (dict(sed=1), "^replay has no parameter 'sed'"),
-    (dict(reading="bold"), "^reading was 'bold'"), (dict(first_yaw_rad=(0.0, 1.0)), "^first_yaw_rad had 2 entries"),
-    (dict(first_yaw_rad=np.inf), "^first_yaw_rad"),
-    (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "^lever_arm_m was"), (dict(lever_arm_m=(0.1,)), "^lever_arm_m"),
-    (dict(track_width_m=-0.5), "^track_width_m was -0.5"), (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
-])
+@pytest.mark.parametrize(
+    "given, sentence",
+    [
+        (dict(estimator="oracle"), "^estimator was 'oracle'"),
+        (dict(estimator="kalman"), "^estimator was 'kalman'"),
+        (dict(sed=1), "^replay has no parameter 'sed'"),
+        (dict(reading="bold"), "^reading was 'bold'"),
+        (dict(first_yaw_rad=(0.0, 1.0)), "^first_yaw_rad had 2 entries"),
+        (dict(first_yaw_rad=np.inf), "^first_yaw_rad"),
+        (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "^lever_arm_m was"),
+        (dict(lever_arm_m=(0.1,)), "^lever_arm_m"),
+        (dict(track_width_m=-0.5), "^track_width_m was -0.5"),
+        (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
+    ],
+)
 def test_bad_parameters_are_named(given, sentence):
     with pytest.raises(ValueError, match=sentence):
         rhec.replay(LOG, **given)
 
 
 # Files
+
 
 def test_logs_are_read_from_csv_and_parquet(tmp_path):
     LOG.to_csv(tmp_path / "log.csv", index=False)
@@ -263,9 +374,11 @@ def test_logs_are_read_from_csv_and_parquet(tmp_path):
 
 def test_files_are_data(tmp_path):
     """Nothing in them runs, whatever they are called."""
+
     class Bomb:
         def __reduce__(self):
             return (pytest.fail, ("a file was run",))
+
     bomb = pickle.dumps(Bomb())
     for name in ("log.csv", "log.parquet", "log.pkl"):
         (tmp_path / name).write_bytes(bomb)
@@ -276,13 +389,16 @@ def test_files_are_data(tmp_path):
             recordings.read(name)
 
 
-@pytest.mark.parametrize("name", ["../../etc/passwd.csv", "..csv", "a b$(x).csv", "/", "日誌.csv", "C:\\log.csv"])
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd.csv", "..csv", "a b$(x).csv", "/", "日誌.csv", "C:\\log.csv"]
+)
 def test_pictures_of_a_log_stay_in_the_folder_for_them(name):
     folder = plots.replay_folder(name)
     assert folder.parent == plots.replay_folder("x.csv").parent and folder.resolve() == folder
 
 
 # The shipped log
+
 
 @pytest.fixture(scope="module")
 def shipped():
@@ -302,27 +418,48 @@ def test_the_shipped_log_has_all_kinds_of_motion(shipped):
 
 
 def test_with_the_speed_as_input_the_rhe_survives_what_the_papers_does_not(shipped):
-    """The finding about the paper, on the trial: one ν over a window of 3 s cannot be right while the speed changes."""
-    by_input, by_parameter = (scores.trials(shipped, range(3), reading="calibrated", speed_model=model) for model in ("input", "parameter"))
-    assert (by_input["yaw_rms_rad"] < by_parameter["yaw_rms_rad"]).all() and (by_input["outside"] == 0).all() and (by_input["not_ok"] == 0).all()
+    """The finding about the paper, on the trial: one ν over a window of 3 s cannot be right while
+    the speed changes.
+    """
+    by_input, by_parameter = (
+        scores.trials(shipped, range(3), reading="calibrated", speed_model=model)
+        for model in ("input", "parameter")
+    )
+    assert (
+        (by_input["yaw_rms_rad"] < by_parameter["yaw_rms_rad"]).all()
+        and (by_input["outside"] == 0).all()
+        and (by_input["not_ok"] == 0).all()
+    )
     assert (by_input["innovation_rms_m"] < 0.7 * by_parameter["innovation_rms_m"]).all()
 
 
 # Scores
 
+
 def test_regression_is_that_of_true_motion_on_readings():
-    samples = recordings.samples(recordings.prepare(recorded(50.0)).rows, 0.2, averaged=False).assign(segment=0)
+    samples = recordings.samples(
+        recordings.prepare(recorded(50.0)).rows, 0.2, averaged=False
+    ).assign(segment=0)
     assert scores.regression(samples) == pytest.approx((MU, KAPPA), abs=1e-4)
     sliding = scores.sliding_regression(samples)
     np.testing.assert_allclose(np.nanmedian(sliding, axis=0), (MU, KAPPA), atol=1e-3)
-    assert np.isnan(sliding).any(axis=0).all()   # standing, or straight
+    assert np.isnan(sliding).any(axis=0).all()  # standing, or straight
 
 
 def test_scores_are_what_they_say(estimates):
     counted = scores.driven(estimates) >= scores.FROM_M
-    wrong = estimates.assign(theta_hat_rad=estimates["theta_rad"] + np.where(counted, 0.1 + 2 * np.pi, 3.0), sigma_theta_rad=0.2, mu_hat=0.5, kappa_hat=-0.1)
+    wrong = estimates.assign(
+        theta_hat_rad=estimates["theta_rad"] + np.where(counted, 0.1 + 2 * np.pi, 3.0),
+        sigma_theta_rad=0.2,
+        mu_hat=0.5,
+        kappa_hat=-0.1,
+    )
     score = scores.score(wrong)
-    assert score["yaw_rms_rad"] == pytest.approx(0.1) and score["nees_yaw"] == pytest.approx(0.25) and score["inside_95"] == 1
+    assert (
+        score["yaw_rms_rad"] == pytest.approx(0.1)
+        and score["nees_yaw"] == pytest.approx(0.25)
+        and score["inside_95"] == 1
+    )
     assert score["mu_median"] == 0.5 and score["outside"] == len(wrong)
 
 
@@ -336,24 +473,49 @@ def test_the_trial_is_harder_than_the_log_and_its_seed_decides():
 
 
 def test_faults_on_top_of_a_log():
-    """A schedule of faults reaches the readings, and the estimates stay numbers, robust or not; robust, outliers do little."""
+    """A schedule of faults reaches the readings, and the estimates stay numbers, robust or not;
+    robust, outliers do little.
+    """
     outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
-    clean, off, on = (scores.trial(LOG, 0, **given) for given in ({}, dict(faults=outliers), dict(faults=outliers, robust=True)))
+    clean, off, on = (
+        scores.trial(LOG, 0, **given)
+        for given in ({}, dict(faults=outliers), dict(faults=outliers, robust=True))
+    )
     hit = clean["t_s"].between(30.0, 32.9)
-    np.testing.assert_allclose(np.hypot(off["x_meas_m"] - clean["x_meas_m"], off["y_meas_m"] - clean["y_meas_m"]), np.where(hit, 5.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(
+        np.hypot(off["x_meas_m"] - clean["x_meas_m"], off["y_meas_m"] - clean["y_meas_m"]),
+        np.where(hit, 5.0, 0.0),
+        atol=1e-9,
+    )
     worst = [errors(samples[hit | (clean["t_s"] > 33)])[0].max() for samples in (off, on)]
     assert worst[1] < 0.3 < worst[0]
-    for kind, more in (("missing", {}), ("infinite", dict(channel="all")), ("disorder", dict(channel="all")), ("dead", dict(channel="left"))):
-        samples = scores.trial(LOG, 0, faults=(rhec.Fault(kind=kind, start_s=30.0, duration_s=5.0, **more),))
-        assert np.isfinite(samples[ESTIMATE]).all(axis=None) and scores.score(samples)["outside"] == 0
+    for kind, more in (
+        ("missing", {}),
+        ("infinite", dict(channel="all")),
+        ("disorder", dict(channel="all")),
+        ("dead", dict(channel="left")),
+    ):
+        samples = scores.trial(
+            LOG, 0, faults=(rhec.Fault(kind=kind, start_s=30.0, duration_s=5.0, **more),)
+        )
+        assert (
+            np.isfinite(samples[ESTIMATE]).all(axis=None) and scores.score(samples)["outside"] == 0
+        )
 
 
 def test_pictures_of_a_log_with_and_without_truth():
     for log in (LOG, LOG.drop(columns=list(recordings.TRUTH.values()))):
         replay = {"RHE": scores.trial(log, 0, reading="calibrated")}
         trials = {"RHE": scores.trials(log, range(2), reading="calibrated")}
-        for figure in (plots.replay_log(replay["RHE"], "a $ b"), plots.replay_yaw(replay), plots.replay_traction(replay, "RHE"),
-                       plots.replay_uncertainty(replay["RHE"], "RHE"), plots.replay_innovations(replay)):
+        for figure in (
+            plots.replay_log(replay["RHE"], "a $ b"),
+            plots.replay_yaw(replay),
+            plots.replay_traction(replay, "RHE"),
+            plots.replay_uncertainty(replay["RHE"], "RHE"),
+            plots.replay_innovations(replay),
+        ):
             assert figure.axes
         table = plots.replay_table(trials)
-        assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == ("yaw_true_rad" in log)
+        assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == (
+            "yaw_true_rad" in log
+        )

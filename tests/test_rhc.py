@@ -11,18 +11,27 @@ from rhec.controller import rhc as builders
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]
-STRAIGHT = dict(pose=(0.0, 0.0, 0.0), p=(0.5, 0.9, 0.8), xi_ref=drive([0, 0, 0, 0.45, 1, 1], np.zeros(N))[0][:, :3].T, omega_ref=np.zeros(N))
+STRAIGHT = dict(
+    pose=(0.0, 0.0, 0.0),
+    p=(0.5, 0.9, 0.8),
+    xi_ref=drive([0, 0, 0, 0.45, 1, 1], np.zeros(N))[0][:, :3].T,
+    omega_ref=np.zeros(N),
+)
 
 
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
-    """On 200 random instances, each with weights of its own; at least a third of them at the bounds."""
+    """On 200 random instances, each with weights of its own; at least a third of them at the
+    bounds.
+    """
     rng, bounded = np.random.default_rng(0), 0
     for k in range(200):
         problem, weights = rhc_instance(rng), rhc_weights(rng)
         rhc = rhec.RHC(**weights, qp=SOLVERS[k % 3])
         command = rhc.solve(**problem, iterations=25)
         optimum = rhc_by_ipopt(problem, **weights)
-        np.testing.assert_allclose(rhc.omega_plan, optimum, rtol=0, atol=1e-6 * np.abs(optimum).max())
+        np.testing.assert_allclose(
+            rhc.omega_plan, optimum, rtol=0, atol=1e-6 * np.abs(optimum).max()
+        )
         assert command == rhc.omega_plan[0]
         assert rhc.kkt < 1e-9
         bounded += np.abs(rhc.omega_plan).max() == weights["omega_max"]
@@ -41,7 +50,9 @@ def test_all_solvers_give_the_same_commands():
                 rhc.prepare()
                 rhc.feedback(**problem)
                 plans.append(rhc.omega_plan)
-            np.testing.assert_allclose(plans[1:], [plans[0]] * (len(SOLVERS) - 1), rtol=0, atol=1e-8)
+            np.testing.assert_allclose(
+                plans[1:], [plans[0]] * (len(SOLVERS) - 1), rtol=0, atol=1e-8
+            )
 
 
 def test_commands_never_leave_the_bounds():
@@ -61,7 +72,9 @@ def test_commands_never_leave_the_bounds():
 
 
 def test_one_feedback_solves_a_linear_problem():
-    """With a weight on the yaw alone, yaw rates in and yaw out are linear: whatever was planned before, one step is exact."""
+    """With a weight on the yaw alone, yaw rates in and yaw out are linear: whatever was planned
+    before, one step is exact.
+    """
     rng, weights = np.random.default_rng(3), dict(q=(0, 0, 1), qn_factor=10, r=1.0, omega_max=0.3)
     rhc = rhec.RHC(**weights)
     for _ in range(10):
@@ -69,7 +82,9 @@ def test_one_feedback_solves_a_linear_problem():
         rhc.prepare()
         rhc.feedback(**problem)
         assert rhc.kkt > 1e-6
-        np.testing.assert_allclose(rhc.omega_plan, rhc_by_ipopt(problem, **weights), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(
+            rhc.omega_plan, rhc_by_ipopt(problem, **weights), rtol=0, atol=1e-7
+        )
         rhc.solve(**problem, iterations=2)
         assert rhc.kkt < 1e-12
 
@@ -121,7 +136,9 @@ def test_the_plan_is_a_trajectory_of_the_model_from_the_pose():
         plan = rhc.xi_plan
         np.testing.assert_array_equal(plan[:, 0], problem["pose"])
         for i, omega in enumerate(rhc.omega_plan):
-            np.testing.assert_allclose(plan[:, i + 1], move(plan[:, i], *problem["p"], omega), atol=1e-9)
+            np.testing.assert_allclose(
+                plan[:, i + 1], move(plan[:, i], *problem["p"], omega), atol=1e-9
+            )
 
 
 def test_a_sample_later_the_plan_has_moved_on():
@@ -130,12 +147,16 @@ def test_a_sample_later_the_plan_has_moved_on():
     s, omega = rng.normal(size=(6, N + 1)), rng.normal(size=(1, N))
     shifted = builders.functions(DT, N)["shift"](s=s, omega=omega)
     last = [*move(s[:3, -1], *s[3:, -1], omega[0, -1]), *s[3:, -1]]
-    np.testing.assert_allclose(np.array(shifted["s"]), np.column_stack([s[:, 1:], last]), atol=1e-12)
+    np.testing.assert_allclose(
+        np.array(shifted["s"]), np.column_stack([s[:, 1:], last]), atol=1e-12
+    )
     np.testing.assert_array_equal(np.array(shifted["omega"]), [[*omega[0, 1:], omega[0, -1]]])
 
 
 def test_estimate_and_references_count_in_feedback_alone():
-    """Two controllers with one past and one preparation: what differs is what feedback was given, and it is all there."""
+    """Two controllers with one past and one preparation: what differs is what feedback was given,
+    and it is all there.
+    """
     rng = np.random.default_rng(6)
     past, then = [rhc_instance(rng) for _ in range(3)], rhc_instance(rng)
     for name in ("pose", "p", "xi_ref", "omega_ref"):
@@ -165,17 +186,28 @@ def test_a_value_that_is_no_number_does_no_lasting_harm(name):
     for k in range(2 * N):
         rhc.prepare(), other.prepare()
         with contextlib.suppress(ValueError):
-            rhc.feedback(**problem | ({name: np.full(np.shape(problem[name]), np.nan)} if k == 3 else {}))
+            rhc.feedback(
+                **problem | ({name: np.full(np.shape(problem[name]), np.nan)} if k == 3 else {})
+            )
         other.feedback(**problem)
     np.testing.assert_allclose(rhc.omega_plan, other.omega_plan, atol=1e-6)
     assert np.isfinite(rhc.kkt)
 
 
-@pytest.mark.parametrize("name, value", [
-    ("pose", (0, 0)), ("pose", 0.0), ("p", (1, 1, 1, 1)),
-    ("xi_ref", np.zeros((N + 1, 3))), ("xi_ref", np.zeros((3, N))), ("xi_ref", np.zeros((3, 1))),
-    ("omega_ref", np.zeros(N + 1)), ("omega_ref", np.zeros((N, 1))), ("omega_ref", 0.0),
-])
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("pose", (0, 0)),
+        ("pose", 0.0),
+        ("p", (1, 1, 1, 1)),
+        ("xi_ref", np.zeros((N + 1, 3))),
+        ("xi_ref", np.zeros((3, N))),
+        ("xi_ref", np.zeros((3, 1))),
+        ("omega_ref", np.zeros(N + 1)),
+        ("omega_ref", np.zeros((N, 1))),
+        ("omega_ref", 0.0),
+    ],
+)
 def test_a_wrong_shape_is_named(name, value):
     rhc = rhec.RHC()
     rhc.prepare()
@@ -183,16 +215,27 @@ def test_a_wrong_shape_is_named(name, value):
         rhc.feedback(**STRAIGHT | {name: value})
 
 
-@pytest.mark.parametrize("bad, name", [
-    (dict(q=(1, 1)), r"q(\[2\])?"), (dict(q=(1, 1, -1)), r"q\[2\]"), (dict(r=0), "r"), (dict(qn_factor="10"), "qn_factor"),
-    (dict(omega_max=float("nan")), "omega_max"),
-    (dict(dt=-0.2), "dt"), (dict(horizon=1), "horizon"), (dict(horizon=15.0), "horizon"), (dict(qp="osqp"), "qp"),
-])
+@pytest.mark.parametrize(
+    "bad, name",
+    [
+        (dict(q=(1, 1)), r"q(\[2\])?"),
+        (dict(q=(1, 1, -1)), r"q\[2\]"),
+        (dict(r=0), "r"),
+        (dict(qn_factor="10"), "qn_factor"),
+        (dict(omega_max=float("nan")), "omega_max"),
+        (dict(dt=-0.2), "dt"),
+        (dict(horizon=1), "horizon"),
+        (dict(horizon=15.0), "horizon"),
+        (dict(qp="osqp"), "qp"),
+    ],
+)
 def test_a_bad_argument_is_named_in_one_sentence(bad, name):
     with pytest.raises(ValueError, match=f"^{name} was .*; .*$"):
         rhec.RHC(**bad)
 
 
 def test_an_unknown_argument_is_refused_with_a_suggestion():
-    with pytest.raises(ValueError, match="RHC has no parameter 'omega_mx'; did you mean 'omega_max'"):
+    with pytest.raises(
+        ValueError, match="RHC has no parameter 'omega_mx'; did you mean 'omega_max'"
+    ):
         rhec.RHC(omega_mx=0.1)

@@ -1,10 +1,24 @@
-"""Receding horizon estimation: eq. (mhe), its arrival cost, one Gauss-Newton iteration a sample, or iterated."""
+"""Receding horizon estimation: eq. (mhe), its arrival cost, one Gauss-Newton iteration a sample, or
+iterated.
+"""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import N, DT, V, drive, flat, iterate, places, rhe_by_ipopt, rhe_instance, unknowns, window_memory
+from problems import (
+    DT,
+    N,
+    V,
+    drive,
+    flat,
+    iterate,
+    places,
+    rhe_by_ipopt,
+    rhe_instance,
+    unknowns,
+    window_memory,
+)
 
 import rhec
 from rhec import paper
@@ -37,17 +51,24 @@ def noisy(z, rng):
 
 # The nonlinear problem
 
+
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model):
-    """On 110 random full windows each; at least 30 % of them with a traction coefficient at its bound."""
+    """On 110 random full windows each; at least 30 % of them with a traction coefficient at its
+    bound.
+    """
     rng, keep, bounded = np.random.default_rng(0), places(speed_model), 0
     phases = [builders.functions(DT, N, speed_model, qp=solver) for solver in SOLVERS[:3]]
     for k in range(110):
         z, m, P = rhe_instance(rng, speed_model)
-        memory, answer, tolerances = iterate(phases[k % 3], window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 12)
+        memory, answer, tolerances = iterate(
+            phases[k % 3], window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 12
+        )
         optimum, newest = rhe_by_ipopt(z, m, P, speed_model, guess=unknowns(memory))
         np.testing.assert_allclose(unknowns(memory), optimum, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(flat(answer["estimate"])[keep], newest[keep], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            flat(answer["estimate"])[keep], newest[keep], rtol=1e-6, atol=1e-9
+        )
         assert tolerances[-1] < 1e-9 < tolerances[0]
         bounded += np.any(flat(answer["estimate"])[4:] == 1)
     assert 33 <= bounded <= 100
@@ -55,7 +76,9 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model)
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 @pytest.mark.parametrize("samples", [2, 3, 9, N, N + 1])
-def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples(samples, speed_model):
+def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples(
+    samples, speed_model
+):
     """Prior: the guess, as uncertain as the paper's W."""
     keep = places(speed_model)
     for seed in range(3):
@@ -73,7 +96,7 @@ def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples
 
 
 def test_without_a_guess_it_begins_at_the_first_reading():
-    estimate, = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
+    (estimate,) = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
     assert estimate[:6] == pytest.approx((500, -300, 0, 0.4, 1, 1))
 
 
@@ -86,8 +109,11 @@ def test_an_impossible_first_reading_is_no_first_guess():
 
 # One iteration a sample
 
+
 def linear_window(rng, samples, dtheta=1e-6):
-    """Straight ahead with yaw and traction known, so that (x, y, ν) is all there is to estimate, and linear: readings, arrival cost, V."""
+    """Straight ahead with yaw and traction known, so that (x, y, ν) is all there is to estimate,
+    and linear: readings, arrival cost, V.
+    """
     _, z = drive(GUESS, np.zeros(samples - 1))
     z[:, :3] += rng.normal(size=(samples, 3)) * (0.3, 0.3, 0.2)
     m = np.array([0.5, -0.5, 0.0, 0.8, 0.9, 0.8])
@@ -96,7 +122,9 @@ def linear_window(rng, samples, dtheta=1e-6):
 
 
 def batch(z, m, P, V):
-    """Mean and covariance of (x, y, ν) at the last reading by ordinary least squares over all, and the -2 log likelihood of the readings."""
+    """Mean and covariance of (x, y, ν) at the last reading by ordinary least squares over all, and
+    the -2 log likelihood of the readings.
+    """
     free = np.ix_([0, 1, 3], [0, 1, 3])
     rows, values, prior = [], [], m[[0, 1, 3]]
     for i, reading in enumerate(z):
@@ -109,7 +137,11 @@ def batch(z, m, P, V):
     first = prior + np.linalg.solve(information, H.T @ np.linalg.solve(R, off))
     ahead = np.array([[1, 0, reach * np.cos(m[2])], [0, 1, reach * np.sin(m[2])], [0, 0, 1]])
     S = H @ P[free] @ H.T + R
-    return ahead @ first, ahead @ np.linalg.solve(information, ahead.T), off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1]
+    return (
+        ahead @ first,
+        ahead @ np.linalg.solve(information, ahead.T),
+        off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1],
+    )
 
 
 def test_one_step_solves_a_linear_problem():
@@ -117,16 +149,24 @@ def test_one_step_solves_a_linear_problem():
     rng, phases = np.random.default_rng(1), builders.functions(DT, N)
     for _ in range(10):
         z, m, P, V = linear_window(rng, N + 1)
-        _, answer, _ = iterate(phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 1)
+        _, answer, _ = iterate(
+            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 1
+        )
         mean, covariance, _ = batch(z, m, P, V)
         np.testing.assert_allclose(flat(answer["estimate"])[[0, 1, 3]], mean, atol=1e-9)
-        np.testing.assert_allclose(np.array(answer["covariance"])[np.ix_([0, 1, 3], [0, 1, 3])], covariance, atol=1e-9)
-        _, _, tolerances = iterate(phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 2)
+        np.testing.assert_allclose(
+            np.array(answer["covariance"])[np.ix_([0, 1, 3], [0, 1, 3])], covariance, atol=1e-9
+        )
+        _, _, tolerances = iterate(
+            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 2
+        )
         assert tolerances[0] > 0.1 and tolerances[1] < 1e-6 * tolerances[0]
 
 
 def test_a_linear_problem_is_estimated_as_by_least_squares_over_all_there_ever_was():
-    """With the filtered arrival cost and without process noise, what leaves the window is not lost; deviances sum to -2 log likelihood."""
+    """With the filtered arrival cost and without process noise, what leaves the window is not lost;
+    deviances sum to -2 log likelihood.
+    """
     samples, step = 3 * N, builders.functions(DT, N, "parameter", "filtered")["step"]
     z, m, P, V = linear_window(np.random.default_rng(2), samples)
     start = builders.start(m, np.sqrt(np.diag(P)), N)
@@ -136,7 +176,9 @@ def test_a_linear_problem_is_estimated_as_by_least_squares_over_all_there_ever_w
         memory, deviance = result["memory"], deviance + float(result["deviance"])
     mean, covariance, likelihood = batch(z, m, P, V)
     np.testing.assert_allclose(flat(result["estimate"])[[0, 1, 3]], mean, atol=1e-8)
-    np.testing.assert_allclose(np.array(result["covariance"])[np.ix_([0, 1, 3], [0, 1, 3])], covariance, atol=1e-8)
+    np.testing.assert_allclose(
+        np.array(result["covariance"])[np.ix_([0, 1, 3], [0, 1, 3])], covariance, atol=1e-8
+    )
     assert deviance == pytest.approx(likelihood, abs=1e-6)
 
 
@@ -144,27 +186,39 @@ def test_kkt_tolerance_is_positive_and_falls_to_zero():
     rng, phases = np.random.default_rng(3), builders.functions(DT, N)
     for _ in range(10):
         z, m, P = rhe_instance(rng, "parameter")
-        _, _, tolerances = iterate(phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 10)
+        _, _, tolerances = iterate(
+            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 10
+        )
         assert tolerances[0] > 1 and np.all(tolerances >= 0)
         assert tolerances[2] < 0.1 * tolerances[0] and tolerances[-1] < 1e-9
 
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_without_noise_a_robot_that_weaves_is_tracked_exactly(speed_model):
-    """So every reading counts where it belongs: a position at its node, the newest at the last one, a yaw rate in the interval that ends there."""
+    """So every reading counts where it belongs: a position at its node, the newest at the last one,
+    a yaw rate in the interval that ends there.
+    """
     truth, z = drive(GUESS, weave(3 * N))
-    estimates = feed(rhec.RHE(guess=GUESS, speed_model=speed_model, reading="calibrated"), z, iterations=8)
+    estimates = feed(
+        rhec.RHE(guess=GUESS, speed_model=speed_model, reading="calibrated"), z, iterations=8
+    )
     np.testing.assert_allclose([estimate[:6] for estimate in estimates], truth, atol=1e-9)
 
 
 def test_traction_is_found_where_the_robot_turns():
-    """Errors are of the size that the covariance says (with the filtered mean; the smoothed one uses the window's readings twice)."""
+    """Errors are of the size that the covariance says (with the filtered mean; the smoothed one
+    uses the window's readings twice).
+    """
     truth, z = drive(GUESS, 3 * weave(200))
     for seed in range(5):
         rhe = rhec.RHE(guess=(0, 0, 0.2, 0.5, 1, 1), reading="calibrated", arrival_mean="filtered")
         estimates = feed(rhe, noisy(z, np.random.default_rng(seed)))[50:]
-        errors = np.array([(np.array(estimate[:6]) - true) / np.sqrt(np.diag(estimate.covariance))
-                           for estimate, true in zip(estimates, truth[50:])])
+        errors = np.array(
+            [
+                (np.array(estimate[:6]) - true) / np.sqrt(np.diag(estimate.covariance))
+                for estimate, true in zip(estimates, truth[50:])
+            ]
+        )
         rms = np.sqrt(np.mean(errors**2, axis=0))
         assert np.all((rms > 0.2) & (rms < 2)), rms
 
@@ -174,12 +228,23 @@ def test_all_solvers_give_the_same_estimates():
     for speed_model in SPEED_MODELS:
         _, z = drive(GUESS[:4] + (1.0, 1.0), 3 * weave(60))
         z = noisy(z, rng)
-        runs = [np.array([estimate[:6] for estimate in feed(rhec.RHE(guess=GUESS, speed_model=speed_model, qp=solver), z)]) for solver in SOLVERS]
-        assert np.mean(runs[0][:, 4:] == 1) > 0.1   # bounds at work
+        runs = [
+            np.array(
+                [
+                    estimate[:6]
+                    for estimate in feed(
+                        rhec.RHE(guess=GUESS, speed_model=speed_model, qp=solver), z
+                    )
+                ]
+            )
+            for solver in SOLVERS
+        ]
+        assert np.mean(runs[0][:, 4:] == 1) > 0.1  # bounds at work
         np.testing.assert_allclose(runs[1:], [runs[0]] * (len(SOLVERS) - 1), rtol=0, atol=1e-8)
 
 
 # Preparation and feedback
+
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_preparation_does_not_see_the_newest_reading(speed_model):
@@ -189,7 +254,9 @@ def test_preparation_does_not_see_the_newest_reading(speed_model):
     for newest in (np.full(4, np.nan), np.zeros(4), np.full(4, 1e6)):
         memory = window_memory(z, m, P, speed_model)
         memory["z"][:, -1] = newest
-        results.append(np.concatenate([flat(part) for part in phases["linearise"](**memory, V=V).values()]))
+        results.append(
+            np.concatenate([flat(part) for part in phases["linearise"](**memory, V=V).values()])
+        )
     np.testing.assert_array_equal(results[1:], results[:1] * 2)
 
 
@@ -202,7 +269,7 @@ def test_feedback_sees_the_newest_reading_at_once():
         changed[channel] += change
         one.prepare(), other.prepare()
         first, second = one.feedback(z[-1]), other.feedback(changed)
-        effect = (0, 1, 3, 2)[channel]   # x, y, ν; and θ by ω
+        effect = (0, 1, 3, 2)[channel]  # x, y, ν; and θ by ω
         assert second[effect] - first[effect] > 0.05 * change * (DT if effect == 2 else 1)
 
 
@@ -218,17 +285,23 @@ def test_feedback_without_preparation_is_refused():
 
 # The arrival cost
 
+
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 @pytest.mark.parametrize("arrival_mean", ARRIVAL_MEANS)
 @pytest.mark.parametrize("reading", ["printed", "calibrated"])
 def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, speed_model):
-    """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from where the reading says."""
+    """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from
+    where the reading says.
+    """
     phases, keep = builders.functions(DT, N, speed_model, arrival_mean), places(speed_model)
     sigma = np.array(builders.SIGMA_W[reading])[keep]
     _, z = drive(GUESS, weave(4 * N))
     z = noisy(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan
-    memory, weights = builders.start(GUESS, paper.SIGMA_W_RHE, N, speed_model), dict(V=V, W=sigma**2)
+    memory, weights = (
+        builders.start(GUESS, paper.SIGMA_W_RHE, N, speed_model),
+        dict(V=V, W=sigma**2),
+    )
     for k, newest in enumerate(z):
         before = memory
         memory = phases["shift"](**before, **weights)
@@ -252,13 +325,17 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, 
 @pytest.mark.parametrize("reading", ["printed", "calibrated"])
 def test_the_covariance_stays_symmetric_and_positive_definite(reading, speed_model):
     _, z = drive(GUESS, weave(300))
-    for estimate in feed(rhec.RHE(guess=GUESS, reading=reading, speed_model=speed_model), noisy(z, np.random.default_rng(8))):
+    for estimate in feed(
+        rhec.RHE(guess=GUESS, reading=reading, speed_model=speed_model),
+        noisy(z, np.random.default_rng(8)),
+    ):
         scale = np.sqrt(np.diag(estimate.covariance))
         np.testing.assert_array_equal(estimate.covariance, estimate.covariance.T)
         assert np.linalg.eigvalsh(estimate.covariance / scale / scale[:, None]).min() > 0
 
 
 # Sensors that are silent, or lie
+
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_a_missing_reading_is_a_term_left_out(speed_model):
@@ -268,10 +345,12 @@ def test_a_missing_reading_is_a_term_left_out(speed_model):
         complete = z.copy()
         z[rng.random(z.shape) < 0.2] = np.nan
         z[:, 3] = complete[:, 3]
-        z[rng.integers(1, N // 2), 3] = np.nan      # one that the positions after it tell
+        z[rng.integers(1, N // 2), 3] = np.nan  # one that the positions after it tell
         if speed_model == "input":
             z[N:, 2] = complete[N:, 2]
-        memory, _, tolerances = iterate(phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 300)
+        memory, _, tolerances = iterate(
+            phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 300
+        )
         assert tolerances[-1] < 1e-9
         optimum, _ = rhe_by_ipopt(z, m, P, speed_model, guess=unknowns(memory))
         np.testing.assert_allclose(unknowns(memory), optimum, rtol=1e-6, atol=1e-6)
@@ -287,7 +366,9 @@ def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
     z[7:35:3, channel] = reading
     absurd = feed(rhec.RHE(guess=GUESS), z)
     for one, other in zip(silent, absurd):
-        np.testing.assert_array_equal(np.append(one[:6], one.covariance), np.append(other[:6], other.covariance))
+        np.testing.assert_array_equal(
+            np.append(one[:6], one.covariance), np.append(other[:6], other.covariance)
+        )
 
 
 def test_while_the_yaw_rate_is_silent_the_last_one_holds():
@@ -301,8 +382,14 @@ reading = st.floats(-3, 3) | st.floats() | st.sampled_from([np.nan, 0.0, 1e8, -1
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(st.lists(st.tuples(reading, reading, reading, reading), min_size=1, max_size=40), st.sampled_from(SPEED_MODELS), st.booleans())
-def test_whatever_the_sensors_say_estimates_stay_finite_and_traction_between_0_and_1(z, speed_model, guessed):
+@given(
+    st.lists(st.tuples(reading, reading, reading, reading), min_size=1, max_size=40),
+    st.sampled_from(SPEED_MODELS),
+    st.booleans(),
+)
+def test_whatever_the_sensors_say_estimates_stay_finite_and_traction_between_0_and_1(
+    z, speed_model, guessed
+):
     rhe = rhec.RHE(guess=GUESS if guessed else None, speed_model=speed_model)
     for estimate in feed(rhe, z):
         assert np.all(np.isfinite(estimate[:6])) and np.all(np.isfinite(estimate.covariance))
@@ -321,6 +408,7 @@ def test_after_ten_seconds_without_gnss_it_finds_back(speed_model):
 
 # What one can get wrong
 
+
 @pytest.mark.parametrize("z", [(0, 0, 0), np.zeros((4, 1)), 0.0])
 def test_a_wrong_shape_is_named(z):
     rhe = rhec.RHE()
@@ -329,12 +417,22 @@ def test_a_wrong_shape_is_named(z):
         rhe.feedback(z)
 
 
-@pytest.mark.parametrize("bad, name", [
-    (dict(dt=0), "dt"), (dict(horizon=0), "horizon"), (dict(reading="exact"), "reading"), (dict(sigma_w=(1, 1)), "sigma_w"),
-    (dict(speed_model="input", sigma_w=(1,) * 6), "sigma_w"), (dict(sigma_v=(0, 1, 1, 1)), r"sigma_v\[0\]"),
-    (dict(speed_model="none"), "speed_model"), (dict(arrival_mean=0), "arrival_mean"), (dict(qp=None), "qp"),
-    (dict(guess=(0, 0, 0)), r"guess(\[3\])?"), (dict(guess=(np.nan,) * 6), r"guess\[0\]"),
-])
+@pytest.mark.parametrize(
+    "bad, name",
+    [
+        (dict(dt=0), "dt"),
+        (dict(horizon=0), "horizon"),
+        (dict(reading="exact"), "reading"),
+        (dict(sigma_w=(1, 1)), "sigma_w"),
+        (dict(speed_model="input", sigma_w=(1,) * 6), "sigma_w"),
+        (dict(sigma_v=(0, 1, 1, 1)), r"sigma_v\[0\]"),
+        (dict(speed_model="none"), "speed_model"),
+        (dict(arrival_mean=0), "arrival_mean"),
+        (dict(qp=None), "qp"),
+        (dict(guess=(0, 0, 0)), r"guess(\[3\])?"),
+        (dict(guess=(np.nan,) * 6), r"guess\[0\]"),
+    ],
+)
 def test_a_bad_argument_is_named_in_one_sentence(bad, name):
     with pytest.raises(ValueError, match=f"^{name} was .*; .*$"):
         rhec.RHE(**bad)

@@ -8,14 +8,28 @@ from rhec._casadi import build as function
 from rhec.model import robot
 
 DRIVE, MEASURE = robot.drive(DT), robot.measure(DT)
-QUIET = dict(bump=0, encoder=np.zeros((2, robot.SUBSTEPS)), track_width_m=0.4, encoder_sigma_mps=0, bump_sigma_radps=0)
+QUIET = dict(
+    bump=0,
+    encoder=np.zeros((2, robot.SUBSTEPS)),
+    track_width_m=0.4,
+    encoder_sigma_mps=0,
+    bump_sigma_radps=0,
+)
 
 
 def driven(samples, traction=(1, 1), speed_mps=0.5, omega_radps=0.0, start_mps=0.5, **given):
     """The robot's memory after each of so many samples."""
     memory, history = robot.start((0.0, 0.0, 0.0), start_mps), []
     for _ in range(samples):
-        step = DRIVE(**function.only(DRIVE, memory | QUIET | dict(traction=traction, speed_mps=speed_mps, omega_radps=omega_radps) | given))
+        step = DRIVE(
+            **function.only(
+                DRIVE,
+                memory
+                | QUIET
+                | dict(traction=traction, speed_mps=speed_mps, omega_radps=omega_radps)
+                | given,
+            )
+        )
         memory = memory | {name: np.array(value) for name, value in step.items()}
         history.append({name: flat(value) for name, value in memory.items()})
     return history
@@ -24,7 +38,9 @@ def driven(samples, traction=(1, 1), speed_mps=0.5, omega_radps=0.0, start_mps=0
 def test_on_firm_soil_it_reaches_the_commanded_speeds():
     for speed, omega in ((0.5, 0.0), (0.3, 0.1), (-0.6, -0.2)):
         end = driven(25, speed_mps=speed, omega_radps=omega, start_mps=0.0)[-1]
-        np.testing.assert_allclose(end["tracks"], [speed - 0.2 * omega, speed + 0.2 * omega], atol=1e-6)
+        np.testing.assert_allclose(
+            end["tracks"], [speed - 0.2 * omega, speed + 0.2 * omega], atol=1e-6
+        )
         np.testing.assert_allclose(end["encoders"], [speed, omega], atol=1e-6)
 
 
@@ -46,7 +62,9 @@ def test_the_encoders_report_means_over_the_sample():
     """So that what they report, integrated, is how far the robot went."""
     history = driven(10, speed_mps=0.5, omega_radps=0.3, start_mps=0.0)
     yaws = np.array([0.0, *(each["pose"][2] for each in history)])
-    np.testing.assert_allclose([each["encoders"][1] * DT for each in history], np.diff(yaws), atol=1e-12)
+    np.testing.assert_allclose(
+        [each["encoders"][1] * DT for each in history], np.diff(yaws), atol=1e-12
+    )
 
 
 def test_the_speed_loop_settles_within_a_second():
@@ -60,7 +78,7 @@ def test_no_track_is_faster_than_its_motor():
         history = driven(30, speed_mps=speed, omega_radps=omega)
         fastest = max(np.abs(each["tracks"]).max() for each in history)
         assert 1.45 < fastest <= 1.5
-    assert np.abs(driven(30, speed_mps=5.0)[-1]["integral"]).max() < 5   # no wind-up
+    assert np.abs(driven(30, speed_mps=5.0)[-1]["integral"]).max() < 5  # no wind-up
 
 
 def test_a_bump_turns_the_robot_for_one_sample():

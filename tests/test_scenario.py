@@ -10,15 +10,60 @@ import rhec
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 OUT_OF_RANGE = [
-    ("sigma_w", (1, 1, -1, 1, 1, 1)), ("sigma_w", (1, 1)), ("sigma_v", (0.03, 0.03, 0, 0.01)), ("sigma_v", (1, 1, 1)), ("horizon_rhe", 1),
-    ("horizon_rhe", 241), ("horizon", 1.5), ("horizon", True), ("q", (1, 2)), ("q", (1, 2, -3)), ("q", (1, 2, math.inf)), ("q", 1.0), ("r", 0),
-    ("r", "10"), ("r", True), ("qn_factor", -1), ("omega_max_radps", 0.0), ("look_ahead_m", -0.1), ("command_delay", 2), ("speed_mps", 0),
-    ("speed_mps", 1.41), ("duration_s", -1), ("duration_s", 1e8), ("backwards", 1), ("row_length_m", 0), ("headland_radius_m", -1),
-    ("start_offset_m", math.inf), ("mu_mean", 0), ("mu_mean", 1.01), ("kappa_mean", -0.1), ("mu_deviation", -0.1), ("mu_deviation", 0.3),
-    ("kappa_deviation", 0.4), ("correlation_length_m", 0.4), ("patches", ((0, 0, 1, 1),)), ("patches", ((0, 0, 1, 1, 1.2),)),
-    ("patches", ((0, 0, -1, 1, 1),)), ("gnss_sigma_m", -0.01), ("gnss_slow_share", 1.1), ("gnss_slow_time_s", 0), ("encoder_sigma_mps", -1),
-    ("bump_sigma_radps", -1), ("track_width_m", 0), ("seed", -1), ("seed", 1.0), ("seed", "9"), ("seed", True), ("estimator", "kf"),
-    ("estimator", None), ("path", [(0, 0)]), ("terrain", "wet"), ("reading", "Printed"), ("qp", "osqp"), ("input_reference", None),
+    ("sigma_w", (1, 1, -1, 1, 1, 1)),
+    ("sigma_w", (1, 1)),
+    ("sigma_v", (0.03, 0.03, 0, 0.01)),
+    ("sigma_v", (1, 1, 1)),
+    ("horizon_rhe", 1),
+    ("horizon_rhe", 241),
+    ("horizon", 1.5),
+    ("horizon", True),
+    ("q", (1, 2)),
+    ("q", (1, 2, -3)),
+    ("q", (1, 2, math.inf)),
+    ("q", 1.0),
+    ("r", 0),
+    ("r", "10"),
+    ("r", True),
+    ("qn_factor", -1),
+    ("omega_max_radps", 0.0),
+    ("look_ahead_m", -0.1),
+    ("command_delay", 2),
+    ("speed_mps", 0),
+    ("speed_mps", 1.41),
+    ("duration_s", -1),
+    ("duration_s", 1e8),
+    ("backwards", 1),
+    ("row_length_m", 0),
+    ("headland_radius_m", -1),
+    ("start_offset_m", math.inf),
+    ("mu_mean", 0),
+    ("mu_mean", 1.01),
+    ("kappa_mean", -0.1),
+    ("mu_deviation", -0.1),
+    ("mu_deviation", 0.3),
+    ("kappa_deviation", 0.4),
+    ("correlation_length_m", 0.4),
+    ("patches", ((0, 0, 1, 1),)),
+    ("patches", ((0, 0, 1, 1, 1.2),)),
+    ("patches", ((0, 0, -1, 1, 1),)),
+    ("gnss_sigma_m", -0.01),
+    ("gnss_slow_share", 1.1),
+    ("gnss_slow_time_s", 0),
+    ("encoder_sigma_mps", -1),
+    ("bump_sigma_radps", -1),
+    ("track_width_m", 0),
+    ("seed", -1),
+    ("seed", 1.0),
+    ("seed", "9"),
+    ("seed", True),
+    ("estimator", "kf"),
+    ("estimator", None),
+    ("path", [(0, 0)]),
+    ("terrain", "wet"),
+    ("reading", "Printed"),
+    ("qp", "osqp"),
+    ("input_reference", None),
 ]
 
 
@@ -34,14 +79,29 @@ def test_nonsense_is_refused_by_name(name, value):
     assert refusal(**{name: value}).startswith(f"{name} was {value!r}; ")
 
 
-@pytest.mark.parametrize("name, value", OUT_OF_RANGE, ids=[f"{name}={value!r}" for name, value in OUT_OF_RANGE])
+@pytest.mark.parametrize(
+    "name, value", OUT_OF_RANGE, ids=[f"{name}={value!r}" for name, value in OUT_OF_RANGE]
+)
 def test_what_is_out_of_range_is_refused_in_one_sentence(name, value):
     sentence = refusal(**{name: value})
-    assert sentence.startswith(name) and " was " in sentence and "; " in sentence and "\n" not in sentence
+    assert (
+        sentence.startswith(name)
+        and " was " in sentence
+        and "; " in sentence
+        and "\n" not in sentence
+    )
     assert "pydantic" not in sentence
 
 
-@pytest.mark.parametrize("name, meant", [("sped_mps", "speed_mps"), ("horizn", "horizon"), ("estimater", "estimator"), ("Seed", "seed")])
+@pytest.mark.parametrize(
+    "name, meant",
+    [
+        ("sped_mps", "speed_mps"),
+        ("horizn", "horizon"),
+        ("estimater", "estimator"),
+        ("Seed", "seed"),
+    ],
+)
 def test_an_unknown_field_is_refused_with_a_suggestion(name, meant):
     assert refusal(**{name: 1}) == f"Scenario has no parameter {name!r}; did you mean {meant!r}?"
 
@@ -52,9 +112,18 @@ def test_fields_have_names():
 
 
 def test_numpy_scalars_are_numbers():
-    scenario = rhec.Scenario(seed=np.int64(3), r=np.float64(2.5), q=(np.float32(1), np.int64(2), 3), horizon=np.int32(9), backwards=False)
+    scenario = rhec.Scenario(
+        seed=np.int64(3),
+        r=np.float64(2.5),
+        q=(np.float32(1), np.int64(2), 3),
+        horizon=np.int32(9),
+        backwards=False,
+    )
     assert scenario == rhec.Scenario(seed=3, r=2.5, q=(1, 2, 3), horizon=9)
-    assert all(type(value) in (int, float) for value in (scenario.seed, scenario.r, scenario.horizon, *scenario.q))
+    assert all(
+        type(value) in (int, float)
+        for value in (scenario.seed, scenario.r, scenario.horizon, *scenario.q)
+    )
 
 
 def test_replacing_a_field_validates_it():
@@ -75,9 +144,16 @@ def test_every_field_is_documented():
 
 
 def test_sigma_w_has_an_entry_for_each_state_of_the_estimator():
-    for estimator, speed_model, entries in (("rhe", "parameter", 6), ("rhe", "input", 5), ("ekf", "parameter", 4), ("traction_oracle", "input", 4)):
+    for estimator, speed_model, entries in (
+        ("rhe", "parameter", 6),
+        ("rhe", "input", 5),
+        ("ekf", "parameter", 4),
+        ("traction_oracle", "input", 4),
+    ):
         rhec.Scenario(estimator=estimator, speed_model=speed_model, sigma_w=(0.1,) * entries)
-        assert f"it should have {entries} entries" in refusal(estimator=estimator, speed_model=speed_model, sigma_w=(0.1,) * 3)
+        assert f"it should have {entries} entries" in refusal(
+            estimator=estimator, speed_model=speed_model, sigma_w=(0.1,) * 3
+        )
 
 
 def test_only_a_scenario_is_simulated():

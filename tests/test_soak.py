@@ -1,4 +1,6 @@
-"""The soak: an endless drive that can be cut anywhere, and what it looks for is what it finds. `make soak` drives a hundred times as far."""
+"""The soak: an endless drive that can be cut anywhere, and what it looks for is what it finds.
+`make soak` drives a hundred times as far.
+"""
 
 import json
 import subprocess
@@ -6,25 +8,36 @@ import sys
 
 import numpy as np
 import pytest
+import soak
 
 import rhec
 from rhec import simulation
-import soak
 
 BASE = rhec.Scenario(robust=True)
 
 
 def same(one, other):
-    assert {name: value for name, value in one.items() if name != "memory"} == {name: value for name, value in other.items() if name != "memory"}
+    assert {name: value for name, value in one.items() if name != "memory"} == {
+        name: value for name, value in other.items() if name != "memory"
+    }
     np.testing.assert_array_equal(one["memory"], other["memory"])
 
 
 def test_five_hours_on_hard_ground_with_failing_sensors():
-    """100,000 samples: no exception, everything finite and within its bounds, the arrival covariance positive definite, memory flat."""
-    done = subprocess.run([sys.executable, "-m", "soak", "--samples", "100000", "--seed", "1"], capture_output=True, text=True)
+    """100,000 samples: no exception, everything finite and within its bounds, the arrival
+    covariance positive definite, memory flat.
+    """
+    done = subprocess.run(
+        [sys.executable, "-m", "soak", "--samples", "100000", "--seed", "1"],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout[done.stdout.index("{"):])
-    assert report["done"] == 100_000 and report["not_finite"] == report["out_of_bounds"] == report["not_definite"] == 0
+    report = json.loads(done.stdout[done.stdout.index("{") :])
+    assert (
+        report["done"] == 100_000
+        and report["not_finite"] == report["out_of_bounds"] == report["not_definite"] == 0
+    )
     assert 0 < report["lowest_eigenvalue"] < 1 and report["not_ok"] < 1000
     assert report["memory_mb_at_the_end"] - report["memory_mb_at_one_tenth"] < 5
 
@@ -38,13 +51,20 @@ def test_a_drive_can_be_cut_saved_and_resumed_anywhere(tmp_path):
         soak.save(cut, tmp_path / "state.npz")
         cut = soak.load(tmp_path / "state.npz", BASE)
     same(cut, whole)
-    assert soak.drive(soak.start(BASE, 1), BASE, 100)["digest"] != soak.drive(begun, BASE, 100)["digest"]
+    assert (
+        soak.drive(soak.start(BASE, 1), BASE, 100)["digest"]
+        != soak.drive(begun, BASE, 100)["digest"]
+    )
 
 
 def test_a_leg_is_a_scenario_of_its_own_and_leaves_the_shape_of_the_loop_alone():
     legs = [soak.leg(BASE, 0, number) for number in range(40)]
-    assert legs == [soak.leg(BASE, 0, number) for number in range(40)] and legs[3] != soak.leg(BASE, 1, 3)
-    assert len({leg.seed for leg in legs}) == 40 and {fault.kind for leg in legs for fault in leg.faults} == set(simulation.faults.KINDS)
+    assert legs == [soak.leg(BASE, 0, number) for number in range(40)] and legs[3] != soak.leg(
+        BASE, 1, 3
+    )
+    assert len({leg.seed for leg in legs}) == 40 and {
+        fault.kind for leg in legs for fault in leg.faults
+    } == set(simulation.faults.KINDS)
     assert len({simulation.world(leg).structure for leg in legs[:8]}) == 1
 
 
@@ -59,11 +79,19 @@ def test_what_is_wrong_is_counted():
         rows = healthy.copy()
         for name, value in wrong.items():
             rows[2, simulation.COLUMNS.index(name)] = value
-        return {name: count for name, count in soak.counted(BASE, scenario, made, rows, memory)[0].items() if count}
+        return {
+            name: count
+            for name, count in soak.counted(BASE, scenario, made, rows, memory)[0].items()
+            if count
+        }
 
     assert found() == {}
     assert found(omega_cmd_radps=np.nan) == found(theta_hat_rad=np.inf) == {"not_finite": 1}
-    for name, value in (("omega_cmd_radps", -scenario.omega_max_radps * (1 + 1e-15)), ("mu_hat", 1 + 1e-15), ("kappa_hat", -1e-300)):
+    for name, value in (
+        ("omega_cmd_radps", -scenario.omega_max_radps * (1 + 1e-15)),
+        ("mu_hat", 1 + 1e-15),
+        ("kappa_hat", -1e-300),
+    ):
         assert found(**{name: value}) == {"out_of_bounds": 1}
     assert found(ok=0) == {"not_ok": 1} and found(y_m=-3) == {"outside": 1}
     for row, column, factor in ((0, 0, -1), (0, 1, 2), (0, 0, 1e-30), (5, 5, np.nan)):
@@ -73,7 +101,15 @@ def test_what_is_wrong_is_counted():
         assert found(memory=memory) == {"not_definite": 1}
 
 
-@pytest.mark.parametrize("wrong", [dict(memory=np.zeros(3)), dict(extra=1), dict(done=np.zeros(2)), dict(memory=np.array([object()] * 3))])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        dict(memory=np.zeros(3)),
+        dict(extra=1),
+        dict(done=np.zeros(2)),
+        dict(memory=np.array([object()] * 3)),
+    ],
+)
 def test_a_file_that_is_no_state_is_refused(tmp_path, wrong):
     soak.save(soak.start(BASE, 0) | wrong, tmp_path / "state.npz")
     with pytest.raises(ValueError, match="^file was|allow_pickle"):

@@ -13,7 +13,9 @@ MEAN, DEVIATION = (0.9, 0.8), (0.04, 0.08)
 
 
 def field(seed, **given):
-    return rhec.Terrain.random(seed, **dict(box=BOX, mean=MEAN, deviation=DEVIATION, correlation_length_m=4.0) | given)
+    return rhec.Terrain.random(
+        seed, **dict(box=BOX, mean=MEAN, deviation=DEVIATION, correlation_length_m=4.0) | given
+    )
 
 
 @pytest.fixture(scope="module")
@@ -46,26 +48,40 @@ def test_mean_and_deviation_are_those_asked_for(fields):
 
 
 def test_neighbours_are_alike_and_less_so_with_distance(fields):
-    """Gaussian correlation: exp(-π/4 (r/ℓ)²), so exp(-π/4) at one correlation length, in either direction; μ and κ know nothing of each other."""
+    """Gaussian correlation: exp(-π/4 (r/ℓ)²), so exp(-π/4) at one correlation length, in either
+    direction; μ and κ know nothing of each other.
+    """
     standard = (fields - np.reshape(MEAN, (2, 1, 1))) / np.reshape(DEVIATION, (2, 1, 1))
     for metres in (2.0, 4.0, 8.0):
         cells, expected = int(metres / 0.5), np.exp(-np.pi / 4 * (metres / 4) ** 2)
-        for each in (standard[:, :, cells:, :] * standard[:, :, :-cells, :], standard[:, :, :, cells:] * standard[:, :, :, :-cells]):
+        for each in (
+            standard[:, :, cells:, :] * standard[:, :, :-cells, :],
+            standard[:, :, :, cells:] * standard[:, :, :, :-cells],
+        ):
             np.testing.assert_allclose(each.mean(axis=(0, 2, 3)), expected, atol=0.06)
     assert abs((standard[:, 0] * standard[:, 1]).mean()) < 0.05
 
 
 def test_a_field_does_not_depend_on_how_much_of_it_is_cut_out():
     small, large = field(5), field(5, box=(BOX[0], BOX[1] + 7, BOX[2], BOX[3] + 3))
-    np.testing.assert_allclose(large.mu[: small.mu.shape[0], : small.mu.shape[1]], small.mu, atol=1e-12)
+    np.testing.assert_allclose(
+        large.mu[: small.mu.shape[0], : small.mu.shape[1]], small.mu, atol=1e-12
+    )
 
 
 def test_a_patch_replaces_the_field_within_its_radius():
-    plain, patched = field(6), field(6, patches=((5.0, 12.0, 3.0, 0.3, 0.2), (5.0, 12.0, 1.0, 0.6, 0.5)))
+    plain, patched = (
+        field(6),
+        field(6, patches=((5.0, 12.0, 3.0, 0.3, 0.2), (5.0, 12.0, 1.0, 0.6, 0.5))),
+    )
     x, y = BOX[0] + 0.5 * np.arange(41)[:, None], BOX[2] + 0.5 * np.arange(41)
     distance = np.hypot(x - 5.0, y - 12.0)
-    np.testing.assert_array_equal(patched.mu, np.select([distance <= 1, distance <= 3], [0.6, 0.3], plain.mu))
-    np.testing.assert_array_equal(patched.kappa, np.select([distance <= 1, distance <= 3], [0.5, 0.2], plain.kappa))
+    np.testing.assert_array_equal(
+        patched.mu, np.select([distance <= 1, distance <= 3], [0.6, 0.3], plain.mu)
+    )
+    np.testing.assert_array_equal(
+        patched.kappa, np.select([distance <= 1, distance <= 3], [0.5, 0.2], plain.kappa)
+    )
 
 
 def test_what_is_saved_is_what_is_loaded(tmp_path):
@@ -78,7 +94,13 @@ def test_what_is_saved_is_what_is_loaded(tmp_path):
 
 
 def test_a_file_that_would_run_code_is_refused(tmp_path):
-    np.savez(tmp_path / "field.npz", mu=np.array([[object()] * 2] * 2, dtype=object), kappa=np.ones((2, 2)), origin_m=(0, 0), cell_m=1.0)
+    np.savez(
+        tmp_path / "field.npz",
+        mu=np.array([[object()] * 2] * 2, dtype=object),
+        kappa=np.ones((2, 2)),
+        origin_m=(0, 0),
+        cell_m=1.0,
+    )
     with pytest.raises(ValueError, match="allow_pickle"):
         rhec.Terrain.load(tmp_path / "field.npz")
 
@@ -92,30 +114,48 @@ def test_between_the_points_it_is_bilinear_and_beyond_them_constant():
     corners = [low, high, (low[0], high[1])]
     for xy in [*rng.uniform(low - 3, high + 3, (300, 2)), *corners, (-1e6, 1e6)]:
         got = flat(lookup(xy, made.origin_m, made.cell_m, terrain.flat(made)))
-        np.testing.assert_allclose(got, [each(np.clip(xy, low, high))[0] for each in reference], atol=1e-12)
+        np.testing.assert_allclose(
+            got, [each(np.clip(xy, low, high))[0] for each in reference], atol=1e-12
+        )
 
 
 def test_uniform_is_the_same_everywhere():
     made = rhec.Terrain.uniform(0.7, 0.6)
     for xy in ((0, 0), (0.5, 0.2), (-100, 40)):
-        np.testing.assert_allclose(flat(terrain.lookup(made.mu.shape)(xy, made.origin_m, made.cell_m, terrain.flat(made))), (0.7, 0.6), atol=1e-15)
+        np.testing.assert_allclose(
+            flat(terrain.lookup(made.mu.shape)(xy, made.origin_m, made.cell_m, terrain.flat(made))),
+            (0.7, 0.6),
+            atol=1e-15,
+        )
 
 
-@pytest.mark.parametrize("mu, kappa, sentence", [
-    (np.ones(4), np.ones((2, 2)), r"^mu had shape \(4,\); it must be"),
-    (np.ones((2, 2)), np.ones((1, 5)), r"^kappa had shape \(1, 5\); it must be"),
-    (np.zeros((2, 2)), np.ones((2, 2)), "^mu ranged from 0.0 to 0.0; traction must lie"),
-    (np.ones((2, 2)), np.full((2, 2), 1.1), "^kappa ranged from 1.1 to 1.1; traction must lie"),
-    (np.ones((2, 2)), np.full((2, 2), np.nan), "^kappa ranged from nan"),
-    (np.ones((2, 2)), np.ones((2, 3)), r"^mu and kappa had shapes \(2, 2\) and \(2, 3\)"),
-])
+@pytest.mark.parametrize(
+    "mu, kappa, sentence",
+    [
+        (np.ones(4), np.ones((2, 2)), r"^mu had shape \(4,\); it must be"),
+        (np.ones((2, 2)), np.ones((1, 5)), r"^kappa had shape \(1, 5\); it must be"),
+        (np.zeros((2, 2)), np.ones((2, 2)), "^mu ranged from 0.0 to 0.0; traction must lie"),
+        (np.ones((2, 2)), np.full((2, 2), 1.1), "^kappa ranged from 1.1 to 1.1; traction must lie"),
+        (np.ones((2, 2)), np.full((2, 2), np.nan), "^kappa ranged from nan"),
+        (np.ones((2, 2)), np.ones((2, 3)), r"^mu and kappa had shapes \(2, 2\) and \(2, 3\)"),
+    ],
+)
 def test_bad_fields_are_named(mu, kappa, sentence):
     with pytest.raises(ValueError, match=sentence):
         rhec.Terrain(mu, kappa, (0.0, 0.0), 1.0)
 
 
-@pytest.mark.parametrize("bad, name", [(dict(cell_m=0.0), "cell_m"), (dict(cell_m=np.nan), "cell_m"), (dict(origin_m=(0.0,)), "origin_m"),
-                                       (dict(origin_m=(0.0, np.inf)), "origin_m")])
+@pytest.mark.parametrize(
+    "bad, name",
+    [
+        (dict(cell_m=0.0), "cell_m"),
+        (dict(cell_m=np.nan), "cell_m"),
+        (dict(origin_m=(0.0,)), "origin_m"),
+        (dict(origin_m=(0.0, np.inf)), "origin_m"),
+    ],
+)
 def test_a_bad_grid_is_named(bad, name):
     with pytest.raises(ValueError, match=f"^{name} "):
-        rhec.Terrain(**dict(mu=np.ones((2, 2)), kappa=np.ones((2, 2)), origin_m=(0.0, 0.0), cell_m=1.0) | bad)
+        rhec.Terrain(
+            **dict(mu=np.ones((2, 2)), kappa=np.ones((2, 2)), origin_m=(0.0, 0.0), cell_m=1.0) | bad
+        )

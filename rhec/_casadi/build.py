@@ -1,4 +1,6 @@
-"""CasADi Functions from plain Python functions: named expressions in, a dict of named expressions out."""
+"""CasADi Functions from plain Python functions: named expressions in, a dict of named expressions
+out.
+"""
 
 import casadi as ca
 import numpy as np
@@ -9,20 +11,34 @@ def function(name, body, inputs, kind=ca.SX):
 
     kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions or a QP solver.
     """
-    symbols = {key: kind.sym(key, shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)) for key, shape in inputs.items()}
+    symbols = {
+        key: kind.sym(key, shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape))
+        for key, shape in inputs.items()
+    }
     outputs = body(**symbols)
-    return ca.Function(name, [*symbols.values()], [*outputs.values()], [*symbols], [*outputs], {"allow_duplicate_io_names": True, "cse": True})
+    return ca.Function(
+        name,
+        [*symbols.values()],
+        [*outputs.values()],
+        [*symbols],
+        [*outputs],
+        {"allow_duplicate_io_names": True, "cse": True},
+    )
 
 
 def folded(name, body, memory, inputs, kind=ca.MX):
-    """The same, with the pieces of `memory` (name: shape) packed in one vector: (memory, inputs …) -> (memory, outputs …).
+    """The same, with the pieces of `memory` (name: shape) packed in one vector: (memory, inputs …)
+    -> (memory, outputs …).
 
     `body` takes each piece by its name, and returns each piece's next value under that name.
     """
+
     def packed(**arguments):
         result = body(**unpack(arguments.pop("memory"), memory), **arguments)
         result = {"memory": ca.veccat(*(result.pop(piece) for piece in memory))} | result
-        return {name: ca.densify(output) for name, output in result.items()}   # what is folded or logged has no gaps
+        return {
+            name: ca.densify(output) for name, output in result.items()
+        }  # what is folded or logged has no gaps
 
     return function(name, packed, {"memory": (size(memory), 1)} | inputs, kind)
 
@@ -37,18 +53,27 @@ def unpack(vector, shapes):
     offsets = [0]
     for rows, columns in shapes.values():
         offsets.append(offsets[-1] + rows * columns)
-    return {name: ca.reshape(part, *shapes[name]) for name, part in zip(shapes, ca.vertsplit(vector, offsets))}
+    return {
+        name: ca.reshape(part, *shapes[name])
+        for name, part in zip(shapes, ca.vertsplit(vector, offsets))
+    }
 
 
 def pieces(vector, shapes):
     """The same of a NumPy vector, as views of it."""
     ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
-    return {name: part.reshape(shape, order="F") for (name, shape), part in zip(shapes.items(), np.split(vector, ends[:-1]))}
+    return {
+        name: part.reshape(shape, order="F")
+        for (name, shape), part in zip(shapes.items(), np.split(vector, ends[:-1]))
+    }
 
 
 def shapes(memory):
     """The shapes of a memory's pieces, as `size`, `unpack` and `pieces` take them."""
-    return {name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1) for name, piece in memory.items()}
+    return {
+        name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1)
+        for name, piece in memory.items()
+    }
 
 
 def vector(memory):

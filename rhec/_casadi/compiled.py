@@ -1,7 +1,9 @@
-"""CasADi Functions as a cached shared library, or on CasADi's virtual machine where there is no C compiler.
+"""CasADi Functions as a cached shared library, or on CasADi's virtual machine where there is no C
+compiler.
 
-The library's name is a digest of all that made it (this package's source, the structure asked for, the versions and flags), so that what is
-found under it is never out of date. It is built under a name of its own and moved into place in one step: builders may race or be killed.
+The library's name is a digest of all that made it (this package's source, the structure asked for,
+the versions and flags), so that what is found under it is never out of date. It is built under a
+name of its own and moved into place in one step: builders may race or be killed.
 """
 
 import contextlib
@@ -21,9 +23,18 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
-# No fused multiply-add: the virtual machine has none, and both must agree. No interposition: CasADi's helpers may be inlined. The two passes left
-# out take a fifth of the time to compile, and the code is no slower without them.
-FLAGS = ("-O2", "-fno-gcse", "-fno-schedule-insns2", "-fPIC", "-shared", "-ffp-contract=off", "-fno-semantic-interposition")
+# No fused multiply-add: the virtual machine has none, and both must agree. No interposition:
+# CasADi's helpers may be inlined. The two passes left out take a fifth of the time to compile, and
+# the code is no slower without them.
+FLAGS = (
+    "-O2",
+    "-fno-gcse",
+    "-fno-schedule-insns2",
+    "-fPIC",
+    "-shared",
+    "-ffp-contract=off",
+    "-fno-semantic-interposition",
+)
 CASADI = Path(ca.__file__).parent
 
 
@@ -36,31 +47,57 @@ def compiler():
     """The C compiler's path, or None, said once."""
     found = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc") or shutil.which("clang")
     if not found:
-        print("rhec: no C compiler found, so everything runs on CasADi's virtual machine: the same results, about five times slower.",
-              file=sys.stderr)
+        print(
+            "rhec: no C compiler found, so everything runs on CasADi's virtual machine: the same results, about five times slower.",
+            file=sys.stderr,
+        )
     return found
 
 
 def kind_of_loops():
-    """What a Function that repeats another is made of: calls where they are compiled (small code, built fast), all in one on the virtual machine."""
+    """What a Function that repeats another is made of: calls where they are compiled (small code,
+    built fast), all in one on the virtual machine.
+    """
     return ca.MX if compiler() else ca.SX
 
 
 PACKAGE = Path(__file__).parents[1]
-ROOMS = ("_casadi", "model", "solver", "estimator", "controller", "extensions")   # with the modules beside them, all that decides what the C does
+ROOMS = (
+    "_casadi",
+    "model",
+    "solver",
+    "estimator",
+    "controller",
+    "extensions",
+)  # with the modules beside them, all that decides what the C does
 
 
 @functools.cache
 def source_digest(*modules):
-    """A digest of the sources that make Functions, of these modules too; an edit of a figure is none of them and compiles nothing."""
+    """A digest of the sources that make Functions, of these modules too; an edit of a figure is
+    none of them and compiles nothing.
+    """
     rooms = [PACKAGE, *(PACKAGE / room for room in ROOMS)]
-    sources = {source for room in rooms for source in room.glob("*.py")} | {Path(sys.modules[module].__file__) for module in modules}
+    sources = {source for room in rooms for source in room.glob("*.py")} | {
+        Path(sys.modules[module].__file__) for module in modules
+    }
     return hashlib.sha256(b"".join(source.read_bytes() for source in sorted(sources))).hexdigest()
 
 
 def library(build, structure):
     """The folder where the compiled Functions of build(*structure) are, or will be."""
-    identity = repr((build.__module__, build.__name__, structure, source_digest(build.__module__), ca.__version__, compiler(), FLAGS, platform.machine()))
+    identity = repr(
+        (
+            build.__module__,
+            build.__name__,
+            structure,
+            source_digest(build.__module__),
+            ca.__version__,
+            compiler(),
+            FLAGS,
+            platform.machine(),
+        )
+    )
     return cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
 
 
@@ -71,7 +108,8 @@ def at_hand(build, *structure):
 
 @functools.cache
 def load(build, *structure):
-    """The Functions that build(*structure) returns in a dict, compiled. structure: strings, numbers, tuples.
+    """The Functions that build(*structure) returns in a dict, compiled. structure: strings,
+    numbers, tuples.
 
     CasADi generates no C for qpOASES: Functions that call it stay on the virtual machine.
     """
@@ -79,24 +117,36 @@ def load(build, *structure):
         return build(*structure)
     folder = library(build, structure)
     if not folder.exists() and someone_waits():
-        print(f"rhec: compiling the {build.__module__.split('.')[-1].replace('_', ' ')}, once (some seconds)", file=sys.stderr, flush=True)
+        print(
+            f"rhec: compiling the {build.__module__.split('.')[-1].replace('_', ' ')}, once (some seconds)",
+            file=sys.stderr,
+            flush=True,
+        )
     with contextlib.nullcontext() if folder.exists() else alone(folder):
         built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
         if not folder.exists():
-            make(folder, {key: function for key, function in built.items() if not calls_qpoases(function)})
+            make(
+                folder,
+                {key: function for key, function in built.items() if not calls_qpoases(function)},
+            )
     names = json.loads((folder / "functions.json").read_text())
-    return built | {key: ca.external(name, str(folder / "library.so")) for key, name in names.items()}
+    return built | {
+        key: ca.external(name, str(folder / "library.so")) for key, name in names.items()
+    }
 
 
 def someone_waits():
-    """Whether a person looks at this process: in a terminal or a notebook, not in a worker, nor in a notebook that the runner executes."""
+    """Whether a person looks at this process: in a terminal or a notebook, not in a worker, nor in
+    a notebook that the runner executes.
+    """
     notebook = "ipykernel" in sys.modules and not os.environ.get("RHEC_UNATTENDED")
     return multiprocessing.parent_process() is None and (notebook or sys.stderr.isatty())
 
 
 @contextlib.contextmanager
 def alone(folder):
-    """One process at a time, so that a campaign's workers compile each structure once. A lock goes with its process, however that ends.
+    """One process at a time, so that a campaign's workers compile each structure once. A lock goes
+    with its process, however that ends.
 
     Where there are no locks processes race, which costs time alone.
     """
@@ -105,6 +155,7 @@ def alone(folder):
     with open(name, "w") as lock:
         with contextlib.suppress(ImportError, OSError):
             import fcntl
+
             fcntl.flock(lock, fcntl.LOCK_EX)
         try:
             yield
@@ -118,24 +169,43 @@ def calls_qpoases(function):
 
 def make(folder, functions):
     """Generate, compile and move into place."""
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix="building-", ignore_cleanup_errors=True) as building:
+    with tempfile.TemporaryDirectory(
+        dir=folder.parent, prefix="building-", ignore_cleanup_errors=True
+    ) as building:
         building = Path(building)
         generator = ca.CodeGenerator("code.c")
         for function in functions.values():
             generator.add(function)
         generator.generate(f"{building}/")
-        subprocess.run([compiler(), *FLAGS, f"-I{CASADI / 'include'}", "code.c", "-o", "library.so", f"-L{CASADI}", "-ldaqp",
-                        f"-Wl,-rpath,{CASADI}", "-lm"], cwd=building, check=True)
-        (building / "functions.json").write_text(json.dumps({key: function.name() for key, function in functions.items()}))
+        subprocess.run(
+            [
+                compiler(),
+                *FLAGS,
+                f"-I{CASADI / 'include'}",
+                "code.c",
+                "-o",
+                "library.so",
+                f"-L{CASADI}",
+                "-ldaqp",
+                f"-Wl,-rpath,{CASADI}",
+                "-lm",
+            ],
+            cwd=building,
+            check=True,
+        )
+        (building / "functions.json").write_text(
+            json.dumps({key: function.name() for key, function in functions.items()})
+        )
         try:
             os.rename(building, folder)
         except OSError:
-            if not folder.exists():   # otherwise another process was faster, with the same content
+            if not folder.exists():  # otherwise another process was faster, with the same content
                 raise
 
 
 class Bound:
-    """A Function whose arguments and results stay in NumPy arrays of its own: a call costs 0.1 µs where CasADi's ordinary one costs 26 µs.
+    """A Function whose arguments and results stay in NumPy arrays of its own: a call costs 0.1 µs
+    where CasADi's ordinary one costs 26 µs.
 
     Matrices are held as CasADi stores them: the structural nonzeros, column by column.
     """

@@ -1,7 +1,9 @@
-"""A run is a fold: a step (memory, input, settings …) -> (memory, row, …) taken over a stream of inputs.
+"""A run is a fold: a step (memory, input, settings …) -> (memory, row, …) taken over a stream of
+inputs.
 
-The step's first argument and result are its memory, its second are one input of the stream and one row of what it yields. It runs in blocks:
-one call of compiled code for BLOCK samples, to which all settings pass by reference. Nothing depends on the length of the run.
+The step's first argument and result are its memory, its second are one input of the stream and one
+row of what it yields. It runs in blocks: one call of compiled code for BLOCK samples, to which all
+settings pass by reference. Nothing depends on the length of the run.
 """
 
 import casadi as ca
@@ -20,12 +22,23 @@ def functions(step):
         memory, row, *_ = step.call([memory, given, *symbols[2:]])
         rows.append(row)
     names = step.name_in()
-    return dict(step=step, block=ca.Function("block", [symbols[0], stream, *symbols[2:]], [memory, ca.horzcat(*rows)], names,
-                                             ["memory", "rows"], {"allow_duplicate_io_names": True}))
+    return dict(
+        step=step,
+        block=ca.Function(
+            "block",
+            [symbols[0], stream, *symbols[2:]],
+            [memory, ca.horzcat(*rows)],
+            names,
+            ["memory", "rows"],
+            {"allow_duplicate_io_names": True},
+        ),
+    )
 
 
 def fold(functions, memory, stream, settings):
-    """Fold the step over the rows of `stream` (n, inputs), from this memory. Returns the last memory and what each yielded (n, outputs)."""
+    """Fold the step over the rows of `stream` (n, inputs), from this memory. Returns the last
+    memory and what each yielded (n, outputs).
+    """
     rows = np.empty((len(stream), functions["step"].numel_out(1)))
     stream = np.ascontiguousarray(stream, dtype=float)
     memory, spare, done = memory.copy(), memory.copy(), 0
@@ -38,9 +51,9 @@ def fold(functions, memory, stream, settings):
         memory_out, row_out, *_ = function.name_out()
         while done + length <= len(stream):
             call.read_from(memory_in, memory)
-            call.read_from(stream_in, stream[done:done + length])
+            call.read_from(stream_in, stream[done : done + length])
             call.write_to(memory_out, spare)
-            call.write_to(row_out, rows[done:done + length])
+            call.write_to(row_out, rows[done : done + length])
             call.call()
             memory, spare, done = spare, memory, done + length
     return memory, rows

@@ -1,4 +1,6 @@
-"""Strict validation with one clear sentence for bad input: which parameter, what it was, what it may be. Pydantic does the checking."""
+"""Strict validation with one clear sentence for bad input: which parameter, what it was, what it
+may be. Pydantic does the checking.
+"""
 
 import functools
 from difflib import get_close_matches
@@ -27,16 +29,22 @@ ArrivalMean = Literal["smoothed", "filtered"]
 
 
 def sentence(name, fields, error):
-    """The first of a validation's errors as one sentence: which parameter, what it was, what it may be."""
+    """The first of a validation's errors as one sentence: which parameter, what it was, what it may
+    be.
+    """
     first = error.errors()[0]
     if first["type"] == "unexpected_keyword_argument":
         unknown = first["loc"][0]
         close = get_close_matches(unknown, fields, 1, 0.4)
-        return f"{name} has no parameter {unknown!r}" + (f"; did you mean {close[0]!r}?" if close else "")
-    if not first["loc"]:   # a check across fields, which speaks for itself
+        return f"{name} has no parameter {unknown!r}" + (
+            f"; did you mean {close[0]!r}?" if close else ""
+        )
+    if not first["loc"]:  # a check across fields, which speaks for itself
         return str(first["ctx"]["error"])
     head = first["loc"][0]
-    where = (fields[head] if isinstance(head, int) else str(head)) + "".join(f"[{place}]" for place in first["loc"][1:])
+    where = (fields[head] if isinstance(head, int) else str(head)) + "".join(
+        f"[{place}]" for place in first["loc"][1:]
+    )
     return f"{where} was {shown(first['input'])}; {first['msg'].replace('Input', 'it', 1)}"
 
 
@@ -64,21 +72,29 @@ def checked(function):
         try:
             return strict(*arguments, **named)
         except ValidationError as error:
-            raise ValueError(sentence(function.__qualname__.removesuffix(".__init__"), names, error)) from None
+            raise ValueError(
+                sentence(function.__qualname__.removesuffix(".__init__"), names, error)
+            ) from None
 
     return call
 
 
 def validated(cls):
-    """A frozen dataclass whose constructor checks every field strictly and answers bad input with one sentence."""
-    cls = dataclass(frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid"))(cls)
+    """A frozen dataclass whose constructor checks every field strictly and answers bad input with
+    one sentence.
+    """
+    cls = dataclass(
+        frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid")
+    )(cls)
     construct = cls.__init__
 
     def __init__(self, **fields):
         try:
             construct(self, **fields)
         except ValidationError as error:
-            raise ValueError(sentence(cls.__name__, list(cls.__dataclass_fields__), error)) from None
+            raise ValueError(
+                sentence(cls.__name__, list(cls.__dataclass_fields__), error)
+            ) from None
 
     cls.__init__ = __init__
     return cls

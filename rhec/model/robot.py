@@ -1,47 +1,73 @@
-"""The simulated robot (paper, Sec. System Description): two tracks with a speed loop each, encoders, RTK GNSS, bumps, on slipping soil.
+"""The simulated robot (paper, Sec. System Description): two tracks with a speed loop each,
+encoders, RTK GNSS, bumps, on slipping soil.
 
-It stands in for the field: what the paper's Kangaroo x2 does (50 Hz speed control from the encoders), what its sensors report at 5 Hz, and
-the soil, which turns track speeds into motion by eq. (systemmodel).
+It stands in for the field: what the paper's Kangaroo x2 does (50 Hz speed control from the
+encoders), what its sensors report at 5 Hz, and the soil, which turns track speeds into motion by
+eq. (systemmodel).
 """
 
 import casadi as ca
 import numpy as np
 
-from rhec.model import tracked_robot as model
 from rhec import paper
 from rhec._casadi.build import function
+from rhec.model import tracked_robot as model
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
-MOTOR_LAG_S = 0.1           # first-order lag from motor command to track speed
+MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed
 GAIN_P, GAIN_I = 1.0, 10.0  # the speed loop: from a standstill it settles in about half a second
-SPEED_LIMIT_MPS = 1.5       # of a track: saturation of the motor driver
+SPEED_LIMIT_MPS = 1.5  # of a track: saturation of the motor driver
 
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
-NOISE = dict(white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS))   # standard normal, one sample
+NOISE = dict(
+    white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS)
+)  # standard normal, one sample
 SENSORS = dict(gnss_white_m=(1, 1), gnss_slow_m=(1, 1), gnss_slow_time_s=(1, 1))
 BODY = dict(track_width_m=(1, 1), encoder_sigma_mps=(1, 1), bump_sigma_radps=(1, 1))
 
 
 def measure(dt_s):
-    """(pose, drift, encoders, noise) -> (z, drift): GNSS position with a white and a slowly varying error, and the encoders' last means.
+    """(pose, drift, encoders, noise) -> (z, drift): GNSS position with a white and a slowly varying
+    error, and the encoders' last means.
 
-    The slow error is a first-order Gauss-Markov process of standard deviation gnss_slow_m and time constant gnss_slow_time_s (reading R4).
+    The slow error is a first-order Gauss-Markov process of standard deviation gnss_slow_m and time
+    constant gnss_slow_time_s (reading R4).
     """
+
     def body(pose, drift, encoders, white, slow, gnss_white_m, gnss_slow_m, gnss_slow_time_s):
         keep = ca.exp(-dt_s / gnss_slow_time_s)
         z = ca.vertcat(pose[:2] + gnss_white_m * white + gnss_slow_m * drift, encoders)
         return dict(z=z, drift=keep * drift + ca.sqrt(1 - keep**2) * slow)
 
-    inputs = {name: MEMORY[name] for name in ("pose", "drift", "encoders")} | {name: NOISE[name] for name in ("white", "slow")} | SENSORS
+    inputs = (
+        {name: MEMORY[name] for name in ("pose", "drift", "encoders")}
+        | {name: NOISE[name] for name in ("white", "slow")}
+        | SENSORS
+    )
     return function("measure", body, inputs)
 
 
 def drive(dt_s):
-    """One sample on soil of traction (2,): track speeds follow (speed_mps, omega_radps) at 50 Hz, the soil moves the robot.
+    """One sample on soil of traction (2,): track speeds follow (speed_mps, omega_radps) at 50 Hz,
+    the soil moves the robot.
 
-    encoders are the means of ν = (ν_l + ν_r)/2 and ω = (ν_r - ν_l)/b over the sample, as read. A bump turns the robot for one sample.
+    encoders are the means of ν = (ν_l + ν_r)/2 and ω = (ν_r - ν_l)/b over the sample, as read. A
+    bump turns the robot for one sample.
     """
-    def body(pose, tracks, integral, speed_mps, omega_radps, traction, bump, encoder, track_width_m, encoder_sigma_mps, bump_sigma_radps):
+
+    def body(
+        pose,
+        tracks,
+        integral,
+        speed_mps,
+        omega_radps,
+        traction,
+        bump,
+        encoder,
+        track_width_m,
+        encoder_sigma_mps,
+        bump_sigma_radps,
+    ):
         half = track_width_m / 2
         target = ca.vertcat(speed_mps - half * omega_radps, speed_mps + half * omega_radps)
         h = dt_s / SUBSTEPS
@@ -51,15 +77,27 @@ def drive(dt_s):
             readings.append(reading)
             command = target + GAIN_P * (target - reading) + integral
             limited = ca.fmin(ca.fmax(command, -SPEED_LIMIT_MPS), SPEED_LIMIT_MPS)
-            integral = integral + h * GAIN_I * (target - reading) * (command == limited)   # no wind-up
+            integral = integral + h * GAIN_I * (target - reading) * (
+                command == limited
+            )  # no wind-up
             nu, omega = body_speeds(tracks, track_width_m)
-            pose = model.rk4(model.f, pose, omega, ca.vertcat(nu, traction), h) + ca.vertcat(0, 0, h * bump_sigma_radps * bump)
+            pose = model.rk4(model.f, pose, omega, ca.vertcat(nu, traction), h) + ca.vertcat(
+                0, 0, h * bump_sigma_radps * bump
+            )
             tracks = tracks + h / MOTOR_LAG_S * (limited - tracks)
-        return dict(pose=pose, tracks=tracks, integral=integral,
-                    encoders=ca.vertcat(*body_speeds(sum(readings) / SUBSTEPS, track_width_m)))
+        return dict(
+            pose=pose,
+            tracks=tracks,
+            integral=integral,
+            encoders=ca.vertcat(*body_speeds(sum(readings) / SUBSTEPS, track_width_m)),
+        )
 
-    inputs = ({name: MEMORY[name] for name in ("pose", "tracks", "integral")} | dict(speed_mps=(1, 1), omega_radps=(1, 1), traction=(2, 1))
-              | {name: NOISE[name] for name in ("bump", "encoder")} | BODY)
+    inputs = (
+        {name: MEMORY[name] for name in ("pose", "tracks", "integral")}
+        | dict(speed_mps=(1, 1), omega_radps=(1, 1), traction=(2, 1))
+        | {name: NOISE[name] for name in ("bump", "encoder")}
+        | BODY
+    )
     return function("drive", body, inputs)
 
 
@@ -70,4 +108,10 @@ def body_speeds(tracks, track_width_m):
 
 def start(pose, speed_mps):
     """Memory at the first sample: driving straight at the set speed."""
-    return dict(pose=np.array(pose), tracks=np.full(2, speed_mps), integral=np.zeros(2), drift=np.zeros(2), encoders=np.array([speed_mps, 0.0]))
+    return dict(
+        pose=np.array(pose),
+        tracks=np.full(2, speed_mps),
+        integral=np.zeros(2),
+        drift=np.zeros(2),
+        encoders=np.array([speed_mps, 0.0]),
+    )

@@ -1,7 +1,9 @@
-"""Simulated slip fields μ(x, y), κ(x, y): spatially correlated, in (0, 1], with patches of sudden change.
+"""Simulated slip fields μ(x, y), κ(x, y): spatially correlated, in (0, 1], with patches of sudden
+change.
 
-All fields are cut from one pair of standard Gaussian fields that a geostatistics library (GSTools) made once and `data/` holds, so that a
-run never depends on a library's random stream. `python -m rhec.model.terrain` makes that file again.
+All fields are cut from one pair of standard Gaussian fields that a geostatistics library (GSTools)
+made once and `data/` holds, so that a run never depends on a library's random stream. `python -m
+rhec.model.terrain` makes that file again.
 """
 
 import functools
@@ -14,22 +16,38 @@ import numpy as np
 from pydantic import Field
 from scipy.special import betaincinv, ndtr
 
-from rhec._casadi.validation import NotNegative, Positive, Real, Traction, Whole, checked, numbers, shown
+from rhec._casadi.validation import (
+    NotNegative,
+    Positive,
+    Real,
+    Traction,
+    Whole,
+    checked,
+    numbers,
+    shown,
+)
 
 # In a checkout data/ stands beside the package, in a wheel inside it.
 _ROOTS = File(__file__).parents[1:3]
-STANDARD_FIELDS = next((root / "data" / "standard_gaussian_fields.npz" for root in _ROOTS if (root / "data").is_dir()), None)
-CELLS_PER_LENGTH = 8     # of the standard fields: cells in one correlation length
-LOWEST = 0.01            # traction never vanishes: a robot that cannot move teaches nothing
-MOST_CELLS = 4_000_000   # of a random field: a square kilometre
+STANDARD_FIELDS = next(
+    (root / "data" / "standard_gaussian_fields.npz" for root in _ROOTS if (root / "data").is_dir()),
+    None,
+)
+CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
+LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
+MOST_CELLS = 4_000_000  # of a random field: a square kilometre
 
 Seed = Annotated[Whole, Field(ge=0)]
-Patch = tuple[Real, Real, Positive, Traction, Traction]   # disc of sudden change: (x_m, y_m, radius_m, μ, κ)
+Patch = tuple[
+    Real, Real, Positive, Traction, Traction
+]  # disc of sudden change: (x_m, y_m, radius_m, μ, κ)
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """Traction on a grid: mu[i, j], kappa[i, j] at (x, y) = origin_m + cell_m · (i, j); between the points it is bilinear, beyond them constant."""
+    """Traction on a grid: mu[i, j], kappa[i, j] at (x, y) = origin_m + cell_m · (i, j); between the
+    points it is bilinear, beyond them constant.
+    """
 
     mu: np.ndarray
     kappa: np.ndarray
@@ -40,12 +58,18 @@ class Terrain:
         for name in ("mu", "kappa"):
             field = numbers(name, getattr(self, name))
             if field.ndim != 2 or min(field.shape) < 2:
-                raise ValueError(f"{name} had shape {field.shape}; it must be a grid of at least 2 by 2 points")
+                raise ValueError(
+                    f"{name} had shape {field.shape}; it must be a grid of at least 2 by 2 points"
+                )
             if not (np.all(field > 0) and np.all(field <= 1)):
-                raise ValueError(f"{name} ranged from {np.min(field)} to {np.max(field)}; traction must lie in (0, 1]")
+                raise ValueError(
+                    f"{name} ranged from {np.min(field)} to {np.max(field)}; traction must lie in (0, 1]"
+                )
             object.__setattr__(self, name, field)
         if self.mu.shape != self.kappa.shape:
-            raise ValueError(f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; they must be the same")
+            raise ValueError(
+                f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; they must be the same"
+            )
         origin, cell = numbers("origin_m", self.origin_m), numbers("cell_m", self.cell_m)
         if origin.shape != (2,) or not np.all(np.isfinite(origin)):
             raise ValueError(f"origin_m was {self.origin_m!r}; it must be two finite coordinates")
@@ -59,26 +83,46 @@ class Terrain:
 
     @classmethod
     @checked
-    def random(cls, seed: Seed, box: tuple[Real, Real, Real, Real], mean: tuple[Traction, Traction], deviation: tuple[NotNegative, NotNegative],
-               correlation_length_m: Positive, patches: tuple[Patch, ...] = (), cell_m: Positive = 0.5):
-        """Beta-distributed fields over box = (x_min, x_max, y_min, y_max) [m]; mean and deviation are pairs for (μ, κ).
+    def random(
+        cls,
+        seed: Seed,
+        box: tuple[Real, Real, Real, Real],
+        mean: tuple[Traction, Traction],
+        deviation: tuple[NotNegative, NotNegative],
+        correlation_length_m: Positive,
+        patches: tuple[Patch, ...] = (),
+        cell_m: Positive = 0.5,
+    ):
+        """Beta-distributed fields over box = (x_min, x_max, y_min, y_max) [m]; mean and deviation
+        are pairs for (μ, κ).
 
-        The seed places two windows in the standard fields, turns and mirrors them. patches: ((x_m, y_m, radius_m, μ, κ), …), discs that
-        replace the field.
+        The seed places two windows in the standard fields, turns and mirrors them. patches: ((x_m,
+        y_m, radius_m, μ, κ), …), discs that replace the field.
         """
         x_min, x_max, y_min, y_max = box
         cells = np.ceil(np.array([x_max - x_min, y_max - y_min]) / cell_m)
         if not (np.all(cells >= 1) and np.prod(cells) <= MOST_CELLS):
-            raise ValueError(f"box was {shown(box)}; it must be (x_min, x_max, y_min, y_max) with 1 to {MOST_CELLS:,} cells of {cell_m:g} m. "
-                             "A path or a start that takes the robot so far needs a terrain of its own")
-        i, j = np.mgrid[0:int(cells[0]) + 1, 0:int(cells[1]) + 1]
+            raise ValueError(
+                f"box was {shown(box)}; it must be (x_min, x_max, y_min, y_max) with 1 to {MOST_CELLS:,} cells of {cell_m:g} m. "
+                "A path or a start that takes the robot so far needs a terrain of its own"
+            )
+        i, j = np.mgrid[0 : int(cells[0]) + 1, 0 : int(cells[1]) + 1]
         standard, period = standard_fields()
-        # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's stream is not
+        # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's
+        # stream is not
         draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
         fields = []
         for field, (offset_i, offset_j, turn, _), m, sd in zip(standard, draws, mean, deviation):
-            places = np.stack([i.ravel(), j.ravel()])[:: 1 if turn & 1 else -1] * cell_m / correlation_length_m * CELLS_PER_LENGTH
-            places = places * [[1 if turn & 2 else -1], [1 if turn & 4 else -1]] + [[offset_i], [offset_j]]
+            places = (
+                np.stack([i.ravel(), j.ravel()])[:: 1 if turn & 1 else -1]
+                * cell_m
+                / correlation_length_m
+                * CELLS_PER_LENGTH
+            )
+            places = places * [[1 if turn & 2 else -1], [1 if turn & 4 else -1]] + [
+                [offset_i],
+                [offset_j],
+            ]
             gaussian = bilinear(field, places % period).reshape(i.shape) * (1 if turn & 8 else -1)
             fields.append(beta_from_gaussian(gaussian, m, sd))
         mu, kappa = fields
@@ -94,42 +138,84 @@ class Terrain:
 
     def save(self, file):
         """As .npz: plain arrays, nothing that is executed on loading."""
-        np.savez_compressed(file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m)
+        np.savez_compressed(
+            file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m
+        )
 
     @classmethod
     def load(cls, file):
         """What `save` wrote. ValueError for any other file; what is in it is never executed."""
         try:
             with np.load(file, allow_pickle=False) as data:
-                given = data["mu"], data["kappa"], tuple(data["origin_m"].tolist()), data["cell_m"].item()
+                given = (
+                    data["mu"],
+                    data["kappa"],
+                    tuple(data["origin_m"].tolist()),
+                    data["cell_m"].item(),
+                )
         except (FileNotFoundError, IsADirectoryError, PermissionError):
             raise
-        except Exception as error:   # whatever NumPy and zipfile make of a file that is none of theirs
-            raise ValueError(f"file was {str(file)!r}; it should be a field that Terrain.save wrote ({error})") from None
+        except (
+            Exception
+        ) as error:  # whatever NumPy and zipfile make of a file that is none of theirs
+            raise ValueError(
+                f"file was {str(file)!r}; it should be a field that Terrain.save wrote ({error})"
+            ) from None
         return cls(*given)
 
 
 def random_for(scenario, path):
     """The random field a scenario's statistics and seed describe, with a margin around the path."""
-    xy, margin = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2], 5.0 + abs(scenario.start_offset_m)
-    box = (xy[:, 0].min() - margin, xy[:, 0].max() + margin, xy[:, 1].min() - margin, xy[:, 1].max() + margin)
-    return Terrain.random(scenario.seed, box, (scenario.mu_mean, scenario.kappa_mean), (scenario.mu_deviation, scenario.kappa_deviation),
-                          scenario.correlation_length_m, scenario.patches)
+    xy, margin = (
+        path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2],
+        5.0 + abs(scenario.start_offset_m),
+    )
+    box = (
+        xy[:, 0].min() - margin,
+        xy[:, 0].max() + margin,
+        xy[:, 1].min() - margin,
+        xy[:, 1].max() + margin,
+    )
+    return Terrain.random(
+        scenario.seed,
+        box,
+        (scenario.mu_mean, scenario.kappa_mean),
+        (scenario.mu_deviation, scenario.kappa_deviation),
+        scenario.correlation_length_m,
+        scenario.patches,
+    )
 
 
 def lookup(shape):
-    """(xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ), bilinear on a grid of this shape, constant beyond its edges; slip: see `flat`."""
-    xy, origin_m, cell_m, slip = ca.MX.sym("xy", 2), ca.MX.sym("origin_m", 2), ca.MX.sym("cell_m"), ca.MX.sym("slip", 2 * shape[0] * shape[1])
+    """(xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ), bilinear on a grid of this shape,
+    constant beyond its edges; slip: see `flat`.
+    """
+    xy, origin_m, cell_m, slip = (
+        ca.MX.sym("xy", 2),
+        ca.MX.sym("origin_m", 2),
+        ca.MX.sym("cell_m"),
+        ca.MX.sym("slip", 2 * shape[0] * shape[1]),
+    )
     axes = [np.arange(points, dtype=float) for points in shape]
     grid = ca.interpolant("grid", "linear", axes, 2, {"lookup_mode": ["exact", "exact"]})
     place = ca.fmin(ca.fmax((xy - origin_m) / cell_m, 0), np.array(shape) - 1.0)
-    return ca.Function("slip", [xy, origin_m, cell_m, slip], [grid(place, slip)], ["xy", "origin_m", "cell_m", "slip"], ["traction"])
+    return ca.Function(
+        "slip",
+        [xy, origin_m, cell_m, slip],
+        [grid(place, slip)],
+        ["xy", "origin_m", "cell_m", "slip"],
+        ["traction"],
+    )
 
 
 def flat(terrain, shape=None):
-    """Both fields in the order `lookup` reads them, continued to a larger grid of this shape as they are beyond their edges."""
+    """Both fields in the order `lookup` reads them, continued to a larger grid of this shape as
+    they are beyond their edges.
+    """
     fields = np.stack([terrain.mu, terrain.kappa])
-    more = [(0, wanted - given) for wanted, given in zip(shape or terrain.mu.shape, terrain.mu.shape)]
+    more = [
+        (0, wanted - given) for wanted, given in zip(shape or terrain.mu.shape, terrain.mu.shape)
+    ]
     return np.pad(fields, [(0, 0), *more], mode="edge").ravel(order="F")
 
 
@@ -139,8 +225,10 @@ def common_shape(terrain, step=160):
 
 
 def beta_from_gaussian(gaussian, mean, deviation):
-    """A standard Gaussian field reshaped, point by point, to the beta distribution on (0, 1) with that mean and standard deviation."""
-    if deviation < 1e-6:   # as good as none, and its square may vanish
+    """A standard Gaussian field reshaped, point by point, to the beta distribution on (0, 1) with
+    that mean and standard deviation.
+    """
+    if deviation < 1e-6:  # as good as none, and its square may vanish
         return np.full(gaussian.shape, float(mean))
     nu = mean * (1 - mean) / deviation**2 - 1
     quantiles = np.linspace(-5, 5, 257)
@@ -149,11 +237,18 @@ def beta_from_gaussian(gaussian, mean, deviation):
 
 
 def bilinear(field, places):
-    """A field that repeats itself, given at the corners of square cells, at places (2, n) in [0, its period), counted in cells."""
+    """A field that repeats itself, given at the corners of square cells, at places (2, n) in [0,
+    its period), counted in cells.
+    """
     i, j = np.floor(places).astype(int)
     u, v = places - (i, j)
     after_i, after_j = (i + 1) % len(field), (j + 1) % len(field)
-    return (1 - u) * (1 - v) * field[i, j] + u * (1 - v) * field[after_i, j] + (1 - u) * v * field[i, after_j] + u * v * field[after_i, after_j]
+    return (
+        (1 - u) * (1 - v) * field[i, j]
+        + u * (1 - v) * field[after_i, j]
+        + (1 - u) * v * field[i, after_j]
+        + u * v * field[after_i, after_j]
+    )
 
 
 @functools.cache
@@ -165,13 +260,26 @@ def standard_fields():
 
 
 def make_standard_fields(period=768, modes=144, seed=2018):
-    """What `data/` holds: two independent fields by GSTools' Fourier method, which makes them periodic (minutes). Half precision is plenty."""
+    """What `data/` holds: two independent fields by GSTools' Fourier method, which makes them
+    periodic (minutes). Half precision is plenty.
+    """
     import gstools
+
     axis = np.arange(float(period))
     model = gstools.Gaussian(dim=2, var=1, len_scale=CELLS_PER_LENGTH)
-    fields = [gstools.SRF(model, generator="Fourier", period=period, mode_no=modes, seed=seed + k).structured([axis, axis]) for k in range(2)]
+    fields = [
+        gstools.SRF(
+            model, generator="Fourier", period=period, mode_no=modes, seed=seed + k
+        ).structured([axis, axis])
+        for k in range(2)
+    ]
     fields = [(field - field.mean()) / field.std() for field in fields]
-    np.savez_compressed(STANDARD_FIELDS, fields=np.array(fields, dtype=np.float16), gstools_version=gstools.__version__, seed=seed)
+    np.savez_compressed(
+        STANDARD_FIELDS,
+        fields=np.array(fields, dtype=np.float16),
+        gstools_version=gstools.__version__,
+        seed=seed,
+    )
 
 
 if __name__ == "__main__":

@@ -1,23 +1,57 @@
-"""The paper's figures, one function each; `style` gives them one look and saves them with their provenance."""
+"""The paper's figures, one function each; `style` gives them one look and saves them with their
+provenance.
+"""
 
 import importlib
 
 # Loaded on first use, so that a notebook is made again only when a figure of its own changed.
-_HOME = {name: module for module, names in {
-    "ranking": ("consistency_table", "errors_over_sigma", "nees_over_time", "pose_noise", "ranked", "ranking_table"),
-    "claims": ("save_ledger", "verdicts"),
-    "robot_drawings": ("hardware_blocks", "robot_in_row", "robot_parts", "schematic"),
-    "faults": ("fault_family", "fault_table"),
-    "multiverse": ("multiverse_map",),
-    "interpretations": ("ekf_yaw", "forest", "likelihood", "rhe_kappa"),
-    "replay": ("replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_table", "replay_traction", "replay_trials",
-               "replay_uncertainty", "replay_yaw"),
-    "scenarios": ("errors", "estimates", "kkt", "scenario_a_table", "scenario_b_table", "slip_fields", "speed", "trajectories", "trajectories_q",
-                "violations", "weight_sweep", "yaw_rate"),
-    "style": ("save", "save_table", "styled"),
-    "embedded": ("embedded_times",),
-    "timing": ("phases",),
-}.items() for name in names}
+_HOME = {
+    name: module
+    for module, names in {
+        "ranking": (
+            "consistency_table",
+            "errors_over_sigma",
+            "nees_over_time",
+            "pose_noise",
+            "ranked",
+            "ranking_table",
+        ),
+        "claims": ("save_ledger", "verdicts"),
+        "robot_drawings": ("hardware_blocks", "robot_in_row", "robot_parts", "schematic"),
+        "faults": ("fault_family", "fault_table"),
+        "multiverse": ("multiverse_map",),
+        "interpretations": ("ekf_yaw", "forest", "likelihood", "rhe_kappa"),
+        "replay": (
+            "replay_faults",
+            "replay_folder",
+            "replay_innovations",
+            "replay_log",
+            "replay_table",
+            "replay_traction",
+            "replay_trials",
+            "replay_uncertainty",
+            "replay_yaw",
+        ),
+        "scenarios": (
+            "errors",
+            "estimates",
+            "kkt",
+            "scenario_a_table",
+            "scenario_b_table",
+            "slip_fields",
+            "speed",
+            "trajectories",
+            "trajectories_q",
+            "violations",
+            "weight_sweep",
+            "yaw_rate",
+        ),
+        "style": ("save", "save_table", "styled"),
+        "embedded": ("embedded_times",),
+        "timing": ("phases",),
+    }.items()
+    for name in names
+}
 __all__ = sorted(_HOME)
 
 

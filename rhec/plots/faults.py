@@ -5,7 +5,6 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-
 from rhec.plots.scenarios import over_seeds
 from rhec.plots.style import BLACK, BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
 
@@ -15,15 +14,19 @@ BELOW_M, BEYOND_M = 0.01, 100.0  # what is drawn
 
 @styled
 def fault_family(family, table, errors, before_s):
-    """True error [m] over the time [s] since the trouble began, a panel for each case of a family: median over seeds, and the band of all seeds.
+    """True error [m] over the time [s] since the trouble began, a panel for each case of a family:
+    median over seeds, and the band of all seeds.
 
-    table, errors: of `robustness.study`; the errors begin before_s before the trouble. Shaded: while it lasts (the median, if that differs by
-    seed). Dashed: 0.12 m. The title says how many seeds came back, and when the last of them did.
+    table, errors: of `robustness.study`; the errors begin before_s before the trouble. Shaded:
+    while it lasts (the median, if that differs by seed). Dashed: 0.12 m. The title says how many
+    seeds came back, and when the last of them did.
     """
     table = table[table["family"] == family]
     cases = list(dict.fromkeys(table["case"]))
     handlings = list(dict.fromkeys(table["handling"]))
-    figure, panels = plt.subplots(1, len(cases), figsize=(DOUBLE_IN, 2.5), sharey=True, squeeze=False)
+    figure, panels = plt.subplots(
+        1, len(cases), figsize=(DOUBLE_IN, 2.5), sharey=True, squeeze=False
+    )
     for axes, case in zip(panels[0], cases):
         lines = []
         for handling in handlings:
@@ -31,13 +34,34 @@ def fault_family(family, table, errors, before_s):
             back, n, last = of_case["recovery_s"].count(), len(of_case), of_case["recovery_s"].max()
             lines.append(f"{handling}: {back} of {n} back" + (f", ≤ {last:.0f} s" if back else ""))
             error = np.clip(errors[family, case, handling], BELOW_M, BEYOND_M)
-            first = np.flatnonzero(~np.isnan(error).any(axis=0))[0]   # the shortest run's beginning: not all have a time before
+            first = np.flatnonzero(~np.isnan(error).any(axis=0))[
+                0
+            ]  # the shortest run's beginning: not all have a time before
             error = error[:, first:]
             t_s = (first + np.arange(error.shape[1])) * paper.DT_S - before_s
-            axes.fill_between(t_s, np.nanmin(error, axis=0), np.nanmax(error, axis=0), alpha=0.3, linewidth=0, **LOOKS[handling])
-            axes.plot(t_s, np.nanmedian(error, axis=0), label=f"robust handling {handling}", **LOOKS[handling])
+            axes.fill_between(
+                t_s,
+                np.nanmin(error, axis=0),
+                np.nanmax(error, axis=0),
+                alpha=0.3,
+                linewidth=0,
+                **LOOKS[handling],
+            )
+            axes.plot(
+                t_s,
+                np.nanmedian(error, axis=0),
+                label=f"robust handling {handling}",
+                **LOOKS[handling],
+            )
         duration_s = np.median(of_case["end_s"] - of_case["begin_s"])
-        axes.axvspan(0, max(duration_s, paper.DT_S), color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
+        axes.axvspan(
+            0,
+            max(duration_s, paper.DT_S),
+            color=COLOURS["tolerance"],
+            alpha=0.35,
+            linewidth=0,
+            zorder=0,
+        )
         axes.axhline(paper.TOLERANCE_M, color=BLACK, linewidth=0.6, linestyle="--")
         axes.set_title("\n".join([case, *lines]), loc="left", fontsize=7)
         axes.set_yscale("log")
@@ -48,25 +72,44 @@ def fault_family(family, table, errors, before_s):
     top = max(np.nanmax(each) for key, each in errors.items() if key[0] == family)
     panels[0, 0].set_ylim(BELOW_M, min(2 * top, BEYOND_M))
     seeds = table["seed"]
-    figure.suptitle(f"{family}; {seeds.nunique()} seeds, {seeds.min()} to {seeds.max()}: median and range", fontsize=8)
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(handlings))
+    figure.suptitle(
+        f"{family}; {seeds.nunique()} seeds, {seeds.min()} to {seeds.max()}: median and range",
+        fontsize=8,
+    )
+    figure.legend(
+        *panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(handlings)
+    )
     return figure
 
 
 def fault_table(table, aim_s):
-    """All cases in numbers: means over seeds with 95 % intervals, and whether every seed was back within aim_s [s].
+    """All cases in numbers: means over seeds with 95 % intervals, and whether every seed was back
+    within aim_s [s].
 
-    table: of `robustness.study`; aim_s: {family: [s]}, the aim of the others under "". Errors in m, during the trouble and from its end on; the
-    recovery time is that of the seeds that came back. Columns: family, case, handling, n, for each quantity mean, low, high and largest, back
-    (seeds), in_bounds (seeds), aim_s, verdict.
+    table: of `robustness.study`; aim_s: {family: [s]}, the aim of the others under "". Errors in m,
+    during the trouble and from its end on; the recovery time is that of the seeds that came back.
+    Columns: family, case, handling, n, for each quantity mean, low, high and largest, back (seeds),
+    in_bounds (seeds), aim_s, verdict.
     """
     rows = []
     for (family, case, handling), runs in table.groupby(["family", "case", "handling"], sort=False):
         row = dict(family=family, case=case, handling=handling, n=len(runs))
         for name in ("max_during_m", "max_after_m", "recovery_s"):
             mean, low, high, _ = over_seeds(np.mean, runs[name])
-            row |= {name: mean, f"{name}_low": low, f"{name}_high": high, f"{name}_largest": runs[name].max()}
+            row |= {
+                name: mean,
+                f"{name}_low": low,
+                f"{name}_high": high,
+                f"{name}_largest": runs[name].max(),
+            }
         aim = aim_s.get(family, aim_s[""])
-        rows.append(row | dict(back=runs["recovery_s"].count(), in_bounds=runs["in_bounds"].sum(), aim_s=aim,
-                               verdict="holds" if (runs["recovery_s"] <= aim).all() else "fails"))
+        rows.append(
+            row
+            | dict(
+                back=runs["recovery_s"].count(),
+                in_bounds=runs["in_bounds"].sum(),
+                aim_s=aim,
+                verdict="holds" if (runs["recovery_s"] <= aim).all() else "fails",
+            )
+        )
     return pd.DataFrame(rows)

@@ -1,71 +1,158 @@
-"""Beyond the paper: estimators ranked by how the robot drives with them, the proposal's pose noise, and which estimators know how sure they may be."""
+"""Beyond the paper: estimators ranked by how the robot drives with them, the proposal's pose noise,
+and which estimators know how sure they may be.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import LogLocator
 
-from rhec.studies import consistency
-from rhec.studies import ranking
-
 from rhec.plots.scenarios import over_seeds, ratio_of_means, verdict
-from rhec.plots.style import BLACK, BLUE, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, ORANGE, PURPLE, VERMILLION, styled
+from rhec.plots.style import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    COLUMN_IN,
+    DOUBLE_IN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILLION,
+    styled,
+)
+from rhec.studies import consistency, ranking
 
-QUANTITIES = {"mean_error_true_m": "mean true error [m]", "mean_error_m": "mean error, raw GNSS [m]",
-              "violations_true": "violations on straights, true", "violations": "violations on straights, raw GNSS"}
-FAMILIES = {"dual": VERMILLION, "RHE": COLOURS["RHE"], "traction oracle": COLOURS["oracle"], "full oracle": BLACK}   # the rest is grey
+QUANTITIES = {
+    "mean_error_true_m": "mean true error [m]",
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "violations_true": "violations on straights, true",
+    "violations": "violations on straights, raw GNSS",
+}
+FAMILIES = {
+    "dual": VERMILLION,
+    "RHE": COLOURS["RHE"],
+    "traction oracle": COLOURS["oracle"],
+    "full oracle": BLACK,
+}  # the rest is grey
 STATES = {"x": "$x$", "y": "$y$", "θ": r"$\theta$", "ν": r"$\nu$", "μ": r"$\mu$", "κ": r"$\kappa$"}
-OFF_SCALE = 1.8   # times the paper's RHE: what is worse is drawn as an arrow at the edge
+OFF_SCALE = 1.8  # times the paper's RHE: what is worse is drawn as an arrow at the edge
 
 
 # Ranking
 
-def ranking_table(sweep):
-    """Every contestant's means over seeds, and ratios of mean true errors at equal seeds: to the paper's RHE and to both traction oracles.
 
-    sweep: rows of `rhec.campaign` with the column `contestant`, names as in `ranking.CONTESTANTS`, the same seeds in the same order for each. The
-    claims are the two asked of the proposal. Columns: contestant, quantity, mean, low, high, n, claim, verdict; best first.
+def ranking_table(sweep):
+    """Every contestant's means over seeds, and ratios of mean true errors at equal seeds: to the
+    paper's RHE and to both traction oracles.
+
+    sweep: rows of `rhec.campaign` with the column `contestant`, names as in `ranking.CONTESTANTS`,
+    the same seeds in the same order for each. The claims are the two asked of the proposal.
+    Columns: contestant, quantity, mean, low, high, n, claim, verdict; best first.
     """
     of = dict(list(sweep.groupby("contestant", sort=False)))
     best_first = sorted(of, key=lambda name: of[name]["mean_error_true_m"].mean())
-    targets = {ranking.PAPERS: 1 - ranking.LEAST_GAIN} | {oracle: 1 + ranking.MOST_ABOVE for oracle in ranking.ORACLES}
+    targets = {ranking.PAPERS: 1 - ranking.LEAST_GAIN} | {
+        oracle: 1 + ranking.MOST_ABOVE for oracle in ranking.ORACLES
+    }
     rows = []
     for name in best_first:
         for column, quantity in QUANTITIES.items():
             rows.append((name, quantity, over_seeds(np.mean, of[name][column]), "", ""))
         for other, most in targets.items():
             if name != other:
-                ratio = over_seeds(ratio_of_means, of[name]["mean_error_true_m"], of[other]["mean_error_true_m"])
-                claim = (f"at most {most:.2f}", verdict(*ratio[1:3], below=most)) if name == ranking.PROPOSAL else ("", "")
+                ratio = over_seeds(
+                    ratio_of_means, of[name]["mean_error_true_m"], of[other]["mean_error_true_m"]
+                )
+                claim = (
+                    (f"at most {most:.2f}", verdict(*ratio[1:3], below=most))
+                    if name == ranking.PROPOSAL
+                    else ("", "")
+                )
                 rows.append((name, f"true error, ratio to {other}", ratio, *claim))
-    return pd.DataFrame([dict(contestant=name, quantity=quantity, mean=mean, low=low, high=high, n=n, claim=claim, verdict=said)
-                         for name, quantity, (mean, low, high, n), claim, said in rows])
+    return pd.DataFrame(
+        [
+            dict(
+                contestant=name,
+                quantity=quantity,
+                mean=mean,
+                low=low,
+                high=high,
+                n=n,
+                claim=claim,
+                verdict=said,
+            )
+            for name, quantity, (mean, low, high, n), claim, said in rows
+        ]
+    )
 
 
 @styled
 def ranked(sweep):
-    """Mean true error [m] of every contestant: each seed a dot, mean and 95 % interval; and its ratio to that of the paper's RHE at equal seeds.
+    """Mean true error [m] of every contestant: each seed a dot, mean and 95 % interval; and its
+    ratio to that of the paper's RHE at equal seeds.
 
-    sweep: as in `ranking_table`. Dashed: 30 % less than the paper's RHE. An arrow at the edge: off the scale.
+    sweep: as in `ranking_table`. Dashed: 30 % less than the paper's RHE. An arrow at the edge: off
+    the scale.
     """
     table = ranking_table(sweep)
     names = list(dict.fromkeys(table["contestant"]))
     estimates = table.set_index(["contestant", "quantity"])[["mean", "low", "high"]]
-    figure, (errors, ratios) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 0.22 * len(names) + 0.8), sharey=True, width_ratios=(3, 2))
-    shown = [(errors, QUANTITIES["mean_error_true_m"], OFF_SCALE * estimates.loc[(ranking.PAPERS, QUANTITIES["mean_error_true_m"]), "mean"], ".4f"),
-             (ratios, f"true error, ratio to {ranking.PAPERS}", OFF_SCALE, ".2f")]
+    figure, (errors, ratios) = plt.subplots(
+        1, 2, figsize=(DOUBLE_IN, 0.22 * len(names) + 0.8), sharey=True, width_ratios=(3, 2)
+    )
+    shown = [
+        (
+            errors,
+            QUANTITIES["mean_error_true_m"],
+            OFF_SCALE * estimates.loc[(ranking.PAPERS, QUANTITIES["mean_error_true_m"]), "mean"],
+            ".4f",
+        ),
+        (ratios, f"true error, ratio to {ranking.PAPERS}", OFF_SCALE, ".2f"),
+    ]
     for place, name in enumerate(names):
-        colour = next((colour for family, colour in FAMILIES.items() if name.startswith(family)), GREY)
+        colour = next(
+            (colour for family, colour in FAMILIES.items() if name.startswith(family)), GREY
+        )
         seeds = sweep.loc[sweep["contestant"] == name, "mean_error_true_m"]
-        errors.plot(seeds, place + np.linspace(0.3, -0.3, len(seeds)), "o", color=colour, markersize=1.5, alpha=0.3, markeredgewidth=0)
+        errors.plot(
+            seeds,
+            place + np.linspace(0.3, -0.3, len(seeds)),
+            "o",
+            color=colour,
+            markersize=1.5,
+            alpha=0.3,
+            markeredgewidth=0,
+        )
         for axes, quantity, most, digits in shown:
-            mean, low, high = estimates.loc[(name, quantity)] if (name, quantity) in estimates.index else (1.0, 1.0, 1.0)
+            mean, low, high = (
+                estimates.loc[(name, quantity)]
+                if (name, quantity) in estimates.index
+                else (1.0, 1.0, 1.0)
+            )
             if mean < most:
-                axes.errorbar(mean, place, xerr=[[mean - low], [high - mean]], fmt="D", color=colour, markeredgecolor="w", markeredgewidth=0.5,
-                              markersize=4, capsize=2, zorder=3)
+                axes.errorbar(
+                    mean,
+                    place,
+                    xerr=[[mean - low], [high - mean]],
+                    fmt="D",
+                    color=colour,
+                    markeredgecolor="w",
+                    markeredgewidth=0.5,
+                    markersize=4,
+                    capsize=2,
+                    zorder=3,
+                )
             else:
                 axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
-            axes.annotate(f"{mean:{digits}}", (1, place), (5, 0), xycoords=("axes fraction", "data"), textcoords="offset points", va="center", fontsize=7)
+            axes.annotate(
+                f"{mean:{digits}}",
+                (1, place),
+                (5, 0),
+                xycoords=("axes fraction", "data"),
+                textcoords="offset points",
+                va="center",
+                fontsize=7,
+            )
     for axes, _, most, _ in shown:
         axes.set_xlim(0, most)
         axes.grid(axis="y", visible=False)
@@ -76,7 +163,9 @@ def ranked(sweep):
     errors.set_xlabel("mean true error of a drive [m]")
     ratios.set_xlabel("ratio to the paper's RHE")
     seeds = sorted(sweep["seed"].unique())
-    errors.set_title(f"{len(seeds)} seeds, {seeds[0]} to {seeds[-1]}; mean and 95 % interval", loc="left")
+    errors.set_title(
+        f"{len(seeds)} seeds, {seeds[0]} to {seeds[-1]}; mean and 95 % interval", loc="left"
+    )
     return figure
 
 
@@ -89,25 +178,37 @@ def _plain(axis):
 
 @styled
 def pose_noise(rows):
-    """What the process noise σ_θ of the proposal's pose filter does: true errors [m] on straights and in curves, and the RMS error of the yaw [rad].
+    """What the process noise σ_θ of the proposal's pose filter does: true errors [m] on straights
+    and in curves, and the RMS error of the yaw [rad].
 
-    rows: of `ranking.by_pose_noise`. A ring marks the least of each curve, the dotted line the proposal's σ_θ; bands are 95 % intervals over seeds.
+    rows: of `ranking.by_pose_noise`. A ring marks the least of each curve, the dotted line the
+    proposal's σ_θ; bands are 95 % intervals over seeds.
     """
     figure, (errors, yaw) = plt.subplots(2, figsize=(COLUMN_IN, 3.6), sharex=True)
-    curves = [(errors, "curves_m", "curves", BLUE), (errors, "straights_m", "straights", ORANGE), (errors, "all_m", "whole drive", BLACK),
-              (yaw, "rms_yaw_rad", "estimated yaw", PURPLE)]
+    curves = [
+        (errors, "curves_m", "curves", BLUE),
+        (errors, "straights_m", "straights", ORANGE),
+        (errors, "all_m", "whole drive", BLACK),
+        (yaw, "rms_yaw_rad", "estimated yaw", PURPLE),
+    ]
     for axes, column, label, colour in curves:
-        estimates = np.array([over_seeds(np.mean, each[column])[:3] for _, each in rows.groupby("sigma_theta_rad")])
+        estimates = np.array(
+            [over_seeds(np.mean, each[column])[:3] for _, each in rows.groupby("sigma_theta_rad")]
+        )
         sigmas = np.sort(rows["sigma_theta_rad"].unique())
         axes.plot(sigmas, estimates[:, 0], color=colour, label=label)
         axes.fill_between(sigmas, *estimates[:, 1:].T, color=colour, alpha=0.2, linewidth=0)
         least = estimates[:, 0].argmin()
-        axes.plot(sigmas[least], estimates[least, 0], "o", color="w", markeredgecolor=colour, markersize=5)
+        axes.plot(
+            sigmas[least], estimates[least, 0], "o", color="w", markeredgecolor=colour, markersize=5
+        )
     for axes in (errors, yaw):
         axes.axvline(ranking.SIGMA_THETA, color=GREY, linestyle=":")
         axes.set_xscale("log")
         _plain(axes.xaxis)
-    errors.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0.1, handlelength=1.5)
+    errors.legend(
+        loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0.1, handlelength=1.5
+    )
     errors.set_ylabel("mean true error [m]")
     yaw.set_ylabel("RMS error of estimated yaw [rad]")
     yaw.set_xlabel(r"process noise $\sigma_\theta$ of the pose filter [rad per sample]")
@@ -116,24 +217,52 @@ def pose_noise(rows):
 
 # Consistency
 
+
 def _means(each, since_s):
     """(label, normalised values (m, n), degrees of freedom) of the three tests, from some time on."""
     n_x, later = len(each.states), each.t_s >= since_s
-    return [("NEES", each.nees[:, later], n_x), ("NIS, position", each.nis_position[:, later], 2), ("NIS, speed", each.nis_speed[:, later], 1)]
+    return [
+        ("NEES", each.nees[:, later], n_x),
+        ("NIS, position", each.nis_position[:, later], 2),
+        ("NIS, speed", each.nis_speed[:, later], 1),
+    ]
 
 
 def consistency_table(measured, since_s=consistency.FROM_S):
-    """Of each {name: Consistency}: mean NEES and NIS by their degrees of freedom (1 if consistent), the share of samples at which the mean over the runs
-    is within its 95 % χ² bounds, and RMS errors over standard deviations. Columns: estimator, quantity, mean, low, high (over runs), n, inside."""
+    """Of each {name: Consistency}: mean NEES and NIS by their degrees of freedom (1 if consistent),
+    the share of samples at which the mean over the runs is within its 95 % χ² bounds, and RMS
+    errors over standard deviations. Columns: estimator, quantity, mean, low, high (over runs), n,
+    inside.
+    """
     rows = []
     for name, each in measured.items():
         for label, values, degrees in _means(each, since_s):
-            rows.append((name, f"{label}, mean", over_seeds(np.mean, values.mean(axis=1) / degrees), consistency.share_inside(values, degrees)))
+            rows.append(
+                (
+                    name,
+                    f"{label}, mean",
+                    over_seeds(np.mean, values.mean(axis=1) / degrees),
+                    consistency.share_inside(values, degrees),
+                )
+            )
         squares = np.square(each.errors[:, each.t_s >= since_s]).mean(axis=1)
         for place, state in enumerate(each.states):
-            rows.append((name, f"RMS error over sigma, {state}", over_seeds(root_of_mean, squares[:, place]), ""))
-    return pd.DataFrame([dict(estimator=name, quantity=quantity, mean=mean, low=low, high=high, n=n, inside=inside)
-                         for name, quantity, (mean, low, high, n), inside in rows])
+            rows.append(
+                (
+                    name,
+                    f"RMS error over sigma, {state}",
+                    over_seeds(root_of_mean, squares[:, place]),
+                    "",
+                )
+            )
+    return pd.DataFrame(
+        [
+            dict(
+                estimator=name, quantity=quantity, mean=mean, low=low, high=high, n=n, inside=inside
+            )
+            for name, quantity, (mean, low, high, n), inside in rows
+        ]
+    )
 
 
 def root_of_mean(squares, axis):
@@ -142,20 +271,31 @@ def root_of_mean(squares, axis):
 
 @styled
 def nees_over_time(measured):
-    """Mean NEES over runs, by its degrees of freedom, at each time [s] for each {name: Consistency}, on a logarithmic scale; shaded: 95 % χ² bounds."""
+    """Mean NEES over runs, by its degrees of freedom, at each time [s] for each {name:
+    Consistency}, on a logarithmic scale; shaded: 95 % χ² bounds.
+    """
     columns = 2
-    figure, panels = plt.subplots(-(-len(measured) // columns), columns, figsize=(DOUBLE_IN, 0.3 + 0.95 * -(-len(measured) // columns)), sharex=True,
-                                  sharey=True)
+    figure, panels = plt.subplots(
+        -(-len(measured) // columns),
+        columns,
+        figsize=(DOUBLE_IN, 0.3 + 0.95 * -(-len(measured) // columns)),
+        sharex=True,
+        sharey=True,
+    )
     for axes, (name, each) in zip(panels.flat, measured.items()):
         degrees, runs = len(each.states), len(each.nees)
-        axes.axhspan(*consistency.bounds(runs, degrees), color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
+        axes.axhspan(
+            *consistency.bounds(runs, degrees), color=COLOURS["tolerance"], alpha=0.5, linewidth=0
+        )
         colour = COLOURS[next(role for role in ("EKF", "RHE", "oracle") if role in name)]
         axes.semilogy(each.t_s, each.nees.mean(axis=0) / degrees, color=colour, linewidth=0.6)
         (_, values, _), *_ = _means(each, consistency.FROM_S)
-        axes.set_title(f"{name}: {100 * consistency.share_inside(values, degrees):.0f} % inside", loc="left")
+        axes.set_title(
+            f"{name}: {100 * consistency.share_inside(values, degrees):.0f} % inside", loc="left"
+        )
         axes.set_xlim(0, each.t_s[-1])
         _plain(axes.yaxis)
-    for axes in panels.flat[len(measured):]:
+    for axes in panels.flat[len(measured) :]:
         axes.set_visible(False)
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
@@ -165,15 +305,25 @@ def nees_over_time(measured):
 
 @styled
 def errors_over_sigma(measured):
-    """RMS error over its own standard deviation for each state and each {name: Consistency}: 1 (line) is consistent, above is overconfident."""
+    """RMS error over its own standard deviation for each state and each {name: Consistency}: 1
+    (line) is consistent, above is overconfident.
+    """
     figure, axes = plt.subplots(figsize=(COLUMN_IN, 0.32 * len(measured) + 0.7))
     ratios = np.full((len(measured), len(STATES)), np.nan)
     for row, each in zip(ratios, measured.values()):
-        row[:len(each.states)] = np.sqrt(np.square(each.errors[:, each.t_s >= consistency.FROM_S]).mean(axis=(0, 1)))
+        row[: len(each.states)] = np.sqrt(
+            np.square(each.errors[:, each.t_s >= consistency.FROM_S]).mean(axis=(0, 1))
+        )
     axes.imshow(np.log2(ratios), cmap="PuOr_r", vmin=-2.5, vmax=2.5, aspect="auto")
     for (row, column), ratio in np.ndenumerate(ratios):
-        axes.annotate("–" if np.isnan(ratio) else f"{ratio:.2f}", (column, row), ha="center", va="center", fontsize=7,
-                      color="w" if abs(np.log2(ratio)) > 1.7 else BLACK)
+        axes.annotate(
+            "–" if np.isnan(ratio) else f"{ratio:.2f}",
+            (column, row),
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="w" if abs(np.log2(ratio)) > 1.7 else BLACK,
+        )
     axes.set_xticks(range(len(STATES)), STATES.values())
     axes.set_yticks(range(len(measured)), measured)
     axes.grid(visible=False)

@@ -1,18 +1,26 @@
-"""The paper's Figures 1 to 4, whose pictures are not published with its text, drawn from the numbers it gives.
+"""The paper's Figures 1 to 4, whose pictures are not published with its text, drawn from the
+numbers it gives.
 
-Lengths that the paper gives are to scale, in metres; heights and the places of parts, which it does not give, are only
-plausible.
+Lengths that the paper gives are to scale, in metres; heights and the places of parts, which it does
+not give, are only plausible.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.patches import Arc, Ellipse, FancyArrowPatch, FancyBboxPatch, PathPatch, Polygon, Rectangle
+from matplotlib.patches import (
+    Arc,
+    Ellipse,
+    FancyArrowPatch,
+    FancyBboxPatch,
+    PathPatch,
+    Polygon,
+    Rectangle,
+)
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Affine2D
 
 from rhec import paper
-
 from rhec.plots.style import BLACK, BLUE, COLOURS, COLUMN_IN, GREY, VERMILLION, styled
 
 RUBBER, METAL, DECK, PAPER = "#4d4d4d", "#aab2b9", "#dfe5ea", "#f7f7f7"
@@ -23,10 +31,14 @@ MAST_X = 0.05  # ahead of the robot's middle [m]
 BLOCK = np.array([1.2, 0.4])  # a block of Figure 3 [in]
 
 
-# What drawings are made of. Texts and arrow heads are sized in points, all else in the drawing's own unit.
+# What drawings are made of. Texts and arrow heads are sized in points, all else in the drawing's
+# own unit.
+
 
 def _canvas(xlim, ylim):
-    """A column-wide figure that is one frameless drawing with equal scales, as high as its limits ask."""
+    """A column-wide figure that is one frameless drawing with equal scales, as high as its limits
+    ask.
+    """
     height_in = COLUMN_IN * np.ptp(ylim) / np.ptp(xlim)
     figure = plt.figure(figsize=(COLUMN_IN, height_in), layout="none")
     axes = figure.add_axes((0, 0, 1, 1), xlim=xlim, ylim=ylim, aspect="equal")
@@ -38,7 +50,9 @@ def _box(axes, x, y, width, height, corner=0.0, colour=DECK, **look):
     """A rectangle about (x, y) with rounded corners."""
     look = {"facecolor": colour, "edgecolor": BLACK, "linewidth": 0.6} | look
     shape = f"round,pad=0,rounding_size={corner}"
-    axes.add_patch(FancyBboxPatch((x - width / 2, y - height / 2), width, height, boxstyle=shape, **look))
+    axes.add_patch(
+        FancyBboxPatch((x - width / 2, y - height / 2), width, height, boxstyle=shape, **look)
+    )
 
 
 def _oval(axes, x, y, width, height, colour=METAL):
@@ -48,15 +62,25 @@ def _oval(axes, x, y, width, height, colour=METAL):
 def _arrow(axes, *ends, style="-|>", **look):
     """An arrow from a point to a point, or along a Path."""
     where = {"path": ends[0]} if isinstance(ends[0], Path) else {"posA": ends[0], "posB": ends[1]}
-    look = {"color": BLACK, "linewidth": 0.8, "mutation_scale": 6, "shrinkA": 0, "shrinkB": 0} | look
+    look = {
+        "color": BLACK,
+        "linewidth": 0.8,
+        "mutation_scale": 6,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    } | look
     axes.add_patch(FancyArrowPatch(**where, arrowstyle=style, **look))
 
 
 def _beside(axes, text, point, side, **look):
-    """Small text to the right (1, 0) of a point, left (-1, 0), above (0, 1), below (0, -1) or on it (0, 0)."""
+    """Small text to the right (1, 0) of a point, left (-1, 0), above (0, 1), below (0, -1) or on it
+    (0, 0).
+    """
     look |= {"ha": ("center", "left", "right")[side[0]], "va": ("center", "bottom", "top")[side[1]]}
     gap = (2.5 * side[0], 2 * side[1])
-    axes.annotate(text, point, gap, textcoords="offset points", fontsize=SMALL, linespacing=1.05, **look)
+    axes.annotate(
+        text, point, gap, textcoords="offset points", fontsize=SMALL, linespacing=1.05, **look
+    )
 
 
 def _dimension(axes, start, end, text, side=(0, 1)):
@@ -75,10 +99,17 @@ def _leader(axes, text, at, side, part):
 
 # Figure 1
 
+
 def _sorghum(axes, x, height, stem_width):
     """One plant on its row's centre line x: leaves drooping to either side, stem, panicle."""
-    for share, reach, drop in [(0.42, 0.17, 0.08), (0.50, -0.17, 0.06), (0.66, 0.19, 0.03),
-                               (0.74, -0.19, 0.02), (0.90, 0.15, -0.02), (0.97, -0.13, -0.03)]:
+    for share, reach, drop in [
+        (0.42, 0.17, 0.08),
+        (0.50, -0.17, 0.06),
+        (0.66, 0.19, 0.03),
+        (0.74, -0.19, 0.02),
+        (0.90, 0.15, -0.02),
+        (0.97, -0.13, -0.03),
+    ]:
         start, tip = np.array([x, share * height]), np.array([x + reach, share * height - drop])
         bend = (start + tip) / 2 + (0, 0.13)
         outline = [start, bend + (0, 0.03), tip, bend - (0, 0.03), start]
@@ -86,13 +117,18 @@ def _sorghum(axes, x, height, stem_width):
         axes.add_patch(PathPatch(leaf, facecolor=LEAF, edgecolor=STEM, linewidth=0.3))
     axes.add_patch(Rectangle((x - stem_width / 2, 0), stem_width, height, color=STEM, linewidth=0))
     grain = np.arange(90)
-    radius, turn = np.sqrt(grain / grain.size), 2.4 * grain  # near the golden angle, which spreads grains evenly
+    radius, turn = (
+        np.sqrt(grain / grain.size),
+        2.4 * grain,
+    )  # near the golden angle, which spreads grains evenly
     across, up = x + 0.026 * radius * np.cos(turn), height + 0.06 + 0.085 * radius * np.sin(turn)
     axes.scatter(across, up, 5, GRAIN, edgecolors="w", linewidths=0.15)
 
 
 def _rear_view(axes, width, track_width):
-    """The robot from behind, standing on y = 0: tracks, body and deck, the mast with sensors and antenna."""
+    """The robot from behind, standing on y = 0: tracks, body and deck, the mast with sensors and
+    antenna.
+    """
     tread = width - track_width
     for x in (-track_width / 2, track_width / 2):
         _box(axes, x, 0.12, tread, 0.24, 0.02, RUBBER)
@@ -106,17 +142,29 @@ def _rear_view(axes, width, track_width):
 
 
 def _beside_a_row(axes, row, stem_width, gnss_accuracy):
-    """What a row, its centre line at x = `row`, takes from the robot's space: widened in a strip below the drawing."""
+    """What a row, its centre line at x = `row`, takes from the robot's space: widened in a strip
+    below the drawing.
+    """
     stem = row - stem_width / 2
     effective = stem - gnss_accuracy / 2
     left, right = effective - 0.02, row + stem_width / 2
-    axes.add_patch(Polygon([(left, -0.25), (right, -0.25), (0.58, -0.36), (-0.58, -0.36)], color="0.94", linewidth=0))
-    strip = axes.inset_axes((-0.58, -0.49, 1.16, 0.13), transform=axes.transData, xlim=(left, right), ylim=(0, 1))
+    axes.add_patch(
+        Polygon(
+            [(left, -0.25), (right, -0.25), (0.58, -0.36), (-0.58, -0.36)],
+            color="0.94",
+            linewidth=0,
+        )
+    )
+    strip = axes.inset_axes(
+        (-0.58, -0.49, 1.16, 0.13), transform=axes.transData, xlim=(left, right), ylim=(0, 1)
+    )
     strip.set_axis_off()
-    for start, end, colour, text in [(left, effective, COLOURS["tolerance"], "free"),
-                                     (effective, stem, COLOURS["measured"], "half the\nGNSS accuracy"),
-                                     (stem, row, STEM, "half\na stem"),
-                                     (row, right, STEM, "")]:
+    for start, end, colour, text in [
+        (left, effective, COLOURS["tolerance"], "free"),
+        (effective, stem, COLOURS["measured"], "half the\nGNSS accuracy"),
+        (stem, row, STEM, "half\na stem"),
+        (row, right, STEM, ""),
+    ]:
         strip.axvspan(start, end, color=colour, alpha=0.6, linewidth=0)
         _beside(strip, text, ((start + end) / 2, 0), (0, -1))
     strip.axvline(row, color=BLACK, linewidth=0.6, linestyle="-.")
@@ -126,12 +174,18 @@ def _beside_a_row(axes, row, stem_width, gnss_accuracy):
 
 
 @styled
-def robot_in_row(robot_width_m=paper.ROBOT_WIDTH_M, row_spacing_m=paper.ROW_SPACING_M,
-                 stem_width_m=paper.STEM_WIDTH_M, gnss_accuracy_m=paper.GNSS_ACCURACY_M,
-                 track_width_m=paper.TRACK_WIDTH_M):
-    """Figure 1 and Sec. Introduction: the robot between two sorghum rows from behind, and its 0.12 m on either side.
+def robot_in_row(
+    robot_width_m=paper.ROBOT_WIDTH_M,
+    row_spacing_m=paper.ROW_SPACING_M,
+    stem_width_m=paper.STEM_WIDTH_M,
+    gnss_accuracy_m=paper.GNSS_ACCURACY_M,
+    track_width_m=paper.TRACK_WIDTH_M,
+):
+    """Figure 1 and Sec. Introduction: the robot between two sorghum rows from behind, and its 0.12
+    m on either side.
 
-    Widths [m] are to scale. Of a stem's width and of the GNSS accuracy, half counts on either side of the robot.
+    Widths [m] are to scale. Of a stem's width and of the GNSS accuracy, half counts on either side
+    of the robot.
     """
     row, edge = row_spacing_m / 2, robot_width_m / 2
     effective = row_spacing_m - stem_width_m - gnss_accuracy_m
@@ -140,29 +194,53 @@ def robot_in_row(robot_width_m=paper.ROBOT_WIDTH_M, row_spacing_m=paper.ROW_SPAC
 
     axes.add_patch(Rectangle((-0.62, -0.02), 1.24, 0.02, color=SOIL, linewidth=0))
     for side in (-1, 1):
-        axes.fill_between([side * edge, side * effective / 2], 0.31, color=COLOURS["tolerance"], alpha=0.6, linewidth=0)
+        axes.fill_between(
+            [side * edge, side * effective / 2],
+            0.31,
+            color=COLOURS["tolerance"],
+            alpha=0.6,
+            linewidth=0,
+        )
         _sorghum(axes, side * row, 0.55, stem_width_m)
         _dimension(axes, (side * edge, -0.08), (side * effective / 2, -0.08), f"{tolerance:.2f} m")
     _rear_view(axes, robot_width_m, track_width_m)
 
-    for y, half, text in [(-0.08, edge, f"robot {robot_width_m:.2f} m"),
-                          (-0.16, effective / 2, f"effective row spacing {effective:.2f} m"),
-                          (-0.24, row, f"row spacing {row_spacing_m:.2f} m, centre to centre")]:
+    for y, half, text in [
+        (-0.08, edge, f"robot {robot_width_m:.2f} m"),
+        (-0.16, effective / 2, f"effective row spacing {effective:.2f} m"),
+        (-0.24, row, f"row spacing {row_spacing_m:.2f} m, centre to centre"),
+    ]:
         axes.vlines([-half, half], y - 0.01, -0.02, color=GREY, linewidth=0.4)
         _dimension(axes, (-half, y), (half, y), text)
     _beside_a_row(axes, row, stem_width_m, gnss_accuracy_m)
     taken = f"{row_spacing_m:.2f}-{stem_width_m:.2f}-{gnss_accuracy_m:.2f}-{robot_width_m:.2f}"
-    axes.text(0, -0.64, rf"$({taken})\,/\,2={tolerance:.2f}$ m on either side", ha="center", va="center")
+    axes.text(
+        0, -0.64, rf"$({taken})\,/\,2={tolerance:.2f}$ m on either side", ha="center", va="center"
+    )
     return figure
 
 
 # Figure 2
 
+
 def _side_view(axes, length):
-    """The robot from its right, standing on y = 0 and heading right: deck, track, mast, sensors, antenna."""
+    """The robot from its right, standing on y = 0 and heading right: deck, track, mast, sensors,
+    antenna.
+    """
     _box(axes, 0, 0.235, length - 0.12, 0.15, 0.02)
     _box(axes, 0, 0.12, length, 0.24, 0.12, RUBBER)
-    _box(axes, 0, 0.12, length - 0.024, 0.216, 0.108, "none", edgecolor=METAL, linewidth=1, linestyle=(0, (0.6, 1.6)))
+    _box(
+        axes,
+        0,
+        0.12,
+        length - 0.024,
+        0.216,
+        0.108,
+        "none",
+        edgecolor=METAL,
+        linewidth=1,
+        linestyle=(0, (0.6, 1.6)),
+    )
     _box(axes, 0, 0.12, length - 0.06, 0.18, 0.09)
     for x in (0.12 - length / 2, length / 2 - 0.12):
         _oval(axes, x, 0.12, 0.156, 0.156)
@@ -193,10 +271,16 @@ def _top_view(axes, y, length, width, track_width):
 
 
 @styled
-def robot_parts(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LENGTH_M,
-                robot_mass_kg=paper.ROBOT_MASS_KG, track_width_m=paper.TRACK_WIDTH_M,
-                gnss_accuracy_m=paper.GNSS_ACCURACY_M, gnss_rate_hz=paper.GNSS_RATE_HZ,
-                encoder_accuracy_mps=paper.ENCODER_ACCURACY_MPS, speed_loop_rate_hz=paper.SPEED_LOOP_RATE_HZ):
+def robot_parts(
+    robot_width_m=paper.ROBOT_WIDTH_M,
+    robot_length_m=paper.ROBOT_LENGTH_M,
+    robot_mass_kg=paper.ROBOT_MASS_KG,
+    track_width_m=paper.TRACK_WIDTH_M,
+    gnss_accuracy_m=paper.GNSS_ACCURACY_M,
+    gnss_rate_hz=paper.GNSS_RATE_HZ,
+    encoder_accuracy_mps=paper.ENCODER_ACCURACY_MPS,
+    speed_loop_rate_hz=paper.SPEED_LOOP_RATE_HZ,
+):
     """Figure 2 and Sec. System Description: the robot and its parts, from the side and from above.
 
     Length and width [m] are to scale; heights, and the parts' sizes and places, are only plausible.
@@ -210,7 +294,12 @@ def robot_parts(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LE
     right, left, up, down = (1, 0), (-1, 0), (0, 1), (0, -1)
     above, below = y + half + 0.05, y - half - 0.05
     for text, at, side, part in [
-        (f"RTK GNSS antenna,\n{gnss_accuracy_m:.2f} m at {gnss_rate_hz:.0f} Hz", (0.23, 0.69), right, (0.09, 0.69)),
+        (
+            f"RTK GNSS antenna,\n{gnss_accuracy_m:.2f} m at {gnss_rate_hz:.0f} Hz",
+            (0.23, 0.69),
+            right,
+            (0.09, 0.69),
+        ),
         ("plant imaging\nsensors", (0.23, 0.48), right, (0.11, 0.48)),
         ("mast, set to the\ncanopy’s height", (-0.15, 0.56), left, (MAST_X, 0.56)),
         ("deck", (-0.46, 0.39), up, (-0.36, 0.28)),
@@ -218,7 +307,12 @@ def robot_parts(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LE
         ("Sabertooth\nmotor driver", (-0.15, above), up, (-0.225, y + 0.08)),
         ("LiPo batteries,\n12 V, 40 Ah each", (0.34, above), up, (0.28, y + 0.09)),
         (f"encoders,\n{encoder_accuracy_mps:.3f} m/s", (-0.53, below), down, (-0.37, y - 0.037)),
-        (f"Kangaroo x2, two\nPID loops, {speed_loop_rate_hz:.0f} Hz", (-0.20, below), down, (-0.23, y - 0.07)),
+        (
+            f"Kangaroo x2, two\nPID loops, {speed_loop_rate_hz:.0f} Hz",
+            (-0.20, below),
+            down,
+            (-0.23, y - 0.07),
+        ),
         ("on-board computer,\nRaspberry Pi 3", (0.17, below), down, (-0.08, y - 0.06)),
         ("tracks", (0.50, below), down, (0.45, y - track_width_m / 2)),
     ]:
@@ -227,7 +321,13 @@ def robot_parts(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LE
     _beside(axes, f"mass {robot_mass_kg:.0f} kg", (-0.70, 0.69), right)
     _arrow(axes, (0.55, 0.12), (0.69, 0.12))
     _beside(axes, "forward", (0.62, 0.13), up)
-    _dimension(axes, (-robot_length_m / 2, -0.05), (robot_length_m / 2, -0.05), f"{robot_length_m:.2f} m", down)
+    _dimension(
+        axes,
+        (-robot_length_m / 2, -0.05),
+        (robot_length_m / 2, -0.05),
+        f"{robot_length_m:.2f} m",
+        down,
+    )
     _dimension(axes, (-0.56, y - half), (-0.56, y + half), f"{robot_width_m:.2f} m", left)
     tracks = y - track_width_m / 2, y + track_width_m / 2
     _dimension(axes, (0.56, tracks[0]), (0.56, tracks[1]), f"$b=$\n{track_width_m:.2f} m", right)
@@ -235,6 +335,7 @@ def robot_parts(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LE
 
 
 # Figure 3
+
 
 def _link(axes, start, end, text):
     """A signal from a block to the next, by their middles, one above or beside the other."""
@@ -246,7 +347,9 @@ def _link(axes, start, end, text):
 
 @styled
 def hardware_blocks(gnss_rate_hz=paper.GNSS_RATE_HZ, speed_loop_rate_hz=paper.SPEED_LOOP_RATE_HZ):
-    """Figure 3 and Sec. System Description: from the sensors through RHE and RHC to the tracks; rates in Hz."""
+    """Figure 3 and Sec. System Description: from the sensors through RHE and RHC to the tracks;
+    rates in Hz.
+    """
     figure, axes = _canvas((0, COLUMN_IN), (0, 3.8))
     left, right = 0.80, 2.60
     _box(axes, 1.7, 2.60, 3.28, 0.68, 0.06, "0.96", edgecolor=GREY, linestyle="--")
@@ -283,7 +386,11 @@ def hardware_blocks(gnss_rate_hz=paper.GNSS_RATE_HZ, speed_loop_rate_hz=paper.SP
     ]:
         _link(axes, at[start], at[end], text)
 
-    for y, colour, text in [(0.45, SENSOR, "measures"), (0.28, COMPUTER, "computes"), (0.11, DRIVE, "drives")]:
+    for y, colour, text in [
+        (0.45, SENSOR, "measures"),
+        (0.28, COMPUTER, "computes"),
+        (0.11, DRIVE, "drives"),
+    ]:
         _box(axes, right - 0.2, y, 0.16, 0.09, 0.02, colour)
         _beside(axes, text, (right - 0.1, y), (1, 0))
     return figure
@@ -291,12 +398,18 @@ def hardware_blocks(gnss_rate_hz=paper.GNSS_RATE_HZ, speed_loop_rate_hz=paper.SP
 
 # Figure 4
 
-@styled
-def schematic(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LENGTH_M,
-              track_width_m=paper.TRACK_WIDTH_M):
-    """Figure 4 and Sec. System Model: the robot's pose, its velocities without slip and with, and eq. (2).
 
-    The robot is to scale [m], the velocities [m/s, rad/s] are those of a hard turn with μ = 0.75 and κ = 0.65.
+@styled
+def schematic(
+    robot_width_m=paper.ROBOT_WIDTH_M,
+    robot_length_m=paper.ROBOT_LENGTH_M,
+    track_width_m=paper.TRACK_WIDTH_M,
+):
+    """Figure 4 and Sec. System Model: the robot's pose, its velocities without slip and with, and
+    eq. (2).
+
+    The robot is to scale [m], the velocities [m/s, rad/s] are those of a hard turn with μ = 0.75
+    and κ = 0.65.
     """
     x, y, theta, mu, kappa = 0.86, 0.80, np.radians(35), 0.75, 0.65
     nu, nu_l, nu_r = 0.92, 0.78, 1.06
@@ -307,7 +420,9 @@ def schematic(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LENG
 
     def place(along, across):
         """A point given in the robot's frame."""
-        return x + along * np.cos(theta) - across * np.sin(theta), y + along * np.sin(theta) + across * np.cos(theta)
+        return x + along * np.cos(theta) - across * np.sin(theta), y + along * np.sin(
+            theta
+        ) + across * np.cos(theta)
 
     def around(radius, angle):
         """A point, or one for each angle [rad], on a circle about the robot's middle."""
@@ -316,7 +431,10 @@ def schematic(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LENG
     def write(text, at, **look):
         axes.text(*at, text, **{"ha": "center", "va": "center"} | look)
 
-    for tip, foot, name, below in [((1.80, 0), (x, 0), "$x$", (x, -0.10)), ((0, 1.72), (0, y), "$y$", (-0.10, y))]:
+    for tip, foot, name, below in [
+        ((1.80, 0), (x, 0), "$x$", (x, -0.10)),
+        ((0, 1.72), (0, y), "$y$", (-0.10, y)),
+    ]:
         _arrow(axes, (0, 0), tip)
         axes.plot(*zip((x, y), foot, strict=True), **thin)
         write(name, below)
@@ -345,12 +463,19 @@ def schematic(robot_width_m=paper.ROBOT_WIDTH_M, robot_length_m=paper.ROBOT_LENG
     write(r"$\kappa\omega$", around(0.40, turn[24]), color=VERMILLION)
     axes.plot(x, y, "o", markersize=3, color=BLACK)
 
-    for height, equation in [(1.60, r"$\dot{x}=\mu\nu\,\cos\theta$"), (1.40, r"$\dot{y}=\mu\nu\,\sin\theta$"),
-                             (1.20, r"$\dot{\theta}=\kappa\omega$"), (0.85, r"$\nu=(\nu_l+\nu_r)/2$"),
-                             (0.65, r"$\omega=(\nu_r-\nu_l)/b$")]:
+    for height, equation in [
+        (1.60, r"$\dot{x}=\mu\nu\,\cos\theta$"),
+        (1.40, r"$\dot{y}=\mu\nu\,\sin\theta$"),
+        (1.20, r"$\dot{\theta}=\kappa\omega$"),
+        (0.85, r"$\nu=(\nu_l+\nu_r)/2$"),
+        (0.65, r"$\omega=(\nu_r-\nu_l)/b$"),
+    ]:
         write(equation, (2.14, height), ha="left", fontsize=9)
     write("(2)", (2.94, 1.40), ha="right")
-    for height, note, colour in [(0.34, "dashed: no slip", GREY), (0.18, r"longitudinal slip $1-\mu$", BLUE),
-                                 (0.02, r"side slip $1-\kappa$", VERMILLION)]:
+    for height, note, colour in [
+        (0.34, "dashed: no slip", GREY),
+        (0.18, r"longitudinal slip $1-\mu$", BLUE),
+        (0.02, r"side slip $1-\kappa$", VERMILLION),
+    ]:
         write(note, (2.14, height), ha="left", fontsize=SMALL, color=colour)
     return figure

@@ -1,7 +1,8 @@
 """One look for every figure and table, and the file that says where it came from.
 
-A figure function takes data, returns a matplotlib Figure and is decorated with `styled`; `save` and `save_table` write
-files that carry the version, a digest of the source, the scenario and the notebook that made them.
+A figure function takes data, returns a matplotlib Figure and is decorated with `styled`; `save` and
+`save_table` write files that carry the version, a digest of the source, the scenario and the
+notebook that made them.
 """
 
 import dataclasses
@@ -20,7 +21,8 @@ FOLDER = ROOT / "figures"
 
 COLUMN_IN, DOUBLE_IN = 3.4, 6.5  # widths of the paper's figures [in]
 
-# Okabe and Ito's palette, told apart by colour-blind readers: one colour a role, the same in every figure.
+# Okabe and Ito's palette, told apart by colour-blind readers: one colour a role, the same in every
+# figure.
 BLACK, GREY = "#000000", "#7f7f7f"
 ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -69,11 +71,14 @@ RC = {
 
 
 def styled(draw):
-    """Decorator: `draw` runs in the style and its Figure is handed over, whatever the caller's own rcParams."""
+    """Decorator: `draw` runs in the style and its Figure is handed over, whatever the caller's own
+    rcParams.
+    """
 
     @functools.wraps(draw)
     def drawn(*args, **kwargs):
-        plt.draw_if_interactive()  # a notebook's backend sets rcParams when first used: not inside the context
+        # a notebook's backend sets rcParams when first used: not inside the context
+        plt.draw_if_interactive()
         with mpl.rc_context(RC):
             figure = draw(*args, **kwargs)
             figure.draw_without_rendering()  # ticks take their style when first drawn
@@ -84,9 +89,15 @@ def styled(draw):
 
 
 def source(root=ROOT):
-    """Digest of what figures are made of. Not the commit's name: making them again in a fresh clone would then change them."""
-    files = sorted([*root.glob("rhec/**/*.py"), *root.glob("data/*"), *root.glob("notebooks/*.ipynb")])
-    return hashlib.sha256(b"".join(file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)).hexdigest()[:12]
+    """Digest of what figures are made of. Not the commit's name: making them again in a fresh clone
+    would then change them.
+    """
+    files = sorted(
+        [*root.glob("rhec/**/*.py"), *root.glob("data/*"), *root.glob("notebooks/*.ipynb")]
+    )
+    return hashlib.sha256(
+        b"".join(file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)
+    ).hexdigest()[:12]
 
 
 def describe(scenario):
@@ -101,7 +112,9 @@ def describe(scenario):
 
 
 def provenance(name, scenario, notebook):
-    """What a file says of its making, under keys that a PDF allows; the scenario, with its seed, is the Keywords."""
+    """What a file says of its making, under keys that a PDF allows; the scenario, with its seed, is
+    the Keywords.
+    """
     about = {
         "Title": name,
         "Creator": f"rhec {__version__} (source {source()})",
@@ -112,10 +125,13 @@ def provenance(name, scenario, notebook):
 
 
 def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
-    """Write `figure` to folder/name.png and .pdf, byte for byte the same if made again; return the PNG's path."""
+    """Write `figure` to folder/name.png and .pdf, byte for byte the same if made again; return the
+    PNG's path.
+    """
     png = _in(folder, f"{name}.png")
     about = provenance(name, scenario, notebook)
-    # savefig leaves a figure that has no layout with the default one, so that default must be none here
+    # savefig leaves a figure that has no layout with the default one, so that default must be none
+    # here
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
         figure.savefig(png, metadata=about)
         figure.savefig(png.with_name(f"{name}.pdf"), metadata=about | {"CreationDate": None})
@@ -123,13 +139,18 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
 
 
 def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=None):
-    """Write the columns of `dataframe`, not its index, to folder/name.csv in full and to name.tex in four digits.
+    """Write the columns of `dataframe`, not its index, to folder/name.csv in full and to name.tex
+    in four digits.
 
     The caption is LaTeX, the table needs the package booktabs. Returns the CSV's path.
     """
     csv = _in(folder, f"{name}.csv")
-    about = "".join(f"% {key}: {value}\n" for key, value in provenance(name, scenario, notebook).items())
-    table = dataframe.to_latex(index=False, escape=True, float_format="%.4g", caption=caption, label=f"tab:{name}")
+    about = "".join(
+        f"% {key}: {value}\n" for key, value in provenance(name, scenario, notebook).items()
+    )
+    table = dataframe.to_latex(
+        index=False, escape=True, float_format="%.4g", caption=caption, label=f"tab:{name}"
+    )
     dataframe.to_csv(csv, index=False)
     csv.with_name(f"{name}.tex").write_text(about + table, encoding="utf-8")
     return csv

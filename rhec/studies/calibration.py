@@ -1,10 +1,14 @@
-"""Process noise from training seeds, never from the paper's results: by likelihood (the calibrated reading, R1, R2), and by tracking.
+"""Process noise from training seeds, never from the paper's results: by likelihood (the calibrated
+reading, R1, R2), and by tracking.
 
-By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop, so that the data do not depend on any estimator.
-2. Run an estimator over the recorded measurements; its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the
-standard deviations behind W that minimise the deviance summed over all training runs (Powell's method on their logarithms, position x and y
-sharing one), between LEAST and MOST. By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true error
-(Nelder and Mead's method): not an estimator's best guess of the truth, but the one that this controller drives best by. Seeds below 1000 are never used.
+By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
+so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
+its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
+deviations behind W that minimise the deviance summed over all training runs (Powell's method on
+their logarithms, position x and y sharing one), between LEAST and MOST. By tracking. The robot
+drives the training seeds by the estimator, and W minimises the mean true error (Nelder and Mead's
+method): not an estimator's best guess of the truth, but the one that this controller drives best
+by. Seeds below 1000 are never used.
 
     python -m rhec.studies.calibration    repeats all of it (minutes)
 """
@@ -13,24 +17,36 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from rhec._casadi import compiled
+from rhec._casadi import compiled, scan
 from rhec.estimator import base as estimators
-from rhec._casadi import scan
-from rhec.simulation import LOG, simulate
 from rhec.scenario import Scenario
+from rhec.simulation import LOG, simulate
 
 TRAINING_SEEDS = range(1000, 1010)
 TRACKING_SEEDS = range(1000, 1024)
-LEAST, MOST = 1e-3, 10.0          # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
-UNKNOWNS = {"rhe": 5, "ekf": 3, "augmented_ekf": 5, "fixed_traction": 3, "traction_oracle": 3}   # x and y, θ, ν[, μ, κ]
-# What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest is LEAST.
+LEAST, MOST = (
+    1e-3,
+    10.0,
+)  # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
+UNKNOWNS = {
+    "rhe": 5,
+    "ekf": 3,
+    "augmented_ekf": 5,
+    "fixed_traction": 3,
+    "traction_oracle": 3,
+}  # x and y, θ, ν[, μ, κ]
+# What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest
+# is LEAST.
 TRACKING = {
     "rhe": (dict(horizon_rhe=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01}),
     "ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "augmented_ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01, (4,): 0.01, (5,): 0.01}),
     "fixed_traction": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "traction_oracle": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
-    "dual": (dict(horizon_rhe=10), {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01}),
+    "dual": (
+        dict(horizon_rhe=10),
+        {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01},
+    ),
 }
 
 
@@ -46,30 +62,59 @@ SIGMA_W_TRACKING = {
 
 def recorded(seeds, duration_s=240.0):
     """Runs of the default scenario with the true state in the loop."""
-    return [simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds]
+    return [
+        simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds
+    ]
 
 
 def functions(outputs, *structure):
-    """An estimator's step over a stream of z and the traction that it is told, with these of its outputs as the row, ready to be folded."""
+    """An estimator's step over a stream of z and the traction that it is told, with these of its
+    outputs as the row, ready to be folded.
+    """
     step = estimators.step(*structure)
-    memory, stream, V, W = (ca.MX.sym(name, step.size1_in(name) if name in step.name_in() else 6) for name in ("memory", "stream", "V", "W"))
+    memory, stream, V, W = (
+        ca.MX.sym(name, step.size1_in(name) if name in step.name_in() else 6)
+        for name in ("memory", "stream", "V", "W")
+    )
     given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W, traction=stream[4:])
     result = step(**{name: given[name] for name in step.name_in()})
-    return scan.functions(ca.Function("recorded", [memory, stream, V, W], [result["memory"], ca.veccat(*(result[name] for name in outputs))],
-                                      ["memory", "stream", "V", "W"], ["memory", "row"], {"allow_duplicate_io_names": True}))
+    return scan.functions(
+        ca.Function(
+            "recorded",
+            [memory, stream, V, W],
+            [result["memory"], ca.veccat(*(result[name] for name in outputs))],
+            ["memory", "stream", "V", "W"],
+            ["memory", "row"],
+            {"allow_duplicate_io_names": True},
+        )
+    )
 
 
 def told(estimator, run):
     """Traction (n, 2) that the estimator is told along a run."""
     if estimator == "fixed_traction":
         return np.tile(run.terrain.mean, (len(run.log), 1))
-    return run.log[["mu", "kappa"]].to_numpy() if estimator == "traction_oracle" else np.ones((len(run.log), 2))
+    return (
+        run.log[["mu", "kappa"]].to_numpy()
+        if estimator == "traction_oracle"
+        else np.ones((len(run.log), 2))
+    )
 
 
 def prepared(scenario, run, *outputs):
-    """What to fold for these outputs of the scenario's estimator on the recorded measurements of a run; it starts where the robot is."""
-    steps = compiled.load(functions, outputs, estimators.identity(scenario.estimator), scenario.horizon_rhe, scenario.speed_model,
-                          scenario.arrival_mean, scenario.qp, scenario.robust)
+    """What to fold for these outputs of the scenario's estimator on the recorded measurements of a
+    run; it starts where the robot is.
+    """
+    steps = compiled.load(
+        functions,
+        outputs,
+        estimators.identity(scenario.estimator),
+        scenario.horizon_rhe,
+        scenario.speed_model,
+        scenario.arrival_mean,
+        scenario.qp,
+        scenario.robust,
+    )
     x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
     memory = estimators.first_memory(scenario, (x, y, theta, run.scenario.speed_mps, 1.0, 1.0))
     stream = np.hstack([run.log[[*LOG["z"]]], told(scenario.estimator, run)])
@@ -82,7 +127,9 @@ def estimated(scenario, run, *outputs):
 
 
 def deviance(estimator, sigma_w, runs, **fields):
-    """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w; fields of Scenario: how else the estimator is set."""
+    """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w;
+    fields of Scenario: how else the estimator is set.
+    """
     scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
     return sum(estimated(scenario, run, "deviance").sum() for run in runs)
 
@@ -98,16 +145,25 @@ def rounded(sigma):
 
 
 def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
-    """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard deviations, to two digits, and the deviance."""
+    """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard
+    deviations, to two digits, and the deviance.
+    """
     runs = recorded(seeds)
     unknowns = UNKNOWNS[estimator]
-    result = minimize(lambda logarithms: deviance(estimator, sigma_from(logarithms), runs, **fields), np.full(unknowns, np.log(0.03)), method="Powell",
-                      bounds=[np.log((LEAST, MOST))] * unknowns, options=dict(xtol=0.01, ftol=1e-6))
+    result = minimize(
+        lambda logarithms: deviance(estimator, sigma_from(logarithms), runs, **fields),
+        np.full(unknowns, np.log(0.03)),
+        method="Powell",
+        bounds=[np.log((LEAST, MOST))] * unknowns,
+        options=dict(xtol=0.01, ftol=1e-6),
+    )
     return rounded(sigma_from(result.x)), result.fun
 
 
 def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
-    """Process noise of an estimator in TRACKING by least mean true error on these seeds: standard deviations, to two digits, and the error [m]."""
+    """Process noise of an estimator in TRACKING by least mean true error on these seeds: standard
+    deviations, to two digits, and the error [m].
+    """
     fields, unknowns = TRACKING[estimator]
 
     def sigma_w(logarithms):
@@ -118,9 +174,16 @@ def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
 
     def error_m(logarithms):
         given = dict(estimator=estimator, sigma_w=tuple(sigma_w(logarithms)), **fields)
-        return np.mean([simulate(Scenario(seed=seed, **given)).metrics["mean_error_true_m"] for seed in seeds])
+        return np.mean(
+            [simulate(Scenario(seed=seed, **given)).metrics["mean_error_true_m"] for seed in seeds]
+        )
 
-    result = minimize(error_m, np.log([*unknowns.values()]), method="Nelder-Mead", options=dict(maxfev=evaluations, adaptive=True))
+    result = minimize(
+        error_m,
+        np.log([*unknowns.values()]),
+        method="Nelder-Mead",
+        options=dict(maxfev=evaluations, adaptive=True),
+    )
     return rounded(sigma_w(result.x)), result.fun
 
 

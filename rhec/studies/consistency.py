@@ -1,11 +1,13 @@
-"""Is an estimator as sure as it may be? NEES and NIS (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, ch. 5.4).
+"""Is an estimator as sure as it may be? NEES and NIS (Bar-Shalom, Li, Kirubarajan, "Estimation with
+Applications to Tracking and Navigation", 2001, ch. 5.4).
 
-An estimator is consistent if its errors are as large as its covariance says. Then the normalised estimation error squared ε = e'P⁻¹e of n_x states
-follows χ² with n_x degrees of freedom, the normalised innovation squared y'S⁻¹y of n_z readings χ² with n_z; their sums over m independent runs,
-χ² with m times as many. Above its bounds the estimator is overconfident, below too cautious.
+An estimator is consistent if its errors are as large as its covariance says. Then the normalised
+estimation error squared ε = e'P⁻¹e of n_x states follows χ² with n_x degrees of freedom, the
+normalised innovation squared y'S⁻¹y of n_z readings χ² with n_z; their sums over m independent
+runs, χ² with m times as many. Above its bounds the estimator is overconfident, below too cautious.
 
-All estimators see the same recorded measurements, of robots driven with the true state in the loop. The covariance of the RHE leaves the bounds on
-(μ, κ) aside.
+All estimators see the same recorded measurements, of robots driven with the true state in the loop.
+The covariance of the RHE leaves the bounds on (μ, κ) aside.
 """
 
 from typing import NamedTuple
@@ -13,14 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from rhec.studies import calibration
-from rhec.simulation import LOG
 from rhec.estimator.ekf import MEASURED
+from rhec.simulation import LOG
+from rhec.studies import calibration
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
-# Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe", arrival_mean="filtered")`.
+# Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe",
+# arrival_mean="filtered")`.
 SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
-ESTIMATORS = {   # fields of Scenario; all W that are not printed are by likelihood
+ESTIMATORS = {  # fields of Scenario; all W that are not printed are by likelihood
     "EKF, printed": dict(estimator="ekf", reading="printed"),
     "EKF, calibrated": dict(estimator="ekf", reading="calibrated"),
     "RHE, printed": dict(reading="printed"),
@@ -30,34 +33,57 @@ ESTIMATORS = {   # fields of Scenario; all W that are not printed are by likelih
     "augmented EKF, calibrated": dict(estimator="augmented_ekf", reading="calibrated"),
     "traction oracle": dict(estimator="traction_oracle"),
 }
-FROM_S = 20.0   # means over time count from here: before, the first guess, which is exact, still counts
+FROM_S = (
+    20.0  # means over time count from here: before, the first guess, which is exact, still counts
+)
 
 
 class Consistency(NamedTuple):
     """Of m runs with n samples each."""
 
-    t_s: np.ndarray            # (n,)
-    errors: np.ndarray         # (m, n, n_x) estimate less truth over its own standard deviation
-    nees: np.ndarray           # (m, n)
-    nis_position: np.ndarray   # (m, n), of the readings of x and y
-    nis_speed: np.ndarray      # (m, n), of the reading of ν
+    t_s: np.ndarray  # (n,)
+    errors: np.ndarray  # (m, n, n_x) estimate less truth over its own standard deviation
+    nees: np.ndarray  # (m, n)
+    nis_position: np.ndarray  # (m, n), of the readings of x and y
+    nis_speed: np.ndarray  # (m, n), of the reading of ν
 
     @property
     def states(self):
         """Names of the estimated states."""
-        return STATES[:self.errors.shape[2]]
+        return STATES[: self.errors.shape[2]]
 
 
 def measure(scenario, runs):
-    """The Consistency of a scenario's estimator, "rhe" with speed_model "parameter" or any of the EKFs, on the measurements of `runs`."""
-    results, places, V = [], [place for place, _ in MEASURED], np.square(scenario.sigma_v)[[row for _, row in MEASURED]]
+    """The Consistency of a scenario's estimator, "rhe" with speed_model "parameter" or any of the
+    EKFs, on the measurements of `runs`.
+    """
+    results, places, V = (
+        [],
+        [place for place, _ in MEASURED],
+        np.square(scenario.sigma_v)[[row for _, row in MEASURED]],
+    )
     for run in runs:
-        estimate, covariance = np.split(calibration.estimated(scenario, run, "estimate", "covariance"), [6], axis=1)
+        estimate, covariance = np.split(
+            calibration.estimated(scenario, run, "estimate", "covariance"), [6], axis=1
+        )
         n_x = round(np.sqrt(covariance.shape[1]))
-        error, P = estimate[:, :n_x] - run.log[[*LOG["truth"][:n_x]]].to_numpy(), covariance.reshape(-1, n_x, n_x)
-        y, S = innovations(run.log[[*LOG["z"][:3]]].to_numpy() - estimate[:, places], P[:, places][:, :, places], np.diag(V))
-        results.append((error / np.sqrt(np.diagonal(P, axis1=1, axis2=2)), normalised_squared(error, P),
-                        normalised_squared(y[:, :2], S[:, :2, :2]), normalised_squared(y[:, 2:], S[:, 2:, 2:])))
+        error, P = (
+            estimate[:, :n_x] - run.log[[*LOG["truth"][:n_x]]].to_numpy(),
+            covariance.reshape(-1, n_x, n_x),
+        )
+        y, S = innovations(
+            run.log[[*LOG["z"][:3]]].to_numpy() - estimate[:, places],
+            P[:, places][:, :, places],
+            np.diag(V),
+        )
+        results.append(
+            (
+                error / np.sqrt(np.diagonal(P, axis1=1, axis2=2)),
+                normalised_squared(error, P),
+                normalised_squared(y[:, :2], S[:, :2, :2]),
+                normalised_squared(y[:, 2:], S[:, 2:, 2:]),
+            )
+        )
     return Consistency(run.log["t_s"].to_numpy(), *(np.array(each) for each in zip(*results)))
 
 
@@ -67,7 +93,8 @@ def normalised_squared(e, P):
 
 
 def innovations(residuals, HPH, R):
-    """Innovations y (n, n_z) and their covariances S (n, n_z, n_z) from what is left of them after the update: residuals z - H ξ̂, and H P H'.
+    """Innovations y (n, n_z) and their covariances S (n, n_z, n_z) from what is left of them after
+    the update: residuals z - H ξ̂, and H P H'.
 
     For an update with readings of covariance R, z - H ξ̂ = R S⁻¹ y and R - H P H' = R S⁻¹ R.
     """
@@ -76,7 +103,9 @@ def innovations(residuals, HPH, R):
 
 
 def bounds(runs, degrees, level=0.95):
-    """Where the mean over so many runs of a χ² variable with so many degrees of freedom, divided by these, lies with this probability."""
+    """Where the mean over so many runs of a χ² variable with so many degrees of freedom, divided by
+    these, lies with this probability.
+    """
     return chi2.ppf([(1 - level) / 2, (1 + level) / 2], runs * degrees) / (runs * degrees)
 
 

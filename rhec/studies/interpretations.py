@@ -1,56 +1,83 @@
-"""The readings audit: what each reading of the paper does to the estimators, by analysis and by simulation.
+"""The readings audit: what each reading of the paper does to the estimators, by analysis and by
+simulation.
 
-Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ, and GNSS measures y. The steady state of their
-Riccati recursion (SciPy's `solve_discrete_are`) obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x², the yaw gain falls as 1/σ_x.
+Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
+and GNSS measures y. The steady state of their Riccati recursion (SciPy's `solve_discrete_are`)
+obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x², the yaw gain falls as 1/σ_x.
 """
 
 import numpy as np
 import pandas as pd
 from scipy import linalg
 
-from rhec.studies import calibration
-from rhec.estimator import ekf
 from rhec import paper
-from rhec.estimator import rhe
 from rhec.campaigns.campaign import campaign
-from rhec.studies import statistics
-from rhec.studies.claims.run_sets import complete
-from rhec.simulation import rms, simulate
+from rhec.estimator import ekf, rhe
 from rhec.estimator.rhe import RHE
 from rhec.scenario import Scenario
+from rhec.simulation import rms, simulate
+from rhec.studies import calibration, statistics
+from rhec.studies.claims.run_sets import complete
 
 SIGMA_W = {"ekf": ekf.SIGMA_W, "rhe": rhe.SIGMA_W}
 
 
 # Analysis
 
+
 def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
-    """The steady EKF on a straight for each process noise sigma_x_m of the position: a DataFrame of its gains on position [-] and yaw [rad/m], its
-    yaw's standard deviation [rad], and the time [s] in which it corrects a yaw error to 1/e."""
-    A, H, V = np.array([[1, paper.DT_S * pace_mps], [0, 1]]), np.array([[1.0, 0.0]]), np.array([[paper.SIGMA_V[0] ** 2]])
+    """The steady EKF on a straight for each process noise sigma_x_m of the position: a DataFrame of
+    its gains on position [-] and yaw [rad/m], its yaw's standard deviation [rad], and the time [s]
+    in which it corrects a yaw error to 1/e.
+    """
+    A, H, V = (
+        np.array([[1, paper.DT_S * pace_mps], [0, 1]]),
+        np.array([[1.0, 0.0]]),
+        np.array([[paper.SIGMA_V[0] ** 2]]),
+    )
     rows = []
     for sigma_x in sigma_x_m:
-        predicted = linalg.solve_discrete_are(A.T, H.T, np.diag([sigma_x**2, sigma_theta_rad**2]), V)
+        predicted = linalg.solve_discrete_are(
+            A.T, H.T, np.diag([sigma_x**2, sigma_theta_rad**2]), V
+        )
         K = predicted @ H.T / (H @ predicted @ H.T + V)
         corrected = (np.eye(2) - K @ H) @ predicted
         slowest = np.abs(np.linalg.eigvals((np.eye(2) - K @ H) @ A)).max()
-        rows.append(dict(sigma_x_m=sigma_x, gain_position=K[0, 0], gain_yaw_radpm=K[1, 0], sigma_yaw_rad=np.sqrt(corrected[1, 1]),
-                         time_s=-paper.DT_S / np.log(slowest)))
+        rows.append(
+            dict(
+                sigma_x_m=sigma_x,
+                gain_position=K[0, 0],
+                gain_yaw_radpm=K[1, 0],
+                sigma_yaw_rad=np.sqrt(corrected[1, 1]),
+                time_s=-paper.DT_S / np.log(slowest),
+            )
+        )
     return pd.DataFrame(rows)
 
 
 def rhe_sigma_kappa(sigma_kappa, omega_radps, reading, samples=300):
-    """The RHE's own standard deviation of κ, bounds left aside, after `samples` perfect measurements on a circle (or, at ω = 0, on a straight), for
-    each process noise sigma_kappa of κ a sample; the rest of W as in the reading."""
+    """The RHE's own standard deviation of κ, bounds left aside, after `samples` perfect
+    measurements on a circle (or, at ω = 0, on a straight), for each process noise sigma_kappa of κ
+    a sample; the rest of W as in the reading.
+    """
     nu, mu, kappa = paper.SPEED_MPS, 0.9, 0.8
     turned = paper.DT_S * kappa * omega_radps * np.arange(samples)
     chord = paper.DT_S * mu * nu * np.sinc(paper.DT_S * kappa * omega_radps / 2 / np.pi)
     heading = turned + paper.DT_S * kappa * omega_radps / 2
-    z = np.column_stack([np.cumsum(np.r_[0, chord * np.cos(heading[:-1])]), np.cumsum(np.r_[0, chord * np.sin(heading[:-1])]),
-                         np.full(samples, nu), np.full(samples, omega_radps)])
+    z = np.column_stack(
+        [
+            np.cumsum(np.r_[0, chord * np.cos(heading[:-1])]),
+            np.cumsum(np.r_[0, chord * np.sin(heading[:-1])]),
+            np.full(samples, nu),
+            np.full(samples, omega_radps),
+        ]
+    )
     found = []
     for sigma in sigma_kappa:
-        estimator = RHE(sigma_w=(*SIGMA_W["rhe"][reading][:5], float(sigma)), guess=(0.0, 0.0, 0.0, nu, mu, kappa))
+        estimator = RHE(
+            sigma_w=(*SIGMA_W["rhe"][reading][:5], float(sigma)),
+            guess=(0.0, 0.0, 0.0, nu, mu, kappa),
+        )
         for reading_k in z:
             estimator.prepare()
             estimate = estimator.feedback(reading_k)
@@ -65,10 +92,13 @@ def entries(place):
 
 # Simulation
 
-def swept(estimator, reading, place, values, seeds):
-    """Runs with one of W's standard deviations replaced: the logs of the first seed {value: run}, and one row a run with what the sweep changes.
 
-    place: which of (x and y, θ, ν, μ, κ) it is, x and y moving together; errors count from 20 s on. κ's are split by straights and curves.
+def swept(estimator, reading, place, values, seeds):
+    """Runs with one of W's standard deviations replaced: the logs of the first seed {value: run},
+    and one row a run with what the sweep changes.
+
+    place: which of (x and y, θ, ν, μ, κ) it is, x and y moving together; errors count from 20 s on.
+    κ's are split by straights and curves.
     """
     runs, rows = {}, []
     for value in values:
@@ -76,35 +106,54 @@ def swept(estimator, reading, place, values, seeds):
         for entry in entries(place):
             sigma[entry] = float(value)
         for seed in range(seeds):
-            run = simulate(Scenario(estimator=estimator, reading=reading, sigma_w=tuple(sigma), seed=seed))
+            run = simulate(
+                Scenario(estimator=estimator, reading=reading, sigma_w=tuple(sigma), seed=seed)
+            )
             runs.setdefault(value, run)
             c = run.columns
             settled, straight = c["t_s"] >= 20, c["on_straight"]
             kappa = c["kappa_hat"] - c["kappa"]
-            rows.append(dict(sigma=value, seed=seed, rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]),
-                             rms_kappa_straights=rms(kappa[settled & straight]), rms_kappa_curves=rms(kappa[settled & ~straight])))
+            rows.append(
+                dict(
+                    sigma=value,
+                    seed=seed,
+                    rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]),
+                    rms_kappa_straights=rms(kappa[settled & straight]),
+                    rms_kappa_curves=rms(kappa[settled & ~straight]),
+                )
+            )
     return runs, pd.DataFrame(rows)
 
 
 # Calibration
 
+
 def likelihood_profile(estimator, place, factors, seeds=3):
-    """How much less likely (in -2 log likelihood a sample) the measurements of the first training runs become when one of the calibrated W's standard
-    deviations is multiplied by each factor; x and y move together."""
+    """How much less likely (in -2 log likelihood a sample) the measurements of the first training
+    runs become when one of the calibrated W's standard deviations is multiplied by each factor; x
+    and y move together.
+    """
     runs = calibration.recorded(calibration.TRAINING_SEEDS[:seeds])
     samples, rows = sum(len(run.columns["t_s"]) for run in runs), []
     for factor in factors:
         sigma = list(SIGMA_W[estimator]["calibrated"])
         for entry in entries(place):
             sigma[entry] *= factor
-        rows.append(dict(sigma=sigma[entries(place)[0]], deviance=calibration.deviance(estimator, sigma, runs) / samples))
+        rows.append(
+            dict(
+                sigma=sigma[entries(place)[0]],
+                deviance=calibration.deviance(estimator, sigma, runs) / samples,
+            )
+        )
     table = pd.DataFrame(rows)
     return table.assign(deviance=table["deviance"] - table["deviance"].min())
 
 
 # One reading at a time
 
-READINGS = {   # reading: (what it says, fields of the scenario for RHE and EKF); R11 and R12 concern what is reported, not what is driven
+# reading: (what it says, fields of the scenario for RHE and EKF); R11 and R12 concern what is
+# reported, not what is driven
+READINGS = {
     "R3 a": ("speed 0.3 m/s", *[dict(speed_mps=0.3)] * 2),
     "R3 b": ("speed 0.6 m/s", *[dict(speed_mps=0.6)] * 2),
     "R3 c": ("start 2 m off", *[dict(start_offset_m=2.0)] * 2),
@@ -118,30 +167,63 @@ READINGS = {   # reading: (what it says, fields of the scenario for RHE and EKF)
     "R9": ("backwards, λ = 1", *[dict(backwards=True)] * 2),
     "R10": ("command one sample late", *[dict(command_delay=1)] * 2),
 }
-QUANTITIES = {"mean_error_m": "mean error, raw GNSS [m]", "mean_error_true_m": "mean error, true [m]", "violations": "violations, raw GNSS",
-              "rms_kappa": "RMS error of κ [-]", "advantage_m": "true error, RHE - EKF [m]"}
+QUANTITIES = {
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "mean_error_true_m": "mean error, true [m]",
+    "violations": "violations, raw GNSS",
+    "rms_kappa": "RMS error of κ [-]",
+    "advantage_m": "true error, RHE - EKF [m]",
+}
 
 
 def one_at_a_time(baseline, seeds):
-    """How much each reading moves the RHE's results from those of the baseline reading ("printed" or "calibrated"), paired by seed.
+    """How much each reading moves the RHE's results from those of the baseline reading ("printed"
+    or "calibrated"), paired by seed.
 
-    R1 and R2 are the other W, for one estimator at a time. One row a reading and quantity: value, and its difference from the baseline with the 95 %
-    interval. "advantage_m" is RHE - EKF, both under the reading.
+    R1 and R2 are the other W, for one estimator at a time. One row a reading and quantity: value,
+    and its difference from the baseline with the 95 % interval. "advantage_m" is RHE - EKF, both
+    under the reading.
     """
     other = "calibrated" if baseline == "printed" else "printed"
-    asked = {"baseline": ("baseline", dict(), dict()), "R1": (f"EKF: W {other}", dict(), dict(reading=other)),
-             "R2": (f"RHE: W {other}", dict(reading=other), dict())} | READINGS
-    table = complete(campaign([Scenario(**(dict(reading=baseline) | fields), estimator=estimator, seed=seed)
-                               for _, *both in asked.values() for estimator, fields in zip(("rhe", "ekf"), both) for seed in range(seeds)]))
+    asked = {
+        "baseline": ("baseline", dict(), dict()),
+        "R1": (f"EKF: W {other}", dict(), dict(reading=other)),
+        "R2": (f"RHE: W {other}", dict(reading=other), dict()),
+    } | READINGS
+    table = complete(
+        campaign(
+            [
+                Scenario(**(dict(reading=baseline) | fields), estimator=estimator, seed=seed)
+                for _, *both in asked.values()
+                for estimator, fields in zip(("rhe", "ekf"), both)
+                for seed in range(seeds)
+            ]
+        )
+    )
     found = {}
     for place, name in enumerate(asked):
-        by_rhe, by_ekf = (table.iloc[begin:begin + seeds].reset_index(drop=True) for begin in (2 * seeds * place, 2 * seeds * place + seeds))
+        by_rhe, by_ekf = (
+            table.iloc[begin : begin + seeds].reset_index(drop=True)
+            for begin in (2 * seeds * place, 2 * seeds * place + seeds)
+        )
         found[name] = by_rhe.assign(advantage_m=by_rhe.mean_error_true_m - by_ekf.mean_error_true_m)
     rows = []
     for name, (words, *_) in asked.items():
         for column, quantity in QUANTITIES.items():
             value = statistics.mean(found[name][column])
             moved = statistics.difference(found[name][column], found["baseline"][column])
-            rows.append(dict(reading=name, words=words, quantity=quantity, value=value.ours, low=value.low, high=value.high,
-                             change=moved.ours, change_low=moved.low, change_high=moved.high, n=moved.n))
+            rows.append(
+                dict(
+                    reading=name,
+                    words=words,
+                    quantity=quantity,
+                    value=value.ours,
+                    low=value.low,
+                    high=value.high,
+                    change=moved.ours,
+                    change_low=moved.low,
+                    change_high=moved.high,
+                    n=moved.n,
+                )
+            )
     return pd.DataFrame(rows)

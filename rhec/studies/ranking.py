@@ -1,6 +1,8 @@
-"""Beyond the paper: estimators side by side in the closed loop, from the paper's to one that knows the truth, and how the pose filter's noise matters.
+"""Beyond the paper: estimators side by side in the closed loop, from the paper's to one that knows
+the truth, and how the pose filter's noise matters.
 
-Each estimator appears with the process noise W as printed, by likelihood, and by tracking (`rhec.studies.calibration`), as far as there is one.
+Each estimator appears with the process noise W as printed, by likelihood, and by tracking
+(`rhec.studies.calibration`), as far as there is one.
 """
 
 import time
@@ -8,15 +10,20 @@ import time
 import numpy as np
 import pandas as pd
 
-from rhec.studies import calibration
-from rhec.extensions import dual
 from rhec._casadi import scan
-from rhec.simulation import HOLD, simulate, staying
+from rhec.extensions import dual
 from rhec.scenario import Scenario
+from rhec.simulation import HOLD, simulate, staying
+from rhec.studies import calibration
 
 PROPOSAL, PAPERS = "dual, W by tracking", "RHE, W printed"
 ORACLES = "traction oracle, W by likelihood", "traction oracle, W by tracking"
-LEAST_GAIN, MOST_ABOVE = 0.30, 0.10   # what is asked of the proposal: less true error than the paper's RHE, and no more than so much above an oracle's
+LEAST_GAIN, MOST_ABOVE = (
+    0.30,
+    0.10,
+    # what is asked of the proposal: less true error than the paper's RHE, and no more than so much
+    # above an oracle's
+)
 SIGMA_THETA = dual.SIGMA_W[8]
 
 
@@ -46,13 +53,19 @@ CONTESTANTS = {
 
 def scenarios(seeds):
     """(name, Scenario) of every contestant on every seed."""
-    return [(name, Scenario(seed=seed, **fields)) for name, fields in CONTESTANTS.items() for seed in seeds]
+    return [
+        (name, Scenario(seed=seed, **fields))
+        for name, fields in CONTESTANTS.items()
+        for seed in seeds
+    ]
 
 
 def by_pose_noise(sigmas_rad, seeds):
-    """The proposal with other process noise of the yaw in its pose filter: one row a seed and sigma_theta_rad.
+    """The proposal with other process noise of the yaw in its pose filter: one row a seed and
+    sigma_theta_rad.
 
-    Mean true errors [m] on straights and in curves, counted from the arrival, and the RMS error of the estimated yaw [rad].
+    Mean true errors [m] on straights and in curves, counted from the arrival, and the RMS error of
+    the estimated yaw [rad].
     """
     rows = []
     for sigma in sigmas_rad:
@@ -60,20 +73,31 @@ def by_pose_noise(sigmas_rad, seeds):
         for seed in seeds:
             run = simulate(Scenario(seed=seed, sigma_w=sigma_w, **CONTESTANTS[PROPOSAL]))
             stays = staying(run.columns["error_true_m"])
-            log = run.log[stays[0] + HOLD:] if len(stays) else run.log
+            log = run.log[stays[0] + HOLD :] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()
-            rows.append(dict(sigma_theta_rad=sigma, seed=seed, straights_m=errors.get(True, np.nan), curves_m=errors.get(False, np.nan),
-                             all_m=run.metrics["mean_error_true_m"], rms_yaw_rad=run.metrics["rms_yaw_rad"]))
+            rows.append(
+                dict(
+                    sigma_theta_rad=sigma,
+                    seed=seed,
+                    straights_m=errors.get(True, np.nan),
+                    curves_m=errors.get(False, np.nan),
+                    all_m=run.metrics["mean_error_true_m"],
+                    rms_yaw_rad=run.metrics["rms_yaw_rad"],
+                )
+            )
     return pd.DataFrame(rows)
 
 
 def step_times(names, rounds=40, seed=0):
-    """Time of one step [µs] of each of these contestants on the same measurements: (rounds, names), one after the other in each round.
+    """Time of one step [µs] of each of these contestants on the same measurements: (rounds, names),
+    one after the other in each round.
 
     Compiled code alone, mean over a run of 1200 samples.
     """
     run = simulate(Scenario(estimator="oracle", seed=seed))
-    calls = {name: calibration.prepared(Scenario(**CONTESTANTS[name]), run, "estimate") for name in names}
+    calls = {
+        name: calibration.prepared(Scenario(**CONTESTANTS[name]), run, "estimate") for name in names
+    }
     taken = []
     for _ in range(rounds + 1):
         row = {}
@@ -82,4 +106,4 @@ def step_times(names, rounds=40, seed=0):
             scan.fold(*call)
             row[name] = (time.perf_counter_ns() - begin) / 1e3 / len(run.log)
         taken.append(row)
-    return pd.DataFrame(taken[1:])   # the first round warms up
+    return pd.DataFrame(taken[1:])  # the first round warms up

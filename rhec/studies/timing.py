@@ -1,6 +1,8 @@
-"""Computation times of preparation and feedback (paper, Table "Computation times of the nonlinear RHEC").
+"""Computation times of preparation and feedback (paper, Table "Computation times of the nonlinear
+RHEC").
 
-Timed from Python, one call a phase, NumPy arrays in and out, as in a loop of one's own; the arrival cost belongs to the RHE's preparation.
+Timed from Python, one call a phase, NumPy arrays in and out, as in a loop of one's own; the arrival
+cost belongs to the RHE's preparation.
 """
 
 import os
@@ -12,25 +14,38 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec._casadi import compiled
 from rhec import paper
-from rhec.model import path
-from rhec.simulation import simulate
+from rhec._casadi import compiled
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
+from rhec.model import path
+from rhec.simulation import simulate
 
 COLUMNS = ("RHE", "preparation"), ("RHE", "feedback"), ("RHC", "preparation"), ("RHC", "feedback")
 
 
 def phases(scenario, qp):
-    """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in COLUMNS, with this QP solver."""
+    """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in
+    COLUMNS, with this QP solver.
+    """
     run = simulate(scenario)
     measurements = run.log[["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]].to_numpy()
-    estimator = RHE(reading=scenario.reading, qp=qp, guess=(*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], scenario.speed_mps, 1.0, 1.0))
+    estimator = RHE(
+        reading=scenario.reading,
+        qp=qp,
+        guess=(*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], scenario.speed_mps, 1.0, 1.0),
+    )
     controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
-    references = compiled.Bound(compiled.load(path.functions, paper.DT_S, paper.HORIZON, len(run.path.segments))["references"])
+    references = compiled.Bound(
+        compiled.load(path.functions, paper.DT_S, paper.HORIZON, len(run.path.segments))[
+            "references"
+        ]
+    )
     references.set(segments=run.path.segments.T, period_m=run.path.period_m)
-    xi_ref, omega_ref = references.results["xi_ref"].reshape((3, -1), order="F"), references.results["omega_ref"]
+    xi_ref, omega_ref = (
+        references.results["xi_ref"].reshape((3, -1), order="F"),
+        references.results["omega_ref"],
+    )
 
     clock, taken = time.perf_counter_ns, np.empty((len(measurements), 4))
     for k, z in enumerate(measurements):
@@ -47,24 +62,48 @@ def phases(scenario, qp):
         planned = clock()
         controller.feedback(estimate[:3], estimate[3:6], xi_ref, omega_ref)
         taken[k] = prepared - begin, estimated - prepared, planned - referenced, clock() - planned
-    return taken[1:] / 1e3   # the first sample has nothing to prepare
+    return taken[1:] / 1e3  # the first sample has nothing to prepare
 
 
 def table(taken):
-    """Minimum, average, median, maximum [µs] by problem and phase and overall, in the paper's order, beside the paper's numbers."""
+    """Minimum, average, median, maximum [µs] by problem and phase and overall, in the paper's
+    order, beside the paper's numbers.
+    """
     rows = []
     for problem in ("RHE", "RHC"):
-        of = {phase: taken[:, COLUMNS.index((problem, phase))] for phase in ("preparation", "feedback")}
+        of = {
+            phase: taken[:, COLUMNS.index((problem, phase))]
+            for phase in ("preparation", "feedback")
+        }
         for phase, values in (of | dict(overall=sum(of.values()))).items():
             minimum, average, maximum = (1e3 * value for value in paper.TABLE_1_MS[problem, phase])
-            rows.append(dict(problem=problem, phase=phase, minimum_us=values.min(), average_us=values.mean(), median_us=np.median(values),
-                             maximum_us=values.max(), paper_minimum_us=minimum, paper_average_us=average, paper_maximum_us=maximum))
+            rows.append(
+                dict(
+                    problem=problem,
+                    phase=phase,
+                    minimum_us=values.min(),
+                    average_us=values.mean(),
+                    median_us=np.median(values),
+                    maximum_us=values.max(),
+                    paper_minimum_us=minimum,
+                    paper_average_us=average,
+                    paper_maximum_us=maximum,
+                )
+            )
     return pd.DataFrame(rows)
 
 
 def machine():
     """The processor's name and number, and the versions that matter."""
     info = File("/proc/cpuinfo")
-    names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
+    names = (
+        [
+            line.split(":")[1].strip()
+            for line in info.read_text().splitlines()
+            if line.startswith("model name")
+        ]
+        if info.exists()
+        else []
+    )
     processor = names[0] if names else platform.processor() or platform.machine()
     return f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}, CasADi {ca.__version__}"

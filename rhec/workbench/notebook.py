@@ -1,6 +1,6 @@
 """Strict parameters for notebooks, and a runner that records what a notebook used and made.
 
-    python -m rhec.workbench.notebook notebooks/scenario_a.ipynb -p seed 7
+python -m rhec.workbench.notebook notebooks/scenario_a.ipynb -p seed 7
 """
 
 import argparse
@@ -165,7 +165,9 @@ def _write(path, text, date):
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="python -m rhec.workbench.notebook", description="Run a notebook.")
+    parser = argparse.ArgumentParser(
+        prog="python -m rhec.workbench.notebook", description="Run a notebook."
+    )
     parser.add_argument(
         "notebook", metavar="NOTEBOOK", type=Path, help="such as notebooks/scenario_a.ipynb"
     )
@@ -202,7 +204,9 @@ def main():
 
 
 def _run_or_say_why_not(parser, notebook, given, output):
-    from papermill.exceptions import PapermillExecutionError  # takes a second, in which a person may change their mind
+    from papermill.exceptions import (
+        PapermillExecutionError,  # takes a second, in which a person may change their mind
+    )
 
     try:
         run(notebook, given, output)

@@ -1,9 +1,11 @@
-"""The report: executed notebooks, figures, tables, claims and where all of it came from, as one site that needs no network.
+"""The report: executed notebooks, figures, tables, claims and where all of it came from, as one
+site that needs no network.
 
     python -m rhec.workbench.report build/notebooks/scenario_a.ipynb …
 
-nbconvert turns the notebooks' cells into HTML, Jinja puts every page into one frame, matplotlib typesets the formulas (as SVG, in the figures' fonts),
-so that no page needs a script. The templates stand in `templates/`.
+nbconvert turns the notebooks' cells into HTML, Jinja puts every page into one frame, matplotlib
+typesets the formulas (as SVG, in the figures' fonts), so that no page needs a script. The templates
+stand in `templates/`.
 """
 
 import argparse
@@ -31,35 +33,47 @@ from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from PIL import Image
 from pygments.formatters import HtmlFormatter
 
-from rhec.studies import timing
 from rhec import __version__
 from rhec.plots import style
+from rhec.studies import timing
 
 ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
-LONG = 40   # characters: a text in a table that wants room
+LONG = 40  # characters: a text in a table that wants room
 LIVE = '<p class="live">Sliders, and pictures that follow them: run <code>make lab</code> and open this notebook.</p>'
-FONT = FontProperties(math_fontfamily="stix", size=100)   # a hundredth of it is an em
+FONT = FontProperties(math_fontfamily="stix", size=100)  # a hundredth of it is an em
 
 
 # Formulas
 
+
 def formula(tex, display=False):
-    """The SVG of a formula, as high as the text around it (1 em), in the text's colour. Raises a ValueError for what mathtext does not know."""
+    """The SVG of a formula, as high as the text around it (1 em), in the text's colour. Raises a
+    ValueError for what mathtext does not know.
+    """
     text = f"${' '.join(tex.split())}$"
-    text = re.sub(r"\\([gln]e)\b", r"\\\1q", text)   # mathtext has \geq, \leq and \neq by their long names alone
+    text = re.sub(
+        r"\\([gln]e)\b", r"\\\1q", text
+    )  # mathtext has \geq, \leq and \neq by their long names alone
     try:
         width, height, depth = text_to_path.get_text_width_height_descent(text, FONT, ismath=True)
         outline = TextPath((0, 0), text, prop=FONT)
     except ValueError as error:
-        raise ValueError(f"formula was {tex!r}; it must be TeX that matplotlib's mathtext knows: {str(error).splitlines()[-1]}") from None
+        raise ValueError(
+            f"formula was {tex!r}; it must be TeX that matplotlib's mathtext knows: {str(error).splitlines()[-1]}"
+        ) from None
     letters = {1: "M", 2: "L", 3: "Q", 4: "C", 79: "Z"}
-    curves = "".join(letters[code] + ("" if code == 79 else " ".join(f"{x:.1f},{-y:.1f}" for x, y in vertices.reshape(-1, 2)))
-                     for vertices, code in outline.iter_segments(simplify=False, curves=True))
-    svg = (f'<svg class="formula" role="img" aria-label="{escape(tex.strip())}" viewBox="0 {depth - height:.1f} {width:.1f} {height:.1f}" '
-           f'style="width: {width / 100:.3f}em; height: {height / 100:.3f}em; vertical-align: {-depth / 100:.3f}em">'
-           f'<path fill="currentColor" d="{curves}"/></svg>')
+    curves = "".join(
+        letters[code]
+        + ("" if code == 79 else " ".join(f"{x:.1f},{-y:.1f}" for x, y in vertices.reshape(-1, 2)))
+        for vertices, code in outline.iter_segments(simplify=False, curves=True)
+    )
+    svg = (
+        f'<svg class="formula" role="img" aria-label="{escape(tex.strip())}" viewBox="0 {depth - height:.1f} {width:.1f} {height:.1f}" '
+        f'style="width: {width / 100:.3f}em; height: {height / 100:.3f}em; vertical-align: {-depth / 100:.3f}em">'
+        f'<path fill="currentColor" d="{curves}"/></svg>'
+    )
     return f'<span class="display">{svg}</span>' if display else svg
 
 
@@ -80,15 +94,20 @@ class Cells(HTMLExporter):
         super().__init__(template_name="cells", extra_template_basedirs=[str(TEMPLATES)])
 
     def markdown2html(self, context, source):
-        return MarkdownWithMath(renderer=Renderer(escape=False, anchor_link_text="#")).render(source)
+        return MarkdownWithMath(renderer=Renderer(escape=False, anchor_link_text="#")).render(
+            source
+        )
 
     markdown2html = jinja2.pass_context(markdown2html)
 
 
 # Pages
 
+
 def notebook_page(file, pages):
-    """What the report shows of an executed notebook: name, title, lead, contents, body (HTML), first picture (PNG), run (times). pages: all names."""
+    """What the report shows of an executed notebook: name, title, lead, contents, body (HTML),
+    first picture (PNG), run (times). pages: all names.
+    """
     notebook = nbformat.read(file, as_version=4)
     prepare_outputs(notebook)
     try:
@@ -106,12 +125,19 @@ def notebook_page(file, pages):
     for cell in soup.select("td"):
         if len(cell.get_text()) > LONG:
             cell["class"] = "long"
-    for old in soup.select("style"):   # pandas' own, for each table
+    for old in soup.select("style"):  # pandas' own, for each table
         old.decompose()
     heading, lead = soup.select_one("h1"), soup.select_one(".markdown p")
     contents = [(h2["id"], plain(h2)) for h2 in soup.select("h2[id]")]
-    return dict(name=file.stem, title=plain(heading) if heading else file.stem, lead=plain(lead) if lead else "",
-                contents=contents, body=Markup(soup), picture=first_picture(notebook), run=run_of(notebook))
+    return dict(
+        name=file.stem,
+        title=plain(heading) if heading else file.stem,
+        lead=plain(lead) if lead else "",
+        contents=contents,
+        body=Markup(soup),
+        picture=first_picture(notebook),
+        run=run_of(notebook),
+    )
 
 
 def plain(tag):
@@ -126,13 +152,19 @@ def plain(tag):
 
 
 def prepare_outputs(notebook):
-    """Give each picture the beginning of the text above it as its description, drop progress bars, and say where other widgets live."""
+    """Give each picture the beginning of the text above it as its description, drop progress bars,
+    and say where other widgets live.
+    """
     above = ""
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
             above = re.sub(r"[*#`$]", "", cell.source.strip().split("\n\n")[-1])
         if cell.cell_type == "code":
-            cell.outputs = [output for output in cell.outputs if not re.search(r"\d%\|", output.get("data", {}).get("text/plain", ""))]
+            cell.outputs = [
+                output
+                for output in cell.outputs
+                if not re.search(r"\d%\|", output.get("data", {}).get("text/plain", ""))
+            ]
         for output in cell.get("outputs", []):
             data = output.get("data", {})
             if "image/png" in data:
@@ -143,89 +175,157 @@ def prepare_outputs(notebook):
 
 def first_picture(notebook):
     """The first PNG among a notebook's outputs, or None."""
-    pngs = (output["data"]["image/png"] for cell in notebook.cells for output in cell.get("outputs", []) if "image/png" in output.get("data", {}))
+    pngs = (
+        output["data"]["image/png"]
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+        if "image/png" in output.get("data", {})
+    )
     first = next(pngs, None)
     return first and base64.b64decode(first)
 
 
 def run_of(notebook):
-    """When and how long a notebook ran, with which parameters, and its slowest cell, as papermill noted it."""
+    """When and how long a notebook ran, with which parameters, and its slowest cell, as papermill
+    noted it.
+    """
     noted = notebook.metadata.get("papermill", {})
     seconds = [cell.metadata.get("papermill", {}).get("duration") or 0.0 for cell in notebook.cells]
-    return dict(started=noted.get("start_time", "")[:19].replace("T", " "), seconds=noted.get("duration"), slowest_s=max(seconds, default=0.0),
-                parameters=noted.get("parameters", {}), cells=sum(cell.cell_type == "code" for cell in notebook.cells))
+    return dict(
+        started=noted.get("start_time", "")[:19].replace("T", " "),
+        seconds=noted.get("duration"),
+        slowest_s=max(seconds, default=0.0),
+        parameters=noted.get("parameters", {}),
+        cells=sum(cell.cell_type == "code" for cell in notebook.cells),
+    )
 
 
 def figures_of(folder):
-    """[{name, notebook, source, scenario, width, height}] of the PNGs that `figures.save` left in a folder, as they say themselves."""
+    """[{name, notebook, source, scenario, width, height}] of the PNGs that `figures.save` left in a
+    folder, as they say themselves.
+    """
     found = []
     for file in sorted(folder.glob("*.png")):
         with Image.open(file) as image:
             said, (width, height) = image.info, image.size
-        found.append(dict(name=file.stem, notebook=Path(said.get("Subject", "")).stem, source=said.get("Creator", ""),
-                          scenario=said.get("Keywords", ""), width=width, height=height, pdf=file.with_suffix(".pdf").exists()))
+        found.append(
+            dict(
+                name=file.stem,
+                notebook=Path(said.get("Subject", "")).stem,
+                source=said.get("Creator", ""),
+                scenario=said.get("Keywords", ""),
+                width=width,
+                height=height,
+                pdf=file.with_suffix(".pdf").exists(),
+            )
+        )
     return found
 
 
 def tables_of(folder):
-    """[{name, notebook, frame}] of the CSV files in a folder; the notebook is named in the LaTeX beside it."""
+    """[{name, notebook, frame}] of the CSV files in a folder; the notebook is named in the LaTeX
+    beside it.
+    """
     found = []
     for file in sorted(folder.glob("*.csv")):
         tex = file.with_suffix(".tex")
-        subject = re.search(r"^% Subject: (.*)$", tex.read_text(encoding="utf-8"), re.M) if tex.exists() else None
-        found.append(dict(name=file.stem, notebook=Path(subject[1]).stem if subject else "", tex=tex.exists(), frame=pd.read_csv(file)))
+        subject = (
+            re.search(r"^% Subject: (.*)$", tex.read_text(encoding="utf-8"), re.M)
+            if tex.exists()
+            else None
+        )
+        found.append(
+            dict(
+                name=file.stem,
+                notebook=Path(subject[1]).stem if subject else "",
+                tex=tex.exists(),
+                frame=pd.read_csv(file),
+            )
+        )
     return found
 
 
 def ledger_of(tables):
-    """[(table, its rows with a claim, the verdict beside it)]: every table that has the columns `claim` and `verdict`."""
+    """[(table, its rows with a claim, the verdict beside it)]: every table that has the columns
+    `claim` and `verdict`.
+    """
     found = []
     for table in tables:
         columns = list(table["frame"])
         if {"claim", "verdict"} <= set(columns):
             columns.insert(columns.index("claim") + 1, columns.pop(columns.index("verdict")))
-            found.append((table, table["frame"].dropna(subset=["claim"])[columns].dropna(axis="columns", how="all")))
+            found.append(
+                (
+                    table,
+                    table["frame"]
+                    .dropna(subset=["claim"])[columns]
+                    .dropna(axis="columns", how="all"),
+                )
+            )
     return found
 
 
 def tone(verdict):
     """Which of four kinds a verdict is of: good, part (of the readings), bad or open."""
-    return {"holds": "good", "fails": "bad", "does not hold": "bad"}.get(str(verdict), "part" if str(verdict).startswith("holds ") else "open")
+    return {"holds": "good", "fails": "bad", "does not hold": "bad"}.get(
+        str(verdict), "part" if str(verdict).startswith("holds ") else "open"
+    )
 
 
 def as_html(frame):
     """A table as HTML: numbers in four digits, verdicts in colour, nothing where nothing is."""
+
     def cell(value):
         if isinstance(value, float):
             return "" if pd.isna(value) else f"{value:.4g}"
-        return f'<div class="long">{escape(value)}</div>' if len(str(value)) > LONG else escape(str(value))
+        return (
+            f'<div class="long">{escape(value)}</div>'
+            if len(str(value)) > LONG
+            else escape(str(value))
+        )
 
     def verdict(value):
         return f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else ""
 
-    frame = frame.rename(columns=lambda name: escape(str(name)).replace("_", "_<wbr>"))   # where a long name may be broken
+    frame = frame.rename(
+        columns=lambda name: escape(str(name)).replace("_", "_<wbr>")
+    )  # where a long name may be broken
     formatters = {column: verdict if column == "verdict" else cell for column in frame}
-    return Markup(frame.to_html(index=False, border=0, escape=False, formatters=formatters, na_rep=""))
+    return Markup(
+        frame.to_html(index=False, border=0, escape=False, formatters=formatters, na_rep="")
+    )
 
 
 def provenance():
     """[(what, value)]: what the results came from."""
-    ours = (ROOT / ".git").exists()   # not that of a repository around this folder
-    commit = ours and subprocess.run(["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"], capture_output=True, text=True)
-    return [("Project", f"rhec {__version__}"), ("Source", f"{style.source()} (digest of rhec/, notebooks/ and data/)"),
-            ("Commit", commit.stdout.strip() if ours else "no git repository"),
-            ("Machine", timing.machine()), ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
-            ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))]
+    ours = (ROOT / ".git").exists()  # not that of a repository around this folder
+    commit = ours and subprocess.run(
+        ["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
+        capture_output=True,
+        text=True,
+    )
+    return [
+        ("Project", f"rhec {__version__}"),
+        ("Source", f"{style.source()} (digest of rhec/, notebooks/ and data/)"),
+        ("Commit", commit.stdout.strip() if ours else "no git repository"),
+        ("Machine", timing.machine()),
+        ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")),
+    ]
 
 
 def packages():
     """[(name, version, pinned)] of the packages in environment.txt that are installed here."""
-    pins = re.findall(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)", (ROOT / "environment.txt").read_text(encoding="utf-8"), re.M)
+    pins = re.findall(
+        r"^([A-Za-z0-9._-]+)==([^ ;\\]+)",
+        (ROOT / "environment.txt").read_text(encoding="utf-8"),
+        re.M,
+    )
     installed = {}
     for name, pinned in pins:
         try:
             installed[name] = (name, importlib.metadata.version(name), pinned)
-        except importlib.metadata.PackageNotFoundError:   # of another system or Python
+        except importlib.metadata.PackageNotFoundError:  # of another system or Python
             continue
     return sorted(installed.values())
 
@@ -255,21 +355,60 @@ def write_site(notebooks, figures, site):
         if story["picture"]:
             (site / f"pictures/{story['name']}.png").write_bytes(story["picture"])
     ledger = ledger_of(tables)
-    counted = [rows for table, rows in ledger if table["name"] == "claims"] or [rows for _, rows in ledger]   # other tables repeat what the ledger says
-    verdicts = pd.concat([rows["verdict"].map(tone) for rows in counted]) if counted else pd.Series(dtype=str)
-    common = dict(stories=stories, figures=drawn, tables=tables, ledger=ledger, counts=verdicts.value_counts().to_dict(), version=__version__,
-                  source=style.source(), provenance=provenance(), packages=packages(), environment=sorted({figure["source"] for figure in drawn}))
+    counted = [rows for table, rows in ledger if table["name"] == "claims"] or [
+        rows for _, rows in ledger
+    ]  # other tables repeat what the ledger says
+    verdicts = (
+        pd.concat([rows["verdict"].map(tone) for rows in counted])
+        if counted
+        else pd.Series(dtype=str)
+    )
+    common = dict(
+        stories=stories,
+        figures=drawn,
+        tables=tables,
+        ledger=ledger,
+        counts=verdicts.value_counts().to_dict(),
+        version=__version__,
+        source=style.source(),
+        provenance=provenance(),
+        packages=packages(),
+        environment=sorted({figure["source"] for figure in drawn}),
+    )
 
-    jinja = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
-                               lstrip_blocks=True)
-    jinja.filters.update(table=as_html, seconds=lambda value: "–" if value is None else f"{value:.1f} s", nice=nice)
-    for page in ("index", "results-claims", "results-figures", "results-tables", "results-provenance"):   # a notebook may be called claims, too
-        write(site / f"{page}.html", jinja.get_template(f"{page}.html.j2").render(common, page=page))
+    jinja = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    jinja.filters.update(
+        table=as_html, seconds=lambda value: "–" if value is None else f"{value:.1f} s", nice=nice
+    )
+    for page in (
+        "index",
+        "results-claims",
+        "results-figures",
+        "results-tables",
+        "results-provenance",
+    ):  # a notebook may be called claims, too
+        write(
+            site / f"{page}.html", jinja.get_template(f"{page}.html.j2").render(common, page=page)
+        )
     for story in stories:
-        write(site / f"{story['name']}.html", jinja.get_template("story.html.j2").render(common, page=story["name"], story=story))
-    light, dark = (HtmlFormatter(style=name).get_style_defs(".highlight") for name in ("friendly", "github-dark"))
+        write(
+            site / f"{story['name']}.html",
+            jinja.get_template("story.html.j2").render(common, page=story["name"], story=story),
+        )
+    light, dark = (
+        HtmlFormatter(style=name).get_style_defs(".highlight")
+        for name in ("friendly", "github-dark")
+    )
     ours = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    write(site / "report.css", f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}")
+    write(
+        site / "report.css", f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}"
+    )
 
 
 def nice(name):
@@ -282,8 +421,17 @@ def write(file, text):
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description="Make build/report/ from executed notebooks.")
-    parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path, help="such as build/notebooks/scenario_a.ipynb")
+    parser = argparse.ArgumentParser(
+        prog="python -m rhec.workbench.report",
+        description="Make build/report/ from executed notebooks.",
+    )
+    parser.add_argument(
+        "notebooks",
+        metavar="NOTEBOOK",
+        nargs="+",
+        type=Path,
+        help="such as build/notebooks/scenario_a.ipynb",
+    )
     try:
         build(parser.parse_args().notebooks)
     except KeyboardInterrupt:

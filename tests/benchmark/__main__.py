@@ -3,63 +3,104 @@
 import argparse
 import shutil
 
+from benchmark import drawings, horizon, instructions, peers, processes, step, tails
 from rhec import plots
 from rhec.studies import timing
-from benchmark import drawings
-from benchmark import horizon
-from benchmark import instructions
-from benchmark import peers
-from benchmark import processes
-from benchmark import step
-from benchmark import tails
 
 
 def report(table, name, caption, drawing=None):
     """Print a table and save it, and its picture."""
-    print(f"\n{caption}\n{table.to_string(index=False, float_format='{:.4g}'.format, na_rep='')}", flush=True)
-    plots.save_table(table, f"bench_{name}", f"{caption}, on {timing.machine()}", notebook="benchmark")
+    print(
+        f"\n{caption}\n{table.to_string(index=False, float_format='{:.4g}'.format, na_rep='')}",
+        flush=True,
+    )
+    plots.save_table(
+        table, f"bench_{name}", f"{caption}, on {timing.machine()}", notebook="benchmark"
+    )
     if drawing:
         plots.save(drawing(table), f"bench_{name}", notebook="benchmark")
 
 
 def measure_step(_):
     if step.REFERENCE not in peers.PEERS:
-        print(f"{step.REFERENCE} is not installed (make bench does that), so rhec is compared with Opti + IPOPT only.")
+        print(
+            f"{step.REFERENCE} is not installed (make bench does that), so rhec is compared with Opti + IPOPT only."
+        )
     agreeing, table = step.measure()
-    report(agreeing, "agreement", f"Difference from the optimum over {step.SAMPLES} problems (peers must stay within {step.TOLERANCE:g})")
-    report(table, "step", "Time of one step in microseconds, quartiles over blocks that take turns", drawings.step)
+    report(
+        agreeing,
+        "agreement",
+        f"Difference from the optimum over {step.SAMPLES} problems (peers must stay within {step.TOLERANCE:g})",
+    )
+    report(
+        table,
+        "step",
+        "Time of one step in microseconds, quartiles over blocks that take turns",
+        drawings.step,
+    )
 
 
 def measure_horizon(_):
-    report(horizon.measure(), "horizon", "Time of one step in microseconds by number of intervals", drawings.horizon)
+    report(
+        horizon.measure(),
+        "horizon",
+        "Time of one step in microseconds by number of intervals",
+        drawings.horizon,
+    )
 
 
 def measure_instructions(_):
     if shutil.which("valgrind"):
-        report(instructions.measure(), "instructions", "Instructions per step of the compiled code, counted by callgrind")
+        report(
+            instructions.measure(),
+            "instructions",
+            "Instructions per step of the compiled code, counted by callgrind",
+        )
     else:
         print("\nvalgrind is not installed, so no instructions were counted.")
 
 
 def measure_tails(arguments):
-    report(tails.measure(arguments.steps), "tails", "Distribution of computation times in microseconds, called from Python")
+    report(
+        tails.measure(arguments.steps),
+        "tails",
+        "Distribution of computation times in microseconds, called from Python",
+    )
 
 
 def measure_start(_):
-    report(processes.starts(), "start", "Seconds from the beginning of import rhec in a fresh process")
+    report(
+        processes.starts(), "start", "Seconds from the beginning of import rhec in a fresh process"
+    )
 
 
 def measure_campaign(_):
     report(processes.throughput(), "campaign", "Closed-loop samples per second of campaigns")
 
 
-PARTS = dict(step=measure_step, horizon=measure_horizon, instructions=measure_instructions, tails=measure_tails, start=measure_start,
-             campaign=measure_campaign)
+PARTS = dict(
+    step=measure_step,
+    horizon=measure_horizon,
+    instructions=measure_instructions,
+    tails=measure_tails,
+    start=measure_start,
+    campaign=measure_campaign,
+)
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m benchmark", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="part", help=f"which to measure, of {', '.join(PARTS)}; all unless told")
-    parser.add_argument("--steps", type=int, default=100_000, help="how many steps the worst case is the worst of (default: %(default)s)")
+    parser.add_argument(
+        "parts",
+        nargs="*",
+        metavar="part",
+        help=f"which to measure, of {', '.join(PARTS)}; all unless told",
+    )
+    parser.add_argument(
+        "--steps",
+        type=int,
+        default=100_000,
+        help="how many steps the worst case is the worst of (default: %(default)s)",
+    )
     arguments = parser.parse_args()
     if unknown := set(arguments.parts) - set(PARTS):
         parser.error(f"there is no part {unknown.pop()!r}; it should be one of {', '.join(PARTS)}")

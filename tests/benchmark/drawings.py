@@ -2,21 +2,31 @@
 
 import matplotlib.pyplot as plt
 
-from rhec.studies import timing
 from benchmark.step import REFERENCE, SPEEDUP, WHOLE
 from rhec.plots.style import BLACK, BLUE, COLUMN_IN, DOUBLE_IN, GREY, VERMILLION, styled
+from rhec.studies import timing
 
-LOOKS = {"RHE": (BLUE, "^"), "RHC": (VERMILLION, "v"), "RHE + RHC": (BLACK, "o"), "closed loop": (BLACK, "D")}
+LOOKS = {
+    "RHE": (BLUE, "^"),
+    "RHC": (VERMILLION, "v"),
+    "RHE + RHC": (BLACK, "o"),
+    "closed loop": (BLACK, "D"),
+}
 
 
 def quartiles(rows):
     """How far the quartiles are from the median, as errorbar wants it."""
-    return [rows["median_us"] - rows["lower_quartile_us"], rows["upper_quartile_us"] - rows["median_us"]]
+    return [
+        rows["median_us"] - rows["lower_quartile_us"],
+        rows["upper_quartile_us"] - rows["median_us"],
+    ]
 
 
 @styled
 def step(table):
-    """Time per step by contestant on a logarithmic axis: medians, with lines from quartile to quartile (mostly shorter than the marker is wide)."""
+    """Time per step by contestant on a logarithmic axis: medians, with lines from quartile to
+    quartile (mostly shorter than the marker is wide).
+    """
     overall = table[table["phase"] == "overall"]
     whole = overall[overall["problem"].isin(WHOLE)].sort_values("median_us", ascending=False)
     places = {name: place for place, name in enumerate(whole["contestant"])}
@@ -24,12 +34,26 @@ def step(table):
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.3))
     for problem, (colour, marker) in LOOKS.items():
         rows = overall[overall["problem"] == problem]
-        axes.errorbar(rows["median_us"], rows["contestant"].map(places), xerr=quartiles(rows), fmt=marker, color=colour, markersize=4, label=problem)
+        axes.errorbar(
+            rows["median_us"],
+            rows["contestant"].map(places),
+            xerr=quartiles(rows),
+            fmt=marker,
+            color=colour,
+            markersize=4,
+            label=problem,
+        )
     for row in whole.to_dict("records"):
         text = f"{row['median_us']:,.{1 if row['median_us'] < 100 else 0}f} µs"
         if row["contestant"] != REFERENCE and SPEEDUP in row:
             text += f", {row[SPEEDUP]:,.{0 if row[SPEEDUP] > 10 else 1}f} times as fast"
-        axes.annotate(text, (row["median_us"], places[row["contestant"]]), (0, 7), textcoords="offset points", ha="center")
+        axes.annotate(
+            text,
+            (row["median_us"], places[row["contestant"]]),
+            (0, 7),
+            textcoords="offset points",
+            ha="center",
+        )
     axes.set_xscale("log")
     axes.margins(x=0.12)
     axes.set_xlabel("time per step [µs]")
@@ -43,11 +67,21 @@ def step(table):
 
 @styled
 def horizon(table):
-    """Time per step over the number of intervals, both axes logarithmic, with what growth by the first, second and third power would be."""
+    """Time per step over the number of intervals, both axes logarithmic, with what growth by the
+    first, second and third power would be.
+    """
     figure, axes = plt.subplots(figsize=(COLUMN_IN, 2.6))
     for problem, rows in table.groupby("problem", sort=False):
         colour, marker = LOOKS[problem]
-        axes.errorbar(rows["intervals"], rows["median_us"], yerr=quartiles(rows), fmt=f"{marker}-", color=colour, markersize=4, label=problem)
+        axes.errorbar(
+            rows["intervals"],
+            rows["median_us"],
+            yerr=quartiles(rows),
+            fmt=f"{marker}-",
+            color=colour,
+            markersize=4,
+            label=problem,
+        )
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.autoscale(False)
@@ -56,7 +90,14 @@ def horizon(table):
     for power in (1, 2, 3):
         guide = both["median_us"].iloc[0] * (intervals / intervals[0]) ** power
         axes.plot(intervals, guide, color=GREY, linewidth=0.6, linestyle=":", zorder=0)
-        axes.annotate(f"$N^{power}$", (intervals[1], guide[1]), (-2, 2), textcoords="offset points", color=GREY, ha="right")
+        axes.annotate(
+            f"$N^{power}$",
+            (intervals[1], guide[1]),
+            (-2, 2),
+            textcoords="offset points",
+            color=GREY,
+            ha="right",
+        )
     axes.set_xticks(intervals, intervals)
     axes.minorticks_off()
     axes.set_xlabel("intervals $N$")

@@ -5,13 +5,12 @@ import tempfile
 import time
 from unittest import mock
 
+from benchmark import problems, step
 from rhec._casadi import compiled
-from benchmark import problems
-from benchmark import step
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
 
-HORIZONS = 15, 30, 60, 120, 240   # intervals; 3 s to 48 s
+HORIZONS = 15, 30, 60, 120, 240  # intervals; 3 s to 48 s
 SAMPLES = 50
 
 
@@ -22,7 +21,9 @@ def seconds(make, **arguments):
 
 
 def contestants(horizons):
-    """rhec on problems of each horizon, and the seconds that estimator and controller took to compile."""
+    """rhec on problems of each horizon, and the seconds that estimator and controller took to
+    compile.
+    """
     blocks, compiling = {}, {}
     for N in horizons:
         compiling[N, "RHE"], compiling[N, "RHC"] = (seconds(make, horizon=N) for make in (RHE, RHC))
@@ -33,13 +34,22 @@ def contestants(horizons):
 
 
 def measure(horizons=HORIZONS, rounds=15):
-    """Table of RHE, RHC and both by horizon; growth: over the shortest horizon, block beside block, median."""
+    """Table of RHE, RHC and both by horizon; growth: over the shortest horizon, block beside block,
+    median.
+    """
     with tempfile.TemporaryDirectory() as empty, mock.patch.dict(os.environ, RHEC_CACHE=empty):
         compiled.load.cache_clear()
         blocks, compiling = contestants(horizons)
-        times = step.interleaved(blocks, rounds).query("phase == 'overall'").rename(columns={"contestant": "intervals"})
+        times = (
+            step.interleaved(blocks, rounds)
+            .query("phase == 'overall'")
+            .rename(columns={"contestant": "intervals"})
+        )
     by_block = times.pivot(index=["problem", "block"], columns="intervals", values="us")
     growth = by_block.div(by_block[horizons[0]], axis=0).groupby("problem").median()
     table = step.spread(times, ["intervals", "problem"])
     keys = list(zip(table["intervals"], table["problem"]))
-    return table.assign(growth=[growth.loc[problem, N] for N, problem in keys], compile_s=[compiling[key] for key in keys])
+    return table.assign(
+        growth=[growth.loc[problem, N] for N, problem in keys],
+        compile_s=[compiling[key] for key in keys],
+    )

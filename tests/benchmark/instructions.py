@@ -1,4 +1,6 @@
-"""Instructions of a step, counted by valgrind's callgrind: they do not depend on what else the machine is doing."""
+"""Instructions of a step, counted by valgrind's callgrind: they do not depend on what else the
+machine is doing.
+"""
 
 import re
 import subprocess
@@ -10,18 +12,22 @@ from pathlib import Path
 import pandas as pd
 
 from rhec._casadi import scan
-from rhec.studies import timing
 from rhec.scenario import Scenario
+from rhec.studies import timing
 
-PHASES = {   # the compiled Functions that a phase calls
-    ("RHE", "preparation"): ("rhe_expand", "rhe_shift", "rhe_linearise"), ("RHE", "feedback"): ("rhe_feedback",),
-    ("RHC", "preparation"): ("rhc_expand", "rhc_shift", "rhc_linearise"), ("RHC", "feedback"): ("rhc_feedback",),
+PHASES = {  # the compiled Functions that a phase calls
+    ("RHE", "preparation"): ("rhe_expand", "rhe_shift", "rhe_linearise"),
+    ("RHE", "feedback"): ("rhe_feedback",),
+    ("RHC", "preparation"): ("rhc_expand", "rhc_shift", "rhc_linearise"),
+    ("RHC", "feedback"): ("rhc_feedback",),
     ("closed loop", "overall"): ("block",),
 }
 
 
 def drive():
-    """What is counted: a minute of the closed loop, then its samples again from Python, phase by phase."""
+    """What is counted: a minute of the closed loop, then its samples again from Python, phase by
+    phase.
+    """
     scenario = Scenario(reading="calibrated", duration_s=60.0)
     timing.phases(scenario, scenario.qp)
 
@@ -31,9 +37,13 @@ def per_call(profile):
     names, calls, total = {}, Counter(), Counter()
     with open(profile) as lines:
         for line in lines:
-            if function := re.match(r"c?fn=\((\d+)\)(?: (\S+))?", line):   # a name is written out once, then goes by its number
+            if function := re.match(
+                r"c?fn=\((\d+)\)(?: (\S+))?", line
+            ):  # a name is written out once, then goes by its number
                 name = names.setdefault(*function.groups())
-            elif line.startswith("calls="):   # `name` is the one called, the next line says what it cost
+            elif line.startswith(
+                "calls="
+            ):  # `name` is the one called, the next line says what it cost
                 calls[name] += int(line.split()[0].removeprefix("calls="))
                 total[name] += int(next(lines).split()[-1])
     return {name: total[name] / calls[name] for name in calls}
@@ -41,12 +51,30 @@ def per_call(profile):
 
 def measure():
     """Table of instructions a sample, by phase."""
-    drive()   # what it needs is compiled outside valgrind
+    drive()  # what it needs is compiled outside valgrind
     with tempfile.TemporaryDirectory() as folder:
         profile = Path(folder) / "callgrind.out"
-        subprocess.run(["valgrind", "--tool=callgrind", f"--callgrind-out-file={profile}", sys.executable, "-c",
-                        f"from {__name__} import drive; drive()"], check=True, capture_output=True)
+        subprocess.run(
+            [
+                "valgrind",
+                "--tool=callgrind",
+                f"--callgrind-out-file={profile}",
+                sys.executable,
+                "-c",
+                f"from {__name__} import drive; drive()",
+            ],
+            check=True,
+            capture_output=True,
+        )
         cost = per_call(profile)
     cost["block"] /= scan.BLOCK
-    return pd.DataFrame([dict(problem=problem, phase=phase, instructions=round(sum(cost[function] for function in functions)))
-                         for (problem, phase), functions in PHASES.items()])
+    return pd.DataFrame(
+        [
+            dict(
+                problem=problem,
+                phase=phase,
+                instructions=round(sum(cost[function] for function in functions)),
+            )
+            for (problem, phase), functions in PHASES.items()
+        ]
+    )

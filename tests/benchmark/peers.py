@@ -1,7 +1,9 @@
-"""The same two nonlinear problems for other tools, each a function of a Problem that returns its optimum.
+"""The same two nonlinear problems for other tools, each a function of a Problem that returns its
+optimum.
 
-The same are the model and its Runge-Kutta step, horizon, weights and bounds, and the data, to which the arrival cost belongs: its update costs the
-peers nothing. IPOPT begins at its previous solution and iterates until its default tolerance is met. Opti tells it that this start is a good one, which
+The same are the model and its Runge-Kutta step, horizon, weights and bounds, and the data, to which
+the arrival cost belongs: its update costs the peers nothing. IPOPT begins at its previous solution
+and iterates until its default tolerance is met. Opti tells it that this start is a good one, which
 saves iterations; do-mpc is used as its documentation has it.
 """
 
@@ -11,19 +13,24 @@ import warnings
 import casadi as ca
 import numpy as np
 
-from rhec.model import tracked_robot as model
 from rhec import paper
+from rhec.model import tracked_robot as model
 
 quiet = functools.partial(warnings.catch_warnings, action="ignore")
 try:
-    with quiet():   # it warns of what it could do if more were installed
+    with quiet():  # it warns of what it could do if more were installed
         import do_mpc
 except ImportError:
     do_mpc = None
 
 WEIGHTS = 1 / np.square(paper.SIGMA_V)
 Q, QN = np.diag(paper.Q3), paper.QN_FACTOR * np.diag(paper.Q3)
-WARM = {"warm_start_init_point": "yes", "mu_init": 1e-6, "warm_start_bound_push": 1e-9, "warm_start_mult_bound_push": 1e-9}
+WARM = {
+    "warm_start_init_point": "yes",
+    "mu_init": 1e-6,
+    "warm_start_bound_push": 1e-9,
+    "warm_start_mult_bound_push": 1e-9,
+}
 OPTIONS = {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb": "yes", **WARM}}
 
 
@@ -37,13 +44,16 @@ def squared(error, weight):
 
 # CasADi's Opti: multiple shooting, written as in its documentation
 
+
 def every_interval(horizon):
     xi, omega, p = ca.MX.sym("xi", 3), ca.MX.sym("omega"), ca.MX.sym("p", 3)
     return ca.Function("interval", [xi, omega, p], [next_pose(xi, omega, p)]).map(horizon)
 
 
 def warm(function, guess):
-    """The function (data …, x, λ) -> (answer, x, λ) as one of the data alone, which begins where it ended the last time."""
+    """The function (data …, x, λ) -> (answer, x, λ) as one of the data alone, which begins where it
+    ended the last time.
+    """
     x, multipliers = guess, 0
 
     def solve(*data):
@@ -65,11 +75,20 @@ def opti_rhe(first):
     xi, omega, p = opti.variable(3, N + 1), opti.variable(1, N), opti.variable(3)
     z, m, H = opti.parameter(4, N + 1), opti.parameter(6), opti.parameter(6, 6)
     nodes, inputs = ca.vertcat(xi[:2, :], ca.repmat(p[0], 1, N + 1)) - z[:3, :], omega - z[3, 1:]
-    opti.minimize((squared(ca.vertcat(xi[:, 0], p) - m, H) + ca.sumsqr(np.sqrt(WEIGHTS[:3, None]) * nodes) + WEIGHTS[3] * ca.sumsqr(inputs)) / 2)
+    opti.minimize(
+        (
+            squared(ca.vertcat(xi[:, 0], p) - m, H)
+            + ca.sumsqr(np.sqrt(WEIGHTS[:3, None]) * nodes)
+            + WEIGHTS[3] * ca.sumsqr(inputs)
+        )
+        / 2
+    )
     opti.subject_to(xi[:, 1:] == every_interval(N)(xi[:, :-1], omega, p))
     opti.subject_to(opti.bounded(0, p[1:], 1))
-    solve = warm(solver(opti, [z, m, H], ca.vertcat(xi[:, -1], p)),
-                 np.concatenate([np.tile(first.estimate[:3], N + 1), first.z[3, 1:], first.estimate[3:]]))
+    solve = warm(
+        solver(opti, [z, m, H], ca.vertcat(xi[:, -1], p)),
+        np.concatenate([np.tile(first.estimate[:3], N + 1), first.z[3, 1:], first.estimate[3:]]),
+    )
     return lambda problem: solve(problem.z, problem.m, problem.H)
 
 
@@ -77,21 +96,41 @@ def opti_rhc(first):
     N = len(first.omega_ref)
     opti = ca.Opti()
     xi, omega = opti.variable(3, N + 1), opti.variable(1, N)
-    pose, p, xi_ref, omega_ref = opti.parameter(3), opti.parameter(3), opti.parameter(3, N + 1), opti.parameter(1, N)
+    pose, p, xi_ref, omega_ref = (
+        opti.parameter(3),
+        opti.parameter(3),
+        opti.parameter(3, N + 1),
+        opti.parameter(1, N),
+    )
     errors = ca.horzsplit(xi_ref - xi)
-    opti.minimize((sum(squared(error, Q) for error in errors[1:-1]) + squared(errors[-1], QN) + paper.R * ca.sumsqr(omega_ref - omega)) / 2)
+    opti.minimize(
+        (
+            sum(squared(error, Q) for error in errors[1:-1])
+            + squared(errors[-1], QN)
+            + paper.R * ca.sumsqr(omega_ref - omega)
+        )
+        / 2
+    )
     opti.subject_to(xi[:, 0] == pose)
     opti.subject_to(xi[:, 1:] == every_interval(N)(xi[:, :-1], omega, p))
     opti.subject_to(opti.bounded(-paper.OMEGA_MAX_RADPS, omega, paper.OMEGA_MAX_RADPS))
-    solve = warm(solver(opti, [pose, p, xi_ref, omega_ref], omega), np.concatenate([first.xi_ref.ravel(order="F"), first.omega_ref]))
-    return lambda problem: solve(problem.estimate[:3], problem.estimate[3:], problem.xi_ref, problem.omega_ref)
+    solve = warm(
+        solver(opti, [pose, p, xi_ref, omega_ref], omega),
+        np.concatenate([first.xi_ref.ravel(order="F"), first.omega_ref]),
+    )
+    return lambda problem: solve(
+        problem.estimate[:3], problem.estimate[3:], problem.xi_ref, problem.omega_ref
+    )
 
 
 # do-mpc: a discrete-time model with states (x, y, θ), input ω and parameters ν, μ, κ
 
+
 def do_mpc_rhe(first):
-    """Measurement k belongs to the state after interval k and to its input, as rhec's z_{k+1} does. At the oldest node do-mpc has no measurement:
-    that one counts in the arrival cost, a function of parameters that are given."""
+    """Measurement k belongs to the state after interval k and to its input, as rhec's z_{k+1} does.
+    At the oldest node do-mpc has no measurement: that one counts in the arrival cost, a function of
+    parameters that are given.
+    """
     robot, N = do_mpc.model.Model("discrete"), len(first.omega_ref)
     xi, omega = robot.set_variable("_x", "xi", (3, 1)), robot.set_variable("_u", "omega")
     p = robot.set_variable("_p", "p", (3, 1))
@@ -105,9 +144,14 @@ def do_mpc_rhe(first):
     mhe.settings.n_horizon, mhe.settings.t_step = N, paper.DT_S
     mhe.settings.supress_ipopt_output()
     xi, (p, m, H, z_0) = robot.x["xi"], (robot.p[name] for name in ("p", "m", "H", "z_0"))
-    oldest = squared(ca.vertcat(xi, p) - m, ca.reshape(H, 6, 6)) + squared(ca.vertcat(xi[:2], p[0]) - z_0, np.diag(WEIGHTS[:3]))
+    oldest = squared(ca.vertcat(xi, p) - m, ca.reshape(H, 6, 6)) + squared(
+        ca.vertcat(xi[:2], p[0]) - z_0, np.diag(WEIGHTS[:3])
+    )
     mhe.set_objective(squared(robot.v.cat, np.diag(WEIGHTS)) / 2, oldest / 2)
-    mhe.bounds["lower", "_p_est", "p"], mhe.bounds["upper", "_p_est", "p"] = (-np.inf, 0, 0), (np.inf, 1, 1)
+    mhe.bounds["lower", "_p_est", "p"], mhe.bounds["upper", "_p_est", "p"] = (
+        (-np.inf, 0, 0),
+        (np.inf, 1, 1),
+    )
     given, window = mhe.get_p_template(), mhe.get_y_template()
     mhe.set_p_fun(lambda t: given)
     mhe.set_y_fun(lambda t: window)
@@ -128,7 +172,11 @@ def do_mpc_rhe(first):
 def do_mpc_rhc(first):
     """The term of node 0, which is given, is a constant."""
     robot, N = do_mpc.model.Model("discrete"), len(first.omega_ref)
-    xi, omega, p = robot.set_variable("_x", "xi", (3, 1)), robot.set_variable("_u", "omega"), robot.set_variable("_p", "p", (3, 1))
+    xi, omega, p = (
+        robot.set_variable("_x", "xi", (3, 1)),
+        robot.set_variable("_u", "omega"),
+        robot.set_variable("_p", "p", (3, 1)),
+    )
     robot.set_variable("_tvp", "xi_ref", (3, 1))
     robot.set_variable("_tvp", "omega_ref")
     robot.set_rhs("xi", next_pose(xi, omega, p))
@@ -138,9 +186,15 @@ def do_mpc_rhc(first):
     mpc.settings.n_horizon, mpc.settings.t_step = N, paper.DT_S
     mpc.settings.supress_ipopt_output()
     error = robot.x["xi"] - robot.tvp["xi_ref"]
-    mpc.set_objective(mterm=squared(error, QN) / 2, lterm=(squared(error, Q) + paper.R * (robot.u["omega"] - robot.tvp["omega_ref"]) ** 2) / 2)
+    mpc.set_objective(
+        mterm=squared(error, QN) / 2,
+        lterm=(squared(error, Q) + paper.R * (robot.u["omega"] - robot.tvp["omega_ref"]) ** 2) / 2,
+    )
     mpc.set_rterm(omega=0.0)
-    mpc.bounds["lower", "_u", "omega"], mpc.bounds["upper", "_u", "omega"] = -paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS
+    mpc.bounds["lower", "_u", "omega"], mpc.bounds["upper", "_u", "omega"] = (
+        -paper.OMEGA_MAX_RADPS,
+        paper.OMEGA_MAX_RADPS,
+    )
     given, varying = mpc.get_p_template(1), mpc.get_tvp_template()
     mpc.set_p_fun(lambda t: given)
     mpc.set_tvp_fun(lambda t: varying)
@@ -148,11 +202,13 @@ def do_mpc_rhc(first):
         mpc.setup()
     mpc.x0["xi"] = first.estimate[:3]
     mpc.set_initial_guess()
-    plan = mpc.opt_x.f["_u"]   # where it is among the unknowns
+    plan = mpc.opt_x.f["_u"]  # where it is among the unknowns
 
     def solve(problem):
         given["_p", 0] = problem.estimate[3:]
-        varying.master = ca.DM(np.vstack([problem.xi_ref, np.append(problem.omega_ref, 0)]).ravel(order="F"))
+        varying.master = ca.DM(
+            np.vstack([problem.xi_ref, np.append(problem.omega_ref, 0)]).ravel(order="F")
+        )
         mpc.make_step(problem.estimate[:3])
         return mpc.opt_x_num.cat.full()[plan, 0]
 

@@ -1,28 +1,32 @@
-"""The problems that all contestants solve: consecutive samples of one closed-loop run, each with the answer at convergence."""
+"""The problems that all contestants solve: consecutive samples of one closed-loop run, each with
+the answer at convergence.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from rhec._casadi import compiled
 from rhec import paper
-from rhec.model import path
-from rhec.simulation import simulate
+from rhec._casadi import compiled
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
+from rhec.model import path
 from rhec.scenario import Scenario
+from rhec.simulation import simulate
 
 
 class Problem(NamedTuple):
     """One sample, and the optimum of its two nonlinear problems."""
 
-    z: np.ndarray            # (4, N+1) the window of measurements, the newest last
-    m: np.ndarray            # (6,) mean of the arrival cost
-    H: np.ndarray            # (6, 6) its weight
-    estimate: np.ndarray     # (6,) answer: x, y, θ, ν, μ, κ at the newest node; also what the controller starts from
-    xi_ref: np.ndarray       # (3, N+1)
-    omega_ref: np.ndarray    # (N,)
-    omega_plan: np.ndarray   # (N,) answer
+    z: np.ndarray  # (4, N+1) the window of measurements, the newest last
+    m: np.ndarray  # (6,) mean of the arrival cost
+    H: np.ndarray  # (6, 6) its weight
+    estimate: (
+        np.ndarray
+    )  # (6,) answer: x, y, θ, ν, μ, κ at the newest node; also what the controller starts from
+    xi_ref: np.ndarray  # (3, N+1)
+    omega_ref: np.ndarray  # (N,)
+    omega_plan: np.ndarray  # (N,) answer
 
 
 def drive(samples, horizon=paper.HORIZON):
@@ -42,22 +46,33 @@ def live(run, horizon=paper.HORIZON):
 
 
 def references(run, horizon):
-    """The function (estimate (6,), measured yaw rate) -> xi_ref (3, N+1), omega_ref (N,) that follows this run's path."""
-    call = compiled.Bound(compiled.load(path.functions, paper.DT_S, horizon, len(run.path.segments))["references"])
+    """The function (estimate (6,), measured yaw rate) -> xi_ref (3, N+1), omega_ref (N,) that
+    follows this run's path.
+    """
+    call = compiled.Bound(
+        compiled.load(path.functions, paper.DT_S, horizon, len(run.path.segments))["references"]
+    )
     call.set(segments=run.path.segments.T, period_m=run.path.period_m)
 
     def refer(estimate, omega_measured):
         call.set(estimate=estimate, omega_measured=omega_measured)
         call.call()
         call.set(s=call.results["s"])
-        return call.results["xi_ref"].reshape((3, -1), order="F").copy(), call.results["omega_ref"].copy()
+        return call.results["xi_ref"].reshape((3, -1), order="F").copy(), call.results[
+            "omega_ref"
+        ].copy()
 
     return refer
 
 
 def record(run, horizon=paper.HORIZON, iterations=20):
     """The problems of a run, from the first full window on, each iterated so often."""
-    (estimator, controller), refer, z, problems = live(run, horizon), references(run, horizon), measured(run), []
+    (estimator, controller), refer, z, problems = (
+        live(run, horizon),
+        references(run, horizon),
+        measured(run),
+        [],
+    )
     for k, newest in enumerate(z):
         estimator.prepare()
         estimate = np.array(estimator.solve(newest, iterations)[:6])
@@ -66,6 +81,15 @@ def record(run, horizon=paper.HORIZON, iterations=20):
         controller.solve(estimate[:3], estimate[3:], xi_ref, omega_ref, iterations)
         if k >= horizon:
             arrival = estimator.iteration.current
-            problems.append(Problem(z[k - horizon:k + 1].T.copy(), arrival["m"].copy(), np.linalg.inv(arrival["P"].reshape(6, 6)), estimate,
-                                    xi_ref, omega_ref, controller.omega_plan))
+            problems.append(
+                Problem(
+                    z[k - horizon : k + 1].T.copy(),
+                    arrival["m"].copy(),
+                    np.linalg.inv(arrival["P"].reshape(6, 6)),
+                    estimate,
+                    xi_ref,
+                    omega_ref,
+                    controller.omega_plan,
+                )
+            )
     return problems

@@ -1,4 +1,6 @@
-"""One step of estimation and control: who takes how long on the same problems, after all have shown that they solve them."""
+"""One step of estimation and control: who takes how long on the same problems, after all have shown
+that they solve them.
+"""
 
 import functools
 import itertools
@@ -7,14 +9,16 @@ import time
 import numpy as np
 import pandas as pd
 
+from benchmark import peers, problems
 from rhec import simulation
-from rhec._casadi import compiled
-from rhec._casadi import scan
-from benchmark import peers
-from benchmark import problems
+from rhec._casadi import compiled, scan
 
-TOLERANCE = 1e-6   # m, rad, m/s, 1, rad/s: how far an answer may be from rhec's
-SAMPLES, SHARE, LOOP = 300, 10, 1200   # problems; how many of them a peer solves in a block; samples of a closed loop in a block
+TOLERANCE = 1e-6  # m, rad, m/s, 1, rad/s: how far an answer may be from rhec's
+SAMPLES, SHARE, LOOP = (
+    300,
+    10,
+    1200,
+)  # problems; how many of them a peer solves in a block; samples of a closed loop in a block
 PHASES = ("RHE", "preparation"), ("RHE", "feedback"), ("RHC", "preparation"), ("RHC", "feedback")
 WHOLE = "RHE + RHC", "closed loop"
 REFERENCE = "do-mpc"
@@ -23,11 +27,29 @@ clock = time.perf_counter_ns
 
 
 def difference(name, answers, recorded):
-    """How far pairs of answers (RHE, RHC) are from rhec's at convergence: largest entry of each, median and maximum over all problems."""
-    largest = np.array([(np.abs(estimate - problem.estimate).max(), np.abs(omega_plan - problem.omega_plan).max())
-                        for (estimate, omega_plan), problem in zip(answers, recorded)])
-    (rhe_median, rhc_median), (rhe_maximum, rhc_maximum) = np.median(largest, axis=0), largest.max(axis=0)
-    return dict(contestant=name, rhe_median=rhe_median, rhe_maximum=rhe_maximum, rhc_median=rhc_median, rhc_maximum=rhc_maximum)
+    """How far pairs of answers (RHE, RHC) are from rhec's at convergence: largest entry of each,
+    median and maximum over all problems.
+    """
+    largest = np.array(
+        [
+            (
+                np.abs(estimate - problem.estimate).max(),
+                np.abs(omega_plan - problem.omega_plan).max(),
+            )
+            for (estimate, omega_plan), problem in zip(answers, recorded)
+        ]
+    )
+    (rhe_median, rhc_median), (rhe_maximum, rhc_maximum) = (
+        np.median(largest, axis=0),
+        largest.max(axis=0),
+    )
+    return dict(
+        contestant=name,
+        rhe_median=rhe_median,
+        rhe_maximum=rhe_maximum,
+        rhc_median=rhc_median,
+        rhc_maximum=rhc_maximum,
+    )
 
 
 def agreed(row):
@@ -35,27 +57,44 @@ def agreed(row):
 
 
 def agreement(run, recorded):
-    """The table of differences, and with how many iterations a sample rhec agrees with itself; raises if a peer does not agree.
+    """The table of differences, and with how many iterations a sample rhec agrees with itself;
+    raises if a peer does not agree.
 
-    One iteration a sample, as the paper has it, is in the table to show how near the optimum that stays.
+    One iteration a sample, as the paper has it, is in the table to show how near the optimum that
+    stays.
     """
     rows = []
     for name, makers in peers.PEERS.items():
         rhe, rhc = (make(recorded[0]) for make in makers)
-        rows.append(difference(name, [(rhe(problem), rhc(problem)) for problem in recorded], recorded))
+        rows.append(
+            difference(name, [(rhe(problem), rhc(problem)) for problem in recorded], recorded)
+        )
     if not all(map(agreed, rows)):
-        raise SystemExit(f"Not all answers agree to {TOLERANCE:g}, so nothing was timed:\n{pd.DataFrame(rows).to_string(index=False)}")
+        raise SystemExit(
+            f"Not all answers agree to {TOLERANCE:g}, so nothing was timed:\n{pd.DataFrame(rows).to_string(index=False)}"
+        )
     for iterations in itertools.count(1):
-        answers = [(problem.estimate, problem.omega_plan) for problem in problems.record(run, iterations=iterations)]
-        rows.append(difference(f"rhec, {iterations} iteration{'s' * (iterations > 1)} a sample", answers, recorded))
+        answers = [
+            (problem.estimate, problem.omega_plan)
+            for problem in problems.record(run, iterations=iterations)
+        ]
+        rows.append(
+            difference(
+                f"rhec, {iterations} iteration{'s' * (iterations > 1)} a sample", answers, recorded
+            )
+        )
         if agreed(rows[-1]):
             return pd.DataFrame(rows), iterations
 
 
-# Contestants: functions of the block's number that run one block and return {(problem, phase): µs a step, on average over the block}.
+# Contestants: functions of the block's number that run one block and return {(problem, phase): µs a
+# step, on average over the block}.
+
 
 def from_python(run, recorded, iterations=None):
-    """rhec's live objects, NumPy arrays in and out, the arrival cost updated: a block is the whole run. One iteration a sample, or so many."""
+    """rhec's live objects, NumPy arrays in and out, the arrival cost updated: a block is the whole
+    run. One iteration a sample, or so many.
+    """
     horizon = len(recorded[0].omega_ref)
     window, newest = np.split(problems.measured(run), [horizon])
 
@@ -63,7 +102,10 @@ def from_python(run, recorded, iterations=None):
         estimator, controller = problems.live(run, horizon)
         estimate, control = estimator.feedback, controller.feedback
         if iterations:
-            estimate, control = (functools.partial(each.solve, iterations=iterations) for each in (estimator, controller))
+            estimate, control = (
+                functools.partial(each.solve, iterations=iterations)
+                for each in (estimator, controller)
+            )
         for z in window:
             estimator.prepare()
             estimate(z)
@@ -78,14 +120,23 @@ def from_python(run, recorded, iterations=None):
             controller.prepare()
             planned = clock()
             control(pose, p, problem.xi_ref, problem.omega_ref)
-            taken[k] = prepared - begin, estimated - prepared, planned - estimated, clock() - planned
-        return dict(zip(PHASES, taken[1:].mean(axis=0) / 1e3))   # on the first sample the controller has nothing to prepare
+            taken[k] = (
+                prepared - begin,
+                estimated - prepared,
+                planned - estimated,
+                clock() - planned,
+            )
+        return dict(
+            zip(PHASES, taken[1:].mean(axis=0) / 1e3)
+        )  # on the first sample the controller has nothing to prepare
 
     return block
 
 
 def without_python(run, recorded):
-    """The compiled phases alone: their arguments are in place before the clock starts, their results stay where they are."""
+    """The compiled phases alone: their arguments are in place before the clock starts, their
+    results stay where they are.
+    """
     horizon = len(recorded[0].omega_ref)
     window, newest = np.split(problems.measured(run), [horizon])
 
@@ -95,7 +146,9 @@ def without_python(run, recorded):
             estimator.prepare()
             estimator.feedback(z)
         first = recorded[0]
-        controller.feedback(first.estimate[:3], first.estimate[3:], first.xi_ref, first.omega_ref)   # finds its first plan
+        controller.feedback(
+            first.estimate[:3], first.estimate[3:], first.xi_ref, first.omega_ref
+        )  # finds its first plan
         taken = np.empty((len(recorded), 4))
         for k, (z, problem) in enumerate(zip(newest, recorded)):
             estimator.iteration.arrays["z_N"][:] = z
@@ -110,7 +163,12 @@ def without_python(run, recorded):
             controller.iteration.prepare()
             planned = clock()
             controller.iteration.feedback()
-            taken[k] = prepared - begin, estimated - prepared, planned - estimated, clock() - planned
+            taken[k] = (
+                prepared - begin,
+                estimated - prepared,
+                planned - estimated,
+                clock() - planned,
+            )
         return dict(zip(PHASES, taken.mean(axis=0) / 1e3))
 
     return block
@@ -137,7 +195,7 @@ def peer(makers, recorded):
         times = []
         for solve in (rhe, rhc):
             started = clock()
-            for problem in recorded[begin:begin + SHARE]:
+            for problem in recorded[begin : begin + SHARE]:
                 solve(problem)
             times.append((clock() - started) / 1e3 / SHARE)
         return {("RHE", "overall"): times[0], ("RHC", "overall"): times[1]}
@@ -148,7 +206,7 @@ def peer(makers, recorded):
 def interleaved(contestants, rounds):
     """A B C A B C …: one row a block and phase, with sums over phases and over both problems."""
     rows = []
-    for number in range(-1, rounds):   # the first round warms up
+    for number in range(-1, rounds):  # the first round warms up
         for name, block in contestants.items():
             times = block(max(number, 0))
             for problem in ("RHE", "RHC"):
@@ -157,26 +215,41 @@ def interleaved(contestants, rounds):
                     times[problem, "overall"] = sum(parts)
             if ("RHE", "overall") in times:
                 times["RHE + RHC", "overall"] = times["RHE", "overall"] + times["RHC", "overall"]
-            rows += [dict(block=number, contestant=name, problem=problem, phase=phase, us=us) for (problem, phase), us in times.items()]
+            rows += [
+                dict(block=number, contestant=name, problem=problem, phase=phase, us=us)
+                for (problem, phase), us in times.items()
+            ]
     return pd.DataFrame(rows).query("block >= 0")
 
 
 def spread(times, by):
     """Quartiles of `us` for each group, in the order of first appearance."""
     quartiles = times.groupby(by, sort=False)["us"].quantile([0.25, 0.5, 0.75]).unstack(sort=False)
-    return quartiles.set_axis(["lower_quartile_us", "median_us", "upper_quartile_us"], axis=1).reset_index()
+    return quartiles.set_axis(
+        ["lower_quartile_us", "median_us", "upper_quartile_us"], axis=1
+    ).reset_index()
 
 
 def measure(rounds=30):
-    """Who agrees how well, and the table of times; speedup: the reference's RHE + RHC step over this one, block beside block, median."""
+    """Who agrees how well, and the table of times; speedup: the reference's RHE + RHC step over
+    this one, block beside block, median.
+    """
     run = problems.drive(SAMPLES)
     recorded = problems.record(run)
     agreeing, iterations = agreement(run, recorded)
-    contestants = {"rhec, closed loop": fused(run.scenario), "rhec, compiled code alone": without_python(run, recorded),
-                   "rhec, one iteration": from_python(run, recorded), "rhec, to convergence": from_python(run, recorded, iterations)}
-    times = interleaved(contestants | {name: peer(makers, recorded) for name, makers in peers.PEERS.items()}, rounds)
+    contestants = {
+        "rhec, closed loop": fused(run.scenario),
+        "rhec, compiled code alone": without_python(run, recorded),
+        "rhec, one iteration": from_python(run, recorded),
+        "rhec, to convergence": from_python(run, recorded, iterations),
+    }
+    times = interleaved(
+        contestants | {name: peer(makers, recorded) for name, makers in peers.PEERS.items()}, rounds
+    )
     table = spread(times, ["contestant", "problem", "phase"])
-    whole = times[times["problem"].isin(WHOLE)].pivot(index="block", columns="contestant", values="us")
+    whole = times[times["problem"].isin(WHOLE)].pivot(
+        index="block", columns="contestant", values="us"
+    )
     if REFERENCE in whole:
         speedup = (1 / whole).mul(whole[REFERENCE], axis=0).median()
         table[SPEEDUP] = table["contestant"].map(speedup).where(table["problem"].isin(WHOLE))

@@ -1,10 +1,13 @@
-"""The explorer as its user has it: JupyterLab in a browser, sliders moved by mouse and keyboard, and what the page then shows."""
+"""The explorer as its user has it: JupyterLab in a browser, sliders moved by mouse and keyboard,
+and what the page then shows.
+"""
 
 import numpy as np
 import pytest
 from conftest import watched_page
 
-# From here on the page notes when each picture that follows a change was painted, and when a pointer was last pressed and let go [ms].
+# From here on the page notes when each picture that follows a change was painted, and when a
+# pointer was last pressed and let go [ms].
 WATCH = """() => {
     window.seen = {painted: [], pressed: 0, released: 0}
     const painted = () => requestAnimationFrame(() => setTimeout(() => seen.painted.push(performance.now())))
@@ -48,7 +51,9 @@ class Explorer:
 
     def slider(self, label):
         """The box of the slider with this label, which is in the open tab."""
-        return self.page.locator(".rhec .widget-slider:visible", has=self.page.get_by_text(label, exact=True))
+        return self.page.locator(
+            ".rhec .widget-slider:visible", has=self.page.get_by_text(label, exact=True)
+        )
 
     def keys(self, label, key, times=1):
         self.slider(label).locator(".noUi-handle").focus()
@@ -56,16 +61,25 @@ class Explorer:
             self.page.keyboard.press(key)
 
     def tap(self, label, from_end):
-        """Press and let go on a slider, on the other side of its handle, so far from its end (a share of its length)."""
-        box, handle = self.slider(label).locator(".noUi-target").bounding_box(), self.slider(label).locator(".noUi-handle").bounding_box()
+        """Press and let go on a slider, on the other side of its handle, so far from its end (a
+        share of its length).
+        """
+        box, handle = (
+            self.slider(label).locator(".noUi-target").bounding_box(),
+            self.slider(label).locator(".noUi-handle").bounding_box(),
+        )
         on_the_left = handle["x"] + handle["width"] / 2 < box["x"] + box["width"] / 2
-        self.page.mouse.move(box["x"] + box["width"] * (1 - from_end if on_the_left else from_end), box["y"] + box["height"] / 2)
+        self.page.mouse.move(
+            box["x"] + box["width"] * (1 - from_end if on_the_left else from_end),
+            box["y"] + box["height"] / 2,
+        )
         self.page.mouse.down()
         self.page.mouse.up()
 
     def settled(self):
-        """Wait until a picture has come and no more do. Returns when each was painted since the last time, and when the pointer was pressed and let
-        go [ms]."""
+        """Wait until a picture has come and no more do. Returns when each was painted since the
+        last time, and when the pointer was pressed and let go [ms].
+        """
         self.page.wait_for_function("seen.painted.length")
         self.quiet()
         seen = self.page.evaluate("() => ({...seen})")
@@ -74,15 +88,20 @@ class Explorer:
 
     def quiet(self):
         """Wait until the kernel has had nothing to do for a while."""
-        self.page.evaluate("""async quiet_ms => {
+        self.page.evaluate(
+            """async quiet_ms => {
             const kernel = jupyterapp.shell.currentWidget.context.sessionContext.session.kernel
             for (let since = performance.now(); performance.now() - since < quiet_ms; await new Promise(done => setTimeout(done, 20)))
                 if (kernel.status != 'idle') since = performance.now()
-        }""", QUIET_MS)
+        }""",
+            QUIET_MS,
+        )
 
     def no_error(self, lab):
-        for output in lab.outputs(self.page):   # the first compile says so on stderr
-            assert output["output_type"] != "error" and "Error" not in "".join(output.get("text", ""))
+        for output in lab.outputs(self.page):  # the first compile says so on stderr
+            assert output["output_type"] != "error" and "Error" not in "".join(
+                output.get("text", "")
+            )
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +146,11 @@ def test_the_setting_is_copied_by_a_click(explorer):
     explorer.settled()
     explorer.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     explorer.page.locator(".rhec-line").click()
-    assert explorer.page.evaluate("navigator.clipboard.readText()") == explorer.line == "rhec.Scenario(reading='calibrated', q=(1.0, 1.0, 0.0))"
+    assert (
+        explorer.page.evaluate("navigator.clipboard.readText()")
+        == explorer.line
+        == "rhec.Scenario(reading='calibrated', q=(1.0, 1.0, 0.0))"
+    )
 
 
 def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, capsys):
@@ -137,14 +160,18 @@ def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, ca
     mouse.move(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
     mouse.down()
     for step in range(steps):
-        mouse.move(box["x"] + (0.3 + 0.4 * step / steps) * box["width"], box["y"] + box["height"] / 2)
+        mouse.move(
+            box["x"] + (0.3 + 0.4 * step / steps) * box["width"], box["y"] + box["height"] / 2
+        )
         explorer.page.wait_for_timeout(16)
     mouse.up()
     seen = explorer.settled()
     while_dragging = sum(painted < seen["released"] for painted in seen["painted"])
     last = seen["painted"][-1] - seen["released"]
     with capsys.disabled():
-        print(f"\ndragging: {while_dragging} pictures in {(seen['released'] - seen['pressed']) / 1000:.1f} s, the last one {last:.0f} ms after the release")
+        print(
+            f"\ndragging: {while_dragging} pictures in {(seen['released'] - seen['pressed']) / 1000:.1f} s, the last one {last:.0f} ms after the release"
+        )
     assert 2 <= while_dragging < steps
     readout = float(explorer.slider("speed [m/s]").locator(".widget-readout").inner_text())
     assert f"speed_mps={readout!r}" in explorer.line
@@ -152,7 +179,13 @@ def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, ca
 
 def test_the_time_from_a_slider_to_the_new_picture(explorer, capsys):
     """Told, not judged: it depends on the machine."""
-    places = [("Controller", "R"), ("Controller", "Q of θ"), ("Drive", "speed [m/s]"), ("Soil", "κ mean"), ("Sensors", "GNSS noise [m]")]
+    places = [
+        ("Controller", "R"),
+        ("Controller", "Q of θ"),
+        ("Drive", "speed [m/s]"),
+        ("Soil", "κ mean"),
+        ("Sensors", "GNSS noise [m]"),
+    ]
     times, rng = [], np.random.default_rng(0)
     for tab, label in places:
         explorer.tab(tab)
@@ -162,7 +195,9 @@ def test_the_time_from_a_slider_to_the_new_picture(explorer, capsys):
             times.append(seen["painted"][-1] - seen["pressed"])
     median, high = np.percentile(times, [50, 95])
     with capsys.disabled():
-        print(f"\nslider to painted picture: median {median:.0f} ms, 95 % {high:.0f} ms, {len(times)} moves, two runs each; {explorer.status}")
+        print(
+            f"\nslider to painted picture: median {median:.0f} ms, 95 % {high:.0f} ms, {len(times)} moves, two runs each; {explorer.status}"
+        )
     assert len(times) >= 30
 
 
@@ -184,7 +219,9 @@ def test_an_impossible_setting_is_one_sentence_and_the_picture_stays(explorer):
     explorer.settled()
     picture = explorer.picture
     explorer.keys("μ deviation", "End")
-    explorer.page.wait_for_function("document.querySelector('.rhec-status').innerText.includes('mu_deviation was 0.3')")
+    explorer.page.wait_for_function(
+        "document.querySelector('.rhec-status').innerText.includes('mu_deviation was 0.3')"
+    )
     assert "\n" not in explorer.status
     assert explorer.picture == picture
 
@@ -207,9 +244,13 @@ def test_the_robots_eye_plays(explorer):
     explorer.press("robot’s eye")
     explorer.settled()
     first = explorer.picture
-    explorer.page.locator(".rhec .jupyter-widget-play button, .rhec .widget-play button").first.click()
+    explorer.page.locator(
+        ".rhec .jupyter-widget-play button, .rhec .widget-play button"
+    ).first.click()
     explorer.page.wait_for_function("seen.painted.length >= 5")
-    explorer.page.locator(".rhec .jupyter-widget-play button, .rhec .widget-play button").first.click()
+    explorer.page.locator(
+        ".rhec .jupyter-widget-play button, .rhec .widget-play button"
+    ).first.click()
     explorer.settled()
     assert explorer.picture != first
 
@@ -217,7 +258,9 @@ def test_the_robots_eye_plays(explorer):
 def test_a_new_horizon_compiles_in_the_background(explorer):
     explorer.tab("Controller")
     explorer.keys("horizon [intervals]", "ArrowRight", 1)
-    explorer.page.wait_for_function("document.querySelector('.rhec-line').innerText.includes('horizon=16')")
+    explorer.page.wait_for_function(
+        "document.querySelector('.rhec-line').innerText.includes('horizon=16')"
+    )
     assert "runs of 240 s" in explorer.status
 
 
@@ -231,21 +274,36 @@ def test_it_fits_the_screen_and_is_readable(lab, chromium, theme, width, height)
         explorer = Explorer(page)
         explorer.press("pin")
         explorer.settled()
-        box, panel = page.locator(".rhec").bounding_box(), page.locator(".jp-NotebookPanel-notebook").bounding_box()
+        box, panel = (
+            page.locator(".rhec").bounding_box(),
+            page.locator(".jp-NotebookPanel-notebook").bounding_box(),
+        )
         assert box["height"] <= panel["height"] and box["width"] > 0.85 * panel["width"]
         assert page.locator(".rhec-picture").bounding_box()["width"] > 0.5 * box["width"]
-        assert page.evaluate("[...document.querySelectorAll('.rhec, .rhec-table, .rhec-picture')].every(each => each.scrollWidth <= each.clientWidth + 1)")
-        ink, paper = page.evaluate("""() => [getComputedStyle(document.querySelector('.rhec-picture')).color,
+        assert page.evaluate(
+            "[...document.querySelectorAll('.rhec, .rhec-table, .rhec-picture')].every(each => each.scrollWidth <= each.clientWidth + 1)"
+        )
+        ink, paper = (
+            page.evaluate("""() => [getComputedStyle(document.querySelector('.rhec-picture')).color,
                                              getComputedStyle(document.querySelector('.jp-Notebook')).backgroundColor]""")
+        )
         assert contrast(ink, paper) > 7
         lab.close(page)
 
 
 def contrast(one, other):
     """WCAG's contrast ratio of two colours as CSS computes them."""
+
     def luminance(colour):
-        rgb = np.array([float(part) for part in colour.partition("(")[2].rstrip(")").split(",")[:3]]) / 255
-        return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+        rgb = (
+            np.array([float(part) for part in colour.partition("(")[2].rstrip(")").split(",")[:3]])
+            / 255
+        )
+        return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ (
+            0.2126,
+            0.7152,
+            0.0722,
+        )
 
     low, high = sorted([luminance(one), luminance(other)])
     return (high + 0.05) / (low + 0.05)

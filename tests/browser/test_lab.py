@@ -1,4 +1,6 @@
-"""`make lab` for someone who never used Jupyter before: it asks nothing and speaks to nobody but this machine."""
+"""`make lab` for someone who never used Jupyter before: it asks nothing and speaks to nobody but
+this machine.
+"""
 
 import os
 import re
@@ -24,15 +26,26 @@ def address(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("JUPYTER") and name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("JUPYTER") and name not in ("DISPLAY", "WAYLAND_DISPLAY")
+    }
     said = tmp_path / "said"
     with said.open("w") as log:
-        lab = subprocess.Popen(["make", "lab"], cwd=ROOT, env=environment | {"HOME": str(tmp_path), "JUPYTER_PORT": str(port)}, stdin=subprocess.DEVNULL,
-                               stdout=log, stderr=subprocess.STDOUT, start_new_session=True)
+        lab = subprocess.Popen(
+            ["make", "lab"],
+            cwd=ROOT,
+            env=environment | {"HOME": str(tmp_path), "JUPYTER_PORT": str(port)},
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
     try:
         for _ in range(1200):
             found = re.search(rf"http://127\.0\.0\.1:{port}/lab\S*\n", said.read_text())
-            if found and answers(port):   # it is printed a moment before
+            if found and answers(port):  # it is printed a moment before
                 break
             assert lab.poll() is None, said.read_text()
             time.sleep(0.1)
@@ -48,5 +61,5 @@ def address(tmp_path):
 def test_it_opens_on_the_notebooks_and_asks_nothing(chromium, page, address):
     page.goto(address)
     page.wait_for_selector(".jp-DirListing-item[title*='tutorial.ipynb']")
-    page.wait_for_timeout(3000)   # for what would be asked a moment later
+    page.wait_for_timeout(3000)  # for what would be asked a moment later
     assert page.locator(".Toastify__toast, .jp-Dialog").count() == 0

@@ -14,7 +14,12 @@ def offline(page):
     page.context.set_offline(True)
     wrong = []
     page.on("requestfailed", lambda request: wrong.append(request.url))
-    page.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
+    page.on(
+        "console",
+        lambda message: (
+            wrong.append(message.text) if message.type in ("error", "warning") else None
+        ),
+    )
     yield page
     assert not wrong
 
@@ -29,15 +34,28 @@ def test_a_page_shows_all_it_has(offline, name):
     page.goto((REPORT / name).as_uri())
     page.evaluate("document.querySelectorAll('img').forEach(image => image.loading = 'eager')")
     page.wait_for_load_state("load")
-    page.evaluate("Promise.all([...document.images].map(image => image.decode()))")   # throws for a broken one
-    assert all(page.eval_on_selector_all("article img", "images => images.map(image => image.getBoundingClientRect().width > 100)"))
-    formulas = page.eval_on_selector_all("svg.formula path", "paths => paths.map(path => path.getBoundingClientRect().width)")
+    page.evaluate(
+        "Promise.all([...document.images].map(image => image.decode()))"
+    )  # throws for a broken one
+    assert all(
+        page.eval_on_selector_all(
+            "article img",
+            "images => images.map(image => image.getBoundingClientRect().width > 100)",
+        )
+    )
+    formulas = page.eval_on_selector_all(
+        "svg.formula path", "paths => paths.map(path => path.getBoundingClientRect().width)"
+    )
     assert all(width > 1 for width in formulas)
-    assert page.evaluate("performance.getEntriesByType('resource').every(resource => resource.name.startsWith('file:'))")
+    assert page.evaluate(
+        "performance.getEntriesByType('resource').every(resource => resource.name.startsWith('file:'))"
+    )
     assert page.locator("nav a[aria-current]").count() == (name != "index.html")
     for width, height in [(1366, 768), (2560, 1440), (390, 844)]:
         page.set_viewport_size({"width": width, "height": height})
-        assert page.evaluate("document.documentElement.scrollWidth") <= width, f"wider than {width} pixels"
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, (
+            f"wider than {width} pixels"
+        )
 
 
 def test_all_pages_are_reached_from_the_first_by_clicks(offline):

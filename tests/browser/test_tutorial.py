@@ -27,34 +27,50 @@ def tutorial(lab, page):
 
 def answers(page, tag):
     """The text of what the checks say in the cells with this tag, as the page shows it."""
-    return page.evaluate("""tag => jupyterapp.shell.currentWidget.content.widgets
+    return page.evaluate(
+        """tag => jupyterapp.shell.currentWidget.content.widgets
         .filter(cell => (cell.model.getMetadata('tags') ?? []).includes(tag))
-        .map(cell => [...cell.node.querySelectorAll('.answer')].map(answer => answer.innerText).join())""", tag)
+        .map(cell => [...cell.node.querySelectorAll('.answer')].map(answer => answer.innerText).join())""",
+        tag,
+    )
 
 
 def test_a_student_runs_it_answers_wrongly_then_rightly(lab, tutorial):
     page = tutorial
-    assert all(text.startswith("✓ Right:") for text in answers(page, "solution")), answers(page, "solution")
-    assert all(text.startswith("✗ Not yet:") for text in answers(page, "exercise")), answers(page, "exercise")
+    assert all(text.startswith("✓ Right:") for text in answers(page, "solution")), answers(
+        page, "solution"
+    )
+    assert all(text.startswith("✗ Not yet:") for text in answers(page, "exercise")), answers(
+        page, "exercise"
+    )
     assert len(answers(page, "exercise")) == len(answers(page, "solution"))
 
     hidden = page.evaluate("""jupyterapp.shell.currentWidget.content.widgets.filter(cell => cell.inputHidden)
         .map(cell => (cell.model.getMetadata('tags') ?? []).includes('solution'))""")
-    assert len(hidden) == len(answers(page, "solution")) and all(hidden)   # solutions, and nothing else, are folded away
+    assert len(hidden) == len(answers(page, "solution")) and all(
+        hidden
+    )  # solutions, and nothing else, are folded away
 
-    page.evaluate("document.querySelectorAll('.jp-OutputArea img').forEach(image => image.scrollIntoView())")
-    pictures = page.eval_on_selector_all(".jp-OutputArea img", "images => images.map(image => image.naturalWidth)")
+    page.evaluate(
+        "document.querySelectorAll('.jp-OutputArea img').forEach(image => image.scrollIntoView())"
+    )
+    pictures = page.eval_on_selector_all(
+        ".jp-OutputArea img", "images => images.map(image => image.naturalWidth)"
+    )
     assert len(pictures) >= 4 and all(width > 200 for width in pictures)
-    assert page.locator("mjx-container").count() > 20   # formulas
+    assert page.locator("mjx-container").count() > 20  # formulas
     assert page.locator("mjx-merror").count() == 0
     assert page.locator(".Toastify__toast").count() == 0
 
     for source, said in [(EULER, "an Euler step"), (SOLUTION, "✓ Right:")]:
-        page.evaluate(f"""async source => {{
+        page.evaluate(
+            f"""async source => {{
             const notebook = jupyterapp.shell.currentWidget.content
             notebook.activeCellIndex = {EXERCISE}
             notebook.deselectAll()
             notebook.activeCell.model.sharedModel.setSource(source)
             await jupyterapp.commands.execute('notebook:run-cell')
-        }}""", source)
+        }}""",
+            source,
+        )
         assert said in answers(page, "exercise")[0]

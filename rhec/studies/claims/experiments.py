@@ -1,4 +1,5 @@
-"""Experiments that are no closed-loop campaign: estimators on recorded measurements, one iteration against many, exact properties of the problems.
+"""Experiments that are no closed-loop campaign: estimators on recorded measurements, one iteration
+against many, exact properties of the problems.
 
 Each returns a DataFrame, one row a case.
 """
@@ -9,35 +10,36 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec import simulation
-from rhec._casadi import compiled
-from rhec._casadi import scan
-from rhec.model import tracked_robot as model
-from rhec import paper
-from rhec.model import path
-from rhec.controller import rhc
-from rhec.estimator import rhe
-from rhec.model import robot
-from rhec.model import terrain
-from rhec.studies import timing
-from rhec.simulation import rms, simulate, staying
+from rhec import paper, simulation
+from rhec._casadi import compiled, scan
 from rhec._casadi.build import folded, only, pieces, size, vector
+from rhec.controller import rhc
 from rhec.controller.rhc import RHC
+from rhec.estimator import rhe
 from rhec.estimator.rhe import RHE
+from rhec.model import path, robot, terrain
+from rhec.model import tracked_robot as model
 from rhec.scenario import Scenario
+from rhec.simulation import rms, simulate, staying
+from rhec.studies import timing
 
 RHE_MEMORY = ("s", "v", "z", "age", "m", "P")
 
 
 # The arrival cost
 
-def with_given_arrival():
-    """One RHE step with a choice: the arrival cost's covariance from the smoothed EKF update, or P_0 (6, 6) at all times where `constant` is 1.
 
-    (memory, z, V, W, P_0, constant) -> (memory, row); row: the estimate (6,) and the arrival covariance (36,) behind it.
+def with_given_arrival():
+    """One RHE step with a choice: the arrival cost's covariance from the smoothed EKF update, or
+    P_0 (6, 6) at all times where `constant` is 1.
+
+    (memory, z, V, W, P_0, constant) -> (memory, row); row: the estimate (6,) and the arrival
+    covariance (36,) behind it.
     """
     phases = rhe.functions(paper.DT_S, paper.HORIZON)
-    shift, linearise, feedback, expand = (phases[name] for name in ("shift", "linearise", "feedback", "expand"))
+    shift, linearise, feedback, expand = (
+        phases[name] for name in ("shift", "linearise", "feedback", "expand")
+    )
 
     def step(z_N, V, W, P_0, constant, **memory):
         memory = shift(**memory, V=V, W=W)
@@ -45,10 +47,18 @@ def with_given_arrival():
         prepared = linearise(**only(linearise, memory), V=V)
         result = feedback(**only(feedback, prepared | memory), z_N=z_N, V=V)
         expanded = expand(**only(expand, memory | prepared | result | dict(z_N=z_N, V=V)))
-        return dict(row=ca.vertcat(result["estimate"], ca.vec(memory["P"]))) | {name: expanded[name] for name in RHE_MEMORY}
+        return dict(row=ca.vertcat(result["estimate"], ca.vec(memory["P"]))) | {
+            name: expanded[name] for name in RHE_MEMORY
+        }
 
     memory = {name: shift.size_in(name) for name in RHE_MEMORY}
-    return folded("given_arrival", step, memory, dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 6), constant=(1, 1)), compiled.kind_of_loops())
+    return folded(
+        "given_arrival",
+        step,
+        memory,
+        dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 6), constant=(1, 1)),
+        compiled.kind_of_loops(),
+    )
 
 
 def functions(serialized):
@@ -59,19 +69,25 @@ def functions(serialized):
 def estimated(steps, log, reading, P_0=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
     guess = (*log.loc[0, ["x_m", "y_m", "theta_rad"]], log.loc[0, "nu_mps"], 1.0, 1.0)
-    settings = dict(V=np.square(paper.SIGMA_V), W=np.square(rhe.SIGMA_W[reading]),
-                    P_0=np.eye(6) if P_0 is None else P_0, constant=float(P_0 is not None))
+    settings = dict(
+        V=np.square(paper.SIGMA_V),
+        W=np.square(rhe.SIGMA_W[reading]),
+        P_0=np.eye(6) if P_0 is None else P_0,
+        constant=float(P_0 is not None),
+    )
     memory = vector(rhe.start(guess, paper.SIGMA_W_RHE, paper.HORIZON))
     _, rows = scan.fold(steps, memory, log[[*simulation.LOG["z"]]].to_numpy(), settings)
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
 
 
 def arrival_costs(reading, seeds):
-    """The RHE with its arrival cost as it is, and with constant ones, on the same recorded runs (driven with the true state in the loop).
+    """The RHE with its arrival cost as it is, and with constant ones, on the same recorded runs
+    (driven with the true state in the loop).
 
-    A constant covariance is the run's mean one over 100 ("heavy": a large weight H_N), times 100 ("light"), or times 10⁸ ("none"). For each:
-    RMS change of κ̂ from sample to sample, time until |κ̂ - κ| first stays below 0.1 for 5 s, RMS yaw and κ errors; and the least
-    eigenvalue of P - W over all samples, relative to that of W.
+    A constant covariance is the run's mean one over 100 ("heavy": a large weight H_N), times 100
+    ("light"), or times 10⁸ ("none"). For each: RMS change of κ̂ from sample to sample, time until
+    |κ̂ - κ| first stays below 0.1 for 5 s, RMS yaw and κ errors; and the least eigenvalue of P - W
+    over all samples, relative to that of W.
     """
     steps, rows = compiled.load(functions, with_given_arrival().serialize()), []
     W = np.diag(np.square(rhe.SIGMA_W[reading]))
@@ -79,16 +95,21 @@ def arrival_costs(reading, seeds):
         run = simulate(Scenario(estimator="oracle", seed=seed))
         log, row = run.log, {}
         estimates, P = estimated(steps, log, reading)
-        half = 1 / np.sqrt(np.diag(W))                       # P - W in units of W, where all eigenvalues compare
+        half = 1 / np.sqrt(np.diag(W))  # P - W in units of W, where all eigenvalues compare
         row["least"] = np.linalg.eigvalsh(half[:, None] * (P - W) * half).min()
-        typical = P[paper.HORIZON + 1:].mean(axis=0)
+        typical = P[paper.HORIZON + 1 :].mean(axis=0)
         for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
             if factor is not None:
                 estimates, _ = estimated(steps, log, reading, factor * typical)
             error = estimates[:, 5] - log["kappa"].to_numpy()
             yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
-            row |= {f"step_{name}": rms(np.diff(estimates[:, 5])), f"reached_s_{name}": reached_s(error), f"rms_kappa_{name}": rms(error),
-                    f"rms_yaw_{name}": rms(yaw), f"lost_{name}": np.abs(yaw).max() > 0.5}
+            row |= {
+                f"step_{name}": rms(np.diff(estimates[:, 5])),
+                f"reached_s_{name}": reached_s(error),
+                f"rms_kappa_{name}": rms(error),
+                f"rms_yaw_{name}": rms(yaw),
+                f"lost_{name}": np.abs(yaw).max() > 0.5,
+            }
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -101,22 +122,33 @@ def reached_s(error):
 
 # One iteration or many
 
-def live(scenario, iterations):
-    """The closed loop in plain Python: one Gauss-Newton iteration a sample (`iterations` = 1), or as many as told.
 
-    Returns the true distance to the path (n,) [m], the time RHE and RHC took (n,) [s], and for the same estimates and references how far [rad/s] the
-    command (n,) was from the converged one, and that of a cold RHC (n,), which knows the previous estimate but has planned nothing.
+def live(scenario, iterations):
+    """The closed loop in plain Python: one Gauss-Newton iteration a sample (`iterations` = 1), or
+    as many as told.
+
+    Returns the true distance to the path (n,) [m], the time RHE and RHC took (n,) [s], and for the
+    same estimates and references how far [rad/s] the command (n,) was from the converged one, and
+    that of a cold RHC (n,), which knows the previous estimate but has planned nothing.
     """
     world, dt = simulation.world(scenario), paper.DT_S
     given = world.settings
-    measure, drive, slip, references = (compiled.Bound(function) for function in (
-        robot.measure(dt), robot.drive(dt), terrain.lookup(terrain.common_shape(world.terrain)),
-        path.functions(dt, scenario.horizon, len(world.path.segments), scenario.input_reference)["references"]))
+    measure, drive, slip, references = (
+        compiled.Bound(function)
+        for function in (
+            robot.measure(dt),
+            robot.drive(dt),
+            terrain.lookup(terrain.common_shape(world.terrain)),
+            path.functions(
+                dt, scenario.horizon, len(world.path.segments), scenario.input_reference
+            )["references"],
+        )
+    )
     for call in (measure, drive, slip, references):
         call.set(**only(call.function, given))
     estimator = RHE(reading=scenario.reading, guess=tuple(world.guess))
     controller, unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(3))
-    previous, memory = tuple(world.guess), pieces(world.memory[:size(robot.MEMORY)], robot.MEMORY)
+    previous, memory = tuple(world.guess), pieces(world.memory[: size(robot.MEMORY)], robot.MEMORY)
     s, positions, taken, warm, cold = 0.0, [], [], [], []
     for noise in simulation.draw_noise(scenario.seed, round(scenario.duration_s / dt)):
         now = memory | pieces(noise, robot.NOISE)
@@ -133,10 +165,17 @@ def live(scenario, iterations):
         references.set(s=s, estimate=estimate[:6], omega_measured=z[3])
         references.call()
         s = references.results["s"][0]
-        asked = estimate[:3], estimate[3:6], references.results["xi_ref"].reshape((3, -1), order="F"), references.results["omega_ref"]
+        asked = (
+            estimate[:3],
+            estimate[3:6],
+            references.results["xi_ref"].reshape((3, -1), order="F"),
+            references.results["omega_ref"],
+        )
         referenced = time.perf_counter()
         controller.prepare()
-        command = controller.feedback(*asked) if iterations == 1 else controller.solve(*asked, iterations)
+        command = (
+            controller.feedback(*asked) if iterations == 1 else controller.solve(*asked, iterations)
+        )
         taken.append(time.perf_counter() - referenced + estimated - begin)
         exact.prepare()
         converged = exact.solve(*asked)
@@ -145,32 +184,50 @@ def live(scenario, iterations):
         cold.append(unprepared.feedback(*asked) - converged)
         previous = estimate[:6]
 
-        drive.set(**only(drive.function, now), traction=slip.results["traction"], omega_radps=command)
+        drive.set(
+            **only(drive.function, now), traction=slip.results["traction"], omega_radps=command
+        )
         drive.call()
         positions.append(now["pose"][:2].ravel())
-        memory = {name: value.copy() for name, value in (drive.results | dict(drift=measure.results["drift"])).items()}
+        memory = {
+            name: value.copy()
+            for name, value in (drive.results | dict(drift=measure.results["drift"])).items()
+        }
     distance_m, _ = world.path.project(positions)
     return distance_m, np.array(taken), np.array(warm), np.array(cold)
 
 
 def iterations(reading, seeds, duration_s=80.0, many=10):
-    """One iteration a sample against `many`, in the closed loop at equal seeds, counted after the first 20 s: mean true errors [m], median times
-    [µs]; and the RMS distance [rad/s] of the command after one iteration from the converged one, started warm and cold."""
+    """One iteration a sample against `many`, in the closed loop at equal seeds, counted after the
+    first 20 s: mean true errors [m], median times [µs]; and the RMS distance [rad/s] of the command
+    after one iteration from the converged one, started warm and cold.
+    """
     rows = []
     for seed in range(seeds):
         scenario = Scenario(reading=reading, seed=seed, duration_s=duration_s)
         one_m, one_s, warm, cold = live(scenario, 1)
         many_m, many_s, _, _ = live(scenario, many)
         settled = slice(round(20 / paper.DT_S), None)
-        rows.append(dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean(), one_us=1e6 * np.median(one_s),
-                         many_us=1e6 * np.median(many_s), rms_warm=rms(warm[settled]), rms_cold=rms(cold[settled])))
+        rows.append(
+            dict(
+                error_one_m=one_m[settled].mean(),
+                error_many_m=many_m[settled].mean(),
+                one_us=1e6 * np.median(one_s),
+                many_us=1e6 * np.median(many_s),
+                rms_warm=rms(warm[settled]),
+                rms_cold=rms(cold[settled]),
+            )
+        )
     return pd.DataFrame(rows)
 
 
 # Exact properties of the problems
 
+
 def straight_ahead(speed_mps, traction, horizon=paper.HORIZON):
-    """References of an RHC on the x axis: (xi_ref (3, N+1), omega_ref (N,)), desired points one sample apart."""
+    """References of an RHC on the x axis: (xi_ref (3, N+1), omega_ref (N,)), desired points one
+    sample apart.
+    """
     xi_ref = np.zeros((3, horizon + 1))
     xi_ref[0] = paper.DT_S * speed_mps * traction * np.arange(horizon + 1)
     return xi_ref, np.zeros(horizon)
@@ -179,13 +236,20 @@ def straight_ahead(speed_mps, traction, horizon=paper.HORIZON):
 def drawn_states(n, seed=0):
     """n random speeds [m/s], tractions μ, κ and offsets to the left of a straight path [m]."""
     rng = np.random.default_rng(seed)
-    return zip(rng.uniform(0.2, 0.7, n), rng.uniform(0.6, 1.0, n), rng.uniform(0.5, 1.0, n), rng.uniform(-0.3, 0.3, n))
+    return zip(
+        rng.uniform(0.2, 0.7, n),
+        rng.uniform(0.6, 1.0, n),
+        rng.uniform(0.5, 1.0, n),
+        rng.uniform(-0.3, 0.3, n),
+    )
 
 
 def kkt_tolerances(n=100):
-    """KKT tolerances of two RHC problems: linear, where the yaw alone has a weight (θ̇ = κω), and the paper's Q³.
+    """KKT tolerances of two RHC problems: linear, where the yaw alone has a weight (θ̇ = κω), and
+    the paper's Q³.
 
-    "reported" is that of the sample as ACADO's code gives it, at the point where the iteration begins; "after the step" is taken again at the result.
+    "reported" is that of the sample as ACADO's code gives it, at the point where the iteration
+    begins; "after the step" is taken again at the result.
     """
     rows = []
     for speed, mu, kappa, offset in drawn_states(n):
@@ -194,45 +258,78 @@ def kkt_tolerances(n=100):
         for name, q in {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}.items():
             for place, iterations in {"reported": 1, "after the step": 2}.items():
                 controller = RHC(q=q)
-                controller.solve((0.0, offset, offset), (speed, mu, kappa), xi_ref, omega_ref, iterations)
+                controller.solve(
+                    (0.0, offset, offset), (speed, mu, kappa), xi_ref, omega_ref, iterations
+                )
                 row[f"{name}_{place}"] = controller.kkt
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def gains(n=100):
-    """How strongly the converged RHC answers a small offset from a straight path, |∂ω/∂y| [rad/s/m], with R = 10 and with a hundredth of it."""
+    """How strongly the converged RHC answers a small offset from a straight path, |∂ω/∂y|
+    [rad/s/m], with R = 10 and with a hundredth of it.
+    """
     rows = []
     for speed, mu, kappa, _ in drawn_states(n):
         row = {}
         for name, r in {"large_r": paper.R, "small_r": paper.R / 100}.items():
             offset_m = 1e-4
-            row[name] = abs(RHC(r=r).solve((0.0, offset_m, 0.0), (speed, mu, kappa), *straight_ahead(speed, mu))) / offset_m
+            row[name] = (
+                abs(
+                    RHC(r=r).solve(
+                        (0.0, offset_m, 0.0), (speed, mu, kappa), *straight_ahead(speed, mu)
+                    )
+                )
+                / offset_m
+            )
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def models(n=100):
-    """The system model at random states: |f(0, 0, p)| [m/s], and how far rk4 without slip is from the unicycle's own motion [m]."""
+    """The system model at random states: |f(0, 0, p)| [m/s], and how far rk4 without slip is from
+    the unicycle's own motion [m].
+    """
     rng, rows = np.random.default_rng(0), []
     for speed, mu, kappa, _ in drawn_states(n):
-        pose, omega = rng.uniform(-3, 3, 3), rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)
+        pose, omega = (
+            rng.uniform(-3, 3, 3),
+            rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS),
+        )
         still = np.array(ca.DM(model.f(ca.DM.zeros(3), 0, ca.DM([speed, mu, kappa])))).ravel()
-        moved = np.array(ca.DM(model.rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S))).ravel()
+        moved = np.array(
+            ca.DM(model.rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S))
+        ).ravel()
         circle = path.advance(*pose, omega / speed, speed * paper.DT_S, np)
-        rows.append(dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=np.abs(moved - circle).max()))
+        rows.append(
+            dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=np.abs(moved - circle).max())
+        )
     return pd.DataFrame(rows)
 
 
 def times(duration_s=60.0):
-    """Times [µs] of the four phases at every sample, {qp: DataFrame}: on the condensed QP, as in the paper, and by its stages, the default here."""
+    """Times [µs] of the four phases at every sample, {qp: DataFrame}: on the condensed QP, as in
+    the paper, and by its stages, the default here.
+    """
     columns = [f"{problem}_{phase}" for problem, phase in timing.COLUMNS]
     scenario = Scenario(reading="calibrated", duration_s=duration_s)
-    return {qp: pd.DataFrame(timing.phases(scenario, qp), columns=columns) for qp in ("daqp", "structured")}
+    return {
+        qp: pd.DataFrame(timing.phases(scenario, qp), columns=columns)
+        for qp in ("daqp", "structured")
+    }
 
 
 def all_of(seeds):
-    """Every experiment: {reading: {name: table}}; what knows no reading stands under both. `seeds` is the largest number of fields of a campaign."""
+    """Every experiment: {reading: {name: table}}; what knows no reading stands under both. `seeds`
+    is the largest number of fields of a campaign.
+    """
     unread = dict(kkt=kkt_tolerances(), gains=gains(), models=models(), times=times())
-    return {reading: unread | {"arrival cost": arrival_costs(reading, max(2, seeds // 10)), "iterations": iterations(reading, max(2, seeds // 100))}
-            for reading in ("printed", "calibrated")}
+    return {
+        reading: unread
+        | {
+            "arrival cost": arrival_costs(reading, max(2, seeds // 10)),
+            "iterations": iterations(reading, max(2, seeds // 100)),
+        }
+        for reading in ("printed", "calibrated")
+    }

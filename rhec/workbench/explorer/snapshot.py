@@ -1,56 +1,70 @@
-"""What the robot has in mind at one sample of a run: the window of its estimator and the plan of its controller.
+"""What the robot has in mind at one sample of a run: the window of its estimator and the plan of
+its controller.
 
-A run is a fold, so that the memory at sample k is the fold of the samples up to k: nothing needs to have been kept.
+A run is a fold, so that the memory at sample k is the fold of the samples up to k: nothing needs to
+have been kept.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from rhec import simulation
-from rhec._casadi import compiled
-from rhec.extensions import faults
-from rhec._casadi import scan
-from rhec import paper
+from rhec import paper, simulation
+from rhec._casadi import compiled, scan
+from rhec._casadi.build import pieces, shapes, size, vector
 from rhec.controller import rhc
 from rhec.estimator import rhe
+from rhec.extensions import faults
 from rhec.model import robot
-from rhec._casadi.build import pieces, shapes, size, vector
 
 
 class Horizons(NamedTuple):
-    """At sample k. Poses are (x, y, θ) [m, m, rad] of the field; nodes run from the oldest to the newest."""
+    """At sample k. Poses are (x, y, θ) [m, m, rad] of the field; nodes run from the oldest to the
+    newest.
+    """
 
-    truth: np.ndarray         # (3,) where the robot is
-    estimate: np.ndarray      # (6,) (x, y, θ, ν, μ, κ)
-    window: np.ndarray        # (n, 3) poses of the RHE's trajectory, the newest last; no rows for other estimators
-    measured: np.ndarray      # (n, 2) the GNSS positions it is fitted to [m]
-    desired: np.ndarray       # (N + 1, 3) poses of the path that the RHC was asked for; the first is now
-    plan: np.ndarray          # (N + 1, 3) poses that the RHC predicts
-    omega_radps: np.ndarray   # (N,) yaw rates that it plans
+    truth: np.ndarray  # (3,) where the robot is
+    estimate: np.ndarray  # (6,) (x, y, θ, ν, μ, κ)
+    window: (
+        np.ndarray
+    )  # (n, 3) poses of the RHE's trajectory, the newest last; no rows for other estimators
+    measured: np.ndarray  # (n, 2) the GNSS positions it is fitted to [m]
+    desired: np.ndarray  # (N + 1, 3) poses of the path that the RHC was asked for; the first is now
+    plan: np.ndarray  # (N + 1, 3) poses that the RHC predicts
+    omega_radps: np.ndarray  # (N,) yaw rates that it plans
 
 
 def horizons_at(scenario, k):
     """The Horizons of a scenario's run at sample k."""
     made = simulation.world(scenario)
     functions = compiled.load(simulation.functions, *made.structure)
-    memory, rows = scan.fold(functions, made.memory, simulation.inputs(scenario, k + 1), made.settings)
+    memory, rows = scan.fold(
+        functions, made.memory, simulation.inputs(scenario, k + 1), made.settings
+    )
     row = dict(zip(simulation.COLUMNS, rows[-1]))
     truth, estimate = rows[-1, :3], np.array([row[name] for name in simulation.LOG["estimate"]])
 
     controller = rhc.start(np.zeros(3), np.zeros(3), scenario.horizon)
-    after = dict(s=(1, 1), controller=(vector(controller).size, 1), command=(1, 1)) | (faults.MEMORY if scenario.faults else {})
+    after = dict(s=(1, 1), controller=(vector(controller).size, 1), command=(1, 1)) | (
+        faults.MEMORY if scenario.faults else {}
+    )
     estimator = len(memory) - size(robot.MEMORY | after)
     of = pieces(memory, robot.MEMORY | dict(estimator=(estimator, 1)) | after)
     planned = pieces(of["controller"], shapes(controller))
     window, measured = np.empty((0, 3)), np.empty((0, 2))
-    if scenario.estimator in ("rhe", "dual"):   # the memory of both begins with the RHE's
+    if scenario.estimator in ("rhe", "dual"):  # the memory of both begins with the RHE's
         speed_model = scenario.speed_model if scenario.estimator == "rhe" else "parameter"
         of_rhe = shapes(rhe.start(np.zeros(6), rhe.SIGMA_START, scenario.horizon_rhe, speed_model))
-        past = pieces(of["estimator"][:size(of_rhe)], of_rhe)
-        nodes = int(past["age"].item()) + 1     # a window that is not full yet has its oldest nodes at its first sample
+        past = pieces(of["estimator"][: size(of_rhe)], of_rhe)
+        nodes = (
+            int(past["age"].item()) + 1
+        )  # a window that is not full yet has its oldest nodes at its first sample
         window, measured = past["s"].T[-nodes:, :3], past["z"].T[-nodes:, :2]
         measured = np.where(np.isfinite(measured), measured, np.nan)
     pace = abs(row["mu_hat"] * row["nu_hat_mps"]) * paper.DT_S
-    desired, _ = made.path.poses(row["s_m"] + scenario.look_ahead_m + pace * np.arange(scenario.horizon + 1))
-    return Horizons(truth, estimate, window, measured, desired, planned["s"].T[:, :3], planned["omega"].ravel())
+    desired, _ = made.path.poses(
+        row["s_m"] + scenario.look_ahead_m + pace * np.arange(scenario.horizon + 1)
+    )
+    return Horizons(
+        truth, estimate, window, measured, desired, planned["s"].T[:, :3], planned["omega"].ravel()
+    )
