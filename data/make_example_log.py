@@ -14,7 +14,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec._casadi import scan
-from rhec._casadi.build import folded, only, size, unpack, vector
+from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack, with_packed_memory
 from rhec.model import robot
 from rhec.model.terrain import Terrain, flat, lookup
 from rhec.simulation import draw_noise
@@ -104,12 +104,14 @@ def sample(terrain):
             speed_mps=command[0],
             omega_radps=command[1],
             traction=traction,
-            **only(drive, noise),
+            **select_inputs(drive, noise),
             **body,
         )
         return {name: driven[name] for name in MEMORY} | dict(row=row)
 
-    return folded("sample", moved, MEMORY, dict(given=(2 + size(robot.NOISE), 1)))
+    return with_packed_memory(
+        "sample", moved, MEMORY, dict(given=(2 + packed_size(robot.NOISE), 1))
+    )
 
 
 def record(pose, commands, terrain, seed):
@@ -118,8 +120,8 @@ def record(pose, commands, terrain, seed):
         [command for duration, *command in commands for _ in range(round(duration / DT_S))]
     )
     given = np.hstack([asked, draw_noise(seed, len(asked))])
-    memory = vector({name: robot.start(pose, 0.0)[name] for name in MEMORY})
-    _, rows = scan.fold(scan.functions(sample(terrain)), memory, given, {})
+    memory = pack_array({name: robot.init(pose, 0.0)[name] for name in MEMORY})
+    _, rows = scan.scan(scan.build_scan(sample(terrain)), memory, given, {})
     log = pd.DataFrame(rows, columns=COLUMNS)
     log.insert(0, "t_s", DT_S * np.arange(len(log)))
     new = log.index % round(paper.DT_S / DT_S) == 0

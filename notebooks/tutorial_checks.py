@@ -135,10 +135,13 @@ def arc(xi, omega, p):
 def weights(q):
     """q = (x, y, θ): driven on ten fields, with the calibrated RHE."""
     runs = [
-        simulate(Scenario(reading="calibrated", q=q, seed=seed, duration_s=60.0)).metrics
+        simulate(Scenario(process_noise="calibrated", q=q, seed=seed, duration_s=60.0)).metrics
         for seed in FIELDS
     ]
-    settled, overshoot = [run["arrival_s"] for run in runs], max(run["overshoot_m"] for run in runs)
+    settled, overshoot = (
+        [run["settling_time_s"] for run in runs],
+        max(run["overshoot_m"] for run in runs),
+    )
     expect(
         not np.isnan(settled).any(),
         f"on {np.isnan(settled).sum()} of {len(runs)} fields the robot never settles within 60 s.",

@@ -41,14 +41,14 @@ class Scenario:
                            pose by an EKF that is told it: not in the paper), or a CasADi Function
                            (memory, z) -> (memory, estimate) of one's own; its memory starts as the
                            first guess (x, y, θ, ν, μ, κ), then zeros
-        reading            "printed": the paper's W to the letter; "calibrated": W from training
+        process_noise      "printed": the paper's W to the letter; "calibrated": W from training
                            seeds (R1, R2)
         sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for
                            RHE and augmented EKF, without ν where that is an input, (μ, κ) per √m
                            where tracks slip; (x, y, θ, ν) for the EKFs; both, one after the other,
                            for "dual"
         sigma_v            measurement noise the estimator assumes: (x, y [m], ν [m/s], ω [rad/s])
-        horizon_rhe        intervals of the estimation window; N intervals have N + 1 nodes, so 14
+        estimation_horizon        intervals of the estimation window; N intervals have N + 1 nodes, so 14
                            is the paper's sum of N terms (R5)
         speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an
                            interval, from the encoders (R6, R13); "slipping": the same, with process
@@ -61,7 +61,7 @@ class Scenario:
     The controller
         q, r, qn_factor    weights Q_k (x, y, θ), R, and Q_N = qn_factor · Q_k
         omega_max_radps    bound on the commanded yaw rate
-        horizon            prediction intervals
+        prediction_horizon intervals of the prediction
         look_ahead_m       the desired points begin this far beyond the closest point
         input_reference    "measured": the measured yaw rate held, as in the paper; "curvature":
                            what the path asks for (R8)
@@ -93,10 +93,10 @@ class Scenario:
     """
 
     estimator: Any = "rhe"
-    reading: Reading = "printed"
+    process_noise: Reading = "printed"
     sigma_w: tuple[NotNegative, ...] | None = None
     sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V
-    horizon_rhe: Intervals = paper.HORIZON
+    estimation_horizon: Intervals = paper.HORIZON
     speed_model: SpeedModel = "parameter"
     arrival_mean: ArrivalMean = "smoothed"
     robust: Flag = False
@@ -105,7 +105,7 @@ class Scenario:
     r: Positive = paper.R
     qn_factor: NotNegative = paper.QN_FACTOR
     omega_max_radps: Positive = paper.OMEGA_MAX_RADPS
-    horizon: Intervals = paper.HORIZON
+    prediction_horizon: Intervals = paper.HORIZON
     look_ahead_m: NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
@@ -161,7 +161,7 @@ class Scenario:
                     "the most a quantity between 0 and 1 can vary"
                 )
         expected = (
-            estimators.entries(self.estimator, self.speed_model)
+            estimators.n_sigma_w(self.estimator, self.speed_model)
             if isinstance(self.estimator, str)
             else 0
         )

@@ -17,11 +17,12 @@ import numpy as np
 
 from rhec import paper
 from rhec._casadi import compiled, scan
-from rhec._casadi.build import folded, only, size, unpack, vector
+from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack, with_packed_memory
+from rhec._casadi.renamed import Renamed
 from rhec._casadi.validation import shown
 from rhec.controller import rhc
 from rhec.estimator import base as estimators
-from rhec.estimator.kalman import valid
+from rhec.estimator.kalman import is_valid_measurement
 from rhec.extensions import faults
 from rhec.model import path, robot, terrain
 from rhec.scenario import Scenario
@@ -40,16 +41,18 @@ LOG = dict(
     deviance=("deviance",),
     ok=("ok",),
 )
-HOLD = round(5 / paper.DT_S)  # samples: who stays within the tolerance so long has arrived
+SETTLING_SAMPLES = round(
+    5 / paper.DT_S
+)  # samples: who stays within the tolerance so long has arrived
 COLUMNS = [column for columns in LOG.values() for column in columns]
 
 
-class Structure(NamedTuple):
+class LoopStructure(NamedTuple):
     """What decides the shape of the loop's Function, and so what is compiled."""
 
     estimator: str  # one of estimators.NAMES, or a serialized Function
-    horizon: int
-    horizon_rhe: int
+    prediction_horizon: int
+    estimation_horizon: int
     speed_model: str
     arrival_mean: str
     robust: bool
@@ -60,24 +63,24 @@ class Structure(NamedTuple):
     faulty: bool  # sensors with faults: what is not there costs nothing
 
 
-def functions(*structure):
+def build_sample(*structure):
     """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), ready to be
     folded.
     """
-    structure = Structure(*structure)
+    structure = LoopStructure(*structure)
     measure, drive = robot.measure(paper.DT_S), robot.drive(paper.DT_S)
     estimate_step = estimators.step(
         structure.estimator,
-        structure.horizon_rhe,
+        structure.estimation_horizon,
         structure.speed_model,
         structure.arrival_mean,
         structure.qp,
         structure.robust,
     )
-    references = path.functions(
-        paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference
+    references = path.build_references(
+        paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
     )["references"]
-    control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
+    control = rhc.build_phases(paper.DT_S, structure.prediction_horizon, structure.qp)["step"]
     slip = terrain.lookup(structure.terrain_shape)
     deliver = faults.deliver()
     sensors = faults.MEMORY if structure.faulty else {}
@@ -140,10 +143,10 @@ def functions(*structure):
         truth = ca.vertcat(pose, nu, traction)
 
         measured = measure(
-            **only(measure, noise | settings), pose=pose, drift=drift, encoders=encoders
+            **select_inputs(measure, noise | settings), pose=pose, drift=drift, encoders=encoders
         )
         if structure.faulty:
-            measured |= deliver(**only(deliver, measured | noise | settings))
+            measured |= deliver(**select_inputs(deliver, measured | noise | settings))
         z = measured["z"]
 
         told = dict(traction_oracle=traction, fixed_traction=settings["mean_traction"]).get(
@@ -157,12 +160,15 @@ def functions(*structure):
         estimate = outputs["estimate"]
 
         believed = outputs.get("z_used", z)
-        omega_measured = ca.if_else(valid(believed, 3), believed[3], command)
+        omega_measured = ca.if_else(is_valid_measurement(believed, 3), believed[3], command)
         target = references(
-            **only(references, settings), s=s, estimate=estimate, omega_measured=omega_measured
+            **select_inputs(references, settings),
+            s=s,
+            estimate=estimate,
+            omega_measured=omega_measured,
         )
         planned = control(
-            **only(control, settings),
+            **select_inputs(control, settings),
             memory=controller,
             s_0=estimate,
             xi_ref=target["xi_ref"],
@@ -172,7 +178,7 @@ def functions(*structure):
         applied = ca.if_else(settings["command_delay"], command, newest)
 
         driven = drive(
-            **only(drive, noise | settings),
+            **select_inputs(drive, noise | settings),
             pose=pose,
             tracks=tracks,
             integral=integral,
@@ -203,17 +209,19 @@ def functions(*structure):
             **{name: measured[name] for name in sensors},
         )
 
-    sample = folded("sample", sample, memory, dict(noise=(size(stream), 1)) | settings)
-    return scan.functions(sample)
+    sample = with_packed_memory(
+        "sample", sample, memory, dict(noise=(packed_size(stream), 1)) | settings
+    )
+    return scan.build_scan(sample)
 
 
 @dataclass(frozen=True)
-class World:
+class Setup:
     """What a scenario amounts to in numbers: the loop's structure, first memory and settings, and
     where its path and soil come from.
     """
 
-    structure: Structure
+    structure: LoopStructure
     memory: np.ndarray
     settings: dict
     path: path.Path
@@ -221,7 +229,7 @@ class World:
     guess: np.ndarray  # (x, y, θ, ν, μ, κ), the estimator's first
 
 
-def world(scenario):
+def set_up(scenario):
     """Path, soil, starting point and settings of a scenario."""
     target = scenario.path or path.Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
     soil = scenario.terrain or terrain.random_for(scenario, target)
@@ -240,10 +248,10 @@ def world(scenario):
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
     shape = terrain.common_shape(soil)
-    structure = Structure(
-        estimators.identity(scenario.estimator),
-        scenario.horizon,
-        scenario.horizon_rhe,
+    structure = LoopStructure(
+        estimators.estimator_key(scenario.estimator),
+        scenario.prediction_horizon,
+        scenario.estimation_horizon,
         scenario.speed_model,
         scenario.arrival_mean,
         scenario.robust,
@@ -254,14 +262,14 @@ def world(scenario):
         bool(scenario.faults),
     )
     memory = (
-        robot.start(pose, speed_mps)
+        robot.init(pose, speed_mps)
         | dict(
             estimator=estimators.first_memory(scenario, guess),
             s=target.project(pose[None, :2])[1],
-            controller=vector(rhc.start(guess[:3], guess[3:], scenario.horizon)),
+            controller=pack_array(rhc.init(guess[:3], guess[3:], scenario.prediction_horizon)),
             command=0.0,
         )
-        | (faults.start() if scenario.faults else {})
+        | (faults.init() if scenario.faults else {})
     )
     slow = scenario.gnss_slow_share
     settings = dict(
@@ -271,7 +279,7 @@ def world(scenario):
         track_width_m=scenario.track_width_m,
         encoder_sigma_mps=scenario.encoder_sigma_mps,
         bump_sigma_radps=scenario.bump_sigma_radps,
-        **estimators.variances(scenario),
+        **estimators.noise_settings(scenario),
         segments=target.segments.T,
         period_m=target.period_m,
         look_ahead_m=scenario.look_ahead_m,
@@ -287,7 +295,7 @@ def world(scenario):
         slip=terrain.flat(soil, shape),
         mean_traction=soil.mean,
     )
-    return World(structure, vector(memory), settings, target, soil, guess)
+    return Setup(structure, pack_array(memory), settings, target, soil, guess)
 
 
 def draw_noise(seed, samples):
@@ -295,11 +303,11 @@ def draw_noise(seed, samples):
     drawn.
     """
     return np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 1)))).standard_normal(
-        (samples, size(robot.NOISE))
+        (samples, packed_size(robot.NOISE))
     )
 
 
-def inputs(scenario, samples):
+def noise_and_faults(scenario, samples):
     """The stream that a run is folded over: noise, and what the sensors' faults do, one row a
     sample.
     """
@@ -336,16 +344,16 @@ def simulate(scenario):
     """
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
-    return driven(scenario, world(scenario))
+    return simulate_setup(scenario, set_up(scenario))
 
 
-def driven(scenario, made):
+def simulate_setup(scenario, made):
     """The run of a scenario whose World is made."""
     samples = round(scenario.duration_s / paper.DT_S)
-    _, rows = scan.fold(
-        compiled.load(functions, *made.structure),
+    _, rows = scan.scan(
+        compiled.load(build_sample, *made.structure),
         made.memory,
-        inputs(scenario, samples),
+        noise_and_faults(scenario, samples),
         made.settings,
     )
     columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))
@@ -373,15 +381,18 @@ def metrics(columns, poses):
     row.
     """
     c = SimpleNamespace(**columns)
-    stays = staying(c.error_true_m)
+    stays = settled_samples(c.error_true_m)
     arrived = len(stays) > 0
-    after = slice(stays[0] + HOLD if arrived and stays[0] + HOLD < len(c.t_s) else 0, None)
+    after = slice(
+        stays[0] + SETTLING_SAMPLES if arrived and stays[0] + SETTLING_SAMPLES < len(c.t_s) else 0,
+        None,
+    )
     straight = c.on_straight[after]
     left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
     first_row = left[: np.argmin(c.on_straight) or None]
     omega = np.abs(c.omega_cmd_radps)
     values = dict(
-        arrival_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
+        settling_time_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
         mean_error_m=mean_of_known(c.error_m[after]),
         mean_error_true_m=c.error_true_m[after].mean(),
         max_error_true_m=c.error_true_m[after].max(),
@@ -397,19 +408,18 @@ def metrics(columns, poses):
         kkt_rhc_median=np.median(c.kkt_rhc[after]),
         all_ok=c.ok.all(),
     )
-    return {
-        name: value.item() for name, value in values.items()
-    }  # plain numbers, whatever NumPy made of them
+    # plain numbers, whatever NumPy made of them
+    return Renamed({name: value.item() for name, value in values.items()})
 
 
-def staying(error, within=paper.TOLERANCE_M):
+def settled_samples(error, within=paper.TOLERANCE_M):
     """The samples from which on the error (n,) stays within so much, unless told the tolerance [m],
     for 5 s.
     """
     inside = error < within
     return (
-        np.flatnonzero(np.convolve(inside, np.ones(HOLD), "valid") == HOLD)
-        if len(inside) > HOLD
+        np.flatnonzero(np.convolve(inside, np.ones(SETTLING_SAMPLES), "valid") == SETTLING_SAMPLES)
+        if len(inside) > SETTLING_SAMPLES
         else np.array([], dtype=int)
     )
 

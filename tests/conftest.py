@@ -28,4 +28,4 @@ def virtual_machine():
 @pytest.fixture(scope="session")
 def run():
     """One minute of the paper's loop, calibrated."""
-    return rhec.simulate(rhec.Scenario(reading="calibrated", duration_s=60.0))
+    return rhec.simulate(rhec.Scenario(process_noise="calibrated", duration_s=60.0))

@@ -19,7 +19,7 @@ import numpy as np
 
 from rhec import paper, simulation
 from rhec._casadi import compiled, scan
-from rhec._casadi.build import pieces, shapes, size
+from rhec._casadi.build import packed_size, shapes_of, unpack_array
 from rhec.estimator import rhe
 from rhec.extensions import faults
 from rhec.extensions.faults import Fault
@@ -80,7 +80,7 @@ def leg(base, seed, number):
         base,
         seed=int(rng.integers(2**31)),
         duration_s=duration_s,
-        reading=str(rng.choice(["printed", "calibrated"])),
+        process_noise=str(rng.choice(["printed", "calibrated"])),
         q=tuple(rng.uniform(0.1, 3, 3)),
         r=rng.uniform(1, 20),
         qn_factor=rng.uniform(1, 10),
@@ -106,17 +106,17 @@ def leg(base, seed, number):
 def start(base, seed):
     """The state before the first sample: where the drive is, and what was counted on the way."""
     return dict.fromkeys(COUNTS, 0) | dict(
-        seed=seed, lowest_eigenvalue=np.inf, memory=simulation.world(leg(base, seed, 0)).memory
+        seed=seed, lowest_eigenvalue=np.inf, memory=simulation.set_up(leg(base, seed, 0)).memory
     )
 
 
 def arrival_covariance(base, memory):
     """P (n_s, n_s) of the RHE within the memory of the closed loop."""
-    of_rhe = shapes(
-        rhe.start(np.zeros(6), np.ones(6), base.horizon_rhe, base.speed_model, base.robust)
+    of_rhe = shapes_of(
+        rhe.init(np.zeros(6), np.ones(6), base.estimation_horizon, base.speed_model, base.robust)
     )
-    begin = size(robot.MEMORY)
-    return pieces(memory[begin : begin + size(of_rhe)], of_rhe)["P"]
+    begin = packed_size(robot.MEMORY)
+    return unpack_array(memory[begin : begin + packed_size(of_rhe)], of_rhe)["P"]
 
 
 def lowest_eigenvalue(P):
@@ -170,14 +170,14 @@ def drive(state, base, samples):
     while state["done"] < end:
         number, place = divmod(state["done"], LEG)
         scenario = leg(base, state["seed"], number)
-        made = simulation.world(scenario)
+        made = simulation.set_up(scenario)
         functions, stream = (
-            compiled.load(simulation.functions, *made.structure),
-            simulation.inputs(scenario, LEG),
+            compiled.load(simulation.build_sample, *made.structure),
+            simulation.noise_and_faults(scenario, LEG),
         )
         while place < LEG and state["done"] < end:
             until = min(place - place % CHECK + CHECK, place + end - state["done"])
-            state["memory"], rows = scan.fold(
+            state["memory"], rows = scan.scan(
                 functions, state["memory"], stream[place:until], made.settings
             )
             found, lowest = counted(base, scenario, made, rows, state["memory"])

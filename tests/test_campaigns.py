@@ -225,7 +225,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     other_target = rhec.Path.from_segments([(20.0, 0.0)], start=(0.0, 1e-300, 0.0))
     changes = dict(
         estimator="rhe",
-        reading="calibrated",
+        process_noise="calibrated",
         sigma_w=(1.0,) * 4,
         speed_model="input",
         arrival_mean="filtered",

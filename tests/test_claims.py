@@ -175,12 +175,12 @@ def made_up(run, virtual_machine):
     }
     logs = {label: table(log) for label in run_sets.LOGS}
     return {
-        reading: dict(
+        process_noise: dict(
             runs=runs,
             logs=logs,
             experiments=exact | {"arrival cost": arrival, "iterations": iterations},
         )
-        for reading in run_sets.READINGS
+        for process_noise in run_sets.READINGS
     }
 
 
@@ -188,7 +188,7 @@ def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     table = ledger.ledger(made_up)
     assert len(table) >= 30 and table["id"].is_unique and len(table) == len(ledger.CLAIMS)
     assert set(table["verdict"]) <= {HOLDS, FAILS, UNDECIDED, UNTESTABLE} | {
-        f"{HOLDS} under {reading}" for each in ledger.CLAIMS for reading in each.rules
+        f"{HOLDS} under {process_noise}" for each in ledger.CLAIMS for process_noise in each.rules
     }
     untested = table[table["verdict"] == UNTESTABLE]
     assert (untested["why"] != "").all() and (
@@ -207,7 +207,7 @@ def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
     }
     claims = [claim for claim in ledger.CLAIMS if claim.id == "B5"]
     (row,) = ledger.ledger(
-        {reading: dict(runs=runs) for reading in run_sets.READINGS}, claims
+        {process_noise: dict(runs=runs) for process_noise in run_sets.READINGS}, claims
     ).itertuples()
     assert row.verdict == verdict and row.n == row.other_n == 60
     assert row.ours == pytest.approx(-0.01 if smaller == "RHE" else 0.01, abs=5e-4)
@@ -228,7 +228,7 @@ def test_the_same_label_meets_the_same_fields_under_both_readings():
         assert (
             one.seed == other.seed
             and one.q == other.q == paper.Q2
-            and (one.reading, other.reading) == run_sets.READINGS
+            and (one.process_noise, other.process_noise) == run_sets.READINGS
         )
 
 
@@ -242,7 +242,7 @@ def test_what_a_log_shows(run):
         shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all()
         and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
     )
-    assert shown["arrival_s"] == run.metrics["arrival_s"] and shown["arrived"]
+    assert shown["settling_time_s"] == run.metrics["settling_time_s"] and shown["arrived"]
     late = log[log["t_s"] >= 30]
     assert shown["kkt_rhe_late"] == pytest.approx(late["kkt_rhe"].median())
     assert shown["deviation_kappa_late"] == pytest.approx(late["kappa_hat"].std(ddof=0))
@@ -260,16 +260,16 @@ def test_a_lag_is_found(lag):
 
 def test_a_robot_that_never_arrives_has_used_up_its_time():
     table = run_sets.complete(
-        pd.DataFrame(dict(arrival_s=[3.0, np.nan], duration_s=[60.0, 60.0], error=""))
+        pd.DataFrame(dict(settling_time_s=[3.0, np.nan], duration_s=[60.0, 60.0], error=""))
     )
-    assert list(table["arrival_s"]) == [3.0, 60.0] and list(table["arrived"]) == [True, False]
+    assert list(table["settling_time_s"]) == [3.0, 60.0] and list(table["arrived"]) == [True, False]
 
 
 def test_no_claim_is_judged_on_runs_that_failed():
     with pytest.raises(RuntimeError, match="1 of 2 runs failed, the first with: ValueError: no"):
         run_sets.complete(
             pd.DataFrame(
-                dict(arrival_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])
+                dict(settling_time_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])
             )
         )
 
@@ -291,7 +291,7 @@ def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
 
     from rhec._casadi import scan
 
-    steps = scan.functions(ca.Function.deserialize(experiments.with_given_arrival().serialize()))
+    steps = scan.build_scan(ca.Function.deserialize(experiments.with_given_arrival().serialize()))
     log = run.log[:60]
     estimates, P = experiments.estimated(steps, log, "calibrated")
     np.testing.assert_allclose(
@@ -306,7 +306,7 @@ def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
 
 
 def test_the_live_loop_is_the_fused_one(virtual_machine):
-    scenario = rhec.Scenario(reading="calibrated", duration_s=20.0)
+    scenario = rhec.Scenario(process_noise="calibrated", duration_s=20.0)
     distance_m, *_ = experiments.live(scenario, 1)
     np.testing.assert_allclose(distance_m, rhec.simulate(scenario).log["error_true_m"], atol=1e-8)
 
@@ -342,7 +342,9 @@ def test_hard_coded_traction_on_soil_of_that_traction_is_the_traction_oracle(vir
 def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machine):
     log = rhec.simulate(
         rhec.Scenario(
-            estimator="augmented_ekf", reading="calibrated", terrain=rhec.Terrain.uniform(0.9, 0.8)
+            estimator="augmented_ekf",
+            process_noise="calibrated",
+            terrain=rhec.Terrain.uniform(0.9, 0.8),
         )
     ).log
     assert np.abs(log[["mu_hat", "kappa_hat"]].iloc[-1].to_numpy() - (0.9, 0.8)).max() < 0.05

@@ -17,7 +17,7 @@ from rhec.model import path, robot, terrain
 
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m y_hat_m theta_hat_rad
     nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
-MINUTE = rhec.Scenario(reading="calibrated", duration_s=60.0)
+MINUTE = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
 
 
 def simulated(**changes):
@@ -33,22 +33,23 @@ def same(one, other, atol=0.0):
 
 def live(scenario, samples):
     """The loop in plain Python, from the parts that anyone may use."""
-    world, DT = simulation.world(scenario), paper.DT_S
+    world, DT = simulation.set_up(scenario), paper.DT_S
     given, soil, n_segments = world.settings, world.terrain, len(world.path.segments)
     measure, drive, slip = (
         robot.measure(DT),
         robot.drive(DT),
         terrain.lookup(terrain.common_shape(soil)),
     )
-    references = path.functions(DT, scenario.horizon, n_segments, scenario.input_reference)[
-        "references"
-    ]
+    references = path.build_references(
+        DT, scenario.prediction_horizon, n_segments, scenario.input_reference
+    )["references"]
     pose, nu = np.array([0, scenario.start_offset_m, scenario.start_yaw_rad]), scenario.speed_mps
     rhe = rhec.RHE(
-        reading=scenario.reading, guess=(*pose[:2], pose[2] + scenario.guess_yaw_rad, nu, 1.0, 1.0)
+        process_noise=scenario.process_noise,
+        guess=(*pose[:2], pose[2] + scenario.guess_yaw_rad, nu, 1.0, 1.0),
     )
     rhc = rhec.RHC(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
-    memory, s, previous, rows = robot.start(pose, nu), 0.0, 0.0, []
+    memory, s, previous, rows = robot.init(pose, nu), 0.0, 0.0, []
     for drawn in simulation.draw_noise(scenario.seed, samples):
         drawn = {
             name: np.array(ca.evalf(value))
@@ -56,12 +57,15 @@ def live(scenario, samples):
         }
         now = given | memory | drawn
         traction = flat(slip(memory["pose"][:2], given["origin_m"], given["cell_m"], given["slip"]))
-        measured = measure(**function.only(measure, now))
+        measured = measure(**function.select_inputs(measure, now))
         z = flat(measured["z"])
         rhe.prepare()
         estimate = rhe.feedback(z)
         target = references(
-            s=s, estimate=estimate[:6], omega_measured=z[3], **function.only(references, given)
+            s=s,
+            estimate=estimate[:6],
+            omega_measured=z[3],
+            **function.select_inputs(references, given),
         )
         s = float(target["s"])
         rhc.prepare()
@@ -69,7 +73,7 @@ def live(scenario, samples):
             estimate[:3], estimate[3:6], np.array(target["xi_ref"]), flat(target["omega_ref"])
         )
         applied, previous = (previous if scenario.command_delay else command), command
-        driven = drive(**function.only(drive, now), traction=traction, omega_radps=applied)
+        driven = drive(**function.select_inputs(drive, now), traction=traction, omega_radps=applied)
         rows.append([*memory["pose"], *traction, *z, *estimate[:6], command, s, rhe.kkt, rhc.kkt])
         memory = {
             name: flat(value) for name, value in (driven | dict(drift=measured["drift"])).items()
@@ -85,7 +89,7 @@ LIVE = """x_m y_m theta_rad mu kappa x_meas_m y_meas_m nu_meas_mps omega_meas_ra
     "changes",
     [
         dict(),
-        dict(reading="printed", q=paper.Q1, command_delay=1),
+        dict(process_noise="printed", q=paper.Q1, command_delay=1),
         dict(r=2.0, omega_max_radps=0.2, start_yaw_rad=0.2),
         dict(guess_yaw_rad=0.3),
     ],
@@ -107,16 +111,16 @@ def test_compiled_code_and_the_virtual_machine_agree(estimator):
 
 
 def test_a_run_can_be_cut_anywhere(run):
-    made = simulation.world(MINUTE)
+    made = simulation.set_up(MINUTE)
     functions, noise = (
-        compiled.load(simulation.functions, *made.structure),
+        compiled.load(simulation.build_sample, *made.structure),
         simulation.draw_noise(MINUTE.seed, 300),
     )
     memory, rows = made.memory, []
     for part in np.split(noise, [1, 16, 37, 200]):
-        memory, more = scan.fold(functions, memory, part, made.settings)
+        memory, more = scan.scan(functions, memory, part, made.settings)
         rows.append(more)
-    last, whole = scan.fold(functions, made.memory, noise, made.settings)
+    last, whole = scan.scan(functions, made.memory, noise, made.settings)
     np.testing.assert_allclose(np.vstack(rows), whole, rtol=0, atol=1e-12)
     np.testing.assert_allclose(memory, last, rtol=0, atol=1e-12)
     columns = [column for column in simulation.COLUMNS if column in run.log and column != "ok"]
@@ -232,7 +236,7 @@ def test_commands_keep_the_bound(run):
 
 @pytest.mark.parametrize(
     "changes",
-    [dict(), dict(reading="printed", estimator="ekf"), dict(q=paper.Q2, start_offset_m=-1.0)],
+    [dict(), dict(process_noise="printed", estimator="ekf"), dict(q=paper.Q2, start_offset_m=-1.0)],
     ids=str,
 )
 def test_metrics_are_what_the_log_says(changes):
@@ -248,7 +252,7 @@ def test_metrics_are_what_the_log_says(changes):
     first_row = log[: np.argmax(log["x_m"] > run.scenario.row_length_m)]  # along the x axis
     beyond = -first_row["y_m"] * np.sign(run.scenario.start_offset_m)
     expected = dict(
-        arrival_s=log["t_s"][arrivals[0]] if arrivals else np.nan,
+        settling_time_s=log["t_s"][arrivals[0]] if arrivals else np.nan,
         mean_error_m=after["error_m"].mean(),
         mean_error_true_m=after["error_true_m"].mean(),
         max_error_true_m=after["error_true_m"].max(),
@@ -278,15 +282,15 @@ def test_arrived_is_who_stays_for_five_seconds(straight_m):
         run = simulated(estimator="oracle", path=kinks, start_offset_m=0.5)
     inside = (run.log["error_true_m"] < 0.12).to_numpy()
     stays = [k for k in range(len(inside) - 24) if inside[k : k + 25].all()]
-    assert run.metrics["arrival_s"] == pytest.approx(0.2 * stays[0])
+    assert run.metrics["settling_time_s"] == pytest.approx(0.2 * stays[0])
 
 
 def test_a_robot_that_never_arrives_is_judged_on_its_whole_run():
     with no_compiler():
         run = simulated(start_offset_m=-30.0)
-    assert np.isnan(run.metrics["arrival_s"]) and run.metrics["mean_error_m"] == pytest.approx(
-        run.log["error_m"].mean()
-    )
+    assert np.isnan(run.metrics["settling_time_s"]) and run.metrics[
+        "mean_error_m"
+    ] == pytest.approx(run.log["error_m"].mean())
 
 
 # What the loop does
@@ -295,7 +299,7 @@ def test_a_robot_that_never_arrives_is_judged_on_its_whole_run():
 @pytest.mark.parametrize("estimator", ["rhe", "ekf", "oracle", "traction_oracle"])
 def test_it_follows_the_path(estimator):
     got = simulated(estimator=estimator, duration_s=240.0).metrics
-    assert got["arrival_s"] < 30 and got["mean_error_true_m"] < 0.08 and got["all_ok"]
+    assert got["settling_time_s"] < 30 and got["mean_error_true_m"] < 0.08 and got["all_ok"]
 
 
 def test_backwards_it_follows_the_path_tail_first():
@@ -323,7 +327,7 @@ def test_other_choices_drive_too():
             dict(speed_model="input"),
             dict(arrival_mean="filtered"),
             dict(input_reference="curvature"),
-            dict(horizon=8, horizon_rhe=10),
+            dict(prediction_horizon=8, estimation_horizon=10),
             dict(look_ahead_m=0.3),
             dict(gnss_slow_share=0.5),
             dict(patches=((15.0, 0.0, 2.0, 0.4, 0.4),)),
@@ -394,7 +398,7 @@ def test_an_open_path_is_followed_from_its_first_sample_whatever_the_noise():
     path = rhec.Path.from_segments([(15.0, 0.0), (12.0, 0.1), (15.0, 0.0)])
     for seed in range(5):
         run = rhec.simulate(
-            rhec.Scenario(path=path, reading="calibrated", seed=seed, duration_s=60.0)
+            rhec.Scenario(path=path, process_noise="calibrated", seed=seed, duration_s=60.0)
         )
         assert run.log["s_m"].between(-0.2, path.length_m).all()
         assert run.metrics["mean_error_true_m"] < 0.12

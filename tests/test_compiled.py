@@ -16,7 +16,7 @@ import pytest
 import rhec
 from rhec._casadi import compiled
 
-BUILD = "from rhec._casadi import compiled; from rhec.estimator import ekf; f = compiled.load(ekf.functions, {dt})['step']; print(f(memory=[1]*22, V=[1]*4)['estimate'])"
+BUILD = "from rhec._casadi import compiled; from rhec.estimator import ekf; f = compiled.load(ekf.build_step, {dt})['step']; print(f(memory=[1]*22, V=[1]*4)['estimate'])"
 needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
 
 
@@ -164,7 +164,7 @@ def test_a_function_bound_to_arrays_is_the_function():
         ["matrix", "vector"],
         ["product", "norm"],
     )
-    bound = compiled.Bound(function)
+    bound = compiled.BufferedFunction(function)
     lower, ones = np.arange(1.0, 7.0), np.array([1.0, 10.0, 100.0])
     bound.set(matrix=lower, vector=ones)
     bound.call()

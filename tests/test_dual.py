@@ -5,7 +5,7 @@ import pytest
 from problems import DT, V, drive, flat
 
 import rhec
-from rhec._casadi.build import vector
+from rhec._casadi.build import pack_array
 from rhec.estimator import base as estimators
 from rhec.estimator import rhe
 from rhec.extensions import dual
@@ -19,13 +19,13 @@ def settings(sigma_w=dual.SIGMA_W):
 
 
 def first(guess=TRUTH, robust=False):
-    scenario = rhec.Scenario(estimator="dual", horizon_rhe=HORIZON, robust=robust)
+    scenario = rhec.Scenario(estimator="dual", estimation_horizon=HORIZON, robust=robust)
     return estimators.first_memory(scenario, np.array(guess))
 
 
 @pytest.fixture(scope="module")
 def step():
-    return dual.functions(DT, HORIZON)["step"]
+    return dual.build_step(DT, HORIZON)["step"]
 
 
 def weave(samples):
@@ -56,8 +56,8 @@ def test_without_noise_on_even_soil_it_stays_on_the_truth(step):
 def test_its_traction_is_the_rhes_to_the_last_bit(step):
     """With the RHE's part of W, whatever the pose filter's part is."""
     _, z = readings()
-    alone = rhe.functions(DT, HORIZON)["step"]
-    memory, expected = vector(rhe.start(TRUTH, rhe.SIGMA_START, HORIZON)), []
+    alone = rhe.build_phases(DT, HORIZON)["step"]
+    memory, expected = pack_array(rhe.init(TRUTH, rhe.SIGMA_START, HORIZON)), []
     for reading in z:
         result = alone(memory=memory, z_N=reading, V=V, W=np.square(dual.SIGMA_W[:6]))
         memory = result["memory"]
@@ -107,6 +107,6 @@ def test_in_a_curve_a_runge_kutta_step_of_the_pose_is_where_the_robot_is():
 def test_screening_changes_little_on_clean_readings(step):
     _, z = readings(60)
     plain, _ = run(step, first(), z)
-    screened, _ = run(dual.functions(DT, HORIZON, robust=True)["step"], first(robust=True), z)
+    screened, _ = run(dual.build_step(DT, HORIZON, robust=True)["step"], first(robust=True), z)
     assert np.abs(screened - plain)[:, :4].max() < 0.05
     assert np.median(np.abs(screened - plain)) < 1e-6

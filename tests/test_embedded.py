@@ -17,7 +17,7 @@ from conftest import no_compiler
 import rhec
 from rhec import paper, plots, simulation
 from rhec._casadi import compiled
-from rhec._casadi.build import only, vector
+from rhec._casadi.build import pack_array, select_inputs
 from rhec.codegen import LOG, phases
 from rhec.controller import rhc
 from rhec.estimator import base as estimators
@@ -49,14 +49,14 @@ SCENARIOS = {
         speed_model="input",
         arrival_mean="filtered",
         input_reference="curvature",
-        horizon=8,
-        horizon_rhe=6,
+        prediction_horizon=8,
+        estimation_horizon=6,
         q=(1, 1, 10),
         backwards=True,
         look_ahead_m=0.3,
         command_delay=1,
         guess_yaw_rad=0.2,
-        reading="calibrated",
+        process_noise="calibrated",
         path=rhec.Path.from_segments(
             [(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5)
         ),
@@ -69,7 +69,7 @@ SCENARIOS = {
             rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0),
         ),
     ),
-    "EKF": dict(estimator="ekf", reading="calibrated"),
+    "EKF": dict(estimator="ekf", process_noise="calibrated"),
     "dual": dict(estimator="dual", robust=True),
     "own estimator": dict(estimator=own_estimator()),
 }
@@ -182,23 +182,23 @@ def log_of(export):
 
 def in_python(scenario, measurements):
     """What the closed loop's own Functions answer to these measurements: (samples, 7)."""
-    world = simulation.world(scenario)
+    world = simulation.set_up(scenario)
     structure = world.structure
     estimate_step = estimators.step(
         structure.estimator,
-        structure.horizon_rhe,
+        structure.estimation_horizon,
         structure.speed_model,
         structure.arrival_mean,
         structure.qp,
         structure.robust,
     )
-    references = path.functions(
-        paper.DT_S, structure.horizon, structure.n_segments, structure.input_reference
+    references = path.build_references(
+        paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
     )["references"]
-    control = rhc.functions(paper.DT_S, structure.horizon, structure.qp)["step"]
+    control = rhc.build_phases(paper.DT_S, structure.prediction_horizon, structure.qp)["step"]
     estimator, controller = (
         estimators.first_memory(scenario, world.guess),
-        vector(rhc.start(world.guess[:3], world.guess[3:], scenario.horizon)),
+        pack_array(rhc.init(world.guess[:3], world.guess[3:], scenario.prediction_horizon)),
     )
     s, omega, answers = world.path.project(world.guess[None, :2])[1], 0.0, []
     for z in measurements:
@@ -216,10 +216,13 @@ def in_python(scenario, measurements):
         )
         measured = believed[3] if abs(believed[3]) <= Z_MAX[3] else omega
         target = references(
-            **only(references, world.settings), s=s, estimate=estimate, omega_measured=measured
+            **select_inputs(references, world.settings),
+            s=s,
+            estimate=estimate,
+            omega_measured=measured,
         )
         planned = control(
-            **only(control, world.settings),
+            **select_inputs(control, world.settings),
             memory=controller,
             s_0=estimate,
             xi_ref=target["xi_ref"],

@@ -18,7 +18,7 @@ from rhec.workbench.explorer import controls, explorer, field_run
 from rhec.workbench.explorer.robot_view import robots_eye, seen_from
 from rhec.workbench.explorer.snapshot import horizons_at
 
-SHORT = rhec.Scenario(reading="calibrated", duration_s=60.0)
+SHORT = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ STARTS = [
     rhec.Scenario(),
     rhec.Scenario(
         estimator="ekf",
-        reading="calibrated",
+        process_noise="calibrated",
         q=paper.Q1,
         r=3.3,
         patches=((9.0, 1.0, 2.0, 0.6, 0.5),),
@@ -71,7 +71,7 @@ def test_the_line_is_the_scenario(start):
 
 
 def test_one_s_own_w_reaches_each_estimator_in_its_own_size():
-    values = controls.values_of(SHORT) | {"reading": "own", ("sigma_w", 3): 0.5}
+    values = controls.values_of(SHORT) | {"process_noise": "own", ("sigma_w", 3): 0.5}
     assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
         0.001,
         0.001,
@@ -284,7 +284,7 @@ def test_what_goes_wrong_inside_is_said(made, monkeypatch, capsys):
     def broken(scenario, world):
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr(explorer.closed_loop, "driven", broken)
+    monkeypatch.setattr(explorer.simulation, "simulate_setup", broken)
     made.inputs["r"].value = 20.0
     assert "ZeroDivisionError: of all things" in made.status.value
     assert capsys.readouterr() == ("", "")
@@ -308,7 +308,7 @@ def test_a_lost_robot_is_drawn():
         for name, values in run.columns.items()
     }
     columns |= {"error_true_m": 1e6 * run.columns["t_s"], "x_m": 1e6 * run.columns["t_s"]}
-    lost = replace(run, columns=columns, metrics=run.metrics | {"arrival_s": float("nan")})
+    lost = replace(run, columns=columns, metrics=run.metrics | {"settling_time_s": float("nan")})
     picture = field_run.FieldRun()
     for zoom in field_run.ZOOMS:
         picture.show([lost], (), zoom)
@@ -353,12 +353,12 @@ def test_a_new_structure_is_compiled_elsewhere_and_the_newest_setting_run_then(m
     at_hand, compiled = set(), []
 
     def compile_apart(structures):
-        compiled.append([each.horizon for each in structures])
+        compiled.append([each.prediction_horizon for each in structures])
         at_hand.update(structures)
 
     monkeypatch.setattr(explorer, "compile_apart", compile_apart)
     monkeypatch.setattr(
-        explorer.compiled, "at_hand", lambda build, *structure: structure in at_hand
+        explorer.compiled, "is_compiled", lambda build, *structure: structure in at_hand
     )
 
     async def user():
@@ -379,7 +379,7 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
         raise OSError("no space left")
 
     monkeypatch.setattr(explorer, "compile_apart", compile_apart)
-    monkeypatch.setattr(explorer.compiled, "at_hand", lambda build, *structure: False)
+    monkeypatch.setattr(explorer.compiled, "is_compiled", lambda build, *structure: False)
 
     async def user():
         made.inputs["r"].value = 20.0
@@ -393,9 +393,9 @@ def test_compiling_apart_leaves_what_load_finds():
     from rhec import simulation
     from rhec._casadi import compiled
 
-    structure = simulation.world(rhec.Scenario(estimator="oracle", horizon=2)).structure
+    structure = simulation.set_up(rhec.Scenario(estimator="oracle", prediction_horizon=2)).structure
     explorer.compile_apart([structure])
-    assert compiled.at_hand(simulation.functions, *structure)
+    assert compiled.is_compiled(simulation.build_sample, *structure)
 
 
 # The robot's eye
@@ -423,7 +423,7 @@ def test_the_horizons_are_those_of_the_run(k, changed):
     assert at.omega_radps[0] == row["omega_cmd_radps"]
     np.testing.assert_allclose(at.plan[0], at.estimate[:3], atol=1e-12)
     if run.scenario.estimator in ("rhe", "dual"):
-        assert len(at.window) == len(at.measured) == min(k, run.scenario.horizon_rhe) + 1
+        assert len(at.window) == len(at.measured) == min(k, run.scenario.estimation_horizon) + 1
         if run.scenario.estimator == "rhe":
             np.testing.assert_allclose(at.window[-1], at.estimate[:3], atol=1e-9)
         believed = np.isfinite(

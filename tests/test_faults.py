@@ -23,7 +23,7 @@ Z = np.column_stack(
     [0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)]
 )  # smooth, and no two samples alike
 DURING = slice(50, 60)  # 10 s ≤ t < 12 s
-SHORT = rhec.Scenario(reading="calibrated", duration_s=30.0)
+SHORT = rhec.Scenario(process_noise="calibrated", duration_s=30.0)
 
 
 def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **given):
@@ -170,7 +170,7 @@ a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(a_fault, max_size=4), st.integers(0, 9))
 def test_the_closed_loop_and_a_recorded_stream_suffer_alike(several, seed):
-    deliver, memory, rows = faults.deliver(), faults.start(), []
+    deliver, memory, rows = faults.deliver(), faults.init(), []
     for z, row in zip(Z, faults.stream(several, len(Z), DT, seed)):
         columns = np.split(
             row, np.cumsum([rows * columns for rows, columns in faults.STREAM.values()])[:-1]
@@ -298,7 +298,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
         for family in ("GNSS outage", "start")
     }
     table, errors = robustness.study(
-        rhec.Scenario(reading="calibrated"),
+        rhec.Scenario(process_noise="calibrated"),
         range(2),
         {"off": {}, "on": {"arrival_mean": "filtered"}},
         cases,
@@ -363,4 +363,4 @@ def test_a_bad_fault_is_named_in_one_sentence(bad, sentence):
 def test_a_scenario_takes_faults_only():
     with pytest.raises(ValueError, match="^faults"):
         rhec.Scenario(faults=("missing",))
-    assert simulation.world(SHORT).structure.faulty is False
+    assert simulation.set_up(SHORT).structure.faulty is False

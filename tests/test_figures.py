@@ -40,11 +40,11 @@ def scenario(**choice):
 def runs(virtual_machine):
     """{reading: {"RHE": Run, "EKF": Run}}"""
     return {
-        reading: {
-            name: rhec.simulate(scenario(reading=reading, estimator=name.lower()))
+        process_noise: {
+            name: rhec.simulate(scenario(process_noise=process_noise, estimator=name.lower()))
             for name in ("RHE", "EKF")
         }
-        for reading in ("printed", "calibrated")
+        for process_noise in ("printed", "calibrated")
     }
 
 
@@ -53,7 +53,8 @@ def by_weight(virtual_machine):
     """{weight: one Run a seed}"""
     return {
         weight: [
-            rhec.simulate(scenario(reading="calibrated", seed=seed, **choice)) for seed in SEEDS
+            rhec.simulate(scenario(process_noise="calibrated", seed=seed, **choice))
+            for seed in SEEDS
         ]
         for weight, choice in WEIGHTS.items()
     }
@@ -63,7 +64,7 @@ def by_weight(virtual_machine):
 def sweep_a(by_weight):
     return pd.DataFrame(
         [
-            {"weight": weight, "reading": "calibrated", "seed": seed} | run.metrics
+            {"weight": weight, "process_noise": "calibrated", "seed": seed} | run.metrics
             for weight, runs in by_weight.items()
             for seed, run in enumerate(runs)
         ]
@@ -74,8 +75,8 @@ def sweep_a(by_weight):
 def sweep_b(virtual_machine):
     return rhec.campaign(
         [
-            scenario(reading=reading, estimator=estimator, seed=seed)
-            for reading in ("printed", "calibrated")
+            scenario(process_noise=process_noise, estimator=estimator, seed=seed)
+            for process_noise in ("printed", "calibrated")
             for estimator in ("rhe", "ekf")
             for seed in SEEDS
         ]
@@ -127,7 +128,7 @@ def test_figures_say_which_reading_and_seeds(drawn):
     for name, figure in drawn.items():
         if name != "phases":
             assert re.search(r"seeds?", words(figure)), name
-            assert name == "slip_fields" or "reading" in words(figure), name
+            assert name == "slip_fields" or "process_noise" in words(figure), name
 
 
 def test_titles_and_legends_are_inside_the_figure_and_apart(drawn):
@@ -166,7 +167,7 @@ def test_preparation_is_over_when_the_measurement_arrives(drawn):
 def test_table_a_equals_the_logs(by_weight, sweep_a):
     table = plots.scenario_a_table(sweep_a).set_index(["weight", "quantity"])
     for weight, of_seeds in by_weight.items():
-        arrivals = [run.metrics["arrival_s"] for run in of_seeds]
+        arrivals = [run.metrics["settling_time_s"] for run in of_seeds]
         assert table.loc[(weight, "settling time [s]"), "mean"] == pytest.approx(np.mean(arrivals))
         raw = [
             run.log.loc[run.log["t_s"] > arrival + 4.9, "error_m"].mean()
@@ -186,17 +187,19 @@ def test_table_a_equals_the_logs(by_weight, sweep_a):
 
 
 def test_table_b_equals_the_logs(runs, sweep_b):
-    first_seed = sweep_b[sweep_b["seed"] == 0].set_index(["reading", "estimator"])
-    table = plots.scenario_b_table(sweep_b).set_index(["reading", "estimator", "quantity"])
-    for reading, pair in runs.items():
+    first_seed = sweep_b[sweep_b["seed"] == 0].set_index(["process_noise", "estimator"])
+    table = plots.scenario_b_table(sweep_b).set_index(["process_noise", "estimator", "quantity"])
+    for process_noise, pair in runs.items():
         for name, run in pair.items():
-            log = run.log[run.log["t_s"] > run.metrics["arrival_s"] + 4.9]
+            log = run.log[run.log["t_s"] > run.metrics["settling_time_s"] + 4.9]
             assert (
-                first_seed.loc[(reading, name.lower()), "violations"]
+                first_seed.loc[(process_noise, name.lower()), "violations"]
                 == (log["on_straight"] & (log["error_m"] > 0.12)).sum()
             )
-            row = table.loc[(reading, name, "violations on straights, raw GNSS")]
-            of = sweep_b[(sweep_b["reading"] == reading) & (sweep_b["estimator"] == name.lower())]
+            row = table.loc[(process_noise, name, "violations on straights, raw GNSS")]
+            of = sweep_b[
+                (sweep_b["process_noise"] == process_noise) & (sweep_b["estimator"] == name.lower())
+            ]
             assert row["mean"] == pytest.approx(of["violations"].mean())
             assert (
                 of["violations"].min()
@@ -206,7 +209,7 @@ def test_table_b_equals_the_logs(runs, sweep_b):
                 <= of["violations"].max()
             )
             assert row["paper"] == {"RHE": 0, "EKF": 17}[name] and row["n"] == len(SEEDS)
-        error = table.loc[reading].xs("mean error, raw GNSS [m]", level="quantity")
+        error = table.loc[process_noise].xs("mean error, raw GNSS [m]", level="quantity")
         assert error["mean"]["RHE - EKF"] == pytest.approx(
             error["mean"]["RHE"] - error["mean"]["EKF"]
         )
@@ -232,7 +235,9 @@ def test_verdicts_follow_the_rule():
 
 
 def test_runs_that_never_settle_are_counted(sweep_a):
-    never = sweep_a.assign(arrival_s=sweep_a["arrival_s"].where(sweep_a["weight"] != "Q1"))
+    never = sweep_a.assign(
+        settling_time_s=sweep_a["settling_time_s"].where(sweep_a["weight"] != "Q1")
+    )
     table = plots.scenario_a_table(never).set_index(["weight", "quantity"])
     assert (
         table.loc[("Q1", "settling time [s]"), "n"] == 0

@@ -208,7 +208,7 @@ def test_a_simulation(fields, several, robust, seed):
 def test_a_field(fields):
     with np.errstate(all="ignore"):
         made = refused_by_name(
-            lambda: simulation.world(rhec.Scenario(**fields)), [*FIELDS, "box", "mu", "kappa"]
+            lambda: simulation.set_up(rhec.Scenario(**fields)), [*FIELDS, "box", "mu", "kappa"]
         )
     assert made is None or np.isfinite(made.settings["slip"]).all()
 
@@ -253,7 +253,7 @@ def test_paths_and_terrains(entry, data):
                 "qn_factor",
                 "omega_max",
                 "dt",
-                "horizon",
+                "prediction_horizon",
                 "qp",
                 "guess",
                 "sigma_v",
@@ -265,7 +265,7 @@ def test_paths_and_terrains(entry, data):
         scalar | numbers,
         min_size=1,
         max_size=2,
-    ).filter(lambda fields: not isinstance(fields.get("horizon"), int))
+    ).filter(lambda fields: not isinstance(fields.get("prediction_horizon"), int))
 )
 def test_an_estimator_and_a_controller(fields):
     for entry in (rhec.RHE, rhec.RHC):
@@ -433,7 +433,7 @@ def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
     monkeypatch.chdir(tmp_path)
     tagged = v4.new_code_cell("reading = 'printed'", metadata={"tags": ["parameters"]})
     check = v4.new_code_cell(
-        "from rhec.workbench.notebook import parameters\nparameters(globals(), reading=('printed', 'calibrated'))"
+        "from rhec.workbench.notebook import parameters\nparameters(globals(), process_noise=('printed', 'calibrated'))"
     )
     nbformat.write(v4.new_notebook(cells=[tagged, check]), "toy.ipynb")
     value = (
@@ -444,7 +444,7 @@ def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
     )
     with pytest.raises(SystemExit) as refusal:
         notebook.main()
-    assert refusal.value.code == 2 and capfd.readouterr().err.startswith("reading was ")
+    assert refusal.value.code == 2 and capfd.readouterr().err.startswith("process_noise was ")
     assert os.listdir() == ["toy.ipynb"] and "executed" not in os.listdir("..")
 
 

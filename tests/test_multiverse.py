@@ -24,7 +24,7 @@ def drawn():
 def made_up(drawn, **errors):
     """Runs whose metrics are all one, but for the mean errors given as {variant: (worlds, seeds)}."""
     metrics = (
-        "arrival_s",
+        "settling_time_s",
         "mean_error_m",
         "mean_error_true_m",
         "violations",
@@ -67,14 +67,14 @@ def test_worlds_fill_their_ranges_and_are_the_same_again(drawn):
 
 
 def test_every_world_can_be_driven_and_compiles_nothing_new(drawn):
-    usual = terrain.common_shape(simulation.world(rhec.Scenario()).terrain)
+    usual = terrain.common_shape(simulation.set_up(rhec.Scenario()).terrain)
     largest = drawn.assign(
         radius=drawn["speed_mps"] * drawn["mu_mean"] / drawn["kappa_mean"] / drawn["turn_demand"]
     ).nlargest(3, "radius")
     for world in [*largest.drop(columns="radius").to_dict("records"), drawn.loc[0].to_dict()]:
         for variant in multiverse.VARIANTS:
             scenario = multiverse.scenario(world, variant, 2000)
-            made = simulation.world(scenario)
+            made = simulation.set_up(scenario)
             asked = (
                 world["mu_mean"]
                 * world["speed_mps"]

@@ -15,10 +15,10 @@ from rhec.workbench.notebook import ParameterError, parameters
 ALLOWED = {
     "seed": (int, 0, 999_999),
     "speed_mps": (float, 0.05, 2.0),
-    "reading": ("printed", "calibrated"),
+    "process_noise": ("printed", "calibrated"),
     "gains": [(float, 0, 100)],
 }
-DEFAULTS = {"seed": 7, "speed_mps": 0.5, "reading": "printed", "gains": [1, 2.5]}
+DEFAULTS = {"seed": 7, "speed_mps": 0.5, "process_noise": "printed", "gains": [1, 2.5]}
 GAINS = "a list of at least one item, each a number from 0 to 100"
 
 
@@ -28,7 +28,7 @@ GAINS = "a list of at least one item, each a number from 0 to 100"
         ("seed", 0),
         ("seed", 999_999),
         ("speed_mps", 2),
-        ("reading", "calibrated"),
+        ("process_noise", "calibrated"),
         ("gains", (100,)),
     ],
 )
@@ -43,8 +43,16 @@ def test_allowed_values_pass(name, value):
         ("seed", True, "seed was True (bool); it must be an int from 0 to 999999"),
         ("seed", 7.0, "seed was 7.0 (float); it must be an int from 0 to 999999"),
         ("speed_mps", math.nan, "speed_mps was nan (float); it must be a number from 0.05 to 2.0"),
-        ("reading", "guess", "reading was 'guess' (str); it must be 'printed' or 'calibrated'"),
-        ("reading", [1], "reading was [1] (list); it must be 'printed' or 'calibrated'"),
+        (
+            "process_noise",
+            "guess",
+            "process_noise was 'guess' (str); it must be 'printed' or 'calibrated'",
+        ),
+        (
+            "process_noise",
+            [1],
+            "process_noise was [1] (list); it must be 'printed' or 'calibrated'",
+        ),
         ("gains", [], f"gains was [] (list); it must be {GAINS}"),
         ("gains", [1, False], f"gains was [1, False] (list); it must be {GAINS}"),
         ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),

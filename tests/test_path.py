@@ -27,7 +27,7 @@ HORIZON = 15
 
 @functools.cache
 def references(n_segments, input_reference):
-    return paths.functions(0.2, HORIZON, n_segments, input_reference)["references"]
+    return paths.build_references(0.2, HORIZON, n_segments, input_reference)["references"]
 
 
 def along(path, s, **given):

@@ -21,8 +21,8 @@ def test_the_steady_ekf_is_where_the_filter_itself_gets_to(sigma_x_m):
     along x.
     """
     step, m, sigma_theta = (
-        ekf.functions(DT)["step"],
-        function.vector(ekf.start((0, 0, 0, 0.45, 1, 1), (1,) * 6)),
+        ekf.build_step(DT)["step"],
+        function.pack_array(ekf.init((0, 0, 0, 0.45, 1, 1), (1,) * 6)),
         0.1,
     )
     x = 0.0

@@ -96,7 +96,7 @@ def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
     of theirs.
     """
     log = recorded(rate_hz)
-    result = rhec.replay(log, first_yaw_rad=0.4, reading="calibrated", speed_model="input")
+    result = rhec.replay(log, first_yaw_rad=0.4, process_noise="calibrated", speed_model="input")
     late = result["t_s"] > 15
     position, yaw = errors(result[late])
     assert len(result) == len(log) and position.max() < 0.02 and yaw.max() < 0.02
@@ -110,7 +110,7 @@ def test_the_log_of_a_run_gives_its_estimates_again(run):
     which has measurements beside the truth.
     """
     given = dict(
-        reading="calibrated",
+        process_noise="calibrated",
         speed_model="parameter",
         first_yaw_rad=float(run.log["theta_rad"][0]),
         sigma_yaw_rad=0.1,
@@ -123,11 +123,14 @@ def test_the_log_of_a_run_gives_its_estimates_again(run):
 
 
 def test_the_live_estimator_agrees():
-    recording, given = recordings.prepare(LOG), dict(reading="calibrated", speed_model="input")
-    samples = replays.estimate_samples(
-        recording, replays.settings("rhe", recording, given), replays.First((0.4,), 0.1)
+    recording, given = (
+        recordings.prepare(LOG),
+        dict(process_noise="calibrated", speed_model="input"),
     )
-    z = samples[recordings.READINGS].to_numpy()
+    samples = replays.estimate_samples(
+        recording, replays.settings("rhe", recording, given), replays.InitialGuess((0.4,), 0.1)
+    )
+    z = samples[recordings.MEASUREMENTS].to_numpy()
     live = rhec.RHE(**given, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
     for k in range(len(z)):
         live.prepare()
@@ -156,7 +159,7 @@ def test_no_estimate_sees_the_truth(estimates):
 @pytest.mark.parametrize("start_rad", [-2.9, -1.2, 0.0, 1.0, 2.6])
 def test_a_first_yaw_that_nobody_knows_is_found(start_rad):
     log = recorded(start_rad=start_rad, noise_m=0.02)
-    result = rhec.replay(log.drop(columns="yaw_true_rad"), reading="calibrated")
+    result = rhec.replay(log.drop(columns="yaw_true_rad"), process_noise="calibrated")
     error = (result["theta_hat_rad"] - log["yaw_true_rad"] + np.pi) % (2 * np.pi) - np.pi
     assert error[result["t_s"] > 15].abs().max() < 0.15
 
@@ -172,7 +175,7 @@ def test_on_a_straight_the_estimator_says_that_it_forgets_kappa():
         y_m=straight["y_m"] + ahead * np.sin(straight["yaw_true_rad"]),
     )
     result = rhec.replay(
-        pd.concat([log, straight], ignore_index=True), reading="calibrated", first_yaw_rad=0.4
+        pd.concat([log, straight], ignore_index=True), process_noise="calibrated", first_yaw_rad=0.4
     )
     sigma = result["sigma_kappa"].to_numpy()
     assert sigma[-1] > 1.2 * sigma[len(log) + 40] and np.all(
@@ -197,7 +200,7 @@ def test_readings_of_a_run_are_means_already(run):
     recording = recordings.prepare(run.log)
     samples = recordings.samples(recording.rows, 0.2, recording.averaged)
     np.testing.assert_allclose(
-        samples[recordings.READINGS], run.log[recordings.READINGS], atol=1e-9
+        samples[recordings.MEASUREMENTS], run.log[recordings.MEASUREMENTS], atol=1e-9
     )
 
 
@@ -205,7 +208,9 @@ def test_tracks_and_their_width_stand_for_speed_and_yaw_rate(estimates):
     tracks = LOG.drop(columns=["speed_mps", "yaw_rate_radps"])
     same = rhec.replay(tracks, first_yaw_rad=0.4, track_width_m=B)
     np.testing.assert_allclose(same[ESTIMATE], estimates[ESTIMATE], atol=1e-6)
-    wider = rhec.replay(tracks, first_yaw_rad=0.4, track_width_m=1.2 * B, reading="calibrated")
+    wider = rhec.replay(
+        tracks, first_yaw_rad=0.4, track_width_m=1.2 * B, process_noise="calibrated"
+    )
     assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
 
 
@@ -249,7 +254,7 @@ def test_segments_are_worlds_of_their_own():
 def test_positions_of_1_hz_are_enough():
     log = LOG.copy()
     log.loc[log.index % 10 > 0, ["x_m", "y_m"]] = np.nan
-    _, yaw = errors(rhec.replay(log, first_yaw_rad=0.4, reading="calibrated")[300:])
+    _, yaw = errors(rhec.replay(log, first_yaw_rad=0.4, process_noise="calibrated")[300:])
     assert yaw.max() < 0.15
 
 
@@ -348,7 +353,7 @@ def test_a_log_that_cannot_be_replayed_is_refused_in_a_sentence(log, sentence):
         (dict(estimator="oracle"), "^estimator was 'oracle'"),
         (dict(estimator="kalman"), "^estimator was 'kalman'"),
         (dict(sed=1), "^replay has no parameter 'sed'"),
-        (dict(reading="bold"), "^reading was 'bold'"),
+        (dict(process_noise="bold"), "^process_noise was 'bold'"),
         (dict(first_yaw_rad=(0.0, 1.0)), "^first_yaw_rad had 2 entries"),
         (dict(first_yaw_rad=np.inf), "^first_yaw_rad"),
         (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "^lever_arm_m was"),
@@ -422,7 +427,7 @@ def test_with_the_speed_as_input_the_rhe_survives_what_the_papers_does_not(shipp
     the speed changes.
     """
     by_input, by_parameter = (
-        scores.trials(shipped, range(3), reading="calibrated", speed_model=model)
+        scores.trials(shipped, range(3), process_noise="calibrated", speed_model=model)
         for model in ("input", "parameter")
     )
     assert (
@@ -464,7 +469,7 @@ def test_scores_are_what_they_say(estimates):
 
 
 def test_the_trial_is_harder_than_the_log_and_its_seed_decides():
-    one, again, other = (scores.trial(LOG, seed, reading="calibrated") for seed in (1, 1, 2))
+    one, again, other = (scores.trial(LOG, seed, process_noise="calibrated") for seed in (1, 1, 2))
     pd.testing.assert_frame_equal(one, again)
     assert not np.array_equal(one["x_meas_m"], other["x_meas_m"])
     added = one["x_meas_m"] - LOG["x_m"][::2].to_numpy()
@@ -505,8 +510,8 @@ def test_faults_on_top_of_a_log():
 
 def test_pictures_of_a_log_with_and_without_truth():
     for log in (LOG, LOG.drop(columns=list(recordings.TRUTH.values()))):
-        replay = {"RHE": scores.trial(log, 0, reading="calibrated")}
-        trials = {"RHE": scores.trials(log, range(2), reading="calibrated")}
+        replay = {"RHE": scores.trial(log, 0, process_noise="calibrated")}
+        trials = {"RHE": scores.trials(log, range(2), process_noise="calibrated")}
         for figure in (
             plots.replay_log(replay["RHE"], "a $ b"),
             plots.replay_yaw(replay),

@@ -145,7 +145,7 @@ def test_a_sample_later_the_plan_has_moved_on():
     """Warm start: one interval on, the last input repeated, the last node integrated."""
     rng = np.random.default_rng(7)
     s, omega = rng.normal(size=(6, N + 1)), rng.normal(size=(1, N))
-    shifted = builders.functions(DT, N)["shift"](s=s, omega=omega)
+    shifted = builders.build_phases(DT, N)["shift"](s=s, omega=omega)
     last = [*move(s[:3, -1], *s[3:, -1], omega[0, -1]), *s[3:, -1]]
     np.testing.assert_allclose(
         np.array(shifted["s"]), np.column_stack([s[:, 1:], last]), atol=1e-12

@@ -58,7 +58,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model)
     bound.
     """
     rng, keep, bounded = np.random.default_rng(0), places(speed_model), 0
-    phases = [builders.functions(DT, N, speed_model, qp=solver) for solver in SOLVERS[:3]]
+    phases = [builders.build_phases(DT, N, speed_model, qp=solver) for solver in SOLVERS[:3]]
     for k in range(110):
         z, m, P = rhe_instance(rng, speed_model)
         memory, answer, tolerances = iterate(
@@ -146,7 +146,7 @@ def batch(z, m, P, V):
 
 def test_one_step_solves_a_linear_problem():
     """As the paper says: the KKT tolerance is then zero."""
-    rng, phases = np.random.default_rng(1), builders.functions(DT, N)
+    rng, phases = np.random.default_rng(1), builders.build_phases(DT, N)
     for _ in range(10):
         z, m, P, V = linear_window(rng, N + 1)
         _, answer, _ = iterate(
@@ -167,9 +167,9 @@ def test_a_linear_problem_is_estimated_as_by_least_squares_over_all_there_ever_w
     """With the filtered arrival cost and without process noise, what leaves the window is not lost;
     deviances sum to -2 log likelihood.
     """
-    samples, step = 3 * N, builders.functions(DT, N, "parameter", "filtered")["step"]
+    samples, step = 3 * N, builders.build_phases(DT, N, "parameter", "filtered")["step"]
     z, m, P, V = linear_window(np.random.default_rng(2), samples)
-    start = builders.start(m, np.sqrt(np.diag(P)), N)
+    start = builders.init(m, np.sqrt(np.diag(P)), N)
     memory, deviance = np.concatenate([flat(piece) for piece in start.values()]), 0.0
     for reading in z:
         result = step(memory=memory, z_N=reading, V=V, W=np.zeros(6))
@@ -183,7 +183,7 @@ def test_a_linear_problem_is_estimated_as_by_least_squares_over_all_there_ever_w
 
 
 def test_kkt_tolerance_is_positive_and_falls_to_zero():
-    rng, phases = np.random.default_rng(3), builders.functions(DT, N)
+    rng, phases = np.random.default_rng(3), builders.build_phases(DT, N)
     for _ in range(10):
         z, m, P = rhe_instance(rng, "parameter")
         _, _, tolerances = iterate(
@@ -200,7 +200,7 @@ def test_without_noise_a_robot_that_weaves_is_tracked_exactly(speed_model):
     """
     truth, z = drive(GUESS, weave(3 * N))
     estimates = feed(
-        rhec.RHE(guess=GUESS, speed_model=speed_model, reading="calibrated"), z, iterations=8
+        rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="calibrated"), z, iterations=8
     )
     np.testing.assert_allclose([estimate[:6] for estimate in estimates], truth, atol=1e-9)
 
@@ -211,7 +211,9 @@ def test_traction_is_found_where_the_robot_turns():
     """
     truth, z = drive(GUESS, 3 * weave(200))
     for seed in range(5):
-        rhe = rhec.RHE(guess=(0, 0, 0.2, 0.5, 1, 1), reading="calibrated", arrival_mean="filtered")
+        rhe = rhec.RHE(
+            guess=(0, 0, 0.2, 0.5, 1, 1), process_noise="calibrated", arrival_mean="filtered"
+        )
         estimates = feed(rhe, noisy(z, np.random.default_rng(seed)))[50:]
         errors = np.array(
             [
@@ -248,7 +250,7 @@ def test_all_solvers_give_the_same_estimates():
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_preparation_does_not_see_the_newest_reading(speed_model):
-    phases, rng = builders.functions(DT, N, speed_model), np.random.default_rng(6)
+    phases, rng = builders.build_phases(DT, N, speed_model), np.random.default_rng(6)
     z, m, P = rhe_instance(rng, speed_model)
     results = []
     for newest in (np.full(4, np.nan), np.zeros(4), np.full(4, 1e6)):
@@ -293,13 +295,13 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, 
     """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from
     where the reading says.
     """
-    phases, keep = builders.functions(DT, N, speed_model, arrival_mean), places(speed_model)
+    phases, keep = builders.build_phases(DT, N, speed_model, arrival_mean), places(speed_model)
     sigma = np.array(builders.SIGMA_W[reading])[keep]
     _, z = drive(GUESS, weave(4 * N))
     z = noisy(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan
     memory, weights = (
-        builders.start(GUESS, paper.SIGMA_W_RHE, N, speed_model),
+        builders.init(GUESS, paper.SIGMA_W_RHE, N, speed_model),
         dict(V=V, W=sigma**2),
     )
     for k, newest in enumerate(z):
@@ -326,7 +328,7 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, 
 def test_the_covariance_stays_symmetric_and_positive_definite(reading, speed_model):
     _, z = drive(GUESS, weave(300))
     for estimate in feed(
-        rhec.RHE(guess=GUESS, reading=reading, speed_model=speed_model),
+        rhec.RHE(guess=GUESS, process_noise=reading, speed_model=speed_model),
         noisy(z, np.random.default_rng(8)),
     ):
         scale = np.sqrt(np.diag(estimate.covariance))
@@ -339,7 +341,7 @@ def test_the_covariance_stays_symmetric_and_positive_definite(reading, speed_mod
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_a_missing_reading_is_a_term_left_out(speed_model):
-    rng, phases = np.random.default_rng(9), builders.functions(DT, N, speed_model)
+    rng, phases = np.random.default_rng(9), builders.build_phases(DT, N, speed_model)
     for _ in range(10):
         z, m, P = rhe_instance(rng, speed_model)
         complete = z.copy()
@@ -374,7 +376,7 @@ def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
 def test_while_the_yaw_rate_is_silent_the_last_one_holds():
     truth, z = drive(GUESS, np.full(40, 0.08))
     z[20:24, 3] = np.nan
-    estimates = feed(rhec.RHE(guess=GUESS, reading="calibrated"), z, iterations=8)
+    estimates = feed(rhec.RHE(guess=GUESS, process_noise="calibrated"), z, iterations=8)
     np.testing.assert_allclose([estimate[:6] for estimate in estimates], truth, atol=1e-9)
 
 
@@ -401,7 +403,7 @@ def test_after_ten_seconds_without_gnss_it_finds_back(speed_model):
     truth, z = drive(GUESS, 3 * weave(150))
     z = noisy(z, np.random.default_rng(11))
     z[60:110, :2] = np.nan
-    estimates = feed(rhec.RHE(guess=GUESS, reading="calibrated", speed_model=speed_model), z)
+    estimates = feed(rhec.RHE(guess=GUESS, process_noise="calibrated", speed_model=speed_model), z)
     assert estimates[109].covariance[0, 0] > 4 * estimates[-1].covariance[0, 0]
     assert estimates[-1][:3] == pytest.approx(truth[-1, :3], abs=0.1)
 
@@ -422,7 +424,7 @@ def test_a_wrong_shape_is_named(z):
     [
         (dict(dt=0), "dt"),
         (dict(horizon=0), "horizon"),
-        (dict(reading="exact"), "reading"),
+        (dict(process_noise="exact"), "process_noise"),
         (dict(sigma_w=(1, 1)), "sigma_w"),
         (dict(speed_model="input", sigma_w=(1,) * 6), "sigma_w"),
         (dict(sigma_v=(0, 1, 1, 1)), r"sigma_v\[0\]"),

@@ -19,10 +19,10 @@ QUIET = dict(
 
 def driven(samples, traction=(1, 1), speed_mps=0.5, omega_radps=0.0, start_mps=0.5, **given):
     """The robot's memory after each of so many samples."""
-    memory, history = robot.start((0.0, 0.0, 0.0), start_mps), []
+    memory, history = robot.init((0.0, 0.0, 0.0), start_mps), []
     for _ in range(samples):
         step = DRIVE(
-            **function.only(
+            **function.select_inputs(
                 DRIVE,
                 memory
                 | QUIET

@@ -14,10 +14,10 @@ OUT_OF_RANGE = [
     ("sigma_w", (1, 1)),
     ("sigma_v", (0.03, 0.03, 0, 0.01)),
     ("sigma_v", (1, 1, 1)),
-    ("horizon_rhe", 1),
-    ("horizon_rhe", 241),
-    ("horizon", 1.5),
-    ("horizon", True),
+    ("estimation_horizon", 1),
+    ("estimation_horizon", 241),
+    ("prediction_horizon", 1.5),
+    ("prediction_horizon", True),
     ("q", (1, 2)),
     ("q", (1, 2, -3)),
     ("q", (1, 2, math.inf)),
@@ -61,7 +61,7 @@ OUT_OF_RANGE = [
     ("estimator", None),
     ("path", [(0, 0)]),
     ("terrain", "wet"),
-    ("reading", "Printed"),
+    ("process_noise", "Printed"),
     ("qp", "osqp"),
     ("input_reference", None),
 ]
@@ -97,7 +97,7 @@ def test_what_is_out_of_range_is_refused_in_one_sentence(name, value):
     "name, meant",
     [
         ("sped_mps", "speed_mps"),
-        ("horizn", "horizon"),
+        ("prediction_horizn", "prediction_horizon"),
         ("estimater", "estimator"),
         ("Seed", "seed"),
     ],
@@ -116,13 +116,13 @@ def test_numpy_scalars_are_numbers():
         seed=np.int64(3),
         r=np.float64(2.5),
         q=(np.float32(1), np.int64(2), 3),
-        horizon=np.int32(9),
+        prediction_horizon=np.int32(9),
         backwards=False,
     )
-    assert scenario == rhec.Scenario(seed=3, r=2.5, q=(1, 2, 3), horizon=9)
+    assert scenario == rhec.Scenario(seed=3, r=2.5, q=(1, 2, 3), prediction_horizon=9)
     assert all(
         type(value) in (int, float)
-        for value in (scenario.seed, scenario.r, scenario.horizon, *scenario.q)
+        for value in (scenario.seed, scenario.r, scenario.prediction_horizon, *scenario.q)
     )
 
 

@@ -65,13 +65,13 @@ def test_a_leg_is_a_scenario_of_its_own_and_leaves_the_shape_of_the_loop_alone()
     assert len({leg.seed for leg in legs}) == 40 and {
         fault.kind for leg in legs for fault in leg.faults
     } == set(simulation.faults.KINDS)
-    assert len({simulation.world(leg).structure for leg in legs[:8]}) == 1
+    assert len({simulation.set_up(leg).structure for leg in legs[:8]}) == 1
 
 
 def test_what_is_wrong_is_counted():
     state = soak.drive(soak.start(BASE, 0), BASE, 20)
     scenario = soak.leg(BASE, 0, 0)
-    made = simulation.world(scenario)
+    made = simulation.set_up(scenario)
     healthy = np.zeros((5, len(simulation.COLUMNS)))
     healthy[:, simulation.COLUMNS.index("ok")] = 1
 

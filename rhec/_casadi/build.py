@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 
-def function(name, body, inputs, kind=ca.SX):
+def casadi_function(name, body, inputs, kind=ca.SX):
     """The Function of `body`. `inputs` gives each argument's shape or sparsity, in order.
 
     kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions or a QP solver.
@@ -26,7 +26,7 @@ def function(name, body, inputs, kind=ca.SX):
     )
 
 
-def folded(name, body, memory, inputs, kind=ca.MX):
+def with_packed_memory(name, body, memory, inputs, kind=ca.MX):
     """The same, with the pieces of `memory` (name: shape) packed in one vector: (memory, inputs …)
     -> (memory, outputs …).
 
@@ -40,10 +40,10 @@ def folded(name, body, memory, inputs, kind=ca.MX):
             name: ca.densify(output) for name, output in result.items()
         }  # what is folded or logged has no gaps
 
-    return function(name, packed, {"memory": (size(memory), 1)} | inputs, kind)
+    return casadi_function(name, packed, {"memory": (packed_size(memory), 1)} | inputs, kind)
 
 
-def size(shapes):
+def packed_size(shapes):
     """Length of the vector that holds matrices of these shapes."""
     return sum(rows * columns for rows, columns in shapes.values())
 
@@ -59,7 +59,7 @@ def unpack(vector, shapes):
     }
 
 
-def pieces(vector, shapes):
+def unpack_array(vector, shapes):
     """The same of a NumPy vector, as views of it."""
     ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
     return {
@@ -68,7 +68,7 @@ def pieces(vector, shapes):
     }
 
 
-def shapes(memory):
+def shapes_of(memory):
     """The shapes of a memory's pieces, as `size`, `unpack` and `pieces` take them."""
     return {
         name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1)
@@ -76,11 +76,11 @@ def shapes(memory):
     }
 
 
-def vector(memory):
+def pack_array(memory):
     """The NumPy vector of a memory's pieces, as `unpack` reads it."""
     return np.concatenate([np.ravel(piece, order="F") for piece in memory.values()]).astype(float)
 
 
-def only(function, values):
+def select_inputs(function, values):
     """Those of `values` that the Function takes."""
     return {name: values[name] for name in function.name_in() if name in values}

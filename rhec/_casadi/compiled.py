@@ -54,7 +54,7 @@ def compiler():
     return found
 
 
-def kind_of_loops():
+def loop_symbols():
     """What a Function that repeats another is made of: calls where they are compiled (small code,
     built fast), all in one on the virtual machine.
     """
@@ -101,7 +101,7 @@ def library(build, structure):
     return cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
 
 
-def at_hand(build, *structure):
+def is_compiled(build, *structure):
     """Whether `load` has nothing to compile."""
     return not compiler() or library(build, structure).exists()
 
@@ -116,16 +116,16 @@ def load(build, *structure):
     if not compiler():
         return build(*structure)
     folder = library(build, structure)
-    if not folder.exists() and someone_waits():
+    if not folder.exists() and is_interactive():
         print(
             f"rhec: compiling the {build.__module__.split('.')[-1].replace('_', ' ')}, once (some seconds)",
             file=sys.stderr,
             flush=True,
         )
-    with contextlib.nullcontext() if folder.exists() else alone(folder):
+    with contextlib.nullcontext() if folder.exists() else build_lock(folder):
         built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
         if not folder.exists():
-            make(
+            compile_library(
                 folder,
                 {key: function for key, function in built.items() if not calls_qpoases(function)},
             )
@@ -135,7 +135,7 @@ def load(build, *structure):
     }
 
 
-def someone_waits():
+def is_interactive():
     """Whether a person looks at this process: in a terminal or a notebook, not in a worker, nor in
     a notebook that the runner executes.
     """
@@ -144,7 +144,7 @@ def someone_waits():
 
 
 @contextlib.contextmanager
-def alone(folder):
+def build_lock(folder):
     """One process at a time, so that a campaign's workers compile each structure once. A lock goes
     with its process, however that ends.
 
@@ -167,7 +167,7 @@ def calls_qpoases(function):
     return any(inner.class_name() == "QpoasesInterface" for inner in function.find_functions())
 
 
-def make(folder, functions):
+def compile_library(folder, functions):
     """Generate, compile and move into place."""
     with tempfile.TemporaryDirectory(
         dir=folder.parent, prefix="building-", ignore_cleanup_errors=True
@@ -203,7 +203,7 @@ def make(folder, functions):
                 raise
 
 
-class Bound:
+class BufferedFunction:
     """A Function whose arguments and results stay in NumPy arrays of its own: a call costs 0.1 µs
     where CasADi's ordinary one costs 26 µs.
 

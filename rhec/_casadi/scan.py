@@ -14,7 +14,7 @@ from rhec._casadi import compiled
 BLOCK = 48
 
 
-def functions(step):
+def build_scan(step):
     """{step, block}: the step, and BLOCK of them in one Function."""
     symbols = step.mx_in()
     memory, stream, rows = symbols[0], ca.MX.sym("stream", step.size1_in(1), BLOCK), []
@@ -35,7 +35,7 @@ def functions(step):
     )
 
 
-def fold(functions, memory, stream, settings):
+def scan(functions, memory, stream, settings):
     """Fold the step over the rows of `stream` (n, inputs), from this memory. Returns the last
     memory and what each yielded (n, outputs).
     """
@@ -45,7 +45,7 @@ def fold(functions, memory, stream, settings):
     for function, length in ((functions["block"], BLOCK), (functions["step"], 1)):
         if done + length > len(stream):
             continue
-        call = compiled.Bound(function)
+        call = compiled.BufferedFunction(function)
         call.set(**settings)
         memory_in, stream_in, *_ = function.name_in()
         memory_out, row_out, *_ = function.name_out()

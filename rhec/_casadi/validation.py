@@ -11,6 +11,8 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
 from pydantic.dataclasses import dataclass
 
+from rhec._casadi.renamed import new_name, with_new_names
+
 plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False), plain]
 Positive = Annotated[Real, Field(gt=0)]
@@ -70,7 +72,7 @@ def checked(function):
     @functools.wraps(function)
     def call(*arguments, **named):
         try:
-            return strict(*arguments, **named)
+            return strict(*arguments, **with_new_names(named, names))
         except ValidationError as error:
             raise ValueError(
                 sentence(function.__qualname__.removesuffix(".__init__"), names, error)
@@ -90,11 +92,17 @@ def validated(cls):
 
     def __init__(self, **fields):
         try:
-            construct(self, **fields)
+            construct(self, **with_new_names(fields, cls.__dataclass_fields__))
         except ValidationError as error:
             raise ValueError(
                 sentence(cls.__name__, list(cls.__dataclass_fields__), error)
             ) from None
 
-    cls.__init__ = __init__
+    def __getattr__(self, name):
+        new = new_name(name, cls.__dataclass_fields__)
+        if new is None:
+            raise AttributeError(f"{cls.__name__!r} object has no attribute {name!r}")
+        return getattr(self, new)
+
+    cls.__init__, cls.__getattr__ = __init__, __getattr__
     return cls

@@ -478,7 +478,7 @@ def kept(folder):
 
 # From the command line
 
-SHOWN = ("arrival_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true")
+SHOWN = ("settling_time_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true")
 
 
 def summary(table, by):
@@ -532,7 +532,7 @@ def main():
     args = parser.parse_args()
 
     vary = {name: [value(text) for text in texts] for name, *texts in args.p} or dict(
-        estimator=["rhe", "ekf"], reading=["printed", "calibrated"]
+        estimator=["rhe", "ekf"], process_noise=["printed", "calibrated"]
     )
     vary = vary if "seed" in vary else vary | dict(seed=range(args.seeds))
     try:

@@ -59,7 +59,7 @@ def export(scenario, folder=FOLDER):
         LOG
     ]
     texts = (
-        {MARK: c_writer.memory_header(made, scenario.horizon_rhe)}
+        {MARK: c_writer.memory_header(made, scenario.estimation_horizon)}
         | {path.name: path.read_text(encoding="utf-8") for path in WRITTEN_BY_HAND}
         | {
             "rhec_phases.h": c_writer.phases_header(made),

@@ -33,11 +33,11 @@ FOR_ONE_FILE = """#define CASADI_SYMBOL_EXPORT static
 """
 
 
-def memory_header(export, horizon_rhe):
+def memory_header(export, estimation_horizon):
     """rhec_memory.h: the structs of settings and of all memory."""
     lines = [
         f"#define RHEC_DT_S {paper.DT_S!r} /* time between samples */",
-        f"#define RHEC_PATIENCE {horizon_rhe + 1} /* samples in a row that the estimate may be a prediction */",
+        f"#define RHEC_PATIENCE {estimation_horizon + 1} /* samples in a row that the estimate may be a prediction */",
         f"#define RHEC_MOST_GUESSES {2**box_lq.DOUBLINGS + 1} /* of the active bounds, for one plan */",
         "",
         "struct rhec_settings {",

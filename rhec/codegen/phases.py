@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper, simulation
-from rhec._casadi.build import function, unpack, vector
+from rhec._casadi.build import casadi_function, pack_array, unpack
 from rhec.controller import rhc
 from rhec.estimator import base as estimators
 from rhec.estimator import rhe
-from rhec.estimator.kalman import valid
+from rhec.estimator.kalman import is_valid_measurement
 from rhec.model import path
 
 # Where in `struct rhec` the phases meet; whatever else they pass on is their owner's.
@@ -55,9 +55,9 @@ def export(scenario):
     """The phases of a scenario's estimator and controller, bound to the C's memory, and the
     scenario's settings.
     """
-    world = simulation.world(scenario)
+    world = simulation.set_up(scenario)
     choices = (
-        scenario.horizon_rhe,
+        scenario.estimation_horizon,
         scenario.speed_model,
         scenario.arrival_mean,
         scenario.qp,
@@ -65,15 +65,19 @@ def export(scenario):
     )
     functions = dict(
         estimator=(
-            rhe.functions(paper.DT_S, *choices)
+            rhe.build_phases(paper.DT_S, *choices)
             if scenario.estimator == "rhe"
-            else in_one_step(estimators.step(estimators.identity(scenario.estimator), *choices))
+            else in_one_step(
+                estimators.step(estimators.estimator_key(scenario.estimator), *choices)
+            )
         ),
-        controller=rhc.functions(paper.DT_S, scenario.horizon, scenario.qp),
+        controller=rhc.build_phases(paper.DT_S, scenario.prediction_horizon, scenario.qp),
     )
     first = dict(
         estimator=lambda guess: estimators.first_memory(scenario, guess),
-        controller=lambda guess: vector(rhc.start(guess[:3], guess[3:], scenario.horizon)),
+        controller=lambda guess: pack_array(
+            rhc.init(guess[:3], guess[3:], scenario.prediction_horizon)
+        ),
     )
     settings = world.settings | dict(
         traction=np.ones(2), length_m=world.path.length_m
@@ -93,9 +97,9 @@ def export(scenario):
             if name in of
         }
     n_segments = len(world.path.segments)
-    references = path.functions(paper.DT_S, scenario.horizon, n_segments, scenario.input_reference)[
-        "references"
-    ]
+    references = path.build_references(
+        paper.DT_S, scenario.prediction_horizon, n_segments, scenario.input_reference
+    )["references"]
     believed = "z_used" if "z_used" in functions["estimator"]["feedback"].name_out() else "z_N"
     phases |= {
         f"path_{name}": bound(f, name, "path", {}, settings)
@@ -147,7 +151,7 @@ def started(name, first_memory, pieces):
     slopes = np.column_stack(
         [np.nan_to_num(first_memory(one) - constant) for one in np.eye(6)]
     )  # a window of NaN does not depend on the guess
-    return function(
+    return casadi_function(
         name,
         lambda estimate: unpack(ca.SX(constant) + ca.sparsify(ca.DM(slopes)) @ estimate, pieces),
         dict(estimate=(6, 1)),
@@ -166,7 +170,7 @@ def in_one_step(step):
         {"allow_duplicate_io_names": True},
     )
     return dict(
-        shift=function(
+        shift=casadi_function(
             "rhec_estimator_shift", lambda memory: dict(memory=memory), dict(memory=size), ca.MX
         ),
         feedback=feedback,
@@ -206,7 +210,7 @@ def closest(n_segments):
                 )
         return dict(s=best_s)
 
-    return function(
+    return casadi_function(
         "rhec_closest", body, dict(estimate=(6, 1), segments=(5, n_segments), length_m=(1, 1))
     )
 
@@ -221,7 +225,11 @@ def follow(references, believed):
 
     def body(command, **given):
         z = given.pop(believed)
-        found = references(**given, omega_measured=ca.if_else(valid(z, 3), z[3], command))
+        found = references(
+            **given, omega_measured=ca.if_else(is_valid_measurement(z, 3), z[3], command)
+        )
         return dict(s_next=found.pop("s")) | found
 
-    return function("rhec_follow", body, given | {believed: (4, 1)} | dict(command=(1, 1)), ca.MX)
+    return casadi_function(
+        "rhec_follow", body, given | {believed: (4, 1)} | dict(command=(1, 1)), ca.MX
+    )

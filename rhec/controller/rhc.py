@@ -14,18 +14,18 @@ import numpy as np
 
 from rhec import paper
 from rhec._casadi import compiled
-from rhec._casadi.build import folded, function, only
+from rhec._casadi.build import casadi_function, select_inputs, with_packed_memory
 from rhec._casadi.validation import Intervals, NotNegative, Positive, Solver, Weights, checked
 from rhec.model import tracked_robot as model
 from rhec.solver import box_lq as riccati
 from rhec.solver import gauss_newton
-from rhec.solver.gauss_newton import put, transition
+from rhec.solver.gauss_newton import copy_checked, transition
 
 JOINT = 6  # s = (x, y, θ, ν, μ, κ)
 BEYOND = 1e9  # a plan beyond this, or not a number, is no plan
 
 
-def functions(dt_s, horizon, qp="structured"):
+def build_phases(dt_s, horizon, qp="structured"):
     """The RHC as CasADi Functions shift, linearise, feedback and expand (each phase: see
     `gauss_newton`) and step, which is all of them.
 
@@ -35,7 +35,7 @@ def functions(dt_s, horizon, qp="structured"):
     """
     N, iv, dense = horizon, model.interval("parameter"), qp != "structured"
     loops = (
-        ca.SX if dense or N <= 30 else compiled.kind_of_loops()
+        ca.SX if dense or N <= 30 else compiled.loop_symbols()
     )  # a short horizon is faster in one piece
     memory = dict(s=(JOINT, N + 1), omega=(1, N))
     weights = dict(Q=(3, 1), QN=(3, 1), R=(1, 1))
@@ -72,12 +72,12 @@ def functions(dt_s, horizon, qp="structured"):
             g=R * (omega - omega_ref) + ca.dot(B, adjoint), adjoint_before=transition(D).T @ adjoint
         )
 
-    forward = function(
+    forward = casadi_function(
         "rhc_forward",
         forward,
         dict(F=F_1, D=D_1, B=B_1, s=(JOINT, 1), omega=(1, 1), s_new=(JOINT, 1), omega_new=(1, 1)),
     )
-    backward = function(
+    backward = casadi_function(
         "rhc_backward",
         backward,
         dict(
@@ -127,11 +127,13 @@ def functions(dt_s, horizon, qp="structured"):
             weight = Q
         return dict(g=ca.horzcat(*g), lower=-omega_max - omega, upper=omega_max - omega)
 
-    shift = function("rhc_shift", shift, memory)
-    linearise = function("rhc_linearise", linearise, memory | weights, loops)
+    shift = casadi_function("rhc_shift", shift, memory)
+    linearise = casadi_function("rhc_linearise", linearise, memory | weights, loops)
     prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
     dynamics = {name: prepared[name] for name in ("F", "D", "B")}
-    gradient = function("rhc_gradient", gradient, memory | dynamics | weights | references, loops)
+    gradient = casadi_function(
+        "rhc_gradient", gradient, memory | dynamics | weights | references, loops
+    )
     if dense:
         box_qp = gauss_newton.box_qp(N, qp)
     else:
@@ -149,7 +151,11 @@ def functions(dt_s, horizon, qp="structured"):
         return box_lq(D, B, Q, QN, R, local["g"], local["lower"], local["upper"], active)
 
     def feedback(**given):
-        local, omega, limit = gradient(**only(gradient, given)), given["omega"], given["omega_max"]
+        local, omega, limit = (
+            gradient(**select_inputs(gradient, given)),
+            given["omega"],
+            given["omega_max"],
+        )
         x, multipliers, ok = solve(
             local,
             **{
@@ -170,12 +176,14 @@ def functions(dt_s, horizon, qp="structured"):
         shifted = ca.if_else(ca.mmin(ca.fabs(s[:, N]) <= BEYOND), s, ca.repmat(s_0, 1, N + 1))
         return dict(s=ca.if_else(ok, predicted, shifted), omega=omega_plan, kkt=kkt)
 
-    feedback = function("rhc_feedback", feedback, prepared | memory | weights | references, ca.MX)
+    feedback = casadi_function(
+        "rhc_feedback", feedback, prepared | memory | weights | references, ca.MX
+    )
     result = {
         name: feedback.sparsity_out(name)
         for name in ("omega_plan", "g", "lower", "upper", "multipliers", "ok")
     }
-    expand = function(
+    expand = casadi_function(
         "rhc_expand", expand, memory | dynamics | dict(s_0=(JOINT, 1)) | result, loops
     )
 
@@ -185,17 +193,17 @@ def functions(dt_s, horizon, qp="structured"):
             Q=Q, QN=QN, R=R, s_0=s_0, xi_ref=xi_ref, omega_ref=omega_ref, omega_max=omega_max
         )
         memory = shift(**memory)
-        prepared = linearise(**memory, **only(linearise, given))
+        prepared = linearise(**memory, **select_inputs(linearise, given))
         result = feedback(**prepared, **memory, **given)
-        return expand(**memory, **only(expand, prepared | given), **only(expand, result)) | dict(
-            command=result["omega_plan"][0], ok=result["ok"]
-        )
+        return expand(
+            **memory, **select_inputs(expand, prepared | given), **select_inputs(expand, result)
+        ) | dict(command=result["omega_plan"][0], ok=result["ok"])
 
-    step = folded("rhc_step", step, memory, weights | references)
+    step = with_packed_memory("rhc_step", step, memory, weights | references)
     return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand, step=step)
 
 
-def start(pose, p, horizon):
+def init(pose, p, horizon):
     """Memory before the first sample: the robot at pose (3,) with parameters p (3,) = (ν, μ, κ),
     nothing planned.
     """
@@ -224,8 +232,8 @@ class RHC:
     ):
         self.horizon = horizon
         q = np.array(q)
-        self.iteration = gauss_newton.Iteration(
-            compiled.load(functions, dt, horizon, qp),
+        self.iteration = gauss_newton.RealTimeIteration(
+            compiled.load(build_phases, dt, horizon, qp),
             ("s", "omega"),
             ("s", "omega"),
             Q=q,
@@ -257,12 +265,12 @@ class RHC:
 
     def _given(self, pose, p, xi_ref, omega_ref):
         to_pose, to_p, to_xi_ref, to_omega_ref = self._inputs
-        put("pose", pose, to_pose)
-        put("p", p, to_p)
-        put("xi_ref", xi_ref, to_xi_ref)
-        put("omega_ref", omega_ref, to_omega_ref)
+        copy_checked("pose", pose, to_pose)
+        copy_checked("p", p, to_p)
+        copy_checked("xi_ref", xi_ref, to_xi_ref)
+        copy_checked("omega_ref", omega_ref, to_omega_ref)
         if not self.iteration.started:
-            self.iteration.start(start(pose, p, self.horizon))
+            self.iteration.start(init(pose, p, self.horizon))
 
     @property
     def ok(self):

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi.build import vector
+from rhec._casadi.build import pack_array
 from rhec.estimator import augmented_ekf, ekf, rhe
 from rhec.extensions import dual
 
@@ -20,24 +20,26 @@ NAMES = ("rhe", "ekf", "augmented_ekf", "fixed_traction", "dual", "oracle", "tra
 EKFS = ("ekf", "fixed_traction", "traction_oracle")  # one filter, told another traction each
 
 
-def identity(estimator):
+def estimator_key(estimator):
     """A name for compiled code: the estimator's, or the whole text of a Function of one's own."""
     return estimator.serialize() if isinstance(estimator, ca.Function) else estimator
 
 
-def step(identity, horizon_rhe, speed_model, arrival_mean, qp, robust):
+def step(key, estimation_horizon, speed_model, arrival_mean, qp, robust):
     """The estimator's Function. Beyond memory and z it takes by name what it needs: V, W, the
     `traction` (2,) it is told or all the `truth` (6,).
     """
-    if identity == "rhe":
-        return rhe.functions(paper.DT_S, horizon_rhe, speed_model, arrival_mean, qp, robust)["step"]
-    if identity == "dual":
-        return dual.functions(paper.DT_S, horizon_rhe, arrival_mean, qp, robust)["step"]
-    if identity in EKFS:
-        return ekf.functions(paper.DT_S)["step"]
-    if identity == "augmented_ekf":
-        return augmented_ekf.functions(paper.DT_S)["step"]
-    if identity == "oracle":
+    if key == "rhe":
+        return rhe.build_phases(
+            paper.DT_S, estimation_horizon, speed_model, arrival_mean, qp, robust
+        )["step"]
+    if key == "dual":
+        return dual.build_step(paper.DT_S, estimation_horizon, arrival_mean, qp, robust)["step"]
+    if key in EKFS:
+        return ekf.build_step(paper.DT_S)["step"]
+    if key == "augmented_ekf":
+        return augmented_ekf.build_step(paper.DT_S)["step"]
+    if key == "oracle":
         memory, z, truth = ca.SX.sym("memory", 6), ca.SX.sym("z", 4), ca.SX.sym("truth", 6)
         return ca.Function(
             "oracle",
@@ -47,7 +49,7 @@ def step(identity, horizon_rhe, speed_model, arrival_mean, qp, robust):
             ["memory", "estimate"],
             {"allow_duplicate_io_names": True},
         )
-    return ca.Function.deserialize(identity)
+    return ca.Function.deserialize(key)
 
 
 def first_memory(scenario, guess, sigma=rhe.SIGMA_START):
@@ -55,16 +57,18 @@ def first_memory(scenario, guess, sigma=rhe.SIGMA_START):
     deviations, which begin at the paper's W.
     """
     if scenario.estimator == "rhe":
-        return vector(
-            rhe.start(guess, sigma, scenario.horizon_rhe, scenario.speed_model, scenario.robust)
+        return pack_array(
+            rhe.init(
+                guess, sigma, scenario.estimation_horizon, scenario.speed_model, scenario.robust
+            )
         )
     if scenario.estimator in EKFS:
-        return vector(ekf.start(guess, sigma))
+        return pack_array(ekf.init(guess, sigma))
     if scenario.estimator == "augmented_ekf":
-        return vector(augmented_ekf.start(guess, sigma))
+        return pack_array(augmented_ekf.init(guess, sigma))
     if scenario.estimator == "dual":
-        soil = rhe.start(guess, sigma, scenario.horizon_rhe, robust=scenario.robust)
-        return np.append(vector(soil), vector(ekf.start(guess, sigma)))
+        soil = rhe.init(guess, sigma, scenario.estimation_horizon, robust=scenario.robust)
+        return np.append(pack_array(soil), pack_array(ekf.init(guess, sigma)))
     length = (
         scenario.estimator.numel_in(0)
         if isinstance(scenario.estimator, ca.Function)
@@ -73,29 +77,29 @@ def first_memory(scenario, guess, sigma=rhe.SIGMA_START):
     return np.append(guess, np.zeros(length))[:length]
 
 
-def entries(estimator, speed_model):
+def n_sigma_w(estimator, speed_model):
     """How many standard deviations sigma_w has; 0 for an estimator without process noise."""
     return {
-        "rhe": rhe.entries(speed_model),
+        "rhe": rhe.n_sigma_w(speed_model),
         "dual": len(dual.SIGMA_W),
         "augmented_ekf": 6,
         **dict.fromkeys(EKFS, 4),
     }.get(estimator, 0)
 
 
-def variances(scenario):
+def noise_settings(scenario):
     """The settings V and W of the scenario's estimator."""
     if scenario.estimator == "rhe":
-        return rhe.variances(
+        return rhe.noise_settings(
             scenario.speed_model,
-            scenario.reading,
+            scenario.process_noise,
             scenario.sigma_w,
             scenario.sigma_v,
             scenario.track_width_m,
         )
     default = {
-        "ekf": ekf.SIGMA_W[scenario.reading],
-        "augmented_ekf": augmented_ekf.SIGMA_W[scenario.reading],
+        "ekf": ekf.SIGMA_W[scenario.process_noise],
+        "augmented_ekf": augmented_ekf.SIGMA_W[scenario.process_noise],
         "dual": dual.SIGMA_W,
         "fixed_traction": SIGMA_W_FIXED_TRACTION,
         "traction_oracle": SIGMA_W_TRACTION_ORACLE,

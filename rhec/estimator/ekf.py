@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi.build import folded
-from rhec.estimator.kalman import symmetric, update, valid
+from rhec._casadi.build import with_packed_memory
+from rhec.estimator.kalman import is_valid_measurement, symmetric, update
 
 # Process noise W as standard deviations of (x, y, θ, ν) per sample: to the letter (R1), and as
 # `rhec.studies.calibration` found it on training seeds.
@@ -41,7 +41,7 @@ def predict_and_correct(m, P, predicted, started, z, V, W):
     return m, P, deviance
 
 
-def functions(dt_s, f=f):
+def build_step(dt_s, f=f):
     """The EKF as one CasADi Function {step}: predict by f, then correct.
 
     Memory: m (4,), P (4, 4), omega () last yaw rate [rad/s], started () 0 before the first sample,
@@ -50,7 +50,7 @@ def functions(dt_s, f=f):
     """
 
     def step(m, P, omega, started, z, V, W, traction):
-        omega = ca.if_else(valid(z, 3), z[3], omega)
+        omega = ca.if_else(is_valid_measurement(z, 3), z[3], omega)
         m, P, deviance = predict_and_correct(m, P, f(m, omega, traction, dt_s), started, z, V, W)
         return dict(
             estimate=ca.vertcat(m, traction),
@@ -64,13 +64,13 @@ def functions(dt_s, f=f):
 
     memory = dict(m=(4, 1), P=(4, 4), omega=(1, 1), started=(1, 1))
     return dict(
-        step=folded(
+        step=with_packed_memory(
             "ekf_step", step, memory, dict(z=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1)), ca.SX
         )
     )
 
 
-def start(guess, sigma):
+def init(guess, sigma):
     """Memory before the first sample: guess (6,) = (x, y, θ, ν, μ, κ), sigma (6,) its standard
     deviations.
     """

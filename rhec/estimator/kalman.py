@@ -15,7 +15,7 @@ Z_MAX = (
 )  # x, y [m], ν [m/s], ω [rad/s]: a reading beyond, or not a number, is no reading
 
 
-def valid(z, row):
+def is_valid_measurement(z, row):
     """1 where the entry `row` of z (4,) can be used, 0 where it is missing (NaN), infinite or
     absurd.
     """
@@ -36,7 +36,7 @@ def update(m, P, z, V, measured):
     """
     gains, weighted, deviance = [], [], 0
     for place, row in measured:
-        used = valid(z, row)
+        used = is_valid_measurement(z, row)
         y = ca.if_else(used, z[row] - m[place], 0)
         S = P[place, place] + V[row]
         K = P[:, place] * (used / S)

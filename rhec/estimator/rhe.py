@@ -22,7 +22,7 @@ import numpy as np
 
 from rhec import paper
 from rhec._casadi import compiled
-from rhec._casadi.build import folded, function, only, size
+from rhec._casadi.build import casadi_function, packed_size, select_inputs, with_packed_memory
 from rhec._casadi.validation import (
     ArrivalMean,
     Flag,
@@ -36,11 +36,11 @@ from rhec._casadi.validation import (
     checked,
 )
 from rhec.estimator import kalman
-from rhec.estimator.kalman import Z_MAX, symmetric, valid
+from rhec.estimator.kalman import Z_MAX, is_valid_measurement, symmetric
 from rhec.extensions import gating
 from rhec.model import tracked_robot as model
 from rhec.solver import gauss_newton
-from rhec.solver.gauss_newton import put, transition
+from rhec.solver.gauss_newton import copy_checked, transition
 
 BEYOND = 1e12  # an estimate beyond this, or not a number, is no estimate
 SIGMA_HELD = (1.0, 1.0)  # ν [m/s], ω [rad/s]: how far a missing input may be from the one before
@@ -91,7 +91,7 @@ class Window(NamedTuple):
     def memory(self):
         """The problem; and seen: what `screening` remembers."""
         return (
-            self.problem | dict(seen=(size(gating.memory(self.dt_s)), 1))
+            self.problem | dict(seen=(packed_size(gating.memory(self.dt_s)), 1))
             if self.robust
             else self.problem
         )
@@ -112,7 +112,7 @@ class Window(NamedTuple):
 # The model's noise
 
 
-def ran(nu, omega, b):
+def abs_track_speeds(nu, omega, b):
     """Speeds (left, right) [m/s] of the tracks of a robot with track width b [m]."""
     return ca.fabs(nu - b / 2 * omega), ca.fabs(nu + b / 2 * omega)
 
@@ -123,8 +123,8 @@ def measured_inputs(window, z, v, V):
     """
     mean, variance = [], []
     for place, row in window.interval.measured_inputs:
-        mean.append(ca.if_else(valid(z, row), z[row], v[place]))
-        variance.append(ca.if_else(valid(z, row), V[row], SIGMA_HELD[row - 2] ** 2))
+        mean.append(ca.if_else(is_valid_measurement(z, row), z[row], v[place]))
+        variance.append(ca.if_else(is_valid_measurement(z, row), V[row], SIGMA_HELD[row - 2] ** 2))
     if window.interval.slips:
         nu, omega = mean
         share2_nu, share2_omega, share2_side, sigma2_bumps, b = ca.vertsplit(V[4:])
@@ -139,7 +139,7 @@ def process_noise(window, v, W, V):
     """W of one interval: per sample, or where tracks slip per metre that they ran."""
     if not window.interval.slips:
         return ca.diag(W)
-    left, right = ran(v[0], v[1], V[8])
+    left, right = abs_track_speeds(v[0], v[1], V[8])
     return ca.diag(W * (left + right) / 2 * window.dt_s)
 
 
@@ -151,7 +151,7 @@ def with_input(window, B, m, P, v, z, V):
     return m + B @ (v_m - v), P + B @ R_v @ B.T
 
 
-def sane(x):
+def is_plausible(x):
     """1 if every entry is a number of reasonable size."""
     return ca.mmin(ca.fabs(x) <= BEYOND)
 
@@ -176,9 +176,9 @@ def arrival(window, s, v, m, P, z_0, z_1, V, W):
     P_next = symmetric(A @ P_updated @ A.T + B @ R_v @ B.T) + noise
     m_next = F + A @ (m - s[:, 0]) + B @ (v_m - v[:, 0])
     # where readings were so wild that no covariance comes out, the old one grows instead
-    good = sane(P_next) * ca.mmin(ca.diag(P_next) > 0)
+    good = is_plausible(P_next) * ca.mmin(ca.diag(P_next) > 0)
     smoothed = window.arrival_mean == "smoothed"
-    return s[:, 1] if smoothed else ca.if_else(sane(m_next), m_next, s[:, 1]), ca.if_else(
+    return s[:, 1] if smoothed else ca.if_else(is_plausible(m_next), m_next, s[:, 1]), ca.if_else(
         good, P_next, P + noise
     )
 
@@ -202,7 +202,7 @@ def shift(window):
         )
 
     V, W = window.weights
-    return function("rhe_shift", body, window.memory | V | W)
+    return casadi_function("rhe_shift", body, window.memory | V | W)
 
 
 # linearise: from the oldest node to the newest, whose measurement is yet to come
@@ -223,7 +223,7 @@ def linearise(window, loops):
         A = transition(D)
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=symmetric(A @ P @ A.T))
 
-    filtered = function(
+    filtered = casadi_function(
         "rhe_filtered",
         filtered,
         dict(
@@ -265,7 +265,7 @@ def linearise(window, loops):
         }
         return along | dict(B_N=B, v_N=v_before, m_N=m, P_N=P, s_N=s[N])
 
-    return function("rhe_linearise", body, window.problem | V, loops)
+    return casadi_function("rhe_linearise", body, window.problem | V, loops)
 
 
 # feedback: the newest measurement, and the QP that is left
@@ -293,7 +293,7 @@ def feedback(window, calls):
         """
         multipliers = H @ (m[q] - traction)
         corrected = m - covariance[:, q] @ multipliers
-        ok = solved * sane(ca.vertcat(corrected, ca.vec(covariance), multipliers))
+        ok = solved * is_plausible(ca.vertcat(corrected, ca.vec(covariance), multipliers))
         newest = ca.if_else(ok, corrected, s_N)
         traction = ca.if_else(ok, traction, ca.fmin(ca.fmax(s_N[q], 0), 1))
         nu = newest[speed_place] if speed_place else nu
@@ -305,8 +305,8 @@ def feedback(window, calls):
         )
 
     prediction = dict(B_N=window.linearised["B"], v_N=(n_v, 1), m_N=(n_s, 1), P_N=(n_s, n_s))
-    newest = function("rhe_newest", newest, prediction | dict(z_N=(4, 1)) | V)
-    bounded = function(
+    newest = casadi_function("rhe_newest", newest, prediction | dict(z_N=(4, 1)) | V)
+    bounded = casadi_function(
         "rhe_bounded",
         bounded,
         dict(
@@ -326,16 +326,16 @@ def feedback(window, calls):
     def answered(s_N, **given):
         p = newest(**given)
         traction, _, solved = solve(p["H"], p["g"], ca.DM.zeros(2), ca.DM.ones(2))
-        return bounded(**only(bounded, p), traction=traction, solved=solved, s_N=s_N) | {
+        return bounded(**select_inputs(bounded, p), traction=traction, solved=solved, s_N=s_N) | {
             name: p[name] for name in ("K_N", "e_N", "deviance")
         }
 
     given = dict(s_N=(n_s, 1)) | prediction | dict(z_N=(4, 1)) | V
     if not window.robust:
-        return function("rhe_feedback", answered, given, calls)
+        return casadi_function("rhe_feedback", answered, given, calls)
 
     def screened(B_N, v_N, m_N, P_N, z_N, V, age, seen):
-        return gating.screen(
+        return gating.gate(
             z_N,
             seen,
             lambda z: with_input(window, B_N, m_N, P_N, v_N, z, V),
@@ -347,10 +347,12 @@ def feedback(window, calls):
         )
 
     remembered = {name: window.memory[name] for name in ("age", "seen")}
-    screened = function("rhe_screened", screened, prediction | dict(z_N=(4, 1)) | V | remembered)
+    screened = casadi_function(
+        "rhe_screened", screened, prediction | dict(z_N=(4, 1)) | V | remembered
+    )
 
     def body(**given):
-        believed = screened(**only(screened, given))
+        believed = screened(**select_inputs(screened, given))
         answer = answered(
             **{name: given[name] for name in ("s_N", *prediction, "V")}, z_N=believed["z_used"]
         )
@@ -360,7 +362,7 @@ def feedback(window, calls):
             | dict(seen_after=believed["seen"])
         )
 
-    return function("rhe_feedback", body, given | remembered, calls)
+    return casadi_function("rhe_feedback", body, given | remembered, calls)
 
 
 # expand: the multipliers run backwards through the window, the solution forwards
@@ -402,7 +404,11 @@ def expand(window, linearise, feedback, loops):
 
     def measured_descent(new, old, z, V):
         return sum(
-            ca.if_else(valid(z, row), (old[place] - z[row]) / V[row] * (new[place] - old[place]), 0)
+            ca.if_else(
+                is_valid_measurement(z, row),
+                (old[place] - z[row]) / V[row] * (new[place] - old[place]),
+                0,
+            )
             for place, row in iv.measured_states
         )
 
@@ -425,8 +431,8 @@ def expand(window, linearise, feedback, loops):
         in the readings or in the arrival cost, and would stay. What is no number anywhere is none
         at the newest node either.
         """
-        good = ok * sane(s_new[:, N])
-        s = ca.if_else(sane(s[:, N]), s, 0)
+        good = ok * is_plausible(s_new[:, N])
+        s = ca.if_else(is_plausible(s[:, N]), s, 0)
         held = ca.if_else(ca.fabs(v) <= Z_MAX[3], v, 0)  # an input beyond what can be read
         return dict(
             s=ca.if_else(good, s_new, s),
@@ -438,7 +444,7 @@ def expand(window, linearise, feedback, loops):
         )
 
     gains = dict(K=(n_s, rows), e=(rows, 1))
-    backward = function(
+    backward = casadi_function(
         "rhe_backward",
         backward,
         dict(adjoint=(n_s, 1), D=linearised["D"], B=linearised["B"])
@@ -446,12 +452,12 @@ def expand(window, linearise, feedback, loops):
         | dict(z=(4, 1), v=(n_v, 1))
         | V,
     )
-    oldest = function(
+    oldest = casadi_function(
         "rhe_oldest",
         oldest,
         dict(adjoint=(n_s, 1)) | gains | dict(m=(n_s, 1), P=(n_s, n_s), s=(n_s, 1), z=(4, 1)) | V,
     )
-    forward = function(
+    forward = casadi_function(
         "rhe_forward",
         forward,
         dict(new=(n_s, 1), old=(n_s, 1))
@@ -459,7 +465,7 @@ def expand(window, linearise, feedback, loops):
         | dict(s=(n_s, 1), v=(n_v, 1), v_new=(n_v, 1), z=(4, 1))
         | V,
     )
-    accepted = function(
+    accepted = casadi_function(
         "rhe_accepted",
         accepted,
         window.problem | dict(s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1)),
@@ -482,7 +488,7 @@ def expand(window, linearise, feedback, loops):
         old = dict(s=s, v=v, z=z, age=age, m=m, P=P)
         return {name: ca.if_else(again, fresh[name], old[name]) for name in old}
 
-    begun_again = function(
+    begun_again = casadi_function(
         "rhe_begun_again",
         begun_again,
         dict(again=(1, 1), pose=(3, 1), z_used=(4, 1)) | window.problem,
@@ -553,7 +559,7 @@ def expand(window, linearise, feedback, loops):
     result = {
         name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok", *told)
     }
-    return function(
+    return casadi_function(
         "rhe_expand",
         body,
         window.problem | V | along | result | ({} if window.robust else dict(z_N=(4, 1))),
@@ -561,7 +567,7 @@ def expand(window, linearise, feedback, loops):
     )
 
 
-def functions(
+def build_phases(
     dt_s, horizon, speed_model="parameter", arrival_mean="smoothed", qp="structured", robust=False
 ):
     """The RHE as CasADi Functions shift, linearise, feedback and expand (each phase: see
@@ -571,7 +577,7 @@ def functions(
     its first sample.
     """
     window = Window(model.interval(speed_model), horizon, dt_s, arrival_mean, qp, robust)
-    loops = compiled.kind_of_loops()
+    loops = compiled.loop_symbols()
     calls = loops if qp == "structured" else ca.MX  # a QP solver can only be called
     phases = dict(
         shift=shift(window), linearise=linearise(window, loops), feedback=feedback(window, calls)
@@ -583,10 +589,12 @@ def functions(
         if the estimator begins again.
         """
         memory = phases["shift"](**memory, V=V, W=W)
-        prepared = phases["linearise"](**only(phases["linearise"], memory), V=V)
-        result = phases["feedback"](**only(phases["feedback"], prepared | memory), z_N=z_N, V=V)
+        prepared = phases["linearise"](**select_inputs(phases["linearise"], memory), V=V)
+        result = phases["feedback"](
+            **select_inputs(phases["feedback"], prepared | memory), z_N=z_N, V=V
+        )
         expanded = phases["expand"](
-            **only(phases["expand"], memory | prepared | result | dict(z_N=z_N, V=V))
+            **select_inputs(phases["expand"], memory | prepared | result | dict(z_N=z_N, V=V))
         )
         told = ("estimate", "covariance", "deviance", "ok") + (
             ("z_used", "again") if robust else ()
@@ -595,18 +603,18 @@ def functions(
 
     V, W = window.weights
     return phases | dict(
-        step=folded("rhe_step", step, window.memory, dict(z_N=(4, 1)) | V | W, calls)
+        step=with_packed_memory("rhe_step", step, window.memory, dict(z_N=(4, 1)) | V | W, calls)
     )
 
 
-def entries(speed_model):
+def n_sigma_w(speed_model):
     """How many standard deviations are behind W: of (x, y, θ, ν, μ, κ) per sample, without ν where
     that is an input; of (μ, κ) where tracks slip.
     """
     return 2 if speed_model == "slipping" else len(model.interval(speed_model).states)
 
 
-def variances(speed_model, reading, sigma_w, sigma_v, track_width_m):
+def noise_settings(speed_model, process_noise, sigma_w, sigma_v, track_width_m):
     """The settings V and W (see `Window`) behind these standard deviations; sigma_w None stands for
     those of the reading.
     """
@@ -619,11 +627,11 @@ def variances(speed_model, reading, sigma_w, sigma_v, track_width_m):
         )
     return dict(
         V=np.square(sigma_v),
-        W=np.square(np.array(SIGMA_W[reading])[states] if sigma_w is None else sigma_w),
+        W=np.square(np.array(SIGMA_W[process_noise])[states] if sigma_w is None else sigma_w),
     )
 
 
-def start(guess, sigma, horizon, speed_model="parameter", robust=False, dt_s=paper.DT_S):
+def init(guess, sigma, horizon, speed_model="parameter", robust=False, dt_s=paper.DT_S):
     """Memory before the first sample: guess (8,) = (x, y, θ, ν, μ, κ, l_f, l_l), sigma (8,) its
     standard deviations; an antenna in the middle need not be mentioned.
     """
@@ -639,7 +647,7 @@ def start(guess, sigma, horizon, speed_model="parameter", robust=False, dt_s=pap
         m=guess[states],
         P=np.diag(sigma[states] ** 2),
     )
-    return memory | dict(seen=gating.start(dt_s)) if robust else memory
+    return memory | dict(seen=gating.init(dt_s)) if robust else memory
 
 
 class Estimate(NamedTuple):
@@ -663,7 +671,7 @@ class RHE:
     """The estimator for a loop of one's own: `prepare()` while there is time, `feedback(z)` when
     the measurement is there.
 
-    dt [s]; horizon: intervals; reading, sigma_w, sigma_v, speed_model, arrival_mean, robust,
+    dt [s]; horizon: intervals; process_noise, sigma_w, sigma_v, speed_model, arrival_mean, robust,
     track_width_m, qp: see Scenario. guess: first (x, y, θ, ν, μ, κ); without it the first
     measurement's position and speed, yaw 0 and no slip, with a yaw that may be a right angle off.
     """
@@ -674,7 +682,7 @@ class RHE:
         *,
         dt: Positive = paper.DT_S,
         horizon: Intervals = paper.HORIZON,
-        reading: Reading = "printed",
+        process_noise: Reading = "printed",
         sigma_w: tuple[NotNegative, ...] | None = None,
         sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V,
         speed_model: SpeedModel = "parameter",
@@ -684,19 +692,19 @@ class RHE:
         qp: Solver = "structured",
         guess: tuple[Real, Real, Real, Real, Real, Real] | None = None,
     ):
-        if sigma_w is not None and len(sigma_w) != entries(speed_model):
+        if sigma_w is not None and len(sigma_w) != n_sigma_w(speed_model):
             raise ValueError(
-                f"sigma_w was {sigma_w!r}; with speed_model {speed_model!r} it should have {entries(speed_model)} entries"
+                f"sigma_w was {sigma_w!r}; with speed_model {speed_model!r} it should have {n_sigma_w(speed_model)} entries"
             )
         self.guess, self.n_s = guess, model.interval(speed_model).n_s
         self.start = functools.partial(
-            start, horizon=horizon, speed_model=speed_model, robust=robust, dt_s=dt
+            init, horizon=horizon, speed_model=speed_model, robust=robust, dt_s=dt
         )
-        self.iteration = gauss_newton.Iteration(
-            compiled.load(functions, dt, horizon, speed_model, arrival_mean, qp, robust),
+        self.iteration = gauss_newton.RealTimeIteration(
+            compiled.load(build_phases, dt, horizon, speed_model, arrival_mean, qp, robust),
             self.start((0.0,) * 6, SIGMA_START),
             ("s", "v"),
-            **variances(speed_model, reading, sigma_w, sigma_v, track_width_m),
+            **noise_settings(speed_model, process_noise, sigma_w, sigma_v, track_width_m),
         )
 
     def prepare(self):
@@ -718,7 +726,7 @@ class RHE:
         return self._estimate()
 
     def _given(self, z):
-        put("z", z, self.iteration.arrays["z_N"])
+        copy_checked("z", z, self.iteration.arrays["z_N"])
         if not self.iteration.started:
             guess, sigma = self.guess, list(SIGMA_START)
             z = self.iteration.arrays["z_N"]

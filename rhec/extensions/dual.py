@@ -10,7 +10,7 @@ put the yaw of that filter half a sample's turn ahead; a Runge-Kutta step does n
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import vector
+from rhec._casadi.build import pack_array
 from rhec.estimator import ekf, rhe
 from rhec.model import tracked_robot as model
 
@@ -24,13 +24,13 @@ def f(m, omega, traction, dt_s):
     return ca.vertcat(model.rk4(model.f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
 
 
-def functions(dt_s, horizon, arrival_mean="smoothed", qp="structured", robust=False):
+def build_step(dt_s, horizon, arrival_mean="smoothed", qp="structured", robust=False):
     """Both as one CasADi Function {step}: memory is the RHE's, then the EKF's; V (4,) and W (10,)
     are variances, W the RHE's, then the EKF's.
     """
     soil, pose = (
-        rhe.functions(dt_s, horizon, "parameter", arrival_mean, qp, robust)["step"],
-        ekf.functions(dt_s, f)["step"],
+        rhe.build_phases(dt_s, horizon, "parameter", arrival_mean, qp, robust)["step"],
+        ekf.build_step(dt_s, f)["step"],
     )
     memory, z = (
         ca.MX.sym("memory", soil.numel_in("memory") + pose.numel_in("memory")),
@@ -45,7 +45,7 @@ def functions(dt_s, horizon, arrival_mean="smoothed", qp="structured", robust=Fa
     )  # what the RHE does not believe the EKF does not see
     if robust:  # where the RHE begins again, so does the EKF
         fresh = ca.vertcat(
-            first["estimate"][:4], vector(ekf.start(np.zeros(6), rhe.SIGMA_START))[4:]
+            first["estimate"][:4], pack_array(ekf.init(np.zeros(6), rhe.SIGMA_START))[4:]
         )
         of_pose = ca.if_else(first["again"], fresh, of_pose)
     second = pose(memory=of_pose, z=believed, V=V, W=W[6:], traction=traction)

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from rhec._casadi.build import function
+from rhec._casadi.build import casadi_function
 from rhec._casadi.validation import NotNegative, Positive, Real, validated
 
 PAST = 5  # earlier measurements that the closed loop keeps
@@ -184,7 +184,7 @@ def stream(faults, samples, dt_s, seed):
     return np.hstack([(t_s[:, None] - source) / dt_s, hold, plan["dead"], plan["added"]])
 
 
-def start():
+def init():
     """Memory before the first sample: ages do not reach back beyond it, so what is there is never
     delivered.
     """
@@ -213,4 +213,6 @@ def deliver():
         )
         return dict(z=arrives, past=known[:, :PAST], held=source)
 
-    return function("deliver", body, dict(z=(4, 1)) | MEMORY | STREAM | dict(track_width_m=(1, 1)))
+    return casadi_function(
+        "deliver", body, dict(z=(4, 1)) | MEMORY | STREAM | dict(track_width_m=(1, 1))
+    )

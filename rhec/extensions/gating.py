@@ -18,8 +18,8 @@ either point elsewhere than the yaw or have all been refused for long.
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import unpack, vector
-from rhec.estimator.kalman import valid
+from rhec._casadi.build import pack_array, unpack
+from rhec.estimator.kalman import is_valid_measurement
 
 # of a squared, normalised innovation with two degrees of freedom: a good one is beyond once in a
 # thousand
@@ -77,9 +77,9 @@ def memory(dt_s):
     )
 
 
-def start(dt_s):
+def init(dt_s):
     """The memory before the first sample, as one vector."""
-    return vector(
+    return pack_array(
         {
             name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
             for name, shape in memory(dt_s).items()
@@ -104,7 +104,7 @@ def course(past, z, kappa, dt_s):
     )
 
 
-def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
+def gate(z, seen, predict, V, traction, first, constant_speed, dt_s):
     """The readings z (4,) as far as they are believed, NaN elsewhere; 1 to begin again, and the
     pose (3,) to begin at; the memory after.
 
@@ -118,13 +118,17 @@ def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
     jump = (
         ca.sumsqr((z[2:] - last[2:]) / ca.DM(JUMP)) > GATE if constant_speed else 0
     )  # never where there is no last one
-    encoders = valid(z, 2) * valid(z, 3) * (1 - jump * patient[1])
+    encoders = is_valid_measurement(z, 2) * is_valid_measurement(z, 3) * (1 - jump * patient[1])
     turning = ca.if_else(encoders, z[2:], ca.DM.nan(2))
 
     usable = ca.vertcat(z[:2], turning)
     m, P = predict(usable)
     speed = ca.if_else(encoders, ca.fabs(z[2]), 0)
-    there = valid(z, 0) * valid(z, 1) * (1 - (z[0] == last[0]) * (z[1] == last[1]))
+    there = (
+        is_valid_measurement(z, 0)
+        * is_valid_measurement(z, 1)
+        * (1 - (z[0] == last[0]) * (z[1] == last[1]))
+    )
     y = z[:2] - m[:2]
     near = ca.norm_2(z[:2] - last[:2]) < LONGER * speed * dt_s * (came + 1) + SLACK_M
     steady = ca.if_else(there, ca.if_else(near, steady + 1, 0), steady)
@@ -145,7 +149,7 @@ def screen(z, seen, predict, V, traction, first, constant_speed, dt_s):
     after = dict(
         past=ca.horzcat(past[:, 1:], ca.if_else(there, usable, ca.DM.nan(4))),
         last=ca.vertcat(
-            ca.if_else(valid(z, 0) * valid(z, 1), z[:2], last[:2]),
+            ca.if_else(is_valid_measurement(z, 0) * is_valid_measurement(z, 1), z[:2], last[:2]),
             ca.if_else(encoders, z[2:], last[2:]),
         ),
         since=ca.vertcat(

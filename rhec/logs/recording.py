@@ -23,13 +23,13 @@ import pandas as pd
 from rhec import paper
 from rhec.estimator.kalman import Z_MAX
 
-READINGS = [
+MEASUREMENTS = [
     "x_meas_m",
     "y_meas_m",
     "nu_meas_mps",
     "omega_meas_radps",
 ]  # z, as the log of a run names it
-RECORDED = dict(zip(READINGS, ("x_m", "y_m", "speed_mps", "yaw_rate_radps")))
+RECORDED = dict(zip(MEASUREMENTS, ("x_m", "y_m", "speed_mps", "yaw_rate_radps")))
 TRUTH = dict(
     x_m="x_true_m",
     y_m="y_true_m",
@@ -84,11 +84,11 @@ def prepare(log, track_width_m=None):
     """The Recording in a DataFrame. track_width_m [m]: take ν and ω from the tracks' speeds, this
     far apart.
     """
-    values, averaged = meanings(log, track_width_m)
+    values, averaged = parse_columns(log, track_width_m)
     faults = dict(rows=len(log))
-    for name, limit in zip(READINGS, Z_MAX):
+    for name, limit in zip(MEASUREMENTS, Z_MAX):
         values.loc[~(values[name].abs() <= limit), name] = np.nan
-    place, encoders = READINGS[:2], READINGS[2:]
+    place, encoders = MEASUREMENTS[:2], MEASUREMENTS[2:]
     values.loc[values[place].isna().any(axis=1), place] = np.nan
     faults |= dict(
         no_position=int(values[place[0]].isna().sum()),
@@ -131,7 +131,7 @@ def recorded_width(log):
     return float(width) if width > 0 else paper.TRACK_WIDTH_M
 
 
-def meanings(log, track_width_m):
+def parse_columns(log, track_width_m):
     """The columns of a log that mean something here, as floats under the names of a run's log, and
     whether encoder readings are means.
     """
@@ -142,7 +142,7 @@ def meanings(log, track_width_m):
     simulated = "x_meas_m" in log
     if simulated:
         readings, truth = (
-            {name: name for name in READINGS},
+            {name: name for name in MEASUREMENTS},
             {name: name for name in ("x_m", "y_m", "theta_rad", "mu", "kappa")},
         )
     else:
@@ -169,7 +169,7 @@ def meanings(log, track_width_m):
         values = values.assign(
             nu_meas_mps=(left + right) / 2, omega_meas_radps=(right - left) / track_width_m
         )
-    for flag, of in (("pos_ok", READINGS[:2]), ("encoders_ok", READINGS[2:])):
+    for flag, of in (("pos_ok", MEASUREMENTS[:2]), ("encoders_ok", MEASUREMENTS[2:])):
         if flag in log:
             values.loc[~(numbers(log, flag) > 0), of] = np.nan
     values["segment"] = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
@@ -225,7 +225,7 @@ def samples(rows, dt_s, averaged):
         value = rows[name].to_numpy()
         if name in ("nu_meas_mps", "omega_meas_radps", "v_true_mps", "yaw_rate_true_radps"):
             result[name] = means_between(
-                np.concatenate([[at[0] - dt_s], at]), t, value, averaged and name in READINGS
+                np.concatenate([[at[0] - dt_s], at]), t, value, averaged and name in MEASUREMENTS
             )
         else:
             result[name] = values_at(at, t, unwrapped(value) if name == "theta_rad" else value)

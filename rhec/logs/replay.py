@@ -24,7 +24,7 @@ from rhec.model import tracked_robot as model
 from rhec.scenario import Scenario
 
 ESTIMATE = ["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]
-ARM = ["arm_forward_hat_m", "arm_left_hat_m"]
+LEVER_ARM = ["arm_forward_hat_m", "arm_left_hat_m"]
 SIGMA = [
     "sigma_x_m",
     "sigma_y_m",
@@ -35,25 +35,25 @@ SIGMA = [
     "sigma_arm_forward_m",
     "sigma_arm_left_m",
 ]
-OUTPUTS = [*ESTIMATE, *ARM, *SIGMA, "deviance", "kkt_rhe", "ok"]
-FIELDS = (
-    "reading",
+OUTPUTS = [*ESTIMATE, *LEVER_ARM, *SIGMA, "deviance", "kkt_rhe", "ok"]
+ESTIMATOR_FIELDS = (
+    "process_noise",
     "sigma_w",
     "sigma_v",
-    "horizon_rhe",
+    "estimation_horizon",
     "speed_model",
     "arrival_mean",
     "robust",
     "qp",
 )  # of Scenario, those an estimator in a replay reads
-HEADINGS = 8  # directions tried where the first yaw is not known
+N_HEADINGS = 8  # directions tried where the first yaw is not known
 # Of the first guess of (x, y, θ, ν, μ, κ, l_f, l_l); of the first six as the paper's W, but for the
 # yaw.
 SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)
 SIGMA_ARM_M = 0.005  # of an antenna's place that is told
 
 
-class First(NamedTuple):
+class InitialGuess(NamedTuple):
     """What is known of a recorded robot before the first sample."""
 
     yaw_rad: tuple | None = None  # in each segment
@@ -61,10 +61,10 @@ class First(NamedTuple):
     lever_arm_m: tuple | None = None  # the antenna's place, ahead and left of the robot's centre
 
 
-NOTHING_KNOWN = First()
+UNKNOWN = InitialGuess()
 
 
-def functions(*structure):
+def build_replay(*structure):
     """The estimator's step with a row of OUTPUTS, ready to be folded; what an estimator does not
     tell is not a number.
     """
@@ -95,7 +95,7 @@ def functions(*structure):
             for name, default in (("deviance", ca.DM.nan(1)), ("kkt", ca.DM.nan(1)), ("ok", 1))
         ),
     )
-    return scan.functions(
+    return scan.build_scan(
         ca.Function(
             "replay",
             inputs,
@@ -120,17 +120,17 @@ def run(steps, scenario, z, yaw_rad, first):
     sigma[2] = first.sigma_yaw_rad
     if first.lever_arm_m is not None:
         sigma[6:] = SIGMA_ARM_M
-    settings = estimators.variances(scenario) | dict(traction=np.ones(2))
+    settings = estimators.noise_settings(scenario) | dict(traction=np.ones(2))
     names = steps["step"].name_in()
     memory = estimators.first_memory(
         scenario, guess if scenario.estimator == "rhe" else guess[:6], sigma
     )
-    return scan.fold(
+    return scan.scan(
         steps, memory, z, {name: value for name, value in settings.items() if name in names}
     )[1]
 
 
-def moved(scenario, estimate, readings, tau_s):
+def propagate(scenario, estimate, readings, tau_s):
     """Estimates (n, 8) after tau_s (n,) of driving by the readings (n, 2) of the encoders, in the
     estimator's own model; missing readings are those before.
     """
@@ -157,22 +157,23 @@ def innovations(scenario, estimate, z):
     """
     if len(z) < 2:
         return np.full((1, 2), np.nan)
-    predicted = moved(scenario, estimate[:-1], z[1:, 2:], np.full(len(z) - 1, paper.DT_S))
+    predicted = propagate(scenario, estimate[:-1], z[1:, 2:], np.full(len(z) - 1, paper.DT_S))
     return np.concatenate([np.full((1, 2), np.nan), z[1:, :2] - predicted[:, :2]])
 
 
-def likeliest(steps, scenario, z, first):
+def most_likely_heading(steps, scenario, z, first):
     """The run whose first yaw, of HEADINGS directions, makes the sum of squared innovations least."""
-    unsure = first._replace(sigma_yaw_rad=np.pi / HEADINGS)
+    unsure = first._replace(sigma_yaw_rad=np.pi / N_HEADINGS)
     runs = [
-        run(steps, scenario, z, yaw, unsure) for yaw in 2 * np.pi / HEADINGS * np.arange(HEADINGS)
+        run(steps, scenario, z, yaw, unsure)
+        for yaw in 2 * np.pi / N_HEADINGS * np.arange(N_HEADINGS)
     ]
     return min(
         runs, key=lambda outputs: np.nansum(np.square(innovations(scenario, outputs[:, :8], z)))
     )
 
 
-def estimate_samples(recording, scenario, first=NOTHING_KNOWN, faults=(), seed=0):
+def estimate_samples(recording, scenario, first=UNKNOWN, faults=(), seed=0):
     """Estimates of a Recording, one row for each sample: segment, t_s, truth, READINGS, OUTPUTS,
     innovation_x_m, innovation_y_m.
 
@@ -180,9 +181,9 @@ def estimate_samples(recording, scenario, first=NOTHING_KNOWN, faults=(), seed=0
     random directions.
     """
     steps = compiled.load(
-        functions,
-        estimators.identity(scenario.estimator),
-        scenario.horizon_rhe,
+        build_replay,
+        estimators.estimator_key(scenario.estimator),
+        scenario.estimation_horizon,
         scenario.speed_model,
         scenario.arrival_mean,
         scenario.qp,
@@ -193,12 +194,12 @@ def estimate_samples(recording, scenario, first=NOTHING_KNOWN, faults=(), seed=0
         part = recordings.samples(rows, paper.DT_S, recording.averaged)
         if faults:
             wrong = corrupted(
-                part[recordings.READINGS], faults, part["t_s"], recording.track_width_m, seed
+                part[recordings.MEASUREMENTS], faults, part["t_s"], recording.track_width_m, seed
             )
-            part[recordings.READINGS] = np.where(np.isfinite(wrong), wrong, np.nan)
-        z = part[recordings.READINGS].to_numpy()
+            part[recordings.MEASUREMENTS] = np.where(np.isfinite(wrong), wrong, np.nan)
+        z = part[recordings.MEASUREMENTS].to_numpy()
         outputs = (
-            likeliest(steps, scenario, z, first)
+            most_likely_heading(steps, scenario, z, first)
             if first.yaw_rad is None
             else run(steps, scenario, z, first.yaw_rad[number], first)
         )
@@ -225,9 +226,13 @@ def at_rows(samples, recording, scenario):
         tau[np.abs(tau) < 1e-6] = 0
         result = part.iloc[last].reset_index(drop=True)
         following = (
-            part[recordings.READINGS[2:]].ffill().iloc[np.minimum(last + (tau > 0), len(part) - 1)]
+            part[recordings.MEASUREMENTS[2:]]
+            .ffill()
+            .iloc[np.minimum(last + (tau > 0), len(part) - 1)]
         )
-        there = moved(scenario, result[ESTIMATE + ARM].to_numpy(), following.to_numpy(), tau)
+        there = propagate(
+            scenario, result[ESTIMATE + LEVER_ARM].to_numpy(), following.to_numpy(), tau
+        )
         result.loc[tau != 0, ESTIMATE[:3]] = there[tau != 0, :3]
         result.loc[
             np.diff(last, prepend=-1) == 0, ["innovation_x_m", "innovation_y_m", "deviance"]
@@ -265,7 +270,7 @@ def replay(
                       directions are tried, and the one is taken whose innovations are least: an
                       estimate that knows the whole segment until the robot has driven some metres
     sigma_yaw_rad     how sure that guess is
-    fields            of Scenario: reading, sigma_w, sigma_v, horizon_rhe, speed_model,
+    fields            of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon, speed_model,
                       arrival_mean, robust, qp; speed_model is "slipping" unless told, which is
                       "input" (R13) with noise that scales with motion
 
@@ -291,23 +296,23 @@ def replay(
             f"first_yaw_rad had {len(first_yaw_rad)} entries; it should be one number, or one for each of the log's {segments} segments"
         )
     samples = estimate_samples(
-        recording, scenario, First(first_yaw_rad, sigma_yaw_rad, lever_arm_m)
+        recording, scenario, InitialGuess(first_yaw_rad, sigma_yaw_rad, lever_arm_m)
     )
     rows = at_rows(samples, recording, scenario)
     place = np.full(len(log), -1)
     place[recording.kept] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(place, 0))].set_axis(log.index)
-    result.loc[place < 0, recordings.READINGS] = np.nan
+    result.loc[place < 0, recordings.MEASUREMENTS] = np.nan
     result.attrs["faults"] = recording.faults
     return result
 
 
 def settings(estimator, recording, fields):
     """The Scenario whose estimator a replay runs."""
-    unknown = [name for name in fields if name not in FIELDS]
+    unknown = [name for name in fields if name not in ESTIMATOR_FIELDS]
     if unknown:
         raise ValueError(
-            f"replay has no parameter {unknown[0]!r}; of Scenario's fields it takes {', '.join(FIELDS)}"
+            f"replay has no parameter {unknown[0]!r}; of Scenario's fields it takes {', '.join(ESTIMATOR_FIELDS)}"
         )
     defaults = (
         dict(estimator=estimator, speed_model="slipping", track_width_m=recording.track_width_m)

@@ -154,7 +154,7 @@ def trial(
         if known
         else None
     )
-    first = replays.First(yaws, lever_arm_m=lever_arm_m)
+    first = replays.InitialGuess(yaws, lever_arm_m=lever_arm_m)
     return replays.estimate_samples(
         recording._replace(rows=rows),
         replays.settings(estimator, recording, fields),

@@ -11,7 +11,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import function
+from rhec._casadi.build import casadi_function
 from rhec._casadi.validation import Flag, Positive, Real, checked, numbers, shown
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
@@ -164,7 +164,7 @@ def closest(xy, s, segments, period_m, iterations=2):
     return s
 
 
-def functions(dt_s, horizon, n_segments, input_reference="measured"):
+def build_references(dt_s, horizon, n_segments, input_reference="measured"):
     """{references}: from the last arc length s () and the estimate (6,) to the closest point and
     the desired points over the horizon.
 
@@ -194,7 +194,7 @@ def functions(dt_s, horizon, n_segments, input_reference="measured"):
         )
 
     return dict(
-        references=function(
+        references=casadi_function(
             "references",
             references,
             dict(

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi.build import function
+from rhec._casadi.build import casadi_function
 from rhec.model import tracked_robot as model
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
@@ -44,7 +44,7 @@ def measure(dt_s):
         | {name: NOISE[name] for name in ("white", "slow")}
         | SENSORS
     )
-    return function("measure", body, inputs)
+    return casadi_function("measure", body, inputs)
 
 
 def drive(dt_s):
@@ -98,7 +98,7 @@ def drive(dt_s):
         | {name: NOISE[name] for name in ("bump", "encoder")}
         | BODY
     )
-    return function("drive", body, inputs)
+    return casadi_function("drive", body, inputs)
 
 
 def body_speeds(tracks, track_width_m):
@@ -106,7 +106,7 @@ def body_speeds(tracks, track_width_m):
     return (tracks[0] + tracks[1]) / 2, (tracks[1] - tracks[0]) / track_width_m
 
 
-def start(pose, speed_mps):
+def init(pose, speed_mps):
     """Memory at the first sample: driving straight at the set speed."""
     return dict(
         pose=np.array(pose),

@@ -204,7 +204,7 @@ def verdicts(table):
         unit = row.unit.removeprefix("share ").strip("-") if number(row.ours) else ""
         axes.text(PAPER + 1, place, f"{number(row.ours)}{interval} {unit}", **text)
         if kind == "one reading":
-            axes.text(100, place, row.reading, **text, ha="right", color=colour)
+            axes.text(100, place, row.process_noise, **text, ha="right", color=colour)
     for x, label, align in [
         (4.0, "claim", "left"),
         (LINE - 0.7, "fails", "right"),

@@ -212,7 +212,7 @@ def forest(table, baseline):
         axes.minorticks_off()
         axes.grid(axis="y", visible=False)
     panels[0].set_yticks(
-        range(len(readings)), [f"{row.words}  {row.reading}" for row in readings.itertuples()]
+        range(len(readings)), [f"{row.words}  {row.process_noise}" for row in readings.itertuples()]
     )
     panels[0].set_ylim(len(readings) - 0.5, -0.5)
     n = table["n"].iloc[0]

@@ -102,7 +102,7 @@ def scenario_a_table(sweep):
     rows = [
         _row({"weight": weight}, quantity, over_seeds(np.mean, runs[column]))
         for column, quantity in [
-            ("arrival_s", "settling time [s]"),
+            ("settling_time_s", "settling time [s]"),
             ("overshoot_m", "overshoot [m]"),
             ("mean_error_m", "mean error, raw GNSS [m]"),
             ("mean_error_true_m", "mean error, true [m]"),
@@ -110,7 +110,7 @@ def scenario_a_table(sweep):
         for weight, runs in of.items()
     ]
     for one, other, column, quantity in [
-        ("Q1", "Q3", "arrival_s", "settling time, ratio"),
+        ("Q1", "Q3", "settling_time_s", "settling time, ratio"),
         ("Q2", "Q3", "overshoot_m", "overshoot, ratio"),
     ]:
         ratio = over_seeds(ratio_of_means, of[one][column], of[other][column])
@@ -135,7 +135,7 @@ def scenario_b_table(sweep):
     μ and κ to be 1.
     """
     rows = []
-    for reading, runs in sweep.groupby("reading", sort=False):
+    for process_noise, runs in sweep.groupby("process_noise", sort=False):
         of = {name.upper(): each for name, each in runs.groupby("estimator", sort=False)}
         for column, quantity in [
             ("mean_error_m", "mean error, raw GNSS [m]"),
@@ -154,7 +154,7 @@ def scenario_b_table(sweep):
                 claim = ("at most 0", verdict(*estimate[1:3], below=0)) if reported == 0 else ()
                 rows.append(
                     _row(
-                        {"reading": reading, "estimator": name},
+                        {"process_noise": process_noise, "estimator": name},
                         quantity,
                         estimate,
                         *claim,
@@ -165,7 +165,7 @@ def scenario_b_table(sweep):
                 difference = over_seeds(difference_of_means, of["RHE"][column], of["EKF"][column])
                 rows.append(
                     _row(
-                        {"reading": reading, "estimator": "RHE - EKF"},
+                        {"process_noise": process_noise, "estimator": "RHE - EKF"},
                         quantity,
                         difference,
                         "below 0",
@@ -181,7 +181,7 @@ def scenario_b_table(sweep):
 
 def _about(run):
     """Which run it is, for a title."""
-    return f"{run.scenario.reading} reading, seed {run.scenario.seed}"
+    return f"{run.scenario.process_noise} reading, seed {run.scenario.seed}"
 
 
 def _seeds(sweep):
@@ -320,7 +320,7 @@ def trajectories_q(runs):
     )
     for name, log in rows.items():
         plane.plot(log["x_m"], log["y_m"], **LINES[name])
-        arrival = runs[name].metrics["arrival_s"]
+        arrival = runs[name].metrics["settling_time_s"]
         settling = "never" if np.isnan(arrival) else f"{arrival:.1f} s"
         time.plot(
             log["t_s"],
@@ -364,12 +364,12 @@ def weight_sweep(sweep):
     seeds; sweep as in `scenario_a_table`.
     """
     figure, (settling, overshoot) = plt.subplots(2, figsize=(COLUMN_IN, 3.6), sharex=True)
-    for axes, column in [(settling, "arrival_s"), (overshoot, "overshoot_m")]:
+    for axes, column in [(settling, "settling_time_s"), (overshoot, "overshoot_m")]:
         _strip(
             axes,
             [
                 (
-                    f"{LINES[name]['label']}\n{runs['arrival_s'].count()} of {len(runs)} settle",
+                    f"{LINES[name]['label']}\n{runs['settling_time_s'].count()} of {len(runs)} settle",
                     runs[column],
                     LINES[name],
                 )
@@ -380,7 +380,10 @@ def weight_sweep(sweep):
     settling.set_ylabel("settling time [s]")
     overshoot.set_ylabel("overshoot [m]")
     overshoot.tick_params(axis="x", labelsize=6.5)
-    _title(settling, f"{sweep['reading'].iloc[0]} reading, {_seeds(sweep)}; mean and 95 % interval")
+    _title(
+        settling,
+        f"{sweep['process_noise'].iloc[0]} reading, {_seeds(sweep)}; mean and 95 % interval",
+    )
     return figure
 
 
@@ -475,7 +478,7 @@ def errors(runs):
                 axes.axhline(level, color=BLACK, linewidth=0.9, linestyle=line, label=meaning)
             _title(
                 axes,
-                f"{name}, {run.scenario.reading} reading: mean {mean:.4f} m, paper: {reported} m",
+                f"{name}, {run.scenario.process_noise} reading: mean {mean:.4f} m, paper: {reported} m",
             )
             _time_axis([axes], run.log)
         row[0].set_ylabel("error, raw GNSS [m]")
@@ -496,11 +499,11 @@ def violations(sweep):
     lines what the paper reports; a panel for each reading. The scale is linear up to 10 and
     logarithmic beyond, for both estimators to be seen.
     """
-    readings = list(sweep.groupby("reading", sort=False))
+    readings = list(sweep.groupby("process_noise", sort=False))
     figure, panels = plt.subplots(
         1, len(readings), figsize=(COLUMN_IN, 2.7), sharey=True, squeeze=False
     )
-    for axes, (reading, runs) in zip(panels[0], readings):
+    for axes, (process_noise, runs) in zip(panels[0], readings):
         for place, (name, each) in enumerate(
             (name.upper(), each) for name, each in runs.groupby("estimator", sort=False)
         ):
@@ -547,7 +550,7 @@ def violations(sweep):
         axes.set_xticks([0, 1], ["RHE", "EKF"], minor=True)
         axes.tick_params(axis="x", which="minor", length=0, pad=14)
         axes.grid(axis="x", visible=False)
-        _title(axes, f"{reading} reading")
+        _title(axes, f"{process_noise} reading")
     axes.set_yscale("symlog", linthresh=10, linscale=0.6)
     axes.set_yticks(ticks := [0, 5, 10, 20, 50, 100, 200, 500, 1000], ticks)
     axes.set_ylim(0, 3000)

@@ -14,7 +14,7 @@ solution is exact. It starts from the previous solution's guess.
 
 import casadi as ca
 
-from rhec._casadi.build import function
+from rhec._casadi.build import casadi_function
 from rhec.estimator.kalman import symmetric
 from rhec.solver.gauss_newton import transition
 
@@ -66,12 +66,12 @@ def box_lq(N, D, B, loops):
         )
 
     one, state, matrix = (1, 1), (n, 1), (n, n)
-    backward = function(
+    backward = casadi_function(
         "lq_backward",
         backward,
         dict(P=matrix, p=state, D=D, B=B, Q=state, R=one, g=one, lower=one, upper=one, active=one),
     )
-    forward = function(
+    forward = casadi_function(
         "lq_forward",
         forward,
         dict(
@@ -136,7 +136,7 @@ def box_lq(N, D, B, loops):
 
     row = dict(g=(1, N), lower=(1, N), upper=(1, N), active=(1, N))
     given = dict(D=ca.repmat(D, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=one)
-    guess = function("lq_guess", guess, given | row, loops)
+    guess = casadi_function("lq_guess", guess, given | row, loops)
 
     # A search is one guess or, if that did not stand, two searches of half its length.
 
@@ -159,8 +159,8 @@ def box_lq(N, D, B, loops):
     def settled(**given):
         return {name: given[name] for name in state}
 
-    once = function("lq_once", once, problem | state, ca.MX)
-    settled = function("lq_settled", settled, problem | state, ca.MX)
+    once = casadi_function("lq_once", once, problem | state, ca.MX)
+    settled = casadi_function("lq_settled", settled, problem | state, ca.MX)
 
     def then(name, search, onward):
         """`search`, and `onward` from where it got to if no guess has stood yet."""
@@ -172,7 +172,7 @@ def box_lq(N, D, B, loops):
             )
             return dict(zip(state, found))
 
-        return function(name, body, problem | state, ca.MX)
+        return casadi_function(name, body, problem | state, ca.MX)
 
     search = once
     for doubling in range(DOUBLINGS):
@@ -195,4 +195,4 @@ def box_lq(N, D, B, loops):
             ok=ok,
         )
 
-    return function("box_lq", box_lq, given | row, ca.MX)
+    return casadi_function("box_lq", box_lq, given | row, ca.MX)

@@ -133,7 +133,7 @@ def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
     return ca.fabs(gradient_along_step) + ca.sum1(ca.vec(ca.fabs(multipliers * bound)))
 
 
-def put(name, value, array):
+def copy_checked(name, value, array):
     """Copy an argument into its array, or say in one sentence why it does not fit."""
     shape = getattr(value, "shape", None)
     try:
@@ -155,7 +155,7 @@ def put(name, value, array):
     raise ValueError(f"{name} had shape {shape}; it should have {array.shape}")
 
 
-class Iteration:
+class RealTimeIteration:
     """The four phases on shared NumPy arrays, compiled: what the RHE and RHC objects are made of.
 
     Arrays of the same name are one array. The memory exists twice, because a Function must not
@@ -166,7 +166,7 @@ class Iteration:
     def __init__(self, functions, memory, unknowns, **constants):
         self.unknowns = unknowns  # of the memory, what an iteration improves
         self.phases = {
-            name: compiled.Bound(functions[name])
+            name: compiled.BufferedFunction(functions[name])
             for name in ("shift", "linearise", "feedback", "expand")
         }
         self.previous = {

@@ -38,13 +38,16 @@ UNKNOWNS = {
 # What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest
 # is LEAST.
 TRACKING = {
-    "rhe": (dict(horizon_rhe=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01}),
+    "rhe": (
+        dict(estimation_horizon=15),
+        {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01},
+    ),
     "ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "augmented_ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01, (4,): 0.01, (5,): 0.01}),
     "fixed_traction": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "traction_oracle": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
     "dual": (
-        dict(horizon_rhe=10),
+        dict(estimation_horizon=10),
         {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01},
     ),
 }
@@ -78,7 +81,7 @@ def functions(outputs, *structure):
     )
     given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W, traction=stream[4:])
     result = step(**{name: given[name] for name in step.name_in()})
-    return scan.functions(
+    return scan.build_scan(
         ca.Function(
             "recorded",
             [memory, stream, V, W],
@@ -108,8 +111,8 @@ def prepared(scenario, run, *outputs):
     steps = compiled.load(
         functions,
         outputs,
-        estimators.identity(scenario.estimator),
-        scenario.horizon_rhe,
+        estimators.estimator_key(scenario.estimator),
+        scenario.estimation_horizon,
         scenario.speed_model,
         scenario.arrival_mean,
         scenario.qp,
@@ -118,12 +121,12 @@ def prepared(scenario, run, *outputs):
     x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
     memory = estimators.first_memory(scenario, (x, y, theta, run.scenario.speed_mps, 1.0, 1.0))
     stream = np.hstack([run.log[[*LOG["z"]]], told(scenario.estimator, run)])
-    return steps, memory, stream, estimators.variances(scenario)
+    return steps, memory, stream, estimators.noise_settings(scenario)
 
 
 def estimated(scenario, run, *outputs):
     """These outputs, side by side (n, …)."""
-    return scan.fold(*prepared(scenario, run, *outputs))[1]
+    return scan.scan(*prepared(scenario, run, *outputs))[1]
 
 
 def deviance(estimator, sigma_w, runs, **fields):
@@ -167,7 +170,7 @@ def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
     fields, unknowns = TRACKING[estimator]
 
     def sigma_w(logarithms):
-        sigma = np.full(estimators.entries(estimator, "parameter"), LEAST)
+        sigma = np.full(estimators.n_sigma_w(estimator, "parameter"), LEAST)
         for places, logarithm in zip(unknowns, logarithms):
             sigma[list(places)] = np.exp(logarithm)
         return sigma

@@ -24,13 +24,13 @@ STATES = ("x", "y", "θ", "ν", "μ", "κ")
 # arrival_mean="filtered")`.
 SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
 ESTIMATORS = {  # fields of Scenario; all W that are not printed are by likelihood
-    "EKF, printed": dict(estimator="ekf", reading="printed"),
-    "EKF, calibrated": dict(estimator="ekf", reading="calibrated"),
-    "RHE, printed": dict(reading="printed"),
-    "RHE, calibrated": dict(reading="calibrated"),
-    "RHE, filtered arrival": dict(arrival_mean="filtered", reading="calibrated"),
+    "EKF, printed": dict(estimator="ekf", process_noise="printed"),
+    "EKF, calibrated": dict(estimator="ekf", process_noise="calibrated"),
+    "RHE, printed": dict(process_noise="printed"),
+    "RHE, calibrated": dict(process_noise="calibrated"),
+    "RHE, filtered arrival": dict(arrival_mean="filtered", process_noise="calibrated"),
     "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=SIGMA_W_FILTERED),
-    "augmented EKF, calibrated": dict(estimator="augmented_ekf", reading="calibrated"),
+    "augmented EKF, calibrated": dict(estimator="augmented_ekf", process_noise="calibrated"),
     "traction oracle": dict(estimator="traction_oracle"),
 }
 FROM_S = (

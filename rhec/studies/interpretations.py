@@ -107,7 +107,9 @@ def swept(estimator, reading, place, values, seeds):
             sigma[entry] = float(value)
         for seed in range(seeds):
             run = simulate(
-                Scenario(estimator=estimator, reading=reading, sigma_w=tuple(sigma), seed=seed)
+                Scenario(
+                    estimator=estimator, process_noise=reading, sigma_w=tuple(sigma), seed=seed
+                )
             )
             runs.setdefault(value, run)
             c = run.columns
@@ -160,7 +162,7 @@ READINGS = {
     "R3 d": ("headland of 10 m radius", *[dict(headland_radius_m=10.0)] * 2),
     "R4 a": ("GNSS: half of it slow", *[dict(gnss_slow_share=0.5)] * 2),
     "R4 b": ("GNSS: nine tenths slow", *[dict(gnss_slow_share=0.9)] * 2),
-    "R5": ("window of N terms", dict(horizon_rhe=14), dict()),
+    "R5": ("window of N terms", dict(estimation_horizon=14), dict()),
     "R6, R13": ("ν an input, p = (μ, κ)", dict(speed_model="input"), dict()),
     "R7": ("prior mean filtered", dict(arrival_mean="filtered"), dict()),
     "R8": ("path's yaw rate as reference", *[dict(input_reference="curvature")] * 2),
@@ -187,13 +189,13 @@ def one_at_a_time(baseline, seeds):
     other = "calibrated" if baseline == "printed" else "printed"
     asked = {
         "baseline": ("baseline", dict(), dict()),
-        "R1": (f"EKF: W {other}", dict(), dict(reading=other)),
-        "R2": (f"RHE: W {other}", dict(reading=other), dict()),
+        "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
+        "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
     } | READINGS
     table = complete(
         campaign(
             [
-                Scenario(**(dict(reading=baseline) | fields), estimator=estimator, seed=seed)
+                Scenario(**(dict(process_noise=baseline) | fields), estimator=estimator, seed=seed)
                 for _, *both in asked.values()
                 for estimator, fields in zip(("rhe", "ekf"), both)
                 for seed in range(seeds)
@@ -214,7 +216,7 @@ def one_at_a_time(baseline, seeds):
             moved = statistics.difference(found[name][column], found["baseline"][column])
             rows.append(
                 dict(
-                    reading=name,
+                    process_noise=name,
                     words=words,
                     quantity=quantity,
                     value=value.ours,

@@ -13,7 +13,7 @@ import pandas as pd
 from rhec._casadi import scan
 from rhec.extensions import dual
 from rhec.scenario import Scenario
-from rhec.simulation import HOLD, simulate, staying
+from rhec.simulation import SETTLING_SAMPLES, settled_samples, simulate
 from rhec.studies import calibration
 
 PROPOSAL, PAPERS = "dual, W by tracking", "RHE, W printed"
@@ -33,18 +33,18 @@ def tracking(estimator, **fields):
 
 # Fields of Scenario for each, from the paper's own to the truth.
 CONTESTANTS = {
-    "EKF, W printed": dict(estimator="ekf", reading="printed"),
-    "EKF, W by likelihood": dict(estimator="ekf", reading="calibrated"),
+    "EKF, W printed": dict(estimator="ekf", process_noise="printed"),
+    "EKF, W by likelihood": dict(estimator="ekf", process_noise="calibrated"),
     "EKF, W by tracking": tracking("ekf"),
-    "augmented EKF, W printed": dict(estimator="augmented_ekf", reading="printed"),
-    "augmented EKF, W by likelihood": dict(estimator="augmented_ekf", reading="calibrated"),
+    "augmented EKF, W printed": dict(estimator="augmented_ekf", process_noise="printed"),
+    "augmented EKF, W by likelihood": dict(estimator="augmented_ekf", process_noise="calibrated"),
     "augmented EKF, W by tracking": tracking("augmented_ekf"),
-    PAPERS: dict(estimator="rhe", reading="printed"),
-    "RHE, W by likelihood": dict(estimator="rhe", reading="calibrated"),
+    PAPERS: dict(estimator="rhe", process_noise="printed"),
+    "RHE, W by likelihood": dict(estimator="rhe", process_noise="calibrated"),
     "RHE, W by tracking": tracking("rhe"),
     "fixed traction, W by likelihood": dict(estimator="fixed_traction"),
     "fixed traction, W by tracking": tracking("fixed_traction"),
-    PROPOSAL: dict(estimator="dual", horizon_rhe=10),
+    PROPOSAL: dict(estimator="dual", estimation_horizon=10),
     ORACLES[0]: dict(estimator="traction_oracle"),
     ORACLES[1]: tracking("traction_oracle"),
     "full oracle": dict(estimator="oracle"),
@@ -72,8 +72,8 @@ def by_pose_noise(sigmas_rad, seeds):
         sigma_w = (*dual.SIGMA_W[:8], float(sigma), dual.SIGMA_W[9])
         for seed in seeds:
             run = simulate(Scenario(seed=seed, sigma_w=sigma_w, **CONTESTANTS[PROPOSAL]))
-            stays = staying(run.columns["error_true_m"])
-            log = run.log[stays[0] + HOLD :] if len(stays) else run.log
+            stays = settled_samples(run.columns["error_true_m"])
+            log = run.log[stays[0] + SETTLING_SAMPLES :] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()
             rows.append(
                 dict(
@@ -103,7 +103,7 @@ def step_times(names, rounds=40, seed=0):
         row = {}
         for name, call in calls.items():
             begin = time.perf_counter_ns()
-            scan.fold(*call)
+            scan.scan(*call)
             row[name] = (time.perf_counter_ns() - begin) / 1e3 / len(run.log)
         taken.append(row)
     return pd.DataFrame(taken[1:])  # the first round warms up

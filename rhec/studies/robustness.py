@@ -12,7 +12,7 @@ import numpy as np
 
 from rhec import paper
 from rhec.extensions.faults import Fault
-from rhec.simulation import simulate, staying
+from rhec.simulation import settled_samples, simulate
 
 BEFORE_S, AFTER_S = 10.0, 60.0  # what is looked at around a fault
 FIRST_S, LAST_S = (
@@ -128,7 +128,7 @@ def response(run, begin_s, end_s):
     """
     t, error = run.columns["t_s"], run.columns["error_true_m"]
     during, after = (t >= begin_s) & (t <= end_s + paper.DT_S), t >= end_s
-    back = t[staying(error)]
+    back = t[settled_samples(error)]
     back = back[back >= end_s - 1e-6]
     command, traction = (
         run.columns["omega_cmd_radps"],

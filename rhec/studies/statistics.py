@@ -187,12 +187,12 @@ def combined(findings):
     A claim that holds under some readings only holds "under" the first of them; else the first
     reading speaks, and a single doubt keeps it open.
     """
-    verdicts = {reading: found.verdict for reading, found in findings.items()}
-    holding = [reading for reading, verdict in verdicts.items() if verdict == HOLDS]
+    verdicts = {process_noise: found.verdict for process_noise, found in findings.items()}
+    holding = [process_noise for process_noise, verdict in verdicts.items() if verdict == HOLDS]
     first = next(iter(findings))
     if len(holding) == len(findings):
         return HOLDS, first
     if holding:
         return f"{HOLDS} under {holding[0]}", holding[0]
-    open_ = [reading for reading, verdict in verdicts.items() if verdict == UNDECIDED]
+    open_ = [process_noise for process_noise, verdict in verdicts.items() if verdict == UNDECIDED]
     return (UNDECIDED, open_[0]) if open_ else (verdicts[first], first)

@@ -31,13 +31,13 @@ def phases(scenario, qp):
     run = simulate(scenario)
     measurements = run.log[["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]].to_numpy()
     estimator = RHE(
-        reading=scenario.reading,
+        process_noise=scenario.process_noise,
         qp=qp,
         guess=(*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], scenario.speed_mps, 1.0, 1.0),
     )
     controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
-    references = compiled.Bound(
-        compiled.load(path.functions, paper.DT_S, paper.HORIZON, len(run.path.segments))[
+    references = compiled.BufferedFunction(
+        compiled.load(path.build_references, paper.DT_S, paper.HORIZON, len(run.path.segments))[
             "references"
         ]
     )

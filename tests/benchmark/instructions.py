@@ -28,7 +28,7 @@ def drive():
     """What is counted: a minute of the closed loop, then its samples again from Python, phase by
     phase.
     """
-    scenario = Scenario(reading="calibrated", duration_s=60.0)
+    scenario = Scenario(process_noise="calibrated", duration_s=60.0)
     timing.phases(scenario, scenario.qp)
 
 

@@ -31,7 +31,9 @@ class Problem(NamedTuple):
 
 def drive(samples, horizon=paper.HORIZON):
     """A run with so many samples after the window has filled up."""
-    return simulate(Scenario(reading="calibrated", duration_s=(horizon + samples) * paper.DT_S))
+    return simulate(
+        Scenario(process_noise="calibrated", duration_s=(horizon + samples) * paper.DT_S)
+    )
 
 
 def measured(run):
@@ -42,15 +44,19 @@ def measured(run):
 def live(run, horizon=paper.HORIZON):
     """rhec's estimator and controller as they begin this run."""
     guess = (*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], run.scenario.speed_mps, 1.0, 1.0)
-    return RHE(reading=run.scenario.reading, horizon=horizon, guess=guess), RHC(horizon=horizon)
+    return RHE(process_noise=run.scenario.process_noise, horizon=horizon, guess=guess), RHC(
+        horizon=horizon
+    )
 
 
 def references(run, horizon):
     """The function (estimate (6,), measured yaw rate) -> xi_ref (3, N+1), omega_ref (N,) that
     follows this run's path.
     """
-    call = compiled.Bound(
-        compiled.load(path.functions, paper.DT_S, horizon, len(run.path.segments))["references"]
+    call = compiled.BufferedFunction(
+        compiled.load(path.build_references, paper.DT_S, horizon, len(run.path.segments))[
+            "references"
+        ]
     )
     call.set(segments=run.path.segments.T, period_m=run.path.period_m)
 

@@ -63,7 +63,7 @@ def starts(rounds=3):
 
 def seconds(runs, workers):
     scenarios = [
-        Scenario(reading="calibrated", seed=seed, duration_s=SAMPLES * paper.DT_S)
+        Scenario(process_noise="calibrated", seed=seed, duration_s=SAMPLES * paper.DT_S)
         for seed in range(runs)
     ]
     begin = time.perf_counter()

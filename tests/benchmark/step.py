@@ -176,12 +176,12 @@ def without_python(run, recorded):
 
 def fused(scenario):
     """The compiled closed loop: robot, sensors, estimator, path, controller and log."""
-    world, noise = simulation.world(scenario), simulation.draw_noise(scenario.seed, LOOP)
-    functions = compiled.load(simulation.functions, *world.structure)
+    world, noise = simulation.set_up(scenario), simulation.draw_noise(scenario.seed, LOOP)
+    functions = compiled.load(simulation.build_sample, *world.structure)
 
     def block(_):
         begin = clock()
-        scan.fold(functions, world.memory, noise, world.settings)
+        scan.scan(functions, world.memory, noise, world.settings)
         return {("closed loop", "overall"): (clock() - begin) / 1e3 / LOOP}
 
     return block

@@ -21,7 +21,7 @@ def measure(steps):
     taken = {solver: [] for solver in SOLVERS}
     for seed in SEEDS:
         scenario = Scenario(
-            reading="calibrated", seed=seed, duration_s=steps / len(SEEDS) * paper.DT_S
+            process_noise="calibrated", seed=seed, duration_s=steps / len(SEEDS) * paper.DT_S
         )
         for solver in SOLVERS:
             taken[solver].append(timing.phases(scenario, solver))

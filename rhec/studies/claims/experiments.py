@@ -12,7 +12,13 @@ import pandas as pd
 
 from rhec import paper, simulation
 from rhec._casadi import compiled, scan
-from rhec._casadi.build import folded, only, pieces, size, vector
+from rhec._casadi.build import (
+    pack_array,
+    packed_size,
+    select_inputs,
+    unpack_array,
+    with_packed_memory,
+)
 from rhec.controller import rhc
 from rhec.controller.rhc import RHC
 from rhec.estimator import rhe
@@ -20,7 +26,7 @@ from rhec.estimator.rhe import RHE
 from rhec.model import path, robot, terrain
 from rhec.model import tracked_robot as model
 from rhec.scenario import Scenario
-from rhec.simulation import rms, simulate, staying
+from rhec.simulation import rms, settled_samples, simulate
 from rhec.studies import timing
 
 RHE_MEMORY = ("s", "v", "z", "age", "m", "P")
@@ -36,7 +42,7 @@ def with_given_arrival():
     (memory, z, V, W, P_0, constant) -> (memory, row); row: the estimate (6,) and the arrival
     covariance (36,) behind it.
     """
-    phases = rhe.functions(paper.DT_S, paper.HORIZON)
+    phases = rhe.build_phases(paper.DT_S, paper.HORIZON)
     shift, linearise, feedback, expand = (
         phases[name] for name in ("shift", "linearise", "feedback", "expand")
     )
@@ -44,43 +50,43 @@ def with_given_arrival():
     def step(z_N, V, W, P_0, constant, **memory):
         memory = shift(**memory, V=V, W=W)
         memory["P"] = ca.if_else(constant, P_0, memory["P"])
-        prepared = linearise(**only(linearise, memory), V=V)
-        result = feedback(**only(feedback, prepared | memory), z_N=z_N, V=V)
-        expanded = expand(**only(expand, memory | prepared | result | dict(z_N=z_N, V=V)))
+        prepared = linearise(**select_inputs(linearise, memory), V=V)
+        result = feedback(**select_inputs(feedback, prepared | memory), z_N=z_N, V=V)
+        expanded = expand(**select_inputs(expand, memory | prepared | result | dict(z_N=z_N, V=V)))
         return dict(row=ca.vertcat(result["estimate"], ca.vec(memory["P"]))) | {
             name: expanded[name] for name in RHE_MEMORY
         }
 
     memory = {name: shift.size_in(name) for name in RHE_MEMORY}
-    return folded(
+    return with_packed_memory(
         "given_arrival",
         step,
         memory,
         dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 6), constant=(1, 1)),
-        compiled.kind_of_loops(),
+        compiled.loop_symbols(),
     )
 
 
 def functions(serialized):
     """A step, as text, ready to be folded: the text is part of the compiled library's name."""
-    return scan.functions(ca.Function.deserialize(serialized))
+    return scan.build_scan(ca.Function.deserialize(serialized))
 
 
-def estimated(steps, log, reading, P_0=None):
+def estimated(steps, log, process_noise, P_0=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
     guess = (*log.loc[0, ["x_m", "y_m", "theta_rad"]], log.loc[0, "nu_mps"], 1.0, 1.0)
     settings = dict(
         V=np.square(paper.SIGMA_V),
-        W=np.square(rhe.SIGMA_W[reading]),
+        W=np.square(rhe.SIGMA_W[process_noise]),
         P_0=np.eye(6) if P_0 is None else P_0,
         constant=float(P_0 is not None),
     )
-    memory = vector(rhe.start(guess, paper.SIGMA_W_RHE, paper.HORIZON))
-    _, rows = scan.fold(steps, memory, log[[*simulation.LOG["z"]]].to_numpy(), settings)
+    memory = pack_array(rhe.init(guess, paper.SIGMA_W_RHE, paper.HORIZON))
+    _, rows = scan.scan(steps, memory, log[[*simulation.LOG["z"]]].to_numpy(), settings)
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
 
 
-def arrival_costs(reading, seeds):
+def arrival_costs(process_noise, seeds):
     """The RHE with its arrival cost as it is, and with constant ones, on the same recorded runs
     (driven with the true state in the loop).
 
@@ -90,17 +96,17 @@ def arrival_costs(reading, seeds):
     over all samples, relative to that of W.
     """
     steps, rows = compiled.load(functions, with_given_arrival().serialize()), []
-    W = np.diag(np.square(rhe.SIGMA_W[reading]))
+    W = np.diag(np.square(rhe.SIGMA_W[process_noise]))
     for seed in range(seeds):
         run = simulate(Scenario(estimator="oracle", seed=seed))
         log, row = run.log, {}
-        estimates, P = estimated(steps, log, reading)
+        estimates, P = estimated(steps, log, process_noise)
         half = 1 / np.sqrt(np.diag(W))  # P - W in units of W, where all eigenvalues compare
         row["least"] = np.linalg.eigvalsh(half[:, None] * (P - W) * half).min()
         typical = P[paper.HORIZON + 1 :].mean(axis=0)
         for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
             if factor is not None:
-                estimates, _ = estimated(steps, log, reading, factor * typical)
+                estimates, _ = estimated(steps, log, process_noise, factor * typical)
             error = estimates[:, 5] - log["kappa"].to_numpy()
             yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
             row |= {
@@ -116,7 +122,7 @@ def arrival_costs(reading, seeds):
 
 def reached_s(error):
     """When an error first stays within 0.1 for 5 s; the run's length if it never does [s]."""
-    stays = staying(np.abs(error), 0.1)
+    stays = settled_samples(np.abs(error), 0.1)
     return paper.DT_S * (stays[0] if len(stays) else len(error))
 
 
@@ -131,30 +137,33 @@ def live(scenario, iterations):
     same estimates and references how far [rad/s] the command (n,) was from the converged one, and
     that of a cold RHC (n,), which knows the previous estimate but has planned nothing.
     """
-    world, dt = simulation.world(scenario), paper.DT_S
+    world, dt = simulation.set_up(scenario), paper.DT_S
     given = world.settings
     measure, drive, slip, references = (
-        compiled.Bound(function)
+        compiled.BufferedFunction(function)
         for function in (
             robot.measure(dt),
             robot.drive(dt),
             terrain.lookup(terrain.common_shape(world.terrain)),
-            path.functions(
-                dt, scenario.horizon, len(world.path.segments), scenario.input_reference
+            path.build_references(
+                dt, scenario.prediction_horizon, len(world.path.segments), scenario.input_reference
             )["references"],
         )
     )
     for call in (measure, drive, slip, references):
-        call.set(**only(call.function, given))
-    estimator = RHE(reading=scenario.reading, guess=tuple(world.guess))
+        call.set(**select_inputs(call.function, given))
+    estimator = RHE(process_noise=scenario.process_noise, guess=tuple(world.guess))
     controller, unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(3))
-    previous, memory = tuple(world.guess), pieces(world.memory[: size(robot.MEMORY)], robot.MEMORY)
+    previous, memory = (
+        tuple(world.guess),
+        unpack_array(world.memory[: packed_size(robot.MEMORY)], robot.MEMORY),
+    )
     s, positions, taken, warm, cold = 0.0, [], [], [], []
     for noise in simulation.draw_noise(scenario.seed, round(scenario.duration_s / dt)):
-        now = memory | pieces(noise, robot.NOISE)
+        now = memory | unpack_array(noise, robot.NOISE)
         slip.set(xy=now["pose"][:2])
         slip.call()
-        measure.set(**only(measure.function, now))
+        measure.set(**select_inputs(measure.function, now))
         measure.call()
         z = measure.results["z"].copy()
 
@@ -180,12 +189,16 @@ def live(scenario, iterations):
         exact.prepare()
         converged = exact.solve(*asked)
         warm.append(command - converged)
-        unprepared.iteration.start(rhc.start(previous[:3], previous[3:], scenario.horizon))
+        unprepared.iteration.start(
+            rhc.init(previous[:3], previous[3:], scenario.prediction_horizon)
+        )
         cold.append(unprepared.feedback(*asked) - converged)
         previous = estimate[:6]
 
         drive.set(
-            **only(drive.function, now), traction=slip.results["traction"], omega_radps=command
+            **select_inputs(drive.function, now),
+            traction=slip.results["traction"],
+            omega_radps=command,
         )
         drive.call()
         positions.append(now["pose"][:2].ravel())
@@ -197,14 +210,14 @@ def live(scenario, iterations):
     return distance_m, np.array(taken), np.array(warm), np.array(cold)
 
 
-def iterations(reading, seeds, duration_s=80.0, many=10):
+def iterations(process_noise, seeds, duration_s=80.0, many=10):
     """One iteration a sample against `many`, in the closed loop at equal seeds, counted after the
     first 20 s: mean true errors [m], median times [µs]; and the RMS distance [rad/s] of the command
     after one iteration from the converged one, started warm and cold.
     """
     rows = []
     for seed in range(seeds):
-        scenario = Scenario(reading=reading, seed=seed, duration_s=duration_s)
+        scenario = Scenario(process_noise=process_noise, seed=seed, duration_s=duration_s)
         one_m, one_s, warm, cold = live(scenario, 1)
         many_m, many_s, _, _ = live(scenario, many)
         settled = slice(round(20 / paper.DT_S), None)
@@ -313,7 +326,7 @@ def times(duration_s=60.0):
     the paper, and by its stages, the default here.
     """
     columns = [f"{problem}_{phase}" for problem, phase in timing.COLUMNS]
-    scenario = Scenario(reading="calibrated", duration_s=duration_s)
+    scenario = Scenario(process_noise="calibrated", duration_s=duration_s)
     return {
         qp: pd.DataFrame(timing.phases(scenario, qp), columns=columns)
         for qp in ("daqp", "structured")
@@ -326,10 +339,10 @@ def all_of(seeds):
     """
     unread = dict(kkt=kkt_tolerances(), gains=gains(), models=models(), times=times())
     return {
-        reading: unread
+        process_noise: unread
         | {
-            "arrival cost": arrival_costs(reading, max(2, seeds // 10)),
-            "iterations": iterations(reading, max(2, seeds // 100)),
+            "arrival cost": arrival_costs(process_noise, max(2, seeds // 10)),
+            "iterations": iterations(process_noise, max(2, seeds // 100)),
         }
-        for reading in ("printed", "calibrated")
+        for process_noise in ("printed", "calibrated")
     }

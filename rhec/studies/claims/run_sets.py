@@ -49,29 +49,31 @@ RUNS = {
     "Q3, small R": (a_row(q=paper.Q3, r=paper.R / 100), 0.1),
     "Q3, no terminal penalty": (a_row(q=paper.Q3, qn_factor=0.0), 0.1),
     "traction told": (
-        dict(estimator="traction_oracle", sigma_w=lambda reading: ekf.SIGMA_W[reading]),
+        dict(estimator="traction_oracle", sigma_w=lambda process_noise: ekf.SIGMA_W[process_noise]),
         0.08,
     ),
     "traction hard-coded": (
-        dict(estimator="fixed_traction", sigma_w=lambda reading: ekf.SIGMA_W[reading]),
+        dict(estimator="fixed_traction", sigma_w=lambda process_noise: ekf.SIGMA_W[process_noise]),
         0.08,
     ),
     "RHE, constant soil": (on_constant_soil(), 0.2),
     "hard-coded, constant soil": (
-        on_constant_soil(estimator="fixed_traction", sigma_w=lambda reading: ekf.SIGMA_W[reading]),
+        on_constant_soil(
+            estimator="fixed_traction", sigma_w=lambda process_noise: ekf.SIGMA_W[process_noise]
+        ),
         0.2,
     ),
     "RHE, uncertain soil": (UNCERTAIN, 0.08),
     "EKF, uncertain soil": (UNCERTAIN | dict(estimator="ekf"), 0.08),
-    "yaw not estimated": (dict(estimator=lambda reading: estimators.dead_reckoned()), 0.2),
+    "yaw not estimated": (dict(estimator=lambda process_noise: estimators.dead_reckoned()), 0.2),
 }
 
 
 def scaled_traction_noise(factor):
     """The reading's W with the standard deviations of μ and κ times `factor`."""
-    return lambda reading: (
-        *rhe.SIGMA_W[reading][:4],
-        *(factor * sigma for sigma in rhe.SIGMA_W[reading][4:]),
+    return lambda process_noise: (
+        *rhe.SIGMA_W[process_noise][:4],
+        *(factor * sigma for sigma in rhe.SIGMA_W[process_noise][4:]),
     )
 
 
@@ -94,13 +96,13 @@ LOGS = {
 }
 
 
-def scenarios(fields, reading, seeds):
+def scenarios(fields, process_noise, seeds):
     """The scenarios of a label: its fields under a reading, one a seed."""
     fields = {
-        name: value(reading) if callable(value) and not hasattr(value, "serialize") else value
+        name: value(process_noise) if callable(value) and not hasattr(value, "serialize") else value
         for name, value in fields.items()
     }
-    return [Scenario(reading=reading, seed=seed, **fields) for seed in range(seeds)]
+    return [Scenario(process_noise=process_noise, seed=seed, **fields) for seed in range(seeds)]
 
 
 def runs(seeds):
@@ -108,14 +110,14 @@ def runs(seeds):
     is the largest number of fields.
     """
     asked = {
-        (reading, label): scenarios(fields, reading, max(2, round(share * seeds)))
-        for reading in READINGS
+        (process_noise, label): scenarios(fields, process_noise, max(2, round(share * seeds)))
+        for process_noise in READINGS
         for label, (fields, share) in RUNS.items()
     }
     table = campaign([scenario for each in asked.values() for scenario in each])
-    found, begin = {reading: {} for reading in READINGS}, 0
-    for (reading, label), each in asked.items():
-        found[reading][label] = complete(
+    found, begin = {process_noise: {} for process_noise in READINGS}, 0
+    for (process_noise, label), each in asked.items():
+        found[process_noise][label] = complete(
             table.iloc[begin : begin + len(each)].reset_index(drop=True)
         )
         begin += len(each)
@@ -132,23 +134,24 @@ def complete(table):
             f"{len(failed)} of {len(table)} runs failed, the first with: {failed.iloc[0]}"
         )
     return table.assign(
-        arrived=table["arrival_s"].notna(), arrival_s=table["arrival_s"].fillna(table["duration_s"])
+        arrived=table["settling_time_s"].notna(),
+        settling_time_s=table["settling_time_s"].fillna(table["duration_s"]),
     )
 
 
 def logs(seeds):
     """The same of LOGS, one row a seed with `measured` beside the metrics."""
     return {
-        reading: {
+        process_noise: {
             label: pd.DataFrame(
                 [
                     measured(simulate(scenario))
-                    for scenario in scenarios(fields, reading, max(2, round(share * seeds)))
+                    for scenario in scenarios(fields, process_noise, max(2, round(share * seeds)))
                 ]
             )
             for label, (fields, share) in LOGS.items()
         }
-        for reading in READINGS
+        for process_noise in READINGS
     }
 
 
@@ -157,25 +160,27 @@ def measured(run):
     the run.
     """
     c, scenario = SimpleNamespace(**run.columns), run.scenario
-    arrival_s = (
-        scenario.duration_s if np.isnan(run.metrics["arrival_s"]) else run.metrics["arrival_s"]
+    settling_time_s = (
+        scenario.duration_s
+        if np.isnan(run.metrics["settling_time_s"])
+        else run.metrics["settling_time_s"]
     )
     driving, late = (
         c.t_s >= 5.0,
         c.t_s >= scenario.duration_s / 2,
     )  # the first 5 s are the speed loops' start
-    before, after = c.t_s <= arrival_s, c.t_s >= arrival_s
+    before, after = c.t_s <= settling_time_s, c.t_s >= settling_time_s
     both = np.concatenate([c.mu_hat, c.kappa_hat])
     _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
     poses, curvature = run.path.poses(s)
     left_m = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(
         poses[:, 2]
     )
-    curved = (curvature > 0) & (c.t_s >= arrival_s + 5)
+    curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
     return run.metrics | dict(
         late_s=c.t_s[-1] - c.s_m[-1] / scenario.speed_mps,
-        arrived=not np.isnan(run.metrics["arrival_s"]),
-        arrival_s=arrival_s,
+        arrived=not np.isnan(run.metrics["settling_time_s"]),
+        settling_time_s=settling_time_s,
         in_bounds=bool(np.all((both >= 0) & (both <= 1))),
         below_zero=bool(np.any(both < 0)),
         above_one=bool(np.any(both > 1)),
@@ -194,7 +199,7 @@ def measured(run):
             np.abs(c.omega_cmd_radps).max() >= scenario.omega_max_radps * (1 - 1e-9)
         ),
         within_bound=bool(np.all(np.abs(c.omega_cmd_radps) <= scenario.omega_max_radps)),
-        kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= arrival_s),
+        kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= settling_time_s),
         kkt_rhc_before=np.median(c.kkt_rhc[before]),
         kkt_rhc_after=np.median(c.kkt_rhc[after]) if after.any() else np.median(c.kkt_rhc),
         kkt_rhc_late=np.median(c.kkt_rhc[late]),

@@ -67,7 +67,7 @@ FAULTS = (
 GROUPS = {
     "Estimator": (
         Slider(
-            "horizon_rhe",
+            "estimation_horizon",
             "window [intervals]",
             2,
             40,
@@ -117,7 +117,7 @@ GROUPS = {
         Slider("r", "R", -1, 3, 0.05, "weight of the yaw rate", "log"),
         Slider("qn_factor", "Q_N / Q", 0, 50, 0.5, "weight of the last node"),
         Slider(
-            "horizon",
+            "prediction_horizon",
             "horizon [intervals]",
             2,
             40,
@@ -245,13 +245,13 @@ def values_of(scenario):
     own = (
         scenario.sigma_w
         if scenario.sigma_w is not None and len(scenario.sigma_w) == 6
-        else rhe.SIGMA_W[scenario.reading]
+        else rhe.SIGMA_W[scenario.process_noise]
     )
     return (
         values
         | {("sigma_w", place): sigma for place, sigma in enumerate(own)}
         | {
-            "reading": scenario.reading if scenario.sigma_w is None else "own",
+            "process_noise": scenario.process_noise if scenario.sigma_w is None else "own",
             "seed": scenario.seed,
             "patches": scenario.patches,
         }
@@ -274,9 +274,9 @@ def scenario_of(values, estimator, start):
             asked[key] = value
     asked |= {name: tuple(entry) for name, entry in entries.items()}
     asked["robust"] = asked["robust"] and estimator in ("rhe", "dual")
-    if asked["reading"] == "own":
+    if asked["process_noise"] == "own":
         asked |= {
-            "reading": start.reading,
+            "process_noise": start.process_noise,
             "sigma_w": own_sigma_w(asked["sigma_w"], estimator, asked["speed_model"]),
         }
     else:

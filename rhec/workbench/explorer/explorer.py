@@ -36,7 +36,7 @@ METRICS = (
     ("max_error_true_m", "largest", "true [m]", 3),
     ("violations", "violations", "GNSS", 0),
     ("violations_true", "violations", "true", 0),
-    ("arrival_s", "arrival", "[s]", 1),
+    ("settling_time_s", "arrival", "[s]", 1),
     ("overshoot_m", "overshoot", "[m]", 3),
     ("rms_mu", "RMS μ", "[-]", 3),
     ("rms_kappa", "RMS κ", "[-]", 3),
@@ -142,7 +142,7 @@ def compile_apart(structures):
     where `compiled.load` finds them.
     """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(functools.partial(compiled.load, simulation.functions), *zip(*structures)))
+        list(pool.map(functools.partial(compiled.load, simulation.build_sample), *zip(*structures)))
 
 
 class Explorer(widgets.VBox):
@@ -188,9 +188,9 @@ class Explorer(widgets.VBox):
             _list(estimators, self.start.estimator, "run", 142),
             _list([("nothing", None), *estimators], against, "against", 160),
         )
-        self.reading = _list(
+        self.process_noise = _list(
             controls.READINGS,
-            values["reading"],
+            values["process_noise"],
             "W",
             122,
             "process noise: the paper’s reading, or one’s own in the tab Estimator",
@@ -260,7 +260,7 @@ class Explorer(widgets.VBox):
             [
                 self.estimator,
                 self.against,
-                self.reading,
+                self.process_noise,
                 self.seed,
                 self.pin,
                 self.unpin,
@@ -306,7 +306,7 @@ class Explorer(widgets.VBox):
         for widget in (
             self.estimator,
             self.against,
-            self.reading,
+            self.process_noise,
             self.seed,
             *self.inputs.values(),
         ):
@@ -361,9 +361,9 @@ class Explorer(widgets.VBox):
             values, self.patches = controls.values_of(self.start), self.start.patches
             for key, widget in self.inputs.items():
                 widget.value = values[key]
-            self.estimator.value, self.reading.value, self.seed.value = (
+            self.estimator.value, self.process_noise.value, self.seed.value = (
                 self.start.estimator,
-                values["reading"],
+                values["process_noise"],
                 self.start.seed,
             )
 
@@ -411,7 +411,11 @@ class Explorer(widgets.VBox):
             key: controls.tidy(controls.CONTROLS[key], widget.value, values[key])
             for key, widget in self.inputs.items()
         }
-        values |= {"reading": self.reading.value, "seed": self.seed.value, "patches": self.patches}
+        values |= {
+            "process_noise": self.process_noise.value,
+            "seed": self.seed.value,
+            "patches": self.patches,
+        }
         estimators = [
             self.estimator.value,
             *([] if self.against.value is None else [self.against.value]),
@@ -422,18 +426,18 @@ class Explorer(widgets.VBox):
         """Run what the controls ask for and show it, or first compile it elsewhere."""
         started = time.perf_counter()
         scenarios = self.scenarios
-        worlds = [simulation.world(scenario) for scenario in scenarios]
+        worlds = [simulation.set_up(scenario) for scenario in scenarios]
         missing = [
             world.structure
             for world in worlds
-            if not compiled.at_hand(simulation.functions, *world.structure)
+            if not compiled.is_compiled(simulation.build_sample, *world.structure)
         ]
         if (
             missing and self.runs and _running_loop()
         ):  # the first runs are waited for: without them there is nothing to see
             self._compile(missing)
             return
-        self.runs = tuple(map(simulation.driven, scenarios, worlds))
+        self.runs = tuple(map(simulation.simulate_setup, scenarios, worlds))
         ran = time.perf_counter()
         self._draw()
         drawn = time.perf_counter()
@@ -447,7 +451,12 @@ class Explorer(widgets.VBox):
         it is, and all else can be used.
         """
         horizons = ", ".join(
-            sorted({f"{each.horizon_rhe} and {each.horizon} intervals" for each in structures})
+            sorted(
+                {
+                    f"{each.estimation_horizon} and {each.prediction_horizon} intervals"
+                    for each in structures
+                }
+            )
         )
         self._say(
             f"compiling window and horizon of {horizons} for the first time: a few seconds; the picture is that of before",

@@ -110,7 +110,7 @@ def kkt_limits(columns):
 
 def worst_place(run):
     """Where and when the true error is largest after the arrival: (x_m, y_m), t_s."""
-    c, arrival = run.columns, run.metrics["arrival_s"]
+    c, arrival = run.columns, run.metrics["settling_time_s"]
     error = np.where(c["t_s"] >= (0 if np.isnan(arrival) else arrival), c["error_true_m"], -1.0)
     k = np.argmax(np.nan_to_num(error, nan=-1.0))
     return (c["x_m"][k], c["y_m"][k]), c["t_s"][k]

@@ -180,7 +180,7 @@ class RobotsEye:
     def show(self, run, k, horizons):
         """Sample k of a run with the Horizons of that sample."""
         c, path, now = run.columns, run.path, run.columns["t_s"][k]
-        reach_s = paper.DT_S * max(run.scenario.horizon_rhe, run.scenario.horizon)
+        reach_s = paper.DT_S * max(run.scenario.estimation_horizon, run.scenario.prediction_horizon)
         reach_m = reach_s * run.scenario.speed_mps + 0.7
         _, s = path.project(horizons.truth[None, :2])
         ahead_s = s + np.arange(-1.3 * reach_m, 1.3 * reach_m, 0.1)

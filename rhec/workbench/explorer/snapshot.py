@@ -11,7 +11,7 @@ import numpy as np
 
 from rhec import paper, simulation
 from rhec._casadi import compiled, scan
-from rhec._casadi.build import pieces, shapes, size, vector
+from rhec._casadi.build import pack_array, packed_size, shapes_of, unpack_array
 from rhec.controller import rhc
 from rhec.estimator import rhe
 from rhec.extensions import faults
@@ -36,26 +36,28 @@ class Horizons(NamedTuple):
 
 def horizons_at(scenario, k):
     """The Horizons of a scenario's run at sample k."""
-    made = simulation.world(scenario)
-    functions = compiled.load(simulation.functions, *made.structure)
-    memory, rows = scan.fold(
-        functions, made.memory, simulation.inputs(scenario, k + 1), made.settings
+    made = simulation.set_up(scenario)
+    functions = compiled.load(simulation.build_sample, *made.structure)
+    memory, rows = scan.scan(
+        functions, made.memory, simulation.noise_and_faults(scenario, k + 1), made.settings
     )
     row = dict(zip(simulation.COLUMNS, rows[-1]))
     truth, estimate = rows[-1, :3], np.array([row[name] for name in simulation.LOG["estimate"]])
 
-    controller = rhc.start(np.zeros(3), np.zeros(3), scenario.horizon)
-    after = dict(s=(1, 1), controller=(vector(controller).size, 1), command=(1, 1)) | (
+    controller = rhc.init(np.zeros(3), np.zeros(3), scenario.prediction_horizon)
+    after = dict(s=(1, 1), controller=(pack_array(controller).size, 1), command=(1, 1)) | (
         faults.MEMORY if scenario.faults else {}
     )
-    estimator = len(memory) - size(robot.MEMORY | after)
-    of = pieces(memory, robot.MEMORY | dict(estimator=(estimator, 1)) | after)
-    planned = pieces(of["controller"], shapes(controller))
+    estimator = len(memory) - packed_size(robot.MEMORY | after)
+    of = unpack_array(memory, robot.MEMORY | dict(estimator=(estimator, 1)) | after)
+    planned = unpack_array(of["controller"], shapes_of(controller))
     window, measured = np.empty((0, 3)), np.empty((0, 2))
     if scenario.estimator in ("rhe", "dual"):  # the memory of both begins with the RHE's
         speed_model = scenario.speed_model if scenario.estimator == "rhe" else "parameter"
-        of_rhe = shapes(rhe.start(np.zeros(6), rhe.SIGMA_START, scenario.horizon_rhe, speed_model))
-        past = pieces(of["estimator"][: size(of_rhe)], of_rhe)
+        of_rhe = shapes_of(
+            rhe.init(np.zeros(6), rhe.SIGMA_START, scenario.estimation_horizon, speed_model)
+        )
+        past = unpack_array(of["estimator"][: packed_size(of_rhe)], of_rhe)
         nodes = (
             int(past["age"].item()) + 1
         )  # a window that is not full yet has its oldest nodes at its first sample
@@ -63,7 +65,7 @@ def horizons_at(scenario, k):
         measured = np.where(np.isfinite(measured), measured, np.nan)
     pace = abs(row["mu_hat"] * row["nu_hat_mps"]) * paper.DT_S
     desired, _ = made.path.poses(
-        row["s_m"] + scenario.look_ahead_m + pace * np.arange(scenario.horizon + 1)
+        row["s_m"] + scenario.look_ahead_m + pace * np.arange(scenario.prediction_horizon + 1)
     )
     return Horizons(
         truth, estimate, window, measured, desired, planned["s"].T[:, :3], planned["omega"].ravel()
