@@ -1,30 +1,58 @@
 """rhec: receding horizon estimation and control of a tracked field robot with unknown traction.
 
 A workbench around one paper: Kayacan, Young, Peschel, Chowdhary, "High-Precision Control of Tracked
-Field Robots in the Presence of Unknown Traction Coefficients" (2018). The names below are the whole
-public face.
+Field Robots in the Presence of Unknown Traction Coefficients" (2018), and a thin core of moving
+horizon estimation (MHE) and model predictive control (MPC) for any robot.
+
+One run          Scenario, simulate, Run             The world      Path, Terrain, Fault
+Many runs        campaign                            Any robot      Model, RHE, RHC, EKF
+A recorded log   replay                              Its path       PathTracker
+On a robot       export                              In Jupyter     Explorer
 """
 
 import importlib
+from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:
+    from rhec.campaigns.campaign import campaign
+    from rhec.codegen import export
+    from rhec.controller.rhc import RHC
+    from rhec.estimator.ekf import EKF
+    from rhec.estimator.rhe import RHE
+    from rhec.extensions.faults import Fault
+    from rhec.logs.replay import replay
+    from rhec.model.base import Model
+    from rhec.model.path import Path
+    from rhec.model.references import PathTracker
+    from rhec.model.terrain import Terrain
+    from rhec.scenario import Scenario
+    from rhec.simulation import Run, simulate
+    from rhec.workbench.explorer.explorer import Explorer
+
+__version__ = "0.2.0"
 
 # Loaded on first use, so that a program pays only for what it uses.
 _HOME = {
-    "Scenario": "scenario",
-    "Run": "simulation",
-    "simulate": "simulation",
+    "EKF": "estimator.ekf",
+    "Explorer": "workbench.explorer.explorer",
+    "Fault": "extensions.faults",
+    "Model": "model.base",
+    "Path": "model.path",
+    "PathTracker": "model.references",
     "RHC": "controller.rhc",
     "RHE": "estimator.rhe",
+    "Run": "simulation",
+    "Scenario": "scenario",
     "Terrain": "model.terrain",
-    "Path": "model.path",
     "campaign": "campaigns.campaign",
-    "Fault": "extensions.faults",
-    "replay": "logs.replay",
-    "Explorer": "workbench.explorer.explorer",
     "export": "codegen",
+    "replay": "logs.replay",
+    "simulate": "simulation",
 }
-__all__ = sorted(_HOME)
+__all__ = [
+    "EKF", "Explorer", "Fault", "Model", "Path", "PathTracker", "RHC", "RHE", "Run", "Scenario",
+    "Terrain", "campaign", "export", "replay", "simulate",
+]  # fmt: skip
 
 
 def __getattr__(name):

@@ -1,5 +1,5 @@
-"""A scenario: every choice behind one closed-loop run, validated, with the reading of the paper it
-stands for (README, "Readings").
+"""A scenario: every choice behind one closed-loop run, validated, with the interpretation of the
+paper it stands for (docs/interpretations.md).
 """
 
 from typing import Annotated, Any, Literal
@@ -14,7 +14,7 @@ from rhec._casadi.validation import (
     Intervals,
     NotNegative,
     Positive,
-    Reading,
+    ProcessNoise,
     Real,
     Solver,
     SpeedModel,
@@ -23,7 +23,7 @@ from rhec._casadi.validation import (
     shown,
     validated,
 )
-from rhec.estimator import base as estimators
+from rhec.estimator.base import NAMES, ROBUST_NAMES, Choice, estimator_of
 from rhec.extensions.faults import Fault
 from rhec.model.path import Path
 from rhec.model.terrain import Patch, Seed, Terrain
@@ -56,8 +56,8 @@ class Scenario:
                            paper
         arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper;
                            "filtered": from the EKF update itself (R7)
-        robust             gate positions by their innovations, and begin again where they
-                           contradict the estimate for long (`rhec.gating`)
+        robust             gate positions by their innovations, and restart where they
+                           contradict the estimate for long (`rhec.extensions.gating`)
     The controller
         q, r, qn_factor    weights Q_k (x, y, θ), R, and Q_N = qn_factor · Q_k
         omega_max_radps    bound on the commanded yaw rate
@@ -93,7 +93,7 @@ class Scenario:
     """
 
     estimator: Any = "rhe"
-    process_noise: Reading = "printed"
+    process_noise: ProcessNoise = "printed"
     sigma_w: tuple[NotNegative, ...] | None = None
     sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V
     estimation_horizon: Intervals = paper.HORIZON
@@ -139,37 +139,26 @@ class Scenario:
     seed: Seed = 0
 
     def __post_init__(self):
-        if (
-            self.estimator not in estimators.NAMES
-            if isinstance(self.estimator, str)
-            else not isinstance(self.estimator, ca.Function)
-        ):
-            raise ValueError(
-                f"estimator was {shown(self.estimator)}; it should be one of {estimators.NAMES} or a CasADi Function"
-            )
-        if not isinstance(self.path, Path | None):
-            raise ValueError(f"path was {shown(self.path)}; it should be a rhec.Path or None")
-        if not isinstance(self.terrain, Terrain | None):
-            raise ValueError(
-                f"terrain was {shown(self.terrain)}; it should be a rhec.Terrain or None"
-            )
+        estimator, own = self.estimator, isinstance(self.estimator, ca.Function)
+        if not own and estimator not in NAMES:
+            wanted = f"it should be one of {NAMES} or a CasADi Function"
+            raise ValueError(f"estimator was {shown(estimator)}; {wanted}")
+        for name, kind in (("path", Path), ("terrain", Terrain)):
+            value = getattr(self, name)
+            if not isinstance(value, kind | None):
+                wanted = f"it should be a rhec.{kind.__name__} or None"
+                raise ValueError(f"{name} was {shown(value)}; {wanted}")
         for name in ("mu", "kappa"):
             mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
-            if deviation**2 >= mean * (1 - mean) and deviation:
-                raise ValueError(
-                    f"{name}_deviation was {deviation!r}; with {name}_mean {mean} it should be below {(mean * (1 - mean)) ** 0.5:.3g}, "
-                    "the most a quantity between 0 and 1 can vary"
-                )
-        expected = (
-            estimators.n_sigma_w(self.estimator, self.speed_model)
-            if isinstance(self.estimator, str)
-            else 0
-        )
+            most = (mean * (1 - mean)) ** 0.5
+            if deviation and deviation >= most:
+                wanted = f"with {name}_mean {mean} it should be below {most:.3g}"
+                limit = "the most a quantity between 0 and 1 can vary"
+                raise ValueError(f"{name}_deviation was {deviation!r}; {wanted}, {limit}")
+        if self.robust and (own or estimator not in ROBUST_NAMES):
+            wanted = f"for the estimator {shown(estimator)} it should be False"
+            raise ValueError(f"robust was True; {wanted}")
+        expected = estimator_of("own" if own else estimator).n_sigma_w(Choice.of(self))
         if self.sigma_w is not None and len(self.sigma_w) != expected:
-            raise ValueError(
-                f"sigma_w was {shown(self.sigma_w)}; for the estimator {self.estimator!r} it should have {expected} entries"
-            )
-        if self.robust and self.estimator not in ("rhe", "dual"):
-            raise ValueError(
-                f"robust was True; for the estimator {self.estimator!r} it should be False"
-            )
+            wanted = f"for the estimator {shown(estimator)} it should have {expected} entries"
+            raise ValueError(f"sigma_w was {shown(self.sigma_w)}; {wanted}")

@@ -1,46 +1,65 @@
-"""CasADi Functions from plain Python functions: named expressions in, a dict of named expressions
-out.
-"""
+"""CasADi Functions from plain Python functions: named expressions in, a dict of named ones out."""
 
 import casadi as ca
 import numpy as np
 
-
-def casadi_function(name, body, inputs, kind=ca.SX):
-    """The Function of `body`. `inputs` gives each argument's shape or sparsity, in order.
-
-    kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions or a QP solver.
-    """
-    symbols = {
-        key: kind.sym(key, shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape))
-        for key, shape in inputs.items()
-    }
-    outputs = body(**symbols)
-    return ca.Function(
-        name,
-        [*symbols.values()],
-        [*outputs.values()],
-        [*symbols],
-        [*outputs],
-        {"allow_duplicate_io_names": True, "cse": True},
-    )
+__all__ = [
+    "casadi_function",
+    "pack_array",
+    "packed_size",
+    "select_inputs",
+    "shapes_of",
+    "unpack",
+    "unpack_array",
+    "with_packed_memory",
+]
 
 
-def with_packed_memory(name, body, memory, inputs, kind=ca.MX):
-    """The same, with the pieces of `memory` (name: shape) packed in one vector: (memory, inputs …)
-    -> (memory, outputs …).
+def casadi_function(name, kind=ca.SX, /, **shapes):
+    """Decorator: the CasADi Function of a Python function, its inputs' shapes beside their names.
 
-    `body` takes each piece by its name, and returns each piece's next value under that name.
+    Args:
+        name: Of the Function.
+        kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions.
+        shapes: Each input's (rows, columns) or CasADi Sparsity, in order.
+
+    Returns:
+        A decorator that turns a function from named expressions to a dict of named expressions
+        into a Function.
     """
 
-    def packed(**arguments):
-        result = body(**unpack(arguments.pop("memory"), memory), **arguments)
-        result = {"memory": ca.veccat(*(result.pop(piece) for piece in memory))} | result
-        return {
-            name: ca.densify(output) for name, output in result.items()
-        }  # what is folded or logged has no gaps
+    def decorate(body):
+        symbols = {key: kind.sym(key, _sparsity(shape)) for key, shape in shapes.items()}
+        outputs = body(**symbols)
+        options = {"allow_duplicate_io_names": True, "cse": True}
+        return ca.Function(
+            name, [*symbols.values()], [*outputs.values()], [*symbols], [*outputs], options
+        )
 
-    return casadi_function(name, packed, {"memory": (packed_size(memory), 1)} | inputs, kind)
+    return decorate
+
+
+def _sparsity(shape):
+    return shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
+
+
+def with_packed_memory(name, memory, kind=ca.MX, **shapes):
+    """`casadi_function` whose `memory` (name: shape) is packed in one vector, its first input.
+
+    The function takes each piece by its name and returns each piece's next value under that name.
+    """
+
+    def decorate(body):
+        @casadi_function(name, kind, memory=(packed_size(memory), 1), **shapes)
+        def packed(**inputs):
+            result = body(**unpack(inputs.pop("memory"), memory), **inputs)
+            result = {"memory": ca.veccat(*(result.pop(piece) for piece in memory))} | result
+            # What is scanned or logged has no structural gaps.
+            return {name: ca.densify(output) for name, output in result.items()}
+
+        return packed
+
+    return decorate
 
 
 def packed_size(shapes):
@@ -49,27 +68,23 @@ def packed_size(shapes):
 
 
 def unpack(vector, shapes):
-    """The matrices, by name, that a vector holds one after the other, each column by column."""
+    """Matrices by name from the CasADi vector that holds them in order, each column by column."""
     offsets = [0]
     for rows, columns in shapes.values():
         offsets.append(offsets[-1] + rows * columns)
-    return {
-        name: ca.reshape(part, *shapes[name])
-        for name, part in zip(shapes, ca.vertsplit(vector, offsets))
-    }
+    parts = ca.vertsplit(vector, offsets)
+    return {name: ca.reshape(part, *shapes[name]) for name, part in zip(shapes, parts)}
 
 
 def unpack_array(vector, shapes):
-    """The same of a NumPy vector, as views of it."""
+    """`unpack` for a NumPy vector: views of it, by name."""
     ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
-    return {
-        name: part.reshape(shape, order="F")
-        for (name, shape), part in zip(shapes.items(), np.split(vector, ends[:-1]))
-    }
+    parts = np.split(vector, ends[:-1])
+    return {name: part.reshape(shapes[name], order="F") for name, part in zip(shapes, parts)}
 
 
 def shapes_of(memory):
-    """The shapes of a memory's pieces, as `size`, `unpack` and `pieces` take them."""
+    """Shapes of a memory's arrays, as `packed_size` and `unpack` take them."""
     return {
         name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1)
         for name, piece in memory.items()
@@ -77,7 +92,7 @@ def shapes_of(memory):
 
 
 def pack_array(memory):
-    """The NumPy vector of a memory's pieces, as `unpack` reads it."""
+    """The NumPy vector of a memory's arrays, as `unpack` reads it."""
     return np.concatenate([np.ravel(piece, order="F") for piece in memory.values()]).astype(float)
 
 

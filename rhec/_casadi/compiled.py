@@ -90,7 +90,7 @@ def library(build, structure):
         (
             build.__module__,
             build.__name__,
-            structure,
+            _key(structure),
             source_digest(build.__module__),
             ca.__version__,
             compiler(),
@@ -99,6 +99,13 @@ def library(build, structure):
         )
     )
     return cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+
+
+def _key(piece):
+    """A structure as text: a Model among its pieces by all that decides its C."""
+    if isinstance(piece, tuple):
+        return tuple(map(_key, piece))
+    return getattr(piece, "key", piece)
 
 
 def is_compiled(build, *structure):
@@ -123,15 +130,12 @@ def load(build, *structure):
             flush=True,
         )
     with contextlib.nullcontext() if folder.exists() else build_lock(folder):
-        built = build(*structure) if "qpoases" in structure or not folder.exists() else {}
         if not folder.exists():
-            compile_library(
-                folder,
-                {key: function for key, function in built.items() if not calls_qpoases(function)},
-            )
+            compile_library(folder, build(*structure))
     names = json.loads((folder / "functions.json").read_text())
+    built = build(*structure) if None in names.values() else {}
     return built | {
-        key: ca.external(name, str(folder / "library.so")) for key, name in names.items()
+        key: ca.external(name, str(folder / "library.so")) for key, name in names.items() if name
     }
 
 
@@ -174,8 +178,13 @@ def compile_library(folder, functions):
     ) as building:
         building = Path(building)
         generator = ca.CodeGenerator("code.c")
-        for function in functions.values():
-            generator.add(function)
+        names = {
+            key: None if calls_qpoases(function) else function.name()
+            for key, function in functions.items()
+        }
+        for key in names:
+            if names[key]:
+                generator.add(functions[key])
         generator.generate(f"{building}/")
         subprocess.run(
             [
@@ -193,9 +202,7 @@ def compile_library(folder, functions):
             cwd=building,
             check=True,
         )
-        (building / "functions.json").write_text(
-            json.dumps({key: function.name() for key, function in functions.items()})
-        )
+        (building / "functions.json").write_text(json.dumps(names))
         try:
             os.rename(building, folder)
         except OSError:

@@ -18,6 +18,12 @@ Real = Annotated[float, Field(strict=True, allow_inf_nan=False), plain]
 Positive = Annotated[Real, Field(gt=0)]
 NotNegative = Annotated[Real, Field(ge=0)]
 Traction = Annotated[Real, Field(gt=0, le=1)]
+listed = BeforeValidator(
+    lambda value: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
+)
+Reals = Annotated[tuple[Real, ...], listed]
+Positives = Annotated[tuple[Positive, ...], listed]
+NotNegatives = Annotated[tuple[NotNegative, ...], listed]
 Whole = Annotated[int, Field(strict=True), plain]
 Flag = Annotated[bool, Field(strict=True)]
 
@@ -25,7 +31,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Weights = tuple[NotNegative, NotNegative, NotNegative]
 Intervals = Annotated[Whole, Field(ge=2, le=240)]
 Solver = Literal["structured", "daqp", "qpoases"]
-Reading = Literal["printed", "calibrated"]
+ProcessNoise = Literal["printed", "calibrated"]
 SpeedModel = Literal["parameter", "input", "slipping"]
 ArrivalMean = Literal["smoothed", "filtered"]
 

@@ -1,295 +1,399 @@
-"""Nonlinear Receding Horizon Control, eq. (NMPC).
+"""Nonlinear receding horizon control (model predictive control, MPC), eq. (12).
 
-    min  ½ Σ_{i=1..N-1} ‖ξ_r,i - ξ_i‖²_{Q_k} + ½ ‖ξ_r,N - ξ_N‖²_{Q_N} + ½ Σ_{i=0..N-1} ‖ω_r,i -
-         ω_i‖²_R
-    s.t. ξ_0 = ξ̂, ξ_{i+1} = F(ξ_i, ω_i, p̂), |ω_i| ≤ ω_max
+    min  ½ Σ_{i=1..N-1} ‖x_r,i - x_i‖²_{Q_k} + ½ ‖x_r,N - x_N‖²_{Q_N} + ½ Σ_{i=0..N-1} ‖u_r,i - u_i‖²_R
+    s.t. x_0 = x̂, x_{i+1} = F(x_i, u_i, p̂), lower ≤ u_i ≤ upper
 
-The states are condensed away; the QP is in ω_0 … ω_{N-1}. The Hessian belongs to the preparation
-phase. The estimate (ξ̂, p̂) and the references enter in the feedback phase only: they move the
-gradient, through the linearised dynamics of the joint state s = (ξ, p).
+The states are eliminated; the QP is in the commanded inputs. What does not depend on the newest
+sample belongs to the preparation phase. The estimate (x̂, p̂) and the references enter in the
+feedback phase only: they move the gradient, through the linearised dynamics of the joint state
+s = (x, p).
 """
+
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from rhec import paper
 from rhec._casadi import compiled
 from rhec._casadi.build import casadi_function, select_inputs, with_packed_memory
-from rhec._casadi.validation import Intervals, NotNegative, Positive, Solver, Weights, checked
-from rhec.model import tracked_robot as model
-from rhec.solver import box_lq as riccati
-from rhec.solver import gauss_newton
-from rhec.solver.gauss_newton import copy_checked, transition
+from rhec._casadi.validation import (
+    Intervals,
+    NotNegative,
+    NotNegatives,
+    Positive,
+    Positives,
+    checked,
+    shown,
+)
+from rhec.model.base import Model, interval
+from rhec.model.limits import MAX_PLAUSIBLE_PLAN, MAX_QP_ENTRY, is_plausible
+from rhec.solver import box_qp, gauss_newton
+from rhec.solver.box_lq import box_lq
+from rhec.solver.rti import PHASES, RealTimeIteration, copy_checked
 
-JOINT = 6  # s = (x, y, θ, ν, μ, κ)
-BEYOND = 1e9  # a plan beyond this, or not a number, is no plan
+__all__ = ["RHC", "Horizon", "build_phases", "init"]
 
 
-def build_phases(dt_s, horizon, qp="structured"):
-    """The RHC as CasADi Functions shift, linearise, feedback and expand (each phase: see
-    `gauss_newton`) and step, which is all of them.
+class Horizon(NamedTuple):
+    """What decides the shape of the Functions: N intervals of dt_s, which inputs are commanded.
 
-    Memory: s (6, N+1) predicted joint states, omega (1, N) planned inputs [rad/s]. Weights: Q (3,),
-    QN (3,) diagonals, R (). feedback takes s_0 (6,) = (ξ̂, p̂), xi_ref (3, N+1) of which node 0 has
-    no weight, omega_ref (1, N), omega_max () [rad/s].
+    qp: "structured", by stages, or the condensed QP by "daqp" or "qpoases".
     """
-    N, iv, dense = horizon, model.interval("parameter"), qp != "structured"
-    loops = (
-        ca.SX if dense or N <= 30 else compiled.loop_symbols()
-    )  # a short horizon is faster in one piece
-    memory = dict(s=(JOINT, N + 1), omega=(1, N))
-    weights = dict(Q=(3, 1), QN=(3, 1), R=(1, 1))
-    references = dict(s_0=(JOINT, 1), xi_ref=(3, N + 1), omega_ref=(1, N), omega_max=(1, 1))
-    F_1, D_1, B_1 = (iv.linearised.sparsity_out(i) for i in range(3))
 
-    def shift(s, omega):
-        s, omega = gauss_newton.shift(iv, s, omega, dt_s)
-        return dict(s=s, omega=omega)
+    model: Model
+    command: tuple[int, ...]
+    dt_s: float
+    N: int
+    qp: str = "structured"
 
-    def linearise(s, omega, Q, QN, R):
-        F, D, B = gauss_newton.linearise(iv, s, omega, dt_s)
-        dynamics = dict(F=F, D=D, B=B)
-        if not dense:
-            return dynamics
-        Q, QN = (
-            ca.diag(ca.vertcat(each, ca.SX(3, 1))) for each in (Q, QN)
-        )  # the parameters have no weight
-        A = [transition(each) for each in ca.horzsplit(D, JOINT)]
-        return dynamics | dict(
-            H=gauss_newton.condensed_hessian(A, ca.horzsplit(B), [Q] * (N - 1) + [QN], R)
-        )
+    @property
+    def memory(self):
+        """s predicted joint states, u planned inputs."""
+        return dict(s=(self.n_s, self.N + 1), u=(len(self.model.inputs), self.N))
 
-    def forward(F, D, B, s, omega, s_new, omega_new):
-        """s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (ω_i - ω̄_i)."""
-        return dict(s_after=F + transition(D) @ (s_new - s) + B @ (omega_new - omega))
+    @property
+    def weights(self):
+        """Diagonals Q, QN of the states, R of the commands."""
+        n_x = len(self.model.states)
+        return dict(Q=(n_x, 1), QN=(n_x, 1), R=(len(self.command), 1))
 
-    def backward(adjoint, D, B, weight, s, ref, omega, omega_ref, R):
-        """Gradient in an interval's input from the adjoint after it, which takes in the error
-        there; the adjoint before it.
-        """
-        adjoint = adjoint + ca.vertcat(weight * (s[:3] - ref), ca.SX(3, 1))
+    @property
+    def references(self):
+        """The estimate s_0; x_ref, of which node 0 has no weight; u_ref; bounds of the commands."""
+        n_x, n_u, column = len(self.model.states), len(self.model.inputs), (len(self.command), 1)
         return dict(
-            g=R * (omega - omega_ref) + ca.dot(B, adjoint), adjoint_before=transition(D).T @ adjoint
-        )
+            s_0=(self.n_s, 1), x_ref=(n_x, self.N + 1), u_ref=(n_u, self.N), lower=column,
+            upper=column,
+        )  # fmt: skip
 
-    forward = casadi_function(
-        "rhc_forward",
-        forward,
-        dict(F=F_1, D=D_1, B=B_1, s=(JOINT, 1), omega=(1, 1), s_new=(JOINT, 1), omega_new=(1, 1)),
-    )
-    backward = casadi_function(
-        "rhc_backward",
-        backward,
-        dict(
-            adjoint=(JOINT, 1),
-            D=D_1,
-            B=B_1,
-            weight=(3, 1),
-            s=(JOINT, 1),
-            ref=(3, 1),
-            omega=(1, 1),
-            omega_ref=(1, 1),
-            R=(1, 1),
-        ),
-    )
+    @property
+    def n_s(self):
+        """Length of the joint state (x, p)."""
+        return len(self.model.states) + len(self.model.parameters)
 
-    def rollout(s, omega, F, D, B, s_0, omega_new):
+
+def build_phases(horizon):
+    """The RHC as CasADi Functions shift, linearise, feedback, expand (see `rti`) and step, all.
+
+    Args:
+        horizon: The Horizon.
+
+    Returns:
+        {name: Function}. `step` maps (memory, weights, references) to (memory, kkt, command, ok).
+    """
+    N, model, command = horizon.N, horizon.model, list(horizon.command)
+    n_x, n_u, n_c, n_s = len(model.states), len(model.inputs), len(command), horizon.n_s
+    iv = interval(model, measured=False)
+    structured = horizon.qp == "structured"
+    # A short horizon is faster in one piece.
+    loops = compiled.loop_symbols() if structured and N > 30 else ca.SX
+    memory, weights, references = horizon.memory, horizon.weights, horizon.references
+    state, inputs = (n_s, 1), (n_u, 1)
+    linearised = {name: iv.linearised.sparsity_out(i) for i, name in enumerate("FAB")}
+
+    @casadi_function("rhc_shift", **memory)
+    def shift(s, u):
+        s, u = gauss_newton.shift(iv, s, u, horizon.dt_s)
+        return dict(s=s, u=u)
+
+    @casadi_function("rhc_linearise", loops, **memory, **weights)
+    def linearise(s, u, Q, QN, R):
+        F, A, B = gauss_newton.linearise(iv, s, u, horizon.dt_s)
+        dynamics = dict(F=F, A=A, B=B)
+        if structured:
+            return dynamics
+        # The parameters have no weight.
+        Q, QN = (ca.diag(ca.vertcat(weight, ca.SX(n_s - n_x, 1))) for weight in (Q, QN))
+        A, B = ca.horzsplit(A, n_s), [part[:, command] for part in ca.horzsplit(B, n_u)]
+        H = box_qp.condensed_hessian(A, B, [Q] * (N - 1) + [QN], ca.diag(R))
+        return dynamics | dict(H=H)
+
+    @casadi_function(
+        "rhc_forward", **linearised, s=state, u=inputs, s_new=state, u_new=inputs
+    )
+    def forward(F, A, B, s, u, s_new, u_new):
+        """s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i)."""
+        return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
+
+    @casadi_function(
+        "rhc_backward", adjoint=state, A=linearised["A"], B=linearised["B"], weight=(n_x, 1),
+        s=state, ref=(n_x, 1), u=inputs, u_ref=inputs, R=(n_c, 1),
+    )  # fmt: skip
+    def backward(adjoint, A, B, weight, s, ref, u, u_ref, R):
+        """Gradient in an interval's commands from the adjoint after it; the adjoint before it."""
+        adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_s - n_x, 1))
+        g = R * (u - u_ref)[command] + B[:, command].T @ adjoint
+        return dict(g=g, adjoint_before=A.T @ adjoint)
+
+    def rollout(s, u, F, A, B, s_0, u_new):
         """The linearised trajectory from s_0; the gaps of multiple shooting close here."""
         nodes = [s_0]
-        along = zip(
-            ca.horzsplit(F),
-            ca.horzsplit(D, JOINT),
-            ca.horzsplit(B),
-            ca.horzsplit(s),
-            ca.horzsplit(omega),
-            ca.horzsplit(omega_new),
-        )
-        for F, D, B, s, omega, omega_new in along:
-            nodes.append(forward(F, D, B, s, omega, nodes[-1], omega_new))
+        for F, A, B, s, u, u_new in zip(
+            ca.horzsplit(F), ca.horzsplit(A, n_s), ca.horzsplit(B, n_u), ca.horzsplit(s),
+            ca.horzsplit(u), ca.horzsplit(u_new),
+        ):  # fmt: skip
+            nodes.append(forward(F, A, B, s, u, nodes[-1], u_new))
         return nodes
 
-    def gradient(s, omega, F, D, B, Q, QN, R, s_0, xi_ref, omega_ref, omega_max):
-        """Of the cost in ω at the previous plan, started from the new estimate; with what is left
-        to the bounds.
+    def commanded(u, u_ref):
+        """The plan with inputs that are not commanded as their references say."""
+        rows = ca.vertsplit(u_ref)
+        for place in command:
+            rows[place] = u[place, :]
+        return ca.vertcat(*rows)
+
+    dynamics = {name: linearise.sparsity_out(name) for name in "FAB"}
+
+    @casadi_function("rhc_gradient", loops, **memory, **dynamics, **weights, **references)
+    def gradient(s, u, F, A, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
+        """Gradient of the cost in the commands at the previous plan, and what is left to bounds.
+
+        The plan is rolled out from the new estimate.
         """
-        nodes, ref = rollout(s, omega, F, D, B, s_0, omega), ca.horzsplit(xi_ref)
-        D, B, inputs, omega_ref = (
-            ca.horzsplit(D, JOINT),
-            ca.horzsplit(B),
-            ca.horzsplit(omega),
-            ca.horzsplit(omega_ref),
-        )
-        adjoint, g, weight = ca.DM.zeros(JOINT), [None] * N, QN
+        plan = commanded(u, u_ref)
+        nodes, ref = rollout(s, u, F, A, B, s_0, plan), ca.horzsplit(x_ref)
+        A, B, u, u_ref = ca.horzsplit(A, n_s), ca.horzsplit(B, n_u), *map(ca.horzsplit, (plan, u_ref))
+        adjoint, g, weight = ca.DM.zeros(n_s), [None] * N, QN
         for i in reversed(range(N)):
             g[i], adjoint = backward(
-                adjoint, D[i], B[i], weight, nodes[i + 1], ref[i + 1], inputs[i], omega_ref[i], R
+                adjoint, A[i], B[i], weight, nodes[i + 1], ref[i + 1], u[i], u_ref[i], R
             )
             weight = Q
-        return dict(g=ca.horzcat(*g), lower=-omega_max - omega, upper=omega_max - omega)
+        u = ca.vec(plan[command, :]).T
+        return dict(
+            g=ca.vertcat(*g).T,
+            least=ca.repmat(lower, N, 1).T - u,
+            most=ca.repmat(upper, N, 1).T - u,
+        )
 
-    shift = casadi_function("rhc_shift", shift, memory)
-    linearise = casadi_function("rhc_linearise", linearise, memory | weights, loops)
-    prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
-    dynamics = {name: prepared[name] for name in ("F", "D", "B")}
-    gradient = casadi_function(
-        "rhc_gradient", gradient, memory | dynamics | weights | references, loops
-    )
-    if dense:
-        box_qp = gauss_newton.box_qp(N, qp)
+    if structured:
+        # The parameters do not move: in x alone the stages are half as large.
+        of_state = list(range(n_x))
+        A_x, B_x = linearised["A"].sub(of_state, of_state)[0], linearised["B"].sub(of_state, command)[0]
+        stages = box_lq(N, A_x, B_x, loops)
     else:
-        pose = list(range(3))  # the parameters do not move: in ξ alone the stages are half as large
-        box_lq = riccati.box_lq(N, D_1.sub(pose, pose)[0], B_1.sub(pose, [0])[0], loops)
+        condensed = box_qp.box_qp_by_library(N * n_c, horizon.qp)
 
-    def solve(local, omega, omega_max, Q, QN, R, D, B, H=None):
-        if dense:
-            x, multipliers, ok = box_qp(H, local["g"].T, local["lower"].T, local["upper"].T)
-            return x.T, multipliers.T, ok
-        D, B = ca.horzcat(*(each[:3, :3] for each in ca.horzsplit(D, JOINT))), B[:3, :]
-        active = (omega >= omega_max) - (
-            omega <= -omega_max
-        )  # where the previous plan was at its bounds
-        return box_lq(D, B, Q, QN, R, local["g"], local["lower"], local["upper"], active)
+    def solve(g, least, most, u, lower, upper, Q, QN, R, A, B, H=None):
+        if not structured:
+            found = condensed(H=H, g=g.T, lb=least.T, ub=most.T)
+            return found["x"].T, found["multipliers"].T, found["ok"]
+        A = ca.horzcat(*(part[:n_x, :n_x] for part in ca.horzsplit(A, n_s)))
+        B = ca.horzcat(*(part[:n_x, command] for part in ca.horzsplit(B, n_u)))
+        # Where the previous plan was at its bounds.
+        active = (u >= ca.repmat(upper, N, 1).T) - (u <= ca.repmat(lower, N, 1).T)
+        found = stages(A=A, B=B, Q=Q, QN=QN, R=R, g=g, lower=least, upper=most, active=active)
+        return found["x"], found["multipliers"], found["ok"]
 
-    def feedback(**given):
-        local, omega, limit = (
-            gradient(**select_inputs(gradient, given)),
-            given["omega"],
-            given["omega_max"],
-        )
-        x, multipliers, ok = solve(
-            local,
-            **{
-                name: given[name]
-                for name in ("omega", "omega_max", "Q", "QN", "R", "D", "B", "H")
-                if name in given
-            },
-        )
-        plan = ca.fmin(ca.fmax(omega + x, -limit), limit)  # ω + (ω_max - ω) may round past ω_max
-        return dict(omega_plan=plan, multipliers=multipliers, ok=ok, **local)
+    prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
 
-    def expand(s, omega, F, D, B, s_0, omega_plan, g, lower, upper, multipliers, ok):
-        """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
-        kkt = gauss_newton.kkt_tolerance(ca.dot(g, omega_plan - omega), multipliers, lower, upper)
-        predicted = ca.horzcat(*rollout(s, omega, F, D, B, s_0, omega_plan))
-        # a step that failed leaves the shifted plan, unless nothing can be linearised there, which
-        # its last node shows: then the next begins at the estimate
-        shifted = ca.if_else(ca.mmin(ca.fabs(s[:, N]) <= BEYOND), s, ca.repmat(s_0, 1, N + 1))
-        return dict(s=ca.if_else(ok, predicted, shifted), omega=omega_plan, kkt=kkt)
+    @casadi_function("rhc_feedback", ca.MX, **prepared, **memory, **weights, **references)
+    def feedback(lower, upper, **inputs):
+        local = gradient(**select_inputs(gradient, inputs), lower=lower, upper=upper)
+        u = ca.vec(inputs["u"][command, :]).T
+        known = {name: inputs[name] for name in ("Q", "QN", "R", "A", "B", "H") if name in inputs}
+        x, multipliers, ok = solve(**local, u=u, lower=lower, upper=upper, **known)
+        # u + (upper - u) may round past the bound.
+        plan = ca.fmin(ca.fmax(u + x, ca.repmat(lower, N, 1).T), ca.repmat(upper, N, 1).T)
+        rows = ca.vertsplit(inputs["u_ref"])
+        for place, row in zip(command, ca.vertsplit(ca.reshape(plan, n_c, N))):
+            rows[place] = row
+        return dict(u_plan=ca.vertcat(*rows), multipliers=multipliers, ok=ok, **local)
 
-    feedback = casadi_function(
-        "rhc_feedback", feedback, prepared | memory | weights | references, ca.MX
-    )
     result = {
         name: feedback.sparsity_out(name)
-        for name in ("omega_plan", "g", "lower", "upper", "multipliers", "ok")
+        for name in ("u_plan", "g", "least", "most", "multipliers", "ok")
     }
-    expand = casadi_function(
-        "rhc_expand", expand, memory | dynamics | dict(s_0=(JOINT, 1)) | result, loops
+
+    @casadi_function(
+        "rhc_expand", loops, **memory, **dynamics, s_0=state, u_ref=references["u_ref"], **result
     )
+    def expand(s, u, F, A, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
+        """The predicted states of the new plan, and the KKT tolerance of the linearisation point.
 
-    def step(Q, QN, R, s_0, xi_ref, omega_ref, omega_max, **memory):
-        """All phases of one sample."""
-        given = dict(
-            Q=Q, QN=QN, R=R, s_0=s_0, xi_ref=xi_ref, omega_ref=omega_ref, omega_max=omega_max
-        )
-        memory = shift(**memory)
-        prepared = linearise(**memory, **select_inputs(linearise, given))
-        result = feedback(**prepared, **memory, **given)
-        return expand(
-            **memory, **select_inputs(expand, prepared | given), **select_inputs(expand, result)
-        ) | dict(command=result["omega_plan"][0], ok=result["ok"])
+        A step that failed leaves the shifted plan, unless nothing can be linearised there, which
+        its last node shows: then the next begins at the estimate.
+        """
+        change = ca.vec((u_plan - commanded(u, u_ref))[command, :])
+        kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
+        predicted = ca.horzcat(*rollout(s, u, F, A, B, s_0, u_plan))
+        linearisable = is_plausible(s[:, N], MAX_PLAUSIBLE_PLAN)
+        shifted = ca.if_else(linearisable, s, ca.repmat(s_0, 1, N + 1))
+        return dict(s=ca.if_else(ok, predicted, shifted), u=u_plan, kkt=kkt)
 
-    step = with_packed_memory("rhc_step", step, memory, weights | references)
-    return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand, step=step)
+    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+
+    @with_packed_memory("rhc_step", memory, ca.MX, **weights, **references)
+    def step(**known):
+        for name in PHASES:
+            known |= phases[name](**select_inputs(phases[name], known))
+        told = dict(kkt=known["kkt"], command=known["u_plan"][:, 0], ok=known["ok"])
+        return told | {name: known[name] for name in memory}
+
+    return phases | dict(step=step)
 
 
-def init(pose, p, horizon):
-    """Memory before the first sample: the robot at pose (3,) with parameters p (3,) = (ν, μ, κ),
-    nothing planned.
-    """
-    return dict(s=np.tile([*pose, *p], (horizon + 1, 1)).T, omega=np.zeros((1, horizon)))
+def init(horizon, x, p):
+    """Memory before the first sample: the robot at x (n_x,) with p (n_p,), nothing planned."""
+    s = np.tile([*x, *p], (horizon.N + 1, 1)).T
+    return dict(s=s, u=np.zeros((len(horizon.model.inputs), horizon.N)))
 
 
 class RHC:
-    """The controller for a loop of one's own: `prepare()` while there is time, `feedback(…)` when
-    the estimate is there.
+    """Model predictive control for a loop of one's own: `prepare()`, then `feedback(…)`.
 
-    q: weights Q_k of (x, y, θ); r: R; qn_factor: Q_N = qn_factor · Q_k; omega_max [rad/s]; dt [s];
-    horizon: intervals; qp: see Scenario.
+    Without `model` it is the paper's controller, `rhec.controller.paper_rhc.PaperRHC`.
+
+    Args:
+        model: The robot, a rhec.Model.
+        command: Names of the inputs that are commanded; others follow their reference.
+        bounds: (lowest, highest) of commanded inputs, by name; what is not named has none.
+        q: Weights Q_k of the states.
+        r: Weights R of the commanded inputs.
+        qn_factor: Q_N = qn_factor · Q_k.
+        dt: Length of a sample [s].
+        horizon: Intervals of the prediction.
+
+    Raises:
+        ValueError: In one sentence, for an argument that cannot be.
     """
+
+    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
+        if cls is RHC and model is None:
+            from rhec.controller.paper_rhc import PaperRHC  # which is an RHC
+
+            cls = PaperRHC
+        return super().__new__(cls)
 
     @checked
     def __init__(
         self,
         *,
-        q: Weights = paper.Q3,
-        r: Positive = paper.R,
-        qn_factor: NotNegative = paper.QN_FACTOR,
-        omega_max: Positive = paper.OMEGA_MAX_RADPS,
-        dt: Positive = paper.DT_S,
-        horizon: Intervals = paper.HORIZON,
-        qp: Solver = "structured",
+        model: Model,
+        command: tuple[str, ...],
+        q: NotNegatives,
+        r: Positives,
+        dt: Positive,
+        horizon: Intervals,
+        bounds: dict[str, tuple[float, float]] | None = None,
+        qn_factor: NotNegative = 10.0,
     ):
-        self.horizon = horizon
-        q = np.array(q)
-        self.iteration = gauss_newton.RealTimeIteration(
-            compiled.load(build_phases, dt, horizon, qp),
-            ("s", "omega"),
-            ("s", "omega"),
-            Q=q,
-            QN=qn_factor * q,
-            R=r,
-            omega_max=omega_max,
-        )
-        arrays = self.iteration.arrays
-        xi_ref = arrays["xi_ref"].reshape((3, horizon + 1), order="F")  # a view, in CasADi's order
-        self._inputs = arrays["s_0"][:3], arrays["s_0"][3:], xi_ref, arrays["omega_ref"]
+        _check_command(model, command, bounds or {})
+        for name, values, wanted, of in (
+            ("q", q, len(model.states), "state"),
+            ("r", r, len(command), "commanded input"),
+        ):
+            if len(values) != wanted:
+                one = f"one for each {of}"
+                raise ValueError(f"{name} was {values}; it should have {wanted} entries, {one}")
+        places = tuple(model.inputs.index(name) for name in command)
+        limits = [(bounds or {}).get(name, (-MAX_QP_ENTRY, MAX_QP_ENTRY)) for name in command]
+        self._begin(Horizon(model, places, dt, horizon), q, r, qn_factor, *zip(*limits))
 
-    def prepare(self):
-        """Shift, integrate, linearise, condense (paper: preparation part)."""
+    def _begin(self, horizon, q, r, qn_factor, lower, upper):
+        self.horizon = horizon
+        self.settings = dict(
+            Q=np.array(q),
+            QN=qn_factor * np.array(q),
+            R=np.array(r),
+            lower=np.clip(lower, -MAX_QP_ENTRY, MAX_QP_ENTRY),
+            upper=np.clip(upper, -MAX_QP_ENTRY, MAX_QP_ENTRY),
+        )
+        functions = compiled.load(build_phases, horizon)
+        memory = tuple(horizon.memory)
+        self.iteration = RealTimeIteration(functions, memory, memory, **self.settings)
+        arrays, n_x = self.iteration.arrays, len(horizon.model.states)
+        n_u, shape = len(horizon.model.inputs), dict(order="F")  # views, in CasADi's order
+        self._inputs = dict(
+            x=arrays["s_0"][:n_x],
+            p=arrays["s_0"][n_x:],
+            x_ref=arrays["x_ref"].reshape((n_x, -1), **shape),
+            u_ref=arrays["u_ref"].reshape((n_u, -1), **shape),
+        )
+
+    def prepare(self) -> None:
+        """Shift, integrate, linearise (paper: preparation part)."""
         self.iteration.prepare()
 
-    def feedback(self, pose, p, xi_ref, omega_ref):
-        """The yaw rate [rad/s] to command: pose (3,), p (3,) = (ν, μ, κ), xi_ref (3, N+1) and
-        omega_ref (N,) references (node 0 of xi_ref is now).
+    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any) -> Any:
+        """Inputs to apply now, by one Gauss-Newton step.
+
+        Args:
+            x: (n_x,) estimated state.
+            p: (n_p,) estimated parameters.
+            x_ref: (n_x, N+1) desired states; node 0 is now and has no weight.
+            u_ref: (n_u, N) desired inputs.
+
+        Returns:
+            (n_u,) inputs of the first interval.
         """
-        self._given(pose, p, xi_ref, omega_ref)
+        self._give(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
         self.iteration.feedback()
-        return self.iteration.arrays["omega_plan"][0].item()
+        return self.u_plan[:, 0]
 
-    def solve(self, pose, p, xi_ref, omega_ref, iterations=20):
-        """The same, iterated to convergence on the nonlinear problem."""
-        self._given(pose, p, xi_ref, omega_ref)
+    def solve(self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: int = 20) -> Any:
+        """`feedback`, iterated to convergence on the nonlinear problem.
+
+        Args:
+            x: (n_x,) estimated state.
+            p: (n_p,) estimated parameters.
+            x_ref: (n_x, N+1) desired states.
+            u_ref: (n_u, N) desired inputs.
+            iterations: Gauss-Newton steps.
+
+        Returns:
+            (n_u,) inputs of the first interval.
+        """
+        self._give(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
         self.iteration.solve(iterations)
-        return self.iteration.arrays["omega_plan"][0].item()
+        return self.u_plan[:, 0]
 
-    def _given(self, pose, p, xi_ref, omega_ref):
-        to_pose, to_p, to_xi_ref, to_omega_ref = self._inputs
-        copy_checked("pose", pose, to_pose)
-        copy_checked("p", p, to_p)
-        copy_checked("xi_ref", xi_ref, to_xi_ref)
-        copy_checked("omega_ref", omega_ref, to_omega_ref)
+    def _give(self, **values):
+        for name, value in values.items():
+            copy_checked(name, value, self._inputs[name])
+        self._start_once()
+
+    def _start_once(self):
         if not self.iteration.started:
-            self.iteration.start(init(pose, p, self.horizon))
+            self.iteration.start(init(self.horizon, self._inputs["x"], self._inputs["p"]))
 
     @property
-    def ok(self):
-        """Whether the last step was solved; if not, its answer is the shifted previous solution's."""
-        return self.iteration.arrays["ok"].item() == 1
+    def ok(self) -> bool:
+        """Whether the last step was solved; if not, its answer is the shifted previous solution."""
+        return self.iteration.ok
 
     @property
-    def kkt(self):
+    def kkt(self) -> float:
         """KKT tolerance of the linearisation point of the last feedback."""
-        self.iteration.expand()
-        return self.iteration.arrays["kkt"].item()
+        return self.iteration.kkt
 
     @property
-    def omega_plan(self):
-        """Planned yaw rates (N,) [rad/s]."""
-        return self.iteration.arrays["omega_plan"].copy()
+    def u_plan(self) -> np.ndarray:
+        """Planned inputs (n_u, N)."""
+        n_u = len(self.horizon.model.inputs)
+        return self.iteration.arrays["u_plan"].reshape((n_u, -1), order="F").copy()
 
     @property
-    def xi_plan(self):
-        """Predicted poses (3, N+1)."""
+    def x_plan(self) -> np.ndarray:
+        """Predicted states (n_x, N+1)."""
         self.iteration.expand()
-        return self.iteration.previous["s"].reshape((JOINT, -1), order="F")[:3].copy()
+        n_x = len(self.horizon.model.states)
+        s = self.iteration.previous["s"].reshape((self.horizon.n_s, -1), order="F")
+        return s[:n_x].copy()
+
+
+def _check_command(model, command, bounds):
+    for field, names, known in (
+        ("command", command, model.inputs),
+        ("bounds", tuple(bounds), command),
+    ):
+        for name in names:
+            if name not in known or names.count(name) > 1:
+                wanted = f"it should name some of {known}, each once"
+                raise ValueError(f"{field} was {shown(names)}; {wanted}")
+    if not command:
+        raise ValueError(f"command was (); it should name some of {model.inputs}")
+    for name, (lowest, highest) in bounds.items():
+        if not lowest < highest:
+            wanted = "the first should be below the second"
+            raise ValueError(f"bounds of {name!r} were ({lowest}, {highest}); {wanted}")

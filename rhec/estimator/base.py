@@ -1,112 +1,184 @@
-"""Which estimator a scenario means: its step (memory, z, settings …) -> (memory, estimate, …), its
-first memory, its settings V and W.
-"""
+"""What a loop must know of an estimator, and what any estimator must know of its model."""
+
+import importlib
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi.build import pack_array
-from rhec.estimator import augmented_ekf, ekf, rhe
-from rhec.extensions import dual
+from rhec._casadi.validation import shown
+from rhec.model.tracked_robot import QUANTITIES
 
-# Those that are told the traction are not the paper's: W of their own, found as the calibrated ones
-# are.
-SIGMA_W_TRACTION_ORACLE, SIGMA_W_FIXED_TRACTION = (
-    (0.001, 0.001, 0.0048, 0.001),
-    (0.0075, 0.0075, 0.0052, 0.0016),
+__all__ = [
+    "GIVEN",
+    "NAMES",
+    "Choice",
+    "Estimate",
+    "Estimator",
+    "ROBUST_NAMES",
+    "build_phases",
+    "build_step",
+    "estimator_of",
+    "joint_estimate",
+    "joint_guess",
+    "noise_of",
+]
+
+
+class Estimate(NamedTuple):
+    """States x, inputs u of the last interval, parameters p, and the covariance of (x, p)."""
+
+    x: np.ndarray
+    u: np.ndarray
+    p: np.ndarray
+    covariance: np.ndarray
+
+
+def _of_length(name, values, wanted, of):
+    if len(values) != wanted:
+        raise ValueError(
+            f"{name} was {shown(values)}; it should have {wanted} entries, one for each {of}"
+        )
+
+
+def noise_of(model, sigma_v, sigma_w):
+    """Settings V, W and c of an estimator of this model, from standard deviations."""
+    n_x, n_p = len(model.states), len(model.parameters)
+    _of_length("sigma_v", sigma_v, len(model.outputs), "output")
+    _of_length("sigma_w", sigma_w, n_x + n_p, "state, then each parameter")
+    inputs = (0.0,) * (model.n_s - n_x - n_p)
+    settings = dict(V=np.square(sigma_v), W=np.square([*sigma_w[:n_x], *inputs, *sigma_w[n_x:]]))
+    if model.motion_noise:
+        settings["c"] = np.array([*model.motion_noise.constants.values()])
+    return settings
+
+
+def joint_guess(model, guess, sigma):
+    """First joint state (n_s,) and its standard deviations, from those of (x, p)."""
+    n_x, n_p = len(model.states), len(model.parameters)
+    _of_length("guess", guess, n_x + n_p, "state, then each parameter")
+    _of_length("sigma_guess", sigma, n_x + n_p, "state, then each parameter")
+    for name, value in zip(model.parameters, guess[n_x:]):
+        bounds = model.parameters[name]
+        if bounds and not bounds[0] <= value <= bounds[1]:
+            raise ValueError(f"guess of {name!r} was {value}; it should be within {bounds}")
+    inputs = model.n_s - n_x - n_p
+    return tuple(
+        np.array([*of[:n_x], *(fill,) * inputs, *of[n_x:]])
+        for of, fill in ((guess, 0.0), (sigma, 1e3))
+    )
+
+
+def joint_estimate(model, known, covariance):
+    """The Estimate from (x, u, p) in one array and the joint state's covariance."""
+    n_x, n_u, n_p = len(model.states), len(model.inputs), len(model.parameters)
+    x, u, p = np.split(known, [n_x, n_x + n_u])
+    kept = np.r_[:n_x, model.n_s - n_p : model.n_s]
+    return Estimate(x, u, p, covariance[np.ix_(kept, kept)])
+
+
+# The estimators of the paper's robot, by name
+
+GIVEN = ("nothing", "field mean", "true traction", "truth")
+
+
+class Choice(NamedTuple):
+    """What decides the shape of an estimator of the paper's robot."""
+
+    estimator: str  # one of NAMES, or a serialized Function
+    estimation_horizon: int
+    speed_model: str
+    arrival_mean: str
+    robust: bool
+    dt_s: float = paper.DT_S
+
+    @classmethod
+    def of(cls, scenario):
+        """The Choice of a Scenario."""
+        name = scenario.estimator
+        return cls(
+            name.serialize() if isinstance(name, ca.Function) else name,
+            *(getattr(scenario, name) for name in cls._fields[1:5]),
+        )
+
+
+class Estimator(NamedTuple):
+    """What a closed loop, a replay, a study or the C export must know of an estimator.
+
+    Its step is a Function (memory, z_N, settings …) -> (memory, estimate, …), with estimate =
+    (x, y, θ, ν, μ, κ); beyond settings it takes by name the `traction` (2,) that it is told, or all
+    the `truth` (6,).
+    """
+
+    build_step: Callable[[Choice], ca.Function]
+    # (choice, guess, sigma), both {quantity: value} -> the first memory, {name: array}
+    init: Callable[[Choice, Any, Any], dict]
+    settings: Callable[[Any], dict]  # of a Scenario: {name: array}
+    build_phases: Callable[[Choice], dict] | None = None  # where its step has the four phases
+    states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
+    n_sigma_w: Callable[[Choice], int] = lambda choice: 0
+    given: str = "nothing"  # one of GIVEN
+
+
+# Where each is found, so that nothing here depends on what stands above; and with its
+# measurements gated.
+_HOME = {
+    "rhe": "rhec.estimator.paper_rhe",
+    "ekf": "rhec.estimator.paper_ekf",
+    "augmented_ekf": "rhec.estimator.paper_ekf",
+    "fixed_traction": "rhec.estimator.paper_ekf",
+    "dual": "rhec.extensions.dual",
+    "oracle": "rhec.estimator.base",
+    "traction_oracle": "rhec.estimator.paper_ekf",
+}
+_ROBUST_HOME = {"rhe": "rhec.extensions.gating", "dual": "rhec.extensions.dual"}
+NAMES, ROBUST_NAMES = tuple(_HOME), tuple(_ROBUST_HOME)
+
+
+def estimator_of(name, robust=False):
+    """The Estimator of this name; for anything else that of a user's own Function."""
+    if name not in NAMES:
+        return _OWN
+    if robust:
+        return importlib.import_module(_ROBUST_HOME[name]).ROBUST[name]
+    return importlib.import_module(_HOME[name]).ESTIMATORS[name]
+
+
+def build_step(choice):
+    """The step of a Choice's Estimator."""
+    return estimator_of(choice.estimator, choice.robust).build_step(choice)
+
+
+def build_phases(choice):
+    """The phases and step of a Choice's Estimator."""
+    return estimator_of(choice.estimator, choice.robust).build_phases(choice)
+
+
+def _build_oracle(choice):
+    memory, z, truth = ca.SX.sym("memory", 6), ca.SX.sym("z_N", 4), ca.SX.sym("truth", 6)
+    names = ["memory", "z_N", "truth"], ["memory", "estimate"]
+    options = {"allow_duplicate_io_names": True}
+    return ca.Function("oracle", [memory, z, truth], [truth, truth], *names, options)
+
+
+def _init_own(choice, guess, sigma=None):
+    """A user's own Function begins with the first guess, then zeros."""
+    length = ca.Function.deserialize(choice.estimator).numel_in(0)
+    return dict(memory=np.append([*guess.values()][:6], np.zeros(length))[:length])
+
+
+_OWN = Estimator(
+    build_step=lambda choice: ca.Function.deserialize(choice.estimator),
+    init=_init_own,
+    settings=lambda scenario: dict(V=np.square(scenario.sigma_v), W=np.zeros(1)),
 )
-NAMES = ("rhe", "ekf", "augmented_ekf", "fixed_traction", "dual", "oracle", "traction_oracle")
-EKFS = ("ekf", "fixed_traction", "traction_oracle")  # one filter, told another traction each
-
-
-def estimator_key(estimator):
-    """A name for compiled code: the estimator's, or the whole text of a Function of one's own."""
-    return estimator.serialize() if isinstance(estimator, ca.Function) else estimator
-
-
-def step(key, estimation_horizon, speed_model, arrival_mean, qp, robust):
-    """The estimator's Function. Beyond memory and z it takes by name what it needs: V, W, the
-    `traction` (2,) it is told or all the `truth` (6,).
-    """
-    if key == "rhe":
-        return rhe.build_phases(
-            paper.DT_S, estimation_horizon, speed_model, arrival_mean, qp, robust
-        )["step"]
-    if key == "dual":
-        return dual.build_step(paper.DT_S, estimation_horizon, arrival_mean, qp, robust)["step"]
-    if key in EKFS:
-        return ekf.build_step(paper.DT_S)["step"]
-    if key == "augmented_ekf":
-        return augmented_ekf.build_step(paper.DT_S)["step"]
-    if key == "oracle":
-        memory, z, truth = ca.SX.sym("memory", 6), ca.SX.sym("z", 4), ca.SX.sym("truth", 6)
-        return ca.Function(
-            "oracle",
-            [memory, z, truth],
-            [truth, truth],
-            ["memory", "z", "truth"],
-            ["memory", "estimate"],
-            {"allow_duplicate_io_names": True},
-        )
-    return ca.Function.deserialize(key)
-
-
-def first_memory(scenario, guess, sigma=rhe.SIGMA_START):
-    """The memory before the first sample, from a guess of (x, y, θ, ν, μ, κ) and its standard
-    deviations, which begin at the paper's W.
-    """
-    if scenario.estimator == "rhe":
-        return pack_array(
-            rhe.init(
-                guess, sigma, scenario.estimation_horizon, scenario.speed_model, scenario.robust
-            )
-        )
-    if scenario.estimator in EKFS:
-        return pack_array(ekf.init(guess, sigma))
-    if scenario.estimator == "augmented_ekf":
-        return pack_array(augmented_ekf.init(guess, sigma))
-    if scenario.estimator == "dual":
-        soil = rhe.init(guess, sigma, scenario.estimation_horizon, robust=scenario.robust)
-        return np.append(pack_array(soil), pack_array(ekf.init(guess, sigma)))
-    length = (
-        scenario.estimator.numel_in(0)
-        if isinstance(scenario.estimator, ca.Function)
-        else len(guess)
+ESTIMATORS = {
+    "oracle": Estimator(
+        build_step=_build_oracle,
+        init=lambda choice, guess, sigma=None: dict(memory=np.array([guess[name] for name in QUANTITIES])),
+        settings=lambda scenario: {},
+        given="truth",
     )
-    return np.append(guess, np.zeros(length))[:length]
-
-
-def n_sigma_w(estimator, speed_model):
-    """How many standard deviations sigma_w has; 0 for an estimator without process noise."""
-    return {
-        "rhe": rhe.n_sigma_w(speed_model),
-        "dual": len(dual.SIGMA_W),
-        "augmented_ekf": 6,
-        **dict.fromkeys(EKFS, 4),
-    }.get(estimator, 0)
-
-
-def noise_settings(scenario):
-    """The settings V and W of the scenario's estimator."""
-    if scenario.estimator == "rhe":
-        return rhe.noise_settings(
-            scenario.speed_model,
-            scenario.process_noise,
-            scenario.sigma_w,
-            scenario.sigma_v,
-            scenario.track_width_m,
-        )
-    default = {
-        "ekf": ekf.SIGMA_W[scenario.process_noise],
-        "augmented_ekf": augmented_ekf.SIGMA_W[scenario.process_noise],
-        "dual": dual.SIGMA_W,
-        "fixed_traction": SIGMA_W_FIXED_TRACTION,
-        "traction_oracle": SIGMA_W_TRACTION_ORACLE,
-    }
-    sigma_w = (
-        default.get(str(scenario.estimator), (0.0,))
-        if scenario.sigma_w is None
-        else scenario.sigma_w
-    )
-    return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w))
+}

@@ -1,77 +1,128 @@
-"""Extended Kalman Filter, eq. (kinematicmodelEKF), (generalmodelEKF), (noise).
+"""Extended Kalman filter of any Model: the joint state (x, p), parameters as random walks.
 
-State (x, y, θ, ν); the measured yaw rate is the input. The paper designs it on the traditional
-model, that is μ = κ = 1; here the traction is an argument, so that the same filter can also be told
-the true one.
+Nothing keeps the parameters within their bounds. What the inputs' measurements say of an interval
+counts in its prediction, with their noise.
 """
+
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rhec import paper
+from rhec._casadi import compiled
 from rhec._casadi.build import with_packed_memory
-from rhec.estimator.kalman import is_valid_measurement, symmetric, update
+from rhec._casadi.validation import NotNegatives, Positive, Positives, Reals, checked
+from rhec.estimator import kalman
+from rhec.estimator.base import joint_estimate, joint_guess, noise_of
+from rhec.model import base
+from rhec.model.base import Model
+from rhec.solver.gauss_newton import symmetric
+from rhec.solver.rti import copy_checked
 
-# Process noise W as standard deviations of (x, y, θ, ν) per sample: to the letter (R1), and as
-# `rhec.studies.calibration` found it on training seeds.
-SIGMA_W = {"printed": paper.SIGMA_W_EKF, "calibrated": (0.017, 0.017, 0.013, 0.001)}
-MEASURED = ((0, 0), (1, 1), (3, 2))  # x, y, ν: (place in the state, place in z)
-
-
-def f(m, omega, traction, dt_s):
-    """Eq. (kinematicmodelEKF) with traction (μ, κ): one Euler step of `dt_s` [s] from (x, y, θ, ν)."""
-    x, y, theta, nu = ca.vertsplit(m)
-    mu, kappa = ca.vertsplit(traction)
-    return ca.vertcat(
-        x + dt_s * mu * nu * ca.cos(theta),
-        y + dt_s * mu * nu * ca.sin(theta),
-        theta + dt_s * kappa * omega,
-        nu,
-    )
+__all__ = ["EKF", "build", "predict_and_correct"]
 
 
-def predict_and_correct(m, P, predicted, started, z, V, W):
-    """Mean and covariance predicted by the model's step m -> predicted (not before the first
-    sample), then corrected by z; with the deviance.
+def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
+    """One sample of a Kalman filter; before the first there is nothing to predict.
+
+    Args:
+        m: (n,) mean.
+        P: (n, n) covariance.
+        predicted: (n,) mean after the interval.
+        A: (n, n) its transition.
+        Q: (n, n) its noise.
+        started: Whether an interval went before.
+        z: (n_z,) measurements.
+        V: (n_z,) their variances.
+        outputs: The Outputs that measure the state.
+
+    Returns:
+        m, P, and the deviance of the measurements.
     """
-    A = ca.jacobian(predicted, m)
     m = ca.if_else(started, predicted, m)
-    P = ca.if_else(started, symmetric(A @ P @ A.T) + ca.diag(W), P)
-    m, P, _, _, deviance = update(m, P, z, V, MEASURED)
+    P = ca.if_else(started, symmetric(A @ P @ A.T) + Q, P)
+    m, P, _, _, deviance = kalman.update(m, P, z, V, outputs, m)
     return m, P, deviance
 
 
-def build_step(dt_s, f=f):
-    """The EKF as one CasADi Function {step}: predict by f, then correct.
+def build(model, dt_s):
+    """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}.
 
-    Memory: m (4,), P (4, 4), omega () last yaw rate [rad/s], started () 0 before the first sample,
-    which only corrects. V (4,), W (4,) are variances, traction (2,). z (4,) holds the yaw rate of
-    the interval that ends now; a missing one is the last one held.
+    Its memory: m (n_s,), P (n_s, n_s), v (n_v,) the last inputs, started.
     """
-
-    def step(m, P, omega, started, z, V, W, traction):
-        omega = ca.if_else(is_valid_measurement(z, 3), z[3], omega)
-        m, P, deviance = predict_and_correct(m, P, f(m, omega, traction, dt_s), started, z, V, W)
-        return dict(
-            estimate=ca.vertcat(m, traction),
-            covariance=P,
-            deviance=deviance,
-            m=m,
-            P=P,
-            omega=omega,
-            started=1,
-        )
-
-    memory = dict(m=(4, 1), P=(4, 4), omega=(1, 1), started=(1, 1))
-    return dict(
-        step=with_packed_memory(
-            "ekf_step", step, memory, dict(z=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1)), ca.SX
-        )
+    interval, n_z = base.interval(model), len(model.outputs)
+    n_s, n_v = interval.n_s, interval.n_v
+    memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
+    noise = dict(V=(n_z, 1)) | (
+        dict(c=(len(model.motion_noise.constants), 1)) if model.motion_noise else {}
     )
 
+    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(n_z, 1), **noise, W=(n_s, 1))
+    def step(m, P, v, started, z_N, W, **noise):
+        v, R_v = interval.input_noise(z_N, v, **noise)
+        F, A, B = interval.linearised(m, v, dt_s * started)
+        Q = symmetric(B @ ca.diag(R_v) @ B.T)
+        Q += ca.diag(interval.process_noise(v, W, dt_s, noise.get("c")))
+        m, P, deviance = predict_and_correct(
+            m, P, F, A, Q, started, z_N, noise["V"], interval.outputs
+        )
+        known = dict(zip(model.inputs, ca.vertsplit(v))) | dict(
+            zip(model.joint_names, ca.vertsplit(m))
+        )
+        estimate = ca.vertcat(*(known[name] for name in model.names))
+        return dict(estimate=estimate, covariance=P, deviance=deviance, m=m, P=P, v=v, started=1)
 
-def init(guess, sigma):
-    """Memory before the first sample: guess (6,) = (x, y, θ, ν, μ, κ), sigma (6,) its standard
-    deviations.
+    return dict(step=step)
+
+
+class EKF:
+    """The filter for a loop of one's own, with the verbs of RHE: `prepare()`, `feedback(z)`.
+
+    Args:
+        model: The robot, a rhec.Model.
+        dt: Length of a sample [s].
+        sigma_v: Standard deviation of each output's measurement.
+        sigma_w: Standard deviations of the process noise per sample: states, then parameters.
+        guess: First guess of each state, then each parameter.
+        sigma_guess: Its standard deviations.
+
+    Raises:
+        ValueError: In one sentence, for an argument that cannot be.
     """
-    return dict(m=np.array(guess[:4]), P=np.diag(np.square(sigma[:4])), omega=0.0, started=0.0)
+
+    @checked
+    def __init__(
+        self,
+        *,
+        model: Model,
+        dt: Positive,
+        sigma_v: Positives,
+        sigma_w: NotNegatives,
+        guess: Reals,
+        sigma_guess: Positives,
+    ):
+        self.model = model
+        m, sigma = joint_guess(model, guess, sigma_guess)
+        self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
+        self._call.set(**noise_of(model, sigma_v, sigma_w))
+        memory = [*m, *np.diag(np.square(sigma)).ravel(), *np.zeros(len(model.inputs)), 0.0]
+        self._call.set(memory=memory)
+
+    def prepare(self) -> None:
+        """Nothing: the filter does all its work in `feedback`."""
+
+    def feedback(self, z: Any) -> Any:
+        """Estimate from the newest measurement.
+
+        Args:
+            z: (n_z,) measurements; an entry that is not finite is not there now.
+
+        Returns:
+            Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
+        """
+        arguments, results, n_s = self._call.arguments, self._call.results, self.model.n_s
+        copy_checked("z", z, arguments["z_N"])
+        self._call.call()
+        arguments["memory"][:] = results["memory"]
+        covariance = results["covariance"].reshape(n_s, n_s).copy()
+        return joint_estimate(self.model, results["estimate"].copy(), covariance)

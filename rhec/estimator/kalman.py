@@ -1,46 +1,39 @@
-"""The Kalman measurement update, one scalar reading after the other: what the RHE's window and the
-EKF share.
+"""The Kalman measurement update, one scalar measurement after the other.
 
-Reading by reading there is nothing to invert, and a sensor that is silent is skipped rather than
-replaced.
+RHE and EKF share it. One by one there is nothing to invert, and a sensor that is silent is skipped
+rather than replaced.
 """
 
 import casadi as ca
 
-Z_MAX = (
-    1e8,
-    1e8,
-    100.0,
-    100.0,
-)  # x, y [m], ν [m/s], ω [rad/s]: a reading beyond, or not a number, is no reading
+from rhec.solver.gauss_newton import symmetric
+
+__all__ = ["update"]
 
 
-def is_valid_measurement(z, row):
-    """1 where the entry `row` of z (4,) can be used, 0 where it is missing (NaN), infinite or
-    absurd.
-    """
-    return ca.fabs(z[row]) <= Z_MAX[row]
+def update(m, P, z, V, outputs, s_bar):
+    """Mean m (n,) and covariance P (n, n), corrected by the measurements z of some outputs.
 
+    Args:
+        m: (n,) mean of the joint state.
+        P: (n, n) its covariance.
+        z: (n_z,) measurements, NaN where there is none.
+        V: (n_z,) their variances.
+        outputs: The model's Outputs that measure the joint state.
+        s_bar: (n,) where outputs that are not affine are linearised.
 
-def symmetric(P):
-    """P (n, n) computed from its lower triangle: half the work, and symmetric to the last bit."""
-    return ca.tril2symm(ca.tril(P))
-
-
-def update(m, P, z, V, measured):
-    """Mean m (n,), covariance P (n, n) updated by the readings z (4,), variances V (4,); `measured`
-    holds (place in m, place in z) pairs.
-
-    Returns m, P, the gains K (n, rows), the weighted innovations e = y / S (rows,), and the
-    deviance Σ y²/S + log S, which is -2 log likelihood of the readings up to a constant.
+    Returns:
+        m, P; the gains K (n, n_outputs); the weighted innovations e = y / S (n_outputs,); the
+        deviance Σ y²/S + log S, which is -2 log likelihood of z up to a constant.
     """
     gains, weighted, deviance = [], [], 0
-    for place, row in measured:
-        used = is_valid_measurement(z, row)
-        y = ca.if_else(used, z[row] - m[place], 0)
-        S = P[place, place] + V[row]
-        K = P[:, place] * (used / S)
-        m, P = m + K * y, symmetric(P - K @ P[place, :])
+    for output in outputs:
+        used, H = output.is_valid(z), output.H(s_bar)
+        y = ca.if_else(used, z[output.row] - output.predicted(m, s_bar), 0)
+        PH = P @ H.T
+        S = H @ PH + V[output.row]
+        K = PH * (used / S)
+        m, P = m + K * y, symmetric(P - K @ PH.T)
         gains.append(K)
         weighted.append(y / S)
         deviance += ca.if_else(used, y**2 / S + ca.log(S), 0)

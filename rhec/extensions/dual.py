@@ -1,71 +1,81 @@
-"""Dual estimation (Wan, Nelson, "Dual Extended Kalman Filter Methods", 2001): one estimator for the
-soil, one for the pose. Not in the paper.
+"""Dual estimation: one estimator for the soil, one for the pose. Not in the paper.
 
-The RHE needs a long memory to tell traction from noise; a pose that steers should follow its
-measurements faster than that. Here the RHE gives (μ, κ), as in the paper, and an EKF with that
-traction gives (x, y, θ, ν), each with the process noise that suits it. The paper's Euler step would
-put the yaw of that filter half a sample's turn ahead; a Runge-Kutta step does not.
+Wan and Nelson, "Dual Extended Kalman Filter Methods", 2001. The RHE needs a long memory to tell
+traction from noise; a pose that steers should follow its measurements faster than that. Here the
+RHE gives (μ, κ), as in the paper, and an EKF with that traction gives (x, y, θ, ν), each with the
+process noise that suits it. The paper's Euler step would put the yaw of that filter half a
+sample's turn ahead; a Runge-Kutta step does not.
 """
 
 import casadi as ca
 import numpy as np
 
+from rhec import tuning
 from rhec._casadi.build import pack_array
-from rhec.estimator import ekf, rhe
-from rhec.model import tracked_robot as model
+from rhec.estimator import paper_ekf
+from rhec.estimator.base import Estimator, estimator_of
+from rhec.estimator.paper_rhe import SIGMA_START
+from rhec.model.base import rk4
+from rhec.model.tracked_robot import QUANTITIES, f
 
-# Of the RHE's (x, y, θ, ν, μ, κ), then of the EKF's (x, y, θ, ν), per sample: least true error on
-# the training seeds (`rhec.studies.calibration`).
-SIGMA_W = (0.001, 0.001, 0.001, 0.001, 0.0053, 0.025, 0.0058, 0.0058, 0.028, 0.0054)
-
-
-def f(m, omega, traction, dt_s):
-    """Eq. (systemmodel) over `dt_s` [s] by one Runge-Kutta step from (x, y, θ, ν)."""
-    return ca.vertcat(model.rk4(model.f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+__all__ = ["ESTIMATORS", "ROBUST"]
 
 
-def build_step(dt_s, horizon, arrival_mean="smoothed", qp="structured", robust=False):
-    """Both as one CasADi Function {step}: memory is the RHE's, then the EKF's; V (4,) and W (10,)
-    are variances, W the RHE's, then the EKF's.
-    """
-    soil, pose = (
-        rhe.build_phases(dt_s, horizon, "parameter", arrival_mean, qp, robust)["step"],
-        ekf.build_step(dt_s, f)["step"],
-    )
-    memory, z = (
-        ca.MX.sym("memory", soil.numel_in("memory") + pose.numel_in("memory")),
-        ca.MX.sym("z", 4),
-    )
-    V, W = ca.MX.sym("V", 4), ca.MX.sym("W", 10)
-    of_soil, of_pose = ca.vertsplit(memory, [0, soil.numel_in("memory"), memory.numel()])
-    first = soil(memory=of_soil, z_N=z, V=V, W=W[:6])
+def _runge_kutta(m, omega, traction, dt_s):
+    """Eq. (2) over `dt_s` [s] by one Runge-Kutta step from (x, y, θ, ν)."""
+    return ca.vertcat(rk4(f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+
+
+def _build_step(choice):
+    """Both as one Function: memory is the RHE's, then the EKF's; so is W (10,)."""
+    soil = estimator_of("rhe", choice.robust).build_step(choice)
+    pose = paper_ekf.build_step(choice.dt_s, _runge_kutta)
+    sizes = soil.numel_in("memory"), pose.numel_in("memory")
+    memory, z = ca.MX.sym("memory", sum(sizes)), ca.MX.sym("z_N", 4)
+    V, W, P_0 = ca.MX.sym("V", 4), ca.MX.sym("W", 10), ca.MX.sym("P_0", 6)
+    of_soil, of_pose = ca.vertsplit(memory, [0, sizes[0], sum(sizes)])
+    first = soil(memory=of_soil, z_N=z, V=V, W=W[:6], P_0=P_0)
     traction = first["estimate"][4:]
-    believed = (
-        first["z_used"] if robust else z
-    )  # what the RHE does not believe the EKF does not see
-    if robust:  # where the RHE begins again, so does the EKF
-        fresh = ca.vertcat(
-            first["estimate"][:4], pack_array(ekf.init(np.zeros(6), rhe.SIGMA_START))[4:]
-        )
-        of_pose = ca.if_else(first["again"], fresh, of_pose)
-    second = pose(memory=of_pose, z=believed, V=V, W=W[6:], traction=traction)
+    accepted = z
+    if choice.robust:
+        # The EKF sees what the RHE accepts, and restarts where the RHE does.
+        accepted = ca.if_else(first["accepted"], z, ca.DM.nan(4))
+        fresh = pack_array(paper_ekf.init(4, dict.fromkeys(QUANTITIES, 0.0)))[4:]
+        fresh = ca.vertcat(first["estimate"][:4], fresh)
+        of_pose = ca.if_else(first["restart"], fresh, of_pose)
+    second = pose(memory=of_pose, z_N=accepted, V=V, W=W[6:], traction=traction)
+    told = ("deviance", "kkt", "ok") + (("accepted", "restart") if choice.robust else ())
     outputs = dict(
         memory=ca.vertcat(first["memory"], second["memory"]),
         estimate=ca.vertcat(second["estimate"][:4], traction),
         covariance=second["covariance"],
-        deviance=first["deviance"],
-        kkt=first["kkt"],
-        ok=first["ok"],
-    )
-    if robust:
-        outputs["z_used"] = believed
+    ) | {name: first[name] for name in told}
+    inputs = dict(memory=memory, z_N=z, V=V, W=W, P_0=P_0)
+    names = [*inputs], [*outputs]
+    options = {"allow_duplicate_io_names": True}
+    return ca.Function("dual_step", [*inputs.values()], [*outputs.values()], *names, options)
+
+
+def _init(choice, guess, sigma=SIGMA_START):
+    soil = estimator_of("rhe", choice.robust).init(choice, guess, sigma)
+    pose = paper_ekf.init(4, guess, sigma)
+    return soil | {f"pose_{name}": piece for name, piece in pose.items()}
+
+
+def _settings(scenario):
+    sigma_w = tuning.SIGMA_W_TRACKING["dual"] if scenario.sigma_w is None else scenario.sigma_w
     return dict(
-        step=ca.Function(
-            "dual_step",
-            [memory, z, V, W],
-            [*outputs.values()],
-            ["memory", "z", "V", "W"],
-            [*outputs],
-            {"allow_duplicate_io_names": True},
-        )
+        V=np.square(scenario.sigma_v),
+        W=np.square(sigma_w),
+        P_0=np.square([*SIGMA_START.values()]),
     )
+
+
+_DUAL = Estimator(
+    build_step=_build_step,
+    init=_init,
+    settings=_settings,
+    states=lambda choice: QUANTITIES[:4],
+    n_sigma_w=lambda choice: 10,
+)
+ESTIMATORS = ROBUST = {"dual": _DUAL}

@@ -199,7 +199,8 @@ def deliver():
     delivered last is delivered again.
     """
 
-    def body(z, past, held, age, hold, dead, added, track_width_m):
+    @casadi_function("deliver", z=(4, 1), **MEMORY, **STREAM, track_width_m=(1, 1))
+    def deliver(z, past, held, age, hold, dead, added, track_width_m):
         known = ca.horzcat(z, past)
         linear = [
             ca.fmax(1 - ca.fabs(channel - ca.DM(range(PAST + 1))), 0)
@@ -213,6 +214,4 @@ def deliver():
         )
         return dict(z=arrives, past=known[:, :PAST], held=source)
 
-    return casadi_function(
-        "deliver", body, dict(z=(4, 1)) | MEMORY | STREAM | dict(track_width_m=(1, 1))
-    )
+    return deliver

@@ -1,167 +1,232 @@
-"""Which readings to believe: what comes between the sensors and the RHE when it is `robust`. Not in
-the paper.
+"""Innovation gating: which measurements an RHE accepts, and when it restarts. Not in the paper.
 
-A position is refused where it is the last one repeated, to the last digit (the receiver is stuck),
-or where its innovation y is improbable, y' S⁻¹ y > GATE (innovation gating: Bar-Shalom, Li,
-Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7). While
-positions are missing or refused, S grows by what dead reckoning may be off, so that good ones after
-a long gap are let in; outliers, which do not lie near each other, would slip in, too, so it does
-not grow for those. Where speed is taken to be constant, encoder readings that jump are refused,
-too. All refused readings are missing ones, as if there had been none.
+A position is rejected where it is the last one repeated, to the last digit (the receiver is stuck),
+or where its innovation y is improbable, y' S⁻¹ y > CHI2_GATE (Bar-Shalom, Li, Kirubarajan,
+"Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7). While positions are
+missing or rejected, S grows by what dead reckoning may be off, so that good ones after a long gap
+are let in; outliers, which do not lie near each other, would slip in, too, so it does not grow for
+those. With `speed_model="parameter"`, encoder measurements that jump are rejected as well. A
+rejected measurement is treated as missing (NaN).
 
 An estimate that is wrong itself, such as a yaw turned round, would so be cut off from what could
-mend it. Therefore the estimator begins again at the newest position, with the yaw of the course
-over ground, where the positions of COURSE_S are in line and as far apart as the encoders say, and
-either point elsewhere than the yaw or have all been refused for long.
+mend it. Therefore the window restarts at the newest position, with the yaw of the course over
+ground, where the positions of COURSE_S are in line and as far apart as the encoders say, and
+either point elsewhere than the yaw or have all been rejected for long.
+
+Gating wraps the RHE's phases from outside: the estimator itself knows nothing of it.
 """
 
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import pack_array, unpack
-from rhec.estimator.kalman import is_valid_measurement
+from rhec._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
+from rhec._casadi.compiled import loop_symbols
+from rhec.estimator import paper_rhe, rhe
+from rhec.estimator.base import estimator_of
+from rhec.model.limits import is_valid_measurement
 
-# of a squared, normalised innovation with two degrees of freedom: a good one is beyond once in a
-# thousand
-GATE = 13.8
-DEAD_RECKONING = (
-    0.07  # error per distance that it may add since the last position that was believed
-)
-JUMP = (
-    0.1,
-    0.3,
-)  # ν [m/s], ω [rad/s]: standard deviations of the encoders' change from one sample to the next
-# so many positions in a row must lie near the one before, for dead reckoning to be doubted rather
-# than them
-STEADY = 5
+__all__ = ["ROBUST", "gated"]
+
+CHI2_GATE = 13.8  # two degrees of freedom: a good innovation is beyond once in a thousand
+DEAD_RECKONING = 0.07  # error per distance that it may add since the last accepted position
+SIGMA_JUMP = (0.1, 0.3)  # of the change of ν [m/s], ω [rad/s] from one sample to the next
+CONSISTENT_POSITIONS = 5  # in a row near the one before, for dead reckoning to be doubted, not them
 COURSE_S = 2.0  # a course over ground takes this long
-SHORTEST_M = 0.3  # over less than this it tells no yaw
-LONGER, SLACK_M = (
-    1.3,
-    0.15,
-)  # the way by positions may be so many times that by encoders, and so much more
-BEND_M = 0.25  # how far the position midway may be off the chord's middle
-AWAY = 0.7  # cosine of the angle between course and yaw, below which they contradict: 45°
-TURNED, REFUSED_S = (
-    5,
-    10.0,
-    # how many samples the course must contradict the yaw; how long positions and encoders are refused
-    # at most
-)
-SIGMA_AGAIN = (
-    0.05,
-    0.05,
-    0.1,
-    0.05,
-    0.1,
-    0.1,
-    0.1,
-    0.1,
-)  # of (x, y, θ, ν, μ, κ, l_f, l_l) when it begins again
+MIN_COURSE_M = 0.3  # over less than this it tells no yaw
+MAX_COURSE_STRETCH, COURSE_SLACK_M = 1.3, 0.15  # by positions, over the way by encoders
+MAX_COURSE_BEND_M = 0.25  # how far the position midway may be off the chord's middle
+MIN_HEADING_COSINE = 0.7  # of the angle between course and yaw: below, over 45°, they contradict
+HEADING_MISMATCHES_TO_RESTART = 5
+MAX_REJECTION_S = 10.0  # how long positions and encoders are rejected at most
+SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.1, nu_mps=0.05)
+_SIGMA_RESTART_ELSE = 0.1
 
 
-def memory(dt_s):
-    """Shapes of what is remembered: `past` positions, with the encoder readings believed then; the
-    position that came `last` and the encoder readings last believed; samples `since` a position and
-    since encoder readings were believed, and how many in a row the course has `contradicted` the
-    yaw; samples since a position `came`, and how many of them in a row were `steady`, near the one
-    before.
+def _memory(dt_s):
+    """Shapes of what the gate remembers.
+
+    `past` positions, with the encoder measurements accepted then; the `last` position there was
+    and the encoder measurements last accepted; samples `since` a position and since encoders were
+    accepted; how often in a row the course has `contradicted` the yaw; samples since there was a
+    `position`, and how many of them in a row were `consistent`, near the one before.
     """
+    one = (1, 1)
     return dict(
-        past=(4, round(COURSE_S / dt_s)),
-        last=(4, 1),
-        since=(2, 1),
-        contradicted=(1, 1),
-        came=(1, 1),
-        steady=(1, 1),
-    )
+        past=(4, round(COURSE_S / dt_s)), last=(4, 1), since=(2, 1), contradicted=one,
+        position=one, consistent=one,
+    )  # fmt: skip
 
 
-def init(dt_s):
-    """The memory before the first sample, as one vector."""
-    return pack_array(
-        {
-            name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
-            for name, shape in memory(dt_s).items()
-        }
-    )
+def _course(past, z, kappa, dt_s):
+    """Yaw [rad] by the positions from the oldest of `past` (4, n) to z (4,).
 
-
-def course(past, z, kappa, dt_s):
-    """Yaw [rad] by the positions from the oldest of `past` (4, n) to z (4,); whether they drove as
-    the encoders say; whether far enough to tell.
+    With it, whether they moved as the encoders say, and whether far enough to tell.
     """
     n = past.size2()
     way, midway = z[:2] - past[:2, 0], past[:2, n // 2] - (z[:2] + past[:2, 0]) / 2
     distance, turned = (dt_s * (ca.sum2(past[row, 1:]) + z[row]) for row in (2, 3))
-    drove = (ca.norm_2(way) < LONGER * ca.fabs(distance) + SLACK_M) * (
-        ca.norm_2(midway) < BEND_M
-    )  # 0 also where anything is not a number
-    return (
-        ca.atan2(way[1], way[0]) + ca.pi * (distance < 0) + kappa * turned / 2,
-        drove,
-        ca.norm_2(way) > SHORTEST_M,
-    )
+    # Also 0 where anything is not a number.
+    as_far = ca.norm_2(way) < MAX_COURSE_STRETCH * ca.fabs(distance) + COURSE_SLACK_M
+    course_ok = as_far * (ca.norm_2(midway) < MAX_COURSE_BEND_M)
+    yaw = ca.atan2(way[1], way[0]) + ca.pi * (distance < 0) + kappa * turned / 2
+    return yaw, course_ok, ca.norm_2(way) > MIN_COURSE_M
 
 
-def gate(z, seen, predict, V, traction, first, constant_speed, dt_s):
-    """The readings z (4,) as far as they are believed, NaN elsewhere; 1 to begin again, and the
-    pose (3,) to begin at; the memory after.
+def _gate(z, limits, memory, predict, V, kappa, first, constant_speed, dt_s):
+    """Which measurements are accepted, whether to restart, at which pose, and the memory after.
 
-    seen: the memory (vector) before; predict(z) -> mean (n,) and covariance (n, n) of the pose and
-    more by the encoders in z alone; traction: place of κ there; first: 1 if nothing was measured
-    before.
+    memory: the pieces of `_memory`; predict(z) -> mean (n,) and covariance (n, n) of the pose and
+    more, by the encoders in z alone; kappa: place of κ there; first: 1 before any measurement.
     """
-    past, last, since, contradicted, came, steady = unpack(seen, memory(dt_s)).values()
-    patient = since * dt_s < REFUSED_S
+    past, last, since, contradicted, came, consistent = memory.values()
+    valid = [is_valid_measurement(z[row], limits[row]) for row in range(4)]
+    may_reject = since * dt_s < MAX_REJECTION_S
 
-    jump = (
-        ca.sumsqr((z[2:] - last[2:]) / ca.DM(JUMP)) > GATE if constant_speed else 0
-    )  # never where there is no last one
-    encoders = is_valid_measurement(z, 2) * is_valid_measurement(z, 3) * (1 - jump * patient[1])
+    # Never where there is no last one.
+    change = ca.sumsqr((z[2:] - last[2:]) / ca.DM(SIGMA_JUMP))
+    jump = change > CHI2_GATE if constant_speed else 0
+    encoders = valid[2] * valid[3] * (1 - jump * may_reject[1])
     turning = ca.if_else(encoders, z[2:], ca.DM.nan(2))
 
     usable = ca.vertcat(z[:2], turning)
     m, P = predict(usable)
     speed = ca.if_else(encoders, ca.fabs(z[2]), 0)
-    there = (
-        is_valid_measurement(z, 0)
-        * is_valid_measurement(z, 1)
-        * (1 - (z[0] == last[0]) * (z[1] == last[1]))
-    )
+    has_position = valid[0] * valid[1] * (1 - (z[0] == last[0]) * (z[1] == last[1]))
     y = z[:2] - m[:2]
-    near = ca.norm_2(z[:2] - last[:2]) < LONGER * speed * dt_s * (came + 1) + SLACK_M
-    steady = ca.if_else(there, ca.if_else(near, steady + 1, 0), steady)
-    S = (
-        P[:2, :2]
-        + ca.diag(V[:2])
-        + (DEAD_RECKONING * speed * dt_s * since[0] * (steady >= STEADY)) ** 2 * ca.SX.eye(2)
-    )
-    position = there * ca.logic_or(first, ca.bilin(ca.inv_minor(S), y, y) <= GATE)
+    reach = MAX_COURSE_STRETCH * speed * dt_s * (came + 1) + COURSE_SLACK_M
+    near = ca.norm_2(z[:2] - last[:2]) < reach
+    consistent = ca.if_else(has_position, ca.if_else(near, consistent + 1, 0), consistent)
+    doubted = consistent >= CONSISTENT_POSITIONS
+    drift = DEAD_RECKONING * speed * dt_s * since[0] * doubted
+    S = P[:2, :2] + ca.diag(V[:2]) + drift**2 * ca.SX.eye(2)
+    probable = ca.bilin(ca.inv_minor(S), y, y) <= CHI2_GATE
+    position = has_position * ca.logic_or(first, probable)
 
-    yaw, drove, far = course(past, usable, m[traction], dt_s)
-    suspect = there * (1 - position) * drove
-    contradicted = ca.if_else(suspect * far * (ca.cos(yaw - m[2]) < AWAY), contradicted + 1, 0)
-    again = suspect * ca.logic_or(contradicted >= TURNED, 1 - patient[0])
+    yaw, course_ok, moved_far = _course(past, usable, m[kappa], dt_s)
+    suspect = has_position * (1 - position) * course_ok
+    mismatch = suspect * moved_far * (ca.cos(yaw - m[2]) < MIN_HEADING_COSINE)
+    contradicted = ca.if_else(mismatch, contradicted + 1, 0)
+    restart = suspect * ca.logic_or(
+        contradicted >= HEADING_MISMATCHES_TO_RESTART, 1 - may_reject[0]
+    )
     nearest = yaw - 2 * ca.pi * ca.floor((yaw - m[2]) / (2 * ca.pi) + 0.5)
 
-    believed = ca.logic_or(position, again)
+    accepted = ca.logic_or(position, restart)
     after = dict(
-        past=ca.horzcat(past[:, 1:], ca.if_else(there, usable, ca.DM.nan(4))),
+        past=ca.horzcat(past[:, 1:], ca.if_else(has_position, usable, ca.DM.nan(4))),
         last=ca.vertcat(
-            ca.if_else(is_valid_measurement(z, 0) * is_valid_measurement(z, 1), z[:2], last[:2]),
-            ca.if_else(encoders, z[2:], last[2:]),
+            ca.if_else(valid[0] * valid[1], z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:])
         ),
         since=ca.vertcat(
-            ca.if_else(believed, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1)
+            ca.if_else(accepted, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1)
         ),
-        contradicted=ca.if_else(again, 0, contradicted),
-        came=ca.if_else(there, 0, came + 1),
-        steady=steady,
+        contradicted=ca.if_else(restart, 0, contradicted),
+        position=ca.if_else(has_position, 0, came + 1),
+        consistent=consistent,
     )
     return dict(
-        z_used=ca.vertcat(ca.if_else(believed, z[:2], ca.DM.nan(2)), turning),
-        again=again,
-        pose=ca.vertcat(z[:2], ca.if_else(far, nearest, m[2])),
-        seen=ca.veccat(*after.values()),
+        accepted=ca.vertcat(accepted, accepted, encoders, encoders),
+        restart=restart,
+        pose=ca.vertcat(z[:2], ca.if_else(moved_far, nearest, m[2])),
+        gate_after=ca.veccat(*after.values()),
     )
+
+
+def gated(window, phases):
+    """The phases of an RHE of the tracked robot with its measurements gated.
+
+    Args:
+        window: Its rhe.Window.
+        phases: {name: Function}, from rhe.build_phases.
+
+    Returns:
+        The same kind of dict. The memory has one piece more, `gate`; feedback says what is
+        `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
+    """
+    interval, names, N = window.interval, window.model.joint_names, window.N
+    state, one, four = (interval.n_s, 1), (1, 1), (4, 1)
+    shapes = _memory(window.dt_s)
+    memory = window.memory | dict(gate=(packed_size(shapes), 1))
+    remembered = {name: memory[name] for name in ("age", "gate")}
+
+    @casadi_function("gated_shift", **memory, **window.noise, W=state)
+    def shift(gate, **inputs):
+        return phases["shift"](**inputs) | dict(gate=gate)
+
+    @casadi_function("gate", **window.prediction, z_N=four, **window.noise, **remembered)
+    def gate(B_N, v_N, m_N, P_N, z_N, age, gate, **noise):
+        def predict(z):
+            return rhe.predict_input(window, B_N, m_N, P_N, v_N, z, **noise)
+
+        result = _gate(
+            z_N, window.model.limits, unpack(gate, shapes), predict, noise["V"],
+            names.index("kappa"), age < 1, "nu_mps" in names, window.dt_s,
+        )  # fmt: skip
+        return result | dict(z_accepted=ca.if_else(result["accepted"], z_N, ca.DM.nan(4)))
+
+    plain = phases["feedback"]
+    shapes_in = {name: plain.sparsity_in(name) for name in plain.name_in()}
+
+    @casadi_function("gated_feedback", loop_symbols(), **shapes_in, **remembered)
+    def feedback(**inputs):
+        result = gate(**select_inputs(gate, inputs))
+        return plain(**select_inputs(plain, inputs | dict(z_N=result["z_accepted"]))) | result
+
+    full = phases["expand"]
+    shapes_in = {name: full.sparsity_in(name) for name in full.name_in() if name != "z_N"}
+
+    @casadi_function("restarted", restart=one, pose=(3, 1), z_accepted=four, **window.memory)
+    def restarted(restart, pose, z_accepted, **memory):
+        """The window of a new start at this pose with the present speed and traction."""
+        there = ca.vertcat(pose, memory["s"][3:, N])
+        for place, (lowest, highest) in interval.bounds.items():
+            there[place] = ca.fmin(ca.fmax(there[place], lowest), highest)
+        sigma = [SIGMA_RESTART.get(name, _SIGMA_RESTART_ELSE) for name in names]
+        fresh = dict(
+            s=ca.repmat(there, 1, N + 1),
+            v=ca.repmat(memory["v"][:, N - 1], 1, N),
+            z=ca.horzcat(ca.SX.nan(4, N), z_accepted),
+            age=0,
+            m=there,
+            P=ca.diag(np.square(sigma)),
+        )
+        return {name: ca.if_else(restart, fresh[name], memory[name]) for name in memory}
+
+    @casadi_function(
+        "gated_expand", loop_symbols(), **shapes_in, z_accepted=four, restart=one, pose=(3, 1),
+        gate_after=memory["gate"],
+    )  # fmt: skip
+    def expand(z_accepted, restart, pose, gate_after, **inputs):
+        result = full(z_N=z_accepted, **inputs)
+        new = restarted(
+            restart=restart, pose=pose, z_accepted=z_accepted,
+            **{name: result[name] for name in window.memory},
+        )  # fmt: skip
+        return new | dict(gate=gate_after, kkt=result["kkt"])
+
+    linearise = phases["linearise"]
+    result = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+    return result | dict(step=rhe.compose("gated_step", result, memory, loop_symbols()))
+
+
+def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
+    memory = estimator_of("rhe").init(choice, guess, sigma)
+    gate = {
+        name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
+        for name, shape in _memory(choice.dt_s).items()
+    }
+    return memory | dict(gate=pack_array(gate))
+
+
+def _build_phases(choice):
+    plain = estimator_of("rhe").build_phases(choice)
+    return gated(paper_rhe.window_of(choice), plain)
+
+
+ROBUST = {
+    "rhe": estimator_of("rhe")._replace(
+        build_step=lambda choice: _build_phases(choice)["step"],
+        build_phases=_build_phases,
+        init=_init,
+    )
+}

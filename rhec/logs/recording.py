@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.estimator.kalman import Z_MAX
+from rhec.model.tracked_robot import SPEED_MODELS
 
 MEASUREMENTS = [
     "x_meas_m",
@@ -86,7 +86,7 @@ def prepare(log, track_width_m=None):
     """
     values, averaged = parse_columns(log, track_width_m)
     faults = dict(rows=len(log))
-    for name, limit in zip(MEASUREMENTS, Z_MAX):
+    for name, limit in zip(MEASUREMENTS, SPEED_MODELS["parameter"].model.limits):
         values.loc[~(values[name].abs() <= limit), name] = np.nan
     place, encoders = MEASUREMENTS[:2], MEASUREMENTS[2:]
     values.loc[values[place].isna().any(axis=1), place] = np.nan

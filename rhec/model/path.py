@@ -1,5 +1,4 @@
-"""The target path and the references on it (paper, Sec. Experimental Results: space-based
-trajectory; eq. (mpc_ref), (mpc_ref_ya)).
+"""The target path: lines and arcs (paper, Sec. Experimental Results: space-based trajectory).
 
 A path is a row of segments, each a line or an arc: (s, x, y, θ, c) where it begins at arc length s
 [m], pose (x, y, θ), with curvature c [1/m].
@@ -11,8 +10,9 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import casadi_function
 from rhec._casadi.validation import Flag, Positive, Real, checked, numbers, shown
+
+__all__ = ["OPEN", "Path", "advance"]
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # a path: its field is made of points, and must fit into memory
@@ -133,83 +133,3 @@ class Path:
                 )
         nowhere = np.isnan(xy).any(axis=1)
         return np.where(nowhere, np.nan, best_distance), np.where(nowhere, np.nan, best_s)
-
-
-def pose_at(s, segments, period_m):
-    """Pose (3,) and curvature at arc length s, as CasADi expressions; segments (5, M). Beyond an
-    open end that end's segment goes on.
-    """
-    s = ca.if_else(
-        period_m < OPEN, s - period_m * ca.floor(s / period_m), s
-    )  # before an open path's beginning is not after its end
-    rows = ca.horzsplit(segments)
-    row = rows[0]
-    for before, after in zip(rows, rows[1:]):
-        row = row + (s >= after[0]) * (after - before)
-    return ca.vertcat(*advance(row[1], row[2], row[3], row[4], s - row[0], ca)), row[4]
-
-
-def closest(xy, s, segments, period_m, iterations=2):
-    """Arc length of the point closest to xy (2,), by Newton's method from the guess s: r'(s)·(r(s)
-    - xy) = 0.
-    """
-    for _ in range(iterations):
-        pose, c = pose_at(s, segments, period_m)
-        off = xy - pose[:2]
-        along = ca.cos(pose[2]) * off[0] + ca.sin(pose[2]) * off[1]
-        left = ca.cos(pose[2]) * off[1] - ca.sin(pose[2]) * off[0]
-        s = s + along / ca.fmax(
-            1 - c * left, 0.2
-        )  # near an arc's centre every point is equally close
-    return s
-
-
-def build_references(dt_s, horizon, n_segments, input_reference="measured"):
-    """{references}: from the last arc length s () and the estimate (6,) to the closest point and
-    the desired points over the horizon.
-
-    The points begin `look_ahead_m` beyond the closest one and lie one sample of the robot's own
-    estimated speed apart, so that the path, not a clock, leads. Yaw reference: eq. (mpc_ref_ya)
-    with λ = `backwards`, in the turn nearest to the estimate (reading R9). Input reference: the
-    measured yaw rate held over the horizon, as in the paper, or what the path's curvature asks for
-    (`"curvature"`, reading R8).
-    """
-
-    def references(s, estimate, omega_measured, segments, period_m, look_ahead_m, backwards):
-        x, y, theta, nu, mu, kappa = ca.vertsplit(estimate)
-        pace = ca.fabs(mu * nu) * dt_s
-        s = closest(ca.vertcat(x, y), s + pace, segments, period_m)
-        poses, curvatures = zip(
-            *(pose_at(s + look_ahead_m + i * pace, segments, period_m) for i in range(horizon + 1))
-        )
-        _, curvature = pose_at(s, segments, period_m)
-        xi_ref = ca.horzcat(*poses)
-        yaw = ca.horzcat(*(along_turn(pose[2] + backwards * ca.pi, theta) for pose in poses))
-        if input_reference == "measured":
-            omega_ref = ca.repmat(omega_measured, 1, horizon)
-        else:
-            omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / ca.fmax(kappa, 0.1)
-        return dict(
-            s=s, xi_ref=ca.vertcat(xi_ref[:2, :], yaw), omega_ref=omega_ref, curvature=curvature
-        )
-
-    return dict(
-        references=casadi_function(
-            "references",
-            references,
-            dict(
-                s=(1, 1),
-                estimate=(6, 1),
-                omega_measured=(1, 1),
-                segments=(5, n_segments),
-                period_m=(1, 1),
-                look_ahead_m=(1, 1),
-                backwards=(1, 1),
-            ),
-        )
-    )
-
-
-def along_turn(angle, near):
-    """The angle, moved by full turns to within π of `near` [rad]."""
-    return angle + 2 * ca.pi * ca.floor((near - angle) / (2 * ca.pi) + 0.5)

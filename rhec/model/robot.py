@@ -11,7 +11,7 @@ import numpy as np
 
 from rhec import paper
 from rhec._casadi.build import casadi_function
-from rhec.model import tracked_robot as model
+from rhec.model.tracked_robot import f, rk4
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed
@@ -19,9 +19,8 @@ GAIN_P, GAIN_I = 1.0, 10.0  # the speed loop: from a standstill it settles in ab
 SPEED_LIMIT_MPS = 1.5  # of a track: saturation of the motor driver
 
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
-NOISE = dict(
-    white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS)
-)  # standard normal, one sample
+# Standard normal, one sample.
+NOISE = dict(white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS))
 SENSORS = dict(gnss_white_m=(1, 1), gnss_slow_m=(1, 1), gnss_slow_time_s=(1, 1))
 BODY = dict(track_width_m=(1, 1), encoder_sigma_mps=(1, 1), bump_sigma_radps=(1, 1))
 
@@ -31,20 +30,19 @@ def measure(dt_s):
     error, and the encoders' last means.
 
     The slow error is a first-order Gauss-Markov process of standard deviation gnss_slow_m and time
-    constant gnss_slow_time_s (reading R4).
+    constant gnss_slow_time_s (interpretation R4).
     """
 
-    def body(pose, drift, encoders, white, slow, gnss_white_m, gnss_slow_m, gnss_slow_time_s):
+    pieces = {name: MEMORY[name] for name in ("pose", "drift", "encoders")}
+    noise = {name: NOISE[name] for name in ("white", "slow")}
+
+    @casadi_function("measure", **pieces, **noise, **SENSORS)
+    def measure(pose, drift, encoders, white, slow, gnss_white_m, gnss_slow_m, gnss_slow_time_s):
         keep = ca.exp(-dt_s / gnss_slow_time_s)
         z = ca.vertcat(pose[:2] + gnss_white_m * white + gnss_slow_m * drift, encoders)
         return dict(z=z, drift=keep * drift + ca.sqrt(1 - keep**2) * slow)
 
-    inputs = (
-        {name: MEMORY[name] for name in ("pose", "drift", "encoders")}
-        | {name: NOISE[name] for name in ("white", "slow")}
-        | SENSORS
-    )
-    return casadi_function("measure", body, inputs)
+    return measure
 
 
 def drive(dt_s):
@@ -55,19 +53,15 @@ def drive(dt_s):
     bump turns the robot for one sample.
     """
 
-    def body(
-        pose,
-        tracks,
-        integral,
-        speed_mps,
-        omega_radps,
-        traction,
-        bump,
-        encoder,
-        track_width_m,
-        encoder_sigma_mps,
-        bump_sigma_radps,
-    ):
+    pieces = {name: MEMORY[name] for name in ("pose", "tracks", "integral")}
+    noise = {name: NOISE[name] for name in ("bump", "encoder")}
+    command = dict(speed_mps=(1, 1), omega_radps=(1, 1), traction=(2, 1))
+
+    @casadi_function("drive", **pieces, **command, **noise, **BODY)
+    def drive(
+        pose, tracks, integral, speed_mps, omega_radps, traction, bump, encoder, track_width_m,
+        encoder_sigma_mps, bump_sigma_radps,
+    ):  # fmt: skip
         half = track_width_m / 2
         target = ca.vertcat(speed_mps - half * omega_radps, speed_mps + half * omega_radps)
         h = dt_s / SUBSTEPS
@@ -77,13 +71,11 @@ def drive(dt_s):
             readings.append(reading)
             command = target + GAIN_P * (target - reading) + integral
             limited = ca.fmin(ca.fmax(command, -SPEED_LIMIT_MPS), SPEED_LIMIT_MPS)
-            integral = integral + h * GAIN_I * (target - reading) * (
-                command == limited
-            )  # no wind-up
+            no_wind_up = command == limited
+            integral = integral + h * GAIN_I * (target - reading) * no_wind_up
             nu, omega = body_speeds(tracks, track_width_m)
-            pose = model.rk4(model.f, pose, omega, ca.vertcat(nu, traction), h) + ca.vertcat(
-                0, 0, h * bump_sigma_radps * bump
-            )
+            pose = rk4(f, pose, omega, ca.vertcat(nu, traction), h)
+            pose = pose + ca.vertcat(0, 0, h * bump_sigma_radps * bump)
             tracks = tracks + h / MOTOR_LAG_S * (limited - tracks)
         return dict(
             pose=pose,
@@ -92,13 +84,7 @@ def drive(dt_s):
             encoders=ca.vertcat(*body_speeds(sum(readings) / SUBSTEPS, track_width_m)),
         )
 
-    inputs = (
-        {name: MEMORY[name] for name in ("pose", "tracks", "integral")}
-        | dict(speed_mps=(1, 1), omega_radps=(1, 1), traction=(2, 1))
-        | {name: NOISE[name] for name in ("bump", "encoder")}
-        | BODY
-    )
-    return casadi_function("drive", body, inputs)
+    return drive
 
 
 def body_speeds(tracks, track_width_m):

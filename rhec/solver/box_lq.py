@@ -1,198 +1,115 @@
-"""The RHC's QP by its stages instead of condensed: time grows with N, not N³, and is less at every
-horizon.
+"""The RHC's QP by its stages instead of condensed: time grows with N, not N³, at every horizon less.
 
-    min  ½ Σ_{i=1..N} ξ_i' Q_i ξ_i + Σ_{i=0..N-1} (½ R v_i² + g_i v_i)    s.t. ξ_0 = 0, ξ_{i+1} =
-         A_i ξ_i + B_i v_i, lower_i ≤ v_i ≤ upper_i
+    min  ½ Σ_{i=1..N} x_i' Q_i x_i + Σ_{i=0..N-1} (½ u_i' R u_i + g_i' u_i)
+    s.t. x_0 = 0, x_{i+1} = A_i x_i + B_i u_i, lower_i ≤ u_i ≤ upper_i
 
-This is the condensed QP min ½ v'Hv + g'v with H never formed. Block principal pivoting (Júdice,
-Pires, "A Block Principal Pivoting Algorithm for Large-Scale Strictly Monotone Linear
-Complementarity Problems", 1994): guess which inputs are at a bound, solve the rest exactly by one
-Riccati recursion, and correct the guess by the signs of what comes out, all wrong ones at once
-while their number falls, else one at a time, which cannot cycle. When the guess stands, the
-solution is exact. It starts from the previous solution's guess.
+This is the condensed QP min ½ u'Hu + g'u with H never formed. For a guess of which inputs are at a
+bound one Riccati recursion solves for the rest; `pivoting` corrects the guess, which begins at the
+previous solution's.
 """
 
 import casadi as ca
 
 from rhec._casadi.build import casadi_function
-from rhec.estimator.kalman import symmetric
-from rhec.solver.gauss_newton import transition
+from rhec.solver.gauss_newton import symmetric
+from rhec.solver.pivoting import corrected_bound, search_active_set
 
-DOUBLINGS = 8  # after 2 to this power guesses the search gives up; one to three are usual
-PATIENCE = 3  # exchanges of all wrong ones that may fail to lessen their number
+__all__ = ["box_lq"]
 
 
-def box_lq(N, D, B, loops):
-    """(D, B, Q, QN, R, g, lower, upper, active) -> (x, λ, ok), all horizontal over the intervals; λ
-    > 0 at an upper bound, as `box_qp`.
+def box_lq(N, A, B, loops):
+    """The Function (A, B, Q, QN, R, g, lower, upper, active) -> (x, multipliers, ok).
 
-    D, B: sparsities of one interval's A - 1 and input column; Q, QN (n,) diagonals; active (1, N):
-    1, -1, 0 for an input guessed at its upper, lower, no bound.
+    Args:
+        N: Intervals.
+        A: Sparsity of one interval's (n, n) transition.
+        B: Sparsity of its (n, m) input matrix.
+        loops: SX or MX, for what repeats an interval.
+
+    Returns:
+        The Function. A and B stand side by side; Q, QN (n,) and R (m,) are diagonals; g, lower,
+        upper and active are rows of N·m entries, interval by interval; active is 1, -1, 0 for an
+        input guessed at its upper, its lower, no bound. Multipliers are positive at an upper bound.
     """
-    n = D.size1()
+    n, m = B.shape
+    state, column, matrix, one = (n, 1), (m, 1), (n, n), (1, 1)
+    bounds = dict(lower=column, upper=column, active=column)
 
-    def backward(P, p, D, B, Q, R, g, lower, upper, active):
-        """From the cost-to-go ½ξ'Pξ + p'ξ after an interval to the one before it, and the input v =
-        Kξ + k in between.
-        """
-        A, h = transition(D), R + ca.bilin(P, B, B)
-        free = active == 0
-        K = -free * (B.T @ P @ A) / h
-        k = ca.if_else(free, -(g + ca.dot(B, p)) / h, ca.if_else(active > 0, upper, lower))
-        return dict(
-            P_before=symmetric(A.T @ P @ (A + B @ K)) + ca.diag(Q),
-            p_before=A.T @ (p + P @ B * k),
-            K=K,
-            k=k,
-        )
+    @casadi_function(
+        "lq_backward", P=matrix, p=state, A=A, B=B, Q=state, R=column, g=column, **bounds
+    )
+    def backward(P, p, A, B, Q, R, g, lower, upper, active):
+        """Cost-to-go ½x'Px + p'x one interval back, and the input u = Kx + k in between."""
+        free, bound = active == 0, ca.if_else(active > 0, upper, lower)
+        H = B.T @ P @ B + ca.diag(R)
+        if m == 1:
+            K = -free * (B.T @ P @ A) / H
+            k = ca.if_else(free, -(g + B.T @ p) / H, bound)
+        else:
+            fixed = ca.if_else(free, 0, bound)
+            among_free = ca.diag(free) @ H @ ca.diag(free) + ca.diag(1 - free)
+            factors = ca.ldl(among_free, False)
+            K = -ca.ldl_solve(ca.diag(free) @ (B.T @ P @ A), *factors)
+            k = ca.ldl_solve(-free * (g + B.T @ p + H @ fixed), *factors) + fixed
+        before = symmetric(A.T @ P @ (A + B @ K)) + ca.diag(Q)
+        return dict(P_before=before, p_before=A.T @ (p + P @ (B @ k)), K=K, k=k)
 
-    def forward(xi, wrong, P, p, D, B, R, g, lower, upper, active, K, k):
-        """The interval's input, its multiplier, the state after it, which bound it should be at,
-        how many were wrong so far, the first one set right.
-        """
-        v = K @ xi + k
-        xi = transition(D) @ xi + B @ v
-        multiplier = -(g + R * v + ca.dot(B, p + P @ xi)) * (active != 0)
-        right = ca.if_else(
-            active == 0, (v > upper) - (v < lower), active * (active * multiplier >= 0)
-        )
+    @casadi_function(
+        "lq_forward", x=state, wrong=one, P=matrix, p=state, A=A, B=B, R=column, g=column,
+        **bounds, K=(m, n), k=column,
+    )  # fmt: skip
+    def forward(x, wrong, P, p, A, B, R, g, lower, upper, active, K, k):
+        """Roll one interval forward; the bounds that its signs ask for; how many were wrong."""
+        u = K @ x + k
+        x = A @ x + B @ u
+        multiplier = -(g + R * u + B.T @ (p + P @ x)) * (active != 0)
+        right = corrected_bound(active, u, multiplier, lower, upper)
+        first, counted = [], wrong
+        for i in range(m):
+            first.append(ca.if_else(counted, active[i], right[i]))
+            counted = counted + (right[i] != active[i])
         return dict(
-            xi_after=xi,
-            v=v,
+            x_after=x,
+            u=u,
             multiplier=multiplier,
             right=right,
-            first=ca.if_else(wrong, active, right),
-            wrong_after=wrong + (right != active),
+            first=ca.vertcat(*first),
+            wrong_after=counted,
         )
 
-    one, state, matrix = (1, 1), (n, 1), (n, n)
-    backward = casadi_function(
-        "lq_backward",
-        backward,
-        dict(P=matrix, p=state, D=D, B=B, Q=state, R=one, g=one, lower=one, upper=one, active=one),
-    )
-    forward = casadi_function(
-        "lq_forward",
-        forward,
-        dict(
-            xi=state,
-            wrong=one,
-            P=matrix,
-            p=state,
-            D=D,
-            B=B,
-            R=one,
-            g=one,
-            lower=one,
-            upper=one,
-            active=one,
-            K=(1, n),
-            k=one,
-        ),
-    )
+    row = (1, N * m)
+    given = dict(A=ca.repmat(A, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=column)
+    problem = given | dict(g=row, lower=row, upper=row)
 
-    def guess(D, B, Q, QN, R, g, lower, upper, active):
-        """Solve for one guess of the active set; what the signs say of the guess."""
-        D, B = ca.horzsplit(D, n), ca.horzsplit(B)
-        g, lower, upper, active = map(ca.horzsplit, (g, lower, upper, active))
-        P, p, K, k = (
-            [None] * N + [ca.diag(QN)],
-            [None] * N + [ca.DM.zeros(n)],
-            [None] * N,
-            [None] * N,
-        )
+    def stages(row):
+        return [part.T for part in ca.horzsplit(row, m)]
+
+    @casadi_function("lq_solve", loops, **problem, active=row)
+    def solve(A, B, Q, QN, R, g, lower, upper, active):
+        """The solution for one guess of the active set, and what its signs say of the guess."""
+        A, B = ca.horzsplit(A, n), ca.horzsplit(B, m)
+        g, lower, upper, active = map(stages, (g, lower, upper, active))
+        P, p, K, k = [None] * N + [ca.diag(QN)], [None] * N + [ca.DM.zeros(n)], [None] * N, [None] * N
         for i in reversed(range(N)):
             P[i], p[i], K[i], k[i] = backward(
-                P[i + 1], p[i + 1], D[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]
+                P[i + 1], p[i + 1], A[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]
             )
-        xi, wrong, v, multipliers, right, first = ca.DM.zeros(n), 0, *([None] * N for _ in range(4))
+        x, wrong, u, multipliers, right, first = ca.DM.zeros(n), 0, *([None] * N for _ in range(4))
         for i in range(N):
-            xi, v[i], multipliers[i], right[i], first[i], wrong = forward(
-                xi,
-                wrong,
-                P[i + 1],
-                p[i + 1],
-                D[i],
-                B[i],
-                R,
-                g[i],
-                lower[i],
-                upper[i],
-                active[i],
-                K[i],
-                k[i],
-            )
-        v, multipliers, right, first = (
-            ca.horzcat(*each) for each in (v, multipliers, right, first)
+            x, u[i], multipliers[i], right[i], first[i], wrong = forward(
+                x, wrong, P[i + 1], p[i + 1], A[i], B[i], R, g[i], lower[i], upper[i], active[i],
+                K[i], k[i],
+            )  # fmt: skip
+        u, multipliers, right, first = (
+            ca.vertcat(*column).T for column in (u, multipliers, right, first)
         )
-        finite = ca.mmin(ca.fabs(v) < ca.inf)  # also 0 where v is not a number
+        finite = ca.mmin(ca.fabs(u) < ca.inf)  # also 0 where u is not a number
         return dict(
-            x=v,
+            x=u,
             multipliers=multipliers,
-            right=right,
-            first=first,
+            corrected=right,
+            first_corrected=first,
             wrong=ca.if_else(finite, wrong, -1),
-        )  # -1: hopeless
-
-    row = dict(g=(1, N), lower=(1, N), upper=(1, N), active=(1, N))
-    given = dict(D=ca.repmat(D, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=one)
-    guess = casadi_function("lq_guess", guess, given | row, loops)
-
-    # A search is one guess or, if that did not stand, two searches of half its length.
-
-    problem = given | {name: (1, N) for name in ("g", "lower", "upper")}
-    state = dict(active=(1, N), least=one, patience=one, wrong=one, x=(1, N), multipliers=(1, N))
-
-    def once(active, least, patience, wrong, x, multipliers, **problem):
-        solved = guess(**problem, active=active)
-        right, first, wrong = solved["right"], solved["first"], solved["wrong"]
-        fewer = wrong < least
-        return dict(
-            active=ca.if_else(ca.fmax(fewer, patience > 0), right, first),
-            least=ca.fmin(wrong, least),
-            patience=ca.if_else(fewer, PATIENCE, patience - 1),
-            wrong=wrong,
-            x=solved["x"],
-            multipliers=solved["multipliers"],
         )
 
-    def settled(**given):
-        return {name: given[name] for name in state}
-
-    once = casadi_function("lq_once", once, problem | state, ca.MX)
-    settled = casadi_function("lq_settled", settled, problem | state, ca.MX)
-
-    def then(name, search, onward):
-        """`search`, and `onward` from where it got to if no guess has stood yet."""
-
-        def body(**given):
-            found = search(**given)
-            found = ca.Function.if_else(f"{name}_or_not", settled, onward)(
-                found["wrong"] <= 0, *(given | found).values()
-            )
-            return dict(zip(state, found))
-
-        return casadi_function(name, body, problem | state, ca.MX)
-
-    search = once
-    for doubling in range(DOUBLINGS):
-        search = then(f"lq_search_{doubling}", search, search)
-    search = then("lq_search", once, search)
-
-    def box_lq(active, **problem):
-        nothing = dict(
-            least=N + 1,
-            patience=PATIENCE,
-            wrong=N + 1,
-            x=ca.MX.zeros(1, N),
-            multipliers=ca.MX.zeros(1, N),
-        )
-        found = search(**problem, active=active, **nothing)
-        ok = found["wrong"] == 0
-        return dict(
-            x=ca.if_else(ok, found["x"], 0),
-            multipliers=ca.if_else(ok, found["multipliers"], 0),
-            ok=ok,
-        )
-
-    return casadi_function("box_lq", box_lq, given | row, ca.MX)
+    return search_active_set("box_lq", N * m, solve, problem)

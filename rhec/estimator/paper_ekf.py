@@ -1,0 +1,127 @@
+"""The paper's extended Kalman filter, eq. (23)-(26), and its kin.
+
+The paper's has state (x, y, θ, ν), the measured yaw rate as input, and the traditional model, that
+is μ = κ = 1; here the traction is an argument, so that one filter can also be told the true one.
+The augmented one is what the paper warns of (Sec. Extended Kalman Filter): (μ, κ) are states, too,
+and nothing keeps their estimates between 0 and 1.
+"""
+
+import casadi as ca
+import numpy as np
+
+from rhec import tuning
+from rhec._casadi.build import with_packed_memory
+from rhec.estimator.base import Estimator
+from rhec.estimator.ekf import predict_and_correct
+from rhec.estimator.paper_rhe import SIGMA_START
+from rhec.model import base
+from rhec.model.limits import is_valid_measurement
+from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS, f
+
+__all__ = ["ESTIMATORS", "build_augmented_step", "build_step", "euler", "init"]
+
+_POSE_AND_SPEED = base.Model(
+    states=QUANTITIES[:4],
+    inputs=("omega_radps", *QUANTITIES[4:]),
+    parameters={},
+    outputs=SPEED_MODELS["parameter"].model.outputs,
+    f=lambda x, u, p: ca.vertcat(f(x[:3], u[0], ca.vertcat(x[3], u[1:])), 0),
+    max_measurement=SPEED_MODELS["parameter"].model.limits,
+)
+
+
+def euler(m, omega, traction, dt_s):
+    """Eq. (23) with traction (μ, κ): one Euler step of `dt_s` [s] from (x, y, θ, ν)."""
+    x, y, theta, nu = ca.vertsplit(m)
+    mu, kappa = ca.vertsplit(traction)
+    ahead = dt_s * mu * nu
+    return ca.vertcat(
+        x + ahead * ca.cos(theta), y + ahead * ca.sin(theta), theta + dt_s * kappa * omega, nu
+    )
+
+
+def build_step(dt_s, integrate=euler):
+    """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
+
+    Its memory: m (4,), P (4, 4), omega the last yaw rate [rad/s], started 0 before the first
+    sample, which only corrects. z_N (4,) holds the yaw rate of the interval that ends now; a
+    missing one is the last one held.
+    """
+
+    @with_packed_memory(
+        "ekf_step", _memory(4), ca.SX, z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1)
+    )
+    def step(m, P, omega, started, z_N, V, W, traction):
+        def move(m, omega):
+            return integrate(m, omega, traction, dt_s)
+
+        after = _filtered(_POSE_AND_SPEED, move, m, P, omega, started, z_N, V, W)
+        return dict(estimate=ca.vertcat(after["m"], traction)) | after
+
+    return step
+
+
+def build_augmented_step(dt_s):
+    """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
+
+    @with_packed_memory(
+        "augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1)
+    )
+    def step(m, P, omega, started, z_N, V, W):
+        def move(m, omega):
+            return ca.vertcat(euler(m[:4], omega, m[4:], dt_s), m[4:])
+
+        model = SPEED_MODELS["parameter"].model
+        after = _filtered(model, move, m, P, omega, started, z_N, V, W)
+        return dict(estimate=after["m"]) | after
+
+    return step
+
+
+def _memory(n):
+    return dict(m=(n, 1), P=(n, n), omega=(1, 1), started=(1, 1))
+
+
+def _filtered(model, move, m, P, omega, started, z, V, W):
+    """The memory after a sample, with covariance and deviance."""
+    omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
+    predicted = move(m, omega)
+    A, outputs = ca.jacobian(predicted, m), base.interval(model).outputs
+    m, P, deviance = predict_and_correct(
+        m, P, predicted, A, ca.diag(W), started, z, V, outputs
+    )
+    return dict(covariance=P, deviance=deviance, m=m, P=P, omega=omega, started=1)
+
+
+def init(n, guess, sigma=SIGMA_START):
+    """Memory before the first sample of a filter of the first n QUANTITIES, by quantity."""
+    m, sigma = ([of[name] for name in QUANTITIES[:n]] for of in (guess, sigma))
+    return dict(m=np.array(m), P=np.diag(np.square(sigma)), omega=0.0, started=0.0)
+
+
+def _estimator(name, given, n=4):
+    build = build_step if n == 4 else build_augmented_step
+
+    def settings(scenario):
+        tuned = tuning.SIGMA_W_TRACTION_KNOWN.get(name) or (
+            tuning.SIGMA_W[name][scenario.process_noise]
+        )
+        sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
+        return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w))
+
+    return Estimator(
+        build_step=lambda choice: build(choice.dt_s),
+        init=lambda choice, guess, sigma=SIGMA_START: init(n, guess, sigma),
+        settings=settings,
+        states=lambda choice: QUANTITIES[:n],
+        n_sigma_w=lambda choice: n,
+        given=given,
+    )
+
+
+ESTIMATORS = {
+    "ekf": _estimator("ekf", "nothing"),
+    "augmented_ekf": _estimator("augmented_ekf", "nothing", 6),
+    "fixed_traction": _estimator("fixed_traction", "field mean"),
+    "traction_oracle": _estimator("traction_oracle", "true traction"),
+}

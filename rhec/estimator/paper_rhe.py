@@ -1,0 +1,183 @@
+"""The paper's receding horizon estimator: RHE of the tracked robot, eq. (9)-(10), (14)-(15)."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rhec import paper, tuning
+from rhec._casadi import compiled
+from rhec._casadi.validation import (
+    ArrivalMean,
+    Flag,
+    Intervals,
+    NotNegatives,
+    Positive,
+    ProcessNoise,
+    Real,
+    SpeedModel,
+    checked,
+)
+from rhec.estimator import base, rhe
+from rhec.estimator.base import Choice, Estimator
+from rhec.model.tracked_robot import QUANTITIES, speed_model_of
+from rhec.solver.rti import RealTimeIteration
+
+__all__ = ["ESTIMATORS", "PaperEstimate", "PaperRHE", "SIGMA_START", "init", "settings_of", "window_of"]
+
+# Before the first sample: the paper's W; of what else a model may estimate, next to nothing.
+SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
+_SIGMA_KNOWN = 1e-3
+
+
+class PaperEstimate(NamedTuple):
+    """Pose [m, m, rad], speed [m/s], traction, and the covariance of the joint state.
+
+    The joint state is (x, y, θ, ν, μ, κ), without ν where that is an input; with tracks that slip
+    (x, y) is the antenna's place, and the joint state (x, y, θ, l_f, l_l, μ, κ). The covariance
+    leaves the bounds aside.
+    """
+
+    x: float
+    y: float
+    theta: float
+    nu: float
+    mu: float
+    kappa: float
+    covariance: np.ndarray
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """ξ̂ = (x, y, θ)."""
+        return self[:3]
+
+    @property
+    def p(self) -> tuple[float, float, float]:
+        """p̂ = (ν, μ, κ)."""
+        return self[3:6]
+
+
+def window_of(choice):
+    """The Window of a Choice; the RHE within other estimators has the paper's speed model."""
+    model = speed_model_of(choice.speed_model if choice.estimator == "rhe" else "parameter").model
+    return rhe.Window(model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
+
+
+def init(window, guess, sigma=SIGMA_START):
+    """Memory before the first sample, from a guess and its standard deviations by quantity."""
+    names = window.model.joint_names
+    return rhe.init(
+        window,
+        np.array([guess.get(name, 0.0) for name in names]),
+        np.array([sigma.get(name, _SIGMA_KNOWN) for name in names]),
+        [guess.get(name, 0.0) for name in window.model.inputs],
+    )
+
+
+def settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m):
+    """Settings V, W, P_0 and c of the RHE; sigma_w None: that of `process_noise`."""
+    kind = speed_model_of(speed_model)
+    names, n_w = kind.model.joint_names, kind.n_sigma_w
+    if sigma_w is None:
+        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][process_noise]))
+        sigma_w = kind.sigma_w or [tuned[name] for name in names]
+    settings = dict(
+        V=np.square(sigma_v),
+        W=np.square([*(0.0,) * (len(names) - n_w), *sigma_w]),
+        P_0=np.square([SIGMA_START.get(name, _SIGMA_KNOWN) for name in names]),
+    )
+    if kind.model.motion_noise:
+        constants = kind.model.motion_noise.constants | dict(track_width_m=track_width_m)
+        settings["c"] = np.array([*constants.values()])
+    return settings
+
+
+def _settings(scenario):
+    return settings_of(
+        scenario.speed_model,
+        scenario.process_noise,
+        scenario.sigma_w,
+        scenario.sigma_v,
+        scenario.track_width_m,
+    )
+
+
+def _build_phases(choice):
+    return rhe.build_phases(window_of(choice), QUANTITIES)
+
+
+ESTIMATORS = {
+    "rhe": Estimator(
+        build_step=lambda choice: _build_phases(choice)["step"],
+        build_phases=_build_phases,
+        init=lambda choice, guess, sigma=SIGMA_START: init(window_of(choice), guess, sigma),
+        settings=_settings,
+        states=lambda choice: window_of(choice).model.joint_names,
+        n_sigma_w=lambda choice: speed_model_of(choice.speed_model).n_sigma_w,
+    )
+}
+
+
+class PaperRHE(rhe.RHE):
+    """The estimator for a loop of one's own: `prepare()`, then `feedback(z)`, z = (x, y, ν, ω).
+
+    Args:
+        dt: Length of a sample [s].
+        horizon: Intervals of the window.
+        process_noise: "printed" or "calibrated", see Scenario.
+        sigma_w: Standard deviations of the process noise instead of these.
+        sigma_v: Standard deviations of (x, y [m], ν [m/s], ω [rad/s]).
+        speed_model: "parameter", "input" or "slipping", see Scenario.
+        arrival_mean: "smoothed" or "filtered", see Scenario.
+        robust: Gate positions by their innovations, see Scenario.
+        track_width_m: b [m].
+        guess: First (x, y, θ, ν, μ, κ). Without it the first measurement's position and speed, yaw
+            0 and no slip, with a yaw that may be a right angle off.
+
+    Raises:
+        ValueError: In one sentence, for an argument that cannot be.
+    """
+
+    @checked
+    def __init__(
+        self,
+        *,
+        dt: Positive = paper.DT_S,
+        horizon: Intervals = paper.HORIZON,
+        process_noise: ProcessNoise = "printed",
+        sigma_w: NotNegatives | None = None,
+        sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V,
+        speed_model: SpeedModel = "parameter",
+        arrival_mean: ArrivalMean = "smoothed",
+        robust: Flag = False,
+        track_width_m: Positive = paper.TRACK_WIDTH_M,
+        guess: tuple[Real, Real, Real, Real, Real, Real] | None = None,
+    ):
+        n_w = speed_model_of(speed_model).n_sigma_w
+        if sigma_w is not None and len(sigma_w) != n_w:
+            with_model = f"with speed_model {speed_model!r} it should have {n_w} entries"
+            raise ValueError(f"sigma_w was {sigma_w!r}; {with_model}")
+        self._choice = Choice("rhe", horizon, speed_model, arrival_mean, robust, dt)
+        self._guess = guess
+        self.window = window_of(self._choice)
+        self.model = self.window.model
+        self.settings = settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m)
+        functions = compiled.load(base.build_phases, self._choice)
+        memory = base.estimator_of("rhe", robust).init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
+        self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
+
+    def _start(self, z):
+        readable = np.abs(z) <= self.model.limits
+        guess, sigma = self._guess, SIGMA_START
+        if guess is None:
+            x, y, nu, _ = np.where(readable, z, 0.0)
+            guess, sigma = (x, y, 0.0, nu, 1.0, 1.0), sigma | dict(theta_rad=np.pi / 2)
+        estimator = base.estimator_of("rhe", self._choice.robust)
+        memory = estimator.init(self._choice, dict(zip(QUANTITIES, guess)), sigma)
+        self.iteration.start(memory | dict(age=0.0))
+        # Without a place, begin again with the next measurement.
+        self.iteration.started = self._guess is not None or bool(readable[:2].all())
+
+    def _estimate(self):
+        arrays, n_s = self.iteration.arrays, self.window.interval.n_s
+        covariance = arrays["covariance"].reshape(n_s, n_s).copy()
+        return PaperEstimate(*arrays["estimate"].tolist(), covariance)

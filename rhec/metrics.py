@@ -1,0 +1,76 @@
+"""Errors, violations, settling time: what is reported of a run."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from rhec import paper
+from rhec._casadi.renamed import Renamed
+
+__all__ = ["SETTLING_SAMPLES", "metrics", "rms", "settled_samples"]
+
+SETTLING_SAMPLES = round(5 / paper.DT_S)  # who stays within the tolerance so long has settled
+
+
+def metrics(columns, poses):
+    """What is reported of a run with these log columns whose closest path points are `poses` (n,
+    3); errors in m, times in s.
+
+    The robot has arrived when its true error stays within the tolerance for 5 s; errors and
+    violations count from the end of these 5 s, and on the whole run of a robot that never arrives.
+    `mean_error_m` is the paper's: raw GNSS to the path (reading R11), over the samples that have a
+    position. Overshoot: how far beyond the path, seen from the start, the robot gets on the first
+    row.
+    """
+    c = SimpleNamespace(**columns)
+    stays = settled_samples(c.error_true_m)
+    arrived = len(stays) > 0
+    after = slice(
+        stays[0] + SETTLING_SAMPLES if arrived and stays[0] + SETTLING_SAMPLES < len(c.t_s) else 0,
+        None,
+    )
+    straight = c.on_straight[after]
+    left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
+    first_row = left[: np.argmin(c.on_straight) or None]
+    omega = np.abs(c.omega_cmd_radps)
+    values = dict(
+        settling_time_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
+        mean_error_m=_mean_of_known(c.error_m[after]),
+        mean_error_true_m=c.error_true_m[after].mean(),
+        max_error_true_m=c.error_true_m[after].max(),
+        mean_error_from_start_m=_mean_of_known(c.error_m),
+        violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
+        violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
+        overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
+        rms_mu=rms((c.mu_hat - c.mu)[after]),
+        rms_kappa=rms((c.kappa_hat - c.kappa)[after]),
+        rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
+        omega_peak_radps=omega.max(),
+        kkt_rhe_median=np.median(c.kkt_rhe[after]),
+        kkt_rhc_median=np.median(c.kkt_rhc[after]),
+        all_ok=c.ok.all(),
+    )
+    # plain numbers, whatever NumPy made of them
+    return Renamed({name: value.item() for name, value in values.items()})
+
+
+def settled_samples(error, within=paper.TOLERANCE_M):
+    """The samples from which on the error (n,) stays within so much, unless told the tolerance [m],
+    for 5 s.
+    """
+    inside = error < within
+    return (
+        np.flatnonzero(np.convolve(inside, np.ones(SETTLING_SAMPLES), "valid") == SETTLING_SAMPLES)
+        if len(inside) > SETTLING_SAMPLES
+        else np.array([], dtype=int)
+    )
+
+
+def _mean_of_known(values):
+    """Their mean without those that are NaN; NaN of none."""
+    known = values[~np.isnan(values)]
+    return known.mean() if len(known) else np.float64(np.nan)
+
+
+def rms(values):
+    return np.sqrt(np.mean(np.square(values)))

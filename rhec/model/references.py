@@ -1,0 +1,121 @@
+"""References on a path, eq. (17)-(18): the desired points over the horizon."""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rhec import paper
+from rhec._casadi import compiled
+from rhec._casadi.build import casadi_function
+from rhec._casadi.validation import Intervals, NotNegative, Positive, checked
+from rhec.model.path import OPEN, Path, advance
+
+__all__ = ["PathTracker", "build_references"]
+
+
+def _pose_at(s, segments, period_m):
+    """Pose (3,) and curvature at arc length s; segments (5, M). An open end goes on."""
+    # Before an open path's beginning is not after its end.
+    s = ca.if_else(period_m < OPEN, s - period_m * ca.floor(s / period_m), s)
+    rows = ca.horzsplit(segments)
+    row = rows[0]
+    for before, after in zip(rows, rows[1:]):
+        row = row + (s >= after[0]) * (after - before)
+    return ca.vertcat(*advance(row[1], row[2], row[3], row[4], s - row[0], ca)), row[4]
+
+
+def _closest(xy, s, segments, period_m, iterations=2):
+    """Arc length closest to xy (2,), by Newton's method from s: r'(s)·(r(s) - xy) = 0."""
+    for _ in range(iterations):
+        pose, c = _pose_at(s, segments, period_m)
+        off = xy - pose[:2]
+        along = ca.cos(pose[2]) * off[0] + ca.sin(pose[2]) * off[1]
+        left = ca.cos(pose[2]) * off[1] - ca.sin(pose[2]) * off[0]
+        # Near an arc's centre every point is equally close.
+        s = s + along / ca.fmax(1 - c * left, 0.2)
+    return s
+
+
+def build_references(dt_s, horizon, n_segments, input_reference="measured"):
+    """{references: Function} from the last arc length and the estimate to the desired points.
+
+    The points begin `look_ahead_m` beyond the closest one and lie one sample of the robot's own
+    estimated speed apart, so that the path, not a clock, leads. Yaw reference: eq. (18) with λ =
+    `backwards`, in the turn nearest to the estimate (interpretation R9). Input reference: the
+    measured yaw rate held over the horizon, as in the paper, or what the path's curvature asks for
+    ("curvature", R8).
+    """
+    one = (1, 1)
+
+    @casadi_function(
+        "references", s=one, estimate=(6, 1), omega_measured=one, segments=(5, n_segments),
+        period_m=one, look_ahead_m=one, backwards=one,
+    )  # fmt: skip
+    def references(s, estimate, omega_measured, segments, period_m, look_ahead_m, backwards):
+        x, y, theta, nu, mu, kappa = ca.vertsplit(estimate)
+        pace = ca.fabs(mu * nu) * dt_s
+        s = _closest(ca.vertcat(x, y), s + pace, segments, period_m)
+        points = (s + look_ahead_m + i * pace for i in range(horizon + 1))
+        poses, curvatures = zip(*(_pose_at(point, segments, period_m) for point in points))
+        _, curvature = _pose_at(s, segments, period_m)
+        xy = ca.horzcat(*poses)[:2, :]
+        yaw = ca.horzcat(*(_nearest_turn(pose[2] + backwards * ca.pi, theta) for pose in poses))
+        if input_reference == "measured":
+            omega_ref = ca.repmat(omega_measured, 1, horizon)
+        else:
+            omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / ca.fmax(kappa, 0.1)
+        return dict(
+            s=s, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature
+        )
+
+    return dict(references=references)
+
+
+def _nearest_turn(angle, near):
+    """The angle, moved by full turns to within π of `near` [rad]."""
+    return angle + 2 * ca.pi * ca.floor((near - angle) / (2 * ca.pi) + 0.5)
+
+
+class PathTracker:
+    """References on a path for a control loop of one's own, eq. (17)-(18).
+
+    It remembers the closest point of the last sample, so that a path may cross itself.
+
+    Args:
+        path: A rhec.Path.
+        horizon: Intervals of the controller's prediction.
+        dt: Length of a sample [s].
+        look_ahead_m: How far beyond the closest point the desired points begin [m].
+    """
+
+    @checked
+    def __init__(
+        self,
+        path: Path,
+        horizon: Intervals = paper.HORIZON,
+        dt: Positive = paper.DT_S,
+        look_ahead_m: NotNegative = 0.0,
+    ):
+        functions = compiled.load(build_references, dt, horizon, len(path.segments))
+        self._call = compiled.BufferedFunction(functions["references"])
+        segments = path.segments.T
+        self._call.set(segments=segments, period_m=path.period_m, look_ahead_m=look_ahead_m)
+        self._xi_ref = self._call.results["xi_ref"].reshape((3, -1), order="F")
+
+    def references(self, estimate: Any, omega_measured: float) -> tuple[np.ndarray, np.ndarray]:
+        """Desired poses and yaw rates for an estimate.
+
+        Args:
+            estimate: (x, y, θ, ν, μ, κ), such as rhec.RHE estimates.
+            omega_measured: Measured yaw rate [rad/s]; if it is not finite, the last one counts.
+
+        Returns:
+            xi_ref (3, N+1) and omega_ref (N,), valid until the next call.
+        """
+        if np.isfinite(omega_measured):
+            self._call.set(omega_measured=omega_measured)
+        self._call.set(estimate=estimate[:6])
+        self._call.call()
+        self._call.set(s=self._call.results["s"])
+        return self._xi_ref, self._call.results["omega_ref"]

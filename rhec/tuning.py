@@ -1,0 +1,48 @@
+"""Every tuned process noise W in one place, with its source: standard deviations per sample.
+
+"printed" is the paper's, to the letter (interpretations R1, R2). "calibrated" maximises the
+likelihood of the innovations on training seeds 1000 to 1009, by `rhec.studies.calibration`; the
+others say what they were tuned for.
+"""
+
+from rhec import paper
+
+__all__ = [
+    "SHARES_SLIPPING",
+    "SIGMA_BUMPS",
+    "SIGMA_SIDE_SLIP_AT_REST",
+    "SIGMA_W",
+    "SIGMA_W_SLIPPING",
+    "SIGMA_W_TRACKING",
+    "SIGMA_W_TRACTION_KNOWN",
+]
+
+# Of (x, y, θ, ν, μ, κ) for RHE and augmented EKF, of (x, y, θ, ν) for the EKF. The paper has no
+# augmented EKF: its printed W is the RHE's.
+SIGMA_W = {
+    "rhe": {
+        "printed": paper.SIGMA_W_RHE,
+        "calibrated": (0.001, 0.001, 0.001, 0.001, 0.0034, 0.001),
+    },
+    "ekf": {"printed": paper.SIGMA_W_EKF, "calibrated": (0.017, 0.017, 0.013, 0.001)},
+    "augmented_ekf": {
+        "printed": paper.SIGMA_W_RHE,
+        "calibrated": (0.001, 0.001, 0.005, 0.001, 0.0058, 0.0055),
+    },
+}
+# EKFs that are told the traction are not the paper's: by likelihood, each with what it is told.
+SIGMA_W_TRACTION_KNOWN = {
+    "traction_oracle": (0.001, 0.001, 0.0048, 0.001),
+    "fixed_traction": (0.0075, 0.0075, 0.0052, 0.0016),
+}
+# Dual estimation: the RHE's six, then the EKF's four; least true error on the training seeds.
+SIGMA_W_TRACKING = {
+    "dual": (0.001, 0.001, 0.001, 0.001, 0.0053, 0.025, 0.0058, 0.0058, 0.028, 0.0054)
+}
+# Tracks that slip: found on two recorded skid-steered robots, a wheeled and a tracked one. Noise
+# grows with the motion: of (μ, κ) with the distance d that the tracks ran, like √d [1/√m]; of ν,
+# ω and bω (the side slip speed) by shares of themselves; bumps turn the robot, like √d [rad/√m].
+SIGMA_W_SLIPPING = (0.01, 0.015)
+SHARES_SLIPPING = (0.1, 0.25, 0.08)
+SIGMA_BUMPS = 0.02
+SIGMA_SIDE_SLIP_AT_REST = 1e-3  # [m/s]
