@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from rhec._casadi import compiled
+from rhec._casadi.build import select_inputs
 
 BLOCK = 48
 
@@ -46,7 +47,7 @@ def scan(functions, memory, stream, settings):
         if done + length > len(stream):
             continue
         call = compiled.BufferedFunction(function)
-        call.set(**settings)
+        call.set(**select_inputs(function, settings))
         memory_in, stream_in, *_ = function.name_in()
         memory_out, row_out, *_ = function.name_out()
         while done + length <= len(stream):

@@ -16,7 +16,8 @@ from rhec.campaigns.campaign import campaign
 from rhec.estimator import ekf, rhe
 from rhec.model.terrain import Terrain
 from rhec.scenario import Scenario
-from rhec.simulation import rms, simulate
+from rhec.metrics import rms
+from rhec.simulation import simulate
 from rhec.studies.claims import estimators
 
 READINGS = ("printed", "calibrated")
