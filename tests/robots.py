@@ -14,8 +14,9 @@ DT, N = 0.2, 15
 class Robot:
     """A model, the settings of its estimator and controller, and where random instances come from.
 
-    The ranges are (lowest, highest). True parameters are drawn from p_range, which is wider than
-    the bounds where there are bounds.
+    q weighs the states, r the inputs, in their order; commands have the order of `bounds`, which
+    may be another. The ranges are (lowest, highest). True parameters are drawn from p_range, which
+    is wider than the bounds where there are bounds.
     """
 
     states: tuple
@@ -58,7 +59,7 @@ class Robot:
             command=tuple(self.bounds),
             bounds=self.bounds,
             q=self.q,
-            r=self.r,
+            r=tuple(self.r[self.inputs.index(name)] for name in self.bounds),
             qn_factor=self.qn_factor,
         )
 
