@@ -5,7 +5,7 @@ time is asserted.
 import numpy as np
 import pandas as pd
 import pytest
-from benchmark import drawings, horizon, instructions, peers, problems, processes, step, tails
+from benchmark import any_robot, drawings, horizon, instructions, peers, problems, processes, step, tails
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +117,27 @@ def test_the_step_is_measured_and_drawn(monkeypatch):
     if step.REFERENCE in peers.PEERS:
         assert whole.loc[step.REFERENCE, step.SPEEDUP] == 1
     assert len(drawings.step(table).axes) == 1
+
+
+@pytest.mark.parametrize("name", any_robot.ROBOTS)
+def test_problems_of_other_robots_are_full_windows_of_one_closed_loop(name):
+    robot = any_robot.ROBOTS[name]
+    _, log, problems = any_robot.record(robot, samples=5)
+    assert len(problems) == 5
+    for k, problem in enumerate(problems):
+        np.testing.assert_array_equal(problem.z, log[k : k + 16].T)
+        assert np.linalg.eigvalsh(problem.H).min() > 0
+        assert np.abs(problem.estimate[:2] - problem.x_ref[:2, 0]).max() < 0.5
+
+
+@pytest.mark.skipif(any_robot.do_mpc is None, reason="do-mpc is not installed")
+def test_other_robots_are_timed_beside_do_mpc():
+    agreeing, table = any_robot.measure(rounds=2, samples=12)
+    assert set(table["robot"]) == set(any_robot.ROBOTS) == set(agreeing["robot"])
+    whole = table.query("problem == 'RHE + RHC'").set_index(["robot", "contestant"])
+    for name in any_robot.ROBOTS:
+        assert whole.loc[(name, any_robot.REFERENCE), any_robot.SPEEDUP] == 1
+    assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
 
 
 def test_growth_is_measured_and_drawn():

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import no_compiler
-from problems import flat
+from oracles import flat
 
 import rhec
 from rhec import paper, simulation

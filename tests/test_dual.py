@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from problems import DT, V, drive, flat
+from oracles import DT, V, drive, flat
 
 import rhec
 from rhec._casadi.build import pack_array

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from problems import DT, V, drive, flat
+from oracles import DT, V, drive, flat
 
 from rhec._casadi import build as function
 from rhec.estimator import ekf

@@ -4,7 +4,7 @@ after find back.
 
 import numpy as np
 import pytest
-from problems import N, drive, move
+from oracles import N, drive, move
 
 import rhec
 from rhec import paper

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import flat
+from oracles import flat
 
 import rhec
 from rhec import paper, plots, simulation

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from problems import flat
+from oracles import flat
 
 from rhec.model import tracked_robot as model
 

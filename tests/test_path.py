@@ -5,7 +5,7 @@ import functools
 import casadi as ca
 import numpy as np
 import pytest
-from problems import flat
+from oracles import flat
 
 import rhec
 from rhec.model import path as paths

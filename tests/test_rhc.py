@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from problems import DT, N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
+from oracles import DT, N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
 
 import rhec
 from rhec.controller import rhc as builders

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from problems import DT, flat
+from oracles import DT, flat
 
 from rhec._casadi import build as function
 from rhec.model import robot

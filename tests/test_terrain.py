@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from problems import flat
+from oracles import flat
 from scipy.interpolate import RegularGridInterpolator
 
 import rhec

@@ -8,6 +8,12 @@ import importlib
 _HOME = {
     name: module
     for module, names in {
+        "any_robot": (
+            "commands_and_bounds",
+            "parameters_and_bounds",
+            "positions",
+            "solver_tolerances",
+        ),
         "ranking": (
             "consistency_table",
             "errors_over_sigma",

@@ -3,7 +3,7 @@
 import argparse
 import shutil
 
-from benchmark import drawings, horizon, instructions, peers, processes, step, tails
+from benchmark import any_robot, drawings, horizon, instructions, peers, processes, step, tails
 from rhec import plots
 from rhec.studies import timing
 
@@ -37,6 +37,23 @@ def measure_step(_):
         "step",
         "Time of one step in microseconds, quartiles over blocks that take turns",
         drawings.step,
+    )
+
+
+def measure_any_robot(_):
+    if not any_robot.do_mpc:
+        print("\ndo-mpc is not installed (make bench does that), so other robots were not measured.")
+        return
+    agreeing, table = any_robot.measure()
+    report(
+        agreeing,
+        "any_robot_agreement",
+        f"Other robots: largest difference from the optimum over {any_robot.SAMPLES} problems",
+    )
+    report(
+        table,
+        "any_robot",
+        "Other robots: time of one step in microseconds, quartiles over blocks that take turns",
     )
 
 
@@ -80,6 +97,7 @@ def measure_campaign(_):
 
 PARTS = dict(
     step=measure_step,
+    any_robot=measure_any_robot,
     horizon=measure_horizon,
     instructions=measure_instructions,
     tails=measure_tails,
