@@ -3,6 +3,7 @@ may be. Pydantic does the checking.
 """
 
 import functools
+import importlib
 from difflib import get_close_matches
 from inspect import signature
 from typing import Annotated, Literal
@@ -62,6 +63,16 @@ def numbers(name, value):
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} was {shown(value)}; it must be made of numbers") from None
+
+
+def optional(module, purpose):
+    """Import an optional package, or say in one sentence what to install."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ImportError(
+            f"{purpose} needs {module}, which is not installed: pip install {module}"
+        ) from None
 
 
 def checked(function):
