@@ -155,7 +155,7 @@ class Scenario:
             )
         for name in ("mu", "kappa"):
             mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
-            if deviation**2 >= mean * (1 - mean) and deviation:
+            if deviation * deviation >= mean * (1 - mean) and deviation:
                 raise ValueError(
                     f"{name}_deviation was {deviation!r}; with {name}_mean {mean} it should be below {(mean * (1 - mean)) ** 0.5:.3g}, "
                     "the most a quantity between 0 and 1 can vary"
