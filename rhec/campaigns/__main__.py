@@ -1,4 +1,4 @@
-"""python -m rhec.campaigns -p estimator rhe ekf -p q [1,1,1] [1,1,0] --seeds 250"""
+"""Run every combination of some parameters on many seeds, or go on where that was interrupted."""
 
 import argparse
 import itertools
@@ -14,12 +14,8 @@ _SHOWN = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations", 
 
 
 def main():
-    """Run every combination of some parameters; print means, write the table as Parquet."""
-    parser = argparse.ArgumentParser(
-        prog="python -m rhec.campaigns",
-        description="Run every combination of some parameters on many seeds. "
-        "What is interrupted goes on when it is called again.",
-    )
+    """Read the command line, run the campaign, print means and write the table."""
+    parser = argparse.ArgumentParser("python -m rhec.campaigns", description=__doc__)
     value = "a parameter of rhec.Scenario and its values: numbers, words or lists such as [1,1,0]"
     parser.add_argument(
         "-p", nargs="+", action="append", default=[], metavar=("NAME", "VALUE"), help=value
@@ -40,10 +36,8 @@ def main():
             Scenario(**dict(zip(vary, each))) for each in itertools.product(*vary.values())
         ]
         table = campaign(scenarios, args.folder, args.workers)
-    except (ValueError, ImportError) as error:
-        parser.exit(2, f"{error}\n")
-    except (ConnectionError, RuntimeError) as error:
-        parser.exit(1, f"{error}\n")
+    except (ValueError, ImportError, ConnectionError, RuntimeError) as error:
+        parser.exit(2 if isinstance(error, ValueError) else 1, f"{error}\n")
     except KeyboardInterrupt as error:
         parser.exit(130, f"{error}\n")
     varied = [name for name in vary if name != "seed"]

@@ -1,8 +1,4 @@
-"""A campaign: many closed-loop runs, one row each.
-
-It runs in this process, on the cores of this machine or on a Dask cluster, and goes on where it
-was interrupted.
-"""
+"""A campaign: many closed-loop runs, one row each, here or on a Dask cluster."""
 
 import functools
 import itertools
@@ -16,7 +12,7 @@ from pydantic import Field
 from rhec import paper
 from rhec._casadi.validation import Whole, checked, shown
 from rhec.campaigns import store
-from rhec.campaigns.workers import dask_client, n_threads, run_on
+from rhec.campaigns.workers import dask_client, run_on
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 
@@ -35,15 +31,13 @@ def campaign(
 ):
     """Run scenarios; the result is the same to the last bit wherever they run.
 
-    Without `workers` a campaign runs on the Dask cluster at the environment's
-    DASK_SCHEDULER_ADDRESS. Without that it runs in this process if it is small or Dask is not
-    installed, else on one worker process a core.
+    Without `workers` they run on the Dask cluster at DASK_SCHEDULER_ADDRESS; without that in this
+    process, if they are few or Dask is not installed, else on one worker process a core.
 
     Args:
         scenarios: an iterable of rhec.Scenario. Equal ones run once.
-        folder: where finished runs are kept, as Parquet. The same call goes on from them after an
-            interruption. Rows of other code, data or versions are left alone and made again; so are
-            runs that failed.
+        folder: where finished runs are kept, as Parquet, so that the same call goes on from them
+            after an interruption. Failed runs and rows of other code or versions are made again.
         workers: processes on this machine, 1 to 1024; 1 is this process. They stay for the next
             campaign. A script that starts them needs `if __name__ == "__main__":`.
 
@@ -82,15 +76,11 @@ def campaign(
         except KeyboardInterrupt:
             n_done = len(done.keys() & wanted.keys())
             rest = "the same call goes on from there" if folder else "with a folder it would go on"
-            raise KeyboardInterrupt(
-                f"interrupted after {n_done} of {len(wanted)} runs; {rest}"
-            ) from None
-    names = [field.name for field in fields(Scenario)]
-    rows = [
-        {name: getattr(scenario, name) for name in names} | done[key]
-        for scenario, key in zip(scenarios, keys)
-    ]
-    return CampaignTable(rows, columns=[*names, *store.failed_row("")])
+            message = f"interrupted after {n_done} of {len(wanted)} runs; {rest}"
+            raise KeyboardInterrupt(message) from None
+    columns = [*(field.name for field in fields(Scenario)), *store.failed_row("")]
+    rows = [vars(scenario) | done[key] for scenario, key in zip(scenarios, keys)]
+    return CampaignTable(rows, columns=columns)
 
 
 def _as_list(scenarios):
@@ -107,9 +97,8 @@ def _progress_bar(total, done):
     """Runs done and time left, shown in a terminal or a notebook if it takes over a second."""
     from tqdm.auto import tqdm
 
-    return tqdm(
-        total=total, initial=done, desc="campaign", unit="run", leave=False, delay=1, disable=None
-    )
+    where = dict(desc="campaign", unit="run", leave=False, delay=1, disable=None)
+    return tqdm(total=total, initial=done, **where)
 
 
 def _results(scenarios, workers):
@@ -123,8 +112,8 @@ def _results(scenarios, workers):
             return
         work = functools.partial(_rows, expected=store.provenance())
         suspects = {}  # among them is a run that kills its worker
-        chunks = _chunks(scenarios, min(CHUNK, samples / (4 * n_threads(client))))
-        for chunk, rows in run_on(client, work, chunks):
+        share = samples / (4 * max(1, sum(client.nthreads().values())))
+        for chunk, rows in run_on(client, work, _chunks(scenarios, min(CHUNK, share))):
             suspects |= {} if rows else chunk
             yield rows or {}
         # One task at a time, so that no run dies with another.
@@ -136,13 +125,11 @@ def _results(scenarios, workers):
 
 def _rows(chunk, expected=None):
     """{key: row} of {key: scenario}; RuntimeError if this process is not as the caller's."""
-    here = expected and store.provenance()
+    here = store.provenance() if expected else {}
     for name, there in (expected or {}).items():
         if here.get(name) != there:
-            raise RuntimeError(
-                f"it has {name} {here.get(name)}, where the caller has {there}; "
-                "they must be the same"
-            )
+            what = f"it has {name} {here.get(name)}, where the caller has {there}"
+            raise RuntimeError(f"{what}; they must be the same")
     return {key: _run_or_error(scenario) for key, scenario in chunk.items()}
 
 

@@ -48,21 +48,13 @@ def _canonical_text(value):
     return repr(value)
 
 
-@functools.cache
-def _no_metrics():
-    """The metrics of a run that failed: each NaN, or False."""
-    log = dict.fromkeys(
-        (*simulation.COLUMNS, "t_s", "error_m", "error_true_m"), np.zeros(1)
-    ) | dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
-    return {
-        name: False if isinstance(value, bool) else np.nan
-        for name, value in simulation.metrics(log, np.zeros((1, 3))).items()
-    }
-
-
 def failed_row(error):
-    """The row of a run that failed for this reason."""
-    return _no_metrics() | dict(error=error)
+    """The row of a run that failed for this reason: each metric is NaN, or False."""
+    numbers = dict.fromkeys((*simulation.COLUMNS, "t_s", "error_m", "error_true_m"), np.zeros(1))
+    flags = dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
+    metrics = simulation.metrics(numbers | flags, np.zeros((1, 3)))
+    none = {name: False if isinstance(each, bool) else np.nan for name, each in metrics.items()}
+    return none | dict(error=error)
 
 
 def cache_folder(folder):
@@ -79,8 +71,9 @@ def cache_folder(folder):
 def _schema():
     import pyarrow as pa
 
-    types = {name: pa.bool_() if v is False else pa.float64() for name, v in _no_metrics().items()}
-    return pa.schema(dict(key=pa.string()) | types)
+    row = failed_row("")
+    types = {name: pa.bool_() if row[name] is False else pa.float64() for name in row}
+    return pa.schema(dict(key=pa.string()) | types).remove(len(row))  # the last is `error`
 
 
 def save_rows(folder, rows):

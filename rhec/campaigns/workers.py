@@ -9,7 +9,7 @@ from multiprocessing import resource_tracker
 
 from rhec._casadi.validation import optional
 
-__all__ = ["dask_client", "n_threads", "run_on"]
+__all__ = ["dask_client", "run_on"]
 
 _AT_ONCE = 3  # tasks handed out for each thread of a worker, so that none waits for the next
 PATIENCE_S = 10.0  # for a scheduler to answer
@@ -27,31 +27,26 @@ def dask_client(workers, large):
 
 def _connected(address):
     distributed = optional("distributed", f"DASK_SCHEDULER_ADDRESS={address}")
+    sentence = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {PATIENCE_S:g} s"
+    client = None
     try:
         # First a greeting: a Client that finds no one leaves threads behind.
         distributed.utils.LoopRunner().run_sync(_greet, address)
         client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
-    except Exception as error:  # whatever may be at a wrong address
-        raise ConnectionError(
-            f"DASK_SCHEDULER_ADDRESS was {address!r}; "
-            f"no Dask scheduler answered there within {PATIENCE_S:g} s"
-        ) from error
-    try:
+        sentence = f"the scheduler at {address} has had no worker for {WORKERS_S:g} s"
         client.wait_for_workers(1, WORKERS_S)
-    except TimeoutError:
-        client.close()
-        raise ConnectionError(
-            f"the scheduler at {address} has had no worker for {WORKERS_S:g} s"
-        ) from None
+    except Exception as error:  # whatever may be at a wrong address
+        if client:
+            client.close()
+        raise ConnectionError(sentence) from error
     return client
 
 
 async def _greet(address):
-    from distributed.comm import connect
-    from distributed.security import Security
+    from distributed import Security, comm
 
-    comm = await connect(address, timeout=PATIENCE_S, **Security().get_connection_args("client"))
-    await comm.close()
+    settings = Security().get_connection_args("client")
+    await (await comm.connect(address, timeout=PATIENCE_S, **settings)).close()
 
 
 _clusters = {}  # {workers: client} of the one cluster on this machine
@@ -72,31 +67,21 @@ def local_cluster(workers):
     # signal is blocked in threads and processes started here. The tracker would unblock it.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    here = dict(host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs="CRITICAL")
+    scheduler = dict(dashboard=False, allowed_failures=1)
     try:
         # Not forked: a notebook's kernel has threads, and a fork may catch one inside a lock.
         with config.set({"distributed.worker.multiprocessing-method": "spawn"}):
             cluster = distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                silence_logs="CRITICAL",
-                scheduler_kwargs=dict(dashboard=False, allowed_failures=1),
+                n_workers=workers, threads_per_worker=1, scheduler_kwargs=scheduler, **here
             )
         _clusters[workers] = distributed.Client(cluster, set_as_default=False)
     except RuntimeError as error:
-        raise RuntimeError(
-            "the workers did not start; "
-            "a script that starts workers needs `if __name__ == '__main__':`"
-        ) from error
+        needs = "a script that starts workers needs `if __name__ == '__main__':`"
+        raise RuntimeError(f"the workers did not start; {needs}") from error
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return _clusters[workers]
-
-
-def n_threads(client):
-    """Threads of all workers, at least 1."""
-    return sum(client.nthreads().values()) or 1
 
 
 def run_on(client, function, tasks, at_once=None):
@@ -107,11 +92,11 @@ def run_on(client, function, tasks, at_once=None):
     from distributed import CancelledError, KilledWorker, as_completed
     from distributed.comm import CommClosedError
 
-    tasks, pending = iter(tasks), {}
+    tasks, pending, address = iter(tasks), {}, client.scheduler.address
     finished = as_completed(raise_errors=False, loop=client.loop)
     try:
         while True:
-            room = (at_once or _AT_ONCE * n_threads(client)) - len(pending)
+            room = (at_once or _AT_ONCE * sum(client.nthreads().values()) or 1) - len(pending)
             for task in itertools.islice(tasks, max(room, 0)):
                 future = client.submit(function, task, pure=False)
                 pending[future] = task
@@ -123,10 +108,9 @@ def run_on(client, function, tasks, at_once=None):
                 result = future.result()
             yield pending.pop(future), result
     except (CancelledError, CommClosedError):
-        raise ConnectionError(f"the scheduler at {client.scheduler.address} went away") from None
+        raise ConnectionError(f"the scheduler at {address} went away") from None
     except Exception as error:
-        raise RuntimeError(
-            f"a worker of {client.scheduler.address} failed ({type(error).__name__}: {error})"
-        ) from error
+        what = f"{type(error).__name__}: {error}"
+        raise RuntimeError(f"a worker of {address} failed ({what})") from error
     finally:
         client.cancel(list(pending), force=True)
