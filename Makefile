@@ -63,7 +63,7 @@ soak: $(READY) ## drive SAMPLES samples at 5 Hz on hard ground with failing sens
 	@$(PY) tests/soak.py --samples $(SAMPLES)
 
 campaign: $(READY) ## drive a thousand fields, or go on where that stopped; WHAT="-p q [1,1,1] [1,1,0] --seeds 50" says which (--help: how)
-	@$(PY) -m rhec.campaigns.campaign $(WHAT)
+	@$(PY) -m rhec.campaigns $(WHAT)
 
 embedded: $(READY) ## write the default scenario's estimator and controller as C into build/embedded
 	@$(PY) -m rhec.codegen

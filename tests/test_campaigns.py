@@ -4,16 +4,18 @@ import dataclasses
 import itertools
 import json
 import os
+import pickle
+import re
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from pathlib import Path
 
 import casadi as ca
-import dask
 import numpy as np
 import pandas as pd
 import psutil
@@ -23,6 +25,7 @@ import pytest
 
 import rhec
 from rhec.campaigns import campaign as campaigns
+from rhec.campaigns import store, workers
 
 SHORT = rhec.Scenario(estimator="ekf", duration_s=6.0)
 ROOT = Path(rhec.__file__).parents[1]
@@ -87,7 +90,7 @@ def test_a_campaign_has_a_row_for_each_scenario_in_order():
 def test_no_metric_hides_a_field():
     names = [field.name for field in dataclasses.fields(rhec.Scenario)]
     metrics = rhec.simulate(SHORT).metrics
-    assert list(metrics) == list(campaigns.no_metrics()) and not set(names) & set(metrics)
+    assert list(metrics) == list(store.failed_row(""))[:-1] and not set(names) & set(metrics)
     assert (
         list(rhec.campaign([]).columns)
         == list(rhec.campaign([SHORT]).columns)
@@ -109,10 +112,10 @@ def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
     broken = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))
     other = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(3)))
     table = rhec.campaign([SHORT, broken, other, *short(2)])
-    good = table["error"] == ""
+    good, metrics = table["error"] == "", set(store.failed_row("")) - {"error"}
     assert list(good) == [True, False, False, True, True]
     assert (
-        table.loc[~good, list(set(campaigns.no_metrics()) - {"all_ok"})].isna().all(axis=None)
+        table.loc[~good, list(metrics - {"all_ok"})].isna().all(axis=None)
         and not table.loc[~good, "all_ok"].any()
     )
     assert table["error"].str.fullmatch(r"|\w+: .*").all() and table["error"].str.len().max() < 400
@@ -210,9 +213,9 @@ def test_failures_are_tried_again(tmp_path, ran, monkeypatch):
 
 def test_other_code_keeps_other_rows(tmp_path, ran, monkeypatch):
     rhec.campaign(short(), tmp_path)
-    here = campaigns.made_by()
+    here = store.provenance()
     for name in here:
-        monkeypatch.setattr(campaigns, "made_by", lambda name=name: here | {name: "another"})
+        monkeypatch.setattr(store, "provenance", lambda name=name: here | {name: "another"})
         ran.clear()
         rhec.campaign(short(), tmp_path)
         assert ran == short()
@@ -259,9 +262,11 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
             dict(estimator="rhe", robust=True),
         )
     ]
-    keys = [campaigns.key(scenario) for scenario in [SHORT, *changed]]
+    keys = [store.scenario_key(scenario) for scenario in [SHORT, *changed]]
     assert len(set(keys)) == len(keys) == len(changes) + 6
-    assert keys == [campaigns.key(dataclasses.replace(scenario)) for scenario in [SHORT, *changed]]
+    assert keys == [
+        store.scenario_key(dataclasses.replace(scenario)) for scenario in [SHORT, *changed]
+    ]
 
 
 def truncated(file):
@@ -308,12 +313,12 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
     """One bit anywhere in the file: either it does not matter, or the file is left aside."""
     rhec.campaign(short(3), tmp_path)
     (file,) = tmp_path.glob("*/*.parquet")
-    content, rows, left_aside = file.read_bytes(), campaigns.kept(file.parent), 0
+    content, rows, left_aside = file.read_bytes(), store.load_rows(file.parent), 0
     for place in np.random.default_rng(0).integers(len(content), size=300):
         file.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            got = campaigns.kept(file.parent)
+            got = store.load_rows(file.parent)
         assert (repr(got), len(caught)) in ((repr(rows), 0), ("{}", 1)), place
         left_aside += len(caught)
     assert left_aside > 100
@@ -330,8 +335,8 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
         dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2))),
     ]
     here = rhec.campaign(scenarios)
-    for workers in (1, 2):
-        same(rhec.campaign(scenarios, workers=workers), here)
+    for number in (1, 2):
+        same(rhec.campaign(scenarios, workers=number), here)
 
 
 def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_its_error(
@@ -342,8 +347,8 @@ def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_i
         SHORT, path=Lethal(track.segments, track.length_m, True, home=os.getpid())
     )
     scenarios = [*short(3), lethal, *short(40)]
-    campaigns.local(2)
-    killed, keep = [], campaigns.keep
+    workers.local_cluster(2)
+    killed, keep = [], store.save_rows
 
     def kill_a_worker_and_keep(*given):
         if not killed:
@@ -357,7 +362,7 @@ def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_i
             killed[0].kill()
         keep(*given)
 
-    monkeypatch.setattr(campaigns, "keep", kill_a_worker_and_keep)
+    monkeypatch.setattr(store, "save_rows", kill_a_worker_and_keep)
     table = rhec.campaign(scenarios, tmp_path, workers=2)
     assert killed and not killed[0].is_running()
     assert (
@@ -386,6 +391,7 @@ def started():
         )
         return processes[-1]
 
+    start.processes = processes
     yield start
     for process in processes[::-1]:
         process.kill()  # they have no children
@@ -441,7 +447,7 @@ def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path):
     DASK_SCHEDULER_ADDRESS alone.
     """
     address = scheduler(started, tmp_path)
-    workers = [
+    processes = [
         worker(started, address, tmp_path),
         worker(started, address, tmp_path, RHEC_CACHE=str(tmp_path / "cache")),
     ]
@@ -452,30 +458,34 @@ def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path):
         timeout=120,
     )
     assert list((tmp_path / "cache").glob("*/library.so")) and all(
-        process.poll() is None for process in workers
+        process.poll() is None for process in processes
     )
-    rows = campaigns.kept(campaigns.prepared(tmp_path / "rows"))
-    assert set(rows) == set(map(campaigns.key, short(20)))
+    rows = store.load_rows(store.cache_folder(tmp_path / "rows"))
+    assert set(rows) == set(map(store.scenario_key, short(20)))
     same(rhec.campaign(short(20), tmp_path / "rows"), rhec.campaign(short(20)))
 
 
-def test_workers_with_other_code_are_refused(started, tmp_path):
+def test_workers_with_other_code_are_refused(started, tmp_path, monkeypatch):
     for name in ("rhec", "data"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    with open(tmp_path / "rhec" / "ekf.py", "a") as source:
+    with open(tmp_path / "rhec" / "estimator" / "ekf.py", "a") as source:
         source.write("# a new idea\n")
     address = scheduler(started, tmp_path)
     worker(started, address, tmp_path, PYTHONPATH=str(tmp_path))
-    with (
-        dask.config.set({"scheduler-address": address}),
-        pytest.raises(RuntimeError, match=f"{address} has source of rhec .* they must be the same"),
-    ):
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+    sentence = f"a worker of {address} failed .* it has source of rhec .* they must be the same"
+    with pytest.raises(RuntimeError, match=sentence):
         rhec.campaign(short())
 
 
+def io_loops():
+    return [thread for thread in threading.enumerate() if thread.name == "IO loop"]
+
+
 def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
-    monkeypatch.setattr(campaigns, "PATIENCE_S", 1.0)
-    monkeypatch.setattr(campaigns, "WORKERS_S", 1.0)
+    monkeypatch.setattr(workers, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(workers, "WORKERS_S", 1.0)
+    before = io_loops()
     for address in (
         "tcp://127.0.0.1:9",
         "nonsense://127.0.0.1",
@@ -483,17 +493,117 @@ def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
         "a b",
         "tcp://no.such.host.invalid:8786",
     ):
-        with (
-            dask.config.set({"scheduler-address": address}),
-            pytest.raises(ConnectionError, match=f"DASK_SCHEDULER_ADDRESS was '{address}'"),
-        ):
+        monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+        with pytest.raises(ConnectionError, match=f"DASK_SCHEDULER_ADDRESS was '{address}'"):
             rhec.campaign(short())
+    assert io_loops() == before
     address = scheduler(started, tmp_path)
-    with (
-        dask.config.set({"scheduler-address": address}),
-        pytest.raises(ConnectionError, match="has had no worker for 1 s"),
-    ):
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+    with pytest.raises(ConnectionError, match="has had no worker for 1 s"):
         rhec.campaign(short())
+
+
+def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "PATIENCE_S", 1.0)
+    address = scheduler(started, tmp_path)
+    its_process = started.processes[0]
+    worker(started, address, tmp_path)
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+    monkeypatch.setattr(store, "save_rows", lambda *given: its_process.kill())
+    with pytest.raises(ConnectionError, match=f"the scheduler at {address} went away"):
+        rhec.campaign(short(40), tmp_path / "rows")
+
+
+# Without Dask, without pyarrow
+
+WITHOUT = """
+import sys
+sys.modules.update(dict.fromkeys(["dask", "distributed", "pyarrow"]))
+import rhec
+assert "pandas" not in sys.modules
+scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(4)]
+print(rhec.campaign(scenarios, workers=1).to_csv() == rhec.campaign(scenarios).to_csv())
+for asked in (dict(workers=2), dict(folder="rows")):
+    try:
+        rhec.campaign(scenarios, **asked)
+    except ImportError as error:
+        print(error)
+"""
+
+
+def test_without_dask_and_pyarrow_it_runs_in_this_process_and_says_what_to_install(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT],
+        env=os.environ | dict(PYTHONPATH=str(ROOT)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
+    )
+    assert done.stderr == "" and done.stdout.splitlines() == [
+        "True",
+        "workers=2 needs distributed, which is not installed: pip install distributed",
+        "folder='rows' needs pyarrow, which is not installed: pip install pyarrow",
+    ]
+    assert list(tmp_path.iterdir()) == []
+
+
+# Names that columns had
+
+
+@pytest.fixture(scope="module")
+def table():
+    return rhec.campaign([*short(3), *short(3, process_noise="calibrated")])
+
+
+OLD_AND_NEW = [
+    ("reading", "process_noise"),
+    ("horizon_rhe", "estimation_horizon"),
+    ("horizon", "prediction_horizon"),
+    ("arrival_s", "settling_time_s"),
+]
+
+
+@pytest.mark.parametrize("old, new", OLD_AND_NEW)
+def test_a_renamed_column_answers_to_its_old_name_and_says_the_new_one(table, old, new):
+    for ask in (
+        lambda frame: frame[old],
+        lambda frame: frame[["seed", old]][new],
+        lambda frame: getattr(frame, old),
+        lambda frame: frame[frame["seed"] >= 0][old],
+        lambda frame: frame.copy().assign(more=1)[old],
+        lambda frame: pickle.loads(pickle.dumps(frame))[old],
+    ):
+        with pytest.warns(FutureWarning, match=f"{old!r} is now called {new!r}") as said:
+            pd.testing.assert_series_equal(ask(table), table[new])
+        assert len(said) == 1 and said[0].filename == __file__
+    assert old not in table.columns and not hasattr(table, "no_such_column")
+
+
+def test_groups_by_an_old_name_are_groups_by_the_new_one(table):
+    wanted = table.groupby(["process_noise", "seed"])["mean_error_m"].mean()
+    with pytest.warns(FutureWarning, match="'reading' is now called 'process_noise'"):
+        by_old_name = table.groupby(["reading", "seed"])["mean_error_m"].mean()
+    pd.testing.assert_series_equal(by_old_name, wanted)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_campaigns_table_is_otherwise_a_plain_one(table, tmp_path):
+    plain = pd.DataFrame({name: list(table[name]) for name in table})
+    assert table.equals(plain) and plain.equals(table) and (table.seed == plain.seed).all()
+    pd.testing.assert_frame_equal(table, plain)
+    pd.testing.assert_frame_equal(pickle.loads(pickle.dumps(table)), table)
+    means = plain.groupby("seed").mean(numeric_only=True)
+    pd.testing.assert_frame_equal(table.groupby("seed").mean(numeric_only=True), means)
+    pd.testing.assert_frame_equal(table.merge(means[[]].reset_index()), plain)
+    pd.testing.assert_frame_equal(pd.concat(dict(one=table, two=table)).loc["two"], plain)
+    table[["seed", "mean_error_m"]].to_parquet(tmp_path / "table.parquet")
+    read = pd.read_parquet(tmp_path / "table.parquet")
+    pd.testing.assert_frame_equal(table[["seed", "mean_error_m"]], read)
+    mine = table.assign(reading=1.0, horizon=2.0)  # a column of that name is just a column
+    assert (mine["reading"] == 1.0).all() and (mine.horizon == 2.0).all()
+    with pytest.raises(KeyError):
+        table["no_such_column"]
 
 
 # From the command line
@@ -503,7 +613,7 @@ def command(folder, *arguments):
     return [
         sys.executable,
         "-m",
-        "rhec.campaigns.campaign",
+        "rhec.campaigns",
         "-p",
         "estimator",
         "ekf",
@@ -549,3 +659,49 @@ def test_the_command_refuses_in_a_sentence(tmp_path):
             command(tmp_path, *arguments), capture_output=True, text=True, timeout=60, cwd=ROOT
         )
         assert (done.returncode, done.stdout, done.stderr) == (2, "", sentence)
+
+
+def left_of_group(group):
+    """Processes of a group that still run."""
+    found = [process for process in psutil.process_iter(["status"]) if process.pid != group]
+    running = [process for process in found if process.info["status"] != psutil.STATUS_ZOMBIE]
+    return [process for process in running if os.getpgid(process.pid) == group]
+
+
+def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on(tmp_path):
+    """The terminal sends the signal to the workers, too."""
+    arguments = ["-p", "estimator", "ekf", "-p", "duration_s", "240", "--seeds", "3000"]
+    process = subprocess.Popen(
+        [*command(tmp_path)[:3], *arguments, "--workers", "2", "--folder", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    while not list(tmp_path.glob("*/*.parquet")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    interrupted = re.fullmatch(
+        r"interrupted after (\d+) of 3000 runs; the same call goes on from there\n", err
+    )
+    assert (process.returncode, out) == (130, "") and interrupted, err
+    (rows,) = tmp_path.glob("*/")
+    assert 0 < int(interrupted[1]) == len(store.load_rows(rows)) < 3000
+    assert not left_of_group(process.pid)
+    kept = store.load_rows(rows)
+    again = subprocess.run(
+        [*command(tmp_path)[:3], *arguments[:-1], "5", "--workers", "2", "--folder", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+        cwd=ROOT,
+    )
+    drives = [rhec.Scenario(estimator="ekf", duration_s=240.0, seed=seed) for seed in range(5)]
+    keys = kept.keys() | set(map(store.scenario_key, drives))
+    assert "5 runs, 0 failed" in again.stdout and store.load_rows(rows).keys() == keys
+    assert sum(pq.read_metadata(file).num_rows for file in rows.glob("*.parquet")) == len(keys)

@@ -16,7 +16,12 @@ import pytest
 import rhec
 from rhec._casadi import compiled
 
-BUILD = "from rhec._casadi import compiled; from rhec.estimator import ekf; f = compiled.load(ekf.build_step, {dt})['step']; print(f(memory=[1]*22, V=[1]*4)['estimate'])"
+BUILD = """
+from rhec._casadi import compiled
+from rhec.estimator import ekf
+step = compiled.load(ekf.build_step, {dt})["step"]
+print(step(memory=[1] * 22, V=[1] * 4)["estimate"])
+"""
 needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
 
 
@@ -44,14 +49,14 @@ def libraries(cache):
 
 
 @needs_compiler
-def test_processes_that_build_the_same_at_once_both_succeed(tmp_path):
+def test_processes_may_build_the_same_at_once(tmp_path):
     first, second, third = [start(tmp_path) for _ in range(3)]
     assert answer(first) == answer(second) == answer(third)
     assert len(libraries(tmp_path)) == len(list(tmp_path.iterdir())) == 1
 
 
 @needs_compiler
-def test_only_one_of_them_compiles(tmp_path):
+def test_one_of_several_processes_compiles(tmp_path):
     compiler, calls = tmp_path / "cc", tmp_path / "calls"
     compiler.write_text(f'#!/bin/sh\necho once >> {calls}\nexec cc "$@"\n')
     compiler.chmod(0o755)
@@ -68,7 +73,7 @@ def test_only_one_of_them_compiles(tmp_path):
 
 
 @needs_compiler
-def test_what_is_built_is_found_again(tmp_path):
+def test_a_library_is_reused(tmp_path):
     answer(start(tmp_path))
     (library,) = tmp_path.glob("*/library.so")
     made = library.stat().st_mtime_ns
@@ -77,7 +82,7 @@ def test_what_is_built_is_found_again(tmp_path):
 
 
 @needs_compiler
-def test_whoever_waits_at_a_terminal_is_told_what_for_once(tmp_path):
+def test_a_compilation_is_announced_once_at_a_terminal(tmp_path):
     terminal, stderr = os.openpty()
     build = [sys.executable, "-c", BUILD.format(dt=0.2)]
     for _ in range(2):
@@ -118,10 +123,12 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
 
 
 @needs_compiler
-def test_a_killed_build_harms_no_later_one(tmp_path):
+def test_a_killed_build_is_built_again(tmp_path):
     compiler, started, cache = tmp_path / "cc", tmp_path / "started", tmp_path / "cache"
     compiler.write_text(
-        f'#!/bin/sh\n[ -e {started} ] || {{ touch {started}; echo rubbish > library.so; sleep 60; }}\nexec cc "$@"\n'
+        f"#!/bin/sh\n[ -e {started} ] || "
+        f"{{ touch {started}; echo rubbish > library.so; sleep 60; }}\n"
+        'exec cc "$@"\n'
     )
     compiler.chmod(0o755)
     killed = start(cache, CC=str(compiler))
@@ -137,14 +144,14 @@ def test_a_killed_build_harms_no_later_one(tmp_path):
 
 
 @needs_compiler
-def test_a_failed_build_says_so_and_leaves_nothing(tmp_path):
+def test_a_failed_build_raises_and_leaves_no_files(tmp_path):
     process = start(tmp_path / "cache", CC=shutil.which("false"))
     _, err = process.communicate(timeout=60)
     assert process.returncode != 0 and "false" in err
     assert list((tmp_path / "cache").iterdir()) == []
 
 
-def test_without_a_compiler_it_works_and_says_so_once(tmp_path):
+def test_without_a_compiler_results_agree_and_one_line_says_so(tmp_path):
     process = start(tmp_path, PATH="/nowhere", CC="cc")
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0 and err.count("no C compiler found") == 1
@@ -153,7 +160,7 @@ def test_without_a_compiler_it_works_and_says_so_once(tmp_path):
         assert out == answer(start(tmp_path))
 
 
-def test_a_function_bound_to_arrays_is_the_function():
+def test_a_buffered_function_computes_what_the_function_does():
     import casadi as ca
 
     matrix, vector = ca.SX.sym("matrix", ca.Sparsity.lower(3)), ca.SX.sym("vector", 3)
@@ -164,14 +171,14 @@ def test_a_function_bound_to_arrays_is_the_function():
         ["matrix", "vector"],
         ["product", "norm"],
     )
-    bound = compiled.BufferedFunction(function)
+    buffered = compiled.BufferedFunction(function)
     lower, ones = np.arange(1.0, 7.0), np.array([1.0, 10.0, 100.0])
-    bound.set(matrix=lower, vector=ones)
-    bound.call()
-    np.testing.assert_array_equal(bound.results["product"], [1, 42, 653])
+    buffered.set(matrix=lower, vector=ones)
+    buffered.call()
+    np.testing.assert_array_equal(buffered.results["product"], [1, 42, 653])
     mine, out = np.array([1.0, 0.0, 0.0]), np.zeros(3)
-    bound.read_from("vector", mine)
-    bound.write_to("product", out)
-    bound.call()
+    buffered.read_from("vector", mine)
+    buffered.write_to("product", out)
+    buffered.call()
     np.testing.assert_array_equal(out, [1, 2, 3])
-    assert bound.results["norm"] == 1
+    assert buffered.results["norm"] == 1

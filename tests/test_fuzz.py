@@ -13,7 +13,7 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from nbformat import v4
 
@@ -94,16 +94,30 @@ def refused_by_name(make, names):
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 
 
+def as_tuples(value):
+    """A scenario keeps lists as tuples."""
+    return tuple(map(as_tuples, value)) if isinstance(value, list | tuple) else value
+
+
 @some(200)
+@example({"patches": []})
+@example({"patches": [[0.0, 0.0, 1.0, 0.5, 0.5]]})
 @given(st.dictionaries(st.sampled_from(FIELDS), junk | numbers, min_size=1, max_size=2))
 def test_a_scenario(fields):
     scenario = refused_by_name(lambda: rhec.Scenario(**fields), FIELDS)
     if scenario:
         assert all(
-            getattr(scenario, name) == value
+            getattr(scenario, name) == as_tuples(value)
             for name, value in fields.items()
             if not isinstance(value, np.ndarray)
         )
+
+
+@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize("value", [5e-324, 1e160, 1e300, 1.7e308, -1e300, 2**70, 10**400])
+def test_a_scenario_of_extreme_numbers(name, value):
+    for field in (value, (value,) * 3, (value,) * 4, (value,) * 6, [(value,) * 5]):
+        refused_by_name(lambda: rhec.Scenario(**{name: field}), FIELDS)
 
 
 @some(100)
@@ -186,6 +200,7 @@ def test_a_simulation(fields, several, robust, seed):
 
 
 @some(40)
+@example(dict(patches=((0.0, 0.0, 1e160, 0.5, 0.5),)))
 @given(
     st.fixed_dictionaries(
         {},
@@ -259,7 +274,7 @@ def test_paths_and_terrains(entry, data):
                 "sigma_v",
                 "sigma_w",
                 "speed_model",
-                "reading",
+                "process_noise",
             ]
         ),
         scalar | numbers,
@@ -307,7 +322,7 @@ absurd = extreme | st.floats(-1e9, 1e9)
     ),
     st.sampled_from(["structured", "daqp", "qpoases"]),
 )
-def test_a_controller_forgets_what_was_absurd(moments, qp):
+def test_a_controller_recovers_from_absurd_arguments(moments, qp):
     """Its command keeps the bound whatever it is told, and is that of a controller that never heard
     of it some seconds later.
     """
@@ -337,9 +352,9 @@ def test_a_controller_forgets_what_was_absurd(moments, qp):
     st.sampled_from(["parameter", "input", "slipping"]),
     st.booleans(),
 )
-def test_an_estimator_survives_what_is_absurd(readings, speed_model, robust):
+def test_an_estimator_stays_finite_on_absurd_measurements(measurements, speed_model, robust):
     rhe = rhec.RHE(guess=(0, 0, 0, 0.5, 1, 1), speed_model=speed_model, robust=robust)
-    for z in readings:
+    for z in measurements:
         rhe.prepare()
         estimate = rhe.feedback(z)
         assert np.isfinite(estimate[:6]).all() and np.isfinite(estimate.covariance).all()
@@ -348,7 +363,7 @@ def test_an_estimator_survives_what_is_absurd(readings, speed_model, robust):
 
 @some(40)
 @given(junk)
-def test_what_is_simulated_in_a_run_or_a_campaign(value):
+def test_a_run_and_a_campaign_of_junk(value):
     refused_by_name(lambda: rhec.simulate(value), ["scenario"])
     refused_by_name(lambda: rhec.campaign([value]), ["scenarios"])
     if not (isinstance(value, list | tuple | dict | np.ndarray) and len(value) == 0):
@@ -365,7 +380,7 @@ class Executed:
         return open, ("executed", "w")
 
 
-def test_what_is_in_a_saved_field_is_never_executed(tmp_path, monkeypatch):
+def test_loading_a_field_executes_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     healthy = dict(
         mu=np.ones((2, 2)), kappa=np.ones((2, 2)), origin_m=np.zeros(2), cell_m=np.array(1.0)
@@ -431,16 +446,19 @@ def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
     refused.
     """
     monkeypatch.chdir(tmp_path)
-    tagged = v4.new_code_cell("reading = 'printed'", metadata={"tags": ["parameters"]})
+    tagged = v4.new_code_cell("process_noise = 'printed'", metadata={"tags": ["parameters"]})
     check = v4.new_code_cell(
-        "from rhec.workbench.notebook import parameters\nparameters(globals(), process_noise=('printed', 'calibrated'))"
+        "from rhec.workbench.notebook import parameters\n"
+        "parameters(globals(), process_noise=('printed', 'calibrated'))"
     )
     nbformat.write(v4.new_notebook(cells=[tagged, check]), "toy.ipynb")
     value = (
         "'); open('../executed', 'w'); ('\\'); open('../executed', 'w') #\nopen('../executed', 'w')"
     )
     monkeypatch.setattr(
-        sys, "argv", ["notebook", "toy.ipynb", "-p", "reading", value, "--output", "out.ipynb"]
+        sys,
+        "argv",
+        ["notebook", "toy.ipynb", "-p", "process_noise", value, "--output", "out.ipynb"],
     )
     with pytest.raises(SystemExit) as refusal:
         notebook.main()
@@ -470,7 +488,7 @@ PARAMETERS = [
     "first_yaw_rad",
     "sigma_yaw_rad",
     "sigma_v",
-    "reading",
+    "process_noise",
     "robust",
     "speed_model",
     "nonsense",

@@ -42,7 +42,9 @@ OUT_OF_RANGE = [
     ("kappa_mean", -0.1),
     ("mu_deviation", -0.1),
     ("mu_deviation", 0.3),
+    ("mu_deviation", 1e300),
     ("kappa_deviation", 0.4),
+    ("kappa_deviation", 1.7e308),
     ("correlation_length_m", 0.4),
     ("patches", ((0, 0, 1, 1),)),
     ("patches", ((0, 0, 1, 1, 1.2),)),
@@ -82,7 +84,7 @@ def test_nonsense_is_refused_by_name(name, value):
 @pytest.mark.parametrize(
     "name, value", OUT_OF_RANGE, ids=[f"{name}={value!r}" for name, value in OUT_OF_RANGE]
 )
-def test_what_is_out_of_range_is_refused_in_one_sentence(name, value):
+def test_values_out_of_range_are_refused_in_one_sentence(name, value):
     sentence = refusal(**{name: value})
     assert (
         sentence.startswith(name)

@@ -23,10 +23,12 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
+__all__ = ["BufferedFunction", "compiler", "is_compiled", "load", "loop_symbols", "source_digest"]
+
 # No fused multiply-add: the virtual machine has none, and both must agree. No interposition:
 # CasADi's helpers may be inlined. The two passes left out take a fifth of the time to compile, and
 # the code is no slower without them.
-FLAGS = (
+_FLAGS = (
     "-O2",
     "-fno-gcse",
     "-fno-schedule-insns2",
@@ -35,34 +37,37 @@ FLAGS = (
     "-ffp-contract=off",
     "-fno-semantic-interposition",
 )
-CASADI = Path(ca.__file__).parent
+_CASADI = Path(ca.__file__).parent
 
 
-def cache_folder():
+def _cache_folder():
     return Path(os.environ.get("RHEC_CACHE") or platformdirs.user_cache_path("rhec"))
 
 
 @functools.cache
 def compiler():
-    """The C compiler's path, or None, said once."""
+    """The C compiler's path, or None, which is said once."""
     found = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc") or shutil.which("clang")
     if not found:
         print(
-            "rhec: no C compiler found, so everything runs on CasADi's virtual machine: the same results, about five times slower.",
+            "rhec: no C compiler found, so everything runs on CasADi's virtual machine: "
+            "the same results, about five times slower.",
             file=sys.stderr,
         )
     return found
 
 
 def loop_symbols():
-    """What a Function that repeats another is made of: calls where they are compiled (small code,
-    built fast), all in one on the virtual machine.
+    """The symbols for Functions that repeat another.
+
+    MX, which calls it, where code is compiled (small and built fast); SX, which inlines it, on the
+    virtual machine.
     """
     return ca.MX if compiler() else ca.SX
 
 
-PACKAGE = Path(__file__).parents[1]
-ROOMS = (
+_PACKAGE = Path(__file__).parents[1]
+_ROOMS = (
     "_casadi",
     "model",
     "solver",
@@ -74,17 +79,18 @@ ROOMS = (
 
 @functools.cache
 def source_digest(*modules):
-    """A digest of the sources that make Functions, of these modules too; an edit of a figure is
-    none of them and compiles nothing.
+    """A digest of the sources that make Functions, and of these modules.
+
+    Figures, studies and notebooks are none of them: an edit there compiles nothing.
     """
-    rooms = [PACKAGE, *(PACKAGE / room for room in ROOMS)]
+    rooms = [_PACKAGE, *(_PACKAGE / room for room in _ROOMS)]
     sources = {source for room in rooms for source in room.glob("*.py")} | {
         Path(sys.modules[module].__file__) for module in modules
     }
     return hashlib.sha256(b"".join(source.read_bytes() for source in sorted(sources))).hexdigest()
 
 
-def library(build, structure):
+def _library_folder(build, structure):
     """The folder where the compiled Functions of build(*structure) are, or will be."""
     identity = repr(
         (
@@ -94,11 +100,11 @@ def library(build, structure):
             source_digest(build.__module__),
             ca.__version__,
             compiler(),
-            FLAGS,
+            _FLAGS,
             platform.machine(),
         )
     )
-    return cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+    return _cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
 
 
 def _key(piece):
@@ -109,26 +115,23 @@ def _key(piece):
 
 
 def is_compiled(build, *structure):
-    """Whether `load` has nothing to compile."""
-    return not compiler() or library(build, structure).exists()
+    """Return whether `load` has nothing to compile."""
+    return not compiler() or _library_folder(build, structure).exists()
 
 
 @functools.cache
 def load(build, *structure):
-    """The Functions that build(*structure) returns in a dict, compiled. structure: strings,
-    numbers, tuples.
+    """Return the Functions of the dict build(*structure), compiled.
 
-    CasADi generates no C for qpOASES: Functions that call it stay on the virtual machine.
+    structure is made of strings, numbers and tuples. CasADi generates no C for qpOASES: Functions
+    that call it stay on the virtual machine.
     """
     if not compiler():
         return build(*structure)
-    folder = library(build, structure)
-    if not folder.exists() and is_interactive():
-        print(
-            f"rhec: compiling the {build.__module__.split('.')[-1].replace('_', ' ')}, once (some seconds)",
-            file=sys.stderr,
-            flush=True,
-        )
+    folder = _library_folder(build, structure)
+    if not folder.exists() and _is_interactive():
+        what = build.__module__.split(".")[-1].replace("_", " ")
+        print(f"rhec: compiling the {what}, once (some seconds)", file=sys.stderr, flush=True)
     with contextlib.nullcontext() if folder.exists() else build_lock(folder):
         if not folder.exists():
             compile_library(folder, build(*structure))
@@ -139,18 +142,15 @@ def load(build, *structure):
     }
 
 
-def is_interactive():
-    """Whether a person looks at this process: in a terminal or a notebook, not in a worker, nor in
-    a notebook that the runner executes.
-    """
+def _is_interactive():
+    """True in a terminal or an interactive notebook, false in workers and executed notebooks."""
     notebook = "ipykernel" in sys.modules and not os.environ.get("RHEC_UNATTENDED")
     return multiprocessing.parent_process() is None and (notebook or sys.stderr.isatty())
 
 
 @contextlib.contextmanager
 def build_lock(folder):
-    """One process at a time, so that a campaign's workers compile each structure once. A lock goes
-    with its process, however that ends.
+    """Let one process at a time compile a structure; a lock goes with its process.
 
     Where there are no locks processes race, which costs time alone.
     """
@@ -189,14 +189,14 @@ def compile_library(folder, functions):
         subprocess.run(
             [
                 compiler(),
-                *FLAGS,
-                f"-I{CASADI / 'include'}",
+                *_FLAGS,
+                f"-I{_CASADI / 'include'}",
                 "code.c",
                 "-o",
                 "library.so",
-                f"-L{CASADI}",
+                f"-L{_CASADI}",
                 "-ldaqp",
-                f"-Wl,-rpath,{CASADI}",
+                f"-Wl,-rpath,{_CASADI}",
                 "-lm",
             ],
             cwd=building,
@@ -211,10 +211,10 @@ def compile_library(folder, functions):
 
 
 class BufferedFunction:
-    """A Function whose arguments and results stay in NumPy arrays of its own: a call costs 0.1 µs
-    where CasADi's ordinary one costs 26 µs.
+    """A Function whose arguments and results stay in NumPy arrays of its own.
 
-    Matrices are held as CasADi stores them: the structural nonzeros, column by column.
+    A call costs 0.1 µs where CasADi's ordinary one costs 26 µs. Matrices are held as CasADi stores
+    them: the structural nonzeros, column by column.
     """
 
     def __init__(self, function):

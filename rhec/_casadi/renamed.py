@@ -1,8 +1,10 @@
-"""Names of an earlier release: they still answer, for one release, with a line that says the new one."""
+"""Names of the last release: they answer for one more, with one line that says the new name."""
 
 import warnings
 
-RENAMED = {
+__all__ = ["Renamed", "new_name", "with_new_names"]
+
+_RENAMED = {
     "reading": "process_noise",
     "horizon_rhe": "estimation_horizon",
     "horizon": "prediction_horizon",
@@ -11,8 +13,11 @@ RENAMED = {
 
 
 def new_name(old, among, depth=3):
-    """The name among these that `old` has now, said once in every place that asks; else None."""
-    new = RENAMED.get(old)
+    """Return the name among these that `old` has now, with a warning; None if it has none.
+
+    depth: of the caller to be named in the warning, as in `warnings.warn`.
+    """
+    new = _RENAMED.get(old)
     if new not in among:
         return None
     message = f"{old!r} is now called {new!r}; the old name goes with the next release"
@@ -21,7 +26,7 @@ def new_name(old, among, depth=3):
 
 
 def with_new_names(arguments, names):
-    """Keyword arguments for a function that takes `names`, each under the name it has now."""
+    """Return keyword arguments for a function that takes `names`, each under its new name."""
     old = {name: new_name(name, names, 5) for name in arguments.keys() - names}
     old = {name: new for name, new in old.items() if new}
     given = {name: value for name, value in arguments.items() if name not in old}

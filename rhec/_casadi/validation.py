@@ -1,8 +1,10 @@
-"""Strict validation with one clear sentence for bad input: which parameter, what it was, what it
-may be. Pydantic does the checking.
+"""Strict validation; bad input gets one sentence: the parameter, its value, what it may be.
+
+Pydantic does the checking.
 """
 
 import functools
+import importlib
 from difflib import get_close_matches
 from inspect import signature
 from typing import Annotated, Literal
@@ -12,6 +14,10 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, valida
 from pydantic.dataclasses import dataclass
 
 from rhec._casadi.renamed import new_name, with_new_names
+
+__all__ = ["checked", "numbers", "optional", "shown", "validated"]
+__all__ += ["Flag", "Intervals", "NotNegative", "Positive", "Real", "Traction", "Weights", "Whole"]
+__all__ += ["ArrivalMean", "Solver", "SpeedModel"]
 
 plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False), plain]
@@ -36,10 +42,8 @@ SpeedModel = Literal["parameter", "input", "slipping"]
 ArrivalMean = Literal["smoothed", "filtered"]
 
 
-def sentence(name, fields, error):
-    """The first of a validation's errors as one sentence: which parameter, what it was, what it may
-    be.
-    """
+def _sentence(name, fields, error):
+    """Say the first of a validation's errors: the parameter, its value, what it may be."""
     first = error.errors()[0]
     if first["type"] == "unexpected_keyword_argument":
         unknown = first["loc"][0]
@@ -57,21 +61,31 @@ def sentence(name, fields, error):
 
 
 def shown(value, length=200):
-    """A value in one line of a sentence, of a length that can be read."""
+    """Return a value's repr in one line of a length that can be read."""
     text = " ".join(repr(value).split())
     return text if len(text) <= length else f"{text[:length]} …"
 
 
 def numbers(name, value):
-    """The value as an array of numbers, or in one sentence why it is none."""
+    """Return the value as an array of numbers, or say in one sentence why it is none."""
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} was {shown(value)}; it must be made of numbers") from None
 
 
+def optional(module, purpose):
+    """Import an optional package, or say in one sentence what to install."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ImportError(
+            f"{purpose} needs {module}, which is not installed: pip install {module}"
+        ) from None
+
+
 def checked(function):
-    """The function with every argument checked against its annotation."""
+    """Check every argument of a function against its annotation (a decorator)."""
     strict = validate_call(function, config=ConfigDict(arbitrary_types_allowed=True))
     names = list(signature(function).parameters)
 
@@ -81,16 +95,14 @@ def checked(function):
             return strict(*arguments, **with_new_names(named, names))
         except ValidationError as error:
             raise ValueError(
-                sentence(function.__qualname__.removesuffix(".__init__"), names, error)
+                _sentence(function.__qualname__.removesuffix(".__init__"), names, error)
             ) from None
 
     return call
 
 
 def validated(cls):
-    """A frozen dataclass whose constructor checks every field strictly and answers bad input with
-    one sentence.
-    """
+    """Make a frozen dataclass whose constructor checks every field strictly (a decorator)."""
     cls = dataclass(
         frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid")
     )(cls)
@@ -101,7 +113,7 @@ def validated(cls):
             construct(self, **with_new_names(fields, cls.__dataclass_fields__))
         except ValidationError as error:
             raise ValueError(
-                sentence(cls.__name__, list(cls.__dataclass_fields__), error)
+                _sentence(cls.__name__, list(cls.__dataclass_fields__), error)
             ) from None
 
     def __getattr__(self, name):

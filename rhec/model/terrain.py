@@ -63,18 +63,22 @@ class Terrain:
                 )
             if not (np.all(field > 0) and np.all(field <= 1)):
                 raise ValueError(
-                    f"{name} ranged from {np.min(field)} to {np.max(field)}; traction must lie in (0, 1]"
+                    f"{name} ranged from {np.min(field)} to {np.max(field)}; "
+                    "traction must lie in (0, 1]"
                 )
             object.__setattr__(self, name, field)
         if self.mu.shape != self.kappa.shape:
             raise ValueError(
-                f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; they must be the same"
+                f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; "
+                "they must be the same"
             )
         origin, cell = numbers("origin_m", self.origin_m), numbers("cell_m", self.cell_m)
         if origin.shape != (2,) or not np.all(np.isfinite(origin)):
-            raise ValueError(f"origin_m was {self.origin_m!r}; it must be two finite coordinates")
+            raise ValueError(
+                f"origin_m was {shown(self.origin_m)}; it must be two finite coordinates"
+            )
         if cell.shape or not 0 < cell < np.inf:
-            raise ValueError(f"cell_m was {self.cell_m!r}; it must be above 0 m")
+            raise ValueError(f"cell_m was {shown(self.cell_m)}; it must be above 0 m")
 
     @classmethod
     def uniform(cls, mu, kappa):
@@ -103,7 +107,8 @@ class Terrain:
         cells = np.ceil(np.array([x_max - x_min, y_max - y_min]) / cell_m)
         if not (np.all(cells >= 1) and np.prod(cells) <= MOST_CELLS):
             raise ValueError(
-                f"box was {shown(box)}; it must be (x_min, x_max, y_min, y_max) with 1 to {MOST_CELLS:,} cells of {cell_m:g} m. "
+                f"box was {shown(box)}; it must be (x_min, x_max, y_min, y_max) with 1 to "
+                f"{MOST_CELLS:,} cells of {cell_m:g} m. "
                 "A path or a start that takes the robot so far needs a terrain of its own"
             )
         i, j = np.mgrid[0 : int(cells[0]) + 1, 0 : int(cells[1]) + 1]
@@ -127,7 +132,9 @@ class Terrain:
             fields.append(beta_from_gaussian(gaussian, m, sd))
         mu, kappa = fields
         for x, y, radius, mu_patch, kappa_patch in patches:
-            inside = (x_min + cell_m * i - x) ** 2 + (y_min + cell_m * j - y) ** 2 <= radius**2
+            inside = (x_min + cell_m * i - x) ** 2 + (
+                y_min + cell_m * j - y
+            ) ** 2 <= radius * radius
             mu, kappa = np.where(inside, mu_patch, mu), np.where(inside, kappa_patch, kappa)
         return cls(mu, kappa, (float(x_min), float(y_min)), cell_m)
 
@@ -159,7 +166,8 @@ class Terrain:
             Exception
         ) as error:  # whatever NumPy and zipfile make of a file that is none of theirs
             raise ValueError(
-                f"file was {str(file)!r}; it should be a field that Terrain.save wrote ({error})"
+                f"file was {shown(str(file))}; it should be a field that Terrain.save wrote "
+                f"({shown(error)})"
             ) from None
         return cls(*given)
 
@@ -220,7 +228,7 @@ def flat(terrain, shape=None):
 
 
 def common_shape(terrain, step=160):
-    """The next of a few grid shapes, so that a path or a start of another size needs no compiling."""
+    """The next of a few grid shapes, so that another path or start seldom needs compiling."""
     return tuple(-(-points // step) * step for points in terrain.mu.shape)
 
 
@@ -253,7 +261,7 @@ def bilinear(field, places):
 
 @functools.cache
 def standard_fields():
-    """The pair of standard Gaussian fields, (2, period, period), one value a cell; and the period."""
+    """Two standard Gaussian fields, (2, period, period), one value a cell; and the period."""
     with np.load(STANDARD_FIELDS, allow_pickle=False) as data:
         fields = data["fields"].astype(float)
     return fields, fields.shape[1]

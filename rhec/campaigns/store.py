@@ -1,0 +1,111 @@
+"""Rows on disk: Parquet files in a folder for each provenance, keyed by scenario."""
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import warnings
+from dataclasses import fields, is_dataclass
+
+import casadi as ca
+import numpy as np
+
+from rhec import simulation
+from rhec._casadi import compiled
+from rhec._casadi.validation import optional
+from rhec.model import terrain
+
+__all__ = ["cache_folder", "failed_row", "load_rows", "provenance", "save_rows", "scenario_key"]
+
+
+def provenance():
+    """Return what decides a run's numbers beside its scenario, as {name: value}."""
+    versions = {name: importlib.metadata.version(name) for name in ("casadi", "numpy", "scipy")}
+    return versions | {
+        "source of rhec": compiled.source_digest()[:16],
+        "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest()[:16],
+        "C compiler": bool(compiled.compiler()),
+        "machine": platform.machine(),
+    }
+
+
+def scenario_key(scenario):
+    """A digest of the scenario, down to the last bit of its terrain."""
+    return hashlib.sha256(_canonical_text(scenario).encode()).hexdigest()[:32]
+
+
+def _canonical_text(value):
+    """A value as text that no other value has."""
+    if isinstance(value, ca.Function):
+        return value.serialize()
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
+    if is_dataclass(value):
+        named = ((field.name, getattr(value, field.name)) for field in fields(value))
+        return repr({name: _canonical_text(each) for name, each in named})
+    return repr(value)
+
+
+def failed_row(error):
+    """The row of a run that failed for this reason: each metric is NaN, or False."""
+    numbers = dict.fromkeys((*simulation.COLUMNS, "t_s", "error_m", "error_true_m"), np.zeros(1))
+    flags = dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
+    metrics = simulation.metrics(numbers | flags, np.zeros((1, 3)))
+    none = {name: False if isinstance(each, bool) else np.nan for name, each in metrics.items()}
+    return none | dict(error=error)
+
+
+def cache_folder(folder):
+    """Make and return the folder for rows of this provenance."""
+    optional("pyarrow", f"folder={str(folder)!r}")
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"folder was {str(folder)!r}; that is a file, it should be a folder")
+    folder = folder / hashlib.sha256(json.dumps(provenance()).encode()).hexdigest()[:16]
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+@functools.cache
+def _schema():
+    import pyarrow as pa
+
+    row = failed_row("")
+    types = {name: pa.bool_() if row[name] is False else pa.float64() for name in row}
+    return pa.schema(dict(key=pa.string()) | types).remove(len(row))  # the last is `error`
+
+
+def save_rows(folder, rows):
+    """Write the rows without error as one more file, which is there as a whole or not at all."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rows = {key: row for key, row in rows.items() if not row["error"]}
+    if not rows:
+        return
+    table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
+    name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
+    unfinished = folder / f"{name}.{os.getpid()}.unfinished"
+    pq.write_table(table, unfinished, write_page_checksum=True)
+    os.replace(unfinished, folder / f"{name}.parquet")
+
+
+def load_rows(folder):
+    """Read {key: row} from all files in the folder that can be read, with a warning for others."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    names, rows = _schema().names, {}
+    for file in sorted(folder.glob("*.parquet")):
+        try:
+            with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
+                table = parquet.read(names).select(names).cast(_schema())
+        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+            warnings.warn(
+                f"{file} cannot be read ({type(error).__name__}), so its runs are done again",
+                stacklevel=3,
+            )
+            continue
+        rows |= {row.pop("key"): row | dict(error="") for row in table.to_pylist()}
+    return rows
