@@ -7,7 +7,7 @@ public face.
 
 import importlib
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Loaded on first use, so that a program pays only for what it uses.
 _HOME = {
