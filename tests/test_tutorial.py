@@ -9,10 +9,10 @@ import casadi as ca
 import nbformat
 import numpy as np
 import pytest
-import tutorial_checks
 from nbclient import NotebookClient
 
 import rhec
+from notebooks import tutorial_checks
 from rhec import paper
 from rhec.model import tracked_robot as model
 

@@ -2,8 +2,8 @@
 change.
 
 All fields are cut from one pair of standard Gaussian fields that a geostatistics library (GSTools)
-made once and `data/` holds, so that a run never depends on a library's random stream. `python -m
-rhec.model.terrain` makes that file again.
+made once and `data/` holds, so that a run never depends on a library's random stream;
+`data/make_standard_fields.py` makes that file again.
 """
 
 import functools
@@ -265,30 +265,3 @@ def standard_fields():
     with np.load(STANDARD_FIELDS, allow_pickle=False) as data:
         fields = data["fields"].astype(float)
     return fields, fields.shape[1]
-
-
-def make_standard_fields(period=768, modes=144, seed=2018):
-    """What `data/` holds: two independent fields by GSTools' Fourier method, which makes them
-    periodic (minutes). Half precision is plenty.
-    """
-    import gstools
-
-    axis = np.arange(float(period))
-    model = gstools.Gaussian(dim=2, var=1, len_scale=CELLS_PER_LENGTH)
-    fields = [
-        gstools.SRF(
-            model, generator="Fourier", period=period, mode_no=modes, seed=seed + k
-        ).structured([axis, axis])
-        for k in range(2)
-    ]
-    fields = [(field - field.mean()) / field.std() for field in fields]
-    np.savez_compressed(
-        STANDARD_FIELDS,
-        fields=np.array(fields, dtype=np.float16),
-        gstools_version=gstools.__version__,
-        seed=seed,
-    )
-
-
-if __name__ == "__main__":
-    make_standard_fields()
