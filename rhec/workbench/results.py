@@ -104,7 +104,6 @@ def _means(of, quantity):
 _RESULTS = {  # the tables that a result needs, and the function of them that writes it
     "summary": (["table_scenario_a", "table_scenario_b"], _summary),
     "settling": (["table_scenario_a"], _means("weight", "settling time [s]")),
-    "overshoot": (["table_scenario_a"], _means("weight", "overshoot [m]")),
     "verdicts": (["claims"], _verdicts),
     "failed": (["claims"], _failed),
     "multiverse": (["multiverse"], _multiverse),
