@@ -49,7 +49,8 @@ def _number(value):
 def _intervals(table, value="mean"):
     """Each row's value [low, high], and its verdict if it has one."""
     low, high, value = (table[name].map(_number) for name in ("low", "high", value))
-    verdict = (": " + table["verdict"]).fillna("") if "verdict" in table else ""
+    verdicts = table.get("verdict", table["low"])  # no text where there is none
+    verdict = [f": {entry}" if isinstance(entry, str) else "" for entry in verdicts]
     return value + " [" + low + ", " + high + "]" + verdict
 
 
@@ -70,9 +71,9 @@ def _summary(a, b):
     rows = pd.concat([b[ours | b["paper"].notna()], a])
     quantity = rows["quantity"].replace("mean |, raw GNSS", "", regex=True)
     rows[""], rows["here"] = rows["estimator"] + " " + quantity, _intervals(rows)
-    paper = rows.groupby("")["paper"].first().map(_number)
+    paper = rows["paper"].where(rows["estimator"] != "RHE - EKF").groupby(rows[""]).first()
     here = rows.pivot(index="", columns="process_noise", values="here")[["printed", "calibrated"]]
-    return _table(here.reindex(rows[""].unique()).assign(paper=paper).reset_index())
+    return _table(here.reindex(rows[""].unique()).assign(paper=paper.map(_number)).reset_index())
 
 
 def _verdicts(claims):
