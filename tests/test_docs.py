@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 
 import rhec
+from rhec.studies import ranking
 from rhec.workbench import results
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 RESULT = re.compile(r"<!-- results (\w+) -->\n(.*?)<!-- end -->", re.DOTALL)
 MADE = ("figures/", "build/", ".venv")  # by make: not there in a fresh clone
@@ -31,7 +33,7 @@ def test_a_page_is_short_and_narrow(name):
 
 def test_there_are_six_pages():
     expected = "architecture extending interpretations log_columns naming results".split()
-    assert [page.stem for page in PAGES[1:]] == expected
+    assert [page.stem for page in DOCS] == expected
 
 
 def test_the_readme_uses_the_words_of_the_field():
@@ -86,6 +88,19 @@ def test_every_public_name_exists(name):
     coming = {"Model", "PathTracker"} - set(rhec.__all__)
     modules = {"paper"}
     assert named - coming - modules <= set(rhec.__all__)
+
+
+def test_every_column_of_a_log_is_explained():
+    columns = pytest.importorskip("rhec.columns")
+    named = [*columns.COLUMNS, *columns.LEVER_ARM, *columns.SIGMA, *columns.INNOVATION]
+    named += [*columns.RECORDED.values(), *columns.RECORDED_TRUTH.values(), *columns.TRACKS]
+    named += [*columns.GATE, *rhec.simulate(rhec.Scenario(duration_s=2.0)).log]
+    assert [name for name in named if f"`{name}`" not in TEXT["log_columns.md"]] == []
+
+
+def test_every_metric_is_explained():
+    metrics = rhec.simulate(rhec.Scenario(duration_s=2.0)).metrics
+    assert [name for name in metrics if f"`{name}`" not in TEXT["log_columns.md"]] == []
 
 
 def test_the_code_of_the_readme_runs(tmp_path, monkeypatch):
@@ -149,7 +164,7 @@ def fake_tables():
     world = dict(id="B5 p", claim="RHE's error is below", holds=0.612, low=0.533, high=0.714)
     faults = dict(handling="on", n=7, back=7, recovery_s_largest=17.3, verdict="holds")
     late = faults | dict(back=6, recovery_s_largest=33.1, verdict="does not hold")
-    ratio = "true error, ratio to RHE, W printed"
+    ratio = f"true error, ratio to {ranking.PAPERS}"
     return {
         name: pd.DataFrame(rows)
         for name, rows in dict(

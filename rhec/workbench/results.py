@@ -69,7 +69,7 @@ def _summary(a, b):
     ours = (b["estimator"] == "RHE") & (b["quantity"] == "violations on straights, true")
     a = a[a["claim"].notna()].assign(process_noise="calibrated", estimator=a["weight"])
     rows = pd.concat([b[ours | b["paper"].notna()], a])
-    quantity = rows["quantity"].replace("mean |, raw GNSS", "", regex=True)
+    quantity = rows["quantity"].replace("mean |, raw GNSS| on straights", "", regex=True)
     rows[""], rows["here"] = rows["estimator"] + " " + quantity, _intervals(rows)
     paper = rows["paper"].where(rows["estimator"] != "RHE - EKF").groupby(rows[""]).first()
     here = rows.pivot(index="", columns="process_noise", values="here")[["printed", "calibrated"]]
