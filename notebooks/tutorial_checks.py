@@ -19,7 +19,7 @@ from rhec.model.terrain import Terrain
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 
-FIELDS = range(100, 110)  # seeds that neither the tutorial nor calibration uses
+SEEDS = range(100, 110)  # seeds that neither the tutorial nor calibration uses
 SETTLED_S, OVERSHOOT_M = 15.0, 0.1
 DRY, WET = (0.9, 0.8), (0.6, 0.5)
 STRIP_M = (20.0, 25.0)  # the wet strip of the terrain exercise: from x to x
@@ -67,7 +67,8 @@ def exercise(check):
         except Exception as error:
             return Answer(
                 False,
-                f"using your answer raised {type(error).__name__}: {' '.join(str(error).split())[:300]}",
+                f"using your answer raised {type(error).__name__}: "
+                f"{' '.join(str(error).split())[:300]}",
             )
 
     return checked
@@ -115,7 +116,8 @@ def interval(step):
     looks = [name for name, distance in ours.items() if distance < 1e-4]
     expect(
         worst < 1e-6,
-        f"after one sample of {paper.DT_S} s it is off by up to {worst:.2g} (m or rad) from the arc that the robot really drives"
+        f"after one sample of {paper.DT_S} s it is off by up to {worst:.2g} (m or rad) "
+        "from the arc that the robot really drives"
         + (
             f"; it does exactly what {looks[0]} would do."
             if looks
@@ -136,7 +138,7 @@ def weights(q):
     """q = (x, y, θ): driven on ten fields, with the calibrated RHE."""
     runs = [
         simulate(Scenario(process_noise="calibrated", q=q, seed=seed, duration_s=60.0)).metrics
-        for seed in FIELDS
+        for seed in SEEDS
     ]
     settled, overshoot = (
         [run["settling_time_s"] for run in runs],
@@ -146,7 +148,10 @@ def weights(q):
         not np.isnan(settled).any(),
         f"on {np.isnan(settled).sum()} of {len(runs)} fields the robot never settles within 60 s.",
     )
-    said = f"on {len(runs)} fields it settles within {max(settled):.1f} s and overshoots by {overshoot:.3f} m at most"
+    said = (
+        f"on {len(runs)} fields it settles within {max(settled):.1f} s "
+        f"and overshoots by {overshoot:.3f} m at most"
+    )
     expect(
         max(settled) <= SETTLED_S,
         f"{said}: too slow; which weight turns the robot along the row before it has reached it?",
@@ -193,7 +198,8 @@ def estimator(learner, first):
     """
     expect(
         isinstance(learner, ca.Function),
-        f"it is a {type(learner).__name__}; it should be a CasADi Function (memory, z) -> (memory, estimate).",
+        f"it is a {type(learner).__name__}; "
+        "it should be a CasADi Function (memory, z) -> (memory, estimate).",
     )
     for place, count, kind in [(1, 4, "input z"), (1, 6, "output estimate")]:
         size = learner.numel_in(place) if kind.startswith("input") else learner.numel_out(place)
@@ -203,18 +209,24 @@ def estimator(learner, first):
         "the memory that comes out should be as long as the one that goes in.",
     )
     runs = {
-        name: [simulate(Scenario(estimator=each, seed=seed)).metrics for seed in FIELDS]
+        name: [simulate(Scenario(estimator=each, seed=seed)).metrics for seed in SEEDS]
         for name, each in [("first", first), ("learner", learner)]
     }
     gain, low, high = paired(
         *(np.array([run["rms_mu"] for run in runs[name]]) for name in ("learner", "first"))
     )
-    said = f"RMS error of μ, learner minus first: {gain:+.4f} (95 % interval {low:+.4f} to {high:+.4f}, {len(FIELDS)} fields)"
+    said = (
+        f"RMS error of μ, learner minus first: {gain:+.4f} "
+        f"(95 % interval {low:+.4f} to {high:+.4f}, {len(SEEDS)} fields)"
+    )
     expect(high < 0, f"{said}; the whole interval should be below zero.")
     drove = [
         np.mean([run["mean_error_true_m"] for run in runs[name]]) for name in ("first", "learner")
     ]
-    return f"{said}. It knows μ better; the mean true error went from {drove[0]:.4f} m to {drove[1]:.4f} m: does it drive better for it?"
+    return (
+        f"{said}. It knows μ better; the mean true error went from {drove[0]:.4f} m "
+        f"to {drove[1]:.4f} m: does it drive better for it?"
+    )
 
 
 @exercise
@@ -254,7 +266,8 @@ def terrain(soil, path):
         if wrong.any():
             (x, y, _), (mu_found, kappa_found) = poses[wrong][0], found[wrong][0]
             raise NotYet(
-                f"at x = {x:.1f} m, y = {y:.1f} m, {where}, it has μ = {mu_found:.3g}, κ = {kappa_found:.3g}; "
+                f"at x = {x:.1f} m, y = {y:.1f} m, {where}, "
+                f"it has μ = {mu_found:.3g}, κ = {kappa_found:.3g}; "
                 f"it should have μ = {mu}, κ = {kappa}."
             )
     return (
@@ -281,7 +294,8 @@ def difference(answer, one, other):
     )
     given = high - low
     like = {
-        "the seeds taken apart: both ran on the same fields, so take the differences first": unpaired,
+        "the seeds taken apart: both ran on the same fields, "
+        "so take the differences first": unpaired,
         "the spread of single seeds, not how well their mean is known": spread,
     }
     nearest = min(like, key=lambda name: abs(given - like[name]))
@@ -291,7 +305,10 @@ def difference(answer, one, other):
         + (f"; that is {nearest}." if abs(given - like[nearest]) < 0.2 * like[nearest] else "."),
     )
     verdict = "below" if high < 0 else "above" if low > 0 else "on both sides of"
-    return f"{mean:+.4f} ({low:+.4f} to {high:+.4f}), {len(one)} seeds: the whole interval lies {verdict} zero."
+    return (
+        f"{mean:+.4f} ({low:+.4f} to {high:+.4f}), {len(one)} seeds: "
+        f"the whole interval lies {verdict} zero."
+    )
 
 
 def paired(one, other):
