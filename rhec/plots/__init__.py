@@ -8,17 +8,10 @@ import importlib
 _HOME = {
     name: module
     for module, names in {
-        "ranking": (
-            "consistency_table",
-            "errors_over_sigma",
-            "nees_over_time",
-            "pose_noise",
-            "ranked",
-            "ranking_table",
-        ),
+        "ranking": ("errors_over_sigma", "nees_over_time", "pose_noise", "ranked"),
         "claims": ("save_ledger", "verdicts"),
         "robot_drawings": ("hardware_blocks", "robot_in_row", "robot_parts", "schematic"),
-        "faults": ("fault_family", "fault_table"),
+        "faults": ("fault_family",),
         "multiverse": ("multiverse_map",),
         "interpretations": ("ekf_yaw", "forest", "likelihood", "rhe_kappa"),
         "replay": (
@@ -26,7 +19,6 @@ _HOME = {
             "replay_folder",
             "replay_innovations",
             "replay_log",
-            "replay_table",
             "replay_traction",
             "replay_trials",
             "replay_uncertainty",
@@ -36,8 +28,6 @@ _HOME = {
             "errors",
             "estimates",
             "kkt",
-            "scenario_a_table",
-            "scenario_b_table",
             "slip_fields",
             "speed",
             "trajectories",

@@ -13,11 +13,13 @@ The covariance of the RHE leaves the bounds on (μ, κ) aside.
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.stats import chi2
 
 from rhec.estimator.ekf import MEASURED
 from rhec.simulation import LOG
 from rhec.studies import calibration
+from rhec.studies.statistics import over_seeds, root_of_mean
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
 # Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe",
@@ -114,3 +116,48 @@ def share_inside(normalised, degrees, level=0.95):
     low, high = bounds(len(normalised), degrees, level)
     mean = normalised.mean(axis=0) / degrees
     return np.mean((low <= mean) & (mean <= high))
+
+
+def normalised(measured, since_s=FROM_S):
+    """The three tests of a Consistency from some time [s] on: (label, normalised values (m, n),
+    degrees of freedom) each.
+    """
+    later = measured.t_s >= since_s
+    return [
+        ("NEES", measured.nees[:, later], len(measured.states)),
+        ("NIS, position", measured.nis_position[:, later], 2),
+        ("NIS, speed", measured.nis_speed[:, later], 1),
+    ]
+
+
+def mean_square_errors(measured, since_s=FROM_S):
+    """Mean squares over time of errors over their standard deviations: (m, n_x)."""
+    return np.square(measured.errors[:, measured.t_s >= since_s]).mean(axis=1)
+
+
+def consistency_table(measured, since_s=FROM_S):
+    """Mean NEES and NIS by their degrees of freedom (1 if consistent), the share of samples at
+    which the mean over the runs is within its 95 % χ² bounds, and RMS errors over standard
+    deviations.
+
+    Args:
+        measured: {name: Consistency}.
+        since_s: samples count from this time on [s].
+
+    Returns:
+        DataFrame with columns estimator, quantity, mean, low, high (over runs), n, inside.
+    """
+    rows = []
+    for name, each in measured.items():
+        for label, values, degrees in normalised(each, since_s):
+            interval = over_seeds(np.mean, values.mean(axis=1) / degrees)
+            rows.append((name, f"{label}, mean", interval, share_inside(values, degrees)))
+        for state, squares in zip(each.states, mean_square_errors(each, since_s).T):
+            interval = over_seeds(root_of_mean, squares)
+            rows.append((name, f"RMS error over sigma, {state}", interval, ""))
+    return pd.DataFrame(
+        [
+            dict(estimator=name, quantity=quantity) | interval._asdict() | dict(inside=inside)
+            for name, quantity, interval, inside in rows
+        ]
+    )

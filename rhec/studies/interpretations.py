@@ -216,13 +216,13 @@ def one_at_a_time(baseline, seeds):
             moved = statistics.difference(found[name][column], found["baseline"][column])
             rows.append(
                 dict(
-                    process_noise=name,
+                    interpretation=name,
                     words=words,
                     quantity=quantity,
-                    value=value.ours,
+                    value=value.value,
                     low=value.low,
                     high=value.high,
-                    change=moved.ours,
+                    change=moved.value,
                     change_low=moved.low,
                     change_high=moved.high,
                     n=moved.n,

@@ -18,7 +18,7 @@ from rhec import paper
 from rhec.campaigns.campaign import campaign
 from rhec.scenario import Scenario
 from rhec.studies.claims.run_sets import LOOK_AHEAD_M, complete
-from rhec.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, always, judged, share
+from rhec.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, always, share, verdict
 
 # name: (least, most, on a logarithmic scale); turn_demand: share of the bound on the yaw rate that
 # the headland asks for at the soil's means
@@ -217,7 +217,7 @@ def in_world(values, exact):
         low = high = values[0]
     else:
         low, high = stats.ttest_1samp(values, 0).confidence_interval(CONFIDENCE)
-    return judged(low, high, above=0), np.mean(values)
+    return verdict(low, high, above=0), np.mean(values)
 
 
 def judge(runs, n):
@@ -272,7 +272,7 @@ def summary(drawn, verdicts, margins):
             dict(
                 id=claim.id,
                 claim=claim.claim,
-                holds=holds.ours,
+                holds=holds.value,
                 low=holds.low,
                 high=holds.high,
                 undecided=np.mean(verdicts[claim.id] == UNDECIDED),

@@ -9,10 +9,12 @@ true error stays within the tolerance for 5 s.
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from rhec import paper
 from rhec.extensions.faults import Fault
 from rhec.simulation import settled_samples, simulate
+from rhec.studies.statistics import always, over_seeds
 
 BEFORE_S, AFTER_S = 10.0, 60.0  # what is looked at around a fault
 FIRST_S, LAST_S = (
@@ -159,8 +161,6 @@ def study(base, seeds, handling, cases=CASES):
     `response`), and the true errors over time, {(family, case, handling): (seeds, samples)}, from
     BEFORE_S before the trouble begins to AFTER_S after it ends, NaN beyond.
     """
-    import pandas as pd  # as in `closed_loop`
-
     rows, errors = [], {}
     for family, of_family in cases.items():
         for name, case in of_family.items():
@@ -199,3 +199,32 @@ def study(base, seeds, handling, cases=CASES):
                     ]
                 )
     return pd.DataFrame(rows), errors
+
+
+def fault_table(table, aim_s=AIM_S):
+    """All cases in numbers: means over seeds, and whether every seed was back within the aim.
+
+    Args:
+        table: of `study`.
+        aim_s: {family: [s]}, the aim of the others under "".
+
+    Returns:
+        DataFrame with columns family, case, handling, n; for the errors [m] during the trouble and
+        from its end on and for the recovery time [s] of the seeds that came back: mean, low, high,
+        largest; back (seeds), in_bounds (seeds), aim_s, verdict.
+    """
+    rows = []
+    for (family, case, handling), runs in table.groupby(["family", "case", "handling"], sort=False):
+        row = dict(family=family, case=case, handling=handling, n=len(runs))
+        for name in ("max_during_m", "max_after_m", "recovery_s"):
+            found = over_seeds(np.mean, runs[name])
+            row |= {
+                name: found.mean,
+                f"{name}_low": found.low,
+                f"{name}_high": found.high,
+                f"{name}_largest": runs[name].max(),
+            }
+        aim = aim_s.get(family, aim_s[""])
+        row |= dict(back=runs["recovery_s"].count(), in_bounds=runs["in_bounds"].sum(), aim_s=aim)
+        rows.append(row | dict(verdict=always(runs["recovery_s"] <= aim).verdict))
+    return pd.DataFrame(rows)

@@ -34,6 +34,10 @@ from rhec.studies.statistics import (
 )
 
 RELIABLE, USUAL = 0.95, 0.5
+COLUMNS = (
+    "id section claim test paper value low high n unit verdict condition above below other_condition"
+    " other_value other_low other_high other_n other_verdict other_above other_below why"
+).split()
 
 
 class Claim(NamedTuple):
@@ -976,46 +980,31 @@ def gathered(seeds):
     }
 
 
-def ledger(found, claims=CLAIMS):
-    """One row a claim: what the paper says, what was found under the reading that decides and under
-    the other one, and the verdict.
+def ledger(evidence, claims=CLAIMS):
+    """The ledger: what the paper says, what was found, and the verdict.
+
+    Args:
+        evidence: of `collect_evidence`.
+        claims: the claims to judge.
+
+    Returns:
+        DataFrame, one row a claim: id, section, claim, test, paper, the Finding under the condition
+        that decides (value, low, high, n, unit, verdict, condition, above, below), the one under the
+        other condition (other_condition, other_value, …), and why.
     """
     rows = []
     for claim in claims:
-        findings = {process_noise: rule(found) for process_noise, rule in claim.rules.items()}
-        verdict, process_noise = combined(findings)
-        ours = findings[process_noise]
-        row = dict(
-            id=claim.id,
-            section=claim.section,
-            claim=claim.claim,
-            test=claim.test,
-            paper=claim.paper,
-            ours=ours.ours,
-            low=ours.low,
-            high=ours.high,
-            n=ours.n,
-            unit=claim.unit,
-            verdict=verdict,
-            process_noise=process_noise,
-            above=ours.above,
-            below=ours.below,
-        )
-        for other, finding in findings.items():
-            if other != process_noise:
-                row |= dict(
-                    other_reading=other,
-                    other_ours=finding.ours,
-                    other_low=finding.low,
-                    other_high=finding.high,
-                    other_n=finding.n,
-                    other_verdict=finding.verdict,
-                    other_above=finding.above,
-                    other_below=finding.below,
-                )
-        rows.append(row | dict(why=claim.why))
-    table = pd.DataFrame(rows).fillna({"other_reading": "", "other_verdict": ""})
-    return table[[column for column in table if column != "why"] + ["why"]]
+        findings = {condition: rule(evidence) for condition, rule in claim.rules.items()}
+        said, deciding = combined(findings)
+        about = claim._asdict()
+        del about["rules"]
+        row = about | findings.pop(deciding)._asdict() | dict(verdict=said, condition=deciding)
+        for condition, finding in findings.items():
+            row["other_condition"] = condition
+            row |= {f"other_{name}": value for name, value in finding._asdict().items()}
+        rows.append(row)
+    table = pd.DataFrame(rows, columns=COLUMNS)
+    return table.fillna({"other_condition": "", "other_verdict": ""})
 
 
 def counts(table):
