@@ -155,7 +155,7 @@ def finding(verdict):
         (FAILS, UNDECIDED, (UNDECIDED, "calibrated")),
     ],
 )
-def test_one_verdict_from_two_readings(printed, calibrated, expected):
+def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
     assert (
         statistics.combined(dict(printed=finding(printed), calibrated=finding(calibrated)))
         == expected
@@ -198,7 +198,8 @@ def made_up(run, virtual_machine):
         "kkt": experiments.kkt_tolerances(3),
         "gains": experiments.gains(3),
         "models": experiments.models(3),
-        "times": experiments.times(4.0),
+        "times_daqp": experiments.times("daqp", 4.0),
+        "times_structured": experiments.times("structured", 4.0),
     }
     runs = {
         label: table({**run.metrics, "arrived": True}).assign(duration_s=240.0)
@@ -209,9 +210,9 @@ def made_up(run, virtual_machine):
         process_noise: dict(
             runs=runs,
             logs=logs,
-            experiments=exact | {"arrival cost": arrival, "iterations": iterations},
+            experiments=exact | {"arrival_cost": arrival, "iterations": iterations},
         )
-        for process_noise in run_sets.READINGS
+        for process_noise in run_sets.PROCESS_NOISES
     }
 
 
@@ -219,7 +220,9 @@ def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     table = ledger.ledger(made_up)
     assert len(table) >= 30 and table["id"].is_unique and len(table) == len(ledger.CLAIMS)
     assert set(table["verdict"]) <= {HOLDS, FAILS, UNDECIDED, UNTESTABLE} | {
-        f"{HOLDS} under {process_noise}" for each in ledger.CLAIMS for process_noise in each.rules
+        f"{HOLDS} under {condition}"
+        for claim in ledger.CLAIMS.values()
+        for condition in claim.rule.by_condition
     }
     untested = table[table["verdict"] == UNTESTABLE]
     assert (untested["why"] != "").all() and (
@@ -228,20 +231,20 @@ def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     assert ledger.counts(table).sum() == len(table)
 
 
-@pytest.mark.parametrize("smaller, verdict", [("RHE", HOLDS), ("EKF", FAILS)])
+@pytest.mark.parametrize("smaller, verdict", [("rhe", HOLDS), ("ekf", FAILS)])
 def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
     runs = {
         label: pd.DataFrame(
             dict(mean_error_m=0.05 - 0.01 * (label == smaller) + 0.001 * RNG.normal(size=60))
         )
-        for label in ("RHE", "EKF")
+        for label in ("rhe", "ekf")
     }
-    claims = [claim for claim in ledger.CLAIMS if claim.id == "B5"]
+    claims = {"B5": ledger.CLAIMS["B5"]}
     (row,) = ledger.ledger(
-        {process_noise: dict(runs=runs) for process_noise in run_sets.READINGS}, claims
+        {process_noise: dict(runs=runs) for process_noise in run_sets.PROCESS_NOISES}, claims
     ).itertuples()
     assert row.verdict == verdict and row.n == row.other_n == 60
-    assert row.value == pytest.approx(-0.01 if smaller == "RHE" else 0.01, abs=5e-4)
+    assert row.value == pytest.approx(-0.01 if smaller == "rhe" else 0.01, abs=5e-4)
 
 
 def test_no_claim_is_judged_on_the_calibrations_seeds():
@@ -251,15 +254,15 @@ def test_no_claim_is_judged_on_the_calibrations_seeds():
     assert len(asked) == 1000 and asked.isdisjoint(TRAINING_SEEDS)
 
 
-def test_the_same_label_meets_the_same_fields_under_both_readings():
-    fields, _ = run_sets.RUNS["Q2"]
+def test_the_same_id_meets_the_same_fields_under_both_process_noises():
+    fields, _ = run_sets.RUNS["q2"]
     for one, other in zip(
         run_sets.scenarios(fields, "printed", 3), run_sets.scenarios(fields, "calibrated", 3)
     ):
         assert (
             one.seed == other.seed
             and one.q == other.q == paper.Q2
-            and (one.process_noise, other.process_noise) == run_sets.READINGS
+            and (one.process_noise, other.process_noise) == run_sets.PROCESS_NOISES
         )
 
 
