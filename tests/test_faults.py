@@ -295,7 +295,7 @@ def test_a_response_is_what_the_errors_say():
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
     cases = {
         family: dict(list(robustness.CASES[family].items())[:2])
-        for family in ("GNSS outage", "start")
+        for family in ("outage", "start")
     }
     table, errors = robustness.study(
         rhec.Scenario(process_noise="calibrated"),
@@ -306,7 +306,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
     assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(
         zip(table["family"], table["case"], table["handling"])
     )
-    outage = errors["GNSS outage", "3 s", "off"]
+    outage = errors["outage", "3 s", "off"]
     assert (
         outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT))
         and np.isfinite(outage).all()
@@ -315,6 +315,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
         ["family", "case", "handling"]
     )
     for key, runs in table.groupby(["family", "case", "handling"], sort=False):
+        key = (robustness.FAMILIES[key[0]], *key[1:])
         assert numbers.loc[key, "recovery_s"] == pytest.approx(
             runs["recovery_s"].mean(), nan_ok=True
         )

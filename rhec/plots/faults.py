@@ -5,6 +5,7 @@ import numpy as np
 
 from rhec import paper
 from rhec.plots.style import BLACK, BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
+from rhec.studies.robustness import FAMILIES
 
 LOOKS = {"off": {"color": VERMILLION}, "on": {"color": BLUE}}
 BELOW_M, BEYOND_M = 0.01, 100.0  # what is drawn
@@ -71,7 +72,7 @@ def fault_family(family, table, errors, before_s):
     panels[0, 0].set_ylim(BELOW_M, min(2 * top, BEYOND_M))
     seeds = table["seed"]
     figure.suptitle(
-        f"{family}; {seeds.nunique()} seeds, {seeds.min()} to {seeds.max()}: median and range",
+        f"{FAMILIES[family]}; {seeds.nunique()} seeds, {seeds.min()} to {seeds.max()}: median and range",
         fontsize=8,
     )
     figure.legend(
