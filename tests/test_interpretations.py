@@ -85,8 +85,8 @@ def moved(virtual_machine):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             interpretations,
-            "READINGS",
-            {name: interpretations.READINGS[name] for name in ("R3 a", "R10")},
+            "INTERPRETATIONS",
+            {name: interpretations.INTERPRETATIONS[name] for name in ("R3 a", "R10")},
         )
         patch.setattr(
             interpretations, "Scenario", lambda **fields: rhec.Scenario(duration_s=20.0, **fields)

@@ -97,7 +97,8 @@ def step_times(names, rounds=40, seed=0):
     """
     run = simulate(Scenario(estimator="oracle", seed=seed))
     calls = {
-        name: calibration.prepared(Scenario(**CONTESTANTS[name]), run, "estimate") for name in names
+        name: calibration.scan_arguments(Scenario(**CONTESTANTS[name]), run, "estimate")
+        for name in names
     }
     taken = []
     for _ in range(rounds + 1):

@@ -1,4 +1,4 @@
-"""Intervals and verdicts: the one bootstrap, and the one rule that turns an interval into a verdict.
+"""Intervals and verdicts: one bootstrap, and one rule that turns an interval into a verdict.
 
 An interval is a 95 % one. A claim about a mean, a difference, a ratio or a share *holds* if the
 whole interval lies between its bounds, *does not hold* if none of it does, and is *undecided*

@@ -72,10 +72,10 @@ RUNS = {
     "q3_no_terminal_weight": (dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW, 0.1),
     "known_traction": (dict(estimator="traction_oracle", sigma_w=_ekf_noise), 0.08),
     "fixed_traction": (_FIXED, 0.08),
-    "rhe_constant_soil": (_CONSTANT, 0.2),
-    "fixed_traction_constant_soil": (_CONSTANT | _FIXED, 0.2),
-    "rhe_uncertain_soil": (_UNCERTAIN, 0.08),
-    "ekf_uncertain_soil": (_UNCERTAIN | dict(estimator="ekf"), 0.08),
+    "rhe_constant": (_CONSTANT, 0.2),
+    "fixed_traction_constant": (_CONSTANT | _FIXED, 0.2),
+    "rhe_uncertain": (_UNCERTAIN, 0.08),
+    "ekf_uncertain": (_UNCERTAIN | dict(estimator="ekf"), 0.08),
     "dead_reckoning": (dict(estimator=_dead_reckoning), 0.2),
 }
 LOGS = {
@@ -85,11 +85,8 @@ LOGS = {
     "ekf": (dict(estimator="ekf"), 0.05),
     "ekf_path_yaw_rate": (dict(estimator="ekf", input_reference="curvature"), 0.05),
     "augmented_ekf": (dict(estimator="augmented_ekf"), 0.05),
-    "augmented_ekf_slippery_soil": (
-        _SLIPPERY | dict(estimator="augmented_ekf", duration_s=120.0),
-        0.4,
-    ),
-    "rhe_slippery_soil": (_SLIPPERY | dict(duration_s=120.0), 0.1),
+    "augmented_ekf_slippery": (_SLIPPERY | dict(estimator="augmented_ekf", duration_s=120.0), 0.4),
+    "rhe_slippery": (_SLIPPERY | dict(duration_s=120.0), 0.1),
     "rhe_undisturbed": (_CONSTANT | _UNDISTURBED, 0.01),
 }
 
