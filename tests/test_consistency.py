@@ -70,13 +70,13 @@ def test_bounds_hold_what_they_promise():
 
 @pytest.fixture(scope="module")
 def runs():
-    return calibration.recorded(range(3), duration_s=60.0)
+    return calibration.oracle_runs(range(3), duration_s=60.0)
 
 
 def test_the_filter_that_knows_the_soil_is_nearly_consistent_and_the_printed_one_is_not(runs):
     told = consistency.measure(Scenario(estimator="traction_oracle"), runs)
     printed = consistency.measure(Scenario(estimator="ekf"), runs)
-    later = told.t_s >= consistency.FROM_S
+    later = told.t_s >= calibration.SETTLED_S
     assert 0.6 < told.nees[:, later].mean() / 4 < 1.6
     assert 0.8 < told.nis_position[:, later].mean() / 2 < 1.2
     assert printed.nis_position[:, later].mean() / 2 < 0.1

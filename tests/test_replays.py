@@ -16,6 +16,7 @@ from rhec.logs import recording as recordings
 from rhec.logs import replay as replays
 from rhec.logs import scores
 from rhec.logs.replay import ESTIMATE
+from rhec.studies.replay_table import replay_table
 
 MU, KAPPA, B = 0.9, 0.75, 0.5
 
@@ -520,7 +521,7 @@ def test_pictures_of_a_log_with_and_without_truth():
             plots.replay_innovations(replay),
         ):
             assert figure.axes
-        table = plots.replay_table(trials)
+        table = replay_table(trials)
         assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == (
             "yaw_true_rad" in log
         )

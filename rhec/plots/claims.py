@@ -32,7 +32,7 @@ SHOWN = [
     "id",
     "claim",
     "paper",
-    "ours",
+    "value",
     "low",
     "high",
     "n",
@@ -54,7 +54,7 @@ def number(value):
 
 def _in_words(table):
     return table[SHOWN].assign(
-        **{column: table[column].map(number) for column in ("paper", "ours", "low", "high")}
+        **{column: table[column].map(number) for column in ("paper", "value", "low", "high")}
     )
 
 
@@ -136,12 +136,12 @@ def _sign(axes, x, y, kind):
 def _intervals(axes, place, row, colour):
     """One line a reading: filled where the numbers beside it are its own."""
     own = HOLDS if row.verdict.startswith(HOLDS) else row.verdict
-    readings = [((row.ours, row.low, row.high, row.above, row.below, own), colour)]
-    if row.other_reading:
+    readings = [((row.value, row.low, row.high, row.above, row.below, own), colour)]
+    if row.other_condition:
         readings.append(
             (
                 (
-                    row.other_ours,
+                    row.other_value,
                     row.other_low,
                     row.other_high,
                     row.other_above,
@@ -201,10 +201,10 @@ def verdicts(table):
             if np.isnan(row.low) or row.low == row.high
             else f" [{number(row.low)}, {number(row.high)}]"
         )
-        unit = row.unit.removeprefix("share ").strip("-") if number(row.ours) else ""
-        axes.text(PAPER + 1, place, f"{number(row.ours)}{interval} {unit}", **text)
+        unit = row.unit.removeprefix("share ").strip("-") if number(row.value) else ""
+        axes.text(PAPER + 1, place, f"{number(row.value)}{interval} {unit}", **text)
         if kind == "one reading":
-            axes.text(100, place, row.process_noise, **text, ha="right", color=colour)
+            axes.text(100, place, row.condition, **text, ha="right", color=colour)
     for x, label, align in [
         (4.0, "claim", "left"),
         (LINE - 0.7, "fails", "right"),

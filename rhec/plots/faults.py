@@ -1,12 +1,11 @@
-"""What faults do: true error over time for each case of a family, and the table of all."""
+"""What faults do: true error over time for each case of a family."""
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 
 from rhec import paper
-from rhec.plots.scenarios import over_seeds
 from rhec.plots.style import BLACK, BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
+from rhec.studies.robustness import FAMILIES
 
 LOOKS = {"off": {"color": VERMILLION}, "on": {"color": BLUE}}
 BELOW_M, BEYOND_M = 0.01, 100.0  # what is drawn
@@ -73,43 +72,10 @@ def fault_family(family, table, errors, before_s):
     panels[0, 0].set_ylim(BELOW_M, min(2 * top, BEYOND_M))
     seeds = table["seed"]
     figure.suptitle(
-        f"{family}; {seeds.nunique()} seeds, {seeds.min()} to {seeds.max()}: median and range",
+        f"{FAMILIES[family]}; {seeds.nunique()} seeds, {seeds.min()} to {seeds.max()}: median and range",
         fontsize=8,
     )
     figure.legend(
         *panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(handlings)
     )
     return figure
-
-
-def fault_table(table, aim_s):
-    """All cases in numbers: means over seeds with 95 % intervals, and whether every seed was back
-    within aim_s [s].
-
-    table: of `robustness.study`; aim_s: {family: [s]}, the aim of the others under "". Errors in m,
-    during the trouble and from its end on; the recovery time is that of the seeds that came back.
-    Columns: family, case, handling, n, for each quantity mean, low, high and largest, back (seeds),
-    in_bounds (seeds), aim_s, verdict.
-    """
-    rows = []
-    for (family, case, handling), runs in table.groupby(["family", "case", "handling"], sort=False):
-        row = dict(family=family, case=case, handling=handling, n=len(runs))
-        for name in ("max_during_m", "max_after_m", "recovery_s"):
-            mean, low, high, _ = over_seeds(np.mean, runs[name])
-            row |= {
-                name: mean,
-                f"{name}_low": low,
-                f"{name}_high": high,
-                f"{name}_largest": runs[name].max(),
-            }
-        aim = aim_s.get(family, aim_s[""])
-        rows.append(
-            row
-            | dict(
-                back=runs["recovery_s"].count(),
-                in_bounds=runs["in_bounds"].sum(),
-                aim_s=aim,
-                verdict="holds" if (runs["recovery_s"] <= aim).all() else "fails",
-            )
-        )
-    return pd.DataFrame(rows)

@@ -30,13 +30,13 @@ def _swept(axes, label, **values):
 def _means(axes, sweep, column, label, colour, marker):
     """Means over seeds with their intervals, against the swept standard deviation."""
     found = sweep.groupby("sigma")[column].apply(lambda values: statistics.mean(values))
-    ours, low, high = (
-        np.array([getattr(each, name) for each in found]) for name in ("ours", "low", "high")
+    value, low, high = (
+        np.array([getattr(each, name) for each in found]) for name in ("value", "low", "high")
     )
     axes.errorbar(
         found.index,
-        ours,
-        [ours - low, high - ours],
+        value,
+        [value - low, high - value],
         fmt=marker,
         markersize=3,
         color=colour,
@@ -178,13 +178,15 @@ def forest(table, baseline):
     table: `rhec.studies.interpretations.one_at_a_time`. Coloured where the interval excludes 0:
     more in vermillion, less in blue.
     """
-    readings = table.loc[table["reading"] != "baseline", ["reading", "words"]].drop_duplicates()
+    readings = table.loc[
+        table["interpretation"] != "baseline", ["interpretation", "words"]
+    ].drop_duplicates()
     figure, panels = plt.subplots(
         1, len(QUANTITIES), figsize=(DOUBLE_IN, 0.8 + 0.17 * len(readings)), sharey=True
     )
     for axes, quantity in zip(panels, QUANTITIES.values()):
-        of = table[table["quantity"] == quantity].set_index("reading")
-        for place, name in enumerate(readings["reading"]):
+        of = table[table["quantity"] == quantity].set_index("interpretation")
+        for place, name in enumerate(readings["interpretation"]):
             row = of.loc[name]
             colour = VERMILLION if row.change_low > 0 else BLUE if row.change_high < 0 else GREY
             axes.plot([row.change_low, row.change_high], [place] * 2, color=colour, linewidth=1.2)
@@ -196,7 +198,7 @@ def forest(table, baseline):
                 markersize=3,
             )
         axes.axvline(0, color=BLACK, linewidth=0.6)
-        scale = _typical(of.loc[readings["reading"], "change"])
+        scale = _typical(of.loc[readings["interpretation"], "change"])
         axes.set_xscale("symlog", linthresh=scale)
         axes.set_xticks([-10 * scale, 0, 10 * scale], [f"−{10 * scale:g}", "0", f"{10 * scale:g}"])
         axes.set_title(
@@ -212,7 +214,8 @@ def forest(table, baseline):
         axes.minorticks_off()
         axes.grid(axis="y", visible=False)
     panels[0].set_yticks(
-        range(len(readings)), [f"{row.words}  {row.process_noise}" for row in readings.itertuples()]
+        range(len(readings)),
+        [f"{row.words}  {row.interpretation}" for row in readings.itertuples()],
     )
     panels[0].set_ylim(len(readings) - 0.5, -0.5)
     n = table["n"].iloc[0]

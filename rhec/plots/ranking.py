@@ -4,10 +4,8 @@ and which estimators know how sure they may be.
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.ticker import LogLocator
 
-from rhec.plots.scenarios import over_seeds, ratio_of_means, verdict
 from rhec.plots.style import (
     BLACK,
     BLUE,
@@ -21,13 +19,8 @@ from rhec.plots.style import (
     styled,
 )
 from rhec.studies import consistency, ranking
+from rhec.studies.statistics import over_seeds
 
-QUANTITIES = {
-    "mean_error_true_m": "mean true error [m]",
-    "mean_error_m": "mean error, raw GNSS [m]",
-    "violations_true": "violations on straights, true",
-    "violations": "violations on straights, raw GNSS",
-}
 FAMILIES = {
     "dual": VERMILLION,
     "RHE": COLOURS["RHE"],
@@ -41,60 +34,15 @@ OFF_SCALE = 1.8  # times the paper's RHE: what is worse is drawn as an arrow at 
 # Ranking
 
 
-def ranking_table(sweep):
-    """Every contestant's means over seeds, and ratios of mean true errors at equal seeds: to the
-    paper's RHE and to both traction oracles.
-
-    sweep: rows of `rhec.campaign` with the column `contestant`, names as in `ranking.CONTESTANTS`,
-    the same seeds in the same order for each. The claims are the two asked of the proposal.
-    Columns: contestant, quantity, mean, low, high, n, claim, verdict; best first.
-    """
-    of = dict(list(sweep.groupby("contestant", sort=False)))
-    best_first = sorted(of, key=lambda name: of[name]["mean_error_true_m"].mean())
-    targets = {ranking.PAPERS: 1 - ranking.LEAST_GAIN} | {
-        oracle: 1 + ranking.MOST_ABOVE for oracle in ranking.ORACLES
-    }
-    rows = []
-    for name in best_first:
-        for column, quantity in QUANTITIES.items():
-            rows.append((name, quantity, over_seeds(np.mean, of[name][column]), "", ""))
-        for other, most in targets.items():
-            if name != other:
-                ratio = over_seeds(
-                    ratio_of_means, of[name]["mean_error_true_m"], of[other]["mean_error_true_m"]
-                )
-                claim = (
-                    (f"at most {most:.2f}", verdict(*ratio[1:3], below=most))
-                    if name == ranking.PROPOSAL
-                    else ("", "")
-                )
-                rows.append((name, f"true error, ratio to {other}", ratio, *claim))
-    return pd.DataFrame(
-        [
-            dict(
-                contestant=name,
-                quantity=quantity,
-                mean=mean,
-                low=low,
-                high=high,
-                n=n,
-                claim=claim,
-                verdict=said,
-            )
-            for name, quantity, (mean, low, high, n), claim, said in rows
-        ]
-    )
-
-
 @styled
 def ranked(sweep):
     """Mean true error [m] of every contestant: each seed a dot, mean and 95 % interval; and its
     ratio to that of the paper's RHE at equal seeds.
 
-    sweep: as in `ranking_table`. Dashed: 30 % less than the paper's RHE. An arrow at the edge: off
+    sweep: as in `rhec.studies.ranking.ranking_table`. Dashed: 30 % less than the paper's RHE. An arrow at the edge: off
     the scale.
     """
-    table = ranking_table(sweep)
+    table = ranking.ranking_table(sweep)
     names = list(dict.fromkeys(table["contestant"]))
     estimates = table.set_index(["contestant", "quantity"])[["mean", "low", "high"]]
     figure, (errors, ratios) = plt.subplots(
@@ -103,8 +51,9 @@ def ranked(sweep):
     shown = [
         (
             errors,
-            QUANTITIES["mean_error_true_m"],
-            OFF_SCALE * estimates.loc[(ranking.PAPERS, QUANTITIES["mean_error_true_m"]), "mean"],
+            ranking.QUANTITIES["mean_error_true_m"],
+            OFF_SCALE
+            * estimates.loc[(ranking.PAPERS, ranking.QUANTITIES["mean_error_true_m"]), "mean"],
             ".4f",
         ),
         (ratios, f"true error, ratio to {ranking.PAPERS}", OFF_SCALE, ".2f"),
@@ -218,57 +167,6 @@ def pose_noise(rows):
 # Consistency
 
 
-def _means(each, since_s):
-    """(label, normalised values (m, n), degrees of freedom) of the three tests, from some time on."""
-    n_x, later = len(each.states), each.t_s >= since_s
-    return [
-        ("NEES", each.nees[:, later], n_x),
-        ("NIS, position", each.nis_position[:, later], 2),
-        ("NIS, speed", each.nis_speed[:, later], 1),
-    ]
-
-
-def consistency_table(measured, since_s=consistency.FROM_S):
-    """Of each {name: Consistency}: mean NEES and NIS by their degrees of freedom (1 if consistent),
-    the share of samples at which the mean over the runs is within its 95 % χ² bounds, and RMS
-    errors over standard deviations. Columns: estimator, quantity, mean, low, high (over runs), n,
-    inside.
-    """
-    rows = []
-    for name, each in measured.items():
-        for label, values, degrees in _means(each, since_s):
-            rows.append(
-                (
-                    name,
-                    f"{label}, mean",
-                    over_seeds(np.mean, values.mean(axis=1) / degrees),
-                    consistency.share_inside(values, degrees),
-                )
-            )
-        squares = np.square(each.errors[:, each.t_s >= since_s]).mean(axis=1)
-        for place, state in enumerate(each.states):
-            rows.append(
-                (
-                    name,
-                    f"RMS error over sigma, {state}",
-                    over_seeds(root_of_mean, squares[:, place]),
-                    "",
-                )
-            )
-    return pd.DataFrame(
-        [
-            dict(
-                estimator=name, quantity=quantity, mean=mean, low=low, high=high, n=n, inside=inside
-            )
-            for name, quantity, (mean, low, high, n), inside in rows
-        ]
-    )
-
-
-def root_of_mean(squares, axis):
-    return np.sqrt(np.mean(squares, axis))
-
-
 @styled
 def nees_over_time(measured):
     """Mean NEES over runs, by its degrees of freedom, at each time [s] for each {name:
@@ -289,7 +187,7 @@ def nees_over_time(measured):
         )
         colour = COLOURS[next(role for role in ("EKF", "RHE", "oracle") if role in name)]
         axes.semilogy(each.t_s, each.nees.mean(axis=0) / degrees, color=colour, linewidth=0.6)
-        (_, values, _), *_ = _means(each, consistency.FROM_S)
+        (_, values, _), *_ = consistency.normalised(each)
         axes.set_title(
             f"{name}: {100 * consistency.share_inside(values, degrees):.0f} % inside", loc="left"
         )
@@ -311,9 +209,7 @@ def errors_over_sigma(measured):
     figure, axes = plt.subplots(figsize=(COLUMN_IN, 0.32 * len(measured) + 0.7))
     ratios = np.full((len(measured), len(STATES)), np.nan)
     for row, each in zip(ratios, measured.values()):
-        row[: len(each.states)] = np.sqrt(
-            np.square(each.errors[:, each.t_s >= consistency.FROM_S]).mean(axis=(0, 1))
-        )
+        row[: len(each.states)] = np.sqrt(consistency.mean_square_errors(each).mean(axis=0))
     axes.imshow(np.log2(ratios), cmap="PuOr_r", vmin=-2.5, vmax=2.5, aspect="auto")
     for (row, column), ratio in np.ndenumerate(ratios):
         axes.annotate(

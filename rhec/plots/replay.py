@@ -1,4 +1,4 @@
-"""A replayed log in pictures, and its scores as a table.
+"""A replayed log in pictures.
 
 `replays` is {name: samples}, as `rhec.logs.scores.trial` returns them; what a log does not know
 (its true pose, say) is left out of the picture.
@@ -9,11 +9,9 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.ticker import LogLocator
 
 from rhec.logs import scores
-from rhec.plots.scenarios import over_seeds
 from rhec.plots.style import (
     BLACK,
     COLOURS,
@@ -26,6 +24,7 @@ from rhec.plots.style import (
     ROOT,
     styled,
 )
+from rhec.studies.statistics import over_seeds
 
 LOOKS = {
     "RHE": {"color": COLOURS["RHE"]},
@@ -38,22 +37,6 @@ STRAIGHT_RADPS, SMOOTH = (
     0.05,
     11,
 )  # slower turns count as straight, by the median of so many samples
-QUANTITIES = dict(
-    yaw_rms_rad="RMS error of yaw [rad]",
-    yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]",
-    position_rms_m="RMS error of position [m]",
-    innovation_rms_m="RMS innovation [m]",
-    mu_median="median of mu",
-    mu_regression="mu by regression",
-    mu_difference="median - regression, mu",
-    kappa_median="median of kappa",
-    kappa_regression="kappa by regression",
-    kappa_difference="median - regression, kappa",
-    nees_yaw="squared yaw error by its variance",
-    inside_95="yaw errors within 95 % bounds",
-    outside="samples with mu or kappa outside [0, 1]",
-    not_ok="failed steps",
-)
 
 
 def replay_folder(file):
@@ -400,18 +383,3 @@ def replay_faults(table):
     panels[0].set_ylim(len(names) - 0.5, -0.5)
     panels[1].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.1)
     return figure
-
-
-def replay_table(trials):
-    """Scores of {name: rows of `scores.trials`}: estimator, quantity, mean, low, high (95 %
-    interval over noise seeds), n.
-    """
-    rows = []
-    for name, each in trials.items():
-        for column, quantity in QUANTITIES.items():
-            if column in each:
-                mean, low, high, n = over_seeds(np.mean, each[column])
-                rows.append(
-                    dict(estimator=name, quantity=quantity, mean=mean, low=low, high=high, n=n)
-                )
-    return pd.DataFrame(rows)

@@ -1,4 +1,4 @@
-"""The paper's Figures 6 to 13 and the tables of both scenarios, drawn from finished runs.
+"""The paper's Figures 6 to 13, drawn from finished runs.
 
 A `Run` is what `rhec.simulate` returns, a sweep what `rhec.campaign` returns: one row a run. Every
 interval is a 95 % bootstrap interval over seeds, and every number that the paper reports stands
@@ -12,6 +12,8 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from rhec import paper
 from rhec.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, styled
+from rhec.studies.scenario_tables import REPORTED
+from rhec.studies.statistics import over_seeds
 
 TRACTION = LinearSegmentedColormap.from_list(
     "traction", ["0.35", "1"]
@@ -28,160 +30,12 @@ LINES = {
     "RHE": {"color": COLOURS["RHE"], "label": "RHE"},
     "EKF": {"color": COLOURS["EKF"], "label": "EKF"},
 }
-REPORTED = {
-    ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,
-    ("EKF", "mean_error_m"): paper.MEAN_ERROR_EKF_M,
-    ("RHE", "violations"): paper.VIOLATIONS_RHE,
-    ("EKF", "violations"): paper.VIOLATIONS_EKF,
-}
-
-
-# Numbers with their intervals
-
-
-def over_seeds(statistic, *samples):
-    """(value, low, high, n) of statistic(*samples, axis=…): its 95 % interval by the percentile
-    bootstrap over n seeds.
-
-    Each sample holds one entry a seed, in the same order; seeds with a missing entry in any sample
-    are left out.
-    """
-    samples = np.column_stack(samples)
-    samples = samples[~np.isnan(samples).any(axis=1)].T
-    n = samples.shape[1]
-    if n < 2:
-        return np.nan, np.nan, np.nan, n
-    draws = np.random.default_rng(0).integers(n, size=(10_000, n))
-    low, high = np.quantile(statistic(*samples[:, draws], axis=-1), [0.025, 0.975])
-    return float(statistic(*samples, axis=-1)), float(low), float(high), n
-
-
-def ratio_of_means(one, other, axis):
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # nothing to divide by: infinite, or undefined
-        return np.mean(one, axis) / np.mean(other, axis)
-
-
-def difference_of_means(one, other, axis):
-    return np.mean(one, axis) - np.mean(other, axis)
-
-
-def verdict(low, high, above=-np.inf, below=np.inf):
-    """A claim holds if the whole interval lies between `above` and `below`, fails if none of it
-    does, and is undecided otherwise.
-    """
-    if above <= low and high <= below:
-        return "holds"
-    return "fails" if high < above or low > below else "undecided"
-
-
-def _row(about, quantity, estimate, claim="", verdict="", **reported):
-    value, low, high, n = estimate
-    return about | dict(
-        quantity=quantity,
-        mean=value,
-        low=low,
-        high=high,
-        n=n,
-        **reported,
-        claim=claim,
-        verdict=verdict,
-    )
-
-
-def scenario_a_table(sweep):
-    """Scenario A in numbers: each yaw weight's means over seeds, and the two ratios behind the
-    paper's words.
-
-    sweep: rows of `rhec.campaign` with the column `weight` ("Q1", "Q2", …), the same seeds in the
-    same order for each. The settling time is that of the runs that settle. Columns: weight,
-    quantity, mean, low, high, n, claim, verdict.
-    """
-    of = dict(list(sweep.groupby("weight", sort=False)))
-    rows = [
-        _row({"weight": weight}, quantity, over_seeds(np.mean, runs[column]))
-        for column, quantity in [
-            ("settling_time_s", "settling time [s]"),
-            ("overshoot_m", "overshoot [m]"),
-            ("mean_error_m", "mean error, raw GNSS [m]"),
-            ("mean_error_true_m", "mean error, true [m]"),
-        ]
-        for weight, runs in of.items()
-    ]
-    for one, other, column, quantity in [
-        ("Q1", "Q3", "settling_time_s", "settling time, ratio"),
-        ("Q2", "Q3", "overshoot_m", "overshoot, ratio"),
-    ]:
-        ratio = over_seeds(ratio_of_means, of[one][column], of[other][column])
-        rows.append(
-            _row(
-                {"weight": f"{one} / {other}"},
-                quantity,
-                ratio,
-                "at least 2",
-                verdict(*ratio[1:3], above=2),
-            )
-        )
-    return pd.DataFrame(rows)
-
-
-def scenario_b_table(sweep):
-    """Scenario B in numbers: means over seeds for each reading and estimator, how RHE and EKF
-    differ at equal seeds, and the paper's claims.
-
-    sweep: rows of `rhec.campaign`, the same seeds in the same order for each reading and estimator.
-    Columns: reading, estimator, quantity, mean, low, high, n, paper, claim, verdict. The EKF takes
-    μ and κ to be 1.
-    """
-    rows = []
-    for process_noise, runs in sweep.groupby("process_noise", sort=False):
-        of = {name.upper(): each for name, each in runs.groupby("estimator", sort=False)}
-        for column, quantity in [
-            ("mean_error_m", "mean error, raw GNSS [m]"),
-            ("mean_error_true_m", "mean error, true [m]"),
-            ("violations", "violations on straights, raw GNSS"),
-            ("violations_true", "violations on straights, true"),
-            ("rms_yaw_rad", "RMS error of yaw [rad]"),
-            ("rms_mu", "RMS error of mu"),
-            ("rms_kappa", "RMS error of kappa"),
-        ]:
-            for name, each in of.items():
-                estimate, reported = (
-                    over_seeds(np.mean, each[column]),
-                    REPORTED.get((name, column), ""),
-                )
-                claim = ("at most 0", verdict(*estimate[1:3], below=0)) if reported == 0 else ()
-                rows.append(
-                    _row(
-                        {"process_noise": process_noise, "estimator": name},
-                        quantity,
-                        estimate,
-                        *claim,
-                        paper=reported,
-                    )
-                )
-            if ("RHE", column) in REPORTED:
-                difference = over_seeds(difference_of_means, of["RHE"][column], of["EKF"][column])
-                rows.append(
-                    _row(
-                        {"process_noise": process_noise, "estimator": "RHE - EKF"},
-                        quantity,
-                        difference,
-                        "below 0",
-                        verdict(*difference[1:3], below=0),
-                        paper=round(REPORTED["RHE", column] - REPORTED["EKF", column], 4),
-                    )
-                )
-    return pd.DataFrame(rows)
-
-
 # What the figures are made of
 
 
 def _about(run):
     """Which run it is, for a title."""
-    return f"{run.scenario.process_noise} reading, seed {run.scenario.seed}"
+    return f"{run.scenario.process_noise} W, seed {run.scenario.seed}"
 
 
 def _seeds(sweep):
@@ -361,7 +215,7 @@ def trajectories_q(runs):
 @styled
 def weight_sweep(sweep):
     """The numbers behind Figure 6: settling time [s] and overshoot [m] for each yaw weight over
-    seeds; sweep as in `scenario_a_table`.
+    seeds; sweep as in `rhec.studies.scenario_tables.scenario_a_table`.
     """
     figure, (settling, overshoot) = plt.subplots(2, figsize=(COLUMN_IN, 3.6), sharex=True)
     for axes, column in [(settling, "settling_time_s"), (overshoot, "overshoot_m")]:
@@ -380,10 +234,7 @@ def weight_sweep(sweep):
     settling.set_ylabel("settling time [s]")
     overshoot.set_ylabel("overshoot [m]")
     overshoot.tick_params(axis="x", labelsize=6.5)
-    _title(
-        settling,
-        f"{sweep['process_noise'].iloc[0]} reading, {_seeds(sweep)}; mean and 95 % interval",
-    )
+    _title(settling, f"{sweep['process_noise'].iloc[0]} W, {_seeds(sweep)}; mean and 95 % interval")
     return figure
 
 
@@ -478,7 +329,7 @@ def errors(runs):
                 axes.axhline(level, color=BLACK, linewidth=0.9, linestyle=line, label=meaning)
             _title(
                 axes,
-                f"{name}, {run.scenario.process_noise} reading: mean {mean:.4f} m, paper: {reported} m",
+                f"{name}, {run.scenario.process_noise} W: mean {mean:.4f} m, paper: {reported} m",
             )
             _time_axis([axes], run.log)
         row[0].set_ylabel("error, raw GNSS [m]")
@@ -550,7 +401,7 @@ def violations(sweep):
         axes.set_xticks([0, 1], ["RHE", "EKF"], minor=True)
         axes.tick_params(axis="x", which="minor", length=0, pad=14)
         axes.grid(axis="x", visible=False)
-        _title(axes, f"{process_noise} reading")
+        _title(axes, f"{process_noise} W")
     axes.set_yscale("symlog", linthresh=10, linscale=0.6)
     axes.set_yticks(ticks := [0, 5, 10, 20, 50, 100, 200, 500, 1000], ticks)
     axes.set_ylim(0, 3000)

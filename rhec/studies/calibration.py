@@ -1,5 +1,5 @@
-"""Process noise from training seeds, never from the paper's results: by likelihood (the calibrated
-reading, R1, R2), and by tracking.
+"""Process noise from training seeds, never from the paper's results: by likelihood (calibrated W,
+R1, R2), and by tracking.
 
 By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
 so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
@@ -22,6 +22,20 @@ from rhec.estimator import base as estimators
 from rhec.scenario import Scenario
 from rhec.simulation import LOG, simulate
 
+__all__ = [
+    "SETTLED_S",
+    "SIGMA_W_TRACKING",
+    "TRACKING_SEEDS",
+    "TRAINING_SEEDS",
+    "calibrate",
+    "deviance",
+    "oracle_runs",
+    "run_estimator",
+    "scan_arguments",
+    "tune_for_tracking",
+]
+
+SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
 TRACKING_SEEDS = range(1000, 1024)
 LEAST, MOST = (
@@ -53,7 +67,7 @@ TRACKING = {
 }
 
 
-# Found by `track`; "dual" has its own in `rhec.dual`.
+# Found by `tune_for_tracking`; "dual" has its own in `rhec.dual`.
 SIGMA_W_TRACKING = {
     "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
     "ekf": (2e-05, 2e-05, 0.033, 950.0),
@@ -63,14 +77,14 @@ SIGMA_W_TRACKING = {
 }
 
 
-def recorded(seeds, duration_s=240.0):
+def oracle_runs(seeds, duration_s=240.0):
     """Runs of the default scenario with the true state in the loop."""
     return [
         simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds
     ]
 
 
-def functions(outputs, *structure):
+def _build_scan(outputs, *structure):
     """An estimator's step over a stream of z and the traction that it is told, with these of its
     outputs as the row, ready to be folded.
     """
@@ -93,7 +107,7 @@ def functions(outputs, *structure):
     )
 
 
-def told(estimator, run):
+def _traction_given_to(estimator, run):
     """Traction (n, 2) that the estimator is told along a run."""
     if estimator == "fixed_traction":
         return np.tile(run.terrain.mean, (len(run.log), 1))
@@ -104,12 +118,12 @@ def told(estimator, run):
     )
 
 
-def prepared(scenario, run, *outputs):
+def scan_arguments(scenario, run, *outputs):
     """What to fold for these outputs of the scenario's estimator on the recorded measurements of a
     run; it starts where the robot is.
     """
     steps = compiled.load(
-        functions,
+        _build_scan,
         outputs,
         estimators.estimator_key(scenario.estimator),
         scenario.estimation_horizon,
@@ -120,13 +134,13 @@ def prepared(scenario, run, *outputs):
     )
     x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
     memory = estimators.first_memory(scenario, (x, y, theta, run.scenario.speed_mps, 1.0, 1.0))
-    stream = np.hstack([run.log[[*LOG["z"]]], told(scenario.estimator, run)])
+    stream = np.hstack([run.log[[*LOG["z"]]], _traction_given_to(scenario.estimator, run)])
     return steps, memory, stream, estimators.noise_settings(scenario)
 
 
-def estimated(scenario, run, *outputs):
+def run_estimator(scenario, run, *outputs):
     """These outputs, side by side (n, …)."""
-    return scan.scan(*prepared(scenario, run, *outputs))[1]
+    return scan.scan(*scan_arguments(scenario, run, *outputs))[1]
 
 
 def deviance(estimator, sigma_w, runs, **fields):
@@ -134,16 +148,16 @@ def deviance(estimator, sigma_w, runs, **fields):
     fields of Scenario: how else the estimator is set.
     """
     scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
-    return sum(estimated(scenario, run, "deviance").sum() for run in runs)
+    return sum(run_estimator(scenario, run, "deviance").sum() for run in runs)
 
 
-def sigma_from(logarithms):
+def _sigma_from(logarithms):
     """(x, y, θ, …) from the logarithms of (x and y, θ, …)."""
     sigma = np.exp(logarithms)
     return np.insert(sigma, 0, sigma[0])
 
 
-def rounded(sigma):
+def _rounded(sigma):
     return tuple(float(f"{value:.2g}") for value in sigma)
 
 
@@ -151,19 +165,19 @@ def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
     """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard
     deviations, to two digits, and the deviance.
     """
-    runs = recorded(seeds)
+    runs = oracle_runs(seeds)
     unknowns = UNKNOWNS[estimator]
     result = minimize(
-        lambda logarithms: deviance(estimator, sigma_from(logarithms), runs, **fields),
+        lambda logarithms: deviance(estimator, _sigma_from(logarithms), runs, **fields),
         np.full(unknowns, np.log(0.03)),
         method="Powell",
         bounds=[np.log((LEAST, MOST))] * unknowns,
         options=dict(xtol=0.01, ftol=1e-6),
     )
-    return rounded(sigma_from(result.x)), result.fun
+    return _rounded(_sigma_from(result.x)), result.fun
 
 
-def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
+def tune_for_tracking(estimator, seeds=TRACKING_SEEDS, evaluations=120):
     """Process noise of an estimator in TRACKING by least mean true error on these seeds: standard
     deviations, to two digits, and the error [m].
     """
@@ -187,11 +201,11 @@ def track(estimator, seeds=TRACKING_SEEDS, evaluations=120):
         method="Nelder-Mead",
         options=dict(maxfev=evaluations, adaptive=True),
     )
-    return rounded(sigma_w(result.x)), result.fun
+    return _rounded(sigma_w(result.x)), result.fun
 
 
 if __name__ == "__main__":
     for name in UNKNOWNS:
         print("by likelihood", name, *calibrate(name))
     for name in TRACKING:
-        print("by tracking", name, *track(name))
+        print("by tracking", name, *tune_for_tracking(name))

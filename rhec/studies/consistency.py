@@ -3,7 +3,7 @@ Applications to Tracking and Navigation", 2001, ch. 5.4).
 
 An estimator is consistent if its errors are as large as its covariance says. Then the normalised
 estimation error squared ε = e'P⁻¹e of n_x states follows χ² with n_x degrees of freedom, the
-normalised innovation squared y'S⁻¹y of n_z readings χ² with n_z; their sums over m independent
+normalised innovation squared y'S⁻¹y of n_z measurements χ² with n_z; their sums over m independent
 runs, χ² with m times as many. Above its bounds the estimator is overconfident, below too cautious.
 
 All estimators see the same recorded measurements, of robots driven with the true state in the loop.
@@ -13,69 +13,71 @@ The covariance of the RHE leaves the bounds on (μ, κ) aside.
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.stats import chi2
 
 from rhec.estimator.ekf import MEASURED
 from rhec.simulation import LOG
 from rhec.studies import calibration
+from rhec.studies.calibration import SETTLED_S
+from rhec.studies.statistics import over_seeds, root_of_mean
 
-STATES = ("x", "y", "θ", "ν", "μ", "κ")
+__all__ = [
+    "ESTIMATORS",
+    "Consistency",
+    "bounds",
+    "consistency_table",
+    "mean_square_errors",
+    "measure",
+    "normalised",
+    "share_inside",
+]
+
+_STATES = ("x", "y", "θ", "ν", "μ", "κ")
 # Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe",
 # arrival_mean="filtered")`.
-SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
+_SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
 ESTIMATORS = {  # fields of Scenario; all W that are not printed are by likelihood
     "EKF, printed": dict(estimator="ekf", process_noise="printed"),
     "EKF, calibrated": dict(estimator="ekf", process_noise="calibrated"),
     "RHE, printed": dict(process_noise="printed"),
     "RHE, calibrated": dict(process_noise="calibrated"),
     "RHE, filtered arrival": dict(arrival_mean="filtered", process_noise="calibrated"),
-    "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=SIGMA_W_FILTERED),
+    "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=_SIGMA_W_FILTERED),
     "augmented EKF, calibrated": dict(estimator="augmented_ekf", process_noise="calibrated"),
     "traction oracle": dict(estimator="traction_oracle"),
 }
-FROM_S = (
-    20.0  # means over time count from here: before, the first guess, which is exact, still counts
-)
 
 
 class Consistency(NamedTuple):
-    """Of m runs with n samples each."""
+    """Errors and normalised squares of m runs with n samples each."""
 
     t_s: np.ndarray  # (n,)
     errors: np.ndarray  # (m, n, n_x) estimate less truth over its own standard deviation
     nees: np.ndarray  # (m, n)
-    nis_position: np.ndarray  # (m, n), of the readings of x and y
-    nis_speed: np.ndarray  # (m, n), of the reading of ν
+    nis_position: np.ndarray  # (m, n), of the measurements of x and y
+    nis_speed: np.ndarray  # (m, n), of the measurement of ν
 
     @property
     def states(self):
         """Names of the estimated states."""
-        return STATES[: self.errors.shape[2]]
+        return _STATES[: self.errors.shape[2]]
 
 
 def measure(scenario, runs):
     """The Consistency of a scenario's estimator, "rhe" with speed_model "parameter" or any of the
     EKFs, on the measurements of `runs`.
     """
-    results, places, V = (
-        [],
-        [place for place, _ in MEASURED],
-        np.square(scenario.sigma_v)[[row for _, row in MEASURED]],
-    )
+    places, rows = map(list, zip(*MEASURED))
+    R, results = np.diag(np.square(scenario.sigma_v)[rows]), []
     for run in runs:
-        estimate, covariance = np.split(
-            calibration.estimated(scenario, run, "estimate", "covariance"), [6], axis=1
-        )
+        row = calibration.run_estimator(scenario, run, "estimate", "covariance")
+        estimate, covariance = np.split(row, [6], axis=1)
         n_x = round(np.sqrt(covariance.shape[1]))
-        error, P = (
-            estimate[:, :n_x] - run.log[[*LOG["truth"][:n_x]]].to_numpy(),
-            covariance.reshape(-1, n_x, n_x),
-        )
-        y, S = innovations(
-            run.log[[*LOG["z"][:3]]].to_numpy() - estimate[:, places],
-            P[:, places][:, :, places],
-            np.diag(V),
-        )
+        P = covariance.reshape(-1, n_x, n_x)
+        error = estimate[:, :n_x] - run.log[[*LOG["truth"][:n_x]]].to_numpy()
+        residuals = run.log[[*LOG["z"][:3]]].to_numpy() - estimate[:, places]
+        y, S = innovations(residuals, P[:, places][:, :, places], R)
         results.append(
             (
                 error / np.sqrt(np.diagonal(P, axis1=1, axis2=2)),
@@ -84,7 +86,7 @@ def measure(scenario, runs):
                 normalised_squared(y[:, 2:], S[:, 2:, 2:]),
             )
         )
-    return Consistency(run.log["t_s"].to_numpy(), *(np.array(each) for each in zip(*results)))
+    return Consistency(run.log["t_s"].to_numpy(), *(np.array(values) for values in zip(*results)))
 
 
 def normalised_squared(e, P):
@@ -96,21 +98,65 @@ def innovations(residuals, HPH, R):
     """Innovations y (n, n_z) and their covariances S (n, n_z, n_z) from what is left of them after
     the update: residuals z - H ξ̂, and H P H'.
 
-    For an update with readings of covariance R, z - H ξ̂ = R S⁻¹ y and R - H P H' = R S⁻¹ R.
+    For an update with measurements of covariance R, z - H ξ̂ = R S⁻¹ y and R - H P H' = R S⁻¹ R.
     """
     gain = R @ np.linalg.inv(R - HPH)
     return (gain @ residuals[..., None])[..., 0], gain @ R
 
 
 def bounds(runs, degrees, level=0.95):
-    """Where the mean over so many runs of a χ² variable with so many degrees of freedom, divided by
-    these, lies with this probability.
+    """Interval in which the mean over so many runs of a χ² variable, divided by its degrees of
+    freedom, lies with this probability.
     """
     return chi2.ppf([(1 - level) / 2, (1 + level) / 2], runs * degrees) / (runs * degrees)
 
 
 def share_inside(normalised, degrees, level=0.95):
-    """Share of samples at which the mean of `normalised` (m, n) over the runs is within its bounds."""
+    """Share of samples at which the mean of `normalised` (m, n) over runs is within its bounds."""
     low, high = bounds(len(normalised), degrees, level)
     mean = normalised.mean(axis=0) / degrees
     return np.mean((low <= mean) & (mean <= high))
+
+
+def normalised(measured):
+    """The three tests of a Consistency, settled: (label, normalised values (m, n), degrees of
+    freedom) each.
+    """
+    later = measured.t_s >= SETTLED_S
+    return [
+        ("NEES", measured.nees[:, later], len(measured.states)),
+        ("NIS, position", measured.nis_position[:, later], 2),
+        ("NIS, speed", measured.nis_speed[:, later], 1),
+    ]
+
+
+def mean_square_errors(measured):
+    """Mean squares over time, settled, of errors over their standard deviations: (m, n_x)."""
+    return np.square(measured.errors[:, measured.t_s >= SETTLED_S]).mean(axis=1)
+
+
+def consistency_table(measured):
+    """Mean NEES and NIS by their degrees of freedom (1 if consistent), the share of samples at
+    which the mean over the runs is within its 95 % χ² bounds, and RMS errors over standard
+    deviations.
+
+    Args:
+        measured: {name: Consistency}.
+
+    Returns:
+        DataFrame with columns estimator, quantity, mean, low, high (over runs), n, inside.
+    """
+    rows = []
+    for name, each in measured.items():
+        for label, values, degrees in normalised(each):
+            interval = over_seeds(np.mean, values.mean(axis=1) / degrees)
+            rows.append((name, f"{label}, mean", interval, share_inside(values, degrees)))
+        for state, squares in zip(each.states, mean_square_errors(each).T):
+            interval = over_seeds(root_of_mean, squares)
+            rows.append((name, f"RMS error over sigma, {state}", interval, ""))
+    return pd.DataFrame(
+        [
+            dict(estimator=name, quantity=quantity) | interval._asdict() | dict(inside=inside)
+            for name, quantity, interval, inside in rows
+        ]
+    )

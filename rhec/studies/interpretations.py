@@ -1,10 +1,12 @@
-"""The readings audit: what each reading of the paper does to the estimators, by analysis and by
-simulation.
+"""Audit of the interpretations R1 to R13: what each way to read the paper does to the estimators,
+by analysis and by simulation.
 
 Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
 and GNSS measures y. The steady state of their Riccati recursion (SciPy's `solve_discrete_are`)
 obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x², the yaw gain falls as 1/σ_x.
 """
+
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -22,8 +24,16 @@ from rhec.studies.claims.run_sets import complete
 
 SIGMA_W = {"ekf": ekf.SIGMA_W, "rhe": rhe.SIGMA_W}
 
-
-# Analysis
+__all__ = [
+    "INTERPRETATIONS",
+    "QUANTITIES",
+    "SIGMA_W",
+    "ekf_on_a_straight",
+    "likelihood_profile",
+    "one_at_a_time",
+    "rhe_sigma_kappa",
+    "swept",
+]
 
 
 def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
@@ -31,16 +41,12 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=
     its gains on position [-] and yaw [rad/m], its yaw's standard deviation [rad], and the time [s]
     in which it corrects a yaw error to 1/e.
     """
-    A, H, V = (
-        np.array([[1, paper.DT_S * pace_mps], [0, 1]]),
-        np.array([[1.0, 0.0]]),
-        np.array([[paper.SIGMA_V[0] ** 2]]),
-    )
+    A, H = np.array([[1, paper.DT_S * pace_mps], [0, 1]]), np.array([[1.0, 0.0]])
+    V = np.array([[paper.SIGMA_V[0] ** 2]])
     rows = []
     for sigma_x in sigma_x_m:
-        predicted = linalg.solve_discrete_are(
-            A.T, H.T, np.diag([sigma_x**2, sigma_theta_rad**2]), V
-        )
+        W = np.diag([sigma_x**2, sigma_theta_rad**2])
+        predicted = linalg.solve_discrete_are(A.T, H.T, W, V)
         K = predicted @ H.T / (H @ predicted @ H.T + V)
         corrected = (np.eye(2) - K @ H) @ predicted
         slowest = np.abs(np.linalg.eigvals((np.eye(2) - K @ H) @ A)).max()
@@ -56,79 +62,67 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=
     return pd.DataFrame(rows)
 
 
-def rhe_sigma_kappa(sigma_kappa, omega_radps, reading, samples=300):
+def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     """The RHE's own standard deviation of κ, bounds left aside, after `samples` perfect
     measurements on a circle (or, at ω = 0, on a straight), for each process noise sigma_kappa of κ
-    a sample; the rest of W as in the reading.
+    a sample; the rest of W is printed or calibrated.
     """
     nu, mu, kappa = paper.SPEED_MPS, 0.9, 0.8
     turned = paper.DT_S * kappa * omega_radps * np.arange(samples)
     chord = paper.DT_S * mu * nu * np.sinc(paper.DT_S * kappa * omega_radps / 2 / np.pi)
-    heading = turned + paper.DT_S * kappa * omega_radps / 2
-    z = np.column_stack(
-        [
-            np.cumsum(np.r_[0, chord * np.cos(heading[:-1])]),
-            np.cumsum(np.r_[0, chord * np.sin(heading[:-1])]),
-            np.full(samples, nu),
-            np.full(samples, omega_radps),
-        ]
-    )
+    heading = (turned + paper.DT_S * kappa * omega_radps / 2)[:-1]
+    x, y = (np.cumsum(np.r_[0, chord * along(heading)]) for along in (np.cos, np.sin))
+    z = np.column_stack([x, y, np.full(samples, nu), np.full(samples, omega_radps)])
     found = []
     for sigma in sigma_kappa:
         estimator = RHE(
-            sigma_w=(*SIGMA_W["rhe"][reading][:5], float(sigma)),
+            sigma_w=(*SIGMA_W["rhe"][process_noise][:5], float(sigma)),
             guess=(0.0, 0.0, 0.0, nu, mu, kappa),
         )
-        for reading_k in z:
+        for measurement in z:
             estimator.prepare()
-            estimate = estimator.feedback(reading_k)
+            estimate = estimator.feedback(measurement)
         found.append(np.sqrt(estimate.covariance[5, 5]))
     return np.array(found)
 
 
-def entries(place):
+def _entries(place):
     """Where W holds the standard deviation at this place of (x and y, θ, ν, μ, κ)."""
     return (0, 1) if place == 0 else (place + 1,)
 
 
-# Simulation
+def _with_entry(sigma_w, place, value):
+    """W with the standard deviation at this place replaced, x and y moving together."""
+    return tuple(value if k in _entries(place) else sigma for k, sigma in enumerate(sigma_w))
 
 
-def swept(estimator, reading, place, values, seeds):
-    """Runs with one of W's standard deviations replaced: the logs of the first seed {value: run},
-    and one row a run with what the sweep changes.
+def swept(estimator, process_noise, place, values, seeds):
+    """Runs with one of W's standard deviations replaced: those of the first seed {value: run}, and
+    one row a run with what the sweep changes.
 
-    place: which of (x and y, θ, ν, μ, κ) it is, x and y moving together; errors count from 20 s on.
-    κ's are split by straights and curves.
+    place: which of (x and y, θ, ν, μ, κ) it is, x and y moving together; errors count from
+    `calibration.SETTLED_S` on. κ's are split by straights and curves.
     """
     runs, rows = {}, []
-    for value in values:
-        sigma = list(SIGMA_W[estimator][reading])
-        for entry in entries(place):
-            sigma[entry] = float(value)
-        for seed in range(seeds):
-            run = simulate(
-                Scenario(
-                    estimator=estimator, process_noise=reading, sigma_w=tuple(sigma), seed=seed
-                )
+    for value, seed in itertools.product(values, range(seeds)):
+        sigma_w = _with_entry(SIGMA_W[estimator][process_noise], place, float(value))
+        run = simulate(
+            Scenario(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w, seed=seed)
+        )
+        runs.setdefault(value, run)
+        c = run.columns
+        settled, straight = c["t_s"] >= calibration.SETTLED_S, c["on_straight"]
+        kappa = c["kappa_hat"] - c["kappa"]
+        rows.append(
+            dict(
+                sigma=value,
+                seed=seed,
+                rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]),
+                rms_kappa_straights=rms(kappa[settled & straight]),
+                rms_kappa_curves=rms(kappa[settled & ~straight]),
             )
-            runs.setdefault(value, run)
-            c = run.columns
-            settled, straight = c["t_s"] >= 20, c["on_straight"]
-            kappa = c["kappa_hat"] - c["kappa"]
-            rows.append(
-                dict(
-                    sigma=value,
-                    seed=seed,
-                    rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]),
-                    rms_kappa_straights=rms(kappa[settled & straight]),
-                    rms_kappa_curves=rms(kappa[settled & ~straight]),
-                )
-            )
+        )
     return runs, pd.DataFrame(rows)
-
-
-# Calibration
 
 
 def likelihood_profile(estimator, place, factors, seeds=3):
@@ -136,39 +130,36 @@ def likelihood_profile(estimator, place, factors, seeds=3):
     runs become when one of the calibrated W's standard deviations is multiplied by each factor; x
     and y move together.
     """
-    runs = calibration.recorded(calibration.TRAINING_SEEDS[:seeds])
-    samples, rows = sum(len(run.columns["t_s"]) for run in runs), []
-    for factor in factors:
-        sigma = list(SIGMA_W[estimator]["calibrated"])
-        for entry in entries(place):
-            sigma[entry] *= factor
-        rows.append(
-            dict(
-                sigma=sigma[entries(place)[0]],
-                deviance=calibration.deviance(estimator, sigma, runs) / samples,
-            )
-        )
-    table = pd.DataFrame(rows)
-    return table.assign(deviance=table["deviance"] - table["deviance"].min())
+    runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
+    samples, calibrated = (
+        sum(len(run.columns["t_s"]) for run in runs),
+        SIGMA_W[estimator]["calibrated"],
+    )
+    sigmas = [factor * calibrated[_entries(place)[0]] for factor in factors]
+    deviances = np.array(
+        [
+            calibration.deviance(estimator, _with_entry(calibrated, place, sigma), runs) / samples
+            for sigma in sigmas
+        ]
+    )
+    return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
 
 
-# One reading at a time
-
-# reading: (what it says, fields of the scenario for RHE and EKF); R11 and R12 concern what is
-# reported, not what is driven
-READINGS = {
-    "R3 a": ("speed 0.3 m/s", *[dict(speed_mps=0.3)] * 2),
-    "R3 b": ("speed 0.6 m/s", *[dict(speed_mps=0.6)] * 2),
-    "R3 c": ("start 2 m off", *[dict(start_offset_m=2.0)] * 2),
-    "R3 d": ("headland of 10 m radius", *[dict(headland_radius_m=10.0)] * 2),
-    "R4 a": ("GNSS: half of it slow", *[dict(gnss_slow_share=0.5)] * 2),
-    "R4 b": ("GNSS: nine tenths slow", *[dict(gnss_slow_share=0.9)] * 2),
+# id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); R11 and R12
+# concern what is reported, not what is driven
+INTERPRETATIONS = {
+    "R3 a": ("speed 0.3 m/s", dict(speed_mps=0.3)),
+    "R3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),
+    "R3 c": ("start 2 m off", dict(start_offset_m=2.0)),
+    "R3 d": ("headland of 10 m radius", dict(headland_radius_m=10.0)),
+    "R4 a": ("GNSS: half of it slow", dict(gnss_slow_share=0.5)),
+    "R4 b": ("GNSS: nine tenths slow", dict(gnss_slow_share=0.9)),
     "R5": ("window of N terms", dict(estimation_horizon=14), dict()),
     "R6, R13": ("ν an input, p = (μ, κ)", dict(speed_model="input"), dict()),
     "R7": ("prior mean filtered", dict(arrival_mean="filtered"), dict()),
-    "R8": ("path's yaw rate as reference", *[dict(input_reference="curvature")] * 2),
-    "R9": ("backwards, λ = 1", *[dict(backwards=True)] * 2),
-    "R10": ("command one sample late", *[dict(command_delay=1)] * 2),
+    "R8": ("path's yaw rate as reference", dict(input_reference="curvature")),
+    "R9": ("backwards, λ = 1", dict(backwards=True)),
+    "R10": ("command one sample late", dict(command_delay=1)),
 }
 QUANTITIES = {
     "mean_error_m": "mean error, raw GNSS [m]",
@@ -180,53 +171,48 @@ QUANTITIES = {
 
 
 def one_at_a_time(baseline, seeds):
-    """How much each reading moves the RHE's results from those of the baseline reading ("printed"
-    or "calibrated"), paired by seed.
+    """How much each interpretation moves the RHE's results from those of the baseline, paired by
+    seed. R1 and R2 are the other W, for one estimator at a time.
 
-    R1 and R2 are the other W, for one estimator at a time. One row a reading and quantity: value,
-    and its difference from the baseline with the 95 % interval. "advantage_m" is RHE - EKF, both
-    under the reading.
+    Args:
+        baseline: the process noise, "printed" or "calibrated".
+        seeds: number of seeds.
+
+    Returns:
+        DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
+        with their 95 % intervals. "advantage_m" is RHE - EKF, both under the interpretation.
     """
     other = "calibrated" if baseline == "printed" else "printed"
     asked = {
-        "baseline": ("baseline", dict(), dict()),
+        "baseline": ("baseline", dict()),
         "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
         "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
-    } | READINGS
+    } | INTERPRETATIONS
     table = complete(
         campaign(
             [
-                Scenario(**(dict(process_noise=baseline) | fields), estimator=estimator, seed=seed)
-                for _, *both in asked.values()
-                for estimator, fields in zip(("rhe", "ekf"), both)
+                Scenario(**dict(process_noise=baseline) | fields, estimator=estimator, seed=seed)
+                for _, *of_both in asked.values()
+                for estimator, fields in (("rhe", of_both[0]), ("ekf", of_both[-1]))
                 for seed in range(seeds)
             ]
         )
     )
     found = {}
     for place, name in enumerate(asked):
-        by_rhe, by_ekf = (
-            table.iloc[begin : begin + seeds].reset_index(drop=True)
-            for begin in (2 * seeds * place, 2 * seeds * place + seeds)
+        rhe, ekf = (
+            table.iloc[first : first + seeds].reset_index(drop=True)
+            for first in (2 * seeds * place, 2 * seeds * place + seeds)
         )
-        found[name] = by_rhe.assign(advantage_m=by_rhe.mean_error_true_m - by_ekf.mean_error_true_m)
+        found[name] = rhe.assign(advantage_m=rhe.mean_error_true_m - ekf.mean_error_true_m)
     rows = []
     for name, (words, *_) in asked.items():
         for column, quantity in QUANTITIES.items():
             value = statistics.mean(found[name][column])
             moved = statistics.difference(found[name][column], found["baseline"][column])
             rows.append(
-                dict(
-                    process_noise=name,
-                    words=words,
-                    quantity=quantity,
-                    value=value.ours,
-                    low=value.low,
-                    high=value.high,
-                    change=moved.ours,
-                    change_low=moved.low,
-                    change_high=moved.high,
-                    n=moved.n,
-                )
+                dict(interpretation=name, words=words, quantity=quantity)
+                | dict(value=value.value, low=value.low, high=value.high, change=moved.value)
+                | dict(change_low=moved.low, change_high=moved.high, n=moved.n)
             )
     return pd.DataFrame(rows)

@@ -8,6 +8,7 @@ over the whole table (`false_discovery_control`).
 """
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,20 @@ from rhec import paper
 from rhec.campaigns.campaign import campaign
 from rhec.scenario import Scenario
 from rhec.studies.claims.run_sets import LOOK_AHEAD_M, complete
-from rhec.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, always, judged, share
+from rhec.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, always, share, verdict
+
+__all__ = [
+    "CLAIMS",
+    "FIRST_SEED",
+    "UNKNOWNS",
+    "VARIANTS",
+    "correlations",
+    "drive",
+    "judge",
+    "sample_parameters",
+    "scenario",
+    "summary",
+]
 
 # name: (least, most, on a logarithmic scale); turn_demand: share of the bound on the yaw rate that
 # the headland asks for at the soil's means
@@ -42,135 +56,97 @@ FIRST_SEED = 2000  # beyond the ledger's and the calibration's; every world has 
 DISCOVERIES = 0.05  # false discovery rate of the rank correlations
 FLOOR_M = 1e-3  # an overshoot below 1 mm counts as 1 mm
 
-# variant: (fields of the scenario, whether the first row is all it needs)
+_CALIBRATED = dict(process_noise="calibrated")
+# variant: (fields of the scenario, whether the first row is all it needs); W p printed, c calibrated
 VARIANTS = {
-    "RHE, printed": (dict(), False),
-    "RHE, calibrated": (dict(process_noise="calibrated"), False),
-    "EKF, printed": (dict(estimator="ekf"), False),
-    "EKF, calibrated": (dict(estimator="ekf", process_noise="calibrated"), False),
-    "Q1": (dict(process_noise="calibrated", q=paper.Q1), True),
-    "Q2": (dict(process_noise="calibrated", q=paper.Q2), True),
-    "Q2, look-ahead": (
-        dict(process_noise="calibrated", q=paper.Q2, look_ahead_m=LOOK_AHEAD_M),
-        True,
-    ),
+    "rhe_p": (dict(), False),
+    "rhe_c": (_CALIBRATED, False),
+    "ekf_p": (dict(estimator="ekf"), False),
+    "ekf_c": (dict(estimator="ekf") | _CALIBRATED, False),
+    "q1": (dict(q=paper.Q1) | _CALIBRATED, True),
+    "q2": (dict(q=paper.Q2) | _CALIBRATED, True),
+    "q2_look_ahead": (dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _CALIBRATED, True),
 }
 
 
 class Claim(NamedTuple):
-    """A claim in a world. `measured` takes {variant: runs} to one number a run: how far the claim
-    is on its side (a logarithm, 0 at the bound), or, of an exact claim, whether it holds in the
-    run.
+    """A claim in a world. `measured` takes the runs of each variant to one number a run: how far
+    the claim is on its side (a logarithm, 0 at the bound), or, of an exact claim, whether it holds
+    in the run.
     """
 
-    id: str
     claim: str
     measured: Callable
-    exact: bool = False
 
 
-def closer(one, other, column):
-    """log(other / one) of a metric: above 0 where `one` has less."""
-    return lambda runs: np.log(runs[other][column] / runs[one][column])
+def _less(one, other):
+    """How far one number is below the other: above 0 where it is."""
+    return np.log(other / one)
 
 
-def overshoots(one, other, factor):
-    """log of how much more `one` overshoots than `factor` times `other`."""
-    return lambda runs: np.log(
-        np.maximum(runs[one].overshoot_m, FLOOR_M)
-        / (factor * np.maximum(runs[other].overshoot_m, FLOOR_M))
-    )
+def _overshoots(one, other, factor):
+    """How much more `one` overshoots than `factor` times `other`."""
+    most, least = (np.maximum(runs.overshoot_m, FLOOR_M) for runs in (one, other))
+    return np.log(most / (factor * least))
 
 
-def stays(variant):
-    return lambda runs: (
-        runs[variant].arrived & (runs[variant].mean_error_true_m < paper.TOLERANCE_M)
-    )
+def _stays(runs):
+    return runs.arrived & (runs.mean_error_true_m < paper.TOLERANCE_M)
 
 
-CLAIMS = (  # ids as in the ledger, with the reading: p printed, c calibrated
-    Claim(
-        "A1 c",
+CLAIMS = {  # ids as in the ledger, with the process noise
+    "A1 c": Claim(
         "Q¹ settles at least twice as slowly as Q³",
-        lambda runs: np.log(
-            runs["Q1"].settling_time_s / (2 * runs["RHE, calibrated"].settling_time_s)
-        ),
+        lambda runs: _less(2 * runs.rhe_c.settling_time_s, runs.q1.settling_time_s),
     ),
-    Claim(
-        "A2 c", "Q² overshoots at least twice as far as Q³", overshoots("Q2", "RHE, calibrated", 2)
+    "A2 c": Claim(
+        "Q² overshoots at least twice as far as Q³",
+        lambda runs: _overshoots(runs.q2, runs.rhe_c, 2),
     ),
-    Claim(
-        "A5 c",
+    "A5 c": Claim(
         "Look-ahead at least halves the overshoot of Q²",
-        lambda runs: -overshoots("Q2, look-ahead", "Q2", 0.5)(runs),
+        lambda runs: -_overshoots(runs.q2_look_ahead, runs.q2, 0.5),
     ),
-    Claim("B1 p", "RHE arrives and stays", stays("RHE, printed"), True),
-    Claim("B1 c", "RHE arrives and stays", stays("RHE, calibrated"), True),
-    Claim("B2 c", "EKF arrives and stays", stays("EKF, calibrated"), True),
-    Claim(
-        "B5 p",
+    "B1 p": Claim("RHE arrives and stays", lambda runs: _stays(runs.rhe_p)),
+    "B1 c": Claim("RHE arrives and stays", lambda runs: _stays(runs.rhe_c)),
+    "B2 c": Claim("EKF arrives and stays", lambda runs: _stays(runs.ekf_c)),
+    "B5 p": Claim(
         "RHE's mean error is below the EKF's",
-        closer("RHE, printed", "EKF, printed", "mean_error_m"),
+        lambda runs: _less(runs.rhe_p.mean_error_m, runs.ekf_p.mean_error_m),
     ),
-    Claim(
-        "B5 c",
+    "B5 c": Claim(
         "RHE's mean error is below the EKF's",
-        closer("RHE, calibrated", "EKF, calibrated", "mean_error_m"),
+        lambda runs: _less(runs.rhe_c.mean_error_m, runs.ekf_c.mean_error_m),
     ),
-    Claim(
-        "B7 p",
-        "RHE: no violation by raw GNSS",
-        lambda runs: runs["RHE, printed"].violations == 0,
-        True,
+    "B7 p": Claim("RHE: no violation by raw GNSS", lambda runs: runs.rhe_p.violations == 0),
+    "B7 c": Claim("RHE: no violation by raw GNSS", lambda runs: runs.rhe_c.violations == 0),
+    "B8 c": Claim(
+        "RHE: no violation by true position", lambda runs: runs.rhe_c.violations_true == 0
     ),
-    Claim(
-        "B7 c",
-        "RHE: no violation by raw GNSS",
-        lambda runs: runs["RHE, calibrated"].violations == 0,
-        True,
-    ),
-    Claim(
-        "B8 c",
-        "RHE: no violation by true position",
-        lambda runs: runs["RHE, calibrated"].violations_true == 0,
-        True,
-    ),
-    Claim(
-        "B19 c",
+    "B19 c": Claim(
         "RHC's output reaches its bounds",
-        lambda runs: runs["RHE, calibrated"].omega_peak_radps >= paper.OMEGA_MAX_RADPS * (1 - 1e-9),
-        True,
+        lambda runs: runs.rhe_c.omega_peak_radps >= paper.OMEGA_MAX_RADPS * (1 - 1e-9),
     ),
-    Claim(
-        "C1 c",
-        "RHE's yaw is good to 2°",
-        lambda runs: np.log(0.035 / runs["RHE, calibrated"].rms_yaw_rad),
-    ),
-    Claim(
-        "C2 c",
+    "C1 c": Claim("RHE's yaw is good to 2°", lambda runs: _less(runs.rhe_c.rms_yaw_rad, 0.035)),
+    "C2 c": Claim(
         "RHE's μ is better than a constant",
-        lambda runs: np.log(runs["RHE, calibrated"].mu_deviation / runs["RHE, calibrated"].rms_mu),
+        lambda runs: _less(runs.rhe_c.rms_mu, runs.rhe_c.mu_deviation),
     ),
-    Claim(
-        "C3 c",
+    "C3 c": Claim(
         "RHE's κ is better than a constant",
-        lambda runs: np.log(
-            runs["RHE, calibrated"].kappa_deviation / runs["RHE, calibrated"].rms_kappa
-        ),
+        lambda runs: _less(runs.rhe_c.rms_kappa, runs.rhe_c.kappa_deviation),
     ),
-    Claim(
-        "R2",
+    "R2": Claim(
         "Calibrated W tracks better than printed",
-        closer("RHE, calibrated", "RHE, printed", "mean_error_true_m"),
+        lambda runs: _less(runs.rhe_c.mean_error_true_m, runs.rhe_p.mean_error_true_m),
     ),
-)
+}
 
 
-def worlds(n, seed=0):
-    """The first n worlds of the sequence, one row each."""
-    unit = stats.qmc.Sobol(len(UNKNOWNS), rng=np.random.default_rng(seed)).random_base2(
-        (n - 1).bit_length()
-    )[:n]
+def sample_parameters(n, seed=0):
+    """The first n worlds of the Sobol sequence, one row each."""
+    sequence = stats.qmc.Sobol(len(UNKNOWNS), rng=np.random.default_rng(seed))
+    unit = sequence.random_base2((n - 1).bit_length())[:n]
     least, most, logarithmic = map(np.array, zip(*UNKNOWNS.values()))
     scaled = np.where(logarithmic, least ** (1 - unit) * most**unit, least + (most - least) * unit)
     return pd.DataFrame(scaled, columns=list(UNKNOWNS))
@@ -193,50 +169,53 @@ def scenario(world, variant, seed):
 
 
 def drive(drawn, seeds):
-    """{variant: runs}, `seeds` rows for each world in turn."""
-    asked = [
+    """Drive every world: {variant: runs}, `seeds` rows for each world in turn."""
+    scenarios = [
         scenario(world, variant, FIRST_SEED + seeds * place + k)
         for variant in VARIANTS
         for place, world in enumerate(drawn.to_dict("records"))
         for k in range(seeds)
     ]
-    table, each = complete(campaign(asked)), len(drawn) * seeds
+    table, n = complete(campaign(scenarios)), len(drawn) * seeds
     return {
-        variant: table.iloc[place * each : (place + 1) * each].reset_index(drop=True)
+        variant: table.iloc[place * n : (place + 1) * n].reset_index(drop=True)
         for place, variant in enumerate(VARIANTS)
     }
 
 
-def in_world(values, exact):
-    """A claim in one world on its runs' numbers: (verdict, how far on its side). Student's t
-    interval: five runs are too few for a bootstrap.
+def in_world(values):
+    """A claim in one world on its runs' numbers: (verdict, how far on its side). Flags are of an
+    exact claim. Student's t interval: five runs are too few for a bootstrap.
     """
-    if exact:
+    if values.dtype == bool:
         return always(values).verdict, np.mean(values)
     if np.ptp(values) == 0:
         low = high = values[0]
     else:
         low, high = stats.ttest_1samp(values, 0).confidence_interval(CONFIDENCE)
-    return judged(low, high, above=0), np.mean(values)
+    return verdict(low, high, above=0), np.mean(values)
 
 
 def judge(runs, n):
-    """Every claim in every world: DataFrames (n worlds, claims) of verdicts and of how far the
-    claim is on its side.
+    """Judge every claim in every world.
+
+    Args:
+        runs: {variant: runs} of `drive`.
+        n: number of worlds.
+
+    Returns:
+        DataFrames (n, claims) of verdicts and of how far the claim is on its side.
     """
+    runs = SimpleNamespace(**runs)
     found = {
-        claim.id: [
-            in_world(values, claim.exact)
-            for values in np.asarray(claim.measured(runs)).reshape(n, -1)
-        ]
-        for claim in CLAIMS
+        id_: [in_world(values) for values in np.asarray(claim.measured(runs)).reshape(n, -1)]
+        for id_, claim in CLAIMS.items()
     }
-    return (
-        pd.DataFrame({name: [verdict for verdict, _ in each] for name, each in found.items()}),
-        pd.DataFrame(
-            {name: [margin for _, margin in each] for name, each in found.items()}, dtype=float
-        ),
+    verdicts, margins = (
+        pd.DataFrame({id_: [pair[place] for pair in pairs] for id_, pairs in found.items()})
+        for place in (0, 1)
     )
+    return verdicts, margins.astype(float)
 
 
 def correlations(drawn, margins):
@@ -262,29 +241,24 @@ def summary(drawn, verdicts, margins):
     """
     rho, discovered = correlations(drawn, margins)
     rows = []
-    for claim in CLAIMS:
-        holds, of = (
-            share(verdicts[claim.id] == HOLDS),
-            rho.loc[claim.id].where(discovered.loc[claim.id]),
-        )
-        deciding = "" if of.isna().all() else of.abs().idxmax()
+    for id_, (claim, _) in CLAIMS.items():
+        holds = share(verdicts[id_] == HOLDS)
+        found = rho.loc[id_][discovered.loc[id_]]
+        deciding = found.abs().idxmax() if len(found) else ""
+        strength = found.get(deciding, np.nan)
         rows.append(
             dict(
-                id=claim.id,
-                claim=claim.claim,
-                holds=holds.ours,
+                id=id_,
+                claim=claim,
+                holds=holds.value,
                 low=holds.low,
                 high=holds.high,
-                undecided=np.mean(verdicts[claim.id] == UNDECIDED),
-                fails=np.mean(verdicts[claim.id] == FAILS),
+                undecided=np.mean(verdicts[id_] == UNDECIDED),
+                fails=np.mean(verdicts[id_] == FAILS),
                 worlds=holds.n,
                 decided_by=deciding,
-                direction=""
-                if not deciding
-                else "more helps"
-                if of[deciding] > 0
-                else "less helps",
-                rank_correlation=np.nan if not deciding else of[deciding],
+                direction="more helps" if strength > 0 else "less helps" if strength < 0 else "",
+                rank_correlation=strength,
             )
         )
     return pd.DataFrame(rows)

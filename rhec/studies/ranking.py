@@ -15,6 +15,7 @@ from rhec.extensions import dual
 from rhec.scenario import Scenario
 from rhec.simulation import SETTLING_SAMPLES, settled_samples, simulate
 from rhec.studies import calibration
+from rhec.studies.statistics import over_seeds, ratio_of_means, verdict
 
 PROPOSAL, PAPERS = "dual, W by tracking", "RHE, W printed"
 ORACLES = "traction oracle, W by likelihood", "traction oracle, W by tracking"
@@ -96,7 +97,8 @@ def step_times(names, rounds=40, seed=0):
     """
     run = simulate(Scenario(estimator="oracle", seed=seed))
     calls = {
-        name: calibration.prepared(Scenario(**CONTESTANTS[name]), run, "estimate") for name in names
+        name: calibration.scan_arguments(Scenario(**CONTESTANTS[name]), run, "estimate")
+        for name in names
     }
     taken = []
     for _ in range(rounds + 1):
@@ -107,3 +109,48 @@ def step_times(names, rounds=40, seed=0):
             row[name] = (time.perf_counter_ns() - begin) / 1e3 / len(run.log)
         taken.append(row)
     return pd.DataFrame(taken[1:])  # the first round warms up
+
+
+QUANTITIES = {
+    "mean_error_true_m": "mean true error [m]",
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "violations_true": "violations on straights, true",
+    "violations": "violations on straights, raw GNSS",
+}
+
+
+def ranking_table(sweep):
+    """Means over seeds of every contestant, and ratios of mean true errors at equal seeds: to the
+    paper's RHE and to both traction oracles. The claims are the two asked of the proposal.
+
+    Args:
+        sweep: rows of `rhec.campaign` with the column `contestant`, names as in CONTESTANTS, the
+            same seeds in the same order for each.
+
+    Returns:
+        DataFrame with columns contestant, quantity, mean, low, high, n, claim, verdict; best first.
+    """
+    runs = dict(list(sweep.groupby("contestant", sort=False)))
+    targets = {PAPERS: 1 - LEAST_GAIN} | {oracle: 1 + MOST_ABOVE for oracle in ORACLES}
+    rows = []
+    for name in sorted(runs, key=lambda name: runs[name]["mean_error_true_m"].mean()):
+        for column, quantity in QUANTITIES.items():
+            interval = over_seeds(np.mean, runs[name][column])
+            rows.append((name, quantity, interval, "", ""))
+        for other, most in targets.items():
+            if name == other:
+                continue
+            errors = (runs[each]["mean_error_true_m"] for each in (name, other))
+            ratio = over_seeds(ratio_of_means, *errors)
+            claim = said = ""
+            if name == PROPOSAL:
+                claim, said = f"at most {most:.2f}", verdict(ratio.low, ratio.high, below=most)
+            rows.append((name, f"true error, ratio to {other}", ratio, claim, said))
+    return pd.DataFrame(
+        [
+            dict(contestant=name, quantity=quantity)
+            | interval._asdict()
+            | dict(claim=claim, verdict=said)
+            for name, quantity, interval, claim, said in rows
+        ]
+    )

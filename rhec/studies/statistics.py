@@ -1,9 +1,9 @@
-"""Rules that turn numbers into a verdict. Each is a pure function of what was measured and of a
-bound fixed before; each can come out either way.
+"""Intervals and verdicts: one bootstrap, and one rule that turns an interval into a verdict.
 
-The interval is a 95 % one. A claim about a mean, a difference, a ratio or a share *holds* if the
-whole interval lies between its bounds, the bounds themselves not included, *does not hold* if none
-of it does, and is *undecided* otherwise.
+An interval is a 95 % one. A claim about a mean, a difference, a ratio or a share *holds* if the
+whole interval lies between its bounds, *does not hold* if none of it does, and is *undecided*
+otherwise. A bound that is touched is not included, since no change at all is no improvement. Each
+rule is a pure function of what was measured and of a bound fixed before.
 """
 
 from typing import NamedTuple
@@ -11,22 +11,52 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-HOLDS, FAILS, UNDECIDED, UNTESTABLE = (
-    "holds",
-    "does not hold",
-    "undecided",
-    "cannot be tested in simulation",
-)
+__all__ = [
+    "CONFIDENCE",
+    "FAILS",
+    "HOLDS",
+    "UNDECIDED",
+    "UNTESTABLE",
+    "Finding",
+    "Interval",
+    "always",
+    "combined",
+    "difference",
+    "difference_of_means",
+    "equal",
+    "mean",
+    "over_seeds",
+    "possible",
+    "ratio",
+    "ratio_of_means",
+    "reported",
+    "root_of_mean",
+    "share",
+    "verdict",
+]
+
+HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
+UNTESTABLE = "cannot be tested in simulation"
 CONFIDENCE = 0.95
-RESAMPLES = 2000
+_RESAMPLES = {"BCa": 2_000, "percentile": 10_000}
+_MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
+
+
+class Interval(NamedTuple):
+    """A mean (or another statistic) over n seeds and its interval: four columns of a table."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
 
 
 class Finding(NamedTuple):
-    """What was found: the number, its interval, how many runs (or samples, or cases) are behind it,
-    the verdict, and the bounds it was judged by.
+    """A number, its interval, how many runs (or samples, or cases) are behind it, the verdict, and
+    the bounds it was judged by.
     """
 
-    ours: float
+    value: float
     low: float
     high: float
     n: int
@@ -35,8 +65,17 @@ class Finding(NamedTuple):
     below: float = np.inf
 
 
-def judged(low, high, above=-np.inf, below=np.inf):
-    """The verdict on an interval that should lie between `above` and `below`."""
+def verdict(low, high, above=-np.inf, below=np.inf):
+    """Judge an interval that should lie between two bounds.
+
+    Args:
+        low, high: the interval's ends; NaN where there is none.
+        above, below: the bounds, themselves not included.
+
+    Returns:
+        HOLDS if the whole interval lies between the bounds, FAILS if none of it does, else
+        UNDECIDED.
+    """
     if np.isnan(low) or np.isnan(high):
         return UNDECIDED
     if above < low and high < below:
@@ -44,83 +83,121 @@ def judged(low, high, above=-np.inf, below=np.inf):
     return FAILS if high <= above or low >= below else UNDECIDED
 
 
-def _samples(*samples):
-    """The samples as arrays of floats, of one length, nothing missing: a claim must say itself what
-    a missing number means.
+# The bootstrap
+
+
+def _bootstrap(statistic, samples, method):
+    """Value and interval of a statistic of paired samples (n,) each, resampled together."""
+    n = samples[0].size
+    value = float(statistic(*samples, axis=-1)) if n else np.nan
+    if n < 2:
+        return value, np.nan, np.nan
+    if all(np.ptp(sample) == 0 for sample in samples):  # BCa would divide by the spread
+        return value, value, value
+    resampled = stats.bootstrap(
+        samples,
+        statistic,
+        paired=True,
+        vectorized=True,
+        n_resamples=_RESAMPLES[method],
+        confidence_level=CONFIDENCE,
+        method=method,
+        rng=np.random.default_rng(0),
+    )
+    low, high = (
+        resampled.confidence_interval
+        if method == "BCa"
+        else np.quantile(resampled.bootstrap_distribution, [0.025, 0.975])
+    )
+    return value, float(low), float(high)
+
+
+def over_seeds(statistic, *samples):
+    """Estimate a statistic over seeds with its 95 % interval by the percentile bootstrap.
+
+    Percentiles, and not BCa as in the rules below, because a table also shows what has no bias or
+    acceleration: ratios to nothing, counts that are nearly all zero.
+
+    Args:
+        statistic: function of arrays and `axis`, e.g. `np.mean` or `ratio_of_means`.
+        samples: one array (seeds,) each, in the same order of seeds; a seed that is missing (NaN)
+            in one of them is left out.
+
+    Returns:
+        Interval, n the seeds that count; NaN for the numbers where n is below 2.
     """
-    arrays = [np.asarray(sample, dtype=float) for sample in samples]
-    if len({len(array) for array in arrays}) > 1:
-        raise ValueError(
-            f"samples had lengths {[len(array) for array in arrays]}; paired samples should have one"
-        )
-    if any(np.isnan(array).any() for array in arrays):
+    samples = np.column_stack(samples).astype(float)
+    samples = samples[~np.isnan(samples).any(axis=1)].T
+    n = samples.shape[1]
+    if n < 2:
+        return Interval(np.nan, np.nan, np.nan, n)
+    return Interval(*_bootstrap(statistic, tuple(samples), "percentile"), n)
+
+
+def ratio_of_means(one, other, axis):
+    """Ratio of two means; infinite or NaN where there is nothing to divide by."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.mean(one, axis) / np.mean(other, axis)
+
+
+def difference_of_means(one, other, axis):
+    """Difference of two means."""
+    return np.mean(one, axis) - np.mean(other, axis)
+
+
+def root_of_mean(squares, axis):
+    """Root of a mean, for squared errors."""
+    return np.sqrt(np.mean(squares, axis))
+
+
+# Rules
+
+
+def _judged(statistic, samples, above, below):
+    """The Finding of a statistic of paired samples."""
+    value, low, high = _bootstrap(statistic, samples, "BCa")
+    n = len(samples[0])
+    return Finding(value, low, high, n, verdict(low, high, above, below), above, below)
+
+
+def _checked(*samples):
+    """Samples as arrays of one length. A claim must say itself what a missing number means."""
+    samples = [np.asarray(sample, dtype=float) for sample in samples]
+    lengths = [len(sample) for sample in samples]
+    if len(set(lengths)) > 1:
+        raise ValueError(f"samples had lengths {lengths}; paired samples should have one")
+    if any(np.isnan(sample).any() for sample in samples):
         raise ValueError(
             "samples had missing values; a claim should say what they mean before it is judged"
         )
-    return arrays
-
-
-def _bootstrapped(statistic, samples, above, below):
-    """`statistic` of paired samples with its BCa bootstrap interval."""
-    n = len(samples[0])
-    ours = float(statistic(*samples, axis=-1)) if n else np.nan
-    if n < 2:
-        return Finding(ours, np.nan, np.nan, n, UNDECIDED, above, below)
-    if all(
-        np.ptp(sample) == 0 for sample in samples
-    ):  # nothing varies, and BCa would divide by that
-        low = high = ours
-    else:
-        low, high = stats.bootstrap(
-            samples,
-            statistic,
-            paired=True,
-            vectorized=True,
-            n_resamples=RESAMPLES,
-            confidence_level=CONFIDENCE,
-            method="BCa",
-            rng=np.random.default_rng(0),
-        ).confidence_interval
-    return Finding(ours, float(low), float(high), n, judged(low, high, above, below), above, below)
+    return samples
 
 
 def mean(values, above=-np.inf, below=np.inf):
     """A mean lies between the bounds."""
-    return _bootstrapped(np.mean, _samples(values), above, below)
+    return _judged(np.mean, _checked(values), above, below)
 
 
 def difference(one, other, above=-np.inf, below=np.inf):
     """The mean of one - other, paired by their order, lies between the bounds."""
-    one, other = _samples(one, other)
-    return _bootstrapped(np.mean, [one - other], above, below)
+    one, other = _checked(one, other)
+    return _judged(np.mean, [one - other], above, below)
 
 
 def ratio(one, other, above=-np.inf, below=np.inf):
     """The ratio of two paired samples' means lies between the bounds."""
-    return _bootstrapped(
-        lambda one, other, axis: np.mean(one, axis) / np.mean(other, axis),
-        _samples(one, other),
-        above,
-        below,
-    )
+    return _judged(ratio_of_means, _checked(one, other), above, below)
 
 
 def share(flags, above=-np.inf, below=np.inf):
     """The share of flags that are true lies between the bounds; interval by Clopper and Pearson."""
     flags = np.asarray(flags, dtype=bool)
-    if len(flags) == 0:
-        return Finding(np.nan, np.nan, np.nan, 0, UNDECIDED, above, below)
-    low, high = stats.binomtest(int(flags.sum()), len(flags)).proportion_ci(
-        CONFIDENCE, method="exact"
-    )
+    n, value, low, high = len(flags), np.nan, np.nan, np.nan
+    if n:
+        value = flags.mean()
+        low, high = stats.binomtest(int(flags.sum()), n).proportion_ci(CONFIDENCE, method="exact")
     return Finding(
-        float(flags.mean()),
-        float(low),
-        float(high),
-        len(flags),
-        judged(low, high, above, below),
-        above,
-        below,
+        float(value), float(low), float(high), n, verdict(low, high, above, below), above, below
     )
 
 
@@ -128,7 +205,7 @@ def always(flags):
     """An exact property: true in every case. One exception refutes it."""
     found = share(flags)
     return found._replace(
-        verdict=UNDECIDED if found.n == 0 else HOLDS if found.ours == 1 else FAILS, above=1.0
+        verdict=UNDECIDED if found.n == 0 else HOLDS if found.value == 1 else FAILS, above=1.0
     )
 
 
@@ -138,7 +215,7 @@ def possible(flags, rare=0.01):
     """
     found = share(flags)
     return found._replace(
-        verdict=HOLDS if found.ours > 0 else FAILS if found.high < rare else UNDECIDED, above=0.0
+        verdict=HOLDS if found.value > 0 else FAILS if found.high < rare else UNDECIDED, above=0.0
     )
 
 
@@ -148,51 +225,35 @@ def reported(values, paper):
 
     The interval is that of single runs, not of their mean; fewer than 40 runs cannot have one.
     """
-    (values,) = _samples(values)
-    if len(values) < 40:
-        return Finding(
-            float(values.mean()) if len(values) else np.nan,
-            np.nan,
-            np.nan,
-            len(values),
-            UNDECIDED,
-            paper,
-            paper,
-        )
-    low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Finding(
-        float(values.mean()),
-        float(low),
-        float(high),
-        len(values),
-        HOLDS if low <= paper <= high else FAILS,
-        paper,
-        paper,
-    )
+    found = mean(values)
+    if found.n < _MIN_SINGLE_RUNS:
+        low, high, said = np.nan, np.nan, UNDECIDED
+    else:
+        low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+        said = HOLDS if low <= paper <= high else FAILS
+    return Finding(found.value, float(low), float(high), found.n, said, paper, paper)
 
 
 def equal(value, expected, tolerance):
     """A number that follows without any run: within `tolerance` of `expected`."""
     value = float(value)
-    verdict = (
-        UNDECIDED if np.isnan(value) else HOLDS if abs(value - expected) <= tolerance else FAILS
-    )
-    return Finding(value, value, value, 1, verdict, expected - tolerance, expected + tolerance)
+    said = UNDECIDED if np.isnan(value) else HOLDS if abs(value - expected) <= tolerance else FAILS
+    return Finding(value, value, value, 1, said, expected - tolerance, expected + tolerance)
 
 
 def combined(findings):
-    """One verdict from the findings under several readings {reading: Finding}, and the reading
-    whose numbers stand for it.
+    """One verdict from the findings under several conditions {condition: Finding}, and the
+    condition whose numbers stand for it.
 
-    A claim that holds under some readings only holds "under" the first of them; else the first
-    reading speaks, and a single doubt keeps it open.
+    A claim that holds under some conditions only holds "under" the first of them; else the first
+    condition speaks, and a single doubt keeps it open.
     """
-    verdicts = {process_noise: found.verdict for process_noise, found in findings.items()}
-    holding = [process_noise for process_noise, verdict in verdicts.items() if verdict == HOLDS]
+    verdicts = {condition: found.verdict for condition, found in findings.items()}
+    holding = [condition for condition, said in verdicts.items() if said == HOLDS]
     first = next(iter(findings))
     if len(holding) == len(findings):
         return HOLDS, first
     if holding:
         return f"{HOLDS} under {holding[0]}", holding[0]
-    open_ = [process_noise for process_noise, verdict in verdicts.items() if verdict == UNDECIDED]
+    open_ = [condition for condition, said in verdicts.items() if said == UNDECIDED]
     return (UNDECIDED, open_[0]) if open_ else (verdicts[first], first)

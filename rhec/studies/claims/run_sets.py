@@ -1,13 +1,14 @@
 """The runs that the claims are judged on, as data, and what is measured of them. Seeds start at 0;
 those of the calibration are never used.
 
-Every label is run under both readings of the process noise at the same seeds, so that row k of any
-two tables of one length is the same field and the same noise. RUNS need their metrics alone and run
-as one campaign; LOGS need what only each sample shows.
+Every id is run under both process noises at the same seeds, so that row k of any two tables of one
+length is the same field and the same noise. RUNS need their metrics alone and run as one campaign;
+LOGS need what only each sample shows.
 """
 
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 
@@ -18,110 +19,109 @@ from rhec.model.terrain import Terrain
 from rhec.scenario import Scenario
 from rhec.metrics import rms
 from rhec.simulation import simulate
-from rhec.studies.claims import estimators
 
-READINGS = ("printed", "calibrated")
-FIRST_ROW_S = 60.0  # at 0.5 m/s, less the slip, the robot is still on its first row of 30 m
+__all__ = ["LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "complete", "logs", "runs"]
+
+PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
-MU, KAPPA = 0.9, 0.8  # the default soil's means, as constants
-SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
-UNCERTAIN = dict(
+_MU, _KAPPA = 0.9, 0.8  # the default soil's means, as constants
+_SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
+_UNCERTAIN = dict(
     kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4
 )
+_ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
+_CONSTANT = dict(terrain=Terrain.uniform(_MU, _KAPPA))
+_UNDISTURBED = dict(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, bump_sigma_radps=0.0)
 
 
-def a_row(**fields):
-    return dict(duration_s=FIRST_ROW_S, **fields)
+def _ekf_noise(process_noise):
+    return ekf.SIGMA_W[process_noise]
 
 
-def on_constant_soil(**fields):
-    return dict(terrain=Terrain.uniform(MU, KAPPA), **fields)
+def _traction_noise_times(factor):
+    """The RHE's W with the standard deviations of μ and κ times `factor`."""
+
+    def sigma_w(process_noise):
+        *pose_and_speed, mu, kappa = rhe.SIGMA_W[process_noise]
+        return *pose_and_speed, factor * mu, factor * kappa
+
+    return sigma_w
 
 
-# label: (fields of the scenario, share of the seeds); a field may depend on the reading
+def _dead_reckoning(process_noise):
+    """An estimator (memory, z) -> (memory, estimate) without an estimate of the yaw: that is the
+    encoders' yaw rate summed up from the start, position and speed are as measured, no slip.
+    """
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    estimate = ca.vertcat(z[:2], memory[2] + paper.DT_S * z[3], z[2], 1, 1)
+    options = {"allow_duplicate_io_names": True}
+    return ca.Function("dead_reckoned", [memory, z], [estimate, estimate], options)
+
+
+_FIXED = dict(estimator="fixed_traction", sigma_w=_ekf_noise)
+
+# id: (fields of the scenario, share of the seeds); a field may depend on the process noise
 RUNS = {
-    "RHE": (dict(), 1.0),
-    "EKF": (dict(estimator="ekf"), 0.4),
-    "Q1": (a_row(q=paper.Q1), 0.1),
-    "Q2": (a_row(q=paper.Q2), 0.1),
-    "Q2, look-ahead": (a_row(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M), 0.1),
-    "Q3": (a_row(q=paper.Q3), 0.2),
-    "Q2, small R": (a_row(q=paper.Q2, r=paper.R / 100), 0.2),
-    "Q3, small R": (a_row(q=paper.Q3, r=paper.R / 100), 0.1),
-    "Q3, no terminal penalty": (a_row(q=paper.Q3, qn_factor=0.0), 0.1),
-    "traction told": (
-        dict(estimator="traction_oracle", sigma_w=lambda process_noise: ekf.SIGMA_W[process_noise]),
-        0.08,
-    ),
-    "traction hard-coded": (
-        dict(estimator="fixed_traction", sigma_w=lambda process_noise: ekf.SIGMA_W[process_noise]),
-        0.08,
-    ),
-    "RHE, constant soil": (on_constant_soil(), 0.2),
-    "hard-coded, constant soil": (
-        on_constant_soil(
-            estimator="fixed_traction", sigma_w=lambda process_noise: ekf.SIGMA_W[process_noise]
-        ),
-        0.2,
-    ),
-    "RHE, uncertain soil": (UNCERTAIN, 0.08),
-    "EKF, uncertain soil": (UNCERTAIN | dict(estimator="ekf"), 0.08),
-    "yaw not estimated": (dict(estimator=lambda process_noise: estimators.dead_reckoned()), 0.2),
+    "rhe": (dict(), 1.0),
+    "ekf": (dict(estimator="ekf"), 0.4),
+    "q1": (dict(q=paper.Q1) | _ON_ROW, 0.1),
+    "q2": (dict(q=paper.Q2) | _ON_ROW, 0.1),
+    "q2_look_ahead": (dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _ON_ROW, 0.1),
+    "q3": (dict(q=paper.Q3) | _ON_ROW, 0.2),
+    "q2_small_r": (dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW, 0.2),
+    "q3_small_r": (dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW, 0.1),
+    "q3_no_terminal_weight": (dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW, 0.1),
+    "known_traction": (dict(estimator="traction_oracle", sigma_w=_ekf_noise), 0.08),
+    "fixed_traction": (_FIXED, 0.08),
+    "rhe_constant": (_CONSTANT, 0.2),
+    "fixed_traction_constant": (_CONSTANT | _FIXED, 0.2),
+    "rhe_uncertain": (_UNCERTAIN, 0.08),
+    "ekf_uncertain": (_UNCERTAIN | dict(estimator="ekf"), 0.08),
+    "dead_reckoning": (dict(estimator=_dead_reckoning), 0.2),
 }
-
-
-def scaled_traction_noise(factor):
-    """The reading's W with the standard deviations of μ and κ times `factor`."""
-    return lambda process_noise: (
-        *rhe.SIGMA_W[process_noise][:4],
-        *(factor * sigma for sigma in rhe.SIGMA_W[process_noise][4:]),
-    )
-
-
 LOGS = {
-    "RHE": (dict(), 0.1),
-    "RHE, small W": (dict(sigma_w=scaled_traction_noise(0.1)), 0.05),
-    "RHE, constant parameters": (dict(sigma_w=scaled_traction_noise(0.0)), 0.05),
-    "EKF": (dict(estimator="ekf"), 0.05),
-    "EKF, path's yaw rate": (dict(estimator="ekf", input_reference="curvature"), 0.05),
-    "augmented EKF, slippery soil": (
-        SLIPPERY | dict(estimator="augmented_ekf", duration_s=120.0),
-        0.4,
-    ),
-    "RHE, slippery soil": (SLIPPERY | dict(duration_s=120.0), 0.1),
-    "augmented EKF": (dict(estimator="augmented_ekf"), 0.05),
-    "RHE, nothing disturbs": (
-        on_constant_soil(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, bump_sigma_radps=0.0),
-        0.01,
-    ),
+    "rhe": (dict(), 0.1),
+    "rhe_small_w": (dict(sigma_w=_traction_noise_times(0.1)), 0.05),
+    "rhe_constant_parameters": (dict(sigma_w=_traction_noise_times(0.0)), 0.05),
+    "ekf": (dict(estimator="ekf"), 0.05),
+    "ekf_path_yaw_rate": (dict(estimator="ekf", input_reference="curvature"), 0.05),
+    "augmented_ekf": (dict(estimator="augmented_ekf"), 0.05),
+    "augmented_ekf_slippery": (_SLIPPERY | dict(estimator="augmented_ekf", duration_s=120.0), 0.4),
+    "rhe_slippery": (_SLIPPERY | dict(duration_s=120.0), 0.1),
+    "rhe_undisturbed": (_CONSTANT | _UNDISTURBED, 0.01),
 }
 
 
 def scenarios(fields, process_noise, seeds):
-    """The scenarios of a label: its fields under a reading, one a seed."""
+    """The scenarios of an id: its fields under a process noise, one a seed, at least two."""
     fields = {
-        name: value(process_noise) if callable(value) and not hasattr(value, "serialize") else value
-        for name, value in fields.items()
+        name: value(process_noise) if callable(value) else value for name, value in fields.items()
     }
-    return [Scenario(process_noise=process_noise, seed=seed, **fields) for seed in range(seeds)]
+    return [
+        Scenario(process_noise=process_noise, seed=seed, **fields)
+        for seed in range(max(2, round(seeds)))
+    ]
 
 
 def runs(seeds):
-    """{reading: {label: one row a seed with the run's metrics}} of RUNS, as one campaign; `seeds`
-    is the largest number of fields.
+    """Metrics of RUNS, made as one campaign.
+
+    Args:
+        seeds: the largest number of fields.
+
+    Returns:
+        {process noise: {id: DataFrame, one row a seed}}.
     """
     asked = {
-        (process_noise, label): scenarios(fields, process_noise, max(2, round(share * seeds)))
-        for process_noise in READINGS
-        for label, (fields, share) in RUNS.items()
+        (process_noise, id_): scenarios(fields, process_noise, share * seeds)
+        for process_noise in PROCESS_NOISES
+        for id_, (fields, share) in RUNS.items()
     }
-    table = campaign([scenario for each in asked.values() for scenario in each])
-    found, begin = {process_noise: {} for process_noise in READINGS}, 0
-    for (process_noise, label), each in asked.items():
-        found[process_noise][label] = complete(
-            table.iloc[begin : begin + len(each)].reset_index(drop=True)
-        )
-        begin += len(each)
+    table = complete(campaign([scenario for each in asked.values() for scenario in each]))
+    found, end = {process_noise: {} for process_noise in PROCESS_NOISES}, 0
+    for (process_noise, id_), each in asked.items():
+        begin, end = end, end + len(each)
+        found[process_noise][id_] = table.iloc[begin:end].reset_index(drop=True)
     return found
 
 
@@ -141,18 +141,18 @@ def complete(table):
 
 
 def logs(seeds):
-    """The same of LOGS, one row a seed with `measured` beside the metrics."""
+    """Metrics of LOGS and what is `measured` beside them, as `runs` returns them."""
     return {
         process_noise: {
-            label: pd.DataFrame(
+            id_: pd.DataFrame(
                 [
                     measured(simulate(scenario))
-                    for scenario in scenarios(fields, process_noise, max(2, round(share * seeds)))
+                    for scenario in scenarios(fields, process_noise, share * seeds)
                 ]
             )
-            for label, (fields, share) in LOGS.items()
+            for id_, (fields, share) in LOGS.items()
         }
-        for process_noise in READINGS
+        for process_noise in PROCESS_NOISES
     }
 
 

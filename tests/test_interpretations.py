@@ -85,8 +85,8 @@ def moved(virtual_machine):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             interpretations,
-            "READINGS",
-            {name: interpretations.READINGS[name] for name in ("R3 a", "R10")},
+            "INTERPRETATIONS",
+            {name: interpretations.INTERPRETATIONS[name] for name in ("R3 a", "R10")},
         )
         patch.setattr(
             interpretations, "Scenario", lambda **fields: rhec.Scenario(duration_s=20.0, **fields)
@@ -96,12 +96,14 @@ def moved(virtual_machine):
 
 def test_one_reading_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
     assert (
-        set(moved["reading"]) == {"baseline", "R1", "R2", "R3 a", "R10"} and (moved["n"] == 3).all()
+        set(moved["interpretation"]) == {"baseline", "R1", "R2", "R3 a", "R10"}
+        and (moved["n"] == 3).all()
     )
     assert (
-        moved.loc[moved["reading"] == "baseline", ["change", "change_low", "change_high"]] == 0
+        moved.loc[moved["interpretation"] == "baseline", ["change", "change_low", "change_high"]]
+        == 0
     ).all(axis=None)
-    of = moved.set_index(["reading", "quantity"])
+    of = moved.set_index(["interpretation", "quantity"])
     for name in ("R2", "R3 a", "R10"):
         row = of.loc[(name, "mean error, true [m]")]
         assert (

@@ -1,0 +1,117 @@
+"""The tables of both scenarios: means over seeds with their intervals beside the numbers that the
+paper reports, and the verdicts on its words.
+"""
+
+import numpy as np
+import pandas as pd
+
+from rhec import paper
+from rhec.studies.statistics import always, difference_of_means, over_seeds, ratio_of_means, verdict
+
+__all__ = ["REPORTED", "scenario_a_table", "scenario_b_table"]
+
+REPORTED = {  # (estimator, metric): the paper's number
+    ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,
+    ("EKF", "mean_error_m"): paper.MEAN_ERROR_EKF_M,
+    ("RHE", "violations"): paper.VIOLATIONS_RHE,
+    ("EKF", "violations"): paper.VIOLATIONS_EKF,
+}
+_QUANTITIES_A = {
+    "settling_time_s": "settling time [s]",
+    "overshoot_m": "overshoot [m]",
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "mean_error_true_m": "mean error, true [m]",
+}
+_QUANTITIES_B = {
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "mean_error_true_m": "mean error, true [m]",
+    "violations": "violations on straights, raw GNSS",
+    "violations_true": "violations on straights, true",
+    "rms_yaw_rad": "RMS error of yaw [rad]",
+    "rms_mu": "RMS error of mu",
+    "rms_kappa": "RMS error of kappa",
+}
+_COLUMNS_B = "process_noise estimator quantity mean low high n paper claim verdict".split()
+_AT_LEAST = 2  # "cannot reach in reasonable time", "oscillates": at least twofold
+
+
+def scenario_a_table(sweep):
+    """Scenario A in numbers: means over seeds for each yaw weight, and the two ratios behind the
+    paper's words. The settling time is that of the runs that settle.
+
+    Args:
+        sweep: rows of `rhec.campaign` with the column `weight` ("Q1", "Q2", …), the same seeds in
+            the same order for each.
+
+    Returns:
+        DataFrame with columns weight, quantity, mean, low, high, n, claim, verdict.
+    """
+    runs = dict(list(sweep.groupby("weight", sort=False)))
+    rows = [
+        dict(weight=weight, quantity=quantity)
+        | over_seeds(np.mean, of_weight[column])._asdict()
+        | dict(claim="", verdict="")
+        for column, quantity in _QUANTITIES_A.items()
+        for weight, of_weight in runs.items()
+    ]
+    for one, other, column, quantity in [
+        ("Q1", "Q3", "settling_time_s", "settling time, ratio"),
+        ("Q2", "Q3", "overshoot_m", "overshoot, ratio"),
+    ]:
+        ratio = over_seeds(ratio_of_means, runs[one][column], runs[other][column])
+        rows.append(
+            dict(weight=f"{one} / {other}", quantity=quantity)
+            | ratio._asdict()
+            | dict(
+                claim=f"at least {_AT_LEAST}",
+                verdict=verdict(ratio.low, ratio.high, above=_AT_LEAST),
+            )
+        )
+    return pd.DataFrame(rows)
+
+
+def scenario_b_table(sweep):
+    """Scenario B in numbers: means over seeds for each process noise and estimator, how RHE and EKF
+    differ at equal seeds, and the paper's claims. The EKF takes μ and κ to be 1.
+
+    Args:
+        sweep: rows of `rhec.campaign`, the same seeds in the same order for each process noise and
+            estimator.
+
+    Returns:
+        DataFrame with columns process_noise, estimator, quantity, mean, low, high, n, paper, claim,
+        verdict.
+    """
+    rows = []
+    for process_noise, of_noise in sweep.groupby("process_noise", sort=False):
+        runs = {name.upper(): table for name, table in of_noise.groupby("estimator", sort=False)}
+        for column, quantity in _QUANTITIES_B.items():
+            about = dict(process_noise=process_noise, quantity=quantity)
+            rows += [_of_estimator(about, name, column, runs[name][column]) for name in runs]
+            if ("RHE", column) in REPORTED:
+                rows.append(_gain(about, column, runs["RHE"][column], runs["EKF"][column]))
+    return pd.DataFrame(rows)[_COLUMNS_B]
+
+
+def _of_estimator(about, estimator, column, values):
+    """A row on one estimator; a claim where the paper reports none at all."""
+    reported, claim, said = REPORTED.get((estimator, column), ""), "", ""
+    if reported == 0:
+        claim, said = "at most 0", always(values == 0).verdict
+    interval = over_seeds(np.mean, values)._asdict()
+    return about | interval | dict(estimator=estimator, paper=reported, claim=claim, verdict=said)
+
+
+def _gain(about, column, rhe, ekf):
+    """A row on how much less the RHE has than the EKF at equal seeds."""
+    gain = over_seeds(difference_of_means, rhe, ekf)
+    return (
+        about
+        | gain._asdict()
+        | dict(
+            estimator="RHE - EKF",
+            paper=round(REPORTED["RHE", column] - REPORTED["EKF", column], 4),
+            claim="below 0",
+            verdict=verdict(gain.low, gain.high, below=0),
+        )
+    )
