@@ -1,6 +1,6 @@
 """A replayed log in pictures, and its scores as a table.
 
-`replays` is {name: samples}, as `rhec.logs.scores.trial` returns them; what a log does not know
+`replays` is {name: samples}, as `rhec.logs.scores.perturbed_replay` returns them; what a log does not know
 (its true pose, say) is left out of the picture.
 """
 
@@ -361,7 +361,7 @@ def replay_faults(table):
     """Largest error of the position [m] and of the yaw [rad] from the beginning of each fault on,
     as it is and robust; every noise seed a dot, means bars.
 
-    table: rows of `scores.fault_trials`.
+    table: rows of `scores.fault_scores`.
     """
     figure, panels = plt.subplots(
         1, 2, figsize=(DOUBLE_IN, 0.6 + 0.26 * table["fault"].nunique()), sharey=True
@@ -403,7 +403,7 @@ def replay_faults(table):
 
 
 def replay_table(trials):
-    """Scores of {name: rows of `scores.trials`}: estimator, quantity, mean, low, high (95 %
+    """Scores of {name: rows of `scores.perturbed_scores`}: estimator, quantity, mean, low, high (95 %
     interval over noise seeds), n.
     """
     rows = []
