@@ -16,7 +16,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.columns import MEASUREMENTS, POSE, RECORDED, RECORDED_TRUTH, TRACKS, TRUE_SPEEDS
-from rhec.estimator.kalman import Z_MAX
+from rhec.model.tracked_robot import SPEED_MODELS
 
 __all__ = ["Recording", "prepare", "read", "resample"]
 
@@ -68,7 +68,7 @@ def prepare(log, track_width_m=None):
     far apart.
     """
     values, averaged = _parse_columns(log, track_width_m)
-    for name, limit in zip(MEASUREMENTS, Z_MAX):
+    for name, limit in zip(MEASUREMENTS, SPEED_MODELS["parameter"].model.limits):
         values.loc[~(values[name].abs() <= limit), name] = np.nan
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
 
