@@ -1,9 +1,9 @@
-"""The log that the project ships: the simulated robot driven open loop, recorded as a real robot's
-logger would.
+"""Make data/example_log.csv: the simulated robot driven open loop, recorded as by a real robot's
+logger.
 
 Forward, backward, standing still and turning on the spot, at changing speeds, on a slip field, in
 two pieces. Ten rows a second, with a new position in every other one; between them the last
-position is repeated and pos_ok is 0. `python -m make_example_log` makes the file again.
+position is repeated and pos_ok is 0. `python data/make_example_log.py` writes the file.
 """
 
 from pathlib import Path
@@ -15,18 +15,21 @@ import pandas as pd
 from rhec import paper
 from rhec._casadi import scan
 from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack, with_packed_memory
+from rhec.columns import RECORDED_TRUTH, TRACKS
 from rhec.model import robot
 from rhec.model.terrain import Terrain, flat, lookup
 from rhec.simulation import draw_noise
 
-FILE = Path(__file__).parents[1] / "data" / "example_log.csv"
-DT_S = 0.1
-SEED = 2018
-GNSS_SIGMA_M, BUMP_SIGMA_RADPS = 0.02, 0.02
-BOX = (-25.0, 35.0, -30.0, 30.0)  # of the slip field [m]
+__all__ = ["FILE", "example_log"]
+
+FILE = Path(__file__).with_name("example_log.csv")
+_DT_S = 0.1
+_SEED = 2018
+_GNSS_SIGMA_M, _BUMP_SIGMA_RADPS = 0.02, 0.02
+_BOX = (-25.0, 35.0, -30.0, 30.0)  # of the slip field [m]
 
 # Pose where each piece begins, and its commands (duration [s], speed [m/s], yaw rate [rad/s])
-PIECES = [
+_PIECES = [
     (
         (0.0, 0.0, 0.4),
         [
@@ -65,34 +68,24 @@ PIECES = [
         ],
     ),
 ]
-MEMORY = {name: robot.MEMORY[name] for name in ("pose", "tracks", "integral")}
-COLUMNS = [
-    "x_m",
-    "y_m",
-    "v_left_mps",
-    "v_right_mps",
-    "x_true_m",
-    "y_true_m",
-    "yaw_true_rad",
-    "v_true_mps",
-    "yaw_rate_true_radps",
-]
+_MEMORY = {name: robot.MEMORY[name] for name in ("pose", "tracks", "integral")}
+_COLUMNS = ["x_m", "y_m", *TRACKS, *RECORDED_TRUTH.values()]
 
 
-def sample(terrain):
-    """One row: (memory, command and noise) -> (memory, COLUMNS). The encoders are read at this
+def _build_sample(terrain):
+    """One row: (memory, command and noise) -> (memory, _COLUMNS). The encoders are read at this
     instant.
     """
-    drive, slip = robot.drive(DT_S), lookup(terrain.mu.shape)
+    drive, slip = robot.drive(_DT_S), lookup(terrain.mu.shape)
     body = dict(
-        track_width_m=paper.TRACK_WIDTH_M, encoder_sigma_mps=0.0, bump_sigma_radps=BUMP_SIGMA_RADPS
+        track_width_m=paper.TRACK_WIDTH_M, encoder_sigma_mps=0.0, bump_sigma_radps=_BUMP_SIGMA_RADPS
     )
 
     def moved(pose, tracks, integral, given):
         command, noise = given[:2], unpack(given[2:], robot.NOISE)
         traction = slip(pose[:2], terrain.origin_m, terrain.cell_m, flat(terrain))
         row = ca.vertcat(
-            pose[:2] + GNSS_SIGMA_M * noise["white"],
+            pose[:2] + _GNSS_SIGMA_M * noise["white"],
             tracks + paper.ENCODER_SIGMA_MPS * noise["encoder"][:, 0],
             pose,
             traction * ca.vertcat(*robot.body_speeds(tracks, paper.TRACK_WIDTH_M)),
@@ -107,38 +100,36 @@ def sample(terrain):
             **select_inputs(drive, noise),
             **body,
         )
-        return {name: driven[name] for name in MEMORY} | dict(row=row)
+        return {name: driven[name] for name in _MEMORY} | dict(row=row)
 
     return with_packed_memory(
-        "sample", moved, MEMORY, dict(given=(2 + packed_size(robot.NOISE), 1))
+        "sample", moved, _MEMORY, dict(given=(2 + packed_size(robot.NOISE), 1))
     )
 
 
-def record(pose, commands, terrain, seed):
+def _record(pose, commands, terrain, seed):
     """One piece of the log: the robot starts at this pose and follows the commands."""
-    asked = np.array(
-        [command for duration, *command in commands for _ in range(round(duration / DT_S))]
-    )
-    given = np.hstack([asked, draw_noise(seed, len(asked))])
-    memory = pack_array({name: robot.init(pose, 0.0)[name] for name in MEMORY})
-    _, rows = scan.scan(scan.build_scan(sample(terrain)), memory, given, {})
-    log = pd.DataFrame(rows, columns=COLUMNS)
-    log.insert(0, "t_s", DT_S * np.arange(len(log)))
-    new = log.index % round(paper.DT_S / DT_S) == 0
+    rows = [command for duration, *command in commands for _ in range(round(duration / _DT_S))]
+    given = np.hstack([np.array(rows), draw_noise(seed, len(rows))])
+    memory = pack_array({name: robot.init(pose, 0.0)[name] for name in _MEMORY})
+    _, rows = scan.scan(scan.build_scan(_build_sample(terrain)), memory, given, {})
+    log = pd.DataFrame(rows, columns=_COLUMNS)
+    log.insert(0, "t_s", _DT_S * np.arange(len(log)))
+    new = log.index % round(paper.DT_S / _DT_S) == 0
     log.loc[~new, ["x_m", "y_m"]] = np.nan
     nu, omega = robot.body_speeds((log["v_left_mps"], log["v_right_mps"]), paper.TRACK_WIDTH_M)
     return log.ffill().assign(pos_ok=new.astype(int), speed_mps=nu, yaw_rate_radps=omega)
 
 
 def example_log():
-    """The whole log, as its file has it; the logger was off for half a minute between the pieces."""
-    terrain = Terrain.random(SEED, BOX, (0.9, 0.8), (0.04, 0.08), 4.0)
+    """The whole log, as in its file; the logger is off for half a minute between the pieces."""
+    terrain = Terrain.random(_SEED, _BOX, (0.9, 0.8), (0.04, 0.08), 4.0)
     pieces, begin = [], 0.0
-    for segment, (pose, commands) in enumerate(PIECES):
-        piece = record(pose, commands, terrain, SEED + segment)
+    for segment, (pose, commands) in enumerate(_PIECES):
+        piece = _record(pose, commands, terrain, _SEED + segment)
         pieces.append(piece.assign(segment=segment, t_s=piece["t_s"] + begin))
         begin = pieces[-1]["t_s"].iloc[-1] + 30.0
-    order = ["segment", "t_s", "x_m", "y_m", "pos_ok", "speed_mps", "yaw_rate_radps", *COLUMNS[2:]]
+    order = ["segment", "t_s", "x_m", "y_m", "pos_ok", "speed_mps", "yaw_rate_radps", *_COLUMNS[2:]]
     return pd.concat(pieces, ignore_index=True)[order].round(4)
 
 

@@ -1,10 +1,9 @@
-"""Soak: one endless drive over ever-changing fields, with sensors that fail at random. `make soak
+"""Soak test: one endless drive over ever-changing fields, with random sensor faults. `make soak
 SAMPLES=10000000` drives 23 days at 5 Hz.
 
-The drive is a fold like any other, over legs of five minutes: a leg has its own soil, noise, tuning
-and faults, a pure function of (seed, leg), and takes over the robot, the estimator and the
-controller as the leg before left them. So it can be cut at any sample, saved as plain arrays, and
-resumed.
+The drive is scanned leg by leg, five minutes each: a leg has its own terrain, noise, tuning and
+faults, a pure function of (seed, leg), and starts from the robot, the estimator and the controller
+as the leg before left them. So it can be cut at any sample, saved as plain arrays, and resumed.
 """
 
 import argparse
@@ -20,6 +19,7 @@ import numpy as np
 from rhec import paper, simulation
 from rhec._casadi import compiled, scan
 from rhec._casadi.build import packed_size, shapes_of, unpack_array
+from rhec.columns import COLUMNS, COMMAND, ESTIMATE, TRUTH
 from rhec.estimator import rhe
 from rhec.extensions import faults
 from rhec.extensions.faults import Fault
@@ -27,16 +27,9 @@ from rhec.model import robot
 from rhec.scenario import Scenario
 
 LEG = 1500  # samples
-CHECK = 500  # so often is the arrival covariance looked at
-COUNTS = (
-    "done",
-    "not_finite",
-    "out_of_bounds",
-    "not_definite",
-    "not_ok",
-    "outside",
-    "digest",
-)  # whole numbers of the state
+CHECK = 500  # samples between two looks at the arrival covariance
+FAILURES = "not_finite", "out_of_bounds", "not_definite"
+COUNTS = "done", *FAILURES, "not_ok", "outside", "digest"  # whole numbers of the state
 
 
 def random_fault(rng, duration_s):
@@ -48,13 +41,13 @@ def random_fault(rng, duration_s):
         delay_s=rng.uniform(0, faults.DELAY_MAX_S),
         rate_hz=rng.uniform(0.2, 4),
     )
-    told = {faults.SIZES[kind]: float(sizes[faults.SIZES[kind]])} if kind in faults.SIZES else {}
+    size = {faults.SIZES[kind]: float(sizes[faults.SIZES[kind]])} if kind in faults.SIZES else {}
     return Fault(
         kind=kind,
         channel=str(rng.choice(channels)),
         start_s=rng.uniform(0, duration_s),
         duration_s=rng.uniform(0, 30),
-        **told,
+        **size,
     )
 
 
@@ -103,15 +96,15 @@ def leg(base, seed, number):
     )
 
 
-def start(base, seed):
-    """The state before the first sample: where the drive is, and what was counted on the way."""
+def init(base, seed):
+    """The state before the first sample: memory of the loop, counts, digest of all rows."""
     return dict.fromkeys(COUNTS, 0) | dict(
         seed=seed, lowest_eigenvalue=np.inf, memory=simulation.set_up(leg(base, seed, 0)).memory
     )
 
 
 def arrival_covariance(base, memory):
-    """P (n_s, n_s) of the RHE within the memory of the closed loop."""
+    """Arrival covariance P (n_s, n_s) of the RHE, in the memory of the closed loop."""
     of_rhe = shapes_of(
         rhe.init(np.zeros(6), np.ones(6), base.estimation_horizon, base.speed_model, base.robust)
     )
@@ -120,8 +113,8 @@ def arrival_covariance(base, memory):
 
 
 def lowest_eigenvalue(P):
-    """Of P scaled to a unit diagonal; -Inf if P is not finite, not symmetric to the last bit, or
-    has a variance that is not above 0.
+    """Lowest eigenvalue of P scaled to a unit diagonal; -Inf if P is not finite, not symmetric to
+    the last bit, or has a variance that is not above 0.
     """
     if not (np.isfinite(P).all() and np.array_equal(P, P.T) and np.all(np.diag(P) > 0)):
         return -np.inf
@@ -129,62 +122,47 @@ def lowest_eigenvalue(P):
     return np.linalg.eigvalsh(P / scale / scale[:, None])[0]
 
 
-def counted(base, scenario, made, rows, memory):
-    """What is wrong with these samples and the arrival covariance after them, and the lowest
-    eigenvalue of that.
+def counted(base, scenario, setup, rows, memory):
+    """Failures in these samples and in the arrival covariance after them, and the lowest eigenvalue
+    of that.
     """
-    log = dict(zip(simulation.COLUMNS, rows.T))
-    finite = np.isfinite(
-        rows[
-            :,
-            [
-                simulation.COLUMNS.index(name)
-                for name in (
-                    *simulation.LOG["truth"],
-                    *simulation.LOG["estimate"],
-                    "omega_cmd_radps",
-                )
-            ],
-        ]
-    )
+    log = dict(zip(COLUMNS, rows.T))
+    finite = np.isfinite([log[name] for name in (*TRUTH, *ESTIMATE, *COMMAND)])
     traction = np.stack([log["mu_hat"], log["kappa_hat"]])
-    outside = (np.abs(log["omega_cmd_radps"]) > scenario.omega_max_radps) | (
-        (traction < 0) | (traction > 1)
-    ).any(axis=0)
+    out_of_bounds = ((traction < 0) | (traction > 1)).any(axis=0)
+    out_of_bounds |= np.abs(log["omega_cmd_radps"]) > scenario.omega_max_radps
     lowest = lowest_eigenvalue(arrival_covariance(base, memory))
-    far = made.path.project(rows[:, :2])[0] > paper.TOLERANCE_M
-    return dict(
-        not_finite=int((~finite).any(axis=1).sum()),
-        out_of_bounds=int(outside.sum()),
+    distance_m, _ = setup.path.project(np.column_stack([log["x_m"], log["y_m"]]))
+    counts = dict(
+        not_finite=int((~finite).any(axis=0).sum()),
+        out_of_bounds=int(out_of_bounds.sum()),
         not_definite=int(not lowest > 0),
         not_ok=int((log["ok"] != 1).sum()),
-        outside=int(far.sum()),
-    ), lowest
+        outside=int((distance_m > paper.TOLERANCE_M).sum()),
+    )
+    return counts, lowest
 
 
 def drive(state, base, samples):
-    """Drive so many samples on from a state: the next state. The same in one piece or in many, to
-    the last bit of every row (`digest`).
+    """Drive so many samples on from a state: the next state. In one piece or in many, every row is
+    the same to the last bit (`digest`).
     """
     state, end = dict(state), state["done"] + samples
     while state["done"] < end:
         number, place = divmod(state["done"], LEG)
         scenario = leg(base, state["seed"], number)
-        made = simulation.set_up(scenario)
-        functions, stream = (
-            compiled.load(simulation.build_sample, *made.structure),
-            simulation.noise_and_faults(scenario, LEG),
-        )
+        setup = simulation.set_up(scenario)
+        functions = compiled.load(simulation.build_sample, *setup.structure)
+        stream = simulation.noise_and_faults(scenario, LEG)
         while place < LEG and state["done"] < end:
             until = min(place - place % CHECK + CHECK, place + end - state["done"])
             state["memory"], rows = scan.scan(
-                functions, state["memory"], stream[place:until], made.settings
+                functions, state["memory"], stream[place:until], setup.settings
             )
-            found, lowest = counted(base, scenario, made, rows, state["memory"])
-            state |= {name: state[name] + count for name, count in found.items()}
-            state |= dict(
-                done=state["done"] + until - place, digest=zlib.crc32(rows, state["digest"])
-            )
+            counts, lowest = counted(base, scenario, setup, rows, state["memory"])
+            counts["done"] = until - place
+            state |= {name: state[name] + count for name, count in counts.items()}
+            state["digest"] = zlib.crc32(rows, state["digest"])
             if until % CHECK == 0:
                 state["lowest_eigenvalue"] = min(state["lowest_eigenvalue"], float(lowest))
             place = until
@@ -192,20 +170,21 @@ def drive(state, base, samples):
 
 
 def save(state, file):
-    """As .npz: plain arrays, nothing that is executed on loading."""
+    """Save as .npz: plain arrays, nothing that is executed on loading."""
     np.savez(file, **state)
 
 
 def load(file, base):
-    """The state that `save` left."""
+    """The state in a file of `save`."""
     with np.load(file, allow_pickle=False) as data:
         state = {name: data[name] for name in data.files}
-    first = start(base, 0)
+    first = init(base, 0)
     if state.keys() != first.keys() or any(
         np.shape(value) != np.shape(first[name]) for name, value in state.items()
     ):
         raise ValueError(
-            f"file was {str(file)!r}; it should hold the state of a drive of this scenario, as soak.save leaves it"
+            f"file was {str(file)!r}; it should hold the state of a drive of this scenario, as "
+            "soak.save leaves it"
         )
     return {name: value if name == "memory" else value.item() for name, value in state.items()}
 
@@ -217,7 +196,7 @@ def resident_mb():
 
 def main():
     parser = argparse.ArgumentParser(
-        prog="python -m soak",
+        prog="python -m tests.soak",
         description="Drive on and on, over ever-changing fields and with random faults.",
     )
     parser.add_argument(
@@ -232,21 +211,18 @@ def main():
         type=Path,
         help="a file to resume from, if it is there, and to save the last state in",
     )
-    given = parser.parse_args()
-    base = Scenario(robust=given.robust)
-    state = (
-        load(given.state, base) if given.state and given.state.exists() else start(base, given.seed)
-    )
+    options = parser.parse_args()
+    base = Scenario(robust=options.robust)
+    resumed = options.state and options.state.exists()
+    state = load(options.state, base) if resumed else init(base, options.seed)
     began, first, memory_mb = time.monotonic(), state["done"], []
     for _ in range(20):  # twentieths, to see whether memory grows
-        state = drive(state, base, -(-given.samples // 20))
+        state = drive(state, base, -(-options.samples // 20))
         memory_mb.append(resident_mb())
-        print(
-            f"{state['done']:>12,} samples, digest {state['digest']:08x}, memory {memory_mb[-1]:.1f} MB",
-            flush=True,
-        )
-        if given.state:
-            save(state, given.state)
+        count, digest = f"{state['done']:>12,} samples", f"digest {state['digest']:08x}"
+        print(f"{count}, {digest}, memory {memory_mb[-1]:.1f} MB", flush=True)
+        if options.state:
+            save(state, options.state)
     seconds, driven = time.monotonic() - began, state["done"] - first
     print(
         json.dumps(
@@ -260,7 +236,7 @@ def main():
             indent=1,
         )
     )
-    raise SystemExit(any(state[name] for name in ("not_finite", "out_of_bounds", "not_definite")))
+    raise SystemExit(any(state[name] for name in FAILURES))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Sensor faults: what each does to a stream of readings, the same in the closed loop, and what the
-robot does about it.
+"""Sensor faults: their effect on a stream of measurements and in the closed loop, the robot's
+response, arguments.
 """
 
 import dataclasses
@@ -26,13 +26,13 @@ DURING = slice(50, 60)  # 10 s ≤ t < 12 s
 SHORT = rhec.Scenario(process_noise="calibrated", duration_s=30.0)
 
 
-def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **given):
+def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
     """Z as it arrives with this fault."""
-    return faults.corrupted(Z, [Fault(start_s=start_s, duration_s=duration_s, **given)], T, B, seed)
+    return faults.corrupted(Z, [Fault(start_s=start_s, duration_s=duration_s, **fault)], T, B, seed)
 
 
 @pytest.mark.parametrize(
-    "given",
+    "fault",
     [
         dict(kind="missing"),
         dict(kind="infinite"),
@@ -47,15 +47,9 @@ def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **given):
     ],
     ids=str,
 )
-def test_only_the_channel_and_the_time_of_the_fault_are_touched(given):
-    for channel in (
-        ("left", "encoders")
-        if given["kind"] == "dead"
-        else ("gnss",)
-        if "size_m" in given
-        else faults.CHANNELS
-    ):
-        got = arriving(**given | {"channel": channel})
+def test_only_the_channel_and_the_time_of_the_fault_are_touched(fault):
+    for channel in faults.OWN_CHANNELS.get(fault["kind"], faults.CHANNELS):
+        got = arriving(**fault | {"channel": channel})
         changed = ~((got == Z) | (np.isnan(got) & np.isnan(Z)))
         assert not changed[:50].any() and not changed[60:].any()
         touched = {"gnss": [0, 1], "all": [0, 1, 2, 3]}.get(channel, [2, 3])
@@ -67,7 +61,7 @@ def test_missing_is_nan_and_infinite_inf():
     assert np.isposinf(arriving(kind="infinite", channel="encoders")[DURING, 2:]).all()
 
 
-def test_outliers_have_their_size_and_a_seed_has_its_directions():
+def test_outliers_have_their_size_and_the_directions_of_their_seed():
     off = [
         (arriving(kind=kind, size_m=3.0, seed=seed) - Z)[DURING, :2]
         for kind in ("outliers", "jump")
@@ -95,12 +89,12 @@ def test_a_stuck_position_is_the_last_one_before():
         ("disorder", [50, 49, 52, 51, 54, 53, 56, 55, 58, 57]),
     ],
 )
-def test_samples_come_twice_or_out_of_order(kind, order):
+def test_duplicates_and_disorder_deliver_earlier_samples(kind, order):
     np.testing.assert_array_equal(arriving(kind=kind, channel="all")[DURING], Z[order])
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.2, 0.35, 0.6])
-def test_a_late_position_is_that_of_an_earlier_time(delay_s):
+def test_latency_delivers_the_position_of_an_earlier_time(delay_s):
     """Linear between the samples."""
     got = arriving(kind="latency", delay_s=delay_s)
     np.testing.assert_allclose(got[DURING, 0], 0.1 * (T[DURING] - delay_s), atol=1e-12)
@@ -110,12 +104,12 @@ def test_a_late_position_is_that_of_an_earlier_time(delay_s):
 
 
 @pytest.mark.parametrize("rate_hz, every", [(5.0, 1), (2.5, 2), (1.0, 5), (0.5, 10)])
-def test_at_a_lower_rate_some_positions_never_come(rate_hz, every):
+def test_at_a_lower_rate_positions_are_missing(rate_hz, every):
     there = ~np.isnan(arriving(kind="rate", rate_hz=rate_hz)[DURING, 0])
     np.testing.assert_array_equal(there, np.arange(10) % every == 0)
 
 
-def test_a_dead_encoder_reads_0():
+def test_a_dead_encoder_measures_0():
     left, right = Z[DURING, 2] - B / 2 * Z[DURING, 3], Z[DURING, 2] + B / 2 * Z[DURING, 3]
     for channel, l, r in (
         ("left", 0 * left, right),
@@ -169,7 +163,7 @@ a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(a_fault, max_size=4), st.integers(0, 9))
-def test_the_closed_loop_and_a_recorded_stream_suffer_alike(several, seed):
+def test_faults_are_the_same_in_the_closed_loop_and_on_a_recorded_stream(several, seed):
     deliver, memory, rows = faults.deliver(), faults.init(), []
     for z, row in zip(Z, faults.stream(several, len(Z), DT, seed)):
         columns = np.split(
@@ -196,8 +190,10 @@ def simulated(*several, **changes):
     return rhec.simulate(dataclasses.replace(SHORT, faults=several, **changes))
 
 
-def test_what_the_log_says_was_measured_is_what_arrived():
-    """Before the fault the run is bit for bit the one without; what never comes changes nothing."""
+def test_the_log_has_the_measurements_that_arrived():
+    """Before the fault the run equals the one without to the last bit; a fault that never comes
+    changes nothing.
+    """
     healthy, never = simulated(), simulated(Fault(kind="missing", start_s=1e6))
     for name in healthy.columns:
         np.testing.assert_array_equal(never.columns[name], healthy.columns[name])
@@ -230,9 +226,9 @@ def test_means_by_gnss_are_over_the_samples_that_have_a_position():
     )
 
 
-def test_the_log_of_a_run_says_when_a_step_was_not_solved():
-    """Ninety thousand kilometres off for a second, without robust handling: commands keep their
-    bound, `ok` is False for some samples, True again after.
+def test_ok_is_false_where_a_step_was_not_solved():
+    """A position 90,000 km off for a second, without gating: commands keep their bound, `ok` is
+    False for some samples, True again after.
     """
     fault = rhec.Fault(kind="jump", size_m=9e7, start_s=20.0, duration_s=1.0)
     run = simulated(fault, duration_s=60.0)
@@ -248,8 +244,8 @@ def test_the_log_of_a_run_says_when_a_step_was_not_solved():
     )
 
 
-def test_infinite_encoder_readings_are_no_course_to_begin_again_with():
-    """Where a position jump has been refused for as long as it may be, and the encoders then fail."""
+def test_infinite_encoder_measurements_do_not_restart_the_estimator():
+    """Gating has rejected a jump for as long as it may; then the encoders fail."""
     several = (
         Fault(kind="jump", size_m=5.0, start_s=10.0),
         Fault(kind="infinite", channel="encoders", start_s=19.0, duration_s=5.0),
@@ -266,20 +262,18 @@ CASES = {
 
 
 @pytest.mark.parametrize("family, name", CASES)
-def test_whatever_happens_commands_and_estimates_stay_in_bounds(family, name):
-    """And the loop takes no exception at it; `notebooks/faults.ipynb` shows how well it drives."""
+def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(family, name):
+    """`notebooks/faults.ipynb` shows how well it drives."""
     case = CASES[family, name]
     run = rhec.simulate(robustness.scenario(case, 12.0, SHORT))
     assert robustness.response(run, *robustness.interval_s(run, case, 12.0))["in_bounds"]
 
 
-def test_a_response_is_what_the_errors_say():
+def test_a_response_follows_from_the_errors():
     run = simulated()
     error = np.full(150, 0.01)
-    error[50:80], error[95] = (
-        0.5,
-        0.2,
-    )  # off for 6 s; then once more, too soon to have been back for 5 s
+    error[50:80] = 0.5  # off for 6 s,
+    error[95] = 0.2  # then once more, too soon to have been back for 5 s
     made = dataclasses.replace(run, columns=run.columns | {"error_true_m": error})
     response = robustness.response(made, 10.0, 12.0)
     assert response == dict(
@@ -292,7 +286,7 @@ def test_a_response_is_what_the_errors_say():
     assert not robustness.response(wild, 10.0, 12.0)["in_bounds"]
 
 
-def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
+def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     cases = {
         family: dict(list(robustness.CASES[family].items())[:2])
         for family in ("outage", "start")
@@ -332,7 +326,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
         )
 
 
-# What one can get wrong
+# Arguments
 
 
 @pytest.mark.parametrize(
@@ -356,7 +350,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_picture_a_family():
         (dict(kind="missing", begin_s=1), "^Fault has no parameter 'begin_s'"),
     ],
 )
-def test_a_bad_fault_is_named_in_one_sentence(bad, sentence):
+def test_a_bad_fault_is_refused_in_one_sentence(bad, sentence):
     with pytest.raises(ValueError, match=sentence):
         Fault(**bad)
 

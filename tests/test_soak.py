@@ -1,10 +1,11 @@
-"""The soak: an endless drive that can be cut anywhere, and what it looks for is what it finds.
+"""The soak test: an endless drive that can be cut and resumed anywhere, and its counts.
 `make soak` drives a hundred times as far.
 """
 
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import soak
 
 import rhec
 from rhec import simulation
+from rhec.columns import COLUMNS
+from rhec.extensions import faults
 
 BASE = rhec.Scenario(robust=True)
 
@@ -23,15 +26,13 @@ def same(one, other):
     np.testing.assert_array_equal(one["memory"], other["memory"])
 
 
-def test_five_hours_on_hard_ground_with_failing_sensors():
+def test_five_hours_with_sensor_faults():
     """100,000 samples: no exception, everything finite and within its bounds, the arrival
     covariance positive definite, memory flat.
     """
-    done = subprocess.run(
-        [sys.executable, "-m", "soak", "--samples", "100000", "--seed", "1"],
-        capture_output=True,
-        text=True,
-    )
+    command = [sys.executable, "-m", "tests.soak", "--samples", "100000", "--seed", "1"]
+    root = Path(soak.__file__).parents[1]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout[done.stdout.index("{") :])
     assert (
@@ -43,8 +44,8 @@ def test_five_hours_on_hard_ground_with_failing_sensors():
 
 
 def test_a_drive_can_be_cut_saved_and_resumed_anywhere(tmp_path):
-    """To the last bit, on either side of a leg's end, of a check's, and of a block's."""
-    begun, cuts = soak.start(BASE, 0), [1, 15, 484, 777, 1499, 1500, 1501, 2003]
+    """Equal to the last bit, on either side of the end of a leg, of a check and of a block."""
+    begun, cuts = soak.init(BASE, 0), [1, 15, 484, 777, 1499, 1500, 1501, 2003]
     whole, cut = soak.drive(begun, BASE, 2003), begun
     for samples in np.diff([0, *cuts]):
         cut = soak.drive(cut, BASE, int(samples))
@@ -52,36 +53,36 @@ def test_a_drive_can_be_cut_saved_and_resumed_anywhere(tmp_path):
         cut = soak.load(tmp_path / "state.npz", BASE)
     same(cut, whole)
     assert (
-        soak.drive(soak.start(BASE, 1), BASE, 100)["digest"]
+        soak.drive(soak.init(BASE, 1), BASE, 100)["digest"]
         != soak.drive(begun, BASE, 100)["digest"]
     )
 
 
-def test_a_leg_is_a_scenario_of_its_own_and_leaves_the_shape_of_the_loop_alone():
+def test_legs_differ_but_not_in_the_loops_structure():
     legs = [soak.leg(BASE, 0, number) for number in range(40)]
     assert legs == [soak.leg(BASE, 0, number) for number in range(40)] and legs[3] != soak.leg(
         BASE, 1, 3
     )
     assert len({leg.seed for leg in legs}) == 40 and {
         fault.kind for leg in legs for fault in leg.faults
-    } == set(simulation.faults.KINDS)
+    } == set(faults.KINDS)
     assert len({simulation.set_up(leg).structure for leg in legs[:8]}) == 1
 
 
-def test_what_is_wrong_is_counted():
-    state = soak.drive(soak.start(BASE, 0), BASE, 20)
+def test_each_kind_of_failure_is_counted():
+    state = soak.drive(soak.init(BASE, 0), BASE, 20)
     scenario = soak.leg(BASE, 0, 0)
-    made = simulation.set_up(scenario)
-    healthy = np.zeros((5, len(simulation.COLUMNS)))
-    healthy[:, simulation.COLUMNS.index("ok")] = 1
+    setup = simulation.set_up(scenario)
+    healthy = np.zeros((5, len(COLUMNS)))
+    healthy[:, COLUMNS.index("ok")] = 1
 
     def found(memory=state["memory"], **wrong):
         rows = healthy.copy()
         for name, value in wrong.items():
-            rows[2, simulation.COLUMNS.index(name)] = value
+            rows[2, COLUMNS.index(name)] = value
         return {
             name: count
-            for name, count in soak.counted(BASE, scenario, made, rows, memory)[0].items()
+            for name, count in soak.counted(BASE, scenario, setup, rows, memory)[0].items()
             if count
         }
 
@@ -110,7 +111,7 @@ def test_what_is_wrong_is_counted():
         dict(memory=np.array([object()] * 3)),
     ],
 )
-def test_a_file_that_is_no_state_is_refused(tmp_path, wrong):
-    soak.save(soak.start(BASE, 0) | wrong, tmp_path / "state.npz")
+def test_a_file_without_a_state_is_refused(tmp_path, wrong):
+    soak.save(soak.init(BASE, 0) | wrong, tmp_path / "state.npz")
     with pytest.raises(ValueError, match="^file was|allow_pickle"):
         soak.load(tmp_path / "state.npz", BASE)

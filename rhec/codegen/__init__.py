@@ -1,8 +1,8 @@
-"""The robot's own computer: the RHEC of a scenario as self-contained C99 (`make embedded`).
+"""Export: a scenario's estimator and controller as self-contained C99 (`make embedded`).
 
-`phases` says which CasADi Functions it is made of, `writing` writes what depends on the scenario,
-the folder `c` holds what does not; `machines` compiles and runs an export, here or, emulated, on
-64-bit Arm, `instructions` counts what it executes there, `report` puts that into tables.
+`phases` names the CasADi Functions that it is made of, `c_writer` writes the files that depend on
+the scenario; the folder `c` holds those that do not. `rhec.studies.embedded` compiles and runs an
+export, here or, emulated, on 64-bit Arm.
 """
 
 import dataclasses
@@ -14,67 +14,61 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+from rhec._casadi.validation import shown
 from rhec.codegen import c_writer, phases
+from rhec.columns import COMMAND, ESTIMATE, MEASUREMENTS
+from rhec.estimator import base as estimators
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 
+__all__ = ["FOLDER", "LOG", "export"]
+
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "embedded"
-WRITTEN_BY_HAND = sorted((Path(__file__).parent / "c").iterdir())
-PLAIN = (
-    "SXFunction",
-    "MXFunction",
-    "Switch",
-    "Map",
-    "MapSum",
-)  # kinds of Functions of which CasADi makes C that needs nothing
-MARK = "rhec_memory.h"  # a folder that holds it is an export
-LOG_S = 60.0  # length of the log for the example, at most
-LOG = [
-    "x_meas_m",
-    "y_meas_m",
-    "nu_meas_mps",
-    "omega_meas_radps",
-    "x_hat_m",
-    "y_hat_m",
-    "theta_hat_rad",
-    "nu_hat_mps",
-    "mu_hat",
-    "kappa_hat",
-    "omega_cmd_radps",
-]
+LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
+_LOG_S = 60.0  # length of the example log, at most
+_WRITTEN_BY_HAND = sorted((Path(__file__).parent / "c").iterdir())
+_PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # their C needs no library
+_MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 
 def export(scenario, folder=FOLDER):
-    """Write the RHEC of a rhec.Scenario as C99 into `folder`: new, empty, or an earlier export,
-    whose files are replaced. Returns its Path.
+    """Write a scenario's estimator and controller as self-contained C99.
 
-    What the folder's README.txt says comes with it: a header, a CMake file, programs that replay a
-    log, take times and fuzz, and a log to replay. The estimator must be one that a robot can run,
-    "rhe", "ekf", "dual" or a Function of one's own; the RHC's QP must be solved without a library.
+    The folder gets a header, a CMake file, programs that replay a log, take times and fuzz, and an
+    example log with Python's answers; its README.txt says how to call it.
+
+    Args:
+        scenario: rhec.Scenario. Its estimator must be one that a robot can run: not an oracle; a
+            CasADi Function of one's own if it is made of expressions alone. Its qp must be
+            "structured".
+        folder: Where to write: a new or empty folder, or an earlier export, whose files are
+            replaced.
+
+    Returns:
+        The folder's Path.
+
+    Raises:
+        ValueError: For a scenario that cannot be exported, or a folder that holds other files.
     """
     folder = Path(folder)
-    check(scenario, folder)
+    _check(scenario, folder)
     made = phases.export(scenario)
-    log = simulate(dataclasses.replace(scenario, duration_s=min(scenario.duration_s, LOG_S))).log[
-        LOG
-    ]
-    texts = (
-        {MARK: c_writer.memory_header(made, scenario.estimation_horizon)}
-        | {path.name: path.read_text(encoding="utf-8") for path in WRITTEN_BY_HAND}
-        | {
-            "rhec_phases.h": c_writer.phases_header(made),
-            "rhec_functions.h": c_writer.functions_header(made),
-            "rhec_scenario.c": c_writer.scenario_source(made),
-            "scenario.json": describe(scenario),
-            "log.csv": log.to_csv(index=False),
-            "README.txt": c_writer.readme(made, log),
-        }
-    )
+    shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
+    log = simulate(shorter).log[LOG]
+    texts = {_MARK: c_writer.memory_header(made, scenario.estimation_horizon)}
+    texts |= {path.name: path.read_text(encoding="utf-8") for path in _WRITTEN_BY_HAND}
+    texts |= {
+        "rhec_phases.h": c_writer.phases_header(made),
+        "rhec_functions.h": c_writer.functions_header(made),
+        "rhec_scenario.c": c_writer.scenario_source(made),
+        "scenario.json": _as_json(scenario),
+        "log.csv": log.to_csv(index=False),
+        "README.txt": c_writer.readme(made, log),
+    }
 
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(
-        dir=folder.parent, prefix=".unfinished-"
-    ) as unfinished:  # all is written before anything is replaced
+    # All is written before anything is replaced.
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".unfinished-") as unfinished:
         for name, text in texts.items():
             Path(unfinished, name).write_text(text, encoding="utf-8")
         for name in texts:
@@ -82,36 +76,41 @@ def export(scenario, folder=FOLDER):
     return folder
 
 
-def check(scenario, folder):
-    """Refuse, in one sentence, what cannot be exported, and a folder that holds something else."""
+def _check(scenario, folder):
+    """Refuse, in one sentence, a scenario that cannot be exported and a folder with other files."""
     if not isinstance(scenario, Scenario):
-        raise ValueError(f"scenario was {scenario!r}; it should be a rhec.Scenario")
-    if isinstance(scenario.estimator, str) and "oracle" in scenario.estimator:
+        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
+    estimator = scenario.estimator
+    if estimator in phases.NOT_EXPORTED:
+        names = [name for name in estimators.NAMES if name not in phases.NOT_EXPORTED]
         raise ValueError(
-            f"estimator was {scenario.estimator!r}, which knows the truth; to export, it should be 'rhe', 'ekf', 'dual' or a Function of your own"
+            f"estimator was {estimator!r}, which is given {phases.NOT_EXPORTED[estimator]}; to "
+            f"export, it should be one of {', '.join(map(repr, names))} or a Function of your own"
         )
-    if isinstance(scenario.estimator, ca.Function):
-        for called in scenario.estimator.find_functions():
-            if called.class_name() not in PLAIN:
+    if isinstance(estimator, ca.Function):
+        for called in estimator.find_functions():
+            if called.class_name() not in _PLAIN:
                 raise ValueError(
-                    f"estimator was {scenario.estimator!r}, which calls {called.name()!r} ({called.class_name()}); to export, it should be "
-                    "made of expressions alone"
+                    f"estimator was {shown(estimator)}, which calls {called.name()!r} "
+                    f"({called.class_name()}); to export, it should be made of expressions alone"
                 )
     if scenario.qp != "structured":
         raise ValueError(
             f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
         )
+    reason = None
     if folder.exists() and not folder.is_dir():
+        reason = "is a file"
+    elif folder.exists() and any(folder.iterdir()) and not (folder / _MARK).exists():
+        reason = "holds other files"
+    if reason:
         raise ValueError(
-            f"folder was {str(folder)!r}, which is a file; it should be a new or empty folder or an earlier export"
-        )
-    if folder.exists() and any(folder.iterdir()) and not (folder / MARK).exists():
-        raise ValueError(
-            f"folder was {str(folder)!r}, which holds other files; it should be a new or empty folder or an earlier export"
+            f"folder was {str(folder)!r}, which {reason}; it should be a new or empty folder or an "
+            "earlier export"
         )
 
 
-def describe(scenario):
+def _as_json(scenario):
     """Every field of the scenario, as JSON."""
 
     def plain(value):

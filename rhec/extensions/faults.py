@@ -1,10 +1,10 @@
-"""Sensor faults: what a receiver or an encoder does to its readings z = (x, y, ν, ω) when it does
-not behave.
+"""Sensor faults: what a receiver or an encoder does to its measurements z = (x, y, ν, ω) when it
+fails. Not in the paper.
 
-A fault is data, and what faults do is the same three things at every sample: each reading is the
-one of an earlier time (`source_s`), a track's encoder may be dead (`dead`), and something may be
-added (`added`: an outlier, or NaN where nothing arrives). `schedule` says which; `corrupted` does
-it to a recorded stream, `deliver` to the closed loop, sample by sample.
+All kinds of faults do three things at a sample: each measurement is the one of an earlier time
+(`source_s`), a track's encoder may be dead (`dead`), and something may be added (`added`: an
+outlier, or NaN where nothing arrives). `_schedule` says which; `corrupted` applies it to a recorded
+stream, `deliver` to the closed loop, sample by sample.
 """
 
 from typing import Annotated, Literal
@@ -16,7 +16,22 @@ from pydantic import Field
 from rhec._casadi.build import casadi_function
 from rhec._casadi.validation import NotNegative, Positive, Real, validated
 
-PAST = 5  # earlier measurements that the closed loop keeps
+__all__ = [
+    "CHANNELS",
+    "DELAY_MAX_S",
+    "Fault",
+    "KINDS",
+    "MEMORY",
+    "OWN_CHANNELS",
+    "SIZES",
+    "STREAM",
+    "corrupted",
+    "deliver",
+    "init",
+    "stream",
+]
+
+_PAST = 5  # earlier measurements that the closed loop keeps
 DELAY_MAX_S = 1.0
 KINDS = (
     "missing",
@@ -30,35 +45,43 @@ KINDS = (
     "rate",
     "dead",
 )
-SIZES = {
-    "jump": "size_m",
-    "outliers": "size_m",
-    "latency": "delay_s",
-    "rate": "rate_hz",
-}  # what a kind must be told
+# Argument that a kind needs
+SIZES = {"jump": "size_m", "outliers": "size_m", "latency": "delay_s", "rate": "rate_hz"}
 CHANNELS = {"gnss": (0,), "encoders": (1,), "all": (0, 1)}  # position, track speeds
-OWN_CHANNELS = {
-    "outliers": ("gnss",),
-    "jump": ("gnss",),
-    "dead": ("left", "right", "encoders"),
-}  # of kinds that cannot hit every one of these
+# Channels of the kinds that cannot be on each of these
+OWN_CHANNELS = {"outliers": ("gnss",), "jump": ("gnss",), "dead": ("left", "right", "encoders")}
+_DEAD_TRACKS = {"left": (1, 0), "right": (0, 1), "encoders": (1, 1)}
 
-MEMORY = dict(past=(4, PAST), held=(4, 1))
+MEMORY = dict(past=(4, _PAST), held=(4, 1))
 STREAM = dict(age=(2, 1), hold=(2, 1), dead=(2, 1), added=(4, 1))  # one sample
 
 
 @validated
 class Fault:
-    """Something wrong with a sensor from start_s for duration_s.
+    """A sensor fault, from start_s for duration_s.
 
-    kind       "missing": no reading (NaN); "infinite": readings are Inf "outliers": each position
-               is size_m off, in a direction of its own; "jump": all are size_m off in the same
-               random direction "stuck": the last reading is repeated; "duplicates": every other
-               reading is the one before it again "disorder": time runs backwards every other
-               sample: 2, 1, 4, 3, … "latency": readings arrive delay_s late, 1 s at most; "rate":
-               only rate_hz readings a second arrive "dead": a track's encoder reads 0
-    channel    "gnss", "encoders" or "all"; for "dead" it is "left", "right" or "encoders", and
-               outliers and jumps are the GNSS's alone
+    Args:
+        kind: One of
+            "missing": there is no measurement (NaN);
+            "infinite": measurements are Inf;
+            "outliers": each position is size_m off, in a direction of its own;
+            "jump": all positions are size_m off in the same random direction;
+            "stuck": the last measurement is repeated;
+            "duplicates": every other measurement is the one before it again;
+            "disorder": time runs backwards every other sample: 2, 1, 4, 3, …;
+            "latency": measurements arrive delay_s late;
+            "rate": only rate_hz measurements a second arrive;
+            "dead": a track's encoder measures 0.
+        channel: "gnss", "encoders" or "all"; for "dead" "left", "right" or "encoders"; for
+            "outliers" and "jump" "gnss".
+        start_s: When it begins [s].
+        duration_s: How long it lasts [s].
+        size_m: Of outliers and jumps [m].
+        delay_s: Of latency [s], at most 1.
+        rate_hz: Of rate [Hz].
+
+    Raises:
+        ValueError: In one sentence, for a bad value or one that does not belong to the kind.
     """
 
     kind: Literal[KINDS]
@@ -73,13 +96,15 @@ class Fault:
         allowed = OWN_CHANNELS.get(self.kind, tuple(CHANNELS))
         if self.channel not in allowed:
             raise ValueError(
-                f"channel was {self.channel!r}; for the kind {self.kind!r} it should be one of {allowed}"
+                f"channel was {self.channel!r}; for the kind {self.kind!r} it should be one of "
+                f"{allowed}"
             )
         for name in ("size_m", "delay_s", "rate_hz"):
             value, needed = getattr(self, name), SIZES.get(self.kind) == name
             if needed != (value is not None):
                 raise ValueError(
-                    f"{name} was {value!r}; for the kind {self.kind!r} it should be {'given' if needed else 'None'}"
+                    f"{name} was {value!r}; for the kind {self.kind!r} it should be "
+                    f"{'given' if needed else 'None'}"
                 )
 
     @property
@@ -87,48 +112,33 @@ class Fault:
         return self.start_s + self.duration_s
 
 
-def active(fault, t_s):
-    """Where the times t_s (n,) lie in the fault's interval; a start or an end falls between samples
-    or on one, whatever it rounds to.
+def _active(fault, t_s):
+    """Whether each of the times t_s (n,) lies in the fault's interval; one that rounds to its start
+    or end counts as on it.
     """
     return (t_s > fault.start_s - 1e-6) & (t_s < fault.end_s - 1e-6)
 
 
-def schedule(faults, t_s, seed=0):
-    """What the faults do at each of the times t_s (n,), rising: a dict of
+def _schedule(faults, t_s, seed=0):
+    """Effects of the faults at each of the times t_s (n,) [s], rising, as a dict.
 
-    source_s (n, 2): when the position and the track speeds delivered now were read; dead (n, 2): 1
-    where the left, the right encoder reads 0; added (n, 4): to (x, y, ν, ω). The seed fixes the
-    directions of outliers; the first rows do not depend on how many there are.
+    source_s (n, 2): when the position and the track speeds that arrive now were measured; dead
+    (n, 2): 1 where the left, the right encoder is dead; added (n, 4): to (x, y, ν, ω). The seed
+    fixes the directions of outliers; the first rows do not depend on how many there are.
     """
     t_s = np.asarray(t_s, dtype=float)
     n, place = len(t_s), np.arange(len(t_s))
-    source, stuck, dead, added = (
-        np.column_stack([t_s, t_s]),
-        np.zeros((n, 2), dtype=bool),
-        np.zeros((n, 2)),
-        np.zeros((n, 4)),
-    )
-    earlier = t_s[
-        np.maximum(place[:, None] - (0, 1, 2), 0)
-    ]  # this sample's time and the two before it
+    source, stuck = np.column_stack([t_s, t_s]), np.zeros((n, 2), dtype=bool)
+    dead, added = np.zeros((n, 2)), np.zeros((n, 4))
+    # times of this sample and of the two before it
+    recent = t_s[np.maximum(place[:, None] - (0, 1, 2), 0)]
     for number, fault in enumerate(faults):
-        now = active(fault, t_s)
+        now = _active(fault, t_s)
         count = np.cumsum(now) - 1  # samples since it began
-        directions = np.random.Generator(
-            np.random.Philox(np.random.SeedSequence((seed, 2, number)))
-        ).uniform(0, 2 * np.pi, n)
         if fault.kind in ("outliers", "jump"):
-            angle = directions if fault.kind == "outliers" else directions[:1]
-            added[:, :2] += (
-                now[:, None]
-                * fault.size_m
-                * np.column_stack(np.broadcast_arrays(np.cos(angle), np.sin(angle), now)[:2])
-            )
+            added[:, :2] += now[:, None] * _offsets(fault, n, (seed, 2, number))
         elif fault.kind == "dead":
-            dead[now] = np.maximum(
-                dead[now], {"left": (1, 0), "right": (0, 1), "encoders": (1, 1)}[fault.channel]
-            )
+            dead[now] = np.maximum(dead[now], _DEAD_TRACKS[fault.channel])
         for channel in CHANNELS.get(fault.channel, ()):
             entries = slice(2 * channel, 2 * channel + 2)
             if fault.kind in ("missing", "infinite"):
@@ -140,78 +150,72 @@ def schedule(faults, t_s, seed=0):
                 stuck[:, channel] |= now
             elif fault.kind in ("duplicates", "disorder", "latency"):
                 late = {
-                    "duplicates": earlier[place, count % 2],
-                    "disorder": earlier[place, count % 2 * 2],
+                    "duplicates": recent[place, count % 2],
+                    "disorder": recent[place, count % 2 * 2],
                 }.get(fault.kind, t_s - (fault.delay_s or 0.0))
-                source[:, channel] = np.where(
-                    now,
-                    np.minimum(source[:, channel], np.maximum(late, t_s[:1])),
-                    source[:, channel],
-                )
+                late = np.minimum(source[:, channel], np.maximum(late, t_s[:1]))
+                source[:, channel] = np.where(now, late, source[:, channel])
     last = np.maximum.accumulate(np.where(stuck, 0, place[:, None]), axis=0)
     return dict(source_s=np.take_along_axis(source, last, axis=0), dead=dead, added=added)
 
 
-def without_dead_tracks(nu, omega, dead, track_width_m):
-    """ν = (ν_l + ν_r)/2 and ω = (ν_r - ν_l)/b from encoders of which those with dead = 1 read 0."""
-    left, right = (
-        dead[0] * (nu - omega * track_width_m / 2),
-        dead[1] * (nu + omega * track_width_m / 2),
-    )
+def _offsets(fault, n, seed):
+    """Offsets (n, 2) [m] of outliers, or of a jump: all the same."""
+    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed)))
+    angle = generator.uniform(0, 2 * np.pi, n)
+    if fault.kind == "jump":
+        angle = np.full(n, angle[:1])
+    return fault.size_m * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _without_dead_tracks(nu, omega, dead, track_width_m):
+    """ν = (ν_l + ν_r)/2 and ω = (ν_r - ν_l)/b, where encoders with dead = 1 measure 0."""
+    left = dead[0] * (nu - omega * track_width_m / 2)
+    right = dead[1] * (nu + omega * track_width_m / 2)
     return nu - (left + right) / 2, omega - (right - left) / track_width_m
 
 
 def corrupted(z, faults, t_s, track_width_m, seed=0):
-    """The stream z (n, 4) of readings (x, y, ν, ω) taken at the times t_s (n,) [s], rising, as it
-    arrives with these faults; between samples linear.
+    """The stream z (n, 4) of measurements (x, y, ν, ω) taken at the times t_s (n,) [s], rising, as
+    it arrives with these faults; between samples linear.
     """
-    z, plan = np.asarray(z, dtype=float), schedule(faults, t_s, seed)
+    z, plan = np.asarray(z, dtype=float), _schedule(faults, t_s, seed)
     x, y, nu, omega = (np.interp(plan["source_s"][:, row // 2], t_s, z[:, row]) for row in range(4))
-    return (
-        np.column_stack([x, y, *without_dead_tracks(nu, omega, plan["dead"].T, track_width_m)])
-        + plan["added"]
-    )
+    nu, omega = _without_dead_tracks(nu, omega, plan["dead"].T, track_width_m)
+    return np.column_stack([x, y, nu, omega]) + plan["added"]
 
 
 def stream(faults, samples, dt_s, seed):
-    """The schedule as the closed loop reads it: (samples, n) rows, as in STREAM; ages are in
-    samples.
-    """
+    """The schedule as the closed loop reads it, (samples, n): STREAM in rows, ages in samples."""
     t_s = np.arange(samples) * dt_s
-    plan = schedule(faults, t_s, seed)
+    plan = _schedule(faults, t_s, seed)
     source = plan["source_s"]
     hold = np.diff(source, axis=0, prepend=np.nan) == 0
     return np.hstack([(t_s[:, None] - source) / dt_s, hold, plan["dead"], plan["added"]])
 
 
 def init():
-    """Memory before the first sample: ages do not reach back beyond it, so what is there is never
-    delivered.
-    """
+    """Memory before the first sample. Ages do not reach beyond it, so it is never delivered."""
     return {name: np.zeros(shape) for name, shape in MEMORY.items()}
 
 
 def deliver():
-    """(z, past, held, age, hold, dead, added) -> (z, past, held): the measurement z (4,) of now, as
-    it arrives.
+    """(z, past, held, age, hold, dead, added) -> (z, past, held): the measurement z (4,) as it
+    arrives now.
 
-    past (4, PAST) holds the measurements before it, the newest first; where `hold` is 1 what was
-    delivered last is delivered again.
+    past (4, _PAST) holds the measurements before it, the newest first; where `hold` is 1 the last
+    one delivered is delivered again.
     """
 
     @casadi_function("deliver", z=(4, 1), **MEMORY, **STREAM, track_width_m=(1, 1))
     def deliver(z, past, held, age, hold, dead, added, track_width_m):
-        known = ca.horzcat(z, past)
-        linear = [
-            ca.fmax(1 - ca.fabs(channel - ca.DM(range(PAST + 1))), 0)
-            for channel in ca.vertsplit(age)
-        ]  # between the two samples around it
-        source = ca.vertcat(known[:2, :] @ linear[0], known[2:, :] @ linear[1])
+        known, ages = ca.horzcat(z, past), ca.DM(range(_PAST + 1))
+        # linear between the two samples around each age
+        shares = [ca.fmax(1 - ca.fabs(channel - ages), 0) for channel in ca.vertsplit(age)]
+        source = ca.vertcat(known[:2, :] @ shares[0], known[2:, :] @ shares[1])
         source = ca.if_else(ca.vertcat(hold[0], hold[0], hold[1], hold[1]), held, source)
-        arrives = (
-            ca.vertcat(source[:2], *without_dead_tracks(source[2], source[3], dead, track_width_m))
-            + added
-        )
-        return dict(z=arrives, past=known[:, :PAST], held=source)
+        encoders = _without_dead_tracks(source[2], source[3], dead, track_width_m)
+        z = ca.vertcat(source[:2], *encoders) + added
+        return dict(z=z, past=known[:, :_PAST], held=source)
 
     return deliver

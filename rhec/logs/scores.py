@@ -1,54 +1,63 @@
-"""How good a replay is: against the truth where the log has it, by its innovations where not; and
-the trial that every log can be put to.
+"""Scores of a replay: against the truth where the log has it, else by its innovations; and harder
+replays, with noise, a wrong first yaw and sensor faults on top of a log.
 """
+
+import itertools
 
 import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.logs import recording as recordings
-from rhec.logs import replay as replays
+from rhec.columns import MEASUREMENTS, TRUE_SPEEDS
+from rhec.logs.recording import prepare
+from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 
-# scores count from here on, driven in each segment: before, a wrong first yaw is still being found
+__all__ = [
+    "FROM_M",
+    "REGRESSIONS",
+    "WINDOW_S",
+    "distance_driven",
+    "fault_scores",
+    "perturbed_replay",
+    "perturbed_scores",
+    "regression",
+    "rms",
+    "score",
+    "sliding_regression",
+    "yaw_error",
+]
+
+# Scores count from here on, driven in each segment: before, a wrong first yaw is still being found.
 FROM_M = 8.0
-FAST_RADPS = 0.8  # without the spins that are faster than this, yaw errors are given, too
+_FAST_RADPS = 0.8  # yaw errors are also given without the spins that are faster
 WINDOW_S = 5.0  # of the sliding regressions,
-LEAST_RMS = 0.1  # which need readings of this size in their window [m/s, rad/s]
-REGRESSIONS = (
-    ("nu_meas_mps", "v_true_mps"),
-    ("omega_meas_radps", "yaw_rate_true_radps"),
-)  # of μ, of κ
+_LEAST_RMS = 0.1  # which need measurements of this size in their window [m/s, rad/s]
+REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
 
 
 def regression(samples):
-    """Apparent (μ, κ) of the whole log: true speed and yaw rate over ground on what the encoders
-    read, least squares through the origin.
+    """Apparent (μ, κ) of the whole log: true speed and yaw rate over ground on those measured by
+    the encoders, least squares through the origin.
     """
-    products = [
-        (samples[reading] * samples[truth], samples[reading] ** 2) for reading, truth in REGRESSIONS
-    ]
-    totals = [(xy.sum(), xx[xy.notna()].sum()) for xy, xx in products]
-    return tuple(
-        xy / xx if xx > 0 else np.nan for xy, xx in totals
-    )  # a robot that never moves tells nothing
+    coefficients = []
+    for measured, truth in REGRESSIONS:
+        xy, xx = samples[measured] * samples[truth], samples[measured] ** 2
+        total = xx[xy.notna()].sum()
+        coefficients.append(xy.sum() / total if total > 0 else np.nan)  # a robot that never moves
+    return tuple(coefficients)
 
 
 def sliding_regression(samples):
-    """The same over the WINDOW_S around each sample, (n, 2); not a number where the readings are
+    """Apparent (μ, κ) over the WINDOW_S around each sample, (n, 2); NaN where the measurements are
     too small to tell.
     """
     columns = []
-    for reading, truth in REGRESSIONS:
-        products = pd.DataFrame(
-            dict(xy=samples[reading] * samples[truth], xx=samples[reading] ** 2)
-        )
-        means = (
-            products.groupby(samples["segment"])
-            .rolling(round(WINDOW_S / paper.DT_S), center=True)
-            .mean()
-            .reset_index(drop=True)
-        )
-        columns.append((means["xy"] / means["xx"]).where(means["xx"] >= LEAST_RMS**2))
+    for measured, truth in REGRESSIONS:
+        xy, xx = samples[measured] * samples[truth], samples[measured] ** 2
+        windows = pd.DataFrame(dict(xy=xy, xx=xx)).groupby(samples["segment"])
+        means = windows.rolling(round(WINDOW_S / paper.DT_S), center=True).mean()
+        means = means.reset_index(drop=True)
+        columns.append((means["xy"] / means["xx"]).where(means["xx"] >= _LEAST_RMS**2))
     return np.stack(columns, axis=1)
 
 
@@ -57,17 +66,26 @@ def yaw_error(samples):
     return (samples["theta_hat_rad"] - samples["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
 
 
-def driven(samples):
-    """Distance driven in its segment [m] at each sample, forwards or backwards, as the tracks have
-    it.
-    """
-    return (
-        (paper.DT_S * samples["nu_meas_mps"].abs().fillna(0)).groupby(samples["segment"]).cumsum()
-    )
+def _position_error(samples):
+    """Estimated less true position [m], (x, y)."""
+    return samples["x_hat_m"] - samples["x_m"], samples["y_hat_m"] - samples["y_m"]
+
+
+def distance_driven(samples):
+    """Distance driven in its segment at each sample [m], forwards or backwards, by the encoders."""
+    steps = paper.DT_S * samples["nu_meas_mps"].abs().fillna(0)
+    return steps.groupby(samples["segment"]).cumsum()
+
+
+def rms(*components):
+    """Root mean square of a vector's length; a vector that lacks a component does not count."""
+    if not len(components[0]):
+        return np.nan
+    return float(np.sqrt(np.nanmean(sum(np.square(component) for component in components))))
 
 
 def score(samples):
-    """A replay's samples in numbers, as a dict. All but `outside` and `not_ok` count from FROM_M
+    """Scores of a replay's samples, as a dict. All but `outside` and `not_ok` count from FROM_M
     driven in each segment.
 
     innovation_rms_m; outside: samples with an estimate of μ or κ that is not in [0, 1]; not_ok:
@@ -76,20 +94,19 @@ def score(samples):
     estimator knows its yaw error: nees_yaw, the mean of its square by its variance (1 if it knows),
     and inside_95, the share within 1.96 standard deviations.
     """
-    counted = samples[driven(samples) >= FROM_M]
+    counted = samples[distance_driven(samples) >= FROM_M]
+    traction = samples[["mu_hat", "kappa_hat"]]
     values = dict(
         samples=len(counted),
         innovation_rms_m=rms(counted["innovation_x_m"], counted["innovation_y_m"]),
         mu_median=counted["mu_hat"].median(),
         kappa_median=counted["kappa_hat"].median(),
-        outside=int(
-            (~(samples["mu_hat"].between(0, 1) & samples["kappa_hat"].between(0, 1))).sum()
-        ),
+        outside=int((~((traction >= 0) & (traction <= 1)).all(axis=1)).sum()),
         not_ok=int((~samples["ok"]).sum()),
     )
     if "theta_rad" in samples:
         error, sigma = yaw_error(counted), counted["sigma_theta_rad"]
-        slow = counted["omega_meas_radps"].abs() <= FAST_RADPS
+        slow = counted["omega_meas_radps"].abs() <= _FAST_RADPS
         values |= dict(
             yaw_rms_rad=rms(error),
             yaw_rms_slow_rad=rms(error[slow]),
@@ -97,9 +114,7 @@ def score(samples):
             inside_95=(error.abs() <= 1.96 * sigma)[error.notna()].mean(),
         )
     if {"x_m", "y_m"} <= set(samples):
-        values["position_rms_m"] = rms(
-            counted["x_hat_m"] - counted["x_m"], counted["y_hat_m"] - counted["y_m"]
-        )
+        values["position_rms_m"] = rms(*_position_error(counted))
     if {truth for _, truth in REGRESSIONS} <= set(samples):
         mu, kappa = regression(samples)
         values |= dict(
@@ -111,18 +126,7 @@ def score(samples):
     return values
 
 
-def rms(*components):
-    """Root mean square of a vector's length; where a component is missing the vector does not
-    count.
-    """
-    return (
-        float(np.sqrt(np.nanmean(sum(np.square(each) for each in components))))
-        if len(components[0])
-        else np.nan
-    )
-
-
-def trial(
+def perturbed_replay(
     log,
     seed,
     noise_m=0.02,
@@ -134,71 +138,60 @@ def trial(
     faults=(),
     **fields,
 ):
-    """A harder replay: with white noise of noise_m on the position and a first yaw that is wrong by
-    yaw_error_rad in each segment. Returns the samples.
+    """Samples of a replay with white noise of noise_m [m] on the position and a first yaw that is
+    wrong by yaw_error_rad in each segment.
 
-    seed: of the noise; faults: (rhec.Fault, …) on top; the rest: as `replay`. Where the log has no
-    true yaw the first one is found as `replay` does.
+    seed: of the noise; faults: (rhec.Fault, …) on top; other arguments: as in `rhec.replay`. Where
+    the log has no true yaw the first one is found as `rhec.replay` does.
     """
-    recording = recordings.prepare(log, track_width_m)
+    recording = prepare(log, track_width_m)
     rows = recording.rows.copy()
-    rows[["x_meas_m", "y_meas_m"]] += noise_m * np.random.default_rng(seed).standard_normal(
-        (len(rows), 2)
-    )
-    known = "theta_rad" in rows and rows["theta_rad"].groupby(rows["segment"]).count().all()
-    yaws = (
-        tuple(
-            each["theta_rad"].dropna().iloc[0] + yaw_error_rad
-            for _, each in rows.groupby("segment")
-        )
-        if known
-        else None
-    )
-    first = replays.InitialGuess(yaws, lever_arm_m=lever_arm_m)
-    return replays.estimate_samples(
+    noise = np.random.default_rng(seed).standard_normal((len(rows), 2))
+    rows[MEASUREMENTS[:2]] += noise_m * noise
+    yaws = None
+    if "theta_rad" in rows:
+        first = rows.groupby("segment")["theta_rad"].first()
+        yaws = tuple(first + yaw_error_rad) if first.notna().all() else None
+    return estimate_samples(
         recording._replace(rows=rows),
-        replays.settings(estimator, recording, fields),
-        first,
+        replay_scenario(estimator, recording, fields),
+        InitialGuess(yaws, lever_arm_m=lever_arm_m),
         faults,
         seed,
     )
 
 
-def trials(log, seeds, **given):
-    """Scores of the trial over noise seeds: one row a seed, as a DataFrame."""
-    return pd.DataFrame([dict(seed=seed) | score(trial(log, seed, **given)) for seed in seeds])
+def perturbed_scores(log, seeds, **arguments):
+    """Scores of perturbed replays: one row for each noise seed, as a DataFrame."""
+    scores = [score(perturbed_replay(log, seed, **arguments)) for seed in seeds]
+    return pd.DataFrame([dict(seed=seed) | row for seed, row in zip(seeds, scores)])
 
 
-def fault_trials(log, cases, seeds, handling=(False, True), **given):
-    """The trial with each fault of cases {name: rhec.Fault} on top, robust or not: one row a case,
-    handling and noise seed, as a DataFrame.
+def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
+    """Perturbed replays with each fault of cases {name: rhec.Fault} on top, robust or not: one row
+    for each case, handling and noise seed, as a DataFrame.
 
     worst_position_m, worst_yaw_rad: from the beginning of the fault to the end of its segment;
     last_yaw_rad: error at the end of the segment; outside, not_ok: as `score`. Only for a log with
     the true pose.
     """
     rows = []
-    for name, fault in cases.items():
-        for robust in handling:
-            for seed in seeds:
-                samples = trial(log, seed, faults=(fault,), robust=robust, **given)
-                segment = samples.loc[(samples["t_s"] - fault.start_s).abs().idxmin(), "segment"]
-                after = samples[(samples["segment"] == segment) & (samples["t_s"] >= fault.start_s)]
-                position, yaw = (
-                    np.hypot(after["x_hat_m"] - after["x_m"], after["y_hat_m"] - after["y_m"]),
-                    yaw_error(after).abs(),
-                )
-                whole = score(samples)
-                rows.append(
-                    dict(
-                        fault=name,
-                        robust=robust,
-                        seed=seed,
-                        worst_position_m=position.max(),
-                        worst_yaw_rad=yaw.max(),
-                        last_yaw_rad=yaw.iloc[-1],
-                        outside=whole["outside"],
-                        not_ok=whole["not_ok"],
-                    )
-                )
+    for name, robust, seed in itertools.product(cases, handling, seeds):
+        start_s = cases[name].start_s
+        samples = perturbed_replay(log, seed, faults=(cases[name],), robust=robust, **arguments)
+        segment = samples.loc[(samples["t_s"] - start_s).abs().idxmin(), "segment"]
+        after = samples[(samples["segment"] == segment) & (samples["t_s"] >= start_s)]
+        yaw, whole = yaw_error(after).abs(), score(samples)
+        rows.append(
+            dict(
+                fault=name,
+                robust=robust,
+                seed=seed,
+                worst_position_m=np.hypot(*_position_error(after)).max(),
+                worst_yaw_rad=yaw.max(),
+                last_yaw_rad=yaw.iloc[-1],
+                outside=whole["outside"],
+                not_ok=whole["not_ok"],
+            )
+        )
     return pd.DataFrame(rows)

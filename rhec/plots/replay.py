@@ -1,6 +1,6 @@
 """A replayed log in pictures.
 
-`replays` is {name: samples}, as `rhec.logs.scores.trial` returns them; what a log does not know
+`replays` is {name: samples}, as `rhec.logs.scores.perturbed_replay` returns them; what a log does not know
 (its true pose, say) is left out of the picture.
 """
 
@@ -344,7 +344,7 @@ def replay_faults(table):
     """Largest error of the position [m] and of the yaw [rad] from the beginning of each fault on,
     as it is and robust; every noise seed a dot, means bars.
 
-    table: rows of `scores.fault_trials`.
+    table: rows of `scores.fault_scores`.
     """
     figure, panels = plt.subplots(
         1, 2, figsize=(DOUBLE_IN, 0.6 + 0.26 * table["fault"].nunique()), sharey=True

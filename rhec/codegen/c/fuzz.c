@@ -1,8 +1,10 @@
-/* Feeds rhec with what no sensor should ever say: fuzz [steps [seed]]
+/* Fuzzing: fuzz [steps [seed]]
  *
- * NaN, infinities, denormals, huge and ordinary numbers, in storms and alone, and at times a struct rhec whose memory has been written over. After every
- * step the estimate must be finite and the command within its bounds: if not, it says so and returns 1. After each storm come 20 s of ordinary driving; how
- * many storms leave an estimate that is then still wrong by more than 0.5 m, or a fall-back, is reported, and so is how often each status came back. */
+ * Measurements are NaN, infinite, denormal, huge or ordinary, alone and in storms, and at times the
+ * memory in struct rhec is overwritten. After every step the estimate must be finite and the
+ * command within its bounds: if not, it says so and returns 1. After each storm come 20 s of
+ * ordinary driving. Reported are how many storms leave an estimate that is then still wrong by more
+ * than 0.5 m, or a fall-back, and how often each status was returned. */
 #include <float.h>
 #include <inttypes.h>
 #include <math.h>
@@ -28,9 +30,11 @@ static double uniform(void)
     return (double)(bits() >> 11) / 9007199254740992.0;
 }
 
-static double nonsense(void)
+static double invalid(void)
 {
-    static const double odd[] = {0, -0.0, NAN, INFINITY, -INFINITY, DBL_MAX, -DBL_MAX, DBL_MIN, 4e-324, -4e-324, 1e8, -1e8, 100, -100, 1e12, 1e300};
+    static const double odd[] = {0,       -0.0,   NAN,     INFINITY, -INFINITY, DBL_MAX,
+                                 -DBL_MAX, DBL_MIN, 4e-324, -4e-324,  1e8,       -1e8,
+                                 100,     -100,   1e12,    1e300};
     uint64_t b = bits();
     double sign = uniform() < 0.5 ? -1 : 1, number;
     switch (bits() % 4) {
@@ -56,14 +60,15 @@ static void drive(double pose[3], double speed, double omega)
     }
 }
 
-/* One sample; z measured, or spoilt with this probability. Returns the status; dies where a promise is broken. */
-static int sample(struct rhec *r, double pose[3], double spoilt, double error[1])
+/* One sample; each entry of z is invalid with this probability. Returns the status; exits where an
+ * answer is not finite or out of bounds. */
+static int sample(struct rhec *r, double pose[3], double probability, double error[1])
 {
     double speed = rhec_scenario_guess[3], omega = 0, estimate[6] = {0};
     double z[4] = {pose[0], pose[1], speed, r->omega[0]};
     for (int i = 0; i < 4; i++) {
         z[i] += i < 2 ? 0.06 * (uniform() - 0.5) : 0;
-        z[i] = uniform() < spoilt ? nonsense() : z[i];
+        z[i] = uniform() < probability ? invalid() : z[i];
     }
     if (bits() % 2) {
         rhec_prepare_estimate(r);
@@ -99,22 +104,23 @@ int main(int argc, char **argv)
         memcpy(guess, rhec_scenario_guess, sizeof guess);
         memcpy(pose, rhec_scenario_guess, sizeof pose);
         for (int i = 0; i < 6; i++) {
-            guess[i] = bits() % 16 ? guess[i] : nonsense();
+            guess[i] = bits() % 16 ? guess[i] : invalid();
         }
         rhec_init(&r, &rhec_scenario, guess);
         for (int storm = 0; storm < 10; storm++, storms++) {
-            double spoilt = uniform();
+            double probability = uniform();
             int length = 1 + (int)(bits() % 60), calm = 100, status = 0;
-            if (bits() % 8 == 0) { /* memory gone bad */
-                double *memory[] = {(double *)&r.estimator, (double *)&r.controller, (double *)&r.path};
+            if (bits() % 8 == 0) { /* overwrite memory */
+                double *memory[] = {(double *)&r.estimator, (double *)&r.controller,
+                                    (double *)&r.path};
                 size_t sizes[] = {sizeof r.estimator, sizeof r.controller, sizeof r.path};
                 for (int i = 0; i < 5; i++) {
                     size_t which = bits() % 3, place = bits() % (sizes[which] / sizeof(double));
-                    memory[which][place] = nonsense();
+                    memory[which][place] = invalid();
                 }
             }
             for (int i = 0; i < length + calm; i++, done++) {
-                status = sample(&r, pose, i < length ? spoilt : 0, error);
+                status = sample(&r, pose, i < length ? probability : 0, error);
                 by_status[status]++;
             }
             if (status != 0 || error[0] > 0.5) {
@@ -122,7 +128,9 @@ int main(int argc, char **argv)
             }
         }
     }
-    printf("%ld samples, %ld storms, after %ld of them still lost 20 s later\nstatus,samples\n", done, storms, lost);
+    printf("%ld samples, %ld storms, after %ld of them still lost 20 s later\n", done, storms,
+           lost);
+    printf("status,samples\n");
     for (int status = 0; status < 16; status++) {
         if (by_status[status]) {
             printf("%d,%ld\n", status, by_status[status]);

@@ -1,7 +1,8 @@
 /* Replays a log: replay log.csv > answers.csv
  *
- * Each row of the log holds a measurement, x, y, nu, omega (nothing, or nan: no measurement), below a line of titles. If it also holds what rhec
- * answered in Python, x, y, theta, nu, mu, kappa and the command, the largest difference is reported, and is an error above 1e-9. */
+ * Below a line of titles, each row of the log holds a measurement: x, y, nu, omega (nothing, or
+ * nan: no measurement). If it also holds Python's answers, x, y, theta, nu, mu, kappa and the
+ * command, the largest difference is reported, and is an error above 1e-9. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,10 +1,10 @@
-/* In which order the generated phases are called, and what happens when numbers leave their range: see rhec.h. */
+/* Calls the generated phases in order, and restarts where numbers leave their range: see rhec.h. */
 #include "rhec.h"
 
 #include <math.h>
 #include <string.h>
 
-static int sane(const double *numbers, int count)
+static int are_plausible(const double *numbers, int count)
 {
     for (int i = 0; i < count; i++) {
         if (!(fabs(numbers[i]) <= 1e12)) { /* false for NaN too */
@@ -14,8 +14,9 @@ static int sane(const double *numbers, int count)
     return 1;
 }
 
-/* x, y, theta, nu, mu, kappa that a robot may have: readings beyond do not count either, and a yaw of more turns has lost its digits. */
-static int possible(int i, double number)
+/* x, y, theta, nu, mu, kappa that a robot may have. Measurements beyond do not count either, and a
+ * yaw of more turns has lost its digits. */
+static int is_plausible(int i, double number)
 {
     static const double most[6] = {1e8, 1e8, 1e6, 100, 10, 10};
     return fabs(number) <= most[i];
@@ -25,13 +26,16 @@ static int possible(int i, double number)
 
 enum { TO_SHIFT, PREPARED, TO_EXPAND }; /* how far preparation has got */
 
-/* The RHE begins at this guess as far as it is possible, else at the other; the place on the path is looked for anew. */
-static void begin(struct rhec *r, const double guess[6], const double other[6])
+/* Start the RHE at this guess as far as it is plausible, else at the other, and look for the
+ * closest point on the whole path. */
+static void restart(struct rhec *r, const double guess[6], const double other[6])
 {
-    static const double nowhere[6] = {0, 0, 0, 0, 1, 1};
+    static const double origin[6] = {0, 0, 0, 0, 1, 1};
 
     for (int i = 0; i < 6; i++) {
-        r->estimate[i] = possible(i, guess[i]) ? guess[i] : possible(i, other[i]) ? other[i] : nowhere[i];
+        r->estimate[i] = is_plausible(i, guess[i])   ? guess[i]
+                         : is_plausible(i, other[i]) ? other[i]
+                                                     : origin[i];
     }
     estimator_start(r);
     path_closest(r);
@@ -43,7 +47,7 @@ void rhec_init(struct rhec *r, const struct rhec_settings *settings, const doubl
 {
     memset(r, 0, sizeof *r);
     r->settings = settings;
-    begin(r, guess, guess);
+    restart(r, guess, guess);
     controller_start(r);
 }
 
@@ -55,8 +59,8 @@ void rhec_prepare_estimate(struct rhec *r)
     if (r->estimator_stage == TO_EXPAND) {
         estimator_expand(r);
     }
-    if (!estimator_sane(r)) {
-        begin(r, r->estimate, r->estimate);
+    if (!estimator_is_plausible(r)) {
+        restart(r, r->estimate, r->estimate);
         r->restarted |= RHEC_ESTIMATOR_RESTARTED;
     }
     estimator_shift(r);
@@ -79,11 +83,11 @@ int rhec_estimate(struct rhec *r, const double z[4], double estimate[6])
     status = r->restarted & RHEC_ESTIMATOR_RESTARTED;
     status |= r->predicted ? RHEC_PREDICTED : 0;
     for (int i = 0; i < 6; i++) {
-        lost |= !possible(i, r->estimate[i]);
+        lost |= !is_plausible(i, r->estimate[i]);
     }
     if (lost || r->predicted > RHEC_PATIENCE) {
         const double measured[6] = {z[0], z[1], last[2], z[2], 1, 1};
-        begin(r, measured, last);
+        restart(r, measured, last);
         status |= RHEC_ESTIMATOR_RESTARTED;
     }
     r->restarted &= ~RHEC_ESTIMATOR_RESTARTED;
@@ -99,7 +103,7 @@ void rhec_prepare_control(struct rhec *r)
     if (r->controller_stage == TO_EXPAND) {
         controller_expand(r);
     }
-    if (!controller_sane(r)) {
+    if (!controller_is_plausible(r)) {
         controller_start(r);
         r->restarted |= RHEC_CONTROLLER_RESTARTED;
     }
@@ -115,7 +119,7 @@ int rhec_control(struct rhec *r, double *omega)
     r->restarted &= ~RHEC_CONTROLLER_RESTARTED;
 
     path_follow(r);
-    if (!sane(r->path.s_next, 1)) {
+    if (!are_plausible(r->path.s_next, 1)) {
         path_closest(r);
         path_follow(r);
         status |= RHEC_CONTROLLER_RESTARTED;

@@ -1,4 +1,5 @@
-/* How long each phase takes on this machine, in ns, for every row of a log: times log.csv > times.csv   (POSIX) */
+/* Times of each phase on this machine [ns], for every row of a log: times log.csv > times.csv
+ * (POSIX) */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -38,7 +39,8 @@ int main(int argc, char **argv)
         double planned = now_ns();
         rhec_control(&r, &omega);
         double end = now_ns();
-        printf("%.0f,%.0f,%.0f,%.0f\n", prepared - begin, estimated - prepared, planned - estimated, end - planned);
+        printf("%.0f,%.0f,%.0f,%.0f\n", prepared - begin, estimated - prepared,
+               planned - estimated, end - planned);
     }
     fclose(log);
     return 0;

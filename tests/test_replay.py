@@ -1,5 +1,5 @@
-"""Replay of recorded logs: what a log's rows mean, what is done about its faults, and how good the
-estimates are.
+"""Replay of recorded logs: columns and rows, resampling, faults of sensors and clocks, accuracy of
+the estimates, scores.
 """
 
 import pickle
@@ -12,18 +12,17 @@ import pytest
 
 import rhec
 from rhec import plots
-from rhec.logs import recording as recordings
-from rhec.logs import replay as replays
-from rhec.logs import scores
-from rhec.logs.replay import ESTIMATE
+from rhec.columns import ESTIMATE, GATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
+from rhec.logs import recording, scores
+from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.studies.replay_table import replay_table
 
 MU, KAPPA, B = 0.9, 0.75, 0.5
 
 
 def recorded(rate_hz=10.0, duration_s=60.0, start_rad=0.4, noise_m=0.0, seed=0, arm_m=(0.0, 0.0)):
-    """A log as its columns are documented: forwards, standing, backwards, in curves, integrated
-    finely; without noise unless told. arm_m: the antenna's place ahead and left of the centre.
+    """A log with the documented columns: forwards, standing, backwards, in curves, integrated
+    finely, with white noise of noise_m. arm_m: the antenna's place ahead and left of the centre.
     """
     fine = np.arange(round(duration_s * 1000) + 1) / 1000
     speed = np.interp(fine / duration_s, [0, 0.3, 0.33, 0.4, 0.43, 1], [0.6, 0.7, 0, 0, -0.5, -0.6])
@@ -78,7 +77,7 @@ def errors(result):
     ), scores.yaw_error(result).abs()
 
 
-# What comes out
+# Estimates
 
 
 def test_each_row_of_the_log_gets_its_estimate(estimates):
@@ -106,10 +105,8 @@ def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
     ].median() == pytest.approx(KAPPA, abs=0.02)
 
 
-def test_the_log_of_a_run_gives_its_estimates_again(run):
-    """One source, four uses: what was estimated in the closed loop is estimated again from its log,
-    which has measurements beside the truth.
-    """
+def test_replaying_the_log_of_a_run_gives_its_estimates(run):
+    """The estimates are those of the closed loop, and do not depend on the truth in its log."""
     given = dict(
         process_noise="calibrated",
         speed_model="parameter",
@@ -124,15 +121,13 @@ def test_the_log_of_a_run_gives_its_estimates_again(run):
 
 
 def test_the_live_estimator_agrees():
-    recording, given = (
-        recordings.prepare(LOG),
-        dict(process_noise="calibrated", speed_model="input"),
+    prepared = recording.prepare(LOG)
+    fields = dict(process_noise="calibrated", speed_model="input")
+    samples = estimate_samples(
+        prepared, replay_scenario("rhe", prepared, fields), InitialGuess((0.4,), 0.1)
     )
-    samples = replays.estimate_samples(
-        recording, replays.settings("rhe", recording, given), replays.InitialGuess((0.4,), 0.1)
-    )
-    z = samples[recordings.MEASUREMENTS].to_numpy()
-    live = rhec.RHE(**given, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
+    z = samples[MEASUREMENTS].to_numpy()
+    live = rhec.RHE(**fields, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
     for k in range(len(z)):
         live.prepare()
         estimate = live.feedback(z[k])
@@ -150,7 +145,7 @@ def test_an_estimator_of_ones_own():
 
 
 def test_no_estimate_sees_the_truth(estimates):
-    truth = list(recordings.TRUTH.values())
+    truth = list(RECORDED_TRUTH.values())
     for blind in (LOG.drop(columns=truth), LOG.assign(**dict.fromkeys(truth, 7.0))):
         np.testing.assert_array_equal(
             rhec.replay(blind, first_yaw_rad=0.4)[ESTIMATE], estimates[ESTIMATE]
@@ -158,14 +153,14 @@ def test_no_estimate_sees_the_truth(estimates):
 
 
 @pytest.mark.parametrize("start_rad", [-2.9, -1.2, 0.0, 1.0, 2.6])
-def test_a_first_yaw_that_nobody_knows_is_found(start_rad):
+def test_an_unknown_first_yaw_is_found(start_rad):
     log = recorded(start_rad=start_rad, noise_m=0.02)
     result = rhec.replay(log.drop(columns="yaw_true_rad"), process_noise="calibrated")
     error = (result["theta_hat_rad"] - log["yaw_true_rad"] + np.pi) % (2 * np.pi) - np.pi
     assert error[result["t_s"] > 15].abs().max() < 0.15
 
 
-def test_on_a_straight_the_estimator_says_that_it_forgets_kappa():
+def test_the_variance_of_kappa_grows_on_a_straight():
     log = recorded(duration_s=80.0, noise_m=0.02)
     straight = log.iloc[[-1] * 300].assign(
         t_s=log["t_s"].iloc[-1] + 0.1 * np.arange(1, 301), speed_mps=0.5, yaw_rate_radps=0.0
@@ -184,28 +179,51 @@ def test_on_a_straight_the_estimator_says_that_it_forgets_kappa():
     )
 
 
-# What a log's rows mean
+@pytest.mark.parametrize("estimator", ["rhe", "dual"])
+def test_what_gating_rejects_is_in_the_replay(estimator):
+    """True where a position was used, False where it is missing, rejected or another row's."""
+    log = LOG.copy()
+    log.loc[300:310, ["x_m", "y_m"]] += 5.0
+    log.loc[400:410, ["x_m", "y_m"]] = np.nan
+    given = dict(estimator=estimator, first_yaw_rad=0.4, process_noise="calibrated")
+    given |= dict(speed_model="input") if estimator == "rhe" else {}
+    assert not set(GATE) & set(rhec.replay(log, **given).columns)
+    gated = rhec.replay(log, **given, robust=True)
+    accepted = gated["gate_accepted"]
+    assert accepted.dtype == gated["gate_restart"].dtype == bool
+    assert not accepted[1::2].any()  # the estimator's samples are every other row
+    assert not accepted[300:311].any() and not accepted[400:411].any()
+    assert accepted[:180:2].all()
+
+
+def test_gating_says_when_it_restarts():
+    """A yaw that is wrong by 180° is found out by the course over ground."""
+    result = rhec.replay(LOG, first_yaw_rad=0.4 + np.pi, sigma_yaw_rad=0.05, robust=True)
+    restarts = result.index[result["gate_restart"]]
+    assert len(restarts) >= 1 and result["gate_accepted"][restarts].all()
+    assert errors(result[300:])[1].max() < 0.3
+
+
+# Columns and rows
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 8.0, 50.0])
-def test_the_readings_of_a_sample_are_means_over_the_interval_that_ends_there(rate_hz):
+def test_encoder_measurements_of_a_sample_are_means_over_the_interval_that_ends_there(rate_hz):
     log = recorded(rate_hz)
-    samples = recordings.samples(recordings.prepare(log).rows, 0.2, averaged=False)
+    samples = recording.resample(recording.prepare(log).rows, 0.2, averaged=False)
     fine = recorded(1000.0)
     for reading, column in (("nu_meas_mps", "speed_mps"), ("omega_meas_radps", "yaw_rate_radps")):
         expected = fine[column].to_numpy()[1:59_801].reshape(-1, 200).mean(axis=1)
         np.testing.assert_allclose(samples[reading][1:], expected[: len(samples) - 1], atol=0.01)
 
 
-def test_readings_of_a_run_are_means_already(run):
-    recording = recordings.prepare(run.log)
-    samples = recordings.samples(recording.rows, 0.2, recording.averaged)
-    np.testing.assert_allclose(
-        samples[recordings.MEASUREMENTS], run.log[recordings.MEASUREMENTS], atol=1e-9
-    )
+def test_encoder_measurements_of_a_run_are_means_already(run):
+    prepared = recording.prepare(run.log)
+    samples = recording.resample(prepared.rows, 0.2, prepared.averaged)
+    np.testing.assert_allclose(samples[MEASUREMENTS], run.log[MEASUREMENTS], atol=1e-9)
 
 
-def test_tracks_and_their_width_stand_for_speed_and_yaw_rate(estimates):
+def test_track_speeds_and_width_replace_speed_and_yaw_rate(estimates):
     tracks = LOG.drop(columns=["speed_mps", "yaw_rate_radps"])
     same = rhec.replay(tracks, first_yaw_rad=0.4, track_width_m=B)
     np.testing.assert_allclose(same[ESTIMATE], estimates[ESTIMATE], atol=1e-6)
@@ -215,7 +233,7 @@ def test_tracks_and_their_width_stand_for_speed_and_yaw_rate(estimates):
     assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
 
 
-def test_the_antennas_place_can_be_told_or_found():
+def test_the_lever_arm_can_be_given_or_estimated():
     log = recorded(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
     told, wrong, found = (
         rhec.replay(log, first_yaw_rad=0.4, lever_arm_m=arm)
@@ -239,7 +257,7 @@ def test_the_antennas_place_can_be_told_or_found():
     )
 
 
-def test_segments_are_worlds_of_their_own():
+def test_segments_are_independent():
     second = recorded(start_rad=2.0, noise_m=0.02, seed=1)
     both = pd.concat(
         [LOG.assign(segment="a"), second.assign(segment="b", t_s=second["t_s"] + 60.0)],
@@ -252,7 +270,7 @@ def test_segments_are_worlds_of_their_own():
         )
 
 
-def test_positions_of_1_hz_are_enough():
+def test_positions_at_1_hz_are_enough():
     log = LOG.copy()
     log.loc[log.index % 10 > 0, ["x_m", "y_m"]] = np.nan
     _, yaw = errors(rhec.replay(log, first_yaw_rad=0.4, process_noise="calibrated")[300:])
@@ -262,7 +280,7 @@ def test_positions_of_1_hz_are_enough():
 # Faults
 
 
-def test_flagged_and_impossible_readings_do_not_exist(estimates):
+def test_flagged_and_implausible_measurements_are_missing(estimates):
     bad = np.random.default_rng(0).random(len(LOG)) < 0.1
     silent = LOG.copy()
     silent.loc[bad, ["x_m", "y_m"]] = np.nan
@@ -280,7 +298,7 @@ def test_flagged_and_impossible_readings_do_not_exist(estimates):
     assert not np.array_equal(expected[ESTIMATE], estimates[ESTIMATE])
 
 
-def test_a_repeated_position_is_an_old_one():
+def test_a_repeated_position_is_missing():
     log = LOG.copy()
     log.loc[log.index % 4 > 0, ["x_m", "y_m"]] = np.nan
     missing, log = log, log.ffill()
@@ -290,8 +308,8 @@ def test_a_repeated_position_is_an_old_one():
 
 
 def test_rows_out_of_time_change_nothing(estimates):
-    """Duplicates, older rows and wild times are left out; each such row shows the estimate before
-    it.
+    """Duplicates, older rows and implausible times are left out; each such row has the estimate
+    before it.
     """
     wrong = LOG.iloc[[100, 50, 200, 201]].assign(t_s=[10.0, 9.85, 1e9, np.nan], x_m=77.0, y_m=-77.0)
     order = np.concatenate(
@@ -323,7 +341,7 @@ def test_rows_out_of_time_change_nothing(estimates):
         lambda log: log.iloc[:5],
     ],
 )
-def test_whatever_breaks_estimates_are_numbers(broken):
+def test_estimates_are_finite_whatever_the_log_lacks(broken):
     log = broken(LOG)
     result = rhec.replay(log, first_yaw_rad=None)
     assert len(result) == len(log) and np.isfinite(result[ESTIMATE]).all(axis=None)
@@ -348,10 +366,23 @@ def test_a_log_that_cannot_be_replayed_is_refused_in_a_sentence(log, sentence):
         rhec.replay(log)
 
 
+def test_help_names_every_column_of_a_recording():
+    names = [*RECORDED.values(), *RECORDED_TRUTH.values(), *TRACKS, "t_s", "segment", "pos_ok"]
+    assert not [name for name in names if name not in rhec.replay.__doc__]
+
+
+def test_fields_answer_to_their_old_name():
+    with pytest.warns(FutureWarning, match="'process_noise'"):
+        old = rhec.replay(LOG, first_yaw_rad=0.4, reading="calibrated")
+    new = rhec.replay(LOG, first_yaw_rad=0.4, process_noise="calibrated")
+    np.testing.assert_array_equal(old[ESTIMATE], new[ESTIMATE])
+
+
 @pytest.mark.parametrize(
     "given, sentence",
     [
         (dict(estimator="oracle"), "^estimator was 'oracle'"),
+        (dict(estimator="fixed_traction"), "^estimator was 'fixed_traction'"),
         (dict(estimator="kalman"), "^estimator was 'kalman'"),
         (dict(sed=1), "^replay has no parameter 'sed'"),
         (dict(process_noise="bold"), "^process_noise was 'bold'"),
@@ -375,12 +406,10 @@ def test_logs_are_read_from_csv_and_parquet(tmp_path):
     LOG.to_csv(tmp_path / "log.csv", index=False)
     LOG.to_parquet(tmp_path / "log.parquet")
     for file in ("log.csv", "log.parquet"):
-        pd.testing.assert_frame_equal(recordings.read(tmp_path / file), LOG)
+        pd.testing.assert_frame_equal(recording.read(tmp_path / file), LOG)
 
 
-def test_files_are_data(tmp_path):
-    """Nothing in them runs, whatever they are called."""
-
+def test_nothing_in_a_file_is_executed(tmp_path):
     class Bomb:
         def __reduce__(self):
             return (pytest.fail, ("a file was run",))
@@ -389,16 +418,16 @@ def test_files_are_data(tmp_path):
     for name in ("log.csv", "log.parquet", "log.pkl"):
         (tmp_path / name).write_bytes(bomb)
         with pytest.raises(ValueError):
-            rhec.replay(recordings.read(tmp_path / name))
+            rhec.replay(recording.read(tmp_path / name))
     for name in (tmp_path, tmp_path / "none.csv", "https://example.org/log.csv"):
         with pytest.raises(ValueError, match="^log was"):
-            recordings.read(name)
+            recording.read(name)
 
 
 @pytest.mark.parametrize(
     "name", ["../../etc/passwd.csv", "..csv", "a b$(x).csv", "/", "日誌.csv", "C:\\log.csv"]
 )
-def test_pictures_of_a_log_stay_in_the_folder_for_them(name):
+def test_figures_of_a_log_stay_in_their_folder(name):
     folder = plots.replay_folder(name)
     assert folder.parent == plots.replay_folder("x.csv").parent and folder.resolve() == folder
 
@@ -408,10 +437,10 @@ def test_pictures_of_a_log_stay_in_the_folder_for_them(name):
 
 @pytest.fixture(scope="module")
 def shipped():
-    return recordings.read(make_example_log.FILE)
+    return recording.read(make_example_log.FILE)
 
 
-def test_the_shipped_log_can_be_made_again(shipped):
+def test_the_shipped_log_is_reproducible(shipped):
     pd.testing.assert_frame_equal(make_example_log.example_log(), shipped, rtol=0, atol=2e-4)
     assert make_example_log.FILE.stat().st_size < 300_000
 
@@ -423,12 +452,10 @@ def test_the_shipped_log_has_all_kinds_of_motion(shipped):
         assert kind.sum() > 50
 
 
-def test_with_the_speed_as_input_the_rhe_survives_what_the_papers_does_not(shipped):
-    """The finding about the paper, on the trial: one ν over a window of 3 s cannot be right while
-    the speed changes.
-    """
+def test_speed_as_input_beats_the_papers_constant_speed_on_the_shipped_log(shipped):
+    """One ν over a window of 3 s cannot be right while the speed changes."""
     by_input, by_parameter = (
-        scores.trials(shipped, range(3), process_noise="calibrated", speed_model=model)
+        scores.perturbed_scores(shipped, range(3), process_noise="calibrated", speed_model=model)
         for model in ("input", "parameter")
     )
     assert (
@@ -442,9 +469,9 @@ def test_with_the_speed_as_input_the_rhe_survives_what_the_papers_does_not(shipp
 # Scores
 
 
-def test_regression_is_that_of_true_motion_on_readings():
-    samples = recordings.samples(
-        recordings.prepare(recorded(50.0)).rows, 0.2, averaged=False
+def test_regression_is_that_of_true_motion_on_measurements():
+    samples = recording.resample(
+        recording.prepare(recorded(50.0)).rows, 0.2, averaged=False
     ).assign(segment=0)
     assert scores.regression(samples) == pytest.approx((MU, KAPPA), abs=1e-4)
     sliding = scores.sliding_regression(samples)
@@ -452,8 +479,8 @@ def test_regression_is_that_of_true_motion_on_readings():
     assert np.isnan(sliding).any(axis=0).all()  # standing, or straight
 
 
-def test_scores_are_what_they_say(estimates):
-    counted = scores.driven(estimates) >= scores.FROM_M
+def test_scores_equal_the_errors_put_in(estimates):
+    counted = scores.distance_driven(estimates) >= scores.FROM_M
     wrong = estimates.assign(
         theta_hat_rad=estimates["theta_rad"] + np.where(counted, 0.1 + 2 * np.pi, 3.0),
         sigma_theta_rad=0.2,
@@ -469,8 +496,10 @@ def test_scores_are_what_they_say(estimates):
     assert score["mu_median"] == 0.5 and score["outside"] == len(wrong)
 
 
-def test_the_trial_is_harder_than_the_log_and_its_seed_decides():
-    one, again, other = (scores.trial(LOG, seed, process_noise="calibrated") for seed in (1, 1, 2))
+def test_a_perturbed_replay_adds_the_noise_of_its_seed():
+    one, again, other = (
+        scores.perturbed_replay(LOG, seed, process_noise="calibrated") for seed in (1, 1, 2)
+    )
     pd.testing.assert_frame_equal(one, again)
     assert not np.array_equal(one["x_meas_m"], other["x_meas_m"])
     added = one["x_meas_m"] - LOG["x_m"][::2].to_numpy()
@@ -478,14 +507,12 @@ def test_the_trial_is_harder_than_the_log_and_its_seed_decides():
     assert abs(scores.yaw_error(one)[0]) > 0.2
 
 
-def test_faults_on_top_of_a_log():
-    """A schedule of faults reaches the readings, and the estimates stay numbers, robust or not;
-    robust, outliers do little.
-    """
+def test_faults_reach_the_measurements_and_gating_bounds_the_error():
+    """Estimates stay finite, robust or not; with gating, outliers do little."""
     outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
     clean, off, on = (
-        scores.trial(LOG, 0, **given)
-        for given in ({}, dict(faults=outliers), dict(faults=outliers, robust=True))
+        scores.perturbed_replay(LOG, 0, **arguments)
+        for arguments in ({}, dict(faults=outliers), dict(faults=outliers, robust=True))
     )
     hit = clean["t_s"].between(30.0, 32.9)
     np.testing.assert_allclose(
@@ -501,7 +528,7 @@ def test_faults_on_top_of_a_log():
         ("disorder", dict(channel="all")),
         ("dead", dict(channel="left")),
     ):
-        samples = scores.trial(
+        samples = scores.perturbed_replay(
             LOG, 0, faults=(rhec.Fault(kind=kind, start_s=30.0, duration_s=5.0, **more),)
         )
         assert (
@@ -509,10 +536,10 @@ def test_faults_on_top_of_a_log():
         )
 
 
-def test_pictures_of_a_log_with_and_without_truth():
-    for log in (LOG, LOG.drop(columns=list(recordings.TRUTH.values()))):
-        replay = {"RHE": scores.trial(log, 0, process_noise="calibrated")}
-        trials = {"RHE": scores.trials(log, range(2), process_noise="calibrated")}
+def test_figures_of_a_log_with_and_without_truth():
+    for log in (LOG, LOG.drop(columns=list(RECORDED_TRUTH.values()))):
+        replay = {"RHE": scores.perturbed_replay(log, 0, process_noise="calibrated")}
+        trials = {"RHE": scores.perturbed_scores(log, range(2), process_noise="calibrated")}
         for figure in (
             plots.replay_log(replay["RHE"], "a $ b"),
             plots.replay_yaw(replay),

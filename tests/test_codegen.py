@@ -1,5 +1,5 @@
-"""The exported C: it says what Python says, on every machine; it needs nothing; nothing that comes
-in makes it fail.
+"""The exported C: its answers equal Python's on every machine, it needs libm alone, and no input
+makes it fail; its report.
 """
 
 import ctypes
@@ -19,6 +19,7 @@ from rhec import paper, plots, simulation
 from rhec._casadi import compiled
 from rhec._casadi.build import pack_array, select_inputs
 from rhec.codegen import LOG, phases
+from rhec.columns import MEASUREMENTS
 from rhec.controller import rhc
 from rhec.estimator import base as estimators
 from rhec.estimator.kalman import Z_MAX
@@ -27,7 +28,8 @@ from rhec.studies.embedded import instructions, report, toolchain
 
 SECONDS = 20.0
 TOLERANCE = 1e-9
-PREDICTED, AS_PLANNED, ESTIMATOR_RESTARTED, CONTROLLER_RESTARTED = 1, 2, 4, 8
+ANSWERS = [name for name in LOG if name not in MEASUREMENTS]
+RESTARTED = toolchain.STATUS["estimator_restarted"], toolchain.STATUS["controller_restarted"]
 QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 needs_valgrind = pytest.mark.skipif(not shutil.which("valgrind"), reason="there is no valgrind")
@@ -35,7 +37,7 @@ ON = {"this machine": toolchain.this_machine, "Arm": toolchain.arm}
 
 
 def own_estimator():
-    """It believes the encoders and pulls the position towards GNSS."""
+    """A complementary filter: yaw by the encoders, the position drawn towards GNSS."""
     memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
     x, y, theta, nu, mu, kappa = ca.vertsplit(memory)
     theta = theta + 0.2 * kappa * z[3]
@@ -71,6 +73,8 @@ SCENARIOS = {
     ),
     "EKF": dict(estimator="ekf", process_noise="calibrated"),
     "dual": dict(estimator="dual", robust=True),
+    "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
+    "augmented EKF": dict(estimator="augmented_ekf", process_noise="calibrated"),
     "own estimator": dict(estimator=own_estimator()),
 }
 
@@ -181,9 +185,9 @@ def log_of(export):
 
 
 def in_python(scenario, measurements):
-    """What the closed loop's own Functions answer to these measurements: (samples, 7)."""
-    world = simulation.set_up(scenario)
-    structure = world.structure
+    """Answers of the closed loop's own Functions to these measurements: (samples, 7)."""
+    setup = simulation.set_up(scenario)
+    structure, settings = setup.structure, setup.settings
     estimate_step = estimators.step(
         structure.estimator,
         structure.estimation_horizon,
@@ -192,37 +196,28 @@ def in_python(scenario, measurements):
         structure.qp,
         structure.robust,
     )
+    horizon = structure.prediction_horizon
     references = path.build_references(
-        paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
+        paper.DT_S, horizon, structure.n_segments, structure.input_reference
     )["references"]
-    control = rhc.build_phases(paper.DT_S, structure.prediction_horizon, structure.qp)["step"]
-    estimator, controller = (
-        estimators.first_memory(scenario, world.guess),
-        pack_array(rhc.init(world.guess[:3], world.guess[3:], scenario.prediction_horizon)),
-    )
-    s, omega, answers = world.path.project(world.guess[None, :2])[1], 0.0, []
+    control = rhc.build_phases(paper.DT_S, horizon, structure.qp)["step"]
+    estimator = estimators.first_memory(scenario, setup.guess)
+    controller = pack_array(rhc.init(setup.guess[:3], setup.guess[3:], horizon))
+    s, omega, answers = setup.path.project(setup.guess[None, :2])[1], 0.0, []
+    names = ["memory", "estimate", *estimate_step.name_out()[2:]]
     for z in measurements:
-        known = [world.settings[name] for name in estimate_step.name_in()[2:]]
-        outputs = dict(
-            zip(
-                ["memory", "estimate", *estimate_step.name_out()[2:]],
-                estimate_step.call([estimator, z, *known]),
-            )
-        )
-        estimator, estimate, believed = (
-            outputs["memory"],
-            outputs["estimate"],
-            ca.DM(outputs.get("z_used", z)).full().ravel(),
-        )
-        measured = believed[3] if abs(believed[3]) <= Z_MAX[3] else omega
+        known = [settings[name] for name in estimate_step.name_in()[2:]]
+        outputs = dict(zip(names, estimate_step.call([estimator, z, *known])))
+        estimator, estimate = outputs["memory"], outputs["estimate"]
+        accepted = ca.DM(outputs.get("z_used", z)).full().ravel()
         target = references(
-            **select_inputs(references, world.settings),
+            **select_inputs(references, settings),
             s=s,
             estimate=estimate,
-            omega_measured=measured,
+            omega_measured=accepted[3] if abs(accepted[3]) <= Z_MAX[3] else omega,
         )
         planned = control(
-            **select_inputs(control, world.settings),
+            **select_inputs(control, settings),
             memory=controller,
             s_0=estimate,
             xi_ref=target["xi_ref"],
@@ -233,14 +228,14 @@ def in_python(scenario, measurements):
     return np.array(answers)
 
 
-# It says what Python says
+# Its answers equal Python's
 
 
 @pytest.mark.parametrize(
     "name, on",
     [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")],
 )
-def test_replay_of_a_closed_loop_answers_what_python_answered(name, on, exported, built):
+def test_answers_to_the_log_of_a_closed_loop_equal_pythons(name, on, exported, built):
     machine, objects = built(name, on)
     program = toolchain.program(machine, exported(name), "replay", objects, QUICKLY)
     answers, expected = (
@@ -248,13 +243,22 @@ def test_replay_of_a_closed_loop_answers_what_python_answered(name, on, exported
         log_of(exported(name)),
     )
     assert len(answers) == len(expected) == SECONDS / paper.DT_S
-    np.testing.assert_allclose(answers[LOG[4:]], expected[LOG[4:]], rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(answers[ANSWERS], expected[ANSWERS], rtol=0, atol=TOLERANCE)
     assert (answers["status"] == 0).all()
     assert toolchain.run(machine, program, exported(name) / "log.csv").returncode == 0
 
 
-def test_silent_and_absurd_sensors_are_answered_as_in_python(exported, library):
-    measurements = log_of(exported("paper"))[LOG[:4]].to_numpy()
+def test_an_ekf_with_fixed_traction_is_given_the_fields_mean(exported):
+    scenario = rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS["fixed traction"])
+    mean, given = simulation.set_up(scenario).terrain.mean, phases.export(scenario).settings
+    np.testing.assert_array_equal(given["traction"].ravel(), mean)
+    assert np.max(mean) < 0.8
+    source = (exported("fixed traction") / "rhec_scenario.c").read_text()
+    assert f".traction = {{{float(mean[0])!r}, {float(mean[1])!r}}}" in source
+
+
+def test_answers_to_missing_and_implausible_measurements_equal_pythons(exported, library):
+    measurements = log_of(exported("paper"))[MEASUREMENTS].to_numpy()
     rng = np.random.default_rng(0)
     for value in (np.nan, np.inf, -1e300):
         measurements[rng.random(measurements.shape) < 0.1] = value
@@ -269,7 +273,7 @@ def test_silent_and_absurd_sensors_are_answered_as_in_python(exported, library):
     )
 
 
-def test_replay_finds_a_wrong_answer(exported, built, tmp_path):
+def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
     machine, objects = built("paper", "this machine")
     log = log_of(exported("paper"))
     log.loc[50, "kappa_hat"] += 1e-8
@@ -286,7 +290,7 @@ def test_replay_finds_a_wrong_answer(exported, built, tmp_path):
 
 def test_replay_takes_a_log_without_answers_and_with_gaps(exported, built, tmp_path):
     machine, objects = built("paper", "this machine")
-    log = log_of(exported("paper"))[LOG[:4]].mask(lambda z: z > 1.2)
+    log = log_of(exported("paper"))[MEASUREMENTS].mask(lambda z: z > 1.2)
     log.to_csv(tmp_path / "log.csv", index=False)
     answers = toolchain.replay(
         machine,
@@ -294,14 +298,14 @@ def test_replay_takes_a_log_without_answers_and_with_gaps(exported, built, tmp_p
         tmp_path / "log.csv",
     )
     np.testing.assert_allclose(
-        answers[LOG[4:]],
+        answers[ANSWERS],
         in_python(rhec.Scenario(duration_s=SECONDS, seed=1), log.to_numpy()),
         rtol=0,
         atol=TOLERANCE,
     )
 
 
-def test_the_closest_point_is_the_path_s():
+def test_the_closest_point_equals_path_project():
     rng = np.random.default_rng(2)
     for target in (
         rhec.Path.racetrack(30.0, 7.8),
@@ -320,16 +324,16 @@ def test_the_closest_point_is_the_path_s():
 # How it is called
 
 
-def test_what_was_not_prepared_is_prepared_when_it_is_needed(exported, library):
+def test_answers_do_not_depend_on_when_preparation_runs(exported, library):
     one, other = Robot(library, exported("paper")), Robot(library, exported("paper"))
-    for k, z in enumerate(log_of(exported("paper"))[LOG[:4]].to_numpy()[:40]):
+    for k, z in enumerate(log_of(exported("paper"))[MEASUREMENTS].to_numpy()[:40]):
         prepared, late = one.step(z), other.step(z, prepare=k % 3 == 0)
         np.testing.assert_array_equal(prepared[0], late[0])
         assert prepared[1:] == late[1:]
 
 
-def test_robots_do_not_disturb_each_other(exported, library):
-    measurements = log_of(exported("paper"))[LOG[:4]].to_numpy()[:30]
+def test_two_robots_are_independent(exported, library):
+    measurements = log_of(exported("paper"))[MEASUREMENTS].to_numpy()[:30]
     alone = [Robot(library, exported("paper")).step(measurements[0])[1]]
     one, other = (
         Robot(library, exported("paper")),
@@ -343,57 +347,59 @@ def test_robots_do_not_disturb_each_other(exported, library):
     assert together == [single.step(z)[1] for z in measurements] and together[:1] == alone
 
 
-def test_a_guess_that_is_nonsense_is_not_used(exported, library):
+def test_implausible_entries_of_the_guess_are_replaced(exported, library):
     nonsense = Robot(library, exported("paper"), guess=[np.nan, np.inf, 1e300, -1e9, np.nan, 50])
     clean = Robot(library, exported("paper"), guess=[0, 0, 0, 0, 1, 1])
-    z = log_of(exported("paper"))[LOG[:4]].to_numpy()[0]
+    z = log_of(exported("paper"))[MEASUREMENTS].to_numpy()[0]
     np.testing.assert_array_equal(nonsense.step(z)[0], clean.step(z)[0])
 
 
-def test_memory_that_was_written_over_is_begun_again_and_said(exported, library):
+def test_overwritten_memory_restarts_and_is_reported(exported, library):
     robot = Robot(library, exported("paper"))
     log = log_of(exported("paper"))
-    for z in log[LOG[:4]].to_numpy()[:50]:
+    for z in log[MEASUREMENTS].to_numpy()[:50]:
         assert robot.step(z)[2] == 0
     doubles = np.frombuffer(robot.memory, dtype=float)
     doubles[4:] = np.nan  # all but the settings' address and the counters
-    _, omega, status = robot.step(log[LOG[:4]].to_numpy()[50])
-    assert (
-        status == ESTIMATOR_RESTARTED | CONTROLLER_RESTARTED and abs(omega) <= paper.OMEGA_MAX_RADPS
-    )
-    for z in log[LOG[:4]].to_numpy()[51:]:
+    _, omega, status = robot.step(log[MEASUREMENTS].to_numpy()[50])
+    assert status == sum(RESTARTED) and abs(omega) <= paper.OMEGA_MAX_RADPS
+    for z in log[MEASUREMENTS].to_numpy()[51:]:
         estimate, omega, status = robot.step(z)
         assert status == 0 and abs(omega) <= paper.OMEGA_MAX_RADPS and np.isfinite(estimate).all()
     assert np.hypot(*(estimate[:2] - log[["x_hat_m", "y_hat_m"]].to_numpy()[-1])) < 0.2
 
 
-def test_an_estimate_that_no_robot_has_is_begun_again(exported, library):
+def test_an_implausible_estimate_restarts(exported, library):
     """Positions that jump by more than anything drives are believed for a while; then the estimate
-    is where the sensors say, not where it got to.
+    restarts at the measurement.
     """
-    robot, z = Robot(library, exported("paper")), log_of(exported("paper"))[LOG[:4]].to_numpy()
-    seen = 0
+    robot, z = Robot(library, exported("paper")), log_of(exported("paper"))[MEASUREMENTS].to_numpy()
+    statuses = 0
     for k, row in enumerate(np.tile(z[:30], (3, 1))):
         estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 40), 0, 0, 0])
-        seen |= status
+        statuses |= status
         assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
         assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
-    assert seen & ESTIMATOR_RESTARTED
+    assert statuses & RESTARTED[0]
 
 
-# What it needs, and that nothing breaks it
+# What it needs; fuzzing
 
 
 @needs_compiler
 @pytest.mark.parametrize("compiler", ["gcc", "clang", "g++", "clang++", "aarch64-linux-gnu-gcc"])
-def test_no_compiler_has_anything_to_say(compiler, exported):
+def test_no_compiler_warns(compiler, exported):
     if not shutil.which(compiler):
         pytest.skip(f"there is no {compiler}")
     strict = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
     for name in ("paper", "EKF"):
         folder = exported(name)
         if compiler.endswith("++"):  # the header is for C++ as well
-            program = '#include "rhec.h"\nint main() { static rhec r; rhec_init(&r, &rhec_scenario, rhec_scenario_guess); }\n'
+            program = (
+                '#include "rhec.h"\n'
+                "int main() { static rhec r; "
+                "rhec_init(&r, &rhec_scenario, rhec_scenario_guess); }\n"
+            )
             subprocess.run(
                 [compiler, "-std=c++11", *strict, f"-I{folder}", "-x", "c++", "-"],
                 input=program,
@@ -407,7 +413,7 @@ def test_no_compiler_has_anything_to_say(compiler, exported):
 
 
 @needs_compiler
-def test_it_needs_libm_alone_and_has_no_variables(built):
+def test_it_needs_libm_alone_and_has_no_global_variables(built):
     _, objects = built("paper", "this machine")
     undefined = subprocess.run(
         ["nm", "-u", *objects], check=True, capture_output=True, text=True
@@ -439,7 +445,7 @@ def test_it_needs_libm_alone_and_has_no_variables(built):
 
 
 @needs_compiler
-def test_sanitizers_find_nothing_in_nonsense(exported, tmp_path):
+def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
     compiler = shutil.which("clang") or compiled.compiler()
     flags = [
         "-std=c99",
@@ -477,8 +483,8 @@ def test_valgrind_finds_nothing(exported, built, tmp_path):
 
 
 @needs_compiler
-def test_nonsense_is_survived(exported, built):
-    """The program fails where an estimate is not finite or a command out of bounds."""
+def test_answers_are_bounded_while_fuzzing(exported, built):
+    """`fuzz` fails where an estimate is not finite or a command out of bounds."""
     for name in ("paper", "robust", "EKF"):
         machine, objects = built(name, "this machine")
         came_back = toolchain.nonsense(
@@ -489,8 +495,7 @@ def test_nonsense_is_survived(exported, built):
 
 
 @needs_compiler
-def test_the_program_that_feeds_nonsense_can_fail(exported, tmp_path):
-    """With a command that leaves its bounds it does."""
+def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
     shutil.copytree(exported("EKF"), tmp_path / "broken")
     source = (tmp_path / "broken" / "rhec.c").read_text()
     (tmp_path / "broken" / "rhec.c").write_text(
@@ -504,7 +509,7 @@ def test_the_program_that_feeds_nonsense_can_fail(exported, tmp_path):
         )
 
 
-def test_what_it_needs_is_far_below_256_kib(exported, built):
+def test_memory_and_stack_are_below_256_kib(exported, built):
     machine, objects = built("paper", "this machine")
     header = (exported("paper") / "rhec_memory.h").read_text()
     memory = int(header.split("RHEC_MEMORY_BYTES ")[1].split()[0])
@@ -513,7 +518,7 @@ def test_what_it_needs_is_far_below_256_kib(exported, built):
     assert 0 < sizes["code_bytes"] < 1024 * 1024
 
 
-def test_instructions_are_counted_the_same_every_time(exported, built, tmp_path):
+def test_instruction_counts_are_reproducible(exported, built, tmp_path):
     machine, objects = built("paper", "Arm")
     if not machine.emulator:
         pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
@@ -543,7 +548,7 @@ def test_instructions_are_counted_the_same_every_time(exported, built, tmp_path)
 # The folder
 
 
-def test_two_exports_of_one_scenario_are_the_same(exported, tmp_path):
+def test_export_is_reproducible(exported, tmp_path):
     again = rhec.export(rhec.Scenario(duration_s=SECONDS, seed=1), tmp_path / "again")
     assert sorted(path.name for path in again.iterdir()) == sorted(
         path.name for path in exported("paper").iterdir()
@@ -552,7 +557,7 @@ def test_two_exports_of_one_scenario_are_the_same(exported, tmp_path):
         assert file.read_bytes() == (exported("paper") / file.name).read_bytes()
 
 
-def test_the_scenario_is_there_to_be_read_again(exported):
+def test_scenario_json_holds_every_field(exported):
     fields = json.loads((exported("paper") / "scenario.json").read_text())
     assert rhec.Scenario(
         **{
@@ -566,7 +571,7 @@ def test_the_scenario_is_there_to_be_read_again(exported):
         }
 
 
-def test_an_earlier_export_is_replaced_and_what_else_is_there_stays(exported, tmp_path):
+def test_an_earlier_export_is_replaced_and_other_files_stay(exported, tmp_path):
     shutil.copytree(exported("paper"), tmp_path / "mine")
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     (tmp_path / "mine" / "rhec.h").write_text("broken")
@@ -583,22 +588,22 @@ def test_an_earlier_export_is_replaced_and_what_else_is_there_stays(exported, tm
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
-def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
+def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     for folder, reason in (
         (tmp_path, "which holds other files"),
         (tmp_path / "thesis.tex", "which is a file"),
     ):
-        with pytest.raises(
-            ValueError,
-            match=f"^folder was .*{reason}; it should be a new or empty folder or an earlier export$",
-        ):
+        expected = (
+            f"^folder was .*{reason}; it should be a new or empty folder or an earlier export$"
+        )
+        with pytest.raises(ValueError, match=expected):
             rhec.export(rhec.Scenario(), folder)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def solving_estimator():
-    """It solves a QP with a library."""
+    """An estimator that solves a QP with a library."""
     memory, z = ca.MX.sym("memory", 6), ca.MX.sym("z", 4)
     x = ca.conic("qp", "daqp", {"h": ca.Sparsity.dense(2, 2)})(h=ca.DM.eye(2), g=-z[:2])["x"]
     return ca.Function("mine", [memory, z], [ca.vertcat(x, memory[2:])] * 2)
@@ -610,15 +615,17 @@ def solving_estimator():
         ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
         (
             rhec.Scenario(estimator="oracle"),
-            "^estimator was 'oracle', which knows the truth; to export, it should be",
+            "^estimator was 'oracle', which is given the truth; to export, it should be one of "
+            "'rhe', 'ekf', 'augmented_ekf', 'fixed_traction', 'dual' or a Function of your own$",
         ),
         (
             rhec.Scenario(estimator="traction_oracle"),
-            "^estimator was 'traction_oracle', which knows the truth",
+            "^estimator was 'traction_oracle', which is given the true traction",
         ),
         (
             rhec.Scenario(estimator=solving_estimator()),
-            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of expressions alone$",
+            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of "
+            "expressions alone$",
         ),
         (
             rhec.Scenario(qp="daqp"),
@@ -627,7 +634,7 @@ def solving_estimator():
         (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
     ],
 )
-def test_what_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):
+def test_a_scenario_that_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         rhec.export(scenario, tmp_path / "new")
     assert not (tmp_path / "new").exists()
@@ -636,7 +643,7 @@ def test_what_cannot_be_exported_is_refused_in_one_sentence(scenario, message, t
 # The report
 
 
-def test_the_figure_shows_each_time_it_was_given():
+def test_the_figure_shows_each_time():
     times = pd.DataFrame(
         [
             *report.reported(),
@@ -663,7 +670,7 @@ def test_the_figure_shows_each_time_it_was_given():
         )
 
 
-def test_without_any_compiler_the_paper_s_times_are_left(exported, monkeypatch):
+def test_without_a_compiler_the_report_has_the_papers_times(exported, monkeypatch):
     folder = exported("paper")
     monkeypatch.setattr(toolchain, "this_machine", lambda: None)
     monkeypatch.setattr(toolchain, "arm", lambda: None)
