@@ -7,16 +7,18 @@ import re
 import threading
 import time
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, plots
+from rhec import paper
+from rhec.plots import style
 from rhec.workbench.explorer import controls, explorer, field_run
-from rhec.workbench.explorer.robot_view import robots_eye, seen_from
-from rhec.workbench.explorer.snapshot import horizons_at
+from rhec.workbench.explorer.robot_view import robot_view, seen_from
+from rhec.workbench.explorer.snapshot import snapshot_at
 
 SHORT = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
 
@@ -51,7 +53,7 @@ STARTS = [
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_untouched_controls_mean_the_scenario_they_began_with(start):
+def test_untouched_controls_give_the_start_scenario(start):
     assert controls.scenario_of(controls.values_of(start), start.estimator, start) == start
 
 
@@ -62,7 +64,7 @@ def test_every_field_with_a_control_is_a_field_of_scenario():
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_the_line_is_the_scenario(start):
+def test_the_line_of_python_gives_the_scenario(start):
     assert eval(controls.line_of(start)) == start
     for field in fields(start):
         assert (f"{field.name}=" in controls.line_of(start)) == (
@@ -70,7 +72,7 @@ def test_the_line_is_the_scenario(start):
         )
 
 
-def test_one_s_own_w_reaches_each_estimator_in_its_own_size():
+def test_own_process_noise_has_the_size_each_estimator_takes():
     values = controls.values_of(SHORT) | {"process_noise": "own", ("sigma_w", 3): 0.5}
     assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
         0.001,
@@ -96,25 +98,34 @@ def test_one_s_own_w_reaches_each_estimator_in_its_own_size():
     )
 
 
-def test_robust_is_for_those_who_can():
+def test_robust_applies_to_estimators_with_gating():
     values = controls.values_of(SHORT) | {"robust": True}
-    assert [
-        controls.scenario_of(values, estimator, SHORT).robust
-        for _, estimator in controls.ESTIMATORS
-    ] == [True, False, True, False, False]
+    robust = {key for key in controls.ESTIMATORS if controls.scenario_of(values, key, SHORT).robust}
+    assert robust == {"rhe", "dual"}
+
+
+def test_explorer_and_its_notebook_offer_the_same_estimators(made):
+    offered = list(controls.ESTIMATORS)
+    assert [value for _, value in made.estimator.options] == offered
+    assert [value for _, value in made.against.options] == [None, *offered]
+    for estimator in offered:
+        scenario = replace(SHORT, estimator=estimator)
+        assert field_run.name_of(scenario) == controls.ESTIMATORS[estimator]
+    notebook = (Path(__file__).parents[1] / "notebooks/explore.ipynb").read_text(encoding="utf-8")
+    assert "estimator=tuple(controls.ESTIMATORS)" in notebook
 
 
 # The widget
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_widgets_begin_where_the_scenario_is(start):
+def test_widgets_begin_at_the_start_scenario(start):
     assert rhec.Explorer(replace(start, duration_s=20.0), None).scenarios == [
         replace(start, duration_s=20.0)
     ]
 
 
-def test_a_steps_grid_holds_the_value_it_begins_with():
+def test_slider_steps_include_the_start_value():
     for start in STARTS:
         values = controls.values_of(start)
         for key, control in controls.CONTROLS.items():
@@ -156,7 +167,7 @@ def test_a_changed_control_is_a_new_run_and_a_new_picture(made, key, value):
     assert (made.picture.value, made.table.value, made.line.value) == (picture, table, line)
 
 
-def test_both_estimators_drive_at_the_same_seed(made):
+def test_both_estimators_run_at_the_same_seed(made):
     made.seed.value = 5
     assert [run.scenario.estimator for run in made.runs] == ["rhe", "ekf"]
     assert {run.scenario.seed for run in made.runs} == {5}
@@ -173,7 +184,7 @@ def test_the_papers_weights_are_one_run(made, monkeypatch):
     assert drawn == [paper.Q1, paper.Q2, paper.Q3]
 
 
-def test_wet_patches_come_go_and_move(made):
+def test_wet_patches_are_added_moved_and_removed(made):
     made.add_patch.click()
     made.patch[0].value = 20.0
     made.add_patch.click()
@@ -199,7 +210,7 @@ def test_pinned_runs_stay(made):
     assert made.table.value.count("<tr>") == 3
 
 
-@pytest.mark.parametrize("view", ["field run", "robot’s eye"])
+@pytest.mark.parametrize("view", ["field run", "robot view"])
 @pytest.mark.parametrize("zoom", field_run.ZOOMS)
 def test_every_view_is_well_formed_and_has_no_style_for_the_whole_page(made, view, zoom):
     from xml.etree import ElementTree
@@ -215,11 +226,11 @@ def test_every_view_is_well_formed_and_has_no_style_for_the_whole_page(made, vie
     assert "<style" not in picture and "nan" not in picture and "#000000" not in picture
 
 
-def test_what_stays_is_not_drawn_again(made, monkeypatch):
+def test_unchanged_layers_are_not_drawn_again(made, monkeypatch):
     drawn = []
-    layer = made.field.layers.layer
+    draw_layer = made.field.draw_layer
     monkeypatch.setattr(
-        made.field.layers, "layer", lambda *artists: drawn.extend(artists) or layer(*artists)
+        made.field, "draw_layer", lambda *artists: drawn.extend(artists) or draw_layer(*artists)
     )
     made.inputs["q", 0].value = 1.5
     assert made.field.axes["map"] not in drawn and made.field.axes["yaw_rate"] not in drawn
@@ -252,8 +263,8 @@ def test_a_file_name_cannot_leave_its_folder(made, name, tmp_path):
     assert not [*tmp_path.iterdir()]
 
 
-def test_callbacks_in_two_threads_do_not_meet(made, monkeypatch):
-    """As with a kernel whose page's messages are answered in its main thread and in a subshell's."""
+def test_callbacks_in_two_threads_do_not_overlap(made, monkeypatch):
+    """As where a kernel answers a page's messages in its main thread and in a subshell's."""
     drawing, met = threading.Lock(), []
 
     def draw():
@@ -280,7 +291,7 @@ def test_callbacks_in_two_threads_do_not_meet(made, monkeypatch):
     )
 
 
-def test_what_goes_wrong_inside_is_said(made, monkeypatch, capsys):
+def test_an_internal_error_is_shown_in_the_status_line(made, monkeypatch, capsys):
     def broken(scenario, world):
         raise ZeroDivisionError("of all things")
 
@@ -349,7 +360,7 @@ def test_without_widgets_the_picture_and_the_table_stand_for_them(made):
 # Compiling
 
 
-def test_a_new_structure_is_compiled_elsewhere_and_the_newest_setting_run_then(made, monkeypatch):
+def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs(made, monkeypatch):
     at_hand, compiled = set(), []
 
     def compile_apart(structures):
@@ -389,7 +400,7 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
     assert "OSError: no space left" in made.status.value and made.compiling is None
 
 
-def test_compiling_apart_leaves_what_load_finds():
+def test_what_another_process_compiled_is_found_by_load():
     from rhec import simulation
     from rhec._casadi import compiled
 
@@ -398,7 +409,7 @@ def test_compiling_apart_leaves_what_load_finds():
     assert compiled.is_compiled(simulation.build_sample, *structure)
 
 
-# The robot's eye
+# The robot view
 
 
 @pytest.mark.parametrize("k", [0, 5, 100, 299])
@@ -412,9 +423,9 @@ def test_compiling_apart_leaves_what_load_finds():
         dict(robust=True, faults=(rhec.Fault(kind="jump", start_s=20.0, size_m=0.5),)),
     ],
 )
-def test_the_horizons_are_those_of_the_run(k, changed):
+def test_snapshot_equals_the_run(k, changed):
     run = rhec.simulate(replace(SHORT, **changed))
-    at, row = horizons_at(run.scenario, k), run.log.loc[k]
+    at, row = snapshot_at(run.scenario, k), run.log.loc[k]
     np.testing.assert_array_equal(at.truth, row[["x_m", "y_m", "theta_rad"]])
     np.testing.assert_array_equal(
         at.estimate,
@@ -441,7 +452,7 @@ def test_the_horizons_are_those_of_the_run(k, changed):
 
 
 def test_the_desired_points_are_on_the_path_a_sample_apart(run):
-    at = horizons_at(run.scenario, 200)
+    at = snapshot_at(run.scenario, 200)
     distance, _ = run.path.project(at.desired[:, :2])
     np.testing.assert_allclose(distance, 0, atol=1e-9)
     steps = np.hypot(*np.diff(at.desired[:, :2], axis=0).T)
@@ -459,6 +470,6 @@ def test_seen_from_a_pose_what_is_ahead_is_ahead():
 
 
 def test_the_figures_are_complete_without_an_explorer(run, tmp_path):
-    for figure in (field_run.field_run([run]), robots_eye(run, 50, horizons_at(run.scenario, 50))):
+    for figure in (field_run.field_run([run]), robot_view(run, 50, snapshot_at(run.scenario, 50))):
         assert not figure.findobj(lambda artist: artist.get_animated())
-        assert plots.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000
+        assert style.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000

@@ -1,5 +1,5 @@
-"""The explorer's controls as data: what each changes in a `rhec.Scenario`, in which unit and range,
-and how to get from their values to scenarios.
+"""The explorer's controls as data: the field of `rhec.Scenario` that each changes, its unit and its
+range; and how to get from their values to scenarios.
 
 A control's key is a field of Scenario, or (field, place) for one entry of a field that has several.
 A new field is one line of GROUPS.
@@ -14,10 +14,27 @@ from rhec.extensions.faults import Fault
 from rhec.model import tracked_robot as model
 from rhec.scenario import Scenario
 
+__all__ = [
+    "CONTROLS",
+    "ESTIMATORS",
+    "GROUPS",
+    "NEW_PATCH",
+    "PATCH",
+    "PROCESS_NOISES",
+    "Choice",
+    "Slider",
+    "line_of",
+    "scenario_of",
+    "tidy",
+    "values_of",
+]
+
 
 class Slider(NamedTuple):
-    """A number. kind: "real", "whole", or "log", whose low, high and step are powers of ten; slow:
-    another structure, to be compiled at first.
+    """A number from low to high.
+
+    kind: "real"; "whole", another structure of the loop, compiled when first asked for; or "log",
+    whose low, high and step are powers of ten.
     """
 
     key: str | tuple
@@ -27,7 +44,6 @@ class Slider(NamedTuple):
     step: float
     about: str
     kind: str = "real"
-    slow: bool = False
 
 
 class Choice(NamedTuple):
@@ -39,188 +55,97 @@ class Choice(NamedTuple):
     about: str
 
 
-ESTIMATORS = (
-    ("RHE", "rhe"),
-    ("EKF", "ekf"),
-    ("dual", "dual"),
-    ("oracle", "oracle"),
-    ("traction oracle", "traction_oracle"),
+ESTIMATORS = {  # by their name in Scenario
+    "rhe": "RHE",
+    "ekf": "EKF",
+    "dual": "dual",
+    "oracle": "oracle",
+    "traction_oracle": "traction oracle",
+}
+PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("own W", "own"))
+_YES_NO = (("no", False), ("yes", True))
+_SPEED_MODELS = (
+    ("one a window", "parameter"),
+    ("measured", "input"),
+    ("slipping tracks", "slipping"),
 )
-READINGS = (("printed", "printed"), ("calibrated", "calibrated"), ("own W", "own"))
-YES_NO = (("no", False), ("yes", True))
-FAULTS = (
+_PRIOR_MEANS = (("smoothed", "smoothed"), ("filtered", "filtered"))
+_INPUT_REFERENCES = (("measured, held", "measured"), ("curvature", "curvature"))
+_DELAYS = (("at once", 0), ("a sample later", 1))
+_STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
+_MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
+
+
+def _fault(duration_s, **what):
+    return (Fault(start_s=40.0, duration_s=duration_s, **what),)
+
+
+_FAULTS = (
     ("none", ()),
-    ("no GNSS for 5 s", (Fault(kind="missing", start_s=40.0, duration_s=5.0),)),
-    ("no GNSS for 20 s", (Fault(kind="missing", start_s=40.0, duration_s=20.0),)),
-    (
-        "positions 2 m off for 10 s",
-        (Fault(kind="outliers", start_s=40.0, duration_s=10.0, size_m=2.0),),
-    ),
-    ("a jump of 0.5 m for 20 s", (Fault(kind="jump", start_s=40.0, duration_s=20.0, size_m=0.5),)),
+    ("no GNSS for 5 s", _fault(5.0, kind="missing")),
+    ("no GNSS for 20 s", _fault(20.0, kind="missing")),
+    ("positions 2 m off for 10 s", _fault(10.0, kind="outliers", size_m=2.0)),
+    ("a jump of 0.5 m for 20 s", _fault(20.0, kind="jump", size_m=0.5)),
     ("positions 0.6 s late", (Fault(kind="latency", delay_s=0.6),)),
-    (
-        "left encoder dead for 20 s",
-        (Fault(kind="dead", channel="left", start_s=40.0, duration_s=20.0),),
-    ),
+    ("left encoder dead for 20 s", _fault(20.0, kind="dead", channel="left")),
 )
 
+
+def _entries(field, symbol, names, slider):
+    """One slider for each entry of a field."""
+    keys = [(field, place) for place in range(len(names))]
+    return [Slider(key, f"{symbol} of {name}", *slider) for key, name in zip(keys, names)]
+
+
+_ESTIMATOR = (
+    Slider("estimation_horizon", "window [intervals]", 2, 40, 1, "estimation horizon", "whole"),
+    Choice("speed_model", "speed ν", _SPEED_MODELS, "R6, R13: how the RHE takes the speed"),
+    Choice("arrival_mean", "arrival mean", _PRIOR_MEANS, "R7: prior mean at the oldest node"),
+    Choice("robust", "robust", _YES_NO, "RHE and dual: gate positions, restart if rejected long"),
+    *_entries("sigma_w", "σ_W", _STATES, (-4, 1.5, 0.05, "a sample; counts with “own W”", "log")),
+)
+_CONTROLLER = (
+    *_entries("q", "Q", ("x", "y", "θ"), (0, 20, 0.5, "weight of this error over the horizon")),
+    Slider("r", "R", -1, 3, 0.05, "weight of the yaw rate", "log"),
+    Slider("qn_factor", "Q_N / Q", 0, 50, 0.5, "weight of the last node"),
+    Slider("prediction_horizon", "horizon [intervals]", 2, 40, 1, "prediction horizon", "whole"),
+    Slider("look_ahead_m", "look-ahead [m]", 0, 3, 0.05, "how far ahead the desired points begin"),
+    Slider("omega_max_radps", "ω_max [rad/s]", 0.02, 0.5, 0.01, "bound on the commanded yaw rate"),
+    Choice("input_reference", "ω_r", _INPUT_REFERENCES, "R8: input reference"),
+    Choice("command_delay", "command", _DELAYS, "R10: when it is applied"),
+)
+_DRIVE = (
+    Slider("speed_mps", "speed [m/s]", 0.1, 1.4, 0.02, "above 0.7 curves exceed ω_max"),
+    Slider("duration_s", "duration [s]", 20, 600, 10, "length of the run"),
+    Slider("start_offset_m", "start beside [m]", -3, 3, 0.1, "left of the path’s beginning"),
+    Slider("start_yaw_rad", "start turned [rad]", -1.5, 1.5, 0.05, "against the path’s beginning"),
+    Slider("guess_yaw_rad", "yaw guess off [rad]", -1.5, 1.5, 0.05, "error of the initial guess"),
+    Choice("backwards", "backwards", _YES_NO, "R9: λ = 1"),
+    Slider("row_length_m", "row length [m]", 10, 100, 1, "of each of the two rows"),
+    Slider("headland_radius_m", "turn radius [m]", 3, 20, 0.2, "of the headlands’ half circles"),
+)
+_SOIL = (
+    Slider("mu_mean", "μ mean", 0.3, 0.99, 0.01, "what is left of the speed"),
+    Slider("mu_deviation", "μ deviation", 0, 0.3, 0.01, "over the field"),
+    Slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01, "what is left of the turning"),
+    Slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01, "over the field"),
+    Slider("correlation_length_m", "soil alike over [m]", 0.5, 20, 0.5, "correlation length"),
+)
+_SENSORS = (
+    Slider("gnss_sigma_m", "GNSS noise [m]", 0, 0.2, 0.005, "standard deviation of a position"),
+    Slider("gnss_slow_share", "slow share", 0, 1, 0.05, "of the GNSS error’s variance; 0: white"),
+    Slider("gnss_slow_time_s", "slow over [s]", 5, 300, 5, "time constant of the slow part"),
+    Slider("encoder_sigma_mps", "encoder noise [m/s]", 0, 0.2, 0.0025, "of one track at 50 Hz"),
+    Slider("bump_sigma_radps", "bumps [rad/s]", 0, 0.2, 0.005, "yaw rate added for one sample"),
+    Choice("faults", "fault", _FAULTS, "what is wrong with the sensors, and when"),
+    *_entries("sigma_v", "σ_V", _MEASURED, (-3, 0, 0.05, "noise the estimator assumes", "log")),
+)
 GROUPS = {
-    "Estimator": (
-        Slider(
-            "estimation_horizon",
-            "window [intervals]",
-            2,
-            40,
-            1,
-            "estimation horizon of the RHE, 0.2 s each",
-            "whole",
-            True,
-        ),
-        Choice(
-            "speed_model",
-            "speed ν",
-            (("one a window", "parameter"), ("measured", "input"), ("slipping tracks", "slipping")),
-            "R6, R13: how the RHE takes the speed",
-        ),
-        Choice(
-            "arrival_mean",
-            "arrival mean",
-            (("smoothed", "smoothed"), ("filtered", "filtered")),
-            "R7: prior mean at the window's oldest node",
-        ),
-        Choice(
-            "robust",
-            "robust",
-            YES_NO,
-            "RHE and dual: gate positions, and begin again where they contradict for long",
-        ),
-        *(
-            Slider(
-                ("sigma_w", place),
-                f"σ_W of {name}",
-                -4,
-                1.5,
-                0.05,
-                "process noise a sample; counts with reading “own W”",
-                "log",
-            )
-            for place, name in enumerate(("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]"))
-        ),
-    ),
-    "Controller": (
-        *(
-            Slider(
-                ("q", place), f"Q of {name}", 0, 20, 0.5, "weight of this error over the horizon"
-            )
-            for place, name in enumerate(("x", "y", "θ"))
-        ),
-        Slider("r", "R", -1, 3, 0.05, "weight of the yaw rate", "log"),
-        Slider("qn_factor", "Q_N / Q", 0, 50, 0.5, "weight of the last node"),
-        Slider(
-            "prediction_horizon",
-            "horizon [intervals]",
-            2,
-            40,
-            1,
-            "prediction horizon of the RHC, 0.2 s each",
-            "whole",
-            True,
-        ),
-        Slider(
-            "look_ahead_m", "look-ahead [m]", 0, 3, 0.05, "the desired points begin this far ahead"
-        ),
-        Slider(
-            "omega_max_radps", "ω_max [rad/s]", 0.02, 0.5, 0.01, "bound on the commanded yaw rate"
-        ),
-        Choice(
-            "input_reference",
-            "ω_r",
-            (("measured, held", "measured"), ("curvature", "curvature")),
-            "R8: input reference",
-        ),
-        Choice(
-            "command_delay",
-            "command",
-            (("at once", 0), ("a sample later", 1)),
-            "R10: when it is applied",
-        ),
-    ),
-    "Drive": (
-        Slider(
-            "speed_mps",
-            "speed [m/s]",
-            0.1,
-            1.4,
-            0.02,
-            "set speed; above about 0.7 the curves ask for more than the bound on the yaw rate",
-        ),
-        Slider("duration_s", "duration [s]", 20, 600, 10, "length of the run"),
-        Slider("start_offset_m", "start beside [m]", -3, 3, 0.1, "left of the path's beginning"),
-        Slider(
-            "start_yaw_rad", "start turned [rad]", -1.5, 1.5, 0.05, "against the path's beginning"
-        ),
-        Slider(
-            "guess_yaw_rad",
-            "yaw guess off [rad]",
-            -1.5,
-            1.5,
-            0.05,
-            "error of the estimator's first guess",
-        ),
-        Choice("backwards", "backwards", YES_NO, "R9: λ = 1"),
-        Slider("row_length_m", "row length [m]", 10, 100, 1, "of each of the two rows"),
-        Slider(
-            "headland_radius_m",
-            "turn radius [m]",
-            3,
-            20,
-            0.2,
-            "of the half circles on the headlands",
-        ),
-    ),
-    "Soil": (
-        Slider("mu_mean", "μ mean", 0.3, 0.99, 0.01, "what is left of the speed"),
-        Slider("mu_deviation", "μ deviation", 0, 0.3, 0.01, "over the field"),
-        Slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01, "what is left of the turning"),
-        Slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01, "over the field"),
-        Slider("correlation_length_m", "soil alike over [m]", 0.5, 20, 0.5, "correlation length"),
-    ),
-    "Sensors": (
-        Slider(
-            "gnss_sigma_m",
-            "GNSS noise [m]",
-            0,
-            0.2,
-            0.005,
-            "standard deviation of the position error",
-        ),
-        Slider(
-            "gnss_slow_share", "slow share", 0, 1, 0.05, "of the GNSS error's variance: 0 is white"
-        ),
-        Slider("gnss_slow_time_s", "slow over [s]", 5, 300, 5, "time constant of the slow part"),
-        Slider("encoder_sigma_mps", "encoder noise [m/s]", 0, 0.2, 0.0025, "of one track at 50 Hz"),
-        Slider(
-            "bump_sigma_radps",
-            "bumps [rad/s]",
-            0,
-            0.2,
-            0.005,
-            "yaw rate that a bump adds for one sample",
-        ),
-        Choice("faults", "fault", FAULTS, "what is wrong with the sensors, and when"),
-        *(
-            Slider(
-                ("sigma_v", place),
-                f"σ_V of {name}",
-                -3,
-                0,
-                0.05,
-                "noise of this measurement that the estimator assumes",
-                "log",
-            )
-            for place, name in enumerate(("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]"))
-        ),
-    ),
+    "Estimator": _ESTIMATOR,
+    "Controller": _CONTROLLER,
+    "Drive": _DRIVE,
+    "Soil": _SOIL,
+    "Sensors": _SENSORS,
 }
 CONTROLS = {control.key: control for group in GROUPS.values() for control in group}
 
@@ -236,99 +161,92 @@ NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
 
 
 def values_of(scenario):
-    """Each control's value in this scenario, with "reading", "seed" and "patches"."""
+    """Each control's value in this scenario, with "process_noise", "seed" and "patches"."""
     values = {
         key: getattr(scenario, key[0])[key[1]] if isinstance(key, tuple) else getattr(scenario, key)
         for key in CONTROLS
         if key[0] != "sigma_w"
     }
-    own = (
-        scenario.sigma_w
-        if scenario.sigma_w is not None and len(scenario.sigma_w) == 6
-        else rhe.SIGMA_W[scenario.process_noise]
-    )
-    return (
-        values
-        | {("sigma_w", place): sigma for place, sigma in enumerate(own)}
-        | {
-            "process_noise": scenario.process_noise if scenario.sigma_w is None else "own",
-            "seed": scenario.seed,
-            "patches": scenario.patches,
-        }
-    )
+    own, noise = scenario.sigma_w, scenario.process_noise
+    six = own if own is not None and len(own) == 6 else rhe.SIGMA_W[noise]
+    values |= {("sigma_w", place): sigma for place, sigma in enumerate(six)}
+    values["process_noise"] = noise if own is None else "own"
+    return values | {"seed": scenario.seed, "patches": scenario.patches}
 
 
 def scenario_of(values, estimator, start):
-    """The scenario that the controls' values ask for, for one estimator; what has no control is as
-    in `start`. Refuses as Scenario does.
+    """The scenario that the controls' values ask for.
+
+    Args:
+        values: as `values_of` returns them.
+        estimator: as in Scenario.
+        start: the Scenario whose values all fields without a control keep.
+
+    Returns:
+        A Scenario.
+
+    Raises:
+        ValueError: as Scenario does.
     """
-    asked, entries = (
-        {field.name: getattr(start, field.name) for field in fields(Scenario)}
-        | {"estimator": estimator},
-        {},
-    )
+    chosen, entries = vars(start) | {"estimator": estimator}, {}
     for key, value in values.items():
         if isinstance(key, tuple):
             entries.setdefault(key[0], []).append(value)
         else:
-            asked[key] = value
-    asked |= {name: tuple(entry) for name, entry in entries.items()}
-    asked["robust"] = asked["robust"] and estimator in ("rhe", "dual")
-    if asked["process_noise"] == "own":
-        asked |= {
-            "process_noise": start.process_noise,
-            "sigma_w": own_sigma_w(asked["sigma_w"], estimator, asked["speed_model"]),
-        }
+            chosen[key] = value
+    chosen |= {name: tuple(entry) for name, entry in entries.items()}
+    chosen["robust"] = chosen["robust"] and estimator in ("rhe", "dual")
+    if chosen["process_noise"] == "own":
+        chosen["process_noise"] = start.process_noise
+        chosen["sigma_w"] = _own_sigma_w(chosen["sigma_w"], estimator, chosen["speed_model"])
     else:
-        asked["sigma_w"] = None
-    return Scenario(**asked)
+        chosen["sigma_w"] = None
+    return Scenario(**chosen)
 
 
-def own_sigma_w(six, estimator, speed_model):
-    """Of the standard deviations of (x, y, θ, ν, μ, κ) those that an estimator has, as Scenario
-    says; none for one that has none.
+def _own_sigma_w(six, estimator, speed_model):
+    """The standard deviations that an estimator has, from those of (x, y, θ, ν, μ, κ), in the order
+    of Scenario's `sigma_w`; None for an estimator without any.
     """
     if estimator == "rhe":
-        return (
-            tuple(six[4:])
-            if speed_model == "slipping"
-            else tuple(six[state] for state in model.interval(speed_model).states)
-        )
-    return {"dual": (*six, *six[:4]), "ekf": tuple(six[:4]), "traction_oracle": tuple(six[:4])}.get(
-        estimator
-    )
+        slips = speed_model == "slipping"
+        states = (4, 5) if slips else model.interval(speed_model).states
+        return tuple(six[state] for state in states)
+    pose = tuple(six[:4])
+    return {"dual": (*six, *pose), "ekf": pose, "traction_oracle": pose}.get(estimator)
 
 
 def tidy(control, value, before):
     """A control's value without the digits that only a slider's arithmetic made: as it was before,
     if it has not moved.
     """
-    if isinstance(control, Choice) or math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
-        return value if isinstance(control, Choice) else before
+    if isinstance(control, Choice):
+        return value
+    if math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
+        return before
     if control.kind == "whole":
         return int(value)
     return float(f"{value:.4g}") if control.kind == "log" else round(float(value), 10)
 
 
 def line_of(thing):
-    """A Scenario, or a Fault, as one line of Python: only what differs from the defaults. A path, a
-    terrain or an estimator of one's own is its name.
+    """A Scenario, or a Fault, as one line of Python that leaves out what is as by default.
+
+    The user's own path, terrain or estimator stands there by the name of its field.
     """
-    given = [
-        (field.name, getattr(thing, field.name))
+    values = {field.name: getattr(thing, field.name) for field in fields(thing)}
+    words = [
+        f"{field.name}={_as_code(values[field.name], field.name)}"
         for field in fields(thing)
-        if getattr(thing, field.name) != field.default
+        if values[field.name] != field.default
     ]
-    return f"rhec.{type(thing).__name__}({', '.join(f'{name}={_said(value, name)}' for name, value in given)})"
+    return f"rhec.{type(thing).__name__}({', '.join(words)})"
 
 
-def _said(value, name):
+def _as_code(value, name):
     if isinstance(value, tuple):
-        return f"({', '.join(_said(each, name) for each in value)}{',' if len(value) == 1 else ''})"
-    return (
-        line_of(value)
-        if isinstance(value, Fault)
-        else repr(value)
-        if isinstance(value, bool | int | float | str)
-        else name
-    )
+        entries = ", ".join(_as_code(each, name) for each in value)
+        return f"({entries}{',' if len(value) == 1 else ''})"
+    if isinstance(value, Fault):
+        return line_of(value)
+    return repr(value) if isinstance(value, bool | int | float | str) else name

@@ -1,9 +1,8 @@
-"""The explorer: controls on the left, and the whole field run again at once on the right, whenever
-one of them moves.
+"""The explorer: controls on the left; on the right the whole field, run again whenever one moves.
 
-The widgets are glue. `controls` turns their values into scenarios, `closed_loop` runs them,
-`panels` and `robots_eye` draw. A front end holds a widget's newest value back until the one before
-has been answered, so that dragging drops frames and never queues them.
+The widgets are glue. `controls` turns their values into scenarios, `rhec.simulation` runs them,
+`field_run` and `robot_view` draw. A front end holds a widget's newest value back until the one
+before has been answered, so that dragging drops frames and never queues them.
 """
 
 import asyncio
@@ -26,115 +25,84 @@ from rhec.plots import style
 from rhec.scenario import Scenario
 from rhec.workbench.explorer import controls
 from rhec.workbench.explorer.field_run import ZOOMS, FieldRun, colour_of, field_run, name_of
-from rhec.workbench.explorer.robot_view import RobotsEye
-from rhec.workbench.explorer.snapshot import horizons_at
+from rhec.workbench.explorer.robot_view import RobotView
+from rhec.workbench.explorer.snapshot import snapshot_at
 
-# What is told of a run, all of it better small: metric, two lines of heading, digits.
-METRICS = (
+__all__ = ["Explorer", "change", "compile_apart", "metrics_table"]
+
+# A run's metrics, all of them better small: column, two lines of heading, digits.
+_METRICS = (
     ("mean_error_m", "mean error", "GNSS [m]", 4),
     ("mean_error_true_m", "mean error", "true [m]", 4),
     ("max_error_true_m", "largest", "true [m]", 3),
     ("violations", "violations", "GNSS", 0),
     ("violations_true", "violations", "true", 0),
-    ("settling_time_s", "arrival", "[s]", 1),
+    ("settling_time_s", "settling time", "[s]", 1),
     ("overshoot_m", "overshoot", "[m]", 3),
     ("rms_mu", "RMS μ", "[-]", 3),
     ("rms_kappa", "RMS κ", "[-]", 3),
     ("rms_yaw_rad", "RMS yaw", "[rad]", 4),
 )
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-
-STYLE = """<style>
-.rhec { color: var(--jp-ui-font-color1, var(--vscode-foreground, inherit)); font-family: var(--jp-ui-font-family, sans-serif); overflow: hidden; }
-.rhec .widget-html-content, .rhec .widget-html > .widget-html-content { line-height: 1.35; overflow: hidden; }
-.rhec .rhec-picture { display: block; width: 100%; max-height: calc(100vh - 310px); }
-.rhec .rhec-eye .rhec-picture { max-height: calc(100vh - 350px); }
-.rhec .widget-tab, .rhec .jupyter-widget-tab { margin: 0; }
-.rhec .lm-TabBar-tab { min-width: 0 !important; flex: 1 1 auto !important; padding: 0 5px !important; text-align: center; }
-.rhec .lm-TabBar-tabLabel { font-size: 12px; }
-.rhec .widget-tab-contents { padding: 5px 6px 6px 2px !important; max-height: calc(100vh - 225px); overflow: hidden auto !important; }
-.rhec .widget-inline-hbox .widget-readout { min-width: 48px; max-width: 52px; font-size: 12px; padding: 1px 2px; }
-.rhec .widget-label { font-size: 12px; }
-.rhec .widget-slider { height: 25px; }
-.rhec .rhec-status, .rhec .rhec-code { margin: 0 2px; min-width: 0; font-size: 12.5px; }
-.rhec-status { flex: 0 1 auto; } .rhec-code { flex: 0 1 auto; }
-.rhec-status .bad { color: var(--jp-error-color1, #d32f2f); font-weight: 600; }
-.rhec-status .wait { color: var(--jp-warn-color0, #e65100); font-weight: 600; }
-.rhec-table { border-collapse: collapse; font-size: 12px; font-variant-numeric: tabular-nums; width: 100%; }
-.rhec-table th { font-weight: 400; opacity: .72; text-align: right; padding: 1px 7px; line-height: 1.15; vertical-align: bottom; }
-.rhec-table td { text-align: right; padding: 2px 7px; border-top: 1px solid var(--jp-border-color2, #8884); white-space: nowrap; }
-.rhec-table td:first-child { text-align: left; }
-.rhec-table .better { color: color-mix(in srgb, #009E73 80%, currentColor); } .rhec-table .worse { color: color-mix(in srgb, #D55E00 85%, currentColor); }
-.rhec-line { font-family: var(--jp-code-font-family, monospace); font-size: 12px; user-select: all; cursor: copy; overflow-wrap: anywhere; }
-.rhec-line:hover { background: var(--jp-layout-color2, #8882); }
-</style>"""
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_CSS = Path(__file__).parents[1] / "templates/explorer.css"
+_STYLE = f"<style>\n{_CSS.read_text(encoding='utf-8')}</style>"
 
 
 def metrics_table(runs, pinned=()):
-    """The metrics of runs as HTML, a row each, and what became of them since the pinned runs at the
-    same places.
-    """
-    head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in METRICS)
+    """The metrics of runs as HTML, a row each, then their differences to the pinned runs."""
+
+    def row(run, name, cells):
+        swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
+        return f"<tr><td>{swatch} {name}</td>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+
+    def value(number, digits):
+        return f"{number:.{digits}f}" if math.isfinite(number) else "never"
+
     rows = [
-        (
+        row(
             run,
             name_of(run.scenario),
-            [
-                f"{run.metrics[metric]:.{digits}f}"
-                if math.isfinite(run.metrics[metric])
-                else "never"
-                for metric, _, _, digits in METRICS
-            ],
+            [value(run.metrics[m], digits) for m, _, _, digits in _METRICS],
         )
         for run in runs
     ]
-    rows += [
-        (
-            run,
-            f"{name_of(run.scenario)} − pinned{'' if run.scenario.estimator == before.scenario.estimator else ' ' + name_of(before.scenario)}",
-            [
-                change(run.metrics[metric] - before.metrics[metric], digits)
-                for metric, _, _, digits in METRICS
-            ],
-        )
-        for run, before in zip(runs, pinned)
-    ]
-    body = "".join(
-        f'<tr><td><span style="color: {colour_of(run.scenario)}">━</span> {name}</td>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
-        for run, name, cells in rows
-    )
-    return f'<table class="rhec-table"><tr><th></th>{head}</tr>{body}</table>'
+    for run, before in zip(runs, pinned):
+        name, pinned_name = name_of(run.scenario), name_of(before.scenario)
+        differences = [
+            change(run.metrics[m] - before.metrics[m], digits) for m, _, _, digits in _METRICS
+        ]
+        pinned_name = "" if pinned_name == name else f" {pinned_name}"
+        rows.append(row(run, f"{name} − pinned{pinned_name}", differences))
+    head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in _METRICS)
+    return f'<table class="rhec-table"><tr><th></th>{head}</tr>{"".join(rows)}</table>'
 
 
 def change(difference, digits):
-    """What became of a metric, all of which are better small, as HTML."""
+    """The change of a metric as HTML: less is better."""
     if not math.isfinite(difference):
         return "–"
     text = f"{difference:+.{digits}f}"
     if float(text) == 0:
         return "0"
-    return (
-        f'<span class="{"better" if difference < 0 else "worse"}">{text.replace("-", "−")}</span>'
-    )
+    kind = "better" if difference < 0 else "worse"
+    return f'<span class="{kind}">{text.replace("-", "−")}</span>'
 
 
-def safe_name(name):
+def _safe_name(name):
     """A file name that cannot leave its folder."""
-    if not NAME.fullmatch(name):
+    if not _NAME.fullmatch(name):
         raise ValueError(
-            f"name was {name!r}; it should be letters, digits, - and _, beginning with a letter or digit, at most 64 of them"
+            f"name was {name!r}; it should be letters, digits, - and _, "
+            "beginning with a letter or digit, at most 64 of them"
         )
     return name
 
 
-def save_run(run, folder, name):
-    """A run's log as folder/name.csv and .parquet. Returns both paths."""
-    folder = Path(folder)
+def _save_run(run, folder, name):
+    """Write a run's log as folder/name.csv and .parquet."""
     folder.mkdir(parents=True, exist_ok=True)
-    csv, parquet = (folder / f"{safe_name(name)}.{kind}" for kind in ("csv", "parquet"))
-    run.log.to_csv(csv, index=False)
-    run.log.to_parquet(parquet, index=False)
-    return csv, parquet
+    run.log.to_csv(folder / f"{name}.csv", index=False)
+    run.log.to_parquet(folder / f"{name}.parquet", index=False)
 
 
 def compile_apart(structures):
@@ -146,8 +114,15 @@ def compile_apart(structures):
 
 
 class Explorer(widgets.VBox):
-    """The explorer as a widget, beginning at a scenario; `against` is the estimator compared at the
-    same seed, or None; `folder` is where it saves.
+    """The explorer as a widget.
+
+    Args:
+        start: the rhec.Scenario it begins at; without one, the default scenario.
+        against: the estimator compared at the same seed, or None.
+        folder: where runs and figures are saved.
+
+    Raises:
+        ValueError: if start is no Scenario.
     """
 
     def __init__(self, start=None, against="ekf", folder=style.FOLDER / "explored"):
@@ -156,13 +131,12 @@ class Explorer(widgets.VBox):
             raise ValueError(f"start was {start!r}; it should be a rhec.Scenario")
         self.start, self.patches = start, start.patches
         self.runs, self.pinned, self.compiling, self.held = (), (), None, False
-        self.one_at_a_time = (
-            threading.RLock()
-        )  # a kernel may answer a page's messages in two threads, its main one and a subshell's
-        self.field, self.eye = FieldRun(), RobotsEye()
+        # a kernel may answer a page's messages in two threads, its main one and a subshell's
+        self.one_at_a_time = threading.RLock()
+        self.field, self.robot_view = FieldRun(), RobotView()
         self._make_inputs(against)
         self._make_outputs(folder)
-        super().__init__(self._laid_out())
+        super().__init__(self._arranged())
         self.add_class("rhec")
         self._watch()
         self._refresh()
@@ -171,30 +145,18 @@ class Explorer(widgets.VBox):
 
     def _make_inputs(self, against):
         values = controls.values_of(self.start)
-        estimators = [
-            *controls.ESTIMATORS,
-            *([] if isinstance(self.start.estimator, str) else [("own", self.start.estimator)]),
-        ]
+        estimators = [(name, key) for key, name in controls.ESTIMATORS.items()]
+        if not isinstance(self.start.estimator, str):
+            estimators.append(("own", self.start.estimator))
         self.inputs = {
             key: _input(control, values[key]) for key, control in controls.CONTROLS.items()
         }
-        self.patch = [
-            _input(slider, value)
-            for slider, value in zip(
-                controls.PATCH, self.patches[-1] if self.patches else controls.NEW_PATCH
-            )
-        ]
-        self.estimator, self.against = (
-            _list(estimators, self.start.estimator, "run", 142),
-            _list([("nothing", None), *estimators], against, "against", 160),
-        )
-        self.process_noise = _list(
-            controls.READINGS,
-            values["process_noise"],
-            "W",
-            122,
-            "process noise: the paper’s reading, or one’s own in the tab Estimator",
-        )
+        patch = self.patches[-1] if self.patches else controls.NEW_PATCH
+        self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
+        self.estimator = _list(estimators, self.start.estimator, "run", 142)
+        self.against = _list([("nothing", None), *estimators], against, "against", 160)
+        noise, about = values["process_noise"], "process noise, one’s own in the tab Estimator"
+        self.process_noise = _list(controls.PROCESS_NOISES, noise, "W", 122, about)
         self.seed = widgets.BoundedIntText(
             self.start.seed,
             min=0,
@@ -204,117 +166,79 @@ class Explorer(widgets.VBox):
             style={"description_width": "36px"},
             tooltip="fixes terrain and noise together",
         )
-        self.zoom, self.soil = (
-            _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142),
-            _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", 66),
-        )
-        self.view = widgets.ToggleButtons(
-            options=["field run", "robot’s eye"], style={"button_width": "96px"}
-        )
+        self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
+        self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", 66)
+        views, width = ["field run", "robot view"], {"button_width": "96px"}
+        self.view = widgets.ToggleButtons(options=views, style=width)
         self.weights = {
             _button(name, "the paper’s weights"): q
             for name, q in (("Q¹", paper.Q1), ("Q²", paper.Q2), ("Q³", paper.Q3))
         }
-        self.pin, self.unpin = (
-            _button("pin", "keep these runs, to compare with"),
-            _button("unpin", "let go of the kept runs"),
-        )
+        self.pin = _button("pin", "keep these runs, to compare with")
+        self.unpin = _button("unpin", "let go of the kept runs")
         self.reset = _button("reset", "back to the scenario it began with")
-        self.add_patch, self.remove_patch = (
-            _button("add a wet patch", "a disc of sudden change"),
-            _button("remove the last", "of the wet patches"),
-        )
+        self.add_patch = _button("add a wet patch", "a disc of sudden change")
+        self.remove_patch = _button("remove the last", "of the wet patches")
 
     def _make_outputs(self, folder):
-        self.status, self.picture, self.table, self.line, self.patch_count = (
-            widgets.HTML() for _ in range(5)
-        )
+        outputs = [widgets.HTML() for _ in range(5)]
+        self.status, self.picture, self.table, self.line, self.patch_count = outputs
         self.status.add_class("rhec-status")
         self.line.add_class("rhec-code")
-        wide = {
-            "layout": {"width": "96%"},
-            "style": {"description_width": "50px"},
-            "continuous_update": False,
-        }
+        label, wide = {"description_width": "50px"}, {"width": "96%"}
+        text = functools.partial(widgets.Text, layout=wide, style=label, continuous_update=False)
         self.folder, self.name = (
-            widgets.Text(str(folder), description="folder", **wide),
-            widgets.Text("run", description="name", **wide),
+            text(str(folder), description="folder"),
+            text("run", description="name"),
         )
-        self.save = _button(
-            "save runs and figure", "CSV and Parquet of each run, the figure as PNG and PDF"
-        )
+        about = "CSV and Parquet of each run, the figure as PNG and PDF"
+        self.save = _button("save runs and figure", about)
         self.play = widgets.Play(100, min=0, max=100, interval=100, show_repeat=False)
         self.moment = widgets.IntSlider(
-            100,
-            0,
-            100,
-            description="sample",
-            layout={"flex": "1 1 auto"},
-            style={"description_width": "50px"},
+            100, 0, 100, description="sample", layout={"flex": "1 1 auto"}, style=label
         )
         self.link = widgets.jslink((self.play, "value"), (self.moment, "value"))
         self.time = widgets.HBox([self.play, self.moment], layout={"display": "none"})
 
-    def _laid_out(self):
-        bar = widgets.HBox(
-            [
-                self.estimator,
-                self.against,
-                self.process_noise,
-                self.seed,
-                self.pin,
-                self.unpin,
-                self.reset,
-                self.zoom,
-                self.soil,
-                self.view,
-            ],
-            layout={"flex_flow": "row wrap", "align_items": "center"},
-        )
+    def _arranged(self):
+        what = [self.estimator, self.against, self.process_noise, self.seed]
+        how = [self.pin, self.unpin, self.reset, self.zoom, self.soil, self.view]
+        row = {"flex_flow": "row wrap", "align_items": "center"}
+        bar = widgets.HBox([*what, *how], layout=row)
         groups = {
             name: [self.inputs[control.key] for control in group]
             for name, group in controls.GROUPS.items()
         }
         groups["Controller"].insert(0, widgets.HBox([widgets.Label("the paper’s"), *self.weights]))
-        groups["Soil"] += [
-            widgets.HBox([self.add_patch, self.remove_patch, self.patch_count]),
-            *self.patch,
-        ]
+        patches = widgets.HBox([self.add_patch, self.remove_patch, self.patch_count])
+        groups["Soil"] += [patches, *self.patch]
         groups["Save"] = [self.folder, self.name, self.save]
-        tabs = widgets.Tab(
-            [widgets.VBox(group) for group in groups.values()],
-            titles=[*groups],
-            layout={"width": "344px", "flex": "0 0 344px"},
-        )
-        pictures = widgets.VBox(
-            [self.picture, self.time, self.table], layout={"flex": "1 1 auto", "min_width": "0"}
-        )
-        said = widgets.HBox(
-            [self.status, self.line],
-            layout={"justify_content": "space-between", "align_items": "baseline"},
-        )
+        boxes, width = [widgets.VBox(group) for group in groups.values()], "344px"
+        size = {"width": width, "flex": f"0 0 {width}"}
+        tabs = widgets.Tab(boxes, titles=[*groups], layout=size)
+        size = {"flex": "1 1 auto", "min_width": "0"}
+        pictures = widgets.VBox([self.picture, self.time, self.table], layout=size)
+        apart = {"justify_content": "space-between", "align_items": "baseline"}
+        words = widgets.HBox([self.status, self.line], layout=apart)
         return [
-            widgets.HTML(STYLE),
+            widgets.HTML(_STYLE),
             bar,
-            said,
+            words,
             widgets.HBox([tabs, pictures], layout={"width": "100%"}),
         ]
 
     # What happens when
 
     def _watch(self):
-        for widget in (
-            self.estimator,
-            self.against,
-            self.process_noise,
-            self.seed,
-            *self.inputs.values(),
+        choices = (self.estimator, self.against, self.process_noise, self.seed)
+        drawn = (self.zoom, self.soil, self.view, self.moment)
+        for those, action in (
+            ((*choices, *self.inputs.values()), self._refresh),
+            (self.patch, self._change_patch),
+            (drawn, self._draw),
         ):
-            widget.observe(self._answer(self._refresh), "value")
-        for widget in self.patch:
-            widget.observe(self._answer(self._change_patch), "value")
-        for widget in (self.zoom, self.soil, self.view, self.moment):
-            widget.observe(self._answer(self._draw), "value")
+            for widget in those:
+                widget.observe(self._answer(action), "value")
         for button, q in self.weights.items():
             button.on_click(self._answer(functools.partial(self._set_weights, q)))
         for button, action in (
@@ -361,11 +285,8 @@ class Explorer(widgets.VBox):
             values, self.patches = controls.values_of(self.start), self.start.patches
             for key, widget in self.inputs.items():
                 widget.value = values[key]
-            self.estimator.value, self.process_noise.value, self.seed.value = (
-                self.start.estimator,
-                values["process_noise"],
-                self.start.seed,
-            )
+            self.estimator.value, self.seed.value = self.start.estimator, self.start.seed
+            self.process_noise.value = values["process_noise"]
 
     def _add_patch(self):
         with self._together():
@@ -379,18 +300,17 @@ class Explorer(widgets.VBox):
 
     def _change_patch(self):
         if self.patches:
+            entries = zip(controls.PATCH, self.patch, self.patches[-1])
             patch = tuple(
-                controls.tidy(slider, widget.value, now)
-                for slider, widget, now in zip(controls.PATCH, self.patch, self.patches[-1])
+                controls.tidy(slider, widget.value, now) for slider, widget, now in entries
             )
             self.patches = (*self.patches[:-1], patch)
             self._refresh()
 
     def _show_patch(self):
         """The last wet patch on its sliders."""
-        for widget, value in zip(
-            self.patch, self.patches[-1] if self.patches else controls.NEW_PATCH
-        ):
+        patch = self.patches[-1] if self.patches else controls.NEW_PATCH
+        for widget, value in zip(self.patch, patch):
             widget.value = value
 
     def _pin(self):
@@ -405,61 +325,54 @@ class Explorer(widgets.VBox):
 
     @property
     def scenarios(self):
-        """What the controls ask for: one scenario, or two at the same seed."""
+        """The scenarios that the controls ask for: one, or two at the same seed."""
         values = controls.values_of(self.start)
-        values |= {
-            key: controls.tidy(controls.CONTROLS[key], widget.value, values[key])
-            for key, widget in self.inputs.items()
-        }
-        values |= {
-            "process_noise": self.process_noise.value,
-            "seed": self.seed.value,
-            "patches": self.patches,
-        }
-        estimators = [
-            self.estimator.value,
-            *([] if self.against.value is None else [self.against.value]),
+        for key, widget in self.inputs.items():
+            values[key] = controls.tidy(controls.CONTROLS[key], widget.value, values[key])
+        values["process_noise"], values["seed"] = self.process_noise.value, self.seed.value
+        values["patches"] = self.patches
+        estimators = [self.estimator.value, self.against.value]
+        return [
+            controls.scenario_of(values, estimator, self.start)
+            for estimator in estimators
+            if estimator is not None
         ]
-        return [controls.scenario_of(values, estimator, self.start) for estimator in estimators]
 
     def _refresh(self):
         """Run what the controls ask for and show it, or first compile it elsewhere."""
         started = time.perf_counter()
         scenarios = self.scenarios
-        worlds = [simulation.set_up(scenario) for scenario in scenarios]
+        setups = [simulation.set_up(scenario) for scenario in scenarios]
         missing = [
-            world.structure
-            for world in worlds
-            if not compiled.is_compiled(simulation.build_sample, *world.structure)
+            setup.structure
+            for setup in setups
+            if not compiled.is_compiled(simulation.build_sample, *setup.structure)
         ]
-        if (
-            missing and self.runs and _running_loop()
-        ):  # the first runs are waited for: without them there is nothing to see
+        # the first runs are waited for: without them there is nothing to see
+        if missing and self.runs and _running_loop():
             self._compile(missing)
             return
-        self.runs = tuple(map(simulation.simulate_setup, scenarios, worlds))
+        self.runs = tuple(map(simulation.simulate_setup, scenarios, setups))
         ran = time.perf_counter()
         self._draw()
         drawn = time.perf_counter()
         runs = f"{len(self.runs)} runs" if len(self.runs) > 1 else "1 run"
         self._say(
-            f"{runs} of {scenarios[0].duration_s:g} s in {1000 * (ran - started):.0f} ms, drawn in {1000 * (drawn - ran):.0f} ms"
+            f"{runs} of {scenarios[0].duration_s:g} s in {1000 * (ran - started):.0f} ms, "
+            f"drawn in {1000 * (drawn - ran):.0f} ms"
         )
 
     def _compile(self, structures):
-        """The newest state of the controls is run when it is done; until then the picture stays as
-        it is, and all else can be used.
+        """Compile elsewhere, then run the newest state of the controls; until then the picture
+        stays as it is, and all else can be used.
         """
-        horizons = ", ".join(
-            sorted(
-                {
-                    f"{each.estimation_horizon} and {each.prediction_horizon} intervals"
-                    for each in structures
-                }
-            )
-        )
+        horizons = {
+            f"{each.estimation_horizon} and {each.prediction_horizon} intervals"
+            for each in structures
+        }
         self._say(
-            f"compiling window and horizon of {horizons} for the first time: a few seconds; the picture is that of before",
+            f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time: "
+            "a few seconds; the picture is that of before",
             "wait",
         )
         if not self.compiling:
@@ -476,10 +389,10 @@ class Explorer(widgets.VBox):
         self._answer(self._refresh)(None)
 
     def _draw(self):
-        """The chosen view of the runs there are, their metrics, and the scenario as a line."""
+        """Show the chosen view of the runs, their metrics, and the scenario as a line."""
         field = self.view.value == "field run"
         self.time.layout.display = "none" if field else "flex"
-        (self.picture.remove_class if field else self.picture.add_class)("rhec-eye")
+        (self.picture.remove_class if field else self.picture.add_class)("rhec-robot-view")
         self.unpin.disabled, self.remove_patch.disabled = not self.pinned, not self.patches
         for widget in self.patch:
             widget.disabled = not self.patches
@@ -488,13 +401,16 @@ class Explorer(widgets.VBox):
             self.field.show(self.runs, self.pinned, self.zoom.value, self.soil.value)
             self.picture.value = self.field.svg()
         else:
-            run = self.runs[0]
+            run, k = self.runs[0], self.moment.value
             self.moment.max = self.play.max = len(run.columns["t_s"]) - 1
-            self.eye.show(run, self.moment.value, horizons_at(run.scenario, self.moment.value))
-            self.picture.value = self.eye.svg()
+            self.robot_view.show(run, k, snapshot_at(run.scenario, k))
+            self.picture.value = self.robot_view.svg()
         self.table.value = metrics_table(self.runs, self.pinned)
         line = html.escape(controls.line_of(self.runs[0].scenario))
-        self.line.value = f'<span class="rhec-line" title="click to copy" onclick="navigator.clipboard?.writeText(this.innerText)">{line}</span>'
+        copy = "navigator.clipboard?.writeText(this.innerText)"
+        self.line.value = (
+            f'<span class="rhec-line" title="click to copy" onclick="{copy}">{line}</span>'
+        )
 
     def _say(self, sentence, how=""):
         self.status.value = f'<span role="status" class="{how}">{html.escape(sentence)}</span>'
@@ -507,28 +423,21 @@ class Explorer(widgets.VBox):
             return field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
 
     def _save(self):
-        name, folder = safe_name(self.name.value), Path(self.folder.value).expanduser()
-        for place, run in enumerate(self.runs):
-            save_run(
-                run, folder, f"{name}_{place + 1}_{name_of(run.scenario).lower().replace(' ', '_')}"
-            )
-        style.save(
-            self.figure(),
-            name,
-            [run.scenario for run in self.runs],
-            folder=folder,
-            notebook="explore.ipynb",
-        )
+        name, folder = _safe_name(self.name.value), Path(self.folder.value).expanduser()
+        for place, run in enumerate(self.runs, 1):
+            estimator = name_of(run.scenario).lower().replace(" ", "_")
+            _save_run(run, folder, _safe_name(f"{name}_{place}_{estimator}"))
+        scenarios = [run.scenario for run in self.runs]
+        style.save(self.figure(), name, scenarios, folder=folder, notebook="explore.ipynb")
         self._say(
-            f"saved under the name {name} in {folder}: CSV and Parquet of each run, the figure as PNG and PDF"
+            f"saved under the name {name} in {folder}: "
+            "CSV and Parquet of each run, the figure as PNG and PDF"
         )
 
-    def _repr_mimebundle_(self, **given):
+    def _repr_mimebundle_(self, **formats):
         """Where there are no widgets, the picture and the table stand for them."""
-        bundle = super()._repr_mimebundle_(**given)
-        return bundle | {
-            "text/html": f'{STYLE}<div class="rhec">{self.picture.value}{self.table.value}</div>'
-        }
+        shown = f'{_STYLE}<div class="rhec">{self.picture.value}{self.table.value}</div>'
+        return super()._repr_mimebundle_(**formats) | {"text/html": shown}
 
 
 def _input(control, value):
@@ -540,32 +449,28 @@ def _input(control, value):
         "style": {"description_width": "116px"},
     }
     if isinstance(control, controls.Choice):
-        known = any(value == option for _, option in control.options)
-        return widgets.Dropdown(
-            options=control.options if known else (*control.options, ("as it began", value)),
-            value=value,
-            **look,
-        )
-    log, whole = control.kind == "log", control.kind == "whole"
-    place = (math.log10(value) if value > 0 else control.low) if log else value
+        options = control.options
+        if not any(value == option for _, option in options):
+            options = (*options, ("as it began", value))
+        return widgets.Dropdown(options=options, value=value, **look)
+    place, kind = value, widgets.FloatSlider
+    if control.kind == "log":
+        place = math.log10(value) if value > 0 else control.low
+        kind, readout = widgets.FloatLogSlider, ".3g"
+    elif control.kind == "whole":
+        kind, readout = widgets.IntSlider, "d"
+    else:
+        readout = f".{max(1, -math.floor(math.log10(control.step) + 1e-9))}f"
     # steps count from the lowest end: the value it begins with must be one of them, or the front
     # end changes it
     low = round(place - control.step * math.ceil((place - control.low) / control.step - 1e-9), 12)
-    kind = widgets.FloatLogSlider if log else widgets.IntSlider if whole else widgets.FloatSlider
-    readout = (
-        ".3g"
-        if log
-        else "d"
-        if whole
-        else f".{max(1, -math.floor(math.log10(control.step) + 1e-9))}f"
-    )
     return kind(
         value,
         min=min(low, place),
         max=max(control.high, place),
         step=control.step,
         readout_format=readout,
-        continuous_update=not control.slow,
+        continuous_update=control.kind != "whole",  # which is compiled when first asked for
         **look,
     )
 
@@ -586,7 +491,7 @@ def _button(text, about):
 
 
 def _sentence(error):
-    """What went wrong, in one line. A ValueError of this package speaks for itself."""
+    """An error in one line. A ValueError of this package speaks for itself."""
     text = " ".join(str(error).split())
     return text if isinstance(error, ValueError) and text else f"{type(error).__name__}: {text}"
 

@@ -5,59 +5,62 @@ tolerance; up to two runs and two pinned ones.
 explorer needs.
 """
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from rhec import paper
-from rhec.plots.style import BLACK, COLOURS, DOUBLE_IN, GREY, ORANGE, PURPLE, RC, styled
-from rhec.workbench.explorer.svg_layers import Layers
+from rhec.plots.style import BLACK, COLOURS, DOUBLE_IN, GREY, ORANGE, PURPLE, styled
+from rhec.workbench.explorer.controls import ESTIMATORS
+from rhec.workbench.explorer.svg_layers import LayeredFigure
 
-NAMES = {
-    "rhe": "RHE",
-    "ekf": "EKF",
-    "dual": "dual",
-    "oracle": "oracle",
-    "traction_oracle": "traction oracle",
-}
-ESTIMATOR_COLOURS = {
-    "RHE": COLOURS["RHE"],
-    "EKF": COLOURS["EKF"],
-    "oracle": COLOURS["oracle"],
-    "traction oracle": PURPLE,
-    "dual": ORANGE,
-}
+__all__ = [
+    "DASHED",
+    "FAINT_TOLERANCE",
+    "ZOOMS",
+    "FieldRun",
+    "colour_of",
+    "field_run",
+    "map_limits",
+    "name_of",
+    "places_beside",
+    "round_up_to",
+    "tolerance_band",
+]
+
+ZOOMS = ("whole path", "first row", "worst place")
+DASHED = dict(color=BLACK, linewidth=0.6, linestyle=(0, (4, 2.5)))  # reference and bounds
+FAINT_TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
+
+_COLOURS = COLOURS | {"traction oracle": PURPLE, "dual": ORANGE}
 # Full traction lets the page shine through; wet soil is brown on a light page and on a dark one.
-SOIL = LinearSegmentedColormap.from_list(
+_SOIL = LinearSegmentedColormap.from_list(
     "soil", [(0.50, 0.36, 0.20, 0.9), (0.62, 0.50, 0.34, 0.45), (0.62, 0.50, 0.34, 0.0)]
 )
-ZOOMS = ("whole path", "first row", "worst place")
-SLOTS = ("run", "other", "pinned run", "pinned other")
+_SLOTS = ("run", "other", "pinned run", "pinned other")
 
-# What is drawn of a run: panel, column along x (None: the time), column along y, and how: "bold" in
-# the estimator's colour, "faint" in the same, "second" a second bold one, "truth" in black.
-SERIES = (
+# What is drawn of a run: panel, column along x, column along y, and how: "bold" in the estimator's
+# colour, "faint" in that colour, too, "second" a second bold one, "truth" in black.
+_SERIES = (
     ("map", "x_m", "y_m", "bold"),
-    ("error", None, "error_m", "faint"),
-    ("error", None, "error_true_m", "bold"),
-    ("mu", None, "mu", "truth"),
-    ("mu", None, "mu_hat", "bold"),
-    ("kappa", None, "kappa", "truth"),
-    ("kappa", None, "kappa_hat", "bold"),
-    ("yaw_rate", None, "omega_cmd_radps", "bold"),
-    ("kkt", None, "kkt_rhe", "bold"),
-    ("kkt", None, "kkt_rhc", "second"),
+    ("error", "t_s", "error_m", "faint"),
+    ("error", "t_s", "error_true_m", "bold"),
+    ("mu", "t_s", "mu", "truth"),
+    ("mu", "t_s", "mu_hat", "bold"),
+    ("kappa", "t_s", "kappa", "truth"),
+    ("kappa", "t_s", "kappa_hat", "bold"),
+    ("yaw_rate", "t_s", "omega_cmd_radps", "bold"),
+    ("kkt", "t_s", "kkt_rhe", "bold"),
+    ("kkt", "t_s", "kkt_rhc", "second"),
 )
-LOOKS = {
+_LOOKS = {
     "bold": dict(linewidth=0.9),
     "second": dict(linewidth=0.7, alpha=0.5),
     "faint": dict(linewidth=0.4, alpha=0.55),
     "truth": dict(linewidth=0.7, color=BLACK),
 }
-LABELS = {
+_LABELS = {
     "error": "error [m]",
     "mu": r"$\mu$ [-]",
     "kappa": r"$\kappa$ [-]",
@@ -67,166 +70,139 @@ LABELS = {
 
 
 def name_of(scenario):
-    """The estimator's name in legends."""
-    return NAMES.get(scenario.estimator, "own") if isinstance(scenario.estimator, str) else "own"
+    """The estimator's name in legends; "own" for one of the user's."""
+    own = not isinstance(scenario.estimator, str)
+    return "own" if own else ESTIMATORS.get(scenario.estimator, scenario.estimator)
 
 
 def colour_of(scenario):
-    return ESTIMATOR_COLOURS.get(name_of(scenario), GREY)
+    """The estimator's colour."""
+    return _COLOURS.get(name_of(scenario), GREY)
+
+
+def places_beside(poses, across_m):
+    """Places (n, 2) this far to the left of poses (n, 3) [m]."""
+    return poses[:, :2] + across_m * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
+
+
+def tolerance_band(poses):
+    """Outline (2 n, 2) of the tolerance on either side of poses (n, 3) [m]."""
+    left, right = (places_beside(poses, side * paper.TOLERANCE_M) for side in (1, -1))
+    return np.concatenate([left, right[::-1]])
 
 
 # Limits that stay while the data changes a little, so that a picture does not jump
 
 
-def rung(value, rungs=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
-    """The lowest rung not below the value; the highest for what is higher, or no number."""
-    return next((each for each in rungs if value <= each), rungs[-1])
+def round_up_to(value, steps=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
+    """The lowest step not below the value; the highest one for what is higher, or not a number."""
+    return next((step for step in steps if value <= step), steps[-1])
 
 
-def error_limits(columns):
-    """From 0 to what nearly all true errors stay below: the start beside the path may leave the
-    picture.
-    """
-    values = np.concatenate([each["error_true_m"] for each in columns])
-    values = values[np.isfinite(values)]
-    return 0.0, rung(1.3 * np.quantile(values, 0.95) if len(values) else np.inf)
+def _finite(columns, *names):
+    """All finite values of these columns of several runs, one after another."""
+    values = np.concatenate([each[name] for each in columns for name in names])
+    return values[np.isfinite(values)]
 
 
-def traction_limits(columns, name):
+def _error_limits(columns):
+    """From 0 to what nearly all true errors stay below: a start beside the path may be cut off."""
+    values = _finite(columns, "error_true_m")
+    return 0.0, round_up_to(1.3 * np.quantile(values, 0.95) if len(values) else np.inf)
+
+
+def _traction_limits(columns, name):
     """(μ or κ) up to 1, down to a round number below nearly all of it."""
-    values = np.concatenate([each[column] for each in columns for column in (name, f"{name}_hat")])
-    values = values[np.isfinite(values)]
+    values = _finite(columns, name, f"{name}_hat")
     low = np.quantile(values, 0.01) if len(values) else 0.0
     return next((floor for floor in (0.6, 0.4, 0.2) if low > floor), 0.0) - 0.01, 1.02
 
 
-def kkt_limits(columns):
+def _kkt_limits(columns):
     """Whole powers of ten around nearly all of both tolerances."""
-    values = np.concatenate([each[column] for each in columns for column in ("kkt_rhe", "kkt_rhc")])
-    values = np.log10(values[(values > 0) & np.isfinite(values)])
+    values = _finite(columns, "kkt_rhe", "kkt_rhc")
+    values = np.log10(values[values > 0])
     low, high = np.quantile(values, [0.02, 0.995]) if len(values) else (-9, 0)
     return 10.0 ** max(np.floor(low), -12), 10.0 ** np.ceil(high)
 
 
-def worst_place(run):
-    """Where and when the true error is largest after the arrival: (x_m, y_m), t_s."""
-    c, arrival = run.columns, run.metrics["settling_time_s"]
-    error = np.where(c["t_s"] >= (0 if np.isnan(arrival) else arrival), c["error_true_m"], -1.0)
+def _worst_place(run):
+    """The place (x, y) [m] of the largest true error after settling."""
+    c, settled_s = run.columns, run.metrics["settling_time_s"]
+    error = np.where(c["t_s"] >= (0 if np.isnan(settled_s) else settled_s), c["error_true_m"], -1.0)
     k = np.argmax(np.nan_to_num(error, nan=-1.0))
-    return (c["x_m"][k], c["y_m"][k]), c["t_s"][k]
+    return c["x_m"][k], c["y_m"][k]
 
 
 def map_limits(run, zoom, shape):
     """((x, x_end), (y, y_end), aspect) of a zoom: the soil's whole field, the first row with y
     stretched, or 5 m around the worst place.
 
-    shape: width by height of the panel [any unit].
+    shape: width and height of the panel [any unit].
     """
-    (x, y), cell = run.terrain.origin_m, run.terrain.cell_m
+    path = run.path
     if zoom == "worst place":
-        (x, y), _ = worst_place(run)
-        half = 2.5
-        return (
-            (np.round(x) - half * shape[0] / shape[1], np.round(x) + half * shape[0] / shape[1]),
-            (np.round(y) - half, np.round(y) + half),
-            "equal",
-        )
-    if zoom == "first row":
-        end = run.path.segments[1, 0] if len(run.path.segments) > 1 else run.path.length_m
-        (x_0, y_0, _), (x_1, y_1, _) = run.path.poses([0.0, end - 1e-6])[0]
-        reach = rung(abs(run.scenario.start_offset_m), (0.3, 0.6, 1.2, 3, 6, 12)) * 1.1
-        return (
-            (min(x_0, x_1) - 1, max(x_0, x_1) + 1),
-            (min(y_0, y_1) - reach, max(y_0, y_1) + reach),
-            "auto",
-        )
-    points = np.array(run.terrain.mu.shape) - 1
-    if min(points) < 8:  # the same soil everywhere has no extent of its own
-        xy = run.path.poses(np.arange(0, run.path.length_m, 0.5))[0][:, :2]
-        (x, y), (x_end, y_end) = xy.min(axis=0) - 5, xy.max(axis=0) + 5
+        centre = np.round(_worst_place(run))
+        half = 2.5 * np.array([shape[0] / shape[1], 1])
+        low, high, aspect = centre - half, centre + half, "equal"
+    elif zoom == "first row":
+        end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
+        ends = path.poses([0.0, end - 1e-6])[0][:, :2]
+        beside = round_up_to(abs(run.scenario.start_offset_m), (0.3, 0.6, 1.2, 3, 6, 12)) * 1.1
+        low, high, aspect = ends.min(axis=0) - (1, beside), ends.max(axis=0) + (1, beside), "auto"
     else:
-        x_end, y_end = np.array([x, y]) + points * cell
-    return (x, x_end), (y, y_end), "equal"
+        low, points, aspect = run.terrain.origin_m, np.array(run.terrain.mu.shape) - 1, "equal"
+        high = low + points * run.terrain.cell_m
+        if min(points) < 8:  # uniform soil has no extent of its own
+            xy = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2]
+            low, high = xy.min(axis=0) - 5, xy.max(axis=0) + 5
+    return *zip(low, high), aspect
 
 
-class FieldRun:
-    """The figure, and what moves in it. `show` takes runs, `svg` is the picture for a page,
-    `figure` the same to be saved.
-    """
+class FieldRun(LayeredFigure):
+    """Trajectory, errors, traction, yaw rate and KKT tolerance of up to four runs."""
 
-    def __init__(self, size_in=(8.0, 4.3), name="field-run"):
-        with mpl.rc_context(RC | {"figure.constrained_layout.use": False, "axes.grid.axis": "y"}):
-            self.figure = Figure(figsize=size_in)
-            self.figure.patch.set_visible(False)
-            self.axes = self._axes()
-            self.image = self.axes["map"].imshow(
-                np.ones((2, 2)),
-                origin="lower",
-                interpolation="bilinear",
-                cmap=SOIL,
-                vmin=0.5,
-                vmax=1,
-            )
-            self.still = self._still()
-            self.lines = {
-                slot: [self._line(panel, look, slot) for panel, _, _, look in SERIES]
-                for slot in SLOTS
-            }
-            self.curves = {
-                panel: axes.fill_between(
-                    [0, 0],
-                    0,
-                    1,
-                    transform=axes.get_xaxis_transform(),
-                    color=BLACK,
-                    alpha=0.07,
-                    linewidth=0,
-                    animated=True,
-                )
-                for panel, axes in self.axes.items()
-                if panel != "map"
-            }
-            self.marks = (
-                self.axes["map"].plot([], [], "o", markersize=3.5, color=BLACK, animated=True)[0],
-                self.axes["map"].plot(
-                    [],
-                    [],
-                    "o",
-                    markersize=9,
-                    color=COLOURS["EKF"],
-                    markerfacecolor="none",
-                    markeredgewidth=0.9,
-                    animated=True,
-                )[0],
-            )
-            self.figure.draw_without_rendering()  # ticks take their style when first drawn
-        self.layers, self.keys = Layers(self.figure, name), {}
+    def __init__(self, size_in=(8.0, 4.3)):
+        label = "trajectory, errors, traction, yaw rate and KKT tolerance of the run"
+        super().__init__(size_in, "field-run", label)
 
-    def _axes(self):
+    def _build(self):
+        self.axes = self._panels()
+        plane, graphs = self.axes["map"], [*self.axes.values()][1:]
+        soil = dict(origin="lower", interpolation="bilinear", cmap=_SOIL, vmin=0.5, vmax=1)
+        self.image = plane.imshow(np.ones((2, 2)), **soil)
+        # these move with the limits alone
+        self.axes["error"].axhspan(0, paper.TOLERANCE_M, **FAINT_TOLERANCE)
+        (self.tolerance,) = plane.fill([], [], **FAINT_TOLERANCE | dict(alpha=0.5, zorder=0.5))
+        (self.reference,) = plane.plot([], [], **DASHED)
+        self.bounds = [self.axes["yaw_rate"].axhline(0, **DASHED) for _ in range(2)]
+
+        self.lines = {
+            slot: [self._line(panel, look, slot) for panel, _, _, look in _SERIES]
+            for slot in _SLOTS
+        }
+        shade = dict(color=BLACK, alpha=0.07, linewidth=0, animated=True)
+        self.curves = [
+            axes.fill_between([0, 0], 0, 1, transform=axes.get_xaxis_transform(), **shade)
+            for axes in graphs
+        ]
+        ring = dict(color=COLOURS["EKF"], markerfacecolor="none", markeredgewidth=0.9)
+        self.marks = [
+            plane.plot([], [], "o", animated=True, **look)[0]
+            for look in (dict(markersize=3.5, color=BLACK), dict(markersize=9, **ring))
+        ]
+
+    def _panels(self):
         width, height = self.figure.get_size_inches()
-        grid = self.figure.add_gridspec(
-            1,
-            2,
-            width_ratios=(1.2, 1),
-            left=0.46 / width,
-            right=1 - 0.06 / width,
-            top=1 - 0.30 / height,
-            bottom=0.40 / height,
-            wspace=0.6 / (width / 2.2),
-        )
+        margins = dict(left=0.46 / width, right=1 - 0.06 / width)
+        margins |= dict(bottom=0.40 / height, top=1 - 0.30 / height, wspace=1.32 / width)
+        grid = self.figure.add_gridspec(1, 2, width_ratios=(1.2, 1), **margins)
         left = grid[0].subgridspec(2, 1, height_ratios=(1.9, 1), hspace=0.28)
         right = grid[1].subgridspec(4, 1, height_ratios=(1, 1.25, 1, 1), hspace=0.16)
-        axes = {"map": self.figure.add_subplot(left[0]), "error": self.figure.add_subplot(left[1])}
-        axes |= {
-            panel: self.figure.add_subplot(right[row])
-            for row, panel in enumerate(("mu", "kappa", "yaw_rate", "kkt"))
-        }
+        places = dict(zip(("map", "error", "mu", "kappa", "yaw_rate", "kkt"), [*left, *right]))
+        axes = {panel: self.figure.add_subplot(place) for panel, place in places.items()}
         for panel, each in axes.items():
-            each.patch.set_visible(False)
-            each.grid(visible=False)
-            if panel != "map":
-                each.grid(axis="y", color=BLACK, alpha=0.12)
-            each.set_ylabel(LABELS.get(panel, ""), labelpad=2)
+            each.set_ylabel(_LABELS.get(panel, ""), labelpad=2)
             if panel in ("mu", "kappa", "yaw_rate"):
                 each.tick_params(labelbottom=False)
                 each.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
@@ -239,58 +215,56 @@ class FieldRun:
         axes["map"].set(xlabel="$x$ [m]", ylabel="$y$ [m]")
         return axes
 
-    def _still(self):
-        """What moves with the limits alone: the row's tolerance, bounds, the reference."""
-        plane, look = self.axes["map"], dict(color=BLACK, linewidth=0.6, linestyle=(0, (4, 2.5)))
-        self.axes["error"].axhspan(
-            0, paper.TOLERANCE_M, color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0
-        )
-        return {
-            "tolerance": plane.fill(
-                [], [], color=COLOURS["tolerance"], alpha=0.5, linewidth=0, zorder=0.5
-            )[0],
-            "reference": plane.plot([], [], **look)[0],
-            "bounds": [self.axes["yaw_rate"].axhline(0, **look) for _ in range(2)],
-        }
-
     def _line(self, panel, look, slot):
-        style = dict(zorder=2.4 - 0.1 * SLOTS.index(slot)) | LOOKS[look]
-        style |= dict(linestyle=(0, (2.5, 1.5)), alpha=0.6) if "pinned" in slot else {}
+        pinned = "pinned" in slot
+        style = dict(zorder=2.4 - 0.1 * _SLOTS.index(slot)) | _LOOKS[look]
+        style |= dict(linestyle=(0, (2.5, 1.5)), alpha=0.6) if pinned else {}
         style |= dict(linestyle=":", alpha=0.7) if look == "truth" and slot == "other" else {}
-        hidden = "pinned" in slot and look != "bold"
-        return self.axes[panel].add_line(Line2D([], [], animated=True, visible=not hidden, **style))
+        visible = look == "bold" or not pinned
+        return self.axes[panel].add_line(Line2D([], [], animated=True, visible=visible, **style))
 
     def show(self, runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
-        """Take up to two runs, and up to two pinned before them; zoom: see ZOOMS; soil: the slip
-        field of the map, "mu" or "kappa".
+        """Take new runs.
+
+        Args:
+            runs: one or two runs.
+            pinned: up to two runs, drawn dashed, to compare with.
+            zoom: one of ZOOMS.
+            soil: the slip field on the map, "mu" or "kappa".
         """
-        given = dict(zip(SLOTS, [*runs, *[None] * (2 - len(runs)), *pinned]))
-        for slot in SLOTS:
-            self._show_lines(self.lines[slot], given.get(slot))
+        shown = dict(zip(_SLOTS, [*runs, *[None] * (2 - len(runs)), *pinned]))
+        for slot in _SLOTS:
+            self._show_lines(self.lines[slot], shown.get(slot))
         first, columns = runs[0], [run.columns for run in (*runs, *pinned)]
         self._show_marks(first)
         self._show_map(first, zoom, soil)
         time = (0.0, max(each["t_s"][-1] + paper.DT_S for each in columns))
         bound = first.scenario.omega_max_radps
         for panel, limits in {
-            "error": error_limits(columns),
-            "mu": traction_limits(columns, "mu"),
-            "kappa": traction_limits(columns, "kappa"),
+            "error": _error_limits(columns),
+            "mu": _traction_limits(columns, "mu"),
+            "kappa": _traction_limits(columns, "kappa"),
             "yaw_rate": (-1.25 * bound, 1.25 * bound),
-            "kkt": kkt_limits(columns),
+            "kkt": _kkt_limits(columns),
         }.items():
             self.axes[panel].set(xlim=time, ylim=limits)
             self.keys[panel] = time, limits
-        for line, value in zip(self.still["bounds"], (-bound, bound)):
+        for line, value in zip(self.bounds, (-bound, bound)):
             line.set_ydata([value, value])
-        self._show_legend(runs, pinned)
+        entries = [(name_of(run.scenario), colour_of(run.scenario), "-") for run in runs]
+        entries += [
+            (f"pinned {name_of(run.scenario)}", colour_of(run.scenario), "--") for run in pinned
+        ]
+        entries += [("truth, and bounds (dashed)", BLACK, "-")]
+        looks = [dict(zip(("label", "color", "linestyle"), entry)) for entry in entries]
+        self._show_legend(tuple(entries), [Line2D([], [], linewidth=1.0, **look) for look in looks])
 
     def _show_lines(self, lines, run):
-        for line, (_, x, y, look) in zip(lines, SERIES):
+        for line, (_, x, y, look) in zip(lines, _SERIES):
             if run is None:
                 line.set_data([], [])
                 continue
-            line.set_data(run.columns[x or "t_s"], run.columns[y])
+            line.set_data(run.columns[x], run.columns[y])
             if look != "truth":
                 line.set_color(colour_of(run.scenario))
 
@@ -298,100 +272,51 @@ class FieldRun:
         c = run.columns
         start, worst = self.marks
         start.set_data(c["x_m"][:1], c["y_m"][:1])
-        worst.set_data(*np.transpose([worst_place(run)[0]]))
-        for shade in self.curves.values():
+        worst.set_data(*np.transpose([_worst_place(run)]))
+        for shade in self.curves:
             shade.set_data(c["t_s"], 0, 1, where=~c["on_straight"])
 
     def _show_map(self, run, zoom, soil):
-        axes, terrain = self.axes["map"], run.terrain
+        axes, terrain, field = self.axes["map"], run.terrain, getattr(run.terrain, soil)
         box = axes.get_subplotspec().get_position(self.figure)
         x, y, aspect = map_limits(run, zoom, box.size * self.figure.get_size_inches())
-        key = (
-            terrain.origin_m,
-            terrain.cell_m,
-            getattr(terrain, soil).tobytes(),
-            run.path.segments.tobytes(),
-            soil,
-            x,
-            y,
-        )
+        arrays = field.tobytes(), run.path.segments.tobytes()
+        key = (terrain.origin_m, terrain.cell_m, *arrays, soil, x, y)
         if key == self.keys.get("map"):
             return
-        field, half = getattr(terrain, soil), terrain.cell_m / 2
+        left, bottom = np.subtract(terrain.origin_m, terrain.cell_m / 2)
         width, height = np.array(field.shape) * terrain.cell_m
-        left, bottom = terrain.origin_m[0] - half, terrain.origin_m[1] - half
         self.image.set(data=field.T, extent=(left, left + width, bottom, bottom + height))
         poses, _ = run.path.poses(np.arange(0, run.path.length_m + 0.05, 0.1))
-        across = paper.TOLERANCE_M * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
-        self.still["tolerance"].set_xy(
-            np.concatenate([poses[:, :2] + across, (poses[:, :2] - across)[::-1]])
-        )
-        self.still["reference"].set_data(*poses[:, :2].T)
+        self.tolerance.set_xy(tolerance_band(poses))
+        self.reference.set_data(*poses[:, :2].T)
         axes.set(xlim=x, ylim=y, aspect=aspect)
         stretched = "" if aspect == "equal" else ", $y$ stretched"
-        axes.set_title(
-            rf"trajectory on the map of $\{soil}$ (brown: slips){stretched}",
-            loc="left",
-            pad=3,
-            fontsize=8,
-        )
+        title = rf"trajectory on the map of $\{soil}$ (brown: slips){stretched}"
+        axes.set_title(title, loc="left", pad=3, fontsize=8)
         axes.apply_aspect()
         self.keys["map"] = key
 
-    def _show_legend(self, runs, pinned):
-        entries = [(name_of(run.scenario), colour_of(run.scenario), "-") for run in runs]
-        entries += [
-            (f"pinned {name_of(run.scenario)}", colour_of(run.scenario), "--") for run in pinned
-        ]
-        entries += [("truth, and bounds (dashed)", BLACK, "-")]
-        if self.keys.get("legend") != tuple(entries):
-            for old in list(self.figure.legends):
-                old.remove()
-            with mpl.rc_context(RC):
-                handles = [
-                    Line2D([], [], color=colour, linestyle=line, label=label)
-                    for label, colour, line in entries
-                ]
-                self.figure.legend(
-                    handles=handles,
-                    loc="upper right",
-                    ncols=len(entries),
-                    borderaxespad=0.1,
-                    handlelength=1.6,
-                    columnspacing=1.2,
-                )
-            self.keys["legend"] = tuple(entries)
-
-    def svg(self):
-        """The picture for a page."""
-        still = [
-            self.layers.kept_layer(panel, self.keys[panel], axes)
-            for panel, axes in self.axes.items()
-        ]
-        still.append(self.layers.kept_layer("legend", self.keys["legend"], *self.figure.legends))
-        lines = [
-            line
-            for slot in reversed(SLOTS)
-            for line in self.lines[slot]
-            if line.get_visible() and len(line.get_xdata(orig=True))
-        ]
-        moving = self.layers.layer(*self.curves.values(), *lines, *self.marks)
-        return self.layers.svg(
-            *still,
-            moving,
-            label="trajectory, errors, traction, yaw rate and KKT tolerance of the run",
-        )
+    def _moving(self):
+        lines = [line for slot in reversed(_SLOTS) for line in self.lines[slot]]
+        drawn = [line for line in lines if line.get_visible() and len(line.get_xdata(orig=True))]
+        return *self.curves, *drawn, *self.marks
 
 
 @styled
 def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
-    """Up to two runs, and up to two pinned to compare with, in six panels (the trajectory on the
-    map of μ or κ [-], distances to the path [m], μ and κ [-], the yaw rate with its bounds [rad/s],
-    KKT tolerances); zoom: one of ZOOMS. Everything is drawn: nothing waits for an explorer.
+    """Field runs in six panels: trajectory on the slip map, errors, traction, yaw rate, KKT.
+
+    Args:
+        runs: one or two runs.
+        pinned: up to two runs to compare with, dashed.
+        zoom: one of ZOOMS.
+        soil: the slip field on the map, "mu" or "kappa".
+
+    Returns:
+        The matplotlib Figure: distances to the path [m], μ and κ [-], yaw rates with their bounds
+        [rad/s], and KKT tolerances [-] over time [s].
     """
     picture = FieldRun((DOUBLE_IN, 4.3))
     picture.show(list(runs), list(pinned), zoom, soil)
-    for artist in picture.figure.findobj(lambda artist: artist.get_animated()):
-        artist.set_animated(False)
-    picture.figure.set_dpi(100)
-    return picture.figure
+    return picture.whole_figure()

@@ -1,63 +1,103 @@
-"""A figure as vector graphics within a page, fast enough to follow a slider: what stays as it was
-is not drawn again.
+"""A figure as SVG in a page, fast enough to follow a slider: unchanged parts are not drawn again.
 
-Artists that move are marked `animated`, as for matplotlib's blitting; all others belong to layers,
-which are kept until their key changes. What is drawn in black takes the page's own text colour, so
-that one picture suits a light and a dark page.
+Artists that move are marked `animated`, as for matplotlib's blitting. Axes and legend are layers,
+each kept until its key changes. Black becomes the page's own text colour, so that one picture suits
+a light and a dark page.
 """
 
 import io
 
 import matplotlib as mpl
 from matplotlib.backends.backend_svg import RendererSVG
+from matplotlib.figure import Figure
 
-from rhec.plots.style import BLUE
+from rhec.plots.style import BLACK, BLUE, RC
 
-KEPT = 64  # layers of a figure
-INK = "#000000"
-# The paper's blue is too dark for a dark page; a little of the page's ink there makes it lighter,
-# and hardly changes it on a light page.
-FOR_THE_PAGE = {INK: "currentColor", BLUE.lower(): f"color-mix(in srgb, {BLUE} 78%, currentColor)"}
+__all__ = ["LayeredFigure"]
+
+_MAX_LAYERS = 64  # of a figure
+# The paper's blue is too dark for a dark page; some of the page's text colour makes it lighter
+# there and hardly changes it on a light page.
+_PAGE_COLOURS = {
+    BLACK: "currentColor",
+    BLUE.lower(): f"color-mix(in srgb, {BLUE} 78%, currentColor)",
+}
 
 
-class Layers:
-    """The drawn layers of one figure. `name` is unique in the page, because what an SVG refers to
-    is sought in the whole page.
+class LayeredFigure:
+    """A figure whose axes and legend are kept as layers of SVG, with moving artists on top.
+
+    A subclass sets `axes` by name in `_build`, the first of them a map without a grid, and lists
+    its moving artists in `_moving`; it puts into `keys` what each of the axes shows.
+
+    Args:
+        size_in: width and height [in].
+        name: unique in the page, because an SVG's references are looked up in the whole page.
+        label: describes the picture to readers who do not see it.
     """
 
-    def __init__(self, figure, name):
-        self.figure, self.name = figure, name
-        figure.set_dpi(72)  # SVG's unit is the point
-        self.width, self.height = figure.get_size_inches() * 72
-        self.kept = {}
+    def __init__(self, size_in, name, label):
+        self.name, self.label, self.keys, self.kept = name, label, {}, {}
+        with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
+            self.figure = Figure(figsize=size_in)
+            self.figure.patch.set_visible(False)
+            self._build()
+            for place, axes in enumerate(self.axes.values()):
+                axes.patch.set_visible(False)
+                axes.grid(visible=False)
+                if place > 0:
+                    axes.grid(axis="y", color=BLACK, alpha=0.12)
+            self.figure.draw_without_rendering()  # ticks take their style when first drawn
+        self.figure.set_dpi(72)  # SVG's unit is the point
 
-    def kept_layer(self, name, key, *artists):
+    def _show_legend(self, key, handles):
+        """One line above the axes; it stays while its key does."""
+        if self.keys.get("legend") == key:
+            return
+        for old in list(self.figure.legends):
+            old.remove()
+        spacing = dict(borderaxespad=0.1, handlelength=1.6, columnspacing=1.2)
+        with mpl.rc_context(RC):
+            self.figure.legend(handles=handles, loc="upper right", ncols=len(handles), **spacing)
+        self.keys["legend"] = key
+
+    def _kept_layer(self, name, key, *artists):
         """The layer of these artists, drawn only if none of this name is known for this key."""
         known = self.kept.pop((name, key), None)
-        self.kept[name, key] = self.layer(*artists) if known is None else known  # the newest last
-        while len(self.kept) > KEPT:
+        self.kept[name, key] = self.draw_layer(*artists) if known is None else known  # newest last
+        while len(self.kept) > _MAX_LAYERS:
             del self.kept[next(iter(self.kept))]
         return self.kept[name, key]
 
-    def layer(self, *artists):
+    def draw_layer(self, *artists):
         """These artists as SVG elements."""
-        written = io.StringIO()
+        text = io.StringIO()
         with mpl.rc_context({"svg.hashsalt": self.name, "svg.fonttype": "path"}):
-            renderer = RendererSVG(self.width, self.height, written)
+            renderer = RendererSVG(*self.figure.get_size_inches() * 72, text)
             for artist in artists:
                 artist.draw(renderer)
             renderer.finalize()
         # without the head, whose style would be the whole page's
-        elements = written.getvalue().partition("</defs>")[2].rpartition("</svg>")[0]
-        for colour, here in FOR_THE_PAGE.items():
-            elements = elements.replace(colour, here)
+        elements = text.getvalue().partition("</defs>")[2].rpartition("</svg>")[0]
+        for colour, page_colour in _PAGE_COLOURS.items():
+            elements = elements.replace(colour, page_colour)
         return elements
 
-    def svg(self, *layers, label=""):
-        """The layers on one another as an SVG element as wide as the page lets it be; label: for
-        readers who do not see it.
-        """
+    def svg(self):
+        """The picture as an SVG element, as wide as the page lets it be."""
+        parts = {name: [axes] for name, axes in self.axes.items()} | {"legend": self.figure.legends}
+        still = [self._kept_layer(name, self.keys[name], *part) for name, part in parts.items()]
+        width, height = self.figure.get_size_inches() * 72
         return (
-            f'<svg class="rhec-picture" role="img" aria-label="{label}" viewBox="0 0 {self.width:g} {self.height:g}" '
-            f'style="fill: currentColor; stroke-linejoin: round; stroke-linecap: butt">{"".join(layers)}</svg>'
+            f'<svg class="rhec-picture" role="img" aria-label="{self.label}" '
+            f'viewBox="0 0 {width:g} {height:g}" '
+            'style="fill: currentColor; stroke-linejoin: round; stroke-linecap: butt">'
+            f"{''.join(still)}{self.draw_layer(*self._moving())}</svg>"
         )
+
+    def whole_figure(self):
+        """The matplotlib figure with every artist in it, to be shown or saved."""
+        for artist in self.figure.findobj(lambda artist: artist.get_animated()):
+            artist.set_animated(False)
+        self.figure.set_dpi(100)
+        return self.figure
