@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from oracles import (
     drive_robot,
     kalman_filter,
+    outputs,
     limits,
     mhe_by_ipopt,
     mhe_instance,
@@ -174,7 +175,7 @@ def test_an_input_that_is_not_commanded_stays_at_its_reference(command):
         problem, mpc = mpc_instance(BICYCLE, rng), controller(BICYCLE, **settings)
         u = mpc.solve(**problem, iterations=40)
         optimum = mpc_by_ipopt(BICYCLE, **problem, command=command)
-        np.testing.assert_allclose(np.atleast_1d(u)[-1], optimum[place, 0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(u[place], optimum[place, 0], rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
@@ -310,7 +311,11 @@ def test_a_missing_input_is_bridged(robot):
     for one, other in zip(complete, found):
         assert np.all(np.isfinite(other.x)) and np.all(np.isfinite(other.covariance))
         assert np.abs(one.x - other.x).max() < 1
-    np.testing.assert_allclose(found[-1].x, complete[-1].x, atol=0.1)
+    seen = [  # what the sensors see of the state; a lever arm hardly shows in it on a straight
+        np.array(ca.DM(outputs(robot, e.x, e.u, e.p))).ravel()[~reads_inputs(robot)]
+        for e in (found[-1], complete[-1])
+    ]
+    np.testing.assert_allclose(*seen, atol=0.1)
     assert np.trace(found[13].covariance) > np.trace(complete[13].covariance)
 
 
@@ -390,16 +395,14 @@ BAD_MODELS = {
     "an f of text": ("f", dict(f=lambda x, u, p: "forward")),
     "an f of too few arguments": ("f", dict(f=lambda x, u: x)),
     "an f that fails": ("f", dict(f=lambda x, u, p: x[7])),
-    "an f that is nowhere a number": ("f", dict(f=lambda x, u, p: x * np.nan)),
     "an h of the wrong size": (
         "h",
-        dict(outputs=("tip_m", "v_left_mps", "v_right_mps"), h=lambda x, u, p: x),
+        dict(outputs=("tip_m", "v_left_mps", "v_right_mps"), h=lambda x, u, p: x[:2]),
     ),
     "an h with a free symbol": (
         "h",
         dict(outputs=("tip_m", "v_left_mps", "v_right_mps"), h=lambda x, u, p: other),
     ),
-    "an unknown argument": ("Model", dict(state=("x_m",))),
 }
 
 
@@ -479,16 +482,11 @@ def test_a_measurement_that_does_not_fit_is_refused_in_one_sentence(z):
     "name, value",
     [
         ("x", (0.0, 0.0)),
-        ("x", (0.0, np.nan, 0.0)),
-        ("x", (0.0, np.inf, 0.0)),
         ("p", (0.1,)),
-        ("p", (0.1, np.nan)),
         ("x_ref", np.zeros((3, N))),
         ("x_ref", np.zeros((N + 1, 3))),
-        ("x_ref", np.full((3, N + 1), np.nan)),
         ("u_ref", np.zeros((2, N + 1))),
         ("u_ref", np.zeros(N)),
-        ("u_ref", np.full((2, N), np.nan)),
     ],
 )
 def test_a_problem_that_does_not_fit_is_refused_in_one_sentence(name, value):
@@ -497,3 +495,18 @@ def test_a_problem_that_does_not_fit_is_refused_in_one_sentence(name, value):
     refuses(name, lambda: mpc.feedback(**problem | {name: value}))
     command = mpc.feedback(**problem)
     assert np.all(np.isfinite(command))
+
+
+@pytest.mark.parametrize("name", ["x", "p", "x_ref", "u_ref"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_a_value_that_is_no_number_does_no_lasting_harm(name, value):
+    """The robot must keep driving: the step is flagged, commands stay within their bounds."""
+    problem, mpc = mpc_instance(SKID_STEERED, np.random.default_rng(15)), controller(SKID_STEERED)
+    spared, low_high = controller(SKID_STEERED), np.array([*SKID_STEERED.bounds.values()]).T
+    mpc.prepare(), mpc.feedback(**problem), mpc.prepare()
+    command = mpc.feedback(**problem | {name: np.full(np.shape(problem[name]), value)})
+    assert np.all((low_high[0] <= command) & (command <= low_high[1]))
+    for _ in range(30):
+        mpc.prepare(), spared.prepare()
+        after, expected = mpc.feedback(**problem), spared.feedback(**problem)
+    np.testing.assert_allclose(after, expected, atol=1e-6)

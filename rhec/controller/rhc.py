@@ -383,6 +383,8 @@ class RHC:
 
 
 def _check_command(model, command, bounds):
+    if not command:
+        raise ValueError(f"command was (); it should name some of {model.inputs}")
     for field, names, known in (
         ("command", command, model.inputs),
         ("bounds", tuple(bounds), command),
@@ -391,8 +393,6 @@ def _check_command(model, command, bounds):
             if name not in known or names.count(name) > 1:
                 wanted = f"it should name some of {known}, each once"
                 raise ValueError(f"{field} was {shown(names)}; {wanted}")
-    if not command:
-        raise ValueError(f"command was (); it should name some of {model.inputs}")
     for name, (lowest, highest) in bounds.items():
         if not lowest < highest:
             wanted = "the first should be below the second"

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
-import numpy as np
 
 
 from rhec._casadi.validation import shown
@@ -66,6 +65,9 @@ class Model:
 
     def __post_init__(self) -> None:
         _check_names(self)
+        if not callable(self.f) or not callable(self.h or self.f):
+            wanted = "f and h should be functions of (x, u, p)"
+            raise ValueError(f"f was {shown(self.f)}, h {shown(self.h)}; {wanted}")
         _check_bounds(self.parameters)
         limits = self.max_measurement
         if limits is not None and len(limits) != len(self.outputs):
@@ -98,7 +100,7 @@ class Model:
             wanted = "it should be given, since no state, input or parameter has that name"
             raise ValueError(f"h was not given for the output {unnamed[0]!r}; {wanted}")
         if self.h is not None:
-            sizes = {len(self.outputs), len(unnamed)}
+            sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
             values = ca.vertsplit(_expressions("h", self.h, self, *sizes)(*symbols))
             known |= dict(zip(self.outputs if len(values) == len(self.outputs) else unnamed, values))
         return ca.Function("h", [x, u, p], [ca.vertcat(*(known[name] for name in self.outputs))])
@@ -207,8 +209,8 @@ def _check_names(model):
 def _check_bounds(parameters):
     for name, bounds in parameters.items():
         try:
-            lowest, highest = (-1.0, 1.0) if bounds is None else map(float, bounds)
-            fine = lowest < highest
+            lowest, highest = (-1.0, 1.0) if bounds is None else bounds
+            fine = bool(lowest < highest) and not isinstance(lowest, str)
         except (TypeError, ValueError):
             fine = False
         if not fine:
@@ -243,6 +245,7 @@ class Interval(NamedTuple):
     n_v: int
     outputs: tuple[Output, ...]  # that measure the joint state
     input_outputs: dict[int, tuple[int, float]]  # place in v: place in z, limit
+    mixing_outputs: dict[int, list[tuple[int, float]]]  # place in v: others that tell of it
     bounds: dict[int, tuple[float, float]]  # place in s: (lowest, highest)
     motion_noise: MotionNoise | None
 
@@ -253,14 +256,17 @@ class Interval(NamedTuple):
         """
         mean, variance = [], []
         for place in range(self.n_v):
-            row, limit = self.input_outputs.get(place, (None, None))
-            if row is None:
-                mean.append(v[place])
-                variance.append(SIGMA_UNMEASURED**2)
-            else:
+            if place in self.input_outputs:
+                row, limit = self.input_outputs[place]
                 valid = is_valid_measurement(z[row], limit)
                 mean.append(ca.if_else(valid, z[row], v[place]))
                 variance.append(ca.if_else(valid, V[row], SIGMA_HELD**2))
+            else:
+                valid = [is_valid_measurement(z[row], of) for row, of in self.mixing_outputs[place]]
+                mean.append(v[place])
+                variance.append(
+                    ca.if_else(sum(valid, ca.SX(0)), SIGMA_UNMEASURED**2, SIGMA_HELD**2)
+                )
         mean, variance = ca.vertcat(*mean), ca.vertcat(*variance)
         return self.motion_noise.inputs(mean, variance, c) if self.motion_noise else (mean, variance)
 
@@ -278,7 +284,8 @@ def interval(model, measured=True):
     last, dt_s = ca.SX.sym("last", len(model.inputs)), ca.SX.sym("dt_s")
     x_next = rk4(model.dynamics, x, u, p, dt_s)
     if measured and model.holds_inputs:
-        s, s_next = ca.vertcat(x, last, p), ca.vertcat(x_next, u, p)
+        # An interval of no length lies before the first sample: no input is known there.
+        s, s_next = ca.vertcat(x, last, p), ca.vertcat(x_next, ca.if_else(dt_s > 0, u, last), p)
     else:
         s, s_next = ca.vertcat(x, p), ca.vertcat(x_next, p)
     z = model.measurement(x, last, p)
@@ -306,6 +313,10 @@ def interval(model, measured=True):
             for row, H in zip(rows, outputs)
         ),
         input_outputs={u: (row, model.limits[row]) for u, row in model.input_outputs.items()},
+        mixing_outputs={
+            place: [(row, model.limits[row]) for row in rows if ca.depends_on(z[row], last[place])]
+            for place in range(u.numel())
+        },
         bounds=model.bounds,
         motion_noise=model.motion_noise,
     )
