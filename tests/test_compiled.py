@@ -17,10 +17,17 @@ import rhec
 from rhec._casadi import compiled
 
 BUILD = """
-from rhec._casadi import compiled
-from rhec.estimator import ekf
-step = compiled.load(ekf.build_step, {dt})["step"]
-print(step(memory=[1] * 22, V=[1] * 4)["estimate"])
+import rhec
+model = rhec.Model(
+    states=("x_m",), inputs=("v_mps",), parameters={{}}, outputs=("x_m", "v_mps"),
+    f=lambda x, u, p: u,
+)
+one = (1.0,)
+ekf = rhec.EKF(
+    model=model, dt={dt}, sigma_v=(1.0, 1.0), sigma_w=one, guess=one, sigma_guess=one
+)
+ekf.prepare()
+print(ekf.feedback((2.0, 3.0)))
 """
 needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
 

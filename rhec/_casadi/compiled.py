@@ -108,7 +108,7 @@ def _library_folder(build, structure):
 
 
 def _key(piece):
-    """A structure as text: a Model among its pieces by all that decides its C."""
+    """A structure's parts; a Model among them is replaced by the key of all that decides its C."""
     if isinstance(piece, tuple):
         return tuple(map(_key, piece))
     return getattr(piece, "key", piece)
@@ -132,9 +132,9 @@ def load(build, *structure):
     if not folder.exists() and _is_interactive():
         what = build.__module__.split(".")[-1].replace("_", " ")
         print(f"rhec: compiling the {what}, once (some seconds)", file=sys.stderr, flush=True)
-    with contextlib.nullcontext() if folder.exists() else build_lock(folder):
+    with contextlib.nullcontext() if folder.exists() else _build_lock(folder):
         if not folder.exists():
-            compile_library(folder, build(*structure))
+            _compile_library(folder, build(*structure))
     names = json.loads((folder / "functions.json").read_text())
     built = build(*structure) if None in names.values() else {}
     return built | {
@@ -149,7 +149,7 @@ def _is_interactive():
 
 
 @contextlib.contextmanager
-def build_lock(folder):
+def _build_lock(folder):
     """Let one process at a time compile a structure; a lock goes with its process.
 
     Where there are no locks processes race, which costs time alone.
@@ -167,11 +167,11 @@ def build_lock(folder):
             name.unlink(missing_ok=True)
 
 
-def calls_qpoases(function):
+def _calls_qpoases(function):
     return any(inner.class_name() == "QpoasesInterface" for inner in function.find_functions())
 
 
-def compile_library(folder, functions):
+def _compile_library(folder, functions):
     """Generate, compile and move into place."""
     with tempfile.TemporaryDirectory(
         dir=folder.parent, prefix="building-", ignore_cleanup_errors=True
@@ -179,7 +179,7 @@ def compile_library(folder, functions):
         building = Path(building)
         generator = ca.CodeGenerator("code.c")
         names = {
-            key: None if calls_qpoases(function) else function.name()
+            key: None if _calls_qpoases(function) else function.name()
             for key, function in functions.items()
         }
         for key in names:

@@ -16,21 +16,22 @@ from pydantic.dataclasses import dataclass
 from rhec._casadi.renamed import new_name, with_new_names
 
 __all__ = ["checked", "numbers", "optional", "shown", "validated"]
-__all__ += ["Flag", "Intervals", "NotNegative", "Positive", "Real", "Traction", "Weights", "Whole"]
-__all__ += ["ArrivalMean", "Solver", "SpeedModel"]
+__all__ += ["Flag", "Intervals", "NotNegative", "NotNegatives", "Positive", "Positives", "Real"]
+__all__ += ["Reals", "Traction", "Weights", "Whole"]
+__all__ += ["ArrivalMean", "ProcessNoise", "Solver", "SpeedModel"]
 
-plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
-Real = Annotated[float, Field(strict=True, allow_inf_nan=False), plain]
+_plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _plain]
 Positive = Annotated[Real, Field(gt=0)]
 NotNegative = Annotated[Real, Field(ge=0)]
 Traction = Annotated[Real, Field(gt=0, le=1)]
-listed = BeforeValidator(
+_listed = BeforeValidator(
     lambda value: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
 )
-Reals = Annotated[tuple[Real, ...], listed]
-Positives = Annotated[tuple[Positive, ...], listed]
-NotNegatives = Annotated[tuple[NotNegative, ...], listed]
-Whole = Annotated[int, Field(strict=True), plain]
+Reals = Annotated[tuple[Real, ...], _listed]
+Positives = Annotated[tuple[Positive, ...], _listed]
+NotNegatives = Annotated[tuple[NotNegative, ...], _listed]
+Whole = Annotated[int, Field(strict=True), _plain]
 Flag = Annotated[bool, Field(strict=True)]
 
 # Choices that Scenario, RHE and RHC share; Scenario says what each means.
