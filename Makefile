@@ -1,16 +1,15 @@
 PYTHON ?= python3
-SAMPLES ?= 10000000
 
 # The paper's figures and tables, and what goes beyond them, in the order of the report.
 FIGURES := robot_and_terrain scenario_a scenario_b computation_times
-STUDIES := tutorial claims multiverse readings_audit faults replay explore beyond embedded
+STUDIES := tutorial your_robot equations claims multiverse readings_audit faults replay \
+  explore beyond embedded
 
 PY := .venv/bin/python
 READY := .venv/ready
 PIP := $(PY) -m pip --disable-pip-version-check install -q
 executed = $(1:%=build/notebooks/%.ipynb)
 EXECUTED := $(call executed,$(FIGURES) $(STUDIES))
-RECORDS := $(EXECUTED:.ipynb=.d)
 
 # Two notebooks at a time; several goals at once stay in the order given.
 ifeq ($(words $(MAKECMDGOALS))$(filter-out figures studies report,$(MAKECMDGOALS)),1)
@@ -27,6 +26,7 @@ help: ## list what can be made
 figures: $(call executed,$(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
 studies: $(call executed,$(STUDIES)) ## what goes beyond them: claims, faults, replay … (minutes)
 figures studies:
+	@$(if $(filter $^,$(made)),$(PY) -m rhec.workbench.results)
 	@echo '$@: $(if $(filter $^,$(made)),made,everything is up to date)'
 
 claims: $(call executed,claims) ## the claims ledger alone: figures/claims.csv, .tex, .md, .png
@@ -73,7 +73,7 @@ bench: .venv/peers ## compare computation times with other tools, into figures/ 
 	@cd tests && ../$(PY) -m benchmark
 
 soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
-	@$(PY) tests/soak.py --samples $(SAMPLES)
+	@$(PY) tests/soak.py --samples $(or $(SAMPLES),10000000)
 
 ##@ Keep
 lock: ## pin what pyproject.toml names in environment.txt; old pins stay (needs uv)
@@ -95,8 +95,7 @@ $(READY): environment.txt pyproject.toml
 	@echo "Setting up .venv with $$($(PYTHON) --version) (a minute or two the first time)"
 	@$(PYTHON) -m venv .venv
 	@$(PIP) --require-hashes -r environment.txt
-	@$(PIP) --no-deps --no-build-isolation -e .
-	@touch $@
+	@$(PIP) --no-deps --no-build-isolation -e . && touch $@
 
 .venv/peers: tests/benchmark/peers.txt $(READY)
 	@$(PIP) --no-deps --require-hashes -r $< && touch $@
@@ -123,8 +122,9 @@ endif
 
 build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
   $(wildcard rhec/workbench/templates/* rhec/workbench/templates/*/*)
+	@$(PY) -m rhec.workbench.results
 	@$(PY) -m rhec.workbench.report $(EXECUTED)
 
 # What each notebook used and made when it was last run.
-$(RECORDS):
-include $(wildcard $(RECORDS))
+$(EXECUTED:.ipynb=.d):
+include $(wildcard $(EXECUTED:.ipynb=.d))

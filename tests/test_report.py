@@ -20,7 +20,10 @@ from rhec import plots
 from rhec.workbench import report
 
 ROOT = Path(__file__).parents[1]
-PNG = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+PNG = (
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGA"
+    "WjR9awAAAABJRU5ErkJggg=="
+)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +76,8 @@ def site(tmp_path_factory):
         metadata=timed,
         cells=[
             v4.new_markdown_cell(
-                "# One: the $Q^3$ story\n\nWhat it *shows*, see [the other](claims.ipynb).\n\n## First & last\n\n"
+                "# One: the $Q^3$ story\n\nWhat it *shows*, see [the other](claims.ipynb).\n\n"
+                "## First & last\n\n"
                 "Here $\\dot x = \\mu\\nu$ and $$\\frac{1}{2}$$"
             ),
             v4.new_code_cell(
@@ -110,6 +114,7 @@ def test_every_link_and_picture_is_there(site):
         "results-tables.html",
         "results-claims.html",
         "results-provenance.html",
+        "reference.html",
     } == set(found)
     for name, soup in found.items():
         for tag in soup.select("[href], [src]"):
@@ -211,6 +216,16 @@ def test_it_says_where_the_results_came_from(site):
         == 0
     )
     assert (site / "notebooks/one.ipynb").is_file()
+
+
+def test_the_reference_shows_the_public_face(site):
+    article = pages(site)["reference.html"].select_one("article")
+    for name in rhec.__all__:
+        shown = article.find(id=name)
+        assert name in shown.select_one(".attr").get_text(), name
+        assert shown.select_one(".docstring").get_text().strip(), name
+    assert "FieldInfo" not in article.get_text()
+    assert pages(site)["index.html"].select_one("nav a[href='reference.html']")
 
 
 def test_a_report_that_fails_leaves_the_old_one(site, tmp_path):

@@ -16,8 +16,10 @@ import tempfile
 import time
 from pathlib import Path
 
+__all__ = ["ParameterError", "main", "parameters", "record", "run"]
+
 ROOT = Path(__file__).resolve().parents[2]
-PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
+_PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
 
 
 class ParameterError(ValueError):
@@ -27,9 +29,13 @@ class ParameterError(ValueError):
 def parameters(namespace, **allowed):
     """Refuse, in one sentence, what a notebook's parameters may not be.
 
-    To be called with `globals()` right after the cell tagged `parameters`.  Each keyword names a
-    parameter and says what it may be: a number `(type, lowest, highest)`, a choice
-    `("one", "other")`, any text but an empty one, `str`, or a list of either, `[(float, 0, 100)]`.
+    Args:
+        namespace: the notebook's `globals()`, right after the cell tagged `parameters`.
+        **allowed: what each parameter may be: a number `(type, lowest, highest)`, a choice
+            `("one", "other")`, any text but an empty one, `str`, or a list, `[(float, 0, 100)]`.
+
+    Raises:
+        ParameterError: if one is missing, is not what it may be, or is not known.
     """
     # The first time, all data found here was given as a parameter; later the notebook has its own.
     if "_parameters_checked" not in namespace:
@@ -49,7 +55,7 @@ def _refuse_unknown(namespace, allowed):
     ipython = namespace.get("get_ipython")
     known = allowed.keys() | (ipython().user_ns_hidden if ipython else ())
     for name, value in list(namespace.items()):
-        if isinstance(value, PLAIN_DATA) and not name.startswith("_") and name not in known:
+        if isinstance(value, _PLAIN_DATA) and not name.startswith("_") and name not in known:
             del namespace[name]  # so that the cells, once corrected, can be run again
             meant = difflib.get_close_matches(name, allowed, n=1) or allowed
             raise ParameterError(
@@ -85,6 +91,9 @@ def record(listing):
 
     A module counts when it is imported, which always tries to open its bytecode first, and not
     when its source is merely read, as it is to name the compiled libraries.
+
+    Args:
+        listing: path of an existing file, which gets lines "used PATH" and "made PATH".
     """
     log = os.open(listing, os.O_WRONLY | os.O_APPEND)
 
@@ -108,7 +117,16 @@ def record(listing):
 
 
 def run(notebook, given, output):
-    """Execute a notebook into `output` and write beside it, for make, what it used and made."""
+    """Execute a notebook and write beside it, for make, what it used and made.
+
+    Args:
+        notebook: path of the notebook.
+        given: its parameters, by name.
+        output: path of the executed notebook.
+
+    Raises:
+        PapermillExecutionError: if a cell fails; nothing is written then.
+    """
     # Not imported above: every notebook imports this module, and none needs these.
     import nbformat
     import papermill
@@ -116,6 +134,7 @@ def run(notebook, given, output):
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
     os.environ["RHEC_UNATTENDED"] = "1"  # its outputs are the results, not what was waited for
+    this = "rhec.workbench.notebook"
     with tempfile.NamedTemporaryFile("r") as listing:
         started = time.time_ns()
         executed = papermill.execute_notebook(
@@ -130,7 +149,7 @@ def run(notebook, given, output):
                 "--IPKernelApp.log_level=CRITICAL",
                 "--InlineBackend.figure_formats=retina",  # sharp in the report
                 "--IPKernelApp.exec_lines="
-                f"__import__('rhec.workbench.notebook').workbench.notebook.record({listing.name!r})",
+                f"__import__('importlib').import_module({this!r}).record({listing.name!r})",
             ],
         )
         opened = [line.rstrip("\n").split(" ", 1) for line in listing]
@@ -148,7 +167,7 @@ def run(notebook, given, output):
 
 
 def _in_project(paths):
-    """The paths that still exist, from the project's folder, without caches and what is built."""
+    """Those paths that still exist, from the project's folder, without caches and build/."""
     paths = {Path(path).resolve().relative_to(ROOT) for path in paths if os.path.isfile(path)}
     return {
         str(path)
@@ -165,23 +184,18 @@ def _write(path, text, date):
 
 
 def main():
+    """Run a notebook from the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m rhec.workbench.notebook", description="Run a notebook."
+        prog="python -m rhec.workbench.notebook",
+        description="Run a notebook, such as notebooks/scenario_a.ipynb.",
     )
+    value = "a parameter and its value: a number, a word or a list such as [1,2]"
+    output = "the executed notebook, by default in build/notebooks"
+    parser.add_argument("notebook", metavar="NOTEBOOK", type=Path)
     parser.add_argument(
-        "notebook", metavar="NOTEBOOK", type=Path, help="such as notebooks/scenario_a.ipynb"
+        "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help=value
     )
-    parser.add_argument(
-        "-p",
-        nargs=2,
-        action="append",
-        default=[],
-        metavar=("NAME", "VALUE"),
-        help="a parameter and its value: a number, a word or a list such as [1,2]",
-    )
-    parser.add_argument(
-        "--output", type=Path, help="the executed notebook, by default in build/notebooks"
-    )
+    parser.add_argument("--output", type=Path, help=output)
     args = parser.parse_args()
 
     places = (args.notebook, ROOT / args.notebook)
@@ -196,24 +210,18 @@ def main():
 
     started = time.monotonic()
     try:
-        _run_or_say_why_not(parser, notebook, {name: _value(text) for name, text in args.p}, output)
+        # takes a second, in which a person may change their mind
+        from papermill.exceptions import PapermillExecutionError
+
+        run(notebook, {name: _value(text) for name, text in args.p}, output)
     except KeyboardInterrupt:
         parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
-    seconds = time.monotonic() - started
-    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
-
-
-def _run_or_say_why_not(parser, notebook, given, output):
-    from papermill.exceptions import (
-        PapermillExecutionError,  # takes a second, in which a person may change their mind
-    )
-
-    try:
-        run(notebook, given, output)
     except PapermillExecutionError as error:
         if error.ename == ParameterError.__name__:
             parser.exit(2, f"{error.evalue}\n")
         parser.exit(1, str(error))
+    seconds = time.monotonic() - started
+    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
 
 
 def _value(text):

@@ -1,22 +1,25 @@
-"""The report: executed notebooks, figures, tables, claims and where all of it came from, as one
-site that needs no network.
+"""The report: executed notebooks, figures, tables, claims, the reference of the public face and
+where all of it came from, as one site that needs no network.
 
     python -m rhec.workbench.report build/notebooks/scenario_a.ipynb …
 
-nbconvert turns the notebooks' cells into HTML, Jinja puts every page into one frame, matplotlib
-typesets the formulas (as SVG, in the figures' fonts), so that no page needs a script. The templates
-stand in `templates/`.
+nbconvert turns the notebooks' cells into HTML and pdoc the docstrings, Jinja puts every page into
+one frame, matplotlib typesets the formulas (as SVG, in the figures' fonts), so that no page needs a
+script. The templates stand in `templates/`.
 """
 
 import argparse
 import base64
+import contextlib
 import importlib.metadata
+import itertools
 import os
 import platform
 import re
 import shutil
 import subprocess
 import tempfile
+from collections import Counter
 from datetime import datetime
 from html import escape
 from pathlib import Path
@@ -36,12 +39,20 @@ from pygments.formatters import HtmlFormatter
 from rhec import __version__
 from rhec.plots import style
 from rhec.studies import timing
+from rhec.workbench import reference
+
+__all__ = ["Cells", "build", "formula", "tone"]
 
 ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
 LONG = 40  # characters: a text in a table that wants room
-LIVE = '<p class="live">Sliders, and pictures that follow them: run <code>make lab</code> and open this notebook.</p>'
+LIVE = (
+    '<p class="live">Sliders, and pictures that follow them: '
+    "run <code>make lab</code> and open this notebook.</p>"
+)
+# A notebook may be called claims, too.
+RESULTS = [f"results-{name}" for name in ("claims", "figures", "tables", "provenance")]
 FONT = FontProperties(math_fontfamily="stix", size=100)  # a hundredth of it is an em
 
 
@@ -49,19 +60,25 @@ FONT = FontProperties(math_fontfamily="stix", size=100)  # a hundredth of it is 
 
 
 def formula(tex, display=False):
-    """The SVG of a formula, as high as the text around it (1 em), in the text's colour. Raises a
-    ValueError for what mathtext does not know.
+    """The SVG of a formula, as high as the text around it (1 em), in the text's colour.
+
+    Args:
+        tex: TeX, without the dollar signs.
+        display: whether it stands on a line of its own.
+
+    Raises:
+        ValueError: if mathtext does not know what is in it.
     """
     text = f"${' '.join(tex.split())}$"
-    text = re.sub(
-        r"\\([gln]e)\b", r"\\\1q", text
-    )  # mathtext has \geq, \leq and \neq by their long names alone
+    # mathtext has \geq, \leq and \neq by their long names alone
+    text = re.sub(r"\\([gln]e)\b", r"\\\1q", text)
     try:
         width, height, depth = text_to_path.get_text_width_height_descent(text, FONT, ismath=True)
         outline = TextPath((0, 0), text, prop=FONT)
     except ValueError as error:
         raise ValueError(
-            f"formula was {tex!r}; it must be TeX that matplotlib's mathtext knows: {str(error).splitlines()[-1]}"
+            f"formula was {tex!r}; it must be TeX that matplotlib's mathtext knows: "
+            f"{str(error).splitlines()[-1]}"
         ) from None
     letters = {1: "M", 2: "L", 3: "Q", 4: "C", 79: "Z"}
     curves = "".join(
@@ -69,15 +86,17 @@ def formula(tex, display=False):
         + ("" if code == 79 else " ".join(f"{x:.1f},{-y:.1f}" for x, y in vertices.reshape(-1, 2)))
         for vertices, code in outline.iter_segments(simplify=False, curves=True)
     )
+    size = f"width: {width / 100:.3f}em; height: {height / 100:.3f}em"
     svg = (
-        f'<svg class="formula" role="img" aria-label="{escape(tex.strip())}" viewBox="0 {depth - height:.1f} {width:.1f} {height:.1f}" '
-        f'style="width: {width / 100:.3f}em; height: {height / 100:.3f}em; vertical-align: {-depth / 100:.3f}em">'
+        f'<svg class="formula" role="img" aria-label="{escape(tex.strip())}" '
+        f'viewBox="0 {depth - height:.1f} {width:.1f} {height:.1f}" '
+        f'style="{size}; vertical-align: {-depth / 100:.3f}em">'
         f'<path fill="currentColor" d="{curves}"/></svg>'
     )
     return f'<span class="display">{svg}</span>' if display else svg
 
 
-class Renderer(IPythonRenderer):
+class _Renderer(IPythonRenderer):
     """Markdown as in nbconvert, with its formulas typeset."""
 
     def inline_math(self, body):
@@ -93,23 +112,21 @@ class Cells(HTMLExporter):
     def __init__(self):
         super().__init__(template_name="cells", extra_template_basedirs=[str(TEMPLATES)])
 
+    @jinja2.pass_context
     def markdown2html(self, context, source):
-        return MarkdownWithMath(renderer=Renderer(escape=False, anchor_link_text="#")).render(
-            source
-        )
-
-    markdown2html = jinja2.pass_context(markdown2html)
+        renderer = _Renderer(escape=False, anchor_link_text="#")
+        return MarkdownWithMath(renderer=renderer).render(source)
 
 
 # Pages
 
 
-def notebook_page(file, pages):
-    """What the report shows of an executed notebook: name, title, lead, contents, body (HTML),
-    first picture (PNG), run (times). pages: all names.
+def _notebook_page(file, pages):
+    """An executed notebook as its page shows it: name, title, lead, contents, body (HTML), first
+    picture (PNG), run (times). Links to the notebooks named in `pages` become links to their pages.
     """
     notebook = nbformat.read(file, as_version=4)
-    prepare_outputs(notebook)
+    _prepare_outputs(notebook)
     try:
         body, _ = Cells().from_notebook_node(notebook)
     except ValueError as error:
@@ -128,20 +145,20 @@ def notebook_page(file, pages):
     for old in soup.select("style"):  # pandas' own, for each table
         old.decompose()
     heading, lead = soup.select_one("h1"), soup.select_one(".markdown p")
-    contents = [(h2["id"], plain(h2)) for h2 in soup.select("h2[id]")]
+    contents = [(h2["id"], _text(h2)) for h2 in soup.select("h2[id]")]
     return dict(
         name=file.stem,
-        title=plain(heading) if heading else file.stem,
-        lead=plain(lead) if lead else "",
+        title=_text(heading) if heading else file.stem,
+        lead=_text(lead) if lead else "",
         contents=contents,
         body=Markup(soup),
-        picture=first_picture(notebook),
-        run=run_of(notebook),
+        picture=_first_picture(notebook),
+        run=_run_of(notebook),
     )
 
 
-def plain(tag):
-    """The text of an element without its anchor and its pictures."""
+def _text(tag):
+    """The text of an element without its anchor, its formulas in letters."""
     copy = BeautifulSoup(str(tag), "html.parser")
     for extra in copy.select(".anchor-link"):
         extra.decompose()
@@ -151,7 +168,7 @@ def plain(tag):
     return " ".join(copy.get_text().split())
 
 
-def prepare_outputs(notebook):
+def _prepare_outputs(notebook):
     """Give each picture the beginning of the text above it as its description, drop progress bars,
     and say where other widgets live.
     """
@@ -159,21 +176,22 @@ def prepare_outputs(notebook):
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
             above = re.sub(r"[*#`$]", "", cell.source.strip().split("\n\n")[-1])
-        if cell.cell_type == "code":
-            cell.outputs = [
-                output
-                for output in cell.outputs
-                if not re.search(r"\d%\|", output.get("data", {}).get("text/plain", ""))
-            ]
-        for output in cell.get("outputs", []):
-            data = output.get("data", {})
+        if cell.cell_type != "code":
+            continue
+        outputs = [(output, output.get("data", {})) for output in cell.outputs]
+        cell.outputs = [
+            output
+            for output, data in outputs
+            if not re.search(r"\d%\|", data.get("text/plain", ""))
+        ]
+        for output, data in outputs:
             if "image/png" in data:
                 output.metadata["alt"] = " ".join(above.split())[:200]
             if "application/vnd.jupyter.widget-view+json" in data:
                 output.data = nbformat.from_dict({"text/html": LIVE})
 
 
-def first_picture(notebook):
+def _first_picture(notebook):
     """The first PNG among a notebook's outputs, or None."""
     pngs = (
         output["data"]["image/png"]
@@ -185,10 +203,8 @@ def first_picture(notebook):
     return first and base64.b64decode(first)
 
 
-def run_of(notebook):
-    """When and how long a notebook ran, with which parameters, and its slowest cell, as papermill
-    noted it.
-    """
+def _run_of(notebook):
+    """When and how long a notebook ran, with which parameters, as papermill noted it."""
     noted = notebook.metadata.get("papermill", {})
     seconds = [cell.metadata.get("papermill", {}).get("duration") or 0.0 for cell in notebook.cells]
     return dict(
@@ -200,147 +216,119 @@ def run_of(notebook):
     )
 
 
-def figures_of(folder):
-    """[{name, notebook, source, scenario, width, height}] of the PNGs that `figures.save` left in a
-    folder, as they say themselves.
-    """
+def _figures_of(folder):
+    """The PNGs of a folder and what each says of itself, as `plots.save` wrote it."""
     found = []
     for file in sorted(folder.glob("*.png")):
         with Image.open(file) as image:
             said, (width, height) = image.info, image.size
-        found.append(
-            dict(
-                name=file.stem,
-                notebook=Path(said.get("Subject", "")).stem,
-                source=said.get("Creator", ""),
-                scenario=said.get("Keywords", ""),
-                width=width,
-                height=height,
-                pdf=file.with_suffix(".pdf").exists(),
-            )
-        )
+        about = dict(name=file.stem, notebook=Path(said.get("Subject", "")).stem)
+        about |= dict(source=said.get("Creator", ""), scenario=said.get("Keywords", ""))
+        pdf = file.with_suffix(".pdf").exists()
+        found.append(about | dict(width=width, height=height, pdf=pdf))
     return found
 
 
-def tables_of(folder):
-    """[{name, notebook, frame}] of the CSV files in a folder; the notebook is named in the LaTeX
-    beside it.
-    """
+def _tables_of(folder):
+    """The CSV files of a folder, and the notebook that the LaTeX beside each names."""
     found = []
     for file in sorted(folder.glob("*.csv")):
         tex = file.with_suffix(".tex")
-        subject = (
-            re.search(r"^% Subject: (.*)$", tex.read_text(encoding="utf-8"), re.M)
-            if tex.exists()
-            else None
-        )
-        found.append(
-            dict(
-                name=file.stem,
-                notebook=Path(subject[1]).stem if subject else "",
-                tex=tex.exists(),
-                frame=pd.read_csv(file),
-            )
-        )
+        said = tex.read_text(encoding="utf-8") if tex.exists() else ""
+        subject = re.search(r"^% Subject: (.*)$", said, re.M)
+        notebook = Path(subject[1]).stem if subject else ""
+        about = dict(name=file.stem, notebook=notebook, tex=tex.exists())
+        found.append(about | dict(frame=pd.read_csv(file)))
     return found
 
 
-def ledger_of(tables):
-    """[(table, its rows with a claim, the verdict beside it)]: every table that has the columns
-    `claim` and `verdict`.
-    """
+def _ledger_of(tables):
+    """Every table with the columns `claim` and `verdict`: (table, its rows with a claim)."""
     found = []
     for table in tables:
         columns = list(table["frame"])
         if {"claim", "verdict"} <= set(columns):
             columns.insert(columns.index("claim") + 1, columns.pop(columns.index("verdict")))
-            found.append(
-                (
-                    table,
-                    table["frame"]
-                    .dropna(subset=["claim"])[columns]
-                    .dropna(axis="columns", how="all"),
-                )
-            )
+            rows = table["frame"].dropna(subset=["claim"])[columns]
+            found.append((table, rows.dropna(axis="columns", how="all")))
     return found
 
 
 def tone(verdict):
-    """Which of four kinds a verdict is of: good, part (of the readings), bad or open."""
-    return {"holds": "good", "fails": "bad", "does not hold": "bad"}.get(
-        str(verdict), "part" if str(verdict).startswith("holds ") else "open"
-    )
+    """Which of four kinds a verdict is of: good, part (of the interpretations), bad or open."""
+    if str(verdict).startswith("holds "):
+        return "part"
+    return {"holds": "good", "fails": "bad", "does not hold": "bad"}.get(str(verdict), "open")
 
 
-def as_html(frame):
+def _as_html(frame):
     """A table as HTML: numbers in four digits, verdicts in colour, nothing where nothing is."""
 
     def cell(value):
         if isinstance(value, float):
             return "" if pd.isna(value) else f"{value:.4g}"
-        return (
-            f'<div class="long">{escape(value)}</div>'
-            if len(str(value)) > LONG
-            else escape(str(value))
-        )
+        text = escape(str(value))
+        return f'<div class="long">{text}</div>' if len(str(value)) > LONG else text
 
     def verdict(value):
         return f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else ""
 
-    frame = frame.rename(
-        columns=lambda name: escape(str(name)).replace("_", "_<wbr>")
-    )  # where a long name may be broken
+    # where a long name may be broken
+    frame = frame.rename(columns=lambda name: escape(str(name)).replace("_", "_<wbr>"))
     formatters = {column: verdict if column == "verdict" else cell for column in frame}
-    return Markup(
-        frame.to_html(index=False, border=0, escape=False, formatters=formatters, na_rep="")
-    )
+    plain = dict(index=False, border=0, escape=False, na_rep="")
+    return Markup(frame.to_html(formatters=formatters, **plain))
 
 
-def provenance():
-    """[(what, value)]: what the results came from."""
+def _provenance():
+    """What the results came from, as pairs (what, value)."""
     ours = (ROOT / ".git").exists()  # not that of a repository around this folder
-    commit = ours and subprocess.run(
-        ["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
-        capture_output=True,
-        text=True,
-    )
+    describe = ["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    commit = ours and subprocess.run(describe, capture_output=True, text=True).stdout.strip()
     return [
         ("Project", f"rhec {__version__}"),
         ("Source", f"{style.source()} (digest of rhec/, notebooks/ and data/)"),
-        ("Commit", commit.stdout.strip() if ours else "no git repository"),
+        ("Commit", commit or "no git repository"),
         ("Machine", timing.machine()),
         ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
         ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")),
     ]
 
 
-def packages():
-    """[(name, version, pinned)] of the packages in environment.txt that are installed here."""
-    pins = re.findall(
-        r"^([A-Za-z0-9._-]+)==([^ ;\\]+)",
-        (ROOT / "environment.txt").read_text(encoding="utf-8"),
-        re.M,
-    )
-    installed = {}
-    for name, pinned in pins:
-        try:
-            installed[name] = (name, importlib.metadata.version(name), pinned)
-        except importlib.metadata.PackageNotFoundError:  # of another system or Python
-            continue
-    return sorted(installed.values())
+def _packages():
+    """The packages in environment.txt that are installed here: (name, version, pinned version)."""
+    pins = (ROOT / "environment.txt").read_text(encoding="utf-8")
+    installed = set()
+    for name, pinned in re.findall(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)", pins, re.M):
+        # others are of another system or Python
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            installed.add((name, importlib.metadata.version(name), pinned))
+    return sorted(installed)
+
+
+# The site
 
 
 def build(notebooks, figures=style.FOLDER, report=REPORT):
-    """Write the site; it replaces the old one only when it is whole."""
+    """Write the site; it replaces the old one only when it is whole.
+
+    Args:
+        notebooks: paths of executed notebooks, in the order of the pages.
+        figures: folder of the figures and tables that they left.
+        report: folder of the site.
+
+    Raises:
+        ValueError: if a notebook cannot be shown; the old site is left as it was.
+    """
     report.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
         unfinished = Path(folder) / report.name
-        write_site(notebooks, figures, unfinished)
+        _write_site(notebooks, figures, unfinished)
         shutil.rmtree(report, ignore_errors=True)
         unfinished.rename(report)
 
 
-def write_site(notebooks, figures, site):
+def _write_site(notebooks, figures, site):
     """All pages, and what they show, into a new folder."""
     (site / "notebooks").mkdir(parents=True)
     shutil.copytree(figures, site / "figures")
@@ -348,34 +336,28 @@ def write_site(notebooks, figures, site):
         shutil.copy(file, site / "notebooks")
 
     names = [file.stem for file in notebooks]
-    stories = [notebook_page(file, names) for file in notebooks]
-    drawn, tables = figures_of(figures), tables_of(figures)
+    stories = [_notebook_page(file, names) for file in notebooks]
+    drawn, tables = _figures_of(figures), _tables_of(figures)
     (site / "pictures").mkdir()
     for story in stories:
         if story["picture"]:
             (site / f"pictures/{story['name']}.png").write_bytes(story["picture"])
-    ledger = ledger_of(tables)
-    counted = [rows for table, rows in ledger if table["name"] == "claims"] or [
-        rows for _, rows in ledger
-    ]  # other tables repeat what the ledger says
-    verdicts = (
-        pd.concat([rows["verdict"].map(tone) for rows in counted])
-        if counted
-        else pd.Series(dtype=str)
-    )
+    ledger = _ledger_of(tables)
+    # other tables repeat what the ledger says
+    counted = [rows for table, rows in ledger if table["name"] == "claims"]
+    verdicts = [rows["verdict"].map(tone) for rows in counted or [rows for _, rows in ledger]]
     common = dict(
         stories=stories,
         figures=drawn,
         tables=tables,
         ledger=ledger,
-        counts=verdicts.value_counts().to_dict(),
+        counts=Counter(itertools.chain(*verdicts)),
         version=__version__,
         source=style.source(),
-        provenance=provenance(),
-        packages=packages(),
+        provenance=_provenance(),
+        packages=_packages(),
         environment=sorted({figure["source"] for figure in drawn}),
     )
-
     jinja = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
@@ -384,54 +366,32 @@ def write_site(notebooks, figures, site):
         lstrip_blocks=True,
     )
     jinja.filters.update(
-        table=as_html, seconds=lambda value: "–" if value is None else f"{value:.1f} s", nice=nice
+        table=_as_html,
+        seconds=lambda value: "–" if value is None else f"{value:.1f} s",
+        nice=lambda name: name.replace("_", " "),
     )
-    for page in (
-        "index",
-        "results-claims",
-        "results-figures",
-        "results-tables",
-        "results-provenance",
-    ):  # a notebook may be called claims, too
-        write(
-            site / f"{page}.html", jinja.get_template(f"{page}.html.j2").render(common, page=page)
-        )
+
+    def write(page, template, **more):
+        text = jinja.get_template(f"{template}.html.j2").render(common, page=page, **more)
+        (site / f"{page}.html").write_text(text, encoding="utf-8")
+
+    for page in ["index", *RESULTS]:
+        write(page, page)
+    contents, body = reference.of_the_face()
+    write("reference", "reference", contents=contents, body=Markup(body))
     for story in stories:
-        write(
-            site / f"{story['name']}.html",
-            jinja.get_template("story.html.j2").render(common, page=story["name"], story=story),
-        )
-    light, dark = (
-        HtmlFormatter(style=name).get_style_defs(".highlight")
-        for name in ("friendly", "github-dark")
-    )
+        write(story["name"], "story", story=story)
+    styles = (HtmlFormatter(style=name) for name in ("friendly", "github-dark"))
+    light, dark = (style.get_style_defs(".highlight") for style in styles)
     ours = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    write(
-        site / "report.css", f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}"
-    )
+    css = f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}"
+    (site / "report.css").write_text(css, encoding="utf-8")
 
 
-def nice(name):
-    """A file's name as words."""
-    return name.replace("_", " ")
-
-
-def write(file, text):
-    file.write_text(text, encoding="utf-8")
-
-
-def main():
-    parser = argparse.ArgumentParser(
-        prog="python -m rhec.workbench.report",
-        description="Make build/report/ from executed notebooks.",
-    )
-    parser.add_argument(
-        "notebooks",
-        metavar="NOTEBOOK",
-        nargs="+",
-        type=Path,
-        help="such as build/notebooks/scenario_a.ipynb",
-    )
+def _main():
+    about = "Make build/report/ from executed notebooks, such as build/notebooks/scenario_a.ipynb."
+    parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
+    parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     try:
         build(parser.parse_args().notebooks)
     except KeyboardInterrupt:
@@ -442,4 +402,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -48,7 +48,7 @@ def test_a_page_shows_all_it_has(offline, name):
     )
     assert all(width > 1 for width in formulas)
     assert page.evaluate(
-        "performance.getEntriesByType('resource').every(resource => resource.name.startsWith('file:'))"
+        "performance.getEntriesByType('resource').every(each => each.name.startsWith('file:'))"
     )
     assert page.locator("nav a[aria-current]").count() == (name != "index.html")
     for width, height in [(1366, 768), (2560, 1440), (390, 844)]:

@@ -1,0 +1,41 @@
+"""The reference of the public face, made by pdoc from its docstrings and annotations."""
+
+import inspect
+from types import SimpleNamespace
+from typing import get_type_hints
+
+import pdoc
+from bs4 import BeautifulSoup
+
+import rhec
+
+__all__ = ["of_the_face"]
+
+
+def of_the_face():
+    """What the report shows of the public face.
+
+    Returns:
+        Its contents as pairs (id, name), and its body as HTML, without scripts.
+    """
+    for name in rhec.__all__:
+        shown = getattr(rhec, name)
+        setattr(rhec, name, shown)  # pdoc asks for no name that is loaded on first use
+        for each in (shown, *(vars(shown).values() if inspect.isclass(shown) else ())):
+            _show_plain_types(getattr(each, "__func__", each))
+    pdoc.render.configure(docformat="google", include_undocumented=False, show_source=False)
+    module = pdoc.doc.Module(rhec)
+    page = BeautifulSoup(pdoc.render.html_module(module, {"rhec": module}), "html.parser")
+    body = page.select_one("main")
+    for drawn in body.select("input, .headerlink, .view-value-button"):
+        drawn.decompose()
+    contents = [(section["id"], section["id"]) for section in body.select("section[id]")]
+    return contents, body.decode_contents()
+
+
+def _show_plain_types(thing):
+    """Leave of each annotation the type alone, without how it is validated."""
+    hints = getattr(thing, "__annotations__", {})
+    known = {name: hint for name, hint in hints.items() if not isinstance(hint, str)}
+    if known:
+        hints.update(get_type_hints(SimpleNamespace(__annotations__=known)))

@@ -1,0 +1,68 @@
+"""The public face as a caller sees it: `make lint` checks the types of these calls, and that each
+gives what its annotation says; run, they are what they say.
+"""
+
+from pathlib import Path
+from typing import assert_type
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import rhec
+
+Array = np.typing.NDArray[np.float64]
+SCENARIO = rhec.Scenario(process_noise="calibrated", duration_s=2.0)
+
+
+def test_one_run_and_many() -> None:
+    run = assert_type(rhec.simulate(SCENARIO), rhec.Run)
+    scenario = assert_type(run.scenario, rhec.Scenario)
+    log = assert_type(run.log, pd.DataFrame)
+    metrics = assert_type(run.metrics, dict[str, float | bool])
+    table = assert_type(rhec.campaign([scenario], workers=1), pd.DataFrame)
+    assert type(log) is type(table) is pd.DataFrame and len(table) == 1
+    assert {type(value) for value in metrics.values()} <= {float, int, bool}
+
+
+def test_a_recorded_log() -> None:
+    log = rhec.simulate(SCENARIO).log
+    estimates = assert_type(rhec.replay(log, estimator="ekf"), pd.DataFrame)
+    assert len(estimates) == len(log)
+
+
+def test_the_world() -> None:
+    path = assert_type(rhec.Path.racetrack(30.0, 7.8), rhec.Path)
+    terrain = assert_type(rhec.Terrain.uniform(0.9, 0.8), rhec.Terrain)
+    fault = assert_type(rhec.Fault(kind="missing", start_s=1.0), rhec.Fault)
+    assert_type(path.length_m, float)
+    mu = assert_type(terrain.mu, Array)
+    assert mu.shape == (2, 2) and fault.start_s == 1.0
+
+
+def test_a_loop_of_ones_own() -> None:
+    rhe, rhc = rhec.RHE(), rhec.RHC()
+    rhe.prepare()
+    rhc.prepare()
+    estimate = rhe.feedback((0.0, 0.0, 0.5, 0.0))
+    pose = np.array([estimate.x, estimate.y, estimate.theta])
+    xi_ref, omega_ref = np.zeros((3, rhc.horizon + 1)), np.zeros(rhc.horizon)
+    omega = assert_type(rhc.feedback(pose, (0.5, 0.9, 0.8), xi_ref, omega_ref), float)
+    assert isinstance(omega, float) and assert_type(rhc.ok, bool)
+    assert_type(rhc.kkt, float)
+    assert_type(rhc.xi_plan, Array)
+
+
+def test_on_a_robot(tmp_path: Path) -> None:
+    folder = assert_type(rhec.export(SCENARIO, tmp_path / "exported"), Path)
+    assert folder.is_dir()
+
+
+def test_what_is_wrong_is_wrong_for_a_type_checker_too() -> None:
+    """An ignore that nothing needs is an error, so each line below must be one for the checker."""
+    with pytest.raises((TypeError, ValueError)):
+        rhec.Scenario(duration=2.0)  # type: ignore[call-arg]
+    with pytest.raises((TypeError, ValueError)):
+        rhec.Scenario(duration_s="long")  # type: ignore[arg-type]
+    with pytest.raises((TypeError, ValueError)):
+        rhec.simulate("the field")  # type: ignore[arg-type]
