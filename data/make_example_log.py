@@ -81,7 +81,8 @@ def _build_sample(terrain):
         track_width_m=paper.TRACK_WIDTH_M, encoder_sigma_mps=0.0, bump_sigma_radps=_BUMP_SIGMA_RADPS
     )
 
-    def moved(pose, tracks, integral, given):
+    @with_packed_memory("sample", _MEMORY, given=(2 + packed_size(robot.NOISE), 1))
+    def sample(pose, tracks, integral, given):
         command, noise = given[:2], unpack(given[2:], robot.NOISE)
         traction = slip(pose[:2], terrain.origin_m, terrain.cell_m, flat(terrain))
         row = ca.vertcat(
@@ -102,9 +103,7 @@ def _build_sample(terrain):
         )
         return {name: driven[name] for name in _MEMORY} | dict(row=row)
 
-    return with_packed_memory(
-        "sample", moved, _MEMORY, dict(given=(2 + packed_size(robot.NOISE), 1))
-    )
+    return sample
 
 
 def _record(pose, commands, terrain, seed):

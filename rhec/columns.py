@@ -49,7 +49,8 @@ kappa of a simulated log) under the names above, and
     sigma_x_m, sigma_y_m, sigma_theta_rad, sigma_nu_mps, sigma_mu, sigma_kappa,
     sigma_arm_forward_m, sigma_arm_left_m  standard deviations of the estimates
     innovation_x_m, innovation_y_m         measured position less the predicted one [m]
-    position_accepted, encoders_accepted, restarted      as above
+    position_accepted, encoders_accepted, restarted
+                                           as above, False in rows between the estimator's samples
 """
 
 from itertools import chain
@@ -96,7 +97,8 @@ LOG = dict(
     accepted=["position_accepted", "encoders_accepted"],
     restart=["restarted"],
 )
-FLAGS = ["ok", "position_accepted", "encoders_accepted", "restarted"]
+GATE = ["position_accepted", "encoders_accepted", "restarted"]
+FLAGS = ["ok", *GATE]
 COLUMNS = list(chain(*LOG.values()))
 
 # A replay has besides
@@ -105,7 +107,6 @@ LEVER_ARM = ["arm_forward_hat_m", "arm_left_hat_m"]
 SIGMA = ["sigma_x_m", "sigma_y_m", "sigma_theta_rad", "sigma_nu_mps", "sigma_mu", "sigma_kappa"]
 SIGMA += ["sigma_arm_forward_m", "sigma_arm_left_m"]
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
-GATE = ["position_accepted", "encoders_accepted", "restarted"]
 
 # Columns of a recording, by what they are called in a run or a replay
 TRACKS = ["v_left_mps", "v_right_mps"]

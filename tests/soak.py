@@ -18,12 +18,9 @@ import numpy as np
 
 from rhec import paper, simulation
 from rhec._casadi import compiled, scan
-from rhec._casadi.build import packed_size, shapes_of, unpack_array
 from rhec.columns import COLUMNS, COMMAND, ESTIMATE, TRUTH
-from rhec.estimator import rhe
 from rhec.extensions import faults
 from rhec.extensions.faults import Fault
-from rhec.model import robot
 from rhec.scenario import Scenario
 
 LEG = 1500  # samples
@@ -103,15 +100,6 @@ def init(base, seed):
     )
 
 
-def arrival_covariance(base, memory):
-    """Arrival covariance P (n_s, n_s) of the RHE, in the memory of the closed loop."""
-    of_rhe = shapes_of(
-        rhe.init(np.zeros(6), np.ones(6), base.estimation_horizon, base.speed_model, base.robust)
-    )
-    begin = packed_size(robot.MEMORY)
-    return unpack_array(memory[begin : begin + packed_size(of_rhe)], of_rhe)["P"]
-
-
 def lowest_eigenvalue(P):
     """Lowest eigenvalue of P scaled to a unit diagonal; -Inf if P is not finite, not symmetric to
     the last bit, or has a variance that is not above 0.
@@ -122,7 +110,7 @@ def lowest_eigenvalue(P):
     return np.linalg.eigvalsh(P / scale / scale[:, None])[0]
 
 
-def counted(base, scenario, setup, rows, memory):
+def counted(scenario, setup, rows, memory):
     """Failures in these samples and in the arrival covariance after them, and the lowest eigenvalue
     of that.
     """
@@ -131,7 +119,7 @@ def counted(base, scenario, setup, rows, memory):
     traction = np.stack([log["mu_hat"], log["kappa_hat"]])
     out_of_bounds = ((traction < 0) | (traction > 1)).any(axis=0)
     out_of_bounds |= np.abs(log["omega_cmd_radps"]) > scenario.omega_max_radps
-    lowest = lowest_eigenvalue(arrival_covariance(base, memory))
+    lowest = lowest_eigenvalue(setup.unpack(memory)["estimator"]["P"])
     distance_m, _ = setup.path.project(np.column_stack([log["x_m"], log["y_m"]]))
     counts = dict(
         not_finite=int((~finite).any(axis=0).sum()),
@@ -159,7 +147,7 @@ def drive(state, base, samples):
             state["memory"], rows = scan.scan(
                 functions, state["memory"], stream[place:until], setup.settings
             )
-            counts, lowest = counted(base, scenario, setup, rows, state["memory"])
+            counts, lowest = counted(scenario, setup, rows, state["memory"])
             counts["done"] = until - place
             state |= {name: state[name] + count for name, count in counts.items()}
             state["digest"] = zlib.crc32(rows, state["digest"])

@@ -21,9 +21,10 @@ from rhec._casadi.build import pack_array, select_inputs
 from rhec.codegen import LOG, phases
 from rhec.columns import MEASUREMENTS
 from rhec.controller import rhc
-from rhec.estimator import base as estimators
-from rhec.estimator.kalman import Z_MAX
-from rhec.model import path
+from rhec.controller.paper_rhc import horizon_of
+from rhec.estimator.base import Choice, build_step, estimator_of
+from rhec.model.references import build_references
+from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 from rhec.studies.embedded import instructions, report, toolchain
 
 SECONDS = 20.0
@@ -186,42 +187,33 @@ def log_of(export):
 
 def in_python(scenario, measurements):
     """Answers of the closed loop's own Functions to these measurements: (samples, 7)."""
-    setup = simulation.set_up(scenario)
-    structure, settings = setup.structure, setup.settings
-    estimate_step = estimators.step(
-        structure.estimator,
-        structure.estimation_horizon,
-        structure.speed_model,
-        structure.arrival_mean,
-        structure.qp,
-        structure.robust,
-    )
-    horizon = structure.prediction_horizon
-    references = path.build_references(
-        paper.DT_S, horizon, structure.n_segments, structure.input_reference
-    )["references"]
-    control = rhc.build_phases(paper.DT_S, horizon, structure.qp)["step"]
-    estimator = estimators.first_memory(scenario, setup.guess)
-    controller = pack_array(rhc.init(setup.guess[:3], setup.guess[3:], horizon))
+    setup, choice = simulation.set_up(scenario), Choice.of(scenario)
+    settings, limits = setup.settings, SPEED_MODELS["parameter"].model.limits
+    estimate_step = build_step(choice)
+    horizon = horizon_of(scenario.prediction_horizon)
+    references = build_references(paper.DT_S, horizon.N, len(setup.path.segments))["references"]
+    control = rhc.build_phases(horizon)["step"]
+    guess = dict(zip(QUANTITIES, setup.guess))
+    estimator = pack_array(estimator_of(choice.estimator).init(choice, guess))
+    controller = pack_array(rhc.init(horizon, setup.guess[:3], setup.guess[3:]))
     s, omega, answers = setup.path.project(setup.guess[None, :2])[1], 0.0, []
     names = ["memory", "estimate", *estimate_step.name_out()[2:]]
     for z in measurements:
         known = [settings[name] for name in estimate_step.name_in()[2:]]
         outputs = dict(zip(names, estimate_step.call([estimator, z, *known])))
         estimator, estimate = outputs["memory"], outputs["estimate"]
-        accepted = ca.DM(outputs.get("z_used", z)).full().ravel()
         target = references(
             **select_inputs(references, settings),
             s=s,
             estimate=estimate,
-            omega_measured=accepted[3] if abs(accepted[3]) <= Z_MAX[3] else omega,
+            omega_measured=z[3] if abs(z[3]) <= limits[3] else omega,
         )
         planned = control(
             **select_inputs(control, settings),
             memory=controller,
             s_0=estimate,
-            xi_ref=target["xi_ref"],
-            omega_ref=target["omega_ref"],
+            x_ref=target["xi_ref"],
+            u_ref=target["omega_ref"],
         )
         s, controller, omega = target["s"], planned["memory"], float(planned["command"])
         answers.append([*estimate.full().ravel(), omega])

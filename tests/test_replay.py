@@ -12,7 +12,7 @@ import pytest
 
 import rhec
 from rhec import plots
-from rhec.columns import ESTIMATE, GATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
+from rhec.columns import ESTIMATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
 from rhec.logs import recording, scores
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.studies.replay_table import replay_table
@@ -187,10 +187,10 @@ def test_what_gating_rejects_is_in_the_replay(estimator):
     log.loc[400:410, ["x_m", "y_m"]] = np.nan
     given = dict(estimator=estimator, first_yaw_rad=0.4, process_noise="calibrated")
     given |= dict(speed_model="input") if estimator == "rhe" else {}
-    assert not set(GATE) & set(rhec.replay(log, **given).columns)
-    gated = rhec.replay(log, **given, robust=True)
-    accepted = gated["gate_accepted"]
-    assert accepted.dtype == gated["gate_restart"].dtype == bool
+    accepted, there = (
+        rhec.replay(log, **given, robust=robust)["position_accepted"] for robust in (True, False)
+    )
+    assert there.tolist() == [i % 2 == 0 and not 400 <= i <= 410 for i in log.index]
     assert not accepted[1::2].any()  # the estimator's samples are every other row
     assert not accepted[300:311].any() and not accepted[400:411].any()
     assert accepted[:180:2].all()
@@ -199,8 +199,8 @@ def test_what_gating_rejects_is_in_the_replay(estimator):
 def test_gating_says_when_it_restarts():
     """A yaw that is wrong by 180° is found out by the course over ground."""
     result = rhec.replay(LOG, first_yaw_rad=0.4 + np.pi, sigma_yaw_rad=0.05, robust=True)
-    restarts = result.index[result["gate_restart"]]
-    assert len(restarts) >= 1 and result["gate_accepted"][restarts].all()
+    restarts = result.index[result["restarted"]]
+    assert len(restarts) >= 1 and result["position_accepted"][restarts].all()
     assert errors(result[300:])[1].max() < 0.3
 
 

@@ -82,7 +82,7 @@ def test_each_kind_of_failure_is_counted():
             rows[2, COLUMNS.index(name)] = value
         return {
             name: count
-            for name, count in soak.counted(BASE, scenario, setup, rows, memory)[0].items()
+            for name, count in soak.counted(scenario, setup, rows, memory)[0].items()
             if count
         }
 
@@ -97,7 +97,7 @@ def test_each_kind_of_failure_is_counted():
     assert found(ok=0) == {"not_ok": 1} and found(y_m=-3) == {"outside": 1}
     for row, column, factor in ((0, 0, -1), (0, 1, 2), (0, 0, 1e-30), (5, 5, np.nan)):
         memory = state["memory"].copy()
-        P = soak.arrival_covariance(BASE, memory)
+        P = setup.unpack(memory)["estimator"]["P"]
         P[row, column] = factor * P[row, column] + (row != column) * 1e-3
         assert found(memory=memory) == {"not_definite": 1}
 

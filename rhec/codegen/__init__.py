@@ -17,7 +17,7 @@ import numpy as np
 from rhec._casadi.validation import shown
 from rhec.codegen import c_writer, phases
 from rhec.columns import COMMAND, ESTIMATE, MEASUREMENTS
-from rhec.estimator import base as estimators
+from rhec.estimator.base import NAMES, estimator_of
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 
@@ -28,6 +28,7 @@ LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
 _LOG_S = 60.0  # length of the example log, at most
 _WRITTEN_BY_HAND = sorted((Path(__file__).parent / "c").iterdir())
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # their C needs no library
+_EXPORTED = "nothing", "field mean"  # that estimators may be given
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 
@@ -81,11 +82,12 @@ def _check(scenario, folder):
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     estimator = scenario.estimator
-    if estimator in phases.NOT_EXPORTED:
-        names = [name for name in estimators.NAMES if name not in phases.NOT_EXPORTED]
+    given = estimator_of(estimator, scenario.robust).given
+    if given not in _EXPORTED:
+        names = [repr(name) for name in NAMES if estimator_of(name).given in _EXPORTED]
         raise ValueError(
-            f"estimator was {estimator!r}, which is given {phases.NOT_EXPORTED[estimator]}; to "
-            f"export, it should be one of {', '.join(map(repr, names))} or a Function of your own"
+            f"estimator was {estimator!r}, which is given the {given}; to export, it should be one "
+            f"of {', '.join(names)} or a Function of your own"
         )
     if isinstance(estimator, ca.Function):
         for called in estimator.find_functions():

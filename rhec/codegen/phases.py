@@ -11,26 +11,28 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec import paper, simulation
+from rhec import simulation
 from rhec._casadi.build import casadi_function, pack_array, unpack
 from rhec.controller import rhc
-from rhec.estimator import base as estimators
-from rhec.estimator import rhe
-from rhec.estimator.kalman import is_valid_measurement
+from rhec.controller.paper_rhc import horizon_of
+from rhec.estimator.base import Choice, estimator_of
 from rhec.model import path
+from rhec.model.limits import is_valid_measurement
+from rhec.model.references import build_references
+from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 
-__all__ = ["NOT_EXPORTED", "Export", "Phase", "closest", "export"]
+__all__ = ["Export", "Phase", "closest", "export"]
 
-# Estimators that are given what no robot knows
-NOT_EXPORTED = dict(oracle="the truth", traction_oracle="the true traction")
 # Places in `struct rhec` that the phases share; all else that they pass on is their owner's.
 _SHARED = dict(
     z_N="z",
-    z_used="estimator.z_used",
+    accepted="estimator.accepted",
     estimate="estimate",
     command="omega",
     xi_ref="path.xi_ref",
+    x_ref="path.xi_ref",
     omega_ref="path.omega_ref",
+    u_ref="path.omega_ref",
 )
 _ORDER = "start", "expand", "shift", "linearise", "feedback"
 
@@ -62,31 +64,35 @@ def export(scenario):
     """The phases of a scenario's estimator and controller, bound to the C's memory, and the
     scenario's settings.
     """
-    setup, horizon = simulation.set_up(scenario), scenario.prediction_horizon
-    settings = setup.settings | dict(
-        traction=_given_traction(scenario, setup), length_m=setup.path.length_m
-    )
-    estimator = _estimator_phases(scenario)
-    controller = rhc.build_phases(paper.DT_S, horizon, scenario.qp)
+    setup, choice = simulation.set_up(scenario), Choice.of(scenario)
+    estimator = estimator_of(choice.estimator, choice.robust)
+    # An EKF is given what the closed loop gives it.
+    traction = simulation.known_traction(estimator.given, setup.settings["mean_traction"], None)
+    settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
+    if estimator.build_phases:
+        estimate = estimator.build_phases(choice)
+    else:
+        estimate = _one_step(estimator.build_step(choice))
+    horizon = horizon_of(scenario.prediction_horizon, scenario.qp)
+
+    def first_estimate(guess):
+        memory = estimator.init(choice, dict(zip(QUANTITIES, guess)))
+        return memory if estimator.build_phases else dict(memory=pack_array(memory))
 
     def first_plan(guess):
-        return pack_array(rhc.init(guess[:3], guess[3:], horizon))
+        return rhc.init(horizon, guess[:3], guess[3:])
 
     n_segments = len(setup.path.segments)
-    references = path.build_references(paper.DT_S, horizon, n_segments, scenario.input_reference)[
+    references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)[
         "references"
     ]
-    accepted = "z_used" if "z_used" in estimator["feedback"].name_out() else "z_N"
-    phases = (
-        _with_start(
-            "estimator", estimator, lambda guess: estimators.first_memory(scenario, guess), settings
-        )
-        | _with_start("controller", controller, first_plan, settings)
-        | dict(
-            path_closest=_bind(closest(n_segments), "closest", "path", {}, settings),
-            path_follow=_bind(_follow(references, accepted), "follow", "path", {}, settings),
-        )
-    )
+    follow = _follow(references, "accepted" in estimate["feedback"].name_out())
+    phases = _with_start("estimator", estimate, first_estimate, settings)
+    phases |= _with_start("controller", rhc.build_phases(horizon), first_plan, settings)
+    phases |= {
+        f"path_{name}": _bind(f, name, "path", {}, settings)
+        for name, f in (("closest", closest(n_segments)), ("follow", follow))
+    }
     memory, used = dict(z=4, estimate=6, omega=1), set()
     for f, reads, writes in phases.values():
         sizes = [*map(f.nnz_in, range(f.n_in())), *map(f.nnz_out, range(f.n_out()))]
@@ -99,31 +105,11 @@ def export(scenario):
     return Export(phases, memory, used, setup.guess)
 
 
-def _given_traction(scenario, setup):
-    """Traction (2,) that the estimator is given, as in the closed loop."""
-    mean = setup.settings["mean_traction"]
-    return mean if scenario.estimator == "fixed_traction" else np.ones(2)
-
-
-def _estimator_phases(scenario):
-    """The phases of a scenario's estimator, by name."""
-    choices = (
-        scenario.estimation_horizon,
-        scenario.speed_model,
-        scenario.arrival_mean,
-        scenario.qp,
-        scenario.robust,
-    )
-    if scenario.estimator == "rhe":
-        return rhe.build_phases(paper.DT_S, *choices)
-    return _one_step(estimators.step(estimators.estimator_key(scenario.estimator), *choices))
-
-
-def _with_start(owner, functions, first_memory, settings):
+def _with_start(owner, functions, init, settings):
     """{name in C: Phase} of an owner's phases and of the start that makes its first memory."""
     shift = functions["shift"]
     memory = {name: shift.size_in(name) for name in shift.name_in() if name in shift.name_out()}
-    functions = dict(start=_start(f"rhec_{owner}_start", first_memory, memory)) | functions
+    functions = dict(start=_start(f"rhec_{owner}_start", init, memory)) | functions
     return {
         f"{owner}_{name}": _bind(functions[name], name, owner, memory, settings)
         for name in _ORDER
@@ -146,34 +132,40 @@ def _bind(f, phase, owner, memory, settings):
     return Phase(f, reads, [place(name, writing) for name in f.name_out()])
 
 
-def _start(name, first_memory, shapes):
-    """The first memory, piece by piece, as a Function of the guess. first_memory copies entries of
-    the guess and adds constants: it is affine.
+def _start(name, init, shapes):
+    """The first memory, piece by piece, as a Function of the guess. init copies entries of the
+    guess and adds constants: it is affine.
     """
-    constant = first_memory(np.zeros(6))
-    slopes = np.column_stack([first_memory(unit) - constant for unit in np.eye(6)])
+
+    def first(guess):
+        memory = init(guess)
+        return pack_array({piece: memory[piece] for piece in shapes})
+
+    constant = first(np.zeros(6))
+    slopes = np.column_stack([first(unit) - constant for unit in np.eye(6)])
     slopes = ca.sparsify(ca.DM(np.nan_to_num(slopes)))  # missing measurements are NaN for any guess
-    return casadi_function(
-        name,
-        lambda estimate: unpack(ca.SX(constant) + slopes @ estimate, shapes),
-        dict(estimate=(6, 1)),
-    )
+
+    @casadi_function(name, estimate=(6, 1))
+    def start(estimate):
+        return unpack(ca.SX(constant) + slopes @ estimate, shapes)
+
+    return start
 
 
 def _one_step(step):
     """An estimator's step (memory, z, …) -> (memory, estimate, …) as two phases."""
-    symbols, size = step.mx_in(), step.size_in(0)
+    symbols = step.mx_in()
+    inputs = ["memory", "z_N", *step.name_in()[2:]]
+    outputs = ["memory", "estimate", *step.name_out()[2:]]
+    options = {"allow_duplicate_io_names": True}
     feedback = ca.Function(
-        "rhec_estimator_feedback",
-        symbols,
-        step.call(symbols),
-        ["memory", "z_N", *step.name_in()[2:]],
-        ["memory", "estimate", *step.name_out()[2:]],
-        {"allow_duplicate_io_names": True},
+        "rhec_estimator_feedback", symbols, step.call(symbols), inputs, outputs, options
     )
-    shift = casadi_function(
-        "rhec_estimator_shift", lambda memory: dict(memory=memory), dict(memory=size), ca.MX
-    )
+
+    @casadi_function("rhec_estimator_shift", ca.MX, memory=step.size_in(0))
+    def shift(memory):
+        return dict(memory=memory)
+
     return dict(shift=shift, feedback=feedback)
 
 
@@ -182,7 +174,8 @@ def closest(n_segments):
     length [m].
     """
 
-    def body(estimate, segments, length_m):
+    @casadi_function("rhec_closest", estimate=(6, 1), segments=(5, n_segments), length_m=(1, 1))
+    def closest(estimate, segments, length_m):
         x, y = estimate[0], estimate[1]
         best_distance, best_s = ca.inf, 0
         ends = [segments[0, i] for i in range(1, n_segments)] + [length_m]
@@ -203,23 +196,22 @@ def closest(n_segments):
                 best_s = ca.if_else(better, s + candidate, best_s)
         return dict(s=best_s)
 
-    return casadi_function(
-        "rhec_closest", body, dict(estimate=(6, 1), segments=(5, n_segments), length_m=(1, 1))
-    )
+    return closest
 
 
-def _follow(references, accepted):
-    """The references from the last arc length on, for the measured yaw rate; where that is missing,
-    for the last command. accepted: name of the measurements.
+def _follow(references, gated):
+    """The references from the last arc length on, for the measured yaw rate; where that is missing
+    or rejected, for the last command.
     """
     inputs = {name: references.size_in(name) for name in references.name_in()}
-    inputs |= {accepted: (4, 1), "command": (1, 1)}
     del inputs["omega_measured"]
+    inputs |= dict(z_N=(4, 1), command=(1, 1)) | (dict(accepted=(4, 1)) if gated else {})
+    limit = SPEED_MODELS["parameter"].model.limits[3]
 
-    def body(command, **inputs):
-        z = inputs.pop(accepted)
-        measured = ca.if_else(is_valid_measurement(z, 3), z[3], command)
-        target = references(**inputs, omega_measured=measured)
+    @casadi_function("rhec_follow", ca.MX, **inputs)
+    def follow(z_N, command, accepted=None, **inputs):
+        used = accepted[3] if gated else is_valid_measurement(z_N[3], limit)
+        target = references(**inputs, omega_measured=ca.if_else(used, z_N[3], command))
         return dict(s_next=target.pop("s")) | target
 
-    return casadi_function("rhec_follow", body, inputs, ca.MX)
+    return follow

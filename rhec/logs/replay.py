@@ -13,23 +13,26 @@ import pandas as pd
 
 from rhec import paper
 from rhec._casadi import compiled, scan
-from rhec._casadi.build import unpack
+from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack
 from rhec._casadi.renamed import with_new_names
 from rhec._casadi.validation import Positive, Real, checked
-from rhec.columns import ESTIMATE, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
-from rhec.estimator import base as estimators
-from rhec.estimator import rhe
-from rhec.estimator.kalman import is_valid_measurement
+from rhec.columns import ESTIMATE, FLAGS, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
+from rhec.estimator.base import NAMES, Choice, build_step, estimator_of
+from rhec.estimator.paper_rhe import window_of
+from rhec.extensions import slipping
 from rhec.extensions.faults import corrupted
 from rhec.logs.recording import prepare, resample
-from rhec.model import tracked_robot as model
+from rhec.model.base import interval
+from rhec.model.limits import is_valid_measurement
+from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 from rhec.scenario import Scenario
+from rhec.simulation import known_traction
 
 __all__ = ["InitialGuess", "estimate_samples", "replay", "replay_scenario"]
 
-_STATES = [*ESTIMATE, *LEVER_ARM]
-_FLAGS = ["ok", *GATE]
-_OUTPUTS = [*_STATES, *SIGMA, "deviance", "kkt_rhe", *_FLAGS]
+_QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)  # with estimates in columns _HATS
+_HATS = [*ESTIMATE, *LEVER_ARM]
+_OUTPUTS = [*_HATS, *SIGMA, "deviance", "kkt_rhe", *FLAGS]
 _ESTIMATOR_FIELDS = (
     "process_noise sigma_w sigma_v estimation_horizon speed_model arrival_mean robust qp".split()
 )
@@ -53,78 +56,67 @@ class InitialGuess(NamedTuple):
 _UNKNOWN = InitialGuess()
 
 
-def _build_replay(*structure):
-    """The estimator's step with a row of OUTPUTS, ready to be scanned; an output that the estimator
-    does not have is NaN.
+def _build_replay(*choice):
+    """The estimator's step with a row of _OUTPUTS, ready to be scanned; what the estimator does not
+    tell is NaN.
     """
-    key, horizon, speed_model, arrival_mean, qp, robust = structure
-    step = estimators.step(*structure)
-    inputs, nan = step.mx_in(), ca.DM.nan(1)
+    choice, nan = Choice(*choice), ca.DM.nan(1)
+    step = build_step(choice)
+    inputs, states = step.mx_in(), estimator_of(choice.estimator, choice.robust).states(choice)
     outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], step.call(inputs)))
-    states = {
-        "rhe": model.interval(speed_model).states,
-        "augmented_ekf": range(6),
-        "ekf": range(4),
-        "dual": range(4),
-    }.get(key, ())
-    estimate, sigma = [*ca.vertsplit(outputs["estimate"]), nan, nan], [nan] * 8
-    for place, state in enumerate(states):
-        sigma[state] = ca.sqrt(outputs["covariance"][place, place])
-    if {6, 7} <= set(states):
-        window = rhe.Window(
-            model.interval(speed_model), horizon, paper.DT_S, arrival_mean, qp, robust
-        )
-        newest = unpack(outputs["memory"], window.memory)["s"][:, horizon]
-        estimate[6:] = newest[states.index(6)], newest[states.index(7)]
-    gate = [is_valid_measurement(outputs["z_used"], 0), outputs["again"]] if robust else [nan, nan]
-    kkt, deviance, ok = (outputs.get(name, nan) for name in ("kkt", "deviance", "ok"))
-    row = ca.vertcat(*estimate, *sigma, deviance, kkt, ok if "ok" in outputs else 1, *gate)
-    return scan.build_scan(
-        ca.Function(
-            "replay",
-            inputs,
-            [outputs["memory"], row],
-            ["memory", "z", *step.name_in()[2:]],
-            ["memory", "row"],
-            {"allow_duplicate_io_names": True},
-        )
+    hats = dict(zip(QUANTITIES, ca.vertsplit(outputs["estimate"])))
+    sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
+    if set(slipping.LEVER_ARM) <= set(states):
+        window = window_of(choice)
+        memory = outputs["memory"][: packed_size(window.memory)]  # what gating remembers is behind
+        newest = dict(zip(states, ca.vertsplit(unpack(memory, window.memory)["s"][:, window.N])))
+        hats |= {name: newest[name] for name in slipping.LEVER_ARM}
+    z, limits = inputs[1], SPEED_MODELS["parameter"].model.limits
+    valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
+    accepted = outputs.get("accepted", ca.vertcat(*valid))
+    row = ca.vertcat(
+        *(known.get(name, nan) for known in (hats, sigma) for name in _QUANTITIES),
+        *(outputs.get(name, nan) for name in ("deviance", "kkt")),
+        outputs.get("ok", 1),
+        *(accepted[0] * accepted[1], accepted[2] * accepted[3]),
+        outputs.get("restart", 0),
     )
+    names = ["memory", "z", *step.name_in()[2:]], ["memory", "row"]
+    options = {"allow_duplicate_io_names": True}
+    return scan.build_scan(ca.Function("replay", inputs, [outputs["memory"], row], *names, options))
 
 
 def _run(steps, scenario, z, yaw_rad, first):
-    """OUTPUTS, one row a measurement of z (n, 4), of one segment that begins with this yaw, at the
+    """_OUTPUTS, one row a measurement of z (n, 4), of one segment that begins with this yaw, at the
     first position and speed measured.
     """
-    known = np.isfinite(z)
+    known, choice = np.isfinite(z), Choice.of(scenario)
     x, y, nu = (z[np.argmax(known[:, i]), i] if known[:, i].any() else 0.0 for i in range(3))
-    guess = np.array([x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or (0.0, 0.0))])
-    sigma = np.array(_SIGMA_FIRST)
-    sigma[2] = first.sigma_yaw_rad
+    guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or (0.0, 0.0)))
+    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
     if first.lever_arm_m is not None:
-        sigma[6:] = _SIGMA_ARM_M
-    settings = estimators.noise_settings(scenario) | dict(traction=np.ones(2))
-    names = steps["step"].name_in()
-    memory = estimators.first_memory(
-        scenario, guess if scenario.estimator == "rhe" else guess[:6], sigma
+        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
+    estimator = estimator_of(choice.estimator, choice.robust)
+    memory = pack_array(estimator.init(choice, dict(zip(_QUANTITIES, guess)), sigma))
+    settings = estimator.settings(scenario) | dict(
+        traction=known_traction(estimator.given, None, None)
     )
-    settings = {name: value for name, value in settings.items() if name in names}
-    return scan.scan(steps, memory, z, settings)[1]
+    return scan.scan(steps, memory, z, select_inputs(steps["step"], settings))[1]
 
 
 def _predict(scenario, estimate, encoders, tau_s):
     """Estimates (n, 8) after tau_s (n,) of driving by the encoder measurements (n, 2), in the
     estimator's own model; a missing measurement is the one before it.
     """
-    speed_model = "parameter" if isinstance(scenario.estimator, str) else "input"
-    interval = model.interval(scenario.speed_model if scenario.estimator == "rhe" else speed_model)
-    states, n = list(interval.states), len(estimate)
+    choice = Choice.of(scenario)
+    model = window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
+    iv, places = interval(model), [_QUANTITIES.index(name) for name in model.joint_names]
     held = pd.DataFrame(encoders).ffill().fillna(0).to_numpy()
-    v = np.zeros((n, interval.n_v))
-    for place, row in interval.measured_inputs:
+    v = np.zeros((len(estimate), iv.n_v))
+    for place, (row, _) in iv.input_outputs.items():
         v[:, place] = held[:, row - 2]
-    predicted = estimate.copy()
-    step = interval.step.map(n)
-    predicted[:, states] = np.array(step(estimate[:, states].T, v.T, tau_s[None, :])).T
+    predicted, step = estimate.copy(), iv.step.map(len(estimate))
+    predicted[:, places] = np.array(step(estimate[:, places].T, v.T, tau_s[None, :])).T
     return predicted
 
 
@@ -153,15 +145,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
     faults: (rhec.Fault, …) that the measurements are given, at times as in the log; seed: of their
     random directions.
     """
-    steps = compiled.load(
-        _build_replay,
-        estimators.estimator_key(scenario.estimator),
-        scenario.estimation_horizon,
-        scenario.speed_model,
-        scenario.arrival_mean,
-        scenario.qp,
-        scenario.robust,
-    )
+    steps = compiled.load(_build_replay, *Choice.of(scenario))
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = resample(rows, paper.DT_S, recording.averaged)
@@ -178,8 +162,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
-    samples[_FLAGS] = samples[_FLAGS] == 1
-    return samples if scenario.robust else samples.drop(columns=GATE)
+    return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
 
 
 def _at_rows(samples, recording, scenario):
@@ -197,12 +180,11 @@ def _at_rows(samples, recording, scenario):
         following = np.minimum(last + (tau > 0), len(part) - 1)
         encoders = part[MEASUREMENTS[2:]].ffill().iloc[following]
         result = part.iloc[last].reset_index(drop=True)
-        moved = _predict(scenario, result[_STATES].to_numpy(), encoders.to_numpy(), tau)
+        moved = _predict(scenario, result[_HATS].to_numpy(), encoders.to_numpy(), tau)
         result.loc[tau != 0, ESTIMATE[:3]] = moved[tau != 0, :3]
         between = np.diff(last, prepend=-1) == 0  # no sample's own row
         result.loc[between, [*INNOVATION, "deviance"]] = np.nan
-        if scenario.robust:
-            result.loc[between, GATE] = False
+        result.loc[between, GATE] = False
         given = rows.columns.drop("segment")
         result[given] = rows[given].to_numpy()
         parts.append(result)
@@ -277,8 +259,7 @@ def replay(
     place[recording.kept] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(place, 0))].set_axis(log.index)
     result.loc[place < 0, MEASUREMENTS] = np.nan
-    if scenario.robust:
-        result.loc[place < 0, GATE] = False
+    result.loc[place < 0, GATE] = False
     result.attrs["faults"] = recording.faults
     return result
 
@@ -296,9 +277,10 @@ def replay_scenario(estimator, recording, fields):
     if fields["speed_model"] == "slipping":  # not the paper's, so each measurement counts once
         fields = dict(arrival_mean="filtered") | fields
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
-    if scenario.estimator in ("oracle", "traction_oracle", "fixed_traction"):
+    if estimator_of(scenario.estimator, scenario.robust).given != "nothing":
+        names = [repr(name) for name in NAMES if estimator_of(name).given == "nothing"]
         raise ValueError(
-            f"estimator was {estimator!r}; a replay takes 'rhe', 'ekf', 'augmented_ekf', 'dual' or "
-            "a CasADi Function: a recording has no truth to rely on"
+            f"estimator was {estimator!r}; a replay takes {', '.join(names)} or a CasADi Function: "
+            "a recording has no truth to rely on"
         )
     return scenario

@@ -84,7 +84,7 @@ static int sample(struct rhec *r, double pose[3], double probability, double err
             exit(1);
         }
     }
-    if (!(fabs(omega) <= rhec_scenario.omega_max[0])) {
+    if (!(rhec_scenario.lower[0] <= omega && omega <= rhec_scenario.upper[0])) {
         fprintf(stderr, "omega was %g\n", omega);
         exit(1);
     }

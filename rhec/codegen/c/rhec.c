@@ -7,7 +7,7 @@
 static int are_plausible(const double *numbers, int count)
 {
     for (int i = 0; i < count; i++) {
-        if (!(fabs(numbers[i]) <= 1e12)) { /* false for NaN too */
+        if (!(fabs(numbers[i]) <= RHEC_MAX_PLAUSIBLE)) { /* false for NaN too */
             return 0;
         }
     }
@@ -131,7 +131,7 @@ int rhec_control(struct rhec *r, double *omega)
     if (!controller_ok(r)) {
         status |= RHEC_AS_PLANNED;
     }
-    r->omega[0] = r->controller.omega_plan[0];
+    r->omega[0] = r->controller.u_plan[0];
     *omega = r->omega[0];
     return status;
 }

@@ -25,7 +25,7 @@
  * prepared when it is needed: later, but the same.
  *
  * Worst case: whatever z holds (NaN, infinities, huge values), every call returns, in bounded time,
- * the estimate is finite, and -omega_max <= omega <= omega_max. The RHC solves its QP by guesses of
+ * the estimate is finite, and lower <= omega <= upper. The RHC solves its QP by guesses of
  * the active bounds, one to three as a rule and RHEC_MOST_GUESSES at most. After that, or where
  * numbers leave their range, the answer is the previous solution moved on by one sample, and the
  * return value says so. A return value of 0 does not make an estimate true: sensors that agree on a
