@@ -141,25 +141,18 @@ def ranking_table(sweep):
     """
     runs = dict(list(sweep.groupby("contestant", sort=False)))
     targets = {PAPERS: 1 - LEAST_GAIN} | {oracle: 1 + MOST_ABOVE for oracle in _ORACLES}
-    rows = []
-    for name in sorted(runs, key=lambda name: runs[name]["mean_error_true_m"].mean()):
+    errors, rows = {name: table["mean_error_true_m"] for name, table in runs.items()}, []
+    for name in sorted(runs, key=lambda name: errors[name].mean()):
         for column, quantity in QUANTITIES.items():
-            interval = over_seeds(np.mean, runs[name][column])
-            rows.append((name, quantity, interval, "", ""))
+            interval = over_seeds(np.mean, runs[name][column])._asdict()
+            rows.append(dict(contestant=name, quantity=quantity) | interval)
         for other, most in targets.items():
-            if name == other:
-                continue
-            errors = (runs[each]["mean_error_true_m"] for each in (name, other))
-            ratio = over_seeds(ratio_of_means, *errors)
-            claim = said = ""
-            if name == PROPOSAL:
-                claim, said = f"at most {most:.2f}", verdict(ratio.low, ratio.high, below=most)
-            rows.append((name, f"true error, ratio to {other}", ratio, claim, said))
-    return pd.DataFrame(
-        [
-            dict(contestant=name, quantity=quantity)
-            | interval._asdict()
-            | dict(claim=claim, verdict=said)
-            for name, quantity, interval, claim, said in rows
-        ]
-    )
+            if name != other:
+                ratio = over_seeds(ratio_of_means, errors[name], errors[other])
+                row = dict(contestant=name, quantity=f"true error, ratio to {other}")
+                rows.append(row | ratio._asdict())
+                if name == PROPOSAL:
+                    said = verdict(ratio.low, ratio.high, below=most)
+                    rows[-1] |= dict(claim=f"at most {most:.2f}", verdict=said)
+    columns = "contestant quantity mean low high n claim verdict".split()
+    return pd.DataFrame(rows, columns=columns).fillna({"claim": "", "verdict": ""})
