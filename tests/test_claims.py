@@ -327,7 +327,7 @@ def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
 
     steps = scan.build_scan(ca.Function.deserialize(experiments.with_given_arrival().serialize()))
     log = run.log[:60]
-    estimates, P = experiments.estimated(steps, log, "calibrated")
+    estimates, P = experiments.run_with_given_arrival(steps, log, "calibrated")
     np.testing.assert_allclose(
         estimates,
         log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
@@ -335,7 +335,7 @@ def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
     )
     W = np.diag(np.square(rhe.SIGMA_W["calibrated"]))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
-    _, constant = experiments.estimated(steps, log, "calibrated", P_0=np.eye(6))
+    _, constant = experiments.run_with_given_arrival(steps, log, "calibrated", P_0=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
 
 

@@ -5,7 +5,7 @@ By likelihood. 1. Drive the default scenario on the training seeds with the true
 so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
 its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
 deviations behind W that minimise the deviance summed over all training runs (Powell's method on
-their logarithms, position x and y sharing one), between LEAST and MOST. By tracking. The robot
+their logarithms, position x and y sharing one). By tracking. The robot
 drives the training seeds by the estimator, and W minimises the mean true error (Nelder and Mead's
 method): not an estimator's best guess of the truth, but the one that this controller drives best
 by. Seeds below 1000 are never used.
@@ -38,35 +38,21 @@ __all__ = [
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
 TRACKING_SEEDS = range(1000, 1024)
-LEAST, MOST = (
-    1e-3,
-    10.0,
-)  # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
-UNKNOWNS = {
-    "rhe": 5,
-    "ekf": 3,
-    "augmented_ekf": 5,
-    "fixed_traction": 3,
-    "traction_oracle": 3,
-}  # x and y, θ, ν[, μ, κ]
-# What tracking varies: where in sigma_w each unknown stands, and where the search begins. The rest
-# is LEAST.
-TRACKING = {
-    "rhe": (
-        dict(estimation_horizon=15),
-        {(0, 1): 0.02, (2,): 0.01, (3,): 0.1, (4,): 0.01, (5,): 0.01},
-    ),
-    "ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
-    "augmented_ekf": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01, (4,): 0.01, (5,): 0.01}),
-    "fixed_traction": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
-    "traction_oracle": ({}, {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}),
-    "dual": (
-        dict(estimation_horizon=10),
-        {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01},
-    ),
+# of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
+_LEAST, _MOST = 1e-3, 10.0
+# by likelihood: x and y, θ, ν[, μ, κ]
+_UNKNOWNS = dict(rhe=5, ekf=3, augmented_ekf=5, fixed_traction=3, traction_oracle=3)
+# by tracking: where in sigma_w each unknown stands, and where the search begins; the rest is _LEAST
+_POSE, _SOIL = {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}, {(4,): 0.01, (5,): 0.01}
+_DUAL = {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01}
+_TRACKING = {
+    "rhe": (dict(estimation_horizon=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1} | _SOIL),
+    "ekf": ({}, _POSE),
+    "augmented_ekf": ({}, _POSE | _SOIL),
+    "fixed_traction": ({}, _POSE),
+    "traction_oracle": ({}, _POSE),
+    "dual": (dict(estimation_horizon=10), _DUAL),
 }
-
-
 # Found by `tune_for_tracking`; "dual" has its own in `rhec.dual`.
 SIGMA_W_TRACKING = {
     "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
@@ -78,15 +64,15 @@ SIGMA_W_TRACKING = {
 
 
 def oracle_runs(seeds, duration_s=240.0):
-    """Runs of the default scenario with the true state in the loop."""
+    """Runs of the default scenario with the true state in the loop, one a seed."""
     return [
         simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds
     ]
 
 
 def _build_scan(outputs, *structure):
-    """An estimator's step over a stream of z and the traction that it is told, with these of its
-    outputs as the row, ready to be folded.
+    """Scan of an estimator's step over a stream of z and the traction that it is given, with these
+    of its outputs as the row.
     """
     step = estimators.step(*structure)
     memory, stream, V, W = (
@@ -108,7 +94,7 @@ def _build_scan(outputs, *structure):
 
 
 def _traction_given_to(estimator, run):
-    """Traction (n, 2) that the estimator is told along a run."""
+    """Traction (n, 2) that the estimator is given along a run."""
     if estimator == "fixed_traction":
         return np.tile(run.terrain.mean, (len(run.log), 1))
     return (
@@ -119,8 +105,8 @@ def _traction_given_to(estimator, run):
 
 
 def scan_arguments(scenario, run, *outputs):
-    """What to fold for these outputs of the scenario's estimator on the recorded measurements of a
-    run; it starts where the robot is.
+    """Arguments of `scan.scan` for these outputs of the scenario's estimator on the measurements of
+    a run; it starts where the robot is.
     """
     steps = compiled.load(
         _build_scan,
@@ -139,7 +125,7 @@ def scan_arguments(scenario, run, *outputs):
 
 
 def run_estimator(scenario, run, *outputs):
-    """These outputs, side by side (n, …)."""
+    """Outputs of the scenario's estimator on the measurements of a run, side by side (n, …)."""
     return scan.scan(*scan_arguments(scenario, run, *outputs))[1]
 
 
@@ -162,29 +148,29 @@ def _rounded(sigma):
 
 
 def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
-    """Process noise of an estimator in UNKNOWNS by maximum likelihood on these seeds: standard
+    """Process noise of an estimator by maximum likelihood on these seeds: standard
     deviations, to two digits, and the deviance.
     """
     runs = oracle_runs(seeds)
-    unknowns = UNKNOWNS[estimator]
+    unknowns = _UNKNOWNS[estimator]
     result = minimize(
         lambda logarithms: deviance(estimator, _sigma_from(logarithms), runs, **fields),
         np.full(unknowns, np.log(0.03)),
         method="Powell",
-        bounds=[np.log((LEAST, MOST))] * unknowns,
+        bounds=[np.log((_LEAST, _MOST))] * unknowns,
         options=dict(xtol=0.01, ftol=1e-6),
     )
     return _rounded(_sigma_from(result.x)), result.fun
 
 
 def tune_for_tracking(estimator, seeds=TRACKING_SEEDS, evaluations=120):
-    """Process noise of an estimator in TRACKING by least mean true error on these seeds: standard
+    """Process noise of an estimator by least mean true error on these seeds: standard
     deviations, to two digits, and the error [m].
     """
-    fields, unknowns = TRACKING[estimator]
+    fields, unknowns = _TRACKING[estimator]
 
     def sigma_w(logarithms):
-        sigma = np.full(estimators.n_sigma_w(estimator, "parameter"), LEAST)
+        sigma = np.full(estimators.n_sigma_w(estimator, "parameter"), _LEAST)
         for places, logarithm in zip(unknowns, logarithms):
             sigma[list(places)] = np.exp(logarithm)
         return sigma
@@ -205,7 +191,7 @@ def tune_for_tracking(estimator, seeds=TRACKING_SEEDS, evaluations=120):
 
 
 if __name__ == "__main__":
-    for name in UNKNOWNS:
+    for name in _UNKNOWNS:
         print("by likelihood", name, *calibrate(name))
-    for name in TRACKING:
+    for name in _TRACKING:
         print("by tracking", name, *tune_for_tracking(name))

@@ -149,14 +149,10 @@ def consistency_table(measured):
     rows = []
     for name, each in measured.items():
         for label, values, degrees in normalised(each):
-            interval = over_seeds(np.mean, values.mean(axis=1) / degrees)
-            rows.append((name, f"{label}, mean", interval, share_inside(values, degrees)))
+            interval = over_seeds(np.mean, values.mean(axis=1) / degrees)._asdict()
+            interval["inside"] = share_inside(values, degrees)
+            rows.append(dict(estimator=name, quantity=f"{label}, mean") | interval)
         for state, squares in zip(each.states, mean_square_errors(each).T):
-            interval = over_seeds(root_of_mean, squares)
-            rows.append((name, f"RMS error over sigma, {state}", interval, ""))
-    return pd.DataFrame(
-        [
-            dict(estimator=name, quantity=quantity) | interval._asdict() | dict(inside=inside)
-            for name, quantity, interval, inside in rows
-        ]
-    )
+            interval = over_seeds(root_of_mean, squares)._asdict()
+            rows.append(dict(estimator=name, quantity=f"RMS error over sigma, {state}") | interval)
+    return pd.DataFrame(rows)

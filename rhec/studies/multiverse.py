@@ -57,7 +57,7 @@ DISCOVERIES = 0.05  # false discovery rate of the rank correlations
 FLOOR_M = 1e-3  # an overshoot below 1 mm counts as 1 mm
 
 _CALIBRATED = dict(process_noise="calibrated")
-# variant: (fields of the scenario, whether the first row is all it needs); W p printed, c calibrated
+# variant: (fields of the scenario, whether the first row is all it needs); p printed, c calibrated
 VARIANTS = {
     "rhe_p": (dict(), False),
     "rhe_c": (_CALIBRATED, False),

@@ -6,6 +6,7 @@ Each estimator appears with the process noise W as printed, by likelihood, and b
 """
 
 import time
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,46 +18,63 @@ from rhec.simulation import SETTLING_SAMPLES, settled_samples, simulate
 from rhec.studies import calibration
 from rhec.studies.statistics import over_seeds, ratio_of_means, verdict
 
-PROPOSAL, PAPERS = "dual, W by tracking", "RHE, W printed"
-ORACLES = "traction oracle, W by likelihood", "traction oracle, W by tracking"
-LEAST_GAIN, MOST_ABOVE = (
-    0.30,
-    0.10,
-    # what is asked of the proposal: less true error than the paper's RHE, and no more than so much
-    # above an oracle's
-)
+__all__ = ["CONTESTANTS", "QUANTITIES", "by_pose_noise", "ranking_table", "scenarios", "step_times"]
+
+# asked of the proposal: so much less true error than the paper's RHE, and no more than so much
+# above an oracle's
+LEAST_GAIN, MOST_ABOVE = 0.30, 0.10
 SIGMA_THETA = dual.SIGMA_W[8]
-
-
-def tracking(estimator, **fields):
-    return dict(estimator=estimator, sigma_w=calibration.SIGMA_W_TRACKING[estimator], **fields)
-
-
-# Fields of Scenario for each, from the paper's own to the truth.
-CONTESTANTS = {
-    "EKF, W printed": dict(estimator="ekf", process_noise="printed"),
-    "EKF, W by likelihood": dict(estimator="ekf", process_noise="calibrated"),
-    "EKF, W by tracking": tracking("ekf"),
-    "augmented EKF, W printed": dict(estimator="augmented_ekf", process_noise="printed"),
-    "augmented EKF, W by likelihood": dict(estimator="augmented_ekf", process_noise="calibrated"),
-    "augmented EKF, W by tracking": tracking("augmented_ekf"),
-    PAPERS: dict(estimator="rhe", process_noise="printed"),
-    "RHE, W by likelihood": dict(estimator="rhe", process_noise="calibrated"),
-    "RHE, W by tracking": tracking("rhe"),
-    "fixed traction, W by likelihood": dict(estimator="fixed_traction"),
-    "fixed traction, W by tracking": tracking("fixed_traction"),
-    PROPOSAL: dict(estimator="dual", estimation_horizon=10),
-    ORACLES[0]: dict(estimator="traction_oracle"),
-    ORACLES[1]: tracking("traction_oracle"),
-    "full oracle": dict(estimator="oracle"),
+QUANTITIES = {
+    "mean_error_true_m": "mean true error [m]",
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "violations_true": "violations on straights, true",
+    "violations": "violations on straights, raw GNSS",
 }
 
 
+class Contestant(NamedTuple):
+    """An estimator with its process noise: the label in tables and figures, fields of Scenario."""
+
+    label: str
+    fields: dict
+
+
+def _with(label, estimator, **fields):
+    return Contestant(label, dict(estimator=estimator, **fields))
+
+
+def _tracking(label, estimator):
+    sigma_w = calibration.SIGMA_W_TRACKING[estimator]
+    return _with(f"{label}, W by tracking", estimator, sigma_w=sigma_w)
+
+
+_PRINTED, _LIKELIHOOD = dict(process_noise="printed"), dict(process_noise="calibrated")
+CONTESTANTS = {  # from the paper's own to the truth
+    "ekf_printed": _with("EKF, W printed", "ekf", **_PRINTED),
+    "ekf_likelihood": _with("EKF, W by likelihood", "ekf", **_LIKELIHOOD),
+    "ekf_tracking": _tracking("EKF", "ekf"),
+    "augmented_printed": _with("augmented EKF, W printed", "augmented_ekf", **_PRINTED),
+    "augmented_likelihood": _with("augmented EKF, W by likelihood", "augmented_ekf", **_LIKELIHOOD),
+    "augmented_tracking": _tracking("augmented EKF", "augmented_ekf"),
+    "rhe_printed": _with("RHE, W printed", "rhe", **_PRINTED),
+    "rhe_likelihood": _with("RHE, W by likelihood", "rhe", **_LIKELIHOOD),
+    "rhe_tracking": _tracking("RHE", "rhe"),
+    "fixed_likelihood": _with("fixed traction, W by likelihood", "fixed_traction"),
+    "fixed_tracking": _tracking("fixed traction", "fixed_traction"),
+    "dual": _with("dual, W by tracking", "dual", estimation_horizon=10),
+    "traction_likelihood": _with("traction oracle, W by likelihood", "traction_oracle"),
+    "traction_tracking": _tracking("traction oracle", "traction_oracle"),
+    "oracle": _with("full oracle", "oracle"),
+}
+PROPOSAL, PAPERS = CONTESTANTS["dual"].label, CONTESTANTS["rhe_printed"].label
+_ORACLES = [CONTESTANTS[id_].label for id_ in ("traction_likelihood", "traction_tracking")]
+
+
 def scenarios(seeds):
-    """(name, Scenario) of every contestant on every seed."""
+    """(label, Scenario) of every contestant on every seed."""
     return [
-        (name, Scenario(seed=seed, **fields))
-        for name, fields in CONTESTANTS.items()
+        (label, Scenario(seed=seed, **fields))
+        for label, fields in CONTESTANTS.values()
         for seed in seeds
     ]
 
@@ -72,7 +90,7 @@ def by_pose_noise(sigmas_rad, seeds):
     for sigma in sigmas_rad:
         sigma_w = (*dual.SIGMA_W[:8], float(sigma), dual.SIGMA_W[9])
         for seed in seeds:
-            run = simulate(Scenario(seed=seed, sigma_w=sigma_w, **CONTESTANTS[PROPOSAL]))
+            run = simulate(Scenario(seed=seed, sigma_w=sigma_w, **CONTESTANTS["dual"].fields))
             stays = settled_samples(run.columns["error_true_m"])
             log = run.log[stays[0] + SETTLING_SAMPLES :] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()
@@ -89,16 +107,15 @@ def by_pose_noise(sigmas_rad, seeds):
     return pd.DataFrame(rows)
 
 
-def step_times(names, rounds=40, seed=0):
-    """Time of one step [µs] of each of these contestants on the same measurements: (rounds, names),
-    one after the other in each round.
-
-    Compiled code alone, mean over a run of 1200 samples.
+def step_times(ids, rounds=40, seed=0):
+    """Time of one step [µs] of these contestants on the same measurements, one after the other in
+    each round: a DataFrame (rounds, ids) with their labels. Compiled code alone, mean over a run
+    of 1200 samples.
     """
     run = simulate(Scenario(estimator="oracle", seed=seed))
     calls = {
-        name: calibration.scan_arguments(Scenario(**CONTESTANTS[name]), run, "estimate")
-        for name in names
+        label: calibration.scan_arguments(Scenario(**fields), run, "estimate")
+        for label, fields in (CONTESTANTS[id_] for id_ in ids)
     }
     taken = []
     for _ in range(rounds + 1):
@@ -111,46 +128,31 @@ def step_times(names, rounds=40, seed=0):
     return pd.DataFrame(taken[1:])  # the first round warms up
 
 
-QUANTITIES = {
-    "mean_error_true_m": "mean true error [m]",
-    "mean_error_m": "mean error, raw GNSS [m]",
-    "violations_true": "violations on straights, true",
-    "violations": "violations on straights, raw GNSS",
-}
-
-
 def ranking_table(sweep):
     """Means over seeds of every contestant, and ratios of mean true errors at equal seeds: to the
     paper's RHE and to both traction oracles. The claims are the two asked of the proposal.
 
     Args:
-        sweep: rows of `rhec.campaign` with the column `contestant`, names as in CONTESTANTS, the
+        sweep: rows of `rhec.campaign` with the column `contestant`, labels as in CONTESTANTS, the
             same seeds in the same order for each.
 
     Returns:
         DataFrame with columns contestant, quantity, mean, low, high, n, claim, verdict; best first.
     """
     runs = dict(list(sweep.groupby("contestant", sort=False)))
-    targets = {PAPERS: 1 - LEAST_GAIN} | {oracle: 1 + MOST_ABOVE for oracle in ORACLES}
-    rows = []
-    for name in sorted(runs, key=lambda name: runs[name]["mean_error_true_m"].mean()):
+    targets = {PAPERS: 1 - LEAST_GAIN} | {oracle: 1 + MOST_ABOVE for oracle in _ORACLES}
+    errors, rows = {name: table["mean_error_true_m"] for name, table in runs.items()}, []
+    for name in sorted(runs, key=lambda name: errors[name].mean()):
         for column, quantity in QUANTITIES.items():
-            interval = over_seeds(np.mean, runs[name][column])
-            rows.append((name, quantity, interval, "", ""))
+            interval = over_seeds(np.mean, runs[name][column])._asdict()
+            rows.append(dict(contestant=name, quantity=quantity) | interval)
         for other, most in targets.items():
-            if name == other:
-                continue
-            errors = (runs[each]["mean_error_true_m"] for each in (name, other))
-            ratio = over_seeds(ratio_of_means, *errors)
-            claim = said = ""
-            if name == PROPOSAL:
-                claim, said = f"at most {most:.2f}", verdict(ratio.low, ratio.high, below=most)
-            rows.append((name, f"true error, ratio to {other}", ratio, claim, said))
-    return pd.DataFrame(
-        [
-            dict(contestant=name, quantity=quantity)
-            | interval._asdict()
-            | dict(claim=claim, verdict=said)
-            for name, quantity, interval, claim, said in rows
-        ]
-    )
+            if name != other:
+                ratio = over_seeds(ratio_of_means, errors[name], errors[other])
+                row = dict(contestant=name, quantity=f"true error, ratio to {other}")
+                rows.append(row | ratio._asdict())
+                if name == PROPOSAL:
+                    said = verdict(ratio.low, ratio.high, below=most)
+                    rows[-1] |= dict(claim=f"at most {most:.2f}", verdict=said)
+    columns = "contestant quantity mean low high n claim verdict".split()
+    return pd.DataFrame(rows, columns=columns).fillna({"claim": "", "verdict": ""})

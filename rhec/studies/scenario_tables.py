@@ -48,9 +48,7 @@ def scenario_a_table(sweep):
     """
     runs = dict(list(sweep.groupby("weight", sort=False)))
     rows = [
-        dict(weight=weight, quantity=quantity)
-        | over_seeds(np.mean, of_weight[column])._asdict()
-        | dict(claim="", verdict="")
+        dict(weight=weight, quantity=quantity) | over_seeds(np.mean, of_weight[column])._asdict()
         for column, quantity in _QUANTITIES_A.items()
         for weight, of_weight in runs.items()
     ]
@@ -59,15 +57,10 @@ def scenario_a_table(sweep):
         ("Q2", "Q3", "overshoot_m", "overshoot, ratio"),
     ]:
         ratio = over_seeds(ratio_of_means, runs[one][column], runs[other][column])
-        rows.append(
-            dict(weight=f"{one} / {other}", quantity=quantity)
-            | ratio._asdict()
-            | dict(
-                claim=f"at least {_AT_LEAST}",
-                verdict=verdict(ratio.low, ratio.high, above=_AT_LEAST),
-            )
-        )
-    return pd.DataFrame(rows)
+        said = verdict(ratio.low, ratio.high, above=_AT_LEAST)
+        row = dict(weight=f"{one} / {other}", quantity=quantity) | ratio._asdict()
+        rows.append(row | dict(claim=f"at least {_AT_LEAST}", verdict=said))
+    return pd.DataFrame(rows).fillna({"claim": "", "verdict": ""})
 
 
 def scenario_b_table(sweep):
@@ -105,13 +98,6 @@ def _of_estimator(about, estimator, column, values):
 def _gain(about, column, rhe, ekf):
     """A row on how much less the RHE has than the EKF at equal seeds."""
     gain = over_seeds(difference_of_means, rhe, ekf)
-    return (
-        about
-        | gain._asdict()
-        | dict(
-            estimator="RHE - EKF",
-            paper=round(REPORTED["RHE", column] - REPORTED["EKF", column], 4),
-            claim="below 0",
-            verdict=verdict(gain.low, gain.high, below=0),
-        )
-    )
+    reported = round(REPORTED["RHE", column] - REPORTED["EKF", column], 4)
+    judged = dict(claim="below 0", verdict=verdict(gain.low, gain.high, below=0))
+    return about | gain._asdict() | dict(estimator="RHE - EKF", paper=reported) | judged

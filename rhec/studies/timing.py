@@ -8,7 +8,7 @@ cost belongs to the RHE's preparation.
 import os
 import platform
 import time
-from pathlib import Path as File
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,8 @@ from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
 from rhec.model import path
 from rhec.simulation import simulate
+
+__all__ = ["COLUMNS", "machine", "phases", "table"]
 
 COLUMNS = ("RHE", "preparation"), ("RHE", "feedback"), ("RHC", "preparation"), ("RHC", "feedback")
 
@@ -71,11 +73,11 @@ def table(taken):
     """
     rows = []
     for problem in ("RHE", "RHC"):
-        of = {
+        times = {
             phase: taken[:, COLUMNS.index((problem, phase))]
             for phase in ("preparation", "feedback")
         }
-        for phase, values in (of | dict(overall=sum(of.values()))).items():
+        for phase, values in (times | dict(overall=sum(times.values()))).items():
             minimum, average, maximum = (1e3 * value for value in paper.TABLE_1_MS[problem, phase])
             rows.append(
                 dict(
@@ -95,15 +97,9 @@ def table(taken):
 
 def machine():
     """The processor's name and number, and the versions that matter."""
-    info = File("/proc/cpuinfo")
-    names = (
-        [
-            line.split(":")[1].strip()
-            for line in info.read_text().splitlines()
-            if line.startswith("model name")
-        ]
-        if info.exists()
-        else []
-    )
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
     processor = names[0] if names else platform.processor() or platform.machine()
-    return f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}, CasADi {ca.__version__}"
+    versions = f"Python {platform.python_version()}, CasADi {ca.__version__}"
+    return f"{processor}, {os.cpu_count()} cores, {versions}"

@@ -39,39 +39,41 @@ _RELIABLE, _USUAL = 0.95, 0.5
 
 
 class Rule(NamedTuple):
-    """How a claim is judged: the unit of its number, and {condition: evidence -> Finding}, mostly
-    under each process noise. Evidence is {process noise: {"runs", "logs", "experiments"}}.
+    """How a claim is judged: {condition: evidence -> Finding}, mostly under each process noise; the
+    unit of its number, and the paper's word for it. Evidence is {process noise: {"runs", "logs",
+    "experiments"}}.
     """
 
-    unit: str
     by_condition: dict[str, Callable]
+    unit: str = ""
+    paper: str = ""
 
 
 class Claim(NamedTuple):
-    """A sentence of the paper, its test in words, its rule, the number that the paper reports, the
-    unit where it is not the rule's, and what is known of the reason.
+    """A sentence of the paper, its test in words, its rule, and what is known of the reason; the
+    number or word of the paper and the unit where they are not the rule's.
     """
 
     claim: str
-    test: str = "-"
-    rule: Rule = None
-    paper: object = ""
-    unit: str = ""
+    test: str
+    rule: Rule
     why: str = ""
+    paper: object = None
+    unit: str = ""
 
 
-def _under_each_noise(rule, unit=""):
+def _under_each_noise(rule):
     """A rule under both process noises, on the evidence of each."""
 
     def under(noise):
         return lambda evidence: rule(evidence[noise])
 
-    return Rule(unit, {noise: under(noise) for noise in run_sets.PROCESS_NOISES})
+    return {noise: under(noise) for noise in run_sets.PROCESS_NOISES}
 
 
-def _noise_independent(rule, unit=""):
+def _noise_independent(rule):
     """A rule on what no process noise touches."""
-    return Rule(unit, {"": lambda evidence: rule(evidence["printed"])})
+    return Rule({"": lambda evidence: rule(evidence["printed"])})
 
 
 def _untestable(shown=lambda of: (np.nan, np.nan, np.nan, 0)):
@@ -85,20 +87,24 @@ def _judge(rule, tables, expressions, bounds):
     return rule(*values, **bounds)
 
 
-def _unit(rule, cases, expression):
-    """Unit of a rule's number; that of a mean or a difference stands in the column's name."""
-    if rule is ratio:
-        return "ratio"
-    if rule in (always, possible, share, _share_twice):
-        return f"share of {cases}"
+def _named(by_condition, rule, cases, expression):
+    """A Rule with its unit, for a mean or a difference that in its column's name, and the paper's
+    word.
+    """
     suffix = expression.rstrip(")").rsplit("_", 1)[-1]
-    return suffix if suffix in ("m", "s", "rad") else "-"
+    unit = suffix if suffix in ("m", "s", "rad") else "-"
+    if rule in (always, possible, share, _share_twice):
+        unit = f"share of {cases}"
+    paper = {always: "all", possible: "may"}.get(rule, "")
+    return Rule(by_condition, "ratio" if rule is ratio else unit, paper)
 
 
 def _on_runs(label, rule, *expressions, kind="runs", cases="fields", **bounds):
     """A rule on expressions of the metrics of one label's runs."""
-    unit = _unit(rule, cases, expressions[0])
-    return _under_each_noise(lambda of: _judge(rule, [of[kind][label]], expressions, bounds), unit)
+    by_condition = _under_each_noise(
+        lambda of: _judge(rule, [of[kind][label]], expressions, bounds)
+    )
+    return _named(by_condition, rule, cases, expressions[0])
 
 
 def _on_logs(label, rule, *expressions, **bounds):
@@ -106,15 +112,15 @@ def _on_logs(label, rule, *expressions, **bounds):
     return _on_runs(label, rule, *expressions, kind="logs", **bounds)
 
 
-def _on_experiment(name, rule, *expressions, **bounds):
+def _on_experiment(name, rule, *expressions, cases="runs", **bounds):
     """A rule on expressions of an experiment's table."""
-    return _on_runs(name, rule, *expressions, kind="experiments", cases="runs", **bounds)
+    return _on_runs(name, rule, *expressions, kind="experiments", cases=cases, **bounds)
 
 
 def _on_property(name, rule, *expressions, cases="states", **bounds):
     """A rule on expressions of an experiment's table that no process noise touches."""
-    rule = _on_runs(name, rule, *expressions, kind="experiments", cases=cases, **bounds)
-    return Rule(rule.unit, {"": rule.by_condition["printed"]})
+    found = _on_experiment(name, rule, *expressions, cases=cases, **bounds)
+    return found._replace(by_condition={"": found.by_condition["printed"]})
 
 
 def _compare(one, other, rule, expression, kind="runs", **bounds):
@@ -124,13 +130,15 @@ def _compare(one, other, rule, expression, kind="runs", **bounds):
         n = min(len(of[kind][one]), len(of[kind][other]))
         return _judge(rule, [of[kind][label][:n] for label in (one, other)], [expression], bounds)
 
-    return _under_each_noise(paired, _unit(rule, "fields", expression))
+    return _named(_under_each_noise(paired), rule, "fields", expression)
 
 
 def _under(rules):
     """One rule from {condition: rule on what no process noise touches}."""
-    unit = next(iter(rules.values())).unit
-    return Rule(unit, {condition: rule.by_condition[""] for condition, rule in rules.items()})
+    first = next(iter(rules.values()))
+    return first._replace(
+        by_condition={condition: rule.by_condition[""] for condition, rule in rules.items()}
+    )
 
 
 def _by_solver(expression):
@@ -209,8 +217,7 @@ CLAIMS = {
         "share of fields where the RHEC's true error never reaches 0.12 m after arrival; ensured: "
         "every field",
         _on_runs("rhe", always, f"max_error_true_m < {paper.TOLERANCE_M}"),
-        paper="all",
-        why="All of the path counts, headlands too, by the true position.",
+        "All of the path counts, headlands too, by the true position.",
     ),
     "I3": Claim(
         "Learning the traction keeps tracking robust where uncertainty is high",
@@ -220,38 +227,35 @@ CLAIMS = {
     ),
     "I4": Claim(
         "Linear MPC and PID track poorly off the path and on unknown soil",
-        rule=_untestable(),
-        why=(
-            "Neither is specified in the paper, and none is implemented here; a strawman would "
-            "prove nothing."
-        ),
+        "-",
+        _untestable(),
+        "Neither is specified in the paper, and none is implemented here; a strawman would prove "
+        "nothing.",
     ),
     "I5": Claim(
         "A tube-based MPC stays on track without high accuracy",
-        rule=_untestable(),
-        why="Another paper's controller.",
+        "-",
+        _untestable(),
+        "Another paper's controller.",
     ),
     "S1": Claim(
         "Two batteries drive the robot for over 3 hours",
-        rule=_untestable(),
-        why="The simulated robot has no batteries.",
+        "-",
+        _untestable(),
+        "The simulated robot has no batteries.",
     ),
     "S2": Claim(
         "With μ = κ = 1 the model is the traditional one, without slip",
         "one step of the model at random states against the unicycle's circle; equal to 0.1 mm or "
         "mrad in all",
         _on_property("models", always, "off_unicycle_m < 1e-4"),
-        paper="all",
     ),
     "S3": Claim(
         "f(0, 0, p) = 0 for all p",
         "|f(0, 0, p)| at random p; below 1 nm/s in all",
         _on_property("models", always, "at_rest_mps < 1e-9"),
-        paper="all",
-        why=(
-            "At ξ = 0, u = 0 the model gives ẋ = μν: the speed is a parameter, so that a robot "
-            "without input still drives."
-        ),
+        "At ξ = 0, u = 0 the model gives ẋ = μν: the speed is a parameter, so that a robot "
+        "without input still drives.",
     ),
     "S4": Claim(
         "Traction must be estimated, or the estimates are biased",
@@ -274,34 +278,29 @@ CLAIMS = {
         "least eigenvalue of P - W in units of W, P the inverse of H_N, over all samples of a "
         "run; at least -1e-9 in all runs",
         _on_experiment("arrival_cost", always, "least >= -1e-9"),
-        paper="all",
     ),
     "H4": Claim(
         "A constant, large arrival weight makes the estimates chatter",
         "RMS change of κ̂ from sample to sample, constant weight 100 times the mean one over "
         "adaptive, paired; above 1",
         _on_experiment("arrival_cost", ratio, "step_heavy", "step_adaptive", above=1),
-        why=(
-            "A large weight holds the estimates to the previous ones: by the paper's own cost "
-            "function it makes them slow, not lively."
-        ),
+        "A large weight holds the estimates to the previous ones: by the paper's own cost "
+        "function it makes them slow, not lively.",
     ),
     "H5": Claim(
         "A constant, small arrival weight keeps them from the true values for long",
         "time until κ̂ is within 0.1 of κ for 5 s, constant weight of 1/100 of the mean one over "
         "adaptive, paired; above 1",
         _on_experiment("arrival_cost", ratio, "reached_s_light", "reached_s_adaptive", above=1),
-        why=(
-            "A small weight leaves κ̂ to the noise of the window: it comes near the truth and "
-            "does not stay."
-        ),
+        "A small weight leaves κ̂ to the noise of the window: it comes near the truth and does "
+        "not stay.",
     ),
     "H6": Claim(
         "The arrival cost is necessary for the stability of the RHE",
         "share of runs whose yaw estimate is more than 0.5 rad off at any time when the arrival "
         "cost has no weight; at least half",
         _on_experiment("arrival_cost", share, "lost_none", above=_USUAL),
-        why="Bounds on μ and κ and 3 s of positions keep the pose without it.",
+        "Bounds on μ and κ and 3 s of positions keep the pose without it.",
     ),
     "M1": Claim(
         "Low process noise estimates more accurately",
@@ -343,18 +342,14 @@ CLAIMS = {
         "share of fields where μ̂ or κ̂ of an augmented EKF is below 0 at any sample, slippery "
         "soil (κ 0.5 ± 0.2, μ 0.7 ± 0.15, 0.3 m/s); seen at all",
         _on_logs("augmented_ekf_slippery", possible, "below_zero"),
-        paper="may",
-        why=(
-            "The paper has no such filter: W is the RHE's as printed, or by the same likelihood. "
-            "For the other bound see M8."
-        ),
+        "The paper has no such filter: W is the RHE's as printed, or by the same likelihood. For "
+        "the other bound see M8.",
     ),
     "M8": Claim(
         "… and beyond what is physical, that is above one",
         "share of fields where μ̂ or κ̂ of an augmented EKF is above 1 at any sample, on the "
         "default soil; seen at all",
         _on_logs("augmented_ekf", possible, "above_one"),
-        paper="may",
     ),
     "M9": Claim(
         "… which makes the control unstable",
@@ -412,10 +407,8 @@ CLAIMS = {
         "answer of the converged RHC to a small offset, R = 0.1 over R = 10, at random speeds and "
         "tractions; below 1",
         _on_property("gains", ratio, "small_r", "large_r", below=1),
-        why=(
-            "R weighs the input: a smaller one makes control livelier, in any linear-quadratic "
-            "problem."
-        ),
+        "R weighs the input: a smaller one makes control livelier, in any linear-quadratic "
+        "problem.",
     ),
     "A7": Claim(
         "A large R with the yaw weight tracks better than a small R without",
@@ -452,15 +445,15 @@ CLAIMS = {
         "The RHE's mean Euclidean error is 0.0423 m",
         "the paper's value lies in the middle 95 % of single runs (their interval is given)",
         _on_runs("rhe", reported, "mean_error_m", paper=paper.MEAN_ERROR_RHE_M),
+        _WHY_WHERE,
         paper=paper.MEAN_ERROR_RHE_M,
-        why=_WHY_WHERE,
     ),
     "B4": Claim(
         "The EKF's mean Euclidean error is 0.0514 m",
         "the paper's value lies in the middle 95 % of single runs (their interval is given)",
         _on_runs("ekf", reported, "mean_error_m", paper=paper.MEAN_ERROR_EKF_M),
+        _WHY_WHERE,
         paper=paper.MEAN_ERROR_EKF_M,
-        why=_WHY_WHERE,
     ),
     "B5": Claim(
         "The RHE's error is the smaller",
@@ -477,21 +470,21 @@ CLAIMS = {
         "The RHEC does not violate 0.12 m on straight lines",
         "share of fields without a violation by raw GNSS; every field",
         _on_runs("rhe", always, "violations == 0"),
-        paper="all",
-        why="Counted by raw GNSS, as in the paper, a violation may be the receiver's alone.",
+        "Counted by raw GNSS, as in the paper, a violation may be the receiver's alone.",
     ),
     "B8": Claim(
         "… by the true position",
         "share of fields without a violation by the true position; every field",
         _on_runs("rhe", always, "violations_true == 0"),
+        paper="",
     ),
     "B9": Claim(
         "The EKF violates it 17 times",
         "17 lies in the middle 95 % of single runs (their interval is given)",
         _on_runs("ekf", reported, "violations", paper=paper.VIOLATIONS_EKF),
+        _WHY_WHERE,
         paper=paper.VIOLATIONS_EKF,
         unit="samples",
-        why=_WHY_WHERE,
     ),
     "B10": Claim(
         "The RHEC violates it less often",
@@ -510,20 +503,19 @@ CLAIMS = {
         "The traction estimates stay within 0 and 1",
         "every sample of a run; every run",
         _on_logs("rhe", always, "in_bounds"),
-        paper="all",
     ),
     "B13": Claim(
         "… and consistently close to the upper bound",
         "share of samples with both estimates at least 0.9; mean at least 95 %",
         _on_logs("rhe", mean, "near_bound", above=_RELIABLE),
+        _WHY_SOIL,
         unit="share of samples",
-        why=_WHY_SOIL,
     ),
     "B14": Claim(
         "The estimates stabilise at certain values",
         "standard deviation of κ̂ within the second half of a run; mean at most 0.1",
         _on_logs("rhe", mean, "deviation_kappa_late", below=0.1),
-        why=_WHY_SOIL,
+        _WHY_SOIL,
     ),
     "B15": Claim(
         "On constant soil, hard-coded traction can track better",
@@ -550,10 +542,8 @@ CLAIMS = {
         "The RHE copes with noise on the speed",
         "RMS error of the speed, estimated over measured, paired; at most half",
         _on_logs("rhe", ratio, "rms_nu_hat_mps", "rms_nu_meas_mps", below=0.5),
-        why=(
-            "Below 1 the estimate is the better one. What is left is mostly the tracks' own "
-            "jitter, which one speed over 3 s cannot follow."
-        ),
+        "Below 1 the estimate is the better one. What is left is mostly the tracks' own jitter, "
+        "which one speed over 3 s cannot follow.",
     ),
     "B19": Claim(
         "The RHC's output reaches its bounds",
@@ -565,34 +555,31 @@ CLAIMS = {
         "… and never violates them",
         "every sample of a run; every run",
         _on_logs("rhe", always, "within_bound"),
-        paper="all",
     ),
     "B21": Claim(
         "The low-level controller of the speed is sufficient",
         "RMS distance of the yaw rate from the commanded one; below the 0.0175 rad/s to which the "
         "paper measures it in at least 95 % of runs",
         _on_logs("rhe", share, f"rms_yaw_rate_radps < {paper.SIGMA_V[3]}", above=_RELIABLE),
+        "The speed loops are this project's own; the distance is what the encoders' noise makes "
+        "of them.",
         paper="sufficient",
-        why=(
-            "The speed loops are this project's own; the distance is what the encoders' noise "
-            "makes of them."
-        ),
     ),
     "T1": Claim(
         "RHE and RHC take 0.88 ms on average",
-        rule=_untestable(lambda of: mean(_milliseconds(of))[:4]),
+        "-",
+        _untestable(lambda of: mean(_milliseconds(of))[:4]),
+        "Another machine: the paper's was a Raspberry Pi 3.",
         paper=paper.STEP_MEAN_MS,
         unit="ms",
-        why="Another machine: the paper's was a Raspberry Pi 3.",
     ),
     "T2": Claim(
         "… and 2.85 ms at worst",
-        rule=_untestable(
-            lambda of: (_milliseconds(of).max(), np.nan, np.nan, len(_milliseconds(of)))
-        ),
+        "-",
+        _untestable(lambda of: (_milliseconds(of).max(), np.nan, np.nan, len(_milliseconds(of)))),
+        "Another machine, and the worst of some hundred samples.",
         paper=paper.STEP_MAX_MS,
         unit="ms",
-        why="Another machine, and the worst of some hundred samples.",
     ),
     "T3": Claim(
         "The table's parts add up to its totals",
@@ -611,11 +598,9 @@ CLAIMS = {
         "Feedback is shorter than preparation: RHC",
         "share of samples where it is; above half",
         _by_solver("RHC_feedback < RHC_preparation"),
+        "The paper's ratio is that of ACADO's generated code with qpOASES; which phase is the "
+        "longer depends on the code.",
         paper="0.02 < 0.38 ms",
-        why=(
-            "The paper's ratio is that of ACADO's generated code with qpOASES; which phase is the "
-            "longer depends on the code."
-        ),
     ),
     "T6": Claim(
         "One iteration instead of many lessens the computation time",
@@ -626,9 +611,9 @@ CLAIMS = {
         "The framework is feasible in real time at 5 Hz",
         "share of samples that take less than 0.2 s; every sample",
         _noise_independent(lambda of: always(_milliseconds(of) < 1e3 * paper.DT_S)),
+        "On this machine.",
         paper="all",
         unit="share of samples",
-        why="On this machine.",
     ),
     "K1": Claim(
         "The KKT tolerance is zero for linear systems",
@@ -636,19 +621,16 @@ CLAIMS = {
         _under(
             {place: _on_property("kkt", always, f"`linear_{place}` < 1e-9") for place in _PLACES}
         ),
+        "\"Reported\" is each sample's tolerance by ACADO's formula, taken where the iteration "
+        'begins: it is zero only where nothing changed. "After the step" is taken at the '
+        "iteration's result.",
         paper=0,
         unit="share of states",
-        why=(
-            "\"Reported\" is each sample's tolerance by ACADO's formula, taken where the "
-            'iteration begins: it is zero only where nothing changed. "After the step" is taken '
-            "at the iteration's result."
-        ),
     ),
     "K2": Claim(
         "Therefore values that are not zero show that the problem is not linear",
         "the reported tolerance of the linear problem, as in K1, is zero in all states",
         _on_property("kkt", always, "linear_reported < 1e-9"),
-        paper="all",
     ),
     "K3": Claim(
         "The RHC's largest KKT tolerances arise at the beginning, off track",
@@ -665,7 +647,7 @@ CLAIMS = {
         "median in the second half of a run on constant soil without noise or bumps over the "
         "usual one; at least half",
         _compare("rhe_undisturbed", "rhe", ratio, "kkt_rhc_late", "logs", above=0.5),
-        why="Without noise the references change just as much.",
+        "Without noise the references change just as much.",
     ),
     "K6": Claim(
         "The RHE's KKT tolerance is large at the beginning and then decreases",
@@ -677,7 +659,6 @@ CLAIMS = {
         "share of runs where the command is 0.0001 rad/s (RMS) or more from the converged one; "
         "seen at all",
         _on_experiment("iterations", possible, "rms_warm >= 1e-4"),
-        paper="may",
     ),
     "C1": Claim(
         "The RHE estimates the yaw precisely",
@@ -699,7 +680,6 @@ CLAIMS = {
         "share of fields without a violation by the true position, soil of κ 0.6 ± 0.16, μ 0.8 ± "
         "0.08, at 0.4 m/s; every field",
         _on_runs("rhe_uncertain", always, "violations_true == 0"),
-        paper="all",
     ),
 }
 
@@ -735,6 +715,7 @@ def ledger(evidence, claims=CLAIMS):
         said, deciding = combined(findings)
         row = claim._asdict() | findings.pop(deciding)._asdict()
         row |= dict(id=id_, section=_SECTION_OF[id_], unit=claim.unit or claim.rule.unit)
+        row |= dict(paper=claim.rule.paper if claim.paper is None else claim.paper)
         row |= dict(verdict=said, condition=deciding)
         for condition, finding in findings.items():
             row["other_condition"] = condition

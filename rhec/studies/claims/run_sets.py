@@ -129,64 +129,50 @@ def complete(table):
     """Metrics with nothing missing: a robot that never arrives has used up all its time, and
     `arrived` says so. RuntimeError if a run failed.
     """
-    failed = table["error"][table["error"] != ""]
+    failed, settling = table["error"][table["error"] != ""], table["settling_time_s"]
     if len(failed):
-        raise RuntimeError(
-            f"{len(failed)} of {len(table)} runs failed, the first with: {failed.iloc[0]}"
-        )
-    return table.assign(
-        arrived=table["settling_time_s"].notna(),
-        settling_time_s=table["settling_time_s"].fillna(table["duration_s"]),
-    )
+        first = failed.iloc[0]
+        raise RuntimeError(f"{len(failed)} of {len(table)} runs failed, the first with: {first}")
+    used_up = settling.fillna(table["duration_s"])
+    return table.assign(arrived=settling.notna(), settling_time_s=used_up)
 
 
 def logs(seeds):
     """Metrics of LOGS and what is `measured` beside them, as `runs` returns them."""
+
+    def table(fields, process_noise, share):
+        asked = scenarios(fields, process_noise, share * seeds)
+        return pd.DataFrame([measured(simulate(scenario)) for scenario in asked])
+
     return {
         process_noise: {
-            id_: pd.DataFrame(
-                [
-                    measured(simulate(scenario))
-                    for scenario in scenarios(fields, process_noise, share * seeds)
-                ]
-            )
-            for id_, (fields, share) in LOGS.items()
+            id_: table(fields, process_noise, share) for id_, (fields, share) in LOGS.items()
         }
         for process_noise in PROCESS_NOISES
     }
 
 
 def measured(run):
-    """What only the log of a run shows, beside its metrics; SI units. "Late" is the second half of
-    the run.
-    """
+    """Metrics of a run and what only its log shows; SI units. "Late" is its second half."""
     c, scenario = SimpleNamespace(**run.columns), run.scenario
-    settling_time_s = (
-        scenario.duration_s
-        if np.isnan(run.metrics["settling_time_s"])
-        else run.metrics["settling_time_s"]
-    )
-    driving, late = (
-        c.t_s >= 5.0,
-        c.t_s >= scenario.duration_s / 2,
-    )  # the first 5 s are the speed loops' start
+    arrived = not np.isnan(run.metrics["settling_time_s"])
+    settling_time_s = run.metrics["settling_time_s"] if arrived else scenario.duration_s
+    driving, late = c.t_s >= 5.0, c.t_s >= scenario.duration_s / 2  # speed loops start for 5 s
     before, after = c.t_s <= settling_time_s, c.t_s >= settling_time_s
     both = np.concatenate([c.mu_hat, c.kappa_hat])
     _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
     poses, curvature = run.path.poses(s)
-    left_m = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(
-        poses[:, 2]
-    )
+    x_m, y_m, theta_rad = poses.T
+    left_m = (c.y_m - y_m) * np.cos(theta_rad) - (c.x_m - x_m) * np.sin(theta_rad)
     curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
     return run.metrics | dict(
         late_s=c.t_s[-1] - c.s_m[-1] / scenario.speed_mps,
-        arrived=not np.isnan(run.metrics["settling_time_s"]),
+        arrived=arrived,
         settling_time_s=settling_time_s,
         in_bounds=bool(np.all((both >= 0) & (both <= 1))),
         below_zero=bool(np.any(both < 0)),
         above_one=bool(np.any(both > 1)),
         near_bound=np.mean((c.mu_hat >= 0.9) & (c.kappa_hat >= 0.9)),
-        deviation_mu_late=c.mu_hat[late].std(),
         deviation_kappa_late=c.kappa_hat[late].std(),
         step_kappa=rms(np.diff(c.kappa_hat)),
         lag_mu_s=lag_s(c.mu_hat, c.mu),
@@ -214,6 +200,5 @@ def lag_s(estimate, truth, most_s=10.0):
     to most_s.
     """
     shifts = range(round(most_s / paper.DT_S) + 1)
-    return paper.DT_S * int(
-        np.argmin([rms(estimate[shift:] - truth[: len(truth) - shift]) for shift in shifts])
-    )
+    left = [rms(estimate[shift:] - truth[: len(truth) - shift]) for shift in shifts]
+    return paper.DT_S * int(np.argmin(left))
