@@ -7,7 +7,7 @@ import pytest
 from oracles import DT, N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
 
 import rhec
-from rhec.controller import rhc as builders
+from rhec.controller import paper_rhc, rhc as builders
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]
@@ -145,12 +145,13 @@ def test_a_sample_later_the_plan_has_moved_on():
     """Warm start: one interval on, the last input repeated, the last node integrated."""
     rng = np.random.default_rng(7)
     s, omega = rng.normal(size=(6, N + 1)), rng.normal(size=(1, N))
-    shifted = builders.build_phases(DT, N)["shift"](s=s, omega=omega)
+    phases = builders.build_phases(paper_rhc.horizon_of(N))
+    shifted = phases["shift"](s=s, u=omega)
     last = [*move(s[:3, -1], *s[3:, -1], omega[0, -1]), *s[3:, -1]]
     np.testing.assert_allclose(
         np.array(shifted["s"]), np.column_stack([s[:, 1:], last]), atol=1e-12
     )
-    np.testing.assert_array_equal(np.array(shifted["omega"]), [[*omega[0, 1:], omega[0, -1]]])
+    np.testing.assert_array_equal(np.array(shifted["u"]), [[*omega[0, 1:], omega[0, -1]]])
 
 
 def test_estimate_and_references_count_in_feedback_alone():

@@ -189,7 +189,7 @@ def _build_feedback(window, quantities, loops):
         m, P = predict_input(window, B_N, m_N, P_N, v_N, z_N, **noise)
         m, P, K, e, deviance = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
         P_q = q @ P @ q.T
-        H = ca.inv_minor(P_q) if 0 < n_q <= 2 else ca.ldl_solve(ca.SX.eye(n_q), *ca.ldl(P_q, False))
+        H = ca.inv_minor(P_q) if n_q == 2 else ca.ldl_solve(ca.SX.eye(n_q), *ca.ldl(P_q, False))
         return dict(H=H, g=-H @ (q @ m), m=m, covariance=P, K_N=K, e_N=e, deviance=deviance)
 
     @casadi_function(

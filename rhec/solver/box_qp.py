@@ -49,11 +49,11 @@ def box_qp(n):
 
     @casadi_function(f"box_qp_{n}", H=(n, n), g=column, lb=column, ub=column)
     def solve(H, g, lb, ub):
-        best = -ca.inv_minor(H) @ g
-        inside = ca.mmin(ca.vertcat(best >= lb, best <= ub))
         if n == 1:
-            best = ca.fmin(ca.fmax(best, lb), ub)
+            best = ca.fmin(ca.fmax(-g / H, lb), ub)
         else:
+            best = -ca.inv_minor(H) @ g
+            inside = ca.mmin(ca.vertcat(best >= lb, best <= ub))
             least = ca.if_else(inside, -ca.inf, ca.inf)
             for x in _edges(H, g, lb, ub):
                 cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
