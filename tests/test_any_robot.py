@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from oracles import (
     drive_robot,
     kalman_filter,
-    outputs,
     limits,
     mhe_by_ipopt,
     mhe_instance,
     mpc_by_ipopt,
     mpc_instance,
+    outputs,
     plant,
     reads_inputs,
 )

@@ -10,10 +10,11 @@ from conftest import no_compiler
 from oracles import flat
 
 import rhec
+from rhec import columns as log_columns
 from rhec import paper, simulation
 from rhec._casadi import build as function
 from rhec._casadi import compiled, scan
-from rhec.model import path, robot, terrain
+from rhec.model import references, robot, terrain
 
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m y_hat_m theta_hat_rad
     nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
@@ -40,7 +41,7 @@ def live(scenario, samples):
         robot.drive(DT),
         terrain.lookup(terrain.common_shape(soil)),
     )
-    references = path.build_references(
+    refer = references.build_references(
         DT, scenario.prediction_horizon, n_segments, scenario.input_reference
     )["references"]
     pose, nu = np.array([0, scenario.start_offset_m, scenario.start_yaw_rad]), scenario.speed_mps
@@ -61,11 +62,11 @@ def live(scenario, samples):
         z = flat(measured["z"])
         rhe.prepare()
         estimate = rhe.feedback(z)
-        target = references(
+        target = refer(
             s=s,
             estimate=estimate[:6],
             omega_measured=z[3],
-            **function.select_inputs(references, given),
+            **function.select_inputs(refer, given),
         )
         s = float(target["s"])
         rhc.prepare()
@@ -123,9 +124,9 @@ def test_a_run_can_be_cut_anywhere(run):
     last, whole = scan.scan(functions, made.memory, noise, made.settings)
     np.testing.assert_allclose(np.vstack(rows), whole, rtol=0, atol=1e-12)
     np.testing.assert_allclose(memory, last, rtol=0, atol=1e-12)
-    columns = [column for column in simulation.COLUMNS if column in run.log and column != "ok"]
+    columns = [column for column in log_columns.COLUMNS if column in run.log and column not in log_columns.FLAGS]
     np.testing.assert_allclose(
-        pd.DataFrame(whole, columns=simulation.COLUMNS)[columns],
+        pd.DataFrame(whole, columns=log_columns.COLUMNS)[columns],
         run.log[columns],
         rtol=0,
         atol=1e-12,

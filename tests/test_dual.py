@@ -4,28 +4,37 @@ import numpy as np
 import pytest
 from oracles import DT, V, drive, flat
 
-import rhec
 from rhec._casadi.build import pack_array
-from rhec.estimator import base as estimators
-from rhec.estimator import rhe
+from rhec.estimator.base import Choice, build_step, estimator_of
 from rhec.extensions import dual
+from rhec.model.tracked_robot import QUANTITIES
+from rhec.tuning import SIGMA_W_TRACKING
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
+SIGMA_W = SIGMA_W_TRACKING["dual"]
 HORIZON, TRUTH = 8, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)
 
 
-def settings(sigma_w=dual.SIGMA_W):
-    return dict(V=V, W=np.square(sigma_w))
+def settings(sigma_w=SIGMA_W):
+    return dict(V=V, W=np.square(sigma_w), P_0=np.ones(6))
 
 
 def first(guess=TRUTH, robust=False):
-    scenario = rhec.Scenario(estimator="dual", estimation_horizon=HORIZON, robust=robust)
-    return estimators.first_memory(scenario, np.array(guess))
+    return memory_of("dual", guess, robust)
+
+
+def choice(name, robust=False):
+    return Choice(name, HORIZON, "parameter", "smoothed", robust)
+
+
+def memory_of(name, guess, robust=False):
+    init = estimator_of(name, robust).init
+    return pack_array(init(choice(name, robust), dict(zip(QUANTITIES, guess))))
 
 
 @pytest.fixture(scope="module")
 def step():
-    return dual.build_step(DT, HORIZON)["step"]
+    return build_step(choice("dual"))
 
 
 def weave(samples):
@@ -41,7 +50,7 @@ def run(step, memory, z, **given):
     """Estimates (n, 6) after each row of z, and the last memory."""
     estimates = []
     for reading in z:
-        result = step(memory=memory, z=reading, **(given or settings()))
+        result = step(memory=memory, z_N=reading, **(given or settings()))
         memory = result["memory"]
         estimates.append(flat(result["estimate"]))
     return np.array(estimates), memory
@@ -56,13 +65,13 @@ def test_without_noise_on_even_soil_it_stays_on_the_truth(step):
 def test_its_traction_is_the_rhes_to_the_last_bit(step):
     """With the RHE's part of W, whatever the pose filter's part is."""
     _, z = readings()
-    alone = rhe.build_phases(DT, HORIZON)["step"]
-    memory, expected = pack_array(rhe.init(TRUTH, rhe.SIGMA_START, HORIZON)), []
+    alone = build_step(choice("rhe"))
+    memory, expected = memory_of("rhe", TRUTH), []
     for reading in z:
-        result = alone(memory=memory, z_N=reading, V=V, W=np.square(dual.SIGMA_W[:6]))
+        result = alone(memory=memory, z_N=reading, V=V, W=np.square(SIGMA_W[:6]), P_0=np.ones(6))
         memory = result["memory"]
         expected.append(flat(result["estimate"])[4:])
-    for other in (dual.SIGMA_W, (*dual.SIGMA_W[:6], 1.0, 1.0, 0.5, 0.3)):
+    for other in (SIGMA_W, (*SIGMA_W[:6], 1.0, 1.0, 0.5, 0.3)):
         estimates, _ = run(step, first(), z, **settings(other))
         np.testing.assert_array_equal(estimates[:, 4:], expected)
 
@@ -91,7 +100,7 @@ def test_its_pose_follows_the_readings_the_faster_the_more_noise_it_is_told(step
     z[60:, :2] += [0.3, -0.2]  # the robot is pushed
     lags = []
     for factor in (0.2, 1, 5):
-        sigma = np.array(dual.SIGMA_W)
+        sigma = np.array(SIGMA_W)
         sigma[6:8] *= factor
         estimates, _ = run(step, first(), z, **settings(sigma))
         lags.append(np.abs(estimates[60:, :2] - truth[60:, :2] - [0.3, -0.2]).mean())
@@ -101,12 +110,12 @@ def test_its_pose_follows_the_readings_the_faster_the_more_noise_it_is_told(step
 def test_in_a_curve_a_runge_kutta_step_of_the_pose_is_where_the_robot_is():
     m, omega, traction = np.array(TRUTH[:4]), 0.5, np.array(TRUTH[4:])
     truth, _ = drive(TRUTH, [omega])
-    assert flat(dual.f(m, omega, traction, DT)) == pytest.approx(truth[1, :4], abs=1e-12)
+    assert flat(dual.runge_kutta(m, omega, traction, DT)) == pytest.approx(truth[1, :4], abs=1e-12)
 
 
 def test_screening_changes_little_on_clean_readings(step):
     _, z = readings(60)
     plain, _ = run(step, first(), z)
-    screened, _ = run(dual.build_step(DT, HORIZON, robust=True)["step"], first(robust=True), z)
+    screened, _ = run(build_step(choice("dual", True)), first(robust=True), z)
     assert np.abs(screened - plain)[:, :4].max() < 0.05
     assert np.median(np.abs(screened - plain)) < 1e-6

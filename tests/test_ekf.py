@@ -5,10 +5,15 @@ import pytest
 from oracles import DT, V, drive, flat
 
 from rhec._casadi import build as function
-from rhec.estimator import ekf
+from rhec.estimator import paper_ekf
+from rhec.model.tracked_robot import QUANTITIES
 
 W = np.square([0.02, 0.02, 0.01, 0.05])
-STEP = ekf.build_step(DT)["step"]
+STEP = paper_ekf.build_step(DT)
+
+
+def init(guess, sigma):
+    return paper_ekf.init(4, *(dict(zip(QUANTITIES, values)) for values in (guess, sigma)))
 
 
 def textbook(m, P, z, traction, first):
@@ -39,7 +44,7 @@ def textbook(m, P, z, traction, first):
 def run(z, start, traction):
     memory, results = function.pack_array(start), []
     for reading in z:
-        result = STEP(memory=memory, z=reading, V=V, W=W, traction=traction)
+        result = STEP(memory=memory, z_N=reading, V=V, W=W, traction=traction)
         memory = result["memory"]
         results.append(
             (flat(result["estimate"]), np.array(result["covariance"]), float(result["deviance"]))
@@ -57,7 +62,7 @@ def test_it_is_the_textbook_filter(traction, missing):
     z[:, :3][rng.random((len(z), 3)) < missing] = np.nan
     m, P = np.array([0.9, 2.1, 0.3, 0.4]), np.diag([1, 1, 0.1, 0.2])
     for k, (estimate, covariance, deviance) in enumerate(
-        run(z, ekf.init((*m, 1, 1), np.sqrt([1, 1, 0.1, 0.2, 1, 1])), traction)
+        run(z, init((*m, 1, 1), np.sqrt([1, 1, 0.1, 0.2, 1, 1])), traction)
     ):
         m, P, expected = textbook(m, P, z[k], traction, first=k == 0)
         np.testing.assert_allclose(estimate, [*m, *traction], atol=1e-10)
@@ -74,9 +79,9 @@ def test_on_a_straight_line_it_is_the_kalman_filter():
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.zeros(n - 1))
     z[:, :3] += rng.normal(size=(n, 3)) * np.sqrt(V[:3])
     sigma, w = np.array([1.0, 1.0, 0.0, 0.3]), np.array([0.02, 0.03, 0.0, 0.05])
-    memory = function.pack_array(ekf.init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
+    memory = function.pack_array(init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
     for reading in z:
-        result = STEP(memory=memory, z=reading, V=V, W=w**2, traction=(1, 1))
+        result = STEP(memory=memory, z_N=reading, V=V, W=w**2, traction=(1, 1))
         memory = result["memory"]
 
     A = np.array([[1, 0, DT], [0, 1, 0], [0, 0, 1]])  # of (x, y, ν)
@@ -99,7 +104,7 @@ def test_on_a_straight_line_it_is_the_kalman_filter():
 
 def test_while_the_yaw_rate_is_silent_the_last_one_holds():
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
-    start = ekf.init((0, 0, 0, 0.5, 1, 1), (1,) * 6)
+    start = init((0, 0, 0, 0.5, 1, 1), (1,) * 6)
     spoken = run(z, start, (1, 1))
     z[5:12, 3] = [np.nan, np.inf, 1e12, -np.inf, np.nan, np.nan, np.nan]
     silent = run(z, start, (1, 1))
@@ -111,7 +116,7 @@ def test_while_the_yaw_rate_is_silent_the_last_one_holds():
 @pytest.mark.parametrize("channel", range(3))
 def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
-    start = ekf.init((0.1, 0, 0, 0.5, 1, 1), (1,) * 6)
+    start = init((0.1, 0, 0, 0.5, 1, 1), (1,) * 6)
     z[[0, 5, 6], channel] = np.nan
     silent = run(z, start, (1, 1))
     z[[0, 5, 6], channel] = reading

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from oracles import flat
 
+from rhec.model import base
 from rhec.model import tracked_robot as model
 
 SPEED_MODELS = ["parameter", "input"]
@@ -24,6 +25,10 @@ def instance(rng, speed_model):
     )
 
 
+def interval_of(speed_model):
+    return base.interval(model.speed_model_of(speed_model).model)
+
+
 def arc(pose, nu, mu, kappa, omega, t):
     """Where the robot really is after t seconds: it drives a circle."""
     x, y, theta = pose
@@ -39,7 +44,7 @@ def arc(pose, nu, mu, kappa, omega, t):
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_sensitivities_are_the_finite_differences(speed_model):
-    interval, rng, h = model.interval(speed_model), np.random.default_rng(0), 1e-6
+    interval, rng, h = interval_of(speed_model), np.random.default_rng(0), 1e-6
     for _ in range(10):
         s, v = instance(rng, speed_model)
         w, n = np.array([*s, *v]), len(s)
@@ -50,8 +55,8 @@ def test_sensitivities_are_the_finite_differences(speed_model):
         differences = np.array(
             [(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(len(w))]
         ).T
-        s_next, D, B = (np.array(each) for each in interval.linearised(s, v, 0.2))
-        np.testing.assert_allclose(np.hstack([np.eye(n) + D, B]), differences, atol=1e-8)
+        s_next, A, B = (np.array(each) for each in interval.linearised(s, v, 0.2))
+        np.testing.assert_allclose(np.hstack([A, B]), differences, atol=1e-8)
         np.testing.assert_array_equal(s_next.ravel(), step(w))
 
 
@@ -71,7 +76,7 @@ def test_the_runge_kutta_step_is_of_fourth_order():
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_parameters_stay_constant_over_an_interval_and_zero_time_changes_nothing(speed_model):
-    interval, (s, v) = model.interval(speed_model), instance(np.random.default_rng(1), speed_model)
+    interval, (s, v) = interval_of(speed_model), instance(np.random.default_rng(1), speed_model)
     np.testing.assert_array_equal(flat(interval.step(s, v, 0.2))[3:], s[3:])
     np.testing.assert_array_equal(flat(interval.step(s, v, 0.0)), s)
     assert np.all(flat(interval.step(s, v, 0.2))[:3] != s[:3])
@@ -94,24 +99,28 @@ def test_with_full_traction_it_is_the_traditional_model():
 
 def test_the_two_speed_models_move_alike():
     s, (omega,) = instance(np.random.default_rng(2), "parameter")
-    by_parameter = flat(model.interval("parameter").step(s, omega, 0.2))
-    by_input = flat(model.interval("input").step(np.delete(s, 3), [s[3], omega], 0.2))
+    by_parameter = flat(interval_of("parameter").step(s, omega, 0.2))
+    by_input = flat(interval_of("input").step(np.delete(s, 3), [s[3], omega], 0.2))
     np.testing.assert_array_equal(np.delete(by_parameter, 3), by_input)
 
 
-@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+@pytest.mark.parametrize("speed_model", [*SPEED_MODELS, "slipping"])
 def test_an_interval_says_which_entry_is_what(speed_model):
-    """Names (x, y, θ, ν, μ, κ) by place: what moves with μ and κ, and what z measures."""
-    interval = model.interval(speed_model)
-    assert [interval.states[place] for place in interval.traction] == [4, 5]
-    assert {interval.states[place]: row for place, row in interval.measured_states}.items() <= {
-        0: 0,
-        1: 1,
-        3: 2,
-    }.items()
-    assert sorted(row for _, row in interval.measured_states + interval.measured_inputs) == [
-        0,
-        1,
-        2,
-        3,
-    ]
+    """By name: what is bounded, and what each entry of z = (x, y, ν, ω) measures."""
+    robot = model.speed_model_of(speed_model).model
+    interval, names = interval_of(speed_model), robot.joint_names
+    assert {names[place]: bounds for place, bounds in interval.bounds.items()} == {
+        "mu": (0, 1),
+        "kappa": (0, 1),
+    }
+    s, measured = np.arange(len(names)) + 0.5, {}
+    for output in interval.outputs:
+        measured[names[int(output.h(s))]] = output.row
+        np.testing.assert_array_equal(flat(output.H(s)), np.arange(len(names)) == int(output.h(s)))
+    measured |= {robot.inputs[place]: row for place, (row, _) in interval.input_outputs.items()}
+    assert measured == {"x_m": 0, "y_m": 1, "nu_mps": 2, "omega_radps": 3}
+
+
+def test_the_output_is_what_the_robot_measures():
+    """Eq. (4)."""
+    assert flat(model.h((1, 2, 3), 0.1, (0.5, 0.9, 0.8))).tolist() == [1, 2, 0.5, 0.1]

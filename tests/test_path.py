@@ -8,7 +8,7 @@ import pytest
 from oracles import flat
 
 import rhec
-from rhec.model import path as paths
+from rhec.model import references as refs
 
 RACETRACK = rhec.Path.racetrack(30.0, 7.8)
 PATHS = {
@@ -27,7 +27,7 @@ HORIZON = 15
 
 @functools.cache
 def references(n_segments, input_reference):
-    return paths.build_references(0.2, HORIZON, n_segments, input_reference)["references"]
+    return refs.build_references(0.2, HORIZON, n_segments, input_reference)["references"]
 
 
 def along(path, s, **given):
@@ -98,13 +98,13 @@ def test_a_point_beside_the_path_projects_to_where_it_came_from(name):
 
 @every_path
 def test_the_loop_and_the_evaluation_see_the_same_path(name):
-    """CasADi's `pose_at` and `closest` are NumPy's `poses` and `project`."""
+    """The references' closest point and poses are NumPy's `poses` and `project`."""
     path, s = PATHS[name], ca.SX.sym("s")
-    pose, c = paths.pose_at(s, path.segments.T, path.period_m)
+    pose, c = refs._pose_at(s, path.segments.T, path.period_m)
     pose_at, rng = ca.Function("pose_at", [s], [pose, c]), np.random.default_rng(1)
     xy = ca.SX.sym("xy", 2)
     closest = ca.Function(
-        "closest", [xy, s], [paths.closest(xy, s, path.segments.T, path.period_m, 6)]
+        "closest", [xy, s], [refs._closest(xy, s, path.segments.T, path.period_m, 6)]
     )
     for place in rng.uniform(0.3, path.length_m - 0.3, 40):
         (expected,), (curvature,) = path.poses([place])

@@ -4,10 +4,11 @@ import contextlib
 
 import numpy as np
 import pytest
-from oracles import DT, N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
+from oracles import N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
 
 import rhec
-from rhec.controller import paper_rhc, rhc as builders
+from rhec.controller import paper_rhc
+from rhec.controller import rhc as builders
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]

@@ -21,8 +21,7 @@ from oracles import (
 )
 
 import rhec
-from rhec import paper
-from rhec import tuning
+from rhec import paper, tuning
 from rhec.estimator import base, paper_rhe
 from rhec.model.tracked_robot import QUANTITIES
 from rhec.solver.box_qp import box_qp, box_qp_by_library
@@ -246,10 +245,13 @@ def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
     for k in range(100):
         A, g = rng.normal(size=(n, n)), rng.normal(size=n)
         problem = dict(H=A @ A.T + 0.01 * np.eye(n), g=g, lb=-rng.random(n), ub=rng.random(n))
-        other = box_qp_by_library(n, ("daqp", "qpoases")[k % 2])(**problem)
-        solution = own(**problem)
-        assert solution["ok"] == other["ok"] == 1
-        np.testing.assert_allclose(flat(solution["x"]), flat(other["x"]), rtol=0, atol=1e-8)
+        solution, expected = own(**problem), np.clip(-g / problem["H"][0], problem["lb"], problem["ub"])
+        if n > 1:
+            other = box_qp_by_library(n, ("daqp", "qpoases")[k % 2])(**problem)
+            assert other["ok"] == 1
+            expected = flat(other["x"])
+        assert solution["ok"] == 1
+        np.testing.assert_allclose(flat(solution["x"]), expected, rtol=0, atol=1e-8)
         x = flat(solution["x"])
         active += np.any((x == problem["lb"]) | (x == problem["ub"]))
     assert 30 < active

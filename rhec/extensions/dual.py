@@ -18,10 +18,10 @@ from rhec.estimator.paper_rhe import SIGMA_START
 from rhec.model.base import rk4
 from rhec.model.tracked_robot import QUANTITIES, f
 
-__all__ = ["ESTIMATORS", "ROBUST"]
+__all__ = ["ESTIMATORS", "ROBUST", "runge_kutta"]
 
 
-def _runge_kutta(m, omega, traction, dt_s):
+def runge_kutta(m, omega, traction, dt_s):
     """Eq. (2) over `dt_s` [s] by one Runge-Kutta step from (x, y, θ, ν)."""
     return ca.vertcat(rk4(f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
 
@@ -29,7 +29,7 @@ def _runge_kutta(m, omega, traction, dt_s):
 def _build_step(choice):
     """Both as one Function: memory is the RHE's, then the EKF's; so is W (10,)."""
     soil = estimator_of("rhe", choice.robust).build_step(choice)
-    pose = paper_ekf.build_step(choice.dt_s, _runge_kutta)
+    pose = paper_ekf.build_step(choice.dt_s, runge_kutta)
     sizes = soil.numel_in("memory"), pose.numel_in("memory")
     memory, z = ca.MX.sym("memory", sum(sizes)), ca.MX.sym("z_N", 4)
     V, W, P_0 = ca.MX.sym("V", 4), ca.MX.sym("W", 10), ca.MX.sym("P_0", 6)

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-
 from rhec._casadi.validation import shown
 from rhec.model.limits import MAX_MEASUREMENT, is_valid_measurement
 

@@ -16,8 +16,8 @@ from rhec import paper
 from rhec.campaigns.campaign import campaign
 from rhec.estimator import ekf, rhe
 from rhec.estimator.rhe import RHE
-from rhec.scenario import Scenario
 from rhec.metrics import rms
+from rhec.scenario import Scenario
 from rhec.simulation import simulate
 from rhec.studies import calibration, statistics
 from rhec.studies.claims.run_sets import complete

@@ -14,7 +14,8 @@ import pandas as pd
 from rhec._casadi import scan
 from rhec.extensions import dual
 from rhec.scenario import Scenario
-from rhec.simulation import SETTLING_SAMPLES, settled_samples, simulate
+from rhec.metrics import SETTLING_SAMPLES, settled_samples
+from rhec.simulation import simulate
 from rhec.studies import calibration
 from rhec.studies.statistics import over_seeds, ratio_of_means, verdict
 

@@ -26,7 +26,8 @@ from rhec.estimator.rhe import RHE
 from rhec.model import path, robot, terrain
 from rhec.model import tracked_robot as model
 from rhec.scenario import Scenario
-from rhec.simulation import rms, settled_samples, simulate
+from rhec.metrics import rms, settled_samples
+from rhec.simulation import simulate
 from rhec.studies import timing
 from rhec.studies.calibration import SETTLED_S
 from rhec.studies.claims.run_sets import PROCESS_NOISES

@@ -15,9 +15,9 @@ import pandas as pd
 from rhec import paper
 from rhec.campaigns.campaign import campaign
 from rhec.estimator import ekf, rhe
+from rhec.metrics import rms
 from rhec.model.terrain import Terrain
 from rhec.scenario import Scenario
-from rhec.metrics import rms
 from rhec.simulation import simulate
 
 __all__ = ["LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "complete", "logs", "runs"]
