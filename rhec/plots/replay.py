@@ -1,7 +1,7 @@
 """A replayed log in pictures.
 
-`replays` is {name: samples}, samples as `rhec.logs.scores.perturbed_replay` returns them; what a log does not
-know (its true pose, say) is left out of the picture.
+`replays` is {name: samples}, as `rhec.logs.scores.perturbed_replay` returns them; what a log does
+not know (its true pose, say) is left out of the picture.
 """
 
 import re

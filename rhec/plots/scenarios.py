@@ -168,7 +168,7 @@ def weight_sweep(sweep):
         axes.set_ylabel(quantity)
     both[1].tick_params(axis="x", labelsize=6.5)
     noise = sweep["process_noise"].iloc[0]
-    both[0].set_title(f"{noise} process noise, {seed_range(sweep)}; mean and 95 % interval")
+    both[0].set_title(f"{noise} process noise, {seed_range(sweep)}\nmean and 95 % interval")
     return figure
 
 
