@@ -252,14 +252,15 @@ def errors(runs):
                 (reported, ":", "mean in the paper"),
             ]:
                 axes.axhline(level, color=BLACK, linewidth=0.9, linestyle=line, label=meaning)
-            noise = f"{run.scenario.process_noise} process noise"
+            noise = f"{run.scenario.process_noise} W"
             axes.set_title(f"{name}, {noise}: mean {mean:.4f} m, paper: {reported} m")
             _time_axis([axes], run.log)
         row[0].set_ylabel("error, raw GNSS [m]")
     for axes in grid[:-1].flat:
         axes.set_xlabel("")
     grid[0, 0].set_ylim(0.004)
-    figure.suptitle(f"seed {run.scenario.seed}", fontsize=8)
+    noises = " and ".join(runs)
+    figure.suptitle(f"{noises} process noise W, seed {run.scenario.seed}", fontsize=8)
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
