@@ -70,8 +70,8 @@ def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
     words = table[_PRINTED].assign(**{column: table[column].map(_number) for column in numbers})
     latex = words.to_latex(
         index=False,
-        escape=True,
         longtable=True,
+        escape=True,
         caption="The paper's claims, what the runs say with 95\\,\\% intervals, and the verdicts",
         label=f"tab:{name}",
         column_format="lp{0.34\\linewidth}llllllp{0.14\\linewidth}",

@@ -59,8 +59,7 @@ def errors_over_sigma(measured):
     for (row, column), ratio in np.ndenumerate(ratios):
         text = "–" if np.isnan(ratio) else f"{ratio:.2f}"
         look = dict(ha="center", va="center", fontsize=7)
-        colour = "w" if abs(np.log2(ratio)) > 1.7 else BLACK
-        axes.annotate(text, (column, row), color=colour, **look)
+        axes.text(column, row, text, color="w" if abs(np.log2(ratio)) > 1.7 else BLACK, **look)
     axes.set_xticks(range(len(states)), [_SYMBOLS.get(state, f"${state}$") for state in states])
     axes.set_yticks(range(len(measured)), measured)
     axes.grid(visible=False)

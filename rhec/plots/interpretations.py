@@ -143,8 +143,7 @@ def forest(table, baseline):
         table: as `rhec.studies.interpretations.one_at_a_time` returns it.
         baseline: process noise of the baseline, "printed" or "calibrated".
     """
-    others = table.loc[table["interpretation"] != "baseline", ["interpretation", "words"]]
-    others = others.drop_duplicates()
+    others = table[table["interpretation"] != "baseline"].drop_duplicates("interpretation")
     names, size = others["interpretation"], (DOUBLE_IN, 0.8 + 0.17 * len(others))
     figure, panels = plt.subplots(1, len(QUANTITIES), figsize=size, sharey=True)
     for axes, quantity in zip(panels, QUANTITIES.values()):
@@ -170,10 +169,10 @@ def forest(table, baseline):
     labels = [f"{row.words}  {row.interpretation}" for row in others.itertuples()]
     panels[0].set_yticks(range(len(labels)), labels)
     panels[0].set_ylim(len(labels) - 0.5, -0.5)
-    means = f"{baseline} process noise; its mean is in each title"
-    seeds = f"{table['n'].iloc[0]} seeds, 95 % intervals"
-    scales = "scales are linear\nnear 0 and logarithmic beyond"
-    figure.supxlabel(f"change from the baseline ({means}), {seeds}; {scales}", fontsize=7)
+    about = f"{baseline} process noise; its mean is in each title), {table['n'].iloc[0]} seeds"
+    scales = "scales are linear near 0 and logarithmic beyond"
+    label = f"change from the baseline ({about}, 95 % intervals;\n{scales}"
+    figure.supxlabel(label, fontsize=7)
     return figure
 
 

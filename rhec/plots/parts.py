@@ -6,17 +6,8 @@ from matplotlib.ticker import LogLocator
 
 from rhec.plots.style import BLACK, COLOURS
 
-__all__ = [
-    "BOUND",
-    "DOTS",
-    "TOLERANCE",
-    "legend_above",
-    "log_axis",
-    "note",
-    "seed_range",
-    "shade",
-    "vertical_interval",
-]
+__all__ = ["BOUND", "DOTS", "TOLERANCE", "legend_above", "log_axis", "note", "seed_range", "shade"]
+__all__ += ["vertical_interval"]
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)

@@ -64,8 +64,7 @@ def ranked(sweep):
                 axes.errorbar(mean, place, xerr=[[mean - low], [high - mean]], color=colour, **mark)
             else:
                 axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
-            at = dict(xycoords=("axes fraction", "data"))
-            note(axes, f"{mean:{digits}}", (1, place), (5, 0), **at)
+            note(axes, f"{mean:{digits}}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
     for axes, _, most, _ in shown:
         axes.set_xlim(0, most)
         axes.grid(axis="y", visible=False)

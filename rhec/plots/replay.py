@@ -26,16 +26,8 @@ from rhec.plots.style import (
 )
 from rhec.studies.statistics import over_seeds
 
-__all__ = [
-    "replay_faults",
-    "replay_folder",
-    "replay_innovations",
-    "replay_log",
-    "replay_traction",
-    "replay_trials",
-    "replay_uncertainty",
-    "replay_yaw",
-]
+__all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
+__all__ += ["replay_trials", "replay_uncertainty", "replay_yaw"]
 
 _LOOKS = {
     "RHE": {"color": COLOURS["RHE"]},
@@ -102,8 +94,8 @@ def replay_log(samples, title):
     plane, speed, yaw_rate = (panels[name] for name in ("plane", "speed", "yaw rate"))
     measured = dict(color=COLOURS["measured"])
     truth = dict(color=COLOURS["truth"], linewidth=0.5)
-    positions = samples["x_meas_m"], samples["y_meas_m"]
-    plane.plot(*positions, ".", markersize=1.5, label="measured", **measured)
+    look = dict(marker=".", linestyle="none", markersize=1.5, label="measured")
+    plane.plot(samples["x_meas_m"], samples["y_meas_m"], **look, **measured)
     if {"x_m", "y_m"} <= set(samples):
         plane.plot(*_broken(samples, "x_m", "y_m"), label="truth", **truth)
     plane.legend()
@@ -196,18 +188,14 @@ def replay_uncertainty(samples, name):
     """
     figure, panels = plt.subplots(3, figsize=(DOUBLE_IN, 3.6), sharex=True)
     motion, yaw, traction = panels
-    for axes, column, label, look in [
-        (motion, "nu_meas_mps", "speed [m/s]", dict(color=BLACK, linewidth=0.7)),
-        (
-            motion,
-            "omega_meas_radps",
-            "yaw rate [rad/s]",
-            dict(color=COLOURS["measured"], linewidth=0.7),
-        ),
-        (yaw, "sigma_theta_rad", r"$\sigma_\theta$ [rad]", dict(color=COLOURS["RHE"])),
-        (traction, "sigma_mu", r"$\sigma_\mu$", dict(color=ORANGE)),
-        (traction, "sigma_kappa", r"$\sigma_\kappa$", dict(color=PURPLE)),
+    for axes, column, label, colour in [
+        (motion, "nu_meas_mps", "speed [m/s]", BLACK),
+        (motion, "omega_meas_radps", "yaw rate [rad/s]", COLOURS["measured"]),
+        (yaw, "sigma_theta_rad", r"$\sigma_\theta$ [rad]", COLOURS["RHE"]),
+        (traction, "sigma_mu", r"$\sigma_\mu$", ORANGE),
+        (traction, "sigma_kappa", r"$\sigma_\kappa$", PURPLE),
     ]:
+        look = dict(color=colour, linewidth=0.7 if axes is motion else None)
         axes.plot(*_broken(samples, "t_s", column), label=label, **look)
     motion.set_ylabel("encoders")
     yaw.set_ylabel(r"$\sigma_\theta$ [rad]")

@@ -89,22 +89,16 @@ def _leader(axes, text, at, side, part):
 
 def _sorghum(axes, x, height, stem_width):
     """One plant on its row's centre line x: leaves drooping to either side, stem, panicle."""
-    for share, reach, drop in [
-        (0.42, 0.17, 0.08),
-        (0.50, -0.17, 0.06),
-        (0.66, 0.19, 0.03),
-        (0.74, -0.19, 0.02),
-        (0.90, 0.15, -0.02),
-        (0.97, -0.13, -0.03),
-    ]:
+    shares, reaches = (0.42, 0.50, 0.66, 0.74, 0.90, 0.97), (0.17, -0.17, 0.19, -0.19, 0.15, -0.13)
+    drops = (0.08, 0.06, 0.03, 0.02, -0.02, -0.03)
+    for share, reach, drop in zip(shares, reaches, drops):
         start, tip = np.array([x, share * height]), np.array([x + reach, share * height - drop])
         bend = (start + tip) / 2 + (0, 0.13)
         outline = [start, bend + (0, 0.03), tip, bend - (0, 0.03), start]
         leaf = Path(outline, [Path.MOVETO] + [Path.CURVE3] * 4)
         axes.add_patch(patches.PathPatch(leaf, facecolor=_LEAF, edgecolor=_STEM, linewidth=0.3))
-    axes.add_patch(
-        patches.Rectangle((x - stem_width / 2, 0), stem_width, height, color=_STEM, linewidth=0)
-    )
+    corner, size = (x - stem_width / 2, 0), (stem_width, height)
+    axes.add_patch(patches.Rectangle(corner, *size, color=_STEM, linewidth=0))
     grain = np.arange(90)
     radius = np.sqrt(grain / grain.size)
     turn = 2.4 * grain  # near the golden angle, which spreads grains evenly
@@ -118,10 +112,8 @@ def _rear_view(axes):
     """
     for x in (-_TRACK / 2, _TRACK / 2):
         _box(axes, x, 0.12, _TREAD, 0.24, 0.02, _RUBBER)
-        lugs = np.arange(0.03, 0.23, 0.03)
-        axes.hlines(
-            lugs, x - 0.35 * _TREAD, x + 0.35 * _TREAD, color=_METAL, linewidth=0.5, zorder=1
-        )
+        lugs, half = np.arange(0.03, 0.23, 0.03), 0.35 * _TREAD
+        axes.hlines(lugs, x - half, x + half, color=_METAL, linewidth=0.5, zorder=1)
     _box(axes, 0, 0.14, _TRACK - _TREAD, 0.12, 0, _METAL)
     _box(axes, 0, 0.255, 0.84 * _WIDTH, 0.11, 0.015)
     _box(axes, 0, 0.475, 0.028, 0.33, 0, _METAL)
@@ -327,11 +319,8 @@ def hardware_blocks():
     ]:
         _link(axes, at[start], at[end], text)
 
-    for y, colour, text in [
-        (0.45, _SENSOR, "measures"),
-        (0.28, _COMPUTER, "computes"),
-        (0.11, _DRIVE, "drives"),
-    ]:
+    colours, words = (_SENSOR, _COMPUTER, _DRIVE), ("measures", "computes", "drives")
+    for y, colour, text in zip((0.45, 0.28, 0.11), colours, words):
         _box(axes, right - 0.2, y, 0.16, 0.09, 0.02, colour)
         _beside(axes, text, (right - 0.1, y), (1, 0))
     return figure

@@ -25,23 +25,14 @@ from rhec.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, styled
 from rhec.studies.scenario_tables import REPORTED
 from rhec.studies.statistics import over_seeds
 
-__all__ = [
-    "errors",
-    "estimates",
-    "kkt",
-    "slip_fields",
-    "speed",
-    "trajectories",
-    "trajectories_q",
-    "violations",
-    "weight_sweep",
-    "yaw_rate",
-]
+__all__ = ["errors", "estimates", "kkt", "slip_fields", "speed", "trajectories", "trajectories_q"]
+__all__ += ["violations", "weight_sweep", "yaw_rate"]
 
 # dark where it slips, grey so that trajectories stand out
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _DASHED = (0, (3, 1.5))
+_TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _LINES = {
     "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
     "Q2": dict(color=COLOURS["Q2"], label="$Q^2$"),
@@ -64,10 +55,6 @@ def _time_axis(axes, log):
         each.grid(axis="x", visible=False)
     axes[-1].set_xlabel("time [s]  (shaded: curved parts of the path)")
     axes[-1].set_xlim(log["t_s"].iloc[0], log["t_s"].iloc[-1])
-
-
-def _legend_above(axes, handles_of=None):
-    legend_above(axes, handles_of, handlelength=1.5, columnspacing=1.2)
 
 
 def _field(axes, terrain, values):
@@ -221,9 +208,7 @@ def trajectories(runs):
         ("worst", place, 2.5 * largest, f"largest error {largest:.2f} m"),
     ]:
         low, high = log[["x_m", "y_m"]].min() - margin_m, log[["x_m", "y_m"]].max() + margin_m
-        xlim, ylim = zip(low, high)
-        panels[name].set(xlim=xlim, ylim=ylim)
-        panels[name].set_title(title)
+        panels[name].set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=title)
     panels["start"].set(aspect="auto", box_aspect=1)
     panels["worst"].set_ylabel("")
     figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", **_TRACTION_BAR)
@@ -332,7 +317,7 @@ def estimates(run):
     for axes in panels[1:]:
         axes.hlines([0, 1], *log["t_s"].iloc[[0, -1]], label="constraints", **BOUND)
         axes.set_ylim(-0.06, 1.06)
-    _legend_above(panels[0], panels[2])
+    legend_above(panels[0], panels[2], **_TIGHT)
     _time_axis(panels, log)
     figure.suptitle(f"RHE, {_about(run)}", fontsize=8)
     return figure
@@ -353,7 +338,7 @@ def speed(run):
     ]:
         axes.plot(run.log["t_s"], run.log[column], color=COLOURS[name], linewidth=width, label=name)
     axes.set_ylabel(r"speed $\nu$ [m/s]")
-    _legend_above(axes)
+    legend_above(axes, **_TIGHT)
     axes.set_title(_about(run))
     _time_axis([axes], run.log)
     return figure
@@ -375,7 +360,7 @@ def yaw_rate(run):
     bound = run.scenario.omega_max_radps
     axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **BOUND)
     axes.set_ylabel(r"yaw rate $\omega$ [rad/s]")
-    _legend_above(axes)
+    legend_above(axes, **_TIGHT)
     # a command lasts until the next sample
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
     axes.set_title(f"{_about(run)}: actual - reference, RMS {rms:.3f} rad/s")

@@ -17,30 +17,9 @@ import matplotlib.pyplot as plt
 
 from rhec import __version__
 
-__all__ = [
-    "BLACK",
-    "BLUE",
-    "COLOURS",
-    "COLUMN_IN",
-    "DOUBLE_IN",
-    "FOLDER",
-    "GREEN",
-    "GREY",
-    "ORANGE",
-    "PURPLE",
-    "RC",
-    "ROOT",
-    "SKY",
-    "VERMILLION",
-    "YELLOW",
-    "as_comments",
-    "provenance",
-    "save",
-    "save_table",
-    "source",
-    "source_of",
-    "styled",
-]
+__all__ = ["BLACK", "BLUE", "COLOURS", "COLUMN_IN", "DOUBLE_IN", "FOLDER", "GREEN", "GREY"]
+__all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "SKY", "VERMILLION", "as_comments", "provenance"]
+__all__ += ["save", "save_table", "source", "source_of", "styled"]
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "figures"
@@ -50,7 +29,7 @@ COLUMN_IN, DOUBLE_IN = 3.4, 6.5  # widths of the paper's figures [in]
 # Okabe and Ito's palette, told apart by colour-blind readers: one colour a role, the same in every
 # figure.
 BLACK, GREY = "#000000", "#7f7f7f"
-ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
+ORANGE, SKY, GREEN, _YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 COLOURS = {
     "reference": GREY,
@@ -59,7 +38,7 @@ COLOURS = {
     "RHE": BLUE,
     "EKF": VERMILLION,
     "oracle": GREEN,
-    "tolerance": YELLOW,
+    "tolerance": _YELLOW,
     "Q1": ORANGE,
     "Q2": PURPLE,
     "Q3": BLUE,  # Q3 is the RHE's controller everywhere else, so it keeps the RHE's colour
@@ -122,10 +101,8 @@ def source(root=ROOT):
     """
     patterns = ("rhec/**/*.py", "data/*", "notebooks/*.ipynb")
     files = sorted(file for pattern in patterns for file in root.glob(pattern) if file.is_file())
-    names_and_bytes = (
-        file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files
-    )
-    return hashlib.sha256(b"".join(names_and_bytes)).hexdigest()[:12]
+    pieces = (file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)
+    return hashlib.sha256(b"".join(pieces)).hexdigest()[:12]
 
 
 def _as_json(scenario):

@@ -5,7 +5,7 @@ exported C.
 import matplotlib.pyplot as plt
 
 from rhec import paper
-from rhec.plots.parts import note
+from rhec.plots.parts import BOUND, note
 from rhec.plots.style import BLACK, BLUE, COLUMN_IN, GREEN, ORANGE, SKY, VERMILLION, styled
 
 __all__ = ["embedded_times", "phases"]
@@ -17,7 +17,7 @@ _COLOURS = {
     ("RHE", "feedback"): BLUE,
     ("RHC", "feedback"): ORANGE,
 }
-_NOW = dict(color=BLACK, linewidth=0.6, linestyle="--", zorder=0)
+_NOW = BOUND | dict(zorder=0)
 
 
 @styled
@@ -35,12 +35,9 @@ def phases(times):
     average = times.set_index(["phase", "problem"])["average_us"]
     estimated = average["feedback", "RHE"]
     commanded = estimated + average["feedback", "RHC"]
-    begins = {
-        ("preparation", "RHE"): -average["preparation"].sum(),
-        ("preparation", "RHC"): -average["preparation", "RHC"],
-        ("feedback", "RHE"): 0,
-        ("feedback", "RHC"): estimated,
-    }
+    bars = [(phase, problem) for phase in _PHASE_COLOURS for problem in ("RHE", "RHC")]
+    prepared = average["preparation"]
+    begins = dict(zip(bars, (-prepared.sum(), -prepared["RHC"], 0, estimated)))
     labels = {}
     for row in times.itertuples():
         took = f"{row.average_us:.1f} µs ({row.minimum_us:.1f} to {row.maximum_us:.1f})"

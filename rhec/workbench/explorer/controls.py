@@ -15,20 +15,8 @@ from rhec.extensions.faults import Fault
 from rhec.model.tracked_robot import QUANTITIES
 from rhec.scenario import Scenario
 
-__all__ = [
-    "CONTROLS",
-    "ESTIMATORS",
-    "GROUPS",
-    "NEW_PATCH",
-    "PATCH",
-    "PROCESS_NOISES",
-    "Selection",
-    "Slider",
-    "line_of",
-    "scenario_of",
-    "tidy",
-    "values_of",
-]
+__all__ = ["CONTROLS", "ESTIMATORS", "GROUPS", "NEW_PATCH", "PATCH", "PROCESS_NOISES", "Selection"]
+__all__ += ["Slider", "line_of", "scenario_of", "tidy", "values_of"]
 
 
 class Slider(NamedTuple):
