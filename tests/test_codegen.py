@@ -15,7 +15,7 @@ import pytest
 from conftest import no_compiler
 
 import rhec
-from rhec import paper, plots, simulation
+from rhec import paper, simulation
 from rhec._casadi import compiled
 from rhec._casadi.build import pack_array, select_inputs
 from rhec.codegen import LOG, phases
@@ -25,6 +25,7 @@ from rhec.controller.paper_rhc import horizon_of
 from rhec.estimator.base import Choice, build_step, estimator_of
 from rhec.model.references import build_references
 from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
+from rhec.plots.timing import embedded_times
 from rhec.studies.embedded import instructions, report, toolchain
 
 SECONDS = 20.0
@@ -652,7 +653,7 @@ def test_the_figure_shows_each_time():
             ),
         ]
     )
-    figure = plots.embedded_times(times)
+    figure = embedded_times(times)
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert texts == ["0.152 of 0.88 ms", "1.8 of 6.8 µs"]
     for axes, unit in zip(figure.axes, ("ms", "µs")):
@@ -673,4 +674,4 @@ def test_without_a_compiler_the_report_has_the_papers_times(exported, monkeypatc
         and made["nonsense"].empty
         and set(made["times"]["who"]) == {"paper, reported"}
     )
-    assert plots.embedded_times(made["times"]).axes
+    assert embedded_times(made["times"]).axes

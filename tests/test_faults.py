@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from oracles import flat
 
 import rhec
-from rhec import paper, plots, simulation
+from rhec import paper, simulation
 from rhec.extensions import faults
 from rhec.extensions.faults import Fault
+from rhec.plots.faults import fault_family
 from rhec.studies import robustness
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -288,8 +289,7 @@ def test_a_response_follows_from_the_errors():
 
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     cases = {
-        family: dict(list(robustness.CASES[family].items())[:2])
-        for family in ("outage", "start")
+        family: dict(list(robustness.CASES[family].items())[:2]) for family in ("outage", "start")
     }
     table, errors = robustness.study(
         rhec.Scenario(process_noise="calibrated"),
@@ -319,7 +319,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
         )
         assert numbers.loc[key, "verdict"] == ("does not hold" if "start" in key else "holds")
     for family in cases:
-        figure = plots.fault_family(family, table, errors, robustness.BEFORE_S)
+        figure = fault_family(family, table, errors, robustness.BEFORE_S)
         assert [axes.get_xlabel() for axes in figure.axes] == ["time since it began [s]"] * 2
         assert (
             figure.axes[0].get_ylabel() == "true error [m]" and "2 seeds" in figure.get_suptitle()

@@ -11,8 +11,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import rhec
-from rhec import paper, plots
-from rhec.plots import style
+from rhec import paper
+from rhec.plots import consistency, scenarios, style
+from rhec.plots.timing import phases
+from rhec.studies.consistency import Consistency
 from rhec.studies.scenario_tables import scenario_a_table, scenario_b_table
 
 SEEDS = range(3)
@@ -89,20 +91,20 @@ def drawn(runs, by_weight, sweep_a, sweep_b):
     """Every figure, by its function's name."""
     pair = runs["calibrated"]
     return {
-        "trajectories_q": plots.trajectories_q(
+        "trajectories_q": scenarios.trajectories_q(
             {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
         ),
-        "weight_sweep": plots.weight_sweep(sweep_a),
-        "slip_fields": plots.slip_fields(
+        "weight_sweep": scenarios.weight_sweep(sweep_a),
+        "slip_fields": scenarios.slip_fields(
             pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"
         ),
-        "trajectories": plots.trajectories(pair),
-        "errors": plots.errors(runs),
-        "violations": plots.violations(sweep_b),
-        "phases": plots.phases(TIMES),
+        "trajectories": scenarios.trajectories(pair),
+        "errors": scenarios.errors(runs),
+        "violations": scenarios.violations(sweep_b),
+        "phases": phases(TIMES),
     } | {
         draw.__name__: draw(pair["RHE"])
-        for draw in (plots.estimates, plots.speed, plots.yaw_rate, plots.kkt)
+        for draw in (scenarios.estimates, scenarios.speed, scenarios.yaw_rate, scenarios.kkt)
     }
 
 
@@ -129,7 +131,8 @@ def test_figures_say_which_process_noise_and_seeds(drawn):
     for name, figure in drawn.items():
         if name != "phases":
             assert re.search(r"seeds?", words(figure)), name
-            assert name == "slip_fields" or re.search("(printed|calibrated) W", words(figure)), name
+            noise = re.search("(printed|calibrated) process noise", words(figure))
+            assert name == "slip_fields" or noise, name
 
 
 def test_titles_and_legends_are_inside_the_figure_and_apart(drawn):
@@ -226,4 +229,17 @@ def test_runs_that_never_settle_are_counted(sweep_a):
         table.loc[("Q1", "settling time [s]"), "n"] == 0
         and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
     )
-    assert "0 of 3 settle" in words(plots.weight_sweep(never))
+    assert "0 of 3 settle" in words(scenarios.weight_sweep(never))
+
+
+def test_consistency_of_an_unknown_kind_of_estimator_is_drawn_in_grey():
+    rng = np.random.default_rng(0)
+    t_s, squared = np.arange(0, 40, 0.2), rng.chisquare(1, (5, 200))
+    measured = Consistency(t_s, rng.normal(size=(5, 200, 4)), squared, squared, squared)
+    names = ["RHE, calibrated", "dual, W by tracking", "particle filter"]
+    figure = consistency.nees_over_time(dict.fromkeys(names, measured))
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes._left_title.get_text().split(":")[0] for axes in shown] == names
+    colours = [axes.lines[0].get_color() for axes in shown]
+    assert colours == [style.COLOURS["RHE"], style.ORANGE, style.GREY]
+    assert consistency.errors_over_sigma(dict.fromkeys(names, measured)).axes

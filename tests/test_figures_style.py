@@ -3,6 +3,7 @@ another.
 """
 
 import dataclasses
+import functools
 import itertools
 
 import matplotlib as mpl
@@ -56,7 +57,7 @@ def test_files_tell_version_scenario_and_notebook(tmp_path):
     png = style.save(parabola(), "parabola", Scenario(), tmp_path, notebook="scenario_a.ipynb")
     inside = Image.open(png).text
     assert inside["Title"] == "parabola"
-    assert inside["Creator"].startswith(f"rhec {rhec.__version__}")
+    assert inside["Creator"] == f"rhec {rhec.__version__}"
     assert inside["Keywords"] == SCENARIO_JSON
     assert inside["Subject"] == "scenario_a.ipynb"
     pdf = png.with_suffix(".pdf").read_bytes()
@@ -75,6 +76,29 @@ def test_the_source_is_what_figures_are_made_of(tmp_path):
     assert style.source(tmp_path) == before
     (tmp_path / "rhec" / "model.py").write_text("two")
     assert style.source(tmp_path) != before
+
+
+def test_an_edit_of_the_source_leaves_a_picture_s_bytes_and_changes_its_source(
+    tmp_path, monkeypatch
+):
+    """Pictures kept in git do not change unless they change on paper."""
+    module = tmp_path / "rhec" / "unrelated.py"
+    module.parent.mkdir()
+    monkeypatch.setattr(style, "source", functools.partial(style.source, tmp_path))
+    saved = []
+    for text in ("before", "after"):
+        module.write_text(text)
+        png = style.save(parabola(), "parabola", Scenario(), tmp_path / text)
+        saved.append((png.read_bytes(), style.source_of(png)))
+        assert saved[-1][1] == f"rhec {rhec.__version__}, source {style.source()}"
+    (bytes_before, source_before), (bytes_after, source_after) = saved
+    assert bytes_before == bytes_after and source_before != source_after
+
+
+def test_pictures_in_git_carry_no_digest_of_the_source():
+    for name in ("fig07_trajectories", "fig08_errors"):
+        about = Image.open(style.FOLDER / f"{name}.png").text
+        assert about["Subject"] == "scenario_b.ipynb" and "source" not in about["Creator"]
 
 
 def test_a_table_comes_back_as_it_went(tmp_path):

@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, plots
+from rhec import paper
 from rhec._casadi import build as function
 from rhec.estimator import ekf
+from rhec.plots.interpretations import forest
 from rhec.studies import interpretations
 
 DT = paper.DT_S
@@ -119,7 +120,7 @@ def test_one_reading_at_a_time_is_compared_with_the_baseline_at_equal_seeds(move
 
 
 def test_the_forest_has_a_row_for_each_reading(moved):
-    assert len(plots.forest(moved, "calibrated").axes[0].get_yticklabels()) == 4
+    assert len(forest(moved, "calibrated").axes[0].get_yticklabels()) == 4
 
 
 def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import plots
 from rhec.columns import ESTIMATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
 from rhec.logs import recording, scores
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
+from rhec.plots import replay as drawings
 from rhec.studies.replay_table import replay_table
 
 MU, KAPPA, B = 0.9, 0.75, 0.5
@@ -428,8 +428,8 @@ def test_nothing_in_a_file_is_executed(tmp_path):
     "name", ["../../etc/passwd.csv", "..csv", "a b$(x).csv", "/", "日誌.csv", "C:\\log.csv"]
 )
 def test_figures_of_a_log_stay_in_their_folder(name):
-    folder = plots.replay_folder(name)
-    assert folder.parent == plots.replay_folder("x.csv").parent and folder.resolve() == folder
+    folder = drawings.replay_folder(name)
+    assert folder.parent == drawings.replay_folder("x.csv").parent and folder.resolve() == folder
 
 
 # The shipped log
@@ -541,11 +541,11 @@ def test_figures_of_a_log_with_and_without_truth():
         replay = {"RHE": scores.perturbed_replay(log, 0, process_noise="calibrated")}
         trials = {"RHE": scores.perturbed_scores(log, range(2), process_noise="calibrated")}
         for figure in (
-            plots.replay_log(replay["RHE"], "a $ b"),
-            plots.replay_yaw(replay),
-            plots.replay_traction(replay, "RHE"),
-            plots.replay_uncertainty(replay["RHE"], "RHE"),
-            plots.replay_innovations(replay),
+            drawings.replay_log(replay["RHE"], "a $ b"),
+            drawings.replay_yaw(replay),
+            drawings.replay_traction(replay, "RHE"),
+            drawings.replay_uncertainty(replay["RHE"], "RHE"),
+            drawings.replay_innovations(replay),
         ):
             assert figure.axes
         table = replay_table(trials)

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from nbformat import v4
 
 import rhec
-from rhec import plots
+from rhec.plots import style
 from rhec.workbench import report
 
 ROOT = Path(__file__).parents[1]
@@ -33,7 +33,7 @@ def site(tmp_path_factory):
     (folder / "figures").mkdir()
     drawing = Figure()
     drawing.subplots().plot([0, 1])
-    plots.save(drawing, "fig99_line", rhec.Scenario(), folder / "figures", "one.ipynb")
+    style.save(drawing, "fig99_line", rhec.Scenario(), folder / "figures", "one.ipynb")
     claims = pd.DataFrame(
         {
             "quantity": ["error <m>", "yaw"],
@@ -42,7 +42,7 @@ def site(tmp_path_factory):
             "verdict": ["holds", ""],
         }
     )
-    plots.save_table(claims, "table_claims", "Claims", folder / "figures", notebook="one.ipynb")
+    style.save_table(claims, "table_claims", "Claims", folder / "figures", notebook="one.ipynb")
 
     timed = {
         "papermill": {

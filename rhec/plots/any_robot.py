@@ -1,4 +1,4 @@
-"""Pictures of any robot in closed loop: where it was, what was estimated, commanded, and solved."""
+"""Any robot in closed loop: its track, estimated parameters, commands, and solver tolerances."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -7,37 +7,35 @@ from rhec.plots.style import BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
 
 __all__ = ["commands_and_bounds", "parameters_and_bounds", "positions", "solver_tolerances"]
 
-_LINES = {"reference": "--", "truth": "-"}
+
+def _row(n, height_in):
+    """A figure of n panels beside one another."""
+    size = (DOUBLE_IN, height_in)
+    figure, panels = plt.subplots(1, n, figsize=size, sharey=True, squeeze=False)
+    return figure, panels[0]
 
 
 @styled
 def positions(tracks):
-    """Positions in the plane.
+    """Positions in the plane; measured ones are dots.
 
     Args:
         tracks: Name of each track, "reference", "truth", "measured" or "RHE": (n, 2) positions [m].
-
-    Returns:
-        The figure; "measured" is drawn as dots.
     """
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 1.9))
+    looks = dict(measured=dict(linestyle="none", marker=".", markersize=2, zorder=1))
+    looks["reference"] = dict(linestyle="--")
     for name, track in tracks.items():
-        x, y = np.asarray(track).T
-        look = dict(label=name, color=COLOURS[name])
-        if name == "measured":
-            axes.plot(x, y, ".", markersize=2, zorder=1, **look)
-        else:
-            axes.plot(x, y, _LINES.get(name, "-"), **look)
-    axes.set_aspect("equal")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+        axes.plot(*np.transpose(track), label=name, color=COLOURS[name], **looks.get(name, {}))
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
 
 
 @styled
 def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
-    """Estimated parameters over time with two standard deviations, the truth, and the bounds.
+    """Estimated parameters over time with two standard deviations, the truth, and the bounds, at
+    which the band ends; one axes a parameter.
 
     Args:
         time_s: (n,) times [s].
@@ -45,25 +43,19 @@ def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
         sigmas: (n, n_p) their standard deviations, bounds left aside.
         truth: (n, n_p) true values.
         bounds: Name of each parameter: (lowest, highest), or None; as in `rhec.Model`.
-
-    Returns:
-        The figure, one axes a parameter. The band ends at the bounds.
     """
-    figure, grid = plt.subplots(
-        1, len(bounds), figsize=(DOUBLE_IN, 2.2), sharey=True, squeeze=False
-    )
-    for i, (axes, (name, limits)) in enumerate(zip(grid[0], bounds.items())):
-        middle, width = np.asarray(estimates)[:, i], 2 * np.asarray(sigmas)[:, i]
-        low, high = (-np.inf, np.inf) if limits is None else limits
-        band = np.clip([middle - width, middle + width], low, high)
+    figure, panels = _row(len(bounds), 2.2)
+    columns = (np.transpose(values) for values in (estimates, sigmas, truth))
+    for axes, name, middle, sigma, true in zip(panels, bounds, *columns):
+        limits = bounds[name] or ()
+        band = np.clip([middle - 2 * sigma, middle + 2 * sigma], *limits or (-np.inf, np.inf))
         axes.fill_between(time_s, *band, color=BLUE, alpha=0.2, linewidth=0, label="2 σ")
-        axes.plot(time_s, np.asarray(truth)[:, i], color=COLOURS["truth"], label="truth")
+        axes.plot(time_s, true, color=COLOURS["truth"], label="truth")
         axes.plot(time_s, middle, color=COLOURS["RHE"], label="RHE")
-        for limit in limits or ():
+        for limit in limits:
             axes.axhline(limit, color=VERMILLION, linestyle=":", label="bounds")
-        axes.set_title(name)
-        axes.set_xlabel("time [s]")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
+        axes.set(xlabel="time [s]", title=name)
+    handles, labels = panels[0].get_legend_handles_labels()
     unique = dict(zip(labels, handles))
     figure.legend(unique.values(), unique.keys(), loc="outside right center")
     return figure
@@ -71,26 +63,20 @@ def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
 
 @styled
 def commands_and_bounds(time_s, commands, bounds):
-    """Commands over time between their bounds.
+    """Commands over time between their bounds, one axes a command.
 
     Args:
         time_s: (n,) times [s].
         commands: (n, n_u) commands.
         bounds: Name of each command: (lowest, highest); as in `rhec.RHC`.
-
-    Returns:
-        The figure, one axes a command.
     """
-    figure, grid = plt.subplots(
-        1, len(bounds), figsize=(DOUBLE_IN, 1.8), sharey=True, squeeze=False
-    )
-    for i, (axes, (name, limits)) in enumerate(zip(grid[0], bounds.items())):
-        axes.step(time_s, np.asarray(commands)[:, i], where="post", color=BLUE)
-        for limit in limits:
+    figure, panels = _row(len(bounds), 1.8)
+    for axes, name, command in zip(panels, bounds, np.transpose(commands)):
+        axes.step(time_s, command, where="post", color=BLUE)
+        for limit in bounds[name]:
             axes.axhline(limit, color=VERMILLION, linestyle=":")
-        axes.set_title(name)
-        axes.set_xlabel("time [s]")
-    grid[0, 0].set_ylabel("command, bounds dotted")
+        axes.set(xlabel="time [s]", title=name)
+    panels[0].set_ylabel("command, bounds dotted")
     return figure
 
 
@@ -102,17 +88,13 @@ def solver_tolerances(time_s, tolerances, iterated):
         time_s: (n,) times [s].
         tolerances: Name of each solver: (n,) KKT tolerances.
         iterated: Name of each solver: its KKT tolerances, iteration by iteration.
-
-    Returns:
-        The figure.
     """
     figure, (left, right) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2), width_ratios=(2, 1))
     for name, colour in zip(tolerances, (BLUE, VERMILLION)):
         left.semilogy(time_s, tolerances[name], color=colour, label=name, linewidth=0.7)
         steps = range(1, len(iterated[name]) + 1)
         right.semilogy(steps, iterated[name], ".-", color=colour, label=name)
-    left.set_xlabel("time [s]")
-    left.set_ylabel("KKT tolerance")
+    left.set(xlabel="time [s]", ylabel="KKT tolerance")
     right.set_xlabel("iteration, last sample")
     right.legend()
     return figure

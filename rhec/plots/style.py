@@ -1,20 +1,25 @@
-"""One look for every figure and table, and the file that says where it came from.
+"""One look for every figure and table, and files that say where they came from.
 
-A figure function takes data, returns a matplotlib Figure and is decorated with `styled`; `save` and
-`save_table` write files that carry the version, a digest of the source, the scenario and the
-notebook that made them.
+A figure function takes data, returns a matplotlib Figure and is decorated with `styled`. Files
+carry the version, the scenario and the notebook that made them; all but PNGs carry a digest of the
+source, too. A PNG has none, so that pictures kept in git change only with what they show.
 """
 
 import dataclasses
 import functools
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 
 from rhec import __version__
+
+__all__ = ["BLACK", "BLUE", "COLOURS", "COLUMN_IN", "DOUBLE_IN", "FOLDER", "GREEN", "GREY"]
+__all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "SKY", "VERMILLION", "as_comments", "provenance"]
+__all__ += ["save", "save_table", "source", "source_of", "styled"]
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "figures"
@@ -24,7 +29,7 @@ COLUMN_IN, DOUBLE_IN = 3.4, 6.5  # widths of the paper's figures [in]
 # Okabe and Ito's palette, told apart by colour-blind readers: one colour a role, the same in every
 # figure.
 BLACK, GREY = "#000000", "#7f7f7f"
-ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
+ORANGE, SKY, GREEN, _YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 COLOURS = {
     "reference": GREY,
@@ -33,7 +38,7 @@ COLOURS = {
     "RHE": BLUE,
     "EKF": VERMILLION,
     "oracle": GREEN,
-    "tolerance": YELLOW,
+    "tolerance": _YELLOW,
     "Q1": ORANGE,
     "Q2": PURPLE,
     "Q3": BLUE,  # Q3 is the RHE's controller everywhere else, so it keeps the RHE's colour
@@ -46,6 +51,7 @@ RC = {
     "mathtext.fontset": "stix",
     "font.size": 8,
     "axes.titlesize": 8,
+    "axes.titlelocation": "left",
     "axes.labelsize": 8,
     "xtick.labelsize": 7,
     "ytick.labelsize": 7,
@@ -71,8 +77,8 @@ RC = {
 
 
 def styled(draw):
-    """Decorator: `draw` runs in the style and its Figure is handed over, whatever the caller's own
-    rcParams.
+    """Decorator of figure functions: `draw` runs in this style, whatever the caller's rcParams, and
+    its Figure is handed over complete.
     """
 
     @functools.wraps(draw)
@@ -89,18 +95,17 @@ def styled(draw):
 
 
 def source(root=ROOT):
-    """Digest of what figures are made of. Not the commit's name: making them again in a fresh clone
-    would then change them.
+    """Digest of what figures are made of: modules, data and notebooks.
+
+    The commit's name is no such digest: making the figures again in a fresh clone would change it.
     """
-    files = sorted(
-        [*root.glob("rhec/**/*.py"), *root.glob("data/*"), *root.glob("notebooks/*.ipynb")]
-    )
-    return hashlib.sha256(
-        b"".join(file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)
-    ).hexdigest()[:12]
+    patterns = ("rhec/**/*.py", "data/*", "notebooks/*.ipynb")
+    files = sorted(file for pattern in patterns for file in root.glob(pattern) if file.is_file())
+    pieces = (file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)
+    return hashlib.sha256(b"".join(pieces)).hexdigest()[:12]
 
 
-def describe(scenario):
+def _as_json(scenario):
     """A scenario, or any nest of dicts, lists and dataclasses, as one line of JSON."""
 
     def plain(value):
@@ -112,50 +117,71 @@ def describe(scenario):
 
 
 def provenance(name, scenario, notebook):
-    """What a file says of its making, under keys that a PDF allows; the scenario, with its seed, is
-    the Keywords.
+    """Where a file came from, under keys that a PDF allows; the scenario, with its seed, is the
+    Keywords.
     """
     about = {
         "Title": name,
-        "Creator": f"rhec {__version__} (source {source()})",
+        "Creator": f"rhec {__version__}, source {source()}",
         "Subject": notebook,
-        "Keywords": None if scenario is None else describe(scenario),
+        "Keywords": None if scenario is None else _as_json(scenario),
     }
     return {key: value for key, value in about.items() if value is not None}
 
 
+def as_comments(about):
+    """A provenance as comments at the beginning of a LaTeX file."""
+    return "".join(f"% {key}: {value}\n" for key, value in about.items())
+
+
+def source_of(png):
+    """Version and digest of the source behind a figure, from the PDF beside it; "" without one."""
+    pdf = Path(png).with_suffix(".pdf")
+    creator = re.search(rb"/Creator \((.*?)\)", pdf.read_bytes()) if pdf.exists() else None
+    return creator[1].decode() if creator else ""
+
+
 def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
-    """Write `figure` to folder/name.png and .pdf, byte for byte the same if made again; return the
-    PNG's path.
+    """Write a figure as PNG and PDF, byte for byte the same if made again.
+
+    Args:
+        figure: a matplotlib Figure.
+        name: of the files, without a suffix.
+        scenario: a rhec.Scenario, or any nest of dicts and lists with what made the figure.
+        folder: where the files go; made if it is not there.
+        notebook: name of the notebook that made it.
+
+    Returns:
+        The PNG's path.
     """
-    png = _in(folder, f"{name}.png")
-    about = provenance(name, scenario, notebook)
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    png, about = Path(folder) / f"{name}.png", provenance(name, scenario, notebook)
     # savefig leaves a figure that has no layout with the default one, so that default must be none
     # here
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
-        figure.savefig(png, metadata=about)
-        figure.savefig(png.with_name(f"{name}.pdf"), metadata=about | {"CreationDate": None})
+        figure.savefig(png, metadata=about | {"Creator": f"rhec {__version__}"})
+        figure.savefig(png.with_suffix(".pdf"), metadata=about | {"CreationDate": None})
     return png
 
 
 def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=None):
-    """Write the columns of `dataframe`, not its index, to folder/name.csv in full and to name.tex
-    in four digits.
+    """Write the columns of a DataFrame, not its index, as CSV in full and as LaTeX in four digits.
 
-    The caption is LaTeX, the table needs the package booktabs. Returns the CSV's path.
+    Args:
+        dataframe: the table.
+        name: of the files, without a suffix.
+        caption: in LaTeX; the table needs the package booktabs.
+        folder, scenario, notebook: as for `save`.
+
+    Returns:
+        The CSV's path.
     """
-    csv = _in(folder, f"{name}.csv")
-    about = "".join(
-        f"% {key}: {value}\n" for key, value in provenance(name, scenario, notebook).items()
-    )
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    csv, label = Path(folder) / f"{name}.csv", f"tab:{name}"
     table = dataframe.to_latex(
-        index=False, escape=True, float_format="%.4g", caption=caption, label=f"tab:{name}"
+        index=False, escape=True, float_format="%.4g", caption=caption, label=label
     )
     dataframe.to_csv(csv, index=False)
-    csv.with_name(f"{name}.tex").write_text(about + table, encoding="utf-8")
+    about = as_comments(provenance(name, scenario, notebook))
+    csv.with_suffix(".tex").write_text(about + table, encoding="utf-8")
     return csv
-
-
-def _in(folder, file):
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    return Path(folder) / file

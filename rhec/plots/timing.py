@@ -1,82 +1,117 @@
-"""The paper's Figure 5: which phase runs when, to the scale of measured times."""
+"""The paper's Figure 5: which phase runs when, to the scale of measured times, in Python and in the
+exported C.
+"""
 
 import matplotlib.pyplot as plt
 
 from rhec import paper
-from rhec.plots.style import BLACK, BLUE, COLUMN_IN, SKY, VERMILLION, styled
+from rhec.plots.parts import BOUND, note
+from rhec.plots.style import BLACK, BLUE, COLUMN_IN, GREEN, ORANGE, SKY, VERMILLION, styled
 
-COLOURS = {"preparation": SKY, "feedback": BLUE}
+__all__ = ["embedded_times", "phases"]
+
+_PHASE_COLOURS = {"preparation": SKY, "feedback": BLUE}
+_COLOURS = {
+    ("RHE", "preparation"): SKY,
+    ("RHC", "preparation"): GREEN,
+    ("RHE", "feedback"): BLUE,
+    ("RHC", "feedback"): ORANGE,
+}
+_NOW = BOUND | dict(zorder=0)
 
 
 @styled
 def phases(times):
-    """Figure 5: preparation and feedback of RHE and RHC on a time axis [µs] around the sampling
-    instant t_k, as long as they take on average.
+    """Figure 5: preparation and feedback of RHE and RHC on a time axis around the sampling instant
+    t_k, as long as they take on average.
 
-    times: rows with problem ("RHE", "RHC"), phase ("preparation", "feedback"), minimum_us,
-    average_us, maximum_us. The measurement z_k arrives at t_k; both preparations are over by then
-    (drawn as late as can be), and only the two feedbacks lie between it and the command ω.
+    The measurement z_k arrives at t_k; both preparations are over by then (drawn as late as can
+    be), and only the two feedbacks lie between it and the command ω.
+
+    Args:
+        times: rows with problem ("RHE", "RHC"), phase ("preparation", "feedback"), minimum_us,
+            average_us, maximum_us.
     """
     average = times.set_index(["phase", "problem"])["average_us"]
     estimated = average["feedback", "RHE"]
     commanded = estimated + average["feedback", "RHC"]
-    begins = {
-        ("preparation", "RHE"): -average["preparation"].sum(),
-        ("preparation", "RHC"): -average["preparation", "RHC"],
-        ("feedback", "RHE"): 0,
-        ("feedback", "RHC"): estimated,
-    }
-    labels = {
-        (
-            row.phase,
-            row.problem,
-        ): f"{row.problem} {row.phase}\n{row.average_us:.1f} µs ({row.minimum_us:.1f} to {row.maximum_us:.1f})"
-        for row in times.itertuples()
-    }
+    bars = [(phase, problem) for phase in _PHASE_COLOURS for problem in ("RHE", "RHC")]
+    prepared = average["preparation"]
+    begins = dict(zip(bars, (-prepared.sum(), -prepared["RHC"], 0, estimated)))
+    labels = {}
+    for row in times.itertuples():
+        took = f"{row.average_us:.1f} µs ({row.minimum_us:.1f} to {row.maximum_us:.1f})"
+        labels[row.phase, row.problem] = f"{row.problem} {row.phase}\n{took}"
 
     figure, axes = plt.subplots(figsize=(COLUMN_IN, 2.6))
-    axes.axvline(0, color=BLACK, linewidth=0.6, linestyle="--", zorder=0)
-    for place, (which, begin) in enumerate(begins.items()):
-        axes.barh(place, average[which], 0.5, begin, color=COLOURS[which[0]], edgecolor=BLACK)
+    axes.axvline(0, **_NOW)
+    for place, ((phase, problem), begin) in enumerate(begins.items()):
+        look = dict(color=_PHASE_COLOURS[phase], edgecolor=BLACK)
+        axes.barh(place, average[phase, problem], 0.5, begin, **look)
+    arrow = {"arrowstyle": "-|>", "color": VERMILLION, "shrinkA": 0, "shrinkB": 0}
     for x, top, bottom, signal in [
         (0, -0.7, 1.75, "$z_k$"),
         (estimated, 2.25, 2.75, r"$\hat\xi,\ \hat p$"),
         (commanded, 3.25, 3.75, r"$\omega$"),
     ]:
-        axes.annotate(
-            "",
-            (x, bottom),
-            (x, top),
-            arrowprops={"arrowstyle": "-|>", "color": VERMILLION, "shrinkA": 0, "shrinkB": 0},
-        )
-        axes.annotate(
-            signal,
-            (x, bottom - 0.25),
-            (4, 0),
-            textcoords="offset points",
-            va="center",
-            color=VERMILLION,
-        )
+        axes.annotate("", (x, bottom), (x, top), arrowprops=arrow)
+        note(axes, signal, (x, bottom - 0.25), (4, 0), color=VERMILLION, fontsize=8)
     ready = f"ready before $t_k$,\nany time in the\n{1000 * paper.DT_S:.0f} ms since $t_{{k-1}}$"
-    for text, place, side in [(ready, 0.5, 1), ("all that delays\nthe command", 2.5, -1)]:
-        axes.annotate(
-            text,
-            (0, place),
-            (8 * side, 0),
-            textcoords="offset points",
-            ha="left" if side > 0 else "right",
-            va="center",
-            fontsize=7,
-        )
+    note(axes, ready, (0, 0.5), (8, 0), ha="left")
+    note(axes, "all that delays\nthe command", (0, 2.5), (-8, 0), ha="right")
 
     reported = 1000 * sum(paper.TABLE_1_MS[problem, "feedback"][1] for problem in ("RHE", "RHC"))
-    axes.set_title(
-        f"measurement to command: {commanded:.1f} µs, paper: {reported:.0f} µs", loc="right"
-    )
+    title = f"measurement to command: {commanded:.1f} µs, paper: {reported:.0f} µs"
+    axes.set_title(title, loc="right")
     axes.set_xlabel("time since the sampling instant $t_k$ [µs]")
     axes.set_yticks(range(len(begins)), [labels[which] for which in begins])
     axes.set_ylim(4.1, -0.9)
     axes.use_sticky_edges = False
     axes.margins(x=0.06)
     axes.grid(axis="y", visible=False)
+    return figure
+
+
+@styled
+def embedded_times(times):
+    """Figure 5 for the exported C: mean times of the four phases around the sampling instant t_k,
+    one axis a machine, one row for each source of times.
+
+    Both preparations are over at t_k, where the measurement arrives (drawn as late as can be); both
+    feedbacks lie between it and the command.
+
+    Args:
+        times: rows with machine, who, problem ("RHE", "RHC"), phase ("preparation", "feedback"),
+            mean_ms.
+    """
+    machines = list(times.groupby("machine", sort=False))
+    rows = [of_one["who"].nunique() for _, of_one in machines]
+    size = (COLUMN_IN, 0.75 + 0.5 * len(machines) + 0.42 * sum(rows))
+    heights = dict(height_ratios=[n + 0.4 for n in rows], squeeze=False)
+    figure, panels = plt.subplots(len(machines), 1, figsize=size, **heights)
+    edge = dict(edgecolor=BLACK, linewidth=0.4)
+    for axes, (machine, of_one) in zip(panels[:, 0], machines):
+        unit, factor = ("ms", 1.0) if of_one["mean_ms"].max() > 0.1 else ("µs", 1e3)
+        sources = dict(list(of_one.groupby("who", sort=False)))
+        for place, given in enumerate(sources.values()):
+            mean = factor * given.set_index(["problem", "phase"])["mean_ms"]
+            begin = -(mean["RHE", "preparation"] + mean["RHC", "preparation"])
+            for which, colour in _COLOURS.items():
+                axes.barh(place, mean[which], 0.5, begin, color=colour, **edge)
+                begin += mean[which]
+            delay = f"{begin:.3g} of {mean.sum():.3g} {unit}"
+            note(axes, delay, (begin, place), (4, 0))
+        axes.axvline(0, **_NOW)
+        axes.set_yticks(range(len(sources)), [name.replace(", ", ",\n") for name in sources])
+        axes.set_ylim(len(sources) - 0.5, -0.5)
+        axes.set_title(machine)
+        axes.set_xlabel(f"time since the sampling instant $t_k$ [{unit}]")
+        low, high = axes.get_xlim()
+        axes.set_xlim(low - 0.03 * (high - low), high + 0.45 * (high - low))  # room for the numbers
+        axes.grid(axis="y", visible=False)
+    handles = [
+        plt.Rectangle((0, 0), 1, 1, facecolor=colour, **edge) for colour in _COLOURS.values()
+    ]
+    labels = [f"{problem} {phase}" for problem, phase in _COLOURS]
+    figure.legend(handles, labels, loc="outside upper center", ncols=2)
     return figure

@@ -223,7 +223,7 @@ def _figures_of(folder):
         with Image.open(file) as image:
             said, (width, height) = image.info, image.size
         about = dict(name=file.stem, notebook=Path(said.get("Subject", "")).stem)
-        about |= dict(source=said.get("Creator", ""), scenario=said.get("Keywords", ""))
+        about |= dict(source=style.source_of(file), scenario=said.get("Keywords", ""))
         pdf = file.with_suffix(".pdf").exists()
         found.append(about | dict(width=width, height=height, pdf=pdf))
     return found

@@ -4,7 +4,7 @@ import argparse
 import shutil
 
 from benchmark import any_robot, drawings, horizon, instructions, peers, processes, step, tails
-from rhec import plots
+from rhec.plots import style
 from rhec.studies import timing
 
 
@@ -14,11 +14,11 @@ def report(table, name, caption, drawing=None):
         f"\n{caption}\n{table.to_string(index=False, float_format='{:.4g}'.format, na_rep='')}",
         flush=True,
     )
-    plots.save_table(
+    style.save_table(
         table, f"bench_{name}", f"{caption}, on {timing.machine()}", notebook="benchmark"
     )
     if drawing:
-        plots.save(drawing(table), f"bench_{name}", notebook="benchmark")
+        style.save(drawing(table), f"bench_{name}", notebook="benchmark")
 
 
 def measure_step(_):

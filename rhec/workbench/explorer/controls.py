@@ -9,25 +9,14 @@ import math
 from dataclasses import fields
 from typing import NamedTuple
 
-from rhec.estimator import rhe
+from rhec import tuning
+from rhec.estimator.base import ROBUST_NAMES, Choice, estimator_of
 from rhec.extensions.faults import Fault
-from rhec.model import tracked_robot as model
+from rhec.model.tracked_robot import QUANTITIES
 from rhec.scenario import Scenario
 
-__all__ = [
-    "CONTROLS",
-    "ESTIMATORS",
-    "GROUPS",
-    "NEW_PATCH",
-    "PATCH",
-    "PROCESS_NOISES",
-    "Choice",
-    "Slider",
-    "line_of",
-    "scenario_of",
-    "tidy",
-    "values_of",
-]
+__all__ = ["CONTROLS", "ESTIMATORS", "GROUPS", "NEW_PATCH", "PATCH", "PROCESS_NOISES", "Selection"]
+__all__ += ["Slider", "line_of", "scenario_of", "tidy", "values_of"]
 
 
 class Slider(NamedTuple):
@@ -46,7 +35,7 @@ class Slider(NamedTuple):
     kind: str = "real"
 
 
-class Choice(NamedTuple):
+class Selection(NamedTuple):
     """One of several values, each with its name in the list."""
 
     key: str
@@ -99,9 +88,11 @@ def _entries(field, symbol, names, slider):
 
 _ESTIMATOR = (
     Slider("estimation_horizon", "window [intervals]", 2, 40, 1, "estimation horizon", "whole"),
-    Choice("speed_model", "speed ν", _SPEED_MODELS, "R6, R13: how the RHE takes the speed"),
-    Choice("arrival_mean", "arrival mean", _PRIOR_MEANS, "R7: prior mean at the oldest node"),
-    Choice("robust", "robust", _YES_NO, "RHE and dual: gate positions, restart if rejected long"),
+    Selection("speed_model", "speed ν", _SPEED_MODELS, "R6, R13: how the RHE takes the speed"),
+    Selection("arrival_mean", "arrival mean", _PRIOR_MEANS, "R7: prior mean at the oldest node"),
+    Selection(
+        "robust", "robust", _YES_NO, "RHE and dual: gate positions, restart if rejected long"
+    ),
     *_entries("sigma_w", "σ_W", _STATES, (-4, 1.5, 0.05, "a sample; counts with “own W”", "log")),
 )
 _CONTROLLER = (
@@ -111,8 +102,8 @@ _CONTROLLER = (
     Slider("prediction_horizon", "horizon [intervals]", 2, 40, 1, "prediction horizon", "whole"),
     Slider("look_ahead_m", "look-ahead [m]", 0, 3, 0.05, "how far ahead the desired points begin"),
     Slider("omega_max_radps", "ω_max [rad/s]", 0.02, 0.5, 0.01, "bound on the commanded yaw rate"),
-    Choice("input_reference", "ω_r", _INPUT_REFERENCES, "R8: input reference"),
-    Choice("command_delay", "command", _DELAYS, "R10: when it is applied"),
+    Selection("input_reference", "ω_r", _INPUT_REFERENCES, "R8: input reference"),
+    Selection("command_delay", "command", _DELAYS, "R10: when it is applied"),
 )
 _DRIVE = (
     Slider("speed_mps", "speed [m/s]", 0.1, 1.4, 0.02, "above 0.7 curves exceed ω_max"),
@@ -120,7 +111,7 @@ _DRIVE = (
     Slider("start_offset_m", "start beside [m]", -3, 3, 0.1, "left of the path’s beginning"),
     Slider("start_yaw_rad", "start turned [rad]", -1.5, 1.5, 0.05, "against the path’s beginning"),
     Slider("guess_yaw_rad", "yaw guess off [rad]", -1.5, 1.5, 0.05, "error of the initial guess"),
-    Choice("backwards", "backwards", _YES_NO, "R9: λ = 1"),
+    Selection("backwards", "backwards", _YES_NO, "R9: λ = 1"),
     Slider("row_length_m", "row length [m]", 10, 100, 1, "of each of the two rows"),
     Slider("headland_radius_m", "turn radius [m]", 3, 20, 0.2, "of the headlands’ half circles"),
 )
@@ -137,7 +128,7 @@ _SENSORS = (
     Slider("gnss_slow_time_s", "slow over [s]", 5, 300, 5, "time constant of the slow part"),
     Slider("encoder_sigma_mps", "encoder noise [m/s]", 0, 0.2, 0.0025, "of one track at 50 Hz"),
     Slider("bump_sigma_radps", "bumps [rad/s]", 0, 0.2, 0.005, "yaw rate added for one sample"),
-    Choice("faults", "fault", _FAULTS, "what is wrong with the sensors, and when"),
+    Selection("faults", "fault", _FAULTS, "what is wrong with the sensors, and when"),
     *_entries("sigma_v", "σ_V", _MEASURED, (-3, 0, 0.05, "noise the estimator assumes", "log")),
 )
 GROUPS = {
@@ -168,7 +159,7 @@ def values_of(scenario):
         if key[0] != "sigma_w"
     }
     own, noise = scenario.sigma_w, scenario.process_noise
-    six = own if own is not None and len(own) == 6 else rhe.SIGMA_W[noise]
+    six = own if own is not None and len(own) == 6 else tuning.SIGMA_W["rhe"][noise]
     values |= {("sigma_w", place): sigma for place, sigma in enumerate(six)}
     values["process_noise"] = noise if own is None else "own"
     return values | {"seed": scenario.seed, "patches": scenario.patches}
@@ -195,32 +186,37 @@ def scenario_of(values, estimator, start):
         else:
             chosen[key] = value
     chosen |= {name: tuple(entry) for name, entry in entries.items()}
-    chosen["robust"] = chosen["robust"] and estimator in ("rhe", "dual")
+    chosen["robust"] = chosen["robust"] and estimator in ROBUST_NAMES
     if chosen["process_noise"] == "own":
         chosen["process_noise"] = start.process_noise
-        chosen["sigma_w"] = _own_sigma_w(chosen["sigma_w"], estimator, chosen["speed_model"])
+        chosen["sigma_w"] = _own_sigma_w(chosen)
     else:
         chosen["sigma_w"] = None
     return Scenario(**chosen)
 
 
-def _own_sigma_w(six, estimator, speed_model):
+def _own_sigma_w(chosen):
     """The standard deviations that an estimator has, from those of (x, y, θ, ν, μ, κ), in the order
     of Scenario's `sigma_w`; None for an estimator without any.
+
+    chosen: values of Scenario's fields; `sigma_w` has all six.
     """
-    if estimator == "rhe":
-        slips = speed_model == "slipping"
-        states = (4, 5) if slips else model.interval(speed_model).states
-        return tuple(six[state] for state in states)
-    pose = tuple(six[:4])
-    return {"dual": (*six, *pose), "ekf": pose, "traction_oracle": pose}.get(estimator)
+    if chosen["estimator"] == "dual":  # the RHE's, then the EKF's
+        names = (*QUANTITIES, *QUANTITIES[:4])
+    else:
+        estimator = estimator_of(chosen["estimator"])
+        choice = Choice(*(chosen[name] for name in Choice._fields[:5]))
+        n = estimator.n_sigma_w(choice)
+        names = estimator.states(choice)[-n:] if n else ()
+    six = dict(zip(QUANTITIES, chosen["sigma_w"]))
+    return tuple(six[name] for name in names) or None
 
 
 def tidy(control, value, before):
     """A control's value without the digits that only a slider's arithmetic made: as it was before,
     if it has not moved.
     """
-    if isinstance(control, Choice):
+    if isinstance(control, Selection):
         return value
     if math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
         return before

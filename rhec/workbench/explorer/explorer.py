@@ -367,7 +367,7 @@ class Explorer(widgets.VBox):
         stays as it is, and all else can be used.
         """
         horizons = {
-            f"{each.estimation_horizon} and {each.prediction_horizon} intervals"
+            f"{each.estimator.estimation_horizon} and {each.prediction_horizon} intervals"
             for each in structures
         }
         self._say(
@@ -448,7 +448,7 @@ def _input(control, value):
         "layout": {"width": "98%"},
         "style": {"description_width": "116px"},
     }
-    if isinstance(control, controls.Choice):
+    if isinstance(control, controls.Selection):
         options = control.options
         if not any(value == option for _, option in options):
             options = (*options, ("as it began", value))

@@ -15,19 +15,8 @@ from rhec.plots.style import BLACK, COLOURS, DOUBLE_IN, GREY, ORANGE, PURPLE, st
 from rhec.workbench.explorer.controls import ESTIMATORS
 from rhec.workbench.explorer.svg_layers import LayeredFigure
 
-__all__ = [
-    "DASHED",
-    "FAINT_TOLERANCE",
-    "ZOOMS",
-    "FieldRun",
-    "colour_of",
-    "field_run",
-    "map_limits",
-    "name_of",
-    "places_beside",
-    "round_up_to",
-    "tolerance_band",
-]
+__all__ = ["DASHED", "FAINT_TOLERANCE", "ZOOMS", "FieldRun", "colour_of", "field_run", "name_of"]
+__all__ += ["places_beside", "round_up_to", "tolerance_band"]
 
 ZOOMS = ("whole path", "first row", "worst place")
 DASHED = dict(color=BLACK, linewidth=0.6, linestyle=(0, (4, 2.5)))  # reference and bounds
@@ -134,7 +123,7 @@ def _worst_place(run):
     return c["x_m"][k], c["y_m"][k]
 
 
-def map_limits(run, zoom, shape):
+def _map_limits(run, zoom, shape):
     """((x, x_end), (y, y_end), aspect) of a zoom: the soil's whole field, the first row with y
     stretched, or 5 m around the worst place.
 
@@ -279,7 +268,7 @@ class FieldRun(LayeredFigure):
     def _show_map(self, run, zoom, soil):
         axes, terrain, field = self.axes["map"], run.terrain, getattr(run.terrain, soil)
         box = axes.get_subplotspec().get_position(self.figure)
-        x, y, aspect = map_limits(run, zoom, box.size * self.figure.get_size_inches())
+        x, y, aspect = _map_limits(run, zoom, box.size * self.figure.get_size_inches())
         arrays = field.tobytes(), run.path.segments.tobytes()
         key = (terrain.origin_m, terrain.cell_m, *arrays, soil, x, y)
         if key == self.keys.get("map"):
