@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, plots
-from rhec.estimator import rhe
+from rhec import paper, plots, tuning
 from rhec.studies import statistics
 from rhec.studies.claims import experiments, ledger, run_sets
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
@@ -333,9 +332,9 @@ def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
         log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
         atol=1e-8,
     )
-    W = np.diag(np.square(rhe.SIGMA_W["calibrated"]))
+    W = np.diag(np.square(tuning.SIGMA_W["rhe"]["calibrated"]))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
-    _, constant = experiments.run_with_given_arrival(steps, log, "calibrated", P_0=np.eye(6))
+    _, constant = experiments.run_with_given_arrival(steps, log, "calibrated", P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
 
 

@@ -22,7 +22,7 @@ def drawn():
 
 
 def made_up(drawn, **errors):
-    """Runs whose metrics are all one, but for the mean errors given as {variant: (worlds, seeds)}."""
+    """Runs whose metrics are all one, but for mean errors {variant: (worlds, seeds)}."""
     metrics = (
         "settling_time_s",
         "mean_error_m",
@@ -116,7 +116,7 @@ def test_a_planted_cause_decides(drawn):
         size=(WORLDS, SEEDS)
     )
     verdicts, margins = multiverse.judge(
-        made_up(drawn, **{"ekf_c": np.exp(advantage)}), WORLDS
+        made_up(drawn, ekf_c=np.exp(advantage)), WORLDS
     )
     rows = multiverse.summary(drawn, verdicts, margins).set_index("id")
     row = rows.loc["B5 c"]

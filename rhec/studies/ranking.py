@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from rhec import tuning
 from rhec._casadi import scan
-from rhec.extensions import dual
+from rhec.metrics import SETTLING_SAMPLES, settled_samples
 from rhec.scenario import Scenario
-from rhec.simulation import SETTLING_SAMPLES, settled_samples, simulate
+from rhec.simulation import simulate
 from rhec.studies import calibration
 from rhec.studies.statistics import over_seeds, ratio_of_means, verdict
 
@@ -23,7 +24,7 @@ __all__ = ["CONTESTANTS", "QUANTITIES", "by_pose_noise", "ranking_table", "scena
 # asked of the proposal: so much less true error than the paper's RHE, and no more than so much
 # above an oracle's
 LEAST_GAIN, MOST_ABOVE = 0.30, 0.10
-SIGMA_THETA = dual.SIGMA_W[8]
+SIGMA_THETA = tuning.SIGMA_W_TRACKING["dual"][8]
 QUANTITIES = {
     "mean_error_true_m": "mean true error [m]",
     "mean_error_m": "mean error, raw GNSS [m]",
@@ -86,9 +87,9 @@ def by_pose_noise(sigmas_rad, seeds):
     Mean true errors [m] on straights and in curves, counted from the arrival, and the RMS error of
     the estimated yaw [rad].
     """
-    rows = []
+    tuned, rows = tuning.SIGMA_W_TRACKING["dual"], []
     for sigma in sigmas_rad:
-        sigma_w = (*dual.SIGMA_W[:8], float(sigma), dual.SIGMA_W[9])
+        sigma_w = (*tuned[:8], float(sigma), tuned[9])
         for seed in seeds:
             run = simulate(Scenario(seed=seed, sigma_w=sigma_w, **CONTESTANTS["dual"].fields))
             stays = settled_samples(run.columns["error_true_m"])

@@ -14,7 +14,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.extensions.faults import Fault
-from rhec.simulation import settled_samples, simulate
+from rhec.metrics import settled_samples
+from rhec.simulation import simulate
 from rhec.studies.statistics import always, over_seeds
 
 __all__ = ["AIM_S", "BEFORE_S", "CASES", "FAMILIES", "fault_table", "study"]
