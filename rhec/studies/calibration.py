@@ -28,19 +28,17 @@ from rhec.simulation import known_traction, simulate
 __all__ = [
     "SETTLED_S",
     "SIGMA_W_TRACKING",
-    "TRACKING_SEEDS",
     "TRAINING_SEEDS",
     "calibrate",
     "deviance",
     "oracle_runs",
     "run_estimator",
     "scan_arguments",
-    "tune_for_tracking",
 ]
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
-TRACKING_SEEDS = range(1000, 1024)
+_TRACKING_SEEDS = range(1000, 1024)
 # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
 _LEAST, _MOST = 1e-3, 10.0
 # by likelihood: x and y, θ, ν[, μ, κ]
@@ -56,7 +54,7 @@ _TRACKING = {
     "traction_oracle": ({}, _POSE),
     "dual": (dict(estimation_horizon=10), _DUAL),
 }
-# Found by `tune_for_tracking`; "dual" has its own in `rhec.tuning`.
+# Found by `_tune_for_tracking`; "dual" has its own in `rhec.tuning`.
 SIGMA_W_TRACKING = {
     "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
     "ekf": (2e-05, 2e-05, 0.033, 950.0),
@@ -145,7 +143,7 @@ def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
     return _rounded(_sigma_from(result.x)), result.fun
 
 
-def tune_for_tracking(estimator, seeds=TRACKING_SEEDS, evaluations=120):
+def _tune_for_tracking(estimator, seeds=_TRACKING_SEEDS, evaluations=120):
     """Process noise of an estimator by least mean true error on these seeds: standard
     deviations, to two digits, and the error [m].
     """
@@ -177,4 +175,4 @@ if __name__ == "__main__":
     for name in _UNKNOWNS:
         print("by likelihood", name, *calibrate(name))
     for name in _TRACKING:
-        print("by tracking", name, *tune_for_tracking(name))
+        print("by tracking", name, *_tune_for_tracking(name))

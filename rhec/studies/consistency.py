@@ -26,9 +26,11 @@ __all__ = [
     "Consistency",
     "bounds",
     "consistency_table",
+    "innovations",
     "mean_square_errors",
     "measure",
     "normalised",
+    "normalised_squared",
     "share_inside",
 ]
 

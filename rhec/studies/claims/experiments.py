@@ -32,7 +32,18 @@ from rhec.studies.calibration import SETTLED_S
 from rhec.studies.claims.run_sets import PROCESS_NOISES
 from rhec.studies.live_loop import LiveRobot
 
-__all__ = ["all_of", "arrival_costs", "gains", "iterations", "kkt_tolerances", "models", "times"]
+__all__ = [
+    "all_of",
+    "gains",
+    "iterations",
+    "kkt_tolerances",
+    "live",
+    "models",
+    "reached_s",
+    "run_with_given_arrival",
+    "times",
+    "with_given_arrival",
+]
 
 
 # The arrival cost
@@ -82,7 +93,7 @@ def run_with_given_arrival(steps, log, process_noise, P_given=None):
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
 
 
-def arrival_costs(process_noise, seeds):
+def _arrival_costs(process_noise, seeds):
     """The RHE with its arrival cost as it is, and with constant ones, on the same recorded runs
     (driven with the true state in the loop).
 
@@ -276,7 +287,7 @@ def all_of(seeds):
     return {
         process_noise: independent
         | dict(
-            arrival_cost=arrival_costs(process_noise, max(2, seeds // 10)),
+            arrival_cost=_arrival_costs(process_noise, max(2, seeds // 10)),
             iterations=iterations(process_noise, max(2, seeds // 100)),
         )
         for process_noise in PROCESS_NOISES

@@ -19,7 +19,18 @@ from rhec.model.terrain import Terrain
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 
-__all__ = ["LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "complete", "logs", "runs"]
+__all__ = [
+    "LOGS",
+    "LOOK_AHEAD_M",
+    "PROCESS_NOISES",
+    "RUNS",
+    "complete",
+    "lag_s",
+    "logs",
+    "measured",
+    "runs",
+    "scenarios",
+]
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
