@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.estimator import ekf, rhe
 from rhec.studies import calibration
-
-SIGMA_W = {"rhe": rhe.SIGMA_W, "ekf": ekf.SIGMA_W}
+from rhec.tuning import SIGMA_W
 
 
 @pytest.fixture(scope="module")

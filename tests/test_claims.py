@@ -7,9 +7,7 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper
-from rhec.estimator import rhe
-from rhec.plots import claims as drawings
+from rhec import paper, plots, tuning
 from rhec.studies import statistics
 from rhec.studies.claims import experiments, ledger, run_sets
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
@@ -334,9 +332,9 @@ def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
         log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
         atol=1e-8,
     )
-    W = np.diag(np.square(rhe.SIGMA_W["calibrated"]))
+    W = np.diag(np.square(tuning.SIGMA_W["rhe"]["calibrated"]))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
-    _, constant = experiments.run_with_given_arrival(steps, log, "calibrated", P_0=np.eye(6))
+    _, constant = experiments.run_with_given_arrival(steps, log, "calibrated", P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
 
 
@@ -391,7 +389,7 @@ def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machi
 
 def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
     table = ledger.ledger(made_up)
-    csv = drawings.save_ledger(table, folder=tmp_path, notebook="claims.ipynb")
+    csv = plots.save_ledger(table, folder=tmp_path, notebook="claims.ipynb")
     read = pd.read_csv(csv, keep_default_na=False, na_values=[""])
     assert list(read["id"]) == list(table["id"]) and list(read["verdict"]) == list(table["verdict"])
     np.testing.assert_allclose(read["value"], table["value"])
@@ -403,6 +401,6 @@ def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
 
 def test_the_picture_names_every_claim_and_counts_the_verdicts(made_up):
     table = ledger.ledger(made_up)
-    texts = [text.get_text() for text in drawings.verdicts(table).axes[0].texts]
+    texts = [text.get_text() for text in plots.verdicts(table).axes[0].texts]
     assert set(table["id"]) <= set(texts) and set(table["claim"]) <= set(texts)
     assert f"undecided: {(table['verdict'] == UNDECIDED).sum()}" in texts

@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper
-from rhec._casadi import build as function
-from rhec.estimator import ekf
-from rhec.plots.interpretations import forest
+from rhec import paper, plots, tuning
+from rhec._casadi.build import pack_array
+from rhec.estimator import paper_ekf
+from rhec.model.tracked_robot import QUANTITIES
 from rhec.studies import interpretations
 
 DT = paper.DT_S
@@ -22,15 +22,19 @@ def test_the_steady_ekf_is_where_the_filter_itself_gets_to(sigma_x_m):
     along x.
     """
     step, m, sigma_theta = (
-        ekf.build_step(DT)["step"],
-        function.pack_array(ekf.init((0, 0, 0, 0.45, 1, 1), (1,) * 6)),
+        paper_ekf.build_step(DT),
+        pack_array(
+            paper_ekf.init(
+                4, dict(zip(QUANTITIES, (0, 0, 0, 0.45, 1, 1))), dict.fromkeys(QUANTITIES, 1)
+            )
+        ),
         0.1,
     )
     x = 0.0
     for _ in range(4000):
         result = step(
             memory=m,
-            z=(x, 0, 0.45, 0),
+            z_N=(x, 0, 0.45, 0),
             V=np.square(paper.SIGMA_V),
             W=np.square([sigma_x_m, sigma_x_m, sigma_theta, 1e-6]),
             traction=(1, 1),
@@ -77,7 +81,7 @@ def test_a_profile_is_least_where_the_calibration_stopped(virtual_machine):
     table = interpretations.likelihood_profile("ekf", 0, (0.2, 1.0, 5.0), seeds=1)
     assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
     assert list(table["sigma"]) == pytest.approx(
-        [factor * interpretations.SIGMA_W["ekf"]["calibrated"][0] for factor in (0.2, 1, 5)]
+        [factor * tuning.SIGMA_W["ekf"]["calibrated"][0] for factor in (0.2, 1, 5)]
     )
 
 
@@ -120,7 +124,7 @@ def test_one_reading_at_a_time_is_compared_with_the_baseline_at_equal_seeds(move
 
 
 def test_the_forest_has_a_row_for_each_reading(moved):
-    assert len(forest(moved, "calibrated").axes[0].get_yticklabels()) == 4
+    assert len(plots.forest(moved, "calibrated").axes[0].get_yticklabels()) == 4
 
 
 def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
@@ -136,6 +140,6 @@ def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
     )
     runs, sweep = interpretations.swept("rhe", "printed", 4, (0.25, 0.01), 1)
     assert [scenario.sigma_w for scenario in asked] == [
-        (*interpretations.SIGMA_W["rhe"]["printed"][:5], value) for value in (0.25, 0.01)
+        (*tuning.SIGMA_W["rhe"]["printed"][:5], value) for value in (0.25, 0.01)
     ]
     assert list(sweep["sigma"]) == [0.25, 0.01] == list(runs) and isinstance(sweep, pd.DataFrame)

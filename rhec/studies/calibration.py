@@ -18,26 +18,27 @@ import numpy as np
 from scipy.optimize import minimize
 
 from rhec._casadi import compiled, scan
-from rhec.estimator import base as estimators
+from rhec._casadi.build import pack_array, select_inputs
+from rhec.columns import MEASUREMENTS, POSE
+from rhec.estimator.base import Choice, build_step, estimator_of
+from rhec.model.tracked_robot import QUANTITIES
 from rhec.scenario import Scenario
-from rhec.simulation import LOG, simulate
+from rhec.simulation import known_traction, simulate
 
 __all__ = [
     "SETTLED_S",
     "SIGMA_W_TRACKING",
-    "TRACKING_SEEDS",
     "TRAINING_SEEDS",
     "calibrate",
     "deviance",
     "oracle_runs",
     "run_estimator",
     "scan_arguments",
-    "tune_for_tracking",
 ]
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
-TRACKING_SEEDS = range(1000, 1024)
+_TRACKING_SEEDS = range(1000, 1024)
 # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
 _LEAST, _MOST = 1e-3, 10.0
 # by likelihood: x and y, θ, ν[, μ, κ]
@@ -53,7 +54,7 @@ _TRACKING = {
     "traction_oracle": ({}, _POSE),
     "dual": (dict(estimation_horizon=10), _DUAL),
 }
-# Found by `tune_for_tracking`; "dual" has its own in `rhec.dual`.
+# Found by `_tune_for_tracking`; "dual" has its own in `rhec.tuning`.
 SIGMA_W_TRACKING = {
     "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
     "ekf": (2e-05, 2e-05, 0.033, 950.0),
@@ -70,37 +71,22 @@ def oracle_runs(seeds, duration_s=240.0):
     ]
 
 
-def _build_scan(outputs, *structure):
+def _build_scan(outputs, choice):
     """Scan of an estimator's step over a stream of z and the traction that it is given, with these
     of its outputs as the row.
     """
-    step = estimators.step(*structure)
-    memory, stream, V, W = (
-        ca.MX.sym(name, step.size1_in(name) if name in step.name_in() else 6)
-        for name in ("memory", "stream", "V", "W")
-    )
-    given = dict(memory=memory, z=stream[:4], z_N=stream[:4], V=V, W=W, traction=stream[4:])
-    result = step(**{name: given[name] for name in step.name_in()})
+    step = build_step(Choice(*choice))
+    stream = ca.MX.sym("stream", 6)
+    given = dict(z_N=stream[:4], traction=stream[4:])
+    own = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in step.name_in()}
+    own = {name: symbol for name, symbol in own.items() if name not in given}
+    result = step(**select_inputs(step, own | given))
+    memory, options = own.pop("memory"), {"allow_duplicate_io_names": True}
+    row = ca.veccat(*(result[name] for name in outputs))
+    names = ["memory", "stream", *own], ["memory", "row"]
+    inputs = [memory, stream, *own.values()]
     return scan.build_scan(
-        ca.Function(
-            "recorded",
-            [memory, stream, V, W],
-            [result["memory"], ca.veccat(*(result[name] for name in outputs))],
-            ["memory", "stream", "V", "W"],
-            ["memory", "row"],
-            {"allow_duplicate_io_names": True},
-        )
-    )
-
-
-def _traction_given_to(estimator, run):
-    """Traction (n, 2) that the estimator is given along a run."""
-    if estimator == "fixed_traction":
-        return np.tile(run.terrain.mean, (len(run.log), 1))
-    return (
-        run.log[["mu", "kappa"]].to_numpy()
-        if estimator == "traction_oracle"
-        else np.ones((len(run.log), 2))
+        ca.Function("recorded", inputs, [result["memory"], row], *names, options)
     )
 
 
@@ -108,20 +94,14 @@ def scan_arguments(scenario, run, *outputs):
     """Arguments of `scan.scan` for these outputs of the scenario's estimator on the measurements of
     a run; it starts where the robot is.
     """
-    steps = compiled.load(
-        _build_scan,
-        outputs,
-        estimators.estimator_key(scenario.estimator),
-        scenario.estimation_horizon,
-        scenario.speed_model,
-        scenario.arrival_mean,
-        scenario.qp,
-        scenario.robust,
-    )
-    x, y, theta = run.log.loc[0, ["x_m", "y_m", "theta_rad"]]
-    memory = estimators.first_memory(scenario, (x, y, theta, run.scenario.speed_mps, 1.0, 1.0))
-    stream = np.hstack([run.log[[*LOG["z"]]], _traction_given_to(scenario.estimator, run)])
-    return steps, memory, stream, estimators.noise_settings(scenario)
+    choice = Choice.of(scenario)
+    estimator = estimator_of(choice.estimator, choice.robust)
+    guess = (*run.log.loc[0, POSE], run.scenario.speed_mps, 1.0, 1.0)
+    memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
+    true = run.log[["mu", "kappa"]].to_numpy()
+    traction = np.broadcast_to(known_traction(estimator.given, run.terrain.mean, true), true.shape)
+    stream = np.hstack([run.log[MEASUREMENTS], traction])
+    return compiled.load(_build_scan, outputs, choice), memory, stream, estimator.settings(scenario)
 
 
 def run_estimator(scenario, run, *outputs):
@@ -163,14 +143,15 @@ def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
     return _rounded(_sigma_from(result.x)), result.fun
 
 
-def tune_for_tracking(estimator, seeds=TRACKING_SEEDS, evaluations=120):
+def _tune_for_tracking(estimator, seeds=_TRACKING_SEEDS, evaluations=120):
     """Process noise of an estimator by least mean true error on these seeds: standard
     deviations, to two digits, and the error [m].
     """
     fields, unknowns = _TRACKING[estimator]
 
     def sigma_w(logarithms):
-        sigma = np.full(estimators.n_sigma_w(estimator, "parameter"), _LEAST)
+        choice = Choice.of(Scenario(estimator=estimator))
+        sigma = np.full(estimator_of(estimator).n_sigma_w(choice), _LEAST)
         for places, logarithm in zip(unknowns, logarithms):
             sigma[list(places)] = np.exp(logarithm)
         return sigma
@@ -194,4 +175,4 @@ if __name__ == "__main__":
     for name in _UNKNOWNS:
         print("by likelihood", name, *calibrate(name))
     for name in _TRACKING:
-        print("by tracking", name, *tune_for_tracking(name))
+        print("by tracking", name, *_tune_for_tracking(name))

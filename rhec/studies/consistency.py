@@ -16,8 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from rhec.estimator.ekf import MEASURED
-from rhec.simulation import LOG
+from rhec.columns import MEASUREMENTS, TRUTH
 from rhec.studies import calibration
 from rhec.studies.calibration import SETTLED_S
 from rhec.studies.statistics import over_seeds, root_of_mean
@@ -27,9 +26,11 @@ __all__ = [
     "Consistency",
     "bounds",
     "consistency_table",
+    "innovations",
     "mean_square_errors",
     "measure",
     "normalised",
+    "normalised_squared",
     "share_inside",
 ]
 
@@ -68,15 +69,15 @@ def measure(scenario, runs):
     """The Consistency of a scenario's estimator, "rhe" with speed_model "parameter" or any of the
     EKFs, on the measurements of `runs`.
     """
-    places, rows = map(list, zip(*MEASURED))
-    R, results = np.diag(np.square(scenario.sigma_v)[rows]), []
+    places = [0, 1, 3]  # of x, y and ν, which are measured, among the states
+    R, results = np.diag(np.square(scenario.sigma_v[:3])), []
     for run in runs:
         row = calibration.run_estimator(scenario, run, "estimate", "covariance")
         estimate, covariance = np.split(row, [6], axis=1)
         n_x = round(np.sqrt(covariance.shape[1]))
         P = covariance.reshape(-1, n_x, n_x)
-        error = estimate[:, :n_x] - run.log[[*LOG["truth"][:n_x]]].to_numpy()
-        residuals = run.log[[*LOG["z"][:3]]].to_numpy() - estimate[:, places]
+        error = estimate[:, :n_x] - run.log[TRUTH[:n_x]].to_numpy()
+        residuals = run.log[MEASUREMENTS[:3]].to_numpy() - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)
         results.append(
             (

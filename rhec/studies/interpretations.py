@@ -12,9 +12,8 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
-from rhec import paper
+from rhec import paper, tuning
 from rhec.campaigns.campaign import campaign
-from rhec.estimator import ekf, rhe
 from rhec.estimator.rhe import RHE
 from rhec.metrics import rms
 from rhec.scenario import Scenario
@@ -22,12 +21,9 @@ from rhec.simulation import simulate
 from rhec.studies import calibration, statistics
 from rhec.studies.claims.run_sets import complete
 
-SIGMA_W = {"ekf": ekf.SIGMA_W, "rhe": rhe.SIGMA_W}
-
 __all__ = [
     "INTERPRETATIONS",
     "QUANTITIES",
-    "SIGMA_W",
     "ekf_on_a_straight",
     "likelihood_profile",
     "one_at_a_time",
@@ -76,7 +72,7 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     found = []
     for sigma in sigma_kappa:
         estimator = RHE(
-            sigma_w=(*SIGMA_W["rhe"][process_noise][:5], float(sigma)),
+            sigma_w=(*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma)),
             guess=(0.0, 0.0, 0.0, nu, mu, kappa),
         )
         for measurement in z:
@@ -105,7 +101,7 @@ def swept(estimator, process_noise, place, values, seeds):
     """
     runs, rows = {}, []
     for value, seed in itertools.product(values, range(seeds)):
-        sigma_w = _with_entry(SIGMA_W[estimator][process_noise], place, float(value))
+        sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], place, float(value))
         run = simulate(
             Scenario(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w, seed=seed)
         )
@@ -133,7 +129,7 @@ def likelihood_profile(estimator, place, factors, seeds=3):
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
     samples, calibrated = (
         sum(len(run.columns["t_s"]) for run in runs),
-        SIGMA_W[estimator]["calibrated"],
+        tuning.SIGMA_W[estimator]["calibrated"],
     )
     sigmas = [factor * calibrated[_entries(place)[0]] for factor in factors]
     deviances = np.array(

@@ -26,8 +26,10 @@ __all__ = [
     "FIRST_SEED",
     "UNKNOWNS",
     "VARIANTS",
+    "Claim",
     "correlations",
     "drive",
+    "in_world",
     "judge",
     "sample_parameters",
     "scenario",
@@ -53,8 +55,8 @@ UNKNOWNS = {
     "start_offset_m": (0.3, 1.5, False),
 }
 FIRST_SEED = 2000  # beyond the ledger's and the calibration's; every world has fields of its own
-DISCOVERIES = 0.05  # false discovery rate of the rank correlations
-FLOOR_M = 1e-3  # an overshoot below 1 mm counts as 1 mm
+_DISCOVERIES = 0.05  # false discovery rate of the rank correlations
+_FLOOR_M = 1e-3  # an overshoot below 1 mm counts as 1 mm
 
 _CALIBRATED = dict(process_noise="calibrated")
 # variant: (fields of the scenario, whether the first row is all it needs); p printed, c calibrated
@@ -86,7 +88,7 @@ def _less(one, other):
 
 def _overshoots(one, other, factor):
     """How much more `one` overshoots than `factor` times `other`."""
-    most, least = (np.maximum(runs.overshoot_m, FLOOR_M) for runs in (one, other))
+    most, least = (np.maximum(runs.overshoot_m, _FLOOR_M) for runs in (one, other))
     return np.log(most / (factor * least))
 
 
@@ -232,7 +234,7 @@ def correlations(drawn, margins):
     adjusted = p.to_numpy(copy=True)
     known = ~np.isnan(adjusted)
     adjusted[known] = stats.false_discovery_control(adjusted[known])
-    return rho, pd.DataFrame(adjusted < DISCOVERIES, p.index, p.columns)
+    return rho, pd.DataFrame(adjusted < _DISCOVERIES, p.index, p.columns)
 
 
 def summary(drawn, verdicts, margins):

@@ -18,10 +18,20 @@ from rhec.metrics import settled_samples
 from rhec.simulation import simulate
 from rhec.studies.statistics import always, over_seeds
 
-__all__ = ["AIM_S", "BEFORE_S", "CASES", "FAMILIES", "fault_table", "study"]
+__all__ = [
+    "AFTER_S",
+    "BEFORE_S",
+    "CASES",
+    "FAMILIES",
+    "fault_table",
+    "interval_s",
+    "response",
+    "scenario",
+    "study",
+]
 
 BEFORE_S, AFTER_S = 10.0, 60.0  # what is looked at around a fault
-AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""
+_AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""
 # faults begin between these times: the robot has arrived, and drives on for AFTER_S
 _FIRST_S, _LAST_S = 40.0, 130.0
 _BURST_S, _LONG_S, _FROM_START_S = 5.0, 30.0, 120.0
@@ -183,7 +193,7 @@ def study(base, seeds, handling, cases=CASES):
     return pd.DataFrame(rows), errors
 
 
-def fault_table(table, aim_s=AIM_S):
+def fault_table(table, aim_s=_AIM_S):
     """All cases in numbers: means over seeds, and whether every seed was back within the aim.
 
     Args:

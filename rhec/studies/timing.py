@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec._casadi import compiled
+from rhec.columns import MEASUREMENTS, POSE
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
-from rhec.model import path
+from rhec.model.references import PathTracker
 from rhec.simulation import simulate
 
 __all__ = ["COLUMNS", "machine", "phases", "table"]
@@ -28,27 +28,14 @@ COLUMNS = ("RHE", "preparation"), ("RHE", "feedback"), ("RHC", "preparation"), (
 
 def phases(scenario, qp):
     """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in
-    COLUMNS, with this QP solver.
+    COLUMNS, the RHC's QP by this solver.
     """
     run = simulate(scenario)
-    measurements = run.log[["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]].to_numpy()
-    estimator = RHE(
-        process_noise=scenario.process_noise,
-        qp=qp,
-        guess=(*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], scenario.speed_mps, 1.0, 1.0),
-    )
+    guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
+    estimator = RHE(process_noise=scenario.process_noise, guess=guess)
     controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
-    references = compiled.BufferedFunction(
-        compiled.load(path.build_references, paper.DT_S, paper.HORIZON, len(run.path.segments))[
-            "references"
-        ]
-    )
-    references.set(segments=run.path.segments.T, period_m=run.path.period_m)
-    xi_ref, omega_ref = (
-        references.results["xi_ref"].reshape((3, -1), order="F"),
-        references.results["omega_ref"],
-    )
-
+    tracker = PathTracker(run.path)
+    measurements = run.log[MEASUREMENTS].to_numpy()
     clock, taken = time.perf_counter_ns, np.empty((len(measurements), 4))
     for k, z in enumerate(measurements):
         begin = clock()
@@ -56,13 +43,11 @@ def phases(scenario, qp):
         prepared = clock()
         estimate = estimator.feedback(z)
         estimated = clock()
-        references.set(estimate=estimate[:6], omega_measured=z[3])
-        references.call()
-        references.set(s=references.results["s"])
+        references = tracker.references(estimate, z[3])
         referenced = clock()
         controller.prepare()
         planned = clock()
-        controller.feedback(estimate[:3], estimate[3:6], xi_ref, omega_ref)
+        controller.feedback(estimate.pose, estimate.p, *references)
         taken[k] = prepared - begin, estimated - prepared, planned - referenced, clock() - planned
     return taken[1:] / 1e3  # the first sample has nothing to prepare
 

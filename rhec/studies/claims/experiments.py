@@ -10,66 +10,70 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec import paper, simulation
+from rhec import paper, tuning
 from rhec._casadi import compiled, scan
-from rhec._casadi.build import (
-    pack_array,
-    packed_size,
-    select_inputs,
-    unpack_array,
-    with_packed_memory,
-)
-from rhec.controller import rhc
+from rhec._casadi.build import pack_array, select_inputs, with_packed_memory
+from rhec.columns import MEASUREMENTS, POSE
+from rhec.controller import paper_rhc, rhc
 from rhec.controller.rhc import RHC
-from rhec.estimator import rhe
+from rhec.estimator import paper_rhe, rhe
+from rhec.estimator.base import Choice
 from rhec.estimator.rhe import RHE
-from rhec.model import path, robot, terrain
-from rhec.model import tracked_robot as model
-from rhec.scenario import Scenario
 from rhec.metrics import rms, settled_samples
+from rhec.model import path
+from rhec.model import tracked_robot as model
+from rhec.model.base import rk4
+from rhec.model.references import PathTracker
+from rhec.scenario import Scenario
 from rhec.simulation import simulate
+from rhec.solver.rti import PHASES
 from rhec.studies import timing
 from rhec.studies.calibration import SETTLED_S
 from rhec.studies.claims.run_sets import PROCESS_NOISES
+from rhec.studies.live_loop import LiveRobot
 
-__all__ = ["all_of", "arrival_costs", "gains", "iterations", "kkt_tolerances", "models", "times"]
-
-_RHE_MEMORY = ("s", "v", "z", "age", "m", "P")
+__all__ = [
+    "all_of",
+    "gains",
+    "iterations",
+    "kkt_tolerances",
+    "live",
+    "models",
+    "reached_s",
+    "run_with_given_arrival",
+    "times",
+    "with_given_arrival",
+]
 
 
 # The arrival cost
 
 
+def _window():
+    return paper_rhe.window_of(Choice.of(Scenario()))
+
+
 def with_given_arrival():
     """One RHE step with a choice: the arrival cost's covariance from the smoothed EKF update, or
-    P_0 (6, 6) at all times where `constant` is 1.
+    P_given (6, 6) at all times where `constant` is 1.
 
-    (memory, z, V, W, P_0, constant) -> (memory, row); row: the estimate (6,) and the arrival
-    covariance (36,) behind it.
+    (memory, z_N, V, W, P_0, P_given, constant) -> (memory, row); row: the estimate (6,) and the
+    arrival covariance (36,) behind it.
     """
-    phases = rhe.build_phases(paper.DT_S, paper.HORIZON)
-    shift, linearise, feedback, expand = (
-        phases[name] for name in ("shift", "linearise", "feedback", "expand")
-    )
+    window = _window()
+    phases, kind = rhe.build_phases(window, model.QUANTITIES), compiled.loop_symbols()
+    shapes = dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 1), P_given=(6, 6), constant=(1, 1))
 
-    def step(z_N, V, W, P_0, constant, **memory):
-        memory = shift(**memory, V=V, W=W)
-        memory["P"] = ca.if_else(constant, P_0, memory["P"])
-        prepared = linearise(**select_inputs(linearise, memory), V=V)
-        result = feedback(**select_inputs(feedback, prepared | memory), z_N=z_N, V=V)
-        expanded = expand(**select_inputs(expand, memory | prepared | result | dict(z_N=z_N, V=V)))
-        return dict(row=ca.vertcat(result["estimate"], ca.vec(memory["P"]))) | {
-            name: expanded[name] for name in _RHE_MEMORY
-        }
+    @with_packed_memory("given_arrival", window.memory, kind, **shapes)
+    def step(**known):
+        for name in PHASES:
+            known |= phases[name](**select_inputs(phases[name], known))
+            if name == "shift":
+                P = known["P"] = ca.if_else(known["constant"], known["P_given"], known["P"])
+        row = ca.vertcat(known["estimate"], ca.vec(P))
+        return dict(row=row) | {name: known[name] for name in window.memory}
 
-    memory = {name: shift.size_in(name) for name in _RHE_MEMORY}
-    return with_packed_memory(
-        "given_arrival",
-        step,
-        memory,
-        dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 6), constant=(1, 1)),
-        compiled.loop_symbols(),
-    )
+    return step
 
 
 def _build_scan(serialized):
@@ -77,21 +81,19 @@ def _build_scan(serialized):
     return scan.build_scan(ca.Function.deserialize(serialized))
 
 
-def run_with_given_arrival(steps, log, process_noise, P_0=None):
+def run_with_given_arrival(steps, log, process_noise, P_given=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
-    guess = (*log.loc[0, ["x_m", "y_m", "theta_rad"]], log.loc[0, "nu_mps"], 1.0, 1.0)
-    settings = dict(
-        V=np.square(paper.SIGMA_V),
-        W=np.square(rhe.SIGMA_W[process_noise]),
-        P_0=np.eye(6) if P_0 is None else P_0,
-        constant=float(P_0 is not None),
+    scenario = Scenario(process_noise=process_noise)
+    settings = paper_rhe.ESTIMATORS["rhe"].settings(scenario) | dict(
+        P_given=np.eye(6) if P_given is None else P_given, constant=float(P_given is not None)
     )
-    memory = pack_array(rhe.init(guess, paper.SIGMA_W_RHE, paper.HORIZON))
-    _, rows = scan.scan(steps, memory, log[[*simulation.LOG["z"]]].to_numpy(), settings)
+    guess = dict(zip(model.QUANTITIES, (*log.loc[0, POSE], log.loc[0, "nu_mps"], 1.0, 1.0)))
+    memory = pack_array(paper_rhe.init(_window(), guess))
+    _, rows = scan.scan(steps, memory, log[MEASUREMENTS].to_numpy(), settings)
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
 
 
-def arrival_costs(process_noise, seeds):
+def _arrival_costs(process_noise, seeds):
     """The RHE with its arrival cost as it is, and with constant ones, on the same recorded runs
     (driven with the true state in the loop).
 
@@ -101,7 +103,7 @@ def arrival_costs(process_noise, seeds):
     least eigenvalue of P - W over all samples, in units of W.
     """
     steps, rows = compiled.load(_build_scan, with_given_arrival().serialize()), []
-    sigma = np.array(rhe.SIGMA_W[process_noise])
+    sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
     for seed in range(seeds):
         run = simulate(Scenario(estimator="oracle", seed=seed))
         log, row = run.log, {}
@@ -140,76 +142,35 @@ def live(scenario, iterations):
     same estimates and references how far [rad/s] the command (n,) was from the converged one, and
     that of a cold RHC (n,), which knows the previous estimate but has planned nothing.
     """
-    world, dt = simulation.set_up(scenario), paper.DT_S
-    given = world.settings
-    measure, drive, slip, references = (
-        compiled.BufferedFunction(function)
-        for function in (
-            robot.measure(dt),
-            robot.drive(dt),
-            terrain.lookup(terrain.common_shape(world.terrain)),
-            path.build_references(
-                dt, scenario.prediction_horizon, len(world.path.segments), scenario.input_reference
-            )["references"],
-        )
-    )
-    for call in (measure, drive, slip, references):
-        call.set(**select_inputs(call.function, given))
-    estimator = RHE(process_noise=scenario.process_noise, guess=tuple(world.guess))
+    robot, taken, warm, cold, positions = LiveRobot(scenario), [], [], [], []
+    previous = tuple(robot.setup.guess)
+    estimator = RHE(process_noise=scenario.process_noise, guess=previous)
     controller, unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(3))
-    previous, memory = (
-        tuple(world.guess),
-        unpack_array(world.memory[: packed_size(robot.MEMORY)], robot.MEMORY),
-    )
-    s, positions, taken, warm, cold = 0.0, [], [], [], []
-    for noise in simulation.draw_noise(scenario.seed, round(scenario.duration_s / dt)):
-        now = memory | unpack_array(noise, robot.NOISE)
-        slip.set(xy=now["pose"][:2])
-        slip.call()
-        measure.set(**select_inputs(measure.function, now))
-        measure.call()
-        z = measure.results["z"].copy()
-
+    tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
+    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
+    for z in robot:
         begin = time.perf_counter()
         estimator.prepare()
         estimate = estimator.feedback(z) if iterations == 1 else estimator.solve(z, iterations)
         estimated = time.perf_counter()
-        references.set(s=s, estimate=estimate[:6], omega_measured=z[3])
-        references.call()
-        s = references.results["s"][0]
-        asked = (
-            estimate[:3],
-            estimate[3:6],
-            references.results["xi_ref"].reshape((3, -1), order="F"),
-            references.results["omega_ref"],
-        )
+        problem = estimate.pose, estimate.p, *tracker.references(estimate, z[3])
         referenced = time.perf_counter()
         controller.prepare()
         command = (
-            controller.feedback(*asked) if iterations == 1 else controller.solve(*asked, iterations)
+            controller.feedback(*problem)
+            if iterations == 1
+            else controller.solve(*problem, iterations)
         )
         taken.append(time.perf_counter() - referenced + estimated - begin)
         exact.prepare()
-        converged = exact.solve(*asked)
+        converged = exact.solve(*problem)
         warm.append(command - converged)
-        unprepared.iteration.start(
-            rhc.init(previous[:3], previous[3:], scenario.prediction_horizon)
-        )
-        cold.append(unprepared.feedback(*asked) - converged)
+        unprepared.iteration.start(rhc.init(horizon, previous[:3], previous[3:]))
+        cold.append(unprepared.feedback(*problem) - converged)
         previous = estimate[:6]
-
-        drive.set(
-            **select_inputs(drive.function, now),
-            traction=slip.results["traction"],
-            omega_radps=command,
-        )
-        drive.call()
-        positions.append(now["pose"][:2].ravel())
-        memory = {
-            name: value.copy()
-            for name, value in (drive.results | dict(drift=measure.results["drift"])).items()
-        }
-    distance_m, _ = world.path.project(positions)
+        positions.append(robot.pose[:2].copy())
+        robot.drive(command)
+    distance_m, _ = robot.setup.path.project(positions)
     return distance_m, np.array(taken), np.array(warm), np.array(cold)
 
 
@@ -301,7 +262,7 @@ def models(n=100):
         pose = rng.uniform(-3, 3, 3)
         omega = rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)
         still = np.array(ca.DM(model.f(ca.DM.zeros(3), 0, ca.DM([speed, mu, kappa])))).ravel()
-        moved = model.rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S)
+        moved = rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S)
         circle = path.advance(*pose, omega / speed, speed * paper.DT_S, np)
         off = np.abs(np.array(ca.DM(moved)).ravel() - circle).max()
         rows.append(dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=off))
@@ -326,7 +287,7 @@ def all_of(seeds):
     return {
         process_noise: independent
         | dict(
-            arrival_cost=arrival_costs(process_noise, max(2, seeds // 10)),
+            arrival_cost=_arrival_costs(process_noise, max(2, seeds // 10)),
             iterations=iterations(process_noise, max(2, seeds // 100)),
         )
         for process_noise in PROCESS_NOISES

@@ -33,12 +33,12 @@ from rhec.studies.statistics import (
     share,
 )
 
-__all__ = ["CLAIMS", "Claim", "Rule", "collect_evidence", "counts", "ledger"]
+__all__ = ["CLAIMS", "Claim", "collect_evidence", "counts", "ledger"]
 
 _RELIABLE, _USUAL = 0.95, 0.5
 
 
-class Rule(NamedTuple):
+class _Rule(NamedTuple):
     """How a claim is judged: {condition: evidence -> Finding}, mostly under each process noise; the
     unit of its number, and the paper's word for it. Evidence is {process noise: {"runs", "logs",
     "experiments"}}.
@@ -56,7 +56,7 @@ class Claim(NamedTuple):
 
     claim: str
     test: str
-    rule: Rule
+    rule: _Rule
     why: str = ""
     paper: object = None
     unit: str = ""
@@ -73,7 +73,7 @@ def _under_each_noise(rule):
 
 def _noise_independent(rule):
     """A rule on what no process noise touches."""
-    return Rule({"": lambda evidence: rule(evidence["printed"])})
+    return _Rule({"": lambda evidence: rule(evidence["printed"])})
 
 
 def _untestable(shown=lambda of: (np.nan, np.nan, np.nan, 0)):
@@ -88,7 +88,7 @@ def _judge(rule, tables, expressions, bounds):
 
 
 def _named(by_condition, rule, cases, expression):
-    """A Rule with its unit, for a mean or a difference that in its column's name, and the paper's
+    """A rule with its unit, for a mean or a difference that in its column's name, and the paper's
     word.
     """
     suffix = expression.rstrip(")").rsplit("_", 1)[-1]
@@ -96,7 +96,7 @@ def _named(by_condition, rule, cases, expression):
     if rule in (always, possible, share, _share_twice):
         unit = f"share of {cases}"
     paper = {always: "all", possible: "may"}.get(rule, "")
-    return Rule(by_condition, "ratio" if rule is ratio else unit, paper)
+    return _Rule(by_condition, "ratio" if rule is ratio else unit, paper)
 
 
 def _on_runs(label, rule, *expressions, kind="runs", cases="fields", **bounds):

@@ -12,15 +12,25 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec import paper
+from rhec import paper, tuning
 from rhec.campaigns.campaign import campaign
-from rhec.estimator import ekf, rhe
 from rhec.metrics import rms
 from rhec.model.terrain import Terrain
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 
-__all__ = ["LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "complete", "logs", "runs"]
+__all__ = [
+    "LOGS",
+    "LOOK_AHEAD_M",
+    "PROCESS_NOISES",
+    "RUNS",
+    "complete",
+    "lag_s",
+    "logs",
+    "measured",
+    "runs",
+    "scenarios",
+]
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
@@ -35,14 +45,14 @@ _UNDISTURBED = dict(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, bump_sigma_radps=0.
 
 
 def _ekf_noise(process_noise):
-    return ekf.SIGMA_W[process_noise]
+    return tuning.SIGMA_W["ekf"][process_noise]
 
 
 def _traction_noise_times(factor):
     """The RHE's W with the standard deviations of μ and κ times `factor`."""
 
     def sigma_w(process_noise):
-        *pose_and_speed, mu, kappa = rhe.SIGMA_W[process_noise]
+        *pose_and_speed, mu, kappa = tuning.SIGMA_W["rhe"][process_noise]
         return *pose_and_speed, factor * mu, factor * kappa
 
     return sigma_w
