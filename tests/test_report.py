@@ -224,6 +224,7 @@ def test_the_reference_shows_the_public_face(site):
         shown = article.find(id=name)
         assert name in shown.select_one(".attr").get_text(), name
         assert shown.select_one(".docstring").get_text().strip(), name
+    assert "duration_s" in article.find(id="Scenario").get_text()
     assert "FieldInfo" not in article.get_text()
     assert pages(site)["index.html"].select_one("nav a[href='reference.html']")
 

@@ -3,7 +3,7 @@ gives what its annotation says; run, they are what they say.
 """
 
 from pathlib import Path
-from typing import assert_type
+from typing import Any, assert_type
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,7 @@ import pytest
 
 import rhec
 
-Array = np.typing.NDArray[np.float64]
+Array = np.typing.NDArray[Any]
 SCENARIO = rhec.Scenario(process_noise="calibrated", duration_s=2.0)
 
 
@@ -19,7 +19,7 @@ def test_one_run_and_many() -> None:
     run = assert_type(rhec.simulate(SCENARIO), rhec.Run)
     scenario = assert_type(run.scenario, rhec.Scenario)
     log = assert_type(run.log, pd.DataFrame)
-    metrics = assert_type(run.metrics, dict[str, float | bool])
+    metrics = assert_type(run.metrics, dict[str, Any])
     table = assert_type(rhec.campaign([scenario], workers=1), pd.DataFrame)
     assert type(log) is type(table) is pd.DataFrame and len(table) == 1
     assert {type(value) for value in metrics.values()} <= {float, int, bool}
@@ -41,16 +41,31 @@ def test_the_world() -> None:
 
 
 def test_a_loop_of_ones_own() -> None:
-    rhe, rhc = rhec.RHE(), rhec.RHC()
+    path = rhec.Path.racetrack(30.0, 7.8)
+    rhe, rhc, tracker = rhec.RHE(), rhec.RHC(), rhec.PathTracker(path)
     rhe.prepare()
     rhc.prepare()
     estimate = rhe.feedback((0.0, 0.0, 0.5, 0.0))
-    pose = np.array([estimate.x, estimate.y, estimate.theta])
-    xi_ref, omega_ref = np.zeros((3, rhc.horizon + 1)), np.zeros(rhc.horizon)
-    omega = assert_type(rhc.feedback(pose, (0.5, 0.9, 0.8), xi_ref, omega_ref), float)
-    assert isinstance(omega, float) and assert_type(rhc.ok, bool)
+    xi_ref, omega_ref = assert_type(tracker.references(estimate, 0.0), tuple[Array, Array])
+    omega = rhc.feedback(estimate.pose, estimate.p, xi_ref, omega_ref)
+    assert isinstance(omega, float) and assert_type(rhc.ok, bool) and assert_type(rhe.ok, bool)
     assert_type(rhc.kkt, float)
-    assert_type(rhc.xi_plan, Array)
+
+
+def test_any_robot() -> None:
+    model = rhec.Model(
+        states=("x_m",),
+        inputs=("v_mps",),
+        parameters={"slip": (0, 1)},
+        outputs=("x_m", "v_mps"),
+        f=lambda x, u, p: u * (1 - p),
+    )
+    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0.0, 0.01), guess=(0, 0), sigma_guess=(1, 1))
+    rhe = rhec.RHE(model=model, dt=0.2, horizon=5, **noise)
+    ekf = rhec.EKF(model=model, dt=0.2, **noise)
+    for estimator in (rhe, ekf):
+        estimator.prepare()
+        assert estimator.feedback((0.0, 0.5)).x.shape == (1,)
 
 
 def test_on_a_robot(tmp_path: Path) -> None:

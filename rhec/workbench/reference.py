@@ -23,12 +23,18 @@ def of_the_face():
         setattr(rhec, name, shown)  # pdoc asks for no name that is loaded on first use
         for each in (shown, *(vars(shown).values() if inspect.isclass(shown) else ())):
             _show_plain_types(getattr(each, "__func__", each))
-    pdoc.render.configure(docformat="google", include_undocumented=False, show_source=False)
+    pdoc.render.configure(docformat="google", show_source=False)
     module = pdoc.doc.Module(rhec)
     page = BeautifulSoup(pdoc.render.html_module(module, {"rhec": module}), "html.parser")
     body = page.select_one("main")
-    for drawn in body.select("input, .headerlink, .view-value-button"):
-        drawn.decompose()
+    for extra in body.select("h1, input, .headerlink, .view-value-button, .inherited, .decorator"):
+        extra.decompose()
+    for member in body.select(".classattr:not(:has(.docstring))"):
+        if not member["id"].endswith(".__init__"):
+            member.decompose()
+    for link in body.select("a[href^='#']"):
+        if not body.find(id=link["href"][1:]):  # what is not shown
+            link.unwrap()
     contents = [(section["id"], section["id"]) for section in body.select("section[id]")]
     return contents, body.decode_contents()
 
@@ -36,6 +42,6 @@ def of_the_face():
 def _show_plain_types(thing):
     """Leave of each annotation the type alone, without how it is validated."""
     hints = getattr(thing, "__annotations__", {})
-    known = {name: hint for name, hint in hints.items() if not isinstance(hint, str)}
+    known = {name: hint for name, hint in hints.items() if hint and type(hint) is not str}
     if known:
         hints.update(get_type_hints(SimpleNamespace(__annotations__=known)))
