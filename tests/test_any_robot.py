@@ -175,7 +175,8 @@ def test_an_input_that_is_not_commanded_stays_at_its_reference(command):
         problem, mpc = mpc_instance(BICYCLE, rng), controller(BICYCLE, **settings)
         u = mpc.solve(**problem, iterations=40)
         optimum = mpc_by_ipopt(BICYCLE, **problem, command=command)
-        np.testing.assert_allclose(u[place], optimum[place, 0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(u, optimum[:, 0], rtol=0, atol=1e-6)
+        np.testing.assert_array_equal(u[1 - place], problem["u_ref"][1 - place, 0])
 
 
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
@@ -386,7 +387,7 @@ BAD_MODELS = {
     ),
     "bounds that are text": (
         "parameters|slip_left",
-        dict(parameters={"slip_left": "01", "s": None}),
+        dict(parameters={"slip_left": "all", "s": None}),
     ),
     "parameters that are a tuple": ("parameters", dict(parameters=("slip_left", "slip_right"))),
     "an f of the wrong size": ("f", dict(f=lambda x, u, p: ca.vertcat(u[0], u[1]))),
@@ -450,7 +451,7 @@ BOUNDS = SKID_STEERED.bounds
 BAD_CONTROLLERS = {
     "an unknown command": ("command", dict(command=("v_left_mps", "v_middle_mps"))),
     "a command twice": ("command", dict(command=("v_left_mps", "v_left_mps"))),
-    "no command": ("command", dict(command=())),
+    "no command": ("command", dict(command=(), bounds={}, r=())),
     "a parameter as command": ("command", dict(command=("slip_left",))),
     "bounds of an unknown command": ("bounds", dict(bounds=BOUNDS | {"v_middle_mps": (0, 1)})),
     "bounds the wrong way round": ("bounds", dict(bounds=BOUNDS | {"v_left_mps": (1, -1)})),
