@@ -235,7 +235,9 @@ def symbols(robot):
 
 @functools.cache
 def reads_inputs(robot):
-    """Which outputs (n_z,) depend on the inputs."""
+    """Which outputs (n_z,) depend on the inputs: at the oldest node, before which nothing has acted
+    yet, they say nothing.
+    """
     x, u, p = symbols(robot)
     return np.array([ca.depends_on(z, u) for z in ca.vertsplit(outputs(robot, x, u, p))])
 
@@ -304,20 +306,20 @@ def mhe_instance(robot, rng, intervals=N, missing=0.0):
 @functools.cache
 def mhe_nlp(robot, intervals, dt=DT):
     """Moving horizon estimation over so many intervals whose prior is a guess, for IPOPT. Unknowns:
-    x_0 and p, then the inputs, interval by interval, the first those before the first sample: they
-    move nothing, but are measured. Also the Function (unknowns, data) -> (newest (x, p), its
+    x_0 and p, then the inputs, interval by interval. Also the Function (unknowns, data) -> (newest (x, p), its
     Jacobian, that of the residuals).
     """
     n_x, n_u, n_p, n_z = map(len, (robot.states, robot.inputs, robot.parameters, robot.outputs))
-    first, u = ca.SX.sym("first", n_x + n_p), ca.SX.sym("u", n_u, intervals + 1)
+    first, u = ca.SX.sym("first", n_x + n_p), ca.SX.sym("u", n_u, intervals)
     z, weight = ca.SX.sym("z", n_z, intervals + 1), ca.SX.sym("weight", n_z, intervals + 1)
     guess, sigma = ca.SX.sym("guess", n_x + n_p), ca.SX.sym("sigma", n_x + n_p)
     x, p = first[:n_x], first[n_x:]
     residuals = [(first - guess) / sigma]
     for i in range(intervals + 1):
         if i:
-            x = runge_kutta(robot, x, u[:, i], p, dt)
-        residuals.append(weight[:, i] * (z[:, i] - outputs(robot, x, u[:, i], p)))
+            x = runge_kutta(robot, x, u[:, i - 1], p, dt)
+        before = u[:, i - 1] if i else ca.SX.zeros(n_u)
+        residuals.append(weight[:, i] * (z[:, i] - outputs(robot, x, before, p)))
     residuals, unknowns = ca.vertcat(*residuals), ca.veccat(first, u)
     given = ca.veccat(z, weight, guess, sigma)
     newest = ca.vertcat(x, p)
@@ -333,14 +335,16 @@ def mhe_by_ipopt(robot, guess, z, dt=DT):
     newest x, u, p and the covariance of (x, p), and how many parameters are at a bound.
     """
     n_x, n_u, n_p = map(len, (robot.states, robot.inputs, robot.parameters))
-    solver, newest = mhe_nlp(robot, len(z) - 1, dt)
+    intervals = len(z) - 1
+    solver, newest = mhe_nlp(robot, intervals, dt)
     low, high = (
-        np.concatenate([np.full(n_x, fill), bounds, np.full(n_u * len(z), fill)])
+        np.concatenate([np.full(n_x, fill), bounds, np.full(n_u * intervals, fill)])
         for fill, bounds in zip((-np.inf, np.inf), limits(robot))
     )
     weight = np.where(np.isnan(z), 0, 1 / np.array(robot.sigma_v))
+    weight[0, reads_inputs(robot)] = 0
     measured = [
-        z[:, robot.outputs.index(name)] if name in robot.outputs else np.zeros(len(z))
+        z[1:, robot.outputs.index(name)] if name in robot.outputs else np.zeros(intervals)
         for name in robot.inputs
     ]
     given = np.concatenate(
