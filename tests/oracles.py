@@ -305,9 +305,10 @@ def mhe_instance(robot, rng, intervals=N, missing=0.0):
 
 @functools.cache
 def mhe_nlp(robot, intervals, dt=DT):
-    """Moving horizon estimation over so many intervals whose prior is a guess, for IPOPT. Unknowns:
-    x_0 and p, then the inputs, interval by interval. Also the Function (unknowns, data) -> (newest (x, p), its
-    Jacobian, that of the residuals).
+    """Moving horizon estimation over so many intervals whose prior is a guess, for IPOPT.
+
+    Unknowns: x_0 and p, then the inputs, interval by interval. Also the Function (unknowns, data)
+    -> (newest (x, p), its Jacobian, that of the residuals).
     """
     n_x, n_u, n_p, n_z = map(len, (robot.states, robot.inputs, robot.parameters, robot.outputs))
     first, u = ca.SX.sym("first", n_x + n_p), ca.SX.sym("u", n_u, intervals)

@@ -288,7 +288,8 @@ def test_a_response_follows_from_the_errors():
 
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     cases = {
-        family: dict(list(robustness.CASES[family].items())[:2]) for family in ("outage", "start")
+        family: dict(list(robustness.CASES[family].items())[:2])
+        for family in ("outage", "start")
     }
     table, errors = robustness.study(
         rhec.Scenario(process_noise="calibrated"),

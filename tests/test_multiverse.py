@@ -115,7 +115,9 @@ def test_a_planted_cause_decides(drawn):
     advantage = 5 * (0.8 - drawn["kappa_mean"].to_numpy()[:, None]) + 0.1 * rng.normal(
         size=(WORLDS, SEEDS)
     )
-    verdicts, margins = multiverse.judge(made_up(drawn, **{"ekf_c": np.exp(advantage)}), WORLDS)
+    verdicts, margins = multiverse.judge(
+        made_up(drawn, **{"ekf_c": np.exp(advantage)}), WORLDS
+    )
     rows = multiverse.summary(drawn, verdicts, margins).set_index("id")
     row = rows.loc["B5 c"]
     assert (row.decided_by, row.direction) == (
