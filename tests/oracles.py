@@ -262,10 +262,10 @@ def plant(robot, dt=DT):
 
 def drive_robot(robot, x, inputs, p, dt=DT):
     """The states (n+1, n_x) from x under the inputs (n, n_u), and measurements without noise (n+1,
-    n_z); before the first interval the inputs are 0.
+    n_z); before the first interval the inputs are the first ones, too.
     """
     step, states = plant(robot, dt), [np.array(x, dtype=float)]
-    z = [flat(outputs(robot, ca.DM(x), ca.DM.zeros(len(robot.inputs)), ca.DM(p)))]
+    z = [flat(outputs(robot, ca.DM(x), ca.DM(inputs[0]), ca.DM(p)))]
     for u in inputs:
         after, measured = step(states[-1], u, p)
         states.append(flat(after))
@@ -305,9 +305,10 @@ def mhe_instance(robot, rng, intervals=N, missing=0.0):
 
 @functools.cache
 def mhe_nlp(robot, intervals, dt=DT):
-    """Moving horizon estimation over so many intervals whose prior is a guess, for IPOPT. Unknowns:
-    x_0 and p, then the inputs, interval by interval. Also the Function (unknowns, data) -> (newest
-    (x, p), Gauss-Newton covariance of that).
+    """Moving horizon estimation over so many intervals whose prior is a guess, for IPOPT.
+
+    Unknowns: x_0 and p, then the inputs, interval by interval. Also the Function (unknowns, data)
+    -> (newest (x, p), its Jacobian, that of the residuals).
     """
     n_x, n_u, n_p, n_z = map(len, (robot.states, robot.inputs, robot.parameters, robot.outputs))
     first, u = ca.SX.sym("first", n_x + n_p), ca.SX.sym("u", n_u, intervals)
@@ -316,10 +317,10 @@ def mhe_nlp(robot, intervals, dt=DT):
     x, p = first[:n_x], first[n_x:]
     residuals = [(first - guess) / sigma]
     for i in range(intervals + 1):
+        if i:
+            x = runge_kutta(robot, x, u[:, i - 1], p, dt)
         before = u[:, i - 1] if i else ca.SX.zeros(n_u)
         residuals.append(weight[:, i] * (z[:, i] - outputs(robot, x, before, p)))
-        if i < intervals:
-            x = runge_kutta(robot, x, u[:, i], p, dt)
     residuals, unknowns = ca.vertcat(*residuals), ca.veccat(first, u)
     given = ca.veccat(z, weight, guess, sigma)
     newest = ca.vertcat(x, p)
