@@ -86,12 +86,14 @@ def prepare(log, track_width_m=None):
 
 
 def prepare_for(model, dt_s, log):
-    """The Recording in a DataFrame with a column for each of a Model's outputs."""
+    """The Recording in a DataFrame with a column for each of a Model's outputs; those that measure
+    inputs are means since the row before.
+    """
     values = _columns(log, {name: name for name in model.outputs})
     _drop_implausible(values, model.outputs, model.limits)
     rows, kept = _usable_rows(values, dt_s)
     faults = dict(rows=len(log), unusable_times=len(log) - len(kept))
-    return Recording(rows, kept, False, np.nan, faults)
+    return Recording(rows, kept, True, np.nan, faults)
 
 
 def _drop_implausible(values, names, limits):
@@ -216,7 +218,7 @@ def resample(rows, dt_s, averaged, means=(*_ENCODERS, *TRUE_SPEEDS)):
         value = rows[name].to_numpy()
         if name in means:
             result[name] = _means_between(
-                edges, t, value, averaged and name in _ENCODERS, _ENCODER_GAP * dt_s
+                edges, t, value, averaged and name not in TRUE_SPEEDS, _ENCODER_GAP * dt_s
             )
         else:
             value = _unwrapped(value) if name == "theta_rad" else value

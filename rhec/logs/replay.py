@@ -221,7 +221,7 @@ def _replay_model(log, model, estimator, arguments):
     hats = [f"{name}_hat" for name in names]
     columns = [*hats, *(f"{name}_sigma" for name in (*model.states, *model.parameters)), "ok"]
     for segment, rows in recording.rows.groupby("segment"):
-        part, live, told = resample(rows, dt_s, False, means), made(model=model, **arguments), []
+        part, live, told = resample(rows, dt_s, True, means), made(model=model, **arguments), []
         for z in part[[*model.outputs]].to_numpy():
             live.prepare()
             x, u, p, covariance = live.feedback(z)
@@ -261,8 +261,9 @@ def replay(
             where a measurement is to be ignored; the truth `x_true_m, y_true_m, yaw_true_rad,
             v_true_mps, yaw_rate_true_radps`, which no estimator sees. Other columns are ignored.
             Or the log of a `rhec.simulate` run, known by `x_meas_m`. With a model: `t_s`, a column
-            for each of its outputs and, optionally, `segment`, a row at least every dt. How faults
-            of real logs are treated: `rhec.logs.recording`.
+            for each of its outputs (a measured input: its mean since the row before) and,
+            optionally, `segment`, a row at least every dt. How faults of real logs are treated:
+            `rhec.logs.recording`.
         estimator: "rhe", "ekf", "augmented_ekf", "dual" or a CasADi Function of one's own, as in
             Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model; all that follows is then what rhec.RHE (or rhec.EKF) takes with it: dt,
