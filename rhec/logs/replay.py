@@ -227,7 +227,7 @@ def _replay_model(log, model, estimator, arguments):
             x, u, p, covariance = live.feedback(z)
             sigma = np.sqrt(np.diag(covariance))
             told.append([*x, *u, *p, *sigma, getattr(live, "ok", True)])
-        part[columns] = told
+        part[columns] = np.array(told, dtype=float)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
