@@ -7,6 +7,7 @@ import re
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -283,10 +284,31 @@ def test_the_exported_c_answers_as_the_live_objects_do(robot):
     raise NotImplementedError
 
 
-@pytest.mark.skip(reason="rhec.replay of a Model is not in the package yet")
-@pytest.mark.parametrize("robot", ROBOTS.values(), ids=names)
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_a_replayed_log_gives_the_estimates_of_the_live_objects(robot):
-    raise NotImplementedError
+    """In each segment; rows between the samples are predicted to their own time."""
+    rng = np.random.default_rng(9)
+    guess, z = mhe_instance(robot, rng, 60, missing=0.2)
+    t_s = DT * np.arange(len(z))
+    log = pd.DataFrame(dict(zip(robot.outputs, z.T))).assign(t_s=t_s)
+    log = pd.concat([log, log.assign(t_s=t_s + 100.0)], ignore_index=True)
+    given = dict(dt=DT, guess=tuple(guess), **robot.estimator)
+    by_rhe = rhec.replay(log, model=model(robot), horizon=N, arrival_mean="filtered", **given)
+    by_ekf = rhec.replay(log, "ekf", model=model(robot), **given)
+    ekf = rhec.EKF(model=model(robot), **given)
+    estimated = [*robot.states, *robot.parameters]
+    for replayed, live in (
+        (by_rhe, estimates(estimator(robot, guess), z)),
+        (by_ekf, estimates(ekf, z)),
+    ):
+        for part in (replayed[: len(z)], replayed[len(z) :]):
+            hats = [f"{name}_hat" for name in model(robot).names]
+            expected = np.array([[*e.x, *e.u, *e.p] for e in live])
+            np.testing.assert_allclose(part[hats], expected, rtol=0, atol=1e-9)
+            sigma = np.sqrt([np.diag(e.covariance) for e in live])
+            sigmas = [f"{name}_sigma" for name in estimated]
+            np.testing.assert_allclose(part[sigmas], sigma, rtol=0, atol=1e-9)
+        assert replayed["ok"].all()
 
 
 # Whatever comes

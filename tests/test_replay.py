@@ -552,3 +552,59 @@ def test_figures_of_a_log_with_and_without_truth():
         assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == (
             "yaw_true_rad" in log
         )
+
+
+# Any robot
+
+UNICYCLE = rhec.Model(
+    states=("x_m", "y_m", "theta_rad"),
+    inputs=("speed_mps", "yaw_rate_radps"),
+    parameters={},
+    outputs=("x_m", "y_m", "speed_mps", "yaw_rate_radps"),
+    f=lambda x, u, p: ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1]),
+)
+OF_UNICYCLE = dict(
+    model=UNICYCLE,
+    dt=0.5,
+    horizon=6,
+    sigma_v=(0.02, 0.02, 0.01, 0.01),
+    sigma_w=(0.001, 0.001, 0.001),
+    guess=(0.0, 0.0, 0.4),
+    sigma_guess=(0.1, 0.1, 0.2),
+)
+
+
+def circle(rate_hz):
+    """A log of a unicycle on an arc, with the measured inputs since the row before."""
+    t = np.arange(0, 20, 1 / rate_hz)
+    yaw = 0.4 + 0.1 * t
+    x, y = 5 * (np.sin(yaw) - np.sin(0.4)), -5 * (np.cos(yaw) - np.cos(0.4))
+    return pd.DataFrame(dict(t_s=t, x_m=x, y_m=y, speed_mps=0.5, yaw_rate_radps=0.1, yaw=yaw))
+
+
+@pytest.mark.parametrize("estimator", ["rhe", "ekf"])
+@pytest.mark.parametrize("rate_hz", [2.0, 5.0, 8.0])
+def test_a_models_estimates_are_at_each_rows_own_time(rate_hz, estimator):
+    log = circle(rate_hz)
+    given = {name: value for name, value in OF_UNICYCLE.items() if name != "horizon"}
+    result = rhec.replay(log, estimator, **(OF_UNICYCLE if estimator == "rhe" else given))
+    for name, truth in (("x_m", log["x_m"]), ("y_m", log["y_m"]), ("theta_rad", log["yaw"])):
+        np.testing.assert_allclose(result[f"{name}_hat"], truth, atol=1e-3)
+    assert result["ok"].all() and (result["theta_rad_sigma"][4:] < 0.2).all()
+
+
+@pytest.mark.parametrize(
+    "wrong, sentence",
+    [
+        (dict(estimator="dual"), "^estimator was 'dual'; for a model it should be 'rhe' or 'ekf'$"),
+        (dict(track_width_m=0.4), "^track_width_m was 0.4; a replay with a model does not take it"),
+        (dict(guess=(0.0,)), "^guess was"),
+        (dict(robust=True), "has no parameter 'robust'"),
+        (dict(log=circle(2.0).drop(columns="speed_mps")), "^the log had no column speed_mps"),
+        (dict(log=circle(1.0)), "^the log had rows 1 s apart .*at most 0.5 s"),
+        (dict(model="unicycle"), "^model was 'unicycle'"),
+    ],
+)
+def test_bad_arguments_of_a_models_replay_are_named(wrong, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.replay(**dict(log=circle(2.0)) | OF_UNICYCLE | wrong)

@@ -18,24 +18,25 @@ from rhec import paper
 from rhec.columns import MEASUREMENTS, POSE, RECORDED, RECORDED_TRUTH, TRACKS, TRUE_SPEEDS
 from rhec.model.tracked_robot import SPEED_MODELS
 
-__all__ = ["Recording", "prepare", "read", "resample"]
+__all__ = ["Recording", "prepare", "prepare_for", "read", "resample"]
 
 _POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
-_MAX_PERIOD_S = 0.25  # between rows, by their median: slower logs are refused
-_POSITION_GAP_S = 0.35  # positions further apart are not interpolated between
-_ENCODER_GAP_S = 0.65  # nor encoder measurements
-_SEGMENT_GAP_S = 2.0  # after a longer silence a new segment begins
 _TURNING_RADPS = 0.05  # at a lower yaw rate nothing is said about the track width
+# In samples of the estimator:
+_MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
+_POSITION_GAP = 1.75  # positions further apart are not interpolated between
+_ENCODER_GAP = 3.25  # nor encoder measurements
+_SEGMENT_GAP = 10.0  # after a longer silence a new segment begins
 # A time further from the median of its neighbours' is wrong; a clock that is set back by more
 # begins a new segment.
-_CLOCK_S = 1.0
+_CLOCK = 5.0
 
 
 class Recording(NamedTuple):
     """A log made ready.
 
-    rows           one for each row of the log that can be used: segment, t_s, MEASUREMENTS and the
-                   truth that is known, under the names of a run's log
+    rows           one for each row of the log that can be used: segment, t_s, measurements and,
+                   under the names of a run's log, the truth that is known
     kept           (rows,) their places in the log
     averaged       whether encoder measurements are means over the time since the row before, not
                    values of an instant
@@ -68,34 +69,54 @@ def prepare(log, track_width_m=None):
     far apart.
     """
     values, averaged = _parse_columns(log, track_width_m)
-    for name, limit in zip(MEASUREMENTS, SPEED_MODELS["parameter"].model.limits):
-        values.loc[~(values[name].abs() <= limit), name] = np.nan
+    _drop_implausible(values, MEASUREMENTS, SPEED_MODELS["parameter"].model.limits)
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
-
-    kept, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy())
-    if not len(kept):
-        raise ValueError(
-            "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
-            "segment"
-        )
-    rows = values.iloc[kept].assign(segment=segment).reset_index(drop=True)
+    rows, kept = _usable_rows(values, paper.DT_S)
     held = (rows[_POSITION].diff() == 0).all(axis=1) & (rows["segment"].diff() == 0)
     rows.loc[held, _POSITION] = np.nan
-    period = rows.groupby("segment")["t_s"].diff().median()
-    if period > _MAX_PERIOD_S:
-        raise ValueError(
-            f"the log had rows {period:.3g} s apart (median); they should be at most 0.2 s apart, "
-            "where need be with missing measurements"
-        )
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
         no_encoders=int(values[_ENCODERS].isna().any(axis=1).sum()),
         unusable_times=len(log) - len(kept),
         positions_held=int(held.sum()),
-        segments=int(segment.max()) + 1,
+        segments=int(rows["segment"].max()) + 1,
     )
     return Recording(rows, kept, averaged, track_width_m or _recorded_width(log), faults)
+
+
+def prepare_for(model, dt_s, log):
+    """The Recording in a DataFrame with a column for each of a Model's outputs; those that measure
+    inputs are means since the row before.
+    """
+    values = _columns(log, {name: name for name in model.outputs})
+    _drop_implausible(values, model.outputs, model.limits)
+    rows, kept = _usable_rows(values, dt_s)
+    faults = dict(rows=len(log), unusable_times=len(log) - len(kept))
+    return Recording(rows, kept, True, np.nan, faults)
+
+
+def _drop_implausible(values, names, limits):
+    for name, limit in zip(names, limits):
+        values.loc[~(values[name].abs() <= limit), name] = np.nan
+
+
+def _usable_rows(values, dt_s):
+    """The rows whose times can be used, with their segments numbered from 0, and their places."""
+    kept, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
+    if not len(kept):
+        raise ValueError(
+            "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
+            "segment"
+        )
+    rows = values.iloc[kept].assign(segment=segment).reset_index(drop=True)
+    period = rows.groupby("segment")["t_s"].diff().median()
+    if period > _MAX_PERIOD * dt_s:
+        raise ValueError(
+            f"the log had rows {period:.3g} s apart (median); they should be at most {dt_s:g} s "
+            "apart, where need be with missing measurements"
+        )
+    return rows, kept
 
 
 def _recorded_width(log):
@@ -114,28 +135,14 @@ def _parse_columns(log, track_width_m):
     """The log's known columns as floats under the names of a run's log, and whether encoder
     measurements are means.
     """
-    if not isinstance(log, pd.DataFrame) or not len(log):
-        empty = " without rows" if isinstance(log, pd.DataFrame) else ""
-        raise ValueError(f"log was {type(log).__name__}{empty}; it should be a DataFrame with rows")
-    simulated = MEASUREMENTS[0] in log
+    simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     measured, truth = RECORDED, RECORDED_TRUTH
     if simulated:
         measured = {name: name for name in MEASUREMENTS}
         truth = {name: name for name in (*POSE, "mu", "kappa")}
     if track_width_m is not None:
         measured = measured | dict(zip(_ENCODERS, TRACKS))
-    wanted = dict(t_s="t_s") | measured
-    missing = [column for column in wanted.values() if column not in log]
-    if missing:
-        by_tracks = set(TRACKS) <= set(log.columns) and track_width_m is None
-        raise ValueError(
-            f"the log had no column {', '.join(missing)}; it should have "
-            f"{', '.join(wanted.values())}{' and a track_width_m' if by_tracks else ''}"
-        )
-    values = pd.DataFrame({name: _numbers(log, column) for name, column in wanted.items()})
-    for name, column in wanted.items():
-        if not np.isfinite(values[name]).any():
-            raise ValueError(f"the log's column {column} had no number in it")
+    values = _columns(log, measured)
     if track_width_m is not None:
         left, right = (values[name] for name in _ENCODERS)
         values = values.assign(
@@ -144,7 +151,6 @@ def _parse_columns(log, track_width_m):
     for flag, flagged in (("pos_ok", _POSITION), ("encoders_ok", _ENCODERS)):
         if flag in log:
             values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
-    values["segment"] = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
     for name, column in truth.items():
         if column in log:
             values[name] = _numbers(log, column)
@@ -152,6 +158,27 @@ def _parse_columns(log, track_width_m):
         values["v_true_mps"] = values["mu"] * _numbers(log, "nu_mps")
         values["yaw_rate_true_radps"] = values["kappa"] * _numbers(log, "omega_radps")
     return values, simulated
+
+
+def _columns(log, measured):
+    """Columns of a log as floats: t_s, those of `measured` {name: column}, segment."""
+    if not isinstance(log, pd.DataFrame) or not len(log):
+        empty = " without rows" if isinstance(log, pd.DataFrame) else ""
+        raise ValueError(f"log was {type(log).__name__}{empty}; it should be a DataFrame with rows")
+    wanted = dict(t_s="t_s") | measured
+    missing = [column for column in wanted.values() if column not in log]
+    if missing:
+        by_tracks = measured is RECORDED and set(TRACKS) <= set(log.columns)
+        raise ValueError(
+            f"the log had no column {', '.join(missing)}; it should have "
+            f"{', '.join(wanted.values())}{' and a track_width_m' if by_tracks else ''}"
+        )
+    values = pd.DataFrame({name: _numbers(log, column) for name, column in wanted.items()})
+    for name, column in wanted.items():
+        if not np.isfinite(values[name]).any():
+            raise ValueError(f"the log's column {column} had no number in it")
+    segment = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
+    return values.assign(segment=segment)
 
 
 def _numbers(log, column):
@@ -165,23 +192,23 @@ def _numbers(log, column):
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _usable_times(t_s, segment):
+def _usable_times(t_s, segment, dt_s):
     """Places of the rows whose times can be used, and their segments, numbered from 0."""
     kept = np.flatnonzero(np.isfinite(t_s))
     median = pd.Series(t_s[kept]).rolling(5, center=True, min_periods=1).median().to_numpy()
-    kept = kept[np.abs(t_s[kept] - median) <= _CLOCK_S]
+    kept = kept[np.abs(t_s[kept] - median) <= _CLOCK * dt_s]
     step, change = np.diff(t_s[kept], prepend=np.nan), np.diff(segment[kept], prepend=np.nan) != 0
-    label = np.cumsum(change | (step > _SEGMENT_GAP_S) | (step < -_CLOCK_S)) - 1
+    label = np.cumsum(change | (step > _SEGMENT_GAP * dt_s) | (step < -_CLOCK * dt_s)) - 1
     latest = pd.Series(t_s[kept]).groupby(label).cummax()
     rising = t_s[kept] > latest.groupby(label).shift(fill_value=-np.inf).to_numpy()
     return kept[rising], label[rising]
 
 
-def resample(rows, dt_s, averaged):
-    """One segment's rows as samples every dt_s [s] from its first row: t_s, MEASUREMENTS, truth.
+def resample(rows, dt_s, averaged, means=(*_ENCODERS, *TRUE_SPEEDS)):
+    """One segment's rows as samples every dt_s [s] from its first row: t_s, measurements, truth.
 
-    Position and true pose are those at the sample's time. Encoder measurements and true speeds are
-    means over the interval that ends there, as the model's inputs are.
+    Position and true pose are those at the sample's time. Encoder measurements and true speeds,
+    the columns in `means`, are means over the interval that ends there, as a model's inputs are.
     """
     t = rows["t_s"].to_numpy()
     at = t[0] + dt_s * np.arange(int((t[-1] - t[0]) / dt_s + 0.01) + 1)
@@ -189,10 +216,13 @@ def resample(rows, dt_s, averaged):
     result = dict(t_s=at)
     for name in rows.columns.drop(["segment", "t_s"]):
         value = rows[name].to_numpy()
-        if name in _ENCODERS or name in TRUE_SPEEDS:
-            result[name] = _means_between(edges, t, value, averaged and name in _ENCODERS)
+        if name in means:
+            result[name] = _means_between(
+                edges, t, value, averaged and name not in TRUE_SPEEDS, _ENCODER_GAP * dt_s
+            )
         else:
-            result[name] = _values_at(at, t, _unwrapped(value) if name == "theta_rad" else value)
+            value = _unwrapped(value) if name == "theta_rad" else value
+            result[name] = _values_at(at, t, value, _POSITION_GAP * dt_s)
     return pd.DataFrame(result)
 
 
@@ -203,7 +233,7 @@ def _unwrapped(angle):
     return angle
 
 
-def _values_at(at, t, value):
+def _values_at(at, t, value, gap_s):
     """The value at these times: measured then, or between two measurements that are close."""
     known = np.isfinite(value)
     if not known.any():
@@ -212,12 +242,12 @@ def _values_at(at, t, value):
     after = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
     near = np.where(np.abs(t[after] - at) < np.abs(t[before] - at), after, before)
-    inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= _POSITION_GAP_S)
+    inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
     between = np.where(inside, np.interp(at, t, value), np.nan)
     return np.where(np.abs(t[near] - at) < 1e-3, value[near], between)
 
 
-def _means_between(edges, t, value, averaged):
+def _means_between(edges, t, value, averaged, gap_s):
     """Mean of a measurement between each two of the edges, NaN where less than half of that time is
     known; between instants it changes linearly, and the first counts for the interval before it.
     """
@@ -229,7 +259,7 @@ def _means_between(edges, t, value, averaged):
     start = np.concatenate([[t[0] - (edges[1] - edges[0])], t])
     mean = np.append(value[:1], value[1:] if averaged else (value[1:] + value[:-1]) / 2)
     length = np.diff(start)
-    known = np.isfinite(mean) & (length <= _ENCODER_GAP_S)
+    known = np.isfinite(mean) & (length <= gap_s)
 
     def integral(rate):
         return np.diff(np.interp(edges, start, np.append(0, np.cumsum(rate * length))))

@@ -18,11 +18,13 @@ from rhec._casadi.renamed import with_new_names
 from rhec._casadi.validation import Positive, Real, checked
 from rhec.columns import ESTIMATE, FLAGS, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
 from rhec.estimator.base import NAMES, Choice, build_step, estimator_of
+from rhec.estimator.ekf import EKF
 from rhec.estimator.paper_rhe import window_of
+from rhec.estimator.rhe import RHE
 from rhec.extensions import slipping
 from rhec.extensions.faults import corrupted
-from rhec.logs.recording import prepare, resample
-from rhec.model.base import interval
+from rhec.logs.recording import prepare, prepare_for, resample
+from rhec.model.base import Model, interval
 from rhec.model.limits import is_valid_measurement
 from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 from rhec.scenario import Scenario
@@ -104,20 +106,27 @@ def _run(steps, scenario, z, yaw_rad, first):
     return scan.scan(steps, memory, z, select_inputs(steps["step"], settings))[1]
 
 
-def _predict(scenario, estimate, encoders, tau_s):
-    """Estimates (n, 8) after tau_s (n,) of driving by the encoder measurements (n, 2), in the
-    estimator's own model; a missing measurement is the one before it.
+def _predict(model, names, estimate, z, tau_s):
+    """Estimates (n, names) of a Model after tau_s (n,) of driving by the inputs measured in z (n,
+    n_z); a missing measurement is the one before it, else the input estimated.
     """
-    choice = Choice.of(scenario)
-    model = window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
-    iv, places = interval(model), [_QUANTITIES.index(name) for name in model.joint_names]
-    held = pd.DataFrame(encoders).ffill().fillna(0).to_numpy()
-    v = np.zeros((len(estimate), iv.n_v))
-    for place, (row, _) in iv.input_outputs.items():
-        v[:, place] = held[:, row - 2]
-    predicted, step = estimate.copy(), iv.step.map(len(estimate))
+    step = interval(model, measured=False).step.map(len(estimate))
+    places = [names.index(name) for name in (*model.states, *model.parameters)]
+    v, held = np.zeros((len(estimate), len(model.inputs))), pd.DataFrame(z).ffill().to_numpy()
+    for place, name in enumerate(model.inputs):
+        v[:, place] = estimate[:, names.index(name)] if name in names else 0
+        if place in model.input_outputs:
+            measured = held[:, model.input_outputs[place]]
+            v[:, place] = np.where(np.isfinite(measured), measured, v[:, place])
+    predicted = estimate.copy()
     predicted[:, places] = np.array(step(estimate[:, places].T, v.T, tau_s[None, :])).T
     return predicted
+
+
+def _model_of(scenario):
+    """The Model by which a scenario's estimator predicts."""
+    choice = Choice.of(scenario)
+    return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
 
 
 def _innovations(scenario, estimate, z):
@@ -127,7 +136,8 @@ def _innovations(scenario, estimate, z):
     none = np.full((1, 2), np.nan)
     if len(z) < 2:
         return none
-    predicted = _predict(scenario, estimate[:-1], z[1:, 2:], np.full(len(z) - 1, paper.DT_S))
+    model, dt_s = _model_of(scenario), np.full(len(z) - 1, paper.DT_S)
+    predicted = _predict(model, _QUANTITIES, estimate[:-1], z[1:], dt_s)
     return np.concatenate([none, z[1:, :2] - predicted[:, :2]])
 
 
@@ -165,30 +175,68 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
 
 
-def _at_rows(samples, recording, scenario):
-    """The estimates at each usable row of the log: the last sample's, predicted to the row's time
-    by the encoder measurements since.
+def _at_rows(samples, recording, log, dt_s, measured, estimated, predict):
+    """One row for each row of the log, in its order and with its index: the last sample's estimate,
+    predicted to the row's time; where the row cannot be used, the estimate before it.
+
+    measured, estimated: names of these columns; predict(estimate, z, tau_s): as `_predict`.
     """
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
         since = rows["t_s"].to_numpy() - part["t_s"][0]
         # a row just before a sample belongs to it
-        last = np.clip(np.floor(since / paper.DT_S + 0.25).astype(int), 0, len(part) - 1)
-        tau = since - last * paper.DT_S
+        last = np.clip(np.floor(since / dt_s + 0.25).astype(int), 0, len(part) - 1)
+        tau = since - last * dt_s
         tau[np.abs(tau) < 1e-6] = 0
         following = np.minimum(last + (tau > 0), len(part) - 1)
-        encoders = part[MEASUREMENTS[2:]].ffill().iloc[following]
+        z = part[measured].ffill().to_numpy()[following]
         result = part.iloc[last].reset_index(drop=True)
-        moved = _predict(scenario, result[_HATS].to_numpy(), encoders.to_numpy(), tau)
-        result.loc[tau != 0, ESTIMATE[:3]] = moved[tau != 0, :3]
+        moved = predict(result[estimated].to_numpy(), z, tau)
+        result.loc[tau != 0, estimated] = moved[tau != 0]
         between = np.diff(last, prepend=-1) == 0  # no sample's own row
-        result.loc[between, [*INNOVATION, "deviance"]] = np.nan
-        result.loc[between, GATE] = False
+        result.loc[between, result.columns.intersection([*INNOVATION, "deviance"])] = np.nan
+        result.loc[between, result.columns.intersection(GATE)] = False
         given = rows.columns.drop("segment")
         result[given] = rows[given].to_numpy()
         parts.append(result)
-    return pd.concat(parts, ignore_index=True)
+    rows, place = pd.concat(parts, ignore_index=True), np.full(len(log), -1)
+    place[recording.kept] = np.arange(len(rows))
+    result = rows.iloc[np.maximum.accumulate(np.maximum(place, 0))].set_axis(log.index)
+    result.loc[place < 0, measured] = np.nan
+    result.loc[place < 0, result.columns.intersection(GATE)] = False
+    result.attrs["faults"] = recording.faults
+    return result
+
+
+def _replay_model(log, model, estimator, arguments):
+    """A log through the RHE or EKF of a Model, one made anew for each segment."""
+    made = {"rhe": RHE, "ekf": EKF}.get(estimator)
+    if made is None:
+        raise ValueError(f"estimator was {estimator!r}; for a model it should be 'rhe' or 'ekf'")
+    made(model=model, **arguments)  # refuses bad arguments before it looks at the log
+    dt_s, names = arguments["dt"], model.names
+    recording, parts = prepare_for(model, dt_s, log), []
+    means = [model.outputs[row] for row in model.input_outputs.values()]
+    hats = [f"{name}_hat" for name in names]
+    columns = [*hats, *(f"{name}_sigma" for name in (*model.states, *model.parameters)), "ok"]
+    for segment, rows in recording.rows.groupby("segment"):
+        part, live, told = resample(rows, dt_s, True, means), made(model=model, **arguments), []
+        for z in part[[*model.outputs]].to_numpy():
+            live.prepare()
+            x, u, p, covariance = live.feedback(z)
+            sigma = np.sqrt(np.diag(covariance))
+            told.append([*x, *u, *p, *sigma, getattr(live, "ok", True)])
+        part[columns] = np.array(told, dtype=float)
+        part.insert(0, "segment", segment)
+        parts.append(part)
+    samples = pd.concat(parts, ignore_index=True)
+    samples["ok"] = samples["ok"] == 1
+
+    def predict(estimate, z, tau_s):
+        return _predict(model, names, estimate, z, tau_s)
+
+    return _at_rows(samples, recording, log, dt_s, [*model.outputs], hats, predict)
 
 
 @checked
@@ -196,25 +244,30 @@ def replay(
     log,
     estimator="rhe",
     *,
+    model: Model | None = None,
     track_width_m: Positive | None = None,
     lever_arm_m: tuple[Real, Real] | None = None,
     first_yaw_rad: Real | tuple[Real, ...] | None = None,
-    sigma_yaw_rad: Positive = _SIGMA_FIRST[2],
+    sigma_yaw_rad: Positive | None = None,
     **fields,
 ):
-    """Estimate pose, speed and traction from a recorded log.
+    """Estimates from a recorded log: of the paper's robot, or of any Model.
 
     Args:
-        log: DataFrame of a recording, at 5 Hz or faster, SI units:
+        log: DataFrame of a recording, at 5 Hz or faster, SI units, a missing measurement NaN:
             `t_s`; `x_m, y_m` (the antenna's measured position); by the encoders, not corrected for
             slip, `speed_mps, yaw_rate_radps` or, of the tracks, `v_left_mps, v_right_mps`.
             Optional: `segment`, never driven through where it changes; `pos_ok, encoders_ok`, false
             where a measurement is to be ignored; the truth `x_true_m, y_true_m, yaw_true_rad,
-            v_true_mps, yaw_rate_true_radps`, which no estimator sees.
-            Other columns are ignored. Or the log of a `rhec.simulate` run, known by `x_meas_m`.
-            A missing measurement is NaN. Of a real log's faults see `rhec.logs.recording`.
+            v_true_mps, yaw_rate_true_radps`, which no estimator sees. Other columns are ignored.
+            Or the log of a `rhec.simulate` run, known by `x_meas_m`. With a model: `t_s`, a column
+            for each of its outputs (a measured input: its mean since the row before) and,
+            optionally, `segment`, a row at least every dt. How faults of real logs are treated:
+            `rhec.logs.recording`.
         estimator: "rhe", "ekf", "augmented_ekf", "dual" or a CasADi Function of one's own, as in
-            Scenario.
+            Scenario. With a model "rhe" or "ekf".
+        model: A rhec.Model; all that follows is then what rhec.RHE (or rhec.EKF) takes with it: dt,
+            sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Take ν and ω from v_left_mps and v_right_mps, this far apart [m], instead of
             speed_mps and yaw_rate_radps.
         lever_arm_m: Place of the antenna, (ahead, left) of the robot's centre of turning [m]; by
@@ -223,19 +276,27 @@ def replay(
         first_yaw_rad: First guess of the yaw [rad], one number or one for each segment. By default
             several directions are tried, and the one with the least innovations is taken: that
             looks ahead over the whole segment until the robot has driven some metres.
-        sigma_yaw_rad: Standard deviation of that guess [rad].
+        sigma_yaw_rad: Standard deviation of that guess [rad], by default 0.3.
         **fields: Of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon, speed_model,
             arrival_mean, robust, qp. speed_model is "slipping" by default: "input" (R13) with noise
             that scales with motion.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index; `rhec.columns`
-        documents its columns. A row that cannot be used has the estimate before it.
+        documents its columns. With a model: measurements under the outputs' names, for each state,
+        input and parameter `<name>_hat`, for states and parameters the standard deviation
+        `<name>_sigma`, and `ok`. A row that cannot be used has the estimate before it.
         `.attrs["faults"]` counts rows and measurements that could not be used.
 
     Raises:
         ValueError: For a log without these columns or usable times, or a bad argument.
     """
+    if model is not None:
+        own = dict(track_width_m=track_width_m, lever_arm_m=lever_arm_m)
+        own |= dict(first_yaw_rad=first_yaw_rad, sigma_yaw_rad=sigma_yaw_rad)
+        for name in (name for name, value in own.items() if value is not None):
+            raise ValueError(f"{name} was {own[name]!r}; a replay with a model does not take it")
+        return _replay_model(log, model, estimator, fields)
     recording = prepare(log, track_width_m)
     scenario = replay_scenario(estimator, recording, fields)
     if lever_arm_m is not None and (
@@ -253,15 +314,13 @@ def replay(
             f"first_yaw_rad had {len(first_yaw_rad)} entries; it should be one number, or one for "
             f"each of the log's {segments} segments"
         )
-    first = InitialGuess(first_yaw_rad, sigma_yaw_rad, lever_arm_m)
-    rows = _at_rows(estimate_samples(recording, scenario, first), recording, scenario)
-    place = np.full(len(log), -1)
-    place[recording.kept] = np.arange(len(rows))
-    result = rows.iloc[np.maximum.accumulate(np.maximum(place, 0))].set_axis(log.index)
-    result.loc[place < 0, MEASUREMENTS] = np.nan
-    result.loc[place < 0, GATE] = False
-    result.attrs["faults"] = recording.faults
-    return result
+    first = InitialGuess(first_yaw_rad, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m)
+    samples, model = estimate_samples(recording, scenario, first), _model_of(scenario)
+
+    def predict(estimate, z, tau_s):
+        return _predict(model, _QUANTITIES, estimate, z, tau_s)
+
+    return _at_rows(samples, recording, log, paper.DT_S, MEASUREMENTS, _HATS, predict)
 
 
 def replay_scenario(estimator, recording, fields):
