@@ -16,9 +16,9 @@ from rhec import paper
 from rhec._casadi import scan
 from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack, with_packed_memory
 from rhec.columns import RECORDED_TRUTH, TRACKS
-from rhec.model import robot
-from rhec.model.terrain import Terrain, flat, lookup
 from rhec.simulation import draw_noise
+from rhec.tracked_robot import plant as robot
+from rhec.tracked_robot.terrain import Terrain, flat, lookup
 
 __all__ = ["FILE", "example_log"]
 

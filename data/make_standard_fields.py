@@ -1,4 +1,4 @@
-"""The standard Gaussian fields that all slip fields are cut from (see rhec/model/terrain.py): two
+"""The standard Gaussian fields that all slip fields are cut from (see rhec/tracked_robot/terrain.py): two
 independent ones by GSTools' Fourier method, which makes them periodic.
 
 `python data/make_standard_fields.py` makes the file again, in minutes. Half precision is plenty.
@@ -9,7 +9,7 @@ from pathlib import Path
 import gstools
 import numpy as np
 
-from rhec.model.terrain import CELLS_PER_LENGTH
+from rhec.tracked_robot.terrain import CELLS_PER_LENGTH
 
 __all__ = ["make"]
 

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from rhec.extensions.faults import Fault
     from rhec.logs.replay import replay
     from rhec.model.base import Model
-    from rhec.model.path import Path
-    from rhec.model.references import PathTracker
-    from rhec.model.terrain import Terrain
     from rhec.scenario import Scenario
     from rhec.simulation import Run, simulate
+    from rhec.tracked_robot.path import Path
+    from rhec.tracked_robot.references import PathTracker
+    from rhec.tracked_robot.terrain import Terrain
     from rhec.workbench.explorer.explorer import Explorer
 
 __version__ = "0.2.0"
@@ -37,13 +37,13 @@ _HOME = {
     "Explorer": "workbench.explorer.explorer",
     "Fault": "extensions.faults",
     "Model": "model.base",
-    "Path": "model.path",
-    "PathTracker": "model.references",
+    "Path": "tracked_robot.path",
+    "PathTracker": "tracked_robot.references",
     "RHC": "controller.rhc",
     "RHE": "estimator.rhe",
     "Run": "simulation",
     "Scenario": "scenario",
-    "Terrain": "model.terrain",
+    "Terrain": "tracked_robot.terrain",
     "campaign": "campaigns.campaign",
     "export": "codegen",
     "replay": "logs.replay",

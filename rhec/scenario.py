@@ -23,10 +23,10 @@ from rhec._casadi.validation import (
     shown,
     validated,
 )
-from rhec.estimator.base import NAMES, ROBUST_NAMES, Choice, estimator_of
 from rhec.extensions.faults import Fault
-from rhec.model.path import Path
-from rhec.model.terrain import Patch, Seed, Terrain
+from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, Choice, estimator_of
+from rhec.tracked_robot.path import Path
+from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 
 @validated

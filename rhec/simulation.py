@@ -26,17 +26,19 @@ from rhec._casadi.build import (
 )
 from rhec._casadi.validation import shown
 from rhec.columns import COLUMNS, FLAGS, LOG
-from rhec.controller import paper_rhc, rhc
-from rhec.estimator.base import Choice, build_step, estimator_of
+from rhec.controller import rhc
 from rhec.extensions import faults
 from rhec.metrics import metrics
-from rhec.model import robot, terrain
 from rhec.model.limits import is_valid_measurement
-from rhec.model.path import Path
-from rhec.model.references import build_references
-from rhec.model.terrain import Terrain
-from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 from rhec.scenario import Scenario
+from rhec.tracked_robot import plant as robot
+from rhec.tracked_robot import rhc as paper_rhc
+from rhec.tracked_robot import terrain
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.path import Path
+from rhec.tracked_robot.references import build_references
+from rhec.tracked_robot.terrain import Terrain
 
 if TYPE_CHECKING:
     import pandas as pd

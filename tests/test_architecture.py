@@ -38,7 +38,7 @@ MOST_ENTRIES, MOST_CORE_LINES, MOST_LINES = 20, 2500, 14_000
 
 
 def dotted(file):
-    """A file as it is imported, such as rhec.model.path."""
+    """A file as it is imported, such as rhec.tracked_robot.path."""
     parts = ["rhec", *file.relative_to(PACKAGE).with_suffix("").parts]
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
@@ -55,7 +55,7 @@ FILLED = [name for name, tree in TREES.items() if tree.body and not name.endswit
 
 
 def imported(name):
-    """All that a module imports anywhere in it, each as far as it is named: rhec.model.path."""
+    """All that a module imports anywhere in it, each as far as it is named: rhec.tracked_robot.path."""
     for node in ast.walk(TREES[name]):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

@@ -5,7 +5,17 @@ time is asserted.
 import numpy as np
 import pandas as pd
 import pytest
-from benchmark import any_robot, drawings, horizon, instructions, peers, problems, processes, step, tails
+from benchmark import (
+    any_robot,
+    drawings,
+    horizon,
+    instructions,
+    peers,
+    problems,
+    processes,
+    step,
+    tails,
+)
 
 
 @pytest.fixture(scope="module")

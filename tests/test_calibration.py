@@ -7,7 +7,7 @@ import pytest
 
 import rhec
 from rhec.studies import calibration
-from rhec.tuning import SIGMA_W
+from rhec.tracked_robot.tuning import SIGMA_W
 
 
 @pytest.fixture(scope="module")

@@ -21,12 +21,12 @@ from rhec._casadi.build import pack_array, select_inputs
 from rhec.codegen import LOG, phases
 from rhec.columns import MEASUREMENTS
 from rhec.controller import rhc
-from rhec.controller.paper_rhc import horizon_of
-from rhec.estimator.base import Choice, build_step, estimator_of
-from rhec.model.references import build_references
-from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 from rhec.plots.timing import embedded_times
 from rhec.studies.embedded import instructions, report, toolchain
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.references import build_references
+from rhec.tracked_robot.rhc import horizon_of
 
 SECONDS = 20.0
 TOLERANCE = 1e-9

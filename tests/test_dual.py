@@ -5,10 +5,10 @@ import pytest
 from oracles import DT, V, drive, flat
 
 from rhec._casadi.build import pack_array
-from rhec.estimator.base import Choice, build_step, estimator_of
 from rhec.extensions import dual
-from rhec.model.tracked_robot import QUANTITIES
-from rhec.tuning import SIGMA_W_TRACKING
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.tracked_robot.tuning import SIGMA_W_TRACKING
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SIGMA_W = SIGMA_W_TRACKING["dual"]

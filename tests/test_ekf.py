@@ -5,8 +5,8 @@ import pytest
 from oracles import DT, V, drive, flat
 
 from rhec._casadi import build as function
-from rhec.estimator import paper_ekf
-from rhec.model.tracked_robot import QUANTITIES
+from rhec.tracked_robot import ekf as paper_ekf
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 W = np.square([0.02, 0.02, 0.01, 0.05])
 STEP = paper_ekf.build_step(DT)

@@ -19,9 +19,9 @@ from nbformat import v4
 
 import rhec
 from rhec import paper, simulation
-from rhec.controller.paper_rhc import PaperRHC
-from rhec.estimator.paper_rhe import PaperRHE
 from rhec.extensions import faults
+from rhec.tracked_robot.rhc import PaperRHC
+from rhec.tracked_robot.rhe import PaperRHE
 from rhec.workbench import notebook
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")

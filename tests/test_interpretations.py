@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, plots, tuning
+from rhec import paper, plots
 from rhec._casadi.build import pack_array
-from rhec.estimator import paper_ekf
-from rhec.model.tracked_robot import QUANTITIES
 from rhec.studies import interpretations
+from rhec.tracked_robot import ekf as paper_ekf
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
 

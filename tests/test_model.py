@@ -5,7 +5,7 @@ import pytest
 from oracles import flat
 
 from rhec.model import base
-from rhec.model import tracked_robot as model
+from rhec.tracked_robot import kinematics as model
 
 SPEED_MODELS = ["parameter", "input"]
 

@@ -8,10 +8,10 @@ import pytest
 
 import rhec
 from rhec import plots, simulation
-from rhec.model import terrain
 from rhec.studies import multiverse
 from rhec.studies.calibration import TRAINING_SEEDS
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED
+from rhec.tracked_robot import terrain
 
 WORLDS, SEEDS = 64, 5
 

@@ -8,7 +8,7 @@ import pytest
 from oracles import flat
 
 import rhec
-from rhec.model import references as refs
+from rhec.tracked_robot import references as refs
 
 RACETRACK = rhec.Path.racetrack(30.0, 7.8)
 PATHS = {

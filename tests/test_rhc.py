@@ -7,8 +7,8 @@ import pytest
 from oracles import N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
 
 import rhec
-from rhec.controller import paper_rhc
 from rhec.controller import rhc as builders
+from rhec.tracked_robot import rhc as paper_rhc
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]

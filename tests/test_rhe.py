@@ -21,10 +21,12 @@ from oracles import (
 )
 
 import rhec
-from rhec import paper, tuning
-from rhec.estimator import base, paper_rhe
-from rhec.model.tracked_robot import QUANTITIES
+from rhec import paper
 from rhec.solver.box_qp import box_qp, box_qp_by_library
+from rhec.tracked_robot import estimators as base
+from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SPEED_MODELS = ["parameter", "input"]

@@ -5,7 +5,7 @@ import pytest
 from oracles import DT, flat
 
 from rhec._casadi import build as function
-from rhec.model import robot
+from rhec.tracked_robot import plant as robot
 
 DRIVE, MEASURE = robot.drive(DT), robot.measure(DT)
 QUIET = dict(

@@ -6,7 +6,7 @@ from oracles import flat
 from scipy.interpolate import RegularGridInterpolator
 
 import rhec
-from rhec.model import terrain
+from rhec.tracked_robot import terrain
 
 BOX = (-3.0, 17.0, 5.0, 25.0)
 MEAN, DEVIATION = (0.9, 0.8), (0.04, 0.08)

@@ -14,7 +14,7 @@ from nbclient import NotebookClient
 import rhec
 from notebooks import tutorial_checks
 from rhec import paper
-from rhec.model import tracked_robot as model
+from rhec.tracked_robot import kinematics as model
 
 TUTORIAL = Path(__file__).parents[1] / "notebooks/tutorial.ipynb"
 DT = paper.DT_S

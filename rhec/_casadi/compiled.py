@@ -67,14 +67,7 @@ def loop_symbols():
 
 
 _PACKAGE = Path(__file__).parents[1]
-_ROOMS = (
-    "_casadi",
-    "model",
-    "solver",
-    "estimator",
-    "controller",
-    "extensions",
-)  # with the modules beside them, all that decides what the C does
+_ROOMS = ("_casadi", "model", "solver", "estimator", "controller", "tracked_robot", "extensions")
 
 
 @functools.cache

@@ -15,7 +15,7 @@ import numpy as np
 from rhec import simulation
 from rhec._casadi import compiled
 from rhec._casadi.validation import optional
-from rhec.model import terrain
+from rhec.tracked_robot import terrain
 
 __all__ = ["cache_folder", "failed_row", "load_rows", "provenance", "save_rows", "scenario_key"]
 

@@ -17,9 +17,9 @@ import numpy as np
 from rhec._casadi.validation import shown
 from rhec.codegen import c_writer, phases
 from rhec.columns import COMMAND, ESTIMATE, MEASUREMENTS
-from rhec.estimator.base import NAMES, estimator_of
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
+from rhec.tracked_robot.estimators import NAMES, estimator_of
 
 __all__ = ["FOLDER", "LOG", "export"]
 

@@ -5,9 +5,9 @@ README. Files that do not depend on the scenario are in the folder `c`.
 import casadi as ca
 
 from rhec import paper
-from rhec.estimator.paper_rhe import SIGMA_START
 from rhec.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.solver.pivoting import MAX_SWEEPS
+from rhec.tracked_robot.rhe import SIGMA_START
 
 __all__ = ["functions_header", "memory_header", "phases_header", "readme", "scenario_source"]
 

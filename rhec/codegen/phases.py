@@ -14,12 +14,12 @@ import numpy as np
 from rhec import simulation
 from rhec._casadi.build import casadi_function, pack_array, unpack
 from rhec.controller import rhc
-from rhec.controller.paper_rhc import horizon_of
-from rhec.estimator.base import Choice, estimator_of
-from rhec.model import path
 from rhec.model.limits import is_valid_measurement
-from rhec.model.references import build_references
-from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot import path
+from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.references import build_references
+from rhec.tracked_robot.rhc import horizon_of
 
 __all__ = ["Export", "Phase", "closest", "export"]
 

@@ -9,6 +9,7 @@ feedback phase only: they move the gradient, through the linearised dynamics of 
 s = (x, p).
 """
 
+import importlib
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -32,6 +33,8 @@ from rhec.solver.box_lq import box_lq
 from rhec.solver.rti import PHASES, RealTimeIteration, copy_checked
 
 __all__ = ["RHC", "Horizon", "build_phases", "init"]
+
+_PAPER = "rhec.tracked_robot.rhc"  # so that nothing here depends on what stands above
 
 
 class Horizon(NamedTuple):
@@ -108,9 +111,7 @@ def build_phases(horizon):
         H = box_qp.condensed_hessian(A, B, [Q] * (N - 1) + [QN], ca.diag(R))
         return dynamics | dict(H=H)
 
-    @casadi_function(
-        "rhc_forward", **linearised, s=state, u=inputs, s_new=state, u_new=inputs
-    )
+    @casadi_function("rhc_forward", **linearised, s=state, u=inputs, s_new=state, u_new=inputs)
     def forward(F, A, B, s, u, s_new, u_new):
         """s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i)."""
         return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
@@ -152,7 +153,11 @@ def build_phases(horizon):
         """
         plan = commanded(u, u_ref)
         nodes, ref = rollout(s, u, F, A, B, s_0, plan), ca.horzsplit(x_ref)
-        A, B, u, u_ref = ca.horzsplit(A, n_s), ca.horzsplit(B, n_u), *map(ca.horzsplit, (plan, u_ref))
+        A, B, u, u_ref = (
+            ca.horzsplit(A, n_s),
+            ca.horzsplit(B, n_u),
+            *map(ca.horzsplit, (plan, u_ref)),
+        )
         adjoint, g, weight = ca.DM.zeros(n_s), [None] * N, QN
         for i in reversed(range(N)):
             g[i], adjoint = backward(
@@ -169,7 +174,10 @@ def build_phases(horizon):
     if structured:
         # The parameters do not move: in x alone the stages are half as large.
         of_state = list(range(n_x))
-        A_x, B_x = linearised["A"].sub(of_state, of_state)[0], linearised["B"].sub(of_state, command)[0]
+        A_x, B_x = (
+            linearised["A"].sub(of_state, of_state)[0],
+            linearised["B"].sub(of_state, command)[0],
+        )
         stages = box_lq(N, A_x, B_x, loops)
     else:
         condensed = box_qp.box_qp_by_library(N * n_c, horizon.qp)
@@ -242,7 +250,7 @@ def init(horizon, x, p):
 class RHC:
     """Model predictive control for a loop of one's own: `prepare()`, then `feedback(…)`.
 
-    Without `model` it is the paper's controller, `rhec.controller.paper_rhc.PaperRHC`.
+    Without `model` it is the paper's controller, `rhec.tracked_robot.rhc.PaperRHC`.
 
     Args:
         model: The robot, a rhec.Model.
@@ -260,9 +268,7 @@ class RHC:
 
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
         if cls is RHC and model is None:
-            from rhec.controller.paper_rhc import PaperRHC  # which is an RHC
-
-            cls = PaperRHC
+            cls = importlib.import_module(_PAPER).PaperRHC
         return super().__new__(cls)
 
     @checked

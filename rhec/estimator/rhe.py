@@ -14,6 +14,7 @@ bounded parameters; its multipliers then run backwards through the window and yi
 unknown (Bryson-Frazier). Each costs O(N).
 """
 
+import importlib
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -41,6 +42,8 @@ from rhec.solver.gauss_newton import symmetric
 from rhec.solver.rti import PHASES, RealTimeIteration, copy_checked
 
 __all__ = ["RHE", "Window", "build_phases", "compose", "init", "predict_input"]
+
+_PAPER = "rhec.tracked_robot.rhe"  # so that nothing here depends on what stands above
 
 
 class Window(NamedTuple):
@@ -281,7 +284,9 @@ def _build_expand(window, linearise, feedback, loops):
             for output in outputs
         )
 
-    @casadi_function("rhe_oldest", adjoint=state, **gains, m=state, P=(n_s, n_s), s=state, **measured)
+    @casadi_function(
+        "rhe_oldest", adjoint=state, **gains, m=state, P=(n_s, n_s), s=state, **measured
+    )
     def oldest(adjoint, K, e, m, P, s, z, **noise):
         """The oldest node's new state, and its part of ∇J·Δw."""
         s_new = m - P @ _before_measurement(window, adjoint, K, e, s)
@@ -425,7 +430,7 @@ def init(window, guess, sigma, inputs=None):
 class RHE:
     """Moving horizon estimation for a loop of one's own: `prepare()`, then `feedback(z)`.
 
-    Without `model` it is the estimator of the paper's robot, `rhec.estimator.paper_rhe.PaperRHE`.
+    Without `model` it is the estimator of the paper's robot, `rhec.tracked_robot.rhe.PaperRHE`.
 
     Args:
         model: The robot, a rhec.Model.
@@ -445,9 +450,7 @@ class RHE:
 
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
         if cls is RHE and model is None:
-            from rhec.estimator.paper_rhe import PaperRHE  # which is an RHE
-
-            cls = PaperRHE
+            cls = importlib.import_module(_PAPER).PaperRHE
         return super().__new__(cls)
 
     @checked

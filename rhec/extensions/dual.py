@@ -10,13 +10,13 @@ sample's turn ahead; a Runge-Kutta step does not.
 import casadi as ca
 import numpy as np
 
-from rhec import tuning
 from rhec._casadi.build import pack_array
-from rhec.estimator import paper_ekf
-from rhec.estimator.base import Estimator, estimator_of
-from rhec.estimator.paper_rhe import SIGMA_START
 from rhec.model.base import rk4
-from rhec.model.tracked_robot import QUANTITIES, f
+from rhec.tracked_robot import ekf as paper_ekf
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.estimators import Estimator, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES, f
+from rhec.tracked_robot.rhe import SIGMA_START
 
 __all__ = ["ESTIMATORS", "ROBUST", "runge_kutta"]
 
@@ -65,9 +65,7 @@ def _init(choice, guess, sigma=SIGMA_START):
 def _settings(scenario):
     sigma_w = tuning.SIGMA_W_TRACKING["dual"] if scenario.sigma_w is None else scenario.sigma_w
     return dict(
-        V=np.square(scenario.sigma_v),
-        W=np.square(sigma_w),
-        P_0=np.square([*SIGMA_START.values()]),
+        V=np.square(scenario.sigma_v), W=np.square(sigma_w), P_0=np.square([*SIGMA_START.values()])
     )
 
 

@@ -21,9 +21,10 @@ import numpy as np
 
 from rhec._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
 from rhec._casadi.compiled import loop_symbols
-from rhec.estimator import paper_rhe, rhe
-from rhec.estimator.base import estimator_of
+from rhec.estimator import rhe
 from rhec.model.limits import is_valid_measurement
+from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.estimators import estimator_of
 
 __all__ = ["ROBUST", "gated"]
 

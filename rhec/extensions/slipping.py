@@ -7,10 +7,11 @@ with how far the tracks ran.
 
 import casadi as ca
 
-from rhec import paper, tuning
+from rhec import paper
 from rhec.model.base import Model, MotionNoise
-from rhec.model.tracked_robot import SPEED_MODELS as OF_THE_PAPER
-from rhec.model.tracked_robot import SpeedModel
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
+from rhec.tracked_robot.kinematics import SpeedModel
 
 __all__ = ["LEVER_ARM", "SPEED_MODELS", "abs_track_speeds", "f"]
 

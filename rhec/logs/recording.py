@@ -16,7 +16,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.columns import MEASUREMENTS, POSE, RECORDED, RECORDED_TRUTH, TRACKS, TRUE_SPEEDS
-from rhec.model.tracked_robot import SPEED_MODELS
+from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 __all__ = ["Recording", "prepare", "prepare_for", "read", "resample"]
 

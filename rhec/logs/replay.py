@@ -17,18 +17,18 @@ from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack
 from rhec._casadi.renamed import with_new_names
 from rhec._casadi.validation import Positive, Real, checked
 from rhec.columns import ESTIMATE, FLAGS, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
-from rhec.estimator.base import NAMES, Choice, build_step, estimator_of
 from rhec.estimator.ekf import EKF
-from rhec.estimator.paper_rhe import window_of
 from rhec.estimator.rhe import RHE
 from rhec.extensions import slipping
 from rhec.extensions.faults import corrupted
 from rhec.logs.recording import prepare, prepare_for, resample
 from rhec.model.base import Model, interval
 from rhec.model.limits import is_valid_measurement
-from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 from rhec.scenario import Scenario
 from rhec.simulation import known_traction
+from rhec.tracked_robot.estimators import NAMES, Choice, build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.rhe import window_of
 
 __all__ = ["InitialGuess", "estimate_samples", "replay", "replay_scenario"]
 

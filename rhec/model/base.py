@@ -101,7 +101,9 @@ class Model:
         if self.h is not None:
             sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
             values = ca.vertsplit(_expressions("h", self.h, self, *sizes)(*symbols))
-            known |= dict(zip(self.outputs if len(values) == len(self.outputs) else unnamed, values))
+            known |= dict(
+                zip(self.outputs if len(values) == len(self.outputs) else unnamed, values)
+            )
         return ca.Function("h", [x, u, p], [ca.vertcat(*(known[name] for name in self.outputs))])
 
     @functools.cached_property
@@ -202,7 +204,9 @@ def _check_names(model):
                 wanted = "it should be a word of letters, digits and _, such as 'x_m'"
                 raise ValueError(f"a name in {field} was {shown(name)}; {wanted}")
             if names.count(name) > 1:
-                raise ValueError(f"{name!r} was there twice in {field}; each name should be there once")
+                raise ValueError(
+                    f"{name!r} was there twice in {field}; each name should be there once"
+                )
 
 
 def _check_bounds(parameters):
@@ -267,7 +271,9 @@ class Interval(NamedTuple):
                     ca.if_else(sum(valid, ca.SX(0)), SIGMA_UNMEASURED**2, SIGMA_HELD**2)
                 )
         mean, variance = ca.vertcat(*mean), ca.vertcat(*variance)
-        return self.motion_noise.inputs(mean, variance, c) if self.motion_noise else (mean, variance)
+        return (
+            self.motion_noise.inputs(mean, variance, c) if self.motion_noise else (mean, variance)
+        )
 
     def process_noise(self, v, W, dt_s, c=None):
         """Variances (n_s,) of the process noise of an interval of dt_s [s]."""

@@ -89,7 +89,12 @@ def box_lq(N, A, B, loops):
         """The solution for one guess of the active set, and what its signs say of the guess."""
         A, B = ca.horzsplit(A, n), ca.horzsplit(B, m)
         g, lower, upper, active = map(stages, (g, lower, upper, active))
-        P, p, K, k = [None] * N + [ca.diag(QN)], [None] * N + [ca.DM.zeros(n)], [None] * N, [None] * N
+        P, p, K, k = (
+            [None] * N + [ca.diag(QN)],
+            [None] * N + [ca.DM.zeros(n)],
+            [None] * N,
+            [None] * N,
+        )
         for i in reversed(range(N)):
             P[i], p[i], K[i], k[i] = backward(
                 P[i + 1], p[i + 1], A[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]

@@ -123,7 +123,9 @@ def box_qp_by_library(n, solver):
             ca.if_else(fine, value, default)
             for value, default in ((H, ca.DM.eye(n)), (g, 0), (lb, 0), (ub, 0))
         ]
-        qp = ca.conic("qp", solver, {"h": H.sparsity()}, {"error_on_fail": False, **_OPTIONS[solver]})
+        qp = ca.conic(
+            "qp", solver, {"h": H.sparsity()}, {"error_on_fail": False, **_OPTIONS[solver]}
+        )
         solution = qp(**dict(zip(("h", "g", "lbx", "ubx"), given)))
         x, multipliers = solution["x"], solution["lam_x"]
         # An active-set solver may leave the box by its tolerance; the bounds are hard. Also 0

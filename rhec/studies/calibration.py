@@ -20,10 +20,10 @@ from scipy.optimize import minimize
 from rhec._casadi import compiled, scan
 from rhec._casadi.build import pack_array, select_inputs
 from rhec.columns import MEASUREMENTS, POSE
-from rhec.estimator.base import Choice, build_step, estimator_of
-from rhec.model.tracked_robot import QUANTITIES
 from rhec.scenario import Scenario
 from rhec.simulation import known_traction, simulate
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
     "SETTLED_S",
@@ -54,7 +54,7 @@ _TRACKING = {
     "traction_oracle": ({}, _POSE),
     "dual": (dict(estimation_horizon=10), _DUAL),
 }
-# Found by `_tune_for_tracking`; "dual" has its own in `rhec.tuning`.
+# Found by `_tune_for_tracking`; "dual" has its own in `rhec.tracked_robot.tuning`.
 SIGMA_W_TRACKING = {
     "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
     "ekf": (2e-05, 2e-05, 0.033, 950.0),

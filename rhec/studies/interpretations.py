@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
-from rhec import paper, tuning
+from rhec import paper
 from rhec.campaigns.campaign import campaign
 from rhec.estimator.rhe import RHE
 from rhec.metrics import rms
@@ -20,6 +20,7 @@ from rhec.scenario import Scenario
 from rhec.simulation import simulate
 from rhec.studies import calibration, statistics
 from rhec.studies.claims.run_sets import complete
+from rhec.tracked_robot import tuning
 
 __all__ = [
     "INTERPRETATIONS",

@@ -5,8 +5,9 @@ and start.
 from rhec import paper
 from rhec._casadi.build import select_inputs, unpack_array
 from rhec._casadi.compiled import BufferedFunction
-from rhec.model import robot, terrain
 from rhec.simulation import draw_noise, set_up
+from rhec.tracked_robot import plant as robot
+from rhec.tracked_robot import terrain
 
 __all__ = ["LiveRobot"]
 

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from rhec import tuning
 from rhec._casadi import scan
 from rhec.metrics import SETTLING_SAMPLES, settled_samples
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 from rhec.studies import calibration
 from rhec.studies.statistics import over_seeds, ratio_of_means, verdict
+from rhec.tracked_robot import tuning
 
 __all__ = [
     "CONTESTANTS",

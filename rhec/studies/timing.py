@@ -18,8 +18,8 @@ from rhec import paper
 from rhec.columns import MEASUREMENTS, POSE
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
-from rhec.model.references import PathTracker
 from rhec.simulation import simulate
+from rhec.tracked_robot.references import PathTracker
 
 __all__ = ["COLUMNS", "machine", "phases", "table"]
 

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.model import tracked_robot as model
+from rhec.tracked_robot import kinematics as model
 
 quiet = functools.partial(warnings.catch_warnings, action="ignore")
 try:

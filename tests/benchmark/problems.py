@@ -10,9 +10,9 @@ from rhec import paper
 from rhec._casadi import compiled
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
-from rhec.model import path
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
+from rhec.tracked_robot import path
 
 
 class Problem(NamedTuple):

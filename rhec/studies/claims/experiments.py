@@ -10,20 +10,16 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec import paper, tuning
+from rhec import paper
 from rhec._casadi import compiled, scan
 from rhec._casadi.build import pack_array, select_inputs, with_packed_memory
 from rhec.columns import MEASUREMENTS, POSE
-from rhec.controller import paper_rhc, rhc
+from rhec.controller import rhc
 from rhec.controller.rhc import RHC
-from rhec.estimator import paper_rhe, rhe
-from rhec.estimator.base import Choice
+from rhec.estimator import rhe
 from rhec.estimator.rhe import RHE
 from rhec.metrics import rms, settled_samples
-from rhec.model import path
-from rhec.model import tracked_robot as model
 from rhec.model.base import rk4
-from rhec.model.references import PathTracker
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 from rhec.solver.rti import PHASES
@@ -31,6 +27,12 @@ from rhec.studies import timing
 from rhec.studies.calibration import SETTLED_S
 from rhec.studies.claims.run_sets import PROCESS_NOISES
 from rhec.studies.live_loop import LiveRobot
+from rhec.tracked_robot import kinematics as model
+from rhec.tracked_robot import path, tuning
+from rhec.tracked_robot import rhc as paper_rhc
+from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.estimators import Choice
+from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
     "all_of",

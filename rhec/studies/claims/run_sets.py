@@ -12,12 +12,13 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from rhec import paper, tuning
+from rhec import paper
 from rhec.campaigns.campaign import campaign
 from rhec.metrics import rms
-from rhec.model.terrain import Terrain
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.terrain import Terrain
 
 __all__ = [
     "LOGS",

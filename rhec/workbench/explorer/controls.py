@@ -9,11 +9,11 @@ import math
 from dataclasses import fields
 from typing import NamedTuple
 
-from rhec import tuning
-from rhec.estimator.base import ROBUST_NAMES, Choice, estimator_of
 from rhec.extensions.faults import Fault
-from rhec.model.tracked_robot import QUANTITIES
 from rhec.scenario import Scenario
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.estimators import ROBUST_NAMES, Choice, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = ["CONTROLS", "ESTIMATORS", "GROUPS", "NEW_PATCH", "PATCH", "PROCESS_NOISES", "Selection"]
 __all__ += ["Slider", "line_of", "scenario_of", "tidy", "values_of"]

@@ -82,7 +82,9 @@ _INPUT = Model(
 # ν is one parameter of the window, as in the paper; or a measured input of each interval
 # (interpretation R13).
 SPEED_MODELS = {"parameter": SpeedModel(_PARAMETER, 6), "input": SpeedModel(_INPUT, 5)}
-_HOME = {"slipping": "rhec.extensions.slipping"}  # so that nothing here depends on what stands above
+_HOME = {
+    "slipping": "rhec.extensions.slipping"
+}  # so that nothing here depends on what stands above
 
 
 def speed_model_of(name):

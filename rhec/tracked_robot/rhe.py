@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rhec import paper, tuning
+from rhec import paper
 from rhec._casadi import compiled
 from rhec._casadi.validation import (
     ArrivalMean,
@@ -17,12 +17,21 @@ from rhec._casadi.validation import (
     SpeedModel,
     checked,
 )
-from rhec.estimator import base, rhe
-from rhec.estimator.base import Choice, Estimator
-from rhec.model.tracked_robot import QUANTITIES, speed_model_of
+from rhec.estimator import rhe
 from rhec.solver.rti import RealTimeIteration
+from rhec.tracked_robot import estimators, tuning
+from rhec.tracked_robot.estimators import Choice, Estimator
+from rhec.tracked_robot.kinematics import QUANTITIES, speed_model_of
 
-__all__ = ["ESTIMATORS", "PaperEstimate", "PaperRHE", "SIGMA_START", "init", "settings_of", "window_of"]
+__all__ = [
+    "ESTIMATORS",
+    "PaperEstimate",
+    "PaperRHE",
+    "SIGMA_START",
+    "init",
+    "settings_of",
+    "window_of",
+]
 
 # Before the first sample: the paper's W; of what else a model may estimate, next to nothing.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
@@ -161,8 +170,10 @@ class PaperRHE(rhe.RHE):
         self.window = window_of(self._choice)
         self.model = self.window.model
         self.settings = settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m)
-        functions = compiled.load(base.build_phases, self._choice)
-        memory = base.estimator_of("rhe", robust).init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
+        functions = compiled.load(estimators.build_phases, self._choice)
+        memory = estimators.estimator_of("rhe", robust).init(
+            self._choice, dict.fromkeys(QUANTITIES, 0.0)
+        )
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
 
     def _start(self, z):
@@ -171,7 +182,7 @@ class PaperRHE(rhe.RHE):
         if guess is None:
             x, y, nu, _ = np.where(readable, z, 0.0)
             guess, sigma = (x, y, 0.0, nu, 1.0, 1.0), sigma | dict(theta_rad=np.pi / 2)
-        estimator = base.estimator_of("rhe", self._choice.robust)
+        estimator = estimators.estimator_of("rhe", self._choice.robust)
         memory = estimator.init(self._choice, dict(zip(QUANTITIES, guess)), sigma)
         self.iteration.start(memory | dict(age=0.0))
         # Without a place, begin again with the next measurement.

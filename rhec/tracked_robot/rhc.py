@@ -7,7 +7,7 @@ import numpy as np
 from rhec import paper
 from rhec._casadi.validation import Intervals, NotNegative, Positive, Solver, Weights, checked
 from rhec.controller import rhc
-from rhec.model.tracked_robot import SPEED_MODELS
+from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 __all__ = ["PaperRHC", "horizon_of"]
 
@@ -65,9 +65,7 @@ class PaperRHC(rhc.RHC):
         self.iteration.feedback()
         return self.iteration.arrays["u_plan"][0].item()
 
-    def solve(
-        self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any, iterations: int = 20
-    ) -> float:
+    def solve(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any, iterations: int = 20) -> float:
         """`feedback`, iterated to convergence on the nonlinear problem.
 
         Args:

@@ -9,14 +9,14 @@ and nothing keeps their estimates between 0 and 1.
 import casadi as ca
 import numpy as np
 
-from rhec import tuning
 from rhec._casadi.build import with_packed_memory
-from rhec.estimator.base import Estimator
 from rhec.estimator.ekf import predict_and_correct
-from rhec.estimator.paper_rhe import SIGMA_START
 from rhec.model import base
 from rhec.model.limits import is_valid_measurement
-from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS, f
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.estimators import Estimator
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
+from rhec.tracked_robot.rhe import SIGMA_START
 
 __all__ = ["ESTIMATORS", "build_augmented_step", "build_step", "euler", "init"]
 
@@ -64,9 +64,7 @@ def build_step(dt_s, integrate=euler):
 def build_augmented_step(dt_s):
     """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
 
-    @with_packed_memory(
-        "augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1)
-    )
+    @with_packed_memory("augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1))
     def step(m, P, omega, started, z_N, V, W):
         def move(m, omega):
             return ca.vertcat(euler(m[:4], omega, m[4:], dt_s), m[4:])
@@ -87,9 +85,7 @@ def _filtered(model, move, m, P, omega, started, z, V, W):
     omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
     predicted = move(m, omega)
     A, outputs = ca.jacobian(predicted, m), base.interval(model).outputs
-    m, P, deviance = predict_and_correct(
-        m, P, predicted, A, ca.diag(W), started, z, V, outputs
-    )
+    m, P, deviance = predict_and_correct(m, P, predicted, A, ca.diag(W), started, z, V, outputs)
     return dict(covariance=P, deviance=deviance, m=m, P=P, omega=omega, started=1)
 
 
@@ -103,8 +99,9 @@ def _estimator(name, given, n=4):
     build = build_step if n == 4 else build_augmented_step
 
     def settings(scenario):
-        tuned = tuning.SIGMA_W_TRACTION_KNOWN.get(name) or (
-            tuning.SIGMA_W[name][scenario.process_noise]
+        tuned = (
+            tuning.SIGMA_W_TRACTION_KNOWN.get(name)
+            or (tuning.SIGMA_W[name][scenario.process_noise])
         )
         sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
         return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w))

@@ -9,7 +9,7 @@ from rhec import paper
 from rhec._casadi import compiled
 from rhec._casadi.build import casadi_function
 from rhec._casadi.validation import Intervals, NotNegative, Positive, checked
-from rhec.model.path import OPEN, Path, advance
+from rhec.tracked_robot.path import OPEN, Path, advance
 
 __all__ = ["PathTracker", "build_references"]
 
@@ -65,9 +65,7 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
             omega_ref = ca.repmat(omega_measured, 1, horizon)
         else:
             omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / ca.fmax(kappa, 0.1)
-        return dict(
-            s=s, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature
-        )
+        return dict(s=s, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature)
 
     return dict(references=references)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rhec import paper
 from rhec._casadi.build import casadi_function
-from rhec.model.tracked_robot import f, rk4
+from rhec.tracked_robot.kinematics import f, rk4
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed

@@ -1,0 +1,3 @@
+"""The paper's tracked robot: its Model, estimators and controller, its path, and its simulation."""
+
+__all__ = []
