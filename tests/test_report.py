@@ -203,7 +203,7 @@ def test_it_says_where_the_results_came_from(site):
         "2026-01-02 03:04:05",
         "1.2 s",
         "{'seed': 7}",
-        f"rhec {rhec.__version__} (source ",
+        f"rhec {rhec.__version__}, source ",
         "Commit",
         "Machine",
         "numpy",

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import ipywidgets as widgets
+from matplotlib.figure import Figure
 
 from rhec import paper, simulation
 from rhec._casadi import compiled
@@ -125,7 +126,12 @@ class Explorer(widgets.VBox):
         ValueError: if start is no Scenario.
     """
 
-    def __init__(self, start=None, against="ekf", folder=style.FOLDER / "explored"):
+    def __init__(
+        self,
+        start: Scenario | None = None,
+        against: str | None = "ekf",
+        folder: Path | str = style.FOLDER / "explored",
+    ):
         start = Scenario() if start is None else start
         if not isinstance(start, Scenario):
             raise ValueError(f"start was {start!r}; it should be a rhec.Scenario")
@@ -417,7 +423,7 @@ class Explorer(widgets.VBox):
 
     # What is taken away
 
-    def figure(self):
+    def figure(self) -> Figure:
         """The field run as a matplotlib figure, as it is saved."""
         with self.one_at_a_time:
             return field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
