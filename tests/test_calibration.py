@@ -1,4 +1,4 @@
-"""The calibrated reading: the likelihood of innovations on training seeds."""
+"""Calibrated process noise: the likelihood of innovations on training seeds."""
 
 import types
 

@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, plots
+from rhec import paper, tuning
+from rhec.plots import claims as drawings
 from rhec.studies import statistics
 from rhec.studies.claims import experiments, ledger, run_sets
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
-from rhec.tracked_robot import tuning
 
 RNG = np.random.default_rng(0)
 NORMAL = RNG.normal(size=200)
@@ -390,7 +390,7 @@ def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machi
 
 def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
     table = ledger.ledger(made_up)
-    csv = plots.save_ledger(table, folder=tmp_path, notebook="claims.ipynb")
+    csv = drawings.save_ledger(table, folder=tmp_path, notebook="claims.ipynb")
     read = pd.read_csv(csv, keep_default_na=False, na_values=[""])
     assert list(read["id"]) == list(table["id"]) and list(read["verdict"]) == list(table["verdict"])
     np.testing.assert_allclose(read["value"], table["value"])
@@ -402,6 +402,6 @@ def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
 
 def test_the_picture_names_every_claim_and_counts_the_verdicts(made_up):
     table = ledger.ledger(made_up)
-    texts = [text.get_text() for text in plots.verdicts(table).axes[0].texts]
+    texts = [text.get_text() for text in drawings.verdicts(table).axes[0].texts]
     assert set(table["id"]) <= set(texts) and set(table["claim"]) <= set(texts)
     assert f"undecided: {(table['verdict'] == UNDECIDED).sum()}" in texts

@@ -220,6 +220,13 @@ def test_table_b_equals_the_logs(runs, sweep_b):
         assert list(error["paper"]) == [0.0423, 0.0514, -0.0091]
 
 
+def test_at_most_none_includes_none_and_below_zero_does_not_include_zero(sweep_b):
+    table = scenario_b_table(sweep_b.assign(violations=0))
+    violations = table[table["quantity"] == "violations on straights, raw GNSS"]
+    verdicts = violations.set_index("estimator")["verdict"]
+    assert (verdicts["RHE"] == "holds").all() and (verdicts["RHE - EKF"] == "does not hold").all()
+
+
 def test_runs_that_never_settle_are_counted(sweep_a):
     never = sweep_a.assign(
         settling_time_s=sweep_a["settling_time_s"].where(sweep_a["weight"] != "Q1")

@@ -1,5 +1,5 @@
-"""The readings audit: its analysis is that of the filters themselves, and what it sweeps is what it
-says.
+"""The audit of the interpretations: its analysis is that of the filters themselves, and it sweeps
+what it says.
 """
 
 import numpy as np
@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, plots
+from rhec import paper, tuning
 from rhec._casadi.build import pack_array
+from rhec.estimator import paper_ekf
+from rhec.model.tracked_robot import QUANTITIES
+from rhec.plots.interpretations import forest
 from rhec.studies import interpretations
-from rhec.tracked_robot import ekf as paper_ekf
-from rhec.tracked_robot import tuning
-from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
 
@@ -100,7 +100,7 @@ def moved(virtual_machine):
         yield interpretations.one_at_a_time("calibrated", 3)
 
 
-def test_one_reading_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
+def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
     assert (
         set(moved["interpretation"]) == {"baseline", "R1", "R2", "R3 a", "R10"}
         and (moved["n"] == 3).all()
@@ -124,8 +124,8 @@ def test_one_reading_at_a_time_is_compared_with_the_baseline_at_equal_seeds(move
     )  # R1 is the EKF's alone
 
 
-def test_the_forest_has_a_row_for_each_reading(moved):
-    assert len(plots.forest(moved, "calibrated").axes[0].get_yticklabels()) == 4
+def test_the_forest_has_a_row_for_each_interpretation(moved):
+    assert len(forest(moved, "calibrated").axes[0].get_yticklabels()) == 4
 
 
 def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):

@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import plots, simulation
+from rhec import simulation
+from rhec.model import terrain
+from rhec.plots.multiverse import multiverse_map
 from rhec.studies import multiverse
 from rhec.studies.calibration import TRAINING_SEEDS
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED
-from rhec.tracked_robot import terrain
 
 WORLDS, SEEDS = 64, 5
 
@@ -115,9 +116,7 @@ def test_a_planted_cause_decides(drawn):
     advantage = 5 * (0.8 - drawn["kappa_mean"].to_numpy()[:, None]) + 0.1 * rng.normal(
         size=(WORLDS, SEEDS)
     )
-    verdicts, margins = multiverse.judge(
-        made_up(drawn, ekf_c=np.exp(advantage)), WORLDS
-    )
+    verdicts, margins = multiverse.judge(made_up(drawn, ekf_c=np.exp(advantage)), WORLDS)
     rows = multiverse.summary(drawn, verdicts, margins).set_index("id")
     row = rows.loc["B5 c"]
     assert (row.decided_by, row.direction) == (
@@ -143,7 +142,7 @@ def test_noise_is_no_discovery(drawn):
 def test_the_map_shows_every_claim_and_unknown(drawn):
     verdicts, margins = multiverse.judge(made_up(drawn), WORLDS)
     correlations, discovered = multiverse.correlations(drawn, margins)
-    bars, heat, _ = plots.multiverse_map(
+    bars, heat, _ = multiverse_map(
         multiverse.summary(drawn, verdicts, margins), correlations, discovered
     ).axes
     assert len(bars.get_yticklabels()) == len(multiverse.CLAIMS) and len(

@@ -23,6 +23,7 @@ from rhec.studies.statistics import over_seeds, root_of_mean
 
 __all__ = [
     "ESTIMATORS",
+    "STATES",
     "Consistency",
     "bounds",
     "consistency_table",
@@ -34,7 +35,7 @@ __all__ = [
     "share_inside",
 ]
 
-_STATES = ("x", "y", "θ", "ν", "μ", "κ")
+STATES = ("x", "y", "θ", "ν", "μ", "κ")
 # Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe",
 # arrival_mean="filtered")`.
 _SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
@@ -62,7 +63,7 @@ class Consistency(NamedTuple):
     @property
     def states(self):
         """Names of the estimated states."""
-        return _STATES[: self.errors.shape[2]]
+        return STATES[: self.errors.shape[2]]
 
 
 def measure(scenario, runs):
