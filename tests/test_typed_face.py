@@ -21,7 +21,7 @@ def test_one_run_and_many() -> None:
     log = assert_type(run.log, pd.DataFrame)
     metrics = assert_type(run.metrics, dict[str, Any])
     table = assert_type(rhec.campaign([scenario], workers=1), pd.DataFrame)
-    assert type(log) is type(table) is pd.DataFrame and len(table) == 1
+    assert isinstance(log, pd.DataFrame) and isinstance(table, pd.DataFrame) and len(table) == 1
     assert {type(value) for value in metrics.values()} <= {float, int, bool}
 
 
