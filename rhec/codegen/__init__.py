@@ -10,6 +10,7 @@ import json
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -34,7 +35,7 @@ _EXPORTED = "nothing", "field mean"  # that estimators may be given
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 
-def export(scenario, folder=FOLDER):
+def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
     """Write an estimator and a controller as self-contained C99.
 
     The folder gets a header, a CMake file and a README.txt that says how to call it; that of a

@@ -25,7 +25,7 @@ from rhec.model.references import build_references
 from rhec.model.tracked_robot import QUANTITIES, SPEED_MODELS
 from rhec.solver.pivoting import MAX_SWEEPS
 
-__all__ = ["Export", "Phase", "closest", "export", "export_model"]
+__all__ = ["Export", "closest", "export", "export_model"]
 
 # Places in `struct rhec` that the phases share; all else that they pass on is their owner's.
 _SHARED = dict(
@@ -42,7 +42,7 @@ _SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
 _ORDER = "start", "expand", "shift", "linearise", "feedback"
 
 
-class Phase(NamedTuple):
+class _Phase(NamedTuple):
     """A Function, and places in the C's memory of its arguments and of its results, in order."""
 
     function: ca.Function
@@ -53,7 +53,7 @@ class Phase(NamedTuple):
 class Export(NamedTuple):
     """All that the C is written from.
 
-    phases    name in C: Phase
+    phases    name in C: (function, reads, writes)
     memory    place in struct rhec: number of doubles
     settings  name: matrix
     guess     the estimator's first; of a scenario (x, y, θ, ν, μ, κ)
@@ -157,7 +157,7 @@ def _export(phases, settings, guess, macros):
 
 
 def _bind_all(owner, start, functions, settings, shared):
-    """{name in C: Phase} of an owner's phases. start(name, shapes) makes the one that makes its
+    """{name in C: _Phase} of an owner's phases. start(name, shapes) makes the one that makes its
     first memory.
     """
     shift = functions["shift"]
@@ -182,7 +182,7 @@ def _bind(f, phase, owner, memory, settings, shared):
 
     reading, writing = ("previous", "current") if phase == "shift" else ("current", "previous")
     reads = [place(name, reading) for name in f.name_in()]
-    return Phase(f, reads, [place(name, writing) for name in f.name_out()])
+    return _Phase(f, reads, [place(name, writing) for name in f.name_out()])
 
 
 def _start(init, **size):
