@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
+from rhec.scenario import Scenario
+from rhec.simulation import simulate
 from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot.path import advance
 from rhec.tracked_robot.terrain import Terrain
-from rhec.scenario import Scenario
-from rhec.simulation import simulate
 
 SEEDS = range(100, 110)  # seeds that neither the tutorial nor calibration uses
 SETTLED_S, OVERSHOOT_M = 15.0, 0.1
@@ -315,6 +315,6 @@ def paired(one, other):
     """Mean of one minus other (n,) each and its 95 % percentile bootstrap interval: (mean, low,
     high).
     """
-    from rhec.studies.statistics import over_seeds# here, as above
+    from rhec.studies.statistics import over_seeds  # here, as above
 
     return tuple(over_seeds(np.mean, one - other)[:3])

@@ -51,6 +51,10 @@ kappa of a simulated log) under the names above, and
     innovation_x_m, innovation_y_m         measured position less the predicted one [m]
     position_accepted, encoders_accepted, restarted
                                            as above, False in rows between the estimator's samples
+A replay with a Model returns `segment`, `t_s`, the measurements under the names of its outputs, and
+    <name>_hat                             estimate of each state, input and parameter
+    <name>_sigma                           standard deviation of that of each state and parameter
+    ok                                     whether the estimator solved its QP
 """
 
 from itertools import chain

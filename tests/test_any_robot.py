@@ -278,12 +278,6 @@ def test_the_fused_step_answers_as_the_live_objects_do(robot):
     np.testing.assert_allclose(rows, live, rtol=0, atol=1e-9)
 
 
-@pytest.mark.skip(reason="rhec.export of a Model is not in the package yet")
-@pytest.mark.parametrize("robot", ROBOTS.values(), ids=names)
-def test_the_exported_c_answers_as_the_live_objects_do(robot):
-    raise NotImplementedError
-
-
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_a_replayed_log_gives_the_estimates_of_the_live_objects(robot):
     """In each segment; rows between the samples are predicted to their own time."""

@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, tuning
+from rhec import paper
 from rhec.plots import claims as drawings
 from rhec.studies import statistics
 from rhec.studies.claims import experiments, ledger, run_sets
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
+from rhec.tracked_robot import tuning
 
 RNG = np.random.default_rng(0)
 NORMAL = RNG.normal(size=200)

@@ -64,10 +64,7 @@ def live(scenario, samples):
         rhe.prepare()
         estimate = rhe.feedback(z)
         target = refer(
-            s=s,
-            estimate=estimate[:6],
-            omega_measured=z[3],
-            **function.select_inputs(refer, given),
+            s=s, estimate=estimate[:6], omega_measured=z[3], **function.select_inputs(refer, given)
         )
         s = float(target["s"])
         rhc.prepare()
@@ -125,7 +122,11 @@ def test_a_run_can_be_cut_anywhere(run):
     last, whole = scan.scan(functions, made.memory, noise, made.settings)
     np.testing.assert_allclose(np.vstack(rows), whole, rtol=0, atol=1e-12)
     np.testing.assert_allclose(memory, last, rtol=0, atol=1e-12)
-    columns = [column for column in log_columns.COLUMNS if column in run.log and column not in log_columns.FLAGS]
+    columns = [
+        column
+        for column in log_columns.COLUMNS
+        if column in run.log and column not in log_columns.FLAGS
+    ]
     np.testing.assert_allclose(
         pd.DataFrame(whole, columns=log_columns.COLUMNS)[columns],
         run.log[columns],

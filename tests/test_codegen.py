@@ -13,6 +13,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import no_compiler
+from oracles import mhe_instance
+from robots import DT, ROBOTS, VARIANTS
 
 import rhec
 from rhec import paper, simulation
@@ -630,6 +632,159 @@ def solving_estimator():
 def test_a_scenario_that_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         rhec.export(scenario, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+# Of any robot
+
+EVERY_ROBOT = ROBOTS | VARIANTS
+
+
+def made_for(robot):
+    """An RHE and an RHC of a robot, which is not where the RHE believes it to be."""
+    rng = np.random.default_rng(3)
+    x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
+    model = rhec.Model(**robot.model)
+    mhe = rhec.RHE(model=model, dt=DT, horizon=6, guess=(*x, *p), **robot.estimator)
+    return mhe, rhec.RHC(model=model, dt=DT, horizon=8, **robot.controller)
+
+
+class RobotInC:
+    """struct rhec of a Model's export, and its functions."""
+
+    def __init__(self, folder, out):
+        sources = [folder / source for source in toolchain.LIBRARY]
+        flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off"]
+        command = [shutil.which("cc") or "gcc", *flags, "-shared", "-fPIC", *sources, "-lm"]
+        subprocess.run([*command, "-o", out / "rhec.so"], check=True)
+        self.library = ctypes.CDLL(str(out / "rhec.so"))
+        sizes = (folder / "rhec_memory.h").read_text()
+        size = int(sizes.split("RHEC_MEMORY_BYTES ")[1].split()[0])
+        self.memory = ctypes.create_string_buffer(size)
+        settings, guess = (
+            ctypes.byref(ctypes.c_char.in_dll(self.library, f"rhec_scenario{name}"))
+            for name in ("", "_guess")
+        )
+        self.library.rhec_init(self.memory, settings, guess)
+
+    def call(self, name, *arrays, length):
+        """(answer, status)"""
+        arrays, answer = (
+            [np.ravel(array, order="F").astype(float) for array in arrays],
+            np.zeros(length),
+        )
+        status = getattr(self.library, f"rhec_{name}")(
+            self.memory, *(array.ctypes for array in arrays), answer.ctypes
+        )
+        return answer, status
+
+
+def live_and_in_c(mhe, mpc, in_c, log, references, late=lambda k: False):
+    """Answers of Python and of C along a log, rows of (estimate, command), and C's statuses."""
+    live, exported, statuses = [], [], []
+    for k, (z, (x_ref, u_ref)) in enumerate(zip(log, references)):
+        mhe.prepare()
+        mpc.prepare()
+        if not late(k):
+            in_c.library.rhec_prepare_estimate(in_c.memory)
+            in_c.library.rhec_prepare_control(in_c.memory)
+        estimate = mhe.feedback(z)
+        u = mpc.feedback(x=estimate.x, p=estimate.p, x_ref=x_ref, u_ref=u_ref)
+        live.append(np.concatenate([*estimate[:3], u]))
+        known, status = in_c.call("estimate", z, length=len(mhe.model.names))
+        x, p = known[: len(estimate.x)], known[len(known) - len(estimate.p) :]
+        command, planned = in_c.call("control", x, p, x_ref, u_ref, length=len(u))
+        exported.append(np.concatenate([known, command]))
+        statuses.append(status | planned)
+    return np.array(live), np.array(exported), statuses
+
+
+def inputs_of(robot, samples, seed=4):
+    """A log of measurements, a fifth of them missing, and references that keep bounds active."""
+    rng = np.random.default_rng(seed)
+    _, z = mhe_instance(robot, rng, samples - 1, missing=0.2)
+    references = []
+    for _ in range(samples):
+        u_ref = rng.uniform(*robot.u_range, (8, len(robot.inputs))).T
+        references.append((rng.uniform(*robot.x_range, (9, len(robot.states))).T, u_ref))
+    return z, references
+
+
+@needs_compiler
+@pytest.mark.parametrize("robot", EVERY_ROBOT.values(), ids=EVERY_ROBOT)
+def test_a_models_export_answers_as_the_live_objects(robot, tmp_path):
+    with no_compiler():
+        mhe, mpc = made_for(robot)
+        folder = rhec.export((mhe, mpc), tmp_path / "rhec")
+    z, references = inputs_of(robot, 40)
+    live, exported, statuses = live_and_in_c(
+        mhe, mpc, RobotInC(folder, tmp_path), z, references, late=lambda k: k % 3 == 0
+    )
+    np.testing.assert_allclose(exported, live, rtol=0, atol=TOLERANCE)
+    assert not any(statuses)
+
+
+@needs_compiler
+def test_a_models_estimator_or_controller_can_be_exported_alone(tmp_path):
+    with no_compiler():
+        both = made_for(ROBOTS["bicycle"])
+        folders = [rhec.export(part, tmp_path / type(part).__name__) for part in both]
+    (mhe, mpc), (z, references) = both, inputs_of(ROBOTS["bicycle"], 20)
+    for folder, absent in zip(folders, ("rhec_control", "rhec_estimate")):
+        in_c = RobotInC(folder, folder)
+        assert not hasattr(in_c.library, absent)
+        for row, (x_ref, u_ref) in zip(z, references):
+            mhe.prepare()
+            estimate = mhe.feedback(row)
+            if absent == "rhec_control":
+                answer, _ = in_c.call("estimate", row, length=7)
+                expected = np.concatenate(estimate[:3])
+            else:
+                mpc.prepare()
+                expected = mpc.feedback(x=estimate.x, p=estimate.p, x_ref=x_ref, u_ref=u_ref)
+                answer, _ = in_c.call("control", estimate.x, estimate.p, x_ref, u_ref, length=2)
+            np.testing.assert_allclose(answer, expected, rtol=0, atol=TOLERANCE)
+        with no_compiler():
+            mhe, _ = made_for(ROBOTS["bicycle"])
+
+
+@needs_compiler
+def test_a_models_export_survives_invalid_numbers(tmp_path):
+    """Estimates stay finite, commands within their bounds; afterwards it estimates again."""
+    robot = ROBOTS["skid_steered"]
+    with no_compiler():
+        folder = rhec.export(made_for(robot), tmp_path / "rhec")
+    in_c, rng = RobotInC(folder, tmp_path), np.random.default_rng(5)
+    z, references = inputs_of(robot, 400)
+    low, high = np.transpose([*robot.bounds.values()])
+    doubles, seen = np.frombuffer(in_c.memory, dtype=float), 0
+    for k, (row, (x_ref, u_ref)) in enumerate(zip(z, references)):
+        wrong = k < 300 and rng.random(row.shape) < 0.3
+        row = np.where(wrong, rng.choice([np.nan, np.inf, -1e300, 1e9, 0.0], row.shape), row)
+        if k % 50 == 25 and k < 300:
+            doubles[3:] = np.nan  # all but the settings' address and the counters
+        known, status = in_c.call("estimate", row, length=7)
+        command, planned = in_c.call("control", known[:3], known[5:], x_ref, u_ref, length=2)
+        assert np.isfinite(known).all() and (low <= command).all() and (command <= high).all()
+        seen |= status | planned
+    assert seen & sum(RESTARTED) == sum(RESTARTED) and status == planned == 0
+
+
+@pytest.mark.parametrize("wrong", ["twice", "paper", "ekf", "dt", "nothing"])
+def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tmp_path):
+    with no_compiler():
+        mhe, mpc = made_for(ROBOTS["cart"])
+        kalman = dict(dt=DT, guess=(0, 0, 0), **ROBOTS["cart"].estimator)
+        other = rhec.RHC(model=mpc.horizon.model, dt=0.1, horizon=8, **ROBOTS["cart"].controller)
+        parts, sentence = {
+            "twice": ((mhe, mhe), "^scenario was .* it should be a RHE, a RHC or one of each"),
+            "paper": (rhec.RHE(), "of the paper's robot a Scenario$"),
+            "ekf": (rhec.EKF(model=mhe.model, **kalman), "^scenario was .*; it should be"),
+            "dt": ((mhe, other), "^RHE and RHC differ; both should have the same model and dt$"),
+            "nothing": ((), "^scenario was .*; it should be a rhec.Scenario"),
+        }[wrong]
+        with pytest.raises(ValueError, match=sentence):
+            rhec.export(parts, tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 

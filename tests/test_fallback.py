@@ -99,12 +99,7 @@ def test_a_memory_without_any_number_does_no_lasting_harm(given):
 
 @pytest.mark.parametrize(
     "given",
-    [
-        dict(),
-        dict(horizon=7),
-        dict(speed_model="input"),
-        dict(speed_model="slipping", robust=True),
-    ],
+    [dict(), dict(horizon=7), dict(speed_model="input"), dict(speed_model="slipping", robust=True)],
     ids=str,
 )
 @pytest.mark.parametrize("wrong", [1e5, -9.9e7])

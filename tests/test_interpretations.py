@@ -7,12 +7,13 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec import paper, tuning
+from rhec import paper
 from rhec._casadi.build import pack_array
-from rhec.estimator import paper_ekf
-from rhec.model.tracked_robot import QUANTITIES
 from rhec.plots.interpretations import forest
 from rhec.studies import interpretations
+from rhec.tracked_robot import ekf as paper_ekf
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
 

@@ -8,11 +8,11 @@ import pytest
 
 import rhec
 from rhec import simulation
-from rhec.model import terrain
 from rhec.plots.multiverse import multiverse_map
 from rhec.studies import multiverse
 from rhec.studies.calibration import TRAINING_SEEDS
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED
+from rhec.tracked_robot import terrain
 
 WORLDS, SEEDS = 64, 5
 

@@ -247,7 +247,10 @@ def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
     for k in range(100):
         A, g = rng.normal(size=(n, n)), rng.normal(size=n)
         problem = dict(H=A @ A.T + 0.01 * np.eye(n), g=g, lb=-rng.random(n), ub=rng.random(n))
-        solution, expected = own(**problem), np.clip(-g / problem["H"][0], problem["lb"], problem["ub"])
+        solution, expected = (
+            own(**problem),
+            np.clip(-g / problem["H"][0], problem["lb"], problem["ub"]),
+        )
         if n > 1:
             other = box_qp_by_library(n, ("daqp", "qpoases")[k % 2])(**problem)
             assert other["ok"] == 1
@@ -256,7 +259,7 @@ def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
         np.testing.assert_allclose(flat(solution["x"]), expected, rtol=0, atol=1e-8)
         x = flat(solution["x"])
         active += np.any((x == problem["lb"]) | (x == problem["ub"]))
-    assert 30 < active
+    assert active > 30
 
 
 # Preparation and feedback
@@ -314,10 +317,7 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, 
     _, z = drive(GUESS, weave(4 * N))
     z = noisy(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan
-    memory, weights = (
-        first_memory(GUESS, paper.SIGMA_W_RHE, speed_model),
-        dict(V=V, W=sigma**2),
-    )
+    memory, weights = (first_memory(GUESS, paper.SIGMA_W_RHE, speed_model), dict(V=V, W=sigma**2))
     for k, newest in enumerate(z):
         before = memory
         memory = phases["shift"](**before, **weights)

@@ -1,8 +1,8 @@
-"""Export: a scenario's estimator and controller as self-contained C99 (`make embedded`).
+"""Export: an estimator and a controller as self-contained C99 (`make embedded`).
 
 `phases` names the CasADi Functions that it is made of, `c_writer` writes the files that depend on
-the scenario; the folder `c` holds those that do not. `rhec.studies.embedded` compiles and runs an
-export, here or, emulated, on 64-bit Arm.
+them; the folders `c` (of a Scenario) and `c_model` (of a Model) hold those that do not.
+`rhec.studies.embedded` compiles and runs an export, here or, emulated, on 64-bit Arm.
 """
 
 import dataclasses
@@ -10,6 +10,7 @@ import json
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,31 +18,34 @@ import numpy as np
 from rhec._casadi.validation import shown
 from rhec.codegen import c_writer, phases
 from rhec.columns import COMMAND, ESTIMATE, MEASUREMENTS
+from rhec.controller.rhc import RHC
+from rhec.estimator.rhe import RHE
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 from rhec.tracked_robot.estimators import NAMES, estimator_of
+from rhec.tracked_robot.rhe import SIGMA_START
 
 __all__ = ["FOLDER", "LOG", "export"]
 
-FOLDER = Path(__file__).resolve().parents[2] / "build" / "embedded"
+FOLDER = Path("build", "embedded")
 LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
 _LOG_S = 60.0  # length of the example log, at most
-_WRITTEN_BY_HAND = sorted((Path(__file__).parent / "c").iterdir())
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # their C needs no library
 _EXPORTED = "nothing", "field mean"  # that estimators may be given
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 
-def export(scenario, folder=FOLDER):
-    """Write a scenario's estimator and controller as self-contained C99.
+def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
+    """Write an estimator and a controller as self-contained C99.
 
-    The folder gets a header, a CMake file, programs that replay a log, take times and fuzz, and an
-    example log with Python's answers; its README.txt says how to call it.
+    The folder gets a header, a CMake file and a README.txt that says how to call it; that of a
+    Scenario also programs that replay a log, take times and fuzz, and an example log with Python's
+    answers.
 
     Args:
         scenario: rhec.Scenario. Its estimator must be one that a robot can run: not an oracle; a
             CasADi Function of one's own if it is made of expressions alone. Its qp must be
-            "structured".
+            "structured". Or, of a rhec.Model, its rhec.RHE, its rhec.RHC, or a tuple of both.
         folder: Where to write: a new or empty folder, or an earlier export, whose files are
             replaced.
 
@@ -49,24 +53,17 @@ def export(scenario, folder=FOLDER):
         The folder's Path.
 
     Raises:
-        ValueError: For a scenario that cannot be exported, or a folder that holds other files.
+        ValueError: For what cannot be exported, or a folder that holds other files.
     """
     folder = Path(folder)
-    _check(scenario, folder)
-    made = phases.export(scenario)
-    shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
-    log = simulate(shorter).log[LOG]
-    texts = {_MARK: c_writer.memory_header(made, scenario.estimation_horizon)}
-    texts |= {path.name: path.read_text(encoding="utf-8") for path in _WRITTEN_BY_HAND}
-    texts |= {
-        "rhec_phases.h": c_writer.phases_header(made),
-        "rhec_functions.h": c_writer.functions_header(made),
-        "rhec_scenario.c": c_writer.scenario_source(made),
-        "scenario.json": _as_json(scenario),
-        "log.csv": log.to_csv(index=False),
-        "README.txt": c_writer.readme(made, log),
-    }
-
+    parts = scenario if isinstance(scenario, tuple) else (scenario,)
+    if parts and all(isinstance(part, RHE | RHC) for part in parts):
+        texts = _of_model(parts)
+        _check_folder(folder)
+    else:
+        _check(scenario)
+        _check_folder(folder)
+        texts = _of_scenario(scenario)
     folder.mkdir(parents=True, exist_ok=True)
     # All is written before anything is replaced.
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".unfinished-") as unfinished:
@@ -77,8 +74,51 @@ def export(scenario, folder=FOLDER):
     return folder
 
 
-def _check(scenario, folder):
-    """Refuse, in one sentence, a scenario that cannot be exported and a folder with other files."""
+def _of_model(parts):
+    """{file: text} of the export of a Model's RHE, RHC or both."""
+    own = {
+        kind.__name__.lower(): part for kind in (RHE, RHC) for part in parts if type(part) is kind
+    }
+    if len(own) < len(parts):
+        raise ValueError(
+            f"scenario was {shown(parts)}; of one Model it should be a RHE, a RHC or one of each, "
+            "of the paper's robot a Scenario"
+        )
+    if len(own) == 2:
+        rhe, rhc = own["rhe"].window, own["rhc"].horizon
+        if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
+            raise ValueError("RHE and RHC differ; both should have the same model and dt")
+    texts, made = _by_hand("c_model"), phases.export_model(**own)
+    return texts | _generated(made) | {"README.txt": c_writer.readme(made, texts["README.txt"])}
+
+
+def _of_scenario(scenario):
+    """{file: text} of the export of a Scenario."""
+    made, texts = phases.export(scenario), _by_hand("c")
+    shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
+    log = simulate(shorter).log[LOG]
+    readme = c_writer.readme(made, texts["README.txt"], samples=len(log), **SIGMA_START)
+    own = {"scenario.json": _as_json(scenario), "log.csv": log.to_csv(index=False)}
+    return texts | _generated(made) | own | {"README.txt": readme}
+
+
+def _by_hand(folder):
+    """{file: text} of the files that do not depend on what is exported."""
+    files = sorted(Path(__file__).with_name(folder).iterdir())
+    return {_MARK: ""} | {file.name: file.read_text(encoding="utf-8") for file in files}
+
+
+def _generated(made):
+    return {
+        _MARK: c_writer.memory_header(made),
+        "rhec_phases.h": c_writer.phases_header(made),
+        "rhec_functions.h": c_writer.functions_header(made),
+        "rhec_scenario.c": c_writer.scenario_source(made),
+    }
+
+
+def _check(scenario):
+    """Refuse, in one sentence, a scenario that cannot be exported."""
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     estimator = scenario.estimator
@@ -100,6 +140,10 @@ def _check(scenario, folder):
         raise ValueError(
             f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
         )
+
+
+def _check_folder(folder):
+    """Refuse, in one sentence, a folder with other files."""
     reason = None
     if folder.exists() and not folder.is_dir():
         reason = "is a file"

@@ -13,15 +13,19 @@ import numpy as np
 
 from rhec import simulation
 from rhec._casadi.build import casadi_function, pack_array, unpack
-from rhec.controller import rhc
+from rhec.controller.rhc import build_phases as build_controller
+from rhec.controller.rhc import init as plan_init
+from rhec.estimator.rhe import build_phases as build_estimator
+from rhec.estimator.rhe import init as window_init
 from rhec.model.limits import is_valid_measurement
+from rhec.solver.pivoting import MAX_SWEEPS
 from rhec.tracked_robot import path
 from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 
-__all__ = ["Export", "Phase", "closest", "export"]
+__all__ = ["Export", "closest", "export", "export_model"]
 
 # Places in `struct rhec` that the phases share; all else that they pass on is their owner's.
 _SHARED = dict(
@@ -34,10 +38,11 @@ _SHARED = dict(
     omega_ref="path.omega_ref",
     u_ref="path.omega_ref",
 )
+_SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
 _ORDER = "start", "expand", "shift", "linearise", "feedback"
 
 
-class Phase(NamedTuple):
+class _Phase(NamedTuple):
     """A Function, and places in the C's memory of its arguments and of its results, in order."""
 
     function: ca.Function
@@ -48,16 +53,18 @@ class Phase(NamedTuple):
 class Export(NamedTuple):
     """All that the C is written from.
 
-    phases    name in C: Phase
+    phases    name in C: (function, reads, writes)
     memory    place in struct rhec: number of doubles
-    settings  name: matrix, as the scenario has it
-    guess     (x, y, θ, ν, μ, κ): where the scenario's estimator believes the robot to start
+    settings  name: matrix
+    guess     the estimator's first; of a scenario (x, y, θ, ν, μ, κ)
+    macros    name in C: (value, comment)
     """
 
     phases: dict
     memory: dict
     settings: dict
     guess: np.ndarray
+    macros: dict
 
 
 def export(scenario):
@@ -75,25 +82,69 @@ def export(scenario):
         estimate = _one_step(estimator.build_step(choice))
     horizon = horizon_of(scenario.prediction_horizon, scenario.qp)
 
-    def first_estimate(guess):
-        memory = estimator.init(choice, dict(zip(QUANTITIES, guess)))
+    def first_estimate(estimate):
+        memory = estimator.init(choice, dict(zip(QUANTITIES, estimate)))
         return memory if estimator.build_phases else dict(memory=pack_array(memory))
 
-    def first_plan(guess):
-        return rhc.init(horizon, guess[:3], guess[3:])
+    def first_plan(estimate):
+        return plan_init(horizon, estimate[:3], estimate[3:])
 
     n_segments = len(setup.path.segments)
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)[
         "references"
     ]
     follow = _follow(references, "accepted" in estimate["feedback"].name_out())
-    phases = _with_start("estimator", estimate, first_estimate, settings)
-    phases |= _with_start("controller", rhc.build_phases(horizon), first_plan, settings)
+    starts = [_start(first, estimate=6) for first in (first_estimate, first_plan)]
+    phases = _bind_all("estimator", starts[0], estimate, settings, _SHARED)
+    phases |= _bind_all("controller", starts[1], build_controller(horizon), settings, _SHARED)
     phases |= {
-        f"path_{name}": _bind(f, name, "path", {}, settings)
+        f"path_{name}": _bind(f, name, "path", {}, settings, _SHARED)
         for name, f in (("closest", closest(n_segments)), ("follow", follow))
     }
-    memory, used = dict(z=4, estimate=6, omega=1), set()
+    macros = dict(
+        DT_S=(horizon.dt_s, "time between samples [s]"),
+        PATIENCE=(scenario.estimation_horizon + 1, "most predicted estimates in a row"),
+        MOST_GUESSES=(MAX_SWEEPS, "of the active bounds, for one plan"),
+    )
+    return _export(phases, settings, setup.guess, macros)
+
+
+def export_model(rhe=None, rhc=None):
+    """The phases of the RHE, the RHC or both of a Model, bound to the C's memory."""
+    model = rhe.model if rhe else rhc.horizon.model
+    phases, settings, guess = {}, {}, np.zeros(1)
+    macros = dict(DT_S=(rhe.window.dt_s if rhe else rhc.horizon.dt_s, "time between samples [s]"))
+    for name in ("states", "inputs", "parameters", "outputs"):
+        names = getattr(model, name)
+        macros[name.upper()] = len(names), ", ".join(names) or "none"
+    if rhe:
+        guess, settings = rhe._guess[0], settings | rhe.settings
+        start = _start(
+            lambda guess: window_init(rhe.window, guess, rhe._guess[1]), guess=len(guess)
+        )
+        estimate = build_estimator(rhe.window)
+        phases |= _bind_all("estimator", start, estimate, settings, _SHARED_BY_MODEL)
+        macros |= dict(
+            ESTIMATOR=(1, "there is one"), ESTIMATE=(len(model.names), ", ".join(model.names))
+        )
+    if rhc:
+        n_x, settings = len(model.states), settings | rhc.settings
+        start = _start(
+            lambda s_0: plan_init(rhc.horizon, s_0[:n_x], s_0[n_x:]), s_0=rhc.horizon.n_s
+        )
+        phases |= _bind_all(
+            "controller", start, build_controller(rhc.horizon), settings, _SHARED_BY_MODEL
+        )
+        macros |= dict(
+            CONTROLLER=(1, "there is one"), HORIZON=(rhc.horizon.N, "intervals of a plan")
+        )
+    macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
+    return _export(phases, settings, guess, macros)
+
+
+def _export(phases, settings, guess, macros):
+    """The Export of phases that are bound, with the memory and the settings that they use."""
+    memory, used = {}, set()
     for f, reads, writes in phases.values():
         sizes = [*map(f.nnz_in, range(f.n_in())), *map(f.nnz_out, range(f.n_out()))]
         for place, size in zip(reads + writes, sizes):
@@ -102,22 +153,24 @@ def export(scenario):
             else:
                 memory[place] = max(size, 1)  # C has no empty arrays
     used = {name: np.array(ca.DM(value)) for name, value in settings.items() if name in used}
-    return Export(phases, memory, used, setup.guess)
+    return Export(phases, memory, used, guess, macros)
 
 
-def _with_start(owner, functions, init, settings):
-    """{name in C: Phase} of an owner's phases and of the start that makes its first memory."""
+def _bind_all(owner, start, functions, settings, shared):
+    """{name in C: _Phase} of an owner's phases. start(name, shapes) makes the one that makes its
+    first memory.
+    """
     shift = functions["shift"]
     memory = {name: shift.size_in(name) for name in shift.name_in() if name in shift.name_out()}
-    functions = dict(start=_start(f"rhec_{owner}_start", init, memory)) | functions
+    functions = functions | dict(start=start(f"rhec_{owner}_start", memory))
     return {
-        f"{owner}_{name}": _bind(functions[name], name, owner, memory, settings)
+        f"{owner}_{name}": _bind(functions[name], name, owner, memory, settings, shared)
         for name in _ORDER
         if name in functions
     }
 
 
-def _bind(f, phase, owner, memory, settings):
+def _bind(f, phase, owner, memory, settings, shared):
     """A phase with its places. Memory exists twice (see `gauss_newton.RealTimeIteration`): `shift`
     takes it from previous to current.
     """
@@ -125,31 +178,36 @@ def _bind(f, phase, owner, memory, settings):
     def place(name, version):
         if name in memory:
             return f"{owner}.{version}.{name}"
-        return f"settings->{name}" if name in settings else _SHARED.get(name, f"{owner}.{name}")
+        return f"settings->{name}" if name in settings else shared.get(name, f"{owner}.{name}")
 
     reading, writing = ("previous", "current") if phase == "shift" else ("current", "previous")
     reads = [place(name, reading) for name in f.name_in()]
-    return Phase(f, reads, [place(name, writing) for name in f.name_out()])
+    return _Phase(f, reads, [place(name, writing) for name in f.name_out()])
 
 
-def _start(name, init, shapes):
-    """The first memory, piece by piece, as a Function of the guess. init copies entries of the
-    guess and adds constants: it is affine.
+def _start(init, **size):
+    """A Function of the guess, of this name and size, for `_bind_all`. init copies entries of the
+    guess to the first memory and adds constants: it is affine.
     """
+    ((guess, n),) = size.items()
 
-    def first(guess):
-        memory = init(guess)
-        return pack_array({piece: memory[piece] for piece in shapes})
+    def make(name, shapes):
+        def first(values):
+            memory = init(values)
+            return pack_array({piece: memory[piece] for piece in shapes})
 
-    constant = first(np.zeros(6))
-    slopes = np.column_stack([first(unit) - constant for unit in np.eye(6)])
-    slopes = ca.sparsify(ca.DM(np.nan_to_num(slopes)))  # missing measurements are NaN for any guess
+        constant = first(np.zeros(n))
+        slopes = np.column_stack([first(unit) - constant for unit in np.eye(n)])
+        # missing measurements are NaN for any guess
+        slopes = ca.sparsify(ca.DM(np.nan_to_num(slopes)))
 
-    @casadi_function(name, estimate=(6, 1))
-    def start(estimate):
-        return unpack(ca.SX(constant) + slopes @ estimate, shapes)
+        @casadi_function(name, **{guess: (n, 1)})
+        def start(**values):
+            return unpack(ca.SX(constant) + slopes @ values[guess], shapes)
 
-    return start
+        return start
+
+    return make
 
 
 def _one_step(step):

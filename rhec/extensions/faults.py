@@ -108,7 +108,8 @@ class Fault:
                 )
 
     @property
-    def end_s(self):
+    def end_s(self) -> float:
+        """When it ends [s]."""
         return self.start_s + self.duration_s
 
 

@@ -5,7 +5,7 @@ Samples are DT_S apart; the encoder measurements of each are means over the inte
 the row's own time by the encoder measurements since.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -241,16 +241,16 @@ def _replay_model(log, model, estimator, arguments):
 
 @checked
 def replay(
-    log,
-    estimator="rhe",
+    log: Any,
+    estimator: Any = "rhe",
     *,
     model: Model | None = None,
     track_width_m: Positive | None = None,
     lever_arm_m: tuple[Real, Real] | None = None,
     first_yaw_rad: Real | tuple[Real, ...] | None = None,
     sigma_yaw_rad: Positive | None = None,
-    **fields,
-):
+    **fields: Any,
+) -> pd.DataFrame:
     """Estimates from a recorded log: of the paper's robot, or of any Model.
 
     Args:

@@ -42,7 +42,9 @@ def measure_step(_):
 
 def measure_any_robot(_):
     if not any_robot.do_mpc:
-        print("\ndo-mpc is not installed (make bench does that), so other robots were not measured.")
+        print(
+            "\ndo-mpc is not installed (make bench does that), so other robots were not measured."
+        )
         return
     agreeing, table = any_robot.measure()
     report(

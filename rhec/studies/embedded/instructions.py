@@ -19,7 +19,7 @@ import pandas as pd
 
 from rhec.studies.embedded.toolchain import PHASES
 
-__all__ = ["CLOCK_HZ", "Trace", "counts", "table", "trace"]
+__all__ = ["CLOCK_HZ", "counts", "table", "trace"]
 
 # Functions that make the phases, in the order of PHASES, and those that call them in programs
 _CALLS = "rhec_prepare_estimate", "rhec_estimate", "rhec_prepare_control", "rhec_control"
@@ -31,7 +31,7 @@ _SECOND_CACHE_S, _DRAM_S = 20 / CLOCK_HZ, 150e-9  # assumed: to fetch a line fro
 _SPREAD, _LONGEST = 5, 5
 
 
-class Trace(NamedTuple):
+class _Trace(NamedTuple):
     """Executed instructions.
 
     blocks   [(address, instruction words in hexadecimal), …]
@@ -54,7 +54,7 @@ def trace(machine, program, *arguments):
 
 
 def _read(listing):
-    """The Trace in the emulator's listing."""
+    """The _Trace in the emulator's listing."""
     blocks, numbers, samples, phase, fresh = [], {}, [], None, None
     for line in listing:
         if line.startswith("Trace"):
@@ -76,7 +76,7 @@ def _read(listing):
             fresh.append(line.split()[1])
         elif line.startswith("IN:"):
             fresh = []
-    return Trace(blocks, samples)
+    return _Trace(blocks, samples)
 
 
 def counts(traced):
@@ -107,7 +107,7 @@ def _cache_lines(traced, sample, memory_bytes):
                 }
             )
         )
-    executed = counts(Trace(traced.blocks, [traced.samples[sample]]))[0]
+    executed = counts(_Trace(traced.blocks, [traced.samples[sample]]))[0]
     return np.array(code) + memory_bytes / _LINE_BYTES * executed / executed.sum()
 
 
