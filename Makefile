@@ -54,7 +54,7 @@ campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" s
 	@$(PY) -m rhec.campaigns $(WHAT)
 
 embedded: $(READY) ## the default scenario's estimator and controller as C, in build/embedded
-	@$(PY) -m rhec.studies.embedded
+	@$(PY) -m notebooks.embedded_measurements
 
 ##@ Check
 test: $(READY) ## run the tests

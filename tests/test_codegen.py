@@ -24,7 +24,7 @@ from rhec.codegen import LOG, phases
 from rhec.columns import MEASUREMENTS
 from rhec.controller import rhc
 from rhec.plots.timing import embedded_times
-from rhec.studies.embedded import instructions, report, toolchain
+from notebooks.embedded_measurements import instructions, report, toolchain
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references

@@ -2,7 +2,7 @@
 
 `phases` names the CasADi Functions that it is made of, `c_writer` writes the files that depend on
 them; the folders `c` (of a Scenario) and `c_model` (of a Model) hold those that do not.
-`rhec.studies.embedded` compiles and runs an export, here or, emulated, on 64-bit Arm.
+`notebooks.embedded_measurements` compiles and runs an export, here or, emulated, on 64-bit Arm.
 """
 
 import dataclasses

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from rhec.studies.embedded.toolchain import PHASES
+from notebooks.embedded_measurements.toolchain import PHASES
 
 __all__ = ["CLOCK_HZ", "counts", "table", "trace"]
 

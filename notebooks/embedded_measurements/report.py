@@ -11,8 +11,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.columns import MEASUREMENTS
-from rhec.studies.embedded import instructions, toolchain
-from rhec.studies.embedded.toolchain import PHASES
+from notebooks.embedded_measurements import instructions, toolchain
+from notebooks.embedded_measurements.toolchain import PHASES
 
 __all__ = ["TOLERANCE", "against_the_paper", "measure", "reported"]
 
