@@ -13,28 +13,23 @@ SETTLING_SAMPLES = round(5 / paper.DT_S)  # who stays within the tolerance so lo
 
 
 def metrics(columns, poses):
-    """What is reported of a run with these log columns whose closest path points are `poses` (n,
-    3); errors in m, times in s.
+    """Metrics of a run from its log columns and closest path points `poses` (n, 3); m and s.
 
-    The robot has arrived when its true error stays within the tolerance for 5 s; errors and
-    violations count from the end of these 5 s, and on the whole run of a robot that never arrives.
-    `mean_error_m` is the paper's: raw GNSS to the path (reading R11), over the samples that have a
-    position. Overshoot: how far beyond the path, seen from the start, the robot gets on the first
-    row.
+    The robot has settled when its true error stays within the tolerance for 5 s; errors and
+    violations count from the end of these 5 s, or on the whole run if it never settles.
+    `mean_error_m` is the paper's: raw GNSS to the path (interpretation R11), where there is a
+    position. Overshoot: how far beyond the path, seen from the start, it gets on the first row.
     """
     c = SimpleNamespace(**columns)
     stays = settled_samples(c.error_true_m)
-    arrived = len(stays) > 0
-    after = slice(
-        stays[0] + SETTLING_SAMPLES if arrived and stays[0] + SETTLING_SAMPLES < len(c.t_s) else 0,
-        None,
-    )
+    begin = stays[0] + SETTLING_SAMPLES if len(stays) else 0
+    after = slice(begin if begin < len(c.t_s) else 0, None)
     straight = c.on_straight[after]
     left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
     first_row = left[: np.argmin(c.on_straight) or None]
     omega = np.abs(c.omega_cmd_radps)
     values = dict(
-        settling_time_s=c.t_s[stays[0]] if arrived else np.float64(np.nan),
+        settling_time_s=c.t_s[stays[0]] if len(stays) else np.float64(np.nan),
         mean_error_m=_mean_of_known(c.error_m[after]),
         mean_error_true_m=c.error_true_m[after].mean(),
         max_error_true_m=c.error_true_m[after].max(),
@@ -55,22 +50,19 @@ def metrics(columns, poses):
 
 
 def settled_samples(error, within=paper.TOLERANCE_M):
-    """The samples from which on the error (n,) stays within so much, unless told the tolerance [m],
-    for 5 s.
-    """
-    inside = error < within
-    return (
-        np.flatnonzero(np.convolve(inside, np.ones(SETTLING_SAMPLES), "valid") == SETTLING_SAMPLES)
-        if len(inside) > SETTLING_SAMPLES
-        else np.array([], dtype=int)
-    )
+    """The samples from which on the error (n,) [m] stays within so much for 5 s."""
+    if len(error) <= SETTLING_SAMPLES:
+        return np.array([], dtype=int)
+    inside = np.convolve(error < within, np.ones(SETTLING_SAMPLES), "valid")
+    return np.flatnonzero(inside == SETTLING_SAMPLES)
 
 
 def _mean_of_known(values):
-    """Their mean without those that are NaN; NaN of none."""
+    """Mean of the values that are no NaN; NaN of none."""
     known = values[~np.isnan(values)]
     return known.mean() if len(known) else np.float64(np.nan)
 
 
 def rms(values):
+    """Root mean square."""
     return np.sqrt(np.mean(np.square(values)))

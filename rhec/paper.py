@@ -1,7 +1,7 @@
 """The paper's constants and reported results, each with its place. SI units; angles in radians.
 
 Where the paper gives no number, the value is this project's choice and is listed under "Not in the
-paper" (see readings R3, R4).
+paper" (see interpretations R3, R4).
 """
 
 # Sec. Introduction: the row and the tolerance
@@ -26,14 +26,7 @@ HORIZON = 15
 # Sec. Implementation of Nonlinear RHE: standard deviations behind H_k = V_k⁻¹ and W, eq.
 # (mhe_weightingmatrices)
 SIGMA_V = (0.03, 0.03, 0.05, 0.0175)  # x, y [m], ν [m/s], ω [rad/s]
-SIGMA_W_RHE = (
-    10.0,
-    10.0,
-    0.1,
-    1.0,
-    0.25,
-    0.25,
-)  # x, y [m], θ [rad], ν [m/s], μ, κ, each per sample
+# x, y [m], θ [rad], ν [m/s], μ, κ, each per sample
 # Sec. Extended Kalman Filter, eq. (ekf_weightingmatrices)
 SIGMA_W_EKF = (10.0, 10.0, 0.1, 1.0)  # x, y [m], θ [rad], ν [m/s], each per sample
 
@@ -69,3 +62,4 @@ START_OFFSET_M = 1.0  # "starts off-track"
 ENCODER_SIGMA_MPS = (
     ENCODER_ACCURACY_MPS / 2
 )  # the accuracy read as a 95 % bound of one 50 Hz reading
+SIGMA_W_RHE = (10.0, 10.0, 0.1, 1.0, 0.25, 0.25)

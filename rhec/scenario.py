@@ -1,6 +1,4 @@
-"""A scenario: every choice behind one closed-loop run, validated, with the interpretation of the
-paper it stands for (docs/interpretations.md).
-"""
+"""A scenario: every choice behind one closed-loop run, validated (docs/interpretations.md)."""
 
 from typing import Annotated, Any, Literal
 
@@ -8,28 +6,14 @@ import casadi as ca
 from pydantic import Field
 
 from rhec import paper
-from rhec._casadi.validation import (
-    ArrivalMean,
-    Flag,
-    Intervals,
-    NotNegative,
-    Positive,
-    ProcessNoise,
-    Real,
-    Solver,
-    SpeedModel,
-    Traction,
-    Weights,
-    shown,
-    validated,
-)
+from rhec._casadi import validation as valid
 from rhec.extensions.faults import Fault
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, Choice, estimator_of
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 
-@validated
+@valid.validated
 class Scenario:
     """One closed-loop run. SI units; angles in radians.
 
@@ -43,13 +27,13 @@ class Scenario:
                            first guess (x, y, θ, ν, μ, κ), then zeros
         process_noise      "printed": the paper's W to the letter; "calibrated": W from training
                            seeds (R1, R2)
-        sigma_w            W's standard deviations instead of the reading's: (x, y, θ, ν, μ, κ) for
+        sigma_w            W's standard deviations instead: (x, y, θ, ν, μ, κ) for
                            RHE and augmented EKF, without ν where that is an input, (μ, κ) per √m
                            where tracks slip; (x, y, θ, ν) for the EKFs; both, one after the other,
                            for "dual"
         sigma_v            measurement noise the estimator assumes: (x, y [m], ν [m/s], ω [rad/s])
-        estimation_horizon        intervals of the estimation window; N intervals have N + 1 nodes, so 14
-                           is the paper's sum of N terms (R5)
+        estimation_horizon intervals of the window; N intervals have N + 1 nodes, so 14 is the
+                           paper's sum of N terms (R5)
         speed_model        "parameter": one ν over the window, as in the paper; "input": one ν an
                            interval, from the encoders (R6, R13); "slipping": the same, with process
                            noise in proportion to how far the tracks ran, sideways, too: not in the
@@ -93,48 +77,48 @@ class Scenario:
     """
 
     estimator: Any = "rhe"
-    process_noise: ProcessNoise = "printed"
-    sigma_w: tuple[NotNegative, ...] | None = None
-    sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V
-    estimation_horizon: Intervals = paper.HORIZON
-    speed_model: SpeedModel = "parameter"
-    arrival_mean: ArrivalMean = "smoothed"
-    robust: Flag = False
+    process_noise: valid.ProcessNoise = "printed"
+    sigma_w: tuple[valid.NotNegative, ...] | None = None
+    sigma_v: tuple[valid.Positive, valid.Positive, valid.Positive, valid.Positive] = paper.SIGMA_V
+    estimation_horizon: valid.Intervals = paper.HORIZON
+    speed_model: valid.SpeedModel = "parameter"
+    arrival_mean: valid.ArrivalMean = "smoothed"
+    robust: valid.Flag = False
 
-    q: Weights = paper.Q3
-    r: Positive = paper.R
-    qn_factor: NotNegative = paper.QN_FACTOR
-    omega_max_radps: Positive = paper.OMEGA_MAX_RADPS
-    prediction_horizon: Intervals = paper.HORIZON
-    look_ahead_m: NotNegative = 0.0
+    q: valid.Weights = paper.Q3
+    r: valid.Positive = paper.R
+    qn_factor: valid.NotNegative = paper.QN_FACTOR
+    omega_max_radps: valid.Positive = paper.OMEGA_MAX_RADPS
+    prediction_horizon: valid.Intervals = paper.HORIZON
+    look_ahead_m: valid.NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
-    qp: Solver = "structured"
+    qp: valid.Solver = "structured"
 
-    speed_mps: Annotated[Positive, Field(le=1.4)] = paper.SPEED_MPS
-    duration_s: Annotated[Positive, Field(ge=paper.DT_S, le=1e6)] = 240.0
-    backwards: Flag = False
+    speed_mps: Annotated[valid.Positive, Field(le=1.4)] = paper.SPEED_MPS
+    duration_s: Annotated[valid.Positive, Field(ge=paper.DT_S, le=1e6)] = 240.0
+    backwards: valid.Flag = False
     path: Any = None
-    row_length_m: Annotated[Positive, Field(le=1e4)] = paper.ROW_LENGTH_M
-    headland_radius_m: Annotated[Positive, Field(le=1e3)] = paper.HEADLAND_RADIUS_M
-    start_offset_m: Real = paper.START_OFFSET_M
-    start_yaw_rad: Real = 0.0
-    guess_yaw_rad: Real = 0.0
+    row_length_m: Annotated[valid.Positive, Field(le=1e4)] = paper.ROW_LENGTH_M
+    headland_radius_m: Annotated[valid.Positive, Field(le=1e3)] = paper.HEADLAND_RADIUS_M
+    start_offset_m: valid.Real = paper.START_OFFSET_M
+    start_yaw_rad: valid.Real = 0.0
+    guess_yaw_rad: valid.Real = 0.0
 
     terrain: Any = None
-    mu_mean: Traction = 0.9
-    mu_deviation: NotNegative = 0.04
-    kappa_mean: Traction = 0.8
-    kappa_deviation: NotNegative = 0.08
-    correlation_length_m: Annotated[Positive, Field(ge=0.5)] = 4.0
+    mu_mean: valid.Traction = 0.9
+    mu_deviation: valid.NotNegative = 0.04
+    kappa_mean: valid.Traction = 0.8
+    kappa_deviation: valid.NotNegative = 0.08
+    correlation_length_m: Annotated[valid.Positive, Field(ge=0.5)] = 4.0
     patches: tuple[Patch, ...] = ()
 
-    gnss_sigma_m: NotNegative = paper.SIGMA_V[0]
-    gnss_slow_share: Annotated[NotNegative, Field(le=1)] = 0.0
-    gnss_slow_time_s: Positive = 60.0
-    encoder_sigma_mps: NotNegative = paper.ENCODER_SIGMA_MPS
-    bump_sigma_radps: NotNegative = 0.02
-    track_width_m: Positive = paper.TRACK_WIDTH_M
+    gnss_sigma_m: valid.NotNegative = paper.SIGMA_V[0]
+    gnss_slow_share: Annotated[valid.NotNegative, Field(le=1)] = 0.0
+    gnss_slow_time_s: valid.Positive = 60.0
+    encoder_sigma_mps: valid.NotNegative = paper.ENCODER_SIGMA_MPS
+    bump_sigma_radps: valid.NotNegative = 0.02
+    track_width_m: valid.Positive = paper.TRACK_WIDTH_M
     faults: tuple[Fault, ...] = ()
     seed: Seed = 0
 
@@ -142,12 +126,12 @@ class Scenario:
         estimator, own = self.estimator, isinstance(self.estimator, ca.Function)
         if not own and estimator not in NAMES:
             wanted = f"it should be one of {NAMES} or a CasADi Function"
-            raise ValueError(f"estimator was {shown(estimator)}; {wanted}")
+            raise ValueError(f"estimator was {valid.shown(estimator)}; {wanted}")
         for name, kind in (("path", Path), ("terrain", Terrain)):
             value = getattr(self, name)
             if not isinstance(value, kind | None):
                 wanted = f"it should be a rhec.{kind.__name__} or None"
-                raise ValueError(f"{name} was {shown(value)}; {wanted}")
+                raise ValueError(f"{name} was {valid.shown(value)}; {wanted}")
         for name in ("mu", "kappa"):
             mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
             most = (mean * (1 - mean)) ** 0.5
@@ -156,9 +140,9 @@ class Scenario:
                 limit = "the most a quantity between 0 and 1 can vary"
                 raise ValueError(f"{name}_deviation was {deviation!r}; {wanted}, {limit}")
         if self.robust and (own or estimator not in ROBUST_NAMES):
-            wanted = f"for the estimator {shown(estimator)} it should be False"
+            wanted = f"for the estimator {valid.shown(estimator)} it should be False"
             raise ValueError(f"robust was True; {wanted}")
         expected = estimator_of("own" if own else estimator).n_sigma_w(Choice.of(self))
         if self.sigma_w is not None and len(self.sigma_w) != expected:
-            wanted = f"for the estimator {shown(estimator)} it should have {expected} entries"
-            raise ValueError(f"sigma_w was {shown(self.sigma_w)}; {wanted}")
+            wanted = f"for the estimator {valid.shown(estimator)} it should have {expected} entries"
+            raise ValueError(f"sigma_w was {valid.shown(self.sigma_w)}; {wanted}")

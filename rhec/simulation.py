@@ -14,16 +14,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi import compiled, scan
-from rhec._casadi.build import (
-    pack_array,
-    packed_size,
-    select_inputs,
-    shapes_of,
-    unpack,
-    unpack_array,
-    with_packed_memory,
-)
+from rhec._casadi import build, compiled, scan
 from rhec._casadi.validation import shown
 from rhec.columns import COLUMNS, FLAGS, LOG
 from rhec.controller import rhc
@@ -44,17 +35,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "LoopStructure",
-    "Run",
-    "Setup",
-    "build_sample",
-    "draw_noise",
-    "known_traction",
-    "noise_and_faults",
-    "set_up",
-    "simulate",
-    "simulate_setup",
-]
+    "LoopStructure", "Run", "Setup", "build_sample", "draw_noise", "known_traction",
+    "noise_and_faults", "set_up", "simulate", "simulate_setup",
+]  # fmt: skip
 
 
 class LoopStructure(NamedTuple):
@@ -75,7 +58,7 @@ def known_traction(given, field_mean, true):
 
 
 def build_sample(*structure):
-    """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), to be scanned."""
+    """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), as a scan."""
     structure = LoopStructure(*structure)
     choice = Choice(*structure.estimator)
     given = estimator_of(choice.estimator).given
@@ -107,21 +90,26 @@ def build_sample(*structure):
         if name not in ("truth", "traction")
     }
 
-    @with_packed_memory("sample", memory, ca.MX, noise=(packed_size(stream), 1), **settings)
+    @build.with_packed_memory(
+        "sample", memory, ca.MX, noise=(build.packed_size(stream), 1), **settings
+    )
     def sample(
         pose, tracks, integral, drift, encoders, estimator, s, controller, command, noise,
         **settings,
     ):  # fmt: skip
-        noise = unpack(noise, stream)
+        noise = build.unpack(noise, stream)
         traction = slip(pose[:2], settings["origin_m"], settings["cell_m"], settings["slip"])
         nu, omega = robot.body_speeds(tracks, settings["track_width_m"])
         truth = ca.vertcat(pose, nu, traction)
 
         measured = measure(
-            **select_inputs(measure, noise | settings), pose=pose, drift=drift, encoders=encoders
+            **build.select_inputs(measure, noise | settings),
+            pose=pose,
+            drift=drift,
+            encoders=encoders,
         )
         if structure.faulty:
-            measured |= deliver(**select_inputs(deliver, measured | noise | settings))
+            measured |= deliver(**build.select_inputs(deliver, measured | noise | settings))
         z = measured["z"]
         valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
 
@@ -134,13 +122,13 @@ def build_sample(*structure):
 
         accepted = outputs.get("accepted", ca.vertcat(*valid))
         target = references(
-            **select_inputs(references, settings),
+            **build.select_inputs(references, settings),
             s=s,
             estimate=estimate,
             omega_measured=ca.if_else(accepted[3], z[3], command),
         )
         planned = control(
-            **select_inputs(control, settings),
+            **build.select_inputs(control, settings),
             memory=controller,
             s_0=estimate,
             x_ref=target["xi_ref"],
@@ -151,35 +139,22 @@ def build_sample(*structure):
         applied = ca.if_else(settings["command_delay"], command, newest)
 
         driven = drive(
-            **select_inputs(drive, noise | settings), pose=pose, tracks=tracks, integral=integral,
-            traction=traction, omega_radps=applied,
+            **build.select_inputs(drive, noise | settings), pose=pose, tracks=tracks,
+            integral=integral, traction=traction, omega_radps=applied,
         )  # fmt: skip
         nan = ca.DM.nan(1)
         row = dict(
-            truth=truth,
-            omega=omega,
-            z=z,
-            estimate=estimate,
-            command=newest,
-            s=target["s"],
-            curvature=target["curvature"],
-            kkt_rhe=outputs.get("kkt", nan),
-            kkt_rhc=planned["kkt"],
-            deviance=outputs.get("deviance", nan),
-            ok=ca.fmin(outputs.get("ok", 1), planned["ok"]),
+            truth=truth, omega=omega, z=z, estimate=estimate, command=newest, s=target["s"],
+            curvature=target["curvature"], kkt_rhe=outputs.get("kkt", nan), kkt_rhc=planned["kkt"],
+            deviance=outputs.get("deviance", nan), ok=ca.fmin(outputs.get("ok", 1), planned["ok"]),
             accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
             restart=outputs.get("restart", ca.DM(0)),
-        )
+        )  # fmt: skip
         return dict(
-            row=ca.vertcat(*(row[name] for name in LOG)),
-            drift=measured["drift"],
-            estimator=outputs["memory"],
-            s=target["s"],
-            controller=planned["memory"],
-            command=newest,
-            **driven,
-            **{name: measured[name] for name in sensors},
-        )
+            row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"],
+            estimator=outputs["memory"], s=target["s"], controller=planned["memory"],
+            command=newest, **driven, **{name: measured[name] for name in sensors},
+        )  # fmt: skip
 
     return scan.build_scan(sample)
 
@@ -203,9 +178,16 @@ class Setup:
     def unpack(self, memory):
         """A memory's arrays by name, those of estimator and controller in dicts of their own."""
         nested = {name: shape for name, shape in self.layout.items() if isinstance(shape, dict)}
-        flat = self.layout | {name: (packed_size(inner), 1) for name, inner in nested.items()}
-        pieces = unpack_array(memory, flat)
-        return pieces | {name: unpack_array(pieces[name], inner) for name, inner in nested.items()}
+        flat = self.layout | {name: (build.packed_size(inner), 1) for name, inner in nested.items()}
+        pieces = build.unpack_array(memory, flat)
+        return pieces | {
+            name: build.unpack_array(pieces[name], inner) for name, inner in nested.items()
+        }
+
+
+_TAKEN_OVER = (
+    "gnss_slow_time_s", "track_width_m", "encoder_sigma_mps", "bump_sigma_radps", "look_ahead_m",
+)  # fmt: skip
 
 
 def set_up(scenario):
@@ -233,50 +215,33 @@ def set_up(scenario):
         controller=rhc.init(horizon, guess[:3], guess[3:]),
     )
     slow = scenario.gnss_slow_share
-    settings = dict(
+    settings = {name: getattr(scenario, name) for name in _TAKEN_OVER} | dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow),
-        gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
-        gnss_slow_time_s=scenario.gnss_slow_time_s,
-        track_width_m=scenario.track_width_m,
-        encoder_sigma_mps=scenario.encoder_sigma_mps,
-        bump_sigma_radps=scenario.bump_sigma_radps,
-        segments=target.segments.T,
-        period_m=target.period_m,
-        look_ahead_m=scenario.look_ahead_m,
-        backwards=float(scenario.backwards),
-        Q=np.array(scenario.q),
-        QN=scenario.qn_factor * np.array(scenario.q),
-        R=scenario.r,
-        lower=-scenario.omega_max_radps,
-        upper=scenario.omega_max_radps,
-        speed_mps=speed_mps,
-        command_delay=float(scenario.command_delay),
-        origin_m=np.array(soil.origin_m),
-        cell_m=soil.cell_m,
-        slip=terrain.flat(soil, shape),
-        mean_traction=soil.mean,
-    )
+        gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow), segments=target.segments.T,
+        period_m=target.period_m, backwards=float(scenario.backwards), Q=np.array(scenario.q),
+        QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r,
+        lower=-scenario.omega_max_radps, upper=scenario.omega_max_radps, speed_mps=speed_mps,
+        command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m),
+        cell_m=soil.cell_m, slip=terrain.flat(soil, shape), mean_traction=soil.mean,
+    )  # fmt: skip
     structure = LoopStructure(
-        choice,
-        scenario.prediction_horizon,
-        scenario.qp,
-        scenario.input_reference,
-        len(target.segments),
-        shape,
-        bool(scenario.faults),
-    )
+        choice, scenario.prediction_horizon, scenario.qp, scenario.input_reference,
+        len(target.segments), shape, bool(scenario.faults),
+    )  # fmt: skip
     memory |= faults.init() if scenario.faults else {}
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
-    flat = memory | {name: pack_array(piece) for name, piece in nested.items()}
-    layout = shapes_of(flat) | {name: shapes_of(piece) for name, piece in nested.items()}
+    flat = memory | {name: build.pack_array(piece) for name, piece in nested.items()}
+    layout = build.shapes_of(flat) | {
+        name: build.shapes_of(piece) for name, piece in nested.items()
+    }
     settings |= estimator.settings(scenario)
-    return Setup(structure, pack_array(flat), layout, settings, target, soil, guess)
+    return Setup(structure, build.pack_array(flat), layout, settings, target, soil, guess)
 
 
 def draw_noise(seed, samples):
     """Standard normal noise (samples, n) of a seed; the first rows are those of fewer samples."""
     generator = np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 1))))
-    return generator.standard_normal((samples, packed_size(robot.NOISE)))
+    return generator.standard_normal((samples, build.packed_size(robot.NOISE)))
 
 
 def noise_and_faults(scenario, samples):

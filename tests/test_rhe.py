@@ -22,7 +22,8 @@ from oracles import (
 
 import rhec
 from rhec import paper
-from rhec.solver.box_qp import box_qp, box_qp_by_library
+from rhec.extensions.condensed import box_qp_by_library
+from rhec.solver.box_qp import box_qp
 from rhec.tracked_robot import estimators as base
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot import tuning

@@ -1,6 +1,7 @@
 """Nonlinear receding horizon control (model predictive control, MPC), eq. (12).
 
-    min  ½ Σ_{i=1..N-1} ‖x_r,i - x_i‖²_{Q_k} + ½ ‖x_r,N - x_N‖²_{Q_N} + ½ Σ_{i=0..N-1} ‖u_r,i - u_i‖²_R
+    min  ½ Σ_{i=1..N-1} ‖x_r,i - x_i‖²_{Q_k} + ½ ‖x_r,N - x_N‖²_{Q_N}
+         + ½ Σ_{i=0..N-1} ‖u_r,i - u_i‖²_R
     s.t. x_0 = x̂, x_{i+1} = F(x_i, u_i, p̂), lower ≤ u_i ≤ upper
 
 The states are eliminated; the QP is in the commanded inputs. What does not depend on the newest
@@ -16,25 +17,18 @@ import casadi as ca
 import numpy as np
 
 from rhec._casadi import compiled
+from rhec._casadi import validation as valid
 from rhec._casadi.build import casadi_function, select_inputs, with_packed_memory
-from rhec._casadi.validation import (
-    Intervals,
-    NotNegative,
-    NotNegatives,
-    Positive,
-    Positives,
-    checked,
-    shown,
-)
 from rhec.model.base import Model, interval
 from rhec.model.limits import MAX_PLAUSIBLE_PLAN, MAX_QP_ENTRY, is_plausible
-from rhec.solver import box_qp, gauss_newton
+from rhec.solver import gauss_newton
 from rhec.solver.box_lq import box_lq
-from rhec.solver.rti import PHASES, RealTimeIteration, copy_checked
+from rhec.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
 
 __all__ = ["RHC", "Horizon", "build_phases", "init"]
 
-_PAPER = "rhec.tracked_robot.rhc"  # so that nothing here depends on what stands above
+# Named, so that nothing here depends on what stands above.
+_PAPER, _CONDENSED = "rhec.tracked_robot.rhc", "rhec.extensions.condensed"
 
 
 class Horizon(NamedTuple):
@@ -88,6 +82,7 @@ def build_phases(horizon):
     n_x, n_u, n_c, n_s = len(model.states), len(model.inputs), len(command), horizon.n_s
     iv = interval(model, measured=False)
     structured = horizon.qp == "structured"
+    condensed = None if structured else importlib.import_module(_CONDENSED)
     # A short horizon is faster in one piece.
     loops = compiled.loop_symbols() if structured and N > 30 else ca.SX
     memory, weights, references = horizon.memory, horizon.weights, horizon.references
@@ -108,7 +103,7 @@ def build_phases(horizon):
         # The parameters have no weight.
         Q, QN = (ca.diag(ca.vertcat(weight, ca.SX(n_s - n_x, 1))) for weight in (Q, QN))
         A, B = ca.horzsplit(A, n_s), [part[:, command] for part in ca.horzsplit(B, n_u)]
-        H = box_qp.condensed_hessian(A, B, [Q] * (N - 1) + [QN], ca.diag(R))
+        H = condensed.condensed_hessian(A, B, [Q] * (N - 1) + [QN], ca.diag(R))
         return dynamics | dict(H=H)
 
     @casadi_function("rhc_forward", **linearised, s=state, u=inputs, s_new=state, u_new=inputs)
@@ -180,11 +175,11 @@ def build_phases(horizon):
         )
         stages = box_lq(N, A_x, B_x, loops)
     else:
-        condensed = box_qp.box_qp_by_library(N * n_c, horizon.qp)
+        solve_condensed = condensed.box_qp_by_library(N * n_c, horizon.qp)
 
     def solve(g, least, most, u, lower, upper, Q, QN, R, A, B, H=None):
         if not structured:
-            found = condensed(H=H, g=g.T, lb=least.T, ub=most.T)
+            found = solve_condensed(H=H, g=g.T, lb=least.T, ub=most.T)
             return found["x"].T, found["multipliers"].T, found["ok"]
         A = ca.horzcat(*(part[:n_x, :n_x] for part in ca.horzsplit(A, n_s)))
         B = ca.horzcat(*(part[:n_x, command] for part in ca.horzsplit(B, n_u)))
@@ -247,7 +242,7 @@ def init(horizon, x, p):
     return dict(s=s, u=np.zeros((len(horizon.model.inputs), horizon.N)))
 
 
-class RHC:
+class RHC(RealTimeLoop):
     """Model predictive control for a loop of one's own: `prepare()`, then `feedback(…)`.
 
     Without `model` it is the paper's controller, `rhec.tracked_robot.rhc.PaperRHC`.
@@ -260,7 +255,7 @@ class RHC:
         r: Weights R of the commanded inputs.
         qn_factor: Q_N = qn_factor · Q_k.
         dt: Length of a sample [s].
-        horizon: Intervals of the prediction.
+        horizon: valid.Intervals of the prediction.
 
     Raises:
         ValueError: In one sentence, for an argument that cannot be.
@@ -271,18 +266,18 @@ class RHC:
             cls = importlib.import_module(_PAPER).PaperRHC
         return super().__new__(cls)
 
-    @checked
+    @valid.checked
     def __init__(
         self,
         *,
         model: Model,
         command: tuple[str, ...],
-        q: NotNegatives,
-        r: Positives,
-        dt: Positive,
-        horizon: Intervals,
+        q: valid.NotNegatives,
+        r: valid.Positives,
+        dt: valid.Positive,
+        horizon: valid.Intervals,
         bounds: dict[str, tuple[float, float]] | None = None,
-        qn_factor: NotNegative = 10.0,
+        qn_factor: valid.NotNegative = 10.0,
     ):
         _check_command(model, command, bounds or {})
         for name, values, wanted, of in (
@@ -316,10 +311,6 @@ class RHC:
             x_ref=arrays["x_ref"].reshape((n_x, -1), **shape),
             u_ref=arrays["u_ref"].reshape((n_u, -1), **shape),
         )
-
-    def prepare(self) -> None:
-        """Shift, integrate, linearise (paper: preparation part)."""
-        self.iteration.prepare()
 
     def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any) -> Any:
         """Inputs to apply now, by one Gauss-Newton step.
@@ -364,16 +355,6 @@ class RHC:
             self.iteration.start(init(self.horizon, self._inputs["x"], self._inputs["p"]))
 
     @property
-    def ok(self) -> bool:
-        """Whether the last step was solved; if not, its answer is the shifted previous solution."""
-        return self.iteration.ok
-
-    @property
-    def kkt(self) -> float:
-        """KKT tolerance of the linearisation point of the last feedback."""
-        return self.iteration.kkt
-
-    @property
     def u_plan(self) -> np.ndarray:
         """Planned inputs (n_u, N)."""
         n_u = len(self.horizon.model.inputs)
@@ -398,7 +379,7 @@ def _check_command(model, command, bounds):
         for name in names:
             if name not in known or names.count(name) > 1:
                 wanted = f"it should name some of {known}, each once"
-                raise ValueError(f"{field} was {shown(names)}; {wanted}")
+                raise ValueError(f"{field} was {valid.shown(names)}; {wanted}")
     for name, (lowest, highest) in bounds.items():
         if not lowest < highest:
             wanted = "the first should be below the second"

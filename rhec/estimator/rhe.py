@@ -21,16 +21,8 @@ import casadi as ca
 import numpy as np
 
 from rhec._casadi import compiled
+from rhec._casadi import validation as valid
 from rhec._casadi.build import casadi_function, select_inputs, with_packed_memory
-from rhec._casadi.validation import (
-    ArrivalMean,
-    Intervals,
-    NotNegatives,
-    Positive,
-    Positives,
-    Reals,
-    checked,
-)
 from rhec.estimator import kalman
 from rhec.estimator.base import joint_estimate, joint_guess, noise_of
 from rhec.model import base
@@ -39,7 +31,7 @@ from rhec.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.solver import gauss_newton
 from rhec.solver.box_qp import box_qp
 from rhec.solver.gauss_newton import symmetric
-from rhec.solver.rti import PHASES, RealTimeIteration, copy_checked
+from rhec.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
 
 __all__ = ["RHE", "Window", "build_phases", "compose", "init", "predict_input"]
 
@@ -66,7 +58,7 @@ class Window(NamedTuple):
         return dict(
             s=(n_s, self.N + 1), v=(n_v, self.N), z=(n_z, self.N + 1), age=(1, 1), m=(n_s, 1),
             P=(n_s, n_s),
-        )  # fmt: skip
+        )  # fmt: skip  # fmt: skip
 
     @property
     def noise(self):
@@ -427,7 +419,7 @@ def init(window, guess, sigma, inputs=None):
     )
 
 
-class RHE:
+class RHE(RealTimeLoop):
     """Moving horizon estimation for a loop of one's own: `prepare()`, then `feedback(z)`.
 
     Without `model` it is the estimator of the paper's robot, `rhec.tracked_robot.rhe.PaperRHE`.
@@ -435,7 +427,7 @@ class RHE:
     Args:
         model: The robot, a rhec.Model.
         dt: Length of a sample [s].
-        horizon: Intervals of the window.
+        horizon: valid.Intervals of the window.
         sigma_v: Standard deviation of each output's measurement.
         sigma_w: Standard deviations of the process noise per sample: one a state, then one a
             parameter. They count in the arrival cost.
@@ -453,18 +445,18 @@ class RHE:
             cls = importlib.import_module(_PAPER).PaperRHE
         return super().__new__(cls)
 
-    @checked
+    @valid.checked
     def __init__(
         self,
         *,
         model: Model,
-        dt: Positive,
-        horizon: Intervals,
-        sigma_v: Positives,
-        sigma_w: NotNegatives,
-        guess: Reals,
-        sigma_guess: Positives,
-        arrival_mean: ArrivalMean = "smoothed",
+        dt: valid.Positive,
+        horizon: valid.Intervals,
+        sigma_v: valid.Positives,
+        sigma_w: valid.NotNegatives,
+        guess: valid.Reals,
+        sigma_guess: valid.Positives,
+        arrival_mean: valid.ArrivalMean = "smoothed",
     ):
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
@@ -475,10 +467,6 @@ class RHE:
         self.window, self.settings = window, settings
         functions = compiled.load(build_phases, window, quantities)
         self.iteration = RealTimeIteration(functions, window.memory, ("s", "v"), **settings)
-
-    def prepare(self) -> None:
-        """Arrival cost, shift, integrate, linearise, filter (paper: preparation part)."""
-        self.iteration.prepare()
 
     def feedback(self, z: Any) -> Any:
         """Estimate from the newest measurement, by one Gauss-Newton step.
@@ -506,16 +494,6 @@ class RHE:
         self._give(z)
         self.iteration.solve(iterations)
         return self._estimate()
-
-    @property
-    def ok(self) -> bool:
-        """Whether the last step was solved; if not, its answer is the shifted previous solution."""
-        return self.iteration.ok
-
-    @property
-    def kkt(self) -> float:
-        """KKT tolerance of the linearisation point of the last feedback."""
-        return self.iteration.kkt
 
     def _give(self, z):
         copy_checked("z", z, self.iteration.arrays["z_N"])

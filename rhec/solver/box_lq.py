@@ -1,4 +1,4 @@
-"""The RHC's QP by its stages instead of condensed: time grows with N, not N³, at every horizon less.
+"""The RHC's QP by its stages instead of condensed: time grows with N, not N³.
 
     min  ½ Σ_{i=1..N} x_i' Q_i x_i + Σ_{i=0..N-1} (½ u_i' R u_i + g_i' u_i)
     s.t. x_0 = 0, x_{i+1} = A_i x_i + B_i u_i, lower_i ≤ u_i ≤ upper_i

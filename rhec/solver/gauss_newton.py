@@ -1,4 +1,4 @@
-"""Gauss-Newton on a multiple-shooting problem (paper, Sec. Solution Methods): what RHE and RHC share.
+"""Gauss-Newton on a multiple-shooting problem (paper, Sec. Solution Methods), for RHE and RHC.
 
 Both problems are least squares over trajectories s_0 … s_N, v_0 … v_{N-1} of one interval,
 s⁺ = F(s, v). Linearised at the previous solution (s̄, v̄) the dynamics are s_{i+1} = F_i +

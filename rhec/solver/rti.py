@@ -15,7 +15,7 @@ import numpy as np
 from rhec._casadi.compiled import BufferedFunction
 from rhec._casadi.validation import shown
 
-__all__ = ["PHASES", "RealTimeIteration", "copy_checked"]
+__all__ = ["PHASES", "RealTimeIteration", "RealTimeLoop", "copy_checked"]
 
 PHASES = ("shift", "linearise", "feedback", "expand")
 
@@ -96,16 +96,26 @@ class RealTimeIteration:
             self.set(self.current, {name: self.previous[name] for name in self.unknowns})
         self.prepared, self.expanded = False, True
 
-    @property
-    def ok(self):
-        """Whether the last step was solved; if not, its answer is the shifted previous solution."""
-        return self.arrays["ok"].item() == 1
+
+class RealTimeLoop:
+    """What the objects for a loop of one's own share, whose `iteration` is a RealTimeIteration."""
+
+    iteration: RealTimeIteration
+
+    def prepare(self) -> None:
+        """All that can be done before the next sample arrives (paper: preparation part)."""
+        self.iteration.prepare()
 
     @property
-    def kkt(self):
+    def ok(self) -> bool:
+        """Whether the last step was solved; if not, its answer is the shifted previous solution."""
+        return self.iteration.arrays["ok"].item() == 1
+
+    @property
+    def kkt(self) -> float:
         """KKT tolerance of the linearisation point of the last feedback."""
-        self.expand()
-        return self.arrays["kkt"].item()
+        self.iteration.expand()
+        return self.iteration.arrays["kkt"].item()
 
 
 def copy_checked(name, value, array):

@@ -50,13 +50,24 @@ class Path:
         start: tuple[Real, Real, Real] = (0.0, 0.0, 0.0),
         closed: Flag = False,
     ):
-        """From [(length [m], curvature [1/m]), …], the first beginning at the pose `start`; a
-        closed path ends there.
+        """Path of [(length [m], curvature [1/m]), …] from the pose `start`, where a closed one ends.
+
+        Args:
+            pieces: Length [m] and curvature [1/m] of each line or arc.
+            start: Pose (x, y, θ) [m, m, rad] of the beginning.
+            closed: Whether the end is the beginning.
+
+        Returns:
+            The Path.
+
+        Raises:
+            ValueError: In one sentence, for pieces that make no path.
         """
         length_m = sum(length for length, _ in pieces)
         if not 0 < length_m <= LONGEST_M:
+            wanted = "it must be a list of (length, curvature) with at least one entry"
             raise ValueError(
-                f"pieces was {shown(pieces)}; it must be a list of (length, curvature) with at least one entry, at most {LONGEST_M:g} m in all"
+                f"pieces was {shown(pieces)}; {wanted}, at most {LONGEST_M:g} m in all"
             )
         s, pose, table = 0.0, start, []
         for length, curvature in pieces:
@@ -67,9 +78,8 @@ class Path:
             abs(np.remainder(pose[2] - start[2] + pi, 2 * pi) - pi),
         )
         if closed and not max(gap) <= CLOSED * max(1, *map(abs, start), length_m):
-            raise ValueError(
-                f"closed was True; the path ends {gap[0]:.3g} m and {gap[1]:.3g} rad from where it begins, so it should be False"
-            )
+            ends = f"the path ends {gap[0]:.3g} m and {gap[1]:.3g} rad from where it begins"
+            raise ValueError(f"closed was True; {ends}, so it should be False")
         return cls(np.array(table, dtype=float), s, closed)
 
     def __post_init__(self):
@@ -80,13 +90,11 @@ class Path:
             or not len(segments)
             or not np.isfinite(segments).all()
         ):
-            raise ValueError(
-                f"segments was {shown(self.segments)}; it must be rows of five finite numbers (s, x, y, θ, c)"
-            )
+            wanted = "it must be rows of five finite numbers (s, x, y, θ, c)"
+            raise ValueError(f"segments was {shown(self.segments)}; {wanted}")
         if numbers("length_m", self.length_m).shape or not 0 < self.length_m <= LONGEST_M:
-            raise ValueError(
-                f"length_m was {shown(self.length_m)}; it must be above 0 and at most {LONGEST_M:g} m"
-            )
+            wanted = f"it must be above 0 and at most {LONGEST_M:g} m"
+            raise ValueError(f"length_m was {shown(self.length_m)}; {wanted}")
         object.__setattr__(self, "segments", segments)
 
     @classmethod

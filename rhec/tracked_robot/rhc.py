@@ -1,4 +1,4 @@
-"""The paper's receding horizon controller: RHC of the tracked robot, eq. (11)-(13), (16), (19)-(22)."""
+"""The paper's receding horizon controller of the tracked robot, eq. (11)-(13), (16), (19)-(22)."""
 
 from typing import Any
 

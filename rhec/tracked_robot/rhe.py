@@ -6,17 +6,7 @@ import numpy as np
 
 from rhec import paper
 from rhec._casadi import compiled
-from rhec._casadi.validation import (
-    ArrivalMean,
-    Flag,
-    Intervals,
-    NotNegatives,
-    Positive,
-    ProcessNoise,
-    Real,
-    SpeedModel,
-    checked,
-)
+from rhec._casadi import validation as valid
 from rhec.estimator import rhe
 from rhec.solver.rti import RealTimeIteration
 from rhec.tracked_robot import estimators, tuning
@@ -131,7 +121,7 @@ class PaperRHE(rhe.RHE):
 
     Args:
         dt: Length of a sample [s].
-        horizon: Intervals of the window.
+        horizon: valid.Intervals of the window.
         process_noise: "printed" or "calibrated", see Scenario.
         sigma_w: Standard deviations of the process noise instead of these.
         sigma_v: Standard deviations of (x, y [m], ν [m/s], ω [rad/s]).
@@ -146,20 +136,23 @@ class PaperRHE(rhe.RHE):
         ValueError: In one sentence, for an argument that cannot be.
     """
 
-    @checked
+    @valid.checked
     def __init__(
         self,
         *,
-        dt: Positive = paper.DT_S,
-        horizon: Intervals = paper.HORIZON,
-        process_noise: ProcessNoise = "printed",
-        sigma_w: NotNegatives | None = None,
-        sigma_v: tuple[Positive, Positive, Positive, Positive] = paper.SIGMA_V,
-        speed_model: SpeedModel = "parameter",
-        arrival_mean: ArrivalMean = "smoothed",
-        robust: Flag = False,
-        track_width_m: Positive = paper.TRACK_WIDTH_M,
-        guess: tuple[Real, Real, Real, Real, Real, Real] | None = None,
+        dt: valid.Positive = paper.DT_S,
+        horizon: valid.Intervals = paper.HORIZON,
+        process_noise: valid.ProcessNoise = "printed",
+        sigma_w: valid.NotNegatives | None = None,
+        sigma_v: tuple[
+            valid.Positive, valid.Positive, valid.Positive, valid.Positive
+        ] = paper.SIGMA_V,
+        speed_model: valid.SpeedModel = "parameter",
+        arrival_mean: valid.ArrivalMean = "smoothed",
+        robust: valid.Flag = False,
+        track_width_m: valid.Positive = paper.TRACK_WIDTH_M,
+        guess: tuple[valid.Real, valid.Real, valid.Real, valid.Real, valid.Real, valid.Real]
+        | None = None,
     ):
         n_w = speed_model_of(speed_model).n_sigma_w
         if sigma_w is not None and len(sigma_w) != n_w:
