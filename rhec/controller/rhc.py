@@ -87,7 +87,7 @@ def build_phases(horizon):
     loops = compiled.loop_symbols() if structured and N > 30 else ca.SX
     memory, weights, references = horizon.memory, horizon.weights, horizon.references
     state, inputs = (n_s, 1), (n_u, 1)
-    linearised = {name: iv.linearised.sparsity_out(i) for i, name in enumerate("FAB")}
+    linearised = {name: iv.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
 
     @casadi_function("rhc_shift", **memory)
     def shift(s, u):
@@ -96,39 +96,40 @@ def build_phases(horizon):
 
     @casadi_function("rhc_linearise", loops, **memory, **weights)
     def linearise(s, u, Q, QN, R):
-        F, A, B = gauss_newton.linearise(iv, s, u, horizon.dt_s)
-        dynamics = dict(F=F, A=A, B=B)
+        F, D, B = gauss_newton.linearise(iv, s, u, horizon.dt_s)
+        dynamics = dict(F=F, D=D, B=B)
         if structured:
             return dynamics
         # The parameters have no weight.
         Q, QN = (ca.diag(ca.vertcat(weight, ca.SX(n_s - n_x, 1))) for weight in (Q, QN))
-        A, B = ca.horzsplit(A, n_s), [part[:, command] for part in ca.horzsplit(B, n_u)]
+        A = [iv.A_0 + part for part in ca.horzsplit(D, n_s)]
+        B = [part[:, command] for part in ca.horzsplit(B, n_u)]
         H = condensed.condensed_hessian(A, B, [Q] * (N - 1) + [QN], ca.diag(R))
         return dynamics | dict(H=H)
 
     @casadi_function("rhc_forward", **linearised, s=state, u=inputs, s_new=state, u_new=inputs)
-    def forward(F, A, B, s, u, s_new, u_new):
+    def forward(F, D, B, s, u, s_new, u_new):
         """s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i)."""
-        return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
+        return dict(s_after=F + (iv.A_0 + D) @ (s_new - s) + B @ (u_new - u))
 
     @casadi_function(
-        "rhc_backward", adjoint=state, A=linearised["A"], B=linearised["B"], weight=(n_x, 1),
+        "rhc_backward", adjoint=state, D=linearised["D"], B=linearised["B"], weight=(n_x, 1),
         s=state, ref=(n_x, 1), u=inputs, u_ref=inputs, R=(n_c, 1),
     )  # fmt: skip
-    def backward(adjoint, A, B, weight, s, ref, u, u_ref, R):
+    def backward(adjoint, D, B, weight, s, ref, u, u_ref, R):
         """Gradient in an interval's commands from the adjoint after it; the adjoint before it."""
         adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_s - n_x, 1))
         g = R * (u - u_ref)[command] + B[:, command].T @ adjoint
-        return dict(g=g, adjoint_before=A.T @ adjoint)
+        return dict(g=g, adjoint_before=(iv.A_0 + D).T @ adjoint)
 
-    def rollout(s, u, F, A, B, s_0, u_new):
+    def rollout(s, u, F, D, B, s_0, u_new):
         """The linearised trajectory from s_0; the gaps of multiple shooting close here."""
         nodes = [s_0]
-        for F, A, B, s, u, u_new in zip(
-            ca.horzsplit(F), ca.horzsplit(A, n_s), ca.horzsplit(B, n_u), ca.horzsplit(s),
+        for F, D, B, s, u, u_new in zip(
+            ca.horzsplit(F), ca.horzsplit(D, n_s), ca.horzsplit(B, n_u), ca.horzsplit(s),
             ca.horzsplit(u), ca.horzsplit(u_new),
         ):  # fmt: skip
-            nodes.append(forward(F, A, B, s, u, nodes[-1], u_new))
+            nodes.append(forward(F, D, B, s, u, nodes[-1], u_new))
         return nodes
 
     def commanded(u, u_ref):
@@ -138,25 +139,22 @@ def build_phases(horizon):
             rows[place] = u[place, :]
         return ca.vertcat(*rows)
 
-    dynamics = {name: linearise.sparsity_out(name) for name in "FAB"}
+    dynamics = {name: linearise.sparsity_out(name) for name in "FDB"}
 
     @casadi_function("rhc_gradient", loops, **memory, **dynamics, **weights, **references)
-    def gradient(s, u, F, A, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
+    def gradient(s, u, F, D, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
         """Gradient of the cost in the commands at the previous plan, and what is left to bounds.
 
         The plan is rolled out from the new estimate.
         """
         plan = commanded(u, u_ref)
-        nodes, ref = rollout(s, u, F, A, B, s_0, plan), ca.horzsplit(x_ref)
-        A, B, u, u_ref = (
-            ca.horzsplit(A, n_s),
-            ca.horzsplit(B, n_u),
-            *map(ca.horzsplit, (plan, u_ref)),
-        )
+        nodes, ref = rollout(s, u, F, D, B, s_0, plan), ca.horzsplit(x_ref)
+        D, B = ca.horzsplit(D, n_s), ca.horzsplit(B, n_u)
+        u, u_ref = map(ca.horzsplit, (plan, u_ref))
         adjoint, g, weight = ca.DM.zeros(n_s), [None] * N, QN
         for i in reversed(range(N)):
             g[i], adjoint = backward(
-                adjoint, A[i], B[i], weight, nodes[i + 1], ref[i + 1], u[i], u_ref[i], R
+                adjoint, D[i], B[i], weight, nodes[i + 1], ref[i + 1], u[i], u_ref[i], R
             )
             weight = Q
         u = ca.vec(plan[command, :]).T
@@ -168,24 +166,21 @@ def build_phases(horizon):
 
     if structured:
         # The parameters do not move: in x alone the stages are half as large.
-        of_state = list(range(n_x))
-        A_x, B_x = (
-            linearised["A"].sub(of_state, of_state)[0],
-            linearised["B"].sub(of_state, command)[0],
-        )
-        stages = box_lq(N, A_x, B_x, loops)
+        x = list(range(n_x))
+        D_x, B_x = linearised["D"].sub(x, x)[0], linearised["B"].sub(x, command)[0]
+        stages = box_lq(N, iv.A_0[x, x], D_x, B_x, loops)
     else:
         solve_condensed = condensed.box_qp_by_library(N * n_c, horizon.qp)
 
-    def solve(g, least, most, u, lower, upper, Q, QN, R, A, B, H=None):
+    def solve(g, least, most, u, lower, upper, Q, QN, R, D, B, H=None):
         if not structured:
             found = solve_condensed(H=H, g=g.T, lb=least.T, ub=most.T)
             return found["x"].T, found["multipliers"].T, found["ok"]
-        A = ca.horzcat(*(part[:n_x, :n_x] for part in ca.horzsplit(A, n_s)))
+        D = ca.horzcat(*(part[:n_x, :n_x] for part in ca.horzsplit(D, n_s)))
         B = ca.horzcat(*(part[:n_x, command] for part in ca.horzsplit(B, n_u)))
         # Where the previous plan was at its bounds.
         active = (u >= ca.repmat(upper, N, 1).T) - (u <= ca.repmat(lower, N, 1).T)
-        found = stages(A=A, B=B, Q=Q, QN=QN, R=R, g=g, lower=least, upper=most, active=active)
+        found = stages(D=D, B=B, Q=Q, QN=QN, R=R, g=g, lower=least, upper=most, active=active)
         return found["x"], found["multipliers"], found["ok"]
 
     prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
@@ -194,7 +189,7 @@ def build_phases(horizon):
     def feedback(lower, upper, **inputs):
         local = gradient(**select_inputs(gradient, inputs), lower=lower, upper=upper)
         u = ca.vec(inputs["u"][command, :]).T
-        known = {name: inputs[name] for name in ("Q", "QN", "R", "A", "B", "H") if name in inputs}
+        known = {name: inputs[name] for name in ("Q", "QN", "R", "D", "B", "H") if name in inputs}
         x, multipliers, ok = solve(**local, u=u, lower=lower, upper=upper, **known)
         # u + (upper - u) may round past the bound.
         plan = ca.fmin(ca.fmax(u + x, ca.repmat(lower, N, 1).T), ca.repmat(upper, N, 1).T)
@@ -211,7 +206,7 @@ def build_phases(horizon):
     @casadi_function(
         "rhc_expand", loops, **memory, **dynamics, s_0=state, u_ref=references["u_ref"], **result
     )
-    def expand(s, u, F, A, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
+    def expand(s, u, F, D, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
         """The predicted states of the new plan, and the KKT tolerance of the linearisation point.
 
         A step that failed leaves the shifted plan, unless nothing can be linearised there, which
@@ -219,7 +214,7 @@ def build_phases(horizon):
         """
         change = ca.vec((u_plan - commanded(u, u_ref))[command, :])
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
-        predicted = ca.horzcat(*rollout(s, u, F, A, B, s_0, u_plan))
+        predicted = ca.horzcat(*rollout(s, u, F, D, B, s_0, u_plan))
         linearisable = is_plausible(s[:, N], MAX_PLAUSIBLE_PLAN)
         shifted = ca.if_else(linearisable, s, ca.repmat(s_0, 1, N + 1))
         return dict(s=ca.if_else(ok, predicted, shifted), u=u_plan, kkt=kkt)

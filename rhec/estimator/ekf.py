@@ -60,7 +60,8 @@ def build(model, dt_s):
     @with_packed_memory("ekf_step", memory, ca.SX, z_N=(n_z, 1), **noise, W=(n_s, 1))
     def step(m, P, v, started, z_N, W, **noise):
         v, R_v = interval.input_noise(z_N, v, **noise)
-        F, A, B = interval.linearised(m, v, dt_s * started)
+        F, D, B = interval.linearised(m, v, dt_s * started)
+        A = interval.A_0 + D
         Q = symmetric(B @ ca.diag(R_v) @ B.T)
         Q += ca.diag(interval.process_noise(v, W, dt_s, noise.get("c")))
         m, P, deviance = predict_and_correct(

@@ -70,8 +70,8 @@ class Window(NamedTuple):
 
     @property
     def linearised(self):
-        """Sparsities of one interval's end F, A and B."""
-        return {name: self.interval.linearised.sparsity_out(i) for i, name in enumerate("FAB")}
+        """Sparsities of one interval's end F, D (A = A_0 + D) and B."""
+        return {name: self.interval.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
 
     @property
     def prediction(self):
@@ -98,7 +98,8 @@ def _arrival(window, s, v, m, P, z_0, z_1, W, **noise):
     from the filter itself ("filtered"): interpretation R7.
     """
     interval = window.interval
-    F, A, B = interval.linearised(s[:, 0], v[:, 0], window.dt_s)
+    F, D, B = interval.linearised(s[:, 0], v[:, 0], window.dt_s)
+    A = interval.A_0 + D
     m, P_updated, _, _, _ = kalman.update(m, P, z_0, noise["V"], interval.outputs, s[:, 0])
     v_m, R_v = interval.input_noise(z_1, v[:, 0], **noise)
     added = ca.diag(interval.process_noise(v_m, W, window.dt_s, noise.get("c")))
@@ -148,9 +149,10 @@ def _build_linearise(window, loops):
         """One node: the input before it, its measurement, then the interval after it."""
         m, P = predict_input(window, B, m, P, v_before, z, **noise)
         m, P, K, e, _ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
-        F, A, B = interval.linearised(s, v, dt_s)
+        F, D, B = interval.linearised(s, v, dt_s)
+        A = interval.A_0 + D
         P = ca.densify(symmetric(A @ P @ A.T))
-        return dict(F=F, A=A, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
+        return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
 
     @casadi_function("rhe_linearise", loops, **window.memory, **window.noise)
     def linearise(s, v, z, age, m, P, **noise):
@@ -162,7 +164,7 @@ def _build_linearise(window, loops):
             node = filtered(**before, z=z[i], s=s[i], v=v[i], dt_s=dt_s, **noise)
             before = dict(B=node["B"], v_before=v[i], m=node["m"], P=node["P"])
             nodes.append(node)
-        along = {name: ca.horzcat(*(node[name] for node in nodes)) for name in "FABKe"}
+        along = {name: ca.horzcat(*(node[name] for node in nodes)) for name in "FDBKe"}
         newest = dict(zip(("B_N", "v_N", "m_N", "P_N"), before.values()))
         return along | newest | dict(s_N=s[N])
 
@@ -254,14 +256,14 @@ def _build_expand(window, linearise, feedback, loops):
     linearised = window.linearised
 
     @casadi_function(
-        "rhe_backward", adjoint=state, A=linearised["A"], B=linearised["B"], **gains, s=state,
+        "rhe_backward", adjoint=state, D=linearised["D"], B=linearised["B"], **gains, s=state,
         v=inputs, **measured,
     )  # fmt: skip
-    def backward(adjoint, A, B, K, e, s, v, z, **noise):
+    def backward(adjoint, D, B, K, e, s, v, z, **noise):
         """Adjoint and new input of one interval, from the node after it, at s."""
         adjoint = _before_measurement(window, adjoint, K, e, s)
         v_m, R_v = interval.input_noise(z, v, **noise)
-        return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=A.T @ adjoint)
+        return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=(interval.A_0 + D).T @ adjoint)
 
     def descent(new, old, s_bar, z, V):
         """What a node's measurements add to ∇J·Δw: each residual times its change."""
@@ -289,8 +291,9 @@ def _build_expand(window, linearise, feedback, loops):
         "rhe_forward", new=state, old=state, **linearised, s=state, s_after=state, v=inputs,
         v_new=inputs, **measured,
     )  # fmt: skip
-    def forward(new, old, F, A, B, s, s_after, v, v_new, z, **noise):
+    def forward(new, old, F, D, B, s, s_after, v, v_new, z, **noise):
         """One interval of the new solution and of the one where the iteration began, gap closed."""
+        A = interval.A_0 + D
         new, old = F + A @ (new - s) + B @ (v_new - v), F + A @ (old - s)
         v_m, R_v = interval.input_noise(z, v, **noise)
         more = descent(new, old, s_after, z, noise["V"]) + ca.dot((v - v_m) / R_v, v_new - v)
@@ -322,19 +325,19 @@ def _build_expand(window, linearise, feedback, loops):
 
     @casadi_function(
         "rhe_expand", loops, **window.memory, **window.noise, P_0=state,
-        **{name: linearise.sparsity_out(name) for name in "FABKe"}, **result, z_N=(n_z, 1),
+        **{name: linearise.sparsity_out(name) for name in "FDBKe"}, **result, z_N=(n_z, 1),
     )  # fmt: skip
-    def expand(s, v, z, age, m, P, P_0, F, A, B, K, e, K_N, e_N, multipliers, ok, z_N, **noise):
+    def expand(s, v, z, age, m, P, P_0, F, D, B, K, e, K_N, e_N, multipliers, ok, z_N, **noise):
         """Every other unknown of the window, and the KKT tolerance of the linearisation point."""
         memory = dict(v=v, z=ca.horzcat(z[:, :N], z_N), age=age, m=m, P=P)
         z, s_bar, v_bar = ca.horzsplit(memory["z"]), ca.horzsplit(s), ca.horzsplit(v)
-        F, A, B = ca.horzsplit(F), ca.horzsplit(A, n_s), ca.horzsplit(B, n_v)
+        F, D, B = ca.horzsplit(F), ca.horzsplit(D, n_s), ca.horzsplit(B, n_v)
         K, e = [*ca.horzsplit(K, rows), K_N], [*ca.horzsplit(e), e_N]
 
         adjoint, v_new = ca.densify(q.T @ multipliers), [None] * N
         for i in reversed(range(N)):
             v_new[i], adjoint = backward(
-                adjoint, A[i], B[i], K[i + 1], e[i + 1], s_bar[i + 1], v_bar[i], z[i + 1],
+                adjoint, D[i], B[i], K[i + 1], e[i + 1], s_bar[i + 1], v_bar[i], z[i + 1],
                 *noise.values(),
             )  # fmt: skip
 
@@ -342,7 +345,7 @@ def _build_expand(window, linearise, feedback, loops):
         s_new, old = [first], s_bar[0]
         for i in range(N):
             new, old, more = forward(
-                s_new[i], old, F[i], A[i], B[i], s_bar[i], s_bar[i + 1], v_bar[i], v_new[i],
+                s_new[i], old, F[i], D[i], B[i], s_bar[i], s_bar[i + 1], v_bar[i], v_new[i],
                 z[i + 1], *noise.values(),
             )  # fmt: skip
             s_new, descent = [*s_new, new], descent + more

@@ -243,7 +243,8 @@ class Interval(NamedTuple):
     """One shooting interval of a model's joint state s, and how it is measured."""
 
     step: ca.Function  # (s, v, dt_s) -> s at the interval's end
-    linearised: ca.Function  # (s, v, dt_s) -> (the same, A = ∂s⁺/∂s, B = ∂s⁺/∂v)
+    linearised: ca.Function  # (s, v, dt_s) -> (the same, D, B = ∂s⁺/∂v), A = ∂s⁺/∂s = A_0 + D
+    A_0: ca.DM  # entries of A that are constant: written into the code, they cost next to nothing
     n_s: int
     n_v: int
     outputs: tuple[Output, ...]  # that measure the joint state
@@ -297,14 +298,18 @@ def interval(model, measured=True):
     rows = [row for row in range(z.numel()) if row not in model.input_outputs.values()]
     rows = rows if measured else []
     outputs = [ca.jacobian(z[row], s) for row in rows]
+    A = ca.sparsify(ca.jacobian(s_next, s))
+    constant = ca.DM(A.sparsity(), [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()])
+    A_0 = ca.sparsify(constant)
     return Interval(
         step=ca.Function("interval", [s, u, dt_s], [s_next], ["s", "v", "dt_s"], ["s_next"]),
         linearised=ca.Function(
             "linearised",
             [s, u, dt_s],
-            [s_next, ca.sparsify(ca.jacobian(s_next, s)), ca.jacobian(s_next, u)],
+            [s_next, ca.sparsify(A - A_0), ca.jacobian(s_next, u)],
             {"cse": True},
         ),
+        A_0=A_0,
         n_s=s.numel(),
         n_v=u.numel(),
         outputs=tuple(

@@ -17,17 +17,18 @@ from rhec.solver.pivoting import corrected_bound, search_active_set
 __all__ = ["box_lq"]
 
 
-def box_lq(N, A, B, loops):
-    """The Function (A, B, Q, QN, R, g, lower, upper, active) -> (x, multipliers, ok).
+def box_lq(N, A_0, D, B, loops):
+    """The Function (D, B, Q, QN, R, g, lower, upper, active) -> (x, multipliers, ok).
 
     Args:
         N: Intervals.
-        A: Sparsity of one interval's (n, n) transition.
+        A_0: (n, n) constant entries of an interval's transition A = A_0 + D.
+        D: Sparsity of the others.
         B: Sparsity of its (n, m) input matrix.
         loops: SX or MX, for what repeats an interval.
 
     Returns:
-        The Function. A and B stand side by side; Q, QN (n,) and R (m,) are diagonals; g, lower,
+        The Function. D and B stand side by side; Q, QN (n,) and R (m,) are diagonals; g, lower,
         upper and active are rows of N·m entries, interval by interval; active is 1, -1, 0 for an
         input guessed at its upper, its lower, no bound. Multipliers are positive at an upper bound.
     """
@@ -36,10 +37,11 @@ def box_lq(N, A, B, loops):
     bounds = dict(lower=column, upper=column, active=column)
 
     @casadi_function(
-        "lq_backward", P=matrix, p=state, A=A, B=B, Q=state, R=column, g=column, **bounds
+        "lq_backward", P=matrix, p=state, D=D, B=B, Q=state, R=column, g=column, **bounds
     )
-    def backward(P, p, A, B, Q, R, g, lower, upper, active):
+    def backward(P, p, D, B, Q, R, g, lower, upper, active):
         """Cost-to-go ½x'Px + p'x one interval back, and the input u = Kx + k in between."""
+        A = A_0 + D
         free, bound = active == 0, ca.if_else(active > 0, upper, lower)
         H = B.T @ P @ B + ca.diag(R)
         if m == 1:
@@ -55,13 +57,13 @@ def box_lq(N, A, B, loops):
         return dict(P_before=before, p_before=A.T @ (p + P @ (B @ k)), K=K, k=k)
 
     @casadi_function(
-        "lq_forward", x=state, wrong=one, P=matrix, p=state, A=A, B=B, R=column, g=column,
+        "lq_forward", x=state, wrong=one, P=matrix, p=state, D=D, B=B, R=column, g=column,
         **bounds, K=(m, n), k=column,
     )  # fmt: skip
-    def forward(x, wrong, P, p, A, B, R, g, lower, upper, active, K, k):
+    def forward(x, wrong, P, p, D, B, R, g, lower, upper, active, K, k):
         """Roll one interval forward; the bounds that its signs ask for; how many were wrong."""
         u = K @ x + k
-        x = A @ x + B @ u
+        x = (A_0 + D) @ x + B @ u
         multiplier = -(g + R * u + B.T @ (p + P @ x)) * (active != 0)
         right = corrected_bound(active, u, multiplier, lower, upper)
         first, counted = [], wrong
@@ -78,16 +80,16 @@ def box_lq(N, A, B, loops):
         )
 
     row = (1, N * m)
-    given = dict(A=ca.repmat(A, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=column)
+    given = dict(D=ca.repmat(D, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=column)
     problem = given | dict(g=row, lower=row, upper=row)
 
     def stages(row):
         return [part.T for part in ca.horzsplit(row, m)]
 
     @casadi_function("lq_solve", loops, **problem, active=row)
-    def solve(A, B, Q, QN, R, g, lower, upper, active):
+    def solve(D, B, Q, QN, R, g, lower, upper, active):
         """The solution for one guess of the active set, and what its signs say of the guess."""
-        A, B = ca.horzsplit(A, n), ca.horzsplit(B, m)
+        D, B = ca.horzsplit(D, n), ca.horzsplit(B, m)
         g, lower, upper, active = map(stages, (g, lower, upper, active))
         P, p, K, k = (
             [None] * N + [ca.diag(QN)],
@@ -97,12 +99,12 @@ def box_lq(N, A, B, loops):
         )
         for i in reversed(range(N)):
             P[i], p[i], K[i], k[i] = backward(
-                P[i + 1], p[i + 1], A[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]
+                P[i + 1], p[i + 1], D[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]
             )
         x, wrong, u, multipliers, right, first = ca.DM.zeros(n), 0, *([None] * N for _ in range(4))
         for i in range(N):
             x, u[i], multipliers[i], right[i], first[i], wrong = forward(
-                x, wrong, P[i + 1], p[i + 1], A[i], B[i], R, g[i], lower[i], upper[i], active[i],
+                x, wrong, P[i + 1], p[i + 1], D[i], B[i], R, g[i], lower[i], upper[i], active[i],
                 K[i], k[i],
             )  # fmt: skip
         u, multipliers, right, first = (

@@ -21,7 +21,7 @@ def linearise(interval, s, v, dt_s):
         dt_s: Length of an interval [s].
 
     Returns:
-        F (n_s, N), A (n_s, n_s N), B (n_s, n_v N).
+        F (n_s, N), D (n_s, n_s N) of A = A_0 + D, B (n_s, n_v N).
     """
     N = v.shape[1]
     return interval.linearised.map(N)(s[:, :N], v, ca.repmat(ca.DM(dt_s), 1, N))
