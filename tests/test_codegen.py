@@ -17,6 +17,7 @@ from oracles import mhe_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
+from notebooks.embedded_measurements import instructions, report, toolchain
 from rhec import paper, simulation
 from rhec._casadi import compiled
 from rhec._casadi.build import pack_array, select_inputs
@@ -24,7 +25,6 @@ from rhec.codegen import LOG, phases
 from rhec.columns import MEASUREMENTS
 from rhec.controller import rhc
 from rhec.plots.timing import embedded_times
-from notebooks.embedded_measurements import instructions, report, toolchain
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
