@@ -504,6 +504,14 @@ def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
         )
 
 
+@needs_compiler
+def test_an_export_in_a_relative_folder_compiles(exported, tmp_path, monkeypatch):
+    shutil.copytree(exported("EKF"), tmp_path / "rhec")
+    monkeypatch.chdir(tmp_path)
+    objects = toolchain.library(toolchain.this_machine(), "rhec", tmp_path, QUICKLY)
+    assert all(path.exists() for path in objects)
+
+
 def test_memory_and_stack_are_below_256_kib(exported, built):
     machine, objects = built("paper", "this machine")
     header = (exported("paper") / "rhec_memory.h").read_text()

@@ -1,7 +1,7 @@
 """`make embedded`: the default scenario as C in build/embedded, with its size and times."""
 
-from rhec import Scenario, export
 from notebooks.embedded_measurements import report
+from rhec import Scenario, export
 
 __all__ = ["main"]
 

@@ -70,7 +70,8 @@ def arm():
 
 def library(machine, export, folder, flags=FLAGS):
     """Compile an export's library into `folder`; returns its object files."""
-    sources = [Path(export, source) for source in LIBRARY]
+    export = Path(export).resolve()  # it is compiled in another folder
+    sources = [export / source for source in LIBRARY]
     command = [machine.compiler, *flags, f"-I{export}", "-c", *sources]
     # GCC alone writes the stack's use
     done = subprocess.run([*command, "-fcallgraph-info=su"], cwd=folder, capture_output=True)
