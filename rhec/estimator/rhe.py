@@ -202,14 +202,15 @@ def _build_feedback(window, quantities, loops):
         s = ca.if_else(ok, corrected, s_N)
         for i, place in enumerate(bounds):
             s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(s_N[place], lower[i]), upper[i]))
-        adjoint = _before_measurement(window, q.T @ multipliers, K_N, e_N, s_N)
-        v_m, R_v = interval.input_noise(z_N, v_N, **noise)
-        v = v_m - R_v * (B_N.T @ adjoint)
-        v = ca.if_else(ok * is_plausible(v), v, v_m)
+        v, R_v = interval.input_noise(z_N, v_N, **noise)
+        if not quantities:
+            adjoint = _before_measurement(window, q.T @ multipliers, K_N, e_N, s_N)
+            v_new = v - R_v * (B_N.T @ adjoint)
+            v = ca.if_else(ok * is_plausible(v_new), v_new, v)
         known = dict(zip(window.model.inputs, ca.vertsplit(v)))
         known |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
         return dict(
-            estimate=ca.vertcat(*(known[name] for name in quantities)),
+            estimate=ca.vertcat(*(known[name] for name in quantities or window.model.names)),
             multipliers=multipliers,
             covariance=ca.if_else(ok, covariance, MAX_PLAUSIBLE_STATE * ca.SX.eye(n_s)),
             ok=ok,
@@ -362,15 +363,16 @@ def build_phases(window, quantities=None):
 
     Args:
         window: The Window.
-        quantities: Names of what the estimate holds, of the model's states, inputs and parameters;
-            by default all, in that order.
+        quantities: Names of what the estimate holds, inputs among them as measured: noise may be
+            slip, of which an encoder knows nothing. By default states, inputs and parameters, all
+            as estimated.
 
     Returns:
         {name: Function}. `step` maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …).
     """
-    loops, names = compiled.loop_symbols(), quantities or window.model.names
+    loops = compiled.loop_symbols()
     shift, linearise = _build_shift(window), _build_linearise(window, loops)
-    feedback = _build_feedback(window, names, loops)
+    feedback = _build_feedback(window, quantities, loops)
     expand = _build_expand(window, linearise, feedback, loops)
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     kind = loops if len(window.interval.bounds) <= 2 else ca.MX
