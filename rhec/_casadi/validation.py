@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 
 from rhec._casadi.renamed import new_name, with_new_names
 
-__all__ = ["checked", "numbers", "optional", "shown", "validated"]
+__all__ = ["checked", "numbers", "of_length", "optional", "shown", "validated"]
 __all__ += ["Flag", "Intervals", "NotNegative", "NotNegatives", "Positive", "Positives", "Real"]
 __all__ += ["Reals", "Traction", "Weights", "Whole"]
 __all__ += ["ArrivalMean", "ProcessNoise", "Solver", "SpeedModel"]
@@ -65,6 +65,13 @@ def shown(value, length=200):
     """Return a value's repr in one line of a length that can be read."""
     text = " ".join(repr(value).split())
     return text if len(text) <= length else f"{text[:length]} …"
+
+
+def of_length(name, values, wanted, of):
+    """Refuse, in one sentence, values that are not as many as wanted, one for each `of`."""
+    if len(values) != wanted:
+        entries = f"{wanted} entries, one for each {of}"
+        raise ValueError(f"{name} was {shown(values)}; it should have {entries}")
 
 
 def numbers(name, value):

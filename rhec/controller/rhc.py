@@ -247,7 +247,7 @@ class RHC(RealTimeLoop):
         command: Names of the inputs that are commanded; others follow their reference.
         bounds: (lowest, highest) of commanded inputs, by name; what is not named has none.
         q: Weights Q_k of the states.
-        r: Weights R of the commanded inputs.
+        r: Weights R of the commanded inputs, in the order of `command`.
         qn_factor: Q_N = qn_factor · Q_k.
         dt: Length of a sample [s].
         horizon: valid.Intervals of the prediction.
@@ -263,38 +263,25 @@ class RHC(RealTimeLoop):
 
     @valid.checked
     def __init__(
-        self,
-        *,
-        model: Model,
-        command: tuple[str, ...],
-        q: valid.NotNegatives,
-        r: valid.Positives,
-        dt: valid.Positive,
-        horizon: valid.Intervals,
-        bounds: dict[str, tuple[float, float]] | None = None,
-        qn_factor: valid.NotNegative = 10.0,
-    ):
+        self, *, model: Model, command: tuple[str, ...], q: valid.NotNegatives,
+        r: valid.Positives, dt: valid.Positive, horizon: valid.Intervals,
+        bounds: dict[str, tuple[float, float]] | None = None, qn_factor: valid.NotNegative = 10.0,
+    ):  # fmt: skip
         _check_command(model, command, bounds or {})
-        for name, values, wanted, of in (
-            ("q", q, len(model.states), "state"),
-            ("r", r, len(command), "commanded input"),
-        ):
-            if len(values) != wanted:
-                one = f"one for each {of}"
-                raise ValueError(f"{name} was {values}; it should have {wanted} entries, {one}")
+        valid.of_length("q", q, len(model.states), "state")
+        valid.of_length("r", r, len(command), "commanded input")
         places = tuple(model.inputs.index(name) for name in command)
         limits = [(bounds or {}).get(name, (-MAX_QP_ENTRY, MAX_QP_ENTRY)) for name in command]
-        self._begin(Horizon(model, places, dt, horizon), q, r, qn_factor, *zip(*limits))
+        limits = dict(zip(("lower", "upper"), zip(*limits)))
+        self._begin(Horizon(model, places, dt, horizon), q, r, qn_factor, limits)
 
-    def _begin(self, horizon, q, r, qn_factor, lower, upper):
-        self.horizon = horizon
-        self.settings = dict(
-            Q=np.array(q),
-            QN=qn_factor * np.array(q),
-            R=np.array(r),
-            lower=np.clip(lower, -MAX_QP_ENTRY, MAX_QP_ENTRY),
-            upper=np.clip(upper, -MAX_QP_ENTRY, MAX_QP_ENTRY),
-        )
+    def _begin(self, horizon, q, r, qn_factor, limits):
+        self.problem, self.horizon = horizon, horizon.N
+        weights = dict(Q=np.array(q), QN=qn_factor * np.array(q), R=np.array(r))
+        finite = {
+            name: np.clip(bound, -MAX_QP_ENTRY, MAX_QP_ENTRY) for name, bound in limits.items()
+        }
+        self.settings = weights | finite
         functions = compiled.load(build_phases, horizon)
         memory = tuple(horizon.memory)
         self.iteration = RealTimeIteration(functions, memory, memory, **self.settings)
@@ -324,18 +311,7 @@ class RHC(RealTimeLoop):
         return self.u_plan[:, 0]
 
     def solve(self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: int = 20) -> Any:
-        """`feedback`, iterated to convergence on the nonlinear problem.
-
-        Args:
-            x: (n_x,) estimated state.
-            p: (n_p,) estimated parameters.
-            x_ref: (n_x, N+1) desired states.
-            u_ref: (n_u, N) desired inputs.
-            iterations: Gauss-Newton steps.
-
-        Returns:
-            (n_u,) inputs of the first interval.
-        """
+        """`feedback` (its Args and Returns), iterated to convergence on the nonlinear problem."""
         self._give(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
         self.iteration.solve(iterations)
         return self.u_plan[:, 0]
@@ -347,20 +323,20 @@ class RHC(RealTimeLoop):
 
     def _start_once(self):
         if not self.iteration.started:
-            self.iteration.start(init(self.horizon, self._inputs["x"], self._inputs["p"]))
+            self.iteration.start(init(self.problem, self._inputs["x"], self._inputs["p"]))
 
     @property
     def u_plan(self) -> np.ndarray:
         """Planned inputs (n_u, N)."""
-        n_u = len(self.horizon.model.inputs)
+        n_u = len(self.problem.model.inputs)
         return self.iteration.arrays["u_plan"].reshape((n_u, -1), order="F").copy()
 
     @property
     def x_plan(self) -> np.ndarray:
         """Predicted states (n_x, N+1)."""
         self.iteration.expand()
-        n_x = len(self.horizon.model.states)
-        s = self.iteration.previous["s"].reshape((self.horizon.n_s, -1), order="F")
+        n_x = len(self.problem.model.states)
+        s = self.iteration.previous["s"].reshape((self.problem.n_s, -1), order="F")
         return s[:n_x].copy()
 
 

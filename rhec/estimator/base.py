@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rhec._casadi.validation import shown
+from rhec._casadi.validation import of_length
 
 __all__ = ["Estimate", "joint_estimate", "joint_guess", "noise_of"]
 
@@ -18,18 +18,11 @@ class Estimate(NamedTuple):
     covariance: np.ndarray
 
 
-def _of_length(name, values, wanted, of):
-    if len(values) != wanted:
-        raise ValueError(
-            f"{name} was {shown(values)}; it should have {wanted} entries, one for each {of}"
-        )
-
-
 def noise_of(model, sigma_v, sigma_w):
     """Settings V, W and c of an estimator of this model, from standard deviations."""
     n_x, n_p = len(model.states), len(model.parameters)
-    _of_length("sigma_v", sigma_v, len(model.outputs), "output")
-    _of_length("sigma_w", sigma_w, n_x + n_p, "state, then each parameter")
+    of_length("sigma_v", sigma_v, len(model.outputs), "output")
+    of_length("sigma_w", sigma_w, n_x + n_p, "state, then each parameter")
     inputs = (0.0,) * (model.n_s - n_x - n_p)
     settings = dict(V=np.square(sigma_v), W=np.square([*sigma_w[:n_x], *inputs, *sigma_w[n_x:]]))
     if model.motion_noise:
@@ -40,8 +33,8 @@ def noise_of(model, sigma_v, sigma_w):
 def joint_guess(model, guess, sigma):
     """First joint state (n_s,) and its standard deviations, from those of (x, p)."""
     n_x, n_p = len(model.states), len(model.parameters)
-    _of_length("guess", guess, n_x + n_p, "state, then each parameter")
-    _of_length("sigma_guess", sigma, n_x + n_p, "state, then each parameter")
+    of_length("guess", guess, n_x + n_p, "state, then each parameter")
+    of_length("sigma_guess", sigma, n_x + n_p, "state, then each parameter")
     for name, value in zip(model.parameters, guess[n_x:]):
         bounds = model.parameters[name]
         if bounds and not bounds[0] <= value <= bounds[1]:

@@ -93,15 +93,9 @@ class EKF:
 
     @checked
     def __init__(
-        self,
-        *,
-        model: Model,
-        dt: Positive,
-        sigma_v: Positives,
-        sigma_w: NotNegatives,
-        guess: Reals,
-        sigma_guess: Positives,
-    ):
+        self, *, model: Model, dt: Positive, sigma_v: Positives, sigma_w: NotNegatives,
+        guess: Reals, sigma_guess: Positives,
+    ):  # fmt: skip
         self.model = model
         m, sigma = joint_guess(model, guess, sigma_guess)
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])

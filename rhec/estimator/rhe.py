@@ -268,16 +268,12 @@ def _build_expand(window, linearise, feedback, loops):
 
     def descent(new, old, s_bar, z, V):
         """What a node's measurements add to ∇J·Δw: each residual times its change."""
-        return sum(
-            ca.if_else(
-                output.is_valid(z),
-                (output.predicted(old, s_bar) - z[output.row])
-                / V[output.row]
-                * (output.H(s_bar) @ (new - old)),
-                0,
-            )
-            for output in outputs
-        )
+        total = 0
+        for output in outputs:
+            residual = (output.predicted(old, s_bar) - z[output.row]) / V[output.row]
+            change = output.H(s_bar) @ (new - old)
+            total += ca.if_else(output.is_valid(z), residual * change, 0)
+        return total
 
     @casadi_function(
         "rhe_oldest", adjoint=state, **gains, m=state, P=(n_s, n_s), s=state, **measured
@@ -452,17 +448,10 @@ class RHE(RealTimeLoop):
 
     @valid.checked
     def __init__(
-        self,
-        *,
-        model: Model,
-        dt: valid.Positive,
-        horizon: valid.Intervals,
-        sigma_v: valid.Positives,
-        sigma_w: valid.NotNegatives,
-        guess: valid.Reals,
-        sigma_guess: valid.Positives,
-        arrival_mean: valid.ArrivalMean = "smoothed",
-    ):
+        self, *, model: Model, dt: valid.Positive, horizon: valid.Intervals,
+        sigma_v: valid.Positives, sigma_w: valid.NotNegatives, guess: valid.Reals,
+        sigma_guess: valid.Positives, arrival_mean: valid.ArrivalMean = "smoothed",
+    ):  # fmt: skip
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
@@ -487,15 +476,7 @@ class RHE(RealTimeLoop):
         return self._estimate()
 
     def solve(self, z: Any, iterations: int = 20) -> Any:
-        """`feedback`, iterated to convergence on the nonlinear problem.
-
-        Args:
-            z: (n_z,) measurements.
-            iterations: Gauss-Newton steps.
-
-        Returns:
-            Estimate.
-        """
+        """`feedback` (its Args and Returns), iterated to convergence on the nonlinear problem."""
         self._give(z)
         self.iteration.solve(iterations)
         return self._estimate()

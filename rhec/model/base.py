@@ -162,11 +162,8 @@ class Model:
 
 
 def _symbols(model):
-    return (
-        ca.SX.sym("x", len(model.states)),
-        ca.SX.sym("u", len(model.inputs)),
-        ca.SX.sym("p", len(model.parameters)),
-    )
+    sizes = dict(x=len(model.states), u=len(model.inputs), p=len(model.parameters))
+    return tuple(ca.SX.sym(name, size) for name, size in sizes.items())
 
 
 def _expressions(name, function, model, *sizes):
@@ -204,9 +201,7 @@ def _check_names(model):
                 wanted = "it should be a word of letters, digits and _, such as 'x_m'"
                 raise ValueError(f"a name in {field} was {shown(name)}; {wanted}")
             if names.count(name) > 1:
-                raise ValueError(
-                    f"{name!r} was there twice in {field}; each name should be there once"
-                )
+                raise ValueError(f"{name!r} was twice in {field}; a name should be there once")
 
 
 def _check_bounds(parameters):
@@ -297,39 +292,33 @@ def interval(model, measured=True):
     z = model.measurement(x, last, p)
     rows = [row for row in range(z.numel()) if row not in model.input_outputs.values()]
     rows = rows if measured else []
-    outputs = [ca.jacobian(z[row], s) for row in rows]
     A = ca.sparsify(ca.jacobian(s_next, s))
     constant = ca.DM(A.sparsity(), [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()])
     A_0 = ca.sparsify(constant)
+    derivatives = [s_next, ca.sparsify(A - A_0), ca.jacobian(s_next, u)]
+    limits, names = model.limits, (["s", "v", "dt_s"], ["s_next"])
     return Interval(
-        step=ca.Function("interval", [s, u, dt_s], [s_next], ["s", "v", "dt_s"], ["s_next"]),
-        linearised=ca.Function(
-            "linearised",
-            [s, u, dt_s],
-            [s_next, ca.sparsify(A - A_0), ca.jacobian(s_next, u)],
-            {"cse": True},
-        ),
+        step=ca.Function("interval", [s, u, dt_s], [s_next], *names),
+        linearised=ca.Function("linearised", [s, u, dt_s], derivatives, {"cse": True}),
         A_0=A_0,
         n_s=s.numel(),
         n_v=u.numel(),
-        outputs=tuple(
-            Output(
-                row,
-                model.limits[row],
-                ca.Function("h", [s], [z[row]]),
-                ca.Function("H", [s], [ca.sparsify(H)]),
-                not ca.depends_on(H, s),
-            )
-            for row, H in zip(rows, outputs)
-        ),
-        input_outputs={u: (row, model.limits[row]) for u, row in model.input_outputs.items()},
+        outputs=tuple(_output(row, limits[row], z[row], s) for row in rows),
+        input_outputs={u: (row, limits[row]) for u, row in model.input_outputs.items()},
         mixing_outputs={
-            place: [(row, model.limits[row]) for row in rows if ca.depends_on(z[row], last[place])]
+            place: [(row, limits[row]) for row in rows if ca.depends_on(z[row], last[place])]
             for place in range(u.numel())
         },
         bounds=model.bounds,
         motion_noise=model.motion_noise,
     )
+
+
+def _output(row, limit, z_row, s):
+    """The Output whose value is the expression z_row of the joint state s."""
+    H = ca.jacobian(z_row, s)
+    h, slope = ca.Function("h", [s], [z_row]), ca.Function("H", [s], [ca.sparsify(H)])
+    return Output(row, limit, h, slope, not ca.depends_on(H, s))
 
 
 def rk4(f, x, u, p, dt_s):

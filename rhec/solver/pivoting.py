@@ -84,10 +84,6 @@ def search_active_set(name, N, solve, problem):
         begin = dict(least=N + 1, patience=_PATIENCE, wrong=N + 1, x=zeros, multipliers=zeros)
         found = search(**problem, active=active, **begin)
         ok = found["wrong"] == 0
-        return dict(
-            x=ca.if_else(ok, found["x"], 0),
-            multipliers=ca.if_else(ok, found["multipliers"], 0),
-            ok=ok,
-        )
+        return dict(ok=ok) | {name: ca.if_else(ok, found[name], 0) for name in ("x", "multipliers")}
 
     return searched

@@ -122,12 +122,7 @@ def copy_checked(name, value, array):
     """Copy an argument into its array, or say in one sentence why it does not fit."""
     shape = getattr(value, "shape", None)
     try:
-        if (
-            shape is None
-            and isinstance(value, tuple)
-            and len(value) == len(array)
-            and array.ndim == 1
-        ):
+        if shape is None and isinstance(value, tuple) and array.shape == (len(value),):
             for i, number in enumerate(value):  # a few numbers: faster than an array of them
                 array[i] = number
             return

@@ -50,7 +50,7 @@ class Path:
         start: tuple[Real, Real, Real] = (0.0, 0.0, 0.0),
         closed: Flag = False,
     ):
-        """Path of [(length [m], curvature [1/m]), …] from the pose `start`, where a closed one ends.
+        """Path of [(length [m], curvature [1/m]), …] from the pose `start`.
 
         Args:
             pieces: Length [m] and curvature [1/m] of each line or arc.

@@ -46,7 +46,8 @@ class PaperRHC(rhc.RHC):
         qp: Solver = "structured",
     ):
         horizon_ = horizon_of(horizon, qp, dt)
-        self._begin(horizon_, q, (r,), qn_factor, (-omega_max,), (omega_max,))
+        limits = dict(lower=(-omega_max,), upper=(omega_max,))
+        self._begin(horizon_, q, (r,), qn_factor, limits)
         self._omega_ref = self._inputs["u_ref"][0]
 
     def feedback(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any) -> float:
