@@ -1,5 +1,5 @@
-"""The standard Gaussian fields that all slip fields are cut from (see rhec/tracked_robot/terrain.py): two
-independent ones by GSTools' Fourier method, which makes them periodic.
+"""The standard Gaussian fields that all slip fields are cut from, in rhec/tracked_robot/terrain.py:
+two independent ones by GSTools' Fourier method, which makes them periodic.
 
 `python data/make_standard_fields.py` makes the file again, in minutes. Half precision is plenty.
 """

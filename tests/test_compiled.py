@@ -139,7 +139,8 @@ def test_an_edit_compiles_again_only_where_c_is_made(tmp_path):
             source.write_text(source.read_text() + "# another colour\n")
     answer(start(tmp_path / "cache", package=tmp_path))
     assert len(libraries(tmp_path / "cache")) == 1
-    for edited, room in enumerate(("model", "solver", "estimator", "controller", "extensions"), 2):
+    rooms = ("model", "solver", "estimator", "controller", "tracked_robot", "extensions")
+    for edited, room in enumerate(rooms, 2):
         source = next(each for each in (package / room).glob("*.py") if each.stem != "__init__")
         source.write_text(source.read_text() + "# another idea\n")
         answer(start(tmp_path / "cache", package=tmp_path))

@@ -1,7 +1,9 @@
 import math
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import nbformat
 import pytest
@@ -115,6 +117,13 @@ def test_the_runner_refuses_what_is_no_notebook(path, monkeypatch, capsys):
         notebook.main()
     assert refusal.value.code == 2
     assert capsys.readouterr().err == f"NOTEBOOK was {path}; it must be an existing .ipynb file\n"
+
+
+def test_every_notebook_is_made_by_make():
+    root = Path(__file__).parents[1]
+    makefile = (root / "Makefile").read_text().replace("\\\n", " ")
+    names = " ".join(re.findall("^(?:FIGURES|STUDIES) := (.*)$", makefile, re.M)).split()
+    assert sorted(names) == sorted(each.stem for each in root.glob("notebooks/*.ipynb"))
 
 
 SCRIPT = """

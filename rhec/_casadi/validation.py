@@ -5,9 +5,10 @@ Pydantic does the checking.
 
 import functools
 import importlib
+from collections.abc import Callable
 from difflib import get_close_matches
 from inspect import signature
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, dataclass_transform
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
@@ -92,13 +93,19 @@ def optional(module, purpose):
         ) from None
 
 
-def checked(function):
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Check every argument of a function against its annotation (a decorator)."""
+    returned = function.__annotations__.pop("return", Any)  # not pydantic's to resolve
     strict = validate_call(function, config=ConfigDict(arbitrary_types_allowed=True))
+    function.__annotations__["return"] = returned
     names = list(signature(function).parameters)
 
     @functools.wraps(function)
-    def call(*arguments, **named):
+    def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
         try:
             return strict(*arguments, **with_new_names(named, names))
         except ValidationError as error:
@@ -109,7 +116,8 @@ def checked(function):
     return call
 
 
-def validated(cls):
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def validated(cls: type[_T]) -> type[_T]:
     """Make a frozen dataclass whose constructor checks every field strictly (a decorator)."""
     cls = dataclass(
         frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid")

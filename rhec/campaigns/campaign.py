@@ -5,7 +5,7 @@ import itertools
 import textwrap
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
@@ -23,12 +23,16 @@ CHUNK = 40_000
 _LARGE = 500_000  # samples that take one core longer than local workers take to start
 
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+
 @checked
 def campaign(
     scenarios: Any,
     folder: Path | None = None,
     workers: Annotated[Whole, Field(ge=1, le=1024)] | None = None,
-):
+) -> "pd.DataFrame":
     """Run scenarios; the result is the same to the last bit wherever they run.
 
     Without `workers` they run on the Dask cluster at DASK_SCHEDULER_ADDRESS; without that in this

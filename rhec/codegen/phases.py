@@ -111,9 +111,9 @@ def export(scenario):
 
 def export_model(rhe=None, rhc=None):
     """The phases of the RHE, the RHC or both of a Model, bound to the C's memory."""
-    model = rhe.model if rhe else rhc.horizon.model
+    model = rhe.model if rhe else rhc.problem.model
     phases, settings, guess = {}, {}, np.zeros(1)
-    macros = dict(DT_S=(rhe.window.dt_s if rhe else rhc.horizon.dt_s, "time between samples [s]"))
+    macros = dict(DT_S=(rhe.window.dt_s if rhe else rhc.problem.dt_s, "time between samples [s]"))
     for name in ("states", "inputs", "parameters", "outputs"):
         names = getattr(model, name)
         macros[name.upper()] = len(names), ", ".join(names) or "none"
@@ -130,13 +130,13 @@ def export_model(rhe=None, rhc=None):
     if rhc:
         n_x, settings = len(model.states), settings | rhc.settings
         start = _start(
-            lambda s_0: plan_init(rhc.horizon, s_0[:n_x], s_0[n_x:]), s_0=rhc.horizon.n_s
+            lambda s_0: plan_init(rhc.problem, s_0[:n_x], s_0[n_x:]), s_0=rhc.problem.n_s
         )
         phases |= _bind_all(
-            "controller", start, build_controller(rhc.horizon), settings, _SHARED_BY_MODEL
+            "controller", start, build_controller(rhc.problem), settings, _SHARED_BY_MODEL
         )
         macros |= dict(
-            CONTROLLER=(1, "there is one"), HORIZON=(rhc.horizon.N, "intervals of a plan")
+            CONTROLLER=(1, "there is one"), HORIZON=(rhc.horizon, "intervals of a plan")
         )
     macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
     return _export(phases, settings, guess, macros)

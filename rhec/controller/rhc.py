@@ -11,7 +11,7 @@ s = (x, p).
 """
 
 import importlib
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -261,7 +261,11 @@ class RHC(RealTimeLoop):
             cls = importlib.import_module(_PAPER).PaperRHC
         return super().__new__(cls)
 
-    @valid.checked
+    if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
+
+        def __init__(self, *, model: Model | None = None, **options: Any) -> None: ...
+
+    @valid.checked  # type: ignore[no-redef]
     def __init__(
         self, *, model: Model, command: tuple[str, ...], q: valid.NotNegatives,
         r: valid.Positives, dt: valid.Positive, horizon: valid.Intervals,

@@ -15,7 +15,7 @@ unknown (Bryson-Frazier). Each costs O(N).
 """
 
 import importlib
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -446,7 +446,11 @@ class RHE(RealTimeLoop):
             cls = importlib.import_module(_PAPER).PaperRHE
         return super().__new__(cls)
 
-    @valid.checked
+    if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
+
+        def __init__(self, *, model: Model | None = None, **options: Any) -> None: ...
+
+    @valid.checked  # type: ignore[no-redef]
     def __init__(
         self, *, model: Model, dt: valid.Positive, horizon: valid.Intervals,
         sigma_v: valid.Positives, sigma_w: valid.NotNegatives, guess: valid.Reals,

@@ -49,7 +49,7 @@ class Path:
         pieces: list[tuple[Positive, Real]],
         start: tuple[Real, Real, Real] = (0.0, 0.0, 0.0),
         closed: Flag = False,
-    ):
+    ) -> "Path":
         """Path of [(length [m], curvature [1/m]), …] from the pose `start`.
 
         Args:
@@ -99,17 +99,17 @@ class Path:
 
     @classmethod
     @checked
-    def racetrack(cls, row_length_m: Positive, radius_m: Positive):
+    def racetrack(cls, row_length_m: Positive, radius_m: Positive) -> "Path":
         """Two rows, joined by half circles on the headlands."""
         return cls.from_segments(
             [(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)] * 2, closed=True
         )
 
     @property
-    def period_m(self):
+    def period_m(self) -> float:
         return self.length_m if self.closed else OPEN
 
-    def poses(self, s):
+    def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses (n, 3) and curvatures (n,) at arc lengths s (n,) [m]."""
         s = np.asarray(s) % self.length_m if self.closed else np.asarray(s)
         row = self.segments[
@@ -117,7 +117,7 @@ class Path:
         ]
         return np.column_stack(advance(*row[:, 1:4].T, row[:, 4], s - row[:, 0], np)), row[:, 4]
 
-    def project(self, xy):
+    def project(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The closest point of the whole path to each of xy (n, 2) [m]: distance (n,) [m] and arc
         length (n,) [m]; both NaN where xy is.
         """

@@ -81,7 +81,7 @@ class Terrain:
             raise ValueError(f"cell_m was {shown(self.cell_m)}; it must be above 0 m")
 
     @classmethod
-    def uniform(cls, mu, kappa):
+    def uniform(cls, mu: float, kappa: float) -> "Terrain":
         """The same traction everywhere."""
         return cls(*([[value, value], [value, value]] for value in (mu, kappa)), (0.0, 0.0), 1.0)
 
@@ -96,7 +96,7 @@ class Terrain:
         correlation_length_m: Positive,
         patches: tuple[Patch, ...] = (),
         cell_m: Positive = 0.5,
-    ):
+    ) -> "Terrain":
         """Beta-distributed fields over box = (x_min, x_max, y_min, y_max) [m]; mean and deviation
         are pairs for (μ, κ).
 
@@ -139,18 +139,18 @@ class Terrain:
         return cls(mu, kappa, (float(x_min), float(y_min)), cell_m)
 
     @property
-    def mean(self):
+    def mean(self) -> np.ndarray:
         """Mean (μ, κ) of the field."""
         return np.array([self.mu.mean(), self.kappa.mean()])
 
-    def save(self, file):
+    def save(self, file: str | File) -> None:
         """As .npz: plain arrays, nothing that is executed on loading."""
         np.savez_compressed(
             file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m
         )
 
     @classmethod
-    def load(cls, file):
+    def load(cls, file: str | File) -> "Terrain":
         """What `save` wrote. ValueError for any other file; what is in it is never executed."""
         try:
             with np.load(file, allow_pickle=False) as data:
