@@ -26,15 +26,9 @@ from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
-    "SETTLED_S",
-    "SIGMA_W_TRACKING",
-    "TRAINING_SEEDS",
-    "calibrate",
-    "deviance",
-    "oracle_runs",
-    "run_estimator",
-    "scan_arguments",
-]
+    "SETTLED_S", "TRAINING_SEEDS", "calibrate", "deviance", "oracle_runs",
+    "run_estimator", "scan_arguments"
+]  # fmt: skip
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
@@ -53,14 +47,6 @@ _TRACKING = {
     "fixed_traction": ({}, _POSE),
     "traction_oracle": ({}, _POSE),
     "dual": (dict(estimation_horizon=10), _DUAL),
-}
-# Found by `_tune_for_tracking`; "dual" has its own in `rhec.tracked_robot.tuning`.
-SIGMA_W_TRACKING = {
-    "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
-    "ekf": (2e-05, 2e-05, 0.033, 950.0),
-    "augmented_ekf": (0.00013, 0.00013, 0.0079, 0.0042, 0.0077, 0.016),
-    "fixed_traction": (0.00067, 0.00067, 0.026, 0.015),
-    "traction_oracle": (8.1e-05, 8.1e-05, 0.02, 0.04),
 }
 
 

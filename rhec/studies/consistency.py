@@ -20,32 +20,21 @@ from rhec.columns import MEASUREMENTS, TRUTH
 from rhec.studies import calibration
 from rhec.studies.calibration import SETTLED_S
 from rhec.studies.statistics import over_seeds, root_of_mean
+from rhec.tracked_robot.tuning import SIGMA_W_FILTERED
 
 __all__ = [
-    "ESTIMATORS",
-    "STATES",
-    "Consistency",
-    "bounds",
-    "consistency_table",
-    "innovations",
-    "mean_square_errors",
-    "measure",
-    "normalised",
-    "normalised_squared",
-    "share_inside",
-]
+    "ESTIMATORS", "STATES", "Consistency", "bounds", "consistency_table", "innovations",
+    "mean_square_errors", "measure", "normalised", "normalised_squared", "share_inside"
+]  # fmt: skip
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
-# Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe",
-# arrival_mean="filtered")`.
-_SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
 ESTIMATORS = {  # fields of Scenario; all W that are not printed are by likelihood
     "EKF, printed": dict(estimator="ekf", process_noise="printed"),
     "EKF, calibrated": dict(estimator="ekf", process_noise="calibrated"),
     "RHE, printed": dict(process_noise="printed"),
     "RHE, calibrated": dict(process_noise="calibrated"),
     "RHE, filtered arrival": dict(arrival_mean="filtered", process_noise="calibrated"),
-    "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=_SIGMA_W_FILTERED),
+    "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=SIGMA_W_FILTERED),
     "augmented EKF, calibrated": dict(estimator="augmented_ekf", process_noise="calibrated"),
     "traction oracle": dict(estimator="traction_oracle"),
 }

@@ -23,14 +23,9 @@ from rhec.studies.claims.run_sets import complete
 from rhec.tracked_robot import tuning
 
 __all__ = [
-    "INTERPRETATIONS",
-    "QUANTITIES",
-    "ekf_on_a_straight",
-    "likelihood_profile",
-    "one_at_a_time",
-    "rhe_sigma_kappa",
-    "swept",
-]
+    "INTERPRETATIONS", "QUANTITIES", "ekf_on_a_straight", "likelihood_profile", "one_at_a_time",
+    "rhe_sigma_kappa", "swept"
+]  # fmt: skip
 
 
 def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):

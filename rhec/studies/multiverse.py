@@ -22,19 +22,9 @@ from rhec.studies.claims.run_sets import LOOK_AHEAD_M, complete
 from rhec.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, always, share, verdict
 
 __all__ = [
-    "CLAIMS",
-    "FIRST_SEED",
-    "UNKNOWNS",
-    "VARIANTS",
-    "Claim",
-    "correlations",
-    "drive",
-    "in_world",
-    "judge",
-    "sample_parameters",
-    "scenario",
-    "summary",
-]
+    "CLAIMS", "FIRST_SEED", "UNKNOWNS", "VARIANTS", "Claim", "correlations", "drive", "in_world",
+    "judge", "sample_parameters", "scenario", "summary"
+]  # fmt: skip
 
 # name: (least, most, on a logarithmic scale); turn_demand: share of the bound on the yaw rate that
 # the headland asks for at the soil's means

@@ -20,17 +20,9 @@ from rhec.studies.statistics import over_seeds, ratio_of_means, verdict
 from rhec.tracked_robot import tuning
 
 __all__ = [
-    "CONTESTANTS",
-    "LEAST_GAIN",
-    "PAPERS",
-    "PROPOSAL",
-    "QUANTITIES",
-    "SIGMA_THETA",
-    "by_pose_noise",
-    "ranking_table",
-    "scenarios",
-    "step_times",
-]
+    "CONTESTANTS", "LEAST_GAIN", "PAPERS", "PROPOSAL", "QUANTITIES", "SIGMA_THETA", "by_pose_noise",
+    "ranking_table", "scenarios", "step_times"
+]  # fmt: skip
 
 # asked of the proposal: so much less true error than the paper's RHE, and no more than so much
 # above an oracle's
@@ -56,7 +48,7 @@ def _with(label, estimator, **fields):
 
 
 def _tracking(label, estimator):
-    sigma_w = calibration.SIGMA_W_TRACKING[estimator]
+    sigma_w = tuning.SIGMA_W_TRACKING[estimator]
     return _with(f"{label}, W by tracking", estimator, sigma_w=sigma_w)
 
 

@@ -19,16 +19,9 @@ from rhec.simulation import simulate
 from rhec.studies.statistics import always, over_seeds
 
 __all__ = [
-    "AFTER_S",
-    "BEFORE_S",
-    "CASES",
-    "FAMILIES",
-    "fault_table",
-    "interval_s",
-    "response",
-    "scenario",
-    "study",
-]
+    "AFTER_S", "BEFORE_S", "CASES", "FAMILIES", "fault_table", "interval_s", "response", "scenario",
+    "study"
+]  # fmt: skip
 
 BEFORE_S, AFTER_S = 10.0, 60.0  # what is looked at around a fault
 _AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""

@@ -12,28 +12,10 @@ import numpy as np
 from scipy import stats
 
 __all__ = [
-    "CONFIDENCE",
-    "FAILS",
-    "HOLDS",
-    "UNDECIDED",
-    "UNTESTABLE",
-    "Finding",
-    "Interval",
-    "always",
-    "combined",
-    "difference",
-    "difference_of_means",
-    "equal",
-    "mean",
-    "over_seeds",
-    "possible",
-    "ratio",
-    "ratio_of_means",
-    "reported",
-    "root_of_mean",
-    "share",
-    "verdict",
-]
+    "CONFIDENCE", "FAILS", "HOLDS", "UNDECIDED", "UNTESTABLE", "Finding", "Interval", "always",
+    "combined", "difference", "difference_of_means", "equal", "mean", "over_seeds", "possible",
+    "ratio", "ratio_of_means", "reported", "root_of_mean", "share", "verdict"
+]  # fmt: skip
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 UNTESTABLE = "cannot be tested in simulation"

@@ -35,17 +35,9 @@ from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
-    "all_of",
-    "gains",
-    "iterations",
-    "kkt_tolerances",
-    "live",
-    "models",
-    "reached_s",
-    "run_with_given_arrival",
-    "times",
-    "with_given_arrival",
-]
+    "all_of", "gains", "iterations", "kkt_tolerances", "live", "models", "reached_s",
+    "run_with_given_arrival", "times", "with_given_arrival"
+]  # fmt: skip
 
 
 # The arrival cost

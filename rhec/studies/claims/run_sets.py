@@ -21,17 +21,9 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
 __all__ = [
-    "LOGS",
-    "LOOK_AHEAD_M",
-    "PROCESS_NOISES",
-    "RUNS",
-    "complete",
-    "lag_s",
-    "logs",
-    "measured",
-    "runs",
-    "scenarios",
-]
+    "LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "complete", "lag_s", "logs", "measured",
+    "runs", "scenarios"
+]  # fmt: skip
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
