@@ -52,9 +52,8 @@ _TRACKING = {
 
 def oracle_runs(seeds, duration_s=240.0):
     """Runs of the default scenario with the true state in the loop, one a seed."""
-    return [
-        simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds
-    ]
+    asked = dict(estimator="oracle", duration_s=duration_s)
+    return [simulate(Scenario(seed=seed, **asked)) for seed in seeds]
 
 
 def _build_scan(outputs, choice):
@@ -70,10 +69,8 @@ def _build_scan(outputs, choice):
     memory, options = own.pop("memory"), {"allow_duplicate_io_names": True}
     row = ca.veccat(*(result[name] for name in outputs))
     names = ["memory", "stream", *own], ["memory", "row"]
-    inputs = [memory, stream, *own.values()]
-    return scan.build_scan(
-        ca.Function("recorded", inputs, [result["memory"], row], *names, options)
-    )
+    signals = [memory, stream, *own.values()], [result["memory"], row]
+    return scan.build_scan(ca.Function("recorded", *signals, *names, options))
 
 
 def scan_arguments(scenario, run, *outputs):
@@ -144,16 +141,11 @@ def _tune_for_tracking(estimator, seeds=_TRACKING_SEEDS, evaluations=120):
 
     def error_m(logarithms):
         given = dict(estimator=estimator, sigma_w=tuple(sigma_w(logarithms)), **fields)
-        return np.mean(
-            [simulate(Scenario(seed=seed, **given)).metrics["mean_error_true_m"] for seed in seeds]
-        )
+        runs = [simulate(Scenario(seed=seed, **given)) for seed in seeds]
+        return np.mean([run.metrics["mean_error_true_m"] for run in runs])
 
-    result = minimize(
-        error_m,
-        np.log([*unknowns.values()]),
-        method="Nelder-Mead",
-        options=dict(maxfev=evaluations, adaptive=True),
-    )
+    begin, options = np.log([*unknowns.values()]), dict(maxfev=evaluations, adaptive=True)
+    result = minimize(error_m, begin, method="Nelder-Mead", options=options)
     return _rounded(sigma_w(result.x)), result.fun
 
 

@@ -148,12 +148,10 @@ def scenario(world, variant, seed):
     world = dict(world)
     pace_mps = world["mu_mean"] * world["speed_mps"]
     radius_m = pace_mps / (world["kappa_mean"] * paper.OMEGA_MAX_RADPS * world.pop("turn_demand"))
-    length_m = (
-        world["row_length_m"] if first_row else 1.25 * world["row_length_m"] + np.pi * radius_m
-    )
-    return Scenario(
-        headland_radius_m=radius_m, duration_s=length_m / pace_mps, seed=seed, **world, **fields
-    )
+    row_m = world["row_length_m"]
+    length_m = row_m if first_row else 1.25 * row_m + np.pi * radius_m
+    driven = dict(headland_radius_m=radius_m, duration_s=length_m / pace_mps, seed=seed)
+    return Scenario(**driven, **world, **fields)
 
 
 def drive(drawn, seeds):

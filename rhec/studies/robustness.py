@@ -91,11 +91,6 @@ CASES = {
 }
 
 
-def _starts_s(n):
-    """When the trouble begins [s] for each of n seeds: spread over the lap."""
-    return np.linspace(_FIRST_S, _LAST_S, n, endpoint=False).tolist()
-
-
 def scenario(case, begin_s, base):
     """The scenario `base` with the case's trouble from the time begin_s [s] on."""
     fields = {name: value for name, value in case.items() if name not in ("fault", "patch")}
@@ -171,10 +166,11 @@ def study(base, seeds, handling, cases=CASES):
         from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN beyond.
     """
     rows, errors = [], {}
+    begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
     every = [(family, name, how) for family in cases for name in cases[family] for how in handling]
     for family, name, how in every:
         case, curves = cases[family][name], []
-        for seed, begin_s in zip(seeds, _starts_s(len(seeds))):
+        for seed, begin_s in zip(seeds, begins_s):
             troubled = scenario(case, begin_s, replace(base, seed=seed, **handling[how]))
             run = simulate(troubled)
             begin_s, end_s = interval_s(run, case, begin_s)

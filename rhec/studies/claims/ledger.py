@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.studies import timing
 from rhec.studies.claims import experiments, run_sets
 from rhec.studies.statistics import (
     FAILS,
@@ -142,11 +143,7 @@ _LOST = "~arrived | (max_error_true_m > 1)"  # never reaches the path, or is a m
 _BESIDE_M = (
     paper.ROW_SPACING_M - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M - paper.ROBOT_WIDTH_M
 ) / 2
-_PHASES_MS = sum(
-    paper.TABLE_1_MS[problem, phase][1]
-    for problem in ("RHE", "RHC")
-    for phase in ("preparation", "feedback")
-)
+_PHASES_MS = sum(paper.TABLE_1_MS[column][1] for column in timing.COLUMNS)
 _W_MEASURED, _W_UNMEASURED = (np.take(paper.SIGMA_W_RHE, at) for at in ([0, 1, 3], [2, 4, 5]))
 
 _WHY_SOIL = (
