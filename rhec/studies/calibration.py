@@ -110,12 +110,11 @@ def _rounded(sigma):
     return tuple(float(f"{value:.2g}") for value in sigma)
 
 
-def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
-    """Process noise of an estimator by maximum likelihood on these seeds: standard
+def calibrate(estimator, **fields):
+    """Process noise of an estimator by maximum likelihood on the training seeds: standard
     deviations, to two digits, and the deviance.
     """
-    runs = oracle_runs(seeds)
-    unknowns = _UNKNOWNS[estimator]
+    runs, unknowns = oracle_runs(TRAINING_SEEDS), _UNKNOWNS[estimator]
     result = minimize(
         lambda logarithms: deviance(estimator, _sigma_from(logarithms), runs, **fields),
         np.full(unknowns, np.log(0.03)),

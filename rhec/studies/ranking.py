@@ -103,12 +103,12 @@ def by_pose_noise(sigmas_rad, seeds):
     return pd.DataFrame(rows)
 
 
-def step_times(ids, rounds=40, seed=0):
+def step_times(ids, rounds=40):
     """Time of one step [µs] of these contestants on the same measurements, one after the other in
     each round: a DataFrame (rounds, ids) with their labels. Compiled code alone, mean over a run
     of 1200 samples.
     """
-    run = simulate(Scenario(estimator="oracle", seed=seed))
+    run = simulate(Scenario(estimator="oracle"))
     calls, taken = {}, []
     for label, fields in (CONTESTANTS[id_] for id_ in ids):
         calls[label] = calibration.scan_arguments(Scenario(**fields), run, "estimate")

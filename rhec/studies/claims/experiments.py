@@ -219,11 +219,11 @@ def kkt_tolerances(n=100):
     return pd.DataFrame(rows)
 
 
-def gains(n=100, offset_m=1e-4):
+def gains(n=100):
     """How strongly the converged RHC answers a small offset from a straight path, |∂ω/∂y|
     [rad/s/m], with R = 10 and with a hundredth of it.
     """
-    rows, weights = [], {"large_r": paper.R, "small_r": paper.R / 100}
+    rows, weights, offset_m = [], {"large_r": paper.R, "small_r": paper.R / 100}, 1e-4
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
         rows.append({name: abs(RHC(r=r).solve(*problem)) / offset_m for name, r in weights.items()})
