@@ -41,7 +41,7 @@ def scenario(**choice):
 
 @pytest.fixture(scope="module")
 def runs(virtual_machine):
-    """{reading: {"RHE": Run, "EKF": Run}}"""
+    """{process noise: {"RHE": Run, "EKF": Run}}"""
     return {
         process_noise: {
             name: rhec.simulate(scenario(process_noise=process_noise, estimator=name.lower()))

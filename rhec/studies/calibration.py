@@ -26,15 +26,9 @@ from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
-    "SETTLED_S",
-    "SIGMA_W_TRACKING",
-    "TRAINING_SEEDS",
-    "calibrate",
-    "deviance",
-    "oracle_runs",
-    "run_estimator",
-    "scan_arguments",
-]
+    "SETTLED_S", "TRAINING_SEEDS", "calibrate", "deviance", "oracle_runs",
+    "run_estimator", "scan_arguments"
+]  # fmt: skip
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
@@ -54,21 +48,12 @@ _TRACKING = {
     "traction_oracle": ({}, _POSE),
     "dual": (dict(estimation_horizon=10), _DUAL),
 }
-# Found by `_tune_for_tracking`; "dual" has its own in `rhec.tracked_robot.tuning`.
-SIGMA_W_TRACKING = {
-    "rhe": (0.019, 0.019, 0.0019, 0.11, 0.0087, 0.021),
-    "ekf": (2e-05, 2e-05, 0.033, 950.0),
-    "augmented_ekf": (0.00013, 0.00013, 0.0079, 0.0042, 0.0077, 0.016),
-    "fixed_traction": (0.00067, 0.00067, 0.026, 0.015),
-    "traction_oracle": (8.1e-05, 8.1e-05, 0.02, 0.04),
-}
 
 
 def oracle_runs(seeds, duration_s=240.0):
     """Runs of the default scenario with the true state in the loop, one a seed."""
-    return [
-        simulate(Scenario(estimator="oracle", seed=seed, duration_s=duration_s)) for seed in seeds
-    ]
+    asked = dict(estimator="oracle", duration_s=duration_s)
+    return [simulate(Scenario(seed=seed, **asked)) for seed in seeds]
 
 
 def _build_scan(outputs, choice):
@@ -84,10 +69,8 @@ def _build_scan(outputs, choice):
     memory, options = own.pop("memory"), {"allow_duplicate_io_names": True}
     row = ca.veccat(*(result[name] for name in outputs))
     names = ["memory", "stream", *own], ["memory", "row"]
-    inputs = [memory, stream, *own.values()]
-    return scan.build_scan(
-        ca.Function("recorded", inputs, [result["memory"], row], *names, options)
-    )
+    signals = [memory, stream, *own.values()], [result["memory"], row]
+    return scan.build_scan(ca.Function("recorded", *signals, *names, options))
 
 
 def scan_arguments(scenario, run, *outputs):
@@ -127,12 +110,11 @@ def _rounded(sigma):
     return tuple(float(f"{value:.2g}") for value in sigma)
 
 
-def calibrate(estimator, seeds=TRAINING_SEEDS, **fields):
-    """Process noise of an estimator by maximum likelihood on these seeds: standard
+def calibrate(estimator, **fields):
+    """Process noise of an estimator by maximum likelihood on the training seeds: standard
     deviations, to two digits, and the deviance.
     """
-    runs = oracle_runs(seeds)
-    unknowns = _UNKNOWNS[estimator]
+    runs, unknowns = oracle_runs(TRAINING_SEEDS), _UNKNOWNS[estimator]
     result = minimize(
         lambda logarithms: deviance(estimator, _sigma_from(logarithms), runs, **fields),
         np.full(unknowns, np.log(0.03)),
@@ -158,16 +140,11 @@ def _tune_for_tracking(estimator, seeds=_TRACKING_SEEDS, evaluations=120):
 
     def error_m(logarithms):
         given = dict(estimator=estimator, sigma_w=tuple(sigma_w(logarithms)), **fields)
-        return np.mean(
-            [simulate(Scenario(seed=seed, **given)).metrics["mean_error_true_m"] for seed in seeds]
-        )
+        runs = [simulate(Scenario(seed=seed, **given)) for seed in seeds]
+        return np.mean([run.metrics["mean_error_true_m"] for run in runs])
 
-    result = minimize(
-        error_m,
-        np.log([*unknowns.values()]),
-        method="Nelder-Mead",
-        options=dict(maxfev=evaluations, adaptive=True),
-    )
+    begin, options = np.log([*unknowns.values()]), dict(maxfev=evaluations, adaptive=True)
+    result = minimize(error_m, begin, method="Nelder-Mead", options=options)
     return _rounded(sigma_w(result.x)), result.fun
 
 

@@ -19,33 +19,22 @@ from scipy.stats import chi2
 from rhec.columns import MEASUREMENTS, TRUTH
 from rhec.studies import calibration
 from rhec.studies.calibration import SETTLED_S
-from rhec.studies.statistics import over_seeds, root_of_mean
+from rhec.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
+from rhec.tracked_robot.tuning import SIGMA_W_FILTERED
 
 __all__ = [
-    "ESTIMATORS",
-    "STATES",
-    "Consistency",
-    "bounds",
-    "consistency_table",
-    "innovations",
-    "mean_square_errors",
-    "measure",
-    "normalised",
-    "normalised_squared",
-    "share_inside",
-]
+    "ESTIMATORS", "STATES", "Consistency", "bounds", "consistency_table", "innovations",
+    "mean_square_errors", "measure", "normalised", "normalised_squared", "share_inside"
+]  # fmt: skip
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
-# Process noise of the RHE with the filter's own arrival mean: `calibration.calibrate("rhe",
-# arrival_mean="filtered")`.
-_SIGMA_W_FILTERED = (0.001, 0.001, 0.005, 0.001, 0.0097, 0.0091)
 ESTIMATORS = {  # fields of Scenario; all W that are not printed are by likelihood
     "EKF, printed": dict(estimator="ekf", process_noise="printed"),
     "EKF, calibrated": dict(estimator="ekf", process_noise="calibrated"),
     "RHE, printed": dict(process_noise="printed"),
     "RHE, calibrated": dict(process_noise="calibrated"),
     "RHE, filtered arrival": dict(arrival_mean="filtered", process_noise="calibrated"),
-    "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=_SIGMA_W_FILTERED),
+    "RHE, filtered arrival, its own W": dict(arrival_mean="filtered", sigma_w=SIGMA_W_FILTERED),
     "augmented EKF, calibrated": dict(estimator="augmented_ekf", process_noise="calibrated"),
     "traction oracle": dict(estimator="traction_oracle"),
 }
@@ -80,14 +69,11 @@ def measure(scenario, runs):
         error = estimate[:, :n_x] - run.log[TRUTH[:n_x]].to_numpy()
         residuals = run.log[MEASUREMENTS[:3]].to_numpy() - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)
-        results.append(
-            (
-                error / np.sqrt(np.diagonal(P, axis1=1, axis2=2)),
-                normalised_squared(error, P),
-                normalised_squared(y[:, :2], S[:, :2, :2]),
-                normalised_squared(y[:, 2:], S[:, 2:, 2:]),
-            )
-        )
+        nees = normalised_squared(error, P)
+        nis_position = normalised_squared(y[:, :2], S[:, :2, :2])
+        nis_speed = normalised_squared(y[:, 2:], S[:, 2:, 2:])
+        scaled = error / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+        results.append((scaled, nees, nis_position, nis_speed))
     return Consistency(run.log["t_s"].to_numpy(), *(np.array(values) for values in zip(*results)))
 
 
@@ -106,16 +92,17 @@ def innovations(residuals, HPH, R):
     return (gain @ residuals[..., None])[..., 0], gain @ R
 
 
-def bounds(runs, degrees, level=0.95):
+def bounds(runs, degrees):
     """Interval in which the mean over so many runs of a χ² variable, divided by its degrees of
-    freedom, lies with this probability.
+    freedom, lies with a probability of 95 %.
     """
-    return chi2.ppf([(1 - level) / 2, (1 + level) / 2], runs * degrees) / (runs * degrees)
+    ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+    return chi2.ppf(ends, runs * degrees) / (runs * degrees)
 
 
-def share_inside(normalised, degrees, level=0.95):
+def share_inside(normalised, degrees):
     """Share of samples at which the mean of `normalised` (m, n) over runs is within its bounds."""
-    low, high = bounds(len(normalised), degrees, level)
+    low, high = bounds(len(normalised), degrees)
     mean = normalised.mean(axis=0) / degrees
     return np.mean((low <= mean) & (mean <= high))
 

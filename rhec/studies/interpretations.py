@@ -13,24 +13,18 @@ import pandas as pd
 from scipy import linalg
 
 from rhec import paper
-from rhec.campaigns.campaign import campaign
 from rhec.estimator.rhe import RHE
 from rhec.metrics import rms
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 from rhec.studies import calibration, statistics
-from rhec.studies.claims.run_sets import complete
+from rhec.studies.claims import run_sets
 from rhec.tracked_robot import tuning
 
 __all__ = [
-    "INTERPRETATIONS",
-    "QUANTITIES",
-    "ekf_on_a_straight",
-    "likelihood_profile",
-    "one_at_a_time",
-    "rhe_sigma_kappa",
-    "swept",
-]
+    "INTERPRETATIONS", "QUANTITIES", "ekf_on_a_straight", "likelihood_profile", "one_at_a_time",
+    "rhe_sigma_kappa", "swept"
+]  # fmt: skip
 
 
 def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
@@ -46,16 +40,9 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=
         predicted = linalg.solve_discrete_are(A.T, H.T, W, V)
         K = predicted @ H.T / (H @ predicted @ H.T + V)
         corrected = (np.eye(2) - K @ H) @ predicted
-        slowest = np.abs(np.linalg.eigvals((np.eye(2) - K @ H) @ A)).max()
-        rows.append(
-            dict(
-                sigma_x_m=sigma_x,
-                gain_position=K[0, 0],
-                gain_yaw_radpm=K[1, 0],
-                sigma_yaw_rad=np.sqrt(corrected[1, 1]),
-                time_s=-paper.DT_S / np.log(slowest),
-            )
-        )
+        time_s = -paper.DT_S / np.log(np.abs(np.linalg.eigvals((np.eye(2) - K @ H) @ A)).max())
+        row = dict(sigma_x_m=sigma_x, gain_position=K[0, 0], gain_yaw_radpm=K[1, 0])
+        rows.append(row | dict(sigma_yaw_rad=np.sqrt(corrected[1, 1]), time_s=time_s))
     return pd.DataFrame(rows)
 
 
@@ -70,12 +57,10 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     heading = (turned + paper.DT_S * kappa * omega_radps / 2)[:-1]
     x, y = (np.cumsum(np.r_[0, chord * along(heading)]) for along in (np.cos, np.sin))
     z = np.column_stack([x, y, np.full(samples, nu), np.full(samples, omega_radps)])
-    found = []
+    found, guess = [], (0.0, 0.0, 0.0, nu, mu, kappa)
     for sigma in sigma_kappa:
-        estimator = RHE(
-            sigma_w=(*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma)),
-            guess=(0.0, 0.0, 0.0, nu, mu, kappa),
-        )
+        sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
+        estimator = RHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
             estimate = estimator.feedback(measurement)
@@ -103,22 +88,16 @@ def swept(estimator, process_noise, place, values, seeds):
     runs, rows = {}, []
     for value, seed in itertools.product(values, range(seeds)):
         sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], place, float(value))
-        run = simulate(
-            Scenario(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w, seed=seed)
-        )
+        choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
+        run = simulate(Scenario(seed=seed, **choice))
         runs.setdefault(value, run)
         c = run.columns
         settled, straight = c["t_s"] >= calibration.SETTLED_S, c["on_straight"]
         kappa = c["kappa_hat"] - c["kappa"]
-        rows.append(
-            dict(
-                sigma=value,
-                seed=seed,
-                rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]),
-                rms_kappa_straights=rms(kappa[settled & straight]),
-                rms_kappa_curves=rms(kappa[settled & ~straight]),
-            )
-        )
+        row = dict(sigma=value, seed=seed)
+        row |= dict(rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]))
+        row |= dict(rms_kappa_straights=rms(kappa[settled & straight]))
+        rows.append(row | dict(rms_kappa_curves=rms(kappa[settled & ~straight])))
     return runs, pd.DataFrame(rows)
 
 
@@ -128,18 +107,12 @@ def likelihood_profile(estimator, place, factors, seeds=3):
     and y move together.
     """
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
-    samples, calibrated = (
-        sum(len(run.columns["t_s"]) for run in runs),
-        tuning.SIGMA_W[estimator]["calibrated"],
-    )
+    samples = sum(len(run.columns["t_s"]) for run in runs)
+    calibrated = tuning.SIGMA_W[estimator]["calibrated"]
     sigmas = [factor * calibrated[_entries(place)[0]] for factor in factors]
-    deviances = np.array(
-        [
-            calibration.deviance(estimator, _with_entry(calibrated, place, sigma), runs) / samples
-            for sigma in sigmas
-        ]
-    )
-    return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
+    tried = [_with_entry(calibrated, place, sigma) for sigma in sigmas]
+    found = np.array([calibration.deviance(estimator, W, runs) / samples for W in tried])
+    return pd.DataFrame(dict(sigma=sigmas, deviance=found - found.min()))
 
 
 # id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); R11 and R12
@@ -168,12 +141,9 @@ QUANTITIES = {
 
 
 def one_at_a_time(baseline, seeds):
-    """How much each interpretation moves the RHE's results from those of the baseline, paired by
-    seed. R1 and R2 are the other W, for one estimator at a time.
-
-    Args:
-        baseline: the process noise, "printed" or "calibrated".
-        seeds: number of seeds.
+    """How much each interpretation moves the RHE's results from those of the baseline (the process
+    noise "printed" or "calibrated"), paired by seed. R1 and R2 are the other W, for one estimator
+    at a time.
 
     Returns:
         DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
@@ -185,24 +155,15 @@ def one_at_a_time(baseline, seeds):
         "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
         "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
     } | INTERPRETATIONS
-    table = complete(
-        campaign(
-            [
-                Scenario(**dict(process_noise=baseline) | fields, estimator=estimator, seed=seed)
-                for _, *of_both in asked.values()
-                for estimator, fields in (("rhe", of_both[0]), ("ekf", of_both[-1]))
-                for seed in range(seeds)
-            ]
-        )
-    )
-    found = {}
-    for place, name in enumerate(asked):
-        rhe, ekf = (
-            table.iloc[first : first + seeds].reset_index(drop=True)
-            for first in (2 * seeds * place, 2 * seeds * place + seeds)
-        )
+    scenarios = {}
+    for name, (_, *of_both) in asked.items():
+        for estimator, fields in (("rhe", of_both[0]), ("ekf", of_both[-1])):
+            given = dict(process_noise=baseline) | fields | dict(estimator=estimator)
+            scenarios[name, estimator] = [Scenario(**given, seed=seed) for seed in range(seeds)]
+    runs, found, rows = run_sets.drive(scenarios), {}, []
+    for name in asked:
+        rhe, ekf = runs[name, "rhe"], runs[name, "ekf"]
         found[name] = rhe.assign(advantage_m=rhe.mean_error_true_m - ekf.mean_error_true_m)
-    rows = []
     for name, (words, *_) in asked.items():
         for column, quantity in QUANTITIES.items():
             value = statistics.mean(found[name][column])

@@ -7,6 +7,7 @@ between the unknown and how far the claim is on its side, with the false discove
 over the whole table (`false_discovery_control`).
 """
 
+import itertools
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -16,25 +17,14 @@ import pandas as pd
 from scipy import stats
 
 from rhec import paper
-from rhec.campaigns.campaign import campaign
 from rhec.scenario import Scenario
-from rhec.studies.claims.run_sets import LOOK_AHEAD_M, complete
+from rhec.studies.claims import run_sets
 from rhec.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, always, share, verdict
 
 __all__ = [
-    "CLAIMS",
-    "FIRST_SEED",
-    "UNKNOWNS",
-    "VARIANTS",
-    "Claim",
-    "correlations",
-    "drive",
-    "in_world",
-    "judge",
-    "sample_parameters",
-    "scenario",
-    "summary",
-]
+    "CLAIMS", "FIRST_SEED", "UNKNOWNS", "VARIANTS", "Claim", "correlations", "drive", "in_world",
+    "judge", "sample_parameters", "scenario", "summary"
+]  # fmt: skip
 
 # name: (least, most, on a logarithmic scale); turn_demand: share of the bound on the yaw rate that
 # the headland asks for at the soil's means
@@ -67,7 +57,7 @@ VARIANTS = {
     "ekf_c": (dict(estimator="ekf") | _CALIBRATED, False),
     "q1": (dict(q=paper.Q1) | _CALIBRATED, True),
     "q2": (dict(q=paper.Q2) | _CALIBRATED, True),
-    "q2_look_ahead": (dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _CALIBRATED, True),
+    "q2_look_ahead": (dict(q=paper.Q2, look_ahead_m=run_sets.LOOK_AHEAD_M) | _CALIBRATED, True),
 }
 
 
@@ -99,48 +89,44 @@ def _stays(runs):
 CLAIMS = {  # ids as in the ledger, with the process noise
     "A1 c": Claim(
         "Q¹ settles at least twice as slowly as Q³",
-        lambda runs: _less(2 * runs.rhe_c.settling_time_s, runs.q1.settling_time_s),
+        lambda r: _less(2 * r.rhe_c.settling_time_s, r.q1.settling_time_s),
     ),
     "A2 c": Claim(
-        "Q² overshoots at least twice as far as Q³",
-        lambda runs: _overshoots(runs.q2, runs.rhe_c, 2),
+        "Q² overshoots at least twice as far as Q³", lambda r: _overshoots(r.q2, r.rhe_c, 2)
     ),
     "A5 c": Claim(
         "Look-ahead at least halves the overshoot of Q²",
-        lambda runs: -_overshoots(runs.q2_look_ahead, runs.q2, 0.5),
+        lambda r: -_overshoots(r.q2_look_ahead, r.q2, 0.5),
     ),
-    "B1 p": Claim("RHE arrives and stays", lambda runs: _stays(runs.rhe_p)),
-    "B1 c": Claim("RHE arrives and stays", lambda runs: _stays(runs.rhe_c)),
-    "B2 c": Claim("EKF arrives and stays", lambda runs: _stays(runs.ekf_c)),
+    "B1 p": Claim("RHE arrives and stays", lambda r: _stays(r.rhe_p)),
+    "B1 c": Claim("RHE arrives and stays", lambda r: _stays(r.rhe_c)),
+    "B2 c": Claim("EKF arrives and stays", lambda r: _stays(r.ekf_c)),
     "B5 p": Claim(
         "RHE's mean error is below the EKF's",
-        lambda runs: _less(runs.rhe_p.mean_error_m, runs.ekf_p.mean_error_m),
+        lambda r: _less(r.rhe_p.mean_error_m, r.ekf_p.mean_error_m),
     ),
     "B5 c": Claim(
         "RHE's mean error is below the EKF's",
-        lambda runs: _less(runs.rhe_c.mean_error_m, runs.ekf_c.mean_error_m),
+        lambda r: _less(r.rhe_c.mean_error_m, r.ekf_c.mean_error_m),
     ),
-    "B7 p": Claim("RHE: no violation by raw GNSS", lambda runs: runs.rhe_p.violations == 0),
-    "B7 c": Claim("RHE: no violation by raw GNSS", lambda runs: runs.rhe_c.violations == 0),
-    "B8 c": Claim(
-        "RHE: no violation by true position", lambda runs: runs.rhe_c.violations_true == 0
-    ),
+    "B7 p": Claim("RHE: no violation by raw GNSS", lambda r: r.rhe_p.violations == 0),
+    "B7 c": Claim("RHE: no violation by raw GNSS", lambda r: r.rhe_c.violations == 0),
+    "B8 c": Claim("RHE: no violation by true position", lambda r: r.rhe_c.violations_true == 0),
     "B19 c": Claim(
         "RHC's output reaches its bounds",
-        lambda runs: runs.rhe_c.omega_peak_radps >= paper.OMEGA_MAX_RADPS * (1 - 1e-9),
+        lambda r: r.rhe_c.omega_peak_radps >= paper.OMEGA_MAX_RADPS * (1 - 1e-9),
     ),
-    "C1 c": Claim("RHE's yaw is good to 2°", lambda runs: _less(runs.rhe_c.rms_yaw_rad, 0.035)),
+    "C1 c": Claim("RHE's yaw is good to 2°", lambda r: _less(r.rhe_c.rms_yaw_rad, 0.035)),
     "C2 c": Claim(
-        "RHE's μ is better than a constant",
-        lambda runs: _less(runs.rhe_c.rms_mu, runs.rhe_c.mu_deviation),
+        "RHE's μ is better than a constant", lambda r: _less(r.rhe_c.rms_mu, r.rhe_c.mu_deviation)
     ),
     "C3 c": Claim(
         "RHE's κ is better than a constant",
-        lambda runs: _less(runs.rhe_c.rms_kappa, runs.rhe_c.kappa_deviation),
+        lambda r: _less(r.rhe_c.rms_kappa, r.rhe_c.kappa_deviation),
     ),
     "R2": Claim(
         "Calibrated W tracks better than printed",
-        lambda runs: _less(runs.rhe_c.mean_error_true_m, runs.rhe_p.mean_error_true_m),
+        lambda r: _less(r.rhe_c.mean_error_true_m, r.rhe_p.mean_error_true_m),
     ),
 }
 
@@ -162,27 +148,21 @@ def scenario(world, variant, seed):
     world = dict(world)
     pace_mps = world["mu_mean"] * world["speed_mps"]
     radius_m = pace_mps / (world["kappa_mean"] * paper.OMEGA_MAX_RADPS * world.pop("turn_demand"))
-    length_m = (
-        world["row_length_m"] if first_row else 1.25 * world["row_length_m"] + np.pi * radius_m
-    )
-    return Scenario(
-        headland_radius_m=radius_m, duration_s=length_m / pace_mps, seed=seed, **world, **fields
-    )
+    row_m = world["row_length_m"]
+    length_m = row_m if first_row else 1.25 * row_m + np.pi * radius_m
+    driven = dict(headland_radius_m=radius_m, duration_s=length_m / pace_mps, seed=seed)
+    return Scenario(**driven, **world, **fields)
 
 
 def drive(drawn, seeds):
     """Drive every world: {variant: runs}, `seeds` rows for each world in turn."""
-    scenarios = [
-        scenario(world, variant, FIRST_SEED + seeds * place + k)
-        for variant in VARIANTS
-        for place, world in enumerate(drawn.to_dict("records"))
-        for k in range(seeds)
-    ]
-    table, n = complete(campaign(scenarios)), len(drawn) * seeds
-    return {
-        variant: table.iloc[place * n : (place + 1) * n].reset_index(drop=True)
-        for place, variant in enumerate(VARIANTS)
-    }
+    worlds = [world for world in drawn.to_dict("records") for _ in range(seeds)]
+    return run_sets.drive(
+        {
+            variant: [scenario(world, variant, FIRST_SEED + k) for k, world in enumerate(worlds)]
+            for variant in VARIANTS
+        }
+    )
 
 
 def in_world(values):
@@ -199,24 +179,14 @@ def in_world(values):
 
 
 def judge(runs, n):
-    """Judge every claim in every world.
-
-    Args:
-        runs: {variant: runs} of `drive`.
-        n: number of worlds.
-
-    Returns:
-        DataFrames (n, claims) of verdicts and of how far the claim is on its side.
+    """Judge every claim in every one of n worlds on the runs of `drive`: DataFrames (n, claims) of
+    verdicts and of how far the claim is on its side.
     """
     runs = SimpleNamespace(**runs)
-    found = {
-        id_: [in_world(values) for values in np.asarray(claim.measured(runs)).reshape(n, -1)]
-        for id_, claim in CLAIMS.items()
-    }
-    verdicts, margins = (
-        pd.DataFrame({id_: [pair[place] for pair in pairs] for id_, pairs in found.items()})
-        for place in (0, 1)
-    )
+    verdicts, margins = pd.DataFrame(), pd.DataFrame()
+    for id_, claim in CLAIMS.items():
+        measured = np.asarray(claim.measured(runs)).reshape(n, -1)
+        verdicts[id_], margins[id_] = zip(*map(in_world, measured))
     return verdicts, margins.astype(float)
 
 
@@ -225,12 +195,10 @@ def correlations(drawn, margins):
     which of them count as discoveries.
     """
     rho, p = (pd.DataFrame(np.nan, margins.columns, drawn.columns) for _ in range(2))
-    for claim in margins:
+    for claim, unknown in itertools.product(margins, drawn):
         if np.ptp(margins[claim]) > 0:
-            for unknown in drawn:
-                rho.loc[claim, unknown], p.loc[claim, unknown] = stats.spearmanr(
-                    margins[claim], drawn[unknown]
-                )
+            found = stats.spearmanr(margins[claim], drawn[unknown])
+            rho.loc[claim, unknown], p.loc[claim, unknown] = found
     adjusted = p.to_numpy(copy=True)
     known = ~np.isnan(adjusted)
     adjusted[known] = stats.false_discovery_control(adjusted[known])
@@ -248,19 +216,10 @@ def summary(drawn, verdicts, margins):
         found = rho.loc[id_][discovered.loc[id_]]
         deciding = found.abs().idxmax() if len(found) else ""
         strength = found.get(deciding, np.nan)
-        rows.append(
-            dict(
-                id=id_,
-                claim=claim,
-                holds=holds.value,
-                low=holds.low,
-                high=holds.high,
-                undecided=np.mean(verdicts[id_] == UNDECIDED),
-                fails=np.mean(verdicts[id_] == FAILS),
-                worlds=holds.n,
-                decided_by=deciding,
-                direction="more helps" if strength > 0 else "less helps" if strength < 0 else "",
-                rank_correlation=strength,
-            )
-        )
+        direction = "more helps" if strength > 0 else "less helps" if strength < 0 else ""
+        row = dict(id=id_, claim=claim, holds=holds.value, low=holds.low, high=holds.high)
+        row |= {"undecided": np.mean(verdicts[id_] == UNDECIDED)}
+        row |= {"fails": np.mean(verdicts[id_] == FAILS), "worlds": holds.n}
+        row |= dict(decided_by=deciding, direction=direction, rank_correlation=strength)
+        rows.append(row)
     return pd.DataFrame(rows)

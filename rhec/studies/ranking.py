@@ -5,6 +5,7 @@ Each estimator appears with the process noise W as printed, by likelihood, and b
 (`rhec.studies.calibration`), as far as there is one.
 """
 
+import itertools
 import time
 from typing import NamedTuple
 
@@ -20,17 +21,9 @@ from rhec.studies.statistics import over_seeds, ratio_of_means, verdict
 from rhec.tracked_robot import tuning
 
 __all__ = [
-    "CONTESTANTS",
-    "LEAST_GAIN",
-    "PAPERS",
-    "PROPOSAL",
-    "QUANTITIES",
-    "SIGMA_THETA",
-    "by_pose_noise",
-    "ranking_table",
-    "scenarios",
-    "step_times",
-]
+    "CONTESTANTS", "LEAST_GAIN", "PAPERS", "PROPOSAL", "QUANTITIES", "SIGMA_THETA", "by_pose_noise",
+    "ranking_table", "scenarios", "step_times"
+]  # fmt: skip
 
 # asked of the proposal: so much less true error than the paper's RHE, and no more than so much
 # above an oracle's
@@ -56,7 +49,7 @@ def _with(label, estimator, **fields):
 
 
 def _tracking(label, estimator):
-    sigma_w = calibration.SIGMA_W_TRACKING[estimator]
+    sigma_w = tuning.SIGMA_W_TRACKING[estimator]
     return _with(f"{label}, W by tracking", estimator, sigma_w=sigma_w)
 
 
@@ -84,11 +77,8 @@ _ORACLES = [CONTESTANTS[id_].label for id_ in ("traction_likelihood", "traction_
 
 def scenarios(seeds):
     """(label, Scenario) of every contestant on every seed."""
-    return [
-        (label, Scenario(seed=seed, **fields))
-        for label, fields in CONTESTANTS.values()
-        for seed in seeds
-    ]
+    every = itertools.product(CONTESTANTS.values(), seeds)
+    return [(label, Scenario(seed=seed, **fields)) for (label, fields), seed in every]
 
 
 def by_pose_noise(sigmas_rad, seeds):
@@ -106,30 +96,22 @@ def by_pose_noise(sigmas_rad, seeds):
             stays = settled_samples(run.columns["error_true_m"])
             log = run.log[stays[0] + SETTLING_SAMPLES :] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()
-            rows.append(
-                dict(
-                    sigma_theta_rad=sigma,
-                    seed=seed,
-                    straights_m=errors.get(True, np.nan),
-                    curves_m=errors.get(False, np.nan),
-                    all_m=run.metrics["mean_error_true_m"],
-                    rms_yaw_rad=run.metrics["rms_yaw_rad"],
-                )
-            )
+            straights_m, curves_m = errors.get(True, np.nan), errors.get(False, np.nan)
+            row = dict(sigma_theta_rad=sigma, seed=seed, straights_m=straights_m, curves_m=curves_m)
+            row |= dict(all_m=run.metrics["mean_error_true_m"])
+            rows.append(row | dict(rms_yaw_rad=run.metrics["rms_yaw_rad"]))
     return pd.DataFrame(rows)
 
 
-def step_times(ids, rounds=40, seed=0):
+def step_times(ids, rounds=40):
     """Time of one step [µs] of these contestants on the same measurements, one after the other in
     each round: a DataFrame (rounds, ids) with their labels. Compiled code alone, mean over a run
     of 1200 samples.
     """
-    run = simulate(Scenario(estimator="oracle", seed=seed))
-    calls = {
-        label: calibration.scan_arguments(Scenario(**fields), run, "estimate")
-        for label, fields in (CONTESTANTS[id_] for id_ in ids)
-    }
-    taken = []
+    run = simulate(Scenario(estimator="oracle"))
+    calls, taken = {}, []
+    for label, fields in (CONTESTANTS[id_] for id_ in ids):
+        calls[label] = calibration.scan_arguments(Scenario(**fields), run, "estimate")
     for _ in range(rounds + 1):
         row = {}
         for name, call in calls.items():

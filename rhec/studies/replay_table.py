@@ -1,5 +1,7 @@
 """The scores of a replayed log over noise seeds, as a table."""
 
+import itertools
+
 import numpy as np
 import pandas as pd
 
@@ -26,19 +28,14 @@ _QUANTITIES = dict(
 
 
 def replay_table(trials):
-    """Means of scores over noise seeds.
-
-    Args:
-        trials: {name: rows of `rhec.logs.scores.trials`}.
-
-    Returns:
-        DataFrame with columns estimator, quantity, mean, low, high, n.
+    """Means of scores over noise seeds: a DataFrame with columns estimator, quantity, mean, low,
+    high, n, of {name: rows of `rhec.logs.scores.trials`}.
     """
-    return pd.DataFrame(
-        [
-            dict(estimator=name, quantity=quantity) | over_seeds(np.mean, scores[column])._asdict()
-            for name, scores in trials.items()
-            for column, quantity in _QUANTITIES.items()
-            if column in scores
-        ]
-    )
+    rows = []
+    for (name, scores), (column, quantity) in itertools.product(
+        trials.items(), _QUANTITIES.items()
+    ):
+        if column in scores:
+            interval = over_seeds(np.mean, scores[column])._asdict()
+            rows.append(dict(estimator=name, quantity=quantity) | interval)
+    return pd.DataFrame(rows)

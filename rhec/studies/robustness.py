@@ -19,16 +19,9 @@ from rhec.simulation import simulate
 from rhec.studies.statistics import always, over_seeds
 
 __all__ = [
-    "AFTER_S",
-    "BEFORE_S",
-    "CASES",
-    "FAMILIES",
-    "fault_table",
-    "interval_s",
-    "response",
-    "scenario",
-    "study",
-]
+    "AFTER_S", "BEFORE_S", "CASES", "FAMILIES", "fault_table", "interval_s", "response", "scenario",
+    "study"
+]  # fmt: skip
 
 BEFORE_S, AFTER_S = 10.0, 60.0  # what is looked at around a fault
 _AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""
@@ -39,8 +32,8 @@ _DURATIONS_S, _SIZES_M = (1.0, 3.0, 10.0, 30.0), (0.3, 1.0, 3.0, 10.0)
 _WET = dict(radius_m=3.0, mu=0.9, kappa=0.3)
 
 
-def _fault(**fields):
-    return {"fault": fields}
+def _fault(kind, duration_s=_BURST_S, **fields):
+    return {"fault": dict(fields, kind=kind, duration_s=duration_s)}
 
 
 def _faults(name, unit, values, **fields):
@@ -69,24 +62,24 @@ CASES = {
     "none": {"no fault": {"fault": None}},
     "outage": _faults("duration_s", "s", _DURATIONS_S, kind="missing"),
     "outlier": _faults("size_m", "m", _SIZES_M, kind="outliers", duration_s=paper.DT_S),
-    "burst": _faults("size_m", "m", _SIZES_M, kind="outliers", duration_s=_BURST_S),
-    "jump": _faults("size_m", "m", _SIZES_M, kind="jump", duration_s=_BURST_S),
+    "burst": _faults("size_m", "m", _SIZES_M, kind="outliers"),
+    "jump": _faults("size_m", "m", _SIZES_M, kind="jump"),
     "stuck": _faults("duration_s", "s", _DURATIONS_S, kind="stuck"),
     "latency": _faults("delay_s", "s", (0.1, 0.2, 0.4, 0.6), kind="latency", duration_s=_LONG_S),
     "rate": _faults("rate_hz", "Hz", (2.5, 1.0, 0.5), kind="rate", duration_s=_LONG_S),
     "encoders": {
-        "both missing": _fault(kind="missing", channel="encoders", duration_s=_BURST_S),
-        "both dead": _fault(kind="dead", channel="encoders", duration_s=_BURST_S),
-        "left dead": _fault(kind="dead", channel="left", duration_s=_BURST_S),
-        "right dead": _fault(kind="dead", channel="right", duration_s=_BURST_S),
+        "both missing": _fault("missing", channel="encoders"),
+        "both dead": _fault("dead", channel="encoders"),
+        "left dead": _fault("dead", channel="left"),
+        "right dead": _fault("dead", channel="right"),
     },
     "numbers": {
-        "all NaN": _fault(kind="missing", channel="all", duration_s=_BURST_S),
-        "all Inf": _fault(kind="infinite", channel="all", duration_s=_BURST_S),
+        "all NaN": _fault("missing", channel="all"),
+        "all Inf": _fault("infinite", channel="all"),
     },
     "order": {
-        "time runs backwards": _fault(kind="disorder", channel="all", duration_s=_LONG_S),
-        "duplicates": _fault(kind="duplicates", channel="all", duration_s=_LONG_S),
+        "time runs backwards": _fault("disorder", _LONG_S, channel="all"),
+        "duplicates": _fault("duplicates", _LONG_S, channel="all"),
     },
     "start": {
         "yaw 90° wrong": {"guess_yaw_rad": np.pi / 2},
@@ -96,11 +89,6 @@ CASES = {
     },
     "patch": {"forward": {"patch": _WET}, "backward": {"patch": _WET, "backwards": True}},
 }
-
-
-def _starts_s(n):
-    """When the trouble begins [s] for each of n seeds: spread over the lap."""
-    return np.linspace(_FIRST_S, _LAST_S, n, endpoint=False).tolist()
 
 
 def scenario(case, begin_s, base):
@@ -178,10 +166,11 @@ def study(base, seeds, handling, cases=CASES):
         from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN beyond.
     """
     rows, errors = [], {}
+    begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
     every = [(family, name, how) for family in cases for name in cases[family] for how in handling]
     for family, name, how in every:
         case, curves = cases[family][name], []
-        for seed, begin_s in zip(seeds, _starts_s(len(seeds))):
+        for seed, begin_s in zip(seeds, begins_s):
             troubled = scenario(case, begin_s, replace(base, seed=seed, **handling[how]))
             run = simulate(troubled)
             begin_s, end_s = interval_s(run, case, begin_s)
@@ -210,12 +199,8 @@ def fault_table(table, aim_s=_AIM_S):
         row = dict(family=FAMILIES[family], case=case, handling=handling, n=len(runs))
         for name in ("max_during_m", "max_after_m", "recovery_s"):
             found = over_seeds(np.mean, runs[name])
-            row |= {
-                name: found.mean,
-                f"{name}_low": found.low,
-                f"{name}_high": found.high,
-                f"{name}_largest": runs[name].max(),
-            }
+            row |= {name: found.mean, f"{name}_low": found.low, f"{name}_high": found.high}
+            row[f"{name}_largest"] = runs[name].max()
         aim = aim_s.get(family, aim_s[""])
         row |= dict(back=runs["recovery_s"].count(), in_bounds=runs["in_bounds"].sum(), aim_s=aim)
         rows.append(row | dict(verdict=always(runs["recovery_s"] <= aim).verdict))

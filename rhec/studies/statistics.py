@@ -12,34 +12,17 @@ import numpy as np
 from scipy import stats
 
 __all__ = [
-    "CONFIDENCE",
-    "FAILS",
-    "HOLDS",
-    "UNDECIDED",
-    "UNTESTABLE",
-    "Finding",
-    "Interval",
-    "always",
-    "combined",
-    "difference",
-    "difference_of_means",
-    "equal",
-    "mean",
-    "over_seeds",
-    "possible",
-    "ratio",
-    "ratio_of_means",
-    "reported",
-    "root_of_mean",
-    "share",
-    "verdict",
-]
+    "CONFIDENCE", "FAILS", "HOLDS", "UNDECIDED", "UNTESTABLE", "Finding", "Interval", "always",
+    "combined", "difference", "difference_of_means", "equal", "mean", "over_seeds", "possible",
+    "ratio", "ratio_of_means", "reported", "root_of_mean", "share", "verdict"
+]  # fmt: skip
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 UNTESTABLE = "cannot be tested in simulation"
 CONFIDENCE = 0.95
 _RESAMPLES = {"BCa": 2_000, "percentile": 10_000}
 _MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
+_RARE = 0.01
 
 
 class Interval(NamedTuple):
@@ -66,15 +49,8 @@ class Finding(NamedTuple):
 
 
 def verdict(low, high, above=-np.inf, below=np.inf):
-    """Judge an interval that should lie between two bounds.
-
-    Args:
-        low, high: the interval's ends; NaN where there is none.
-        above, below: the bounds, themselves not included.
-
-    Returns:
-        HOLDS if the whole interval lies between the bounds, FAILS if none of it does, else
-        UNDECIDED.
+    """HOLDS if the whole interval from `low` to `high` lies between the bounds, themselves not
+    included, FAILS if none of it does, else UNDECIDED, also where there is none (NaN).
     """
     if np.isnan(low) or np.isnan(high):
         return UNDECIDED
@@ -94,16 +70,9 @@ def _bootstrap(statistic, samples, method):
         return value, np.nan, np.nan
     if all(np.ptp(sample) == 0 for sample in samples):  # BCa would divide by the spread
         return value, value, value
-    resampled = stats.bootstrap(
-        samples,
-        statistic,
-        paired=True,
-        vectorized=True,
-        n_resamples=_RESAMPLES[method],
-        confidence_level=CONFIDENCE,
-        method=method,
-        rng=np.random.default_rng(0),
-    )
+    options = dict(paired=True, vectorized=True, confidence_level=CONFIDENCE, method=method)
+    options |= dict(n_resamples=_RESAMPLES[method], rng=np.random.default_rng(0))
+    resampled = stats.bootstrap(samples, statistic, **options)
     low, high = (
         resampled.confidence_interval
         if method == "BCa"
@@ -167,9 +136,7 @@ def _checked(*samples):
     if len(set(lengths)) > 1:
         raise ValueError(f"samples had lengths {lengths}; paired samples should have one")
     if any(np.isnan(sample).any() for sample in samples):
-        raise ValueError(
-            "samples had missing values; a claim should say what they mean before it is judged"
-        )
+        raise ValueError("samples had missing values; a claim should say first what they mean")
     return samples
 
 
@@ -196,27 +163,24 @@ def share(flags, above=-np.inf, below=np.inf):
     if n:
         value = flags.mean()
         low, high = stats.binomtest(int(flags.sum()), n).proportion_ci(CONFIDENCE, method="exact")
-    return Finding(
-        float(value), float(low), float(high), n, verdict(low, high, above, below), above, below
-    )
+    said = verdict(low, high, above, below)
+    return Finding(float(value), float(low), float(high), n, said, above, below)
 
 
 def always(flags):
     """An exact property: true in every case. One exception refutes it."""
     found = share(flags)
-    return found._replace(
-        verdict=UNDECIDED if found.n == 0 else HOLDS if found.value == 1 else FAILS, above=1.0
-    )
+    said = UNDECIDED if found.n == 0 else HOLDS if found.value == 1 else FAILS
+    return found._replace(verdict=said, above=1.0)
 
 
-def possible(flags, rare=0.01):
+def possible(flags):
     """What "might" happen: seen at least once. Not seen, it does not hold once so many cases were
-    tried that its share must be below `rare`.
+    tried that its share must be below 1 %.
     """
     found = share(flags)
-    return found._replace(
-        verdict=HOLDS if found.value > 0 else FAILS if found.high < rare else UNDECIDED, above=0.0
-    )
+    said = HOLDS if found.value > 0 else FAILS if found.high < _RARE else UNDECIDED
+    return found._replace(verdict=said, above=0.0)
 
 
 def reported(values, paper):
@@ -225,10 +189,8 @@ def reported(values, paper):
 
     The interval is that of single runs, not of their mean; fewer than 40 runs cannot have one.
     """
-    found = mean(values)
-    if found.n < _MIN_SINGLE_RUNS:
-        low, high, said = np.nan, np.nan, UNDECIDED
-    else:
+    found, low, high, said = mean(values), np.nan, np.nan, UNDECIDED
+    if found.n >= _MIN_SINGLE_RUNS:
         low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
         said = HOLDS if low <= paper <= high else FAILS
     return Finding(found.value, float(low), float(high), found.n, said, paper, paper)

@@ -57,27 +57,15 @@ def table(taken):
     order, beside the paper's numbers.
     """
     rows = []
-    for problem in ("RHE", "RHC"):
-        times = {
-            phase: taken[:, COLUMNS.index((problem, phase))]
-            for phase in ("preparation", "feedback")
-        }
-        for phase, values in (times | dict(overall=sum(times.values()))).items():
-            minimum, average, maximum = (1e3 * value for value in paper.TABLE_1_MS[problem, phase])
-            rows.append(
-                dict(
-                    problem=problem,
-                    phase=phase,
-                    minimum_us=values.min(),
-                    average_us=values.mean(),
-                    median_us=np.median(values),
-                    maximum_us=values.max(),
-                    paper_minimum_us=minimum,
-                    paper_average_us=average,
-                    paper_maximum_us=maximum,
-                )
-            )
-    return pd.DataFrame(rows)
+    for problem, (preparation, feedback) in {"RHE": taken.T[:2], "RHC": taken.T[2:]}.items():
+        times = dict(preparation=preparation, feedback=feedback, overall=preparation + feedback)
+        for phase, values in times.items():
+            ours = values.min(), values.mean(), np.median(values), values.max()
+            papers = (1e3 * value for value in paper.TABLE_1_MS[problem, phase])
+            rows.append((problem, phase, *ours, *papers))
+    columns = "problem phase minimum_us average_us median_us maximum_us".split()
+    papers_columns = "paper_minimum_us paper_average_us paper_maximum_us".split()
+    return pd.DataFrame(rows, columns=columns + papers_columns)
 
 
 def machine():

@@ -1,3 +1,3 @@
-"""The paper's claims as data, the runs that test them, and the verdicts: `ledger` says what,
-`evidence` on which runs, `rules` by what rule.
+"""The paper's claims as data, the runs that test them, and the verdicts: `ledger` judges,
+`run_sets` and `experiments` make the evidence.
 """

@@ -35,17 +35,9 @@ from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
-    "all_of",
-    "gains",
-    "iterations",
-    "kkt_tolerances",
-    "live",
-    "models",
-    "reached_s",
-    "run_with_given_arrival",
-    "times",
-    "with_given_arrival",
-]
+    "all_of", "gains", "iterations", "kkt_tolerances", "live", "models", "reached_s",
+    "run_with_given_arrival", "times", "with_given_arrival"
+]  # fmt: skip
 
 
 # The arrival cost
@@ -118,11 +110,8 @@ def _arrival_costs(process_noise, seeds):
                 estimates, _ = run_with_given_arrival(steps, log, process_noise, factor * typical)
             error = estimates[:, 5] - log["kappa"].to_numpy()
             yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
-            row |= {
-                f"step_{name}": rms(np.diff(estimates[:, 5])),
-                f"reached_s_{name}": reached_s(error),
-                f"lost_{name}": np.abs(yaw).max() > 0.5,
-            }
+            row[f"step_{name}"] = rms(np.diff(estimates[:, 5]))
+            row |= {f"reached_s_{name}": reached_s(error), f"lost_{name}": np.abs(yaw).max() > 0.5}
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -158,11 +147,10 @@ def live(scenario, iterations):
         problem = estimate.pose, estimate.p, *tracker.references(estimate, z[3])
         referenced = time.perf_counter()
         controller.prepare()
-        command = (
-            controller.feedback(*problem)
-            if iterations == 1
-            else controller.solve(*problem, iterations)
-        )
+        if iterations == 1:
+            command = controller.feedback(*problem)
+        else:
+            command = controller.solve(*problem, iterations)
         taken.append(time.perf_counter() - referenced + estimated - begin)
         exact.prepare()
         converged = exact.solve(*problem)
@@ -187,40 +175,29 @@ def iterations(process_noise, seeds, duration_s=80.0, many=10):
         one_m, one_s, warm, cold = live(scenario, 1)
         many_m, many_s, _, _ = live(scenario, many)
         settled = slice(round(SETTLED_S / paper.DT_S), None)
-        rows.append(
-            dict(
-                error_one_m=one_m[settled].mean(),
-                error_many_m=many_m[settled].mean(),
-                one_us=1e6 * np.median(one_s),
-                many_us=1e6 * np.median(many_s),
-                rms_warm=rms(warm[settled]),
-                rms_cold=rms(cold[settled]),
-            )
-        )
+        row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
+        row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
+        rows.append(row | dict(rms_warm=rms(warm[settled]), rms_cold=rms(cold[settled])))
     return pd.DataFrame(rows)
 
 
 # Exact properties of the problems
 
 
-def _straight_ahead(speed_mps, traction, horizon=paper.HORIZON):
+def _straight_ahead(speed_mps, traction):
     """References of an RHC on the x axis: (xi_ref (3, N+1), omega_ref (N,)), desired points one
     sample apart.
     """
-    xi_ref = np.zeros((3, horizon + 1))
-    xi_ref[0] = paper.DT_S * speed_mps * traction * np.arange(horizon + 1)
-    return xi_ref, np.zeros(horizon)
+    xi_ref = np.zeros((3, paper.HORIZON + 1))
+    xi_ref[0] = paper.DT_S * speed_mps * traction * np.arange(paper.HORIZON + 1)
+    return xi_ref, np.zeros(paper.HORIZON)
 
 
-def _draw_states(n, seed=0):
+def _draw_states(n):
     """n random speeds [m/s], tractions μ, κ and offsets to the left of a straight path [m]."""
-    rng = np.random.default_rng(seed)
-    return zip(
-        rng.uniform(0.2, 0.7, n),
-        rng.uniform(0.6, 1.0, n),
-        rng.uniform(0.5, 1.0, n),
-        rng.uniform(-0.3, 0.3, n),
-    )
+    rng = np.random.default_rng(0)
+    ranges = (0.2, 0.7), (0.6, 1.0), (0.5, 1.0), (-0.3, 0.3)
+    return zip(*(rng.uniform(least, most, n) for least, most in ranges))
 
 
 def kkt_tolerances(n=100):
@@ -232,25 +209,23 @@ def kkt_tolerances(n=100):
     """
     rows = []
     for speed, mu, kappa, offset in _draw_states(n):
-        state, references = (0.0, offset, offset), _straight_ahead(speed, mu)
-        row = {}
+        problem, row = ((0.0, offset, offset), (speed, mu, kappa), *_straight_ahead(speed, mu)), {}
         for name, q in {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}.items():
             for place, count in {"reported": 1, "after the step": 2}.items():
                 controller = RHC(q=q)
-                controller.solve(state, (speed, mu, kappa), *references, count)
+                controller.solve(*problem, count)
                 row[f"{name}_{place}"] = controller.kkt
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def gains(n=100, offset_m=1e-4):
+def gains(n=100):
     """How strongly the converged RHC answers a small offset from a straight path, |∂ω/∂y|
     [rad/s/m], with R = 10 and with a hundredth of it.
     """
-    rows = []
+    rows, weights, offset_m = [], {"large_r": paper.R, "small_r": paper.R / 100}, 1e-4
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
-        weights = {"large_r": paper.R, "small_r": paper.R / 100}
         rows.append({name: abs(RHC(r=r).solve(*problem)) / offset_m for name, r in weights.items()})
     return pd.DataFrame(rows)
 
@@ -286,11 +261,9 @@ def all_of(seeds):
     """
     independent = dict(kkt=kkt_tolerances(), gains=gains(), models=models())
     independent |= {f"times_{qp}": times(qp) for qp in ("daqp", "structured")}
-    return {
-        process_noise: independent
-        | dict(
-            arrival_cost=_arrival_costs(process_noise, max(2, seeds // 10)),
-            iterations=iterations(process_noise, max(2, seeds // 100)),
-        )
-        for process_noise in PROCESS_NOISES
-    }
+    found = {}
+    for process_noise in PROCESS_NOISES:
+        arrival_cost = _arrival_costs(process_noise, max(2, seeds // 10))
+        repeated = iterations(process_noise, max(2, seeds // 100))
+        found[process_noise] = independent | dict(arrival_cost=arrival_cost, iterations=repeated)
+    return found

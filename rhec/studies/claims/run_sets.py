@@ -21,25 +21,15 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
 __all__ = [
-    "LOGS",
-    "LOOK_AHEAD_M",
-    "PROCESS_NOISES",
-    "RUNS",
-    "complete",
-    "lag_s",
-    "logs",
-    "measured",
-    "runs",
-    "scenarios",
-]
+    "LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "complete", "drive", "lag_s", "logs",
+    "measured", "runs", "scenarios"
+]  # fmt: skip
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
 _MU, _KAPPA = 0.9, 0.8  # the default soil's means, as constants
 _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
-_UNCERTAIN = dict(
-    kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4
-)
+_UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
 _ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
 _CONSTANT = dict(terrain=Terrain.uniform(_MU, _KAPPA))
 _UNDISTURBED = dict(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, bump_sigma_radps=0.0)
@@ -51,12 +41,10 @@ def _ekf_noise(process_noise):
 
 def _traction_noise_times(factor):
     """The RHE's W with the standard deviations of μ and κ times `factor`."""
-
-    def sigma_w(process_noise):
-        *pose_and_speed, mu, kappa = tuning.SIGMA_W["rhe"][process_noise]
-        return *pose_and_speed, factor * mu, factor * kappa
-
-    return sigma_w
+    factors = (1, 1, 1, 1, factor, factor)
+    return lambda process_noise: tuple(
+        np.multiply(factors, tuning.SIGMA_W["rhe"][process_noise]).tolist()
+    )
 
 
 def _dead_reckoning(process_noise):
@@ -86,8 +74,8 @@ RUNS = {
     "fixed_traction": (_FIXED, 0.08),
     "rhe_constant": (_CONSTANT, 0.2),
     "fixed_traction_constant": (_CONSTANT | _FIXED, 0.2),
-    "rhe_uncertain": (_UNCERTAIN, 0.08),
-    "ekf_uncertain": (_UNCERTAIN | dict(estimator="ekf"), 0.08),
+    "rhe_uncertain": (_UNSURE, 0.08),
+    "ekf_uncertain": (_UNSURE | dict(estimator="ekf"), 0.08),
     "dead_reckoning": (dict(estimator=_dead_reckoning), 0.2),
 }
 LOGS = {
@@ -105,35 +93,30 @@ LOGS = {
 
 def scenarios(fields, process_noise, seeds):
     """The scenarios of an id: its fields under a process noise, one a seed, at least two."""
-    fields = {
-        name: value(process_noise) if callable(value) else value for name, value in fields.items()
-    }
-    return [
-        Scenario(process_noise=process_noise, seed=seed, **fields)
-        for seed in range(max(2, round(seeds)))
-    ]
+    given = {name: of(process_noise) if callable(of) else of for name, of in fields.items()}
+    given["process_noise"] = process_noise
+    return [Scenario(seed=seed, **given) for seed in range(max(2, round(seeds)))]
 
 
 def runs(seeds):
-    """Metrics of RUNS, made as one campaign.
-
-    Args:
-        seeds: the largest number of fields.
-
-    Returns:
-        {process noise: {id: DataFrame, one row a seed}}.
+    """Metrics of RUNS, {process noise: {id: DataFrame, one row a seed}}; `seeds` is the largest
+    number of fields.
     """
-    asked = {
-        (process_noise, id_): scenarios(fields, process_noise, share * seeds)
-        for process_noise in PROCESS_NOISES
-        for id_, (fields, share) in RUNS.items()
-    }
+    found = drive(
+        {
+            (process_noise, id_): scenarios(fields, process_noise, share * seeds)
+            for process_noise in PROCESS_NOISES
+            for id_, (fields, share) in RUNS.items()
+        }
+    )
+    return {noise: {id_: found[noise, id_] for id_ in RUNS} for noise in PROCESS_NOISES}
+
+
+def drive(asked):
+    """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
     table = complete(campaign([scenario for each in asked.values() for scenario in each]))
-    found, end = {process_noise: {} for process_noise in PROCESS_NOISES}, 0
-    for (process_noise, id_), each in asked.items():
-        begin, end = end, end + len(each)
-        found[process_noise][id_] = table.iloc[begin:end].reset_index(drop=True)
-    return found
+    rows = np.split(np.arange(len(table)), np.cumsum([len(each) for each in asked.values()])[:-1])
+    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(asked, rows)}
 
 
 def complete(table):
@@ -150,17 +133,12 @@ def complete(table):
 
 def logs(seeds):
     """Metrics of LOGS and what is `measured` beside them, as `runs` returns them."""
-
-    def table(fields, process_noise, share):
-        asked = scenarios(fields, process_noise, share * seeds)
-        return pd.DataFrame([measured(simulate(scenario)) for scenario in asked])
-
-    return {
-        process_noise: {
-            id_: table(fields, process_noise, share) for id_, (fields, share) in LOGS.items()
-        }
-        for process_noise in PROCESS_NOISES
-    }
+    found = {process_noise: {} for process_noise in PROCESS_NOISES}
+    for process_noise, tables in found.items():
+        for id_, (fields, share) in LOGS.items():
+            asked = scenarios(fields, process_noise, share * seeds)
+            tables[id_] = pd.DataFrame([measured(simulate(scenario)) for scenario in asked])
+    return found
 
 
 def measured(run):
@@ -170,7 +148,7 @@ def measured(run):
     settling_time_s = run.metrics["settling_time_s"] if arrived else scenario.duration_s
     driving, late = c.t_s >= 5.0, c.t_s >= scenario.duration_s / 2  # speed loops start for 5 s
     before, after = c.t_s <= settling_time_s, c.t_s >= settling_time_s
-    both = np.concatenate([c.mu_hat, c.kappa_hat])
+    both, peak_radps = np.concatenate([c.mu_hat, c.kappa_hat]), np.abs(c.omega_cmd_radps).max()
     _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
     poses, curvature = run.path.poses(s)
     x_m, y_m, theta_rad = poses.T
@@ -193,10 +171,8 @@ def measured(run):
         rms_nu_hat_mps=rms((c.nu_hat_mps - c.nu_mps)[driving]),
         rms_nu_meas_mps=rms((c.nu_meas_mps - c.nu_mps)[driving]),
         rms_yaw_rate_radps=rms(c.omega_radps[1:] - c.omega_cmd_radps[:-1]),
-        reaches_bound=bool(
-            np.abs(c.omega_cmd_radps).max() >= scenario.omega_max_radps * (1 - 1e-9)
-        ),
-        within_bound=bool(np.all(np.abs(c.omega_cmd_radps) <= scenario.omega_max_radps)),
+        reaches_bound=bool(peak_radps >= scenario.omega_max_radps * (1 - 1e-9)),
+        within_bound=bool(peak_radps <= scenario.omega_max_radps),
         kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= settling_time_s),
         kkt_rhc_before=np.median(c.kkt_rhc[before]),
         kkt_rhc_after=np.median(c.kkt_rhc[after]) if after.any() else np.median(c.kkt_rhc),
