@@ -7,30 +7,18 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rhec.plots.style import (
-    BLACK,
-    BLUE,
-    DOUBLE_IN,
-    FOLDER,
-    GREEN,
-    GREY,
-    ORANGE,
-    VERMILLION,
-    as_comments,
-    provenance,
-    styled,
-)
+from rhec.plots import style
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 
 __all__ = ["save_ledger", "verdicts"]
 
 _PARTLY = "holds under one"
 _LOOKS = {
-    HOLDS: (GREEN, "✓"),
-    _PARTLY: (BLUE, "±"),
-    FAILS: (VERMILLION, "×"),
-    UNDECIDED: (ORANGE, "?"),
-    UNTESTABLE: (GREY, "–"),
+    HOLDS: (style.GREEN, "✓"),
+    _PARTLY: (style.BLUE, "±"),
+    FAILS: (style.VERMILLION, "×"),
+    UNDECIDED: (style.ORANGE, "?"),
+    UNTESTABLE: (style.GREY, "–"),
 }
 _MEANINGS = {_PARTLY: "holds under one process noise only", UNTESTABLE: "cannot be tested here"}
 # in print; the CSV has everything
@@ -52,7 +40,7 @@ def _number(value):
     return "" if np.isnan(value) else f"{value:.3g}"
 
 
-def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
+def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
     """Write the ledger as CSV (all columns), LaTeX (a longtable) and Markdown.
 
     Args:
@@ -64,7 +52,7 @@ def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
         The CSV's path. The LaTeX needs the packages booktabs and longtable.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    about, csv = provenance(name, None, notebook), Path(folder) / f"{name}.csv"
+    about, csv = style.provenance(name, None, notebook), Path(folder) / f"{name}.csv"
     table.to_csv(csv, index=False)
     numbers = ("paper", "value", "low", "high")
     words = table[_PRINTED].assign(**{column: table[column].map(_number) for column in numbers})
@@ -76,7 +64,7 @@ def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
         label=f"tab:{name}",
         column_format="lp{0.34\\linewidth}llllllp{0.14\\linewidth}",
     )
-    csv.with_suffix(".tex").write_text(as_comments(about) + latex, encoding="utf-8")
+    csv.with_suffix(".tex").write_text(style.as_comments(about) + latex, encoding="utf-8")
     rows = [words.columns, ["---"] * len(words.columns), *words.astype(str).to_numpy()]
     cells = [[str(entry).replace("|", "\\|") for entry in row] for row in rows]
     lines = [f"<!-- {about['Creator']} -->", *(f"| {' | '.join(row)} |" for row in cells), ""]
@@ -129,7 +117,7 @@ def _draw_intervals(axes, place, row, colour):
             axes.plot(value, y, "o", color=colour, **look)
 
 
-@styled
+@style.styled
 def verdicts(table):
     """The ledger at a glance: each claim with its verdict, the paper's number, ours with its
     interval, and the intervals of both conditions against the bound.
@@ -141,11 +129,11 @@ def verdicts(table):
     """
     rows, centred = len(table), dict(va="center_baseline")
     height_in = 0.75 + _ROW_IN * rows
-    figure = plt.figure(figsize=(DOUBLE_IN, height_in), layout="none")
+    figure = plt.figure(figsize=(style.DOUBLE_IN, height_in), layout="none")
     axes = figure.add_axes((0.003, 0.002, 0.994, 0.996))
     axes.set(xlim=(0, 100), ylim=(rows - 0.4, rows - 0.4 - height_in / _ROW_IN))
     axes.axis("off")
-    axes.plot([_BOUND, _BOUND], [-0.5, rows - 0.5], color=BLACK, linewidth=0.6)
+    axes.plot([_BOUND, _BOUND], [-0.5, rows - 0.5], color=style.BLACK, linewidth=0.6)
     section = None
     for place, row in enumerate(table.itertuples()):
         if row.section != section:

@@ -32,8 +32,7 @@ def nees_over_time(measured):
         axes.semilogy(of_one.t_s, of_one.nees.mean(axis=0) / degrees, color=colour, linewidth=0.6)
         (_, values, _), *_ = consistency.normalised(of_one)
         inside = consistency.share_inside(values, degrees)
-        axes.set_title(f"{name}: {100 * inside:.0f} % inside")
-        axes.set_xlim(0, of_one.t_s[-1])
+        axes.set(title=f"{name}: {100 * inside:.0f} % inside", xlim=(0, of_one.t_s[-1]))
         log_axis(axes.yaxis)
     for axes in panels.flat[len(measured) :]:
         axes.set_visible(False)
