@@ -27,8 +27,7 @@ def _draw_errors(axes, error, handling, before_s):
 
 @styled
 def fault_family(family, table, errors, before_s):
-    """True error over the time since the fault began, a panel for each case of a family: median
-    over seeds, and the band of all seeds.
+    """True error since the fault began, a panel a case: median and band of all seeds.
 
     Shaded: while the fault lasts (the median, if that differs by seed). Dashed: 0.12 m. The title
     says how many seeds recovered, and when the last of them did.

@@ -1,5 +1,8 @@
 """The audit of interpretations: why the printed W loses the EKF's yaw and makes κ chatter, how the
 calibrated W was found, and how far each interpretation moves the results.
+
+`sweep` and `runs` are as `rhec.studies.interpretations.swept` returns them, `printed` and
+`calibrated` the two values of the standard deviation that is swept.
 """
 
 import matplotlib.pyplot as plt
@@ -41,13 +44,10 @@ def _means(axes, sweep, column, label, colour, marker):
 
 @styled
 def ekf_yaw(analysis, sweep, runs, printed, calibrated):
-    """Why the EKF loses its yaw: steady gains, the yaw's uncertainty, and the yaw error over time,
-    by the position's process noise σ_x.
+    """Why the EKF loses its yaw: gains, uncertainty and error, by the position's process noise σ_x.
 
     Args:
         analysis: as `rhec.studies.interpretations.ekf_on_a_straight` returns it.
-        sweep, runs: as `rhec.studies.interpretations.swept` returns them.
-        printed, calibrated: the two values of σ_x [m].
     """
     figure, (gains, yaw, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     sigma_x_m = analysis["sigma_x_m"]
@@ -78,8 +78,6 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
 
     Args:
         analysis: DataFrame with sigma_kappa, straight, curve: the RHE's own standard deviations.
-        sweep, runs: as `rhec.studies.interpretations.swept` returns them.
-        printed, calibrated: the two values of σ_κ [-].
     """
     figure, (known, found, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     for part, colour in (("straight", VERMILLION), ("curve", BLUE)):
@@ -128,8 +126,7 @@ def likelihood(profiles):
 
 @styled
 def forest(table, baseline):
-    """How far each interpretation moves the results: differences from the baseline with their 95 %
-    intervals, a panel a quantity, a row an interpretation.
+    """Differences of each interpretation from the baseline, with 95 % intervals, by quantity.
 
     Coloured where the interval excludes 0: more in vermillion, less in blue.
 

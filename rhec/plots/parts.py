@@ -1,6 +1,4 @@
-"""Parts that several figures share: panels, tolerance and bounds, seeds with their interval, shaded
-times, legends, logarithmic axes.
-"""
+"""Parts that several figures share: panels, bounds, seeds with their interval, legends, axes."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,7 +8,7 @@ from rhec.plots.style import BLACK, COLOURS, DOUBLE_IN
 from rhec.studies.statistics import over_seeds
 
 __all__ = ["BOUND", "DOTS", "TOLERANCE", "legend_above", "legend_outside", "log_axis", "note"]
-__all__ += ["panels_beside", "seed_range", "shade", "strip", "vertical_interval"]
+__all__ += ["panels_beside", "seed_range", "shade", "strip", "time_axis", "vertical_interval"]
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
@@ -37,10 +35,7 @@ def vertical_interval(axes, x, estimate, **look):
 
 
 def strip(axes, places, values, **look):
-    """Dots for seeds from the first place to the second, their mean and interval at the third.
-
-    Returns the mean with its interval.
-    """
+    """Draw seeds as dots between two places, and at the third their mean Interval; return that."""
     first, last, middle = places
     axes.plot(np.linspace(first, last, len(values)), values, **DOTS, **look)
     estimate = over_seeds(np.mean, values)
@@ -61,11 +56,16 @@ def shade(axes, t_s, where):
     axes.fill_between(t_s, 0, 1, where=where, transform=axes.get_xaxis_transform(), **look)
 
 
-def legend_above(axes, handles_of=None, **look):
-    """A legend in one line above the axes, to the right, clear of the title and of the data.
+def time_axis(panels, t_s, where, shaded):
+    """Time along the last of the panels; shade in all of them where a condition holds."""
+    for axes in panels:
+        shade(axes, t_s, where)
+        axes.grid(axis="x", visible=False)
+    panels[-1].set(xlabel=f"time [s]  (shaded: {shaded})", xlim=(t_s.min(), t_s.max()))
 
-    handles_of: the axes whose entries it shows, if other ones.
-    """
+
+def legend_above(axes, handles_of=None, **look):
+    """A legend in one line above the axes, to the right; of other axes' entries, if given."""
     entries = (handles_of or axes).get_legend_handles_labels()
     place = dict(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
     axes.legend(*entries, **place | dict(ncols=len(entries[0])) | look)

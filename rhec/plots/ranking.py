@@ -21,10 +21,9 @@ _OFF_SCALE = 1.8  # times the paper's RHE: what is worse is drawn as an arrow at
 
 @style.styled
 def ranked(sweep):
-    """Mean true error of every contestant, each seed a dot, mean and 95 % interval; and its ratio
-    to that of the paper's RHE at equal seeds.
+    """True error of every contestant, and its ratio to the paper's RHE at equal seeds.
 
-    Dashed: the gain asked of the proposal. An arrow at the edge: off the scale.
+    Dots: seeds. Dashed: the gain asked of the proposal. An arrow at the edge: off the scale.
 
     Args:
         sweep: as in `rhec.studies.ranking.ranking_table`.
@@ -67,8 +66,7 @@ def ranked(sweep):
 
 @style.styled
 def pose_noise(rows):
-    """True errors on straights and in curves, and RMS error of the yaw, over the process noise σ_θ
-    of the proposal's pose filter.
+    """True errors and RMS error of the yaw over the process noise σ_θ of the proposal's pose filter.
 
     A ring marks the least of each curve, the dotted line the proposal's σ_θ; bands are 95 %
     intervals over seeds.

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec.logs import scores
-from rhec.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, shade, strip
+from rhec.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, strip, time_axis
 from rhec.plots.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPLE, ROOT, styled
 
 __all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
@@ -24,9 +24,7 @@ _STRAIGHT_RADPS, _SMOOTH = 0.05, 11
 
 
 def replay_folder(file):
-    """The folder for the pictures of a log: that of all figures for a log of this project's data,
-    else one in build/replay/ under the letters and digits of its name.
-    """
+    """The folder for a log's pictures: FOLDER for one in data/, else build/replay/ and its name."""
     file = Path(file).resolve()
     if file.is_relative_to(ROOT / "data"):
         return FOLDER
@@ -52,12 +50,8 @@ def _time_axis(axes, samples):
     """Time along the last of the axes; straight driving and standing shaded in all."""
     turning = samples["omega_meas_radps"].abs().rolling(_SMOOTH, center=True, min_periods=1)
     straight = (turning.median() < _STRAIGHT_RADPS) & (samples["segment"].diff(-1) == 0)
-    for each in axes:
-        shade(each, samples["t_s"], straight)
-        each.grid(axis="x", visible=False)
     shaded = f"straight or standing, the tracks turn by less than {_STRAIGHT_RADPS} rad/s"
-    limits = samples["t_s"].min(), samples["t_s"].max()
-    axes[-1].set(xlabel=f"time [s]  (shaded: {shaded})", xlim=limits)
+    time_axis(axes, samples["t_s"], straight, shaded)
 
 
 @styled
@@ -98,9 +92,7 @@ def replay_log(samples, title):
 
 @styled
 def replay_yaw(replays):
-    """Error of the estimated yaw over time, a row an estimator, with the band of two standard
-    deviations that the estimator states; the estimated yaw itself where the log has no true one.
-    """
+    """Error of the estimated yaw with its own two standard deviations; without truth, the yaw."""
     figure, panels = _rows(len(replays), 1.2, sharey=False)
     for axes, (name, samples) in zip(panels, replays.items()):
         known = "theta_rad" in samples
@@ -185,9 +177,7 @@ def replay_uncertainty(samples, name):
 
 @styled
 def replay_innovations(replays):
-    """Distance of each measured position from the predicted one over time, a row an estimator, on a
-    logarithmic scale.
-    """
+    """Distance of each measured position from the predicted one over time, a row an estimator."""
     figure, panels = _rows(len(replays), 1.0, sharey=True)
     for axes, (name, samples) in zip(panels, replays.items()):
         length = np.hypot(samples["innovation_x_m"], samples["innovation_y_m"])
@@ -201,8 +191,7 @@ def replay_innovations(replays):
 
 @styled
 def replay_trials(trials):
-    """RMS error of the yaw of each estimator over noise seeds: every seed a dot, mean and 95 %
-    interval beside them.
+    """RMS error of the yaw of each estimator: every noise seed a dot, mean and 95 % interval.
 
     Args:
         trials: {estimator: rows of `rhec.logs.scores.perturbed_scores`}.

@@ -22,12 +22,11 @@ __all__ += ["violations", "weight_sweep", "yaw_rate"]
 # dark where it slips, grey so that trajectories stand out
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
-_DASHED = (0, (3, 1.5))
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _LINES = {
     "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
     "Q2": dict(color=COLOURS["Q2"], label="$Q^2$"),
-    "Q2, look-ahead": dict(color=COLOURS["Q2"], label="$Q^2$, look-ahead", linestyle=_DASHED),
+    "Q2, look-ahead": dict(color=COLOURS["Q2"], label="$Q^2$, look-ahead", dashes=(3, 1.5)),
     "Q3": dict(color=COLOURS["Q3"], label="$Q^3$"),
     "RHE": dict(color=COLOURS["RHE"], label="RHE"),
     "EKF": dict(color=COLOURS["EKF"], label="EKF"),
@@ -41,11 +40,7 @@ def _about(run):
 
 def _time_axis(axes, log):
     """Time along the last of the axes, the curved parts of the path shaded in all."""
-    for each in axes:
-        parts.shade(each, log["t_s"], ~log["on_straight"])
-        each.grid(axis="x", visible=False)
-    limits = log["t_s"].iloc[[0, -1]]
-    axes[-1].set(xlabel="time [s]  (shaded: curved parts of the path)", xlim=limits)
+    parts.time_axis(axes, log["t_s"], ~log["on_straight"], "curved parts of the path")
 
 
 def _field(axes, terrain, values):
@@ -63,9 +58,6 @@ def _reference(axes, path, up_to_m=None):
     """The reference trajectory from the start of the path to an arc length [m], else to its end."""
     poses, _ = path.poses(np.arange(0, (up_to_m or path.length_m) + 0.05, 0.1))
     axes.plot(*poses[:, :2].T, **parts.BOUND | dict(linewidth=0.8, label="reference"))
-
-
-# Scenario A
 
 
 def _first_row(run):
@@ -117,9 +109,8 @@ def weight_sweep(sweep):
     """
     figure, both = plt.subplots(2, figsize=(COLUMN_IN, 3.6), sharex=True)
     by_weight = dict(list(sweep.groupby("weight", sort=False)))
-    settled = {name: runs["settling_time_s"].count() for name, runs in by_weight.items()}
     labels = [
-        f"{_LINES[name]['label']}\n{settled[name]} of {len(runs)} settle"
+        f"{_LINES[name]['label']}\n{runs['settling_time_s'].count()} of {len(runs)} settle"
         for name, runs in by_weight.items()
     ]
     columns = {"settling_time_s": "settling time [s]", "overshoot_m": "overshoot [m]"}
@@ -138,9 +129,6 @@ def weight_sweep(sweep):
     noise = sweep["process_noise"].iloc[0]
     both[0].set_title(f"{noise} process noise, {parts.seed_range(sweep)}\nmean and 95 % interval")
     return figure
-
-
-# Scenario B
 
 
 @styled
@@ -199,11 +187,10 @@ def trajectories(runs):
 
 @styled
 def errors(runs):
-    """Figure 8: Euclidean errors from raw GNSS to the path over time, a row for each process noise,
-    a column for each estimator. Means count from the settling time on.
+    """Figure 8: Euclidean errors from raw GNSS to the path over time; means after settling.
 
     Args:
-        runs: {process noise: {"RHE": Run, "EKF": Run}}.
+        runs: {process noise: {"RHE": Run, "EKF": Run}}, a row for each, a column for each.
     """
     size = (DOUBLE_IN, 0.6 + 1.6 * len(runs))
     figure, grid = plt.subplots(len(runs), 2, figsize=size, sharex=True, sharey=True, squeeze=False)
@@ -225,8 +212,8 @@ def errors(runs):
     for axes in grid[:-1].flat:
         axes.set_xlabel("")
     grid[0, 0].set_ylim(0.004)
-    about = f"{' and '.join(runs)} process noise W, seed {run.scenario.seed}"
-    figure.suptitle(about, fontsize=8)
+    noises = " and ".join(runs)
+    figure.suptitle(f"{noises} process noise W, seed {run.scenario.seed}", fontsize=8)
     parts.legend_outside(figure, grid[0, 0], "lower center", 3)
     return figure
 
@@ -273,9 +260,7 @@ def violations(sweep):
 
 @styled
 def estimates(run):
-    """Figure 10: the RHE's yaw and traction parameters over time, against the truth, with the
-    constraints (14).
-    """
+    """Figure 10: the RHE's yaw and traction parameters, the truth, and the constraints (14)."""
     figure, panels = plt.subplots(3, figsize=(DOUBLE_IN, 4.4), sharex=True)
     log = run.log
     for axes, truth, estimate, symbol, unit, rms in [
@@ -314,9 +299,7 @@ def speed(run):
 
 @styled
 def yaw_rate(run):
-    """Figure 12: the yaw rate that the RHC commands, with its bounds, and the actual one of the
-    tracks ω over time.
-    """
+    """Figure 12: the yaw rate that the RHC commands, its bounds, and the tracks' actual one ω."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
     t_s, actual, commanded = (run.log[name] for name in ("t_s", "omega_radps", "omega_cmd_radps"))
     axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual")

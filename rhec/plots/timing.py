@@ -1,6 +1,4 @@
-"""The paper's Figure 5: which phase runs when, to the scale of measured times, in Python and in the
-exported C.
-"""
+"""The paper's Figure 5: which phase runs when, to the scale of measured times, here and in C."""
 
 import matplotlib.pyplot as plt
 
@@ -77,12 +75,8 @@ def embedded_times(times):
     """Figure 5 for the exported C: mean times of the four phases around the sampling instant t_k,
     one axis a machine, one row for each source of times.
 
-    Both preparations are over at t_k, where the measurement arrives (drawn as late as can be); both
-    feedbacks lie between it and the command.
-
     Args:
-        times: rows with machine, who, problem ("RHE", "RHC"), phase ("preparation", "feedback"),
-            mean_ms.
+        times: rows with machine, who, problem, phase as for `phases`, and mean_ms.
     """
     machines = list(times.groupby("machine", sort=False))
     rows = [of_one["who"].nunique() for _, of_one in machines]
