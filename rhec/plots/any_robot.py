@@ -3,16 +3,12 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
+from rhec.plots.parts import panels_beside
 from rhec.plots.style import BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
 
 __all__ = ["commands_and_bounds", "parameters_and_bounds", "positions", "solver_tolerances"]
 
-
-def _row(n, height_in):
-    """A figure of n panels beside one another."""
-    size = (DOUBLE_IN, height_in)
-    figure, panels = plt.subplots(1, n, figsize=size, sharey=True, squeeze=False)
-    return figure, panels[0]
+_BOUND = dict(color=VERMILLION, linestyle=":")
 
 
 @styled
@@ -44,7 +40,7 @@ def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
         truth: (n, n_p) true values.
         bounds: Name of each parameter: (lowest, highest), or None; as in `rhec.Model`.
     """
-    figure, panels = _row(len(bounds), 2.2)
+    figure, panels = panels_beside(len(bounds), 2.2)
     columns = (np.transpose(values) for values in (estimates, sigmas, truth))
     for axes, name, middle, sigma, true in zip(panels, bounds, *columns):
         limits = bounds[name] or ()
@@ -53,7 +49,7 @@ def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
         axes.plot(time_s, true, color=COLOURS["truth"], label="truth")
         axes.plot(time_s, middle, color=COLOURS["RHE"], label="RHE")
         for limit in limits:
-            axes.axhline(limit, color=VERMILLION, linestyle=":", label="bounds")
+            axes.axhline(limit, label="bounds", **_BOUND)
         axes.set(xlabel="time [s]", title=name)
     handles, labels = panels[0].get_legend_handles_labels()
     unique = dict(zip(labels, handles))
@@ -70,11 +66,11 @@ def commands_and_bounds(time_s, commands, bounds):
         commands: (n, n_u) commands.
         bounds: Name of each command: (lowest, highest); as in `rhec.RHC`.
     """
-    figure, panels = _row(len(bounds), 1.8)
+    figure, panels = panels_beside(len(bounds), 1.8)
     for axes, name, command in zip(panels, bounds, np.transpose(commands)):
         axes.step(time_s, command, where="post", color=BLUE)
         for limit in bounds[name]:
-            axes.axhline(limit, color=VERMILLION, linestyle=":")
+            axes.axhline(limit, **_BOUND)
         axes.set(xlabel="time [s]", title=name)
     panels[0].set_ylabel("command, bounds dotted")
     return figure

@@ -1,42 +1,27 @@
-"""The claims ledger as files and as one picture: each claim's numbers beside its bound, and its
-verdict by colour and by sign.
-"""
+"""The claims ledger as files and as one picture: numbers beside their bounds, verdicts by sign."""
 
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rhec.plots.style import (
-    BLACK,
-    BLUE,
-    DOUBLE_IN,
-    FOLDER,
-    GREEN,
-    GREY,
-    ORANGE,
-    VERMILLION,
-    as_comments,
-    provenance,
-    styled,
-)
+from rhec.plots import style
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 
 __all__ = ["save_ledger", "verdicts"]
 
 _PARTLY = "holds under one"
 _LOOKS = {
-    HOLDS: (GREEN, "✓"),
-    _PARTLY: (BLUE, "±"),
-    FAILS: (VERMILLION, "×"),
-    UNDECIDED: (ORANGE, "?"),
-    UNTESTABLE: (GREY, "–"),
+    HOLDS: (style.GREEN, "✓"),
+    _PARTLY: (style.BLUE, "±"),
+    FAILS: (style.VERMILLION, "×"),
+    UNDECIDED: (style.ORANGE, "?"),
+    UNTESTABLE: (style.GREY, "–"),
 }
 _MEANINGS = {_PARTLY: "holds under one process noise only", UNTESTABLE: "cannot be tested here"}
 # in print; the CSV has everything
 _PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict"]
-# across the figure, in hundredths: the verdict's sign, the bound, the end of the intervals' panel,
-# the paper's numbers
+# across the figure, in hundredths: sign, bound, end of the intervals' panel, paper's numbers
 _SIGN, _BOUND, _END, _PAPER = 44.5, 54.5, 62.0, 72.0
 _ROW_IN = 0.128  # height of a row
 
@@ -52,7 +37,7 @@ def _number(value):
     return "" if np.isnan(value) else f"{value:.3g}"
 
 
-def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
+def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
     """Write the ledger as CSV (all columns), LaTeX (a longtable) and Markdown.
 
     Args:
@@ -64,19 +49,17 @@ def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
         The CSV's path. The LaTeX needs the packages booktabs and longtable.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    about, csv = provenance(name, None, notebook), Path(folder) / f"{name}.csv"
+    about, csv = style.provenance(name, None, notebook), Path(folder) / f"{name}.csv"
     table.to_csv(csv, index=False)
     numbers = ("paper", "value", "low", "high")
     words = table[_PRINTED].assign(**{column: table[column].map(_number) for column in numbers})
-    latex = words.to_latex(
-        index=False,
-        longtable=True,
-        escape=True,
-        caption="The paper's claims, what the runs say with 95\\,\\% intervals, and the verdicts",
-        label=f"tab:{name}",
-        column_format="lp{0.34\\linewidth}llllllp{0.14\\linewidth}",
+    look = dict(index=False, longtable=True, escape=True, label=f"tab:{name}")
+    look["caption"] = (
+        "The paper's claims, what the runs say with 95\\,\\% intervals, and the verdicts"
     )
-    csv.with_suffix(".tex").write_text(as_comments(about) + latex, encoding="utf-8")
+    look["column_format"] = "lp{0.34\\linewidth}llllllp{0.14\\linewidth}"
+    latex = words.to_latex(**look)
+    csv.with_suffix(".tex").write_text(style.as_comments(about) + latex, encoding="utf-8")
     rows = [words.columns, ["---"] * len(words.columns), *words.astype(str).to_numpy()]
     cells = [[str(entry).replace("|", "\\|") for entry in row] for row in rows]
     lines = [f"<!-- {about['Creator']} -->", *(f"| {' | '.join(row)} |" for row in cells), ""]
@@ -85,16 +68,13 @@ def save_ledger(table, name="claims", folder=FOLDER, notebook=None):
 
 
 def _relative_to_bound(value, low, high, above, below, verdict):
-    """(value, low, high) relative to the bound, to the right where the claim wants them, so that
-    the farthest end is at 1; None without a bound.
-    """
+    """(value, low, high) from the bound, positive where the claim wants them, the farthest 1."""
     if np.isnan(value) or (np.isinf(above) and np.isinf(below)):
         return None
     if value == above:  # all cases, or none: exact, and decided whatever the interval
         return np.ones(3) * (1 if verdict == HOLDS else -1)
     if above == below:
-        # a reported number: its own place is the bound; an interval without it lies left, on
-        # whichever side it was
+        # a reported number: its own place is the bound; an interval without it lies left
         bound, side = above, 1 if verdict == HOLDS or value < above else -1
     else:
         bound = above if abs(value - above) <= abs(value - below) else below
@@ -123,13 +103,12 @@ def _draw_intervals(axes, place, row, colour):
         places = _relative_to_bound(*finding)
         if places is not None:
             value, *ends = _BOUND + (_END - _BOUND) * places
-            y, look = place + offset, dict(color=colour, linewidth=1.0, solid_capstyle="butt")
-            axes.plot(ends, [y, y], **look)
-            look = dict(markersize=2.4, markeredgewidth=0.5, markerfacecolor=face)
-            axes.plot(value, y, "o", color=colour, **look)
+            y, look = [place + offset] * 2, dict(markersize=2.4, markeredgewidth=0.5)
+            axes.plot(ends, y, color=colour, linewidth=1.0, solid_capstyle="butt")
+            axes.plot(value, y[0], "o", color=colour, markerfacecolor=face, **look)
 
 
-@styled
+@style.styled
 def verdicts(table):
     """The ledger at a glance: each claim with its verdict, the paper's number, ours with its
     interval, and the intervals of both conditions against the bound.
@@ -141,11 +120,11 @@ def verdicts(table):
     """
     rows, centred = len(table), dict(va="center_baseline")
     height_in = 0.75 + _ROW_IN * rows
-    figure = plt.figure(figsize=(DOUBLE_IN, height_in), layout="none")
+    figure = plt.figure(figsize=(style.DOUBLE_IN, height_in), layout="none")
     axes = figure.add_axes((0.003, 0.002, 0.994, 0.996))
     axes.set(xlim=(0, 100), ylim=(rows - 0.4, rows - 0.4 - height_in / _ROW_IN))
     axes.axis("off")
-    axes.plot([_BOUND, _BOUND], [-0.5, rows - 0.5], color=BLACK, linewidth=0.6)
+    axes.plot([_BOUND, _BOUND], [-0.5, rows - 0.5], color=style.BLACK, linewidth=0.6)
     section = None
     for place, row in enumerate(table.itertuples()):
         if row.section != section:

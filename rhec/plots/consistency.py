@@ -1,4 +1,7 @@
-"""Are estimators as sure as they may be? NEES over time, and errors over standard deviations."""
+"""Are estimators as sure as they may be? NEES over time, and errors over standard deviations.
+
+`measured` is {estimator: Consistency}; an estimator of no known kind is grey.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,12 +18,7 @@ _SYMBOLS = {"θ": r"$\theta$", "ν": r"$\nu$", "μ": r"$\mu$", "κ": r"$\kappa$"
 
 @styled
 def nees_over_time(measured):
-    """Mean NEES over runs by its degrees of freedom, over time, on a logarithmic scale; shaded:
-    95 % χ² bounds.
-
-    Args:
-        measured: {estimator: Consistency}; an estimator whose name says no known kind is grey.
-    """
+    """Mean NEES over runs by its degrees of freedom, over time; shaded: 95 % χ² bounds."""
     rows = -(-len(measured) // 2)
     size = (DOUBLE_IN, 0.3 + 0.95 * rows)
     figure, panels = plt.subplots(rows, 2, figsize=size, sharex=True, sharey=True, squeeze=False)
@@ -32,8 +30,7 @@ def nees_over_time(measured):
         axes.semilogy(of_one.t_s, of_one.nees.mean(axis=0) / degrees, color=colour, linewidth=0.6)
         (_, values, _), *_ = consistency.normalised(of_one)
         inside = consistency.share_inside(values, degrees)
-        axes.set_title(f"{name}: {100 * inside:.0f} % inside")
-        axes.set_xlim(0, of_one.t_s[-1])
+        axes.set(title=f"{name}: {100 * inside:.0f} % inside", xlim=(0, of_one.t_s[-1]))
         log_axis(axes.yaxis)
     for axes in panels.flat[len(measured) :]:
         axes.set_visible(False)
@@ -45,11 +42,7 @@ def nees_over_time(measured):
 
 @styled
 def errors_over_sigma(measured):
-    """RMS error over standard deviation for each state: 1 is consistent, above is overconfident.
-
-    Args:
-        measured: {estimator: Consistency}.
-    """
+    """RMS error over standard deviation for each state: 1 is consistent, above is overconfident."""
     figure, axes = plt.subplots(figsize=(COLUMN_IN, 0.32 * len(measured) + 0.7))
     states = consistency.STATES
     ratios = np.full((len(measured), len(states)), np.nan)

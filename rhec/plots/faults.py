@@ -1,11 +1,10 @@
 """Sensor faults: true error over time for each case of a family."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec import paper
-from rhec.plots.parts import BOUND, TOLERANCE, seed_range
-from rhec.plots.style import BLUE, DOUBLE_IN, VERMILLION, styled
+from rhec.plots.parts import BOUND, TOLERANCE, legend_outside, panels_beside, seed_range
+from rhec.plots.style import BLUE, VERMILLION, styled
 from rhec.studies.robustness import FAMILIES
 
 __all__ = ["fault_family"]
@@ -28,8 +27,7 @@ def _draw_errors(axes, error, handling, before_s):
 
 @styled
 def fault_family(family, table, errors, before_s):
-    """True error over the time since the fault began, a panel for each case of a family: median
-    over seeds, and the band of all seeds.
+    """True error since the fault began, a panel a case: median and band of all seeds.
 
     Shaded: while the fault lasts (the median, if that differs by seed). Dashed: 0.12 m. The title
     says how many seeds recovered, and when the last of them did.
@@ -41,9 +39,8 @@ def fault_family(family, table, errors, before_s):
     """
     table = table[table["family"] == family]
     cases, handlings = table["case"].unique(), table["handling"].unique()
-    size = (DOUBLE_IN, 2.5)
-    figure, panels = plt.subplots(1, len(cases), figsize=size, sharey=True, squeeze=False)
-    for axes, case in zip(panels[0], cases):
+    figure, panels = panels_beside(len(cases), 2.5)
+    for axes, case in zip(panels, cases):
         lines = [case]
         for handling in handlings:
             runs = table[(table["case"] == case) & (table["handling"] == handling)]
@@ -55,14 +52,10 @@ def fault_family(family, table, errors, before_s):
         axes.axvspan(0, max(duration_s, paper.DT_S), **TOLERANCE)
         axes.axhline(paper.TOLERANCE_M, **BOUND)
         axes.set_title("\n".join(lines), fontsize=7)
-        axes.set_yscale("log")
+        axes.set(yscale="log", xlim=(t_s[0], t_s[-1]), xlabel="time since it began [s]")
         axes.minorticks_off()
-        axes.set_xlim(t_s[0], t_s[-1])
-        axes.set_xlabel("time since it began [s]")
-    panels[0, 0].set_ylabel("true error [m]")
     top = max(np.nanmax(error) for key, error in errors.items() if key[0] == family)
-    panels[0, 0].set_ylim(_LEAST_M, min(2 * top, _MOST_M))
+    panels[0].set(ylabel="true error [m]", ylim=(_LEAST_M, min(2 * top, _MOST_M)))
     figure.suptitle(f"{FAMILIES[family]}; {seed_range(table)}: median and range", fontsize=8)
-    entries = panels[0, 0].get_legend_handles_labels()
-    figure.legend(*entries, loc="outside lower center", ncols=len(handlings))
+    legend_outside(figure, panels[0], "lower center", len(handlings))
     return figure

@@ -1,11 +1,14 @@
 """The audit of interpretations: why the printed W loses the EKF's yaw and makes κ chatter, how the
 calibrated W was found, and how far each interpretation moves the results.
+
+`sweep` and `runs` are as `rhec.studies.interpretations.swept` returns them, `printed` and
+`calibrated` the two values of the standard deviation that is swept.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rhec.plots.parts import BOUND, shade
+from rhec.plots.parts import BOUND, legend_outside, panels_beside, shade
 from rhec.plots.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY, VERMILLION, styled
 from rhec.studies import statistics
 from rhec.studies.interpretations import QUANTITIES
@@ -41,13 +44,10 @@ def _means(axes, sweep, column, label, colour, marker):
 
 @styled
 def ekf_yaw(analysis, sweep, runs, printed, calibrated):
-    """Why the EKF loses its yaw: steady gains, the yaw's uncertainty, and the yaw error over time,
-    by the position's process noise σ_x.
+    """Why the EKF loses its yaw: gains, uncertainty and error, by the position's process noise σ_x.
 
     Args:
         analysis: as `rhec.studies.interpretations.ekf_on_a_straight` returns it.
-        sweep, runs: as `rhec.studies.interpretations.swept` returns them.
-        printed, calibrated: the two values of σ_x [m].
     """
     figure, (gains, yaw, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     sigma_x_m = analysis["sigma_x_m"]
@@ -65,12 +65,9 @@ def ekf_yaw(analysis, sweep, runs, printed, calibrated):
         time.plot(c["t_s"], c["theta_hat_rad"] - c["theta_rad"], **look)
     time.margins(y=0.25)
     time.legend(title=r"$\sigma_x$", title_fontsize=6, **_SMALL_LEGEND)
-    gains.set_ylabel("steady gain of GNSS")
-    yaw.set_ylabel("yaw error [rad]")
-    time.set(xlabel="time [s]", ylabel=r"$\hat\theta-\theta$ [rad]")
-    gains.set_title("gains on a straight")
-    yaw.set_title(f"{sweep['seed'].nunique()} seeds")
-    time.set_title("seed 0")
+    gains.set(ylabel="steady gain of GNSS", title="gains on a straight")
+    yaw.set(ylabel="yaw error [rad]", title=f"{sweep['seed'].nunique()} seeds")
+    time.set(xlabel="time [s]", ylabel=r"$\hat\theta-\theta$ [rad]", title="seed 0")
     return figure
 
 
@@ -81,16 +78,13 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
 
     Args:
         analysis: DataFrame with sigma_kappa, straight, curve: the RHE's own standard deviations.
-        sweep, runs: as `rhec.studies.interpretations.swept` returns them.
-        printed, calibrated: the two values of σ_κ [-].
     """
     figure, (known, found, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     for part, colour in (("straight", VERMILLION), ("curve", BLUE)):
         known.loglog(analysis["sigma_kappa"], analysis[part], color=colour, label=part)
     _means(found, sweep, "rms_kappa_straights", "straights", VERMILLION, "s")
     _means(found, sweep, "rms_kappa_curves", "curves", BLUE, "o")
-    found.set(xscale="log")
-    found.set_ylim(0)
+    found.set(xscale="log", ylim=0)
     for axes in (known, found):
         axes.axhline(_SIGMA_UNIFORM, label="anything in [0, 1]", **BOUND)
         _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, calibrated=calibrated)
@@ -99,14 +93,12 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
         time.plot(c["t_s"], c["kappa_hat"], **look)
     time.plot(c["t_s"], c["kappa"], color=BLACK, linewidth=0.8, label="truth")
     shade(time, c["t_s"], ~c["on_straight"])
-    time.set_ylim(-0.03, 1.35)
     time.legend(**_SMALL_LEGEND)
-    known.set_ylabel(r"standard deviation of $\hat\kappa$")
-    found.set_ylabel(r"RMS error of $\hat\kappa$")
-    time.set(xlabel="time [s]  (shaded: curves)", ylabel=r"$\hat\kappa$ [-]")
-    known.set_title("by the RHE's own window")
-    found.set_title(f"simulated, {sweep['seed'].nunique()} seeds")
-    time.set_title("seed 0")
+    known.set(ylabel=r"standard deviation of $\hat\kappa$", title="by the RHE's own window")
+    title = f"simulated, {sweep['seed'].nunique()} seeds"
+    found.set(ylabel=r"RMS error of $\hat\kappa$", title=title)
+    time.set(xlabel="time [s]  (shaded: curves)", ylabel=r"$\hat\kappa$ [-]", title="seed 0")
+    time.set_ylim(-0.03, 1.35)
     return figure
 
 
@@ -119,7 +111,7 @@ def likelihood(profiles):
         profiles: {title: (table of `rhec.studies.interpretations.likelihood_profile`, printed
             value, calibrated value)}.
     """
-    figure, panels = plt.subplots(1, len(profiles), figsize=(DOUBLE_IN, 2.0), sharey=True)
+    figure, panels = panels_beside(len(profiles), 2.0)
     for axes, (title, (table, printed, calibrated)) in zip(panels, profiles.items()):
         axes.plot(table["sigma"], table["deviance"], "o-", color=BLUE, markersize=2)
         _mark(axes, printed=printed, calibrated=calibrated)
@@ -128,14 +120,13 @@ def likelihood(profiles):
         axes.minorticks_off()
         axes.tick_params(axis="x", labelsize=6)
     panels[0].set_ylabel("deviance a sample, above least")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    legend_outside(figure, panels[0], "upper right", 2)
     return figure
 
 
 @styled
 def forest(table, baseline):
-    """How far each interpretation moves the results: differences from the baseline with their 95 %
-    intervals, a panel a quantity, a row an interpretation.
+    """Differences of each interpretation from the baseline, with 95 % intervals, by quantity.
 
     Coloured where the interval excludes 0: more in vermillion, less in blue.
 
@@ -144,15 +135,16 @@ def forest(table, baseline):
         baseline: process noise of the baseline, "printed" or "calibrated".
     """
     others = table[table["interpretation"] != "baseline"].drop_duplicates("interpretation")
-    names, size = others["interpretation"], (DOUBLE_IN, 0.8 + 0.17 * len(others))
-    figure, panels = plt.subplots(1, len(QUANTITIES), figsize=size, sharey=True)
+    names = others["interpretation"]
+    figure, panels = panels_beside(len(QUANTITIES), 0.8 + 0.17 * len(others))
     for axes, quantity in zip(panels, QUANTITIES.values()):
         rows = table[table["quantity"] == quantity].set_index("interpretation")
         for place, name in enumerate(names):
-            row, kind = rows.loc[name], (GREY, "o")
-            if row.change_low > 0 or row.change_high < 0:
-                kind = (VERMILLION, ">") if row.change_low > 0 else (BLUE, "<")
-            colour, marker = kind
+            row, colour, marker = rows.loc[name], GREY, "o"
+            if row.change_low > 0:
+                colour, marker = VERMILLION, ">"
+            elif row.change_high < 0:
+                colour, marker = BLUE, "<"
             axes.plot([row.change_low, row.change_high], [place] * 2, color=colour, linewidth=1.2)
             axes.plot(row.change, place, marker, color=colour, markersize=3)
         axes.axvline(0, color=BLACK, linewidth=0.6)

@@ -50,8 +50,7 @@ def multiverse_map(table, correlations, discovered):
                 colour = "white" if abs(rho) > 0.75 else "black"
                 heat.text(j, i, text, ha="center", va="center", fontsize=6, color=colour)
     labels = [_LABELS[name] for name in correlations.columns]
-    turned = dict(rotation=50, ha="right", rotation_mode="anchor")
-    heat.set_xticks(range(len(labels)), labels, **turned)
+    heat.set_xticks(range(len(labels)), labels, rotation=50, ha="right", rotation_mode="anchor")
     heat.grid(visible=False)
     heat.tick_params(axis="y", length=0)
     label = "rank correlation (blue: more helps)"
@@ -74,8 +73,8 @@ def _draw_shares(axes, table):
     look = dict(fmt="none", ecolor="k", elinewidth=0.8, capsize=1.5)
     axes.errorbar(100 * table["holds"], places, xerr=ends, **look)
     axes.set_yticks(places, [f"{row.claim}  {row.id}" for row in table.itertuples()])
-    axes.set(xlim=(0, 100), ylim=(len(table) - 0.5, -0.5))
-    axes.set_xlabel(f"worlds [%]  (n = {table['worlds'].iloc[0]})")
+    label = f"worlds [%]  (n = {table['worlds'].iloc[0]})"
+    axes.set(xlim=(0, 100), ylim=(len(table) - 0.5, -0.5), xlabel=label)
     axes.grid(axis="y", visible=False)
     look = dict(handlelength=1.2, columnspacing=0.8, borderaxespad=0.2)
     axes.legend(loc="lower left", bbox_to_anchor=(-0.6, 1.0), ncols=3, **look)

@@ -1,17 +1,25 @@
-"""Parts that several figures share: tolerance and bounds, seeds with their interval, shaded times,
-legends, logarithmic axes.
-"""
+"""Parts that several figures share: panels, bounds, seeds with their interval, legends, axes."""
 
+import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.ticker import LogLocator
 
-from rhec.plots.style import BLACK, COLOURS
+from rhec.plots.style import BLACK, COLOURS, DOUBLE_IN
+from rhec.studies.statistics import over_seeds
 
-__all__ = ["BOUND", "DOTS", "TOLERANCE", "legend_above", "log_axis", "note", "seed_range", "shade"]
-__all__ += ["vertical_interval"]
+__all__ = ["BOUND", "DOTS", "TOLERANCE", "legend_above", "legend_outside", "log_axis", "note"]
+__all__ += ["panels_beside", "seed_range", "shade", "strip", "time_axis", "vertical_interval"]
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
 DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # a dot a seed
+
+
+def panels_beside(n, height_in, width_in=DOUBLE_IN):
+    """A figure of n panels beside one another, with one y axis."""
+    size = (width_in, height_in)
+    figure, panels = plt.subplots(1, n, figsize=size, sharey=True, squeeze=False)
+    return figure, panels[0]
 
 
 def seed_range(sweep):
@@ -26,6 +34,16 @@ def vertical_interval(axes, x, estimate, **look):
     axes.errorbar(x, mean, [[mean - low], [high - mean]], **look)
 
 
+def strip(axes, places, values, **look):
+    """Draw seeds as dots between two places, and at the third their mean Interval; return that."""
+    first, last, middle = places
+    axes.plot(np.linspace(first, last, len(values)), values, **DOTS, **look)
+    estimate = over_seeds(np.mean, values)
+    look = dict(color=look["color"], fmt="D", markersize=3.5, capsize=2.5)
+    vertical_interval(axes, middle, estimate, **look)
+    return estimate
+
+
 def note(axes, text, xy, offset=(0, 0), **look):
     """Small text at an offset [points] from a point."""
     look = dict(textcoords="offset points", fontsize=7, va="center") | look
@@ -38,14 +56,25 @@ def shade(axes, t_s, where):
     axes.fill_between(t_s, 0, 1, where=where, transform=axes.get_xaxis_transform(), **look)
 
 
-def legend_above(axes, handles_of=None, **look):
-    """A legend in one line above the axes, to the right, clear of the title and of the data.
+def time_axis(panels, t_s, where, shaded):
+    """Time along the last of the panels; shade in all of them where a condition holds."""
+    for axes in panels:
+        shade(axes, t_s, where)
+        axes.grid(axis="x", visible=False)
+    panels[-1].set(xlabel=f"time [s]  (shaded: {shaded})", xlim=(t_s.min(), t_s.max()))
 
-    handles_of: the axes whose entries it shows, if other ones.
-    """
+
+def legend_above(axes, handles_of=None, **look):
+    """A legend in one line above the axes, to the right; of other axes' entries, if given."""
     entries = (handles_of or axes).get_legend_handles_labels()
     place = dict(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
     axes.legend(*entries, **place | dict(ncols=len(entries[0])) | look)
+
+
+def legend_outside(figure, axes, place, ncols):
+    """A legend of these axes' entries at an edge of the figure."""
+    entries = axes.get_legend_handles_labels()
+    figure.legend(*entries, loc=f"outside {place}", ncols=ncols)
 
 
 def log_axis(axis):

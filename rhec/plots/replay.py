@@ -1,7 +1,7 @@
 """A replayed log in pictures.
 
-`replays` is {name: samples}, as `rhec.logs.scores.perturbed_replay` returns them; what a log does
-not know (its true pose, say) is left out of the picture.
+`replays` is {estimator: samples}, as `rhec.logs.scores.perturbed_replay` returns them; what a log
+does not know (its true pose, say) is left out of the picture.
 """
 
 import re
@@ -11,39 +11,20 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec.logs import scores
-from rhec.plots.parts import DOTS, legend_above, log_axis, note, shade, vertical_interval
-from rhec.plots.style import (
-    BLACK,
-    COLOURS,
-    DOUBLE_IN,
-    FOLDER,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    ROOT,
-    styled,
-)
-from rhec.studies.statistics import over_seeds
+from rhec.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, strip, time_axis
+from rhec.plots.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPLE, ROOT, styled
 
 __all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
 __all__ += ["replay_trials", "replay_uncertainty", "replay_yaw"]
 
-_LOOKS = {
-    "RHE": {"color": COLOURS["RHE"]},
-    "RHE, ν as input": {"color": GREEN},
-    "RHE, ν over the window": {"color": PURPLE},
-    "EKF": {"color": COLOURS["EKF"]},
-    "augmented EKF": {"color": ORANGE},
-}
+_COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
+_COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
 # slower turns count as straight, by the median of so many samples
 _STRAIGHT_RADPS, _SMOOTH = 0.05, 11
 
 
 def replay_folder(file):
-    """The folder for the pictures of a log: that of all figures for a log of this project's data,
-    else one in build/replay/ under the letters and digits of its name.
-    """
+    """The folder for a log's pictures: FOLDER for one in data/, else build/replay/ and its name."""
     file = Path(file).resolve()
     if file.is_relative_to(ROOT / "data"):
         return FOLDER
@@ -51,14 +32,10 @@ def replay_folder(file):
     return ROOT / "build" / "replay" / name
 
 
-def _look(name):
-    return _LOOKS.get(name, {})
-
-
-def _rows(n, height_in, **shared):
+def _rows(n, height_in, sharey):
     """A figure of n panels below one another."""
     size = (DOUBLE_IN, 0.4 + height_in * n)
-    figure, panels = plt.subplots(n, figsize=size, sharex=True, squeeze=False, **shared)
+    figure, panels = plt.subplots(n, figsize=size, sharex=True, sharey=sharey, squeeze=False)
     return figure, panels[:, 0]
 
 
@@ -73,12 +50,8 @@ def _time_axis(axes, samples):
     """Time along the last of the axes; straight driving and standing shaded in all."""
     turning = samples["omega_meas_radps"].abs().rolling(_SMOOTH, center=True, min_periods=1)
     straight = (turning.median() < _STRAIGHT_RADPS) & (samples["segment"].diff(-1) == 0)
-    for each in axes:
-        shade(each, samples["t_s"], straight)
-        each.grid(axis="x", visible=False)
     shaded = f"straight or standing, the tracks turn by less than {_STRAIGHT_RADPS} rad/s"
-    axes[-1].set_xlabel(f"time [s]  (shaded: {shaded})")
-    axes[-1].set_xlim(samples["t_s"].min(), samples["t_s"].max())
+    time_axis(axes, samples["t_s"], straight, shaded)
 
 
 @styled
@@ -119,18 +92,13 @@ def replay_log(samples, title):
 
 @styled
 def replay_yaw(replays):
-    """Error of the estimated yaw over time, a row an estimator, with the band of two standard
-    deviations that the estimator states; the estimated yaw itself where the log has no true one.
-
-    Args:
-        replays: {estimator: samples}.
-    """
-    figure, panels = _rows(len(replays), 1.2)
+    """Error of the estimated yaw with its own two standard deviations; without truth, the yaw."""
+    figure, panels = _rows(len(replays), 1.2, sharey=False)
     for axes, (name, samples) in zip(panels, replays.items()):
         known = "theta_rad" in samples
         value = scores.yaw_error(samples) if known else samples["theta_hat_rad"]
         t, value, sigma = _broken(samples.assign(value=value), "t_s", "value", "sigma_theta_rad")
-        axes.plot(t, value, **_look(name), linewidth=0.7)
+        axes.plot(t, value, color=_COLOURS.get(name), linewidth=0.7)
         title = name
         if known:
             axes.fill_between(t, -2 * sigma, 2 * sigma, color=GREY, alpha=0.35, linewidth=0)
@@ -139,8 +107,7 @@ def replay_yaw(replays):
             title += f": {rms}, {score['inside_95']:.0%} within 1.96 σ"
             extent = np.clip(1.15 * np.nanmax(np.abs(value)), 0.1, np.pi)
             axes.set_ylim(-extent, extent)
-        axes.set_ylabel("yaw error [rad]" if known else "yaw [rad]")
-        axes.set_title(title)
+        axes.set(ylabel="yaw error [rad]" if known else "yaw [rad]", title=title)
     _time_axis(panels, samples)
     return figure
 
@@ -151,7 +118,6 @@ def replay_traction(replays, first):
     encoder measurements, over a sliding window and over the whole log (dashed).
 
     Args:
-        replays: {estimator: samples}.
         first: the estimator whose band of two standard deviations is shown.
     """
     figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.4), sharex=True)
@@ -162,16 +128,17 @@ def replay_traction(replays, first):
         band = np.clip([value - 2 * sigma, value + 2 * sigma], 0, 1)
         axes.fill_between(t, *band, color=GREY, alpha=0.3, linewidth=0)
         for estimator, estimates in replays.items():
-            look = _look(estimator) | dict(linewidth=0.9 if estimator == first else 0.5)
+            look = dict(color=_COLOURS.get(estimator), linewidth=0.9 if estimator == first else 0.5)
             axes.plot(*_broken(estimates, "t_s", f"{name}_hat"), **look, label=estimator)
         if known:
             sliding, label = scores.sliding_regression(samples)[:, place], "regression over"
             look = dict(color=ORANGE, markersize=1.5, label=f"{label} {scores.WINDOW_S:.0f} s")
             axes.plot(samples["t_s"], sliding, ".", **look)
-            look = dict(color=BLACK, linestyle="--", linewidth=0.8, label="regression, whole log")
+            look = dict(
+                color=COLOURS["truth"], linestyle="--", linewidth=0.8, label="regression, whole log"
+            )
             axes.axhline(scores.regression(samples)[place], **look)
-        axes.set_ylim(-0.05, 1.15)
-        axes.set_ylabel(rf"$\{name}$ [-]")
+        axes.set(ylim=(-0.05, 1.15), ylabel=rf"$\{name}$ [-]")
     legend_above(panels[0], ncols=6, handlelength=1.2, columnspacing=1.0)
     _time_axis(panels, samples)
     return figure
@@ -189,7 +156,7 @@ def replay_uncertainty(samples, name):
     figure, panels = plt.subplots(3, figsize=(DOUBLE_IN, 3.6), sharex=True)
     motion, yaw, traction = panels
     for axes, column, label, colour in [
-        (motion, "nu_meas_mps", "speed [m/s]", BLACK),
+        (motion, "nu_meas_mps", "speed [m/s]", COLOURS["truth"]),
         (motion, "omega_meas_radps", "yaw rate [rad/s]", COLOURS["measured"]),
         (yaw, "sigma_theta_rad", r"$\sigma_\theta$ [rad]", COLOURS["RHE"]),
         (traction, "sigma_mu", r"$\sigma_\mu$", ORANGE),
@@ -197,33 +164,26 @@ def replay_uncertainty(samples, name):
     ]:
         look = dict(color=colour, linewidth=0.7 if axes is motion else None)
         axes.plot(*_broken(samples, "t_s", column), label=label, **look)
-    motion.set_ylabel("encoders")
+    motion.set(ylabel="encoders", title=name)
     yaw.set_ylabel(r"$\sigma_\theta$ [rad]")
     traction.set_ylabel(r"$\sigma_\mu$, $\sigma_\kappa$ [-]")
     for axes in (yaw, traction):
         log_axis(axes.yaxis)
     for axes in (motion, traction):
         legend_above(axes)
-    motion.set_title(name)
     _time_axis(panels, samples)
     return figure
 
 
 @styled
 def replay_innovations(replays):
-    """Distance of each measured position from the predicted one over time, a row an estimator, on a
-    logarithmic scale.
-
-    Args:
-        replays: {estimator: samples}.
-    """
+    """Distance of each measured position from the predicted one over time, a row an estimator."""
     figure, panels = _rows(len(replays), 1.0, sharey=True)
     for axes, (name, samples) in zip(panels, replays.items()):
         length = np.hypot(samples["innovation_x_m"], samples["innovation_y_m"])
-        axes.semilogy(samples["t_s"], length, ".", markersize=1.2, **_look(name))
+        axes.semilogy(samples["t_s"], length, ".", markersize=1.2, color=_COLOURS.get(name))
         rms = f"RMS {scores.score(samples)['innovation_rms_m']:.3f} m after {scores.FROM_M:.0f} m"
-        axes.set_title(f"{name}: {rms}")
-        axes.set_ylabel("innovation [m]")
+        axes.set(title=f"{name}: {rms}", ylabel="innovation [m]")
         axes.minorticks_off()
     _time_axis(panels, samples)
     return figure
@@ -231,8 +191,7 @@ def replay_innovations(replays):
 
 @styled
 def replay_trials(trials):
-    """RMS error of the yaw of each estimator over noise seeds: every seed a dot, mean and 95 %
-    interval beside them.
+    """RMS error of the yaw of each estimator: every noise seed a dot, mean and 95 % interval.
 
     Args:
         trials: {estimator: rows of `rhec.logs.scores.perturbed_scores`}.
@@ -240,19 +199,15 @@ def replay_trials(trials):
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.2))
     values = {name: rows["yaw_rms_rad"] for name, rows in trials.items()}
     for place, (name, of_one) in enumerate(values.items()):
-        spread = np.linspace(-0.25, 0.05, len(of_one))
-        axes.plot(place + spread, of_one, **DOTS, markersize=2.5, alpha=0.6, **_look(name))
-        estimate = over_seeds(np.mean, of_one)
-        look = dict(fmt="D", markersize=3.5, capsize=2.5) | _look(name)
-        vertical_interval(axes, place + 0.2, estimate, **look)
+        look = dict(markersize=2.5, alpha=0.6, color=_COLOURS.get(name))
+        estimate = strip(axes, place + np.array([-0.25, 0.05, 0.2]), of_one, **look)
         note(axes, f"{estimate.mean:.3g}", (place + 0.25, estimate.mean), (3, 0), fontsize=8)
     axes.set_xticks(range(len(values)), list(values))
-    axes.set_xlim(-0.5, len(values) - 0.3)
     log_axis(axes.yaxis)
-    least, most = (f([f(of_one) for of_one in values.values()]) for f in (min, max))
-    axes.set_ylim(0.7 * least, 1.4 * most)
-    axes.set_ylabel("RMS yaw error [rad]")
-    axes.set_title(f"{estimate.n} noise seeds; mean and 95 % interval")
+    every = np.concatenate(list(values.values()))
+    axes.set(xlim=(-0.5, len(values) - 0.3), ylim=(0.7 * every.min(), 1.4 * every.max()))
+    title = f"{estimate.n} noise seeds; mean and 95 % interval"
+    axes.set(ylabel="RMS yaw error [rad]", title=title)
     axes.grid(axis="x", visible=False)
     return figure
 
@@ -265,9 +220,8 @@ def replay_faults(table):
     Args:
         table: rows of `rhec.logs.scores.fault_scores`.
     """
-    size = (DOUBLE_IN, 0.6 + 0.26 * table["fault"].nunique())
-    figure, panels = plt.subplots(1, 2, figsize=size, sharey=True)
     names = table["fault"].unique()
+    figure, panels = panels_beside(2, 0.6 + 0.26 * len(names))
     for axes, column, label in [
         (panels[0], "worst_position_m", "largest position error [m]"),
         (panels[1], "worst_yaw_rad", "largest yaw error [rad]"),
@@ -276,9 +230,8 @@ def replay_faults(table):
             (False, "as it is", COLOURS["EKF"], -0.18),
             (True, "robust", COLOURS["RHE"], 0.18),
         ]:
-            of_one = table[table["robust"] == robust]
             for place, name in enumerate(names):
-                values = of_one.loc[of_one["fault"] == name, column]
+                values = table.loc[(table["fault"] == name) & (table["robust"] == robust), column]
                 places = np.full(len(values), place + shift)
                 axes.plot(values, places, **DOTS, markersize=2, alpha=0.5, color=colour)
                 bar = dict(markersize=8, color=colour, label=None if place else handling)

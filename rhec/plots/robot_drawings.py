@@ -2,7 +2,7 @@
 numbers it gives.
 
 Lengths that the paper gives are to scale, in metres; heights and the places of parts, which it does
-not give, are only plausible.
+not give, are only plausible. Texts and arrow heads are sized in points.
 """
 
 import matplotlib.pyplot as plt
@@ -26,13 +26,8 @@ _MAST_X = 0.05  # ahead of the robot's middle [m]
 _BLOCK = np.array([1.2, 0.4])  # a block of Figure 3 [in]
 
 
-# Texts and arrow heads are sized in points, all else in the drawing's own unit.
-
-
 def _canvas(xlim, ylim):
-    """A column-wide figure that is one frameless drawing with equal scales, as high as its limits
-    ask.
-    """
+    """A column-wide figure that is one frameless drawing with equal scales."""
     height_in = COLUMN_IN * np.ptp(ylim) / np.ptp(xlim)
     figure = plt.figure(figsize=(COLUMN_IN, height_in), layout="none")
     axes = figure.add_axes((0, 0, 1, 1), xlim=xlim, ylim=ylim, aspect="equal")
@@ -61,9 +56,7 @@ def _arrow(axes, *ends, style="-|>", **look):
 
 
 def _beside(axes, text, point, side, **look):
-    """Small text to the right (1, 0) of a point, left (-1, 0), above (0, 1), below (0, -1) or on it
-    (0, 0).
-    """
+    """Small text at a point, its side right (1, 0), left (-1, 0), above (0, 1), below (0, -1)."""
     look |= {"ha": ("center", "left", "right")[side[0]], "va": ("center", "bottom", "top")[side[1]]}
     gap = (2.5 * side[0], 2 * side[1])
     look |= dict(textcoords="offset points", fontsize=7, linespacing=1.05)
@@ -82,9 +75,6 @@ def _leader(axes, text, at, side, part):
     axes.plot(*zip(at, part, strict=True), color=BLACK, linewidth=0.5, path_effects=halo)
     axes.plot(*part, "o", markersize=3, color=BLACK, markeredgecolor="w", markeredgewidth=0.5)
     _beside(axes, text, at, side)
-
-
-# Figure 1
 
 
 def _sorghum(axes, x, height, stem_width):
@@ -107,9 +97,7 @@ def _sorghum(axes, x, height, stem_width):
 
 
 def _rear_view(axes):
-    """The robot from behind, standing on y = 0: tracks, body and deck, the mast with sensors and
-    antenna.
-    """
+    """The robot from behind, standing on y = 0: tracks, body, deck, mast, sensors, antenna."""
     for x in (-_TRACK / 2, _TRACK / 2):
         _box(axes, x, 0.12, _TREAD, 0.24, 0.02, _RUBBER)
         lugs, half = np.arange(0.03, 0.23, 0.03), 0.35 * _TREAD
@@ -122,9 +110,7 @@ def _rear_view(axes):
 
 
 def _beside_a_row(axes, row):
-    """The share of the robot's space that a row takes, its centre line at x = `row`: widened in a
-    strip below the drawing.
-    """
+    """What a row at x = `row` takes of the robot's space, widened in a strip below the drawing."""
     stem = row - paper.STEM_WIDTH_M / 2
     effective = stem - paper.GNSS_ACCURACY_M / 2
     left, right = effective - 0.02, row + paper.STEM_WIDTH_M / 2
@@ -149,9 +135,8 @@ def _beside_a_row(axes, row):
 
 @styled
 def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
-    """Figure 1 and Sec. Introduction: the robot between two sorghum rows from behind, and its 0.12
-    m on either side. Of a stem's width and of the GNSS accuracy, half counts on either side.
-    Widths are to scale.
+    """Figure 1 and Sec. Introduction: the robot between two rows, and its 0.12 m on either side, of
+    which half a stem and half the GNSS accuracy are taken. Widths are to scale.
 
     Args:
         row_spacing_m: between the rows' centre lines.
@@ -184,13 +169,8 @@ def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
     return figure
 
 
-# Figure 2
-
-
 def _side_view(axes):
-    """The robot from its right, standing on y = 0 and heading right: deck, track, mast, sensors,
-    antenna.
-    """
+    """The robot from its right, standing on y = 0: deck, track, mast, sensors, antenna."""
     _box(axes, 0, 0.235, _LENGTH - 0.12, 0.15, 0.02)
     _box(axes, 0, 0.12, _LENGTH, 0.24, 0.12, _RUBBER)
     lugs = dict(edgecolor=_METAL, linewidth=1, linestyle=(0, (0.6, 1.6)))
@@ -225,10 +205,7 @@ def _top_view(axes, y):
 
 @styled
 def robot_parts():
-    """Figure 2 and Sec. System Description: the robot and its parts, from the side and from above.
-
-    Length and width are to scale, heights and the parts' places only plausible.
-    """
+    """Figure 2 and Sec. System Description: the robot and its parts, from the side and above."""
     figure, axes = _canvas((-0.72, 0.72), (-0.99, 0.76))
     axes.axhline(0, color=_SOIL, linewidth=1.5, zorder=0)
     _side_view(axes)
@@ -266,9 +243,6 @@ def robot_parts():
     return figure
 
 
-# Figure 3
-
-
 def _link(axes, start, end, text):
     """A signal from a block to the next, by their middles, one above or beside the other."""
     start, end = np.array(start), np.array(end)
@@ -279,9 +253,7 @@ def _link(axes, start, end, text):
 
 @styled
 def hardware_blocks():
-    """Figure 3 and Sec. System Description: from the sensors through RHE and RHC to the tracks,
-    with rates in Hz.
-    """
+    """Figure 3 and Sec. System Description: from sensors through RHE and RHC to the tracks."""
     gnss_hz, loop_hz = f"{paper.GNSS_RATE_HZ:.0f} Hz", f"{paper.SPEED_LOOP_RATE_HZ:.0f} Hz"
     figure, axes = _canvas((0, COLUMN_IN), (0, 3.8))
     left, right = 0.80, 2.60
@@ -326,16 +298,10 @@ def hardware_blocks():
     return figure
 
 
-# Figure 4
-
-
 @styled
 def schematic():
-    """Figure 4 and Sec. System Model: the robot's pose, its velocities without slip and with, and
-    Eq. (2).
-
-    The robot is to scale [m], the velocities [m/s, rad/s] are those of a hard turn with μ = 0.75
-    and κ = 0.65.
+    """Figure 4 and Sec. System Model: the robot's pose and Eq. (2), velocities without slip and, in
+    a hard turn, with μ = 0.75 and κ = 0.65.
     """
     x, y, theta, mu, kappa = 0.86, 0.80, np.radians(35), 0.75, 0.65
     nu, nu_l, nu_r = 0.92, 0.78, 1.06

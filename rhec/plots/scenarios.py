@@ -1,8 +1,8 @@
 """The paper's Figures 6 to 13, drawn from finished runs.
 
-A `Run` is the result of `rhec.simulate`, a sweep that of `rhec.campaign`: one row a run. Every
-interval is a 95 % bootstrap interval over seeds, and every number that the paper reports stands
-beside ours.
+`run` is a Run as `rhec.simulate` returns it, `sweep` has a row a run as `rhec.campaign` returns
+them. Every interval is a 95 % bootstrap interval over seeds, and every number that the paper
+reports stands beside ours.
 """
 
 import matplotlib.pyplot as plt
@@ -11,16 +11,7 @@ import pandas as pd
 from matplotlib.colors import LinearSegmentedColormap
 
 from rhec import paper
-from rhec.plots.parts import (
-    BOUND,
-    DOTS,
-    TOLERANCE,
-    legend_above,
-    note,
-    seed_range,
-    shade,
-    vertical_interval,
-)
+from rhec.plots import parts
 from rhec.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, styled
 from rhec.studies.scenario_tables import REPORTED
 from rhec.studies.statistics import over_seeds
@@ -31,12 +22,11 @@ __all__ += ["violations", "weight_sweep", "yaw_rate"]
 # dark where it slips, grey so that trajectories stand out
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
-_DASHED = (0, (3, 1.5))
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _LINES = {
     "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
     "Q2": dict(color=COLOURS["Q2"], label="$Q^2$"),
-    "Q2, look-ahead": dict(color=COLOURS["Q2"], label="$Q^2$, look-ahead", linestyle=_DASHED),
+    "Q2, look-ahead": dict(color=COLOURS["Q2"], label="$Q^2$, look-ahead", dashes=(3, 1.5)),
     "Q3": dict(color=COLOURS["Q3"], label="$Q^3$"),
     "RHE": dict(color=COLOURS["RHE"], label="RHE"),
     "EKF": dict(color=COLOURS["EKF"], label="EKF"),
@@ -50,11 +40,7 @@ def _about(run):
 
 def _time_axis(axes, log):
     """Time along the last of the axes, the curved parts of the path shaded in all."""
-    for each in axes:
-        shade(each, log["t_s"], ~log["on_straight"])
-        each.grid(axis="x", visible=False)
-    axes[-1].set_xlabel("time [s]  (shaded: curved parts of the path)")
-    axes[-1].set_xlim(log["t_s"].iloc[0], log["t_s"].iloc[-1])
+    parts.time_axis(axes, log["t_s"], ~log["on_straight"], "curved parts of the path")
 
 
 def _field(axes, terrain, values):
@@ -71,10 +57,7 @@ def _field(axes, terrain, values):
 def _reference(axes, path, up_to_m=None):
     """The reference trajectory from the start of the path to an arc length [m], else to its end."""
     poses, _ = path.poses(np.arange(0, (up_to_m or path.length_m) + 0.05, 0.1))
-    axes.plot(*poses[:, :2].T, **BOUND | dict(linewidth=0.8, label="reference"))
-
-
-# Scenario A
+    axes.plot(*poses[:, :2].T, **parts.BOUND | dict(linewidth=0.8, label="reference"))
 
 
 def _first_row(run):
@@ -100,33 +83,21 @@ def trajectories_q(runs):
         look, settled_s = _LINES[name], runs[name].metrics["settling_time_s"]
         plane.plot(log["x_m"], log["y_m"], **look)
         words = "never" if np.isnan(settled_s) else f"{settled_s:.1f} s"
-        label = f"{look['label']}: {words}"
-        time.plot(log["t_s"], log["error_true_m"], **look | {"label": label})
+        label = {"label": f"{look['label']}: {words}"}
+        time.plot(log["t_s"], log["error_true_m"], **look | label)
         then_m = np.interp(settled_s, log["t_s"], log["error_true_m"])
         time.plot(settled_s, then_m, "o", markersize=4, color=look["color"], markeredgecolor="w")
-    time.axhline(paper.TOLERANCE_M, **BOUND)
-    time.axhspan(0, paper.TOLERANCE_M, **TOLERANCE)
+    time.axhline(paper.TOLERANCE_M, **parts.BOUND)
+    time.axhspan(0, paper.TOLERANCE_M, **parts.TOLERANCE)
     place = dict(xycoords=("axes fraction", "data"), ha="right", va="baseline")
-    note(time, f"{paper.TOLERANCE_M} m", (1, paper.TOLERANCE_M), (0, 2), **place)
-    time.set_xlim(0, max(log["t_s"].iloc[-1] for log in rows.values()))
-    time.set_ylim(0)
-    plane.set(xlabel="$x$ [m]", ylabel="$y$ [m], stretched")
-    time.set(xlabel="time [s]", ylabel="true error [m]")
+    parts.note(time, f"{paper.TOLERANCE_M} m", (1, paper.TOLERANCE_M), (0, 2), **place)
+    end_s = max(log["t_s"].iloc[-1] for log in rows.values())
+    time.set(xlim=(0, end_s), ylim=0, xlabel="time [s]", ylabel="true error [m]")
+    title = f"First row: {_about(first)}"
+    plane.set(xlabel="$x$ [m]", ylabel="$y$ [m], stretched", title=title)
     plane.legend()
     time.legend(title="settling time (dots)", title_fontsize=7)
-    plane.set_title(f"First row: {_about(first)}")
     return figure
-
-
-def _strip(axes, place, values, colour):
-    """Every seed a dot, their mean and its 95 % interval beside them."""
-    spread = np.linspace(-0.3, 0.05, len(values))
-    axes.plot(place + spread, values, **DOTS, markersize=2, color=colour, alpha=0.5)
-    estimate = over_seeds(np.mean, values)
-    look = dict(fmt="D", markersize=3.5, capsize=2.5)
-    vertical_interval(axes, place + 0.25, estimate, color=colour, **look)
-    at = (place + 0.25, estimate.high)
-    note(axes, f"{estimate.mean:.2g}", at, (0, 3), ha="center", va="baseline")
 
 
 @styled
@@ -138,28 +109,26 @@ def weight_sweep(sweep):
     """
     figure, both = plt.subplots(2, figsize=(COLUMN_IN, 3.6), sharex=True)
     by_weight = dict(list(sweep.groupby("weight", sort=False)))
-    settled = {name: runs["settling_time_s"].count() for name, runs in by_weight.items()}
     labels = [
-        f"{_LINES[name]['label']}\n{settled[name]} of {len(runs)} settle"
+        f"{_LINES[name]['label']}\n{runs['settling_time_s'].count()} of {len(runs)} settle"
         for name, runs in by_weight.items()
     ]
     columns = {"settling_time_s": "settling time [s]", "overshoot_m": "overshoot [m]"}
     for axes, (column, quantity) in zip(both, columns.items()):
         for place, (name, runs) in enumerate(by_weight.items()):
-            _strip(axes, place, runs[column].dropna(), _LINES[name]["color"])
+            look = dict(color=_LINES[name]["color"], markersize=2, alpha=0.5)
+            places = place + np.array([-0.3, 0.05, 0.25])
+            mean = parts.strip(axes, places, runs[column].dropna(), **look)
+            at, look = (places[2], mean.high), dict(ha="center", va="baseline")
+            parts.note(axes, f"{mean.mean:.2g}", at, (0, 3), **look)
         axes.set_xticks(range(len(labels)), labels)
-        axes.set_xlim(-0.5, len(labels) - 0.4)
         axes.grid(axis="x", visible=False)
         axes.margins(y=0.12)
-        axes.set_ylim(0)
-        axes.set_ylabel(quantity)
+        axes.set(xlim=(-0.5, len(labels) - 0.4), ylim=0, ylabel=quantity)
     both[1].tick_params(axis="x", labelsize=6.5)
     noise = sweep["process_noise"].iloc[0]
-    both[0].set_title(f"{noise} process noise, {seed_range(sweep)}\nmean and 95 % interval")
+    both[0].set_title(f"{noise} process noise, {parts.seed_range(sweep)}\nmean and 95 % interval")
     return figure
-
-
-# Scenario B
 
 
 @styled
@@ -171,7 +140,7 @@ def slip_fields(terrain, path, title):
         path: a rhec.Path.
         title: which fields they are.
     """
-    figure, both = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.0), sharey=True)
+    figure, both = parts.panels_beside(2, 2.0)
     for axes, values, name in zip(both, (terrain.mu, terrain.kappa), (r"$\mu$", r"$\kappa$")):
         image = _field(axes, terrain, values)
         _reference(axes, path)
@@ -212,17 +181,16 @@ def trajectories(runs):
     panels["start"].set(aspect="auto", box_aspect=1)
     panels["worst"].set_ylabel("")
     figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", **_TRACTION_BAR)
-    figure.legend(*panels["all"].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    parts.legend_outside(figure, panels["all"], "lower center", 3)
     return figure
 
 
 @styled
 def errors(runs):
-    """Figure 8: Euclidean errors from raw GNSS to the path over time, a row for each process noise,
-    a column for each estimator. Means count from the settling time on.
+    """Figure 8: Euclidean errors from raw GNSS to the path over time; means after settling.
 
     Args:
-        runs: {process noise: {"RHE": Run, "EKF": Run}}.
+        runs: {process noise: {"RHE": Run, "EKF": Run}}, a row for each, a column for each.
     """
     size = (DOUBLE_IN, 0.6 + 1.6 * len(runs))
     figure, grid = plt.subplots(len(runs), 2, figsize=size, sharex=True, sharey=True, squeeze=False)
@@ -237,8 +205,8 @@ def errors(runs):
                 (reported, ":", "mean in the paper"),
             ]:
                 axes.axhline(level, color=BLACK, linewidth=0.9, linestyle=line, label=meaning)
-            noise = f"{run.scenario.process_noise} W"
-            axes.set_title(f"{name}, {noise}: mean {mean:.4f} m, paper: {reported} m")
+            about = f"{name}, {run.scenario.process_noise} W"
+            axes.set_title(f"{about}: mean {mean:.4f} m, paper: {reported} m")
             _time_axis([axes], run.log)
         row[0].set_ylabel("error, raw GNSS [m]")
     for axes in grid[:-1].flat:
@@ -246,7 +214,7 @@ def errors(runs):
     grid[0, 0].set_ylim(0.004)
     noises = " and ".join(runs)
     figure.suptitle(f"{noises} process noise W, seed {run.scenario.seed}", fontsize=8)
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    parts.legend_outside(figure, grid[0, 0], "lower center", 3)
     return figure
 
 
@@ -257,12 +225,12 @@ def _violation_bars(axes, place, name, runs):
         x, estimate = place + shift, over_seeds(np.mean, runs[column])
         axes.bar(x, estimate.mean, 0.38, color=COLOURS[name], alpha=alpha)
         spread = np.linspace(-0.13, 0.13, len(runs))
-        axes.plot(x + spread, runs[column], **DOTS, markersize=1.5, color=GREY)
-        vertical_interval(axes, x, estimate, color=BLACK, capsize=2, linewidth=0.8)
-        note(axes, f"{estimate.mean:.3g}", (x, 1), (0, -10), **top)
+        axes.plot(x + spread, runs[column], **parts.DOTS, markersize=1.5, color=GREY)
+        parts.vertical_interval(axes, x, estimate, color=BLACK, capsize=2, linewidth=0.8)
+        parts.note(axes, f"{estimate.mean:.3g}", (x, 1), (0, -10), **top)
     reported = REPORTED[name, "violations"]
     axes.hlines(reported, place - 0.45, place + 0.45, color=BLACK, linestyle=":", zorder=3)
-    note(axes, f"paper: {reported}", (place, 1), **top)
+    parts.note(axes, f"paper: {reported}", (place, 1), **top)
 
 
 @styled
@@ -272,14 +240,10 @@ def violations(sweep):
 
     Bars are means, whiskers 95 % intervals, dots seeds, dotted lines numbers of the paper. The
     scale is linear up to 10 and logarithmic beyond, for both estimators to be seen.
-
-    Args:
-        sweep: rows of `rhec.campaign`.
     """
     by_noise = list(sweep.groupby("process_noise", sort=False))
-    size = (COLUMN_IN, 2.7)
-    figure, panels = plt.subplots(1, len(by_noise), figsize=size, sharey=True, squeeze=False)
-    for axes, (noise, runs) in zip(panels[0], by_noise):
+    figure, panels = parts.panels_beside(len(by_noise), 2.7, COLUMN_IN)
+    for axes, (noise, runs) in zip(panels, by_noise):
         for place, (name, of_one) in enumerate(runs.groupby("estimator", sort=False)):
             _violation_bars(axes, place, name.upper(), of_one)
         axes.set_xticks([-0.2, 0.2, 0.8, 1.2], ["raw", "true"] * 2)
@@ -289,20 +253,14 @@ def violations(sweep):
         axes.set_title(f"{noise} process noise")
     axes.set_yscale("symlog", linthresh=10, linscale=0.6)
     axes.set_yticks(ticks := [0, 5, 10, 20, 50, 100, 200, 500, 1000], ticks)
-    axes.set_ylim(0, 3000)
-    panels[0, 0].set_ylabel("violations on straights in a run [samples]")
-    figure.suptitle(f"{seed_range(sweep)}; mean, 95 % interval, each seed", fontsize=8)
+    panels[0].set(ylim=(0, 3000), ylabel="violations on straights in a run [samples]")
+    figure.suptitle(f"{parts.seed_range(sweep)}; mean, 95 % interval, each seed", fontsize=8)
     return figure
 
 
 @styled
 def estimates(run):
-    """Figure 10: the RHE's yaw and traction parameters over time, against the truth, with the
-    constraints (14).
-
-    Args:
-        run: a rhec.Run.
-    """
+    """Figure 10: the RHE's yaw and traction parameters, the truth, and the constraints (14)."""
     figure, panels = plt.subplots(3, figsize=(DOUBLE_IN, 4.4), sharex=True)
     log = run.log
     for axes, truth, estimate, symbol, unit, rms in [
@@ -312,12 +270,12 @@ def estimates(run):
     ]:
         axes.plot(log["t_s"], log[estimate], color=COLOURS["RHE"], label="RHE")
         axes.plot(log["t_s"], log[truth], color=COLOURS["truth"], linewidth=0.8, label="truth")
-        axes.set_ylabel(f"{symbol} [{unit}]")
-        axes.set_title(f"{symbol}: RMS error after settling {run.metrics[rms]:.3f} [{unit}]")
+        title = f"{symbol}: RMS error after settling {run.metrics[rms]:.3f} [{unit}]"
+        axes.set(ylabel=f"{symbol} [{unit}]", title=title)
     for axes in panels[1:]:
-        axes.hlines([0, 1], *log["t_s"].iloc[[0, -1]], label="constraints", **BOUND)
+        axes.hlines([0, 1], *log["t_s"].iloc[[0, -1]], label="constraints", **parts.BOUND)
         axes.set_ylim(-0.06, 1.06)
-    legend_above(panels[0], panels[2], **_TIGHT)
+    parts.legend_above(panels[0], panels[2], **_TIGHT)
     _time_axis(panels, log)
     figure.suptitle(f"RHE, {_about(run)}", fontsize=8)
     return figure
@@ -325,11 +283,7 @@ def estimates(run):
 
 @styled
 def speed(run):
-    """Figure 11: measured, estimated and true speed of the tracks ν over time.
-
-    Args:
-        run: a rhec.Run.
-    """
+    """Figure 11: measured, estimated and true speed of the tracks ν over time."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
     for column, name, width in [
         ("nu_mps", "truth", 0.4),
@@ -337,53 +291,43 @@ def speed(run):
         ("nu_hat_mps", "RHE", 1.0),
     ]:
         axes.plot(run.log["t_s"], run.log[column], color=COLOURS[name], linewidth=width, label=name)
-    axes.set_ylabel(r"speed $\nu$ [m/s]")
-    legend_above(axes, **_TIGHT)
-    axes.set_title(_about(run))
+    parts.legend_above(axes, **_TIGHT)
+    axes.set(ylabel=r"speed $\nu$ [m/s]", title=_about(run))
     _time_axis([axes], run.log)
     return figure
 
 
 @styled
 def yaw_rate(run):
-    """Figure 12: the yaw rate that the RHC commands, with its bounds, and the actual one of the
-    tracks ω over time.
-
-    Args:
-        run: a rhec.Run.
-    """
+    """Figure 12: the yaw rate that the RHC commands, its bounds, and the tracks' actual one ω."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
     t_s, actual, commanded = (run.log[name] for name in ("t_s", "omega_radps", "omega_cmd_radps"))
     axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual")
     look = dict(color=COLOURS["RHE"], linewidth=0.9)
     axes.step(t_s, commanded, where="post", label="reference (RHC)", **look)
     bound = run.scenario.omega_max_radps
-    axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **BOUND)
-    axes.set_ylabel(r"yaw rate $\omega$ [rad/s]")
-    legend_above(axes, **_TIGHT)
+    axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **parts.BOUND)
+    parts.legend_above(axes, **_TIGHT)
     # a command lasts until the next sample
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
-    axes.set_title(f"{_about(run)}: actual - reference, RMS {rms:.3f} rad/s")
+    title = f"{_about(run)}: actual - reference, RMS {rms:.3f} rad/s"
+    axes.set(ylabel=r"yaw rate $\omega$ [rad/s]", title=title)
     _time_axis([axes], run.log)
     return figure
 
 
 @styled
 def kkt(run):
-    """Figure 13: KKT tolerances of RHE and RHC after their one Gauss-Newton iteration, over time.
-
-    Args:
-        run: a rhec.Run.
-    """
+    """Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration, over time."""
     figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.0), sharex=True)
     for axes, name, colour in zip(panels, ("RHE", "RHC"), (COLOURS["RHE"], COLOURS["oracle"])):
         tolerance = run.log[f"kkt_{name.lower()}"]
         axes.semilogy(run.log["t_s"], tolerance, color=colour, linewidth=0.7)
         axes.minorticks_off()
-        axes.set_ylabel("KKT tolerance [-]")
         # it vanishes where every input is at its bound
-        axes.set_ylim(max(tolerance.min(), tolerance.median() / 1000))
+        least, median = tolerance.min(), tolerance.median()
         largest = f"largest {tolerance.max():.2g} at {run.log['t_s'][tolerance.idxmax()]:.1f} s"
-        axes.set_title(f"{name}, {_about(run)}: {largest}, median {tolerance.median():.2g}")
+        title = f"{name}, {_about(run)}: {largest}, median {median:.2g}"
+        axes.set(ylabel="KKT tolerance [-]", ylim=max(least, median / 1000), title=title)
     _time_axis(panels, run.log)
     return figure

@@ -26,8 +26,7 @@ FOLDER = ROOT / "figures"
 
 COLUMN_IN, DOUBLE_IN = 3.4, 6.5  # widths of the paper's figures [in]
 
-# Okabe and Ito's palette, told apart by colour-blind readers: one colour a role, the same in every
-# figure.
+# Okabe and Ito's palette, told apart by colour-blind readers: one colour a role in every figure
 BLACK, GREY = "#000000", "#7f7f7f"
 ORANGE, SKY, GREEN, _YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -77,9 +76,7 @@ RC = {
 
 
 def styled(draw):
-    """Decorator of figure functions: `draw` runs in this style, whatever the caller's rcParams, and
-    its Figure is handed over complete.
-    """
+    """Decorate a figure function: it draws in this style, whatever the caller's rcParams are."""
 
     @functools.wraps(draw)
     def drawn(*args, **kwargs):
@@ -117,9 +114,7 @@ def _as_json(scenario):
 
 
 def provenance(name, scenario, notebook):
-    """Where a file came from, under keys that a PDF allows; the scenario, with its seed, is the
-    Keywords.
-    """
+    """Where a file came from, by keys that a PDF allows; its Keywords are the scenario."""
     about = {
         "Title": name,
         "Creator": f"rhec {__version__}, source {source()}",
@@ -156,8 +151,7 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     png, about = Path(folder) / f"{name}.png", provenance(name, scenario, notebook)
-    # savefig leaves a figure that has no layout with the default one, so that default must be none
-    # here
+    # savefig gives a figure without a layout the default one, which must be none here
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
         figure.savefig(png, metadata=about | {"Creator": f"rhec {__version__}"})
         figure.savefig(png.with_suffix(".pdf"), metadata=about | {"CreationDate": None})
@@ -178,10 +172,8 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     csv, label = Path(folder) / f"{name}.csv", f"tab:{name}"
-    table = dataframe.to_latex(
-        index=False, escape=True, float_format="%.4g", caption=caption, label=label
-    )
+    look = dict(index=False, escape=True, float_format="%.4g", caption=caption, label=label)
     dataframe.to_csv(csv, index=False)
     about = as_comments(provenance(name, scenario, notebook))
-    csv.with_suffix(".tex").write_text(about + table, encoding="utf-8")
+    csv.with_suffix(".tex").write_text(about + dataframe.to_latex(**look), encoding="utf-8")
     return csv

@@ -1,6 +1,4 @@
-"""The paper's Figure 5: which phase runs when, to the scale of measured times, in Python and in the
-exported C.
-"""
+"""The paper's Figure 5: which phase runs when, to the scale of measured times, here and in C."""
 
 import matplotlib.pyplot as plt
 
@@ -18,6 +16,7 @@ _COLOURS = {
     ("RHC", "feedback"): ORANGE,
 }
 _NOW = BOUND | dict(zorder=0)
+_SINCE = "time since the sampling instant $t_k$"
 
 
 @styled
@@ -63,9 +62,8 @@ def phases(times):
     reported = 1000 * sum(paper.TABLE_1_MS[problem, "feedback"][1] for problem in ("RHE", "RHC"))
     title = f"measurement to command: {commanded:.1f} µs, paper: {reported:.0f} µs"
     axes.set_title(title, loc="right")
-    axes.set_xlabel("time since the sampling instant $t_k$ [µs]")
     axes.set_yticks(range(len(begins)), [labels[which] for which in begins])
-    axes.set_ylim(4.1, -0.9)
+    axes.set(ylim=(4.1, -0.9), xlabel=f"{_SINCE} [µs]")
     axes.use_sticky_edges = False
     axes.margins(x=0.06)
     axes.grid(axis="y", visible=False)
@@ -77,18 +75,14 @@ def embedded_times(times):
     """Figure 5 for the exported C: mean times of the four phases around the sampling instant t_k,
     one axis a machine, one row for each source of times.
 
-    Both preparations are over at t_k, where the measurement arrives (drawn as late as can be); both
-    feedbacks lie between it and the command.
-
     Args:
-        times: rows with machine, who, problem ("RHE", "RHC"), phase ("preparation", "feedback"),
-            mean_ms.
+        times: rows with machine, who, problem, phase as for `phases`, and mean_ms.
     """
     machines = list(times.groupby("machine", sort=False))
     rows = [of_one["who"].nunique() for _, of_one in machines]
-    size = (COLUMN_IN, 0.75 + 0.5 * len(machines) + 0.42 * sum(rows))
-    heights = dict(height_ratios=[n + 0.4 for n in rows], squeeze=False)
-    figure, panels = plt.subplots(len(machines), 1, figsize=size, **heights)
+    size = dict(figsize=(COLUMN_IN, 0.75 + 0.5 * len(machines) + 0.42 * sum(rows)))
+    size["height_ratios"] = [n + 0.4 for n in rows]
+    figure, panels = plt.subplots(len(machines), squeeze=False, **size)
     edge = dict(edgecolor=BLACK, linewidth=0.4)
     for axes, (machine, of_one) in zip(panels[:, 0], machines):
         unit, factor = ("ms", 1.0) if of_one["mean_ms"].max() > 0.1 else ("µs", 1e3)
@@ -97,21 +91,16 @@ def embedded_times(times):
             mean = factor * given.set_index(["problem", "phase"])["mean_ms"]
             begin = -(mean["RHE", "preparation"] + mean["RHC", "preparation"])
             for which, colour in _COLOURS.items():
-                axes.barh(place, mean[which], 0.5, begin, color=colour, **edge)
+                label = f"{which[0]} {which[1]}"
+                axes.barh(place, mean[which], 0.5, begin, color=colour, label=label, **edge)
                 begin += mean[which]
-            delay = f"{begin:.3g} of {mean.sum():.3g} {unit}"
-            note(axes, delay, (begin, place), (4, 0))
+            note(axes, f"{begin:.3g} of {mean.sum():.3g} {unit}", (begin, place), (4, 0))
         axes.axvline(0, **_NOW)
         axes.set_yticks(range(len(sources)), [name.replace(", ", ",\n") for name in sources])
-        axes.set_ylim(len(sources) - 0.5, -0.5)
-        axes.set_title(machine)
-        axes.set_xlabel(f"time since the sampling instant $t_k$ [{unit}]")
+        axes.set(ylim=(len(sources) - 0.5, -0.5), title=machine, xlabel=f"{_SINCE} [{unit}]")
         low, high = axes.get_xlim()
         axes.set_xlim(low - 0.03 * (high - low), high + 0.45 * (high - low))  # room for the numbers
         axes.grid(axis="y", visible=False)
-    handles = [
-        plt.Rectangle((0, 0), 1, 1, facecolor=colour, **edge) for colour in _COLOURS.values()
-    ]
-    labels = [f"{problem} {phase}" for problem, phase in _COLOURS]
-    figure.legend(handles, labels, loc="outside upper center", ncols=2)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles[:4], labels[:4], loc="outside upper center", ncols=2)
     return figure
