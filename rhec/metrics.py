@@ -37,14 +37,11 @@ def metrics(columns, poses):
         violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
         violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
-        rms_mu=rms((c.mu_hat - c.mu)[after]),
-        rms_kappa=rms((c.kappa_hat - c.kappa)[after]),
-        rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
-        omega_peak_radps=omega.max(),
-        kkt_rhe_median=np.median(c.kkt_rhe[after]),
-        kkt_rhc_median=np.median(c.kkt_rhc[after]),
+        rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]),
+        rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]), omega_peak_radps=omega.max(),
+        kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]),
         all_ok=c.ok.all(),
-    )
+    )  # fmt: skip
     # plain numbers, whatever NumPy made of them
     return Renamed({name: value.item() for name, value in values.items()})
 

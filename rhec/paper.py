@@ -63,3 +63,5 @@ ENCODER_SIGMA_MPS = (
     ENCODER_ACCURACY_MPS / 2
 )  # the accuracy read as a 95 % bound of one 50 Hz reading
 SIGMA_W_RHE = (10.0, 10.0, 0.1, 1.0, 0.25, 0.25)
+
+__all__ = [name for name in dir() if name.isupper()]

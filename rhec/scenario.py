@@ -12,6 +12,8 @@ from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, Choice, estimator
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
+__all__ = ["Scenario"]
+
 
 @valid.validated
 class Scenario:

@@ -34,13 +34,12 @@ from rhec.tracked_robot.terrain import Terrain
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "LoopStructure", "Run", "Setup", "build_sample", "draw_noise", "known_traction",
+__all__ = [ "Run", "Setup", "build_sample", "draw_noise", "known_traction",
     "noise_and_faults", "set_up", "simulate", "simulate_setup",
 ]  # fmt: skip
 
 
-class LoopStructure(NamedTuple):
+class _LoopStructure(NamedTuple):
     """What decides the shape of the loop's Function, and so what is compiled."""
 
     estimator: Choice
@@ -59,7 +58,7 @@ def known_traction(given, field_mean, true):
 
 def build_sample(*structure):
     """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), as a scan."""
-    structure = LoopStructure(*structure)
+    structure = _LoopStructure(*structure)
     choice = Choice(*structure.estimator)
     given = estimator_of(choice.estimator).given
     measure, drive = robot.measure(paper.DT_S), robot.drive(paper.DT_S)
@@ -167,7 +166,7 @@ class Setup:
     (x, y, θ, ν, μ, κ), the estimator's first.
     """
 
-    structure: LoopStructure
+    structure: _LoopStructure
     memory: np.ndarray
     layout: dict
     settings: dict
@@ -224,7 +223,7 @@ def set_up(scenario):
         command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m),
         cell_m=soil.cell_m, slip=terrain.flat(soil, shape), mean_traction=soil.mean,
     )  # fmt: skip  # fmt: skip
-    structure = LoopStructure(
+    structure = _LoopStructure(
         choice, scenario.prediction_horizon, scenario.qp, scenario.input_reference,
         len(target.segments), shape, bool(scenario.faults),
     )  # fmt: skip  # fmt: skip
@@ -254,7 +253,7 @@ def noise_and_faults(scenario, samples):
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run: its scenario, its metrics, where it drove, its columns as arrays."""
+    """A finished run: its scenario, metrics, path, terrain, and its log's columns as arrays."""
 
     scenario: Scenario
     metrics: dict[str, Any]

@@ -34,7 +34,7 @@ FLOORS = [
 ]
 FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 CORE = ["model", "solver", "estimator", "controller"]
-CORE += ["paper", "columns", "scenario", "metrics", "simulation"]
+CORE += ["paper", "scenario", "metrics", "simulation"]
 PICTURES = {"matplotlib", "PIL", "IPython", "ipywidgets"}
 MOST_ENTRIES, MOST_CORE_LINES, MOST_LINES = 20, 2500, 14_000
 

@@ -114,6 +114,7 @@ def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples
 
 def test_without_a_guess_it_begins_at_the_first_reading():
     (estimate,) = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
+    assert isinstance(estimate, paper_rhe.PaperEstimate)
     assert estimate[:6] == pytest.approx((500, -300, 0, 0.4, 1, 1))
 
 

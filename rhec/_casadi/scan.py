@@ -12,6 +12,8 @@ import numpy as np
 from rhec._casadi import compiled
 from rhec._casadi.build import select_inputs
 
+__all__ = ["BLOCK", "build_scan", "scan"]
+
 BLOCK = 48
 
 

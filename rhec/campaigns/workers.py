@@ -9,7 +9,7 @@ from multiprocessing import resource_tracker
 
 from rhec._casadi.validation import optional
 
-__all__ = ["dask_client", "run_on"]
+__all__ = ["local_cluster", "dask_client", "run_on"]
 
 _AT_ONCE = 3  # tasks handed out for each thread of a worker, so that none waits for the next
 PATIENCE_S = 10.0  # for a scheduler to answer

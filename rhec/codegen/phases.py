@@ -135,9 +135,7 @@ def export_model(rhe=None, rhc=None):
         phases |= _bind_all(
             "controller", start, build_controller(rhc.problem), settings, _SHARED_BY_MODEL
         )
-        macros |= dict(
-            CONTROLLER=(1, "there is one"), HORIZON=(rhc.horizon, "intervals of a plan")
-        )
+        macros |= dict(CONTROLLER=(1, "there is one"), HORIZON=(rhc.horizon, "intervals of a plan"))
     macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
     return _export(phases, settings, guess, macros)
 

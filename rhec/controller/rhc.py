@@ -96,7 +96,8 @@ def build_phases(horizon):
 
     @casadi_function("rhc_linearise", loops, **memory, **weights)
     def linearise(s, u, Q, QN, R):
-        F, D, B = gauss_newton.linearise(iv, s, u, horizon.dt_s)
+        dt_s = ca.repmat(ca.DM(horizon.dt_s), 1, N)
+        F, D, B = iv.linearised.map(N)(s[:, :N], u, dt_s)
         dynamics = dict(F=F, D=D, B=B)
         if structured:
             return dynamics
@@ -315,7 +316,18 @@ class RHC(RealTimeLoop):
         return self.u_plan[:, 0]
 
     def solve(self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: int = 20) -> Any:
-        """`feedback` (its Args and Returns), iterated to convergence on the nonlinear problem."""
+        """Iterate to convergence on the nonlinear problem.
+
+        Args:
+            x: (n_x,) estimated state.
+            p: (n_p,) estimated parameters.
+            x_ref: (n_x, N+1) desired states.
+            u_ref: (n_u, N) desired inputs.
+            iterations: Gauss-Newton steps.
+
+        Returns:
+            (n_u,) inputs of the first interval.
+        """
         self._give(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
         self.iteration.solve(iterations)
         return self.u_plan[:, 0]

@@ -123,13 +123,9 @@ def _build_shift(window):
         # A window that is not full yet has intervals of no length before its first sample.
         s, v = gauss_newton.shift(window.interval, s, v, window.dt_s * (age >= 0))
         return dict(
-            s=s,
-            v=v,
-            z=ca.horzcat(z[:, 1:], ca.SX.nan(n_z)),
-            age=ca.fmin(age + 1, N),
-            m=ca.if_else(age >= N, m_next, m),
-            P=ca.if_else(age >= N, P_next, P),
-        )
+            s=s, v=v, z=ca.horzcat(z[:, 1:], ca.SX.nan(n_z)), age=ca.fmin(age + 1, N),
+            m=ca.if_else(age >= N, m_next, m), P=ca.if_else(age >= N, P_next, P),
+        )  # fmt: skip
 
     return shift
 
@@ -310,13 +306,10 @@ def _build_expand(window, linearise, feedback, loops):
         limit = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
         held = ca.if_else(ca.fabs(v) <= limit, v, 0)
         return dict(
-            s=ca.if_else(good, s_new, s),
-            v=ca.if_else(good, v_new, held),
-            z=ca.if_else(good, z, ca.SX.nan(n_z, N + 1)),
-            age=ca.if_else(good, age, 0),
-            m=ca.if_else(good, m, s[:, N]),
-            P=ca.if_else(good, P, ca.diag(P_0)),
-        )
+            s=ca.if_else(good, s_new, s), v=ca.if_else(good, v_new, held),
+            z=ca.if_else(good, z, ca.SX.nan(n_z, N + 1)), age=ca.if_else(good, age, 0),
+            m=ca.if_else(good, m, s[:, N]), P=ca.if_else(good, P, ca.diag(P_0)),
+        )  # fmt: skip
 
     result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok")}
 
@@ -411,13 +404,10 @@ def init(window, guess, sigma, inputs=None):
     """
     inputs = np.zeros(window.interval.n_v) if inputs is None else np.asarray(inputs)
     return dict(
-        s=np.tile(guess, (window.N + 1, 1)).T,
-        v=np.tile(inputs, (window.N, 1)).T,
-        z=np.full((len(window.model.outputs), window.N + 1), np.nan),
-        age=-1.0,
-        m=np.asarray(guess),
-        P=np.diag(np.square(sigma)),
-    )
+        s=np.tile(guess, (window.N + 1, 1)).T, v=np.tile(inputs, (window.N, 1)).T,
+        z=np.full((len(window.model.outputs), window.N + 1), np.nan), age=-1.0,
+        m=np.asarray(guess), P=np.diag(np.square(sigma)),
+    )  # fmt: skip
 
 
 class RHE(RealTimeLoop):
@@ -480,7 +470,15 @@ class RHE(RealTimeLoop):
         return self._estimate()
 
     def solve(self, z: Any, iterations: int = 20) -> Any:
-        """`feedback` (its Args and Returns), iterated to convergence on the nonlinear problem."""
+        """Iterate to convergence on the nonlinear problem.
+
+        Args:
+            z: (n_z,) measurements, as in `feedback`.
+            iterations: Gauss-Newton steps.
+
+        Returns:
+            Estimate.
+        """
         self._give(z)
         self.iteration.solve(iterations)
         return self._estimate()

@@ -13,7 +13,7 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
 from rhec.tracked_robot.kinematics import SpeedModel
 
-__all__ = ["LEVER_ARM", "SPEED_MODELS", "abs_track_speeds", "f"]
+__all__ = ["LEVER_ARM", "SPEED_MODELS", "f"]
 
 SIDE_SLIP_S = 0.1  # of two recorded skid-steered robots, a wheeled and a tracked one, alike
 LEVER_ARM = ("arm_forward_m", "arm_left_m")
@@ -40,7 +40,7 @@ def f(xi, v, p):
     return ca.vertcat(ahead * cos - left * sin, ahead * sin + left * cos, kappa * omega)
 
 
-def abs_track_speeds(nu, omega, b):
+def _abs_track_speeds(nu, omega, b):
     """Speeds (left, right) [m/s], both positive, of the tracks of a robot of track width b [m]."""
     return ca.fabs(nu - b / 2 * omega), ca.fabs(nu + b / 2 * omega)
 
@@ -58,7 +58,7 @@ def _input_noise(v, R, c):
 
 def _process_noise(v, W, dt_s, c):
     """W per metre that the tracks ran."""
-    left, right = abs_track_speeds(v[0], v[1], c[4])
+    left, right = _abs_track_speeds(v[0], v[1], c[4])
     return W * (left + right) / 2 * dt_s
 
 

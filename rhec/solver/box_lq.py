@@ -71,13 +71,9 @@ def box_lq(N, A_0, D, B, loops):
             first.append(ca.if_else(counted, active[i], right[i]))
             counted = counted + (right[i] != active[i])
         return dict(
-            x_after=x,
-            u=u,
-            multiplier=multiplier,
-            right=right,
-            first=ca.vertcat(*first),
+            x_after=x, u=u, multiplier=multiplier, right=right, first=ca.vertcat(*first),
             wrong_after=counted,
-        )
+        )  # fmt: skip
 
     row = (1, N * m)
     given = dict(D=ca.repmat(D, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=column)
@@ -112,11 +108,8 @@ def box_lq(N, A_0, D, B, loops):
         )
         finite = ca.mmin(ca.fabs(u) < ca.inf)  # also 0 where u is not a number
         return dict(
-            x=u,
-            multipliers=multipliers,
-            corrected=right,
-            first_corrected=first,
+            x=u, multipliers=multipliers, corrected=right, first_corrected=first,
             wrong=ca.if_else(finite, wrong, -1),
-        )
+        )  # fmt: skip
 
     return search_active_set("box_lq", N * m, solve, problem)

@@ -61,12 +61,9 @@ def _box_qp_by_pivoting(n):
             first.append(ca.if_else(wrong, active[i], right[i]))
             wrong = wrong + (right[i] != active[i])
         return dict(
-            x=x,
-            multipliers=multipliers,
-            corrected=right,
-            first_corrected=ca.horzcat(*first),
+            x=x, multipliers=multipliers, corrected=right, first_corrected=ca.horzcat(*first),
             wrong=ca.if_else(ca.mmin(ca.fabs(x) < ca.inf), wrong, -1),
-        )
+        )  # fmt: skip
 
     search = search_active_set("qp", n, solve, dict(H=(n, n), g=row, lb=row, ub=row))
 

@@ -8,23 +8,7 @@ with bounds only: in the bounded parameters for the RHE, in the commands for the
 
 import casadi as ca
 
-__all__ = ["kkt_tolerance", "linearise", "shift", "symmetric"]
-
-
-def linearise(interval, s, v, dt_s):
-    """Integrate every interval from its node and differentiate.
-
-    Args:
-        interval: Of the model.
-        s: (n_s, N+1) nodes.
-        v: (n_v, N) inputs.
-        dt_s: Length of an interval [s].
-
-    Returns:
-        F (n_s, N), D (n_s, n_s N) of A = A_0 + D, B (n_s, n_v N).
-    """
-    N = v.shape[1]
-    return interval.linearised.map(N)(s[:, :N], v, ca.repmat(ca.DM(dt_s), 1, N))
+__all__ = ["kkt_tolerance", "shift", "symmetric"]
 
 
 def shift(interval, s, v, dt_s):

@@ -48,12 +48,9 @@ def search_active_set(name, N, solve, problem):
         at_once = ca.fmax(fewer, patience > 0)
         return dict(
             active=ca.if_else(at_once, found["corrected"], found["first_corrected"]),
-            least=ca.fmin(wrong, least),
-            patience=ca.if_else(fewer, _PATIENCE, patience - 1),
-            wrong=wrong,
-            x=found["x"],
-            multipliers=found["multipliers"],
-        )
+            least=ca.fmin(wrong, least), patience=ca.if_else(fewer, _PATIENCE, patience - 1),
+            wrong=wrong, x=found["x"], multipliers=found["multipliers"],
+        )  # fmt: skip
 
     @casadi_function(f"{name}_converged", ca.MX, **shapes)
     def converged(**inputs):

@@ -18,7 +18,7 @@ from rhec.tracked_robot.estimators import Estimator
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.rhe import SIGMA_START
 
-__all__ = ["ESTIMATORS", "build_augmented_step", "build_step", "euler", "init"]
+__all__ = ["ESTIMATORS", "build_step", "init"]
 
 _POSE_AND_SPEED = base.Model(
     states=QUANTITIES[:4],
@@ -30,7 +30,7 @@ _POSE_AND_SPEED = base.Model(
 )
 
 
-def euler(m, omega, traction, dt_s):
+def _euler(m, omega, traction, dt_s):
     """Eq. (23) with traction (μ, κ): one Euler step of `dt_s` [s] from (x, y, θ, ν)."""
     x, y, theta, nu = ca.vertsplit(m)
     mu, kappa = ca.vertsplit(traction)
@@ -40,7 +40,7 @@ def euler(m, omega, traction, dt_s):
     )
 
 
-def build_step(dt_s, integrate=euler):
+def build_step(dt_s, integrate=_euler):
     """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
 
     Its memory: m (4,), P (4, 4), omega the last yaw rate [rad/s], started 0 before the first
@@ -61,13 +61,13 @@ def build_step(dt_s, integrate=euler):
     return step
 
 
-def build_augmented_step(dt_s):
+def _build_augmented_step(dt_s):
     """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
 
     @with_packed_memory("augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1))
     def step(m, P, omega, started, z_N, V, W):
         def move(m, omega):
-            return ca.vertcat(euler(m[:4], omega, m[4:], dt_s), m[4:])
+            return ca.vertcat(_euler(m[:4], omega, m[4:], dt_s), m[4:])
 
         model = SPEED_MODELS["parameter"].model
         after = _filtered(model, move, m, P, omega, started, z_N, V, W)
@@ -96,7 +96,7 @@ def init(n, guess, sigma=SIGMA_START):
 
 
 def _estimator(name, given, n=4):
-    build = build_step if n == 4 else build_augmented_step
+    build = build_step if n == 4 else _build_augmented_step
 
     def settings(scenario):
         tuned = (

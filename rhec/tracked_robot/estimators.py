@@ -11,11 +11,9 @@ from rhec import paper
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
-    "GIVEN", "NAMES", "ROBUST_NAMES", "Choice", "Estimator", "build_phases", "build_step",
+    "NAMES", "ROBUST_NAMES", "Choice", "Estimator", "build_phases", "build_step",
     "estimator_of",
 ]  # fmt: skip
-
-GIVEN = ("nothing", "field mean", "true traction", "truth")
 
 
 class Choice(NamedTuple):
@@ -53,7 +51,7 @@ class Estimator(NamedTuple):
     build_phases: Callable[[Choice], dict] | None = None  # where its step has the four phases
     states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
     n_sigma_w: Callable[[Choice], int] = lambda choice: 0
-    given: str = "nothing"  # one of GIVEN
+    given: str = "nothing"  # or "field mean", "true traction", "truth"
 
 
 # Where each is found, so that nothing here depends on what stands above; and with its

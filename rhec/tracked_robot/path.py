@@ -100,7 +100,15 @@ class Path:
     @classmethod
     @checked
     def racetrack(cls, row_length_m: Positive, radius_m: Positive) -> "Path":
-        """Two rows, joined by half circles on the headlands."""
+        """Two rows, joined by half circles on the headlands.
+
+        Args:
+            row_length_m: Length of a row [m].
+            radius_m: Radius of the half circles [m].
+
+        Returns:
+            The Path.
+        """
         return cls.from_segments(
             [(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)] * 2, closed=True
         )
@@ -110,7 +118,14 @@ class Path:
         return self.length_m if self.closed else OPEN
 
     def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Poses (n, 3) and curvatures (n,) at arc lengths s (n,) [m]."""
+        """Poses and curvatures at arc lengths.
+
+        Args:
+            s: (n,) arc lengths [m].
+
+        Returns:
+            Poses (n, 3) [m, m, rad] and curvatures (n,) [1/m].
+        """
         s = np.asarray(s) % self.length_m if self.closed else np.asarray(s)
         row = self.segments[
             np.clip(np.searchsorted(self.segments[:, 0], s, side="right") - 1, 0, None)
@@ -118,8 +133,13 @@ class Path:
         return np.column_stack(advance(*row[:, 1:4].T, row[:, 4], s - row[:, 0], np)), row[:, 4]
 
     def project(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The closest point of the whole path to each of xy (n, 2) [m]: distance (n,) [m] and arc
-        length (n,) [m]; both NaN where xy is.
+        """Closest point of the whole path.
+
+        Args:
+            xy: (n, 2) points [m].
+
+        Returns:
+            Distances (n,) and arc lengths (n,) [m]; both NaN where xy is.
         """
         xy = np.asarray(xy, dtype=float)
         best_distance, best_s = np.full(len(xy), np.inf), np.zeros(len(xy))

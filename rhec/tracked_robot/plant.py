@@ -13,10 +13,22 @@ from rhec import paper
 from rhec._casadi.build import casadi_function
 from rhec.tracked_robot.kinematics import f, rk4
 
+__all__ = [
+    "BODY",
+    "MEMORY",
+    "NOISE",
+    "SENSORS",
+    "SUBSTEPS",
+    "body_speeds",
+    "drive",
+    "init",
+    "measure",
+]
+
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
-MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed
-GAIN_P, GAIN_I = 1.0, 10.0  # the speed loop: from a standstill it settles in about half a second
-SPEED_LIMIT_MPS = 1.5  # of a track: saturation of the motor driver
+_MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed
+_GAIN_P, GAIN_I = 1.0, 10.0  # the speed loop: from a standstill it settles in about half a second
+_SPEED_LIMIT_MPS = 1.5  # of a track: saturation of the motor driver
 
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
 # Standard normal, one sample.
@@ -69,14 +81,14 @@ def drive(dt_s):
         for i in range(SUBSTEPS):
             reading = tracks + encoder_sigma_mps * encoder[:, i]
             readings.append(reading)
-            command = target + GAIN_P * (target - reading) + integral
-            limited = ca.fmin(ca.fmax(command, -SPEED_LIMIT_MPS), SPEED_LIMIT_MPS)
+            command = target + _GAIN_P * (target - reading) + integral
+            limited = ca.fmin(ca.fmax(command, -_SPEED_LIMIT_MPS), _SPEED_LIMIT_MPS)
             no_wind_up = command == limited
             integral = integral + h * GAIN_I * (target - reading) * no_wind_up
             nu, omega = body_speeds(tracks, track_width_m)
             pose = rk4(f, pose, omega, ca.vertcat(nu, traction), h)
             pose = pose + ca.vertcat(0, 0, h * bump_sigma_radps * bump)
-            tracks = tracks + h / MOTOR_LAG_S * (limited - tracks)
+            tracks = tracks + h / _MOTOR_LAG_S * (limited - tracks)
         return dict(
             pose=pose,
             tracks=tracks,

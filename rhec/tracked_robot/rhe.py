@@ -13,15 +13,7 @@ from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot.estimators import Choice, Estimator
 from rhec.tracked_robot.kinematics import QUANTITIES, speed_model_of
 
-__all__ = [
-    "ESTIMATORS",
-    "PaperEstimate",
-    "PaperRHE",
-    "SIGMA_START",
-    "init",
-    "settings_of",
-    "window_of",
-]
+__all__ = ["ESTIMATORS", "PaperEstimate", "PaperRHE", "SIGMA_START", "init", "window_of"]
 
 # Before the first sample: the paper's W; of what else a model may estimate, next to nothing.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
@@ -72,7 +64,7 @@ def init(window, guess, sigma=SIGMA_START):
     )
 
 
-def settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m):
+def _settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m):
     """Settings V, W, P_0 and c of the RHE; sigma_w None: that of `process_noise`."""
     kind = speed_model_of(speed_model)
     names, n_w = kind.model.joint_names, kind.n_sigma_w
@@ -91,7 +83,7 @@ def settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m):
 
 
 def _settings(scenario):
-    return settings_of(
+    return _settings_of(
         scenario.speed_model,
         scenario.process_noise,
         scenario.sigma_w,
@@ -162,7 +154,7 @@ class PaperRHE(rhe.RHE):
         self._guess = guess
         self.window = window_of(self._choice)
         self.model = self.window.model
-        self.settings = settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m)
+        self.settings = _settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m)
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = estimators.estimator_of("rhe", robust).init(
             self._choice, dict.fromkeys(QUANTITIES, 0.0)

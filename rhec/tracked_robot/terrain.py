@@ -33,9 +33,20 @@ STANDARD_FIELDS = next(
     (root / "data" / "standard_gaussian_fields.npz" for root in _ROOTS if (root / "data").is_dir()),
     None,
 )
+
+__all__ = [
+    "CELLS_PER_LENGTH",
+    "STANDARD_FIELDS",
+    "Terrain",
+    "bilinear",
+    "common_shape",
+    "flat",
+    "lookup",
+    "random_for",
+]
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
-LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
-MOST_CELLS = 4_000_000  # of a random field: a square kilometre
+_LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
+_MOST_CELLS = 4_000_000  # of a random field: a square kilometre
 
 Seed = Annotated[Whole, Field(ge=0)]
 Patch = tuple[
@@ -82,7 +93,15 @@ class Terrain:
 
     @classmethod
     def uniform(cls, mu: float, kappa: float) -> "Terrain":
-        """The same traction everywhere."""
+        """One traction everywhere.
+
+        Args:
+            mu: Traction coefficient μ.
+            kappa: Traction coefficient κ.
+
+        Returns:
+            The Terrain.
+        """
         return cls(*([[value, value], [value, value]] for value in (mu, kappa)), (0.0, 0.0), 1.0)
 
     @classmethod
@@ -97,22 +116,33 @@ class Terrain:
         patches: tuple[Patch, ...] = (),
         cell_m: Positive = 0.5,
     ) -> "Terrain":
-        """Beta-distributed fields over box = (x_min, x_max, y_min, y_max) [m]; mean and deviation
-        are pairs for (μ, κ).
+        """Beta-distributed fields, cut from the standard fields.
 
-        The seed places two windows in the standard fields, turns and mirrors them. patches: ((x_m,
-        y_m, radius_m, μ, κ), …), discs that replace the field.
+        Args:
+            seed: Places two windows in the standard fields, turns and mirrors them.
+            box: (x_min, x_max, y_min, y_max) [m].
+            mean: Of (μ, κ).
+            deviation: Standard deviation of (μ, κ).
+            correlation_length_m: How far traction is alike [m].
+            patches: ((x_m, y_m, radius_m, μ, κ), …), discs that replace the field.
+            cell_m: Distance of the grid's points [m].
+
+        Returns:
+            The Terrain.
+
+        Raises:
+            ValueError: In one sentence, for what makes no field.
         """
         x_min, x_max, y_min, y_max = box
         cells = np.ceil(np.array([x_max - x_min, y_max - y_min]) / cell_m)
-        if not (np.all(cells >= 1) and np.prod(cells) <= MOST_CELLS):
+        if not (np.all(cells >= 1) and np.prod(cells) <= _MOST_CELLS):
             raise ValueError(
                 f"box was {shown(box)}; it must be (x_min, x_max, y_min, y_max) with 1 to "
-                f"{MOST_CELLS:,} cells of {cell_m:g} m. "
+                f"{_MOST_CELLS:,} cells of {cell_m:g} m. "
                 "A path or a start that takes the robot so far needs a terrain of its own"
             )
         i, j = np.mgrid[0 : int(cells[0]) + 1, 0 : int(cells[1]) + 1]
-        standard, period = standard_fields()
+        standard, period = _standard_fields()
         # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's
         # stream is not
         draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
@@ -129,7 +159,7 @@ class Terrain:
                 [offset_j],
             ]
             gaussian = bilinear(field, places % period).reshape(i.shape) * (1 if turn & 8 else -1)
-            fields.append(beta_from_gaussian(gaussian, m, sd))
+            fields.append(_beta_from_gaussian(gaussian, m, sd))
         mu, kappa = fields
         for x, y, radius, mu_patch, kappa_patch in patches:
             inside = (x_min + cell_m * i - x) ** 2 + (
@@ -144,14 +174,28 @@ class Terrain:
         return np.array([self.mu.mean(), self.kappa.mean()])
 
     def save(self, file: str | File) -> None:
-        """As .npz: plain arrays, nothing that is executed on loading."""
+        """Write the fields as .npz: plain arrays, nothing that is executed on loading.
+
+        Args:
+            file: Where to.
+        """
         np.savez_compressed(
             file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m
         )
 
     @classmethod
     def load(cls, file: str | File) -> "Terrain":
-        """What `save` wrote. ValueError for any other file; what is in it is never executed."""
+        """Read the fields that `save` wrote; what is in the file is never executed.
+
+        Args:
+            file: Where from.
+
+        Returns:
+            The Terrain.
+
+        Raises:
+            ValueError: For any other file.
+        """
         try:
             with np.load(file, allow_pickle=False) as data:
                 given = (
@@ -232,7 +276,7 @@ def common_shape(terrain, step=160):
     return tuple(-(-points // step) * step for points in terrain.mu.shape)
 
 
-def beta_from_gaussian(gaussian, mean, deviation):
+def _beta_from_gaussian(gaussian, mean, deviation):
     """A standard Gaussian field reshaped, point by point, to the beta distribution on (0, 1) with
     that mean and standard deviation.
     """
@@ -241,7 +285,7 @@ def beta_from_gaussian(gaussian, mean, deviation):
     nu = mean * (1 - mean) / deviation**2 - 1
     quantiles = np.linspace(-5, 5, 257)
     values = betaincinv(mean * nu, (1 - mean) * nu, ndtr(quantiles))
-    return np.clip(np.interp(gaussian, quantiles, values), LOWEST, 1)
+    return np.clip(np.interp(gaussian, quantiles, values), _LOWEST, 1)
 
 
 def bilinear(field, places):
@@ -260,7 +304,7 @@ def bilinear(field, places):
 
 
 @functools.cache
-def standard_fields():
+def _standard_fields():
     """Two standard Gaussian fields, (2, period, period), one value a cell; and the period."""
     with np.load(STANDARD_FIELDS, allow_pickle=False) as data:
         fields = data["fields"].astype(float)
