@@ -224,7 +224,7 @@ def fused_sample(mhe, mpc):
     (memory, ((x, u, p), command)).
     """
     estimate = rhe.build_phases(mhe.window)["step"]
-    command = rhc.build_phases(mpc.horizon)["step"]
+    command = rhc.build_phases(mpc.problem)["step"]
     sizes = [estimate.numel_in("memory"), command.numel_in("memory")]
     memory = ca.MX.sym("memory", sum(sizes))
     shapes = [estimate.size_in("z_N"), command.size_in("x_ref"), command.size_in("u_ref")]
@@ -272,7 +272,7 @@ def test_the_fused_step_answers_as_the_live_objects_do(robot):
         stream.append(np.concatenate([row, flat(x_ref), flat(problem["u_ref"])]))
     n_x, n_u = len(robot.states), len(robot.inputs)
     start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, robot.sigma_guess))
-    plan = rhc.init(mpc.horizon, live[0][:n_x], live[0][n_x + n_u : -n_u])
+    plan = rhc.init(mpc.problem, live[0][:n_x], live[0][n_x + n_u : -n_u])
     memory = np.concatenate([pack_array(start), pack_array(plan)])
     _, rows = scan(build_scan(fused_sample(mhe, mpc)), memory, np.array(stream), {})
     np.testing.assert_allclose(rows, live, rtol=0, atol=1e-9)

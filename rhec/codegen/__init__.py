@@ -85,7 +85,7 @@ def _of_model(parts):
             "of the paper's robot a Scenario"
         )
     if len(own) == 2:
-        rhe, rhc = own["rhe"].window, own["rhc"].horizon
+        rhe, rhc = own["rhe"].window, own["rhc"].problem
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
     texts, made = _by_hand("c_model"), phases.export_model(**own)
