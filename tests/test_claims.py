@@ -127,7 +127,7 @@ def test_pairs_are_compared_as_pairs():
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
-def test_what_does_not_vary_is_judged_too_and_a_bound_is_not_included(value):
+def test_constant_samples_are_judged_and_a_bound_is_not_included(value):
     assert statistics.difference(np.full(5, value), np.zeros(5), above=0).verdict == (
         HOLDS if value else FAILS
     )
@@ -255,7 +255,7 @@ def test_no_claim_is_judged_on_the_calibrations_seeds():
     assert len(asked) == 1000 and asked.isdisjoint(TRAINING_SEEDS)
 
 
-def test_the_same_id_meets_the_same_fields_under_both_process_noises():
+def test_both_process_noises_meet_the_same_seeds():
     fields, _ = run_sets.RUNS["q2"]
     for one, other in zip(
         run_sets.scenarios(fields, "printed", 3), run_sets.scenarios(fields, "calibrated", 3)
@@ -270,7 +270,7 @@ def test_the_same_id_meets_the_same_fields_under_both_process_noises():
 # What is measured
 
 
-def test_what_a_log_shows(run):
+def test_measured_agrees_with_the_log(run):
     shown, log = run_sets.measured(run), run.log
     assert shown["in_bounds"] == log[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
     assert (
@@ -321,7 +321,7 @@ def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virt
     )
 
 
-def test_with_the_usual_arrival_cost_it_is_the_rhe(run, virtual_machine):
+def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     import casadi as ca
 
     from rhec._casadi import scan
@@ -350,7 +350,7 @@ def test_the_live_loop_is_the_fused_one(virtual_machine):
     "error, reached",
     [(np.zeros(50), 0.0), (np.r_[np.ones(10), np.zeros(40)], 2.0), (np.ones(50), 10.0)],
 )
-def test_when_the_truth_is_reached(error, reached):
+def test_the_time_from_which_an_error_stays_small(error, reached):
     assert experiments.reached_s(error) == pytest.approx(reached)
 
 

@@ -30,7 +30,7 @@ def kalman(rng, believed=1.0):
     return [np.array(each) for each in zip(*steps)]
 
 
-def test_of_a_kalman_filter_that_knows_its_noise_nees_and_nis_are_chi_squared():
+def test_nees_and_nis_of_a_kalman_filter_with_the_right_noise_are_chi_squared():
     rng = np.random.default_rng(0)
     runs = [kalman(rng) for _ in range(RUNS)]
     nees = np.array([consistency.normalised_squared(errors, P) for errors, P, *_ in runs])
@@ -44,7 +44,7 @@ def test_of_a_kalman_filter_that_knows_its_noise_nees_and_nis_are_chi_squared():
 
 
 @pytest.mark.parametrize("believed", [0.5, 2.0])
-def test_who_is_too_sure_or_not_sure_enough_is_found_out(believed):
+def test_nees_shows_an_overconfident_and_a_cautious_filter(believed):
     rng = np.random.default_rng(1)
     nees = np.array(
         [consistency.normalised_squared(*kalman(rng, believed)[:2]) for _ in range(RUNS)]
@@ -53,14 +53,14 @@ def test_who_is_too_sure_or_not_sure_enough_is_found_out(believed):
     assert consistency.share_inside(nees, 4) < 0.2
 
 
-def test_innovations_are_recovered_from_what_is_left_of_them():
+def test_innovations_are_recovered_from_residuals_after_the_update():
     _, _, y, S, residuals, HPH = kalman(np.random.default_rng(2))
     recovered, covariances = consistency.innovations(residuals, HPH, R)
     np.testing.assert_allclose(recovered, y, atol=1e-10)
     np.testing.assert_allclose(covariances, S, rtol=1e-9, atol=1e-12)
 
 
-def test_bounds_hold_what_they_promise():
+def test_bounds_hold_the_mean_as_often_as_they_say():
     rng = np.random.default_rng(3)
     low, high = consistency.bounds(20, 6)
     means = rng.chisquare(6, size=(20_000, 20)).mean(axis=1) / 6
@@ -73,7 +73,7 @@ def runs():
     return calibration.oracle_runs(range(3), duration_s=60.0)
 
 
-def test_the_filter_that_knows_the_soil_is_nearly_consistent_and_the_printed_one_is_not(runs):
+def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(runs):
     told = consistency.measure(Scenario(estimator="traction_oracle"), runs)
     printed = consistency.measure(Scenario(estimator="ekf"), runs)
     later = told.t_s >= calibration.SETTLED_S

@@ -19,7 +19,7 @@ DT = paper.DT_S
 
 
 @pytest.mark.parametrize("sigma_x_m", [0.02, 10.0])
-def test_the_steady_ekf_is_where_the_filter_itself_gets_to(sigma_x_m):
+def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
     """Not on the yaw's own scale only: the covariance after thousands of samples on a straight
     along x.
     """
@@ -48,7 +48,7 @@ def test_the_steady_ekf_is_where_the_filter_itself_gets_to(sigma_x_m):
     )
 
 
-def test_the_yaw_gain_is_what_the_text_says():
+def test_the_yaw_gain_falls_with_the_position_s_process_noise():
     """K_θ = σ_θ / √S, which falls as 1/σ_x."""
     table = interpretations.ekf_on_a_straight(np.geomspace(1e-3, 20, 9))
     S = paper.SIGMA_V[0] ** 2 / (1 - table["gain_position"])
@@ -79,7 +79,7 @@ def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
     ) and np.all(curve[1] < straight[1])
 
 
-def test_a_profile_is_least_where_the_calibration_stopped(virtual_machine):
+def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine):
     table = interpretations.likelihood_profile("ekf", 0, (0.2, 1.0, 5.0), seeds=1)
     assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
     assert list(table["sigma"]) == pytest.approx(

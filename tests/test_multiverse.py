@@ -47,7 +47,7 @@ def made_up(drawn, **errors):
     return runs
 
 
-def test_worlds_fill_their_ranges_and_are_the_same_again(drawn):
+def test_worlds_fill_their_ranges_and_are_reproducible(drawn):
     for name, (least, most, logarithmic) in multiverse.UNKNOWNS.items():
         unit = (
             (np.log(drawn[name] / least) / np.log(most / least))

@@ -5,10 +5,11 @@ By likelihood. 1. Drive the default scenario on the training seeds with the true
 so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
 its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
 deviations behind W that minimise the deviance summed over all training runs (Powell's method on
-their logarithms, position x and y sharing one). By tracking. The robot
-drives the training seeds by the estimator, and W minimises the mean true error (Nelder and Mead's
-method): not an estimator's best guess of the truth, but the one that this controller drives best
-by. Seeds below 1000 are never used.
+their logarithms, position x and y sharing one).
+
+By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true
+error (Nelder and Mead's method): not an estimator's best guess of the truth, but the one that this
+controller drives best by. Seeds below 1000 are never used.
 
     python -m rhec.studies.calibration    repeats all of it (minutes)
 """

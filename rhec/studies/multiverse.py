@@ -72,12 +72,12 @@ class Claim(NamedTuple):
 
 
 def _less(one, other):
-    """How far one number is below the other: above 0 where it is."""
+    """Logarithm of other / one: above 0 where `one` is the smaller."""
     return np.log(other / one)
 
 
 def _overshoots(one, other, factor):
-    """How much more `one` overshoots than `factor` times `other`."""
+    """Logarithm of one's overshoot over `factor` times the other's."""
     most, least = (np.maximum(runs.overshoot_m, _FLOOR_M) for runs in (one, other))
     return np.log(most / (factor * least))
 

@@ -1,5 +1,4 @@
-"""What the robot does when its sensors, its start or the soil are not what they should be: the
-cases, and how a run is judged.
+"""Faults of the sensors, wrong starts and wet soil: the cases, and how a run is judged.
 
 A fault hits each seed somewhere else on the lap, on straights and in curves. It is over when the
 sensors are well again, or the soil is; a wrong start is over at once. The robot is back when its
@@ -118,7 +117,7 @@ def interval_s(run, case, begin_s):
 
 
 def response(run, begin_s, end_s):
-    """What the robot did about trouble between these times [s]: errors in m, times in s.
+    """The robot's answer to trouble between these times [s]: errors in m, times in s.
 
     recovery_s: from its end until the true error stays within the tolerance for 5 s, NaN if it
     never does. in_bounds: every command is finite and keeps its bound, every estimate is finite,

@@ -175,8 +175,8 @@ def always(flags):
 
 
 def possible(flags):
-    """What "might" happen: seen at least once. Not seen, it does not hold once so many cases were
-    tried that its share must be below 1 %.
+    """A thing that "might" happen is seen at least once. Not seen, it does not hold once so many
+    cases were tried that its share must be below 1 %.
     """
     found = share(flags)
     said = HOLDS if found.value > 0 else FAILS if found.high < _RARE else UNDECIDED
