@@ -110,8 +110,7 @@ class Cells(HTMLExporter):
 
 def _markdown(source):
     """Markdown as HTML."""
-    renderer = _Renderer(escape=False, anchor_link_text="#")
-    return MarkdownWithMath(renderer=renderer).render(source)
+    return MarkdownWithMath(renderer=_Renderer(escape=False, anchor_link_text="#")).render(source)
 
 
 def _notebook_page(file, pages):
@@ -192,13 +191,10 @@ def _run_of(notebook):
     """When and how long a notebook ran, with which parameters, as papermill noted it."""
     noted = notebook.metadata.get("papermill", {})
     seconds = [cell.metadata.get("papermill", {}).get("duration") or 0.0 for cell in notebook.cells]
-    return dict(
-        started=noted.get("start_time", "")[:19].replace("T", " "),
-        seconds=noted.get("duration"),
-        slowest_s=max(seconds, default=0.0),
-        parameters=noted.get("parameters", {}),
-        cells=sum(cell.cell_type == "code" for cell in notebook.cells),
-    )
+    run = dict(seconds=noted.get("duration"), slowest_s=max(seconds, default=0.0))
+    run["started"] = noted.get("start_time", "")[:19].replace("T", " ")
+    run["cells"] = sum(cell.cell_type == "code" for cell in notebook.cells)
+    return run | dict(parameters=noted.get("parameters", {}))
 
 
 def _figures_of(folder):
@@ -347,11 +343,9 @@ def _write_site(notebooks, figures, site):
     looks = dict(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     loader = jinja2.FileSystemLoader(TEMPLATES)
     jinja = jinja2.Environment(loader=loader, autoescape=True, **looks)
-    jinja.filters.update(
-        table=_as_html,
-        seconds=lambda value: "–" if value is None else f"{value:.1f} s",
-        nice=lambda name: name.replace("_", " "),
-    )
+    jinja.filters["table"] = _as_html
+    jinja.filters["seconds"] = lambda value: "–" if value is None else f"{value:.1f} s"
+    jinja.filters["nice"] = lambda name: name.replace("_", " ")
 
     def write(page, template, **more):
         text = jinja.get_template(f"{template}.html.j2").render(common, page=page, **more)
@@ -361,10 +355,9 @@ def _write_site(notebooks, figures, site):
         write(page, page)
     contents, body = reference.of_the_face()
     write("reference", "reference", contents=contents, body=Markup(body))
-    for story in stories:
-        write(story["name"], "story", story=story)
-    for doc in docs:
-        write(doc["name"], "document", document=doc)
+    for template, pages in {"story": stories, "document": docs}.items():
+        for each in pages:
+            write(each["name"], template, **{template: each})
     styles = (HtmlFormatter(style=name) for name in ("friendly", "github-dark"))
     light, dark = (style.get_style_defs(".highlight") for style in styles)
     ours = (TEMPLATES / "report.css").read_text(encoding="utf-8")

@@ -83,10 +83,8 @@ def change(difference, digits):
 def _safe_name(name):
     """A file name that cannot leave its folder."""
     if not _NAME.fullmatch(name):
-        raise ValueError(
-            f"name was {name!r}; it should be letters, digits, - and _, "
-            "beginning with a letter or digit, at most 64 of them"
-        )
+        rule = "letters, digits, - and _, beginning with a letter or digit, at most 64 of them"
+        raise ValueError(f"name was {name!r}; it should be {rule}")
     return name
 
 
@@ -204,11 +202,8 @@ class Explorer(widgets.VBox):
     def _watch(self):
         choices = (self.estimator, self.against, self.process_noise, self.seed)
         drawn = (self.zoom, self.soil, self.view, self.moment)
-        for those, action in (
-            ((*choices, *self.inputs.values()), self._refresh),
-            (self.patch, self._change_patch),
-            (drawn, self._draw),
-        ):
+        changed = ((*choices, *self.inputs.values()), self._refresh)
+        for those, action in (changed, (self.patch, self._change_patch), (drawn, self._draw)):
             for widget in those:
                 widget.observe(self._answer(action), "value")
         clicked = {
@@ -219,10 +214,9 @@ class Explorer(widgets.VBox):
             self.remove_patch: lambda: self._set_patches(self.patches[:-1]),
             self.save: self._save,
         }
-        weights = {
-            button: functools.partial(self._set_weights, q) for button, q in self.weights.items()
-        }
-        for button, action in (clicked | weights).items():
+        for button, q in self.weights.items():
+            clicked[button] = functools.partial(self._set_weights, q)
+        for button, action in clicked.items():
             button.on_click(self._answer(action))
 
     def _answer(self, action):
@@ -271,10 +265,8 @@ class Explorer(widgets.VBox):
 
     def _change_patch(self):
         if self.patches:
-            entries = zip(controls.PATCH, self.patch, self.patches[-1])
-            patch = tuple(
-                controls.tidy(slider, widget.value, now) for slider, widget, now in entries
-            )
+            values = (widget.value for widget in self.patch)
+            patch = tuple(map(controls.tidy, controls.PATCH, values, self.patches[-1]))
             self.patches = (*self.patches[:-1], patch)
             self._refresh()
 
@@ -315,10 +307,8 @@ class Explorer(widgets.VBox):
         self._draw()
         drawn = time.perf_counter()
         runs = f"{len(self.runs)} runs" if len(self.runs) > 1 else "1 run"
-        self._say(
-            f"{runs} of {scenarios[0].duration_s:g} s in {1000 * (ran - started):.0f} ms, "
-            f"drawn in {1000 * (drawn - ran):.0f} ms"
-        )
+        took = f"{1000 * (ran - started):.0f} ms, drawn in {1000 * (drawn - ran):.0f} ms"
+        self._say(f"{runs} of {scenarios[0].duration_s:g} s in {took}")
 
     def _compile(self, structures):
         """Compile elsewhere, then run the newest state of the controls."""
@@ -326,11 +316,8 @@ class Explorer(widgets.VBox):
             f"{each.estimator.estimation_horizon} and {each.prediction_horizon} intervals"
             for each in structures
         }
-        self._say(
-            f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time: "
-            "a few seconds; the picture is that of before",
-            "wait",
-        )
+        which = f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time"
+        self._say(f"{which}: a few seconds; the picture is that of before", "wait")
         if not self.compiling:
             self.compiling = _running_loop().create_task(self._compiled(structures))
 
@@ -386,10 +373,8 @@ class Explorer(widgets.VBox):
             run.log.to_parquet(f"{file}.parquet", index=False)
         scenarios = [run.scenario for run in self.runs]
         style.save(self.figure(), name, scenarios, folder=folder, notebook="explore.ipynb")
-        self._say(
-            f"saved under the name {name} in {folder}: "
-            "CSV and Parquet of each run, the figure as PNG and PDF"
-        )
+        files = "CSV and Parquet of each run, the figure as PNG and PDF"
+        self._say(f"saved under the name {name} in {folder}: {files}")
 
     def _repr_mimebundle_(self, **formats):
         """Where there are no widgets, the picture and the table stand for them."""
