@@ -1,5 +1,5 @@
-"""The report: executed notebooks, figures, tables, claims, the reference of the public face and
-where all of it came from, as one site that needs no network.
+"""The report: executed notebooks, figures, tables, claims, documentation, the reference of the
+public face and where all of it came from, as one site that needs no network.
 
     python -m rhec.workbench.report build/notebooks/scenario_a.ipynb …
 
@@ -47,16 +47,11 @@ ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
 LONG = 40  # characters: a text in a table that wants room
-LIVE = (
-    '<p class="live">Sliders, and pictures that follow them: '
-    "run <code>make lab</code> and open this notebook.</p>"
-)
+LIVE = '<p class="live">Sliders: run <code>make lab</code> and open this notebook.</p>'
 # A notebook may be called claims, too.
 RESULTS = [f"results-{name}" for name in ("claims", "figures", "tables", "provenance")]
+LETTERS = {1: "M", 2: "L", 3: "Q", 4: "C", 79: "Z"}  # of SVG for matplotlib's path codes
 FONT = FontProperties(math_fontfamily="stix", size=100)  # a hundredth of it is an em
-
-
-# Formulas
 
 
 def formula(tex, display=False):
@@ -76,16 +71,12 @@ def formula(tex, display=False):
         width, height, depth = text_to_path.get_text_width_height_descent(text, FONT, ismath=True)
         outline = TextPath((0, 0), text, prop=FONT)
     except ValueError as error:
-        raise ValueError(
-            f"formula was {tex!r}; it must be TeX that matplotlib's mathtext knows: "
-            f"{str(error).splitlines()[-1]}"
-        ) from None
-    letters = {1: "M", 2: "L", 3: "Q", 4: "C", 79: "Z"}
-    curves = "".join(
-        letters[code]
-        + ("" if code == 79 else " ".join(f"{x:.1f},{-y:.1f}" for x, y in vertices.reshape(-1, 2)))
-        for vertices, code in outline.iter_segments(simplify=False, curves=True)
-    )
+        said = f"it must be TeX that matplotlib's mathtext knows: {str(error).splitlines()[-1]}"
+        raise ValueError(f"formula was {tex!r}; {said}") from None
+    curves = ""
+    for vertices, code in outline.iter_segments(simplify=False, curves=True):
+        points = [] if code == 79 else vertices.reshape(-1, 2)
+        curves += LETTERS[code] + " ".join(f"{x:.1f},{-y:.1f}" for x, y in points)
     size = f"width: {width / 100:.3f}em; height: {height / 100:.3f}em"
     svg = (
         f'<svg class="formula" role="img" aria-label="{escape(tex.strip())}" '
@@ -114,28 +105,37 @@ class Cells(HTMLExporter):
 
     @jinja2.pass_context
     def markdown2html(self, context, source):
-        renderer = _Renderer(escape=False, anchor_link_text="#")
-        return MarkdownWithMath(renderer=renderer).render(source)
+        return _markdown(source)
 
 
-# Pages
+def _markdown(source):
+    """Markdown as HTML."""
+    return MarkdownWithMath(renderer=_Renderer(escape=False, anchor_link_text="#")).render(source)
 
 
 def _notebook_page(file, pages):
-    """An executed notebook as its page shows it: name, title, lead, contents, body (HTML), first
-    picture (PNG), run (times). Links to the notebooks named in `pages` become links to their pages.
-    """
+    """An executed notebook as `_page`, with its first picture (PNG) and its run (times)."""
     notebook = nbformat.read(file, as_version=4)
     _prepare_outputs(notebook)
     try:
         body, _ = Cells().from_notebook_node(notebook)
     except ValueError as error:
         raise ValueError(f"{file.name}: {error}") from None
+    run = dict(picture=_first_picture(notebook), run=_run_of(notebook))
+    return _page(file.stem, body, pages) | run
+
+
+def _page(name, body, pages):
+    """What a page shows: name, title, lead, contents, body (HTML).
+
+    Links to the notebooks and documents named in `pages` become links to their pages.
+    """
     soup = BeautifulSoup(body, "html.parser")
-    for link in soup.select("a[href$='.ipynb']"):
-        name = Path(link["href"]).stem
-        if name in pages:
-            link["href"] = f"{name}.html"
+    for link in soup.select("a[href$='.ipynb'], a[href$='.md']"):
+        kind = "docs-" if link["href"].endswith(".md") else ""
+        target = kind + Path(link["href"]).stem
+        if target in pages:
+            link["href"] = f"{target}.html"
     for table in soup.select("table"):
         table.attrs.pop("border", None)
         table.wrap(soup.new_tag("div", attrs={"class": "scroll"}))
@@ -146,15 +146,8 @@ def _notebook_page(file, pages):
         old.decompose()
     heading, lead = soup.select_one("h1"), soup.select_one(".markdown p")
     contents = [(h2["id"], _text(h2)) for h2 in soup.select("h2[id]")]
-    return dict(
-        name=file.stem,
-        title=_text(heading) if heading else file.stem,
-        lead=_text(lead) if lead else "",
-        contents=contents,
-        body=Markup(soup),
-        picture=_first_picture(notebook),
-        run=_run_of(notebook),
-    )
+    title, lead = _text(heading) if heading else name, _text(lead) if lead else ""
+    return dict(name=name, title=title, lead=lead, contents=contents, body=Markup(soup))
 
 
 def _text(tag):
@@ -169,9 +162,7 @@ def _text(tag):
 
 
 def _prepare_outputs(notebook):
-    """Give each picture the beginning of the text above it as its description, drop progress bars,
-    and say where other widgets live.
-    """
+    """Describe pictures by the text above them, drop progress bars, say where widgets live."""
     above = ""
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
@@ -179,11 +170,8 @@ def _prepare_outputs(notebook):
         if cell.cell_type != "code":
             continue
         outputs = [(output, output.get("data", {})) for output in cell.outputs]
-        cell.outputs = [
-            output
-            for output, data in outputs
-            if not re.search(r"\d%\|", data.get("text/plain", ""))
-        ]
+        bars = [re.search(r"\d%\|", data.get("text/plain", "")) for _, data in outputs]
+        cell.outputs = [output for output, bar in zip(cell.outputs, bars) if not bar]
         for output, data in outputs:
             if "image/png" in data:
                 output.metadata["alt"] = " ".join(above.split())[:200]
@@ -193,13 +181,9 @@ def _prepare_outputs(notebook):
 
 def _first_picture(notebook):
     """The first PNG among a notebook's outputs, or None."""
-    pngs = (
-        output["data"]["image/png"]
-        for cell in notebook.cells
-        for output in cell.get("outputs", [])
-        if "image/png" in output.get("data", {})
-    )
-    first = next(pngs, None)
+    outputs = (output for cell in notebook.cells for output in cell.get("outputs", []))
+    pngs = (output.get("data", {}).get("image/png") for output in outputs)
+    first = next(filter(None, pngs), None)
     return first and base64.b64decode(first)
 
 
@@ -207,13 +191,10 @@ def _run_of(notebook):
     """When and how long a notebook ran, with which parameters, as papermill noted it."""
     noted = notebook.metadata.get("papermill", {})
     seconds = [cell.metadata.get("papermill", {}).get("duration") or 0.0 for cell in notebook.cells]
-    return dict(
-        started=noted.get("start_time", "")[:19].replace("T", " "),
-        seconds=noted.get("duration"),
-        slowest_s=max(seconds, default=0.0),
-        parameters=noted.get("parameters", {}),
-        cells=sum(cell.cell_type == "code" for cell in notebook.cells),
-    )
+    run = dict(seconds=noted.get("duration"), slowest_s=max(seconds, default=0.0))
+    run["started"] = noted.get("start_time", "")[:19].replace("T", " ")
+    run["cells"] = sum(cell.cell_type == "code" for cell in notebook.cells)
+    return run | dict(parameters=noted.get("parameters", {}))
 
 
 def _figures_of(folder):
@@ -258,7 +239,7 @@ def tone(verdict):
     """Which of four kinds a verdict is of: good, part (of the interpretations), bad or open."""
     if str(verdict).startswith("holds "):
         return "part"
-    return {"holds": "good", "fails": "bad", "does not hold": "bad"}.get(str(verdict), "open")
+    return {"holds": "good", "does not hold": "bad"}.get(str(verdict), "open")
 
 
 def _as_html(frame):
@@ -306,9 +287,6 @@ def _packages():
     return sorted(installed)
 
 
-# The site
-
-
 def build(notebooks, figures=style.FOLDER, report=REPORT):
     """Write the site; it replaces the old one only when it is whole.
 
@@ -335,8 +313,11 @@ def _write_site(notebooks, figures, site):
     for file in notebooks:
         shutil.copy(file, site / "notebooks")
 
-    names = [file.stem for file in notebooks]
+    documents = {f"docs-{file.stem}": file for file in sorted((ROOT / "docs").glob("*.md"))}
+    names = [*documents, *(file.stem for file in notebooks)]
     stories = [_notebook_page(file, names) for file in notebooks]
+    texts = {name: file.read_text(encoding="utf-8") for name, file in documents.items()}
+    docs = [_page(name, _markdown(text), names) for name, text in texts.items()]
     drawn, tables = _figures_of(figures), _tables_of(figures)
     (site / "pictures").mkdir()
     for story in stories:
@@ -348,6 +329,7 @@ def _write_site(notebooks, figures, site):
     verdicts = [rows["verdict"].map(tone) for rows in counted or [rows for _, rows in ledger]]
     common = dict(
         stories=stories,
+        docs=docs,
         figures=drawn,
         tables=tables,
         ledger=ledger,
@@ -358,18 +340,12 @@ def _write_site(notebooks, figures, site):
         packages=_packages(),
         environment=sorted({figure["source"] for figure in drawn}),
     )
-    jinja = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    jinja.filters.update(
-        table=_as_html,
-        seconds=lambda value: "–" if value is None else f"{value:.1f} s",
-        nice=lambda name: name.replace("_", " "),
-    )
+    looks = dict(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    loader = jinja2.FileSystemLoader(TEMPLATES)
+    jinja = jinja2.Environment(loader=loader, autoescape=True, **looks)
+    jinja.filters["table"] = _as_html
+    jinja.filters["seconds"] = lambda value: "–" if value is None else f"{value:.1f} s"
+    jinja.filters["nice"] = lambda name: name.replace("_", " ")
 
     def write(page, template, **more):
         text = jinja.get_template(f"{template}.html.j2").render(common, page=page, **more)
@@ -379,8 +355,9 @@ def _write_site(notebooks, figures, site):
         write(page, page)
     contents, body = reference.of_the_face()
     write("reference", "reference", contents=contents, body=Markup(body))
-    for story in stories:
-        write(story["name"], "story", story=story)
+    for template, pages in {"story": stories, "document": docs}.items():
+        for each in pages:
+            write(each["name"], template, **{template: each})
     styles = (HtmlFormatter(style=name) for name in ("friendly", "github-dark"))
     light, dark = (style.get_style_defs(".highlight") for style in styles)
     ours = (TEMPLATES / "report.css").read_text(encoding="utf-8")

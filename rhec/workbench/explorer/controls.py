@@ -1,8 +1,7 @@
-"""The explorer's controls as data: the field of `rhec.Scenario` that each changes, its unit and its
-range; and how to get from their values to scenarios.
+"""The explorer's controls as data, and how to get from their values to scenarios.
 
 A control's key is a field of Scenario, or (field, place) for one entry of a field that has several.
-A new field is one line of GROUPS.
+A new control is one line.
 """
 
 import math
@@ -44,20 +43,11 @@ class Selection(NamedTuple):
     about: str
 
 
-ESTIMATORS = {  # by their name in Scenario
-    "rhe": "RHE",
-    "ekf": "EKF",
-    "dual": "dual",
-    "oracle": "oracle",
-    "traction_oracle": "traction oracle",
-}
+ESTIMATORS = {"rhe": "RHE", "ekf": "EKF", "dual": "dual"}  # by their name in Scenario
+ESTIMATORS |= {"oracle": "oracle", "traction_oracle": "traction oracle"}
 PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("own W", "own"))
 _YES_NO = (("no", False), ("yes", True))
-_SPEED_MODELS = (
-    ("one a window", "parameter"),
-    ("measured", "input"),
-    ("slipping tracks", "slipping"),
-)
+_SPEEDS = (("one a window", "parameter"), ("measured", "input"), ("slipping tracks", "slipping"))
 _PRIOR_MEANS = (("smoothed", "smoothed"), ("filtered", "filtered"))
 _INPUT_REFERENCES = (("measured, held", "measured"), ("curvature", "curvature"))
 _DELAYS = (("at once", 0), ("a sample later", 1))
@@ -88,7 +78,7 @@ def _entries(field, symbol, names, slider):
 
 _ESTIMATOR = (
     Slider("estimation_horizon", "window [intervals]", 2, 40, 1, "estimation horizon", "whole"),
-    Selection("speed_model", "speed ν", _SPEED_MODELS, "R6, R13: how the RHE takes the speed"),
+    Selection("speed_model", "speed ν", _SPEEDS, "R6, R13: how the RHE takes the speed"),
     Selection("arrival_mean", "arrival mean", _PRIOR_MEANS, "R7: prior mean at the oldest node"),
     Selection(
         "robust", "robust", _YES_NO, "RHE and dual: gate positions, restart if rejected long"
@@ -131,13 +121,8 @@ _SENSORS = (
     Selection("faults", "fault", _FAULTS, "what is wrong with the sensors, and when"),
     *_entries("sigma_v", "σ_V", _MEASURED, (-3, 0, 0.05, "noise the estimator assumes", "log")),
 )
-GROUPS = {
-    "Estimator": _ESTIMATOR,
-    "Controller": _CONTROLLER,
-    "Drive": _DRIVE,
-    "Soil": _SOIL,
-    "Sensors": _SENSORS,
-}
+GROUPS = {"Estimator": _ESTIMATOR, "Controller": _CONTROLLER}
+GROUPS |= {"Drive": _DRIVE, "Soil": _SOIL, "Sensors": _SENSORS}
 CONTROLS = {control.key: control for group in GROUPS.values() for control in group}
 
 # A wet patch: the entries of Scenario's `patches`, and what a new one is.
@@ -153,16 +138,15 @@ NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
 
 def values_of(scenario):
     """Each control's value in this scenario, with "process_noise", "seed" and "patches"."""
-    values = {
-        key: getattr(scenario, key[0])[key[1]] if isinstance(key, tuple) else getattr(scenario, key)
-        for key in CONTROLS
-        if key[0] != "sigma_w"
-    }
     own, noise = scenario.sigma_w, scenario.process_noise
     six = own if own is not None and len(own) == 6 else tuning.SIGMA_W["rhe"][noise]
-    values |= {("sigma_w", place): sigma for place, sigma in enumerate(six)}
-    values["process_noise"] = noise if own is None else "own"
-    return values | {"seed": scenario.seed, "patches": scenario.patches}
+    fields_of = vars(scenario) | {"sigma_w": six}
+    names = (*CONTROLS, "seed", "patches")
+    values = {
+        key: fields_of[key[0]][key[1]] if isinstance(key, tuple) else fields_of[key]
+        for key in names
+    }
+    return values | {"process_noise": noise if own is None else "own"}
 
 
 def scenario_of(values, estimator, start):
@@ -196,11 +180,7 @@ def scenario_of(values, estimator, start):
 
 
 def _own_sigma_w(chosen):
-    """The standard deviations that an estimator has, from those of (x, y, θ, ν, μ, κ), in the order
-    of Scenario's `sigma_w`; None for an estimator without any.
-
-    chosen: values of Scenario's fields; `sigma_w` has all six.
-    """
+    """Scenario's `sigma_w` for the chosen estimator, from all six that are chosen, or None."""
     if chosen["estimator"] == "dual":  # the RHE's, then the EKF's
         names = (*QUANTITIES, *QUANTITIES[:4])
     else:
@@ -213,9 +193,7 @@ def _own_sigma_w(chosen):
 
 
 def tidy(control, value, before):
-    """A control's value without the digits that only a slider's arithmetic made: as it was before,
-    if it has not moved.
-    """
+    """A control's value without a slider's rounding errors: as before, if it has not moved."""
     if isinstance(control, Selection):
         return value
     if math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
@@ -230,11 +208,10 @@ def line_of(thing):
 
     The user's own path, terrain or estimator stands there by the name of its field.
     """
-    values = {field.name: getattr(thing, field.name) for field in fields(thing)}
     words = [
-        f"{field.name}={_as_code(values[field.name], field.name)}"
+        f"{field.name}={_as_code(getattr(thing, field.name), field.name)}"
         for field in fields(thing)
-        if values[field.name] != field.default
+        if getattr(thing, field.name) != field.default
     ]
     return f"rhec.{type(thing).__name__}({', '.join(words)})"
 

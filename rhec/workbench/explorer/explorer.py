@@ -52,28 +52,19 @@ _STYLE = f"<style>\n{_CSS.read_text(encoding='utf-8')}</style>"
 def metrics_table(runs, pinned=()):
     """The metrics of runs as HTML, a row each, then their differences to the pinned runs."""
 
-    def row(run, name, cells):
-        swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
-        return f"<tr><td>{swatch} {name}</td>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
-
     def value(number, digits):
         return f"{number:.{digits}f}" if math.isfinite(number) else "never"
 
-    rows = [
-        row(
-            run,
-            name_of(run.scenario),
-            [value(run.metrics[m], digits) for m, _, _, digits in _METRICS],
-        )
-        for run in runs
-    ]
+    def row(run, name, cell, less):
+        swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
+        found = [cell(run.metrics[m] - less.get(m, 0), digits) for m, _, _, digits in _METRICS]
+        return f"<tr><td>{swatch} {name}</td>{''.join(f'<td>{each}</td>' for each in found)}</tr>"
+
+    rows = [row(run, name_of(run.scenario), value, {}) for run in runs]
     for run, before in zip(runs, pinned):
         name, pinned_name = name_of(run.scenario), name_of(before.scenario)
-        differences = [
-            change(run.metrics[m] - before.metrics[m], digits) for m, _, _, digits in _METRICS
-        ]
         pinned_name = "" if pinned_name == name else f" {pinned_name}"
-        rows.append(row(run, f"{name} − pinned{pinned_name}", differences))
+        rows.append(row(run, f"{name} − pinned{pinned_name}", change, before.metrics))
     head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in _METRICS)
     return f'<table class="rhec-table"><tr><th></th>{head}</tr>{"".join(rows)}</table>'
 
@@ -92,24 +83,13 @@ def change(difference, digits):
 def _safe_name(name):
     """A file name that cannot leave its folder."""
     if not _NAME.fullmatch(name):
-        raise ValueError(
-            f"name was {name!r}; it should be letters, digits, - and _, "
-            "beginning with a letter or digit, at most 64 of them"
-        )
+        rule = "letters, digits, - and _, beginning with a letter or digit, at most 64 of them"
+        raise ValueError(f"name was {name!r}; it should be {rule}")
     return name
 
 
-def _save_run(run, folder, name):
-    """Write a run's log as folder/name.csv and .parquet."""
-    folder.mkdir(parents=True, exist_ok=True)
-    run.log.to_csv(folder / f"{name}.csv", index=False)
-    run.log.to_parquet(folder / f"{name}.parquet", index=False)
-
-
 def compile_apart(structures):
-    """Compile the closed loops of these structures in a process of their own, which leaves them
-    where `compiled.load` finds them.
-    """
+    """Compile these closed loops in a process of their own, for `compiled.load` to find them."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         list(pool.map(functools.partial(compiled.load, simulation.build_sample), *zip(*structures)))
 
@@ -154,24 +134,15 @@ class Explorer(widgets.VBox):
         estimators = [(name, key) for key, name in controls.ESTIMATORS.items()]
         if not isinstance(self.start.estimator, str):
             estimators.append(("own", self.start.estimator))
-        self.inputs = {
-            key: _input(control, values[key]) for key, control in controls.CONTROLS.items()
-        }
+        self.inputs = {key: _input(one, values[key]) for key, one in controls.CONTROLS.items()}
         patch = self.patches[-1] if self.patches else controls.NEW_PATCH
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
         self.estimator = _list(estimators, self.start.estimator, "run", 142)
         self.against = _list([("nothing", None), *estimators], against, "against", 160)
         noise, about = values["process_noise"], "process noise, one’s own in the tab Estimator"
         self.process_noise = _list(controls.PROCESS_NOISES, noise, "W", 122, about)
-        self.seed = widgets.BoundedIntText(
-            self.start.seed,
-            min=0,
-            max=10**9,
-            description="seed",
-            layout={"width": "112px"},
-            style={"description_width": "36px"},
-            tooltip="fixes terrain and noise together",
-        )
+        look = _look("seed", "fixes terrain and noise together", "112px", "36px")
+        self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
         self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", 66)
         views, width = ["field run", "robot view"], {"button_width": "96px"}
@@ -191,18 +162,15 @@ class Explorer(widgets.VBox):
         self.status, self.picture, self.table, self.line, self.patch_count = outputs
         self.status.add_class("rhec-status")
         self.line.add_class("rhec-code")
-        label, wide = {"description_width": "50px"}, {"width": "96%"}
-        text = functools.partial(widgets.Text, layout=wide, style=label, continuous_update=False)
         self.folder, self.name = (
-            text(str(folder), description="folder"),
-            text("run", description="name"),
+            widgets.Text(value, continuous_update=False, **_look(label, None, "96%", "50px"))
+            for label, value in (("folder", str(folder)), ("name", "run"))
         )
         about = "CSV and Parquet of each run, the figure as PNG and PDF"
         self.save = _button("save runs and figure", about)
         self.play = widgets.Play(100, min=0, max=100, interval=100, show_repeat=False)
-        self.moment = widgets.IntSlider(
-            100, 0, 100, description="sample", layout={"flex": "1 1 auto"}, style=label
-        )
+        look = _look("sample", None, None, "50px") | {"layout": {"flex": "1 1 auto"}}
+        self.moment = widgets.IntSlider(100, 0, 100, **look)
         self.link = widgets.jslink((self.play, "value"), (self.moment, "value"))
         self.time = widgets.HBox([self.play, self.moment], layout={"display": "none"})
 
@@ -226,35 +194,29 @@ class Explorer(widgets.VBox):
         pictures = widgets.VBox([self.picture, self.time, self.table], layout=size)
         apart = {"justify_content": "space-between", "align_items": "baseline"}
         words = widgets.HBox([self.status, self.line], layout=apart)
-        return [
-            widgets.HTML(_STYLE),
-            bar,
-            words,
-            widgets.HBox([tabs, pictures], layout={"width": "100%"}),
-        ]
+        below = widgets.HBox([tabs, pictures], layout={"width": "100%"})
+        return [widgets.HTML(_STYLE), bar, words, below]
 
     # What happens when
 
     def _watch(self):
         choices = (self.estimator, self.against, self.process_noise, self.seed)
         drawn = (self.zoom, self.soil, self.view, self.moment)
-        for those, action in (
-            ((*choices, *self.inputs.values()), self._refresh),
-            (self.patch, self._change_patch),
-            (drawn, self._draw),
-        ):
+        changed = ((*choices, *self.inputs.values()), self._refresh)
+        for those, action in (changed, (self.patch, self._change_patch), (drawn, self._draw)):
             for widget in those:
                 widget.observe(self._answer(action), "value")
+        clicked = {
+            self.pin: lambda: self._pin(self.runs),
+            self.unpin: lambda: self._pin(()),
+            self.reset: self._reset,
+            self.add_patch: lambda: self._set_patches((*self.patches, controls.NEW_PATCH)),
+            self.remove_patch: lambda: self._set_patches(self.patches[:-1]),
+            self.save: self._save,
+        }
         for button, q in self.weights.items():
-            button.on_click(self._answer(functools.partial(self._set_weights, q)))
-        for button, action in (
-            (self.pin, self._pin),
-            (self.unpin, self._unpin),
-            (self.reset, self._reset),
-            (self.add_patch, self._add_patch),
-            (self.remove_patch, self._remove_patch),
-            (self.save, self._save),
-        ):
+            clicked[button] = functools.partial(self._set_weights, q)
+        for button, action in clicked.items():
             button.on_click(self._answer(action))
 
     def _answer(self, action):
@@ -294,37 +256,22 @@ class Explorer(widgets.VBox):
             self.estimator.value, self.seed.value = self.start.estimator, self.start.seed
             self.process_noise.value = values["process_noise"]
 
-    def _add_patch(self):
+    def _set_patches(self, patches):
+        """Other wet patches, the last of them on its sliders."""
         with self._together():
-            self.patches += (controls.NEW_PATCH,)
-            self._show_patch()
-
-    def _remove_patch(self):
-        with self._together():
-            self.patches = self.patches[:-1]
-            self._show_patch()
+            self.patches = patches
+            for widget, value in zip(self.patch, patches[-1] if patches else controls.NEW_PATCH):
+                widget.value = value
 
     def _change_patch(self):
         if self.patches:
-            entries = zip(controls.PATCH, self.patch, self.patches[-1])
-            patch = tuple(
-                controls.tidy(slider, widget.value, now) for slider, widget, now in entries
-            )
+            values = (widget.value for widget in self.patch)
+            patch = tuple(map(controls.tidy, controls.PATCH, values, self.patches[-1]))
             self.patches = (*self.patches[:-1], patch)
             self._refresh()
 
-    def _show_patch(self):
-        """The last wet patch on its sliders."""
-        patch = self.patches[-1] if self.patches else controls.NEW_PATCH
-        for widget, value in zip(self.patch, patch):
-            widget.value = value
-
-    def _pin(self):
-        self.pinned = self.runs
-        self._draw()
-
-    def _unpin(self):
-        self.pinned = ()
+    def _pin(self, runs):
+        self.pinned = runs
         self._draw()
 
     # From the controls to the picture
@@ -338,11 +285,8 @@ class Explorer(widgets.VBox):
         values["process_noise"], values["seed"] = self.process_noise.value, self.seed.value
         values["patches"] = self.patches
         estimators = [self.estimator.value, self.against.value]
-        return [
-            controls.scenario_of(values, estimator, self.start)
-            for estimator in estimators
-            if estimator is not None
-        ]
+        asked = [estimator for estimator in estimators if estimator is not None]
+        return [controls.scenario_of(values, estimator, self.start) for estimator in asked]
 
     def _refresh(self):
         """Run what the controls ask for and show it, or first compile it elsewhere."""
@@ -363,24 +307,17 @@ class Explorer(widgets.VBox):
         self._draw()
         drawn = time.perf_counter()
         runs = f"{len(self.runs)} runs" if len(self.runs) > 1 else "1 run"
-        self._say(
-            f"{runs} of {scenarios[0].duration_s:g} s in {1000 * (ran - started):.0f} ms, "
-            f"drawn in {1000 * (drawn - ran):.0f} ms"
-        )
+        took = f"{1000 * (ran - started):.0f} ms, drawn in {1000 * (drawn - ran):.0f} ms"
+        self._say(f"{runs} of {scenarios[0].duration_s:g} s in {took}")
 
     def _compile(self, structures):
-        """Compile elsewhere, then run the newest state of the controls; until then the picture
-        stays as it is, and all else can be used.
-        """
+        """Compile elsewhere, then run the newest state of the controls."""
         horizons = {
             f"{each.estimator.estimation_horizon} and {each.prediction_horizon} intervals"
             for each in structures
         }
-        self._say(
-            f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time: "
-            "a few seconds; the picture is that of before",
-            "wait",
-        )
+        which = f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time"
+        self._say(f"{which}: a few seconds; the picture is that of before", "wait")
         if not self.compiling:
             self.compiling = _running_loop().create_task(self._compiled(structures))
 
@@ -413,10 +350,8 @@ class Explorer(widgets.VBox):
             self.picture.value = self.robot_view.svg()
         self.table.value = metrics_table(self.runs, self.pinned)
         line = html.escape(controls.line_of(self.runs[0].scenario))
-        copy = "navigator.clipboard?.writeText(this.innerText)"
-        self.line.value = (
-            f'<span class="rhec-line" title="click to copy" onclick="{copy}">{line}</span>'
-        )
+        copy = 'title="click to copy" onclick="navigator.clipboard?.writeText(this.innerText)"'
+        self.line.value = f'<span class="rhec-line" {copy}>{line}</span>'
 
     def _say(self, sentence, how=""):
         self.status.value = f'<span role="status" class="{how}">{html.escape(sentence)}</span>'
@@ -430,15 +365,16 @@ class Explorer(widgets.VBox):
 
     def _save(self):
         name, folder = _safe_name(self.name.value), Path(self.folder.value).expanduser()
+        folder.mkdir(parents=True, exist_ok=True)
         for place, run in enumerate(self.runs, 1):
             estimator = name_of(run.scenario).lower().replace(" ", "_")
-            _save_run(run, folder, _safe_name(f"{name}_{place}_{estimator}"))
+            file = folder / _safe_name(f"{name}_{place}_{estimator}")
+            run.log.to_csv(f"{file}.csv", index=False)
+            run.log.to_parquet(f"{file}.parquet", index=False)
         scenarios = [run.scenario for run in self.runs]
         style.save(self.figure(), name, scenarios, folder=folder, notebook="explore.ipynb")
-        self._say(
-            f"saved under the name {name} in {folder}: "
-            "CSV and Parquet of each run, the figure as PNG and PDF"
-        )
+        files = "CSV and Parquet of each run, the figure as PNG and PDF"
+        self._say(f"saved under the name {name} in {folder}: {files}")
 
     def _repr_mimebundle_(self, **formats):
         """Where there are no widgets, the picture and the table stand for them."""
@@ -448,12 +384,7 @@ class Explorer(widgets.VBox):
 
 def _input(control, value):
     """The widget of a control. Its range takes in the value it begins with."""
-    look = {
-        "description": control.label,
-        "tooltip": control.about,
-        "layout": {"width": "98%"},
-        "style": {"description_width": "116px"},
-    }
+    look = _look(control.label, control.about, "98%", "116px")
     if isinstance(control, controls.Selection):
         options = control.options
         if not any(value == option for _, option in options):
@@ -467,8 +398,7 @@ def _input(control, value):
         kind, readout = widgets.IntSlider, "d"
     else:
         readout = f".{max(1, -math.floor(math.log10(control.step) + 1e-9))}f"
-    # steps count from the lowest end: the value it begins with must be one of them, or the front
-    # end changes it
+    # steps count from the lowest end: the front end changes a value that is none of them
     low = round(place - control.step * math.ceil((place - control.low) / control.step - 1e-9), 12)
     return kind(
         value,
@@ -481,15 +411,15 @@ def _input(control, value):
     )
 
 
+def _look(label, about, width, label_width="initial"):
+    """A widget's label, tooltip and widths."""
+    layout, style = {"width": width}, {"description_width": label_width}
+    return {"description": label, "tooltip": about, "layout": layout, "style": style}
+
+
 def _list(options, value, label, width_px, about=""):
-    return widgets.Dropdown(
-        options=options,
-        value=value,
-        description=label,
-        tooltip=about,
-        layout={"width": f"{width_px}px"},
-        style={"description_width": "initial"},
-    )
+    look = _look(label, about, f"{width_px}px")
+    return widgets.Dropdown(options=options, value=value, **look)
 
 
 def _button(text, about):

@@ -1,8 +1,5 @@
 """One field run in six panels: the trajectory on the slip map, errors, traction, yaw rate and KKT
-tolerance; up to two runs and two pinned ones.
-
-`field_run` makes the figure once; `FieldRun` keeps it and takes new runs in place, which is what an
-explorer needs.
+tolerance; up to two runs and two pinned ones. `FieldRun` keeps the figure and takes new runs.
 """
 
 import numpy as np
@@ -29,8 +26,8 @@ _SOIL = LinearSegmentedColormap.from_list(
 )
 _SLOTS = ("run", "other", "pinned run", "pinned other")
 
-# What is drawn of a run: panel, column along x, column along y, and how: "bold" in the estimator's
-# colour, "faint" in that colour, too, "second" a second bold one, "truth" in black.
+# What is drawn of a run: panel, columns along x and y, and how: all but "truth" in the estimator's
+# colour.
 _SERIES = (
     ("map", "x_m", "y_m", "bold"),
     ("error", "t_s", "error_m", "faint"),
@@ -49,13 +46,8 @@ _LOOKS = {
     "faint": dict(linewidth=0.4, alpha=0.55),
     "truth": dict(linewidth=0.7, color=BLACK),
 }
-_LABELS = {
-    "error": "error [m]",
-    "mu": r"$\mu$ [-]",
-    "kappa": r"$\kappa$ [-]",
-    "yaw_rate": r"$\omega$ [rad/s]",
-    "kkt": "KKT [-]",
-}
+_LABELS = {"error": "error [m]", "mu": r"$\mu$ [-]", "kappa": r"$\kappa$ [-]"}
+_LABELS |= {"yaw_rate": r"$\omega$ [rad/s]", "kkt": "KKT [-]"}
 
 
 def name_of(scenario):
@@ -124,11 +116,7 @@ def _worst_place(run):
 
 
 def _map_limits(run, zoom, shape):
-    """((x, x_end), (y, y_end), aspect) of a zoom: the soil's whole field, the first row with y
-    stretched, or 5 m around the worst place.
-
-    shape: width and height of the panel [any unit].
-    """
+    """((x, x_end), (y, y_end), aspect) of a zoom, for a panel of this width and height."""
     path = run.path
     if zoom == "worst place":
         centre = np.round(_worst_place(run))
@@ -160,16 +148,12 @@ class FieldRun(LayeredFigure):
         plane, graphs = self.axes["map"], [*self.axes.values()][1:]
         soil = dict(origin="lower", interpolation="bilinear", cmap=_SOIL, vmin=0.5, vmax=1)
         self.image = plane.imshow(np.ones((2, 2)), **soil)
-        # these move with the limits alone
         self.axes["error"].axhspan(0, paper.TOLERANCE_M, **FAINT_TOLERANCE)
         (self.tolerance,) = plane.fill([], [], **FAINT_TOLERANCE | dict(alpha=0.5, zorder=0.5))
         (self.reference,) = plane.plot([], [], **DASHED)
         self.bounds = [self.axes["yaw_rate"].axhline(0, **DASHED) for _ in range(2)]
 
-        self.lines = {
-            slot: [self._line(panel, look, slot) for panel, _, _, look in _SERIES]
-            for slot in _SLOTS
-        }
+        self.lines = {slot: [self._line(slot, *series) for series in _SERIES] for slot in _SLOTS}
         shade = dict(color=BLACK, alpha=0.07, linewidth=0, animated=True)
         self.curves = [
             axes.fill_between([0, 0], 0, 1, transform=axes.get_xaxis_transform(), **shade)
@@ -204,7 +188,7 @@ class FieldRun(LayeredFigure):
         axes["map"].set(xlabel="$x$ [m]", ylabel="$y$ [m]")
         return axes
 
-    def _line(self, panel, look, slot):
+    def _line(self, slot, panel, _x, _y, look):
         pinned = "pinned" in slot
         style = dict(zorder=2.4 - 0.1 * _SLOTS.index(slot)) | _LOOKS[look]
         style |= dict(linestyle=(0, (2.5, 1.5)), alpha=0.6) if pinned else {}
@@ -228,22 +212,13 @@ class FieldRun(LayeredFigure):
         self._show_marks(first)
         self._show_map(first, zoom, soil)
         time = (0.0, max(each["t_s"][-1] + paper.DT_S for each in columns))
-        bound = first.scenario.omega_max_radps
-        for panel, limits in {
-            "error": _error_limits(columns),
-            "mu": _traction_limits(columns, "mu"),
-            "kappa": _traction_limits(columns, "kappa"),
-            "yaw_rate": (-1.25 * bound, 1.25 * bound),
-            "kkt": _kkt_limits(columns),
-        }.items():
-            self.axes[panel].set(xlim=time, ylim=limits)
-            self.keys[panel] = time, limits
-        for line, value in zip(self.bounds, (-bound, bound)):
-            line.set_ydata([value, value])
-        entries = [(name_of(run.scenario), colour_of(run.scenario), "-") for run in runs]
-        entries += [
-            (f"pinned {name_of(run.scenario)}", colour_of(run.scenario), "--") for run in pinned
-        ]
+        traction = [_traction_limits(columns, name) for name in ("mu", "kappa")]
+        limits = [_error_limits(columns), *traction, self._show_bounds(first), _kkt_limits(columns)]
+        for panel, of_one in zip(_LABELS, limits):
+            self._limit(panel, time, of_one)
+        entries = [("", run.scenario, "-") for run in runs]
+        entries += [("pinned ", run.scenario, "--") for run in pinned]
+        entries = [(kind + name_of(of), colour_of(of), line) for kind, of, line in entries]
         entries += [("truth, and bounds (dashed)", BLACK, "-")]
         looks = [dict(zip(("label", "color", "linestyle"), entry)) for entry in entries]
         self._show_legend(tuple(entries), [Line2D([], [], linewidth=1.0, **look) for look in looks])
@@ -294,18 +269,7 @@ class FieldRun(LayeredFigure):
 
 @styled
 def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
-    """Field runs in six panels: trajectory on the slip map, errors, traction, yaw rate, KKT.
-
-    Args:
-        runs: one or two runs.
-        pinned: up to two runs to compare with, dashed.
-        zoom: one of ZOOMS.
-        soil: the slip field on the map, "mu" or "kappa".
-
-    Returns:
-        The matplotlib Figure: distances to the path [m], μ and κ [-], yaw rates with their bounds
-        [rad/s], and KKT tolerances [-] over time [s].
-    """
+    """The matplotlib Figure of field runs in six panels; arguments as for `FieldRun.show`."""
     picture = FieldRun((DOUBLE_IN, 4.3))
     picture.show(list(runs), list(pinned), zoom, soil)
     return picture.whole_figure()

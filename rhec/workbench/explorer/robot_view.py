@@ -1,6 +1,4 @@
-"""One sample from the robot's point of view: its estimation window and its plan, in the row, seen
-from above and stretched across.
-"""
+"""One sample from the robot's point of view: its estimation window and its plan, in the row."""
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -8,23 +6,13 @@ from matplotlib.patches import Polygon
 
 from rhec import paper
 from rhec.plots.style import BLACK, COLOURS, DOUBLE_IN, GREEN, GREY, PURPLE, styled
-from rhec.workbench.explorer.field_run import (
-    DASHED,
-    FAINT_TOLERANCE,
-    colour_of,
-    name_of,
-    places_beside,
-    round_up_to,
-    tolerance_band,
-)
+from rhec.workbench.explorer import field_run
 from rhec.workbench.explorer.svg_layers import LayeredFigure
 
 __all__ = ["RobotView", "robot_view", "seen_from"]
 
-_FOOTPRINT = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (
-    paper.ROBOT_LENGTH_M / 2,
-    paper.ROBOT_WIDTH_M / 2,
-)
+_HALF_M = paper.ROBOT_LENGTH_M / 2, paper.ROBOT_WIDTH_M / 2
+_FOOTPRINT = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * _HALF_M
 _LEGEND = {
     "driven": "driven (truth)",
     "measured": "GNSS",
@@ -37,11 +25,8 @@ _LEGEND_LOOKS = "color linestyle marker markersize markerfacecolor linewidth alp
 
 
 def seen_from(pose, xy):
-    """Places or poses (n, 2 or 3) of the field in the frame of a pose (x, y, θ): ahead and to the
-    left [m].
-    """
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    return (xy[:, :2] - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])
+    """Places or poses (n, 2 or 3) in the frame of a pose (x, y, θ): ahead and to the left [m]."""
+    return (xy[:, :2] - pose[:2]) @ _turned(-pose[2])
 
 
 def _distance_left(path, xy):
@@ -81,9 +66,9 @@ class RobotView(LayeredFigure):
         for axes in (across, yaw_rate):
             axes.axvline(0, color=BLACK, linewidth=0.5)
             axes.set_xlabel("time from now [s]", labelpad=1)
-        across.axhspan(-paper.TOLERANCE_M, paper.TOLERANCE_M, **FAINT_TOLERANCE)
-        across.axhline(0, **DASHED)
-        self.bounds = [yaw_rate.axhline(0, **DASHED) for _ in range(2)]
+        across.axhspan(-paper.TOLERANCE_M, paper.TOLERANCE_M, **field_run.FAINT_TOLERANCE)
+        across.axhline(0, **field_run.DASHED)
+        self.bounds = [yaw_rate.axhline(0, **field_run.DASHED) for _ in range(2)]
         self.moving = self._moving_by_name()
 
     def _moving_by_name(self):
@@ -104,7 +89,7 @@ class RobotView(LayeredFigure):
             rows=line(above, color=GREEN, linewidth=5, alpha=0.35, solid_capstyle="butt"),
             tolerance=area(facecolor=COLOURS["tolerance"], alpha=0.4),
             robot=area(facecolor=GREY, alpha=0.35),
-            path=line(above, **DASHED),
+            path=line(above, **field_run.DASHED),
             driven=line(above, **thin),
             residuals=line(above, color=COLOURS["measured"], linewidth=0.5),
             measured=line(above, **dots),
@@ -122,7 +107,7 @@ class RobotView(LayeredFigure):
 
     def show(self, run, k, snapshot):
         """Take sample k of a run, with the Snapshot of that sample."""
-        c, now_s, name = run.columns, run.columns["t_s"][k], name_of(run.scenario)
+        c, now_s, name = run.columns, run.columns["t_s"][k], field_run.name_of(run.scenario)
         reach_s = paper.DT_S * max(run.scenario.estimation_horizon, run.scenario.prediction_horizon)
         reach_m = reach_s * run.scenario.speed_mps + 0.7
         past = slice(max(0, k - round(reach_s / paper.DT_S)), k + 1)
@@ -134,11 +119,16 @@ class RobotView(LayeredFigure):
             moving = self.moving[artist]
             moving.set_xy(points) if isinstance(moving, Polygon) else moving.set_data(*points.T)
         for artist in ("window", "estimate", "across_window", "commanded"):
-            self.moving[artist].set_color(colour_of(run.scenario))
+            self.moving[artist].set_color(field_run.colour_of(run.scenario))
         self._show_legend(name, self._handles(name))
         beside = [over_time[f"across_{part}"][:, 1] for part in ("driven", "window", "plan")]
         largest = np.nanmax(np.abs(np.concatenate(beside)), initial=0)
-        self._limits(reach_m, reach_s, round_up_to(1.05 * largest), run.scenario.omega_max_radps)
+        across_m, time = field_run.round_up_to(1.05 * largest), (-reach_s - 0.1, reach_s + 0.1)
+        plane = self.axes["above"].get_position(original=True).size * self.figure.get_size_inches()
+        half_height = reach_m * plane[1] / plane[0]
+        self._limit("above", (-reach_m, reach_m), (-half_height, half_height))
+        self._limit("across", time, (-across_m, across_m))
+        self._limit("yaw_rate", time, self._show_bounds(run))
 
     def _from_above(self, path, snapshot, driven, reach_m):
         """What is drawn in the robot's frame, by artist: arrays (n, 2) [m]."""
@@ -151,7 +141,11 @@ class RobotView(LayeredFigure):
         ahead_m = ahead_m if path.closed else np.clip(ahead_m, 0, path.length_m)
         poses, curvatures = path.poses(ahead_m)
         left, right = (
-            seen(np.where((curvatures == 0)[:, None], places_beside(poses, across_m), np.nan))
+            seen(
+                np.where(
+                    (curvatures == 0)[:, None], field_run.places_beside(poses, across_m), np.nan
+                )
+            )
             for across_m in (paper.ROW_SPACING_M / 2, -paper.ROW_SPACING_M / 2)
         )
         window, measured = seen(snapshot.window), seen(snapshot.measured)
@@ -159,7 +153,7 @@ class RobotView(LayeredFigure):
         outline = _FOOTPRINT @ _turned(snapshot.estimate[2]) + snapshot.estimate[:2]
         return dict(
             rows=np.concatenate([left, [[np.nan, np.nan]], right]),
-            tolerance=seen(tolerance_band(poses)),
+            tolerance=seen(field_run.tolerance_band(poses)),
             robot=_FOOTPRINT,
             path=seen(poses),
             driven=seen(driven),
@@ -186,29 +180,11 @@ class RobotView(LayeredFigure):
 
     def _handles(self, estimator):
         """What the colours mean, as lines for the legend."""
-        looks = {
-            name: {look: getattr(self.moving[name], f"get_{look}")() for look in _LEGEND_LOOKS}
-            for name in _LEGEND
-        }
-        return [
-            Line2D([], [], **looks[name], label=label.format(estimator=estimator))
-            for name, label in _LEGEND.items()
-        ]
-
-    def _limits(self, reach_m, reach_s, across_m, bound_radps):
-        plane = self.axes["above"].get_position(original=True).size * self.figure.get_size_inches()
-        half_height = reach_m * plane[1] / plane[0]
-        time = -reach_s - 0.1, reach_s + 0.1
-        for panel, limits in {
-            "above": ((-reach_m, reach_m), (-half_height, half_height)),
-            "across": (time, (-across_m, across_m)),
-            "yaw_rate": (time, (-1.25 * bound_radps, 1.25 * bound_radps)),
-        }.items():
-            if self.keys.get(panel) != limits:
-                self.axes[panel].set(xlim=limits[0], ylim=limits[1])
-                self.keys[panel] = limits
-        for line, value in zip(self.bounds, (-bound_radps, bound_radps)):
-            line.set_ydata([value, value])
+        handles = []
+        for name, label in _LEGEND.items():
+            looks = {look: getattr(self.moving[name], f"get_{look}")() for look in _LEGEND_LOOKS}
+            handles.append(Line2D([], [], **looks, label=label.format(estimator=estimator)))
+        return handles
 
     def _moving(self):
         return self.moving.values()
@@ -216,19 +192,9 @@ class RobotView(LayeredFigure):
 
 @styled
 def robot_view(run, k, snapshot):
-    """One sample of a run from the robot's point of view.
-
-    Args:
-        run: a rhec.Run.
-        k: number of the sample, from 0.
-        snapshot: `rhec.workbench.explorer.snapshot.snapshot_at(run.scenario, k)`.
-
-    Returns:
-        The matplotlib Figure: estimation window, GNSS, plan and desired points in the row, from
-        above [m] and stretched across [m], and commanded yaw rates with their bounds [rad/s].
-    """
+    """The matplotlib Figure of sample k of a run, with `snapshot_at(run.scenario, k)`."""
     picture = RobotView((DOUBLE_IN, 4.0))
     picture.show(run, k, snapshot)
-    title = f"{name_of(run.scenario)}, {run.columns['t_s'][k]:.1f} s"
+    title = f"{field_run.name_of(run.scenario)}, {run.columns['t_s'][k]:.1f} s"
     picture.axes["above"].set_title(title, loc="left", pad=3, fontsize=8)
     return picture.whole_figure()

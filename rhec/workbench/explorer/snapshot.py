@@ -1,8 +1,4 @@
-"""The estimation window and the predicted trajectory at one sample of a run.
-
-A run is a scan, so that the memory at sample k comes from scanning the samples up to k: nothing
-needs to have been kept.
-"""
+"""Estimation window and predicted trajectory at one sample of a run, by scanning up to it."""
 
 from typing import NamedTuple
 
@@ -31,15 +27,7 @@ class Snapshot(NamedTuple):
 
 
 def snapshot_at(scenario, k):
-    """Estimation window and plan of a scenario's run at sample k.
-
-    Args:
-        scenario: a rhec.Scenario.
-        k: number of the sample, from 0.
-
-    Returns:
-        A Snapshot.
-    """
+    """The Snapshot of a scenario's run at sample k, from 0."""
     setup = simulation.set_up(scenario)
     functions = compiled.load(simulation.build_sample, *setup.structure)
     inputs = simulation.noise_and_faults(scenario, k + 1)

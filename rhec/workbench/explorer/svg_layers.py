@@ -1,8 +1,7 @@
 """A figure as SVG in a page, fast enough to follow a slider: unchanged parts are not drawn again.
 
-Artists that move are marked `animated`, as for matplotlib's blitting. Axes and legend are layers,
-each kept until its key changes. Black becomes the page's own text colour, so that one picture suits
-a light and a dark page.
+Artists that move are marked `animated`; axes and legend are layers, each kept until its key
+changes. Black becomes the page's own text colour, to suit light and dark pages.
 """
 
 import io
@@ -16,12 +15,9 @@ from rhec.plots.style import BLACK, BLUE, RC
 __all__ = ["LayeredFigure"]
 
 _MAX_LAYERS = 64  # of a figure
-# The paper's blue is too dark for a dark page; some of the page's text colour makes it lighter
-# there and hardly changes it on a light page.
-_PAGE_COLOURS = {
-    BLACK: "currentColor",
-    BLUE.lower(): f"color-mix(in srgb, {BLUE} 78%, currentColor)",
-}
+# blue is too dark for a dark page: some of the page's text colour makes it lighter there
+_LIGHTER_BLUE = f"color-mix(in srgb, {BLUE} 78%, currentColor)"
+_PAGE_COLOURS = {BLACK: "currentColor", BLUE.lower(): _LIGHTER_BLUE}
 
 
 class LayeredFigure:
@@ -49,6 +45,19 @@ class LayeredFigure:
                     axes.grid(axis="y", color=BLACK, alpha=0.12)
             self.figure.draw_without_rendering()  # ticks take their style when first drawn
         self.figure.set_dpi(72)  # SVG's unit is the point
+
+    def _limit(self, panel, xlim, ylim):
+        """Limits of a panel that shows nothing else but moving artists."""
+        if self.keys.get(panel) != (xlim, ylim):
+            self.axes[panel].set(xlim=xlim, ylim=ylim)
+            self.keys[panel] = xlim, ylim
+
+    def _show_bounds(self, run):
+        """The bounds of a run's yaw rate, on the lines `bounds`. Returns limits around them."""
+        bound = run.scenario.omega_max_radps
+        for line, value in zip(self.bounds, (-bound, bound)):
+            line.set_ydata([value, value])
+        return -1.25 * bound, 1.25 * bound
 
     def _show_legend(self, key, handles):
         """One line above the axes; it stays while its key does."""
