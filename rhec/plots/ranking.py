@@ -66,7 +66,7 @@ def ranked(sweep):
 
 @style.styled
 def pose_noise(rows):
-    """True errors and RMS error of the yaw over the process noise σ_θ of the proposal's pose filter.
+    """True errors and RMS error of the yaw over the process noise σ_θ of the dual's pose filter.
 
     A ring marks the least of each curve, the dotted line the proposal's σ_θ; bands are 95 %
     intervals over seeds.
