@@ -312,7 +312,7 @@ def test_feedback_without_preparation_is_refused():
 @pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
 def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_mean, speed_model):
     """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from
-    where the process_noise says.
+    where `arrival_mean` says.
     """
     phases, keep = build_phases(speed_model, arrival_mean), places(speed_model)
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])[keep]
