@@ -23,17 +23,16 @@ DT_S = 1 / GNSS_RATE_HZ
 # text: 15 intervals
 HORIZON = 15
 
-# Sec. Implementation of Nonlinear RHE: standard deviations behind H_k = V_k⁻¹ and W, eq.
-# (mhe_weightingmatrices)
+# Sec. Implementation of Nonlinear RHE: standard deviations behind H_k = V_k⁻¹ and W, eq. (15)
 SIGMA_V = (0.03, 0.03, 0.05, 0.0175)  # x, y [m], ν [m/s], ω [rad/s]
 # x, y [m], θ [rad], ν [m/s], μ, κ, each per sample
-# Sec. Extended Kalman Filter, eq. (ekf_weightingmatrices)
+# Sec. Extended Kalman Filter, eq. (26)
 SIGMA_W_EKF = (10.0, 10.0, 0.1, 1.0)  # x, y [m], θ [rad], ν [m/s], each per sample
 
 # Sec. Implementation of Nonlinear RHC
-OMEGA_MAX_RADPS = 0.1  # eq. (mpc_constraints): 5.73 °/s
+OMEGA_MAX_RADPS = 0.1  # eq. (16): 5.73 °/s
 Q1, Q2, Q3 = (1.0, 1.0, 10.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
-R = 10.0  # eq. (mpc_weightingmatricesRQN)
+R = 10.0  # eq. (22)
 QN_FACTOR = 10.0
 
 # Sec. Experimental Results: what the paper reports
@@ -61,7 +60,7 @@ HEADLAND_RADIUS_M = (
 START_OFFSET_M = 1.0  # "starts off-track"
 ENCODER_SIGMA_MPS = (
     ENCODER_ACCURACY_MPS / 2
-)  # the accuracy read as a 95 % bound of one 50 Hz reading
+)  # the accuracy taken as a 95 % bound of one 50 Hz measurement
 SIGMA_W_RHE = (10.0, 10.0, 0.1, 1.0, 0.25, 0.25)
 
 __all__ = [name for name in dir() if name.isupper()]

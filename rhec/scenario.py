@@ -56,7 +56,7 @@ class Scenario:
         qp                 "structured": by Riccati recursion, the fastest at every horizon; or the
                            condensed QP by "daqp" or "qpoases" (the paper's; on the virtual machine)
     The drive
-        speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (mpc_ref_ya)
+        speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (18)
                                            (R3, R9)
         path               a rhec.Path; else two rows of row_length_m joined by half circles of
                            headland_radius_m

@@ -62,7 +62,7 @@ def places(speed_model):
 
 @functools.cache
 def rhe_nlp(intervals, speed_model):
-    """Eq. (mhe) for a window of so many intervals, to be solved by IPOPT. Unknowns: s_0, then all
+    """Eq. (10) for a window of so many intervals, to be solved by IPOPT. Unknowns: s_0, then all
     inputs, interval by interval.
     """
     parameter = speed_model == "parameter"

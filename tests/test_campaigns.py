@@ -36,7 +36,7 @@ def short(seeds=4, **changes):
 
 
 def same(one, other):
-    """The same to the last bit; a column with holes may be of another type."""
+    """Equal to the last bit; a column with holes may be of another type."""
     pd.testing.assert_frame_equal(
         one.reset_index(drop=True),
         other.reset_index(drop=True),

@@ -17,8 +17,9 @@ from rhec._casadi import compiled, scan
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import references, terrain
 
-COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m y_hat_m theta_hat_rad
-    nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
+COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps
+    omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m
+    curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
 MINUTE = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
 
 
@@ -80,8 +81,9 @@ def live(scenario, samples):
     return np.array(rows)
 
 
-LIVE = """x_m y_m theta_rad mu kappa x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat
-    omega_cmd_radps s_m kkt_rhe kkt_rhc""".split()
+LIVE = """x_m y_m theta_rad mu kappa x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m
+    y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m kkt_rhe
+    kkt_rhc""".split()
 
 
 @pytest.mark.parametrize(

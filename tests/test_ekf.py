@@ -17,7 +17,7 @@ def init(guess, sigma):
 
 
 def textbook(m, P, z, traction, first):
-    """Predict with the Jacobian of eq. (kinematicmodelEKF), then correct with all readings at once."""
+    """Predict with the Jacobian of eq. (23), then correct with all measurements at once."""
     mu, kappa = traction
     x, y, theta, nu = m
     if not first:

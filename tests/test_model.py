@@ -83,7 +83,7 @@ def test_parameters_stay_constant_over_an_interval_and_zero_time_changes_nothing
 
 
 def test_with_full_traction_it_is_the_traditional_model():
-    """Eq. (kinematicmodelEKF): ẋ = ν cos θ, ẏ = ν sin θ, θ̇ = ω."""
+    """Eq. (1): ẋ = ν cos θ, ẏ = ν sin θ, θ̇ = ω."""
     pose = np.array([0.3, 0.1, 0.4])
     np.testing.assert_allclose(
         flat(model.f(pose, 0.2, (0.5, 1, 1))),

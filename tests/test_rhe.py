@@ -1,4 +1,4 @@
-"""Receding horizon estimation: eq. (mhe), its arrival cost, one Gauss-Newton iteration a sample, or
+"""Receding horizon estimation: eq. (10), its arrival cost, one Gauss-Newton iteration a sample, or
 iterated.
 """
 
@@ -309,13 +309,13 @@ def test_feedback_without_preparation_is_refused():
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 @pytest.mark.parametrize("arrival_mean", ARRIVAL_MEANS)
-@pytest.mark.parametrize("reading", ["printed", "calibrated"])
-def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, speed_model):
+@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_mean, speed_model):
     """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from
-    where the reading says.
+    where `arrival_mean` says.
     """
     phases, keep = build_phases(speed_model, arrival_mean), places(speed_model)
-    sigma = np.array(tuning.SIGMA_W["rhe"][reading])[keep]
+    sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])[keep]
     _, z = drive(GUESS, weave(4 * N))
     z = noisy(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan
@@ -340,11 +340,11 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(reading, arrival_mean, 
 
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
-@pytest.mark.parametrize("reading", ["printed", "calibrated"])
-def test_the_covariance_stays_symmetric_and_positive_definite(reading, speed_model):
+@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+def test_the_covariance_stays_symmetric_and_positive_definite(process_noise, speed_model):
     _, z = drive(GUESS, weave(300))
     for estimate in feed(
-        rhec.RHE(guess=GUESS, process_noise=reading, speed_model=speed_model),
+        rhec.RHE(guess=GUESS, process_noise=process_noise, speed_model=speed_model),
         noisy(z, np.random.default_rng(8)),
     ):
         scale = np.sqrt(np.diag(estimate.covariance))

@@ -141,7 +141,7 @@ def gated(window, phases):
         phases: {name: Function}, from rhe.build_phases.
 
     Returns:
-        The same kind of dict. The memory has one piece more, `gate`; feedback says what is
+        Such a dict. The memory has one piece more, `gate`; feedback says what is
         `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
     """
     interval, names, N = window.interval, window.model.joint_names, window.N

@@ -3,7 +3,7 @@ encoders, RTK GNSS, bumps, on slipping soil.
 
 It stands in for the field: what the paper's Kangaroo x2 does (50 Hz speed control from the
 encoders), what its sensors report at 5 Hz, and the soil, which turns track speeds into motion by
-eq. (systemmodel).
+eq. (2).
 """
 
 import casadi as ca

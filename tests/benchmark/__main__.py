@@ -24,13 +24,15 @@ def report(table, name, caption, drawing=None):
 def measure_step(_):
     if step.REFERENCE not in peers.PEERS:
         print(
-            f"{step.REFERENCE} is not installed (make bench does that), so rhec is compared with Opti + IPOPT only."
+            f"{step.REFERENCE} is not installed (make bench does that), "
+            "so rhec is compared with Opti + IPOPT only."
         )
     agreeing, table = step.measure()
     report(
         agreeing,
         "agreement",
-        f"Difference from the optimum over {step.SAMPLES} problems (peers must stay within {step.TOLERANCE:g})",
+        f"Difference from the optimum over {step.SAMPLES} problems "
+        f"(peers must stay within {step.TOLERANCE:g})",
     )
     report(
         table,

@@ -1,7 +1,7 @@
-"""The same two nonlinear problems for other tools, each a function of a Problem that returns its
+"""Both nonlinear problems for other tools, each a function of a Problem that returns its
 optimum.
 
-The same are the model and its Runge-Kutta step, horizon, weights and bounds, and the data, to which
+Shared are the model and its Runge-Kutta step, horizon, weights and bounds, and the data, to which
 the arrival cost belongs: its update costs the peers nothing. IPOPT begins at its previous solution
 and iterates until its default tolerance is met. Opti tells it that this start is a good one, which
 saves iterations; do-mpc is used as its documentation has it.

@@ -71,7 +71,8 @@ def agreement(run, recorded):
         )
     if not all(map(agreed, rows)):
         raise SystemExit(
-            f"Not all answers agree to {TOLERANCE:g}, so nothing was timed:\n{pd.DataFrame(rows).to_string(index=False)}"
+            f"Not all answers agree to {TOLERANCE:g}, so nothing was timed:\n"
+            f"{pd.DataFrame(rows).to_string(index=False)}"
         )
     for iterations in itertools.count(1):
         answers = [

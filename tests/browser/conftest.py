@@ -55,7 +55,8 @@ def chromium():
         )
         if not Path(path).exists():
             pytest.skip(
-                "no Chromium found: neither on the PATH nor one that `playwright install chromium` leaves"
+                "no Chromium found: neither on the PATH nor one that "
+                "`playwright install chromium` leaves"
             )
         browser = playwright.chromium.launch(executable_path=path, args=QUIET)
         yield browser
@@ -123,7 +124,8 @@ class Lab:
             jupyterapp.shell.collapseRight()
         }""")
         page.wait_for_function(
-            "jupyterapp.shell.currentWidget.context.sessionContext.session?.kernel?.status == 'idle'"
+            "jupyterapp.shell.currentWidget.context.sessionContext"
+            ".session?.kernel?.status == 'idle'"
         )
 
     def run(self, page):

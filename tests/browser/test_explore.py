@@ -293,10 +293,10 @@ def test_it_fits_the_screen_and_is_readable(lab, chromium, theme, width, height)
             "[...document.querySelectorAll('.rhec, .rhec-table, .rhec-picture')]"
             ".every(each => each.scrollWidth <= each.clientWidth + 1)"
         )
-        ink, paper = (
-            page.evaluate("""() => [getComputedStyle(document.querySelector('.rhec-picture')).color,
-                                             getComputedStyle(document.querySelector('.jp-Notebook')).backgroundColor]""")
-        )
+        ink, paper = page.evaluate("""() => [
+            getComputedStyle(document.querySelector('.rhec-picture')).color,
+            getComputedStyle(document.querySelector('.jp-Notebook')).backgroundColor,
+        ]""")
         assert contrast(ink, paper) > 7
         lab.close(page)
 

@@ -13,7 +13,8 @@ SOLUTION = """def step(xi, omega, p, h=0.2):
 exercises.interval(step)"""
 EULER = "exercises.interval(lambda xi, omega, p: xi + 0.2 * f(xi, omega, p))"
 
-EXERCISE = """[...jupyterapp.shell.currentWidget.content.widgets].findIndex(cell => (cell.model.getMetadata('tags') ?? []).includes('exercise'))"""
+EXERCISE = """[...jupyterapp.shell.currentWidget.content.widgets]
+    .findIndex(cell => (cell.model.getMetadata('tags') ?? []).includes('exercise'))"""
 
 
 @pytest.fixture
@@ -30,7 +31,8 @@ def answers(page, tag):
     return page.evaluate(
         """tag => jupyterapp.shell.currentWidget.content.widgets
         .filter(cell => (cell.model.getMetadata('tags') ?? []).includes(tag))
-        .map(cell => [...cell.node.querySelectorAll('.answer')].map(answer => answer.innerText).join())""",
+        .map(cell => [...cell.node.querySelectorAll('.answer')]
+            .map(answer => answer.innerText).join())""",
         tag,
     )
 
@@ -45,7 +47,8 @@ def test_a_student_runs_it_answers_wrongly_then_rightly(lab, tutorial):
     )
     assert len(answers(page, "exercise")) == len(answers(page, "solution"))
 
-    hidden = page.evaluate("""jupyterapp.shell.currentWidget.content.widgets.filter(cell => cell.inputHidden)
+    hidden = page.evaluate("""jupyterapp.shell.currentWidget.content.widgets
+        .filter(cell => cell.inputHidden)
         .map(cell => (cell.model.getMetadata('tags') ?? []).includes('solution'))""")
     assert len(hidden) == len(answers(page, "solution")) and all(
         hidden
