@@ -60,23 +60,9 @@ A replay with a Model returns `segment`, `t_s`, the measurements under the names
 from itertools import chain
 
 __all__ = [
-    "COLUMNS",
-    "COMMAND",
-    "ESTIMATE",
-    "FLAGS",
-    "GATE",
-    "INNOVATION",
-    "LEVER_ARM",
-    "LOG",
-    "MEASUREMENTS",
-    "POSE",
-    "RECORDED",
-    "RECORDED_TRUTH",
-    "SIGMA",
-    "TRACKS",
-    "TRUE_SPEEDS",
-    "TRUTH",
-]
+    "COLUMNS", "COMMAND", "ESTIMATE", "FLAGS", "GATE", "INNOVATION", "LEVER_ARM", "LOG",
+    "MEASUREMENTS", "POSE", "RECORDED", "RECORDED_TRUTH", "SIGMA", "TRACKS", "TRUE_SPEEDS", "TRUTH",
+]  # fmt: skip
 
 # Lists, so that log[ESTIMATE] selects these columns.
 POSE = ["x_m", "y_m", "theta_rad"]

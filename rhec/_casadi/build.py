@@ -4,15 +4,9 @@ import casadi as ca
 import numpy as np
 
 __all__ = [
-    "casadi_function",
-    "pack_array",
-    "packed_size",
-    "select_inputs",
-    "shapes_of",
-    "unpack",
-    "unpack_array",
-    "with_packed_memory",
-]
+    "casadi_function", "pack_array", "packed_size", "select_inputs", "shapes_of", "unpack",
+    "unpack_array", "with_packed_memory",
+]  # fmt: skip
 
 
 def casadi_function(name, kind=ca.SX, /, **shapes):

@@ -126,11 +126,9 @@ def build_phases(horizon):
     def rollout(s, u, F, D, B, s_0, u_new):
         """The linearised trajectory from s_0; the gaps of multiple shooting close here."""
         nodes = [s_0]
-        for F, D, B, s, u, u_new in zip(
-            ca.horzsplit(F), ca.horzsplit(D, n_s), ca.horzsplit(B, n_u), ca.horzsplit(s),
-            ca.horzsplit(u), ca.horzsplit(u_new),
-        ):  # fmt: skip
-            nodes.append(forward(F, D, B, s, u, nodes[-1], u_new))
+        along = map(ca.horzsplit, (F, D, B, s, u, u_new), (1, n_s, n_u, 1, 1, 1))
+        for F_i, D_i, B_i, s_i, u_i, new_i in zip(*along):
+            nodes.append(forward(F_i, D_i, B_i, s_i, u_i, nodes[-1], new_i))
         return nodes
 
     def commanded(u, u_ref):

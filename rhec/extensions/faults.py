@@ -17,19 +17,9 @@ from rhec._casadi.build import casadi_function
 from rhec._casadi.validation import NotNegative, Positive, Real, validated
 
 __all__ = [
-    "CHANNELS",
-    "DELAY_MAX_S",
-    "Fault",
-    "KINDS",
-    "MEMORY",
-    "OWN_CHANNELS",
-    "SIZES",
-    "STREAM",
-    "corrupted",
-    "deliver",
-    "init",
-    "stream",
-]
+    "CHANNELS", "DELAY_MAX_S", "Fault", "KINDS", "MEMORY", "OWN_CHANNELS", "SIZES", "STREAM",
+    "corrupted", "deliver", "init", "stream",
+]  # fmt: skip
 
 _PAST = 5  # earlier measurements that the closed loop keeps
 DELAY_MAX_S = 1.0

@@ -13,19 +13,9 @@ from rhec.logs.recording import prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 
 __all__ = [
-    "FROM_M",
-    "REGRESSIONS",
-    "WINDOW_S",
-    "distance_driven",
-    "fault_scores",
-    "perturbed_replay",
-    "perturbed_scores",
-    "regression",
-    "rms",
-    "score",
-    "sliding_regression",
-    "yaw_error",
-]
+    "FROM_M", "REGRESSIONS", "WINDOW_S", "distance_driven", "fault_scores", "perturbed_replay",
+    "perturbed_scores", "regression", "rms", "score", "sliding_regression", "yaw_error",
+]  # fmt: skip
 
 # Scores count from here on, driven in each segment: before, a wrong first yaw is still being found.
 FROM_M = 8.0

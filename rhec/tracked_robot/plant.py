@@ -14,16 +14,8 @@ from rhec._casadi.build import casadi_function
 from rhec.tracked_robot.kinematics import f, rk4
 
 __all__ = [
-    "BODY",
-    "MEMORY",
-    "NOISE",
-    "SENSORS",
-    "SUBSTEPS",
-    "body_speeds",
-    "drive",
-    "init",
-    "measure",
-]
+    "BODY", "MEMORY", "NOISE", "SENSORS", "SUBSTEPS", "body_speeds", "drive", "init", "measure",
+]  # fmt: skip
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 _MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed

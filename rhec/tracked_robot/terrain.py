@@ -35,15 +35,9 @@ STANDARD_FIELDS = next(
 )
 
 __all__ = [
-    "CELLS_PER_LENGTH",
-    "STANDARD_FIELDS",
-    "Terrain",
-    "bilinear",
-    "common_shape",
-    "flat",
-    "lookup",
+    "CELLS_PER_LENGTH", "STANDARD_FIELDS", "Terrain", "bilinear", "common_shape", "flat", "lookup",
     "random_for",
-]
+]  # fmt: skip
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 _LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre

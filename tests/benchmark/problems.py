@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rhec import paper
-from rhec._casadi import compiled
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
-from rhec.tracked_robot import path
+from rhec.tracked_robot.references import PathTracker
 
 
 class Problem(NamedTuple):
@@ -53,20 +52,10 @@ def references(run, horizon):
     """The function (estimate (6,), measured yaw rate) -> xi_ref (3, N+1), omega_ref (N,) that
     follows this run's path.
     """
-    call = compiled.BufferedFunction(
-        compiled.load(path.build_references, paper.DT_S, horizon, len(run.path.segments))[
-            "references"
-        ]
-    )
-    call.set(segments=run.path.segments.T, period_m=run.path.period_m)
+    tracker = PathTracker(run.path, horizon)
 
     def refer(estimate, omega_measured):
-        call.set(estimate=estimate, omega_measured=omega_measured)
-        call.call()
-        call.set(s=call.results["s"])
-        return call.results["xi_ref"].reshape((3, -1), order="F").copy(), call.results[
-            "omega_ref"
-        ].copy()
+        return tuple(each.copy() for each in tracker.references(estimate, omega_measured))
 
     return refer
 
