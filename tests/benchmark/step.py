@@ -153,9 +153,9 @@ def without_python(run, recorded):
         taken = np.empty((len(recorded), 4))
         for k, (z, problem) in enumerate(zip(newest, recorded)):
             estimator.iteration.arrays["z_N"][:] = z
-            for name in ("xi_ref", "omega_ref"):
-                controller.iteration.arrays[name][:] = np.ravel(getattr(problem, name), order="F")
-            controller.iteration.arrays["s_0"][:] = problem.estimate
+            arrays = controller.iteration.arrays
+            arrays["x_ref"][:], arrays["u_ref"][:] = problem.xi_ref.ravel("F"), problem.omega_ref
+            arrays["s_0"][:] = problem.estimate
             begin = clock()
             estimator.iteration.prepare()
             prepared = clock()
