@@ -287,7 +287,7 @@ def test_paths_and_terrains(entry, data):
 def test_an_estimator_and_a_controller(fields):
     for entry, made in ((rhec.RHE, PaperRHE), (rhec.RHC, PaperRHC)):
         refused_by_name(
-            lambda: entry(**fields), [*inspect.signature(made).parameters, made.__name__]
+            lambda: entry(**fields), [*inspect.signature(made).parameters, entry.__name__]
         )
 
 

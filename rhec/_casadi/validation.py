@@ -103,15 +103,15 @@ def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
     strict = validate_call(function, config=ConfigDict(arbitrary_types_allowed=True))
     function.__annotations__["return"] = returned
     names = list(signature(function).parameters)
+    # The paper's robot has classes of its own behind RHE and RHC.
+    called = function.__qualname__.removesuffix(".__init__").removeprefix("Paper")
 
     @functools.wraps(function)
     def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
         try:
             return strict(*arguments, **with_new_names(named, names))
         except ValidationError as error:
-            raise ValueError(
-                _sentence(function.__qualname__.removesuffix(".__init__"), names, error)
-            ) from None
+            raise ValueError(_sentence(called, names, error)) from None
 
     return call
 
