@@ -324,6 +324,7 @@ absurd = extreme | st.floats(-1e9, 1e9)
     ),
     st.sampled_from(["structured", "daqp", "qpoases"]),
 )
+@example([(0, "p", 1658.0)], "daqp")
 def test_a_controller_recovers_from_absurd_arguments(moments, qp):
     """Its command keeps the bound whatever it is told, and is that of a controller that never heard
     of it some seconds later.

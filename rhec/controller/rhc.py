@@ -20,7 +20,7 @@ from rhec._casadi import compiled
 from rhec._casadi import validation as valid
 from rhec._casadi.build import casadi_function, select_inputs, with_packed_memory
 from rhec.model.base import Model, interval
-from rhec.model.limits import MAX_PLAUSIBLE_PLAN, MAX_QP_ENTRY, is_plausible
+from rhec.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.solver import gauss_newton
 from rhec.solver.box_lq import box_lq
 from rhec.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
@@ -208,15 +208,14 @@ def build_phases(horizon):
     def expand(s, u, F, D, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
         """The predicted states of the new plan, and the KKT tolerance of the linearisation point.
 
-        A step that failed leaves the shifted plan, unless nothing can be linearised there, which
-        its last node shows: then the next begins at the estimate.
+        A step that failed leaves the shifted inputs; the next linearisation begins at the estimate,
+        if that is one: what made the step fail may be in the states, and would stay.
         """
         change = ca.vec((u_plan - commanded(u, u_ref))[command, :])
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
         predicted = ca.horzcat(*rollout(s, u, F, D, B, s_0, u_plan))
-        linearisable = is_plausible(s[:, N], MAX_PLAUSIBLE_PLAN)
-        shifted = ca.if_else(linearisable, s, ca.repmat(s_0, 1, N + 1))
-        return dict(s=ca.if_else(ok, predicted, shifted), u=u_plan, kkt=kkt)
+        anew = ca.if_else(is_plausible(s_0), ca.repmat(s_0, 1, N + 1), s)
+        return dict(s=ca.if_else(ok, predicted, anew), u=u_plan, kkt=kkt)
 
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
 

@@ -3,13 +3,12 @@
 import casadi as ca
 
 __all__ = [
-    "MAX_MEASUREMENT", "MAX_PLAUSIBLE_PLAN", "MAX_PLAUSIBLE_STATE", "MAX_QP_ENTRY", "is_plausible",
+    "MAX_MEASUREMENT", "MAX_PLAUSIBLE_STATE", "MAX_QP_ENTRY", "is_plausible",
     "is_valid_measurement",
 ]  # fmt: skip
 
 MAX_MEASUREMENT = 1e8  # in any unit; a Model may say less
 MAX_PLAUSIBLE_STATE = 1e12  # of an estimate
-MAX_PLAUSIBLE_PLAN = 1e9  # of a predicted state
 MAX_QP_ENTRY = 1e20  # that a solver is given; as a bound: no bound
 
 
