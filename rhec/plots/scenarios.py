@@ -238,8 +238,7 @@ def violations(sweep):
     """Figure 9: samples on straight lines with an error above 0.12 m in a run, by raw GNSS and in
     truth, over seeds; a panel for each process noise.
 
-    Bars are means, whiskers 95 % intervals, dots seeds, dotted lines numbers of the paper. The
-    scale is linear up to 10 and logarithmic beyond, for both estimators to be seen.
+    Bars are means, whiskers 95 % intervals, dots seeds, dotted lines numbers of the paper.
     """
     by_noise = list(sweep.groupby("process_noise", sort=False))
     figure, panels = parts.panels_beside(len(by_noise), 2.7, COLUMN_IN)

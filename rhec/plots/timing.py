@@ -21,11 +21,10 @@ _SINCE = "time since the sampling instant $t_k$"
 
 @styled
 def phases(times):
-    """Figure 5: preparation and feedback of RHE and RHC on a time axis around the sampling instant
-    t_k, as long as they take on average.
+    """Figure 5: mean times of preparation and feedback around the sampling instant t_k.
 
-    The measurement z_k arrives at t_k; both preparations are over by then (drawn as late as can
-    be), and only the two feedbacks lie between it and the command ω.
+    Both preparations are over when the measurement z_k arrives at t_k (drawn as late as can be);
+    only the two feedbacks lie between it and the command ω.
 
     Args:
         times: rows with problem ("RHE", "RHC"), phase ("preparation", "feedback"), minimum_us,

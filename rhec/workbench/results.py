@@ -1,7 +1,5 @@
 """Write the results in README.md and docs/results.md from the tables in figures/.
 
-python -m rhec.workbench.results
-
 A result stands between `<!-- results NAME -->` and `<!-- end -->`. Where a table that it needs was
 not made, the text that stands there stays.
 """

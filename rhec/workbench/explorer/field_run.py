@@ -200,8 +200,7 @@ class FieldRun(LayeredFigure):
         """Take new runs.
 
         Args:
-            runs: one or two runs.
-            pinned: up to two runs, drawn dashed, to compare with.
+            runs, pinned: one or two runs each; the pinned ones, dashed, to compare with.
             zoom: one of ZOOMS.
             soil: the slip field on the map, "mu" or "kappa".
         """
@@ -225,11 +224,8 @@ class FieldRun(LayeredFigure):
 
     def _show_lines(self, lines, run):
         for line, (_, x, y, look) in zip(lines, _SERIES):
-            if run is None:
-                line.set_data([], [])
-                continue
-            line.set_data(run.columns[x], run.columns[y])
-            if look != "truth":
+            line.set_data(*([], []) if run is None else (run.columns[x], run.columns[y]))
+            if run and look != "truth":
                 line.set_color(colour_of(run.scenario))
 
     def _show_marks(self, run):

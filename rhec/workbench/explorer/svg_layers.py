@@ -23,8 +23,8 @@ _PAGE_COLOURS = {BLACK: "currentColor", BLUE.lower(): _LIGHTER_BLUE}
 class LayeredFigure:
     """A figure whose axes and legend are kept as layers of SVG, with moving artists on top.
 
-    A subclass sets `axes` by name in `_build`, the first of them a map without a grid, and lists
-    its moving artists in `_moving`; it puts into `keys` what each of the axes shows.
+    A subclass sets `axes` by name in `_build`, the first of them without a grid, and lists its
+    moving artists in `_moving`; `keys` has what each of the axes shows.
 
     Args:
         size_in: width and height [in].
