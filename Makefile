@@ -121,7 +121,7 @@ $(call executed,$(STUDIES)): | $(call executed,computation_times)
 endif
 
 build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
-  $(wildcard rhec/workbench/templates/* rhec/workbench/templates/*/*)
+  $(wildcard docs/*.md rhec/workbench/templates/* rhec/workbench/templates/*/*)
 	@$(PY) -m rhec.workbench.results
 	@$(PY) -m rhec.workbench.report $(EXECUTED)
 

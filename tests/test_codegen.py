@@ -25,6 +25,7 @@ from rhec.codegen import LOG, phases
 from rhec.columns import MEASUREMENTS
 from rhec.controller import rhc
 from rhec.plots.timing import embedded_times
+from rhec.studies.timing import PHASES
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
@@ -812,7 +813,7 @@ def test_the_figure_shows_each_time():
                     mean_ms=mean,
                     worst_ms=1.0,
                 )
-                for (problem, phase), mean in zip(toolchain.PHASES, (0.004, 0.0003, 0.001, 0.0015))
+                for (problem, phase), mean in zip(PHASES, (0.004, 0.0003, 0.001, 0.0015))
             ),
         ]
     )

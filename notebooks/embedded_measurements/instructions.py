@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from notebooks.embedded_measurements.toolchain import PHASES
+from rhec.studies.timing import PHASES
 
 __all__ = ["CLOCK_HZ", "counts", "table", "trace"]
 

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from notebooks.embedded_measurements import instructions, toolchain
-from notebooks.embedded_measurements.toolchain import PHASES
 from rhec import paper
 from rhec.columns import MEASUREMENTS
+from rhec.studies.timing import PHASES
 
 __all__ = ["TOLERANCE", "against_the_paper", "measure", "reported"]
 

@@ -14,13 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from rhec import paper
 from rhec._casadi import compiled
 
 __all__ = [
     "FLAGS",
     "LIBRARY",
-    "PHASES",
     "STATUS",
     "Machine",
     "arm",
@@ -40,7 +38,6 @@ LIBRARY = ("rhec.c", "rhec_scenario.c")
 _ARM = "aarch64"
 # As in codegen/c/rhec.h
 STATUS = dict(predicted=1, as_planned=2, estimator_restarted=4, controller_restarted=8)
-PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (problem, phase), in order
 
 
 class Machine(NamedTuple):

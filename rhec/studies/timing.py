@@ -21,14 +21,14 @@ from rhec.estimator.rhe import RHE
 from rhec.simulation import simulate
 from rhec.tracked_robot.references import PathTracker
 
-__all__ = ["COLUMNS", "machine", "phases", "table"]
+__all__ = ["PHASES", "machine", "phases", "table"]
 
-COLUMNS = ("RHE", "preparation"), ("RHE", "feedback"), ("RHC", "preparation"), ("RHC", "feedback")
+PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (problem, phase), in order
 
 
 def phases(scenario, qp):
     """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in
-    COLUMNS, the RHC's QP by this solver.
+    PHASES, the RHC's QP by this solver.
     """
     run = simulate(scenario)
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)

@@ -12,6 +12,7 @@ import pandas as pd
 from benchmark import peers, problems
 from rhec import simulation
 from rhec._casadi import compiled, scan
+from rhec.studies.timing import PHASES
 
 TOLERANCE = 1e-6  # m, rad, m/s, 1, rad/s: how far an answer may be from rhec's
 SAMPLES, SHARE, LOOP = (
@@ -19,7 +20,6 @@ SAMPLES, SHARE, LOOP = (
     10,
     1200,
 )  # problems; how many of them a peer solves in a block; samples of a closed loop in a block
-PHASES = ("RHE", "preparation"), ("RHE", "feedback"), ("RHC", "preparation"), ("RHC", "feedback")
 WHOLE = "RHE + RHC", "closed loop"
 REFERENCE = "do-mpc"
 SPEEDUP = f"speedup_over_{REFERENCE}"

@@ -29,7 +29,7 @@ def measure(steps):
     for solver, runs in taken.items():
         times = np.concatenate(runs)
         for (problem, phase), column in [
-            *zip(timing.COLUMNS, times.T),
+            *zip(timing.PHASES, times.T),
             (("RHE + RHC", "overall"), times.sum(axis=1)),
         ]:
             quantiles = {

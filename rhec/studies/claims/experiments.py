@@ -250,7 +250,7 @@ def times(qp, duration_s=60.0):
     """Times [µs] of the four phases at every sample: on the condensed QP ("daqp"), as in the paper,
     or by its stages ("structured"), the default here.
     """
-    columns = [f"{problem}_{phase}" for problem, phase in timing.COLUMNS]
+    columns = [f"{problem}_{phase}" for problem, phase in timing.PHASES]
     scenario = Scenario(process_noise="calibrated", duration_s=duration_s)
     return pd.DataFrame(timing.phases(scenario, qp), columns=columns)
 

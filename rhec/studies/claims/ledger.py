@@ -143,7 +143,7 @@ _LOST = "~arrived | (max_error_true_m > 1)"  # never reaches the path, or is a m
 _BESIDE_M = (
     paper.ROW_SPACING_M - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M - paper.ROBOT_WIDTH_M
 ) / 2
-_PHASES_MS = sum(paper.TABLE_1_MS[column][1] for column in timing.COLUMNS)
+_PHASES_MS = sum(paper.TABLE_1_MS[column][1] for column in timing.PHASES)
 _W_MEASURED, _W_UNMEASURED = (np.take(paper.SIGMA_W_RHE, at) for at in ([0, 1, 3], [2, 4, 5]))
 
 _WHY_SOIL = (
