@@ -222,11 +222,11 @@ def set_up(scenario):
         lower=-scenario.omega_max_radps, upper=scenario.omega_max_radps, speed_mps=speed_mps,
         command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m),
         cell_m=soil.cell_m, slip=terrain.flat(soil, shape), mean_traction=soil.mean,
-    )  # fmt: skip  # fmt: skip
+    )  # fmt: skip
     structure = _LoopStructure(
         choice, scenario.prediction_horizon, scenario.qp, scenario.input_reference,
         len(target.segments), shape, bool(scenario.faults),
-    )  # fmt: skip  # fmt: skip
+    )  # fmt: skip
     memory |= faults.init() if scenario.faults else {}
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
     flat = memory | {name: build.pack_array(piece) for name, piece in nested.items()}

@@ -1,6 +1,6 @@
 """Nonlinear receding horizon estimation (moving horizon estimation, MHE), eq. (10).
 
-    min  ½ ‖p̂ - s_0‖²_{H_N} + ½ Σ_{i=0..N} ‖z_i - h(s_i, v_{i-1})‖²_{H_k}
+    min  ½ ‖ŝ_0 - s_0‖²_{H_N} + ½ Σ_{i=0..N} ‖z_i - h(s_i, v_{i-1})‖²_{H_k}
     s.t. s_{i+1} = F(s_i, v_i), lower ≤ p ≤ upper
 
 N intervals have N+1 nodes; node N is now. z_i arrives at node i: what it says of the state belongs
@@ -58,7 +58,7 @@ class Window(NamedTuple):
         return dict(
             s=(n_s, self.N + 1), v=(n_v, self.N), z=(n_z, self.N + 1), age=(1, 1), m=(n_s, 1),
             P=(n_s, n_s),
-        )  # fmt: skip  # fmt: skip
+        )  # fmt: skip
 
     @property
     def noise(self):

@@ -47,11 +47,11 @@ def _abs_track_speeds(nu, omega, b):
 
 def _input_noise(v, R, c):
     """Slip in proportion to the motion; bumps turn the robot; η is unmeasured, its mean 0."""
-    share2_nu, share2_omega, share2_side, sigma2_bumps, b = ca.vertsplit(c)
+    share2_nu, share2_omega, share2_side, sigma2_bumps, b, dt_s = ca.vertsplit(c)
     nu, omega = v[0], v[1]
     return ca.vertcat(nu, omega, 0), ca.vertcat(
         R[0] + share2_nu * nu**2,
-        R[1] + (share2_omega * omega**2 + sigma2_bumps * ca.fabs(nu) / paper.DT_S),
+        R[1] + (share2_omega * omega**2 + sigma2_bumps * ca.fabs(nu) / dt_s),
         share2_side * (b * omega) ** 2 + tuning.SIGMA_SIDE_SLIP_AT_REST**2,
     )
 
@@ -72,7 +72,9 @@ _MODEL = Model(
     max_measurement=OF_THE_PAPER["input"].model.limits,
     motion_noise=MotionNoise(
         constants={name: share**2 for name, share in zip(_SHARES, tuning.SHARES_SLIPPING)}
-        | dict(sigma2_bumps=tuning.SIGMA_BUMPS**2, track_width_m=paper.TRACK_WIDTH_M),
+        | dict(
+            sigma2_bumps=tuning.SIGMA_BUMPS**2, track_width_m=paper.TRACK_WIDTH_M, dt_s=paper.DT_S
+        ),
         inputs=_input_noise,
         process=_process_noise,
     ),

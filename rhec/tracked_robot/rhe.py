@@ -64,7 +64,7 @@ def init(window, guess, sigma=SIGMA_START):
     )
 
 
-def _settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m):
+def _settings_of(speed_model, process_noise, sigma_w, sigma_v, **constants):
     """Settings V, W, P_0 and c of the RHE; sigma_w None: that of `process_noise`."""
     kind = speed_model_of(speed_model)
     names, n_w = kind.model.joint_names, kind.n_sigma_w
@@ -77,8 +77,7 @@ def _settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m):
         P_0=np.square([SIGMA_START.get(name, _SIGMA_KNOWN) for name in names]),
     )
     if kind.model.motion_noise:
-        constants = kind.model.motion_noise.constants | dict(track_width_m=track_width_m)
-        settings["c"] = np.array([*constants.values()])
+        settings["c"] = np.array([*(kind.model.motion_noise.constants | constants).values()])
     return settings
 
 
@@ -88,7 +87,7 @@ def _settings(scenario):
         scenario.process_noise,
         scenario.sigma_w,
         scenario.sigma_v,
-        scenario.track_width_m,
+        track_width_m=scenario.track_width_m,
     )
 
 
@@ -154,7 +153,8 @@ class PaperRHE(rhe.RHE):
         self._guess = guess
         self.window = window_of(self._choice)
         self.model = self.window.model
-        self.settings = _settings_of(speed_model, process_noise, sigma_w, sigma_v, track_width_m)
+        constants = dict(track_width_m=track_width_m, dt_s=dt)
+        self.settings = _settings_of(speed_model, process_noise, sigma_w, sigma_v, **constants)
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = estimators.estimator_of("rhe", robust).init(
             self._choice, dict.fromkeys(QUANTITIES, 0.0)
