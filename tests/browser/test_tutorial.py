@@ -10,8 +10,8 @@ SOLUTION = """def step(xi, omega, p, h=0.2):
     return xi + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-exercises.interval(step)"""
-EULER = "exercises.interval(lambda xi, omega, p: xi + 0.2 * f(xi, omega, p))"
+tutorial_checks.interval(step)"""
+EULER = "tutorial_checks.interval(lambda xi, omega, p: xi + 0.2 * f(xi, omega, p))"
 
 EXERCISE = """[...jupyterapp.shell.currentWidget.content.widgets]
     .findIndex(cell => (cell.model.getMetadata('tags') ?? []).includes('exercise'))"""
