@@ -492,7 +492,7 @@ class RHE(RealTimeLoop):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))
 
     def _estimate(self):
-        arrays, n_s = self.iteration.arrays, self.window.interval.n_s
+        arrays, n_s = self.iteration.arrays, self.model.n_s
         return joint_estimate(
             self.model, arrays["estimate"].copy(), arrays["covariance"].reshape(n_s, n_s).copy()
         )

@@ -174,6 +174,6 @@ class PaperRHE(rhe.RHE):
         self.iteration.started = self._guess is not None or bool(readable[:2].all())
 
     def _estimate(self):
-        arrays, n_s = self.iteration.arrays, self.window.interval.n_s
+        arrays, n_s = self.iteration.arrays, self.model.n_s
         covariance = arrays["covariance"].reshape(n_s, n_s).copy()
         return PaperEstimate(*arrays["estimate"].tolist(), covariance)
