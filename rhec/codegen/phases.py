@@ -1,6 +1,6 @@
 """Functions of an export, and the place in the C's memory of each of their arguments and results.
 
-They are the phases of estimator and controller (see `solver.gauss_newton`), unchanged, and small
+They are the phases of estimator and controller (see `solver.rti`), unchanged, and small
 ones around them: the first memory from a guess, the closest point of the whole path, the
 references. An estimator that is one step, such as the EKF, is all feedback; its preparation only
 moves its memory on.
@@ -169,7 +169,7 @@ def _bind_all(owner, start, functions, settings, shared):
 
 
 def _bind(f, phase, owner, memory, settings, shared):
-    """A phase with its places. Memory exists twice (see `gauss_newton.RealTimeIteration`): `shift`
+    """A phase with its places. Memory exists twice (see `rti.RealTimeIteration`): `shift`
     takes it from previous to current.
     """
 

@@ -248,7 +248,7 @@ class RHC(RealTimeLoop):
         r: Weights R of the commanded inputs, in the order of `command`.
         qn_factor: Q_N = qn_factor · Q_k.
         dt: Length of a sample [s].
-        horizon: valid.Intervals of the prediction.
+        horizon: Intervals of the prediction.
 
     Raises:
         ValueError: In one sentence, for an argument that cannot be.

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rhec._casadi.validation import of_length
+from rhec.model.base import SIGMA_UNMEASURED
 
 __all__ = ["Estimate", "joint_estimate", "joint_guess", "noise_of"]
 
@@ -42,7 +43,7 @@ def joint_guess(model, guess, sigma):
     inputs = model.n_s - n_x - n_p
     return tuple(
         np.array([*of[:n_x], *(fill,) * inputs, *of[n_x:]])
-        for of, fill in ((guess, 0.0), (sigma, 1e3))
+        for of, fill in ((guess, 0.0), (sigma, SIGMA_UNMEASURED))
     )
 
 

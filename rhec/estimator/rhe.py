@@ -418,7 +418,7 @@ class RHE(RealTimeLoop):
     Args:
         model: The robot, a rhec.Model.
         dt: Length of a sample [s].
-        horizon: valid.Intervals of the window.
+        horizon: Intervals of the window.
         sigma_v: Standard deviation of each output's measurement.
         sigma_w: Standard deviations of the process noise per sample: one a state, then one a
             parameter. They count in the arrival cost.

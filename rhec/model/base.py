@@ -16,9 +16,9 @@ import casadi as ca
 from rhec._casadi.validation import shown
 from rhec.model.limits import MAX_MEASUREMENT, is_valid_measurement
 
-__all__ = ["Interval", "Model", "MotionNoise", "Output", "interval", "rk4"]
+__all__ = ["SIGMA_UNMEASURED", "Interval", "Model", "MotionNoise", "Output", "interval", "rk4"]
 
-SIGMA_HELD = 1.0  # of a missing input, which is the last one held
+_SIGMA_HELD = 1.0  # of a missing input, which is the last one held
 SIGMA_UNMEASURED = 1e3  # of an input that only other outputs tell of
 
 
@@ -259,12 +259,12 @@ class Interval(NamedTuple):
                 row, limit = self.input_outputs[place]
                 valid = is_valid_measurement(z[row], limit)
                 mean.append(ca.if_else(valid, z[row], v[place]))
-                variance.append(ca.if_else(valid, V[row], SIGMA_HELD**2))
+                variance.append(ca.if_else(valid, V[row], _SIGMA_HELD**2))
             else:
                 valid = [is_valid_measurement(z[row], of) for row, of in self.mixing_outputs[place]]
                 mean.append(v[place])
                 variance.append(
-                    ca.if_else(sum(valid, ca.SX(0)), SIGMA_UNMEASURED**2, SIGMA_HELD**2)
+                    ca.if_else(sum(valid, ca.SX(0)), SIGMA_UNMEASURED**2, _SIGMA_HELD**2)
                 )
         mean, variance = ca.vertcat(*mean), ca.vertcat(*variance)
         return (

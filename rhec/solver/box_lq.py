@@ -12,7 +12,7 @@ import casadi as ca
 
 from rhec._casadi.build import casadi_function
 from rhec.solver.gauss_newton import symmetric
-from rhec.solver.pivoting import corrected_bound, search_active_set
+from rhec.solver.pivoting import corrected_bound, first_corrected, search_active_set
 
 __all__ = ["box_lq"]
 
@@ -66,13 +66,10 @@ def box_lq(N, A_0, D, B, loops):
         x = (A_0 + D) @ x + B @ u
         multiplier = -(g + R * u + B.T @ (p + P @ x)) * (active != 0)
         right = corrected_bound(active, u, multiplier, lower, upper)
-        first, counted = [], wrong
-        for i in range(m):
-            first.append(ca.if_else(counted, active[i], right[i]))
-            counted = counted + (right[i] != active[i])
+        first, wrong = first_corrected(active, right, wrong)
         return dict(
             x_after=x, u=u, multiplier=multiplier, right=right, first=ca.vertcat(*first),
-            wrong_after=counted,
+            wrong_after=wrong,
         )  # fmt: skip
 
     row = (1, N * m)

@@ -3,7 +3,7 @@
 import casadi as ca
 
 from rhec._casadi.build import casadi_function
-from rhec.solver.pivoting import corrected_bound, search_active_set
+from rhec.solver.pivoting import corrected_bound, first_corrected, search_active_set
 
 __all__ = ["box_qp"]
 
@@ -56,10 +56,7 @@ def _box_qp_by_pivoting(n):
         x = ca.ldl_solve(-free.T * (g.T + H @ fixed.T), *ca.ldl(among_free, False)).T + fixed
         multipliers = -(x @ H + g) * (1 - free)
         right = corrected_bound(active, x, multipliers, lb, ub)
-        first, wrong = [], 0
-        for i in range(n):
-            first.append(ca.if_else(wrong, active[i], right[i]))
-            wrong = wrong + (right[i] != active[i])
+        first, wrong = first_corrected(active, right, 0)
         return dict(
             x=x, multipliers=multipliers, corrected=right, first_corrected=ca.horzcat(*first),
             wrong=ca.if_else(ca.mmin(ca.fabs(x) < ca.inf), wrong, -1),

@@ -10,7 +10,7 @@ import casadi as ca
 
 from rhec._casadi.build import casadi_function
 
-__all__ = ["MAX_SWEEPS", "corrected_bound", "search_active_set"]
+__all__ = ["MAX_SWEEPS", "corrected_bound", "first_corrected", "search_active_set"]
 
 _DOUBLINGS = 8
 MAX_SWEEPS = 2**_DOUBLINGS + 1  # after so many guesses the search gives up; one to three are usual
@@ -21,6 +21,15 @@ def corrected_bound(active, x, multiplier, lower, upper):
     """The bound (1 upper, -1 lower, 0 none) that each variable's sign condition asks for."""
     violated = (x > upper) - (x < lower)
     return ca.if_else(active == 0, violated, active * (active * multiplier >= 0))
+
+
+def first_corrected(active, corrected, n_wrong):
+    """The guess with its first wrong bound set right, unless some were before; how many are now."""
+    first = []
+    for i in range(active.numel()):
+        first.append(ca.if_else(n_wrong, active[i], corrected[i]))
+        n_wrong = n_wrong + (corrected[i] != active[i])
+    return first, n_wrong
 
 
 def search_active_set(name, N, solve, problem):

@@ -112,7 +112,7 @@ class PaperRHE(rhe.RHE):
 
     Args:
         dt: Length of a sample [s].
-        horizon: valid.Intervals of the window.
+        horizon: Intervals of the window.
         process_noise: "printed" or "calibrated", see Scenario.
         sigma_w: Standard deviations of the process noise instead of these.
         sigma_v: Standard deviations of (x, y [m], ν [m/s], ω [rad/s]).
