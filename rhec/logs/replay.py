@@ -36,7 +36,7 @@ _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)  # with estimates in columns _H
 _HATS = [*ESTIMATE, *LEVER_ARM]
 _OUTPUTS = [*_HATS, *SIGMA, "deviance", "kkt_rhe", *FLAGS]
 _ESTIMATOR_FIELDS = (
-    "process_noise sigma_w sigma_v estimation_horizon speed_model arrival_mean robust qp".split()
+    "process_noise sigma_w sigma_v estimation_horizon speed_model arrival_mean robust".split()
 )
 _N_HEADINGS = 8  # directions tried where the first yaw is not known
 # Of the first guess of (x, y, θ, ν, μ, κ, l_f, l_l); of the first six as the paper's W, but for the
@@ -278,7 +278,7 @@ def replay(
             looks ahead over the whole segment until the robot has driven some metres.
         sigma_yaw_rad: Standard deviation of that guess [rad], by default 0.3.
         **fields: Of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon, speed_model,
-            arrival_mean, robust, qp. speed_model is "slipping" by default: "input" (R13) with noise
+            arrival_mean, robust. speed_model is "slipping" by default: "input" (R13) with noise
             that scales with motion.
 
     Returns:
