@@ -52,15 +52,11 @@ STEP_MEAN_MS, STEP_MAX_MS = 0.88, 2.8534
 
 # Not in the paper
 TRACK_WIDTH_M = 0.40  # b: 0.48 m outside, tracks of about 0.08 m
-SPEED_MPS = 0.5  # R3: at this speed Scenario A looks as the paper describes it
+SPEED_MPS = 0.5  # R3: chosen since Scenario A looks here as the paper describes it
 ROW_LENGTH_M = 30.0
-HEADLAND_RADIUS_M = (
-    10 * ROW_SPACING_M
-)  # turns into the 20th row over; needs about 70 % of the yaw rate bound
+HEADLAND_RADIUS_M = 10 * ROW_SPACING_M  # into the 20th row over: 70 % of the yaw rate bound
 START_OFFSET_M = 1.0  # "starts off-track"
-ENCODER_SIGMA_MPS = (
-    ENCODER_ACCURACY_MPS / 2
-)  # the accuracy taken as a 95 % bound of one 50 Hz measurement
+ENCODER_SIGMA_MPS = ENCODER_ACCURACY_MPS / 2  # as a 95 % bound of one 50 Hz measurement
 SIGMA_W_RHE = (10.0, 10.0, 0.1, 1.0, 0.25, 0.25)
 
 __all__ = [name for name in dir() if name.isupper()]

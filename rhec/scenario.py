@@ -71,8 +71,8 @@ class Scenario:
         gnss_sigma_m       standard deviation of the position error, of which the share
                            gnss_slow_share (of the variance) varies slowly, with time constant
                            gnss_slow_time_s (R4)
-        encoder_sigma_mps  of one track at 50 Hz; bump_sigma_radps: yaw rate a bump adds for one
-                           sample
+        encoder_sigma_mps  of one track at 50 Hz; speed_sigma_mps: of the speed as read at 5 Hz
+        bump_sigma_radps   yaw rate a bump adds for one sample
         track_width_m      b
         faults             (rhec.Fault, …): what is wrong with the sensors, and when
         seed               fixes terrain and noise together
@@ -119,6 +119,7 @@ class Scenario:
     gnss_slow_share: Annotated[valid.NotNegative, Field(le=1)] = 0.0
     gnss_slow_time_s: valid.Positive = 60.0
     encoder_sigma_mps: valid.NotNegative = paper.ENCODER_SIGMA_MPS
+    speed_sigma_mps: valid.NotNegative = paper.SIGMA_V[2]
     bump_sigma_radps: valid.NotNegative = 0.02
     track_width_m: valid.Positive = paper.TRACK_WIDTH_M
     faults: tuple[Fault, ...] = ()

@@ -185,7 +185,8 @@ class Setup:
 
 
 _TAKEN_OVER = (
-    "gnss_slow_time_s", "track_width_m", "encoder_sigma_mps", "bump_sigma_radps", "look_ahead_m",
+    "gnss_slow_time_s", "track_width_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps",
+    "look_ahead_m",
 )  # fmt: skip
 
 
@@ -194,8 +195,7 @@ def set_up(scenario):
     target = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
     soil = scenario.terrain or terrain.random_for(scenario, target)
 
-    (pose,), _ = target.poses([0.0])
-    x, y, theta = pose
+    ((x, y, theta),), _ = target.poses([0.0])
     backwards = -1.0 if scenario.backwards else 1.0
     speed_mps = backwards * scenario.speed_mps
     x -= scenario.start_offset_m * np.sin(theta)
@@ -238,9 +238,15 @@ def set_up(scenario):
 
 
 def draw_noise(seed, samples):
-    """Standard normal noise (samples, n) of a seed; the first rows are those of fewer samples."""
-    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, 1))))
-    return generator.standard_normal((samples, build.packed_size(robot.NOISE)))
+    """Standard normal noise (samples, n) of a seed; the first rows are those of fewer samples. The
+    speed's, the last, is a stream of its own: without it, all else is the same.
+    """
+
+    def stream(number, n):
+        bits = np.random.Philox(np.random.SeedSequence((seed, number)))
+        return np.random.Generator(bits).standard_normal((samples, n))
+
+    return np.hstack([stream(1, build.packed_size(robot.NOISE) - 1), stream(4, 1)])
 
 
 def noise_and_faults(scenario, samples):

@@ -87,6 +87,7 @@ def leg(base, seed, number):
         gnss_sigma_m=rng.uniform(0, 0.1),
         gnss_slow_share=rng.uniform(0, 1),
         encoder_sigma_mps=rng.uniform(0, 0.05),
+        speed_sigma_mps=rng.uniform(0, 0.1),
         bump_sigma_radps=rng.uniform(0, 0.1),
         faults=tuple(random_fault(rng, duration_s) for _ in range(rng.choice([0, 1, 2, 4])))
         or (Fault(kind="missing", duration_s=0.0),),

@@ -14,6 +14,7 @@ from rhec import columns as log_columns
 from rhec import paper, simulation
 from rhec._casadi import build as function
 from rhec._casadi import compiled, scan
+from rhec.controller import rhc as controller
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import references, terrain
 
@@ -52,6 +53,7 @@ def live(scenario, samples):
         guess=(*pose[:2], pose[2] + scenario.guess_yaw_rad, nu, 1.0, 1.0),
     )
     rhc = rhec.RHC(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
+    rhc.iteration.start(controller.init(rhc.problem, world.guess[:3], world.guess[3:]))
     memory, s, previous, rows = robot.init(pose, nu), 0.0, 0.0, []
     for drawn in simulation.draw_noise(scenario.seed, samples):
         drawn = {
@@ -177,7 +179,11 @@ def test_the_noise_in_the_log_is_that_of_the_scenario(run):
     assert np.std(
         run.log[["x_meas_m", "y_meas_m"]].to_numpy() - run.log[["x_m", "y_m"]].to_numpy()
     ) == pytest.approx(0.03, rel=0.1)
-    quiet = simulated(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, bump_sigma_radps=0.0)
+    assert np.std(run.log["nu_meas_mps"] - 0.5) == pytest.approx(0.05, rel=0.1)
+    told, heard = (simulated(estimator="oracle", speed_sigma_mps=s).log for s in (0.0, 0.05))
+    same(told.drop(columns="nu_meas_mps"), heard.drop(columns="nu_meas_mps"))
+    silent = dict(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, speed_sigma_mps=0.0)
+    quiet = simulated(**silent, bump_sigma_radps=0.0)
     np.testing.assert_array_equal(quiet.log["x_meas_m"], quiet.log["x_m"])
     np.testing.assert_allclose(quiet.log["nu_meas_mps"], 0.5, atol=1e-9)
 
@@ -318,7 +324,8 @@ def test_backwards_it_follows_the_path_tail_first():
 
 def test_a_delayed_command_is_the_one_before():
     """No noise, so what the tracks do follows from the commands alone."""
-    quiet = dict(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, bump_sigma_radps=0.0, duration_s=2.0)
+    names = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps".split()
+    quiet = dict.fromkeys(names, 0.0) | dict(duration_s=2.0)
     prompt, late = simulated(**quiet).log, simulated(command_delay=1, **quiet).log
     assert prompt["omega_radps"][1] != 0
     assert late["omega_radps"][1] == 0 and late["omega_radps"][2] != 0

@@ -160,6 +160,7 @@ weird = st.fixed_dictionaries(
         gnss_slow_share=st.floats(0, 1),
         gnss_slow_time_s=positive,
         encoder_sigma_mps=positive,
+        speed_sigma_mps=positive,
         bump_sigma_radps=positive,
         track_width_m=positive,
         duration_s=st.floats(0.2, 12),

@@ -97,11 +97,21 @@ def test_encoder_noise_is_that_of_two_tracks_averaged():
     np.testing.assert_allclose(np.std(errors, axis=0), expected, rtol=0.06)
 
 
+def test_the_measured_speed_has_an_error_that_leaves_the_yaw_rate_alone():
+    known = dict(pose=np.zeros(3), drift=np.zeros(2), encoders=np.array([0.5, 0.1]))
+    known |= dict(white=np.zeros(2), slow=np.zeros(2))
+    known |= dict(gnss_white_m=0, gnss_slow_m=0, gnss_slow_time_s=1, speed_sigma_mps=0.05)
+    for speed in (0.0, 1.0, -2.0):
+        z = flat(MEASURE(**known, speed=speed)["z"])
+        np.testing.assert_allclose(z, [0, 0, 0.5 + 0.05 * speed, 0.1], rtol=0, atol=1e-15)
+
+
 def test_the_position_error_has_the_deviation_and_correlation_time_asked_for():
     rng, samples, time_s = np.random.default_rng(1), 8_000, 2.0
     drift, errors = np.zeros(2), np.empty((samples, 2))
     pose, encoders = np.array([3.0, -2.0, 0.4]), np.array([0.5, 0.1])
     gnss = dict(gnss_white_m=0.03, gnss_slow_m=0.04, gnss_slow_time_s=time_s)
+    gnss |= dict(speed=1.0, speed_sigma_mps=0.0)
     for k, (white, slow) in enumerate(rng.normal(size=(samples, 2, 2))):
         result = MEASURE(pose=pose, drift=drift, encoders=encoders, white=white, slow=slow, **gnss)
         drift, z = flat(result["drift"]), flat(result["z"])

@@ -53,6 +53,7 @@ OUT_OF_RANGE = [
     ("gnss_slow_share", 1.1),
     ("gnss_slow_time_s", 0),
     ("encoder_sigma_mps", -1),
+    ("speed_sigma_mps", -0.01),
     ("bump_sigma_radps", -1),
     ("track_width_m", 0),
     ("seed", -1),

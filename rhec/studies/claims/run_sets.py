@@ -32,7 +32,8 @@ _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=
 _UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
 _ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
 _CONSTANT = dict(terrain=Terrain.uniform(_MU, _KAPPA))
-_UNDISTURBED = dict(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, bump_sigma_radps=0.0)
+_NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps".split()
+_UNDISTURBED = dict.fromkeys(_NOISES, 0.0)
 
 
 def _ekf_noise(process_noise):

@@ -117,6 +117,7 @@ _SENSORS = (
     Slider("gnss_slow_share", "slow share", 0, 1, 0.05, "of the GNSS error’s variance; 0: white"),
     Slider("gnss_slow_time_s", "slow over [s]", 5, 300, 5, "time constant of the slow part"),
     Slider("encoder_sigma_mps", "encoder noise [m/s]", 0, 0.2, 0.0025, "of one track at 50 Hz"),
+    Slider("speed_sigma_mps", "speed noise [m/s]", 0, 0.2, 0.005, "of the measured speed"),
     Slider("bump_sigma_radps", "bumps [rad/s]", 0, 0.2, 0.005, "yaw rate added for one sample"),
     Selection("faults", "fault", _FAULTS, "what is wrong with the sensors, and when"),
     *_entries("sigma_v", "σ_V", _MEASURED, (-3, 0, 0.05, "noise the estimator assumes", "log")),
