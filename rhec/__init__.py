@@ -6,7 +6,7 @@ horizon estimation (MHE) and model predictive control (MPC) for any robot.
 
 One run          Scenario, simulate, Run             The world      Path, Terrain, Fault
 Many runs        campaign                            Any robot      Model, RHE, RHC, EKF
-A recorded log   replay                              Its path       PathTracker
+A recorded log   logs.read, replay                   Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
 """
 
@@ -14,6 +14,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rhec import logs
     from rhec.campaigns.campaign import campaign
     from rhec.codegen import export
     from rhec.controller.rhc import RHC
@@ -46,18 +47,20 @@ _HOME = {
     "Terrain": "tracked_robot.terrain",
     "campaign": "campaigns.campaign",
     "export": "codegen",
+    "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
     "simulate": "simulation",
 }
 __all__ = [
     "EKF", "Explorer", "Fault", "Model", "Path", "PathTracker", "RHC", "RHE", "Run", "Scenario",
-    "Terrain", "campaign", "export", "replay", "simulate",
+    "Terrain", "campaign", "export", "logs", "replay", "simulate",
 ]  # fmt: skip
 
 
 def __getattr__(name):
     if name in _HOME:
-        return getattr(importlib.import_module(f"rhec.{_HOME[name]}"), name)
+        home = importlib.import_module(f"rhec.{_HOME[name]}")
+        return home if _HOME[name] == name else getattr(home, name)
     raise AttributeError(f"module 'rhec' has no attribute {name!r}")
 
 

@@ -134,6 +134,8 @@ def test_what_a_module_shows_is_used_elsewhere(name, used_in):
 def public(name):
     """{how it is called: function} of what the face's `name` lets one call."""
     thing = getattr(rhec, name)
+    if inspect.ismodule(thing):
+        return {f"{name}.{each}": getattr(thing, each) for each in thing.__all__}
     if not inspect.isclass(thing):
         return {name: thing}
     own = {key: getattr(thing, key) for key in vars(thing) if not key.startswith("_")}
@@ -192,7 +194,8 @@ def test_type_checkers_see_the_face():
     (block,) = [node for node in TREES["rhec"].body if isinstance(node, ast.If)]
     assert ast.unparse(block.test) == "TYPE_CHECKING"
     seen = {
-        alias.name: f"rhec.{rhec._HOME.get(alias.name)}" == node.module
+        alias.name: node.module
+        == ("rhec" if (home := rhec._HOME.get(alias.name)) == alias.name else f"rhec.{home}")
         for node in block.body
         for alias in node.names
     }

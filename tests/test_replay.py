@@ -406,7 +406,7 @@ def test_logs_are_read_from_csv_and_parquet(tmp_path):
     LOG.to_csv(tmp_path / "log.csv", index=False)
     LOG.to_parquet(tmp_path / "log.parquet")
     for file in ("log.csv", "log.parquet"):
-        pd.testing.assert_frame_equal(recording.read(tmp_path / file), LOG)
+        pd.testing.assert_frame_equal(rhec.logs.read(tmp_path / file), LOG)
 
 
 def test_nothing_in_a_file_is_executed(tmp_path):
@@ -418,10 +418,10 @@ def test_nothing_in_a_file_is_executed(tmp_path):
     for name in ("log.csv", "log.parquet", "log.pkl"):
         (tmp_path / name).write_bytes(bomb)
         with pytest.raises(ValueError):
-            rhec.replay(recording.read(tmp_path / name))
+            rhec.replay(rhec.logs.read(tmp_path / name))
     for name in (tmp_path, tmp_path / "none.csv", "https://example.org/log.csv"):
         with pytest.raises(ValueError, match="^log was"):
-            recording.read(name)
+            rhec.logs.read(name)
 
 
 @pytest.mark.parametrize(
@@ -437,7 +437,7 @@ def test_figures_of_a_log_stay_in_their_folder(name):
 
 @pytest.fixture(scope="module")
 def shipped():
-    return recording.read(make_example_log.FILE)
+    return rhec.logs.read(make_example_log.FILE)
 
 
 def test_the_shipped_log_is_reproducible(shipped):

@@ -25,8 +25,9 @@ def test_one_run_and_many() -> None:
     assert {type(value) for value in metrics.values()} <= {float, int, bool}
 
 
-def test_a_recorded_log() -> None:
-    log = rhec.simulate(SCENARIO).log
+def test_a_recorded_log(tmp_path: Path) -> None:
+    rhec.simulate(SCENARIO).log.to_csv(tmp_path / "log.csv", index=False)
+    log = assert_type(rhec.logs.read(tmp_path / "log.csv"), pd.DataFrame)
     estimates = assert_type(rhec.replay(log, estimator="ekf"), pd.DataFrame)
     assert len(estimates) == len(log)
 

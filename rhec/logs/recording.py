@@ -1,4 +1,4 @@
-"""Recorded logs: parse the columns of a log, leave out rows and measurements that cannot be used,
+"""Recordings: parse the columns of a log, leave out rows and measurements that cannot be used,
 resample the rest at the estimator's rate.
 
 `help(rhec.replay)` lists the columns. Faults of sensors and clocks are no errors. A measurement
@@ -8,7 +8,6 @@ is far from its neighbours' times or is not later than all rows before it. Where
 back, or the log is silent for long, a new segment begins.
 """
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,12 +17,13 @@ from rhec import paper
 from rhec.columns import MEASUREMENTS, POSE, RECORDED, RECORDED_TRUTH, TRACKS, TRUE_SPEEDS
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = ["Recording", "prepare", "prepare_for", "read", "resample"]
+__all__ = ["MAX_PERIOD_S", "Recording", "prepare", "prepare_for", "resample"]
 
 _POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
 _TURNING_RADPS = 0.05  # at a lower yaw rate nothing is said about the track width
 # In samples of the estimator:
 _MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
+MAX_PERIOD_S = _MAX_PERIOD * paper.DT_S
 _POSITION_GAP = 1.75  # positions further apart are not interpolated between
 _ENCODER_GAP = 3.25  # nor encoder measurements
 _SEGMENT_GAP = 10.0  # after a longer silence a new segment begins
@@ -51,19 +51,6 @@ class Recording(NamedTuple):
     faults: dict
 
 
-def read(file):
-    """The log in a .csv or .parquet file, as plain data: nothing in it is executed."""
-    file = Path(file)
-    if file.suffix not in (".csv", ".parquet") or not file.is_file():
-        raise ValueError(f"log was {str(file)!r}; it should be an existing .csv or .parquet file")
-    try:
-        if file.suffix == ".csv":
-            return pd.read_csv(file)
-        return pd.read_parquet(file, engine="pyarrow")
-    except (ValueError, UnicodeError, OSError) as error:  # the file is not what its name says
-        raise ValueError(f"log was {str(file)!r}, which cannot be read: {error}") from None
-
-
 def prepare(log, track_width_m=None):
     """The Recording in a DataFrame. track_width_m [m]: take ν and ω from the tracks' speeds, this
     far apart.
@@ -72,7 +59,8 @@ def prepare(log, track_width_m=None):
     _drop_implausible(values, MEASUREMENTS, SPEED_MODELS["parameter"].model.limits)
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
     rows, kept = _usable_rows(values, paper.DT_S)
-    held = (rows[_POSITION].diff() == 0).all(axis=1) & (rows["segment"].diff() == 0)
+    again = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
+    held = again & (rows["segment"].diff() == 0)
     rows.loc[held, _POSITION] = np.nan
     faults = dict(
         rows=len(log),
