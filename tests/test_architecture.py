@@ -36,7 +36,7 @@ FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 CORE = ["model", "solver", "estimator", "controller"]
 CORE += ["paper", "scenario", "metrics", "simulation"]
 PICTURES = {"matplotlib", "PIL", "IPython", "ipywidgets"}
-MOST_ENTRIES, MOST_CORE_LINES, MOST_LINES = 20, 2500, 14_000
+MOST_ENTRIES, MOST_CORE_LINES, MOST_LINES = 20, 2500, 15_900
 
 
 def dotted(file):
