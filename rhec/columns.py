@@ -48,19 +48,21 @@ kappa of a simulated log) under the names above, and
     arm_forward_hat_m, arm_left_hat_m      estimated place of the antenna [m]
     sigma_x_m, sigma_y_m, sigma_theta_rad, sigma_nu_mps, sigma_mu, sigma_kappa,
     sigma_arm_forward_m, sigma_arm_left_m  standard deviations of the estimates
+    x_meas_m_age_s, y_meas_m_age_s         how old the position was when it was used [s]
     innovation_x_m, innovation_y_m         measured position less the predicted one [m]
     position_accepted, encoders_accepted, restarted
                                            as above, False in rows between the estimator's samples
 A replay with a Model returns `segment`, `t_s`, the measurements under the names of its outputs, and
     <name>_hat                             estimate of each state, input and parameter
     <name>_sigma                           standard deviation of that of each state and parameter
+    <name>_age_s                           how old an output was when it was used [s]
     ok                                     whether the estimator solved its QP
 """
 
 from itertools import chain
 
 __all__ = [
-    "COLUMNS", "COMMAND", "ESTIMATE", "FLAGS", "GATE", "INNOVATION", "LEVER_ARM", "LOG",
+    "AGE", "COLUMNS", "COMMAND", "ESTIMATE", "FLAGS", "GATE", "INNOVATION", "LEVER_ARM", "LOG",
     "MEASUREMENTS", "POSE", "RECORDED", "RECORDED_TRUTH", "SIGMA", "TRACKS", "TRUE_SPEEDS", "TRUTH",
 ]  # fmt: skip
 
@@ -96,6 +98,7 @@ TRUE_SPEEDS = ["v_true_mps", "yaw_rate_true_radps"]
 LEVER_ARM = ["arm_forward_hat_m", "arm_left_hat_m"]
 SIGMA = ["sigma_x_m", "sigma_y_m", "sigma_theta_rad", "sigma_nu_mps", "sigma_mu", "sigma_kappa"]
 SIGMA += ["sigma_arm_forward_m", "sigma_arm_left_m"]
+AGE = "x_meas_m_age_s"  # that of y, too
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
 
 # Columns of a recording, by what they are called in a run or a replay

@@ -4,7 +4,7 @@ resample the rest at the estimator's rate.
 `help(rhec.replay)` lists the columns. Faults of sensors and clocks are no errors. A measurement
 that is no finite number of plausible size is missing. A position equal to the one before to the
 last digit is an old one held, so it is missing, too. A row is left out where its time is no number,
-is far from its neighbours' times or is not later than all rows before it. Where the clock is set
+is far from those of the rows before it or is not later than all of them. Where the clock is set
 back, or the log is silent for long, a new segment begins.
 """
 
@@ -17,19 +17,20 @@ from rhec import paper
 from rhec.columns import MEASUREMENTS, POSE, RECORDED, RECORDED_TRUTH, TRACKS, TRUE_SPEEDS
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = ["MAX_PERIOD_S", "Recording", "prepare", "prepare_for", "resample"]
+__all__ = ["MAX_PERIOD_S", "Recording", "measured_since", "prepare", "prepare_for", "resample"]
 
 _POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
 _TURNING_RADPS = 0.05  # at a lower yaw rate nothing is said about the track width
 # In samples of the estimator:
 _MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
 MAX_PERIOD_S = _MAX_PERIOD * paper.DT_S
-_POSITION_GAP = 1.75  # positions further apart are not interpolated between
-_ENCODER_GAP = 3.25  # nor encoder measurements
+_TRUTH_GAP = 1.75  # true poses further apart are not interpolated between
+_ENCODER_GAP = 3.25  # nor encoder measurements, and none is held for longer
 _SEGMENT_GAP = 10.0  # after a longer silence a new segment begins
-# A time further from the median of its neighbours' is wrong; a clock that is set back by more
+# A time further from the median of it and the two before is wrong; a clock that is set back by more
 # begins a new segment.
 _CLOCK = 5.0
+_SAME_S = 1e-3  # times this close are the same
 
 
 class Recording(NamedTuple):
@@ -183,8 +184,9 @@ def _numbers(log, column):
 def _usable_times(t_s, segment, dt_s):
     """Places of the rows whose times can be used, and their segments, numbered from 0."""
     kept = np.flatnonzero(np.isfinite(t_s))
-    median = pd.Series(t_s[kept]).rolling(5, center=True, min_periods=1).median().to_numpy()
-    kept = kept[np.abs(t_s[kept] - median) <= _CLOCK * dt_s]
+    stamps = pd.Series(t_s[kept]).groupby(segment[kept])
+    usual = stamps.transform(lambda t: t.rolling(3, min_periods=1).median()).to_numpy()
+    kept = kept[np.abs(t_s[kept] - usual) <= _CLOCK * dt_s]
     step, change = np.diff(t_s[kept], prepend=np.nan), np.diff(segment[kept], prepend=np.nan) != 0
     label = np.cumsum(change | (step > _SEGMENT_GAP * dt_s) | (step < -_CLOCK * dt_s)) - 1
     latest = pd.Series(t_s[kept]).groupby(label).cummax()
@@ -192,26 +194,41 @@ def _usable_times(t_s, segment, dt_s):
     return kept[rising], label[rising]
 
 
-def resample(rows, dt_s, averaged, means=(*_ENCODERS, *TRUE_SPEEDS)):
-    """One segment's rows as samples every dt_s [s] from its first row: t_s, measurements, truth.
+def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
+    """One segment's rows as samples about dt_s [s] apart, from its first row on: t_s, measurements,
+    truth. No measurement in a sample was read after it.
 
-    Position and true pose are those at the sample's time. Encoder measurements and true speeds,
-    the columns in `means`, are means over the interval that ends there, as a model's inputs are.
+    Of the `measured` columns those in `means` are means over the interval that ends at the sample,
+    as a model's inputs are, and true speeds are, too. The others are the newest since the sample
+    before, and how old each is stands beside it, under its name and `_age_s`. A true pose is
+    that at the sample's time.
     """
     t = rows["t_s"].to_numpy()
-    at = t[0] + dt_s * np.arange(int((t[-1] - t[0]) / dt_s + 0.01) + 1)
-    edges = np.concatenate([[at[0] - dt_s], at])
-    result = dict(t_s=at)
+    grid = t[0] + dt_s * np.arange(int((t[-1] - t[0] + _SAME_S) / dt_s) + 1)
+    # A sample is at a row where there is one that close.
+    row = t[np.minimum(np.searchsorted(t, grid - _SAME_S), len(t) - 1)]
+    at = np.where(np.abs(row - grid) <= _SAME_S, row, grid)
+    before, result = np.append(at[0] - dt_s, at[:-1]), dict(t_s=at)
     for name in rows.columns.drop(["segment", "t_s"]):
         value = rows[name].to_numpy()
-        if name in means:
-            result[name] = _means_between(
-                edges, t, value, averaged and name not in TRUE_SPEEDS, _ENCODER_GAP * dt_s
-            )
+        if name in (*means, *TRUE_SPEEDS):
+            of_rows = averaged and name in means
+            result[name] = _means_since(before, at, t, value, of_rows, _ENCODER_GAP * dt_s)
+        elif name in measured:
+            result[name], result[f"{name}_age_s"] = _newest_since(before, at, t, value)
         else:
             value = _unwrapped(value) if name == "theta_rad" else value
-            result[name] = _values_at(at, t, value, _POSITION_GAP * dt_s)
+            result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s)
     return pd.DataFrame(result)
+
+
+def measured_since(rows, begin_s, dt_s, averaged, means=_ENCODERS):
+    """Means of measurements from the times begin_s [s] to each row's own, as a DataFrame."""
+    t, gap_s = rows["t_s"].to_numpy(), _ENCODER_GAP * dt_s
+    columns = {name: rows[name].to_numpy() for name in means}
+    return pd.DataFrame(
+        {name: _means_since(begin_s, t, t, v, averaged, gap_s) for name, v in columns.items()}
+    )
 
 
 def _unwrapped(angle):
@@ -221,37 +238,51 @@ def _unwrapped(angle):
     return angle
 
 
-def _values_at(at, t, value, gap_s):
-    """The value at these times: measured then, or between two measurements that are close."""
+def _truth_at(at, t, value, gap_s):
+    """The value at these times, between two that are close linear."""
     known = np.isfinite(value)
     if not known.any():
         return np.full(len(at), np.nan)
     t, value = t[known], value[known]
     after = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
-    near = np.where(np.abs(t[after] - at) < np.abs(t[before] - at), after, before)
     inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
-    between = np.where(inside, np.interp(at, t, value), np.nan)
-    return np.where(np.abs(t[near] - at) < 1e-3, value[near], between)
+    return np.where(inside | (t[after] == at), np.interp(at, t, value), np.nan)
 
 
-def _means_between(edges, t, value, averaged, gap_s):
-    """Mean of a measurement between each two of the edges, NaN where less than half of that time is
-    known; between instants it changes linearly, and the first counts for the interval before it.
+def _newest_since(begin, end, t, value):
+    """The newest measurement in each (begin, end] and its age at the end, NaN where none is new."""
+    known = np.isfinite(value)
+    t, value = np.append(-np.inf, t[known]), np.append(np.nan, value[known])
+    newest = np.searchsorted(t, end, side="right") - 1
+    new = t[newest] > begin
+    return np.where(new, value[newest], np.nan), np.where(new, end - t[newest], np.nan)
+
+
+def _means_since(begin, end, t, value, averaged, gap_s):
+    """Mean of a measurement over each (begin, end] as it is known at the end, NaN where less than
+    half of that time is: between instants linear, after the newest held, no longer than gap_s.
+
+    The first counts for the interval before it.
     """
     if not averaged:
         known = np.isfinite(value)
         t, value = t[known], value[known]
     if not len(t):
-        return np.full(len(edges) - 1, np.nan)
-    start = np.concatenate([[t[0] - (edges[1] - edges[0])], t])
+        return np.full(len(end), np.nan)
+    start = np.append(min(begin[0], t[0]), t)
     mean = np.append(value[:1], value[1:] if averaged else (value[1:] + value[:-1]) / 2)
-    length = np.diff(start)
+    length, read = np.diff(start), np.searchsorted(t, end, side="right")
     known = np.isfinite(mean) & (length <= gap_s)
+    newest, since = np.append(np.nan, value)[read], start[read]
+    held = np.isfinite(newest) & (end - since <= gap_s)
 
-    def integral(rate):
-        return np.diff(np.interp(edges, start, np.append(0, np.cumsum(rate * length))))
+    def integral(rate, now):
+        total = np.append(0, np.cumsum(rate * length))
+        driven = total[read] - np.interp(np.minimum(begin, since), start, total)
+        return driven + now * (end - np.maximum(begin, since))
 
-    covered, total = integral(known), integral(np.where(known, mean, 0))
+    covered = integral(known, held)
+    total = integral(np.where(known, mean, 0), np.where(held, newest, 0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(covered >= 0.5 * np.diff(edges), total / covered, np.nan)
+        return np.where(covered >= 0.5 * (end - begin), total / covered, np.nan)

@@ -1,8 +1,10 @@
 """Replay: a recorded log through an estimator, which is scanned over each segment's samples.
 
 Samples are DT_S apart; the encoder measurements of each are means over the interval that ends there
-(`recording.resample`). Each row of the log then gets the estimate of the last sample, predicted to
-the row's own time by the encoder measurements since.
+(`recording.resample`). A position read between two samples is carried on to the second by the
+motion that the last estimate and the encoders predict. Each row of the log then gets the estimate
+of the last sample, predicted to the row's own time by the encoder measurements since. Nothing read
+after a row changes what it gets; only the track width is a median over the whole log.
 """
 
 from typing import Any, NamedTuple
@@ -16,12 +18,12 @@ from rhec._casadi import compiled, scan
 from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack
 from rhec._casadi.renamed import with_new_names
 from rhec._casadi.validation import Positive, Real, checked
-from rhec.columns import ESTIMATE, FLAGS, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
+from rhec.columns import AGE, ESTIMATE, FLAGS, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
 from rhec.estimator.ekf import EKF
 from rhec.estimator.rhe import RHE
 from rhec.extensions import slipping
 from rhec.extensions.faults import corrupted
-from rhec.logs.recording import prepare, prepare_for, resample
+from rhec.logs.recording import measured_since, prepare, prepare_for, resample
 from rhec.model.base import Model, interval
 from rhec.model.limits import is_valid_measurement
 from rhec.scenario import Scenario
@@ -63,17 +65,24 @@ def _build_replay(*choice):
     tell is NaN.
     """
     choice, nan = Choice(*choice), ca.DM.nan(1)
-    step = build_step(choice)
-    inputs, states = step.mx_in(), estimator_of(choice.estimator, choice.robust).states(choice)
-    outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], step.call(inputs)))
+    step, motion = build_step(choice), _motion(_model_of(choice), _QUANTITIES)
+    memory = ca.MX.sym("memory", step.size1_in(0) + len(_HATS))  # the step's, the last estimate
+    own, last = ca.vertsplit(memory, [0, step.size1_in(0), memory.numel()])
+    stream, settings = ca.MX.sym("stream", len(MEASUREMENTS) + 1), step.mx_in()[2:]
+    z, age_s = stream[:-1], stream[-1]
+    now, then = (motion(last, z, paper.DT_S - age)[1][:2] for age in (0, age_s))
+    z = ca.vertcat(z[:2] + ca.if_else(age_s > 0, now - then, 0), z[2:])
+    states = estimator_of(choice.estimator, choice.robust).states(choice)
+    results = step.call([own, z, *settings])
+    outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], results))
     hats = dict(zip(QUANTITIES, ca.vertsplit(outputs["estimate"])))
     sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
     if set(slipping.LEVER_ARM) <= set(states):
         window = window_of(choice)
-        memory = outputs["memory"][: packed_size(window.memory)]  # what gating remembers is behind
-        newest = dict(zip(states, ca.vertsplit(unpack(memory, window.memory)["s"][:, window.N])))
+        packed = outputs["memory"][: packed_size(window.memory)]  # what gating remembers is behind
+        newest = dict(zip(states, ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])))
         hats |= {name: newest[name] for name in slipping.LEVER_ARM}
-    z, limits = inputs[1], SPEED_MODELS["parameter"].model.limits
+    limits = SPEED_MODELS["parameter"].model.limits
     valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
     accepted = outputs.get("accepted", ca.vertcat(*valid))
     row = ca.vertcat(
@@ -83,17 +92,23 @@ def _build_replay(*choice):
         *(accepted[0] * accepted[1], accepted[2] * accepted[3]),
         outputs.get("restart", 0),
     )
+    inputs, results = (
+        [memory, stream, *settings],
+        [ca.vertcat(outputs["memory"], row[: len(_HATS)]), row],
+    )
     names = ["memory", "z", *step.name_in()[2:]], ["memory", "row"]
     options = {"allow_duplicate_io_names": True}
-    return scan.build_scan(ca.Function("replay", inputs, [outputs["memory"], row], *names, options))
+    return scan.build_scan(ca.Function("replay", inputs, results, *names, options))
 
 
-def _run(steps, scenario, z, yaw_rad, first):
-    """_OUTPUTS, one row a measurement of z (n, 4), of one segment that begins with this yaw, at the
-    first position and speed measured.
+def _run(steps, scenario, z, age_s, yaw_rad, first):
+    """_OUTPUTS, one row a measurement of z (n, 4) whose position is age_s (n,) old, of one segment
+    that begins with this yaw, at the first position; NaN before that.
     """
-    known, choice = np.isfinite(z), Choice.of(scenario)
-    x, y, nu = (z[np.argmax(known[:, i]), i] if known[:, i].any() else 0.0 for i in range(3))
+    heard, choice = np.isfinite(z[:, :2]).all(axis=1), Choice.of(scenario)
+    begin = np.argmax(heard) if heard.any() else len(z)
+    x, y = z[begin, :2] if heard.any() else (0.0, 0.0)
+    nu = np.nan_to_num(z[0, 2])
     guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or (0.0, 0.0)))
     sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
     if first.lever_arm_m is not None:
@@ -103,50 +118,67 @@ def _run(steps, scenario, z, yaw_rad, first):
     settings = estimator.settings(scenario) | dict(
         traction=known_traction(estimator.given, None, None)
     )
-    return scan.scan(steps, memory, z, select_inputs(steps["step"], settings))[1]
+    stream, inputs = np.column_stack([z, age_s]), select_inputs(steps["step"], settings)
+    rows = scan.scan(steps, np.append(memory, guess), stream, inputs)[1]
+    rows[:begin] = np.nan
+    return rows
+
+
+def _motion(model, names):
+    """(estimate, z, tau_s) -> (estimate, outputs) of a Model after tau_s [s] of driving by the
+    inputs measured in z, or estimated where z has none.
+    """
+    estimate, z = ca.SX.sym("estimate", len(names)), ca.SX.sym("z", len(model.outputs))
+    known, tau_s = dict(zip(names, ca.vertsplit(estimate))), ca.SX.sym("tau_s")
+    u = [known.get(name, 0) for name in model.inputs]
+    for place, row in model.input_outputs.items():
+        valid = is_valid_measurement(z[row], model.limits[row])
+        u[place] = ca.if_else(valid, z[row], u[place])
+    joint, u = (*model.states, *model.parameters), ca.vertcat(*u)
+    s = ca.vertcat(*(known[name] for name in joint))
+    s = interval(model, measured=False).step(s, u, tau_s)
+    x, p = ca.vertsplit(s, [0, len(model.states), len(joint)])
+    known |= dict(zip(joint, ca.vertsplit(s)))
+    results = [ca.vertcat(*known.values()), model.measurement(x, u, p)]
+    return ca.Function("motion", [estimate, z, tau_s], results)
 
 
 def _predict(model, names, estimate, z, tau_s):
-    """Estimates (n, names) of a Model after tau_s (n,) of driving by the inputs measured in z (n,
-    n_z); a missing measurement is the one before it, else the input estimated.
+    """`_motion` for estimates (n, names), measurements (n, n_z) and times (n,); a missing
+    measurement is the one before it.
     """
-    step = interval(model, measured=False).step.map(len(estimate))
-    places = [names.index(name) for name in (*model.states, *model.parameters)]
-    v, held = np.zeros((len(estimate), len(model.inputs))), pd.DataFrame(z).ffill().to_numpy()
-    for place, name in enumerate(model.inputs):
-        v[:, place] = estimate[:, names.index(name)] if name in names else 0
-        if place in model.input_outputs:
-            measured = held[:, model.input_outputs[place]]
-            v[:, place] = np.where(np.isfinite(measured), measured, v[:, place])
-    predicted = estimate.copy()
-    predicted[:, places] = np.array(step(estimate[:, places].T, v.T, tau_s[None, :])).T
-    return predicted
+    held = pd.DataFrame(z).ffill().to_numpy()
+    motion = _motion(model, names).map(len(estimate))
+    return [np.array(result).T for result in motion(estimate.T, held.T, tau_s[None, :])]
 
 
-def _model_of(scenario):
-    """The Model by which a scenario's estimator predicts."""
-    choice = Choice.of(scenario)
+def _model_of(choice):
+    """The Model by which a Choice's estimator predicts."""
     return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
 
 
-def _innovations(scenario, estimate, z):
+def _innovations(scenario, estimate, z, age_s):
     """Measured position less the one predicted from the estimate (n, 8) before it and the encoder
-    measurements since; the first sample has none.
+    measurements since, when it was read; the first sample has none.
     """
-    none = np.full((1, 2), np.nan)
-    if len(z) < 2:
-        return none
-    model, dt_s = _model_of(scenario), np.full(len(z) - 1, paper.DT_S)
-    predicted = _predict(model, _QUANTITIES, estimate[:-1], z[1:], dt_s)
-    return np.concatenate([none, z[1:, :2] - predicted[:, :2]])
+    innovations, model = np.full((len(z), 2), np.nan), _model_of(Choice.of(scenario))
+    if len(z) > 1:
+        tau_s = paper.DT_S - np.nan_to_num(age_s[1:])
+        _, predicted = _predict(model, _QUANTITIES, estimate[:-1], z[1:], tau_s)
+        innovations[1:] = z[1:, :2] - predicted[:, :2]
+    return innovations
 
 
-def _most_likely_heading(steps, scenario, z, first):
-    """The run whose first yaw, of several directions, has the least sum of squared innovations."""
+def _most_likely_heading(steps, scenario, z, age_s, first):
+    """At each sample the row of the run whose first yaw, of several directions, has the least sum
+    of squared innovations so far.
+    """
     unsure = first._replace(sigma_yaw_rad=np.pi / _N_HEADINGS)
     yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
-    runs = [_run(steps, scenario, z, yaw, unsure) for yaw in yaws]
-    return min(runs, key=lambda run: np.nansum(np.square(_innovations(scenario, run[:, :8], z))))
+    runs = np.stack([_run(steps, scenario, z, age_s, yaw, unsure) for yaw in yaws])
+    squares = [np.square(_innovations(scenario, run[:, :8], z, age_s)) for run in runs]
+    best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
+    return runs[best, np.arange(len(z))]
 
 
 def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
@@ -159,43 +191,42 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = resample(rows, paper.DT_S, recording.averaged)
-        z = part[MEASUREMENTS].to_numpy()
+        z, age_s = part[MEASUREMENTS].to_numpy(), part[AGE].to_numpy()
         if faults:
             z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed)
             part[MEASUREMENTS] = z = np.where(np.isfinite(z), z, np.nan)
         if first.yaw_rad is None:
-            outputs = _most_likely_heading(steps, scenario, z, first)
+            outputs = _most_likely_heading(steps, scenario, z, age_s, first)
         else:
-            outputs = _run(steps, scenario, z, first.yaw_rad[number], first)
+            outputs = _run(steps, scenario, z, age_s, first.yaw_rad[number], first)
         part[_OUTPUTS] = outputs
-        part[INNOVATION] = _innovations(scenario, outputs[:, :8], z)
+        part[INNOVATION] = _innovations(scenario, outputs[:, :8], z, age_s)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
 
 
-def _at_rows(samples, recording, log, dt_s, measured, estimated, predict):
+def _at_rows(samples, recording, log, dt_s, measured, means, estimated, predict):
     """One row for each row of the log, in its order and with its index: the last sample's estimate,
     predicted to the row's time; where the row cannot be used, the estimate before it.
 
-    measured, estimated: names of these columns; predict(estimate, z, tau_s): as `_predict`.
+    measured, estimated: names of these columns; means: of the measured ones that are means;
+    predict(estimate, z, tau_s): as `_predict`.
     """
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
-        since = rows["t_s"].to_numpy() - part["t_s"][0]
-        # a row just before a sample belongs to it
-        last = np.clip(np.floor(since / dt_s + 0.25).astype(int), 0, len(part) - 1)
-        tau = since - last * dt_s
-        tau[np.abs(tau) < 1e-6] = 0
-        following = np.minimum(last + (tau > 0), len(part) - 1)
-        z = part[measured].ffill().to_numpy()[following]
+        t, sampled = rows["t_s"].to_numpy(), part["t_s"].to_numpy()
+        last = np.searchsorted(sampled, t, side="right") - 1
+        tau, z = t - sampled[last], part[measured].iloc[last].reset_index(drop=True)
+        z[means] = measured_since(rows, sampled[last], dt_s, recording.averaged, means)
         result = part.iloc[last].reset_index(drop=True)
-        moved = predict(result[estimated].to_numpy(), z, tau)
+        moved, _ = predict(result[estimated].to_numpy(), z.to_numpy(), tau)
         result.loc[tau != 0, estimated] = moved[tau != 0]
         between = np.diff(last, prepend=-1) == 0  # no sample's own row
-        result.loc[between, result.columns.intersection([*INNOVATION, "deviance"])] = np.nan
+        of_sample = [*INNOVATION, "deviance", *(f"{name}_age_s" for name in measured)]
+        result.loc[between, result.columns.intersection(of_sample)] = np.nan
         result.loc[between, result.columns.intersection(GATE)] = False
         given = rows.columns.drop("segment")
         result[given] = rows[given].to_numpy()
@@ -218,15 +249,20 @@ def _replay_model(log, model, estimator, arguments):
     dt_s, names = arguments["dt"], model.names
     recording, parts = prepare_for(model, dt_s, log), []
     means = [model.outputs[row] for row in model.input_outputs.values()]
-    hats = [f"{name}_hat" for name in names]
+    hats, motion = [f"{name}_hat" for name in names], _motion(model, names)
     columns = [*hats, *(f"{name}_sigma" for name in (*model.states, *model.parameters)), "ok"]
     for segment, rows in recording.rows.groupby("segment"):
-        part, live, told = resample(rows, dt_s, True, means), made(model=model, **arguments), []
-        for z in part[[*model.outputs]].to_numpy():
+        part, told = resample(rows, dt_s, True, model.outputs, means), []
+        ages = part.reindex(columns=[f"{name}_age_s" for name in model.outputs]).to_numpy()
+        live, last = made(model=model, **arguments), None
+        for z, age_s in zip(part[[*model.outputs]].to_numpy(copy=True), ages):
+            for row in np.flatnonzero(age_s > 0):
+                now, then = (motion(last, z, dt_s - age)[1] for age in (0, age_s[row]))
+                z[row] += float(now[row] - then[row])
             live.prepare()
             x, u, p, covariance = live.feedback(z)
-            sigma = np.sqrt(np.diag(covariance))
-            told.append([*x, *u, *p, *sigma, getattr(live, "ok", True)])
+            last, sigma = [*x, *u, *p], np.sqrt(np.diag(covariance))
+            told.append([*last, *sigma, getattr(live, "ok", True)])
         part[columns] = np.array(told, dtype=float)
         part.insert(0, "segment", segment)
         parts.append(part)
@@ -236,7 +272,7 @@ def _replay_model(log, model, estimator, arguments):
     def predict(estimate, z, tau_s):
         return _predict(model, names, estimate, z, tau_s)
 
-    return _at_rows(samples, recording, log, dt_s, [*model.outputs], hats, predict)
+    return _at_rows(samples, recording, log, dt_s, [*model.outputs], means, hats, predict)
 
 
 @checked
@@ -274,8 +310,8 @@ def replay(
             default it is estimated, within some decimetres. Only the estimator "rhe" with
             speed_model="slipping" knows of it. The position estimated is the antenna's.
         first_yaw_rad: First guess of the yaw [rad], one number or one for each segment. By default
-            several directions are tried, and the one with the least innovations is taken: that
-            looks ahead over the whole segment until the robot has driven some metres.
+            several directions are tried, and each row has the estimate of the one with the least
+            innovations so far: until the robot has driven some metres that may be a wrong one.
         sigma_yaw_rad: Standard deviation of that guess [rad], by default 0.3.
         **fields: Of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon, speed_model,
             arrival_mean, robust. speed_model is "slipping" by default: "input" (R13) with noise
@@ -285,7 +321,8 @@ def replay(
         DataFrame, one row for each row of the log, in its order and with its index; `rhec.columns`
         documents its columns. With a model: measurements under the outputs' names, for each state,
         input and parameter `<name>_hat`, for states and parameters the standard deviation
-        `<name>_sigma`, and `ok`. A row that cannot be used has the estimate before it.
+        `<name>_sigma`, and `ok`. A row that cannot be used has the estimate before it. Nothing
+        is said, NaN, before a segment's first position.
         `.attrs["faults"]` counts rows and measurements that could not be used.
 
     Raises:
@@ -315,12 +352,14 @@ def replay(
             f"each of the log's {segments} segments"
         )
     first = InitialGuess(first_yaw_rad, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m)
-    samples, model = estimate_samples(recording, scenario, first), _model_of(scenario)
+    samples = estimate_samples(recording, scenario, first)
+    model = _model_of(Choice.of(scenario))
 
     def predict(estimate, z, tau_s):
         return _predict(model, _QUANTITIES, estimate, z, tau_s)
 
-    return _at_rows(samples, recording, log, paper.DT_S, MEASUREMENTS, _HATS, predict)
+    measured = MEASUREMENTS, MEASUREMENTS[2:]
+    return _at_rows(samples, recording, log, paper.DT_S, *measured, _HATS, predict)
 
 
 def replay_scenario(estimator, recording, fields):

@@ -85,14 +85,15 @@ def score(samples):
     and inside_95, the share within 1.96 standard deviations.
     """
     counted = samples[distance_driven(samples) >= FROM_M]
-    traction = samples[["mu_hat", "kappa_hat"]]
+    told = samples[samples["theta_hat_rad"].notna()]
+    traction = told[["mu_hat", "kappa_hat"]]
     values = dict(
         samples=len(counted),
         innovation_rms_m=rms(counted["innovation_x_m"], counted["innovation_y_m"]),
         mu_median=counted["mu_hat"].median(),
         kappa_median=counted["kappa_hat"].median(),
         outside=int((~((traction >= 0) & (traction <= 1)).all(axis=1)).sum()),
-        not_ok=int((~samples["ok"]).sum()),
+        not_ok=int((~told["ok"]).sum()),
     )
     if "theta_rad" in samples:
         error, sigma = yaw_error(counted), counted["sigma_theta_rad"]
