@@ -98,7 +98,7 @@ TRUE_SPEEDS = ["v_true_mps", "yaw_rate_true_radps"]
 LEVER_ARM = ["arm_forward_hat_m", "arm_left_hat_m"]
 SIGMA = ["sigma_x_m", "sigma_y_m", "sigma_theta_rad", "sigma_nu_mps", "sigma_mu", "sigma_kappa"]
 SIGMA += ["sigma_arm_forward_m", "sigma_arm_left_m"]
-AGE = "x_meas_m_age_s"  # that of y, too
+AGE = ["x_meas_m_age_s", "y_meas_m_age_s"]
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
 
 # Columns of a recording, by what they are called in a run or a replay

@@ -191,7 +191,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = resample(rows, paper.DT_S, recording.averaged)
-        z, age_s = part[MEASUREMENTS].to_numpy(), part[AGE].to_numpy()
+        z, age_s = part[MEASUREMENTS].to_numpy(), part[AGE[0]].to_numpy()
         if faults:
             z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed)
             part[MEASUREMENTS] = z = np.where(np.isfinite(z), z, np.nan)
