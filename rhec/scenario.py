@@ -20,19 +20,19 @@ class Scenario:
     """One closed-loop run. SI units; angles in radians.
 
     The estimator
-        estimator          "rhe", "ekf", "oracle" (true pose and traction), "traction_oracle" (true
-                           traction, pose estimated), "fixed_traction" (the EKF, told the field's
-                           mean traction), "augmented_ekf" (an EKF that estimates μ and κ, too,
-                           without bounds: what the paper warns of), "dual" (traction by the RHE,
-                           pose by an EKF that is told it: not in the paper), or a CasADi Function
-                           (memory, z) -> (memory, estimate) of one's own; its memory starts as the
-                           first guess (x, y, θ, ν, μ, κ), then zeros
+        estimator          "rhe", "ekf": the paper's; "oracle" (true pose and traction); not in
+                           the paper: "augmented_ekf" (μ, κ are states, too), "bounded_ekf" (the
+                           same, kept within [0, 1]); told the traction: "traction_oracle" (an EKF,
+                           the true one), "fixed_traction" (an EKF, the field's mean),
+                           "rhe_fixed_traction" (an RHE, the same), "rhe_no_slip" (an RHE, μ = κ =
+                           1); "dual" (traction by the RHE, pose by an EKF that is told it); or a
+                           CasADi Function (memory, z) -> (memory, estimate) of one's own, whose
+                           memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
         process_noise      "printed": the paper's W to the letter; "calibrated": W from training
                            seeds (R1, R2)
-        sigma_w            W's standard deviations instead: (x, y, θ, ν, μ, κ) for
-                           RHE and augmented EKF, without ν where that is an input, (μ, κ) per √m
-                           where tracks slip; (x, y, θ, ν) for the EKFs; both, one after the other,
-                           for "dual"
+        sigma_w            W's standard deviations instead: (x, y, θ, ν, μ, κ), without (μ, κ)
+                           where they are not estimated, without ν where that is an input, (μ, κ)
+                           per √m where tracks slip; the RHE's, then the EKF's for "dual"
         sigma_v            measurement noise the estimator assumes: (x, y [m], ν [m/s], ω [rad/s])
         estimation_horizon intervals of the window; N intervals have N + 1 nodes, so 14 is the
                            paper's sum of N terms (R5)

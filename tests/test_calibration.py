@@ -40,14 +40,34 @@ def test_the_deviance_is_a_sum_over_runs(runs):
 def test_calibration_sees_training_seeds_alone_and_no_estimator_in_the_loop(
     estimator, entries, monkeypatch
 ):
-    seen = []
+    seen, tried = [], []
     monkeypatch.setattr(calibration, "simulate", seen.append)
-    monkeypatch.setattr(
-        calibration,
-        "minimize",
-        lambda *_, **__: types.SimpleNamespace(x=np.log(np.full(entries - 1, 0.0123)), fun=1.0),
-    )
+
+    def off_by(estimator, sigma_w, runs):
+        tried.append(sigma_w)
+        return np.square(np.log(np.divide(sigma_w, 0.0123))).sum()
+
+    monkeypatch.setattr(calibration, "deviance", off_by)
     sigma, _ = calibration.calibrate(estimator)
-    assert sigma == (0.012,) * entries
+    np.testing.assert_allclose(sigma, (0.012,) * entries, rtol=0.1)
     assert len(seen) >= 10 and min(scenario.seed for scenario in seen) >= 1000
     assert {scenario.estimator for scenario in seen} == {"oracle"}
+
+
+@pytest.mark.parametrize("estimator", calibration.UNKNOWNS)
+def test_every_estimator_is_tuned_within_the_same_bounds_and_evaluations(estimator, monkeypatch):
+    """What would be best lies beyond the bounds: the search ends at them."""
+    driven = []
+
+    def drive(scenario):
+        driven.append(scenario)
+        away = np.log(1e5) - np.log(scenario.sigma_w)
+        return types.SimpleNamespace(metrics=dict(mean_error_true_m=np.square(away).sum()))
+
+    monkeypatch.setattr(calibration, "simulate", drive)
+    sigma, _ = calibration.tune_for_tracking(estimator, seeds=[1000])
+    assert {scenario.estimator for scenario in driven} == {estimator}
+    tried = np.array([scenario.sigma_w for scenario in driven])
+    assert tried.min() > calibration.LEAST * 0.99 and tried.max() < calibration.MOST * 1.01
+    np.testing.assert_allclose(sigma, calibration.MOST, rtol=0.1)
+    assert len(driven) <= calibration.EVALUATIONS * len(calibration.UNKNOWNS[estimator])

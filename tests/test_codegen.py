@@ -79,7 +79,8 @@ SCENARIOS = {
     "EKF": dict(estimator="ekf", process_noise="calibrated"),
     "dual": dict(estimator="dual", robust=True),
     "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
-    "augmented EKF": dict(estimator="augmented_ekf", process_noise="calibrated"),
+    "RHE, fixed traction": dict(estimator="rhe_fixed_traction", mu_mean=0.7, kappa_mean=0.6),
+    "bounded EKF": dict(estimator="bounded_ekf", process_noise="calibrated"),
     "own estimator": dict(estimator=own_estimator()),
 }
 
@@ -620,7 +621,8 @@ def solving_estimator():
         (
             rhec.Scenario(estimator="oracle"),
             "^estimator was 'oracle', which is given the truth; to export, it should be one of "
-            "'rhe', 'ekf', 'augmented_ekf', 'fixed_traction', 'dual' or a Function of your own$",
+            "'rhe', 'rhe_fixed_traction', 'rhe_no_slip', 'ekf', 'augmented_ekf', 'bounded_ekf', "
+            "'fixed_traction', 'dual' or a Function of your own$",
         ),
         (
             rhec.Scenario(estimator="traction_oracle"),

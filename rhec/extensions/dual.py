@@ -11,25 +11,19 @@ import casadi as ca
 import numpy as np
 
 from rhec._casadi.build import pack_array
-from rhec.model.base import rk4
 from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import Estimator, estimator_of
-from rhec.tracked_robot.kinematics import QUANTITIES, f
+from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.rhe import SIGMA_START
 
-__all__ = ["ESTIMATORS", "ROBUST", "runge_kutta"]
-
-
-def runge_kutta(m, omega, traction, dt_s):
-    """Eq. (2) over `dt_s` [s] by one Runge-Kutta step from (x, y, θ, ν)."""
-    return ca.vertcat(rk4(f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+__all__ = ["ESTIMATORS", "ROBUST"]
 
 
 def _build_step(choice):
     """Both as one Function: memory is the RHE's, then the EKF's; so is W (10,)."""
     soil = estimator_of("rhe", choice.robust).build_step(choice)
-    pose = paper_ekf.build_step(choice.dt_s, runge_kutta)
+    pose = paper_ekf.build_step(choice.dt_s, paper_ekf.runge_kutta)
     sizes = soil.numel_in("memory"), pose.numel_in("memory")
     memory, z = ca.MX.sym("memory", sum(sizes)), ca.MX.sym("z_N", 4)
     V, W, P_0 = ca.MX.sym("V", 4), ca.MX.sym("W", 10), ca.MX.sym("P_0", 6)

@@ -300,8 +300,8 @@ def replay(
             for each of its outputs (a measured input: its mean since the row before) and,
             optionally, `segment`, a row at least every dt. How faults of real logs are treated:
             `rhec.logs.recording`.
-        estimator: "rhe", "ekf", "augmented_ekf", "dual" or a CasADi Function of one's own, as in
-            Scenario. With a model "rhe" or "ekf".
+        estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "dual" or a CasADi
+            Function of one's own, as in Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model; all that follows is then what rhec.RHE (or rhec.EKF) takes with it: dt,
             sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Take ν and ω from v_left_mps and v_right_mps, this far apart [m], instead of

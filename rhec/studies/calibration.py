@@ -1,18 +1,22 @@
 """Process noise from training seeds, never from the paper's results: by likelihood (calibrated W,
-R1, R2), and by tracking.
+R1, R2), and by tracking. Seeds below 1000 are never used.
+
+All estimators are tuned alike: the same bounds on what a standard deviation per sample may be, the
+same first one, the same search (Powell's method on logarithms, position x and y sharing one) and
+the same number of evaluations for each unknown.
 
 By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
 so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
 its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
-deviations behind W that minimise the deviance summed over all training runs (Powell's method on
-their logarithms, position x and y sharing one).
+deviations behind W that minimise the deviance summed over all training runs.
 
 By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true
-error (Nelder and Mead's method): not an estimator's best guess of the truth, but the one that this
-controller drives best by. Seeds below 1000 are never used.
+error: not an estimator's best guess of the truth, but the one that this controller drives best by.
 
-    python -m rhec.studies.calibration    repeats all of it (minutes)
+    python -m rhec.studies.calibration    repeats all of it (half an hour)
 """
+
+import contextlib
 
 import casadi as ca
 import numpy as np
@@ -27,28 +31,21 @@ from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
-    "SETTLED_S", "TRAINING_SEEDS", "calibrate", "deviance", "oracle_runs",
-    "run_estimator", "scan_arguments"
+    "EVALUATIONS", "LEAST", "MOST", "SETTLED_S", "TRAINING_SEEDS", "UNKNOWNS", "calibrate",
+    "deviance", "oracle_runs", "run_estimator", "scan_arguments", "tune_for_tracking"
 ]  # fmt: skip
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
 _TRACKING_SEEDS = range(1000, 1024)
 # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
-_LEAST, _MOST = 1e-3, 10.0
-# by likelihood: x and y, θ, ν[, μ, κ]
-_UNKNOWNS = dict(rhe=5, ekf=3, augmented_ekf=5, fixed_traction=3, traction_oracle=3)
-# by tracking: where in sigma_w each unknown stands, and where the search begins; the rest is _LEAST
-_POSE, _SOIL = {(0, 1): 0.003, (2,): 0.01, (3,): 0.01}, {(4,): 0.01, (5,): 0.01}
-_DUAL = {(4,): 0.006, (5,): 0.03, (6, 7): 0.002, (8,): 0.02, (9,): 0.01}
-_TRACKING = {
-    "rhe": (dict(estimation_horizon=15), {(0, 1): 0.02, (2,): 0.01, (3,): 0.1} | _SOIL),
-    "ekf": ({}, _POSE),
-    "augmented_ekf": ({}, _POSE | _SOIL),
-    "fixed_traction": ({}, _POSE),
-    "traction_oracle": ({}, _POSE),
-    "dual": (dict(estimation_horizon=10), _DUAL),
-}
+LEAST, MOST = 1e-3, 10.0
+_FIRST, EVALUATIONS = 0.01, 40  # where each search begins; how many for each unknown
+# where in sigma_w each unknown stands
+_POSE, _SOIL = [(0, 1), (2,), (3,)], [(4,), (5,)]
+UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
+_NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
+UNKNOWNS |= dict.fromkeys(_NOT_ESTIMATED, _POSE)
 
 
 def oracle_runs(seeds, duration_s=240.0):
@@ -101,56 +98,62 @@ def deviance(estimator, sigma_w, runs, **fields):
     return sum(run_estimator(scenario, run, "deviance").sum() for run in runs)
 
 
-def _sigma_from(logarithms):
-    """(x, y, θ, …) from the logarithms of (x and y, θ, …)."""
-    sigma = np.exp(logarithms)
-    return np.insert(sigma, 0, sigma[0])
+def _search(objective, unknowns):
+    """The sigma_w that makes the objective least within the bounds and evaluations that all are
+    given, to two digits, and its value.
+    """
+    tried = {}
+
+    def evaluate(logarithms):
+        if len(tried) == EVALUATIONS * len(unknowns):
+            raise _Exhausted
+        sigma = np.empty(max(map(max, unknowns)) + 1)
+        for places, logarithm in zip(unknowns, logarithms):
+            sigma[list(places)] = np.exp(logarithm)
+        sigma_w = tuple(sigma.tolist())
+        tried[sigma_w] = objective(sigma_w)
+        return tried[sigma_w]
+
+    with contextlib.suppress(_Exhausted):
+        minimize(
+            evaluate,
+            np.full(len(unknowns), np.log(_FIRST)),
+            method="Powell",
+            bounds=[np.log((LEAST, MOST))] * len(unknowns),
+            options=dict(xtol=0.01, ftol=1e-6),
+        )
+    best = min(tried, key=tried.get)
+    return tuple(float(f"{value:.2g}") for value in best), tried[best]
 
 
-def _rounded(sigma):
-    return tuple(float(f"{value:.2g}") for value in sigma)
+class _Exhausted(Exception):
+    """All evaluations are used up."""
 
 
 def calibrate(estimator, **fields):
     """Process noise of an estimator by maximum likelihood on the training seeds: standard
     deviations, to two digits, and the deviance.
     """
-    runs, unknowns = oracle_runs(TRAINING_SEEDS), _UNKNOWNS[estimator]
-    result = minimize(
-        lambda logarithms: deviance(estimator, _sigma_from(logarithms), runs, **fields),
-        np.full(unknowns, np.log(0.03)),
-        method="Powell",
-        bounds=[np.log((_LEAST, _MOST))] * unknowns,
-        options=dict(xtol=0.01, ftol=1e-6),
+    runs = oracle_runs(TRAINING_SEEDS)
+    return _search(
+        lambda sigma_w: deviance(estimator, sigma_w, runs, **fields), UNKNOWNS[estimator]
     )
-    return _rounded(_sigma_from(result.x)), result.fun
 
 
-def _tune_for_tracking(estimator, seeds=_TRACKING_SEEDS, evaluations=120):
+def tune_for_tracking(estimator, seeds=_TRACKING_SEEDS):
     """Process noise of an estimator by least mean true error on these seeds: standard
     deviations, to two digits, and the error [m].
     """
-    fields, unknowns = _TRACKING[estimator]
 
-    def sigma_w(logarithms):
-        choice = Choice.of(Scenario(estimator=estimator))
-        sigma = np.full(estimator_of(estimator).n_sigma_w(choice), _LEAST)
-        for places, logarithm in zip(unknowns, logarithms):
-            sigma[list(places)] = np.exp(logarithm)
-        return sigma
-
-    def error_m(logarithms):
-        given = dict(estimator=estimator, sigma_w=tuple(sigma_w(logarithms)), **fields)
+    def error_m(sigma_w):
+        given = dict(estimator=estimator, sigma_w=sigma_w)
         runs = [simulate(Scenario(seed=seed, **given)) for seed in seeds]
         return np.mean([run.metrics["mean_error_true_m"] for run in runs])
 
-    begin, options = np.log([*unknowns.values()]), dict(maxfev=evaluations, adaptive=True)
-    result = minimize(error_m, begin, method="Nelder-Mead", options=options)
-    return _rounded(sigma_w(result.x)), result.fun
+    return _search(error_m, UNKNOWNS[estimator])
 
 
 if __name__ == "__main__":
-    for name in _UNKNOWNS:
+    for name in UNKNOWNS:
         print("by likelihood", name, *calibrate(name))
-    for name in _TRACKING:
-        print("by tracking", name, *_tune_for_tracking(name))
+        print("by tracking", name, *tune_for_tracking(name))

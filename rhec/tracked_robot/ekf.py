@@ -1,9 +1,10 @@
-"""The paper's extended Kalman filter, eq. (23)-(26), and its kin.
+"""The paper's extended Kalman filter, eq. (23)-(26), and its rivals, which take a Runge-Kutta step.
 
-The paper's has state (x, y, θ, ν), the measured yaw rate as input, and the traditional model, that
-is μ = κ = 1; here the traction is an argument, so that one filter can also be told the true one.
-The augmented one is what the paper warns of (Sec. Extended Kalman Filter): (μ, κ) are states, too,
-and nothing keeps their estimates between 0 and 1.
+The paper's has state (x, y, θ, ν), the measured yaw rate as input, an Euler step, and the
+traditional model, that is μ = κ = 1; here the traction is an argument, so that one filter can also
+be told the true one. The augmented one is what the paper warns of (Sec. Extended Kalman Filter):
+(μ, κ) are states, too, and nothing keeps their estimates between 0 and 1. The bounded one does
+keep them there.
 """
 
 import casadi as ca
@@ -13,12 +14,13 @@ from rhec._casadi.build import with_packed_memory
 from rhec.estimator.ekf import predict_and_correct
 from rhec.model import base
 from rhec.model.limits import is_valid_measurement
+from rhec.solver.box_qp import box_qp
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import Estimator
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
 from rhec.tracked_robot.rhe import SIGMA_START
 
-__all__ = ["ESTIMATORS", "build_step", "init"]
+__all__ = ["ESTIMATORS", "build_step", "init", "runge_kutta"]
 
 _POSE_AND_SPEED = base.Model(
     states=QUANTITIES[:4],
@@ -40,40 +42,60 @@ def _euler(m, omega, traction, dt_s):
     )
 
 
+def runge_kutta(m, omega, traction, dt_s):
+    """Eq. (2) over `dt_s` [s] by one Runge-Kutta step from (x, y, θ, ν)."""
+    return ca.vertcat(rk4(f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+
+
 def build_step(dt_s, integrate=_euler):
     """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
 
-    Its memory: m (4,), P (4, 4), omega the last yaw rate [rad/s], started 0 before the first
+    Its memory: m (4,), P (4, 4), omega the last yaw rate [rad/s], driven the traction (2,) told at
+    the last sample, on which the interval that ends now was driven, started 0 before the first
     sample, which only corrects. z_N (4,) holds the yaw rate of the interval that ends now; a
     missing one is the last one held.
     """
+    memory = _memory(4) | dict(driven=(2, 1))
 
-    @with_packed_memory(
-        "ekf_step", _memory(4), ca.SX, z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1)
-    )
-    def step(m, P, omega, started, z_N, V, W, traction):
+    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1))
+    def step(m, P, omega, driven, started, z_N, V, W, traction):
         def move(m, omega):
-            return integrate(m, omega, traction, dt_s)
+            return integrate(m, omega, driven, dt_s)
 
         after = _filtered(_POSE_AND_SPEED, move, m, P, omega, started, z_N, V, W)
-        return dict(estimate=ca.vertcat(after["m"], traction)) | after
+        return dict(estimate=ca.vertcat(after["m"], traction), driven=traction) | after
 
     return step
 
 
-def _build_augmented_step(dt_s):
+def _build_augmented_step(dt_s, bounded):
     """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
+    model = SPEED_MODELS["parameter"].model
 
     @with_packed_memory("augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1))
     def step(m, P, omega, started, z_N, V, W):
         def move(m, omega):
-            return ca.vertcat(_euler(m[:4], omega, m[4:], dt_s), m[4:])
+            return ca.vertcat(runge_kutta(m[:4], omega, m[4:], dt_s), m[4:])
 
-        model = SPEED_MODELS["parameter"].model
         after = _filtered(model, move, m, P, omega, started, z_N, V, W)
+        if bounded:
+            after["m"] = _within_bounds(base.interval(model).bounds, after["m"], after["P"])
         return dict(estimate=after["m"]) | after
 
     return step
+
+
+def _within_bounds(bounds, m, P):
+    """The likeliest state within the bounds {place: (lowest, highest)} of a Gaussian (m, P): all of
+    it is conditioned on those that are violated. P stays: bounds left aside, as the RHE's.
+    """
+    places = [*bounds]
+    lower, upper = (ca.DM([bound[side] for bound in bounds.values()]) for side in (0, 1))
+    H = ca.inv_minor(P[places, places])
+    x, _ = box_qp(len(places))(H, -H @ m[places], lower, upper)
+    m = m - P[:, places] @ H @ (m[places] - x)
+    m[places] = x
+    return m
 
 
 def _memory(n):
@@ -92,17 +114,13 @@ def _filtered(model, move, m, P, omega, started, z, V, W):
 def init(n, guess, sigma=SIGMA_START):
     """Memory before the first sample of a filter of the first n QUANTITIES, by quantity."""
     m, sigma = ([of[name] for name in QUANTITIES[:n]] for of in (guess, sigma))
-    return dict(m=np.array(m), P=np.diag(np.square(sigma)), omega=0.0, started=0.0)
+    memory = dict(m=np.array(m), P=np.diag(np.square(sigma)), omega=0.0, started=0.0)
+    return memory if n == 6 else memory | dict(driven=np.ones(2))
 
 
-def _estimator(name, given, n=4):
-    build = build_step if n == 4 else _build_augmented_step
-
+def _estimator(name, given, build, n=4):
     def settings(scenario):
-        tuned = (
-            tuning.SIGMA_W_TRACTION_KNOWN.get(name)
-            or (tuning.SIGMA_W[name][scenario.process_noise])
-        )
+        tuned = tuning.SIGMA_W[name][scenario.process_noise]
         sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
         return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w))
 
@@ -116,9 +134,18 @@ def _estimator(name, given, n=4):
     )
 
 
+def _build_rival(dt_s):
+    return build_step(dt_s, runge_kutta)
+
+
 ESTIMATORS = {
-    "ekf": _estimator("ekf", "nothing"),
-    "augmented_ekf": _estimator("augmented_ekf", "nothing", 6),
-    "fixed_traction": _estimator("fixed_traction", "field mean"),
-    "traction_oracle": _estimator("traction_oracle", "true traction"),
+    "ekf": _estimator("ekf", "nothing", build_step),
+    "augmented_ekf": _estimator(
+        "augmented_ekf", "nothing", lambda dt_s: _build_augmented_step(dt_s, bounded=False), 6
+    ),
+    "bounded_ekf": _estimator(
+        "bounded_ekf", "nothing", lambda dt_s: _build_augmented_step(dt_s, bounded=True), 6
+    ),
+    "fixed_traction": _estimator("fixed_traction", "field mean", _build_rival),
+    "traction_oracle": _estimator("traction_oracle", "true traction", _build_rival),
 }

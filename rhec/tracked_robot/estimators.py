@@ -58,8 +58,11 @@ class Estimator(NamedTuple):
 # measurements gated.
 _HOME = {
     "rhe": "rhec.tracked_robot.rhe",
+    "rhe_fixed_traction": "rhec.tracked_robot.rhe",
+    "rhe_no_slip": "rhec.tracked_robot.rhe",
     "ekf": "rhec.tracked_robot.ekf",
     "augmented_ekf": "rhec.tracked_robot.ekf",
+    "bounded_ekf": "rhec.tracked_robot.ekf",
     "fixed_traction": "rhec.tracked_robot.ekf",
     "dual": "rhec.extensions.dual",
     "oracle": "rhec.tracked_robot.estimators",

@@ -2,22 +2,36 @@
 
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from rhec import paper
 from rhec._casadi import compiled
 from rhec._casadi import validation as valid
 from rhec.estimator import rhe
+from rhec.model.base import Model
 from rhec.solver.rti import RealTimeIteration
 from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot.estimators import Choice, Estimator
-from rhec.tracked_robot.kinematics import QUANTITIES, speed_model_of
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, speed_model_of
 
 __all__ = ["ESTIMATORS", "PaperEstimate", "PaperRHE", "SIGMA_START", "init", "window_of"]
 
 # Before the first sample: the paper's W; of what else a model may estimate, next to nothing.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
 _SIGMA_KNOWN = 1e-3
+
+
+# Held at what the RHE is told: inputs, measured all but exactly. What is estimating them worth?
+_SIGMA_TOLD = 1e-6
+_HELD = Model(
+    states=QUANTITIES[:3],
+    inputs=("omega_radps", "mu", "kappa"),
+    parameters={"nu_mps": None},
+    outputs=("x_m", "y_m", "nu_mps", "omega_radps", "mu", "kappa"),
+    f=lambda xi, u, p: f(xi, u[0], ca.vertcat(p, u[1:])),
+    max_measurement=(*SPEED_MODELS["parameter"].model.limits, 2.0, 2.0),
+)
 
 
 class PaperEstimate(NamedTuple):
@@ -95,7 +109,43 @@ def _build_phases(choice):
     return rhe.build_phases(window_of(choice), QUANTITIES)
 
 
+def _window_held(choice):
+    return rhe.Window(_HELD, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
+
+
+def _build_held_step(choice):
+    """The RHE with the traction held, as a Function (memory, z_N, V, W, P_0, traction)."""
+    step = rhe.build_phases(_window_held(choice), QUANTITIES)["step"]
+    names = ["memory", "z_N", "V", "W", "P_0"]
+    given = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
+    given |= {name: ca.MX.sym(name, 4) for name in ("z_N", "V")} | dict(traction=ca.MX.sym("p", 2))
+    z_N, V = ca.vertcat(given["z_N"], given["traction"]), [given["V"], *[_SIGMA_TOLD**2] * 2]
+    known = given | dict(z_N=z_N, V=ca.vertcat(*V))
+    results = step.call([known[name] for name in step.name_in()])
+    options = {"allow_duplicate_io_names": True}
+    return ca.Function("held", [*given.values()], results, [*given], step.name_out(), options)
+
+
+def _held(name, given):
+    def settings(scenario):
+        tuned = tuning.SIGMA_W[name][scenario.process_noise]
+        sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
+        P_0 = np.square([SIGMA_START[name] for name in _HELD.joint_names])
+        return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w), P_0=P_0)
+
+    return Estimator(
+        build_step=_build_held_step,
+        init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
+        settings=settings,
+        states=lambda choice: _HELD.joint_names,
+        n_sigma_w=lambda choice: 4,
+        given=given,
+    )
+
+
 ESTIMATORS = {
+    "rhe_fixed_traction": _held("rhe_fixed_traction", "field mean"),
+    "rhe_no_slip": _held("rhe_no_slip", "nothing"),
     "rhe": Estimator(
         build_step=lambda choice: _build_phases(choice)["step"],
         build_phases=_build_phases,
@@ -103,7 +153,7 @@ ESTIMATORS = {
         settings=_settings,
         states=lambda choice: window_of(choice).model.joint_names,
         n_sigma_w=lambda choice: speed_model_of(choice.speed_model).n_sigma_w,
-    )
+    ),
 }
 
 
