@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from oracles import DT, V, drive, flat
+from oracles import V, drive, flat
 
 from rhec._casadi.build import pack_array
-from rhec.extensions import dual
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.tuning import SIGMA_W_TRACKING
@@ -105,12 +104,6 @@ def test_its_pose_follows_the_readings_the_faster_the_more_noise_it_is_told(step
         estimates, _ = run(step, first(), z, **settings(sigma))
         lags.append(np.abs(estimates[60:, :2] - truth[60:, :2] - [0.3, -0.2]).mean())
     assert lags[0] > lags[1] > lags[2]
-
-
-def test_in_a_curve_a_runge_kutta_step_of_the_pose_is_where_the_robot_is():
-    m, omega, traction = np.array(TRUTH[:4]), 0.5, np.array(TRUTH[4:])
-    truth, _ = drive(TRUTH, [omega])
-    assert flat(dual.runge_kutta(m, omega, traction, DT)) == pytest.approx(truth[1, :4], abs=1e-12)
 
 
 def test_screening_changes_little_on_clean_readings(step):
