@@ -34,7 +34,8 @@ from rhec.tracked_robot.terrain import Terrain
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [ "Run", "Setup", "build_sample", "draw_noise", "known_traction",
+__all__ = [
+    "Run", "Setup", "build_sample", "draw_noise", "finish", "known_traction", "n_samples",
     "noise_and_faults", "set_up", "simulate", "simulate_setup",
 ]  # fmt: skip
 
@@ -293,13 +294,23 @@ def simulate(scenario: Scenario) -> Run:
     return simulate_setup(scenario, set_up(scenario))
 
 
+def n_samples(scenario):
+    """How many samples a run of the scenario has."""
+    return round(scenario.duration_s / paper.DT_S)
+
+
 def simulate_setup(scenario, setup):
     """The Run of a scenario that is set up."""
-    samples = round(scenario.duration_s / paper.DT_S)
     functions = compiled.load(build_sample, *setup.structure)
-    stream = noise_and_faults(scenario, samples)
+    stream = noise_and_faults(scenario, n_samples(scenario))
     _, rows = scan.scan(functions, setup.memory, stream, setup.settings)
-    columns = {"t_s": np.arange(samples) * paper.DT_S} | dict(zip(COLUMNS, rows.T))
+    return finish(scenario, setup, rows)
+
+
+def finish(scenario, setup, rows):
+    """The Run whose loop gave these rows (n, LOG): its columns and metrics."""
+    columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
+    columns |= dict(zip(COLUMNS, np.ascontiguousarray(rows.T)))
     columns |= {name: columns[name] == 1 for name in FLAGS}
     measured = np.column_stack([columns["x_meas_m"], columns["y_meas_m"]])
     known = np.isfinite(measured).all(axis=1, keepdims=True)

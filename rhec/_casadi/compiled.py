@@ -23,12 +23,15 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
-__all__ = ["BufferedFunction", "compiler", "is_compiled", "load", "loop_symbols", "source_digest"]
+__all__ = [
+    "BufferedFunction", "FLAGS", "HEADERS", "compiler", "install", "is_compiled", "library_folder",
+    "load", "loop_symbols", "source_digest",
+]  # fmt: skip
 
 # No fused multiply-add: the virtual machine has none, and both must agree. No interposition:
 # CasADi's helpers may be inlined. The two passes left out take a fifth of the time to compile, and
 # the code is no slower without them.
-_FLAGS = (
+FLAGS = (
     "-O2",
     "-fno-gcse",
     "-fno-schedule-insns2",
@@ -37,7 +40,7 @@ _FLAGS = (
     "-ffp-contract=off",
     "-fno-semantic-interposition",
 )
-_CASADI = Path(ca.__file__).parent
+_CASADI, HEADERS = Path(ca.__file__).parent, Path(__file__).parent
 
 
 def _cache_folder():
@@ -77,13 +80,13 @@ def source_digest(*modules):
     Figures, studies and notebooks are none of them: an edit there compiles nothing.
     """
     rooms = [_PACKAGE, *(_PACKAGE / room for room in _ROOMS)]
-    sources = {source for room in rooms for source in room.glob("*.py")} | {
+    sources = {source for room in rooms for source in room.glob("*.[ph]*")} | {
         Path(sys.modules[module].__file__) for module in modules
     }
     return hashlib.sha256(b"".join(source.read_bytes() for source in sorted(sources))).hexdigest()
 
 
-def _library_folder(build, structure):
+def library_folder(build, structure, *more):
     """The folder where the compiled Functions of build(*structure) are, or will be."""
     identity = repr(
         (
@@ -93,8 +96,9 @@ def _library_folder(build, structure):
             source_digest(build.__module__),
             ca.__version__,
             compiler(),
-            _FLAGS,
+            FLAGS,
             platform.machine(),
+            *more,
         )
     )
     return _cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
@@ -109,7 +113,7 @@ def _key(piece):
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return not compiler() or _library_folder(build, structure).exists()
+    return not compiler() or library_folder(build, structure).exists()
 
 
 @functools.cache
@@ -121,13 +125,11 @@ def load(build, *structure):
     """
     if not compiler():
         return build(*structure)
-    folder = _library_folder(build, structure)
+    folder = library_folder(build, structure)
     if not folder.exists() and _is_interactive():
         what = build.__module__.split(".")[-1].replace("_", " ")
         print(f"rhec: compiling the {what}, once (some seconds)", file=sys.stderr, flush=True)
-    with contextlib.nullcontext() if folder.exists() else _build_lock(folder):
-        if not folder.exists():
-            _compile_library(folder, build(*structure))
+    install(folder, lambda place: _compile_library(place, build(*structure)))
     names = json.loads((folder / "functions.json").read_text())
     built = build(*structure) if None in names.values() else {}
     return built | {
@@ -164,43 +166,52 @@ def _calls_qpoases(function):
     return any(inner.class_name() == "QpoasesInterface" for inner in function.find_functions())
 
 
-def _compile_library(folder, functions):
-    """Generate, compile and move into place."""
-    with tempfile.TemporaryDirectory(
-        dir=folder.parent, prefix="building-", ignore_cleanup_errors=True
-    ) as building:
-        building = Path(building)
-        generator = ca.CodeGenerator("code.c")
-        names = {
-            key: None if _calls_qpoases(function) else function.name()
-            for key, function in functions.items()
-        }
-        for key in names:
-            if names[key]:
-                generator.add(functions[key])
-        generator.generate(f"{building}/")
-        subprocess.run(
-            [
-                compiler(),
-                *_FLAGS,
-                f"-I{_CASADI / 'include'}",
-                "code.c",
-                "-o",
-                "library.so",
-                f"-L{_CASADI}",
-                "-ldaqp",
-                f"-Wl,-rpath,{_CASADI}",
-                "-lm",
-            ],
-            cwd=building,
-            check=True,
-        )
-        (building / "functions.json").write_text(json.dumps(names))
-        try:
-            os.rename(building, folder)
-        except OSError:
-            if not folder.exists():  # otherwise another process was faster, with the same content
-                raise
+def install(folder, make):
+    """Have make(place) fill a folder where there is none, and move it into place."""
+    with contextlib.nullcontext() if folder.exists() else _build_lock(folder):
+        if folder.exists():
+            return
+        with tempfile.TemporaryDirectory(
+            dir=folder.parent, prefix="building-", ignore_cleanup_errors=True
+        ) as place:
+            make(Path(place))
+            try:
+                os.rename(place, folder)
+            except OSError:
+                if not folder.exists():  # otherwise another process was faster, with the same
+                    raise
+
+
+def _compile_library(place, functions):
+    """Generate and compile."""
+    generator = ca.CodeGenerator("code.c")
+    names = {
+        key: None if _calls_qpoases(function) else function.name()
+        for key, function in functions.items()
+    }
+    for key in names:
+        if names[key]:
+            generator.add(functions[key])
+    generator.generate(f"{place}/")
+    subprocess.run(
+        [
+            compiler(),
+            *FLAGS,
+            f"-I{_CASADI / 'include'}",
+            "-include",
+            HEADERS / "elementary.h",
+            "code.c",
+            "-o",
+            "library.so",
+            f"-L{_CASADI}",
+            "-ldaqp",
+            f"-Wl,-rpath,{_CASADI}",
+            "-lm",
+        ],
+        cwd=place,
+        check=True,
+    )
+    (place / "functions.json").write_text(json.dumps(names))
 
 
 class BufferedFunction:

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import operator
 import textwrap
 from dataclasses import fields
 from pathlib import Path
@@ -9,17 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from rhec import paper
 from rhec._casadi.validation import Whole, checked, shown
 from rhec.campaigns import store
+from rhec.campaigns.side_by_side import MOST_SAMPLES, run_in_lanes
 from rhec.campaigns.workers import dask_client, run_on
 from rhec.scenario import Scenario
-from rhec.simulation import simulate
+from rhec.simulation import n_samples, simulate
 
 __all__ = ["campaign"]
 
 # Closed-loop samples in one task: about a second of work, which is also what an interruption loses.
-CHUNK = 40_000
+CHUNK = MOST_SAMPLES
 _LARGE = 500_000  # samples that take one core longer than local workers take to start
 
 
@@ -109,12 +110,13 @@ def _results(scenarios, workers):
     """Yield {key: row} of some of the scenarios {key: scenario} at a time, as they finish."""
     if not scenarios:
         return
-    samples = sum(map(_n_samples, scenarios.values()))
+    samples = sum(map(n_samples, scenarios.values()))
+    work = functools.partial(_rows, alike=samples / len({*map(_SHAPE, scenarios.values())}))
     with dask_client(workers, samples >= _LARGE) as client:
         if client is None:
-            yield from map(_rows, _chunks(scenarios, CHUNK))
+            yield from map(work, _chunks(scenarios, CHUNK))
             return
-        work = functools.partial(_rows, expected=store.provenance())
+        work = functools.partial(work, expected=store.provenance())
         suspects = {}  # among them is a run that kills its worker
         share = samples / (4 * max(1, sum(client.nthreads().values())))
         for chunk, rows in run_on(client, work, _chunks(scenarios, min(CHUNK, share))):
@@ -127,14 +129,22 @@ def _results(scenarios, workers):
             yield rows or dict.fromkeys(chunk, killed)
 
 
-def _rows(chunk, expected=None):
+# What nearly always decides alone which compiled loop a scenario runs.
+_SHAPE = operator.attrgetter(
+    "estimator", "estimation_horizon", "speed_model", "arrival_mean", "robust",
+    "prediction_horizon", "qp", "input_reference",
+)  # fmt: skip
+
+
+def _rows(chunk, alike, expected=None):
     """{key: row} of {key: scenario}; RuntimeError if this process is not as the caller's."""
     here = store.provenance() if expected else {}
     for name, there in (expected or {}).items():
         if here.get(name) != there:
             what = f"it has {name} {here.get(name)}, where the caller has {there}"
             raise RuntimeError(f"{what}; they must be the same")
-    return {key: _run_or_error(scenario) for key, scenario in chunk.items()}
+    rows = {key: metrics | dict(error="") for key, metrics in run_in_lanes(chunk, alike).items()}
+    return {key: rows.get(key) or _run_or_error(scenario) for key, scenario in chunk.items()}
 
 
 def _run_or_error(scenario):
@@ -149,12 +159,8 @@ def _reason(error):
     return f"{type(error).__name__}: {textwrap.shorten(str(error), 300)}"
 
 
-def _n_samples(scenario):
-    return round(scenario.duration_s / paper.DT_S)
-
-
 def _chunks(scenarios, samples):
     """Cut {key: scenario} into parts of about so many closed-loop samples."""
-    before = itertools.accumulate(map(_n_samples, scenarios.values()), initial=0)
+    before = itertools.accumulate(map(n_samples, scenarios.values()), initial=0)
     parts = itertools.groupby(zip(before, scenarios.items()), lambda each: each[0] // samples)
     return (dict(item for _, item in part) for _, part in parts)

@@ -243,7 +243,7 @@ def lookup(shape):
         ca.MX.sym("slip", 2 * shape[0] * shape[1]),
     )
     axes = [np.arange(points, dtype=float) for points in shape]
-    grid = ca.interpolant("grid", "linear", axes, 2, {"lookup_mode": ["exact", "exact"]})
+    grid = ca.interpolant("slip_fields", "linear", axes, 2, {"lookup_mode": ["exact", "exact"]})
     place = ca.fmin(ca.fmax((xy - origin_m) / cell_m, 0), np.array(shape) - 1.0)
     return ca.Function(
         "slip",

@@ -1,0 +1,55 @@
+/* Elementary functions by the same few operations for one number (C) and for lanes of them (C++,
+   lanes.h), so that both have the same bits. Included before the C that CasADi generates. */
+#include <math.h>
+#ifndef REAL
+#define REAL double
+#define SELECT(condition, yes, no) ((condition) ? (yes) : (no))
+#define ANY(condition) (condition)
+#define PAIR _Complex double
+#define TO_PAIR(real, imaginary) __builtin_complex(real, imaginary)
+#define REAL_PART(pair) __real__(pair)
+#define IMAGINARY_PART(pair) __imag__(pair)
+#endif
+
+static inline REAL own_fmin(REAL x, REAL y) { return SELECT((x < y) | (y != y), x, y); }
+static inline REAL own_fmax(REAL x, REAL y) { return SELECT((x > y) | (y != y), x, y); }
+static inline REAL own_fabs(REAL x) { return SELECT(x > 0.0, x, 0.0 - x); }
+
+/* The nearest whole number: a sum so large has no room for a fraction. */
+#define WHOLE(x) (((x) + 6755399441055744.0) - 6755399441055744.0)
+static inline REAL own_floor(REAL x) {
+  REAL whole = WHOLE(x);
+  return SELECT(own_fabs(x) < 0x1p51, SELECT(whole > x, whole - 1.0, whole), x);
+}
+
+/* cos x + i sin x, within two units in the last place up to a million radians; the C library's
+   beyond. Less n quarter turns, in three parts, the angle lies within pi/4, where Taylor's series
+   are good to the last digit; q = n modulo 4, between -2 and 2, turns them back. One value, so
+   that the compiler calls it once for the sine and the cosine of an angle. */
+__attribute__((const, noinline)) static PAIR own_cis(REAL x) {
+  REAL n = WHOLE(x * 0x1.45f306dc9c883p-1), q = n - 4.0 * WHOLE(n * 0.25);
+  REAL first = x - n * 0x1.921fb544p+0, second = n * 0x1.0b4611a6p-34, rest = first - second;
+  REAL r = rest - (n * 0x1.3198a2e037073p-69 - ((first - rest) - second)), z = r * r;
+  REAL s = z * (1. / 6227020800 - z * (1. / 1307674368000));
+  s = z * (1. / 362880 + z * (-1. / 39916800 + s));
+  s = r + r * (z * (-1. / 6 + z * (1. / 120 + z * (-1. / 5040 + s))));
+  REAL c = z * (-1. / 87178291200 + z * (1. / 20922789888000));
+  c = z * (1. / 40320 + z * (-1. / 3628800 + z * (1. / 479001600 + c)));
+  c = 1.0 - (0.5 * z - z * z * (1. / 24 + z * (-1. / 720 + c)));
+  REAL odd = q * q, turned_c = SELECT(odd == 1.0, s, c), turned_s = SELECT(odd == 1.0, c, s);
+  PAIR pair = TO_PAIR(SELECT((q == 1.0) | (odd == 4.0), 0.0 - turned_c, turned_c),
+                      SELECT((q == -1.0) | (odd == 4.0), 0.0 - turned_s, turned_s));
+  REAL far = !(own_fabs(x) < 1e6);
+  if (ANY(far))
+    return TO_PAIR(SELECT(far, cos(x), REAL_PART(pair)), SELECT(far, sin(x), IMAGINARY_PART(pair)));
+  return pair;
+}
+static inline REAL own_sin(REAL x) { return IMAGINARY_PART(own_cis(x)); }
+static inline REAL own_cos(REAL x) { return REAL_PART(own_cis(x)); }
+
+#define sin own_sin
+#define cos own_cos
+#define fmin own_fmin
+#define fmax own_fmax
+#define fabs own_fabs
+#define floor own_floor

@@ -1,0 +1,104 @@
+// casadi_real as LANES numbers side by side, one GCC vector as wide as a register: CasADi's C,
+// compiled as C++ after this header, evaluates a Function LANES times at once. Truth is 1 or 0, as
+// in CasADi. Each operation is the scalar one in each lane, so that a lane has the scalar's bits.
+// What would branch on a number has no conversion to bool and does not compile.
+#pragma once
+#include <math.h>
+#define LANES (__BIGGEST_ALIGNMENT__ / 8)
+
+struct lanes {
+  typedef double reals __attribute__((vector_size(8 * LANES)));
+  typedef decltype(reals{} < reals{}) masks;
+  reals v;
+
+  lanes() = default;
+  lanes(double x) : v(x - reals{}) {}
+  lanes(reals x) : v(x) {}
+  lanes(masks m) : v(m ? reals{} + 1 : reals{}) {}
+
+  lanes operator-() const { return -v; }
+  lanes operator!() const { return v == 0; }
+  friend lanes operator+(lanes a, lanes b) { return a.v + b.v; }
+  friend lanes operator-(lanes a, lanes b) { return a.v - b.v; }
+  friend lanes operator*(lanes a, lanes b) { return a.v * b.v; }
+  friend lanes operator/(lanes a, lanes b) { return a.v / b.v; }
+  friend lanes operator<(lanes a, lanes b) { return a.v < b.v; }
+  friend lanes operator>(lanes a, lanes b) { return a.v > b.v; }
+  friend lanes operator<=(lanes a, lanes b) { return a.v <= b.v; }
+  friend lanes operator>=(lanes a, lanes b) { return a.v >= b.v; }
+  friend lanes operator==(lanes a, lanes b) { return a.v == b.v; }
+  friend lanes operator!=(lanes a, lanes b) { return a.v != b.v; }
+  friend lanes operator&(lanes a, lanes b) { return (a.v != 0) & (b.v != 0); }
+  friend lanes operator|(lanes a, lanes b) { return (a.v != 0) | (b.v != 0); }
+  friend lanes operator&&(lanes a, lanes b) { return a & b; }
+  friend lanes operator||(lanes a, lanes b) { return a | b; }
+  lanes& operator+=(lanes b) { return *this = *this + b; }
+  lanes& operator-=(lanes b) { return *this = *this - b; }
+  lanes& operator*=(lanes b) { return *this = *this * b; }
+  lanes& operator/=(lanes b) { return *this = *this / b; }
+};
+
+static inline lanes select(lanes c, lanes a, lanes b) { return c.v != 0 ? a.v : b.v; }
+static inline bool any(lanes c) {
+  for (int i = 0; i < LANES; i++) if (c.v[i] != 0) return true;
+  return false;
+}
+
+#define LANE_BY_LANE(...) { for (int i = 0; i < LANES; i++) a.v[i] = __VA_ARGS__; return a; }
+#define OF_ONE(f) static inline lanes f(lanes a) LANE_BY_LANE(::f(a.v[i]))
+#define OF_TWO(f) static inline lanes f(lanes a, lanes b) LANE_BY_LANE(::f(a.v[i], b.v[i]))
+OF_ONE(sin) OF_ONE(cos) OF_ONE(tan) OF_ONE(asin) OF_ONE(acos) OF_ONE(atan) OF_ONE(sqrt)
+OF_ONE(sinh) OF_ONE(cosh) OF_ONE(tanh) OF_ONE(exp) OF_ONE(log)
+OF_TWO(atan2) OF_TWO(pow) OF_TWO(fmod)
+
+struct complex { lanes real, imaginary; };
+#define REAL lanes
+#define SELECT select
+#define ANY any
+#define PAIR complex
+#define TO_PAIR(real, imaginary) complex{real, imaginary}
+#define REAL_PART(pair) (pair).real
+#define IMAGINARY_PART(pair) (pair).imaginary
+#include "elementary.h"
+
+// Function.if_else: where lanes disagree both Functions run, and each lane keeps its own results,
+// whose lengths are given. So a search goes on until it is settled in all lanes.
+typedef int function(const lanes**, lanes**, long long*, lanes*, int);
+template <int... lengths> static int if_else(function yes, function no, const lanes** arg,
+                                             lanes** res, long long* iw, lanes* w) {
+  lanes otherwise = fabs(*arg[0]) < 1.0;  // as C makes it a whole number
+  if (!any(otherwise)) return yes(arg + 1, res, iw, w, 0);
+  if (!any(!otherwise)) return no(arg + 1, res, iw, w, 0);
+  lanes of_yes[(lengths + ...)], *kept = of_yes;
+  const int n_out = sizeof...(lengths), n[] = {lengths...};
+  if (yes(arg + 1, res, iw, w, 0)) return 1;
+  for (int k = 0; k < n_out; kept += n[k++])
+    for (int i = 0; res[k] && i < n[k]; i++) kept[i] = res[k][i];
+  if (no(arg + 1, res, iw, w, 0)) return 1;
+  kept = of_yes;
+  for (int k = 0; k < n_out; kept += n[k++])
+    for (int i = 0; res[k] && i < n[k]; i++) res[k][i] = select(otherwise, res[k][i], kept[i]);
+  return 0;
+}
+
+// The slip fields, each lane's own, as casadi_interpn looks them up: m values at points 0, 1, 2 …
+// of two dimensions.
+static void slip_fields(lanes* res, int, const lanes*, const long long* offset, const lanes* values,
+                        const lanes* x, const long long*, int m, long long*, lanes*) {
+  long long n = offset[1] - offset[0], last[] = {n - 1, offset[2] - offset[1] - 1}, at[2];
+  double share[2];
+  for (int k = 0; k < m; k++) res[k] = 0.0;
+  for (int lane = 0; lane < LANES; lane++) {
+    for (int d = 0; d < 2; d++) {
+      at[d] = (long long)(x[d].v[lane] * last[d] / last[d]);
+      at[d] = at[d] < 0 ? 0 : at[d] < last[d] ? at[d] : last[d] - 1;
+      share[d] = x[d].v[lane] - at[d];
+    }
+    for (int corner = 0; corner < 4; corner++) {
+      int i = corner & 1, j = corner >> 1;
+      double weight = (i ? share[0] : 1 - share[0]) * (j ? share[1] : 1 - share[1]);
+      const lanes* value = values + (at[0] + i + (at[1] + j) * n) * m;
+      for (int k = 0; k < m; k++) res[k].v[lane] += weight * value[k].v[lane];
+    }
+  }
+}
