@@ -16,6 +16,7 @@ import warnings
 from pathlib import Path
 
 import casadi as ca
+import distributed
 import numpy as np
 import pandas as pd
 import psutil
@@ -339,6 +340,41 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
         same(rhec.campaign(scenarios, workers=number), here)
 
 
+INTRUDER = """
+import asyncio, ssl, sys
+from distributed import comm
+
+careless = ssl.create_default_context()
+careless.check_hostname, careless.verify_mode = False, ssl.CERT_NONE
+
+async def knock(address, **known):
+    try:
+        await (await comm.connect(address, timeout=20, **known)).close()
+        print("let in at", address)
+    except OSError:
+        print("refused")
+
+for port in sys.argv[1:]:
+    asyncio.run(knock(f"tcp://127.0.0.1:{port}"))
+    asyncio.run(knock(f"tls://127.0.0.1:{port}", ssl_context=careless))
+"""
+
+
+def test_no_one_without_the_secret_speaks_to_a_scheduler_or_its_workers():
+    """Another user of this machine reaches every port. Who is let in may run code: so nobody is who
+    has no certificate, or speaks without encryption.
+    """
+    client = workers.local_cluster(2)
+    assert client.submit(sum, (1, 1)).result() == 2
+    nannies = (worker["nanny"] for worker in client.scheduler_info()["workers"].values())
+    addresses = [client.scheduler.address, *client.nthreads(), *nannies]
+    assert len(addresses) == 5
+    ports = [address.rsplit(":")[-1] for address in addresses]
+    intruder = [sys.executable, "-c", INTRUDER, *ports]
+    done = subprocess.run(intruder, capture_output=True, text=True, timeout=120)
+    assert done.stdout.splitlines() == ["refused"] * 10, done
+
+
 def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_its_error(
     tmp_path, monkeypatch
 ):
@@ -399,7 +435,7 @@ def started():
         process.wait(timeout=30)
 
 
-def scheduler(start, folder):
+def scheduler(start, folder, *arguments, **environment):
     """The address of a scheduler in a process of its own."""
     file = folder / "scheduler.json"
     start(
@@ -413,6 +449,8 @@ def scheduler(start, folder):
         "127.0.0.1:0",
         "--scheduler-file",
         file,
+        *arguments,
+        **environment,
     )
     while not file.exists() or not file.read_text():
         time.sleep(0.05)
@@ -442,27 +480,43 @@ rhec.campaign(scenarios, sys.argv[1])
 """
 
 
-def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path):
+def certificate(folder):
+    """The environment with which README.md secures a cluster, with files made here."""
+    made, environment = distributed.Security.temporary(), {}
+    settings = dict(ca_file=made.tls_ca_file)
+    for role in ("scheduler", "worker", "client"):
+        settings[f"{role}__cert"] = made.tls_scheduler_cert
+        settings[f"{role}__key"] = made.tls_scheduler_key
+    for name, text in settings.items():
+        (folder / name).write_text(text)
+        environment[f"DASK_DISTRIBUTED__COMM__TLS__{name.upper()}"] = str(folder / name)
+    return environment | dict(DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION="True")
+
+
+def test_it_is_the_same_on_a_secured_cluster_of_separate_processes(started, tmp_path):
     """A scheduler and two workers, one of which compiles for itself; the campaign finds them by
-    DASK_SCHEDULER_ADDRESS alone.
+    DASK_SCHEDULER_ADDRESS and Dask's settings alone, and without the certificate is not let in.
     """
-    address = scheduler(started, tmp_path)
+    secured = certificate(tmp_path)
+    address = scheduler(started, tmp_path, "--protocol", "tls", **secured)
+    assert address.startswith("tls://")
+    cache = dict(RHEC_CACHE=str(tmp_path / "cache"))
     processes = [
-        worker(started, address, tmp_path),
-        worker(started, address, tmp_path, RHEC_CACHE=str(tmp_path / "cache")),
+        worker(started, address, tmp_path, **secured),
+        worker(started, address, tmp_path, **secured | cache),
     ]
-    subprocess.run(
-        [sys.executable, "-c", CAMPAIGN, tmp_path / "rows"],
-        env=os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT)),
-        check=True,
-        timeout=120,
-    )
+    command = [sys.executable, "-c", CAMPAIGN, tmp_path / "rows"]
+    environment = os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT))
+    subprocess.run(command, env=environment | secured, check=True, timeout=120)
     assert list((tmp_path / "cache").glob("*/library.so")) and all(
         process.poll() is None for process in processes
     )
     rows = store.load_rows(store.cache_folder(tmp_path / "rows"))
     assert set(rows) == set(map(store.scenario_key, short(20)))
     same(rhec.campaign(short(20), tmp_path / "rows"), rhec.campaign(short(20)))
+    command[-1] = tmp_path / "other rows"
+    refused = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert refused.returncode and "ConnectionError" in refused.stderr
 
 
 def test_workers_with_other_code_are_refused(started, tmp_path, monkeypatch):

@@ -53,8 +53,14 @@ _clusters = {}  # {workers: client} of the one cluster on this machine
 
 
 def local_cluster(workers):
-    """The client of so many processes on this machine, which stay until this process ends."""
+    """The client of so many processes on this machine, which stay until this process ends.
+
+    Whoever may speak to a scheduler may run code as its owner, and anyone on this machine can reach
+    a port. So all must show a certificate that is made here, kept in memory, and known to no one
+    else; and nothing is served to browsers.
+    """
     distributed = optional("distributed", f"workers={workers}")
+    optional("cryptography", f"workers={workers}")
     from dask import config
 
     if workers in _clusters and _clusters[workers].status == "running":
@@ -68,10 +74,12 @@ def local_cluster(workers):
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     here = dict(host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs="CRITICAL")
+    here["security"] = distributed.Security.temporary()
     scheduler = dict(dashboard=False, allowed_failures=1)
+    pages = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker", "nanny")}
     try:
         # Not forked: a notebook's kernel has threads, and a fork may catch one inside a lock.
-        with config.set({"distributed.worker.multiprocessing-method": "spawn"}):
+        with config.set({"distributed.worker.multiprocessing-method": "spawn"} | pages):
             cluster = distributed.LocalCluster(
                 n_workers=workers, threads_per_worker=1, scheduler_kwargs=scheduler, **here
             )
