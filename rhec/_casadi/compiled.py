@@ -2,11 +2,10 @@
 compiler.
 
 The library's name is a digest of all that made it (this package's source, the structure asked for,
-the versions and flags), so that what is found under it is never out of date. It is built under a
-name of its own and moved into place in one step: builders may race or be killed.
+the versions and flags), so that what is found under it is never out of date.
 """
 
-import contextlib
+import ctypes
 import functools
 import hashlib
 import json
@@ -16,16 +15,16 @@ import platform
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
-import platformdirs
+
+from rhec._casadi import cache
 
 __all__ = [
-    "BufferedFunction", "FLAGS", "HEADERS", "compiler", "install", "is_compiled", "library_folder",
-    "load", "loop_symbols", "source_digest",
+    "BufferedFunction", "FLAGS", "HEADERS", "compiler", "is_compiled", "library_name", "load",
+    "loop_symbols", "source_digest",
 ]  # fmt: skip
 
 # No fused multiply-add: the virtual machine has none, and both must agree. No interposition:
@@ -43,21 +42,27 @@ FLAGS = (
 _CASADI, HEADERS = Path(ca.__file__).parent, Path(__file__).parent
 
 
-def _cache_folder():
-    return Path(os.environ.get("RHEC_CACHE") or platformdirs.user_cache_path("rhec"))
+_SLOWER = "on CasADi's virtual machine the results are the same, about five times slower"
+_failed = set()  # compilers that failed in this process
+
+
+def compiler():
+    """The C compiler's path, or None, which is said once."""
+    found = _working_compiler()
+    return None if found in _failed else found
 
 
 @functools.cache
-def compiler():
-    """The C compiler's path, or None, which is said once."""
-    found = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc") or shutil.which("clang")
-    if not found:
-        print(
-            "rhec: no C compiler found, so everything runs on CasADi's virtual machine: "
-            "the same results, about five times slower.",
-            file=sys.stderr,
-        )
-    return found
+def _working_compiler():
+    named = os.environ.get("CC", "cc")
+    found = shutil.which(named) or shutil.which("gcc") or shutil.which("clang")
+    try:
+        if found and not subprocess.run([found, "--version"], capture_output=True).returncode:
+            return found
+    except OSError:  # a file that is no program
+        pass
+    cache.say(f"{f'the C compiler {found} fails' if found else 'no C compiler found'}: {_SLOWER}")
+    return None
 
 
 def loop_symbols():
@@ -86,8 +91,8 @@ def source_digest(*modules):
     return hashlib.sha256(b"".join(source.read_bytes() for source in sorted(sources))).hexdigest()
 
 
-def library_folder(build, structure, *more):
-    """The folder where the compiled Functions of build(*structure) are, or will be."""
+def library_name(build, structure, *more):
+    """The name of the compiled Functions of build(*structure)."""
     identity = repr(
         (
             build.__module__,
@@ -101,7 +106,7 @@ def library_folder(build, structure, *more):
             *more,
         )
     )
-    return _cache_folder() / hashlib.sha256(identity.encode()).hexdigest()[:24]
+    return hashlib.sha256(identity.encode()).hexdigest()[:24]
 
 
 def _key(piece):
@@ -113,7 +118,7 @@ def _key(piece):
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return not compiler() or library_folder(build, structure).exists()
+    return not compiler() or cache.holds(library_name(build, structure))
 
 
 @functools.cache
@@ -121,20 +126,33 @@ def load(build, *structure):
     """Return the Functions of the dict build(*structure), compiled.
 
     structure is made of strings, numbers and tuples. CasADi generates no C for qpOASES: Functions
-    that call it stay on the virtual machine.
+    that call it stay on the virtual machine, as all do where they cannot be compiled.
     """
     if not compiler():
         return build(*structure)
-    folder = library_folder(build, structure)
-    if not folder.exists() and _is_interactive():
-        what = build.__module__.split(".")[-1].replace("_", " ")
-        print(f"rhec: compiling the {what}, once (some seconds)", file=sys.stderr, flush=True)
-    install(folder, lambda place: _compile_library(place, build(*structure)))
+
+    def compile_library(folder):
+        if _is_interactive():
+            what = build.__module__.split(".")[-1].replace("_", " ")
+            print(f"rhec: compiling the {what}, once (some seconds)", file=sys.stderr, flush=True)
+        _compile_library(folder, build(*structure))
+
+    try:
+        names, compiled = cache.kept(library_name(build, structure), compile_library, _open)
+    except cache.UnusableError as error:
+        _failed.add(compiler())
+        cache.say(f"nothing more is compiled, since {error}; {_SLOWER}")
+        return build(*structure)
+    return (build(*structure) if None in names.values() else {}) | compiled
+
+
+def _open(folder):
+    """The Functions' names in a library, and the Functions."""
+    for daqp in _CASADI.glob("libdaqp.*[!a]"):  # a library finds it by its name, once it is loaded
+        ctypes.CDLL(str(daqp))
     names = json.loads((folder / "functions.json").read_text())
-    built = build(*structure) if None in names.values() else {}
-    return built | {
-        key: ca.external(name, str(folder / "library.so")) for key, name in names.items() if name
-    }
+    library = str(folder / "library.so")
+    return names, {key: ca.external(name, library) for key, name in names.items() if name}
 
 
 def _is_interactive():
@@ -143,46 +161,11 @@ def _is_interactive():
     return multiprocessing.parent_process() is None and (notebook or sys.stderr.isatty())
 
 
-@contextlib.contextmanager
-def _build_lock(folder):
-    """Let one process at a time compile a structure; a lock goes with its process.
-
-    Where there are no locks processes race, which costs time alone.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    name = folder.with_name(f"building-{folder.name}")
-    with open(name, "w") as lock:
-        with contextlib.suppress(ImportError, OSError):
-            import fcntl
-
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            name.unlink(missing_ok=True)
-
-
 def _calls_qpoases(function):
     return any(inner.class_name() == "QpoasesInterface" for inner in function.find_functions())
 
 
-def install(folder, make):
-    """Have make(place) fill a folder where there is none, and move it into place."""
-    with contextlib.nullcontext() if folder.exists() else _build_lock(folder):
-        if folder.exists():
-            return
-        with tempfile.TemporaryDirectory(
-            dir=folder.parent, prefix="building-", ignore_cleanup_errors=True
-        ) as place:
-            make(Path(place))
-            try:
-                os.rename(place, folder)
-            except OSError:
-                if not folder.exists():  # otherwise another process was faster, with the same
-                    raise
-
-
-def _compile_library(place, functions):
+def _compile_library(folder, functions):
     """Generate and compile."""
     generator = ca.CodeGenerator("code.c")
     names = {
@@ -192,8 +175,9 @@ def _compile_library(place, functions):
     for key in names:
         if names[key]:
             generator.add(functions[key])
-    generator.generate(f"{place}/")
-    subprocess.run(
+    generator.generate(f"{folder}/")
+    # No path of DAQP's is put in: others may use the library when this environment is gone.
+    done = subprocess.run(
         [
             compiler(),
             *FLAGS,
@@ -205,13 +189,17 @@ def _compile_library(place, functions):
             "library.so",
             f"-L{_CASADI}",
             "-ldaqp",
-            f"-Wl,-rpath,{_CASADI}",
             "-lm",
         ],
-        cwd=place,
-        check=True,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        errors="replace",
     )
-    (place / "functions.json").write_text(json.dumps(names))
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if "error" in line] or [""]
+        raise OSError(f"{compiler()} ended with {done.returncode} {said[0]}")
+    (folder / "functions.json").write_text(json.dumps(names))
 
 
 class BufferedFunction:

@@ -5,6 +5,7 @@ A Function's C is compiled as C++ whose numbers are vectors (lanes.h). What the 
 Function does not allow (no C++ compiler, a QP solver's C) is found out by compiling, once.
 """
 
+import contextlib
 import ctypes
 import functools
 import json
@@ -17,7 +18,7 @@ import subprocess
 import casadi as ca
 import numpy as np
 
-from rhec._casadi import compiled
+from rhec._casadi import cache, compiled
 
 __all__ = ["is_compiled", "load", "scan"]
 
@@ -61,13 +62,13 @@ def _compiler():
     return None if asked.returncode else (found, asked.stdout)
 
 
-def _folder(build, structure):
-    return compiled.library_folder(build, structure, "lanes", *_compiler())
+def _name(build, structure):
+    return compiled.library_name(build, structure, "lanes", *_compiler())
 
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return not _compiler() or _folder(build, structure).exists()
+    return not _compiler() or cache.holds(_name(build, structure))
 
 
 @functools.cache
@@ -75,9 +76,16 @@ def load(build, *structure):
     """The block of build(*structure) for several scans at once, or None where that cannot be."""
     if not _compiler():
         return None
-    folder = _folder(build, structure)
-    compiled.install(folder, lambda place: _compile(place, build(*structure)["block"]))
-    return _Block(folder) if (folder / "library.so").exists() else None
+
+    def make(place):
+        _compile(place, build(*structure)["block"])
+
+    def open_block(folder):
+        return _Block(folder) if (folder / "library.so").exists() else None
+
+    with contextlib.suppress(cache.UnusableError):
+        return cache.kept(_name(build, structure), make, open_block)
+    return None
 
 
 def _compile(place, function):
