@@ -11,16 +11,24 @@ PIP := $(PY) -m pip --disable-pip-version-check install -q
 executed = $(1:%=build/notebooks/%.ipynb)
 EXECUTED := $(call executed,$(FIGURES) $(STUDIES))
 
+# `make clean-NAME` removes these, `make clean` does not.
+KEPT := campaigns replays explored embedded benchmarks
+clean-campaigns := build/campaign
+clean-replays := build/replay build/notebooks/replay-custom.*
+clean-explored := figures/explored
+clean-embedded := build/embedded
+clean-benchmarks := figures/bench_*
+
 # Two notebooks at a time; several goals at once stay in the order given.
 ifeq ($(words $(MAKECMDGOALS))$(filter-out figures studies report,$(MAKECMDGOALS)),1)
 MAKEFLAGS += -j2
 endif
 
 .PHONY: help figures studies claims report lab replay campaign embedded test test-browser lint \
-  bench soak lock upgrade clean
+  bench soak lock upgrade clean $(KEPT:%=clean-%)
 
 help: ## list what can be made
-	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 21
+	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
 
 ##@ The paper
 figures: $(call executed,$(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
@@ -85,8 +93,20 @@ lock upgrade:
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
 	  --output-file environment.txt pyproject.toml
 
-clean: ## remove the executed notebooks, the figures and the tables
-	@git clean -fdXq -- build figures
+# Made are the files that the notebooks' runner and the report say they made, less those in git.
+clean: ## remove the executed notebooks, their figures and tables, and the report
+	@rm -f $(filter-out $(shell sed -n 's/^!//p' .gitignore),$(MADE)) $(EXECUTED:.ipynb=.d) \
+	  $(EXECUTED) $(wildcard build/notebooks/*.unfinished)
+	@find build figures -type d -empty -delete 2>/dev/null || true
+
+# What took long or came from a person goes by its name alone.
+clean-campaigns: ## remove the rows of campaigns (build/campaign)
+clean-replays: ## remove pictures of logs of your own (build/replay)
+clean-explored: ## remove pictures saved in the explorer (figures/explored)
+clean-embedded: ## remove the exported C (build/embedded)
+clean-benchmarks: ## remove the tables and pictures of make bench (figures/bench_*)
+$(KEPT:%=clean-%):
+	@rm -rf $($@)
 
 $(READY): environment.txt pyproject.toml
 	@$(PYTHON) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' \
@@ -127,4 +147,4 @@ build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
 
 # What each notebook used and made when it was last run.
 $(EXECUTED:.ipynb=.d):
-include $(wildcard $(EXECUTED:.ipynb=.d))
+include $(wildcard $(EXECUTED:.ipynb=.d) build/report/report.d)

@@ -1,6 +1,7 @@
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -153,3 +154,77 @@ def test_what_is_used_and_made_in_the_project_is_recorded(tmp_path):
         assert f"used {tmp_path / 'imported.py'}" in recorded
         assert f"made {tmp_path / 'figure'}" in recorded
         assert f"used {tmp_path / 'read.py'}" not in recorded
+
+
+DRAWN = """
+from pathlib import Path
+for file in ("figures/{name}.png", "figures/fig07_trajectories.png"):
+    Path("..", file).write_text("made")
+"""
+ROOT = Path(__file__).parents[1]
+
+
+def draw(project, name):
+    """Run a notebook that draws a picture of this name."""
+    cell = v4.new_code_cell(DRAWN.format(name=name))
+    nbformat.write(v4.new_notebook(cells=[cell]), project / "notebooks/scenario_a.ipynb")
+    command = [sys.executable, "-m", "rhec.workbench.notebook", "notebooks/scenario_a.ipynb"]
+    environment = os.environ | dict(PYTHONPATH=str(project))
+    subprocess.run(command, cwd=project, check=True, env=environment, capture_output=True)
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A project whose only notebook was run."""
+    left_out = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "rhec", tmp_path / "rhec", ignore=left_out)
+    for folder in ("notebooks", "figures", "build"):
+        (tmp_path / folder).mkdir()
+    for file in ("Makefile", ".gitignore"):
+        shutil.copy(ROOT / file, tmp_path)
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    draw(tmp_path, "one")
+    return tmp_path
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="there is no make")
+def test_make_clean_removes_what_make_made_and_nothing_else(project):
+    theirs = [
+        "figures/thesis.tex",
+        "figures/explored/mine.png",
+        "figures/bench_step.csv",
+        "build/notes.txt",
+        "build/campaign/0123/rows.parquet",
+        "build/replay/field/replay_log.png",
+        "build/embedded/rhec.c",
+        "build/report/mine.html",
+        "build/notebooks/mine.ipynb",
+        "build/notebooks/scenario_a-custom.ipynb",
+    ]
+    for name in theirs:
+        (project / name).parent.mkdir(parents=True, exist_ok=True)
+        (project / name).touch()
+    made = ["figures/one.png", "build/notebooks/scenario_a.ipynb", "build/notebooks/scenario_a.d"]
+    delivered = "figures/fig07_trajectories.png"  # the notebook makes it, but it is in git
+    assert all((project / name).exists() for name in [*made, delivered])
+
+    def clean(target="clean"):
+        subprocess.run(["make", "-s", target], cwd=project, check=True)
+        return {name for name in [*theirs, *made, delivered] if not (project / name).exists()}
+
+    assert clean() == set(made)
+    assert clean() == set(made)
+    gone = set(made)
+    for name, removed in dict(
+        campaigns=theirs[4], replays=theirs[5], explored=theirs[1], embedded=theirs[6],
+        benchmarks=theirs[2],
+    ).items():  # fmt: skip
+        gone |= {removed}
+        assert clean(f"clean-{name}") == gone
+
+
+def test_what_an_earlier_run_made_is_remembered(project):
+    draw(project, "other")
+    made = (project / "build/notebooks/scenario_a.d").read_text().splitlines()[-1].split()
+    pictures = [f"figures/{name}.png" for name in ("fig07_trajectories", "one", "other")]
+    assert made == ["MADE", "+=", *pictures]

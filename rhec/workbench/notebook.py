@@ -10,6 +10,7 @@ import importlib.util
 import json
 import logging
 import os
+import re
 import reprlib
 import sys
 import tempfile
@@ -160,9 +161,13 @@ def run(notebook, given, output):
     for path in made:
         os.utime(ROOT / path, ns=(started, started))
     output.parent.mkdir(parents=True, exist_ok=True)
-    files = " ".join(sorted(used | made))
+    files, rules = " ".join(sorted(used | made)), output.with_suffix(".d")
+    before = rules.read_text(encoding="utf-8") if rules.exists() else ""
+    before = _in_project(ROOT / file for file in re.sub("(?m)^(?!MADE).*", "", before).split())
     rule = f"{os.path.relpath(output, ROOT)}: {files}\n{files}:\n"
-    _write(output.with_suffix(".d"), rule, started)
+    # For `make clean`, which removes these and no other files.
+    rule += f"MADE += {' '.join(sorted(made | before))}\n"
+    _write(rules, rule, started)
     _write(output, nbformat.writes(executed), started)
 
 

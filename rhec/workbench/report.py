@@ -302,6 +302,8 @@ def build(notebooks, figures=style.FOLDER, report=REPORT):
     with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
         unfinished = Path(folder) / report.name
         _write_site(notebooks, figures, unfinished)
+        made = (f"build/report/{file.relative_to(unfinished)}" for file in unfinished.glob("**/*.*"))
+        (unfinished / "report.d").write_text(f"MADE += {' '.join(made)} build/report/report.d\n")
         shutil.rmtree(report, ignore_errors=True)
         unfinished.rename(report)
 
