@@ -41,7 +41,6 @@ FLAGS = (
 )
 _CASADI, HEADERS = Path(ca.__file__).parent, Path(__file__).parent
 
-
 _SLOWER = "on CasADi's virtual machine the results are the same, about five times slower"
 _failed = set()  # compilers that failed in this process
 

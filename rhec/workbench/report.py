@@ -302,8 +302,9 @@ def build(notebooks, figures=style.FOLDER, report=REPORT):
     with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
         unfinished = Path(folder) / report.name
         _write_site(notebooks, figures, unfinished)
-        made = (f"build/report/{file.relative_to(unfinished)}" for file in unfinished.glob("**/*.*"))
-        (unfinished / "report.d").write_text(f"MADE += {' '.join(made)} build/report/report.d\n")
+        (unfinished / "report.d").touch()  # for `make clean`
+        made = [f"build/report/{file.relative_to(unfinished)}" for file in unfinished.rglob("*.*")]
+        (unfinished / "report.d").write_text(f"MADE += {' '.join(made)}\n")
         shutil.rmtree(report, ignore_errors=True)
         unfinished.rename(report)
 
