@@ -14,7 +14,7 @@ import rhec
 from rhec import paper, simulation
 from rhec.extensions import faults
 from rhec.extensions.faults import Fault
-from rhec.plots.faults import fault_family
+from rhec.plots.faults import fault_courses, fault_overview
 from rhec.studies import robustness
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -318,12 +318,22 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
             and numbers.loc[key, "n"] == 2
         )
         assert numbers.loc[key, "verdict"] == ("does not hold" if "start" in key else "holds")
-    for family in cases:
-        figure = fault_family(family, table, errors, robustness.BEFORE_S)
-        assert [axes.get_xlabel() for axes in figure.axes] == ["time since it began [s]"] * 2
-        assert (
-            figure.axes[0].get_ylabel() == "true error [m]" and "2 seeds" in figure.get_suptitle()
-        )
+    keys = [(family, case) for family in cases for case in cases[family]]
+    figure = fault_courses(keys, table, errors, robustness.BEFORE_S)
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes._left_title.get_text().split("\n")[0] for axes in shown] == [c for _, c in keys]
+    assert "2 seeds" in figure.get_suptitle() and "[m]" in figure.get_supylabel()
+    for axes, key in zip(shown, keys):
+        off, largest = axes.lines[0].get_ydata(), axes.lines[1].get_ydata()
+        of_case = errors[(*key, "off")]
+        known = ~np.isnan(of_case).any(axis=0)
+        np.testing.assert_allclose(off, np.nanmedian(of_case[:, known.argmax() :], axis=0))
+        assert (largest >= off).all()
+    overview = fault_overview(numbers.reset_index(), 2)
+    assert len(overview.axes[0].get_yticklabels()) == len(keys)
+    words = [text.get_text() for text in overview.axes[1].texts]
+    back = numbers.reset_index().groupby(["family", "case"], sort=False)["back"]
+    assert words == [", ".join(map(str, counts)) for _, counts in back]
 
 
 # Arguments

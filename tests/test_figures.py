@@ -2,6 +2,7 @@
 verdicts by the rule.
 """
 
+import dataclasses
 import itertools
 import re
 
@@ -9,13 +10,19 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 import rhec
 from rhec import paper
 from rhec.plots import consistency, scenarios, style
-from rhec.plots.timing import phases
-from rhec.studies.consistency import Consistency
-from rhec.studies.scenario_tables import scenario_a_table, scenario_b_table
+from rhec.plots.timing import embedded_times, phases
+from rhec.studies.consistency import Consistency, stated
+from rhec.studies.scenario_tables import (
+    over_fields,
+    scenario_a_table,
+    scenario_b_table,
+    share_of_fields,
+)
 
 SEEDS = range(3)
 WEIGHTS = {
@@ -87,24 +94,38 @@ def sweep_b(virtual_machine):
 
 
 @pytest.fixture(scope="module")
-def drawn(runs, by_weight, sweep_a, sweep_b):
+def drives(runs):
+    """{process noise: {"RHE": [Run, …], "EKF": [Run, …]}}, two fields each"""
+    return {
+        noise: {
+            name: [run, rhec.simulate(dataclasses.replace(run.scenario, seed=1))]
+            for name, run in by_name.items()
+        }
+        for noise, by_name in runs.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def drawn(runs, drives, by_weight, sweep_a, sweep_b):
     """Every figure, by its function's name."""
-    pair = runs["calibrated"]
+    pair, table = runs["calibrated"], scenario_b_table(sweep_b)
+    told = {noise: (by_name["RHE"], stated(by_name["RHE"])) for noise, by_name in runs.items()}
     return {
         "trajectories_q": scenarios.trajectories_q(
             {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
         ),
-        "weight_sweep": scenarios.weight_sweep(sweep_a),
+        "weight_sweep": scenarios.weight_sweep(scenario_a_table(sweep_a), "calibrated"),
         "slip_fields": scenarios.slip_fields(
             pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"
         ),
         "trajectories": scenarios.trajectories(pair),
-        "errors": scenarios.errors(runs),
-        "violations": scenarios.violations(sweep_b),
-        "phases": phases(TIMES),
-    } | {
-        draw.__name__: draw(pair["RHE"])
-        for draw in (scenarios.estimates, scenarios.speed, scenarios.yaw_rate, scenarios.kkt)
+        "errors": scenarios.errors(drives, table),
+        "violations": scenarios.violations(table),
+        "estimates": scenarios.estimates(told),
+        "speed": scenarios.speed(drives["calibrated"]["RHE"]),
+        "yaw_rate": scenarios.yaw_rate(pair["RHE"]),
+        "kkt": scenarios.kkt(drives["calibrated"]["RHE"]),
+        "phases": phases(TIMES, "a test"),
     }
 
 
@@ -130,7 +151,7 @@ def test_axes_are_labelled_with_units(drawn):
 def test_figures_say_which_process_noise_and_seeds(drawn):
     for name, figure in drawn.items():
         if name != "phases":
-            assert re.search(r"seeds?", words(figure)), name
+            assert re.search(r"seeds?|fields", words(figure)), name
             noise = re.search("(printed|calibrated) process noise", words(figure))
             assert name == "slip_fields" or noise, name
 
@@ -150,22 +171,72 @@ def test_titles_and_legends_are_inside_the_figure_and_apart(drawn):
             assert not a.overlaps(b), (name, one, other)
 
 
-def test_the_papers_numbers_stand_beside_ours(drawn, runs):
+def test_the_papers_numbers_stand_beside_ours(drawn, sweep_b):
     errors = words(drawn["errors"])
-    for pair in runs.values():
-        for run in pair.values():
-            assert f"mean {run.metrics['mean_error_m']:.4f} m" in errors
+    for _, of_one in sweep_b.groupby(["process_noise", "estimator"]):
+        assert f"mean {of_one['mean_error_m'].mean():.4f} m (n = {len(SEEDS)})" in errors
     assert "paper: 0.0423 m" in errors and "paper: 0.0514 m" in errors
-    assert "paper: 0" in words(drawn["violations"]) and "paper: 17" in words(drawn["violations"])
-    assert "9.5 µs, paper: 152 µs" in words(drawn["phases"])
+    diamonds = [line for line in drawn["violations"].axes[0].lines if line.get_marker() == "D"]
+    assert sorted(line.get_xdata()[0] for line in diamonds) == [0, 17]
+    assert "here: a test" in words(drawn["phases"]) and "152 µs" in words(drawn["phases"])
 
 
-def test_preparation_is_over_when_the_measurement_arrives(drawn):
-    bars = {
-        round(bar.get_y() + bar.get_height() / 2): (bar.get_x(), bar.get_x() + bar.get_width())
-        for bar in drawn["phases"].axes[0].patches
-    }
-    assert [bars[place] for place in range(4)] == [(-9, -4), (-4, 0), (0, 6), (6, 9.5)]
+def test_no_bars_stand_on_a_logarithmic_axis(drawn):
+    """A bar's length says nothing where there is no zero."""
+    for name, figure in drawn.items():
+        for axes in figure.axes:
+            bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+            assert not bars or {axes.get_xscale(), axes.get_yscale()} == {"linear"}, name
+
+
+def test_bands_hold_the_middle_of_the_drives(drives):
+    of_rhe = drives["calibrated"]["RHE"]
+    errors = np.array([run.columns["error_m"] for run in of_rhe])
+    low, middle, high = over_fields(of_rhe, "error_m")
+    np.testing.assert_allclose(middle, errors.mean(axis=0))
+    assert (errors.min(axis=0) <= low).all() and (high <= errors.max(axis=0)).all()
+    pooled = over_fields(of_rhe, "error_m", 7)
+    assert pooled.shape == (3, errors.shape[1] // 7)
+    np.testing.assert_allclose(pooled[1, 0], np.median(errors[:, :7]))
+    np.testing.assert_allclose(
+        share_of_fields(of_rhe, "error_m", 0.03, 7)[0], (errors[:, :7] > 0.03).mean()
+    )
+
+
+@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+def test_what_the_estimator_states_is_what_it_said_in_the_loop(runs, process_noise):
+    run = runs[process_noise]["RHE"]
+    found = stated(run)
+    for name in ("mu", "kappa"):
+        value, sigma, truth, inside = found[name]
+        np.testing.assert_allclose(value, run.log[f"{name}_hat"], atol=1e-9)
+        settled = run.log["t_s"].to_numpy() >= 20
+        assert inside == np.mean((np.abs(value - truth) <= 2 * sigma)[settled])
+    assert (found["theta_rad"][2] == 0).all()
+
+
+def test_in_a_period_feedback_comes_first_and_preparation_is_over_at_its_end(drawn):
+    """Of the drawn order of phases: RHE above, RHC below, two periods."""
+    bars = sorted(
+        (bar.get_x(), bar.get_x() + bar.get_width()) for bar in drawn["phases"].axes[0].patches
+    )
+    assert len(bars) == 8
+    for k in (0, 1):
+        (rhe, rhc, prepare_rhe, prepare_rhc) = bars[4 * k : 4 * k + 4]
+        assert rhe[0] == k and rhe[1] == pytest.approx(rhc[0])
+        assert rhc[1] < prepare_rhe[0] and prepare_rhc[1] == pytest.approx(k + 1)
+
+
+def test_times_on_several_machines_share_one_axis_with_a_unit():
+    times = pd.concat(
+        TIMES.assign(machine=machine, who="C", mean_ms=TIMES["average_us"] * scale / 1000)
+        for machine, scale in (("server", 1), ("Pi", 40))
+    )
+    figure = embedded_times(times)
+    assert "9.5 of 18.5 µs" in words(figure) and "380 of 740 µs" in words(figure)
+    (axes,) = figure.axes
+    assert "[µs]" in axes.get_xlabel()
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["C\nserver", "C\nPi"]
 
 
 def test_table_a_equals_the_logs(by_weight, sweep_a):
@@ -236,7 +307,7 @@ def test_runs_that_never_settle_are_counted(sweep_a):
         table.loc[("Q1", "settling time [s]"), "n"] == 0
         and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
     )
-    assert "0 of 3 settle" in words(scenarios.weight_sweep(never))
+    assert "settled: 0 with" in words(scenarios.weight_sweep(scenario_a_table(never), "calibrated"))
 
 
 def test_consistency_of_an_unknown_kind_of_estimator_is_drawn_in_grey():

@@ -126,7 +126,18 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
 
 
 def test_the_forest_has_a_row_for_each_interpretation(moved):
-    assert len(forest(moved, "calibrated").axes[0].get_yticklabels()) == 4
+    figure = forest(moved, "calibrated")
+    assert len(figure.axes[0].get_yticklabels()) == 4
+    assert {axes.get_xscale() for axes in figure.axes} == {"linear"}
+
+
+def test_what_is_off_the_scale_of_the_forest_has_its_number(moved):
+    far = moved.assign(
+        change=moved["change"].where(moved["interpretation"] != "R10", 1234.0),
+        change_low=moved["change_low"].where(moved["interpretation"] != "R10", 1233.0),
+    )
+    for axes in forest(far, "calibrated").axes:
+        assert [text.get_text() for text in axes.texts] == ["+1.2e+03"]
 
 
 def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):

@@ -658,6 +658,9 @@ def test_figures_of_a_log_with_and_without_truth():
         ):
             assert figure.axes
         table = replay_table(trials)
+        if "yaw_true_rad" in log:
+            figure = drawings.replay_trials(trials, table, "a $ b")
+            assert "2 noise seeds" in figure.axes[0]._left_title.get_text()
         assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == (
             "yaw_true_rad" in log
         )

@@ -8,15 +8,17 @@ calibrated W was found, and how far each interpretation moves the results.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rhec.plots.parts import BOUND, legend_outside, panels_beside, shade
+from rhec.plots.parts import BOUND, legend_outside, note, panels_beside, shade
 from rhec.plots.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY, VERMILLION, styled
 from rhec.studies import statistics
 from rhec.studies.interpretations import QUANTITIES
 
 __all__ = ["ekf_yaw", "forest", "likelihood", "rhe_kappa"]
 
+_CHATTER_S = (40, 100)  # what is shown of the time: before and in the first turn
 _COLOURS = (SKY, ORANGE, VERMILLION)
 _SIGMA_UNIFORM = 1 / np.sqrt(12)  # standard deviation of a uniform distribution on [0, 1]
+_MOST_DEVIANCE = 0.5  # drawn; a sample has a deviance of about that many
 _SMALL_LEGEND = dict(ncols=3, fontsize=6, loc="upper center", columnspacing=0.8, handlelength=1.2)
 
 
@@ -89,15 +91,20 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
         axes.axhline(_SIGMA_UNIFORM, label="anything in [0, 1]", **BOUND)
         _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, calibrated=calibrated)
     for (value, run), colour in zip(sorted(runs.items(), reverse=True), _COLOURS):
-        c, look = run.columns, dict(color=colour, linewidth=0.6, label=f"{value:g}")
+        c, look = run.columns, dict(color=colour, linewidth=0.8, label=f"{value:g}")
         time.plot(c["t_s"], c["kappa_hat"], **look)
     time.plot(c["t_s"], c["kappa"], color=BLACK, linewidth=0.8, label="truth")
     shade(time, c["t_s"], ~c["on_straight"])
+    time.set_xlim(*_CHATTER_S)
     time.legend(**_SMALL_LEGEND)
     known.set(ylabel=r"standard deviation of $\hat\kappa$", title="by the RHE's own window")
     title = f"simulated, {sweep['seed'].nunique()} seeds"
     found.set(ylabel=r"RMS error of $\hat\kappa$", title=title)
-    time.set(xlabel="time [s]  (shaded: curves)", ylabel=r"$\hat\kappa$ [-]", title="seed 0")
+    time.set(
+        xlabel="time [s]  (shaded: curves)",
+        ylabel=r"$\hat\kappa$ [-]",
+        title="seed 0, the first turn",
+    )
     time.set_ylim(-0.03, 1.35)
     return figure
 
@@ -115,11 +122,12 @@ def likelihood(profiles):
     for axes, (title, (table, printed, calibrated)) in zip(panels, profiles.items()):
         axes.plot(table["sigma"], table["deviance"], "o-", color=BLUE, markersize=2)
         _mark(axes, printed=printed, calibrated=calibrated)
-        axes.set(xscale="log", xlabel=title)
-        axes.set_yscale("symlog", linthresh=1e-2)
+        axes.set(xscale="log", xlabel=title, ylim=(-0.02 * _MOST_DEVIANCE, _MOST_DEVIANCE))
+        beyond = (table["deviance"] > _MOST_DEVIANCE).sum()
+        axes.set_title(f"{beyond} of {len(table)} above" if beyond else "", fontsize=6)
         axes.minorticks_off()
         axes.tick_params(axis="x", labelsize=6)
-    panels[0].set_ylabel("deviance a sample, above least")
+    panels[0].set_ylabel(f"deviance a sample, above\nleast, cut at {_MOST_DEVIANCE:g}")
     legend_outside(figure, panels[0], "upper right", 2)
     return figure
 
@@ -128,7 +136,8 @@ def likelihood(profiles):
 def forest(table, baseline):
     """Differences of each interpretation from the baseline, with 95 % intervals, by quantity.
 
-    Coloured where the interval excludes 0: more in vermillion, less in blue.
+    Coloured where the interval excludes 0: more in vermillion, less in blue. What is off the scale
+    is an arrow at its edge, with its number.
 
     Args:
         table: as `rhec.studies.interpretations.one_at_a_time` returns it.
@@ -136,39 +145,45 @@ def forest(table, baseline):
     """
     others = table[table["interpretation"] != "baseline"].drop_duplicates("interpretation")
     names = others["interpretation"]
-    figure, panels = panels_beside(len(QUANTITIES), 0.8 + 0.17 * len(others))
+    figure, panels = panels_beside(len(QUANTITIES), 0.9 + 0.17 * len(others))
     for axes, quantity in zip(panels, QUANTITIES.values()):
         rows = table[table["quantity"] == quantity].set_index("interpretation")
+        most = _scale(rows.loc[names, "change"])
         for place, name in enumerate(names):
-            row, colour, marker = rows.loc[name], GREY, "o"
+            row, colour = rows.loc[name], GREY
             if row.change_low > 0:
-                colour, marker = VERMILLION, ">"
+                colour = VERMILLION
             elif row.change_high < 0:
-                colour, marker = BLUE, "<"
-            axes.plot([row.change_low, row.change_high], [place] * 2, color=colour, linewidth=1.2)
-            axes.plot(row.change, place, marker, color=colour, markersize=3)
+                colour = BLUE
+            ends = np.clip([row.change_low, row.change_high], -most, most)
+            axes.plot(ends, [place] * 2, color=colour, linewidth=1.2)
+            if abs(row.change) <= most:
+                axes.plot(row.change, place, "o", color=colour, markersize=3)
+            else:
+                side = np.sign(row.change)
+                axes.plot(side * most, place, ">" if side > 0 else "<", color=colour, markersize=4)
+                place = dict(xy=(0.9 * side * most, place), ha="right" if side > 0 else "left")
+                note(axes, f"{row.change:+.2g}", **place, fontsize=5.5)
         axes.axvline(0, color=BLACK, linewidth=0.6)
-        scale = _typical(rows.loc[names, "change"])
-        axes.set_xscale("symlog", linthresh=scale)
-        axes.set_xticks([-10 * scale, 0, 10 * scale], [f"−{10 * scale:g}", "0", f"{10 * scale:g}"])
+        axes.set_xlim(-1.08 * most, 1.08 * most)
+        axes.set_xticks([-most, 0, most], [f"−{most:g}", "0", f"{most:g}"])
         words, _, unit = quantity.removesuffix("]").partition(" [")
         unit = "" if unit in ("", "-") else f" {unit}"
         title = f"{words}\n{rows.loc['baseline', 'value']:.3g}{unit}"
         axes.set_title(title, fontsize=7, loc="center")
         axes.tick_params(axis="x", labelsize=5.5)
-        axes.minorticks_off()
         axes.grid(axis="y", visible=False)
     labels = [f"{row.words}  {row.interpretation}" for row in others.itertuples()]
     panels[0].set_yticks(range(len(labels)), labels)
     panels[0].set_ylim(len(labels) - 0.5, -0.5)
-    about = f"{baseline} process noise; its mean is in each title), {table['n'].iloc[0]} seeds"
-    scales = "scales are linear near 0 and logarithmic beyond"
-    label = f"change from the baseline ({about}, 95 % intervals;\n{scales}"
-    figure.supxlabel(label, fontsize=7)
+    about = f"{baseline} process noise; its mean is in each title"
+    label = f"change from the baseline ({about}), {table['n'].iloc[0]} seeds, 95 % intervals;\n"
+    figure.supxlabel(label + "linear axes; arrows: off the scale, with their numbers", fontsize=7)
     return figure
 
 
-def _typical(changes):
-    """A scale at which most of the changes can be told apart."""
-    sizes = np.abs(changes[np.abs(changes) > 0])
-    return float(10 ** np.round(np.log10(np.median(sizes)))) if len(sizes) else 1.0
+def _scale(changes):
+    """The end of an axis on which three of four changes can be told apart: one digit."""
+    size = np.quantile(np.abs(changes), 0.75) or 1.0
+    digit = 10 ** np.floor(np.log10(size))
+    return float(np.ceil(1.5 * size / digit) * digit)

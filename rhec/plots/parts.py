@@ -1,14 +1,12 @@
 """Parts that several figures share: panels, bounds, seeds with their interval, legends, axes."""
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.ticker import LogLocator
 
 from rhec.plots.style import BLACK, COLOURS, DOUBLE_IN
-from rhec.studies.statistics import over_seeds
 
-__all__ = ["BOUND", "DOTS", "TOLERANCE", "legend_above", "legend_outside", "log_axis", "note"]
-__all__ += ["panels_beside", "seed_range", "shade", "strip", "time_axis", "vertical_interval"]
+__all__ = ["BOUND", "DOTS", "TOLERANCE", "band", "interval_row", "legend_above", "legend_outside"]
+__all__ += ["log_axis", "note", "panels_beside", "rows_axis", "seed_range", "shade", "time_axis"]
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
@@ -28,20 +26,29 @@ def seed_range(sweep):
     return f"{len(seeds)} seeds, {seeds[0]} to {seeds[-1]}"
 
 
-def vertical_interval(axes, x, estimate, **look):
-    """Mark an Interval (mean, low, high, …) at x."""
-    mean, low, high = estimate[:3]
-    axes.errorbar(x, mean, [[mean - low], [high - mean]], **look)
+def band(axes, x, low_middle_high, label, **look):
+    """The middle 90 % of many drives as a band, their median as a line."""
+    low, middle, high = low_middle_high
+    axes.fill_between(x, low, high, alpha=0.25, linewidth=0, **look)
+    axes.plot(x, middle, label=label, linewidth=0.8, **look)
 
 
-def strip(axes, places, values, **look):
-    """Draw seeds as dots between two places, and at the third their mean Interval; return that."""
-    first, last, middle = places
-    axes.plot(np.linspace(first, last, len(values)), values, **DOTS, **look)
-    estimate = over_seeds(np.mean, values)
-    look = dict(color=look["color"], fmt="D", markersize=3.5, capsize=2.5)
-    vertical_interval(axes, middle, estimate, **look)
-    return estimate
+def interval_row(axes, place, row, colour):
+    """A row of a table: mean with its 95 % interval, the middle 90 % of drives as a thin line, and
+    the numbers at the right edge.
+    """
+    axes.hlines(place, row.p5, row.p95, linewidth=0.8, color=colour)
+    axes.hlines(place, row.low, row.high, linewidth=3, color=colour, alpha=0.6)
+    axes.plot(row.mean, place, "o", color=colour, markersize=3.5)
+    text = f"{row.mean:.3g} [{row.low:.3g}, {row.high:.3g}]"
+    note(axes, text, (1, place), (4, 0), xycoords=("axes fraction", "data"))
+
+
+def rows_axis(axes, labels, quantity):
+    """Labelled rows, the first on top, of a quantity that is at least 0."""
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set(ylim=(len(labels) - 0.5, -0.5), xlim=(0, None), xlabel=quantity)
+    axes.grid(axis="y", visible=False)
 
 
 def note(axes, text, xy, offset=(0, 0), **look):

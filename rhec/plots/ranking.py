@@ -23,7 +23,9 @@ _OFF_SCALE = 1.8  # times the paper's RHE: what is worse is drawn as an arrow at
 def ranked(sweep):
     """True error of every contestant, and its ratio to the paper's RHE at equal seeds.
 
-    Dots: seeds. Dashed: the gain asked of the proposal. An arrow at the edge: off the scale.
+    Dots: seeds; where some are off the scale, so many are counted at its edge, and an arrow is a
+    mean that is. Dashed: the gain asked of the proposal. Dotted: what it may have at most, by the
+    best that knows the traction.
 
     Args:
         sweep: as in `rhec.studies.ranking.ranking_table`.
@@ -43,7 +45,12 @@ def ranked(sweep):
         look = mark | dict(color=colour, zorder=3)
         seeds = sweep.loc[sweep["contestant"] == name, "mean_error_true_m"]
         spread = np.linspace(0.3, -0.3, len(seeds))
-        errors.plot(seeds, place + spread, **DOTS, color=colour, markersize=1.5, alpha=0.3)
+        inside = seeds.to_numpy() < largest
+        dots = dict(color=colour, markersize=1.5, alpha=0.3)
+        errors.plot(seeds[inside], (place + spread)[inside], **DOTS, **dots)
+        if not inside.all():
+            beyond = dict(ha="right", fontsize=5.5, color=colour)
+            note(errors, f"{(~inside).sum()} beyond ", (largest, place), (-4, 4), **beyond)
         for axes, quantity, most, digits in shown:
             known = (name, quantity) in estimates.index  # the paper's RHE has no ratio to itself
             mean, low, high = estimates.loc[(name, quantity)] if known else (1.0, 1.0, 1.0)
@@ -55,12 +62,19 @@ def ranked(sweep):
     for axes, _, most, _ in shown:
         axes.set_xlim(0, most)
         axes.grid(axis="y", visible=False)
-    ratios.axvline(1 - ranking.LEAST_GAIN, color=style.BLACK, linestyle="--", linewidth=0.7)
+    target = dict(color=style.BLACK, linewidth=0.7)
+    ratios.axvline(1 - ranking.LEAST_GAIN, **target, linestyle="--", label="gain asked for")
+    oracles = [name for name in names if name.startswith("traction oracle")]
+    if oracles:
+        best = ranking.MOST_ABOVE * estimates.loc[(oracles[0], error), "mean"]
+        above = f"{100 * (ranking.MOST_ABOVE - 1):.0f} % above {oracles[0]}"
+        errors.axvline(best, **target, linestyle=":", label=above)
+    figure.legend(loc="outside lower center", ncols=2)
     errors.set_yticks(range(len(names)), names)
     errors.get_yticklabels()[names.index(ranking.PROPOSAL)].set_fontweight("bold")
     errors.set(ylim=(len(names) - 0.4, -0.6), xlabel="mean true error of a drive [m]")
     errors.set_title(f"{seed_range(sweep)}; mean and 95 % interval")
-    ratios.set_xlabel("ratio to the paper's RHE")
+    ratios.set_xlabel("ratio to the paper's RHE, both axes cut")
     return figure
 
 

@@ -11,8 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec.logs import scores
-from rhec.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, strip, time_axis
-from rhec.plots.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, GREY, ORANGE, PURPLE, ROOT, styled
+from rhec.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, time_axis
+from rhec.plots.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, ORANGE, PURPLE, ROOT, SKY, styled
 
 __all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
 __all__ += ["replay_trials", "replay_uncertainty", "replay_yaw"]
@@ -92,22 +92,28 @@ def replay_log(samples, title):
 
 @styled
 def replay_yaw(replays):
-    """Error of the estimated yaw with its own two standard deviations; without truth, the yaw."""
-    figure, panels = _rows(len(replays), 1.2, sharey=False)
+    """Error of the estimated yaw with its own two standard deviations, all rows on one scale, which
+    is cut where none of the errors is; without truth, the yaw.
+    """
+    figure, panels = _rows(len(replays), 1.2, sharey=True)
+    errors = [scores.yaw_error(each) for each in replays.values() if "theta_rad" in each]
     for axes, (name, samples) in zip(panels, replays.items()):
         known = "theta_rad" in samples
         value = scores.yaw_error(samples) if known else samples["theta_hat_rad"]
         t, value, sigma = _broken(samples.assign(value=value), "t_s", "value", "sigma_theta_rad")
-        axes.plot(t, value, color=_COLOURS.get(name), linewidth=0.7)
+        axes.plot(t, value, color=_COLOURS.get(name), linewidth=0.7, label="error")
         title = name
         if known:
-            axes.fill_between(t, -2 * sigma, 2 * sigma, color=GREY, alpha=0.35, linewidth=0)
+            look = dict(color=SKY, alpha=0.45, linewidth=0, label="± 2 σ, its own")
+            axes.fill_between(t, -2 * sigma, 2 * sigma, **look)
             score = scores.score(samples)
             rms = f"RMS {score['yaw_rms_rad']:.3f} rad after {scores.FROM_M:.0f} m"
             title += f": {rms}, {score['inside_95']:.0%} within 1.96 σ"
-            extent = np.clip(1.15 * np.nanmax(np.abs(value)), 0.1, np.pi)
-            axes.set_ylim(-extent, extent)
         axes.set(ylabel="yaw error [rad]" if known else "yaw [rad]", title=title)
+    if errors:
+        extent = np.clip(1.1 * np.nanmax(np.abs(errors)), 0.1, np.pi)
+        panels[0].set_ylim(-extent, extent)
+        legend_above(panels[0])
     _time_axis(panels, samples)
     return figure
 
@@ -120,16 +126,18 @@ def replay_traction(replays, first):
     Args:
         first: the estimator whose band of two standard deviations is shown.
     """
-    figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.4), sharex=True)
+    figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.6), sharex=True)
     samples = replays[first]
     known = {truth for _, truth in scores.REGRESSIONS} <= set(samples)
     for place, (axes, name) in enumerate(zip(panels, ("mu", "kappa"))):
         t, value, sigma = _broken(samples, "t_s", f"{name}_hat", f"sigma_{name}")
         band = np.clip([value - 2 * sigma, value + 2 * sigma], 0, 1)
-        axes.fill_between(t, *band, color=GREY, alpha=0.3, linewidth=0)
+        look = dict(color=SKY, alpha=0.45, linewidth=0, label=f"{first} ± 2 σ, in [0, 1]")
+        axes.fill_between(t, *band, **look)
         for estimator, estimates in replays.items():
             look = dict(color=_COLOURS.get(estimator), linewidth=0.9 if estimator == first else 0.5)
             axes.plot(*_broken(estimates, "t_s", f"{name}_hat"), **look, label=estimator)
+        shown = [samples.loc[scores.distance_driven(samples) >= scores.FROM_M, f"{name}_hat"]]
         if known:
             sliding, label = scores.sliding_regression(samples)[:, place], "regression over"
             look = dict(color=ORANGE, markersize=1.5, label=f"{label} {scores.WINDOW_S:.0f} s")
@@ -138,8 +146,11 @@ def replay_traction(replays, first):
                 color=COLOURS["truth"], linestyle="--", linewidth=0.8, label="regression, whole log"
             )
             axes.axhline(scores.regression(samples)[place], **look)
-        axes.set(ylim=(-0.05, 1.15), ylabel=rf"$\{name}$ [-]")
-    legend_above(panels[0], ncols=6, handlelength=1.2, columnspacing=1.0)
+            shown.append(sliding)
+        least = max(np.floor(10 * np.nanmin(np.concatenate(shown))) / 10 - 0.1, 0)
+        cut = f", cut at {least:.1f}" if least else ""
+        axes.set(ylim=(least - 0.02, 1.05), ylabel=rf"$\{name}$ [-]{cut}")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     _time_axis(panels, samples)
     return figure
 
@@ -190,32 +201,38 @@ def replay_innovations(replays):
 
 
 @styled
-def replay_trials(trials):
+def replay_trials(trials, table, title):
     """RMS error of the yaw of each estimator: every noise seed a dot, mean and 95 % interval.
 
     Args:
         trials: {estimator: rows of `rhec.logs.scores.perturbed_scores`}.
+        table: `rhec.studies.replay_table.replay_table` of them.
+        title: which log it is, plain text.
     """
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.2))
-    values = {name: rows["yaw_rms_rad"] for name, rows in trials.items()}
-    for place, (name, of_one) in enumerate(values.items()):
-        look = dict(markersize=2.5, alpha=0.6, color=_COLOURS.get(name))
-        estimate = strip(axes, place + np.array([-0.25, 0.05, 0.2]), of_one, **look)
-        note(axes, f"{estimate.mean:.3g}", (place + 0.25, estimate.mean), (3, 0), fontsize=8)
-    axes.set_xticks(range(len(values)), list(values))
-    log_axis(axes.yaxis)
-    every = np.concatenate(list(values.values()))
-    axes.set(xlim=(-0.5, len(values) - 0.3), ylim=(0.7 * every.min(), 1.4 * every.max()))
-    title = f"{estimate.n} noise seeds; mean and 95 % interval"
-    axes.set(ylabel="RMS yaw error [rad]", title=title)
-    axes.grid(axis="x", visible=False)
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.7 + 0.28 * len(trials)))
+    means = table[table["quantity"] == "RMS error of yaw [rad]"].set_index("estimator")
+    for place, (name, rows) in enumerate(trials.items()):
+        look, mean = dict(color=_COLOURS.get(name)), means.loc[name]
+        dots = place - np.linspace(0.12, 0.38, len(rows))
+        axes.plot(rows["yaw_rms_rad"], dots, **DOTS, **look, markersize=2.5, alpha=0.6)
+        axes.plot([mean["low"], mean["high"]], [place, place], linewidth=3, alpha=0.6, **look)
+        axes.plot(mean["mean"], place, "D", markersize=3.5, **look)
+        text = f"{mean['mean']:.3g} [{mean['low']:.3g}, {mean['high']:.3g}]"
+        note(axes, text, (1, place), (4, 0), xycoords=("axes fraction", "data"))
+    axes.set_yticks(range(len(trials)), list(trials))
+    axes.set_ylim(len(trials) - 0.7, -0.6)
+    log_axis(axes.xaxis)
+    axes.grid(axis="y", visible=False)
+    title = title.replace("$", r"\$")
+    axes.set_title(f"{title}: {mean['n']} noise seeds (dots), mean and 95 % interval")
+    axes.set_xlabel("RMS yaw error [rad], logarithmic")
     return figure
 
 
 @styled
 def replay_faults(table):
     """Largest error of the position and of the yaw from the beginning of each fault on, with and
-    without gating; every noise seed a dot, means bars.
+    without gating; every noise seed a dot, their mean a bar.
 
     Args:
         table: rows of `rhec.logs.scores.fault_scores`.
@@ -237,7 +254,10 @@ def replay_faults(table):
                 bar = dict(markersize=8, color=colour, label=None if place else handling)
                 axes.plot(values.mean(), place + shift, "|", **bar)
         log_axis(axes.xaxis)
-        axes.set_xlabel(label)
+        axes.set_xlabel(f"{label}, logarithmic")
+        axes.grid(axis="y", visible=False)
+    seeds = table["seed"].nunique()
+    panels[0].set_title(f"{seeds} noise seeds: a dot each, their mean a bar")
     panels[0].set_yticks(range(len(names)), names)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
     legend_above(panels[1])

@@ -239,7 +239,7 @@ def robot_parts():
     _dimension(axes, (-_LENGTH / 2, -0.05), (_LENGTH / 2, -0.05), f"{_LENGTH:.2f} m", down)
     _dimension(axes, (-0.56, y - half), (-0.56, y + half), f"{_WIDTH:.2f} m", left)
     tracks = [(0.56, y + side * _TRACK / 2) for side in (-1, 1)]
-    _dimension(axes, *tracks, f"$b=$\n{_TRACK:.2f} m", right)
+    _dimension(axes, *tracks, f"$b$, ours:\n{_TRACK:.2f} m", right)
     return figure
 
 
@@ -366,7 +366,7 @@ def schematic():
     for height, note, colour in [
         (0.34, "dashed: no slip", GREY),
         (0.18, r"longitudinal slip $1-\mu$", BLUE),
-        (0.02, r"side slip $1-\kappa$", VERMILLION),
+        (0.02, r"turning lost: $1-\kappa$", VERMILLION),
     ]:
         write(note, (2.14, height), ha="left", fontsize=7, color=colour)
     return figure

@@ -1,8 +1,8 @@
 """The paper's Figures 6 to 13, drawn from finished runs.
 
-`run` is a Run as `rhec.simulate` returns it, `sweep` has a row a run as `rhec.campaign` returns
-them. Every interval is a 95 % bootstrap interval over seeds, and every number that the paper
-reports stands beside ours.
+`run` is a Run as `rhec.simulate` returns it, `drives` are Runs that differ by their seeds, `table`
+is of `rhec.studies.scenario_tables`. Bands and thin lines hold the middle 90 % of the drives, thick
+lines are 95 % intervals of their mean, and every number that the paper reports stands beside ours.
 """
 
 import matplotlib.pyplot as plt
@@ -12,9 +12,8 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from rhec import paper
 from rhec.plots import parts
-from rhec.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, styled
-from rhec.studies.scenario_tables import REPORTED
-from rhec.studies.statistics import over_seeds
+from rhec.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
+from rhec.studies.scenario_tables import REPORTED, over_fields, share_of_fields
 
 __all__ = ["errors", "estimates", "kkt", "slip_fields", "speed", "trajectories", "trajectories_q"]
 __all__ += ["violations", "weight_sweep", "yaw_rate"]
@@ -23,6 +22,9 @@ __all__ += ["violations", "weight_sweep", "yaw_rate"]
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
+_KKT, _LEAST_KKT = {"RHE": "RHE", "RHC": "oracle"}, 1e-5  # colours; drawn
+_DOT_AND_LINES = "dot and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
+_POOLED = round(1 / paper.DT_S)  # samples of one second
 _LINES = {
     "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
     "Q2": dict(color=COLOURS["Q2"], label="$Q^2$"),
@@ -36,6 +38,18 @@ _LINES = {
 def _about(run):
     """The run's process noise and seed, for a title."""
     return f"{run.scenario.process_noise} process noise, seed {run.scenario.seed}"
+
+
+def _fields(drives):
+    """How many fields, for a title."""
+    seeds = [run.scenario.seed for run in drives]
+    return f"{len(seeds)} fields (seeds {min(seeds)} to {max(seeds)})"
+
+
+def _over(drives):
+    """What a line and its band are, for a title."""
+    noise = drives[0].scenario.process_noise
+    return f"{noise} process noise: median and middle 90 % of {_fields(drives)}"
 
 
 def _time_axis(axes, log):
@@ -101,33 +115,23 @@ def trajectories_q(runs):
 
 
 @styled
-def weight_sweep(sweep):
-    """The numbers behind Figure 6: settling time and overshoot for each yaw weight over seeds.
+def weight_sweep(table, process_noise):
+    """The numbers behind Figure 6: settling time and overshoot for each yaw weight, over fields.
 
     Args:
-        sweep: as in `rhec.studies.scenario_tables.scenario_a_table`.
+        table: as `rhec.studies.scenario_tables.scenario_a_table` returns it.
+        process_noise: of the drives, "printed" or "calibrated".
     """
-    figure, both = plt.subplots(2, figsize=(COLUMN_IN, 3.6), sharex=True)
-    by_weight = dict(list(sweep.groupby("weight", sort=False)))
-    labels = [
-        f"{_LINES[name]['label']}\n{runs['settling_time_s'].count()} of {len(runs)} settle"
-        for name, runs in by_weight.items()
-    ]
-    columns = {"settling_time_s": "settling time [s]", "overshoot_m": "overshoot [m]"}
-    for axes, (column, quantity) in zip(both, columns.items()):
-        for place, (name, runs) in enumerate(by_weight.items()):
-            look = dict(color=_LINES[name]["color"], markersize=2, alpha=0.5)
-            places = place + np.array([-0.3, 0.05, 0.25])
-            mean = parts.strip(axes, places, runs[column].dropna(), **look)
-            at, look = (places[2], mean.high), dict(ha="center", va="baseline")
-            parts.note(axes, f"{mean.mean:.2g}", at, (0, 3), **look)
-        axes.set_xticks(range(len(labels)), labels)
-        axes.grid(axis="x", visible=False)
-        axes.margins(y=0.12)
-        axes.set(xlim=(-0.5, len(labels) - 0.4), ylim=0, ylabel=quantity)
-    both[1].tick_params(axis="x", labelsize=6.5)
-    noise = sweep["process_noise"].iloc[0]
-    both[0].set_title(f"{noise} process noise, {parts.seed_range(sweep)}\nmean and 95 % interval")
+    figure, panels = parts.panels_beside(2, 1.5)
+    for axes, quantity in zip(panels, ("settling time [s]", "overshoot [m]")):
+        rows = table[(table["quantity"] == quantity)]
+        for place, row in enumerate(rows.itertuples()):
+            parts.interval_row(axes, place, row, _LINES[row.weight]["color"])
+        parts.rows_axis(axes, [_LINES[name]["label"] for name in rows["weight"]], quantity)
+    settled = table.loc[table["quantity"] == "settling time [s]", ["n", "weight"]].to_numpy()
+    counts = ", ".join(f"{n} with {_LINES[name]['label']}" for n, name in settled)
+    panels[0].set_title(f"{process_noise} process noise, {table['n'].max()} fields, a seed each")
+    figure.supxlabel(f"{_DOT_AND_LINES}; settled: {counts}", fontsize=7)
     return figure
 
 
@@ -165,8 +169,11 @@ def trajectories(runs):
     for axes in panels.values():
         image = _field(axes, first.terrain, first.terrain.kappa)
         _reference(axes, first.path)
-        for name, run in runs.items():
-            axes.plot(run.log["x_m"], run.log["y_m"], **_LINES[name])
+        for name in ("EKF", "RHE"):  # the RHE, which strays less, on top
+            log = runs[name].log
+            wide = dict(linewidth=1.8) if name == "EKF" else {}
+            axes.plot(log["x_m"], log["y_m"], **_LINES[name], **wide)
+        axes.plot(*log[["x_m", "y_m"]].iloc[0], "o", color=BLACK, markersize=3)
     everything = pd.concat([run.log for run in runs.values()])
     worst = max(runs.values(), key=lambda run: run.metrics["max_error_true_m"])
     largest = worst.metrics["max_error_true_m"]
@@ -179,6 +186,11 @@ def trajectories(runs):
         low, high = log[["x_m", "y_m"]].min() - margin_m, log[["x_m", "y_m"]].max() + margin_m
         panels[name].set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=title)
     panels["start"].set(aspect="auto", box_aspect=1)
+    parts.note(panels["start"], "start", first.log[["x_m", "y_m"]].iloc[0], (5, 3))
+    ahead = first.path.poses(np.array([0.3, 0.45]) * first.scenario.row_length_m)[0][:, :2]
+    arrow = dict(arrowstyle="-|>", color=BLACK, linewidth=1)
+    for axes in (panels["all"], panels["start"]):
+        axes.annotate("", ahead[1] + (0, 1.0), ahead[0] + (0, 1.0), arrowprops=arrow)
     panels["worst"].set_ylabel("")
     figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", **_TRACTION_BAR)
     parts.legend_outside(figure, panels["all"], "lower center", 3)
@@ -186,113 +198,119 @@ def trajectories(runs):
 
 
 @styled
-def errors(runs):
-    """Figure 8: Euclidean errors from raw GNSS to the path over time; means after settling.
+def errors(drives, table):
+    """Figure 8: Euclidean errors from raw GNSS to the path over time, and the share of fields on
+    which they are above 0.12 m.
 
     Args:
-        runs: {process noise: {"RHE": Run, "EKF": Run}}, a row for each, a column for each.
+        drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
+        table: as `rhec.studies.scenario_tables.scenario_b_table` returns it.
     """
-    size = (DOUBLE_IN, 0.6 + 1.6 * len(runs))
-    figure, grid = plt.subplots(len(runs), 2, figsize=size, sharex=True, sharey=True, squeeze=False)
-    for row, by_estimator in zip(grid, runs.values()):
-        for axes, (name, run) in zip(row, by_estimator.items()):
-            mean, reported = run.metrics["mean_error_m"], REPORTED[name, "mean_error_m"]
-            axes.semilogy(run.log["t_s"], run.log["error_m"], color=COLOURS[name], linewidth=0.6)
-            axes.minorticks_off()
-            for level, line, meaning in [
-                (paper.TOLERANCE_M, "--", f"{paper.TOLERANCE_M} m"),
-                (mean, "-", "mean after settling"),
-                (reported, ":", "mean in the paper"),
-            ]:
-                axes.axhline(level, color=BLACK, linewidth=0.9, linestyle=line, label=meaning)
-            about = f"{name}, {run.scenario.process_noise} W"
-            axes.set_title(f"{about}: mean {mean:.4f} m, paper: {reported} m")
-            _time_axis([axes], run.log)
-        row[0].set_ylabel("error, raw GNSS [m]")
-    for axes in grid[:-1].flat:
-        axes.set_xlabel("")
-    grid[0, 0].set_ylim(0.004)
-    noises = " and ".join(runs)
-    figure.suptitle(f"{noises} process noise W, seed {run.scenario.seed}", fontsize=8)
-    parts.legend_outside(figure, grid[0, 0], "lower center", 3)
+    size, heights = (DOUBLE_IN, 3.6), (2, 1)
+    grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=heights)
+    figure, (above, below) = plt.subplots(2, len(drives), figsize=size, **grid)
+    means = table[table["quantity"] == "mean error, raw GNSS [m]"]
+    means = means.set_index(["process_noise", "estimator"])
+    for error, share, (noise, by_name) in zip(above, below, drives.items()):
+        lines = []
+        for name in ("EKF", "RHE"):
+            log, look = by_name[name][0].log, dict(color=COLOURS[name])
+            t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
+            _, median, p95 = over_fields(by_name[name], "error_m", _POOLED)
+            error.fill_between(t_s, median, p95, alpha=0.25, linewidth=0, **look)
+            error.plot(t_s, median, label=name, **look)
+            beyond = share_of_fields(by_name[name], "error_m", paper.TOLERANCE_M, _POOLED)
+            share.plot(t_s, 100 * beyond, **look)
+            mean, reported = means.loc[(noise, name)], REPORTED[name, "mean_error_m"]
+            lines += [f"{name}: mean {mean['mean']:.4f} m (n = {mean['n']}), paper: {reported} m"]
+        error.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
+        error.set_title("\n".join([f"{noise} process noise", *lines[::-1]]))
+        error.set_yscale("log")
+        error.minorticks_off()
+        _time_axis([error, share], log)
+    above[0].set(ylabel="error, raw GNSS [m]", ylim=(0.02, 10))
+    above[0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
+    below[0].set(ylabel=f"samples above\n{paper.TOLERANCE_M} m [%]", ylim=(0, 100))
+    many = f"median (line) to 95th percentile of {_fields(by_name['RHE'])}, a second at a time"
+    figure.suptitle(many, fontsize=8)
+    parts.legend_outside(figure, above[0], "lower center", 3)
     return figure
 
 
-def _violation_bars(axes, place, name, runs):
-    """Bars of one estimator, by raw GNSS and in truth, and the number that the paper reports."""
-    top = dict(xycoords=("data", "axes fraction"), ha="center", va="top")
-    for shift, column, alpha in [(-0.2, "violations", 0.9), (0.2, "violations_true", 0.4)]:
-        x, estimate = place + shift, over_seeds(np.mean, runs[column])
-        axes.bar(x, estimate.mean, 0.38, color=COLOURS[name], alpha=alpha)
-        spread = np.linspace(-0.13, 0.13, len(runs))
-        axes.plot(x + spread, runs[column], **parts.DOTS, markersize=1.5, color=GREY)
-        parts.vertical_interval(axes, x, estimate, color=BLACK, capsize=2, linewidth=0.8)
-        parts.note(axes, f"{estimate.mean:.3g}", (x, 1), (0, -10), **top)
-    reported = REPORTED[name, "violations"]
-    axes.hlines(reported, place - 0.45, place + 0.45, color=BLACK, linestyle=":", zorder=3)
-    parts.note(axes, f"paper: {reported}", (place, 1), **top)
-
-
 @styled
-def violations(sweep):
-    """Figure 9: samples on straight lines with an error above 0.12 m in a run, by raw GNSS and in
-    truth, over seeds; a panel for each process noise.
+def violations(table):
+    """Figure 9: samples on straight lines with an error above 0.12 m in a drive, by raw GNSS and in
+    truth; a panel for each process noise.
 
-    Bars are means, whiskers 95 % intervals, dots seeds, dotted lines numbers of the paper.
+    Args:
+        table: as `rhec.studies.scenario_tables.scenario_b_table` returns it.
     """
-    by_noise = list(sweep.groupby("process_noise", sort=False))
-    figure, panels = parts.panels_beside(len(by_noise), 2.7, COLUMN_IN)
-    for axes, (noise, runs) in zip(panels, by_noise):
-        for place, (name, of_one) in enumerate(runs.groupby("estimator", sort=False)):
-            _violation_bars(axes, place, name.upper(), of_one)
-        axes.set_xticks([-0.2, 0.2, 0.8, 1.2], ["raw", "true"] * 2)
-        axes.set_xticks([0, 1], ["RHE", "EKF"], minor=True)
-        axes.tick_params(axis="x", which="minor", length=0, pad=14)
-        axes.grid(axis="x", visible=False)
-        axes.set_title(f"{noise} process noise")
-    axes.set_yscale("symlog", linthresh=10, linscale=0.6)
-    axes.set_yticks(ticks := [0, 5, 10, 20, 50, 100, 200, 500, 1000], ticks)
-    panels[0].set(ylim=(0, 3000), ylabel="violations on straights in a run [samples]")
-    figure.suptitle(f"{parts.seed_range(sweep)}; mean, 95 % interval, each seed", fontsize=8)
+    counts = table[table["quantity"].str.startswith("violations") & table["p5"].notna()]
+    noises = list(counts.groupby("process_noise", sort=False))
+    figure, panels = parts.panels_beside(len(noises), 1.9)
+    for axes, (noise, rows) in zip(panels, noises):
+        rows = rows.sort_values("estimator", ascending=False, kind="stable")
+        for place, row in enumerate(rows.itertuples()):
+            parts.interval_row(axes, place, row, COLOURS[row.estimator])
+            if row.paper != "":
+                look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)
+                axes.plot(row.paper, place, "D", label="paper: 0 and 17", zorder=4, **look)
+        labels = [f"{row.estimator}, {row.quantity.split(', ')[1]}" for row in rows.itertuples()]
+        axes.set_xscale("symlog", linthresh=1, linscale=0.4)
+        axes.set_xticks(ticks := [0, 1, 10, 100, 1000], ticks)
+        axes.set(xlim=(0, 1200), title=f"{noise} process noise, {rows['n'].iloc[0]} fields")
+        parts.rows_axis(axes, labels, "violations in a drive [samples], logarithmic above 1")
+    handles, labels = axes.get_legend_handles_labels()
+    place = dict(loc="outside lower center", title=_DOT_AND_LINES, title_fontsize=7)
+    figure.legend(handles[:1], labels[:1], **place)
     return figure
 
 
 @styled
-def estimates(run):
-    """Figure 10: the RHE's yaw and traction parameters, the truth, and the constraints (14)."""
-    figure, panels = plt.subplots(3, figsize=(DOUBLE_IN, 4.4), sharex=True)
-    log = run.log
-    for axes, truth, estimate, symbol, unit, rms in [
-        (panels[0], "theta_rad", "theta_hat_rad", r"yaw $\theta$", "rad", "rms_yaw_rad"),
-        (panels[1], "mu", "mu_hat", r"$\mu$", "-", "rms_mu"),
-        (panels[2], "kappa", "kappa_hat", r"$\kappa$", "-", "rms_kappa"),
-    ]:
-        axes.plot(log["t_s"], log[estimate], color=COLOURS["RHE"], label="RHE")
-        axes.plot(log["t_s"], log[truth], color=COLOURS["truth"], linewidth=0.8, label="truth")
-        title = f"{symbol}: RMS error after settling {run.metrics[rms]:.3f} [{unit}]"
-        axes.set(ylabel=f"{symbol} [{unit}]", title=title)
-    for axes in panels[1:]:
-        axes.hlines([0, 1], *log["t_s"].iloc[[0, -1]], label="constraints", **parts.BOUND)
-        axes.set_ylim(-0.06, 1.06)
-    parts.legend_above(panels[0], panels[2], **_TIGHT)
-    _time_axis(panels, log)
-    figure.suptitle(f"RHE, {_about(run)}", fontsize=8)
+def estimates(told):
+    """Figure 10: the RHE's yaw error, its traction parameters beside the truth and the constraints
+    (14), and two standard deviations by its own covariance.
+
+    Args:
+        told: {process noise: (Run, `rhec.studies.consistency.stated` of it)}, a column for each.
+    """
+    grid = dict(figsize=(DOUBLE_IN, 4.2), sharex=True, sharey="row", squeeze=False)
+    figure, rows = plt.subplots(3, len(told), **grid)
+    for panels, (run, stated) in zip(rows.T, told.values()):
+        t_s, log = run.log["t_s"], run.log
+        for axes, name, symbol in zip(
+            panels, stated, (r"$\hat\theta-\theta$", r"$\mu$", r"$\kappa$")
+        ):
+            value, sigma, truth, inside = stated[name]
+            low, high = value - 2 * sigma, value + 2 * sigma
+            axes.fill_between(t_s, low, high, color=SKY, alpha=0.45, linewidth=0, label="± 2 σ")
+            axes.plot(t_s, value, color=COLOURS["RHE"], linewidth=0.8, label="RHE")
+            axes.plot(t_s, truth, color=COLOURS["truth"], linewidth=0.8, label="truth")
+            axes.set_title(f"{symbol}: within ± 2 σ in {100 * inside:.0f} % of the samples")
+        for axes in panels[1:]:
+            axes.hlines([0, 1], *t_s.iloc[[0, -1]], label="constraints", **parts.BOUND)
+        panels[0].set_title(f"{_about(run)}\n{panels[0].get_title(loc='left')}")
+        _time_axis(panels, log)
+    labels = ("yaw error [rad],\ncut at ± 0.3", "$\\mu$ [-],\ncut at 0.5", r"$\kappa$ [-]")
+    limits = ((-0.3, 0.3), (0.5, 1.1), (-0.06, 1.1))
+    for axes, label, limit in zip(rows[:, 0], labels, limits):
+        axes.set(ylabel=label, ylim=limit)
+    parts.legend_outside(figure, rows[1, 0], "lower center", 4)
     return figure
 
 
 @styled
-def speed(run):
+def speed(drives):
     """Figure 11: measured, estimated and true speed of the tracks ν over time."""
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
-    for column, name, width in [
-        ("nu_mps", "truth", 0.4),
-        ("nu_meas_mps", "measured", 0.6),
-        ("nu_hat_mps", "RHE", 1.0),
-    ]:
-        axes.plot(run.log["t_s"], run.log[column], color=COLOURS[name], linewidth=width, label=name)
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.2))
+    for column, name in [("nu_meas_mps", "measured"), ("nu_mps", "truth"), ("nu_hat_mps", "RHE")]:
+        of_drives = over_fields(drives, column, _POOLED)
+        t_s = drives[0].log["t_s"][: of_drives.shape[1] * _POOLED : _POOLED]
+        parts.band(axes, t_s, of_drives, name, color=COLOURS[name])
+    axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
+    axes.set(ylabel=r"speed $\nu$ [m/s]", title=_over(drives))
     parts.legend_above(axes, **_TIGHT)
-    axes.set(ylabel=r"speed $\nu$ [m/s]", title=_about(run))
-    _time_axis([axes], run.log)
+    _time_axis([axes], drives[0].log)
     return figure
 
 
@@ -316,17 +334,21 @@ def yaw_rate(run):
 
 
 @styled
-def kkt(run):
-    """Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration, over time."""
-    figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.0), sharex=True)
-    for axes, name, colour in zip(panels, ("RHE", "RHC"), (COLOURS["RHE"], COLOURS["oracle"])):
-        tolerance = run.log[f"kkt_{name.lower()}"]
-        axes.semilogy(run.log["t_s"], tolerance, color=colour, linewidth=0.7)
+def kkt(drives):
+    """Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration, sample by sample,
+    the first ones wide apart.
+    """
+    figure, panels = parts.panels_beside(2, 2.2)
+    for axes, name in zip(panels, _KKT):
+        tolerance = over_fields(drives, f"kkt_{name.lower()}")
+        sample, colour = np.arange(1, tolerance.shape[1] + 1), COLOURS[_KKT[name]]
+        parts.band(axes, sample, np.maximum(tolerance, _LEAST_KKT / 2), name, color=colour)
+        largest, most = sample[tolerance[1].argmax()], tolerance[1].max()
+        title = f"{name}: largest median {most:.2g}, in sample {largest}"
+        axes.set(xscale="log", yscale="log", title=title, xlim=(1, sample[-1]))
+        axes.set_xlabel("sample, every 0.2 s [-]")
         axes.minorticks_off()
-        # it vanishes where every input is at its bound
-        least, median = tolerance.min(), tolerance.median()
-        largest = f"largest {tolerance.max():.2g} at {run.log['t_s'][tolerance.idxmax()]:.1f} s"
-        title = f"{name}, {_about(run)}: {largest}, median {median:.2g}"
-        axes.set(ylabel="KKT tolerance [-]", ylim=max(least, median / 1000), title=title)
-    _time_axis(panels, run.log)
+    # it vanishes where every command is at its bound
+    panels[0].set(ylabel=f"KKT tolerance [-], cut at {_LEAST_KKT:g}", ylim=_LEAST_KKT)
+    figure.suptitle(_over(drives), fontsize=8)
     return figure

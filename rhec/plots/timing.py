@@ -1,105 +1,122 @@
-"""The paper's Figure 5: which phase runs when, to the scale of measured times, here and in C."""
+"""The paper's Figure 5: which phase runs when, and how long each takes, here and in the paper; the
+same times for the exported C.
+"""
 
 import matplotlib.pyplot as plt
 
 from rhec import paper
-from rhec.plots.parts import BOUND, note
-from rhec.plots.style import BLACK, BLUE, COLUMN_IN, GREEN, ORANGE, SKY, VERMILLION, styled
+from rhec.plots.parts import BOUND, log_axis, note
+from rhec.plots.style import BLACK, BLUE, DOUBLE_IN, GREEN, GREY, ORANGE, SKY, VERMILLION, styled
 
 __all__ = ["embedded_times", "phases"]
 
-_PHASE_COLOURS = {"preparation": SKY, "feedback": BLUE}
 _COLOURS = {
     ("RHE", "preparation"): SKY,
     ("RHC", "preparation"): GREEN,
     ("RHE", "feedback"): BLUE,
     ("RHC", "feedback"): ORANGE,
 }
-_NOW = BOUND | dict(zorder=0)
-_SINCE = "time since the sampling instant $t_k$"
+_FEEDBACK = [("RHE", "feedback"), ("RHC", "feedback")]
+# in one drawn period, which is no scale: where each phase begins and ends
+_PLACES = dict(zip(_COLOURS, ((0.52, 0.76), (0.76, 1.0), (0.0, 0.17), (0.17, 0.3))))
+
+
+def _cycle(axes):
+    """Two periods: feedback between the measurement and the command, preparation before the next
+    measurement.
+    """
+    for k, instant in enumerate(("$t_{k-1}$", "$t_k$", "$t_{k+1}$")):
+        axes.axvline(k, **BOUND)
+        note(axes, instant, (k, 1), (0, 5), ha="center", xycoords=("data", "axes fraction"))
+    for k in (0, 1):
+        for which, (begin, end) in _PLACES.items():
+            problem, phase = which
+            look = dict(color=_COLOURS[which], edgecolor=BLACK, linewidth=0.5)
+            axes.barh(problem == "RHC", end - begin, 0.6, k + begin, **look)
+            text = f"{problem}\n{'feedback' if phase == 'feedback' else 'shift, prepare'}"
+            centre = dict(ha="center", fontsize=6)
+            note(axes, text, (k + (begin + end) / 2, problem == "RHC"), **centre)
+        arrow = dict(arrowstyle="-|>", color=VERMILLION, shrinkA=0, shrinkB=0)
+        index = ("{k-1}", "k")[k]
+        for x, tip, foot, signal in [
+            (k, -0.3, -0.95, f"$z_{index}$"),
+            (k + 0.3, 1.95, 1.3, rf"$\omega_{index}$"),
+        ]:
+            axes.annotate("", (x, tip), (x, foot), arrowprops=arrow)
+            note(axes, signal, (x, (tip + foot) / 2), (4, 0), color=VERMILLION, fontsize=8)
+    axes.set(xlim=(-0.02, 2.02), ylim=(2.0, -1.0), yticks=[], xticks=[])
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.set_title(
+        f"not to scale: a period lasts {1000 * paper.DT_S:.0f} ms", fontsize=7, loc="right"
+    )
 
 
 @styled
-def phases(times):
-    """Figure 5: mean times of preparation and feedback around the sampling instant t_k.
-
-    Both preparations are over when the measurement z_k arrives at t_k (drawn as late as can be);
-    only the two feedbacks lie between it and the command ω.
+def phases(times, machine):
+    """Figure 5: the order of the phases in two sampling periods, and their times here and in the
+    paper, each with its machine.
 
     Args:
         times: rows with problem ("RHE", "RHC"), phase ("preparation", "feedback"), minimum_us,
             average_us, maximum_us.
+        machine: on which they were taken.
     """
-    average = times.set_index(["phase", "problem"])["average_us"]
-    estimated = average["feedback", "RHE"]
-    commanded = estimated + average["feedback", "RHC"]
-    bars = [(phase, problem) for phase in _PHASE_COLOURS for problem in ("RHE", "RHC")]
-    prepared = average["preparation"]
-    begins = dict(zip(bars, (-prepared.sum(), -prepared["RHC"], 0, estimated)))
-    labels = {}
-    for row in times.itertuples():
-        took = f"{row.average_us:.1f} µs ({row.minimum_us:.1f} to {row.maximum_us:.1f})"
-        labels[row.phase, row.problem] = f"{row.problem} {row.phase}\n{took}"
-
-    figure, axes = plt.subplots(figsize=(COLUMN_IN, 2.6))
-    axes.axvline(0, **_NOW)
-    for place, ((phase, problem), begin) in enumerate(begins.items()):
-        look = dict(color=_PHASE_COLOURS[phase], edgecolor=BLACK)
-        axes.barh(place, average[phase, problem], 0.5, begin, **look)
-    arrow = {"arrowstyle": "-|>", "color": VERMILLION, "shrinkA": 0, "shrinkB": 0}
-    for x, top, bottom, signal in [
-        (0, -0.7, 1.75, "$z_k$"),
-        (estimated, 2.25, 2.75, r"$\hat\xi,\ \hat p$"),
-        (commanded, 3.25, 3.75, r"$\omega$"),
+    size = dict(figsize=(DOUBLE_IN, 3.6), height_ratios=(1, 1.3))
+    figure, (cycle, axes) = plt.subplots(2, **size)
+    _cycle(cycle)
+    ours = times.set_index(["problem", "phase"])
+    columns = ["minimum_us", "average_us", "maximum_us"]
+    ours = {which: ours.loc[which, columns].to_list() for which in _COLOURS}
+    papers = {which: [1000 * ms for ms in paper.TABLE_1_MS[which]] for which in _COLOURS}
+    for reported, marker, colour, shift, label in [
+        (ours, "o", BLUE, -0.13, f"here: {machine}"),
+        (papers, "D", GREY, 0.13, "paper: Raspberry Pi 3"),
     ]:
-        axes.annotate("", (x, bottom), (x, top), arrowprops=arrow)
-        note(axes, signal, (x, bottom - 0.25), (4, 0), color=VERMILLION, fontsize=8)
-    ready = f"ready before $t_k$,\nany time in the\n{1000 * paper.DT_S:.0f} ms since $t_{{k-1}}$"
-    note(axes, ready, (0, 0.5), (8, 0), ha="left")
-    note(axes, "all that delays\nthe command", (0, 2.5), (-8, 0), ha="right")
-
-    reported = 1000 * sum(paper.TABLE_1_MS[problem, "feedback"][1] for problem in ("RHE", "RHC"))
-    title = f"measurement to command: {commanded:.1f} µs, paper: {reported:.0f} µs"
-    axes.set_title(title, loc="right")
-    axes.set_yticks(range(len(begins)), [labels[which] for which in begins])
-    axes.set(ylim=(4.1, -0.9), xlabel=f"{_SINCE} [µs]")
-    axes.use_sticky_edges = False
-    axes.margins(x=0.06)
+        for place, (low, average, high) in enumerate(reported.values()):
+            axes.plot([low, high], [place + shift] * 2, color=colour, linewidth=0.9)
+            look = dict(color=colour, markersize=4, label=None if place else label)
+            axes.plot(average, place + shift, marker, linestyle="none", **look)
+        total, last = sum(reported[which][1] for which in _FEEDBACK), len(_COLOURS)
+        axes.plot(total, last + shift, marker, color=colour, markersize=4)
+        note(axes, f"{total:.3g} µs", (total, last + shift), (5, 0))
+    names = [" ".join(which) for which in _COLOURS]
+    axes.set_yticks(range(len(names) + 1), [*names, "measurement to command"])
+    axes.set(ylim=(len(names) + 0.5, -0.5))
+    log_axis(axes.xaxis)
+    axes.set_xlabel("time [µs], logarithmic; marker: average, line: least to greatest")
     axes.grid(axis="y", visible=False)
+    figure.legend(loc="outside lower center", ncols=1)
     return figure
 
 
 @styled
 def embedded_times(times):
-    """Figure 5 for the exported C: mean times of the four phases around the sampling instant t_k,
-    one axis a machine, one row for each source of times.
+    """Times of the exported C beside other sources: from measurement to command, and of a whole
+    step, on one logarithmic axis for all machines.
 
     Args:
         times: rows with machine, who, problem, phase as for `phases`, and mean_ms.
     """
-    machines = list(times.groupby("machine", sort=False))
-    rows = [of_one["who"].nunique() for _, of_one in machines]
-    size = dict(figsize=(COLUMN_IN, 0.75 + 0.5 * len(machines) + 0.42 * sum(rows)))
-    size["height_ratios"] = [n + 0.4 for n in rows]
-    figure, panels = plt.subplots(len(machines), squeeze=False, **size)
-    edge = dict(edgecolor=BLACK, linewidth=0.4)
-    for axes, (machine, of_one) in zip(panels[:, 0], machines):
-        unit, factor = ("ms", 1.0) if of_one["mean_ms"].max() > 0.1 else ("µs", 1e3)
-        sources = dict(list(of_one.groupby("who", sort=False)))
-        for place, given in enumerate(sources.values()):
-            mean = factor * given.set_index(["problem", "phase"])["mean_ms"]
-            begin = -(mean["RHE", "preparation"] + mean["RHC", "preparation"])
-            for which, colour in _COLOURS.items():
-                label = f"{which[0]} {which[1]}"
-                axes.barh(place, mean[which], 0.5, begin, color=colour, label=label, **edge)
-                begin += mean[which]
-            note(axes, f"{begin:.3g} of {mean.sum():.3g} {unit}", (begin, place), (4, 0))
-        axes.axvline(0, **_NOW)
-        axes.set_yticks(range(len(sources)), [name.replace(", ", ",\n") for name in sources])
-        axes.set(ylim=(len(sources) - 0.5, -0.5), title=machine, xlabel=f"{_SINCE} [{unit}]")
-        low, high = axes.get_xlim()
-        axes.set_xlim(low - 0.03 * (high - low), high + 0.45 * (high - low))  # room for the numbers
-        axes.grid(axis="y", visible=False)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles[:4], labels[:4], loc="outside upper center", ncols=2)
+    sources = list(times.groupby(["machine", "who"], sort=False))
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.9 + 0.3 * len(sources)))
+    for place, (_, given) in enumerate(sources):
+        mean_us = 1000 * given.set_index(["problem", "phase"])["mean_ms"]
+        command_us, step_us = mean_us[_FEEDBACK].sum(), mean_us.sum()
+        axes.plot([command_us, step_us], [place, place], color=GREY, linewidth=0.8, zorder=1)
+        for value, colour, label in [
+            (command_us, ORANGE, "measurement to command"),
+            (step_us, BLUE, "whole step"),
+        ]:
+            look = dict(color=colour, markersize=4, label=None if place else label)
+            axes.plot(value, place, "o", linestyle="none", **look)
+        note(axes, f"{command_us:.3g} of {step_us:.3g} µs", (step_us, place), (6, 0))
+    axes.set_yticks(range(len(sources)), [f"{who}\n{machine}" for (machine, who), _ in sources])
+    axes.tick_params(axis="y", labelsize=6.5)
+    axes.set(ylim=(len(sources) - 0.5, -0.5))
+    log_axis(axes.xaxis)
+    low, high = axes.get_xlim()
+    axes.set(xlim=(low, high * (high / low) ** 0.25), xlabel="mean time [µs], logarithmic")
+    axes.grid(axis="y", visible=False)
+    figure.legend(loc="outside lower center", ncols=2)
     return figure

@@ -24,7 +24,7 @@ from rhec.tracked_robot.tuning import SIGMA_W_FILTERED
 
 __all__ = [
     "ESTIMATORS", "STATES", "Consistency", "bounds", "consistency_table", "innovations",
-    "mean_square_errors", "measure", "normalised", "normalised_squared", "share_inside"
+    "mean_square_errors", "measure", "normalised", "normalised_squared", "share_inside", "stated"
 ]  # fmt: skip
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
@@ -75,6 +75,25 @@ def measure(scenario, runs):
         scaled = error / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         results.append((scaled, nees, nis_position, nis_speed))
     return Consistency(run.log["t_s"].to_numpy(), *(np.array(values) for values in zip(*results)))
+
+
+def stated(run):
+    """What the estimator of a run says of the error of the yaw, of μ and of κ, and how sure it is.
+
+    Returns:
+        {name: (estimate, its standard deviation, truth, share of samples, settled, in which the
+        truth is within two standard deviations)}, arrays (n,); the truth of the error is 0.
+    """
+    row, found = calibration.run_estimator(run.scenario, run, "estimate", "covariance"), {}
+    estimate, covariance = np.split(row, [6], axis=1)
+    sigma = np.sqrt(np.diagonal(covariance.reshape(-1, 6, 6), axis1=1, axis2=2))
+    for name, place in (("theta_rad", 2), ("mu", 4), ("kappa", 5)):
+        value, truth = estimate[:, place], run.columns[name]
+        if name == "theta_rad":
+            value, truth = value - truth, 0 * truth
+        inside = np.abs(value - truth) <= 2 * sigma[:, place]
+        found[name] = value, sigma[:, place], truth, inside[run.columns["t_s"] >= SETTLED_S].mean()
+    return found
 
 
 def normalised_squared(e, P):

@@ -1,5 +1,5 @@
-"""The tables of both scenarios: means over seeds with their intervals beside the numbers that the
-paper reports, and the verdicts on its words.
+"""Both scenarios over many fields: means with their intervals beside the numbers that the paper
+reports, the verdicts on its words, and where the middle 90 % of the drives are.
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ import pandas as pd
 from rhec import paper
 from rhec.studies.statistics import always, difference_of_means, over_seeds, ratio_of_means, verdict
 
-__all__ = ["REPORTED", "scenario_a_table", "scenario_b_table"]
+__all__ = ["REPORTED", "over_fields", "scenario_a_table", "scenario_b_table", "share_of_fields"]
 
 REPORTED = {  # (estimator, metric): the paper's number
     ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,
@@ -31,8 +31,32 @@ _QUANTITIES_B = {
     "rms_mu": "RMS error of mu",
     "rms_kappa": "RMS error of kappa",
 }
-_COLUMNS_B = "process_noise estimator quantity mean low high n paper claim verdict".split()
+_COLUMNS_B = "process_noise estimator quantity mean low high n p5 p95 paper claim verdict".split()
 _AT_LEAST = 2  # "cannot reach in reasonable time", "oscillates": at least twofold
+
+
+def over_fields(drives, column, pooled=1):
+    """The 5th, 50th and 95th percentile, (3, samples / pooled), of a column of the log over Runs of
+    one length, so many samples at a time together.
+    """
+    return np.nanpercentile(_pooled(drives, column, pooled), (5, 50, 95), axis=(0, 2))
+
+
+def share_of_fields(drives, column, above, pooled=1):
+    """Share of the samples, pooled as in `over_fields`, in which a column is above a bound."""
+    return np.mean(_pooled(drives, column, pooled) > above, axis=(0, 2))
+
+
+def _pooled(drives, column, pooled):
+    values = np.array([run.columns[column] for run in drives])
+    whole = values.shape[1] // pooled * pooled
+    return values[:, :whole].reshape(len(drives), -1, pooled)
+
+
+def _drives(values):
+    """Mean, interval and the middle 90 % of a metric over drives, as columns of a table."""
+    p5, p95 = np.percentile(values.dropna(), (5, 95)) if values.notna().any() else (np.nan, np.nan)
+    return over_seeds(np.mean, values)._asdict() | dict(p5=p5, p95=p95)
 
 
 def scenario_a_table(sweep):
@@ -44,11 +68,11 @@ def scenario_a_table(sweep):
             the same order for each.
 
     Returns:
-        DataFrame with columns weight, quantity, mean, low, high, n, claim, verdict.
+        DataFrame with columns weight, quantity, mean, low, high, n, p5, p95, claim, verdict.
     """
     runs = dict(list(sweep.groupby("weight", sort=False)))
     rows = [
-        dict(weight=weight, quantity=quantity) | over_seeds(np.mean, of_weight[column])._asdict()
+        dict(weight=weight, quantity=quantity) | _drives(of_weight[column])
         for column, quantity in _QUANTITIES_A.items()
         for weight, of_weight in runs.items()
     ]
@@ -72,8 +96,8 @@ def scenario_b_table(sweep):
             estimator.
 
     Returns:
-        DataFrame with columns process_noise, estimator, quantity, mean, low, high, n, paper, claim,
-        verdict.
+        DataFrame with columns process_noise, estimator, quantity, mean, low, high, n, p5, p95,
+        paper, claim, verdict.
     """
     rows = []
     for process_noise, of_noise in sweep.groupby("process_noise", sort=False):
@@ -91,8 +115,11 @@ def _of_estimator(about, estimator, column, values):
     reported, claim, said = REPORTED.get((estimator, column), ""), "", ""
     if reported == 0:
         claim, said = "at most 0", always(values == 0).verdict
-    interval = over_seeds(np.mean, values)._asdict()
-    return about | interval | dict(estimator=estimator, paper=reported, claim=claim, verdict=said)
+    return (
+        about
+        | _drives(values)
+        | dict(estimator=estimator, paper=reported, claim=claim, verdict=said)
+    )
 
 
 def _gain(about, column, rhe, ekf):
