@@ -10,6 +10,7 @@ import numpy as np
 from rhec import paper
 from rhec.plots.parts import BOUND, TOLERANCE, legend_outside, log_axis, note, seed_range
 from rhec.plots.style import BLUE, DOUBLE_IN, VERMILLION, styled
+from rhec.studies.robustness import FAMILIES
 
 __all__ = ["fault_courses", "fault_overview"]
 
@@ -45,7 +46,8 @@ def fault_courses(keys, table, errors, before_s):
     look = dict(figsize=(DOUBLE_IN, 0.8 + 1.7 * rows), sharey=True, squeeze=False)
     figure, grid = plt.subplots(rows, columns, **look)
     for axes, (family, case) in zip(grid.flat, keys):
-        lines, of_case = [case], table[(table["family"] == family) & (table["case"] == case)]
+        of_case = table[(table["family"] == family) & (table["case"] == case)]
+        lines = [_label(FAMILIES[family], case)]
         for handling, runs in of_case.groupby("handling", sort=False):
             back, last_s = runs["recovery_s"].count(), runs["recovery_s"].max()
             when = f", last in {last_s:.0f} s" if back else ""
@@ -63,7 +65,8 @@ def fault_courses(keys, table, errors, before_s):
     grid[0, 0].set_ylim(_LEAST_M, min(2 * top, _MOST_M))
     cut = f", cut at {_MOST_M:g} m" if top > _MOST_M else ""
     figure.supylabel(f"true error [m]{cut}", fontsize=8)
-    figure.supxlabel("time since it began [s]", fontsize=8)
+    for axes in grid[-1]:
+        axes.set_xlabel("time since it began [s]")
     figure.suptitle(f"robust handling off and on, {seed_range(table)}", fontsize=8)
     legend_outside(figure, grid[0, 0], "lower center", 6)
     return figure
@@ -121,4 +124,4 @@ def fault_overview(table, n):
 
 
 def _label(family, case):
-    return case if family in ("none", "encoders, 5 s") else f"{family}: {case}"
+    return case if family == FAMILIES["none"] else f"{family}: {case}"

@@ -18,7 +18,7 @@ __all__ = ["ekf_yaw", "forest", "likelihood", "rhe_kappa"]
 _CHATTER_S = (40, 100)  # what is shown of the time: before and in the first turn
 _COLOURS = (SKY, ORANGE, VERMILLION)
 _SIGMA_UNIFORM = 1 / np.sqrt(12)  # standard deviation of a uniform distribution on [0, 1]
-_MOST_DEVIANCE = 0.5  # drawn; a sample has a deviance of about that many
+_MOST_DEVIANCE = 2.0  # drawn: by then a value is out of the question
 _SMALL_LEGEND = dict(ncols=3, fontsize=6, loc="upper center", columnspacing=0.8, handlelength=1.2)
 
 
@@ -118,16 +118,18 @@ def likelihood(profiles):
         profiles: {title: (table of `rhec.studies.interpretations.likelihood_profile`, printed
             value, calibrated value)}.
     """
-    figure, panels = panels_beside(len(profiles), 2.0)
+    figure, panels = plt.subplots(1, len(profiles), figsize=(DOUBLE_IN, 2.0))
     for axes, (title, (table, printed, calibrated)) in zip(panels, profiles.items()):
         axes.plot(table["sigma"], table["deviance"], "o-", color=BLUE, markersize=2)
         _mark(axes, printed=printed, calibrated=calibrated)
-        axes.set(xscale="log", xlabel=title, ylim=(-0.02 * _MOST_DEVIANCE, _MOST_DEVIANCE))
-        beyond = (table["deviance"] > _MOST_DEVIANCE).sum()
-        axes.set_title(f"{beyond} of {len(table)} above" if beyond else "", fontsize=6)
+        most = min(1.05 * table["deviance"].max(), _MOST_DEVIANCE)
+        axes.set(xscale="log", xlabel=title, ylim=(-0.03 * most, most))
+        beyond = (table["deviance"] > most).sum()
+        cut = f"cut: {beyond} of {len(table)} above" if beyond else ""
+        axes.set_title(cut, fontsize=6.5)
         axes.minorticks_off()
         axes.tick_params(axis="x", labelsize=6)
-    panels[0].set_ylabel(f"deviance a sample, above\nleast, cut at {_MOST_DEVIANCE:g}")
+    panels[0].set_ylabel("deviance a sample,\nabove least [-]")
     legend_outside(figure, panels[0], "upper right", 2)
     return figure
 
@@ -155,15 +157,15 @@ def forest(table, baseline):
                 colour = VERMILLION
             elif row.change_high < 0:
                 colour = BLUE
-            ends = np.clip([row.change_low, row.change_high], -most, most)
-            axes.plot(ends, [place] * 2, color=colour, linewidth=1.2)
             if abs(row.change) <= most:
+                ends = np.clip([row.change_low, row.change_high], -most, most)
+                axes.plot(ends, [place] * 2, color=colour, linewidth=1.2)
                 axes.plot(row.change, place, "o", color=colour, markersize=3)
             else:
                 side = np.sign(row.change)
                 axes.plot(side * most, place, ">" if side > 0 else "<", color=colour, markersize=4)
-                place = dict(xy=(0.9 * side * most, place), ha="right" if side > 0 else "left")
-                note(axes, f"{row.change:+.2g}", **place, fontsize=5.5)
+                at = dict(xy=(side * most, place), offset=(-5 * side, 0), fontsize=5.5)
+                note(axes, f"{row.change:+.2g}", **at, ha="right" if side > 0 else "left")
         axes.axvline(0, color=BLACK, linewidth=0.6)
         axes.set_xlim(-1.08 * most, 1.08 * most)
         axes.set_xticks([-most, 0, most], [f"−{most:g}", "0", f"{most:g}"])

@@ -66,8 +66,8 @@ def ranked(sweep):
     ratios.axvline(1 - ranking.LEAST_GAIN, **target, linestyle="--", label="gain asked for")
     oracles = [name for name in names if name.startswith("traction oracle")]
     if oracles:
-        best = ranking.MOST_ABOVE * estimates.loc[(oracles[0], error), "mean"]
-        above = f"{100 * (ranking.MOST_ABOVE - 1):.0f} % above {oracles[0]}"
+        best = (1 + ranking.MOST_ABOVE) * estimates.loc[(oracles[0], error), "mean"]
+        above = f"{100 * ranking.MOST_ABOVE:.0f} % above {oracles[0]}"
         errors.axvline(best, **target, linestyle=":", label=above)
     figure.legend(loc="outside lower center", ncols=2)
     errors.set_yticks(range(len(names)), names)

@@ -34,7 +34,8 @@ def _cycle(axes):
             look = dict(color=_COLOURS[which], edgecolor=BLACK, linewidth=0.5)
             axes.barh(problem == "RHC", end - begin, 0.6, k + begin, **look)
             text = f"{problem}\n{'feedback' if phase == 'feedback' else 'shift, prepare'}"
-            centre = dict(ha="center", fontsize=6)
+            ink = "w" if _COLOURS[which] in (BLUE, GREEN) else BLACK
+            centre = dict(ha="center", fontsize=6, color=ink)
             note(axes, text, (k + (begin + end) / 2, problem == "RHC"), **centre)
         arrow = dict(arrowstyle="-|>", color=VERMILLION, shrinkA=0, shrinkB=0)
         index = ("{k-1}", "k")[k]
@@ -48,7 +49,7 @@ def _cycle(axes):
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.set_title(
-        f"not to scale: a period lasts {1000 * paper.DT_S:.0f} ms", fontsize=7, loc="right"
+        f"not to scale: a period lasts {1000 * paper.DT_S:.0f} ms", fontsize=7, loc="right", pad=16
     )
 
 
