@@ -28,8 +28,8 @@ class Scenario:
                            1); "dual" (traction by the RHE, pose by an EKF that is told it); or a
                            CasADi Function (memory, z) -> (memory, estimate) of one's own, whose
                            memory starts as the first guess (x, y, θ, ν, μ, κ), then zeros
-        process_noise      "printed": the paper's W to the letter; "calibrated": W from training
-                           seeds (R1, R2)
+        process_noise      "printed": the paper's W; "calibrated": by likelihood (R1, R2); of an RHE
+                           "consistent": as sure as it may be; it sets sigma_v, arrival_mean if None
         sigma_w            W's standard deviations instead: (x, y, θ, ν, μ, κ), without (μ, κ)
                            where they are not estimated, without ν where that is an input, (μ, κ)
                            per √m where tracks slip; the RHE's, then the EKF's for "dual"
@@ -41,7 +41,7 @@ class Scenario:
                            noise in proportion to how far the tracks ran, sideways, too: not in the
                            paper
         arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper;
-                           "filtered": from the EKF update itself (R7)
+                           "filtered": from the EKF update itself (R7); None: that of process_noise
         robust             gate positions by their innovations, and restart where they
                            contradict the estimate for long (`rhec.extensions.gating`)
     The controller
@@ -81,10 +81,10 @@ class Scenario:
     estimator: Any = "rhe"
     process_noise: valid.ProcessNoise = "printed"
     sigma_w: tuple[valid.NotNegative, ...] | None = None
-    sigma_v: tuple[valid.Positive, valid.Positive, valid.Positive, valid.Positive] = paper.SIGMA_V
+    sigma_v: valid.SigmaV | None = None
     estimation_horizon: valid.Intervals = paper.HORIZON
     speed_model: valid.SpeedModel = "parameter"
-    arrival_mean: valid.ArrivalMean = "smoothed"
+    arrival_mean: valid.ArrivalMean | None = None
     robust: valid.Flag = False
 
     q: valid.Weights = paper.Q3

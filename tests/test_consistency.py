@@ -91,3 +91,39 @@ def test_the_rhe_is_measured_in_all_its_states(runs):
         6,
     ) and rhe.nees.shape == rhe.nis_position.shape == rhe.nis_speed.shape == (3, 300)
     assert np.isfinite(rhe.nees).all() and (rhe.nees >= 0).all()
+
+
+def test_the_consistent_rhe_is_as_sure_as_it_may_be_and_the_calibrated_one_too_sure(runs):
+    nees = {}
+    for name in ("consistent", "calibrated"):
+        found = consistency.measure(Scenario(process_noise=name), runs)
+        (_, values, degrees), *_ = consistency.normalised(found)
+        nees[name] = values.mean() / degrees
+    assert 0.7 < nees["consistent"] < 1.4 and nees["calibrated"] > 2
+    ratios = np.sqrt(
+        consistency.mean_square_errors(
+            consistency.measure(Scenario(process_noise="consistent"), runs)
+        ).mean(axis=0)
+    )
+    assert ((ratios > 0.6) & (ratios < 1.5)).all()
+
+
+def test_the_search_for_consistency_prices_what_lies_outside_its_band(monkeypatch):
+    """The driven error is the same everywhere: the best is where NEES and all ratios are inside."""
+    seen = []
+
+    def made_up(scenario, runs):
+        seen.append(scenario)
+        factor = scenario.sigma_w[0] / 0.02  # too sure below, too cautious above
+        t_s = np.array([0.0, 30.0])
+        errors = np.full((1, 2, 6), 1 / factor)
+        return consistency.Consistency(t_s, errors, np.full((1, 2), 6 / factor**2), None, None)
+
+    monkeypatch.setattr(consistency, "measure", made_up)
+    monkeypatch.setattr(consistency, "normalised", lambda found: [("NEES", found.nees[:, 1:], 6)])
+    monkeypatch.setattr(calibration, "oracle_runs", lambda seeds: [])
+    monkeypatch.setattr(calibration, "tracking_error_m", lambda **fields: 0.03)
+    sigma_w, _, least = consistency.tune()
+    assert sigma_w[0] == pytest.approx(0.02, rel=0.05)
+    assert least == pytest.approx(np.log(0.03), abs=1e-3)
+    assert {scenario.arrival_mean for scenario in seen} == {"filtered"}

@@ -79,7 +79,7 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         0.001,
         0.001,
         0.5,
-        0.0034,
+        0.0033,
         0.001,
     )
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.5)
@@ -87,13 +87,13 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         0.001,
         0.001,
         0.001,
-        0.0034,
+        0.0033,
         0.001,
     )
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
     assert len(controls.scenario_of(values, "dual", SHORT).sigma_w) == 10
     assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (
-        0.0034,
+        0.0033,
         0.001,
     )
 

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 import rhec
+from rhec import paper
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.estimators import Choice, estimator_of
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 OUT_OF_RANGE = [
@@ -157,6 +160,37 @@ def test_sigma_w_has_an_entry_for_each_state_of_the_estimator():
         assert f"it should have {entries} entries" in refusal(
             estimator=estimator, speed_model=speed_model, sigma_w=(0.1,) * 3
         )
+
+
+def test_consistent_process_noise_brings_what_belongs_to_it_unless_that_is_given():
+    def noise(scenario):
+        settings = estimator_of("rhe").settings(scenario)
+        return Choice.of(scenario).arrival_mean, *np.sqrt([*settings["V"], *settings["W"]])
+
+    for name in ("printed", "calibrated"):
+        usual = noise(rhec.Scenario(process_noise=name))
+        assert usual[0] == "smoothed"
+        np.testing.assert_allclose(usual[1:5], paper.SIGMA_V)
+    scenario = rhec.Scenario(process_noise="consistent")
+    arrival_mean, *sigma = noise(scenario)
+    assert arrival_mean == "filtered" and sigma[3] > 2 * paper.SIGMA_V[3]
+    np.testing.assert_allclose(sigma[4:], tuning.SIGMA_W["rhe"]["consistent"])
+    own = dict(sigma_v=(0.1, 0.2, 0.3, 0.4), arrival_mean="smoothed", sigma_w=(0.5,) * 6)
+    assert noise(dataclasses.replace(scenario, **own))[0] == "smoothed"
+    np.testing.assert_allclose(
+        noise(dataclasses.replace(scenario, **own))[1:], (0.1, 0.2, 0.3, 0.4, *(0.5,) * 6)
+    )
+    printed = dataclasses.replace(scenario, process_noise="printed")
+    assert printed == rhec.Scenario()
+    with pytest.warns(FutureWarning, match="'process_noise'"):
+        assert rhec.Scenario(reading="consistent") == scenario
+
+
+def test_an_estimator_without_a_consistent_process_noise_says_so():
+    assert refusal(estimator="ekf", process_noise="consistent") == (
+        "process_noise was 'consistent'; for the estimator 'ekf' it should be one of "
+        "('printed', 'calibrated')"
+    )
 
 
 def test_only_a_scenario_is_simulated():

@@ -59,7 +59,9 @@ def _init(choice, guess, sigma=SIGMA_START):
 def _settings(scenario):
     sigma_w = tuning.SIGMA_W_TRACKING["dual"] if scenario.sigma_w is None else scenario.sigma_w
     return dict(
-        V=np.square(scenario.sigma_v), W=np.square(sigma_w), P_0=np.square([*SIGMA_START.values()])
+        V=np.square(tuning.sigma_v_of(scenario)),
+        W=np.square(sigma_w),
+        P_0=np.square([*SIGMA_START.values()]),
     )
 
 

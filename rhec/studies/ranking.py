@@ -2,7 +2,8 @@
 the truth, and how the pose filter's noise matters.
 
 Each estimator appears with the process noise W as printed, by likelihood, and by tracking
-(`rhec.studies.calibration`), as far as there is one.
+(`rhec.studies.calibration`: one procedure and one budget for all), as far as there is one; the RHE
+also as sure as it may be (`rhec.studies.consistency`).
 """
 
 import itertools
@@ -48,9 +49,9 @@ def _with(label, estimator, **fields):
     return _Contestant(label, dict(estimator=estimator, **fields))
 
 
-def _tracking(label, estimator):
+def _tracking(label, estimator, **fields):
     sigma_w = tuning.SIGMA_W_TRACKING[estimator]
-    return _with(f"{label}, W by tracking", estimator, sigma_w=sigma_w)
+    return _with(f"{label}, W by tracking", estimator, sigma_w=sigma_w, **fields)
 
 
 _PRINTED, _LIKELIHOOD = dict(process_noise="printed"), dict(process_noise="calibrated")
@@ -61,18 +62,29 @@ CONTESTANTS = {  # from the paper's own to the truth
     "augmented_printed": _with("augmented EKF, W printed", "augmented_ekf", **_PRINTED),
     "augmented_likelihood": _with("augmented EKF, W by likelihood", "augmented_ekf", **_LIKELIHOOD),
     "augmented_tracking": _tracking("augmented EKF", "augmented_ekf"),
+    "bounded_likelihood": _with("bounded EKF, W by likelihood", "bounded_ekf", **_LIKELIHOOD),
+    "bounded_tracking": _tracking("bounded EKF", "bounded_ekf"),
     "rhe_printed": _with("RHE, W printed", "rhe", **_PRINTED),
     "rhe_likelihood": _with("RHE, W by likelihood", "rhe", **_LIKELIHOOD),
+    "rhe_consistent": _with("RHE, consistent", "rhe", process_noise="consistent"),
     "rhe_tracking": _tracking("RHE", "rhe"),
+    "rhe_no_slip": _tracking("RHE without slip", "rhe_no_slip"),
+    "rhe_fixed_printed": _with("RHE, fixed traction, W printed", "rhe_fixed_traction", **_PRINTED),
+    "rhe_fixed_likelihood": _with(
+        "RHE, fixed traction, W by likelihood", "rhe_fixed_traction", **_LIKELIHOOD
+    ),
+    "rhe_fixed_tracking": _tracking("RHE, fixed traction", "rhe_fixed_traction"),
     "fixed_likelihood": _with("fixed traction, W by likelihood", "fixed_traction"),
     "fixed_tracking": _tracking("fixed traction", "fixed_traction"),
-    "dual": _with("dual, W by tracking", "dual", estimation_horizon=10),
+    "dual": _tracking("dual", "dual", **calibration.DUAL),
     "traction_likelihood": _with("traction oracle, W by likelihood", "traction_oracle"),
     "traction_tracking": _tracking("traction oracle", "traction_oracle"),
     "oracle": _with("full oracle", "oracle"),
 }
 PROPOSAL, PAPERS = CONTESTANTS["dual"].label, CONTESTANTS["rhe_printed"].label
 _ORACLES = [CONTESTANTS[id_].label for id_ in ("traction_likelihood", "traction_tracking")]
+# What estimating the traction is worth, or a window: each contestant over these, too.
+_RIVALS = [CONTESTANTS[id_].label for id_ in ("rhe_fixed_tracking", "bounded_tracking")]
 
 
 def scenarios(seeds):
@@ -92,7 +104,8 @@ def by_pose_noise(sigmas_rad, seeds):
     for sigma in sigmas_rad:
         sigma_w = (*tuned[:8], float(sigma), tuned[9])
         for seed in seeds:
-            run = simulate(Scenario(seed=seed, sigma_w=sigma_w, **CONTESTANTS["dual"].fields))
+            fields = CONTESTANTS["dual"].fields | dict(seed=seed, sigma_w=sigma_w)
+            run = simulate(Scenario(**fields))
             stays = settled_samples(run.columns["error_true_m"])
             log = run.log[stays[0] + SETTLING_SAMPLES :] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()
@@ -124,7 +137,8 @@ def step_times(ids, rounds=40):
 
 def ranking_table(sweep):
     """Means over seeds of every contestant, and ratios of mean true errors at equal seeds: to the
-    paper's RHE and to both traction oracles. The claims are the two asked of the proposal.
+    paper's RHE, both traction oracles, the RHE that estimates no traction and the bounded EKF. The
+    claims are those asked of the proposal.
 
     Args:
         sweep: rows of `rhec.campaign` with the column `contestant`, labels as in CONTESTANTS, the
@@ -135,17 +149,18 @@ def ranking_table(sweep):
     """
     runs = dict(list(sweep.groupby("contestant", sort=False)))
     targets = {PAPERS: 1 - LEAST_GAIN} | {oracle: 1 + MOST_ABOVE for oracle in _ORACLES}
+    targets |= dict.fromkeys(_RIVALS)
     errors, rows = {name: table["mean_error_true_m"] for name, table in runs.items()}, []
     for name in sorted(runs, key=lambda name: errors[name].mean()):
         for column, quantity in QUANTITIES.items():
             interval = over_seeds(np.mean, runs[name][column])._asdict()
             rows.append(dict(contestant=name, quantity=quantity) | interval)
         for other, most in targets.items():
-            if name != other:
+            if other in errors and name != other:
                 ratio = over_seeds(ratio_of_means, errors[name], errors[other])
                 row = dict(contestant=name, quantity=f"true error, ratio to {other}")
                 rows.append(row | ratio._asdict())
-                if name == PROPOSAL:
+                if name == PROPOSAL and most:
                     said = verdict(ratio.low, ratio.high, below=most)
                     rows[-1] |= dict(claim=f"at most {most:.2f}", verdict=said)
     columns = "contestant quantity mean low high n claim verdict".split()

@@ -122,7 +122,7 @@ def _estimator(name, given, build, n=4):
     def settings(scenario):
         tuned = tuning.SIGMA_W[name][scenario.process_noise]
         sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
-        return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w))
+        return dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.square(sigma_w))
 
     return Estimator(
         build_step=lambda choice: build(choice.dt_s),

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
@@ -29,10 +30,17 @@ class Choice(NamedTuple):
     @classmethod
     def of(cls, scenario):
         """The Choice of a Scenario."""
-        name = scenario.estimator
+        name, noise = scenario.estimator, scenario.process_noise
+        noises = tuple(tuning.SIGMA_W.get(name, tuning.ARRIVAL_MEAN))
+        if noise not in noises:
+            wanted = f"for the estimator {name!r} it should be one of {noises}"
+            raise ValueError(f"process_noise was {noise!r}; {wanted}")
         return cls(
             name.serialize() if isinstance(name, ca.Function) else name,
-            *(getattr(scenario, name) for name in cls._fields[1:5]),
+            scenario.estimation_horizon,
+            scenario.speed_model,
+            scenario.arrival_mean or tuning.ARRIVAL_MEAN[noise],
+            scenario.robust,
         )
 
 
@@ -107,7 +115,7 @@ def _init_own(choice, guess, sigma=None):
 _OWN = Estimator(
     build_step=lambda choice: ca.Function.deserialize(choice.estimator),
     init=_init_own,
-    settings=lambda scenario: dict(V=np.square(scenario.sigma_v), W=np.zeros(1)),
+    settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.zeros(1)),
 )
 ESTIMATORS = {
     "oracle": Estimator(

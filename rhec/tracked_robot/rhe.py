@@ -100,7 +100,7 @@ def _settings(scenario):
         scenario.speed_model,
         scenario.process_noise,
         scenario.sigma_w,
-        scenario.sigma_v,
+        tuning.sigma_v_of(scenario),
         track_width_m=scenario.track_width_m,
     )
 
@@ -131,7 +131,7 @@ def _held(name, given):
         tuned = tuning.SIGMA_W[name][scenario.process_noise]
         sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
         P_0 = np.square([SIGMA_START[name] for name in _HELD.joint_names])
-        return dict(V=np.square(scenario.sigma_v), W=np.square(sigma_w), P_0=P_0)
+        return dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.square(sigma_w), P_0=P_0)
 
     return Estimator(
         build_step=_build_held_step,
@@ -163,11 +163,11 @@ class PaperRHE(rhe.RHE):
     Args:
         dt: Length of a sample [s].
         horizon: Intervals of the window.
-        process_noise: "printed" or "calibrated", see Scenario.
+        process_noise: "printed", "calibrated" or "consistent", see Scenario.
         sigma_w: Standard deviations of the process noise instead of these.
-        sigma_v: Standard deviations of (x, y [m], ν [m/s], ω [rad/s]).
+        sigma_v: Standard deviations of (x, y [m], ν [m/s], ω [rad/s]); None: see Scenario.
         speed_model: "parameter", "input" or "slipping", see Scenario.
-        arrival_mean: "smoothed" or "filtered", see Scenario.
+        arrival_mean: "smoothed" or "filtered"; None: see Scenario.
         robust: Gate positions by their innovations, see Scenario.
         track_width_m: b [m].
         guess: First (x, y, θ, ν, μ, κ). Without it the first measurement's position and speed, yaw
@@ -185,11 +185,9 @@ class PaperRHE(rhe.RHE):
         horizon: valid.Intervals = paper.HORIZON,
         process_noise: valid.ProcessNoise = "printed",
         sigma_w: valid.NotNegatives | None = None,
-        sigma_v: tuple[
-            valid.Positive, valid.Positive, valid.Positive, valid.Positive
-        ] = paper.SIGMA_V,
+        sigma_v: valid.SigmaV | None = None,
         speed_model: valid.SpeedModel = "parameter",
-        arrival_mean: valid.ArrivalMean = "smoothed",
+        arrival_mean: valid.ArrivalMean | None = None,
         robust: valid.Flag = False,
         track_width_m: valid.Positive = paper.TRACK_WIDTH_M,
         guess: tuple[valid.Real, valid.Real, valid.Real, valid.Real, valid.Real, valid.Real]
@@ -199,6 +197,8 @@ class PaperRHE(rhe.RHE):
         if sigma_w is not None and len(sigma_w) != n_w:
             with_model = f"with speed_model {speed_model!r} it should have {n_w} entries"
             raise ValueError(f"sigma_w was {sigma_w!r}; {with_model}")
+        arrival_mean = arrival_mean or tuning.ARRIVAL_MEAN[process_noise]
+        sigma_v = sigma_v or tuning.SIGMA_V[process_noise]
         self._choice = Choice("rhe", horizon, speed_model, arrival_mean, robust, dt)
         self._guess = guess
         self.window = window_of(self._choice)

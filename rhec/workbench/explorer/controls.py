@@ -141,13 +141,15 @@ def values_of(scenario):
     """Each control's value in this scenario, with "process_noise", "seed" and "patches"."""
     own, noise = scenario.sigma_w, scenario.process_noise
     six = own if own is not None and len(own) == 6 else tuning.SIGMA_W["rhe"][noise]
-    fields_of = vars(scenario) | {"sigma_w": six}
+    fields_of = vars(scenario) | {"sigma_w": six, "sigma_v": tuning.sigma_v_of(scenario)}
+    fields_of["arrival_mean"] = Choice.of(scenario).arrival_mean
     names = (*CONTROLS, "seed", "patches")
     values = {
         key: fields_of[key[0]][key[1]] if isinstance(key, tuple) else fields_of[key]
         for key in names
     }
-    return values | {"process_noise": noise if own is None else "own"}
+    offered = own is None and noise in dict(PROCESS_NOISES).values()
+    return values | {"process_noise": noise if offered else "own"}
 
 
 def scenario_of(values, estimator, start):
@@ -174,9 +176,14 @@ def scenario_of(values, estimator, start):
     chosen["robust"] = chosen["robust"] and estimator in ROBUST_NAMES
     if chosen["process_noise"] == "own":
         chosen["process_noise"] = start.process_noise
+        if chosen["process_noise"] not in dict(PROCESS_NOISES).values():
+            chosen["process_noise"] = "calibrated"  # of which nothing is left
         chosen["sigma_w"] = _own_sigma_w(chosen)
     else:
         chosen["sigma_w"] = None
+    for name, usual in (("sigma_v", tuning.SIGMA_V), ("arrival_mean", tuning.ARRIVAL_MEAN)):
+        if chosen[name] == usual[chosen["process_noise"]]:
+            chosen[name] = None
     return Scenario(**chosen)
 
 
