@@ -180,9 +180,7 @@ class Setup:
         nested = {name: shape for name, shape in self.layout.items() if isinstance(shape, dict)}
         flat = self.layout | {name: (build.packed_size(inner), 1) for name, inner in nested.items()}
         pieces = build.unpack_array(memory, flat)
-        return pieces | {
-            name: build.unpack_array(pieces[name], inner) for name, inner in nested.items()
-        }
+        return pieces | {name: build.unpack_array(pieces[name], of) for name, of in nested.items()}
 
 
 _TAKEN_OVER = (
@@ -231,9 +229,7 @@ def set_up(scenario):
     memory |= faults.init() if scenario.faults else {}
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
     flat = memory | {name: build.pack_array(piece) for name, piece in nested.items()}
-    layout = build.shapes_of(flat) | {
-        name: build.shapes_of(piece) for name, piece in nested.items()
-    }
+    layout = build.shapes_of(flat) | {name: build.shapes_of(of) for name, of in nested.items()}
     settings |= estimator.settings(scenario)
     return Setup(structure, build.pack_array(flat), layout, settings, target, soil, guess)
 

@@ -10,6 +10,7 @@ import pytest
 
 import rhec
 from rhec.studies import ranking
+from rhec.studies.claims.ledger import ONE_WAY
 from rhec.workbench import results
 
 ROOT = Path(__file__).parents[1]
@@ -17,6 +18,7 @@ DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 RESULT = re.compile(r"<!-- results (\w+) -->\n(.*?)<!-- end -->", re.DOTALL)
+OF_CLAIMS = ("verdicts", "failed", "departures", "multiplicity", "changes")
 MADE = ("figures/", "build/", ".venv")  # by make: not there in a fresh clone
 
 
@@ -31,11 +33,9 @@ def test_a_page_is_short_and_narrow(name):
     assert [line for line in lines if len(line) > 100] == []
 
 
-def test_there_are_eight_pages():
-    expected = (
-        "architecture closer_to_the_limit extending interpretations log_columns naming results"
-    )
-    expected = [*expected.split(), "shared_computers"]
+def test_pages_are_these():
+    expected = "architecture claims closer_to_the_limit extending interpretations log_columns naming"
+    expected = [*expected.split(), "results", "shared_computers"]
     assert [page.stem for page in DOCS] == expected
 
 
@@ -159,10 +159,16 @@ def fake_tables():
         interval(31.7, weight="Q1", quantity="settling time [s]", claim=None),
         interval(3.21, "holds", weight="Q1 / Q3", quantity="settling time, ratio", claim="2 times"),
     ]
-    verdicts = ["holds", "holds", "does not hold", "holds under printed", "undecided"]
+    verdicts = ["holds", "holds", "does not hold", "holds only as printed", "undecided"]
     claims = [
-        dict(id=f"B{i}", claim=f"sentence {i}", verdict=verdict)
+        dict(id=f"B{i}", claim=f"sentence {i}", verdict=verdict, kind=verdict)
+        | dict(p=0.01 * (i + 1), p_adjusted=0.03 * (i + 1))
         for i, verdict in enumerate(verdicts)
+    ]
+    claims.append(claims[2] | dict(id="B5", claim="sentence 5", kind=ONE_WAY))
+    before = [
+        dict(id="B0", before="holds", reason=""),
+        dict(id="B1", before="undecided", reason="so"),
     ]
     world = dict(id="B5 p", claim="RHE's error is below", holds=0.612, low=0.533, high=0.714)
     faults = dict(handling="on", n=7, back=7, recovery_s_largest=17.3, verdict="holds")
@@ -174,6 +180,7 @@ def fake_tables():
             table_scenario_a=scenario_a,
             table_scenario_b=scenario_b,
             claims=claims,
+            claims_before=before,
             multiverse=[world],
             table_faults=[faults, faults, late],
             table_beyond=[interval(0.683, "holds", contestant="dual", quantity=ratio)],
@@ -189,13 +196,20 @@ def written(name):
 
 
 def test_results_are_written_as_the_tables_have_them():
-    readme, docs = written("README.md"), written("results.md")
+    readme, docs, claims = map(written, ("README.md", "results.md", "claims.md"))
     assert "| RHE error [m] | 0.111 [0.0903, 0.142] | 0.112 [0.0916, 0.143] | 0.082 |" in readme[
         "summary"
     ].replace("  ", " ")
     assert "holds: 2; " in readme["verdicts"]
-    assert "holds under one interpretation only: 1" in readme["verdicts"]
-    assert docs["failed"] == "B2: sentence 2.\n"
+    assert "holds as printed: 1" in readme["verdicts"]
+    assert "so not tested: 1." in readme["verdicts"].replace("\n", " ")
+    assert claims["failed"] == "B2: sentence 2; B5*: sentence 5.\n"
+    assert claims["departures"] == "B3 sentence 3: holds only as printed.\n"
+    assert "4 verdicts" in claims["multiplicity"] and "1 remain; not B1, B2, B3." in claims[
+        "multiplicity"
+    ].replace("\n", " ")
+    assert "| B1 | undecided | holds | so |" in claims["changes"]
+    assert "| B0 |" not in claims["changes"] and "| B5 | – | does not hold* |" in claims["changes"]
     assert docs["multiverse"] == "B5 p RHE's error is below: 0.612 [0.533, 0.714].\n"
     assert docs["faults"].endswith("| on | 3 | 2 | 2 | 33.1 |\n")
     assert docs["beyond"] == "dual: 0.683 [0.662, 0.714]: holds.\n"
@@ -206,7 +220,7 @@ def numbers(text):
     return set(re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\d)", text))
 
 
-@pytest.mark.parametrize("name", ["README.md", "results.md"])
+@pytest.mark.parametrize("name", ["README.md", "results.md", "claims.md"])
 def test_every_number_of_a_result_comes_from_a_table(name):
     values, counts = set(), {"1", "2", "3"}
     for table in fake_tables().values():
@@ -224,14 +238,14 @@ def test_no_number_stands_beside_the_results():
         assert beside <= {"0.12", "5", "95", "1"}  # the tolerance, settling, intervals, consistent
 
 
-@pytest.mark.parametrize("name", ["README.md", "results.md"])
+@pytest.mark.parametrize("name", ["README.md", "results.md", "claims.md"])
 def test_results_whose_table_was_not_made_stay(name):
     assert results.rewrite(TEXT[name], {}) == TEXT[name]
     tables = fake_tables()
     del tables["claims"]
     before, after = (dict(RESULT.findall(results.rewrite(TEXT[name], t))) for t in ({}, tables))
     for result, text in after.items():
-        assert (text == before[result]) == (result in ("verdicts", "failed")), result
+        assert (text == before[result]) == (result in OF_CLAIMS), result
 
 
 def test_an_unknown_result_is_refused():
@@ -242,13 +256,16 @@ def test_an_unknown_result_is_refused():
 def test_a_page_is_written_only_when_its_results_changed(tmp_path, capsys):
     (tmp_path / "docs").mkdir()
     (tmp_path / "figures").mkdir()
-    pages = {tmp_path / "README.md": "README.md", tmp_path / "docs/results.md": "results.md"}
+    pages = {tmp_path / "README.md": "README.md"}
+    pages |= {tmp_path / f"docs/{name}": name for name in ("results.md", "claims.md")}
     for page, name in pages.items():
         page.write_text(TEXT[name], encoding="utf-8")
+    (tmp_path / "data").mkdir()
     for name, table in fake_tables().items():
-        table.to_csv(tmp_path / f"figures/{name}.csv", index=False)
+        folder = "data" if name == "claims_before" else "figures"
+        table.to_csv(tmp_path / f"{folder}/{name}.csv", index=False)
     results.main(tmp_path)
-    assert capsys.readouterr().out.count("written anew") == 2
+    assert capsys.readouterr().out.count("written anew") == 3
     first = {page: (page.read_text(encoding="utf-8"), page.stat().st_mtime_ns) for page in pages}
     for page, name in pages.items():
         assert first[page][0] == results.rewrite(TEXT[name], fake_tables())

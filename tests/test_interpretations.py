@@ -103,7 +103,7 @@ def moved(virtual_machine):
 
 def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
     assert (
-        set(moved["interpretation"]) == {"baseline", "R1", "R2", "R3 a", "R10"}
+        set(moved["interpretation"]) == {"baseline", "R1", "R2", "R3 a", "R10", "R14"}
         and (moved["n"] == 3).all()
     )
     assert (
@@ -127,7 +127,7 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
 
 def test_the_forest_has_a_row_for_each_interpretation(moved):
     figure = forest(moved, "calibrated")
-    assert len(figure.axes[0].get_yticklabels()) == 4
+    assert len(figure.axes[0].get_yticklabels()) == 5
     assert {axes.get_xscale() for axes in figure.axes} == {"linear"}
 
 

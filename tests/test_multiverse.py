@@ -28,6 +28,7 @@ def made_up(drawn, **errors):
         "settling_time_s",
         "mean_error_m",
         "mean_error_true_m",
+        "max_error_true_m",
         "violations",
         "violations_true",
         "overshoot_m",

@@ -1,6 +1,7 @@
 """Many runs in one process: several at a time, one in each lane of the processor's registers."""
 
 import contextlib
+import operator
 
 from rhec import simulation
 from rhec._casadi import lanes
@@ -12,8 +13,8 @@ _WORTH_COMPILING, _WORTH_USING = 400_000, 10_000
 MOST_SAMPLES = 200_000  # of the runs side by side, which are all in memory
 
 
-def run_in_lanes(scenarios, alike):
-    """{key: metrics} of those of the scenarios {key: scenario} that lanes can run.
+def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
+    """{key: `of` its Run} of those of the scenarios {key: scenario} that lanes can run.
 
     Not those that fail: `simulate` says why. alike: about how many samples a structure has in all.
     """
@@ -29,10 +30,10 @@ def run_in_lanes(scenarios, alike):
                 group = waiting.setdefault((setup.structure, samples), {})
                 group[key] = scenario, setup
                 if len(group) == block.lanes:
-                    done |= _run(block, waiting.pop((setup.structure, samples)))
+                    done |= _run(block, waiting.pop((setup.structure, samples)), of)
     for (structure, _), group in waiting.items():
         with contextlib.suppress(Exception):
-            done |= _run(_block(structure, alike), group)
+            done |= _run(_block(structure, alike), group, of)
     return done
 
 
@@ -43,11 +44,11 @@ def _block(structure, alike):
     return lanes.load(*sample) if pays else None
 
 
-def _run(block, group):
-    """{key: metrics} of {key: (scenario, setup)}, of one structure and length."""
+def _run(block, group, of):
+    """{key: `of` its Run} of {key: (scenario, setup)}, of one structure and length."""
     scenarios, setups = zip(*group.values())
     streams = [simulation.noise_and_faults(each, simulation.n_samples(each)) for each in scenarios]
     memories, settings = [each.memory for each in setups], [each.settings for each in setups]
     rows = lanes.scan(block, memories, streams, settings)
     runs = map(simulation.finish, scenarios, setups, rows)
-    return {key: run.metrics for key, run in zip(group, runs)}
+    return {key: of(run) for key, run in zip(group, runs)}

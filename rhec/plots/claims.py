@@ -6,28 +6,31 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec.plots import style
+from rhec.studies.claims.ledger import ONE_WAY
 from rhec.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 
 __all__ = ["save_ledger", "verdicts"]
 
-_PARTLY = "holds under one"
+_PARTLY = "holds as printed or with a departure"
 _LOOKS = {
     HOLDS: (style.GREEN, "✓"),
     _PARTLY: (style.BLUE, "±"),
     FAILS: (style.VERMILLION, "×"),
     UNDECIDED: (style.ORANGE, "?"),
+    ONE_WAY: ("0.45", "="),
     UNTESTABLE: (style.GREY, "–"),
 }
-_MEANINGS = {_PARTLY: "holds under one process noise only", UNTESTABLE: "cannot be tested here"}
+_MEANINGS = {ONE_WAY: "one outcome", UNTESTABLE: "untestable"}
 # in print; the CSV has everything
 _PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict"]
+_RULES = ["id", "test", "bound", "conditions", "reached", "p_adjusted"]
 # across the figure, in hundredths: sign, bound, end of the intervals' panel, paper's numbers
 _SIGN, _BOUND, _END, _PAPER = 44.5, 54.5, 62.0, 72.0
 _ROW_IN = 0.128  # height of a row
 
 
-def _kind(verdict):
-    return _PARTLY if verdict.startswith(f"{HOLDS} under") else verdict
+def _kind(kind):
+    return _PARTLY if kind.startswith(f"{HOLDS} ") else kind
 
 
 def _number(value):
@@ -60,11 +63,16 @@ def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
     look["column_format"] = "lp{0.34\\linewidth}llllllp{0.14\\linewidth}"
     latex = words.to_latex(**look)
     csv.with_suffix(".tex").write_text(style.as_comments(about) + latex, encoding="utf-8")
-    rows = [words.columns, ["---"] * len(words.columns), *words.astype(str).to_numpy()]
-    cells = [[str(entry).replace("|", "\\|") for entry in row] for row in rows]
-    lines = [f"<!-- {about['Creator']} -->", *(f"| {' | '.join(row)} |" for row in cells), ""]
-    csv.with_suffix(".md").write_text("\n".join(lines), encoding="utf-8")
+    rules = table[_RULES].assign(p_adjusted=table["p_adjusted"].map(_number))
+    pages = [f"<!-- {about['Creator']} -->", _markdown(words), _markdown(rules)]
+    csv.with_suffix(".md").write_text("\n".join(pages), encoding="utf-8")
     return csv
+
+
+def _markdown(frame):
+    rows = [frame.columns, ["---"] * len(frame.columns), *frame.astype(str).to_numpy()]
+    cells = [[str(entry).replace("|", "\\|") for entry in row] for row in rows]
+    return "\n".join([*(f"| {' | '.join(row)} |" for row in cells), ""])
 
 
 def _relative_to_bound(value, low, high, above, below, verdict):
@@ -137,11 +145,11 @@ def verdicts(table):
         (_BOUND + 0.7, "holds", "left"),
         (_PAPER, "paper", "right"),
         (_PAPER + 1, "ours [95 %]", "left"),
-        (100, "holds under", "right"),
+        (100, "holds", "right"),
     ]:
         axes.text(x, -1.2, label, fontsize=6.5, ha=align, weight="bold", **centred)
-    kinds = table["verdict"].map(_kind)
-    for x, kind in zip((1.0, 12.5, 43.0, 60.5, 74.5), _LOOKS):
+    kinds = table["kind"].map(_kind)
+    for x, kind in zip((1.0, 11.0, 44.5, 61.5, 74.5, 89.0), _LOOKS):
         _draw_sign(axes, x, -3.4, kind)
         count = f"{_MEANINGS.get(kind, kind)}: {(kinds == kind).sum()}"
         axes.text(x + 1.5, -3.4, count, fontsize=7, **centred)
@@ -149,7 +157,7 @@ def verdicts(table):
 
 
 def _draw_row(axes, place, row):
-    kind, text = _kind(row.verdict), dict(fontsize=5.4, va="center_baseline")
+    kind, text = _kind(row.kind), dict(fontsize=5.4, va="center_baseline")
     colour, _ = _LOOKS[kind]
     axes.text(0, place, row.id, **text, weight="bold")
     axes.text(4.0, place, row.claim, **text)

@@ -1,4 +1,4 @@
-"""Audit of the interpretations R1 to R13: what each way to read the paper does to the estimators,
+"""Audit of the interpretations R1 to R14: what each way to read the paper does to the estimators,
 by analysis and by simulation.
 
 Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
@@ -115,8 +115,8 @@ def likelihood_profile(estimator, place, factors, seeds=3):
     return pd.DataFrame(dict(sigma=sigmas, deviance=found - found.min()))
 
 
-# id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); R11 and R12
-# concern what is reported, not what is driven
+# id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); R11, R12
+# and R14 concern what is reported, not what is driven
 INTERPRETATIONS = {
     "R3 a": ("speed 0.3 m/s", dict(speed_mps=0.3)),
     "R3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),
@@ -164,10 +164,12 @@ def one_at_a_time(baseline, seeds):
     for name in asked:
         rhe, ekf = runs[name, "rhe"], runs[name, "ekf"]
         found[name] = rhe.assign(advantage_m=rhe.mean_error_true_m - ekf.mean_error_true_m)
-    for name, (words, *_) in asked.items():
+    usual = found["baseline"]
+    found["R14"] = usual.assign(mean_error_m=usual["mean_error_from_start_m"])
+    for name, (words, *_) in (asked | {"R14": ("errors from the start",)}).items():
         for column, quantity in QUANTITIES.items():
             value = statistics.mean(found[name][column])
-            moved = statistics.difference(found[name][column], found["baseline"][column])
+            moved = statistics.difference(found[name][column], usual[column])
             rows.append(
                 dict(interpretation=name, words=words, quantity=quantity)
                 | dict(value=value.value, low=value.low, high=value.high, change=moved.value)

@@ -53,6 +53,7 @@ _CALIBRATED = dict(process_noise="calibrated")
 VARIANTS = {
     "rhe_p": (dict(), False),
     "rhe_c": (_CALIBRATED, False),
+    "oracle": (dict(estimator="oracle"), False),
     "ekf_p": (dict(estimator="ekf"), False),
     "ekf_c": (dict(estimator="ekf") | _CALIBRATED, False),
     "q1": (dict(q=paper.Q1) | _CALIBRATED, True),
@@ -83,7 +84,12 @@ def _overshoots(one, other, factor):
 
 
 def _stays(runs):
-    return runs.arrived & (runs.mean_error_true_m < paper.TOLERANCE_M)
+    return runs.arrived & (runs.max_error_true_m < paper.TOLERANCE_M)
+
+
+def _beside(flags, best):
+    """What the oracle does not do either is held against nobody."""
+    return flags | ~best
 
 
 CLAIMS = {  # ids as in the ledger, with the process noise
@@ -91,16 +97,25 @@ CLAIMS = {  # ids as in the ledger, with the process noise
         "Q¹ settles at least twice as slowly as Q³",
         lambda r: _less(2 * r.rhe_c.settling_time_s, r.q1.settling_time_s),
     ),
-    "A2 c": Claim(
+    "A10 c": Claim(
         "Q² overshoots at least twice as far as Q³", lambda r: _overshoots(r.q2, r.rhe_c, 2)
     ),
     "A5 c": Claim(
         "Look-ahead at least halves the overshoot of Q²",
         lambda r: -_overshoots(r.q2_look_ahead, r.q2, 0.5),
     ),
-    "B1 p": Claim("RHE arrives and stays", lambda r: _stays(r.rhe_p)),
-    "B1 c": Claim("RHE arrives and stays", lambda r: _stays(r.rhe_c)),
-    "B2 c": Claim("EKF arrives and stays", lambda r: _stays(r.ekf_c)),
+    "B1 p": Claim(
+        "RHE stays within 0.12 m where the oracle does",
+        lambda r: _beside(_stays(r.rhe_p), _stays(r.oracle)),
+    ),
+    "B1 c": Claim(
+        "RHE stays within 0.12 m where the oracle does",
+        lambda r: _beside(_stays(r.rhe_c), _stays(r.oracle)),
+    ),
+    "B2 c": Claim(
+        "EKF stays within 0.12 m where the oracle does",
+        lambda r: _beside(_stays(r.ekf_c), _stays(r.oracle)),
+    ),
     "B5 p": Claim(
         "RHE's mean error is below the EKF's",
         lambda r: _less(r.rhe_p.mean_error_m, r.ekf_p.mean_error_m),
@@ -109,9 +124,18 @@ CLAIMS = {  # ids as in the ledger, with the process noise
         "RHE's mean error is below the EKF's",
         lambda r: _less(r.rhe_c.mean_error_m, r.ekf_c.mean_error_m),
     ),
-    "B7 p": Claim("RHE: no violation by raw GNSS", lambda r: r.rhe_p.violations == 0),
-    "B7 c": Claim("RHE: no violation by raw GNSS", lambda r: r.rhe_c.violations == 0),
-    "B8 c": Claim("RHE: no violation by true position", lambda r: r.rhe_c.violations_true == 0),
+    "B7 p": Claim(
+        "RHE: no violation by raw GNSS where the oracle has none",
+        lambda r: _beside(r.rhe_p.violations == 0, r.oracle.violations == 0),
+    ),
+    "B7 c": Claim(
+        "RHE: no violation by raw GNSS where the oracle has none",
+        lambda r: _beside(r.rhe_c.violations == 0, r.oracle.violations == 0),
+    ),
+    "B8 c": Claim(
+        "RHE: no violation by true position where the oracle has none",
+        lambda r: _beside(r.rhe_c.violations_true == 0, r.oracle.violations_true == 0),
+    ),
     "B19 c": Claim(
         "RHC's output reaches its bounds",
         lambda r: r.rhe_c.omega_peak_radps >= paper.OMEGA_MAX_RADPS * (1 - 1e-9),

@@ -1,4 +1,4 @@
-"""Write the results in README.md and docs/results.md from the tables in figures/.
+"""Write the results in README.md, docs/results.md and docs/claims.md from the tables in figures/.
 
 A result stands between `<!-- results NAME -->` and `<!-- end -->`. Where a table that it needs was
 not made, the text that stands there stays.
@@ -9,6 +9,8 @@ import textwrap
 from pathlib import Path
 
 import pandas as pd
+
+from rhec.studies.claims.ledger import ONE_WAY, survivors
 
 __all__ = ["main", "rewrite"]
 
@@ -30,8 +32,9 @@ def rewrite(text, tables):
 
 def main(root=_ROOT):
     """Write every page whose results changed, in the project's folder `root`."""
-    tables = {path.stem: pd.read_csv(path) for path in (root / "figures").glob("*.csv")}
-    for page in (root / "README.md", root / "docs/results.md"):
+    files = [*(root / "figures").glob("*.csv"), root / "data/claims_before.csv"]
+    tables = {path.stem: pd.read_csv(path) for path in files if path.exists()}
+    for page in (root / "README.md", root / "docs/results.md", root / "docs/claims.md"):
         old = page.read_text(encoding="utf-8")
         new = rewrite(old, tables)
         if new != old:
@@ -75,13 +78,41 @@ def _summary(a, b):
 
 
 def _verdicts(claims):
-    one = claims["verdict"].str.startswith("holds under")
-    return _list(claims["verdict"].mask(one, "holds under one interpretation only").value_counts())
+    kinds = claims["kind"].str.replace("only as printed", "as printed")
+    departures = "holds with a departure from it (W calibrated, …)"
+    kinds = kinds.str.replace("holds (only )?with .*", departures, regex=True)
+    return _list(kinds.value_counts(sort=False).sort_values(ascending=False, kind="stable"))
 
 
 def _failed(claims):
     failed = claims[claims["verdict"] == "does not hold"]
-    return _list(failed.set_index("id")["claim"])
+    once = failed["kind"].eq(ONE_WAY).map({True: "*", False: ""})
+    return _list(failed.set_index(failed["id"] + once)["claim"])
+
+
+def _departures(claims):
+    """Claims that the text as printed and departures from it decide differently."""
+    some = claims[claims["kind"].str.startswith("holds ")]
+    return _list(pd.Series(some["verdict"].values, some["id"] + " " + some["claim"]))
+
+
+def _multiplicity(claims):
+    n, lost = survivors(claims)
+    text = (
+        f"{n} verdicts rest on an interval. With the false discovery rate held at 5 % over the "
+        f"whole ledger (Benjamini and Yekutieli), {n - len(lost)} remain"
+    )
+    return textwrap.fill(text + (f"; not {', '.join(lost)}." if lost else "."), 100)
+
+
+def _changes(claims, before):
+    """Claims whose verdict is another than in the last ledger, and why."""
+    old, new = before.set_index("id"), claims.set_index("id")
+    both = new.join(old, how="outer").reindex([*dict.fromkeys([*new.index, *old.index])])
+    both[["before", "verdict", "kind"]] = both[["before", "verdict", "kind"]].fillna("–")
+    rows = both[both["before"] != both["verdict"]].reset_index()
+    rows["now"] = rows["verdict"].mask(rows["kind"] == ONE_WAY, rows["verdict"] + "*")
+    return _table(rows[["id", "before", "now", "reason"]])
 
 
 def _multiverse(table):
@@ -105,6 +136,9 @@ _RESULTS = {  # the tables that a result needs, and the function of them that wr
     "settling": (["table_scenario_a"], _means("weight", "settling time [s]")),
     "verdicts": (["claims"], _verdicts),
     "failed": (["claims"], _failed),
+    "departures": (["claims"], _departures),
+    "multiplicity": (["claims"], _multiplicity),
+    "changes": (["claims", "claims_before"], _changes),
     "multiverse": (["multiverse"], _multiverse),
     "faults": (["table_faults"], _faults),
     "beyond": (["table_beyond"], _means("contestant", "true error, ratio to RHE, W printed")),

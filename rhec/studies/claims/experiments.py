@@ -5,10 +5,12 @@ Each returns a DataFrame, one row a case.
 """
 
 import time
+from functools import partial
 
 import casadi as ca
 import numpy as np
 import pandas as pd
+from scipy import optimize
 
 from rhec import paper
 from rhec._casadi import compiled, scan
@@ -25,7 +27,7 @@ from rhec.simulation import simulate
 from rhec.solver.rti import PHASES
 from rhec.studies import timing
 from rhec.studies.calibration import SETTLED_S
-from rhec.studies.claims.run_sets import PROCESS_NOISES
+from rhec.studies.claims.run_sets import PROCESS_NOISES, each
 from rhec.studies.live_loop import LiveRobot
 from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot import path, tuning
@@ -35,8 +37,8 @@ from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
-    "all_of", "gains", "iterations", "kkt_tolerances", "live", "models", "reached_s",
-    "run_with_given_arrival", "times", "with_given_arrival"
+    "all_of", "gains", "kkt_tolerances", "live", "lowest_traction", "models", "of_estimators",
+    "reached_s", "run_with_given_arrival", "steps_in_time", "with_given_arrival"
 ]  # fmt: skip
 
 
@@ -87,33 +89,30 @@ def run_with_given_arrival(steps, log, process_noise, P_given=None):
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
 
 
-def _arrival_costs(process_noise, seeds):
-    """The RHE with its arrival cost as it is, and with constant ones, on the same recorded runs
-    (driven with the true state in the loop).
+def _arrival_cost(process_noise, world, seeds):
+    """The RHE with its arrival cost as it is, and with constant ones, on the same recorded run
+    (driven with the true state in the loop), as one row for the one seed.
 
     A constant covariance is the run's mean one over 100 ("heavy": a large weight H_N), times 100
     ("light"), or times 10⁸ ("none"). For each: RMS change of κ̂ from sample to sample, time until
     |κ̂ - κ| first stays below 0.1 for 5 s, whether the yaw was ever more than 0.5 rad off; and the
     least eigenvalue of P - W over all samples, in units of W.
     """
-    steps, rows = compiled.load(_build_scan, with_given_arrival().serialize()), []
+    (seed,), steps = seeds, compiled.load(_build_scan, with_given_arrival().serialize())
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
-    for seed in range(seeds):
-        run = simulate(Scenario(estimator="oracle", seed=seed))
-        log, row = run.log, {}
-        estimates, P = run_with_given_arrival(steps, log, process_noise)
-        half = 1 / np.sqrt(sigma**2)  # P - W in units of W, where all eigenvalues compare
-        row["least"] = np.linalg.eigvalsh(half[:, None] * (P - np.diag(sigma**2)) * half).min()
-        typical = P[paper.HORIZON + 1 :].mean(axis=0)
-        for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
-            if factor is not None:
-                estimates, _ = run_with_given_arrival(steps, log, process_noise, factor * typical)
-            error = estimates[:, 5] - log["kappa"].to_numpy()
-            yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
-            row[f"step_{name}"] = rms(np.diff(estimates[:, 5]))
-            row |= {f"reached_s_{name}": reached_s(error), f"lost_{name}": np.abs(yaw).max() > 0.5}
-        rows.append(row)
-    return pd.DataFrame(rows)
+    log = simulate(Scenario(**(world | dict(estimator="oracle", seed=seed)))).log
+    estimates, P = run_with_given_arrival(steps, log, process_noise)
+    half = 1 / np.sqrt(sigma**2)  # P - W in units of W, where all eigenvalues compare
+    row = dict(least=np.linalg.eigvalsh(half[:, None] * (P - np.diag(sigma**2)) * half).min())
+    typical = P[paper.HORIZON + 1 :].mean(axis=0)
+    for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
+        if factor is not None:
+            estimates, _ = run_with_given_arrival(steps, log, process_noise, factor * typical)
+        error = estimates[:, 5] - log["kappa"].to_numpy()
+        yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
+        row[f"step_{name}"] = rms(np.diff(estimates[:, 5]))
+        row |= {f"reached_s_{name}": reached_s(error), f"lost_{name}": np.abs(yaw).max() > 0.5}
+    return [row]
 
 
 def reached_s(error):
@@ -164,20 +163,44 @@ def live(scenario, iterations):
     return distance_m, np.array(taken), np.array(warm), np.array(cold)
 
 
-def iterations(process_noise, seeds, duration_s=80.0, many=10):
-    """One iteration a sample against `many`, in the closed loop at equal seeds, counted once
-    settled: mean true errors [m], median times [µs]; and the RMS distance [rad/s] of the command
-    after one iteration from the converged one, started warm and cold.
+def _iterations(process_noise, world, seeds, many=10):
+    """One iteration a sample against `many`, in the closed loop on one field, counted once settled:
+    mean true errors [m], median times [µs]; the RMS distance [rad/s] of the command after one
+    iteration from the converged one, started warm and cold, and the largest warm one of all.
+    """
+    given = dict(process_noise=process_noise, seed=seeds[0], duration_s=80.0)
+    scenario = Scenario(**(world | given))
+    one_m, one_s, warm, cold = live(scenario, 1)
+    many_m, many_s, _, _ = live(scenario, many)
+    settled = slice(round(SETTLED_S / paper.DT_S), None)
+    row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
+    row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
+    row |= dict(rms_warm=rms(warm[settled]), rms_cold=rms(cold[settled]))
+    return [row | dict(max_warm=np.abs(warm).max())]
+
+
+def lowest_traction(process_noise, most=400):
+    """A search for a traction estimate of the augmented EKF below zero: start, first guess of the
+    yaw, soil, bumps and field are chosen by differential evolution until one is found, or so many
+    runs were tried. One row a run, with the lowest estimate.
     """
     rows = []
-    for seed in range(seeds):
-        scenario = Scenario(process_noise=process_noise, seed=seed, duration_s=duration_s)
-        one_m, one_s, warm, cold = live(scenario, 1)
-        many_m, many_s, _, _ = live(scenario, many)
-        settled = slice(round(SETTLED_S / paper.DT_S), None)
-        row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
-        row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
-        rows.append(row | dict(rms_warm=rms(warm[settled]), rms_cold=rms(cold[settled])))
+    ranges = dict(guess_yaw_rad=(-np.pi, np.pi), start_offset_m=(-3, 3), seed=(0, 999))
+    ranges |= dict(kappa_mean=(0.5, 0.9), kappa_deviation=(0.0, 0.2), bump_sigma_radps=(0, 0.1))
+
+    def lowest(values):
+        given = dict(zip(ranges, values)) | dict(seed=round(values[2]), duration_s=60.0)
+        choice = dict(estimator="augmented_ekf", process_noise=process_noise)
+        columns = simulate(Scenario(**given, **choice)).columns
+        row = given | dict(lowest=min(columns["mu_hat"].min(), columns["kappa_hat"].min()))
+        rows.append(row)
+        return row["lowest"]
+
+    options = dict(popsize=3, polish=False, rng=np.random.default_rng(0), tol=0)
+    optimize.differential_evolution(
+        lowest, [*ranges.values()], maxiter=most // (3 * len(ranges)),
+        callback=lambda _, convergence: min(row["lowest"] for row in rows) < 0, **options,
+    )  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -231,8 +254,8 @@ def gains(n=100):
 
 
 def models(n=100):
-    """The system model at random states: |f(0, 0, p)| [m/s], and how far rk4 without slip is from
-    the unicycle's own motion [m].
+    """The system model at random states: |f(0, 0, p)| [m/s], how far rk4 without slip is from the
+    unicycle's own motion [m], and the speed across its heading [m/s].
     """
     rng, rows = np.random.default_rng(0), []
     for speed, mu, kappa, _ in _draw_states(n):
@@ -242,28 +265,38 @@ def models(n=100):
         moved = rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S)
         circle = path.advance(*pose, omega / speed, speed * paper.DT_S, np)
         off = np.abs(np.array(ca.DM(moved)).ravel() - circle).max()
-        rows.append(dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=off))
+        x, y, _ = np.array(ca.DM(model.f(ca.DM(pose), omega, ca.DM([speed, mu, kappa])))).ravel()
+        sideways = abs(y * np.cos(pose[2]) - x * np.sin(pose[2]))
+        row = dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=off, sideways_mps=sideways)
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
-def times(qp, duration_s=60.0):
-    """Times [µs] of the four phases at every sample: on the condensed QP ("daqp"), as in the paper,
-    or by its stages ("structured"), the default here.
-    """
-    columns = [f"{problem}_{phase}" for problem, phase in timing.PHASES]
-    scenario = Scenario(process_noise="calibrated", duration_s=duration_s)
-    return pd.DataFrame(timing.phases(scenario, qp), columns=columns)
+def steps_in_time(duration_s=60.0):
+    """Whether the whole step took less than a sample, at every sample of a run on this machine."""
+    taken = timing.phases(Scenario(process_noise="calibrated", duration_s=duration_s), "daqp")
+    return pd.DataFrame(dict(in_time=taken.sum(axis=1) < 1e6 * paper.DT_S))
+
+
+def of_estimators(seeds, process_noise, world=None):
+    """The experiments that a process noise touches, {name: table}, in a world of WORLDS."""
+    given = process_noise, world or {}
+    counts = {
+        "arrival_cost": (_arrival_cost, seeds // 10),
+        "iterations": (_iterations, seeds // 25),
+    }
+    return {
+        name: pd.DataFrame(each(partial(row, *given), range(max(2, n))))
+        for name, (row, n) in counts.items()
+    }
 
 
 def all_of(seeds):
     """Every experiment, {process noise: {name: table}}; what no process noise touches stands under
     both. `seeds` is the largest number of fields of a campaign.
     """
-    independent = dict(kkt=kkt_tolerances(), gains=gains(), models=models())
-    independent |= {f"times_{qp}": times(qp) for qp in ("daqp", "structured")}
-    found = {}
-    for process_noise in PROCESS_NOISES:
-        arrival_cost = _arrival_costs(process_noise, max(2, seeds // 10))
-        repeated = iterations(process_noise, max(2, seeds // 100))
-        found[process_noise] = independent | dict(arrival_cost=arrival_cost, iterations=repeated)
-    return found
+    independent = dict(kkt=kkt_tolerances(), gains=gains(), models=models(), times=steps_in_time())
+    return {
+        noise: independent | of_estimators(seeds, noise) | dict(search=lowest_traction(noise))
+        for noise in PROCESS_NOISES
+    }

@@ -6,6 +6,7 @@ length is the same field and the same noise. RUNS need their metrics alone and r
 LOGS need what only each sample shows.
 """
 
+import itertools
 from types import SimpleNamespace
 
 import casadi as ca
@@ -14,30 +15,30 @@ import pandas as pd
 
 from rhec import paper
 from rhec.campaigns.campaign import campaign
+from rhec.campaigns.side_by_side import run_in_lanes
+from rhec.campaigns.workers import dask_client, run_on
 from rhec.metrics import rms
 from rhec.scenario import Scenario
-from rhec.simulation import simulate
+from rhec.simulation import n_samples, simulate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
 __all__ = [
-    "LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "complete", "drive", "lag_s", "logs",
-    "measured", "runs", "scenarios"
+    "LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "WORLDS", "complete", "drive", "each",
+    "lag_s", "logs", "measured", "runs", "scenarios"
 ]  # fmt: skip
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
-_MU, _KAPPA = 0.9, 0.8  # the default soil's means, as constants
+_SWING_M = 0.05  # so far to one side and then to the other is a swing
 _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
+_SLIPPERY |= dict(duration_s=120.0)
 _UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
 _ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
-_CONSTANT = dict(terrain=Terrain.uniform(_MU, _KAPPA))
+_CONSTANT = dict(terrain=Terrain.uniform(0.9, 0.8))  # the default soil's means
 _NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps".split()
 _UNDISTURBED = dict.fromkeys(_NOISES, 0.0)
-
-
-def _ekf_noise(process_noise):
-    return tuning.SIGMA_W["ekf"][process_noise]
+_ORACLE = dict(estimator="oracle", process_noise="printed")  # it has no W
 
 
 def _traction_noise_times(factor):
@@ -58,59 +59,104 @@ def _dead_reckoning(process_noise):
     return ca.Function("dead_reckoned", [memory, z], [estimate, estimate], options)
 
 
-_FIXED = dict(estimator="fixed_traction", sigma_w=_ekf_noise)
+def _filtered_w(process_noise):
+    """The RHE's W where its arrival mean is the filter's: calibrated, it has its own."""
+    of_filtered = {"calibrated": tuning.SIGMA_W_FILTERED}
+    return of_filtered.get(process_noise, tuning.SIGMA_W["rhe"][process_noise])
 
-# id: (fields of the scenario, share of the seeds); a field may depend on the process noise
+
+def _by_tracking(estimator):
+    sigma_w = tuning.SIGMA_W_TRACKING[estimator]
+    return dict(estimator=estimator, sigma_w=sigma_w, process_noise="printed")
+
+
+_FILTERED = dict(arrival_mean="filtered", sigma_w=_filtered_w)
+
+# id: fields of the scenario; a field may depend on the process noise
 RUNS = {
-    "rhe": (dict(), 1.0),
-    "ekf": (dict(estimator="ekf"), 0.4),
-    "q1": (dict(q=paper.Q1) | _ON_ROW, 0.1),
-    "q2": (dict(q=paper.Q2) | _ON_ROW, 0.1),
-    "q2_look_ahead": (dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _ON_ROW, 0.1),
-    "q3": (dict(q=paper.Q3) | _ON_ROW, 0.2),
-    "q2_small_r": (dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW, 0.2),
-    "q3_small_r": (dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW, 0.1),
-    "q3_no_terminal_weight": (dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW, 0.1),
-    "known_traction": (dict(estimator="traction_oracle", sigma_w=_ekf_noise), 0.08),
-    "fixed_traction": (_FIXED, 0.08),
-    "rhe_constant": (_CONSTANT, 0.2),
-    "fixed_traction_constant": (_CONSTANT | _FIXED, 0.2),
-    "rhe_uncertain": (_UNSURE, 0.08),
-    "ekf_uncertain": (_UNSURE | dict(estimator="ekf"), 0.08),
-    "dead_reckoning": (dict(estimator=_dead_reckoning), 0.2),
+    "rhe": dict(),
+    "rhe_filtered": _FILTERED,
+    "ekf": dict(estimator="ekf"),
+    "oracle": _ORACLE,
+    "no_slip": dict(estimator="rhe_no_slip"),
+    "fixed_traction": dict(estimator="rhe_fixed_traction"),
+    "bounded_ekf": dict(estimator="bounded_ekf"),
+    "rhe_tracking": _by_tracking("rhe"),
+    "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
+    "rhe_constant": _CONSTANT,
+    "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
+    "rhe_uncertain": _UNSURE,
+    "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
+    "oracle_uncertain": _UNSURE | _ORACLE,
+    "dead_reckoning": dict(estimator=_dead_reckoning),
+    "oracle_row": _ORACLE | _ON_ROW,
+    "q1": dict(q=paper.Q1) | _ON_ROW,
+    "q2": dict(q=paper.Q2) | _ON_ROW,
+    "q2_look_ahead": dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _ON_ROW,
+    "q3": dict(q=paper.Q3) | _ON_ROW,
+    "q2_small_r": dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW,
+    "q3_small_r": dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW,
+    "q3_no_terminal_weight": dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW,
 }
 LOGS = {
-    "rhe": (dict(), 0.1),
-    "rhe_small_w": (dict(sigma_w=_traction_noise_times(0.1)), 0.05),
-    "rhe_constant_parameters": (dict(sigma_w=_traction_noise_times(0.0)), 0.05),
-    "ekf": (dict(estimator="ekf"), 0.05),
-    "ekf_path_yaw_rate": (dict(estimator="ekf", input_reference="curvature"), 0.05),
-    "augmented_ekf": (dict(estimator="augmented_ekf"), 0.05),
-    "augmented_ekf_slippery": (_SLIPPERY | dict(estimator="augmented_ekf", duration_s=120.0), 0.4),
-    "rhe_slippery": (_SLIPPERY | dict(duration_s=120.0), 0.1),
-    "rhe_undisturbed": (_CONSTANT | _UNDISTURBED, 0.01),
+    "rhe": dict(),
+    "rhe_filtered": _FILTERED,
+    "rhe_small_w": dict(sigma_w=_traction_noise_times(0.1)),
+    "rhe_constant_parameters": dict(sigma_w=_traction_noise_times(0.0)),
+    "rhe_poor_start": dict(guess_yaw_rad=1.0),
+    "rhe_undisturbed": _CONSTANT | _UNDISTURBED,
+    "ekf": dict(estimator="ekf"),
+    "ekf_path_yaw_rate": dict(estimator="ekf", input_reference="curvature"),
+    "augmented_ekf": dict(estimator="augmented_ekf"),
+    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
+    "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
+    "q2": dict(q=paper.Q2) | _ON_ROW,
+    "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
+    "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),
+}
+_LOGS_SHARE = 0.2  # of the fields
+
+# Where a claim may come out otherwise; an id's own fields go first.
+WORLDS = {
+    "no noise, constant soil": _CONSTANT | _UNDISTURBED,
+    "slow": dict(speed_mps=0.25),
+    "rough": dict(kappa_mean=0.6, kappa_deviation=0.2, bump_sigma_radps=0.1, gnss_sigma_m=0.08),
+    "firm soil": dict(mu_mean=0.98, mu_deviation=0.01, kappa_mean=0.97, kappa_deviation=0.02),
+    "good sensors": dict(gnss_sigma_m=0.005, encoder_sigma_mps=0.001, bump_sigma_radps=0.001),
+    "noisy encoders": dict(encoder_sigma_mps=0.15, speed_sigma_mps=0.005),
+    "lively control": dict(r=0.1, omega_max_radps=1.0),
+    "slack control": dict(r=1000.0),
 }
 
 
-def scenarios(fields, process_noise, seeds):
+def scenarios(fields, process_noise, seeds, world=None):
     """The scenarios of an id: its fields under a process noise, one a seed, at least two."""
     given = {name: of(process_noise) if callable(of) else of for name, of in fields.items()}
-    given["process_noise"] = process_noise
+    given = (world or {}) | dict(process_noise=process_noise) | given
     return [Scenario(seed=seed, **given) for seed in range(max(2, round(seeds)))]
 
 
-def runs(seeds):
-    """Metrics of RUNS, {process noise: {id: DataFrame, one row a seed}}; `seeds` is the largest
-    number of fields.
+def _asked(sets, seeds, process_noises, world):
+    return {
+        (process_noise, id_): scenarios(fields, process_noise, seeds, world)
+        for process_noise in process_noises
+        for id_, fields in sets.items()
+    }
+
+
+def _by_noise(found):
+    """{process noise: {id: table}} of {(process noise, id): table}."""
+    tables = {process_noise: {} for process_noise, _ in found}
+    for (process_noise, id_), table in found.items():
+        tables[process_noise][id_] = table
+    return tables
+
+
+def runs(seeds, ids=tuple(RUNS), process_noises=PROCESS_NOISES, world=None):
+    """Metrics of RUNS, {process noise: {id: DataFrame, one row a seed}}, on so many fields; where
+    told, some of them, and in a world of WORLDS.
     """
-    found = drive(
-        {
-            (process_noise, id_): scenarios(fields, process_noise, share * seeds)
-            for process_noise in PROCESS_NOISES
-            for id_, (fields, share) in RUNS.items()
-        }
-    )
-    return {noise: {id_: found[noise, id_] for id_ in RUNS} for noise in PROCESS_NOISES}
+    return _by_noise(drive(_asked({id_: RUNS[id_] for id_ in ids}, seeds, process_noises, world)))
 
 
 def drive(asked):
@@ -132,14 +178,37 @@ def complete(table):
     return table.assign(arrived=settling.notna(), settling_time_s=used_up)
 
 
-def logs(seeds):
-    """Metrics of LOGS and what is `measured` beside them, as `runs` returns them."""
-    found = {process_noise: {} for process_noise in PROCESS_NOISES}
-    for process_noise, tables in found.items():
-        for id_, (fields, share) in LOGS.items():
-            asked = scenarios(fields, process_noise, share * seeds)
-            tables[id_] = pd.DataFrame([measured(simulate(scenario)) for scenario in asked])
-    return found
+def logs(seeds, ids=tuple(LOGS), process_noises=PROCESS_NOISES, world=None, part=_LOGS_SHARE):
+    """Metrics of LOGS on a part of the fields and what is `measured` beside them, as `runs`."""
+    asked = _asked({id_: LOGS[id_] for id_ in ids}, part * seeds, process_noises, world)
+    rows = iter(each(_all_measured, list(itertools.chain(*asked.values())), at_once=40))
+    return _by_noise(
+        {name: pd.DataFrame([next(rows) for _ in every]) for name, every in asked.items()}
+    )
+
+
+def _all_measured(scenarios):
+    alike = 5 * sum(map(n_samples, scenarios))  # as many more wait in other parts
+    found = run_in_lanes(dict(enumerate(scenarios)), alike, measured)
+    return [found.get(k) or measured(simulate(each)) for k, each in enumerate(scenarios)]
+
+
+def each(function, arguments, at_once=1):
+    """What a function of some arguments makes of each, in order: lists, in parts of `at_once`. Many
+    parts are spread over this machine's cores.
+    """
+    starts = range(0, len(arguments), at_once)
+    parts = {start: arguments[start : start + at_once] for start in starts}
+    with dask_client(None, large=len(parts) > 2) as client:
+        tasks = [(function, start, part) for start, part in parts.items()]
+        done = map(_applied, tasks) if client is None else run_on(client, _applied, tasks)
+        found = dict(done if client is None else (result for _, result in done))
+    return [row for start in starts for row in found[start]]
+
+
+def _applied(task):
+    function, start, part = task
+    return start, function(part)
 
 
 def measured(run):
@@ -155,12 +224,12 @@ def measured(run):
     x_m, y_m, theta_rad = poses.T
     left_m = (c.y_m - y_m) * np.cos(theta_rad) - (c.x_m - x_m) * np.sin(theta_rad)
     curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
+    side = np.sign(left_m[np.abs(left_m) > _SWING_M])
     return run.metrics | dict(
         late_s=c.t_s[-1] - c.s_m[-1] / scenario.speed_mps,
         arrived=arrived,
         settling_time_s=settling_time_s,
         in_bounds=bool(np.all((both >= 0) & (both <= 1))),
-        below_zero=bool(np.any(both < 0)),
         above_one=bool(np.any(both > 1)),
         near_bound=np.mean((c.mu_hat >= 0.9) & (c.kappa_hat >= 0.9)),
         deviation_kappa_late=c.kappa_hat[late].std(),
@@ -168,6 +237,7 @@ def measured(run):
         lag_mu_s=lag_s(c.mu_hat, c.mu),
         yaw_bias_rad=np.mean((c.theta_hat_rad - c.theta_rad)[curved]) if curved.any() else 0.0,
         offset_curves_m=left_m[curved].mean() if curved.any() else 0.0,
+        swings=np.sum(np.diff(side) != 0),
         speed_variation=c.nu_mps[driving].std() / abs(c.nu_mps[driving].mean()),
         rms_nu_hat_mps=rms((c.nu_hat_mps - c.nu_mps)[driving]),
         rms_nu_meas_mps=rms((c.nu_meas_mps - c.nu_mps)[driving]),
