@@ -653,7 +653,6 @@ def test_figures_of_a_log_with_and_without_truth():
             drawings.replay_log(replay["RHE"], "a $ b"),
             drawings.replay_yaw(replay),
             drawings.replay_traction(replay, "RHE"),
-            drawings.replay_uncertainty(replay["RHE"], "RHE"),
             drawings.replay_innovations(replay),
         ):
             assert figure.axes

@@ -15,7 +15,7 @@ from rhec.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, 
 from rhec.plots.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, ORANGE, PURPLE, ROOT, SKY, styled
 
 __all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
-__all__ += ["replay_trials", "replay_uncertainty", "replay_yaw"]
+__all__ += ["replay_trials", "replay_yaw"]
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
 _COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
@@ -151,37 +151,6 @@ def replay_traction(replays, first):
         cut = f", cut at {least:.1f}" if least else ""
         axes.set(ylim=(least - 0.02, 1.05), ylabel=rf"$\{name}$ [-]{cut}")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    _time_axis(panels, samples)
-    return figure
-
-
-@styled
-def replay_uncertainty(samples, name):
-    """Standard deviations that one estimator states, of yaw and of μ, κ, and the motion they depend
-    on, over time.
-
-    Args:
-        samples: of its replay.
-        name: of the estimator.
-    """
-    figure, panels = plt.subplots(3, figsize=(DOUBLE_IN, 3.6), sharex=True)
-    motion, yaw, traction = panels
-    for axes, column, label, colour in [
-        (motion, "nu_meas_mps", "speed [m/s]", COLOURS["truth"]),
-        (motion, "omega_meas_radps", "yaw rate [rad/s]", COLOURS["measured"]),
-        (yaw, "sigma_theta_rad", r"$\sigma_\theta$ [rad]", COLOURS["RHE"]),
-        (traction, "sigma_mu", r"$\sigma_\mu$", ORANGE),
-        (traction, "sigma_kappa", r"$\sigma_\kappa$", PURPLE),
-    ]:
-        look = dict(color=colour, linewidth=0.7 if axes is motion else None)
-        axes.plot(*_broken(samples, "t_s", column), label=label, **look)
-    motion.set(ylabel="encoders", title=name)
-    yaw.set_ylabel(r"$\sigma_\theta$ [rad]")
-    traction.set_ylabel(r"$\sigma_\mu$, $\sigma_\kappa$ [-]")
-    for axes in (yaw, traction):
-        log_axis(axes.yaxis)
-    for axes in (motion, traction):
-        legend_above(axes)
     _time_axis(panels, samples)
     return figure
 
