@@ -76,17 +76,15 @@ def _markdown(frame):
 
 
 def _relative_to_bound(value, low, high, above, below, verdict):
-    """(value, low, high) from the bound, positive where the claim wants them, the farthest 1."""
-    if np.isnan(value) or (np.isinf(above) and np.isinf(below)):
+    """(value, low, high) from the bound, positive where the claim wants them, the farthest 1; None
+    where there is no side to be on: a number that the paper reports is met or not.
+    """
+    if np.isnan(value) or (np.isinf(above) and np.isinf(below)) or above == below:
         return None
     if value == above:  # all cases, or none: exact, and decided whatever the interval
         return np.ones(3) * (1 if verdict == HOLDS else -1)
-    if above == below:
-        # a reported number: its own place is the bound; an interval without it lies left
-        bound, side = above, 1 if verdict == HOLDS or value < above else -1
-    else:
-        bound = above if abs(value - above) <= abs(value - below) else below
-        side = 1 if bound == above else -1
+    bound = above if abs(value - above) <= abs(value - below) else below
+    side = 1 if bound == above else -1
     places = side * (np.array([value, low, high], dtype=float) - bound)
     return places / (np.nanmax(np.abs(places)) or 1)
 
@@ -121,7 +119,8 @@ def verdicts(table):
     """The ledger at a glance: each claim with its verdict, the paper's number, ours with its
     interval, and the intervals of both conditions against the bound.
 
-    Right of the line a claim holds, left it does not; each row is scaled to its farthest end.
+    Right of the line a claim holds, left it does not; each row is scaled to its farthest end. A
+    number that the paper reports, to be met, has no side.
 
     Args:
         table: as `rhec.studies.claims.ledger.ledger` returns it.
