@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "Run", "Setup", "build_sample", "draw_noise", "finish", "known_traction", "n_samples",
+    "Run", "Setup", "build_sample", "draw_noise", "finish", "known_traction",
     "noise_and_faults", "set_up", "simulate", "simulate_setup",
 ]  # fmt: skip
 
@@ -290,17 +290,11 @@ def simulate(scenario: Scenario) -> Run:
     return simulate_setup(scenario, set_up(scenario))
 
 
-def n_samples(scenario):
-    """How many samples a run of the scenario has."""
-    return round(scenario.duration_s / paper.DT_S)
-
-
 def simulate_setup(scenario, setup):
     """The Run of a scenario that is set up."""
     functions = compiled.load(build_sample, *setup.structure)
-    stream = noise_and_faults(scenario, n_samples(scenario))
-    _, rows = scan.scan(functions, setup.memory, stream, setup.settings)
-    return finish(scenario, setup, rows)
+    stream = noise_and_faults(scenario, round(scenario.duration_s / paper.DT_S))
+    return finish(scenario, setup, scan.scan(functions, setup.memory, stream, setup.settings)[1])
 
 
 def finish(scenario, setup, rows):
@@ -308,11 +302,11 @@ def finish(scenario, setup, rows):
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
     columns |= dict(zip(COLUMNS, np.ascontiguousarray(rows.T)))
     columns |= {name: columns[name] == 1 for name in FLAGS}
-    measured = np.column_stack([columns["x_meas_m"], columns["y_meas_m"]])
-    known = np.isfinite(measured).all(axis=1, keepdims=True)
-    columns["error_m"], _ = setup.path.project(np.where(known, measured, np.nan))
-    true = np.column_stack([columns["x_m"], columns["y_m"]])
-    columns["error_true_m"], s = setup.path.project(true)
-    poses, curvatures = setup.path.poses(s)
+    x, y = ([columns[f"{axis}_meas_m"], columns[f"{axis}_m"]] for axis in "xy")
+    measured, true = xy = np.stack([x, y], axis=2)
+    measured[~np.isfinite(measured).all(axis=1)] = np.nan
+    distance, s = setup.path.project(xy.reshape(-1, 2))
+    columns["error_m"], columns["error_true_m"] = np.split(distance, 2)
+    poses, curvatures = setup.path.poses(s[len(true) :])
     columns["on_straight"] = curvatures == 0
     return Run(scenario, metrics(columns, poses), setup.path, setup.terrain, columns)

@@ -8,6 +8,7 @@ import pytest
 from benchmark import (
     any_robot,
     drawings,
+    growth,
     horizon,
     instructions,
     peers,
@@ -188,10 +189,21 @@ def test_the_worst_case_is_at_least_every_percentile():
     assert columns[-1] == "maximum_us" and (np.diff(table[columns]) >= 0).all()
 
 
-def test_starts_and_campaigns_run_in_processes_of_their_own(monkeypatch):
+def test_starts_run_in_processes_of_their_own():
     starts = processes.starts(rounds=1)
     assert (
         list(starts["start"].unique()) == ["nothing cached", "cached"]
         and (starts["min_s"] > 0).all()
     )
-    assert list(processes.throughput(few=2, many=4, rounds=1)["workers"]) == [1, 2]
+
+
+def test_growth_of_campaigns_is_measured_and_drawn(monkeypatch):
+    short = growth.scenarios
+    small = dict(duration_s=4.0, estimation_horizon=3, prediction_horizon=3)
+    monkeypatch.setattr(growth, "scenarios", lambda runs, **more: short(runs, **small | more))
+    table = growth.by_runs(counts=(1, 10))
+    assert [*zip(table["workers"], table["runs"])] == [(1, 1), (1, 10), (2, 1), (2, 10)]
+    assert (table["share_of_linear"][:2] == 1).all() and (table["memory_mb"] > 0).all()
+    costs = growth.by_kind(dict(speed_model=("input", "slipping")), runs=2, rounds=1)
+    assert list(costs["value"]) == ["input", "slipping"] and (costs["run_ms"] > 0).all()
+    assert len(drawings.campaign(table).axes) == 2 and len(drawings.kinds(costs).axes) == 1

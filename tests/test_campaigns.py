@@ -25,8 +25,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import rhec
+from rhec._casadi import compiled
 from rhec.campaigns import campaign as campaigns
-from rhec.campaigns import store, workers
+from rhec.campaigns import side_by_side, store, workers
 
 SHORT = rhec.Scenario(estimator="ekf", duration_s=6.0)
 ROOT = Path(rhec.__file__).parents[1]
@@ -110,6 +111,7 @@ def test_equal_scenarios_run_once(monkeypatch):
 
 
 def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
+    compiler = compiled.compiler()
     broken = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))
     other = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(3)))
     table = rhec.campaign([SHORT, broken, other, *short(2)])
@@ -121,6 +123,7 @@ def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
     )
     assert table["error"].str.fullmatch(r"|\w+: .*").all() and table["error"].str.len().max() < 400
     assert table.loc[1, "estimator"] is broken.estimator
+    assert compiled.compiler() == compiler  # it is not to blame
     same(table[good], rhec.campaign([SHORT, *short(2)]))
 
 
@@ -181,7 +184,7 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
     """Interrupted anywhere, again and again: each time it gets on, and what was finished is never
     run again.
     """
-    monkeypatch.setattr(campaigns, "CHUNK", 30)
+    monkeypatch.setattr(side_by_side, "_TASK", 30)
     runs = []
 
     def tiring(scenario):

@@ -1,5 +1,6 @@
 """Runs side by side in lanes have the bits of runs one by one, whatever each of them does."""
 
+import concurrent.futures
 import dataclasses
 import functools
 
@@ -174,10 +175,10 @@ def test_without_a_cpp_compiler_the_rows_are_the_same(always, monkeypatch):
 
 
 def test_another_processor_has_another_library(monkeypatch):
-    here = lanes._folder(build_own_loop, ())
+    here = lanes._name(build_own_loop, ())
     compiler, macros = lanes._compiler()
     monkeypatch.setattr(lanes, "_compiler", lambda: (compiler, macros + "#define __AVX1024F__ 1"))
-    assert lanes._folder(build_own_loop, ()) != here
+    assert lanes._name(build_own_loop, ()) != here
 
 
 # Elementary functions
@@ -226,3 +227,14 @@ def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar():
     virtual = scan(build_functions(), memories[0], streams[0], {})[1]
     near = np.abs(streams[0][:, 0]) < 1e5
     np.testing.assert_allclose(one_by_one[0][near], virtual[near], rtol=1e-12, atol=1e-15)
+
+
+def test_threads_do_not_meet_in_a_block():
+    block, x = lanes.load(build_functions), angles(500)
+    memories, settings = np.arange(2.0)[:, None], [{}] * 2
+    streams = [np.stack([x, x[::-1]])[..., None] + thread for thread in range(8)]
+    alone = [lanes.scan(block, memories, stream, settings) for stream in streams]
+    with concurrent.futures.ThreadPoolExecutor(8) as pool:
+        found = pool.map(lambda stream: lanes.scan(block, memories, stream, settings), streams * 5)
+    for number, rows in enumerate(found):
+        np.testing.assert_array_equal(rows, alone[number % 8])

@@ -129,15 +129,18 @@ def load(build, *structure):
     """
     if not compiler():
         return build(*structure)
+    name = library_name(build, structure)
+    # Before: what is wrong with a structure is no compiler's failure.
+    functions = None if cache.holds(name) else build(*structure)
 
     def compile_library(folder):
         if _is_interactive():
             what = build.__module__.split(".")[-1].replace("_", " ")
             print(f"rhec: compiling the {what}, once (some seconds)", file=sys.stderr, flush=True)
-        _compile_library(folder, build(*structure))
+        _compile_library(folder, functions or build(*structure))
 
     try:
-        names, compiled = cache.kept(library_name(build, structure), compile_library, _open)
+        names, compiled = cache.kept(name, compile_library, _open)
     except cache.UnusableError as error:
         _failed.add(compiler())
         cache.say(f"nothing more is compiled, since {error}; {_SLOWER}")

@@ -4,7 +4,7 @@
 // What would branch on a number has no conversion to bool and does not compile.
 #pragma once
 #include <math.h>
-#define LANES (__BIGGEST_ALIGNMENT__ / 8)
+#define LANES (__BIGGEST_ALIGNMENT__ > 16 ? __BIGGEST_ALIGNMENT__ / 8 : 2)
 
 struct lanes {
   typedef double reals __attribute__((vector_size(8 * LANES)));

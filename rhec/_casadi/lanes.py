@@ -14,6 +14,7 @@ import os
 import re
 import shutil
 import subprocess
+import threading
 
 import casadi as ca
 import numpy as np
@@ -32,13 +33,33 @@ _IF_ELSE = re.compile(
 )
 
 
+_ASSIGNED = re.compile(r"  (a\d+)=(?:(sin|cos)\((a\d+)\);$)?")
+
+
 def _by_lanes(code):
     """CasADi's C as C++ for lanes: what cannot be overloaded becomes a call."""
+    code = "\n".join(_sines_with_cosines(code.splitlines()))
     code = re.sub(rf"^\w+ casadi_({_HELPERS})\(.*?^}}\n", "", code, flags=re.M | re.S)
     code = re.sub(r"\bcasadi_(fmin|fmax|fabs)\(", r"\1(", code)
     code = re.sub(r"\((\w+|\(\*cr\+\+\))\?(\w+(?:\[i\])?):0\)", r"select(\1, \2, 0.0)", code)
     slip = r"(/\* slip_fields:\(x\[2\],#c.*?)casadi_interpn\("
     return _IF_ELSE.sub(_if_else, re.sub(slip, r"\1slip_fields(", code, flags=re.S))
+
+
+def _sines_with_cosines(lines):
+    """Lines of C in which sine and cosine of one angle, each an assignment, are one call."""
+    known = {}  # {variable: name of the pair of its sine and cosine}
+    for number, line in enumerate(lines):
+        if found := _ASSIGNED.match(line):
+            variable, function, angle = found.groups()
+            if function:
+                call = "" if angle in known else f"complex pair{number}=own_cis({angle}); "
+                pair = known.setdefault(angle, f"pair{number}")
+                line = f"  {call}{variable}={pair}.{dict(sin='imaginary', cos='real')[function]};"
+            known.pop(variable, None)
+        elif line == "}":
+            known.clear()
+        yield line
 
 
 def _if_else(found):
@@ -109,36 +130,44 @@ class _Block:
 
     def __init__(self, folder):
         self.sizes, (self.n_rows, self.length) = json.loads((folder / "block.json").read_text())
-        # With Python's lock held: the work space is one.
-        self._library = ctypes.PyDLL(str(folder / "library.so"))
+        self._library = ctypes.CDLL(str(folder / "library.so"))
+        self.lock = threading.Lock()  # arrays and work space are one for all threads
         self.lanes = self._library.code_casadi_real_size() // 8
         lengths = [ctypes.c_longlong() for _ in range(4)]
         self._library.block_work(*map(ctypes.byref, lengths))
         n_arguments, n_results, n_whole, n_work = (length.value for length in lengths)
         self._arguments = (ctypes.c_void_p * n_arguments)()
         self._results = (ctypes.c_void_p * n_results)()
-        self._whole, self._work = (ctypes.c_longlong * n_whole)(), self.zeros(n_work)
+        self._whole, self._arrays = (ctypes.c_longlong * n_whole)(), {}
+        self._work = ctypes.c_void_p(self.array("work", n_work).ctypes.data)
 
-    def zeros(self, *shape):
-        """Zeros, one a lane, from an address where a register can be read."""
-        n = math.prod(shape) * self.lanes
-        raw = np.zeros(n + self.lanes)
-        begin = -raw.ctypes.data // 8 % self.lanes
-        return raw[begin : begin + n].reshape(*shape, self.lanes)
+    def array(self, name, *shape):
+        """The array of this name, which stays as long as its shape does: a number for each lane,
+        from an address where a register can be read.
+        """
+        if name not in self._arrays or self._arrays[name].shape[:-1] != shape:
+            n = math.prod(shape) * self.lanes
+            raw = np.zeros(n + self.lanes)
+            begin = -raw.ctypes.data // 8 % self.lanes
+            self._arrays[name] = raw[begin : begin + n].reshape(*shape, self.lanes)
+        return self._arrays[name]
 
-    def side_by_side(self, values, *shape):
-        """Arrays of the lanes as one; behind those that are shorter are zeros."""
-        array = self.zeros(*shape)
+    def side_by_side(self, name, values, *shape):
+        """The array of this name with the lanes' values, of which some may be shorter."""
+        array = self.array(name, *shape)
         for lane, value in enumerate(values):
             array[: len(value), ..., lane] = value
         return array
 
-    def call(self, arguments, results):
-        """Evaluate the block from arrays into arrays."""
-        self._arguments[: len(arguments)] = [array.ctypes.data for array in arguments]
-        self._results[: len(results)] = [array.ctypes.data for array in results]
-        work = ctypes.c_void_p(self._work.ctypes.data)
-        self._library.block(self._arguments, self._results, self._whole, work, 0)
+    def give(self, place, array):
+        """Take an argument from an array, which stays as long as its shape does."""
+        self._arguments[place] = array.ctypes.data
+
+    def call(self, memory, stream, next_memory, rows):
+        """Evaluate the block from the first two addresses into the others."""
+        self._arguments[0], self._arguments[1] = memory, stream
+        self._results[0], self._results[1] = next_memory, rows
+        self._library.block(self._arguments, self._results, self._whole, self._work, 0)
 
 
 def scan(block, memories, streams, settings):
@@ -146,19 +175,24 @@ def scan(block, memories, streams, settings):
 
     memories: vectors; streams: (n, inputs), n may differ; settings: dicts.
     """
+    with block.lock:
+        return _scan(block, memories, streams, settings)
+
+
+def _scan(block, memories, streams, settings):
     idle = block.lanes - len(memories)  # such lanes repeat the last run
     first, each, given = ([*of, *of[-1:] * idle] for of in (memories, streams, settings))
     memory_name, _, *names = block.sizes
-    kept = [
-        block.side_by_side((np.ravel(run[name], order="F") for run in given), block.sizes[name])
-        for name in names
-    ]
-    memory = block.side_by_side(first, block.sizes[memory_name])
+    for place, name in enumerate(names, 2):
+        values = (np.ravel(run[name], order="F") for run in given)
+        block.give(place, block.side_by_side(name, values, block.sizes[name]))
+    memory = block.side_by_side("first", first, block.sizes[memory_name])
     samples = -(-max(map(len, streams)) // block.length) * block.length
-    stream = block.side_by_side(each, samples, streams[0].shape[1])
-    spare, rows = block.zeros(len(memory)), block.zeros(samples, block.n_rows)
+    stream = block.side_by_side("each", each, samples, streams[0].shape[1])
+    spare, rows = block.array("spare", len(memory)), block.array("rows", samples, block.n_rows)
+    now, after, begin, end = (each.ctypes.data for each in (memory, spare, stream, rows))
     for done in range(0, samples, block.length):
-        block.call([memory, stream[done:], *kept], [spare, rows[done:]])
-        memory, spare = spare, memory
+        block.call(now, begin + done * stream.strides[0], after, end + done * rows.strides[0])
+        now, after = after, now
     by_run = np.ascontiguousarray(rows.T)
     return [rows_of[:, : len(run)].T for rows_of, run in zip(by_run, streams)]

@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import operator
 import textwrap
 from dataclasses import fields
 from pathlib import Path
@@ -12,15 +11,19 @@ from pydantic import Field
 
 from rhec._casadi.validation import Whole, checked, shown
 from rhec.campaigns import store
-from rhec.campaigns.side_by_side import MOST_SAMPLES, run_in_lanes
+from rhec.campaigns.side_by_side import (
+    in_groups,
+    n_samples,
+    run_in_lanes,
+    samples_alike,
+    size_of_task,
+)
 from rhec.campaigns.workers import dask_client, run_on
 from rhec.scenario import Scenario
-from rhec.simulation import n_samples, simulate
+from rhec.simulation import simulate
 
 __all__ = ["campaign"]
 
-# Closed-loop samples in one task: about a second of work, which is also what an interruption loses.
-CHUNK = MOST_SAMPLES
 _LARGE = 500_000  # samples that take one core longer than local workers take to start
 
 
@@ -83,9 +86,12 @@ def campaign(
             rest = "the same call goes on from there" if folder else "with a folder it would go on"
             message = f"interrupted after {n_done} of {len(wanted)} runs; {rest}"
             raise KeyboardInterrupt(message) from None
-    columns = [*(field.name for field in fields(Scenario)), *store.failed_row("")]
-    rows = [vars(scenario) | done[key] for scenario, key in zip(scenarios, keys)]
-    return CampaignTable(rows, columns=columns)
+    columns = {
+        field.name: [getattr(scenario, field.name) for scenario in scenarios]
+        for field in fields(Scenario)
+    }
+    columns |= {name: [done[key][name] for key in keys] for name in store.failed_row("")}
+    return CampaignTable(columns)
 
 
 def _as_list(scenarios):
@@ -110,16 +116,17 @@ def _results(scenarios, workers):
     """Yield {key: row} of some of the scenarios {key: scenario} at a time, as they finish."""
     if not scenarios:
         return
-    samples = sum(map(n_samples, scenarios.values()))
-    work = functools.partial(_rows, alike=samples / len({*map(_SHAPE, scenarios.values())}))
+    samples, alike = sum(map(n_samples, scenarios.values())), samples_alike(scenarios.values())
+    work, size = functools.partial(_rows, alike=alike), size_of_task(alike)
+    scenarios = in_groups(scenarios)
     with dask_client(workers, samples >= _LARGE) as client:
         if client is None:
-            yield from map(work, _chunks(scenarios, CHUNK))
+            yield from map(work, _chunks(scenarios, size))
             return
         work = functools.partial(work, expected=store.provenance())
         suspects = {}  # among them is a run that kills its worker
         share = samples / (4 * max(1, sum(client.nthreads().values())))
-        for chunk, rows in run_on(client, work, _chunks(scenarios, min(CHUNK, share))):
+        for chunk, rows in run_on(client, work, _chunks(scenarios, min(size, share))):
             suspects |= {} if rows else chunk
             yield rows or {}
         # One task at a time, so that no run dies with another.
@@ -127,13 +134,6 @@ def _results(scenarios, workers):
         killed = store.failed_row("KilledWorker: every worker that ran it died")
         for chunk, rows in run_on(client, work, alone, at_once=1):
             yield rows or dict.fromkeys(chunk, killed)
-
-
-# What nearly always decides alone which compiled loop a scenario runs.
-_SHAPE = operator.attrgetter(
-    "estimator", "estimation_horizon", "speed_model", "arrival_mean", "robust",
-    "prediction_horizon", "qp", "input_reference",
-)  # fmt: skip
 
 
 def _rows(chunk, alike, expected=None):

@@ -142,22 +142,36 @@ class Path:
             Distances (n,) and arc lengths (n,) [m]; both NaN where xy is.
         """
         xy = np.asarray(xy, dtype=float)
-        best_distance, best_s = np.full(len(xy), np.inf), np.zeros(len(xy))
-        lengths = np.diff(np.append(self.segments[:, 0], self.length_m))
-        for (s, x, y, theta, c), length in zip(self.segments, lengths):
-            along = (xy - (x, y)) @ (np.cos(theta), np.sin(theta))
-            left = (xy - (x, y)) @ (-np.sin(theta), np.cos(theta))
-            if c:
-                along = np.arctan2(abs(c) * along, 1 - c * left) % (2 * pi) / abs(c)
-            for candidate in (np.clip(along, 0, length), 0.0)[
-                : 2 if c else 1
-            ]:  # beyond an arc its beginning may be closer than its end
-                px, py, _ = advance(x, y, theta, c, candidate, np)
-                distance = np.hypot(xy[:, 0] - px, xy[:, 1] - py)
-                better = distance < best_distance - 1e-9  # of equals, the first
-                best_distance, best_s = (
-                    np.where(better, distance, best_distance),
-                    np.where(better, s + candidate, best_s),
-                )
         nowhere = np.isnan(xy).any(axis=1)
-        return np.where(nowhere, np.nan, best_distance), np.where(nowhere, np.nan, best_s)
+        best_distance, best_s = np.full(len(xy), np.inf), np.zeros(len(xy))
+        ends = [*self.segments[1:, 0], self.length_m]
+        for (s, x, y, theta, c), end in zip(self.segments, ends):
+            dx, dy = xy[:, 0] - x, xy[:, 1] - y
+            along = dx * np.cos(theta) + dy * np.sin(theta)
+            left = dy * np.cos(theta) - dx * np.sin(theta)
+            closest = _on_arc(along, left, c, end - s) if c else _on_line(along, left, end - s)
+            for distance, candidate in closest:
+                better = distance < best_distance - 1e-9  # of equals, the first
+                np.copyto(best_distance, distance, where=better)
+                np.copyto(best_s, s + candidate, where=better)
+        best_distance[nowhere] = best_s[nowhere] = np.nan
+        return best_distance, best_s
+
+
+def _on_line(along, left, length):
+    """Distance and place on a line of the point closest to (along, left) (n,) of its beginning."""
+    place = np.clip(along, 0, length)
+    yield np.sqrt((along - place) ** 2 + left**2), place
+
+
+def _on_arc(along, left, c, length):
+    """The same on an arc of curvature c; beyond it its beginning may be closer than its end."""
+    to_centre = np.sqrt(along**2 + (1 / c - left) ** 2)
+    place = np.arctan2(abs(c) * along, 1 - c * left)
+    place = np.where(place < 0, place + 2 * pi, place) / abs(c)
+    # |to_centre - 1 / |c||, without the difference of two numbers that may be large and near
+    beside = np.abs(along**2 + left**2 - 2 * left / c) / (to_centre + 1 / abs(c))
+    x, y, _ = advance(0.0, 0.0, 0.0, c, length, np)
+    beyond = np.sqrt((along - x) ** 2 + (left - y) ** 2)
+    yield np.where(place <= length, beside, beyond), np.minimum(place, length)
+    yield np.sqrt(along**2 + left**2), 0.0

@@ -41,6 +41,7 @@ __all__ = [
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 _LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
+_QUANTILES = np.linspace(-5, 5, 257)
 
 Seed = Annotated[Whole, Field(ge=0)]
 Patch = tuple[
@@ -135,30 +136,12 @@ class Terrain:
                 f"{_MOST_CELLS:,} cells of {cell_m:g} m. "
                 "A path or a start that takes the robot so far needs a terrain of its own"
             )
-        i, j = np.mgrid[0 : int(cells[0]) + 1, 0 : int(cells[1]) + 1]
-        standard, period = _standard_fields()
-        # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's
-        # stream is not
-        draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
-        fields = []
-        for field, (offset_i, offset_j, turn, _), m, sd in zip(standard, draws, mean, deviation):
-            places = (
-                np.stack([i.ravel(), j.ravel()])[:: 1 if turn & 1 else -1]
-                * cell_m
-                / correlation_length_m
-                * CELLS_PER_LENGTH
-            )
-            places = places * [[1 if turn & 2 else -1], [1 if turn & 4 else -1]] + [
-                [offset_i],
-                [offset_j],
-            ]
-            gaussian = bilinear(field, places % period).reshape(i.shape) * (1 if turn & 8 else -1)
-            fields.append(_beta_from_gaussian(gaussian, m, sd))
-        mu, kappa = fields
+        i, j = (np.arange(int(n) + 1) for n in cells)
+        fields = _gaussian_fields(seed, len(i), len(j), cell_m, correlation_length_m)
+        mu, kappa = map(_beta_from_gaussian, fields, mean, deviation)
         for x, y, radius, mu_patch, kappa_patch in patches:
-            inside = (x_min + cell_m * i - x) ** 2 + (
-                y_min + cell_m * j - y
-            ) ** 2 <= radius * radius
+            dx, dy = x_min + cell_m * i[:, None] - x, y_min + cell_m * j - y
+            inside = dx**2 + dy**2 <= radius * radius
             mu, kappa = np.where(inside, mu_patch, mu), np.where(inside, kappa_patch, kappa)
         return cls(mu, kappa, (float(x_min), float(y_min)), cell_m)
 
@@ -258,11 +241,12 @@ def flat(terrain, shape=None):
     """Both fields in the order `lookup` reads them, continued to a larger grid of this shape as
     they are beyond their edges.
     """
-    fields = np.stack([terrain.mu, terrain.kappa])
-    more = [
-        (0, wanted - given) for wanted, given in zip(shape or terrain.mu.shape, terrain.mu.shape)
-    ]
-    return np.pad(fields, [(0, 0), *more], mode="edge").ravel(order="F")
+    rows, columns = terrain.mu.shape
+    fields = np.empty((2, *(shape or terrain.mu.shape)), order="F")
+    fields[:, :rows, :columns] = terrain.mu, terrain.kappa
+    fields[:, rows:, :columns] = fields[:, rows - 1 : rows, :columns]
+    fields[:, :, columns:] = fields[:, :, columns - 1 : columns]
+    return fields.ravel(order="F")
 
 
 def common_shape(terrain, step=160):
@@ -276,24 +260,49 @@ def _beta_from_gaussian(gaussian, mean, deviation):
     """
     if deviation < 1e-6:  # as good as none, and its square may vanish
         return np.full(gaussian.shape, float(mean))
+    values = _beta_quantiles(mean, deviation)
+    return np.clip(np.interp(gaussian, _QUANTILES, values), _LOWEST, 1)
+
+
+@functools.lru_cache
+def _beta_quantiles(mean, deviation):
+    """Values of that beta distribution where the standard normal distribution has _QUANTILES."""
     nu = mean * (1 - mean) / deviation**2 - 1
-    quantiles = np.linspace(-5, 5, 257)
-    values = betaincinv(mean * nu, (1 - mean) * nu, ndtr(quantiles))
-    return np.clip(np.interp(gaussian, quantiles, values), _LOWEST, 1)
+    return betaincinv(mean * nu, (1 - mean) * nu, ndtr(_QUANTILES))
 
 
-def bilinear(field, places):
-    """A field that repeats itself, given at the corners of square cells, at places (2, n) in [0,
-    its period), counted in cells.
+@functools.lru_cache(maxsize=1)  # what runs of one seed have in common
+def _gaussian_fields(seed, n_i, n_j, cell_m, correlation_length_m):
+    """Two windows (n_i, n_j) of the standard fields, placed, turned and mirrored by the seed."""
+    # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's
+    # stream is not
+    draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
+    standard, period = _standard_fields()
+    fields = []
+    for field, (offset_i, offset_j, turn, _) in zip(standard, draws):
+        shape = (n_i, n_j) if turn & 1 else (n_j, n_i)
+        places = [np.arange(n) * cell_m / correlation_length_m * CELLS_PER_LENGTH for n in shape]
+        rows = (places[0] * (1 if turn & 2 else -1) + offset_i) % period
+        columns = (places[1] * (1 if turn & 4 else -1) + offset_j) % period
+        gaussian = bilinear(field, rows, columns)
+        fields.append((gaussian if turn & 1 else gaussian.T) * (1 if turn & 8 else -1))
+    return fields
+
+
+def bilinear(field, rows, columns):
+    """A field that repeats itself, given at the corners of square cells, at the crossings (m, n) of
+    rows (m,) and columns (n,) in [0, its period), counted in cells.
     """
-    i, j = np.floor(places).astype(int)
-    u, v = places - (i, j)
-    after_i, after_j = (i + 1) % len(field), (j + 1) % len(field)
+    i, j = rows.astype(int), columns.astype(int)
+    u, v = (rows - i)[:, None], columns - j
+    period = len(field)
+    before, after = period * i[:, None], period * ((i + 1) % period)[:, None]
+    after_j = (j + 1) % period
     return (
-        (1 - u) * (1 - v) * field[i, j]
-        + u * (1 - v) * field[after_i, j]
-        + (1 - u) * v * field[i, after_j]
-        + u * v * field[after_i, after_j]
+        (1 - u) * (1 - v) * field.take(before + j)
+        + u * (1 - v) * field.take(after + j)
+        + (1 - u) * v * field.take(before + after_j)
+        + u * v * field.take(after + after_j)
     )
 
 

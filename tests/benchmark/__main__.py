@@ -3,7 +3,17 @@
 import argparse
 import shutil
 
-from benchmark import any_robot, drawings, horizon, instructions, peers, processes, step, tails
+from benchmark import (
+    any_robot,
+    drawings,
+    growth,
+    horizon,
+    instructions,
+    peers,
+    processes,
+    step,
+    tails,
+)
 from rhec.plots import style
 from rhec.studies import timing
 
@@ -95,8 +105,20 @@ def measure_start(_):
     )
 
 
-def measure_campaign(_):
-    report(processes.throughput(), "campaign", "Closed-loop samples per second of campaigns")
+def measure_campaign(arguments):
+    counts = [count for count in growth.RUNS if count <= arguments.runs]
+    report(
+        growth.by_runs(counts),
+        "campaign",
+        "Closed-loop samples per second and memory of campaigns, everything included",
+        drawings.campaign,
+    )
+    report(
+        growth.by_kind(),
+        "campaign_kinds",
+        "What a run of 1,200 samples costs in a campaign, by estimator, model and horizon",
+        drawings.kinds,
+    )
 
 
 PARTS = dict(
@@ -122,6 +144,12 @@ if __name__ == "__main__":
         type=int,
         default=100_000,
         help="how many steps the worst case is the worst of (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=10_000,
+        help="of the largest campaign, at most 100,000 (default: %(default)s)",
     )
     arguments = parser.parse_args()
     if unknown := set(arguments.parts) - set(PARTS):

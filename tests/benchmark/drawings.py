@@ -105,3 +105,40 @@ def horizon(table):
     axes.set_title(timing.machine(), loc="right", fontsize=5)
     axes.legend()
     return figure
+
+
+@styled
+def campaign(table):
+    """Samples a second and memory over the number of runs, by number of processes."""
+    figure, (speed, memory) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.4))
+    looks = zip((BLUE, VERMILLION, BLACK), "os^")
+    for (workers, rows), (colour, marker) in zip(table.groupby("workers"), looks):
+        label = f"{workers} process{'es' * (workers > 1)}"
+        look = dict(color=colour, marker=marker, markersize=4, label=label)
+        speed.plot(rows["runs"], rows["samples_per_s"] / 1e3, **look)
+        memory.plot(rows["runs"], rows["memory_mb"], **look)
+    for axes, label in (
+        (speed, "closed-loop samples [1000/s]"),
+        (memory, "memory at the end [MB]"),
+    ):
+        axes.set_xscale("log")
+        axes.set_ylim(0)
+        axes.set_xlabel("runs of 1,200 samples")
+        axes.set_ylabel(label)
+    memory.legend(loc="best")
+    memory.set_title(timing.machine(), loc="right", fontsize=6)
+    return figure
+
+
+@styled
+def kinds(table):
+    """What a run costs in a campaign, a bar for each kind."""
+    names = table["field"].str.replace("_", " ") + ": " + table["value"].str.replace("_", " ")
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.2 * len(table) + 0.7))
+    bars = axes.barh(names, table["run_ms"], color=BLUE, height=0.6)
+    axes.bar_label(bars, fmt="%.1f", padding=3)
+    axes.set_ylim(len(table) - 0.4, -0.6)
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel("a run of 1,200 samples, least of 3 campaigns of 64 [ms of CPU time]")
+    axes.set_title(timing.machine(), loc="right", fontsize=6)
+    return figure

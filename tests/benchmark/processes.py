@@ -1,17 +1,11 @@
-"""What takes processes of its own to measure: the first run after a cold start, and the throughput
-of campaigns.
-"""
+"""What takes processes of its own to measure: the first run after a cold start."""
 
 import os
 import subprocess
 import sys
 import tempfile
-import time
 
 import pandas as pd
-
-from rhec import campaign, paper
-from rhec.scenario import Scenario
 
 START = """
 from time import perf_counter
@@ -22,7 +16,6 @@ imported = perf_counter()
 simulate(scenario())
 print(imported - begin, perf_counter() - begin)
 """
-SAMPLES = 1200
 
 
 def start_times(cache):
@@ -59,34 +52,3 @@ def starts(rounds=3):
         .add_suffix("_s")
         .reset_index()
     )
-
-
-def seconds(runs, workers):
-    scenarios = [
-        Scenario(process_noise="calibrated", seed=seed, duration_s=SAMPLES * paper.DT_S)
-        for seed in range(runs)
-    ]
-    begin = time.perf_counter()
-    campaign(scenarios, workers=workers)
-    return time.perf_counter() - begin
-
-
-def throughput(few=128, many=512, rounds=3):
-    """Table of closed-loop samples a second of campaigns of `many` runs, everything included, on
-    one worker and on two that a few runs have started.
-    """
-    rows = []
-    for workers in (1, 2):
-        seconds(few, workers)
-        rows += [
-            dict(workers=workers, samples_per_s=many * SAMPLES / seconds(many, workers))
-            for _ in range(rounds)
-        ]
-    table = (
-        pd.DataFrame(rows)
-        .groupby("workers")["samples_per_s"]
-        .agg(["min", "median", "max"])
-        .reset_index()
-    )
-    table["share_of_linear"] = table["median"] / table["workers"] / table["median"][0]
-    return table

@@ -15,11 +15,11 @@ import pandas as pd
 
 from rhec import paper
 from rhec.campaigns.campaign import campaign
-from rhec.campaigns.side_by_side import run_in_lanes
+from rhec.campaigns.side_by_side import n_samples, run_in_lanes
 from rhec.campaigns.workers import dask_client, run_on
 from rhec.metrics import rms
 from rhec.scenario import Scenario
-from rhec.simulation import n_samples, simulate
+from rhec.simulation import simulate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
