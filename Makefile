@@ -77,7 +77,7 @@ lint: $(READY) ## check style, the types of the public face, and notebooks for o
 	@$(PY) -m mypy
 	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id
 
-bench: .venv/peers ## compare computation times with other tools, into figures/ (minutes)
+bench: .venv/peers .venv/acados ## compare computation times with other tools, into figures/ (minutes)
 	@cd tests && ../$(PY) -m benchmark
 
 soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
@@ -119,6 +119,11 @@ $(READY): environment.txt pyproject.toml
 
 .venv/peers: tests/benchmark/peers.txt $(READY)
 	@$(PIP) --no-deps --require-hashes -r $< && touch $@
+
+# acados in an environment of its own: its wheel brings a CasADi of its own.
+.venv/acados: tests/benchmark/acados.txt $(READY)
+	@$(PY) -m venv $@ && $@/bin/python -m pip --disable-pip-version-check install -q --no-deps \
+	  --require-hashes -r $< || { rm -rf $@; echo 'acados could not be installed' >&2; }
 
 # The reason for a run: `$?` is what is newer than the last run, or gone.
 changed = $(wildcard $?)

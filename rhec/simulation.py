@@ -103,11 +103,9 @@ def build_sample(*structure):
         truth = ca.vertcat(pose, nu, traction)
 
         measured = measure(
-            **build.select_inputs(measure, noise | settings),
-            pose=pose,
-            drift=drift,
+            **build.select_inputs(measure, noise | settings), pose=pose, drift=drift,
             encoders=encoders,
-        )
+        )  # fmt: skip
         if structure.faulty:
             measured |= deliver(**build.select_inputs(deliver, measured | noise | settings))
         z = measured["z"]
@@ -122,18 +120,13 @@ def build_sample(*structure):
 
         accepted = outputs.get("accepted", ca.vertcat(*valid))
         target = references(
-            **build.select_inputs(references, settings),
-            s=s,
-            estimate=estimate,
+            **build.select_inputs(references, settings), s=s, estimate=estimate,
             omega_measured=ca.if_else(accepted[3], z[3], command),
-        )
+        )  # fmt: skip
         planned = control(
-            **build.select_inputs(control, settings),
-            memory=controller,
-            s_0=estimate,
-            x_ref=target["xi_ref"],
-            u_ref=target["omega_ref"],
-        )
+            **build.select_inputs(control, settings), memory=controller, s_0=estimate,
+            x_ref=target["xi_ref"], u_ref=target["omega_ref"],
+        )  # fmt: skip
         newest = planned["command"]
         # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
         applied = ca.if_else(settings["command_delay"], command, newest)

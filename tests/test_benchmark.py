@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from benchmark import (
+    acados_peer,
     any_robot,
     drawings,
     growth,
@@ -120,9 +121,10 @@ def test_the_step_is_measured_and_drawn(monkeypatch):
     assert set(whole.index) == {
         "rhec, closed loop",
         "rhec, one iteration",
-        "rhec, compiled code alone",
+        "rhec, in C",
         "rhec, to convergence",
         *peers.PEERS,
+        *([acados_peer.NAME] if acados_peer.command() else []),
     }
     assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
     if step.REFERENCE in peers.PEERS:

@@ -51,8 +51,9 @@ class Machine(NamedTuple):
 
 
 def this_machine():
-    """This machine, or None without a C compiler."""
-    return Machine(platform.machine(), compiled.compiler(), ()) if compiled.compiler() else None
+    """This machine, or None without a C compiler; by GCC, which tells how large the stack grows."""
+    compiler = compiled.compiler() and (shutil.which("gcc") or compiled.compiler())
+    return Machine(platform.machine(), compiler, ()) if compiler else None
 
 
 def arm():

@@ -3,10 +3,14 @@
 import casadi as ca
 import numpy as np
 
+from rhec._casadi.compiled import loop_symbols
+
 __all__ = [
-    "casadi_function", "pack_array", "packed_size", "select_inputs", "shapes_of", "unpack",
-    "unpack_array", "with_packed_memory",
+    "casadi_function", "every", "pack_array", "packed_size", "select_inputs", "shapes_of",
+    "short_cut", "unpack", "unpack_array", "with_packed_memory",
 ]  # fmt: skip
+
+_OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 
 
 def casadi_function(name, kind=ca.SX, /, **shapes):
@@ -25,16 +29,34 @@ def casadi_function(name, kind=ca.SX, /, **shapes):
     def decorate(body):
         symbols = {key: kind.sym(key, _sparsity(shape)) for key, shape in shapes.items()}
         outputs = body(**symbols)
-        options = {"allow_duplicate_io_names": True, "cse": True}
-        return ca.Function(
-            name, [*symbols.values()], [*outputs.values()], [*symbols], [*outputs], options
-        )
+        names = [*symbols], [*outputs], _OPTIONS
+        return ca.Function(name, [*symbols.values()], [*outputs.values()], *names)
 
     return decorate
 
 
 def _sparsity(shape):
     return shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
+
+
+def short_cut(flag):
+    """Decorator: an SX Function of which, where its input `flag` is 1, only what then counts runs.
+
+    It comes as a branch; on the virtual machine and as MX the Function stays what it is.
+    """
+
+    def decorate(whole):
+        if loop_symbols() is ca.SX or not whole.is_a("SXFunction"):
+            return whole
+        at, rest = whole.index_in(flag), (whole.name_in(), whole.name_out(), _OPTIONS)
+        given = whole.sx_in()
+        left = whole.call([*given[:at], ca.SX(1), *given[at + 1 :]])
+        short = ca.Function(f"{whole.name()}_short", given, left, *rest)
+        either = ca.Function.if_else(f"{whole.name()}_or_not", short, whole)
+        given = whole.mx_in()
+        return ca.Function(whole.name(), given, either.call([given[at], *given]), *rest)
+
+    return decorate
 
 
 def with_packed_memory(name, memory, kind=ca.MX, **shapes):
@@ -83,6 +105,11 @@ def shapes_of(memory):
         name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1)
         for name, piece in memory.items()
     }
+
+
+def every(conditions):
+    """1 where all of these comparisons hold; their sum takes less time than CasADi's mmin."""
+    return ca.sum1(ca.vec(conditions)) == conditions.numel()
 
 
 def pack_array(memory):

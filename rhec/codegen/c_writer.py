@@ -4,6 +4,7 @@ README. Files that do not depend on the scenario are in the folder `c`.
 
 import casadi as ca
 
+from rhec._casadi.c_text import generate_c
 from rhec.model.limits import MAX_PLAUSIBLE_STATE
 
 __all__ = ["functions_header", "memory_header", "phases_header", "readme", "scenario_source"]
@@ -166,14 +167,11 @@ def scenario_source(export):
 
 
 def functions_header(export):
-    """rhec_functions.h: the Functions, written by CasADi's code generator, for rhec.c alone: a
-    compiler that inlines them need not ask which arguments are there.
-    """
-    generator = ca.CodeGenerator("rhec_functions.c", dict(casadi_int="int"))
-    for phase in export.phases.values():
-        generator.add(phase.function)
+    """rhec_functions.h: the Functions, written by CasADi's code generator, for rhec.c alone."""
+    functions = [phase.function for phase in export.phases.values()]
+    text = generate_c(functions, "rhec_functions.c", casadi_int="int")
     end = "#ifdef __GNUC__\n#pragma GCC diagnostic pop\n#endif\n"
-    return _HEAD + _FOR_ONE_FILE + generator.dump() + end
+    return _HEAD + _FOR_ONE_FILE + text + end
 
 
 def readme(export, template, **values):

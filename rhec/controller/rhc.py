@@ -18,7 +18,7 @@ import numpy as np
 
 from rhec._casadi import compiled
 from rhec._casadi import validation as valid
-from rhec._casadi.build import casadi_function, select_inputs, with_packed_memory
+from rhec._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.model.base import Model, interval
 from rhec.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.solver import gauss_newton
@@ -202,6 +202,7 @@ def build_phases(horizon):
         for name in ("u_plan", "g", "least", "most", "multipliers", "ok")
     }
 
+    @short_cut("ok")
     @casadi_function(
         "rhc_expand", loops, **memory, **dynamics, s_0=state, u_ref=references["u_ref"], **result
     )
@@ -280,10 +281,8 @@ class RHC(RealTimeLoop):
     def _begin(self, horizon, q, r, qn_factor, limits):
         self.problem, self.horizon = horizon, horizon.N
         weights = dict(Q=np.array(q), QN=qn_factor * np.array(q), R=np.array(r))
-        finite = {
-            name: np.clip(bound, -MAX_QP_ENTRY, MAX_QP_ENTRY) for name, bound in limits.items()
-        }
-        self.settings = weights | finite
+        limits = {name: np.clip(of, -MAX_QP_ENTRY, MAX_QP_ENTRY) for name, of in limits.items()}
+        self.settings = weights | limits
         functions = compiled.load(build_phases, horizon)
         memory = tuple(horizon.memory)
         self.iteration = RealTimeIteration(functions, memory, memory, **self.settings)

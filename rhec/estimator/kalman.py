@@ -32,9 +32,10 @@ def update(m, P, z, V, outputs, s_bar):
         y = ca.if_else(used, z[output.row] - output.predicted(m, s_bar), 0)
         PH = P @ H.T
         S = H @ PH + V[output.row]
-        K = PH * (used / S)
+        weight = used / S
+        K = PH * weight
         m, P = m + K * y, symmetric(P - K @ PH.T)
         gains.append(K)
-        weighted.append(y / S)
+        weighted.append(y * weight)
         deviance += ca.if_else(used, y**2 / S + ca.log(S), 0)
     return m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance

@@ -22,7 +22,7 @@ import numpy as np
 
 from rhec._casadi import compiled
 from rhec._casadi import validation as valid
-from rhec._casadi.build import casadi_function, select_inputs, with_packed_memory
+from rhec._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.estimator import kalman
 from rhec.estimator.base import joint_estimate, joint_guess, noise_of
 from rhec.model import base
@@ -83,7 +83,7 @@ class Window(NamedTuple):
 def predict_input(window, B, m, P, v, z, **noise):
     """A prediction (m, P) made with the input v, corrected by what z says of that input."""
     v_m, R_v = window.interval.input_noise(z, v, **noise)
-    return m + B @ (v_m - v), P + B @ ca.diag(R_v) @ B.T
+    return m + B @ (v_m - v), symmetric(P + B @ ca.diag(R_v) @ B.T)
 
 
 # shift: the window moves on by one sample, and its oldest node becomes the arrival cost
@@ -292,16 +292,16 @@ def _build_expand(window, linearise, feedback, loops):
         more = descent(new, old, s_after, z, noise["V"]) + ca.dot((v - v_m) / R_v, v_new - v)
         return dict(new=new, old=old, descent=more)
 
+    @short_cut("good")
     @casadi_function(
-        "rhe_accepted", **window.memory, s_new=(n_s, N + 1), v_new=(n_v, N), ok=(1, 1), P_0=state
+        "rhe_accepted", **window.memory, s_new=(n_s, N + 1), v_new=(n_v, N), good=(1, 1), P_0=state
     )
-    def accepted(s, v, z, age, m, P, s_new, v_new, ok, P_0):
+    def accepted(s, v, z, age, m, P, s_new, v_new, good, P_0):
         """The memory after the new solution.
 
         If the step failed or gave no number, keep the shifted trajectory and restart the window at
         its newest node with the start-up variances; else the cause would stay in the window.
         """
-        good = ok * is_plausible(s_new[:, N])
         s = ca.if_else(is_plausible(s[:, N]), s, 0)
         limit = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
         held = ca.if_else(ca.fabs(v) <= limit, v, 0)
@@ -342,7 +342,8 @@ def _build_expand(window, linearise, feedback, loops):
         at = q @ s_bar[N]
         kkt = gauss_newton.kkt_tolerance(descent, multipliers, lower - at, upper - at)
         new = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
-        return accepted(s=s, **memory, **new, ok=ok, P_0=P_0) | dict(kkt=kkt)
+        good = ok * is_plausible(s_new[N])
+        return accepted(s=s, **memory, **new, good=good, P_0=P_0) | dict(kkt=kkt)
 
     return expand
 

@@ -2,6 +2,8 @@
 
 import casadi as ca
 
+from rhec._casadi.build import every
+
 __all__ = [
     "MAX_MEASUREMENT", "MAX_PLAUSIBLE_STATE", "MAX_QP_ENTRY", "is_plausible",
     "is_valid_measurement",
@@ -19,4 +21,4 @@ def is_valid_measurement(z, limit):
 
 def is_plausible(x, limit=MAX_PLAUSIBLE_STATE):
     """1 if every entry of x is a number of at most this size."""
-    return ca.mmin(ca.fabs(x) <= limit)
+    return every(ca.fabs(x) <= limit)

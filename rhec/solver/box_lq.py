@@ -10,7 +10,7 @@ previous solution's.
 
 import casadi as ca
 
-from rhec._casadi.build import casadi_function
+from rhec._casadi.build import casadi_function, every
 from rhec.solver.gauss_newton import symmetric
 from rhec.solver.pivoting import corrected_bound, first_corrected, search_active_set
 
@@ -45,8 +45,9 @@ def box_lq(N, A_0, D, B, loops):
         free, bound = active == 0, ca.if_else(active > 0, upper, lower)
         H = B.T @ P @ B + ca.diag(R)
         if m == 1:
-            K = -free * (B.T @ P @ A) / H
-            k = ca.if_else(free, -(g + B.T @ p) / H, bound)
+            inverse = free / H
+            K = -inverse * (B.T @ P @ A)
+            k = ca.if_else(free, -inverse * (g + B.T @ p), bound)
         else:
             fixed = ca.if_else(free, 0, bound)
             among_free = ca.diag(free) @ H @ ca.diag(free) + ca.diag(1 - free)
@@ -84,12 +85,8 @@ def box_lq(N, A_0, D, B, loops):
         """The solution for one guess of the active set, and what its signs say of the guess."""
         D, B = ca.horzsplit(D, n), ca.horzsplit(B, m)
         g, lower, upper, active = map(stages, (g, lower, upper, active))
-        P, p, K, k = (
-            [None] * N + [ca.diag(QN)],
-            [None] * N + [ca.DM.zeros(n)],
-            [None] * N,
-            [None] * N,
-        )
+        P, p = [None] * N + [ca.diag(QN)], [None] * N + [ca.DM.zeros(n)]
+        K, k = [None] * N, [None] * N
         for i in reversed(range(N)):
             P[i], p[i], K[i], k[i] = backward(
                 P[i + 1], p[i + 1], D[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]
@@ -103,7 +100,7 @@ def box_lq(N, A_0, D, B, loops):
         u, multipliers, right, first = (
             ca.vertcat(*column).T for column in (u, multipliers, right, first)
         )
-        finite = ca.mmin(ca.fabs(u) < ca.inf)  # also 0 where u is not a number
+        finite = every(ca.fabs(u) < ca.inf)  # also 0 where u is not a number
         return dict(
             x=u, multipliers=multipliers, corrected=right, first_corrected=first,
             wrong=ca.if_else(finite, wrong, -1),

@@ -2,7 +2,7 @@
 
 import casadi as ca
 
-from rhec._casadi.build import casadi_function
+from rhec._casadi.build import casadi_function, every
 from rhec.solver.pivoting import corrected_bound, first_corrected, search_active_set
 
 __all__ = ["box_qp"]
@@ -24,12 +24,12 @@ def box_qp(n):
             best = ca.fmin(ca.fmax(-g / H, lb), ub)
         else:
             best = -ca.inv_minor(H) @ g
-            inside = ca.mmin(ca.vertcat(best >= lb, best <= ub))
+            inside = every(ca.vertcat(best >= lb, best <= ub))
             least = ca.if_else(inside, -ca.inf, ca.inf)
             for x in _edges(H, g, lb, ub):
                 cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
                 best, least = ca.if_else(cost < least, x, best), ca.fmin(cost, least)
-        ok = ca.mmin(ca.vertcat(best >= lb, best <= ub))  # also 0 where x is not a number
+        ok = every(ca.vertcat(best >= lb, best <= ub))  # also 0 where x is not a number
         return dict(x=ca.if_else(ok, best, 0), ok=ok)
 
     return solve
@@ -59,7 +59,7 @@ def _box_qp_by_pivoting(n):
         first, wrong = first_corrected(active, right, 0)
         return dict(
             x=x, multipliers=multipliers, corrected=right, first_corrected=ca.horzcat(*first),
-            wrong=ca.if_else(ca.mmin(ca.fabs(x) < ca.inf), wrong, -1),
+            wrong=ca.if_else(every(ca.fabs(x) < ca.inf), wrong, -1),
         )  # fmt: skip
 
     search = search_active_set("qp", n, solve, dict(H=(n, n), g=row, lb=row, ub=row))

@@ -30,5 +30,5 @@ def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
 
 
 def symmetric(P):
-    """P (n, n) from its lower triangle: half the work, and symmetric to the last bit."""
-    return ca.tril2symm(ca.tril(P))
+    """P (n, n) from its upper triangle: half the work, and symmetric to the last bit."""
+    return ca.triu2symm(ca.triu(P))

@@ -11,6 +11,7 @@ import numpy as np
 
 from rhec import paper
 from rhec._casadi.build import casadi_function
+from rhec._casadi.sines import sines_by_addition
 from rhec.tracked_robot.kinematics import f, rk4
 
 __all__ = [
@@ -88,12 +89,9 @@ def drive(dt_s):
             pose = rk4(f, pose, omega, ca.vertcat(nu, traction), h)
             pose = pose + ca.vertcat(0, 0, h * bump_sigma_radps * bump)
             tracks = tracks + h / _MOTOR_LAG_S * (limited - tracks)
-        return dict(
-            pose=pose,
-            tracks=tracks,
-            integral=integral,
-            encoders=ca.vertcat(*body_speeds(sum(readings) / SUBSTEPS, track_width_m)),
-        )
+        (pose,) = sines_by_addition([pose])
+        encoders = ca.vertcat(*body_speeds(sum(readings) / SUBSTEPS, track_width_m))
+        return dict(pose=pose, tracks=tracks, integral=integral, encoders=encoders)
 
     return drive
 
@@ -106,9 +104,6 @@ def body_speeds(tracks, track_width_m):
 def init(pose, speed_mps):
     """Memory at the first sample: driving straight at the set speed."""
     return dict(
-        pose=np.array(pose),
-        tracks=np.full(2, speed_mps),
-        integral=np.zeros(2),
-        drift=np.zeros(2),
+        pose=np.array(pose), tracks=np.full(2, speed_mps), integral=np.zeros(2), drift=np.zeros(2),
         encoders=np.array([speed_mps, 0.0]),
-    )
+    )  # fmt: skip

@@ -4,6 +4,7 @@ import argparse
 import shutil
 
 from benchmark import (
+    acados_peer,
     any_robot,
     drawings,
     growth,
@@ -35,8 +36,10 @@ def measure_step(_):
     if step.REFERENCE not in peers.PEERS:
         print(
             f"{step.REFERENCE} is not installed (make bench does that), "
-            "so rhec is compared with Opti + IPOPT only."
+            "so rhec is compared with Opti + IPOPT and FATROP only."
         )
+    if not acados_peer.command():
+        print("acados is missing: its wheel could not be installed, ACADOS_SOURCE_DIR is not set.")
     agreeing, table = step.measure()
     report(
         agreeing,

@@ -123,6 +123,69 @@ def opti_rhc(first):
     )
 
 
+# FATROP, an interior-point method by stages: what is unknown stands in the order of the stages, the
+# parameters are states that stay
+
+FATROP = {"expand": True, "print_time": False, "structure_detection": "auto"}
+FATROP["fatrop"] = {"print_level": 0}
+
+
+def stages(N):
+    """Opti, joint states s_0 … s_N, inputs, and the Function of an interval."""
+    opti, s, omega = ca.Opti(), [], []
+    for _ in range(N):
+        s.append(opti.variable(6))
+        omega.append(opti.variable())
+    s.append(opti.variable(6))
+    joint, u = ca.SX.sym("s", 6), ca.SX.sym("u")
+    after = ca.vertcat(next_pose(joint[:3], u, joint[3:]), joint[3:])
+    return opti, s, omega, ca.Function("interval", [joint, u], [after])
+
+
+def by_fatrop(opti, data, answer, guess):
+    opti.solver("fatrop", FATROP)
+    names = [*data, opti.x, opti.lam_g], [answer, opti.x, opti.lam_g]
+    return warm(opti.to_function("solve", *names), guess)
+
+
+def fatrop_rhe(first):
+    N = len(first.omega_ref)
+    opti, s, omega, interval = stages(N)
+    z, m, H = opti.parameter(4, N + 1), opti.parameter(6), opti.parameter(6, 6)
+    cost = squared(s[0] - m, H)
+    for i, node in enumerate(s):
+        residual = ca.vertcat(node[:2], node[3]) - z[:3, i]
+        cost += squared(residual, np.diag(WEIGHTS[:3]))
+    cost += sum(WEIGHTS[3] * (u - z[3, i + 1]) ** 2 for i, u in enumerate(omega))
+    opti.minimize(cost / 2)
+    for i, u in enumerate(omega):
+        opti.subject_to(s[i + 1] == interval(s[i], u))
+    opti.subject_to(opti.bounded(0, s[N][4:], 1))
+    guess = [np.append(first.estimate, u) for u in first.z[3, 1:]]
+    solve = by_fatrop(opti, [z, m, H], s[N], np.concatenate([*guess, first.estimate]))
+    return lambda problem: solve(problem.z, problem.m, problem.H)
+
+
+def fatrop_rhc(first):
+    N = len(first.omega_ref)
+    opti, s, omega, interval = stages(N)
+    estimate, xi_ref, omega_ref = opti.parameter(6), opti.parameter(3, N + 1), opti.parameter(1, N)
+    errors = [node[:3] - xi_ref[:, i] for i, node in enumerate(s)]
+    cost = sum(squared(error, Q) for error in errors[1:-1]) + squared(errors[-1], QN)
+    cost += paper.R * sum((u - omega_ref[i]) ** 2 for i, u in enumerate(omega))
+    opti.minimize(cost / 2)
+    for i, u in enumerate(omega):
+        opti.subject_to(s[i + 1] == interval(s[i], u))
+        if i == 0:
+            opti.subject_to(s[0] == estimate)
+        opti.subject_to(opti.bounded(-paper.OMEGA_MAX_RADPS, u, paper.OMEGA_MAX_RADPS))
+    p, poses = first.estimate[3:], first.xi_ref.T
+    guess = [np.concatenate([pose, p, [u]]) for pose, u in zip(poses, first.omega_ref)]
+    guess = np.concatenate([*guess, poses[-1], p])
+    solve = by_fatrop(opti, [estimate, xi_ref, omega_ref], ca.horzcat(*omega), guess)
+    return lambda problem: solve(problem.estimate, problem.xi_ref, problem.omega_ref)
+
+
 # do-mpc: a discrete-time model with states (x, y, θ), input ω and parameters ν, μ, κ
 
 
@@ -215,6 +278,6 @@ def do_mpc_rhc(first):
     return solve
 
 
-PEERS = {"Opti + IPOPT": (opti_rhe, opti_rhc)}
+PEERS = {"Opti + IPOPT": (opti_rhe, opti_rhc), "FATROP": (fatrop_rhe, fatrop_rhc)}
 if do_mpc:
     PEERS["do-mpc"] = (do_mpc_rhe, do_mpc_rhc)

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pandas as pd
 
-from benchmark import peers, problems
+from benchmark import acados_peer, native, peers, problems
 from rhec import simulation
 from rhec._casadi import compiled, scan
 from rhec.studies.timing import PHASES
@@ -56,7 +56,7 @@ def agreed(row):
     return row["rhe_maximum"] <= TOLERANCE and row["rhc_maximum"] <= TOLERANCE
 
 
-def agreement(run, recorded):
+def agreement(run, recorded, acados=None):
     """The table of differences, and with how many iterations a sample rhec agrees with itself;
     raises if a peer does not agree.
 
@@ -69,6 +69,8 @@ def agreement(run, recorded):
         rows.append(
             difference(name, [(rhe(problem), rhc(problem)) for problem in recorded], recorded)
         )
+    if acados:
+        rows.append(difference(acados_peer.NAME, acados.answers(), recorded))
     if not all(map(agreed, rows)):
         raise SystemExit(
             f"Not all answers agree to {TOLERANCE:g}, so nothing was timed:\n"
@@ -130,47 +132,6 @@ def from_python(run, recorded, iterations=None):
         return dict(
             zip(PHASES, taken[1:].mean(axis=0) / 1e3)
         )  # on the first sample the controller has nothing to prepare
-
-    return block
-
-
-def without_python(run, recorded):
-    """The compiled phases alone: their arguments are in place before the clock starts, their
-    results stay where they are.
-    """
-    horizon = len(recorded[0].omega_ref)
-    window, newest = np.split(problems.measured(run), [horizon])
-
-    def block(_):
-        estimator, controller = problems.live(run, horizon)
-        for z in window:
-            estimator.prepare()
-            estimator.feedback(z)
-        first = recorded[0]
-        controller.feedback(
-            first.estimate[:3], first.estimate[3:], first.xi_ref, first.omega_ref
-        )  # finds its first plan
-        taken = np.empty((len(recorded), 4))
-        for k, (z, problem) in enumerate(zip(newest, recorded)):
-            estimator.iteration.arrays["z_N"][:] = z
-            arrays = controller.iteration.arrays
-            arrays["x_ref"][:], arrays["u_ref"][:] = problem.xi_ref.ravel("F"), problem.omega_ref
-            arrays["s_0"][:] = problem.estimate
-            begin = clock()
-            estimator.iteration.prepare()
-            prepared = clock()
-            estimator.iteration.feedback()
-            estimated = clock()
-            controller.iteration.prepare()
-            planned = clock()
-            controller.iteration.feedback()
-            taken[k] = (
-                prepared - begin,
-                estimated - prepared,
-                planned - estimated,
-                clock() - planned,
-            )
-        return dict(zip(PHASES, taken.mean(axis=0) / 1e3))
 
     return block
 
@@ -237,16 +198,20 @@ def measure(rounds=30):
     """
     run = problems.drive(SAMPLES)
     recorded = problems.record(run)
-    agreeing, iterations = agreement(run, recorded)
+    acados = acados_peer.Acados(recorded) if acados_peer.command() else None
+    agreeing, iterations = agreement(run, recorded, acados)
     contestants = {
         "rhec, closed loop": fused(run.scenario),
-        "rhec, compiled code alone": without_python(run, recorded),
+        "rhec, in C": native.block(run, recorded),
         "rhec, one iteration": from_python(run, recorded),
         "rhec, to convergence": from_python(run, recorded, iterations),
     }
-    times = interleaved(
-        contestants | {name: peer(makers, recorded) for name, makers in peers.PEERS.items()}, rounds
-    )
+    contestants |= {name: peer(makers, recorded) for name, makers in peers.PEERS.items()}
+    if acados:
+        contestants[acados_peer.NAME] = acados.block
+    times = interleaved(contestants, rounds)
+    if acados:
+        acados.close()
     table = spread(times, ["contestant", "problem", "phase"])
     whole = times[times["problem"].isin(WHOLE)].pivot(
         index="block", columns="contestant", values="us"

@@ -1,0 +1,113 @@
+"""rhec's compiled phases timed as C: called by a C program's loop (driver.c), not by Python."""
+
+import ctypes
+import functools
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from benchmark import problems
+from rhec._casadi import cache, compiled
+from rhec.controller import rhc
+from rhec.studies.timing import PHASES
+from rhec.tracked_robot import estimators
+
+# As in driver.c.
+_FIELDS = ("phase", "arguments", "results", "whole", "work", "to", "rows", "doubles", "timed")
+
+
+@functools.cache
+def _driver():
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder, "driver.so")
+        source = Path(__file__).with_name("driver.c")
+        command = [compiled.compiler(), "-O2", "-shared", "-fPIC", source, "-o", library]
+        subprocess.run(command, check=True)
+        return ctypes.CDLL(str(library))
+
+
+def _library(build, structure):
+    """The C library of a structure's phases."""
+    found = cache.kept(compiled.library_name(build, (structure,)), None, lambda folder: folder)
+    return ctypes.CDLL(str(found / "library.so"))
+
+
+class Steps:
+    """What the loop does with each sample, in order."""
+
+    def __init__(self):
+        self._rows, self._alive = [], []
+
+    def copy(self, rows, array):
+        """Copy this sample's row to an array that a phase reads."""
+        rows = np.ascontiguousarray(rows)
+        self._alive += [rows, array]
+        self._add(to=array.ctypes.data, rows=rows.ctypes.data, doubles=array.size)
+
+    def call(self, library, buffered, timed=False):
+        """Call a BufferedFunction's C, on its arrays."""
+        name, sizes = buffered.function.name(), [ctypes.c_longlong() for _ in range(4)]
+        getattr(library, f"{name}_work")(*map(ctypes.byref, sizes))
+        arguments, results, whole, work = (np.zeros(size.value + 1, np.int64) for size in sizes)
+        for to, arrays in ((arguments, buffered.arguments), (results, buffered.results)):
+            to[: len(arrays)] = [array.ctypes.data for array in arrays.values()]
+        self._alive += [arguments, results, whole, work, buffered]
+        places = dict(arguments=arguments, results=results, whole=whole, work=work)
+        phase = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+        self._add(phase=phase, timed=timed, **{k: a.ctypes.data for k, a in places.items()})
+
+    def _add(self, **fields):
+        self._rows.append(tuple(int(fields.get(name, 0)) for name in _FIELDS))
+
+    def run(self, samples):
+        """Microseconds a sample from one timed step to the next."""
+        rows, us = np.array(self._rows, np.int64), np.zeros(len(self._rows))
+        where = (ctypes.c_void_p(array.ctypes.data) for array in (rows, us))
+        if _driver().drive(ctypes.c_longlong(samples), ctypes.c_longlong(len(rows)), *where):
+            raise RuntimeError("a phase failed")
+        return us[: int(rows[:, -1].sum())] / samples
+
+
+def block(run, recorded):
+    """A contestant: all problems of the run, one iteration each, the arrival cost updated."""
+    horizon = len(recorded[0].omega_ref)
+    window, newest = np.split(problems.measured(run), [horizon])
+    columns = dict(zip(recorded[0]._fields, map(np.array, zip(*recorded))))
+
+    estimator, controller = problems.live(run, horizon)
+    libraries = {
+        type(estimator): _library(estimators.build_phases, estimator._choice),
+        type(controller): _library(rhc.build_phases, controller.problem),
+    }
+
+    def times(_):
+        estimator, controller = problems.live(run, horizon)
+        for z in window:
+            estimator.prepare()
+            estimator.feedback(z)
+        first = recorded[0]
+        controller.feedback(first.estimate[:3], first.estimate[3:], first.xi_ref, first.omega_ref)
+        steps = Steps()
+        for live, inputs in (
+            (estimator, dict(z_N=newest)),
+            (
+                controller,
+                dict(
+                    s_0=columns["estimate"],
+                    x_ref=columns["xi_ref"].transpose(0, 2, 1),
+                    u_ref=columns["omega_ref"],
+                ),
+            ),
+        ):
+            iteration = live.iteration
+            library = libraries[type(live)]
+            for phase in ("expand", "shift", "linearise"):
+                steps.call(library, iteration.phases[phase], timed=phase == "linearise")
+            for name, rows in inputs.items():
+                steps.copy(rows, iteration.arrays[name])
+            steps.call(library, iteration.phases["feedback"], timed=True)
+        return dict(zip(PHASES, steps.run(len(recorded))))
+
+    return times
