@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from rhec import paper
 from rhec._casadi.validation import Positive, checked
 from rhec.logs.bags import SUFFIXES, read_bag
-from rhec.logs.recording import MAX_PERIOD_S
+from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 __all__ = ["read"]
 
 _SEPARATORS = dict(zip("\t;|, ", ("tab", "semicolon", "bar", "comma", "space")))
 _DIGITS = re.compile(r"\d,\d")
-_SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)
 _TIME = re.compile(r"(?:t|time|stamp|timestamp|date_?time)(?:_(s|ms|us|ns))?", re.IGNORECASE)
-_SHORTEST_S = 0.004  # a unit that is not named must give rows this far apart, at least
+_MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
 _DEGREES = [("latitude", "lat"), ("longitude", "lon", "lng"), ("altitude", "alt")]
 _AXIS_M, _ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of the ellipsoid, WGS 84
 
@@ -118,23 +118,15 @@ def _in_seconds(log, found):
         t_s, unit = (stamps - stamps.min()).dt.total_seconds(), "ISO 8601"
     else:
         named = (_TIME.fullmatch(name)[1] or "").lower()
-        unit = _unit(numbers.to_numpy(dtype=float, na_value=np.nan), named)
+        t = numbers.to_numpy(dtype=float, na_value=np.nan)
+        unit, period = time_unit(t, _MAX_PERIOD_S)
+        if named and (unit is None or period * SECONDS[named] <= _MAX_PERIOD_S):
+            unit = named  # if it can be
+        unit = unit or "s"
         # Nanoseconds since 1970 are too many digits for a float: their difference is not.
-        t_s = numbers if unit == "s" else (numbers - numbers.min()) * _SECONDS[unit]
+        t_s = numbers if unit == "s" else (numbers - numbers.min()) * SECONDS[unit]
     found["time"] = f"{unit}, column {name}"
     return log.assign(t_s=t_s)
-
-
-def _unit(time, named):
-    """The unit of a time: the one in its column's name if it can be, else the one in which its rows
-    are as far apart as a replay takes, else seconds.
-    """
-    steps = np.abs(np.diff(time[np.isfinite(time)]))
-    step = np.median(steps[steps > 0]) if (steps > 0).any() else np.nan
-    if named and step * _SECONDS[named] <= MAX_PERIOD_S:
-        return named
-    fits = [unit for unit, s in _SECONDS.items() if _SHORTEST_S <= step * s <= MAX_PERIOD_S]
-    return (*fits, named or "s")[0]
 
 
 def _in_metres(log, found):

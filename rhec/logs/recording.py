@@ -5,7 +5,7 @@ resample the rest at the estimator's rate.
 that is no finite number of plausible size is missing. A position equal to the one before to the
 last digit is an old one held, so it is missing, too. A row is left out where its time is no number,
 is far from those of the rows before it or is not later than all of them. Where the clock is set
-back, or the log is silent for long, a new segment begins.
+back, or the log is silent for ten minutes, a new segment begins.
 """
 
 from typing import NamedTuple
@@ -17,16 +17,19 @@ from rhec import paper
 from rhec.columns import MEASUREMENTS, POSE, RECORDED, RECORDED_TRUTH, TRACKS, TRUE_SPEEDS
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = ["MAX_PERIOD_S", "Recording", "measured_since", "prepare", "prepare_for", "resample"]
+__all__ = ["MAX_PERIOD", "SECONDS", "Recording", "measured_since", "prepare", "prepare_for"]
+__all__ += ["resample", "time_unit"]
 
 _POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
 _TURNING_RADPS = 0.05  # at a lower yaw rate nothing is said about the track width
 # In samples of the estimator:
-_MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
-MAX_PERIOD_S = _MAX_PERIOD * paper.DT_S
+MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
 _TRUTH_GAP = 1.75  # true poses further apart are not interpolated between
 _ENCODER_GAP = 3.25  # nor encoder measurements, and none is held for longer
-_SEGMENT_GAP = 10.0  # after a longer silence a new segment begins
+_HELD = 15.0  # a longer silence ends with a robot that is taken to stand,
+_SEGMENT_GAP = 3000.0  # and a longer one still with a new segment
+_MOST_FALLING, _LEAST_ROWS = 0.05, 5  # times, of a log in order; rows of a segment, on average
+SECONDS, _SHORTEST_S = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9), 0.004
 # A time further from the median of it and the two before is wrong; a clock that is set back by more
 # begins a new segment.
 _CLOCK = 5.0
@@ -43,6 +46,7 @@ class Recording(NamedTuple):
                    values of an instant
     track_width_m  as given, else by the log's track speeds and yaw rate, else the paper's
     faults         how many rows or measurements were left out, by reason
+    columns        what the log calls a column of `rows`
     """
 
     rows: pd.DataFrame
@@ -50,19 +54,26 @@ class Recording(NamedTuple):
     averaged: bool
     track_width_m: float
     faults: dict
+    columns: dict
 
 
-def prepare(log, track_width_m=None):
+def prepare(log, track_width_m=None, position_delay_s=0.0):
     """The Recording in a DataFrame. track_width_m [m]: take ν and ω from the tracks' speeds, this
-    far apart.
+    far apart; position_delay_s [s]: how late positions come, a row holds those that come then.
     """
-    values, averaged = _parse_columns(log, track_width_m)
-    _drop_implausible(values, MEASUREMENTS, SPEED_MODELS["parameter"].model.limits)
+    values, columns, averaged = _parse_columns(log, track_width_m)
+    _drop_implausible(
+        values, columns, dict(zip(MEASUREMENTS, SPEED_MODELS["parameter"].model.limits))
+    )
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
     rows, kept = _usable_rows(values, paper.DT_S)
     again = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     held = again & (rows["segment"].diff() == 0)
     rows.loc[held, _POSITION] = np.nan
+    if position_delay_s:
+        rows[_POSITION] = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]].apply(
+            _moved_earlier, position_delay_s
+        )
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
@@ -71,41 +82,89 @@ def prepare(log, track_width_m=None):
         positions_held=int(held.sum()),
         segments=int(rows["segment"].max()) + 1,
     )
-    return Recording(rows, kept, averaged, track_width_m or _recorded_width(log), faults)
+    width_m = track_width_m or _recorded_width(log)
+    return Recording(rows, kept, averaged, width_m, faults, columns)
+
+
+def _moved_earlier(late, delay_s):
+    """Positions that come delay_s late, each in the row nearest to when it was measured."""
+    t, known = late["t_s"].to_numpy(), late[_POSITION[0]].notna().to_numpy()
+    row = np.interp(t[known] - delay_s, t, np.arange(len(t)), -1, -1)
+    earlier = late[_POSITION] * np.nan
+    earlier.iloc[np.rint(row[row >= 0]).astype(int)] = late[_POSITION][known][row >= 0]
+    return earlier
 
 
 def prepare_for(model, dt_s, log):
     """The Recording in a DataFrame with a column for each of a Model's outputs; those that measure
     inputs are means since the row before.
     """
-    values = _columns(log, {name: name for name in model.outputs})
-    _drop_implausible(values, model.outputs, model.limits)
+    columns = {name: name for name in model.outputs}
+    values = _columns(log, columns)
+    _drop_implausible(values, columns, dict(zip(columns, model.limits)))
     rows, kept = _usable_rows(values, dt_s)
     faults = dict(rows=len(log), unusable_times=len(log) - len(kept))
-    return Recording(rows, kept, True, np.nan, faults)
+    return Recording(rows, kept, True, np.nan, faults, columns)
 
 
-def _drop_implausible(values, names, limits):
-    for name, limit in zip(names, limits):
-        values.loc[~(values[name].abs() <= limit), name] = np.nan
+def _drop_implausible(values, columns, limits):
+    """Make missing what is above its limit, unless most of a column is."""
+    for name, limit in limits.items():
+        size = values[name].abs()
+        if (size > limit).sum() > size.notna().sum() / 2 > _LEAST_ROWS:
+            raise ValueError(
+                f"the log's {columns[name]} is {size.median():.3g} (median); it may be in another "
+                f"unit and should be at most {limit:g}"
+            )
+        values.loc[~(size <= limit), name] = np.nan
+
+
+def time_unit(t, max_period_s):
+    """The unit of the times t in which rows are 4 ms to max_period_s apart, None if there is none,
+    and how far apart they are (median).
+    """
+    step = np.abs(np.diff(t[np.isfinite(t)]))
+    period = np.median(step[step > 0]) if (step > 0).any() else np.nan
+    fits = [unit for unit, s in SECONDS.items() if _SHORTEST_S <= period * s <= max_period_s]
+    return (*fits, None)[0], period
+
+
+def _refuse_times(values, dt_s):
+    """Say in a sentence that times are not in order, not in seconds, or segments not what they are
+    called.
+    """
+    rows, segments = len(values), values["segment"].nunique()
+    falling = int((values.groupby("segment")["t_s"].diff() < 0).sum())
+    unit, period = time_unit(values["t_s"].to_numpy(), MAX_PERIOD * dt_s)
+    if falling > max(2, _MOST_FALLING * rows):
+        order = "in reverse" if falling > 0.9 * (rows - 1) else "unsorted"
+        raise ValueError(
+            f"the log's t_s falls {falling} times in {rows} rows; it may be {order} and should "
+            "rise in each segment"
+        )
+    if segments * _LEAST_ROWS > rows > 2 * _LEAST_ROWS:
+        raise ValueError(
+            f"the log's segment has {segments} values in {rows} rows; it should be the same in all "
+            "rows of a drive"
+        )
+    if period > MAX_PERIOD * dt_s:
+        may = f"t_s may be in {unit}, or the" if unit else "the"
+        raise ValueError(
+            f"the log had rows {period:.3g} s apart (median); {may}y should be at most {dt_s:g} s "
+            "apart, where need be with missing measurements"
+        )
 
 
 def _usable_rows(values, dt_s):
     """The rows whose times can be used, with their segments numbered from 0, and their places."""
+    _refuse_times(values, dt_s)
     kept, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
     if not len(kept):
         raise ValueError(
             "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
             "segment"
         )
-    rows = values.iloc[kept].assign(segment=segment).reset_index(drop=True)
-    period = rows.groupby("segment")["t_s"].diff().median()
-    if period > _MAX_PERIOD * dt_s:
-        raise ValueError(
-            f"the log had rows {period:.3g} s apart (median); they should be at most {dt_s:g} s "
-            "apart, where need be with missing measurements"
-        )
-    return rows, kept
+    return values.iloc[kept].assign(segment=segment).reset_index(drop=True), kept
 
 
 def _recorded_width(log):
@@ -121,8 +180,8 @@ def _recorded_width(log):
 
 
 def _parse_columns(log, track_width_m):
-    """The log's known columns as floats under the names of a run's log, and whether encoder
-    measurements are means.
+    """The log's known columns as floats under the names of a run's log, what the log calls them,
+    and whether encoder measurements are means.
     """
     simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     measured, truth = RECORDED, RECORDED_TRUTH
@@ -137,6 +196,7 @@ def _parse_columns(log, track_width_m):
         values = values.assign(
             nu_meas_mps=(left + right) / 2, omega_meas_radps=(right - left) / track_width_m
         )
+        measured |= dict.fromkeys(_ENCODERS, ", ".join(TRACKS))
     for flag, flagged in (("pos_ok", _POSITION), ("encoders_ok", _ENCODERS)):
         if flag in log:
             values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
@@ -146,7 +206,7 @@ def _parse_columns(log, track_width_m):
     if simulated and {"mu", "nu_mps", "kappa", "omega_radps"} <= set(log.columns):
         values["v_true_mps"] = values["mu"] * _numbers(log, "nu_mps")
         values["yaw_rate_true_radps"] = values["kappa"] * _numbers(log, "omega_radps")
-    return values, simulated
+    return values, truth | measured, simulated
 
 
 def _columns(log, measured):
@@ -219,6 +279,10 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
         else:
             value = _unwrapped(value) if name == "theta_rad" else value
             result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s)
+    silent = at - t[np.searchsorted(t, at, side="right") - 1] > _HELD * dt_s
+    begins = np.diff(silent, prepend=False) & silent
+    for name in _ENCODERS if begins.any() else ():
+        result[name][begins] = 0.0  # at which a missing input is held from then on
     return pd.DataFrame(result)
 
 

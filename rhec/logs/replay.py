@@ -17,12 +17,13 @@ from rhec import paper
 from rhec._casadi import compiled, scan
 from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack
 from rhec._casadi.renamed import with_new_names
-from rhec._casadi.validation import Positive, Real, checked
+from rhec._casadi.validation import Flag, Positive, Real, checked
 from rhec.columns import AGE, ESTIMATE, FLAGS, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
 from rhec.estimator.ekf import EKF
 from rhec.estimator.rhe import RHE
 from rhec.extensions import slipping
 from rhec.extensions.faults import corrupted
+from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.recording import measured_since, prepare, prepare_for, resample
 from rhec.model.base import Model, interval
 from rhec.model.limits import is_valid_measurement
@@ -285,6 +286,8 @@ def replay(
     lever_arm_m: tuple[Real, Real] | None = None,
     first_yaw_rad: Real | tuple[Real, ...] | None = None,
     sigma_yaw_rad: Positive | None = None,
+    position_delay_s: Real = 0.0,
+    trust_log: Flag = False,
     **fields: Any,
 ) -> pd.DataFrame:
     """Estimates from a recorded log: of the paper's robot, or of any Model.
@@ -313,6 +316,10 @@ def replay(
             several directions are tried, and each row has the estimate of the one with the least
             innovations so far: until the robot has driven some metres that may be a wrong one.
         sigma_yaw_rad: Standard deviation of that guess [rad], by default 0.3.
+        position_delay_s: How much later than the encoders' measurements the positions were stamped
+            [s].
+        trust_log: Whether to take a log as it is in which something is surely wrong: its units,
+            signs, axes, or a robot that never moves.
         **fields: Of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon, speed_model,
             arrival_mean, robust. speed_model is "slipping" by default: "input" (R13) with noise
             that scales with motion.
@@ -326,15 +333,19 @@ def replay(
         `.attrs["faults"]` counts rows and measurements that could not be used.
 
     Raises:
-        ValueError: For a log without these columns or usable times, or a bad argument.
+        ValueError: For a log without these columns or usable times, one that cannot be what its
+            columns say, or a bad argument. Positions half a second late are a UserWarning.
     """
     if model is not None:
         own = dict(track_width_m=track_width_m, lever_arm_m=lever_arm_m)
         own |= dict(first_yaw_rad=first_yaw_rad, sigma_yaw_rad=sigma_yaw_rad)
+        own |= dict(position_delay_s=position_delay_s or None, trust_log=trust_log or None)
         for name in (name for name, value in own.items() if value is not None):
             raise ValueError(f"{name} was {own[name]!r}; a replay with a model does not take it")
         return _replay_model(log, model, estimator, fields)
-    recording = prepare(log, track_width_m)
+    recording = prepare(log, track_width_m, position_delay_s)
+    if not trust_log:
+        refuse_nonsense(recording)
     scenario = replay_scenario(estimator, recording, fields)
     if lever_arm_m is not None and (
         scenario.estimator != "rhe" or scenario.speed_model != "slipping"
