@@ -15,14 +15,13 @@ _SIDES = [re.compile(rf"{side}|(^|_)[fmrb]?{side[0]}(_|$)") for side in ("left",
 
 
 def _fix(message):
-    if message.status.status < 0:  # no fix
-        return np.nan, np.nan, np.nan
-    return message.latitude, message.longitude, message.altitude
+    place = message.latitude, message.longitude, message.altitude
+    return place if message.status.status >= 0 else (np.nan,) * 3  # no fix
 
 
 def _pose(message):
-    pose = getattr(message.pose, "pose", message.pose)  # with a covariance, or without
-    return pose.position.x, pose.position.y
+    place = getattr(message.pose, "pose", message.pose).position  # with a covariance, or without
+    return place.x, place.y
 
 
 def _twist(message):

@@ -15,7 +15,6 @@ from rhec.columns import MEASUREMENTS
 __all__ = ["refuse_nonsense"]
 
 _POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
-_NAMED = [*_ENCODERS, "theta_rad"]
 _LENGTHS_S = (0.6, 1.2, 2.4)  # of the intervals: the first that shows through the positions' noise
 _DELAYS_S, _FINER_S = np.arange(-10, 11) / 5, np.arange(-3, 4) / 20  # tried; then about the best
 _CLEAR, _BETTER, _LATE_S = 0.5, 0.05, 0.25  # share explained, more than without; what is named
@@ -157,7 +156,7 @@ def refuse_nonsense(recording):
             come late are a UserWarning that names the argument which makes up for that.
     """
     rows, columns = recording.rows, recording.columns
-    names = dict(zip(("speed", "yaw_rate", "yaw"), (columns.get(name) for name in _NAMED)))
+    names = dict(zip(("speed", "yaw_rate", "yaw"), map(columns.get, [*_ENCODERS, "theta_rad"])))
     names["place"] = ", ".join(columns[name] for name in _POSITION)
     made = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()
     farthest = (made.max() - made.min()).max()

@@ -69,7 +69,8 @@ def _fits(value, spec):
     if spec is str:
         return isinstance(value, str) and value != ""
     if isinstance(spec, list):
-        return isinstance(value, list | tuple) and value and all(_fits(v, spec[0]) for v in value)
+        some = isinstance(value, list | tuple) and (value or spec[-1] is ...)
+        return some and all(_fits(v, spec[0]) for v in value)
     if isinstance(spec[0], type):
         kind, lowest, highest = spec
         return type(value) in {int, kind} and lowest <= value <= highest
@@ -80,7 +81,8 @@ def _wanted(spec):
     if spec is str:
         return "a text"
     if isinstance(spec, list):
-        return f"a list of at least one item, each {_wanted(spec[0])}"
+        least = "any number of items" if spec[-1] is ... else "at least one item"
+        return f"a list of {least}, each {_wanted(spec[0])}"
     if isinstance(spec[0], type):
         kind, lowest, highest = spec
         return f"{'an int' if kind is int else 'a number'} from {lowest} to {highest}"
@@ -222,7 +224,7 @@ def main():
     except KeyboardInterrupt:
         parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
     except PapermillExecutionError as error:
-        if error.ename == ParameterError.__name__:
+        if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
             parser.exit(2, f"{error.evalue}\n")
         parser.exit(1, str(error))
     seconds = time.monotonic() - started
