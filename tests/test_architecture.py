@@ -36,9 +36,9 @@ FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 CORE = ["model", "solver", "estimator", "controller"]
 CORE += ["paper", "scenario", "metrics", "simulation"]
 PICTURES = {"matplotlib", "PIL", "IPython", "ipywidgets"}
-# A house for the paper needs 14,000 lines; 2,000 more hold rivals and fair rules, lanes and a cache
+# A house for the paper needs 14,000 lines; 2,100 more hold rivals and fair rules, lanes and a cache
 # that trusts nobody, and readers of logs that say what is wrong with one.
-MOST_ENTRIES, MOST_CORE_LINES, MOST_LINES = 20, 2500, 16_000
+MOST_ENTRIES, MOST_CORE_LINES, MOST_LINES = 20, 2500, 16_100
 
 
 def dotted(file):

@@ -233,6 +233,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     changes = dict(
         estimator="rhe",
         process_noise="calibrated",
+        sigma_v=(0.1,) * 4,
         sigma_w=(1.0,) * 4,
         speed_model="input",
         arrival_mean="filtered",

@@ -221,9 +221,9 @@ def test_it_says_where_the_results_came_from(site):
 
 def test_the_reference_shows_the_public_face(site):
     article = pages(site)["reference.html"].select_one("article")
-    for name in rhec.__all__:
+    for name in (*(name for name in rhec.__all__ if name != "logs"), "logs.read"):
         shown = article.find(id=name)
-        assert name in shown.select_one(".attr").get_text(), name
+        assert name.split(".")[-1] in shown.select_one(".attr").get_text(), name
         assert shown.select_one(".docstring").get_text().strip(), name
     assert "duration_s" in article.find(id="Scenario").get_text()
     assert "FieldInfo" not in article.get_text()

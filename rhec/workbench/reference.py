@@ -18,15 +18,22 @@ def of_the_face():
     Returns:
         Its contents as pairs (id, name), and its body as HTML, without scripts.
     """
+    modules = []
     for name in rhec.__all__:
         shown = getattr(rhec, name)
         setattr(rhec, name, shown)  # pdoc asks for no name that is loaded on first use
-        for each in (shown, *(vars(shown).values() if inspect.isclass(shown) else ())):
+        members = vars(shown).values() if inspect.isclass(shown) else ()
+        if inspect.ismodule(shown):
+            modules.append(name)
+            members = map(vars(shown).get, shown.__all__)
+        for each in (shown, *members):
             _show_plain_types(getattr(each, "__func__", each))
     pdoc.render.configure(docformat="google", show_source=False)
-    module = pdoc.doc.Module(rhec)
-    page = BeautifulSoup(pdoc.render.html_module(module, {"rhec": module}), "html.parser")
-    body = page.select_one("main")
+    body = _page(rhec)
+    for name in modules:
+        for member in _page(getattr(rhec, name)).select("section[id]"):
+            member["id"] = f"{name}.{member['id']}"
+            body.append(member)
     for extra in body.select("h1, input, .headerlink, .view-value-button, .inherited, .decorator"):
         extra.decompose()
     for member in body.select(".classattr:not(:has(.docstring))"):
@@ -37,6 +44,13 @@ def of_the_face():
             link.unwrap()
     contents = [(section["id"], section["id"]) for section in body.select("section[id]")]
     return contents, body.decode_contents()
+
+
+def _page(module):
+    """A module's contents as pdoc shows them."""
+    shown = pdoc.doc.Module(module)
+    page = pdoc.render.html_module(shown, {module.__name__: shown})
+    return BeautifulSoup(page, "html.parser").select_one("main")
 
 
 def _show_plain_types(thing):

@@ -74,7 +74,10 @@ def _summary(a, b):
     rows[""], rows["here"] = rows["estimator"] + " " + quantity, _intervals(rows)
     paper = rows["paper"].where(rows["estimator"] != "RHE - EKF").groupby(rows[""]).first()
     here = rows.pivot(index="", columns="process_noise", values="here")[["printed", "calibrated"]]
-    return _table(here.reindex(rows[""].unique()).assign(paper=paper.map(_number)).reset_index())
+    here = here.reindex(rows[""].unique()).rename(
+        columns=lambda name: f"{name}, n = {rows['n'].max()}"
+    )
+    return _table(here.assign(paper=paper.map(_number)).reset_index())
 
 
 def _verdicts(claims):
