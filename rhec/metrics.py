@@ -27,7 +27,6 @@ def metrics(columns, poses):
     straight = c.on_straight[after]
     left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
     first_row = left[: np.argmin(c.on_straight) or None]
-    omega = np.abs(c.omega_cmd_radps)
     values = dict(
         settling_time_s=c.t_s[stays[0]] if len(stays) else np.float64(np.nan),
         mean_error_m=_mean_of_known(c.error_m[after]),
@@ -38,12 +37,13 @@ def metrics(columns, poses):
         violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
         rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]),
-        rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]), omega_peak_radps=omega.max(),
+        rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
+        omega_peak_radps=np.abs(c.omega_cmd_radps).max(),
         kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]),
-        all_ok=c.ok.all(),
     )  # fmt: skip
-    # plain numbers, whatever NumPy made of them
-    return Renamed({name: value.item() for name, value in values.items()})
+    known = values | dict(settling_time_s=0.0, kkt_rhe_median=0.0)  # NaN if there is none
+    values["all_ok"] = c.ok.all() & np.isfinite([*known.values()]).all()
+    return Renamed({name: value.item() for name, value in values.items()})  # plain numbers
 
 
 def settled_samples(error, within=paper.TOLERANCE_M):

@@ -102,7 +102,7 @@ class Scenario:
     backwards: valid.Flag = False
     path: Any = None
     row_length_m: Annotated[valid.Positive, Field(le=1e4)] = paper.ROW_LENGTH_M
-    headland_radius_m: Annotated[valid.Positive, Field(le=1e3)] = paper.HEADLAND_RADIUS_M
+    headland_radius_m: Annotated[valid.Positive, Field(ge=1e-3, le=1e3)] = paper.HEADLAND_RADIUS_M
     start_offset_m: valid.Real = paper.START_OFFSET_M
     start_yaw_rad: valid.Real = 0.0
     guess_yaw_rad: valid.Real = 0.0
@@ -127,7 +127,7 @@ class Scenario:
 
     def __post_init__(self):
         estimator, own = self.estimator, isinstance(self.estimator, ca.Function)
-        if not own and estimator not in NAMES:
+        if not own and not (isinstance(estimator, str) and estimator in NAMES):
             wanted = f"it should be one of {NAMES} or a CasADi Function"
             raise ValueError(f"estimator was {valid.shown(estimator)}; {wanted}")
         for name, kind in (("path", Path), ("terrain", Terrain)):

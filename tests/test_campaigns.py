@@ -206,6 +206,45 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
     same(table, rhec.campaign(short(8)))
 
 
+def test_a_resumed_campaign_has_the_types_of_a_fresh_one(tmp_path):
+    broken = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))
+    for scenarios in (short(), [*short(2), broken]):
+        fresh = rhec.campaign(scenarios, tmp_path)
+        pd.testing.assert_frame_equal(rhec.campaign(scenarios, tmp_path), fresh, check_exact=True)
+        assert fresh.dtypes.equals(rhec.campaign(scenarios).dtypes)
+
+
+def test_all_is_not_ok_where_a_result_is_no_number():
+    """Where the antenna sees nothing all the way, there is no mean error by raw GNSS."""
+    blind = rhec.Fault(kind="missing", channel="gnss")
+    table = rhec.campaign([SHORT, dataclasses.replace(SHORT, faults=(blind,))])
+    assert table["mean_error_m"].isna().tolist() == [False, True]
+    assert table["all_ok"].tolist() == [True, False]
+
+
+def test_what_changes_bits_is_part_of_what_a_row_was_made_by(tmp_path, monkeypatch):
+    here = store.provenance()
+    monkeypatch.setattr(store.platform, "libc_ver", lambda: ("glibc", "0.1"))
+    assert store.provenance() != here
+    monkeypatch.undo()
+    (tmp_path / "processor").write_text("flags\t\t: fpu avx2\n")
+    monkeypatch.setattr(store, "PROCESSOR", tmp_path / "processor")
+    assert store.provenance() != here
+    monkeypatch.undo()
+    assert store.provenance() == here
+
+
+def test_a_compiler_that_fails_on_the_way_mixes_no_rows(tmp_path, ran, monkeypatch):
+    """What was compiled before and what runs on the virtual machine differ in their last bits."""
+    monkeypatch.setattr(campaigns, "size_of_task", lambda alike: 30)
+    monkeypatch.setattr(campaigns, "run_in_lanes", lambda *given: {})
+    real = compiled.compiler()
+    monkeypatch.setattr(compiled, "compiler", lambda: None if len(ran) > 1 else real)
+    rhec.campaign(short(), tmp_path)
+    assert ran[2:] == short() or not real
+    assert len(store.load_rows(store.cache_folder(tmp_path))) == 4
+
+
 def test_failures_are_tried_again(tmp_path, ran, monkeypatch):
     monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
     assert (
@@ -292,10 +331,28 @@ def of_other_types(file):
     )
 
 
+def forged(file):
+    """Better numbers, by who knows the format but not what it is made by."""
+    table = pq.read_table(file)
+    place = table.column_names.index("mean_error_m")
+    better = pa.array([0.001] * len(table))
+    pq.write_table(table.set_column(place, "mean_error_m", better), file, write_page_checksum=True)
+
+
+def foreign(file):
+    """What other code made of the same scenarios, put where this code's rows are."""
+    rows = store.load_rows(file.parent)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store, "provenance", lambda: dict(casadi="0.1"))
+        store.save_rows(file.parent, rows)
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
         truncated,
+        forged,
+        foreign,
         of_something_else,
         of_other_types,
         lambda file: file.write_bytes(b""),
@@ -559,6 +616,28 @@ def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
     with pytest.raises(ConnectionError, match="has had no worker for 1 s"):
         rhec.campaign(short())
+
+
+def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
+    address = scheduler(started, tmp_path)
+    its_process = started.processes[0]
+    worker(started, address, tmp_path)
+    drives = ["-p", "estimator", "ekf", "-p", "duration_s", "60", "--seeds", "3000"]
+    process = subprocess.Popen(
+        [*command(tmp_path)[:3], *drives, "--folder", str(tmp_path / "rows")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT)),
+    )
+    while not list(tmp_path.glob("rows/*/*.parquet")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    time.sleep(0.5)
+    its_process.kill()
+    out, err = process.communicate(timeout=120)
+    assert (process.returncode, out) == (1, "")
+    assert err == f"the scheduler at {address} went away\n"
 
 
 def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):

@@ -605,6 +605,9 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
         with pytest.raises(ValueError, match=expected):
             rhec.export(rhec.Scenario(), folder)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    for folder in (None, 3, ["build"]):
+        with pytest.raises(ValueError, match=r"^folder was .*; it should be a path$"):
+            rhec.export(rhec.Scenario(), folder)
 
 
 def solving_estimator():

@@ -136,8 +136,8 @@ def test_a_fault(fields, kind):
     )
 
 
-positive = st.sampled_from([1e-300, 1e-9, 1e-3, 0.03, 1.0, 1e3, 1e9, 1e160]) | st.floats(1e-6, 1e6)
-anywhere = st.sampled_from([-1e300, -1e12, -1e5, 0.0, np.pi, 1e5, 1e12, 1e300]) | st.floats(
+positive = st.sampled_from([1e-300, 1e-9, 1e-3, 0.03, 1.0, 1e3, 1e9, 1e100]) | st.floats(1e-6, 1e6)
+anywhere = st.sampled_from([-1e100, -1e12, -1e5, 0.0, np.pi, 1e5, 1e12, 1e100]) | st.floats(
     -100, 100
 )
 weird = st.fixed_dictionaries(
@@ -173,7 +173,7 @@ a_fault = st.sampled_from(
         dict(kind="outliers", size_m=1e7),
         dict(kind="stuck"),
         dict(kind="dead", channel="left"),
-        dict(kind="rate", rate_hz=1e300),
+        dict(kind="rate", rate_hz=1e100),
         dict(kind="disorder", channel="all"),
     ]
 )
@@ -203,7 +203,7 @@ def test_a_simulation(fields, several, robust, seed):
 
 
 @some(40)
-@example(dict(patches=((0.0, 0.0, 1e160, 0.5, 0.5),)))
+@example(dict(patches=((0.0, 0.0, 1e100, 0.5, 0.5),)))
 @given(
     st.fixed_dictionaries(
         {},
@@ -215,7 +215,7 @@ def test_a_simulation(fields, several, robust, seed):
             kappa_mean=st.floats(1e-300, 1),
             mu_deviation=st.floats(0, 0.5),
             kappa_deviation=st.floats(0, 0.5),
-            correlation_length_m=st.floats(0.5, 1e300),
+            correlation_length_m=st.floats(0.5, 1e100),
             patches=st.lists(
                 st.tuples(anywhere, anywhere, positive, st.floats(1e-300, 1), st.floats(1e-300, 1)),
                 max_size=2,

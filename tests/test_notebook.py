@@ -59,6 +59,12 @@ def test_allowed_values_pass(name, value):
         ("gains", [], f"gains was [] (list); it must be {GAINS}"),
         ("gains", [1, False], f"gains was [1, False] (list); it must be {GAINS}"),
         ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),
+        (
+            "_parameters_checked",
+            True,
+            "_parameters_checked was True, but there is no such parameter; did you mean "
+            f"{' or '.join(ALLOWED)}?",
+        ),
         ("x", 9, f"x was 9, but there is no such parameter; did you mean {' or '.join(ALLOWED)}?"),
     ],
 )
@@ -109,6 +115,35 @@ def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monke
         capfd.readouterr().err == "sed was 9, but there is no such parameter; did you mean seed?\n"
     )
     assert os.listdir(tmp_path) == ["toy.ipynb"]
+
+
+@pytest.mark.parametrize(
+    "given, sentence",
+    [
+        ("rhec 1", "rhec was 1, but there is no such parameter; did you mean seed?"),
+        ("parameters 1", "parameters was 1, but there is no such parameter; did you mean seed?"),
+        (
+            "_parameters_checked 1",
+            "_parameters_checked was 1, but there is no such parameter; did you mean seed?",
+        ),
+        ("class 1", "NAME was 'class'; it must be a name as in Python, such as seed"),
+    ],
+)
+def test_the_runner_refuses_what_the_notebook_itself_uses(
+    tmp_path, monkeypatch, capfd, given, sentence
+):
+    tagged = v4.new_code_cell("seed = 7", metadata={"tags": ["parameters"]})
+    check = v4.new_code_cell(
+        "import rhec\nfrom rhec.workbench.notebook import parameters\n"
+        "parameters(globals(), seed=(int, 0, 9))"
+    )
+    nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
+    monkeypatch.chdir(tmp_path)
+    argv = f"notebook toy.ipynb -p {given} --output out.ipynb".split()
+    monkeypatch.setattr(sys, "argv", argv)
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert (refusal.value.code, capfd.readouterr().err) == (2, f"{sentence}\n")
 
 
 @pytest.mark.parametrize("path", ["none.ipynb", __file__])

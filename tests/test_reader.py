@@ -3,6 +3,8 @@ them."""
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -67,6 +69,14 @@ def test_the_unit_of_the_time_is_found_and_told(tmp_path, name, of_seconds, told
     log = rhec.logs.read(file)
     assert log.attrs["found"]["time"] == f"{told}, column {name}"
     np.testing.assert_allclose(log["t_s"] - log["t_s"][0], T, atol=1e-6)
+
+
+@pytest.mark.parametrize("metadata", [b"{}", b"[]", b"nonsense", b'{"index_columns": [3]}'])
+def test_a_parquet_file_with_odd_metadata_is_refused_in_a_sentence(tmp_path, metadata):
+    table = pa.table(dict(t_s=[0.0, 0.2], x_m=[0.0, 0.1]))
+    pq.write_table(table.replace_schema_metadata({b"pandas": metadata}), tmp_path / "log.parquet")
+    with pytest.raises(ValueError, match="^log was .*, which cannot be read: "):
+        rhec.logs.read(tmp_path / "log.parquet")
 
 
 def test_a_slow_log_in_seconds_is_not_a_fast_one_in_milliseconds(tmp_path):

@@ -20,6 +20,12 @@ STRAIGHT = dict(
 )
 
 
+@pytest.mark.parametrize("iterations", [None, [3], "3", 2.5, -1, 10**400])
+def test_iterations_are_a_number(iterations):
+    with pytest.raises(ValueError, match="^iterations was "):
+        rhec.RHC().solve(**STRAIGHT, iterations=iterations)
+
+
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
     """On 200 random instances, each with weights of its own; at least a third of them at the
     bounds.

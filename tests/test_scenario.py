@@ -139,6 +139,21 @@ def test_replacing_a_field_validates_it():
         dataclasses.replace(scenario, seed=-4)
 
 
+ABSURD = [
+    *((name, 1e300) for name in ("gnss_sigma_m", "encoder_sigma_mps", "bump_sigma_radps")),
+    ("sigma_v", (1e300,) * 4),
+    ("sigma_w", (1e300,) * 6),
+    ("patches", ((1e300, 0.0, 1.0, 0.5, 0.5),)),
+    ("patches", ((0.0, 0.0, 1e300, 0.5, 0.5),)),
+    ("start_offset_m", -1e300),
+]
+
+
+@pytest.mark.parametrize("name, value", ABSURD)
+def test_numbers_whose_squares_are_none_are_refused(name, value):
+    assert refusal(**{name: value}).startswith(name) and "1e+100" in refusal(**{name: value})
+
+
 def test_a_scenario_is_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         rhec.Scenario().seed = 3

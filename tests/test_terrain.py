@@ -1,5 +1,8 @@
 """Simulated slip fields."""
 
+import io
+import zipfile
+
 import numpy as np
 import pytest
 from oracles import flat
@@ -103,6 +106,25 @@ def test_a_file_that_would_run_code_is_refused(tmp_path):
     )
     with pytest.raises(ValueError, match="allow_pickle"):
         rhec.Terrain.load(tmp_path / "field.npz")
+
+
+def test_a_file_that_would_unpack_to_gigabytes_is_refused_before_it_is(tmp_path, monkeypatch):
+    """A few megabytes in the file, three gigabytes in memory."""
+    header = io.BytesIO()
+    shape = dict(descr="<f8", fortran_order=False, shape=(20_000, 20_000))
+    np.lib.format.write_array_header_1_0(header, shape)
+    with (
+        zipfile.ZipFile(tmp_path / "field.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file,
+        file.open("mu.npy", "w", force_zip64=True) as mu,
+    ):
+        mu.write(header.getvalue())
+        for _ in range(3200):
+            mu.write(bytes(1_000_000))
+    read = []
+    monkeypatch.setattr(np.lib.format, "read_array", lambda *given, **named: read.append(given))
+    with pytest.raises(ValueError, match="3,200,000,128 bytes, at most 128,000,000"):
+        rhec.Terrain.load(tmp_path / "field.npz")
+    assert read == [] and (tmp_path / "field.npz").stat().st_size < 20_000_000
 
 
 def test_between_the_points_it_is_bilinear_and_beyond_them_constant():

@@ -5,6 +5,7 @@ Pydantic does the checking.
 
 import functools
 import importlib
+import re
 from collections.abc import Callable
 from difflib import get_close_matches
 from inspect import signature
@@ -18,11 +19,12 @@ from rhec._casadi.renamed import new_name, with_new_names
 
 __all__ = ["checked", "numbers", "of_length", "optional", "shown", "validated"]
 __all__ += ["Flag", "Intervals", "NotNegative", "NotNegatives", "Positive", "Positives", "Real"]
-__all__ += ["Reals", "Traction", "Weights", "Whole"]
+__all__ += ["Reals", "Steps", "Traction", "Weights", "Whole"]
 __all__ += ["ArrivalMean", "ProcessNoise", "Solver", "SpeedModel"]
 
 _plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
-Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _plain]
+# Squares of numbers, and sums of some, should be numbers, too.
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e100, le=1e100), _plain]
 Positive = Annotated[Real, Field(gt=0)]
 NotNegative = Annotated[Real, Field(ge=0)]
 Traction = Annotated[Real, Field(gt=0, le=1)]
@@ -33,6 +35,7 @@ Reals = Annotated[tuple[Real, ...], _listed]
 Positives = Annotated[tuple[Positive, ...], _listed]
 NotNegatives = Annotated[tuple[NotNegative, ...], _listed]
 Whole = Annotated[int, Field(strict=True), _plain]
+Steps = Annotated[Whole, Field(ge=0, le=1_000_000)]
 Flag = Annotated[bool, Field(strict=True)]
 
 # Choices that Scenario, RHE and RHC share; Scenario says what each means.
@@ -60,7 +63,8 @@ def _sentence(name, fields, error):
     where = (fields[head] if isinstance(head, int) else str(head)) + "".join(
         f"[{place}]" for place in first["loc"][1:]
     )
-    return f"{where} was {shown(first['input'])}; {first['msg'].replace('Input', 'it', 1)}"
+    message = re.sub(r"\d{9,}", lambda digits: f"{float(digits[0]):g}", first["msg"])
+    return f"{where} was {shown(first['input'])}; {message.replace('Input', 'it', 1)}"
 
 
 def shown(value, length=200):

@@ -36,7 +36,7 @@ def main():
             Scenario(**dict(zip(vary, each))) for each in itertools.product(*vary.values())
         ]
         table = campaign(scenarios, args.folder, args.workers)
-    except (ValueError, ImportError, ConnectionError, RuntimeError) as error:
+    except (ValueError, ImportError, OSError, RuntimeError) as error:
         parser.exit(2 if isinstance(error, ValueError) else 1, f"{error}\n")
     except KeyboardInterrupt as error:
         parser.exit(130, f"{error}\n")

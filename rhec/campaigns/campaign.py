@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
+from rhec._casadi import compiled
 from rhec._casadi.validation import Whole, checked, shown
 from rhec.campaigns import store
 from rhec.campaigns.side_by_side import (
@@ -63,9 +64,9 @@ def campaign(
     """
     from rhec.campaigns.table import CampaignTable  # needs pandas, which workers do without
 
-    scenarios = _as_list(scenarios)
-    folder = None if folder is None else store.cache_folder(folder)
-    keys, done = [], store.load_rows(folder) if folder else {}
+    scenarios, compiler = _as_list(scenarios), compiled.compiler()
+    rows_in = None if folder is None else store.cache_folder(folder)
+    keys, done = [], store.load_rows(rows_in) if rows_in else {}
     for scenario in scenarios:
         try:
             keys.append(store.scenario_key(scenario))
@@ -77,9 +78,11 @@ def campaign(
     with _progress_bar(len(wanted), len(wanted) - len(missing)) as progress:
         try:
             for rows in _results(missing, workers):
+                if compiled.compiler() != compiler:  # it failed: other code makes other rows
+                    return campaign(scenarios, folder, workers)
                 done |= rows
-                if folder:
-                    store.save_rows(folder, rows)
+                if rows_in:
+                    store.save_rows(rows_in, rows)
                 progress.update(len(rows))
         except KeyboardInterrupt:
             n_done = len(done.keys() & wanted.keys())
@@ -138,13 +141,19 @@ def _results(scenarios, workers):
 
 def _rows(chunk, alike, expected=None):
     """{key: row} of {key: scenario}; RuntimeError if this process is not as the caller's."""
+    _refuse_another(expected)
+    rows = {key: metrics | dict(error="") for key, metrics in run_in_lanes(chunk, alike).items()}
+    rows = {key: rows.get(key) or _run_or_error(scenario) for key, scenario in chunk.items()}
+    _refuse_another(expected)  # a compiler may have failed
+    return rows
+
+
+def _refuse_another(expected):
     here = store.provenance() if expected else {}
     for name, there in (expected or {}).items():
         if here.get(name) != there:
             what = f"it has {name} {here.get(name)}, where the caller has {there}"
             raise RuntimeError(f"{what}; they must be the same")
-    rows = {key: metrics | dict(error="") for key, metrics in run_in_lanes(chunk, alike).items()}
-    return {key: rows.get(key) or _run_or_error(scenario) for key, scenario in chunk.items()}
 
 
 def _run_or_error(scenario):

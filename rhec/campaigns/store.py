@@ -6,18 +6,25 @@ import importlib.metadata
 import json
 import os
 import platform
+import re
 import warnings
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
 from rhec import simulation
 from rhec._casadi import compiled
-from rhec._casadi.validation import optional
+from rhec._casadi.validation import optional, shown
 from rhec.tracked_robot import terrain
 
-__all__ = ["cache_folder", "failed_row", "load_rows", "provenance", "save_rows", "scenario_key"]
+__all__ = [
+    "PROCESSOR", "cache_folder", "failed_row", "load_rows", "provenance", "save_rows",
+    "scenario_key",
+]  # fmt: skip
+
+PROCESSOR = Path("/proc/cpuinfo")
 
 
 def provenance():
@@ -28,7 +35,16 @@ def provenance():
         "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest()[:16],
         "C compiler": bool(compiled.compiler()),
         "machine": platform.machine(),
+        "C library": " ".join(platform.libc_ver()),
+        "vector instructions": _vector_instructions(),
     }
+
+
+def _vector_instructions():
+    """Those of the processor by which libm and NumPy choose how they compute, as far as known."""
+    about = PROCESSOR.read_text() if PROCESSOR.exists() else ""
+    flags = re.findall(r"\b(?:avx|fma|asimd|sve)\w*", about)
+    return " ".join(sorted({*flags}))
 
 
 def scenario_key(scenario):
@@ -48,12 +64,18 @@ def _canonical_text(value):
     return repr(value)
 
 
-def failed_row(error):
-    """The row of a run that failed for this reason: each metric is NaN, or False."""
+@functools.cache
+def _metrics():
+    """Some run's metrics: their names and types."""
     numbers = dict.fromkeys((*simulation.COLUMNS, "t_s", "error_m", "error_true_m"), np.zeros(1))
     flags = dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
-    metrics = simulation.metrics(numbers | flags, np.zeros((1, 3)))
-    none = {name: False if isinstance(each, bool) else np.nan for name, each in metrics.items()}
+    return simulation.metrics(numbers | flags, np.zeros((1, 3)))
+
+
+def failed_row(error):
+    """The row of a run that failed for this reason: each metric is NaN, or False."""
+    some = _metrics().items()
+    none = {name: False if isinstance(each, bool) else np.nan for name, each in some}
     return none | dict(error=error)
 
 
@@ -71,9 +93,18 @@ def cache_folder(folder):
 def _schema():
     import pyarrow as pa
 
-    row = failed_row("")
-    types = {name: pa.bool_() if row[name] is False else pa.float64() for name in row}
-    return pa.schema(dict(key=pa.string()) | types).remove(len(row))  # the last is `error`
+    types = {bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
+    return pa.schema(
+        dict(key=pa.string()) | {name: types[type(each)] for name, each in _metrics().items()}
+    )
+
+
+def _seal(table):
+    """Metadata that a file of these rows must have: what made them, and a digest of both."""
+    made_by = json.dumps(provenance())
+    rows = json.dumps([table.column_names, table.to_pylist()])
+    digest = hashlib.sha256(f"{made_by}{rows}".encode()).hexdigest()
+    return dict(made_by=made_by, digest=digest)
 
 
 def save_rows(folder, rows):
@@ -85,14 +116,21 @@ def save_rows(folder, rows):
     if not rows:
         return
     table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
+    table = table.replace_schema_metadata(_seal(table))
     name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
     unfinished = folder / f"{name}.{os.getpid()}.unfinished"
-    pq.write_table(table, unfinished, write_page_checksum=True)
-    os.replace(unfinished, folder / f"{name}.parquet")
+    try:
+        pq.write_table(table, unfinished, write_page_checksum=True)
+        os.replace(unfinished, folder / f"{name}.parquet")
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def load_rows(folder):
-    """Read {key: row} from all files in the folder that can be read, with a warning for others."""
+    """Read {key: row} from all files in the folder that are sound, with a warning for others.
+
+    Sound is what `save_rows` wrote with this provenance and nobody changed, unless to deceive.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -101,11 +139,14 @@ def load_rows(folder):
         try:
             with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
                 table = parquet.read(names).select(names).cast(_schema())
+                metadata = parquet.schema_arrow.metadata or {}
+            if any(
+                metadata.get(name.encode()) != seal.encode() for name, seal in _seal(table).items()
+            ):
+                raise ValueError("not as it was written here")
         except (pa.ArrowException, OSError, KeyError, ValueError) as error:
-            warnings.warn(
-                f"{file} cannot be read ({type(error).__name__}), so its runs are done again",
-                stacklevel=3,
-            )
+            why = f"{file} cannot be read ({type(error).__name__}: {shown(str(error))})"
+            warnings.warn(f"{why}, so its runs are done again", stacklevel=3)
             continue
         rows |= {row.pop("key"): row | dict(error="") for row in table.to_pylist()}
     return rows

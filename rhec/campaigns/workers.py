@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import itertools
+import logging
 import os
 import signal
 from multiprocessing import resource_tracker
@@ -27,6 +28,7 @@ def dask_client(workers, large):
 
 def _connected(address):
     distributed = optional("distributed", f"DASK_SCHEDULER_ADDRESS={address}")
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it logs is raised
     sentence = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {PATIENCE_S:g} s"
     client = None
     try:

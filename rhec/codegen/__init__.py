@@ -55,6 +55,8 @@ def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
     Raises:
         ValueError: For what cannot be exported, or a folder that holds other files.
     """
+    if not isinstance(folder, str | Path):
+        raise ValueError(f"folder was {shown(folder)}; it should be a path")
     folder = Path(folder)
     parts = scenario if isinstance(scenario, tuple) else (scenario,)
     if parts and all(isinstance(part, RHE | RHC) for part in parts):

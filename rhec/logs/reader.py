@@ -74,7 +74,7 @@ def read(
             log, found = _read_csv(file)
         else:
             log, found = pd.read_parquet(file, engine="pyarrow"), {}
-    except (ValueError, UnicodeError, OSError) as error:  # the file is not what its name says
+    except Exception as error:  # whatever the readers make of a file that is not what its name says
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {error}") from None
     for name, column in (columns or {}).items():
         if column not in log:

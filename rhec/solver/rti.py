@@ -13,7 +13,7 @@ of the nonlinear problem.
 import numpy as np
 
 from rhec._casadi.compiled import BufferedFunction
-from rhec._casadi.validation import shown
+from rhec._casadi.validation import Steps, checked, shown
 
 __all__ = ["PHASES", "RealTimeIteration", "RealTimeLoop", "copy_checked"]
 
@@ -87,7 +87,8 @@ class RealTimeIteration:
             self.phases["expand"].call()
             self.expanded = True
 
-    def solve(self, iterations):
+    @checked
+    def solve(self, iterations: Steps):
         """Gauss-Newton to convergence: one problem, linearised again and again."""
         for _ in range(iterations):
             self.phases["linearise"].call()
@@ -131,6 +132,5 @@ def copy_checked(name, value, array):
             array[...] = value
             return
     except (TypeError, ValueError, OverflowError):
-        message = f"{name} was {shown(value)}; it should be made of numbers"
-        raise ValueError(message) from None
+        raise ValueError(f"{name} was {shown(value)}; it should be made of numbers") from None
     raise ValueError(f"{name} had shape {shape}; it should have {array.shape}")

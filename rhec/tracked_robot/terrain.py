@@ -42,6 +42,7 @@ CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 _LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
 _QUANTILES = np.linspace(-5, 5, 257)
+_MOST_BYTES = 32 * _MOST_CELLS  # of a file, unpacked
 
 Seed = Annotated[Whole, Field(ge=0)]
 Patch = tuple[
@@ -175,6 +176,9 @@ class Terrain:
         """
         try:
             with np.load(file, allow_pickle=False) as data:
+                unpacked = sum(member.file_size for member in data.zip.infolist())
+                if unpacked > _MOST_BYTES:
+                    raise ValueError(f"unpacked {unpacked:,} bytes, at most {_MOST_BYTES:,}")
                 given = (
                     data["mu"],
                     data["kappa"],

@@ -8,6 +8,7 @@ import contextlib
 import difflib
 import importlib.util
 import json
+import keyword
 import logging
 import os
 import re
@@ -21,6 +22,7 @@ __all__ = ["ParameterError", "main", "parameters", "record", "run"]
 
 ROOT = Path(__file__).resolve().parents[2]
 _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
+_CHECKED = "_parameters_checked"  # says in a notebook's namespace that its parameters were checked
 
 
 class ParameterError(ValueError):
@@ -39,7 +41,7 @@ def parameters(namespace, **allowed):
         ParameterError: if one is missing, is not what it may be, or is not known.
     """
     # The first time, all data found here was given as a parameter; later the notebook has its own.
-    if "_parameters_checked" not in namespace:
+    if namespace.get(_CHECKED) is not parameters:
         _refuse_unknown(namespace, allowed)
     for name, spec in allowed.items():
         if name not in namespace:
@@ -48,7 +50,7 @@ def parameters(namespace, **allowed):
         if not _fits(value, spec):
             was = f"{reprlib.repr(value)} ({type(value).__name__})"
             raise ParameterError(f"{name} was {was}; it must be {_wanted(spec)}")
-    namespace["_parameters_checked"] = True
+    namespace[_CHECKED] = parameters
 
 
 def _refuse_unknown(namespace, allowed):
@@ -56,13 +58,16 @@ def _refuse_unknown(namespace, allowed):
     ipython = namespace.get("get_ipython")
     known = allowed.keys() | (ipython().user_ns_hidden if ipython else ())
     for name, value in list(namespace.items()):
-        if isinstance(value, _PLAIN_DATA) and not name.startswith("_") and name not in known:
+        private = name.startswith("_") and name != _CHECKED
+        if isinstance(value, _PLAIN_DATA) and not private and name not in known:
             del namespace[name]  # so that the cells, once corrected, can be run again
-            meant = difflib.get_close_matches(name, allowed, n=1) or allowed
-            raise ParameterError(
-                f"{name} was {reprlib.repr(value)}, but there is no such parameter; "
-                f"did you mean {' or '.join(meant)}?"
-            )
+            raise _no_such_parameter(name, value, allowed)
+
+
+def _no_such_parameter(name, value, allowed):
+    meant = " or ".join(difflib.get_close_matches(name, allowed, n=1) or allowed)
+    was = f"{name} was {reprlib.repr(value)}, but there is no such parameter"
+    return ParameterError(f"{was}; did you mean {meant}?" if meant else was)
 
 
 def _fits(value, spec):
@@ -128,13 +133,21 @@ def run(notebook, given, output):
         output: path of the executed notebook.
 
     Raises:
+        ParameterError: if it has no such parameter.
         PapermillExecutionError: if a cell fails; nothing is written then.
     """
     # Not imported above: every notebook imports this module, and none needs these.
     import nbformat
     import papermill
+    from papermill.translators import PythonTranslator
 
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
+    # A name that the notebook itself uses (rhec) would be overwritten before it is checked.
+    cells = nbformat.read(notebook, 4).cells
+    tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
+    known = [each.name for cell in tagged for each in PythonTranslator.inspect(cell)]
+    for name in given.keys() - known:
+        raise _no_such_parameter(name, given[name], known)
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
     os.environ["RHEC_UNATTENDED"] = "1"  # its outputs are the results, not what was waited for
     this = "rhec.workbench.notebook"
@@ -210,7 +223,7 @@ def main():
     if notebook is None or notebook.suffix != ".ipynb":
         parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
     for name, _ in args.p:
-        if not name.isidentifier():
+        if not name.isidentifier() or keyword.iskeyword(name):
             parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
     stem = f"{notebook.stem}-custom" if args.p else notebook.stem
     output = args.output or ROOT / f"build/notebooks/{stem}.ipynb"
@@ -223,6 +236,8 @@ def main():
         run(notebook, {name: _value(text) for name, text in args.p}, output)
     except KeyboardInterrupt:
         parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
+    except ParameterError as error:
+        parser.exit(2, f"{error}\n")
     except PapermillExecutionError as error:
         if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
             parser.exit(2, f"{error.evalue}\n")
