@@ -24,8 +24,8 @@ ifeq ($(words $(MAKECMDGOALS))$(filter-out figures studies report,$(MAKECMDGOALS
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures studies claims report lab replay recordings campaign embedded test \
-  test-browser lint bench soak lock upgrade clean $(KEPT:%=clean-%)
+.PHONY: help figures studies claims report lab replay recordings calibrate campaign embedded \
+  test test-browser lint bench soak lock upgrade clean $(KEPT:%=clean-%)
 
 help: ## list what can be made
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
@@ -60,6 +60,12 @@ replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=fi
 
 recordings: $(READY) ## fetch the recordings of real robots that data/recordings.toml names
 	@$(PY) data/fetch_recordings.py
+
+calibrate: export REPLAY_LOG = $(value LOG)
+calibrate: $(READY) ## find a recorded log's noise and lever arm: make calibrate LOG=file.csv
+	@test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a file:' \
+	  'make calibrate LOG=file.csv' >&2; exit 2; }
+	@$(PY) -m rhec.logs.calibration "$$REPLAY_LOG"
 
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
 	@$(PY) -m rhec.campaigns $(WHAT)

@@ -6,7 +6,7 @@ horizon estimation (MHE) and model predictive control (MPC) for any robot.
 
 One run          Scenario, simulate, Run             The world      Path, Terrain, Fault
 Many runs        campaign                            Any robot      Model, RHE, RHC, EKF
-A recorded log   logs.read, replay                   Its path       PathTracker
+A recorded log   logs.read, calibrate, replay        Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
 """
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rhec.estimator.ekf import EKF
     from rhec.estimator.rhe import RHE
     from rhec.extensions.faults import Fault
+    from rhec.logs.calibration import calibrate
     from rhec.logs.replay import replay
     from rhec.model.base import Model
     from rhec.scenario import Scenario
@@ -45,6 +46,7 @@ _HOME = {
     "Run": "simulation",
     "Scenario": "scenario",
     "Terrain": "tracked_robot.terrain",
+    "calibrate": "logs.calibration",
     "campaign": "campaigns.campaign",
     "export": "codegen",
     "logs": "logs",  # a module, shown whole
@@ -53,7 +55,7 @@ _HOME = {
 }
 __all__ = [
     "EKF", "Explorer", "Fault", "Model", "Path", "PathTracker", "RHC", "RHE", "Run", "Scenario",
-    "Terrain", "campaign", "export", "logs", "replay", "simulate",
+    "Terrain", "calibrate", "campaign", "export", "logs", "replay", "simulate",
 ]  # fmt: skip
 
 

@@ -50,6 +50,7 @@ kappa of a simulated log) under the names above, and
     sigma_arm_forward_m, sigma_arm_left_m  standard deviations of the estimates
     x_meas_m_age_s, y_meas_m_age_s         how old the position was when it was used [s]
     innovation_x_m, innovation_y_m         measured position less the predicted one [m]
+    lost                                   whether the estimate is lost, by innovations and bounds
     position_accepted, encoders_accepted, restarted
                                            as above, False in rows between the estimator's samples
 A replay with a Model returns `segment`, `t_s`, the measurements under the names of its outputs, and

@@ -40,6 +40,7 @@ class Scenario:
                            interval, from the encoders (R6, R13); "slipping": the same, with process
                            noise in proportion to how far the tracks ran, sideways, too: not in the
                            paper
+        slip               where tracks slip: the numbers that stand in `tuning.SLIP`, in that order
         arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper;
                            "filtered": from the EKF update itself (R7); None: that of process_noise
         robust             gate positions by their innovations, and restart where they
@@ -84,6 +85,7 @@ class Scenario:
     sigma_v: valid.SigmaV | None = None
     estimation_horizon: valid.Intervals = paper.HORIZON
     speed_model: valid.SpeedModel = "parameter"
+    slip: valid.Slip | None = None
     arrival_mean: valid.ArrivalMean | None = None
     robust: valid.Flag = False
 

@@ -19,7 +19,7 @@ from rhec._casadi.renamed import new_name, with_new_names
 
 __all__ = ["checked", "numbers", "of_length", "optional", "shown", "validated"]
 __all__ += ["Flag", "Intervals", "NotNegative", "NotNegatives", "Positive", "Positives", "Real"]
-__all__ += ["Reals", "Steps", "Traction", "Weights", "Whole"]
+__all__ += ["Reals", "Slip", "Steps", "Traction", "Weights", "Whole"]
 __all__ += ["ArrivalMean", "ProcessNoise", "Solver", "SpeedModel"]
 
 _plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
@@ -45,6 +45,7 @@ Solver = Literal["structured", "daqp", "qpoases"]
 ProcessNoise = Literal["printed", "calibrated", "consistent"]
 SigmaV = tuple[Positive, Positive, Positive, Positive]
 SpeedModel = Literal["parameter", "input", "slipping"]
+Slip = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
 ArrivalMean = Literal["smoothed", "filtered"]
 
 

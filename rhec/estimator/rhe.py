@@ -55,18 +55,15 @@ class Window(NamedTuple):
     def memory(self):
         """s nodes, v inputs, z measurements, age intervals driven, m and P arrival cost."""
         n_s, n_v, n_z = self.interval.n_s, self.interval.n_v, len(self.model.outputs)
-        return dict(
-            s=(n_s, self.N + 1), v=(n_v, self.N), z=(n_z, self.N + 1), age=(1, 1), m=(n_s, 1),
-            P=(n_s, n_s),
-        )  # fmt: skip
+        window = dict(s=(n_s, self.N + 1), v=(n_v, self.N), z=(n_z, self.N + 1), age=(1, 1))
+        return window | dict(m=(n_s, 1), P=(n_s, n_s))
 
     @property
     def noise(self):
         """Variances V of the measurements; constants c of noise that grows with the motion."""
         constants = self.model.motion_noise.constants if self.model.motion_noise else {}
-        return dict(V=(len(self.model.outputs), 1)) | (
-            dict(c=(len(constants), 1)) if constants else {}
-        )
+        c = dict(c=(len(constants), 1)) if constants else {}
+        return dict(V=(len(self.model.outputs), 1)) | c
 
     @property
     def linearised(self):

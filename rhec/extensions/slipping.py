@@ -1,8 +1,9 @@
 """Tracks that slip sideways, and an antenna off the centre: a Model for recorded robots.
 
-Not in the paper. Every interval has a side slip speed η of its own, the position measured is that
-of an antenna l_f ahead and l_l left of the robot's centre of turning, and the process noise grows
-with how far the tracks ran.
+Not in the paper. Every interval has slip of its own, ahead, in turning and to the side, there in
+the mean in proportion to the lateral acceleration; the position measured is that of an antenna l_f
+ahead and l_l left of the robot's centre of turning; and the process noise grows with how far the
+tracks ran. `tuning.SLIP` names the numbers, `rhec.calibrate` finds them in a log.
 """
 
 import casadi as ca
@@ -15,29 +16,31 @@ from rhec.tracked_robot.kinematics import SpeedModel
 
 __all__ = ["LEVER_ARM", "SPEED_MODELS", "f"]
 
-SIDE_SLIP_S = 0.1  # of two recorded skid-steered robots, a wheeled and a tracked one, alike
+_EXACT = 1e-12  # variance of what the tracks do: what encoders get wrong counts as slip
 LEVER_ARM = ("arm_forward_m", "arm_left_m")
 
 
 def f(xi, v, p):
-    """ξ̇ = f(ξ, v, p) where tracks slip sideways.
+    """ξ̇ = f(ξ, v, p) where tracks slip by more than μ and κ say.
 
-    The tracks slip by SIDE_SLIP_S times the lateral acceleration and by a speed η.
+    Slip adds to the motion over ground. As noise of ν and ω it would be multiplied by μ and κ, and
+    whatever fits ν and ω to jittering positions would take μ and κ too large.
 
     Args:
         xi: (3,) place of the antenna and yaw (x, y, θ) [m, m, rad].
-        v: (3,) speed ν [m/s] and yaw rate ω [rad/s] of the tracks, side slip speed η [m/s].
+        v: (5,) speed ν [m/s] and yaw rate ω [rad/s] of the tracks; slip speed ahead and to the side
+            η [m/s] and in turning [rad/s].
         p: (4,) place of the antenna l_f, l_l [m], traction coefficients μ and κ.
 
     Returns:
         (3,) dξ/dt.
     """
-    nu, omega, eta = v[0], v[1], v[2]
+    nu, omega, slip_ahead, eta, slip_turning = (v[i] for i in range(5))
     l_f, l_l, mu, kappa = p[0], p[1], p[2], p[3]
-    ahead = mu * nu - kappa * omega * l_l
-    left = eta + kappa * omega * (l_f - SIDE_SLIP_S * mu * nu)
+    turning = kappa * omega + slip_turning
+    ahead, left = mu * nu + slip_ahead - turning * l_l, eta + turning * l_f
     cos, sin = ca.cos(xi[2]), ca.sin(xi[2])
-    return ca.vertcat(ahead * cos - left * sin, ahead * sin + left * cos, kappa * omega)
+    return ca.vertcat(ahead * cos - left * sin, ahead * sin + left * cos, turning)
 
 
 def _abs_track_speeds(nu, omega, b):
@@ -46,35 +49,33 @@ def _abs_track_speeds(nu, omega, b):
 
 
 def _input_noise(v, R, c):
-    """Slip in proportion to the motion; bumps turn the robot; η is unmeasured, its mean 0."""
-    share2_nu, share2_omega, share2_side, sigma2_bumps, b, dt_s = ca.vertsplit(c)
+    """Slip in proportion to the motion; bumps turn the robot; no slip is measured."""
+    share_nu, share_omega, share_side, sigma_bumps, side_slip_s, b, dt_s = ca.vertsplit(c)
     nu, omega = v[0], v[1]
-    return ca.vertcat(nu, omega, 0), ca.vertcat(
-        R[0] + share2_nu * nu**2,
-        R[1] + (share2_omega * omega**2 + sigma2_bumps * ca.fabs(nu) / dt_s),
-        share2_side * (b * omega) ** 2 + tuning.SIGMA_SIDE_SLIP_AT_REST**2,
+    return ca.vertcat(nu, omega, 0, -side_slip_s * nu * omega, 0), ca.vertcat(
+        _EXACT,
+        _EXACT,
+        R[0] + (share_nu * nu) ** 2,
+        (share_side * b * omega) ** 2 + tuning.SIGMA_SIDE_SLIP_AT_REST**2,
+        R[1] + (share_omega * omega) ** 2 + sigma_bumps**2 * ca.fabs(nu) / dt_s,
     )
 
 
 def _process_noise(v, W, dt_s, c):
     """W per metre that the tracks ran."""
-    left, right = _abs_track_speeds(v[0], v[1], c[4])
+    left, right = _abs_track_speeds(v[0], v[1], c[5])
     return W * (left + right) / 2 * dt_s
 
 
-_SHARES = ("share2_nu", "share2_omega", "share2_side")
 _MODEL = Model(
     states=OF_THE_PAPER["input"].model.states,
-    inputs=(*OF_THE_PAPER["input"].model.inputs, "eta_mps"),
+    inputs=(*OF_THE_PAPER["input"].model.inputs, "slip_ahead_mps", "eta_mps", "slip_turning_radps"),
     parameters=dict.fromkeys(LEVER_ARM) | OF_THE_PAPER["input"].model.parameters,
     outputs=OF_THE_PAPER["input"].model.outputs,
     f=f,
     max_measurement=OF_THE_PAPER["input"].model.limits,
     motion_noise=MotionNoise(
-        constants={name: share**2 for name, share in zip(_SHARES, tuning.SHARES_SLIPPING)}
-        | dict(
-            sigma2_bumps=tuning.SIGMA_BUMPS**2, track_width_m=paper.TRACK_WIDTH_M, dt_s=paper.DT_S
-        ),
+        constants=tuning.SLIP | dict(track_width_m=paper.TRACK_WIDTH_M, dt_s=paper.DT_S),
         inputs=_input_noise,
         process=_process_noise,
     ),

@@ -7,6 +7,7 @@ of the last sample, predicted to the row's own time by the encoder measurements 
 after a row changes what it gets; only the track width is a median over the whole log.
 """
 
+import warnings
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -23,6 +24,7 @@ from rhec.estimator.ekf import EKF
 from rhec.estimator.rhe import RHE
 from rhec.extensions import slipping
 from rhec.extensions.faults import corrupted
+from rhec.logs.lost import is_lost, remarks
 from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.recording import measured_since, prepare, prepare_for, resample
 from rhec.model.base import Model, interval
@@ -32,6 +34,7 @@ from rhec.simulation import known_traction
 from rhec.tracked_robot.estimators import NAMES, Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import window_of
+from rhec.tracked_robot.tuning import sigma_v_of
 
 __all__ = ["InitialGuess", "estimate_samples", "replay", "replay_scenario"]
 
@@ -39,7 +42,7 @@ _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)  # with estimates in columns _H
 _HATS = [*ESTIMATE, *LEVER_ARM]
 _OUTPUTS = [*_HATS, *SIGMA, "deviance", "kkt_rhe", *FLAGS]
 _ESTIMATOR_FIELDS = (
-    "process_noise sigma_w sigma_v estimation_horizon speed_model arrival_mean robust".split()
+    "process_noise sigma_w sigma_v estimation_horizon speed_model slip arrival_mean robust".split()
 )
 _N_HEADINGS = 8  # directions tried where the first yaw is not known
 # Of the first guess of (x, y, θ, ν, μ, κ, l_f, l_l); of the first six as the paper's W, but for the
@@ -202,6 +205,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
             outputs = _run(steps, scenario, z, age_s, first.yaw_rad[number], first)
         part[_OUTPUTS] = outputs
         part[INNOVATION] = _innovations(scenario, outputs[:, :8], z, age_s)
+        part["lost"] = is_lost(part, sigma_v_of(scenario))
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
@@ -321,8 +325,8 @@ def replay(
         trust_log: Whether to take a log as it is in which something is surely wrong: its units,
             signs, axes, or a robot that never moves.
         **fields: Of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon, speed_model,
-            arrival_mean, robust. speed_model is "slipping" by default: "input" (R13) with noise
-            that scales with motion.
+            slip, arrival_mean, robust. speed_model is "slipping" by default: "input" (R13) with
+            noise that scales with motion.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index; `rhec.columns`
@@ -330,7 +334,9 @@ def replay(
         input and parameter `<name>_hat`, for states and parameters the standard deviation
         `<name>_sigma`, and `ok`. A row that cannot be used has the estimate before it. Nothing
         is said, NaN, before a segment's first position.
-        `.attrs["faults"]` counts rows and measurements that could not be used.
+        `.attrs["faults"]` counts rows and measurements that could not be used;
+        `.attrs["remarks"]`, without a model, says in sentences whether the estimate is `lost` and
+        what the log cannot tell. A lost estimate also warns.
 
     Raises:
         ValueError: For a log without these columns or usable times, one that cannot be what its
@@ -370,7 +376,12 @@ def replay(
         return _predict(model, _QUANTITIES, estimate, z, tau_s)
 
     measured = MEASUREMENTS, MEASUREMENTS[2:]
-    return _at_rows(samples, recording, log, paper.DT_S, *measured, _HATS, predict)
+    result = _at_rows(samples, recording, log, paper.DT_S, *measured, _HATS, predict)
+    arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
+    result.attrs["remarks"] = remarks(samples, arm_estimated)
+    if samples["lost"].any():
+        warnings.warn(result.attrs["remarks"][0], stacklevel=3)
+    return result
 
 
 def replay_scenario(estimator, recording, fields):

@@ -264,12 +264,10 @@ class Interval(NamedTuple):
             else:
                 valid = [is_valid_measurement(z[row], of) for row, of in self.mixing_outputs[place]]
                 mean.append(v[place])
-                any_valid = sum(valid, ca.SX(0))
-                variance.append(ca.if_else(any_valid, SIGMA_UNMEASURED**2, _SIGMA_HELD**2))
-        mean, variance = ca.vertcat(*mean), ca.vertcat(*variance)
-        return (
-            self.motion_noise.inputs(mean, variance, c) if self.motion_noise else (mean, variance)
-        )
+                told = sum(valid, ca.SX(0))
+                variance.append(ca.if_else(told, SIGMA_UNMEASURED**2, _SIGMA_HELD**2))
+        noise = ca.vertcat(*mean), ca.vertcat(*variance)
+        return self.motion_noise.inputs(*noise, c) if self.motion_noise else noise
 
     def process_noise(self, v, W, dt_s, c=None):
         """Variances (n_s,) of the process noise of an interval of dt_s [s]."""
@@ -297,6 +295,10 @@ def interval(model, measured=True):
     A, B = ca.sparsify(J[:, : s.numel()]), J[:, s.numel() :]
     constant = ca.DM(A.sparsity(), [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()])
     A_0 = ca.sparsify(constant)
+    if model.motion_noise:  # enters to first order: what it fitted is no information on s
+        u_bar = u * ca.DM([float(i in model.input_outputs) for i in range(u.numel())])
+        s_next, A, B = ca.substitute([s_next, A, B], [u], [u_bar])
+        s_next += B @ (u - u_bar)
     s_next, D, B = sines_by_addition([s_next, ca.sparsify(A - A_0), B])
     limits, inputs = model.limits, [s, u, dt_s]
     return Interval(

@@ -78,7 +78,7 @@ def init(window, guess, sigma=SIGMA_START):
     )
 
 
-def _settings_of(speed_model, process_noise, sigma_w, sigma_v, **constants):
+def _settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants):
     """Settings V, W, P_0 and c of the RHE; sigma_w None: that of `process_noise`."""
     kind = speed_model_of(speed_model)
     names, n_w = kind.model.joint_names, kind.n_sigma_w
@@ -91,7 +91,9 @@ def _settings_of(speed_model, process_noise, sigma_w, sigma_v, **constants):
         P_0=np.square([SIGMA_START.get(name, _SIGMA_KNOWN) for name in names]),
     )
     if kind.model.motion_noise:
-        settings["c"] = np.array([*(kind.model.motion_noise.constants | constants).values()])
+        tuned = kind.model.motion_noise.constants
+        constants |= dict(zip(tuned, slip or ()))
+        settings["c"] = np.array([*(tuned | constants).values()])
     return settings
 
 
@@ -101,6 +103,7 @@ def _settings(scenario):
         scenario.process_noise,
         scenario.sigma_w,
         tuning.sigma_v_of(scenario),
+        scenario.slip,
         track_width_m=scenario.track_width_m,
     )
 
@@ -167,6 +170,7 @@ class PaperRHE(rhe.RHE):
         sigma_w: Standard deviations of the process noise instead of these.
         sigma_v: Standard deviations of (x, y [m], ν [m/s], ω [rad/s]); None: see Scenario.
         speed_model: "parameter", "input" or "slipping", see Scenario.
+        slip: What tracks that slip do, see Scenario.
         arrival_mean: "smoothed" or "filtered"; None: see Scenario.
         robust: Gate positions by their innovations, see Scenario.
         track_width_m: b [m].
@@ -187,6 +191,7 @@ class PaperRHE(rhe.RHE):
         sigma_w: valid.NotNegatives | None = None,
         sigma_v: valid.SigmaV | None = None,
         speed_model: valid.SpeedModel = "parameter",
+        slip: valid.Slip | None = None,
         arrival_mean: valid.ArrivalMean | None = None,
         robust: valid.Flag = False,
         track_width_m: valid.Positive = paper.TRACK_WIDTH_M,
@@ -204,7 +209,9 @@ class PaperRHE(rhe.RHE):
         self.window = window_of(self._choice)
         self.model = self.window.model
         constants = dict(track_width_m=track_width_m, dt_s=dt)
-        self.settings = _settings_of(speed_model, process_noise, sigma_w, sigma_v, **constants)
+        self.settings = _settings_of(
+            speed_model, process_noise, sigma_w, sigma_v, slip, **constants
+        )
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = estimators.estimator_of("rhe", robust).init(
             self._choice, dict.fromkeys(QUANTITIES, 0.0)

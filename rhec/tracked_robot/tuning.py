@@ -9,8 +9,8 @@ RHEs that are as sure as they may be. The others say what they were tuned for.
 from rhec import paper
 
 __all__ = [
-    "ARRIVAL_MEAN", "SHARES_SLIPPING", "SIGMA_BUMPS", "SIGMA_SIDE_SLIP_AT_REST", "SIGMA_V",
-    "SIGMA_W", "SIGMA_W_FILTERED", "SIGMA_W_SLIPPING", "SIGMA_W_TRACKING", "sigma_v_of"
+    "ARRIVAL_MEAN", "SIGMA_SIDE_SLIP_AT_REST", "SIGMA_V", "SIGMA_W", "SIGMA_W_FILTERED",
+    "SIGMA_W_SLIPPING", "SIGMA_W_TRACKING", "SLIP", "sigma_v_of"
 ]  # fmt: skip
 
 
@@ -67,12 +67,12 @@ SIGMA_W_TRACKING = {
     "traction_oracle": (0.001, 0.001, 0.024, 0.005),
     "dual": (0.001, 0.001, 0.001, 0.001, 0.0037, 0.033, 0.0052, 0.0052, 0.029, 0.0097),
 }
-# Tracks that slip: found on two recorded skid-steered robots, a wheeled and a tracked one. Noise
-# grows with the motion: of (μ, κ) with the distance d that the tracks ran, like √d [1/√m]; of ν,
-# ω and bω (the side slip speed) by shares of themselves; bumps turn the robot, like √d [rad/√m].
-SIGMA_W_SLIPPING = (0.01, 0.015)
-SHARES_SLIPPING = (0.1, 0.25, 0.08)
-SIGMA_BUMPS = 0.02
+# Tracks that slip: between what `rhec.calibrate` finds for four recorded robots, three wheeled and
+# one tracked. Noise grows with the motion: of (μ, κ) with the distance d that the tracks ran, like
+# √d [1/√m]; slip over ground, by shares of ν, of ω and, to the side, of bω; bumps turn the robot,
+# like √d [rad/√m]. The side slip speed is in the mean -side_slip_s·νω.
+SIGMA_W_SLIPPING = (0.006, 0.01)
+SLIP = dict(share_nu=0.1, share_omega=0.17, share_side=0.09, sigma_bumps=0.015, side_slip_s=0.05)
 SIGMA_SIDE_SLIP_AT_REST = 1e-3  # [m/s]
 
 
