@@ -25,7 +25,7 @@ MAKEFLAGS += -j2
 endif
 
 .PHONY: help figures studies claims report lab replay recordings calibrate campaign embedded \
-  test test-browser lint bench soak lock upgrade clean $(KEPT:%=clean-%)
+  test test-browser lint bench soak storm lock upgrade clean $(KEPT:%=clean-%)
 
 help: ## list what can be made
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
@@ -91,6 +91,9 @@ bench: .venv/peers .venv/acados ## compare computation times with other tools, i
 
 soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
 	@$(PY) tests/soak.py --samples $(or $(SAMPLES),10000000)
+
+storm: $(READY) ## a campaign of RUNS runs, 100000, whose workers are killed all the time (an hour)
+	@$(PY) tests/storm.py --runs $(or $(RUNS),100000)
 
 ##@ Keep
 lock: ## pin what pyproject.toml names in environment.txt; old pins stay (needs uv)

@@ -470,6 +470,37 @@ def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_i
     same(table.drop(index=3), rhec.campaign(short(3) + short(40)))
 
 
+ALL_KILLED = """
+import sys, psutil, rhec
+from rhec.campaigns import store
+scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(40)]
+keep = store.save_rows
+
+def kill_all_once_and_keep(*given):
+    for child in psutil.Process().children():
+        if "spawn_main" in " ".join(child.cmdline()):
+            child.kill()
+    store.save_rows = keep
+    keep(*given)
+
+if __name__ == "__main__":
+    store.save_rows = kill_all_once_and_keep
+    print((rhec.campaign(scenarios, sys.argv[1], workers=2)["error"] == "").sum())
+"""
+
+
+def test_workers_that_do_not_come_back_are_replaced(tmp_path):
+    """As if they took too long to start again: Dask itself would wait for them for ever."""
+    script = tmp_path / "all_killed.py"
+    script.write_text(ALL_KILLED)
+    given_up = dict(DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT="10ms", PYTHONPATH=str(ROOT))
+    command = [sys.executable, script, tmp_path / "rows"]
+    done = subprocess.run(
+        command, env=os.environ | given_up, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout == "40\n", done.stderr
+
+
 # A cluster that is there already
 
 

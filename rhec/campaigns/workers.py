@@ -64,6 +64,7 @@ def local_cluster(workers):
     distributed = optional("distributed", f"workers={workers}")
     optional("cryptography", f"workers={workers}")
     from dask import config
+    from tornado.ioloop import PeriodicCallback
 
     if workers in _clusters and _clusters[workers].status == "running":
         return _clusters[workers]
@@ -85,6 +86,9 @@ def local_cluster(workers):
             cluster = distributed.LocalCluster(
                 n_workers=workers, threads_per_worker=1, scheduler_kwargs=scheduler, **here
             )
+        # Dask gives up a worker that takes long to come back, or is killed again meanwhile.
+        fill_up = PeriodicCallback(lambda: cluster.scale(workers), 5000)
+        cluster.loop.add_callback(fill_up.start)
         _clusters[workers] = distributed.Client(cluster, set_as_default=False)
     except RuntimeError as error:
         needs = "a script that starts workers needs `if __name__ == '__main__':`"
