@@ -18,7 +18,9 @@ def metrics(columns, poses):
     The robot has settled when its true error stays within the tolerance for 5 s; errors and
     violations count from the end of these 5 s, or on the whole run if it never settles.
     `mean_error_m` is the paper's: raw GNSS to the path (interpretation R11), where there is a
-    position. Overshoot: how far beyond the path, seen from the start, it gets on the first row.
+    position. Corner error: how much nearer to the crop a corner is on straights than that of a
+    robot in place. Overshoot: how far beyond the path, seen from the start, it gets on the first
+    row.
     """
     c = SimpleNamespace(**columns)
     stays = settled_samples(c.error_true_m)
@@ -26,12 +28,16 @@ def metrics(columns, poses):
     after = slice(begin if begin < len(c.t_s) else 0, None)
     straight = c.on_straight[after]
     left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
+    across, along = (np.abs(part(c.theta_rad - poses[:, 2])) for part in (np.sin, np.cos))
+    corner = (across * paper.ROBOT_LENGTH_M - (1 - along) * paper.ROBOT_WIDTH_M) / 2 + np.abs(left)
     first_row = left[: np.argmin(c.on_straight) or None]
     values = dict(
         settling_time_s=c.t_s[stays[0]] if len(stays) else np.float64(np.nan),
         mean_error_m=_mean_of_known(c.error_m[after]),
         mean_error_true_m=c.error_true_m[after].mean(),
         max_error_true_m=c.error_true_m[after].max(),
+        max_corner_error_true_m=corner[after][straight].max(initial=0.0),
+        mean_speed_mps=np.abs(c.nu_mps[after]).mean(),
         mean_error_from_start_m=_mean_of_known(c.error_m),
         violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
         violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),

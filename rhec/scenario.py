@@ -56,6 +56,9 @@ class Scenario:
                            (R10)
         qp                 "structured": by Riccati recursion, the fastest at every horizon; or the
                            condensed QP by "daqp" or "qpoases" (the paper's; on the virtual machine)
+        cautious           slow down where the estimate is unsure, or a curve asks for more yaw rate
+                           than the soil gives (`rhec.extensions.cautious`), by that many standard
+        caution            deviations of the estimate
     The drive
         speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (18)
                                            (R3, R9)
@@ -98,6 +101,8 @@ class Scenario:
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
     qp: valid.Solver = "structured"
+    cautious: valid.Flag = False
+    caution: valid.NotNegative = 0.25
 
     speed_mps: Annotated[valid.Positive, Field(le=1.4)] = paper.SPEED_MPS
     duration_s: Annotated[valid.Positive, Field(ge=paper.DT_S, le=1e6)] = 240.0

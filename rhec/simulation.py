@@ -18,7 +18,7 @@ from rhec._casadi import build, compiled, scan
 from rhec._casadi.validation import shown
 from rhec.columns import COLUMNS, FLAGS, LOG
 from rhec.controller import rhc
-from rhec.extensions import faults
+from rhec.extensions import cautious, faults
 from rhec.metrics import metrics
 from rhec.model.limits import is_valid_measurement
 from rhec.scenario import Scenario
@@ -50,6 +50,7 @@ class _LoopStructure(NamedTuple):
     n_segments: int
     terrain_shape: tuple[int, int]
     faulty: bool  # sensors with faults: what is not there costs nothing
+    cautious: bool
 
 
 def known_traction(given, field_mean, true):
@@ -69,6 +70,9 @@ def build_sample(*structure):
     )["references"]
     horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
     control = rhc.build_phases(horizon)["step"]
+    if structure.cautious:
+        states = estimator_of(choice.estimator, choice.robust).states(choice)
+        control = cautious.build_step(control, states, structure.n_segments, paper.DT_S)
     slip = terrain.lookup(structure.terrain_shape)
     deliver = faults.deliver()
     limits = SPEED_MODELS["parameter"].model.limits
@@ -81,8 +85,8 @@ def build_sample(*structure):
     memory = robot.MEMORY | own | sensors
     settings = robot.SENSORS | robot.BODY | dict(
         segments=(5, structure.n_segments), period_m=one, look_ahead_m=one, backwards=one, Q=three,
-        QN=three, R=one, lower=one, upper=one, speed_mps=one, command_delay=one, origin_m=(2, 1),
-        cell_m=one, slip=(slip.numel_in("slip"), 1), mean_traction=(2, 1),
+        QN=three, R=one, lower=one, upper=one, caution=one, speed_mps=one, command_delay=one,
+        origin_m=(2, 1), cell_m=one, slip=(slip.numel_in("slip"), 1), mean_traction=(2, 1),
     )  # fmt: skip
     settings |= {
         name: estimate_step.size_in(name)
@@ -93,26 +97,20 @@ def build_sample(*structure):
     @build.with_packed_memory(
         "sample", memory, ca.MX, noise=(build.packed_size(stream), 1), **settings
     )
-    def sample(
-        pose, tracks, integral, drift, encoders, estimator, s, controller, command, noise,
-        **settings,
-    ):  # fmt: skip
-        noise = build.unpack(noise, stream)
+    def sample(pose, tracks, estimator, s, controller, command, noise, **settings):
+        known = settings | build.unpack(noise, stream) | dict(pose=pose, tracks=tracks)
         traction = slip(pose[:2], settings["origin_m"], settings["cell_m"], settings["slip"])
         nu, omega = robot.body_speeds(tracks, settings["track_width_m"])
         truth = ca.vertcat(pose, nu, traction)
 
-        measured = measure(
-            **build.select_inputs(measure, noise | settings), pose=pose, drift=drift,
-            encoders=encoders,
-        )  # fmt: skip
+        measured = measure(**build.select_inputs(measure, known))
         if structure.faulty:
-            measured |= deliver(**build.select_inputs(deliver, measured | noise | settings))
+            measured |= deliver(**build.select_inputs(deliver, known | measured))
         z = measured["z"]
         valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
 
         told = known_traction(given, settings["mean_traction"], traction)
-        known = settings | dict(truth=truth, traction=told)
+        known |= dict(truth=truth, traction=told)
         inputs = [estimator, z] + [known[name] for name in estimate_step.name_in()[2:]]
         names = ["memory", "estimate", *estimate_step.name_out()[2:]]
         outputs = dict(zip(names, estimate_step.call(inputs)))
@@ -124,17 +122,15 @@ def build_sample(*structure):
             omega_measured=ca.if_else(accepted[3], z[3], command),
         )  # fmt: skip
         planned = control(
-            **build.select_inputs(control, settings), memory=controller, s_0=estimate,
-            x_ref=target["xi_ref"], u_ref=target["omega_ref"],
+            **build.select_inputs(control, settings | outputs | target | dict(memory=controller)),
+            s_0=estimate, x_ref=target["xi_ref"], u_ref=target["omega_ref"],
         )  # fmt: skip
         newest = planned["command"]
         # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
         applied = ca.if_else(settings["command_delay"], command, newest)
 
-        driven = drive(
-            **build.select_inputs(drive, noise | settings), pose=pose, tracks=tracks,
-            integral=integral, traction=traction, omega_radps=applied,
-        )  # fmt: skip
+        applied = dict(traction=traction, omega_radps=applied)
+        driven = drive(**build.select_inputs(drive, known | planned | applied))
         nan = ca.DM.nan(1)
         row = dict(
             truth=truth, omega=omega, z=z, estimate=estimate, command=newest, s=target["s"],
@@ -178,7 +174,7 @@ class Setup:
 
 _TAKEN_OVER = (
     "gnss_slow_time_s", "track_width_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps",
-    "look_ahead_m",
+    "look_ahead_m", "caution",
 )  # fmt: skip
 
 
@@ -199,11 +195,12 @@ def set_up(scenario):
     choice, shape = Choice.of(scenario), terrain.common_shape(soil)
     estimator = estimator_of(choice.estimator, choice.robust)
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
+    commanded = dict(speed=scenario.speed_mps) if scenario.cautious else {}
     memory = robot.init(pose, speed_mps) | dict(
         estimator=estimator.init(choice, dict(zip(QUANTITIES, guess))),
         s=target.project(pose[None, :2])[1],
         command=0.0,
-        controller=rhc.init(horizon, guess[:3], guess[3:]),
+        controller=rhc.init(horizon, guess[:3], guess[3:]) | commanded,
     )
     slow = scenario.gnss_slow_share
     settings = {name: getattr(scenario, name) for name in _TAKEN_OVER} | dict(
@@ -217,7 +214,7 @@ def set_up(scenario):
     )  # fmt: skip
     structure = _LoopStructure(
         choice, scenario.prediction_horizon, scenario.qp, scenario.input_reference,
-        len(target.segments), shape, bool(scenario.faults),
+        len(target.segments), shape, bool(scenario.faults), scenario.cautious,
     )  # fmt: skip
     memory |= faults.init() if scenario.faults else {}
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}

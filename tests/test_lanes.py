@@ -40,6 +40,7 @@ KINDS = {name: dict(estimator=name) for name in NAMES} | {
     f"{name}, gated, with faults": dict(estimator=name, robust=True) for name in ROBUST_NAMES
 }
 KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
+KINDS["cautious"] = dict(estimator="dual", cautious=True)
 KINDS["own"] = dict(estimator=mine())
 
 

@@ -16,7 +16,7 @@ _TASK, _TASK_IN_LANES = 40_000, 200_000
 # What nearly always decides alone which compiled loop a scenario runs.
 _ALIKE = operator.attrgetter(
     "estimator", "estimation_horizon", "speed_model", "arrival_mean", "robust",
-    "prediction_horizon", "qp", "input_reference",
+    "prediction_horizon", "qp", "input_reference", "cautious",
 )  # fmt: skip
 
 

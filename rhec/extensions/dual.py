@@ -42,7 +42,7 @@ def _build_step(choice):
     outputs = dict(
         memory=ca.vertcat(first["memory"], second["memory"]),
         estimate=ca.vertcat(second["estimate"][:4], traction),
-        covariance=second["covariance"],
+        covariance=ca.diagcat(second["covariance"], first["covariance"][4:, 4:]),
     ) | {name: first[name] for name in told}
     inputs = dict(memory=memory, z_N=z, V=V, W=W, P_0=P_0)
     names = [*inputs], [*outputs]
@@ -69,7 +69,7 @@ _DUAL = Estimator(
     build_step=_build_step,
     init=_init,
     settings=_settings,
-    states=lambda choice: QUANTITIES[:4],
+    states=lambda choice: QUANTITIES,
     n_sigma_w=lambda choice: 10,
 )
 ESTIMATORS = ROBUST = {"dual": _DUAL}

@@ -39,10 +39,12 @@ class LiveRobot:
             self._measure.call()
             yield self._measure.results["z"].copy()
 
-    def drive(self, omega_radps):
-        """One sample with this commanded yaw rate."""
+    def drive(self, omega_radps, **speed_mps):
+        """One sample with this commanded yaw rate and, if given, speed."""
         self._drive.set(**select_inputs(self._drive.function, self._state))
-        self._drive.set(traction=self._slip.results["traction"], omega_radps=omega_radps)
+        self._drive.set(
+            traction=self._slip.results["traction"], omega_radps=omega_radps, **speed_mps
+        )
         self._drive.call()
         results = self._drive.results | dict(drift=self._measure.results["drift"])
         self._state |= {name: value.copy() for name, value in results.items()}

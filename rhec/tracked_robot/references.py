@@ -11,10 +11,10 @@ from rhec._casadi.build import casadi_function
 from rhec._casadi.validation import Intervals, NotNegative, Positive, checked
 from rhec.tracked_robot.path import OPEN, Path, advance
 
-__all__ = ["PathTracker", "build_references"]
+__all__ = ["PathTracker", "build_references", "pose_at"]
 
 
-def _pose_at(s, segments, period_m):
+def pose_at(s, segments, period_m):
     """Pose (3,) and curvature at arc length s; segments (5, M). An open end goes on."""
     # Before an open path's beginning is not after its end.
     s = ca.if_else(period_m < OPEN, s - period_m * ca.floor(s / period_m), s)
@@ -28,7 +28,7 @@ def _pose_at(s, segments, period_m):
 def _closest(xy, s, segments, period_m, iterations=2):
     """Arc length closest to xy (2,), by Newton's method from s: r'(s)·(r(s) - xy) = 0."""
     for _ in range(iterations):
-        pose, c = _pose_at(s, segments, period_m)
+        pose, c = pose_at(s, segments, period_m)
         off = xy - pose[:2]
         along = ca.cos(pose[2]) * off[0] + ca.sin(pose[2]) * off[1]
         left = ca.cos(pose[2]) * off[1] - ca.sin(pose[2]) * off[0]
@@ -57,8 +57,8 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
         pace = ca.fabs(mu * nu) * dt_s
         s = _closest(ca.vertcat(x, y), s + pace, segments, period_m)
         points = (s + look_ahead_m + i * pace for i in range(horizon + 1))
-        poses, curvatures = zip(*(_pose_at(point, segments, period_m) for point in points))
-        _, curvature = _pose_at(s, segments, period_m)
+        poses, curvatures = zip(*(pose_at(point, segments, period_m) for point in points))
+        _, curvature = pose_at(s, segments, period_m)
         xy = ca.horzcat(*poses)[:2, :]
         yaw = ca.horzcat(*(_nearest_turn(pose[2] + backwards * ca.pi, theta) for pose in poses))
         if input_reference == "measured":
@@ -100,6 +100,11 @@ class PathTracker:
         segments = path.segments.T
         self._call.set(segments=segments, period_m=path.period_m, look_ahead_m=look_ahead_m)
         self._xi_ref = self._call.results["xi_ref"].reshape((3, -1), order="F")
+
+    @property
+    def s_m(self) -> float:
+        """Arc length of the path's point closest to the last estimate [m]."""
+        return self._call.results["s"].item()
 
     def references(self, estimate: Any, omega_measured: float) -> tuple[np.ndarray, np.ndarray]:
         """Desired poses and yaw rates for an estimate.

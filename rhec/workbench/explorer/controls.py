@@ -94,6 +94,8 @@ _CONTROLLER = (
     Slider("omega_max_radps", "ω_max [rad/s]", 0.02, 0.5, 0.01, "bound on the commanded yaw rate"),
     Selection("input_reference", "ω_r", _INPUT_REFERENCES, "R8: input reference"),
     Selection("command_delay", "command", _DELAYS, "R10: when it is applied"),
+    Selection("cautious", "cautious", _YES_NO, "slow down where the robot may leave the row"),
+    Slider("caution", "caution [σ]", 0, 3, 0.05, "standard deviations it sets aside"),
 )
 _DRIVE = (
     Slider("speed_mps", "speed [m/s]", 0.1, 1.4, 0.02, "above 0.7 curves exceed ω_max"),
