@@ -24,8 +24,8 @@ ifeq ($(words $(MAKECMDGOALS))$(filter-out figures studies report,$(MAKECMDGOALS
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures studies claims report lab replay recordings calibrate campaign embedded \
-  test test-browser lint bench soak storm lock upgrade clean $(KEPT:%=clean-%)
+.PHONY: help figures studies claims report lab replay recordings replay-table calibrate campaign \
+  embedded test test-browser lint bench soak storm lock upgrade clean $(KEPT:%=clean-%)
 
 help: ## list what can be made
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
@@ -56,10 +56,13 @@ replay: export REPLAY_LOG = $(value LOG)
 replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=file.csv
 	@test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a .csv or .parquet file:' \
 	  'make replay LOG=file.csv' >&2; exit 2; }
-	@$(PY) -m rhec.workbench.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG"
+	@$(PY) -m rhec.workbench.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG" $(WHAT)
 
 recordings: $(READY) ## fetch the recordings of real robots that data/recordings.toml names
-	@$(PY) data/fetch_recordings.py
+	@$(PY) data/fetch_recordings.py $(HOST)
+
+replay-table: $(READY) ## the table of real robots, each left out once: after make recordings
+	@$(PY) -m rhec.studies.transfer
 
 calibrate: export REPLAY_LOG = $(value LOG)
 calibrate: $(READY) ## find a recorded log's noise and lever arm: make calibrate LOG=file.csv

@@ -1,8 +1,8 @@
-"""Fetch the recordings of data/recordings.toml into data/recordings/, and read them.
+"""Fetch the recordings of data/recordings.toml into data/recordings/, and make logs of them.
 
 They are pickled pandas frames, and a pickle can run code when it is loaded: a file with another
 digest is refused, and reading admits a list of classes and nothing else. `python
-data/fetch_recordings.py` fetches what is not there.
+data/fetch_recordings.py [HOST]` fetches what is not there and writes a .csv beside each file.
 """
 
 import sys
@@ -12,9 +12,10 @@ from urllib.parse import quote
 
 import pandas as pd
 import pooch
+from convert_recordings import convert
 from pandas.compat.pickle_compat import Unpickler
 
-__all__ = ["FOLDER", "RECORDINGS", "fetch", "read_frame"]
+__all__ = ["FOLDER", "RECORDINGS", "fetch", "main", "read_frame"]
 
 FOLDER = Path(__file__).with_name("recordings")
 RECORDINGS = tomllib.loads(Path(__file__).with_name("recordings.toml").read_text("utf-8"))
@@ -69,10 +70,21 @@ def read_frame(file):
     return frame
 
 
-if __name__ == "__main__":
-    for recording in RECORDINGS:
+def main(host=_HOST, folder=FOLDER, recordings=RECORDINGS):
+    """Fetch and convert every recording.
+
+    Raises:
+        SystemExit: with a sentence, for one that cannot be fetched or is not what it should be.
+    """
+    for name, source in recordings.items():
         try:
-            rows = len(read_frame(fetch(recording)))
+            file = fetch(name, folder, host, recordings)
+            log = convert(read_frame(file), source)
         except (OSError, ValueError) as error:
-            sys.exit(f"{recording}: {error}")
-        print(f"{recording}: {rows} rows, {RECORDINGS[recording]['citation']}")
+            sys.exit(f"{name}: {error}")
+        log.to_csv(file.with_suffix(".csv"), index=False)
+        print(f"{file.with_suffix('.csv')}: {len(log)} rows, {source['citation']}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

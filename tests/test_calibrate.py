@@ -17,12 +17,12 @@ ARM_M = (0.25, -0.1)
 def calibrated():
     """{position noise [m]: (log, its calibration)}, the antenna off the centre."""
     logs = {
-        noise: recorded(5.0, 120.0, noise_m=noise, seed=3, arm_m=ARM_M) for noise in (0.02, 0.1)
+        noise: recorded(5.0, 120.0, noise_m=noise, seed=3, arm_m=ARM_M) for noise in (0.03, 0.1)
     }
     return {noise: (log, rhec.calibrate(log)) for noise, log in logs.items()}
 
 
-@pytest.mark.parametrize("noise_m", [0.02, 0.1])
+@pytest.mark.parametrize("noise_m", [0.03, 0.1])
 def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
     _, found = calibrated[noise_m]
     told = found.report.loc["noise of the position"]
@@ -31,8 +31,15 @@ def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
     assert told["value"] == pytest.approx(noise_m, rel=0.2)
 
 
+def test_positions_are_never_taken_to_be_better_than_receivers_are():
+    """Positions of a log may have been smoothed; what is wrong with them then is no slip."""
+    found = rhec.calibrate(recorded(5.0, 60.0, arm_m=ARM_M))
+    assert found.report.loc["noise of the position", "value"] == 0.02
+    assert found["slip"][0] < 0.1 and found["slip"][2] < 0.06
+
+
 def test_calibration_finds_the_lever_arm(calibrated):
-    _, found = calibrated[0.02]
+    _, found = calibrated[0.03]
     np.testing.assert_allclose(found["lever_arm_m"], ARM_M, atol=0.03)
     assert found.report.loc[["antenna ahead", "antenna left"], "told"].all()
 
@@ -47,7 +54,7 @@ def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
 
 
 def test_calibration_does_not_look_at_the_truth(calibrated):
-    log, found = calibrated[0.02]
+    log, found = calibrated[0.03]
     truth = log.columns[log.columns.str.contains("true")]
     assert len(truth) == 5
     assert rhec.calibrate(log.assign(**dict.fromkeys(truth, 7.0))) == found

@@ -35,7 +35,14 @@ def test_a_page_is_short_and_narrow(name):
 
 def test_pages_are_these():
     expected = "architecture claims closer_to_the_limit extending interpretations log_columns"
-    expected = [*expected.split(), "naming", "results", "shared_computers", "your_log"]
+    expected = [
+        *expected.split(),
+        "naming",
+        "recorded_robots",
+        "results",
+        "shared_computers",
+        "your_log",
+    ]
     assert [page.stem for page in DOCS] == expected
 
 

@@ -35,7 +35,7 @@ __all__ = ["Calibration", "calibrate"]
 OUTLIER = 3.0
 # Errors of recorded positions are not white, so that each says less than a filter takes from it: a
 # replay takes them to be larger than found.
-_COLOURED = 1.25
+_COLOURED = 1.75
 _MODEL = slipping.SPEED_MODELS["slipping"].model
 _ARM = _MODEL.joint_names.index("arm_forward_m")
 # Before the first sample, of (x, y, θ, l_f, l_l, μ, κ); positions count once the first yaw is found
@@ -55,17 +55,19 @@ class _Unknown(NamedTuple):
     middle: float
     deviation: float
     is_scale: bool = True
+    least: float = 0.0
 
     def at(self, x):
         """Its value x prior deviations from the middle."""
-        if self.is_scale:
-            return self.middle * np.exp(x * self.deviation)
-        return np.maximum(self.middle + x * self.deviation, 0.0)
+        value = x * self.deviation
+        value = self.middle * np.exp(value) if self.is_scale else self.middle + value
+        return np.maximum(value, self.least)
 
 
 _BROAD, _NARROW, _KNOWN = np.log(3.0), np.log(2.0), np.log(1.3)  # a log hardly tells the walks
 _UNKNOWNS = (
-    _Unknown("noise of the position", "m", 0.05, _BROAD),
+    # Smooth or interpolated positions seem better, until slip is found in what is wrong with them.
+    _Unknown("noise of the position", "m", 0.05, _BROAD, least=0.02),
     _Unknown("noise of ν", "m/s", 0.03, _BROAD),
     _Unknown("noise of ω", "rad/s", 0.012, _BROAD),
     _Unknown("walk of μ", "1/√m", 0.004, _KNOWN),

@@ -36,7 +36,7 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import window_of
 from rhec.tracked_robot.tuning import sigma_v_of
 
-__all__ = ["InitialGuess", "estimate_samples", "replay", "replay_scenario"]
+__all__ = ["InitialGuess", "estimate_samples", "predictor", "replay", "replay_scenario"]
 
 _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)  # with estimates in columns _HATS
 _HATS = [*ESTIMATE, *LEVER_ARM]
@@ -147,13 +147,17 @@ def _motion(model, names):
     return ca.Function("motion", [estimate, z, tau_s], results)
 
 
-def _predict(model, names, estimate, z, tau_s):
-    """`_motion` for estimates (n, names), measurements (n, n_z) and times (n,); a missing
-    measurement is the one before it.
+def predictor(model, names=_QUANTITIES):
+    """`_motion` of estimates (n, names), measurements (n, n_z) and times (n,); one that is missing
+    is the one before it.
     """
-    held = pd.DataFrame(z).ffill().to_numpy()
-    motion = _motion(model, names).map(len(estimate))
-    return [np.array(result).T for result in motion(estimate.T, held.T, tau_s[None, :])]
+
+    def predict(estimate, z, tau_s):
+        held = pd.DataFrame(z).ffill().to_numpy()
+        motion = _motion(model, names).map(len(estimate))
+        return [np.array(result).T for result in motion(estimate.T, held.T, tau_s[None, :])]
+
+    return predict
 
 
 def _model_of(choice):
@@ -168,7 +172,7 @@ def _innovations(scenario, estimate, z, age_s):
     innovations, model = np.full((len(z), 2), np.nan), _model_of(Choice.of(scenario))
     if len(z) > 1:
         tau_s = paper.DT_S - np.nan_to_num(age_s[1:])
-        _, predicted = _predict(model, _QUANTITIES, estimate[:-1], z[1:], tau_s)
+        _, predicted = predictor(model)(estimate[:-1], z[1:], tau_s)
         innovations[1:] = z[1:, :2] - predicted[:, :2]
     return innovations
 
@@ -217,7 +221,7 @@ def _at_rows(samples, recording, log, dt_s, measured, means, estimated, predict)
     predicted to the row's time; where the row cannot be used, the estimate before it.
 
     measured, estimated: names of these columns; means: of the measured ones that are means;
-    predict(estimate, z, tau_s): as `_predict`.
+    predict(estimate, z, tau_s): a `predictor`.
     """
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
@@ -273,10 +277,7 @@ def _replay_model(log, model, estimator, arguments):
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     samples["ok"] = samples["ok"] == 1
-
-    def predict(estimate, z, tau_s):
-        return _predict(model, names, estimate, z, tau_s)
-
+    predict = predictor(model, names)
     return _at_rows(samples, recording, log, dt_s, [*model.outputs], means, hats, predict)
 
 
@@ -370,11 +371,7 @@ def replay(
         )
     first = InitialGuess(first_yaw_rad, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m)
     samples = estimate_samples(recording, scenario, first)
-    model = _model_of(Choice.of(scenario))
-
-    def predict(estimate, z, tau_s):
-        return _predict(model, _QUANTITIES, estimate, z, tau_s)
-
+    predict = predictor(_model_of(Choice.of(scenario)))
     measured = MEASUREMENTS, MEASUREMENTS[2:]
     result = _at_rows(samples, recording, log, paper.DT_S, *measured, _HATS, predict)
     arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None

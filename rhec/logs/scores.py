@@ -9,18 +9,22 @@ import pandas as pd
 
 from rhec import paper
 from rhec.columns import MEASUREMENTS, TRUE_SPEEDS
+from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.recording import prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 
 __all__ = [
-    "FROM_M", "REGRESSIONS", "WINDOW_S", "distance_driven", "fault_scores", "perturbed_replay",
-    "perturbed_scores", "regression", "rms", "score", "sliding_regression", "yaw_error",
+    "FROM_M", "REGRESSIONS", "WINDOW_S", "ahead_rms_m", "distance_driven",
+    "fault_scores", "perturbed_replay", "perturbed_scores", "regression", "rms", "score",
+    "sliding_regression", "while_moving", "yaw_error",
 ]  # fmt: skip
 
 # Scores count from here on, driven in each segment: before, a wrong first yaw is still being found.
 FROM_M = 8.0
 _FAST_RADPS = 0.8  # yaw errors are also given without the spins that are faster
+_AHEAD_S = 2.0  # how far a prediction by the encoders goes
 WINDOW_S = 5.0  # of the sliding regressions,
+_MOVES = 0.05  # [m/s, rad/s] by the encoders
 _LEAST_RMS = 0.1  # which need measurements of this size in their window [m/s, rad/s]
 REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
 
@@ -65,6 +69,17 @@ def distance_driven(samples):
     """Distance driven in its segment at each sample [m], forwards or backwards, by the encoders."""
     steps = paper.DT_S * samples["nu_meas_mps"].abs().fillna(0)
     return steps.groupby(samples["segment"]).cumsum()
+
+
+def while_moving(samples, from_s, duration_s):
+    """When a robot begins to move for duration_s, from from_s on [s], or moves most of that time;
+    from the log's beginning on if it ends before.
+    """
+    moves = (samples[MEASUREMENTS[2:]].abs() > _MOVES).any(axis=1)
+    ahead = moves[::-1].groupby(samples["segment"]).rolling(round(duration_s / paper.DT_S) + 1)
+    share = ahead.mean().droplevel(0).reindex(samples.index).fillna(0)
+    later = share[samples["t_s"] >= from_s]
+    return float(samples["t_s"][(later if later.any() else share).idxmax()])
 
 
 def rms(*components):
@@ -117,6 +132,23 @@ def score(samples):
     return values
 
 
+def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
+    """RMS error [m] of the position _AHEAD_S after each sample that counts, as its estimate and the
+    encoders' later measurements predict it.
+
+    predict: a `replay.predictor`; hats, measured: columns of what it takes.
+    """
+    n, errors = round(_AHEAD_S / paper.DT_S), []
+    for _, part in samples.groupby("segment"):
+        estimate, z = part[hats].to_numpy()[:-n], part[measured].to_numpy()
+        for step in range(1, n + 1):
+            then = z[step : step + len(estimate)]
+            estimate, _ = predict(estimate, then, np.full(len(estimate), paper.DT_S))
+        error = estimate[:, :2] - part[["x_m", "y_m"]].to_numpy()[n:]
+        errors.append(error[distance_driven(part)[:-n] >= FROM_M])
+    return rms(*np.concatenate(errors).T)
+
+
 def perturbed_replay(
     log,
     seed,
@@ -126,18 +158,26 @@ def perturbed_replay(
     *,
     track_width_m=None,
     lever_arm_m=None,
+    position_delay_s=0.0,
+    trust_log=False,
     faults=(),
     **fields,
 ):
     """Samples of a replay with white noise of noise_m [m] on the position and a first yaw that is
     wrong by yaw_error_rad in each segment.
 
+    The noise joins a sigma_v that is given, which is of the log.
     seed: of the noise; faults: (rhec.Fault, …) on top; other arguments: as in `rhec.replay`. Where
     the log has no true yaw the first one is found as `rhec.replay` does.
     """
-    recording = prepare(log, track_width_m)
+    recording = prepare(log, track_width_m, position_delay_s)
+    if not trust_log:
+        refuse_nonsense(recording)
     rows = recording.rows.copy()
     noise = np.random.default_rng(seed).standard_normal((len(rows), 2))
+    if fields.get("sigma_v"):
+        own_x, own_y, *encoders = fields["sigma_v"]
+        fields["sigma_v"] = (np.hypot(own_x, noise_m), np.hypot(own_y, noise_m), *encoders)
     rows[MEASUREMENTS[:2]] += noise_m * noise
     yaws = None
     if "theta_rad" in rows:

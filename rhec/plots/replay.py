@@ -15,7 +15,7 @@ from rhec.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, 
 from rhec.plots.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, ORANGE, PURPLE, ROOT, SKY, styled
 
 __all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
-__all__ += ["replay_trials", "replay_yaw"]
+__all__ += ["replay_path", "replay_trials", "replay_yaw"]
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
 _COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
@@ -24,9 +24,11 @@ _STRAIGHT_RADPS, _SMOOTH = 0.05, 11
 
 
 def replay_folder(file):
-    """The folder for a log's pictures: FOLDER for one in data/, else build/replay/ and its name."""
+    """The folder for a log's pictures: FOLDER for the one in data/, else build/replay/ and its
+    name.
+    """
     file = Path(file).resolve()
-    if file.is_relative_to(ROOT / "data"):
+    if file.parent == ROOT / "data":
         return FOLDER
     name = re.sub(r"[^A-Za-z0-9]+", "_", file.stem).strip("_") or "log"
     return ROOT / "build" / "replay" / name
@@ -91,6 +93,31 @@ def replay_log(samples, title):
 
 
 @styled
+def replay_path(estimates, title):
+    """The estimated path over the measured one, dark where the estimate is lost.
+
+    Args:
+        estimates: what `rhec.replay` returned.
+        title: of the figure, plain text.
+    """
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 3.6))
+    x, y = "x_hat_m", "y_hat_m"
+    look = dict(marker=".", linestyle="none", color=COLOURS["measured"])
+    axes.plot(estimates["x_meas_m"], estimates["y_meas_m"], **look, markersize=2, label="measured")
+    axes.plot(*_broken(estimates, x, y), color=COLOURS["RHE"], linewidth=0.8, label="estimated")
+    if estimates["lost"].any():
+        lost = estimates.assign(
+            **{name: estimates[name].where(estimates["lost"]) for name in (x, y)}
+        )
+        axes.plot(*_broken(lost, x, y), color="black", linewidth=1.5, label="estimated, lost")
+    axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]", aspect="equal", adjustable="datalim")
+    legend_above(axes)
+    rows = f"{estimates['x_meas_m'].notna().sum()} positions in {len(estimates)} rows"
+    axes.set_title(f"{title}: {rows}".replace("$", r"\$"))
+    return figure
+
+
+@styled
 def replay_yaw(replays):
     """Error of the estimated yaw with its own two standard deviations, all rows on one scale, which
     is cut where none of the errors is; without truth, the yaw.
@@ -101,6 +128,7 @@ def replay_yaw(replays):
         known = "theta_rad" in samples
         value = scores.yaw_error(samples) if known else samples["theta_hat_rad"]
         t, value, sigma = _broken(samples.assign(value=value), "t_s", "value", "sigma_theta_rad")
+        value[np.abs(np.diff(value, prepend=np.nan)) > np.pi] = np.nan  # no line from π to -π
         axes.plot(t, value, color=_COLOURS.get(name), linewidth=0.7, label="error")
         title = name
         if known:

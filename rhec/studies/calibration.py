@@ -34,8 +34,8 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
     "DUAL", "EVALUATIONS", "LEAST", "MOST", "SETTLED_S", "TRAINING_SEEDS", "UNKNOWNS", "calibrate",
-    "deviance", "oracle_runs", "run_estimator", "scan_arguments", "tracking_error_m",
-    "tune_for_tracking"
+    "deviance", "oracle_runs", "run_estimator", "scan_arguments", "search", "tracking_error_m",
+    "tune_for_tracking",
 ]  # fmt: skip
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
@@ -103,7 +103,7 @@ def deviance(estimator, sigma_w, runs, **fields):
     return sum(run_estimator(scenario, run, "deviance").sum() for run in runs)
 
 
-def _search(objective, unknowns):
+def search(objective, unknowns):
     """The standard deviations that make the objective least within the bounds and evaluations that
     all are given, to two digits, and its value; `unknowns`: where each of them stands.
     """
@@ -140,9 +140,7 @@ def calibrate(estimator, **fields):
     deviations, to two digits, and the deviance.
     """
     runs = oracle_runs(TRAINING_SEEDS)
-    return _search(
-        lambda sigma_w: deviance(estimator, sigma_w, runs, **fields), UNKNOWNS[estimator]
-    )
+    return search(lambda sigma_w: deviance(estimator, sigma_w, runs, **fields), UNKNOWNS[estimator])
 
 
 def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
@@ -156,7 +154,7 @@ def tune_for_tracking(estimator, **fields):
     """Process noise of an estimator by least mean true error on the training seeds: standard
     deviations, to two digits, and the error [m].
     """
-    return _search(
+    return search(
         lambda sigma_w: tracking_error_m(estimator=estimator, sigma_w=sigma_w, **fields),
         UNKNOWNS[estimator],
     )

@@ -225,15 +225,15 @@ def main():
     for name, _ in args.p:
         if not name.isidentifier() or keyword.iskeyword(name):
             parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
-    stem = f"{notebook.stem}-custom" if args.p else notebook.stem
-    output = args.output or ROOT / f"build/notebooks/{stem}.ipynb"
+    given = {name: _value(text) for name, text in args.p}
+    output = args.output or _output(notebook, given)
 
     started = time.monotonic()
     try:
         # takes a second, in which a person may change their mind
         from papermill.exceptions import PapermillExecutionError
 
-        run(notebook, {name: _value(text) for name, text in args.p}, output)
+        run(notebook, given, output)
     except KeyboardInterrupt:
         parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
     except ParameterError as error:
@@ -243,7 +243,22 @@ def main():
             parser.exit(2, f"{error.evalue}\n")
         parser.exit(1, str(error))
     seconds = time.monotonic() - started
+    scores = output.with_name("scores.txt")
+    if "log" in given and scores.exists():
+        print(scores.read_text(encoding="utf-8"), end="")
     print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
+
+
+def _output(notebook, given):
+    """Where the executed notebook goes: beside the pictures of a log of one's own."""
+    if isinstance(given.get("log"), str):
+        from rhec.plots.replay import replay_folder  # takes a second
+
+        folder = replay_folder(ROOT / given["log"])
+        if folder.is_relative_to(ROOT / "build"):
+            return folder / notebook.name
+    stem = f"{notebook.stem}-custom" if given else notebook.stem
+    return ROOT / f"build/notebooks/{stem}.ipynb"
 
 
 def _value(text):
