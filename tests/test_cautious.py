@@ -13,7 +13,7 @@ from rhec.extensions import cautious
 from rhec.studies.live_loop import LiveRobot
 from rhec.tracked_robot.kinematics import QUANTITIES
 
-SET, OMEGA, SLOWEST = 0.5, paper.OMEGA_MAX_RADPS, cautious.SLOWEST_MPS
+SET, OMEGA, SLOWEST = 0.5, paper.OMEGA_MAX_RADPS, cautious.SLOWEST_MPS["row"]
 CHANGE = cautious.ACCELERATION_MPS2 * paper.DT_S
 # A straight along x, a curve to the left, a straight.
 PATH = rhec.Path.from_segments([(20.0, 0.0), (10.0, 0.15), (20.0, 0.0)])
@@ -55,12 +55,12 @@ def test_in_a_curve_the_soil_gives_the_yaw_rate_even_if_it_is_worse(settled, kap
     assert v == pytest.approx(min(SET, worse[0] * OMEGA / (0.15 * worse[1])))
 
 
-@pytest.mark.parametrize("to_m", [0.5, 0.6, 0.8])
+@pytest.mark.parametrize("to_m", [0.55, 0.6, 0.8])
 def test_before_a_curve_it_brakes_in_time(settled, to_m):
     kappa, v = 0.3, settled(20.0 - to_m, kappa=0.3)
     there = (kappa - 0.01) * OMEGA / (0.15 * 0.91)
     left_m = v**2 / (2 * cautious.ACCELERATION_MPS2) - there**2 / (2 * cautious.ACCELERATION_MPS2)
-    assert v == pytest.approx(min(SET, v)) and left_m <= to_m - cautious.AHEAD_M + 1e-12
+    assert v == pytest.approx(min(SET, v)) and left_m <= to_m - cautious.NOSE_M + 1e-12
     assert settled(5.0, kappa=kappa) == settled(31.0, kappa=kappa) == SET
 
 
@@ -93,7 +93,7 @@ def test_what_makes_no_sense_makes_it_slow_and_is_forgotten(settled, absurd):
         assert settled(5.0, yaw=absurd) == SLOWEST
     with np.errstate(invalid="ignore"):
         assert settled(5.0, P=SURE * absurd) == SLOWEST
-    assert settled(25.0, kappa=-absurd) == SLOWEST
+    assert settled(25.0, kappa=-absurd) == cautious.SLOWEST_MPS["curve"]
 
 
 def test_who_has_a_row_yet_to_reach_drives_there_at_the_set_speed(settled):

@@ -6,12 +6,13 @@ arXiv 2311.06234, has the same model, the unicycle with uncertain traction.)
 
     |c| μ̄ ν ≤ κ̲ ω_max   the soil gives the yaw rate that curvature c asks for, eq. (16), even with
                          μ̄ = μ̂ + z σ_μ, κ̲ = κ̂ - z σ_κ; in curves ahead: once it has braked
-    |ê| + z σ_e ≤ 0.12   the robot's point AHEAD_M along its heading is within the tolerance [m];
-                         where less than BAND_M is left, ν shrinks in proportion to what is left
+    |ê| + z σ_e ≤ 0.12   the robot's nose is within the tolerance [m]; where less than BAND_M is
+                         left, ν shrinks in proportion to what is left
 
 The first looks ahead; the second answers what nobody could foresee, such as a wet patch, since a
-slow robot turns in less space. ν changes by ACCELERATION_MPS2 at most, which the estimators, whose
-models have a constant speed, can follow.
+slow robot turns in less space: in curves. On rows it comes back more steeply, too, which swings its
+corners into the crop; there it is not as slow. ν changes by ACCELERATION_MPS2 at most, which the
+estimators, whose models have a constant speed, can follow.
 """
 
 import casadi as ca
@@ -22,10 +23,12 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.path import OPEN
 from rhec.tracked_robot.references import pose_at
 
-__all__ = ["ACCELERATION_MPS2", "AHEAD_M", "SLOWEST_MPS", "build_speed", "build_step"]
+__all__ = ["ACCELERATION_MPS2", "NOSE_M", "SLOWEST_MPS", "build_speed", "build_step"]
 
 # By campaigns on training seeds from 6000 on.
-AHEAD_M, BAND_M, ACCELERATION_MPS2, SLOWEST_MPS = 0.4, 0.045, 0.5, 0.15
+BAND_M, ACCELERATION_MPS2 = 0.04, 0.5
+SLOWEST_MPS = dict(curve=0.15, row=0.35)
+NOSE_M = paper.ROBOT_LENGTH_M / 2
 _IN_A_ROW_M = paper.ROW_SPACING_M / 2  # who is further off has a row yet to reach
 
 
@@ -57,14 +60,14 @@ def build_speed(states, n_segments, dt_s):
         most_mu = ca.fmin(mu + caution * ca.sqrt(P[4, 4]), 1)
         least_kappa = ca.fmax(kappa - caution * ca.sqrt(P[5, 5]), 0)
 
-        pose, _ = pose_at(s, segments, period_m)
+        pose, curvature = pose_at(s, segments, period_m)
         sine, cosine = ca.sin(pose[2]), ca.cos(pose[2])
-        ahead = ca.if_else(speed_mps < 0, -AHEAD_M, AHEAD_M)
+        ahead = ca.if_else(speed_mps < 0, -NOSE_M, NOSE_M)
         left = (y - pose[1]) * cosine - (x - pose[0]) * sine + ahead * ca.sin(theta - pose[2])
         slope = ca.vertcat(-sine, cosine, ahead * ca.cos(theta - pose[2]))
         sigma = ca.sqrt(ca.bilin(P[:3, :3], slope, slope))
         room = paper.TOLERANCE_M - ca.fabs(left) - caution * sigma
-        slowest = ca.fmin(SLOWEST_MPS, fast)
+        slowest = ca.if_else(curvature == 0, SLOWEST_MPS["row"], SLOWEST_MPS["curve"])
         limit = ca.fmin(ca.fmax(fast * room / BAND_M, slowest), fast)  # slow where room is NaN
         limit = ca.if_else(ca.fabs(left) > _IN_A_ROW_M, fast, limit)
 
@@ -73,10 +76,12 @@ def build_speed(states, n_segments, dt_s):
         place = ca.if_else(closed, s - period_m * ca.floor(s / period_m), ca.fmax(s, 0))
         for begin, end, c in zip(begins, begins[1:], ca.horzsplit(segments[4, :])):
             to = begin - place + period_m * (end <= place)
-            in_curve = least_kappa * upper / ca.fmax(most_mu * ca.fabs(c), 1e-9)
-            brakes = 2 * ACCELERATION_MPS2 * ca.fmax(to - AHEAD_M, 0)
+            in_curve = least_kappa * upper / (most_mu * ca.fabs(c))
+            in_curve = ca.if_else(c == 0, fast, in_curve)
+            brakes = 2 * ACCELERATION_MPS2 * ca.fmax(to - NOSE_M, 0)
             limit = ca.fmin(limit, ca.sqrt(in_curve**2 + brakes))
-        limit, change = ca.fmax(limit, slowest), ACCELERATION_MPS2 * dt_s
+        limit = ca.fmax(limit, ca.fmin(SLOWEST_MPS["curve"], fast))
+        change = ACCELERATION_MPS2 * dt_s
         return dict(speed=ca.fmin(ca.fmax(limit, speed - change), speed + change))
 
     return speed
