@@ -3,7 +3,7 @@ PYTHON ?= python3
 # The paper's figures and tables, and what goes beyond them, in the order of the report.
 FIGURES := robot_and_terrain scenario_a scenario_b computation_times
 STUDIES := tutorial your_robot equations claims multiverse readings_audit faults replay \
-  explore beyond embedded
+  explore beyond ensured embedded
 
 PY := .venv/bin/python
 READY := .venv/ready

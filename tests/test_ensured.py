@@ -1,0 +1,69 @@
+"""The share of fields in which the promise is kept, beside the speed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import rhec
+from rhec.plots.ensured import fronts
+from rhec.studies import ensured
+
+SHORT = dict(row_length_m=6.0, headland_radius_m=6.0, start_offset_m=0.1, estimator="oracle")
+DRIVE = rhec.Scenario(**SHORT, duration_s=150.0)
+
+
+def driven(run):
+    """The samples of the first lap that count, recounted."""
+    after = run.log["t_s"] >= run.metrics["settling_time_s"] + 5 - 1e-9
+    return run.log[after & (run.log["s_m"] < run.path.length_m)]
+
+
+def test_a_lap_is_judged_from_settling_to_the_end_of_the_path():
+    run = rhec.simulate(DRIVE)
+    log, lap = driven(run), ensured.lap(run)
+    assert lap.error_m == pytest.approx(log["error_true_m"].max())
+    assert lap.speed_mps == pytest.approx(log["nu_mps"].mean())
+    assert lap.whole == (log["error_true_m"].max() <= 0.12)
+    assert len(log) < len(run.log) - 100  # what came after the lap does not count
+
+
+def test_who_has_not_driven_the_path_has_not_kept_the_promise():
+    lap = ensured.lap(rhec.simulate(dataclasses.replace(DRIVE, duration_s=60.0)))
+    assert not (lap.whole or lap.rows or lap.corners) and np.isnan(lap.error_m)
+
+
+def test_a_front_counts_fields_and_its_verdict_needs_share_and_speed():
+    labels = ("default soil", "full oracle")
+    drives = {
+        (*labels, ensured.CONSTANT, 0.4): SHORT | dict(speed_mps=0.4),
+        (*labels, ensured.CONSTANT, 0.7): SHORT | dict(speed_mps=0.7, bump_sigma_radps=0.3),
+    }
+    table = ensured.front(drives, range(12))
+    whole = table[table["promise"] == ensured.PROMISES["whole"]].set_index("set_mps")
+    kept = [
+        ensured.lap(rhec.simulate(rhec.Scenario(**SHORT, speed_mps=0.4, seed=k, duration_s=150.0)))
+        for k in range(12)
+    ]
+    assert whole["share"][0.4] == np.mean([lap.whole for lap in kept])
+    assert whole["low"][0.4] < whole["share"][0.4] or whole["share"][0.4] == 0
+    assert whole["share"][0.7] < whole["share"][0.4]
+    assert whole["speed_mps"][0.4] == pytest.approx(0.4, abs=0.005)
+
+    def verdict(least_share, least_speed_mps):
+        return ensured.judged(whole[:1], least_share, least_speed_mps)["verdict"].item()
+
+    assert verdict(0.3, 0.3) == "holds"
+    assert verdict(0.999, 0.3) == "undecided"
+    assert verdict(0.3, 0.45) == "does not hold"
+    assert len(fronts(table, (0.95, 0.47)).axes) == len(ensured.PROMISES)
+
+
+def test_every_drive_can_be_asked_for():
+    every = ensured.drives(
+        ensured.SOILS, ensured.ESTIMATORS, [ensured.CONSTANT, ensured.CAUTIOUS], [0.3, 0.6]
+    )
+    assert len(every) == 3 * len(ensured.ESTIMATORS) * 2 * 2
+    for (_, _, mode, speed), fields in every.items():
+        scenario = rhec.Scenario(**fields)
+        assert scenario.speed_mps == speed and scenario.cautious == (mode == ensured.CAUTIOUS)
