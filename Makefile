@@ -140,6 +140,12 @@ $(READY): environment.txt pyproject.toml
 	@$(PY) -m venv $@ && $@/bin/python -m pip --disable-pip-version-check install -q --no-deps \
 	  --require-hashes -r $< || { rm -rf $@; echo 'acados could not be installed' >&2; }
 
+# What makes WebAssembly for the report's live page, where nothing here does yet; the report can do
+# without.
+.venv/wasm: rhec/workbench/live/zig.txt $(READY)
+	@$(PY) -m rhec.workbench.live.wasm || $(PIP) --no-deps --require-hashes -r $< || true
+	@touch $@
+
 # The reason for a run: `$?` is what is newer than the last run, or gone.
 changed = $(wildcard $?)
 gone = $(filter-out $(changed),$?)
@@ -161,7 +167,8 @@ $(call executed,$(STUDIES)): | $(call executed,computation_times)
 endif
 
 build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
-  $(wildcard docs/*.md rhec/workbench/templates/* rhec/workbench/templates/*/*)
+  $(wildcard docs/*.md rhec/workbench/live/* rhec/workbench/templates/* \
+  rhec/workbench/templates/*/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
 	@$(PY) -m rhec.workbench.report $(EXECUTED)
 

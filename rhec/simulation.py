@@ -141,6 +141,7 @@ def build_sample(*structure):
         )  # fmt: skip
         return dict(
             row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"],
+            covariance=outputs.get("covariance", nan),
             estimator=outputs["memory"], s=target["s"], controller=planned["memory"],
             command=newest, **driven, **{name: measured[name] for name in sensors},
         )  # fmt: skip

@@ -100,7 +100,7 @@ def test_a_point_beside_the_path_projects_to_where_it_came_from(name):
 def test_the_loop_and_the_evaluation_see_the_same_path(name):
     """The references' closest point and poses are NumPy's `poses` and `project`."""
     path, s = PATHS[name], ca.SX.sym("s")
-    pose, c = refs._pose_at(s, path.segments.T, path.period_m)
+    pose, c = refs.pose_at(s, path.segments.T, path.period_m)
     pose_at, rng = ca.Function("pose_at", [s], [pose, c]), np.random.default_rng(1)
     xy = ca.SX.sym("xy", 2)
     closest = ca.Function(

@@ -113,8 +113,9 @@ def every(conditions):
 
 
 def pack_array(memory):
-    """The NumPy vector of a memory's arrays, as `unpack` reads it."""
-    return np.concatenate([np.ravel(piece, order="F") for piece in memory.values()]).astype(float)
+    """The NumPy vector of a memory's arrays, as `unpack` reads it; SX in them stays SX."""
+    packed = np.concatenate([np.ravel(piece, order="F") for piece in memory.values()])
+    return packed if packed.dtype == object else packed.astype(float)
 
 
 def select_inputs(function, values):

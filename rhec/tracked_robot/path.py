@@ -12,7 +12,7 @@ import numpy as np
 
 from rhec._casadi.validation import Flag, Positive, Real, checked, numbers, shown
 
-__all__ = ["OPEN", "Path", "advance"]
+__all__ = ["OPEN", "Path", "advance", "closest"]
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # a path: its field is made of points, and must fit into memory
@@ -142,36 +142,43 @@ class Path:
             Distances (n,) and arc lengths (n,) [m]; both NaN where xy is.
         """
         xy = np.asarray(xy, dtype=float)
+        distance, s = closest(self, *xy.T, np)
         nowhere = np.isnan(xy).any(axis=1)
-        best_distance, best_s = np.full(len(xy), np.inf), np.zeros(len(xy))
-        ends = [*self.segments[1:, 0], self.length_m]
-        for (s, x, y, theta, c), end in zip(self.segments, ends):
-            dx, dy = xy[:, 0] - x, xy[:, 1] - y
-            along = dx * np.cos(theta) + dy * np.sin(theta)
-            left = dy * np.cos(theta) - dx * np.sin(theta)
-            closest = _on_arc(along, left, c, end - s) if c else _on_line(along, left, end - s)
-            for distance, candidate in closest:
-                better = distance < best_distance - 1e-9  # of equals, the first
-                np.copyto(best_distance, distance, where=better)
-                np.copyto(best_s, s + candidate, where=better)
-        best_distance[nowhere] = best_s[nowhere] = np.nan
-        return best_distance, best_s
+        return np.where(nowhere, np.nan, distance), np.where(nowhere, np.nan, s)
 
 
-def _on_line(along, left, length):
-    """Distance and place on a line of the point closest to (along, left) (n,) of its beginning."""
-    place = np.clip(along, 0, length)
-    yield np.sqrt((along - place) ** 2 + left**2), place
+def closest(path, x, y, lib):
+    """`Path.project` of coordinates in the library `lib`, casadi or numpy."""
+    where = np.where if lib is np else ca.if_else
+    best_distance, best_s = np.inf, 0.0
+    ends = [*path.segments[1:, 0], path.length_m]
+    for (s, x_0, y_0, theta, c), end in zip(path.segments, ends):
+        dx, dy = x - x_0, y - y_0
+        along = dx * np.cos(theta) + dy * np.sin(theta)
+        left = dy * np.cos(theta) - dx * np.sin(theta)
+        arguments = (along, left, c, end - s, lib) if c else (along, left, end - s, lib)
+        for distance, candidate in (_on_arc if c else _on_line)(*arguments):
+            better = distance < best_distance - 1e-9  # of equals, the first
+            best_distance = where(better, distance, best_distance)
+            best_s = where(better, s + candidate, best_s)
+    return best_distance, best_s
 
 
-def _on_arc(along, left, c, length):
+def _on_line(along, left, length, lib):
+    """Distance and place on a line of the point closest to (along, left) of its beginning."""
+    place = lib.fmin(lib.fmax(along, 0), length)
+    yield lib.sqrt((along - place) ** 2 + left**2), place
+
+
+def _on_arc(along, left, c, length, lib):
     """The same on an arc of curvature c; beyond it its beginning may be closer than its end."""
-    to_centre = np.sqrt(along**2 + (1 / c - left) ** 2)
-    place = np.arctan2(abs(c) * along, 1 - c * left)
-    place = np.where(place < 0, place + 2 * pi, place) / abs(c)
+    where = np.where if lib is np else ca.if_else
+    to_centre = lib.sqrt(along**2 + (1 / c - left) ** 2)
+    place = lib.arctan2(abs(c) * along, 1 - c * left)
+    place = where(place < 0, place + 2 * pi, place) / abs(c)
     # |to_centre - 1 / |c||, without the difference of two numbers that may be large and near
-    beside = np.abs(along**2 + left**2 - 2 * left / c) / (to_centre + 1 / abs(c))
+    beside = lib.fabs(along**2 + left**2 - 2 * left / c) / (to_centre + 1 / abs(c))
     x, y, _ = advance(0.0, 0.0, 0.0, c, length, np)
-    beyond = np.sqrt((along - x) ** 2 + (left - y) ** 2)
-    yield np.where(place <= length, beside, beyond), np.minimum(place, length)
-    yield np.sqrt(along**2 + left**2), 0.0
+    beyond = lib.sqrt((along - x) ** 2 + (left - y) ** 2)
+    yield where(place <= length, beside, beyond), lib.fmin(place, length)
+    yield lib.sqrt(along**2 + left**2), 0.0

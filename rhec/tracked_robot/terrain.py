@@ -35,13 +35,13 @@ STANDARD_FIELDS = next(
 )
 
 __all__ = [
-    "CELLS_PER_LENGTH", "STANDARD_FIELDS", "Terrain", "bilinear", "common_shape", "flat", "lookup",
-    "random_for",
+    "CELLS_PER_LENGTH", "LOWEST", "QUANTILES", "STANDARD_FIELDS", "Terrain", "beta_quantiles",
+    "bilinear", "common_shape", "flat", "gaussian_fields", "lookup", "random_for",
 ]  # fmt: skip
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
-_LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
+LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
-_QUANTILES = np.linspace(-5, 5, 257)
+QUANTILES = np.linspace(-5, 5, 257)
 _MOST_BYTES = 32 * _MOST_CELLS  # of a file, unpacked
 
 Seed = Annotated[Whole, Field(ge=0)]
@@ -138,7 +138,7 @@ class Terrain:
                 "A path or a start that takes the robot so far needs a terrain of its own"
             )
         i, j = (np.arange(int(n) + 1) for n in cells)
-        fields = _gaussian_fields(seed, len(i), len(j), cell_m, correlation_length_m)
+        fields = gaussian_fields(seed, len(i), len(j), cell_m, correlation_length_m)
         mu, kappa = map(_beta_from_gaussian, fields, mean, deviation)
         for x, y, radius, mu_patch, kappa_patch in patches:
             dx, dy = x_min + cell_m * i[:, None] - x, y_min + cell_m * j - y
@@ -264,19 +264,19 @@ def _beta_from_gaussian(gaussian, mean, deviation):
     """
     if deviation < 1e-6:  # as good as none, and its square may vanish
         return np.full(gaussian.shape, float(mean))
-    values = _beta_quantiles(mean, deviation)
-    return np.clip(np.interp(gaussian, _QUANTILES, values), _LOWEST, 1)
+    values = beta_quantiles(mean, deviation)
+    return np.clip(np.interp(gaussian, QUANTILES, values), LOWEST, 1)
 
 
 @functools.lru_cache
-def _beta_quantiles(mean, deviation):
-    """Values of that beta distribution where the standard normal distribution has _QUANTILES."""
+def beta_quantiles(mean, deviation):
+    """Values of that beta distribution where the standard normal distribution has QUANTILES."""
     nu = mean * (1 - mean) / deviation**2 - 1
-    return betaincinv(mean * nu, (1 - mean) * nu, ndtr(_QUANTILES))
+    return betaincinv(mean * nu, (1 - mean) * nu, ndtr(QUANTILES))
 
 
 @functools.lru_cache(maxsize=1)  # what runs of one seed have in common
-def _gaussian_fields(seed, n_i, n_j, cell_m, correlation_length_m):
+def gaussian_fields(seed, n_i, n_j, cell_m, correlation_length_m):
     """Two windows (n_i, n_j) of the standard fields, placed, turned and mirrored by the seed."""
     # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's
     # stream is not

@@ -40,6 +40,8 @@ from rhec import __version__
 from rhec.plots import style
 from rhec.studies import timing
 from rhec.workbench import reference
+from rhec.workbench.live import page as live_page
+from rhec.workbench.live import wasm
 
 __all__ = ["Cells", "build", "formula", "tone"]
 
@@ -287,13 +289,14 @@ def _packages():
     return sorted(installed)
 
 
-def build(notebooks, figures=style.FOLDER, report=REPORT):
+def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
     """Write the site; it replaces the old one only when it is whole.
 
     Args:
         notebooks: paths of executed notebooks, in the order of the pages.
         figures: folder of the figures and tables that they left.
         report: folder of the site.
+        live: whether it has the live page, for which C is compiled to WebAssembly.
 
     Raises:
         ValueError: if a notebook cannot be shown; the old site is left as it was.
@@ -301,7 +304,7 @@ def build(notebooks, figures=style.FOLDER, report=REPORT):
     report.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
         unfinished = Path(folder) / report.name
-        _write_site(notebooks, figures, unfinished)
+        _write_site(notebooks, figures, unfinished, live)
         (unfinished / "report.d").touch()  # for `make clean`
         made = [f"build/report/{file.relative_to(unfinished)}" for file in unfinished.rglob("*.*")]
         (unfinished / "report.d").write_text(f"MADE += {' '.join(made)}\n")
@@ -309,7 +312,7 @@ def build(notebooks, figures=style.FOLDER, report=REPORT):
         unfinished.rename(report)
 
 
-def _write_site(notebooks, figures, site):
+def _write_site(notebooks, figures, site, live):
     """All pages, and what they show, into a new folder."""
     (site / "notebooks").mkdir(parents=True)
     shutil.copytree(figures, site / "figures")
@@ -342,6 +345,7 @@ def _write_site(notebooks, figures, site):
         provenance=_provenance(),
         packages=_packages(),
         environment=sorted({figure["source"] for figure in drawn}),
+        live=live_page.LEADS if live else {},
     )
     looks = dict(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     loader = jinja2.FileSystemLoader(TEMPLATES)
@@ -356,6 +360,8 @@ def _write_site(notebooks, figures, site):
 
     for page in ["index", *RESULTS]:
         write(page, page)
+    if live:
+        write("live", "live", world=live_page.build(site / "live"))
     contents, body = reference.of_the_face()
     write("reference", "reference", contents=contents, body=Markup(body))
     for template, pages in {"story": stories, "document": docs}.items():
@@ -373,11 +379,13 @@ def _main():
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     try:
-        build(parser.parse_args().notebooks)
+        build(parser.parse_args().notebooks, live=wasm.can_compile())
     except KeyboardInterrupt:
         parser.exit(130, "report: interrupted; an older one is left as it was\n")
     except ValueError as error:
         parser.exit(1, f"report: {error}\n")
+    if not wasm.can_compile():
+        print("report: with pictures alone, since nothing here compiles C to WebAssembly")
     print(f"report: open {os.path.relpath(REPORT / 'index.html')}")
 
 

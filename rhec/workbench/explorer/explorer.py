@@ -29,10 +29,10 @@ from rhec.workbench.explorer.field_run import ZOOMS, FieldRun, colour_of, field_
 from rhec.workbench.explorer.robot_view import RobotView
 from rhec.workbench.explorer.snapshot import snapshot_at
 
-__all__ = ["Explorer", "change", "compile_apart", "metrics_table"]
+__all__ = ["METRICS", "Explorer", "change", "compile_apart", "metrics_table"]
 
 # A run's metrics, all of them better small: column, two lines of heading, digits.
-_METRICS = (
+METRICS = (
     ("mean_error_m", "mean error", "GNSS [m]", 4),
     ("mean_error_true_m", "mean error", "true [m]", 4),
     ("max_error_true_m", "largest", "true [m]", 3),
@@ -57,7 +57,7 @@ def metrics_table(runs, pinned=()):
 
     def row(run, name, cell, less):
         swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
-        found = [cell(run.metrics[m] - less.get(m, 0), digits) for m, _, _, digits in _METRICS]
+        found = [cell(run.metrics[m] - less.get(m, 0), digits) for m, _, _, digits in METRICS]
         return f"<tr><td>{swatch} {name}</td>{''.join(f'<td>{each}</td>' for each in found)}</tr>"
 
     rows = [row(run, name_of(run.scenario), value, {}) for run in runs]
@@ -65,7 +65,7 @@ def metrics_table(runs, pinned=()):
         name, pinned_name = name_of(run.scenario), name_of(before.scenario)
         pinned_name = "" if pinned_name == name else f" {pinned_name}"
         rows.append(row(run, f"{name} − pinned{pinned_name}", change, before.metrics))
-    head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in _METRICS)
+    head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in METRICS)
     return f'<table class="rhec-table"><tr><th></th>{head}</tr>{"".join(rows)}</table>'
 
 
