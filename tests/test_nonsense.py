@@ -86,13 +86,14 @@ def test_the_page_has_these_and_no_other():
         LOG.iloc[:100],
         LOG.assign(x_m=np.where(LOG.index % 40 == 0, LOG["x_m"] + 10, LOG["x_m"])),
         LOG.assign(yaw_true_rad=(LOG["yaw_true_rad"] + np.pi) % (2 * np.pi) - np.pi),
+        pd.concat([late(LOG, 5)[:1300], late(LOG, -6)[1300:]]),  # no delay makes up for that
         *(
             LOG.assign(**LOG[["x_m", "y_m"]] + sigma_m * NOISE) for sigma_m in (0.1, 0.5, 2.0)
         ),
     ],
 )  # fmt: skip
 def test_what_a_log_may_be_is_not_nonsense(log, nothing_estimated):
-    """Slip, sparse and noisy positions, outliers, wrapped yaws, UTM coordinates."""
+    """Slip, sparse and noisy positions, outliers, wrapped yaws, UTM coordinates, no one delay."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises((StopIteration, RuntimeError)):

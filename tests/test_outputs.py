@@ -5,7 +5,8 @@ import numpy as np
 import pandas as pd
 
 import rhec
-from rhec.logs.outputs import write_estimates
+from rhec.logs.outputs import write_estimates, write_scores
+from rhec.logs.scores import while_moving
 
 
 def test_a_replay_leaves_tables_and_paths(tmp_path):
@@ -27,3 +28,22 @@ def test_a_replay_leaves_tables_and_paths(tmp_path):
     assert (
         len(measured) == estimates["x_meas_m"].notna().sum() and (np.diff(measured[:, 0]) > 0).all()
     )
+
+
+def test_a_replay_leaves_its_scores_and_what_it_remarked(tmp_path):
+    rows = [("EKF", "yaw", 3.0, 2.0, 4.0, 5), ("RHE", "yaw [rad]", 0.5, 0.25, 0.75, 5)]
+    table = pd.DataFrame(rows, columns=["estimator", "quantity", "mean", "low", "high", "n"])
+    write_scores(table, ["The estimate is lost."], tmp_path)
+    title, *lines = (tmp_path / "scores.txt").read_text("utf-8").splitlines()
+    assert "5 noise seeds" in title
+    assert lines == ["yaw [rad]: 0.5 [0.25, 0.75]", "The estimate is lost."]
+
+
+def test_a_fault_strikes_while_the_robot_moves():
+    t = 0.2 * np.arange(500)
+    drives, turns = (t > 30) & (t < 45), (t > 70) & (t < 95)
+    samples = pd.DataFrame(
+        dict(t_s=t, segment=0, nu_meas_mps=-0.5 * drives, omega_meas_radps=0.5 * turns)
+    )
+    for from_s, lasts_s, expected in ((0, 10, 30.2), (31, 10, 31), (40, 10, 70.2), (98, 1, 30.2)):
+        assert abs(while_moving(samples, from_s, lasts_s) - expected) < 1e-6

@@ -463,7 +463,10 @@ def test_estimates_are_finite_whatever_the_log_lacks(broken):
         ([1, 2], "^log was list; it should be a DataFrame"),
         (LOG.iloc[:0], "^log was DataFrame without rows"),
         (LOG.drop(columns="x_m"), "^the log had no column x_m"),
-        (LOG.drop(columns=["t_s", "speed_mps"]), "no column t_s, speed_mps;.*and a track_width_m"),
+        (
+            LOG.drop(columns=["t_s", "speed_mps"]),
+            "no column t_s, speed_mps;.*or give a track_width_m",
+        ),
         (LOG.assign(y_m="east"), "column y_m had no number"),
         (LOG.assign(t_s=np.nan), "column t_s had no number"),
         (LOG.iloc[::10], "rows 1 s apart"),
@@ -651,6 +654,7 @@ def test_figures_of_a_log_with_and_without_truth():
         trials = {"RHE": scores.perturbed_scores(log, range(2), process_noise="calibrated")}
         for figure in (
             drawings.replay_log(replay["RHE"], "a $ b"),
+            drawings.replay_path(rhec.replay(log, process_noise="calibrated"), "a $ b"),
             drawings.replay_yaw(replay),
             drawings.replay_traction(replay, "RHE"),
             drawings.replay_innovations(replay),

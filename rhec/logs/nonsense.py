@@ -18,6 +18,7 @@ _POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
 _LENGTHS_S = (0.6, 1.2, 2.4)  # of the intervals: the first that shows through the positions' noise
 _DELAYS_S, _FINER_S = np.arange(-10, 11) / 5, np.arange(-3, 4) / 20  # tried; then about the best
 _CLEAR, _BETTER, _LATE_S = 0.5, 0.05, 0.25  # share explained, more than without; what is named
+_AGREE_S = 0.15  # to which the halves of a log agree
 _ROWS, _INTERVALS, _STILL = 50, 60, 0.3  # at least; [m] or [rad] that a robot which moved has made
 _SIGMA_C = 0.02  # [m²], before the log is seen: of positions good to 0.1 m
 _SURE = 9.0  # standard errors from what can be: neighbours are not independent
@@ -129,6 +130,14 @@ def _best(rows):
     return best if told else 0.0, found
 
 
+def _late_twice(rows, delay_s):
+    """Whether a half of a log says what all of it does, and the other nothing else; where the
+    positions are only noisy they do not.
+    """
+    halves = [_best(half)[0] for half in (rows[: len(rows) // 2], rows[len(rows) // 2 :])]
+    return any(halves) and all(not half or abs(half - delay_s) <= _AGREE_S for half in halves)
+
+
 def _said(slope, table):
     """What a table says of a `_slope`, without the names of columns; None if nothing."""
     (b, sigma, share), (measured, clear, said) = slope, table
@@ -179,7 +188,7 @@ def refuse_nonsense(recording):
             said = said.replace(_KAPPA[2][0.0], _MIRRORED[int(truth[0] > 0)])
         if said:
             raise ValueError("the log's " + said.format(times=slope[0], **names))
-    if abs(delay_s) >= _LATE_S:
+    if abs(delay_s) >= _LATE_S and _late_twice(rows, delay_s):
         late = f"{abs(delay_s):.2g} s {'later' if delay_s > 0 else 'earlier'}"
         warnings.warn(
             f"the log's {names['place']} come {late} than {names['speed']}, {names['yaw_rate']}; "

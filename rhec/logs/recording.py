@@ -220,7 +220,9 @@ def _columns(log, measured):
         by_tracks = measured is RECORDED and set(TRACKS) <= set(log.columns)
         raise ValueError(
             f"the log had no column {', '.join(missing)}; it should have "
-            f"{', '.join(wanted.values())}{' and a track_width_m' if by_tracks else ''}"
+            f"{', '.join(wanted.values())}"
+            + f", or give a track_width_m for {', '.join(TRACKS)}"
+            * by_tracks
         )
     values = pd.DataFrame({name: _numbers(log, column) for name, column in wanted.items()})
     for name, column in wanted.items():
