@@ -237,12 +237,10 @@ def draw_noise(seed, samples):
     return np.hstack([stream(1, build.packed_size(robot.NOISE) - 1), stream(4, 1)])
 
 
-def noise_and_faults(scenario, samples):
-    """The stream that a run is scanned over: noise, and the sensors' faults, one row a sample."""
-    noise = draw_noise(scenario.seed, samples)
-    if not scenario.faults:
-        return noise
-    return np.hstack([noise, faults.stream(scenario.faults, samples, paper.DT_S, scenario.seed)])
+def noise_and_faults(seed, given, samples):
+    """The stream that a run is scanned over: noise and the given Faults, one row a sample."""
+    noise = draw_noise(seed, samples)
+    return np.hstack([noise, faults.stream(given, samples, paper.DT_S, seed)]) if given else noise
 
 
 @dataclass(frozen=True)
@@ -284,7 +282,8 @@ def simulate(scenario: Scenario) -> Run:
 def simulate_setup(scenario, setup):
     """The Run of a scenario that is set up."""
     functions = compiled.load(build_sample, *setup.structure)
-    stream = noise_and_faults(scenario, round(scenario.duration_s / paper.DT_S))
+    samples = round(scenario.duration_s / paper.DT_S)
+    stream = noise_and_faults(scenario.seed, scenario.faults, samples)
     return finish(scenario, setup, scan.scan(functions, setup.memory, stream, setup.settings)[1])
 
 

@@ -142,7 +142,7 @@ def drive(state, base, samples):
         scenario = leg(base, state["seed"], number)
         setup = simulation.set_up(scenario)
         functions = compiled.load(simulation.build_sample, *setup.structure)
-        stream = simulation.noise_and_faults(scenario, LEG)
+        stream = simulation.noise_and_faults(scenario.seed, scenario.faults, LEG)
         while place < LEG and state["done"] < end:
             until = min(place - place % CHECK + CHECK, place + end - state["done"])
             state["memory"], rows = scan.scan(

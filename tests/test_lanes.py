@@ -74,7 +74,9 @@ def test_every_estimator_has_the_same_bits_in_a_lane(kind):
     scenarios = [*unlike(kind)]
     setups = [*map(simulation.set_up, scenarios)]
     assert len({setup.structure for setup in setups}) == 1
-    streams = [simulation.noise_and_faults(scenario, 100) for scenario in scenarios]
+    streams = [
+        simulation.noise_and_faults(scenario.seed, scenario.faults, 100) for scenario in scenarios
+    ]
     one_by_one, at_once = one_by_one_and_at_once(
         simulation.build_sample, setups[0].structure, [setup.memory for setup in setups], streams,
         [setup.settings for setup in setups],

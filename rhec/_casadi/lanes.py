@@ -114,7 +114,8 @@ def _compile(place, function):
     generator.add(function)
     generator.generate(f"{place}/")
     (place / "code.cpp").write_text(_by_lanes((place / "code.c").read_text()))
-    flags = ["-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
+    # -O1: three quarters of the time to compile, the code a twentieth slower.
+    flags = ["-O1", "-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
     flags += ["-include", compiled.HEADERS / "lanes.h"]
     command = [_compiler()[0], *compiled.FLAGS, *flags, "code.cpp", "-o", "library.so"]
     subprocess.run(command, cwd=place, stderr=subprocess.DEVNULL)

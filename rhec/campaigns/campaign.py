@@ -1,7 +1,6 @@
 """A campaign: many closed-loop runs, one row each, here or on a Dask cluster."""
 
 import functools
-import itertools
 import textwrap
 from dataclasses import fields
 from pathlib import Path
@@ -13,11 +12,13 @@ from rhec._casadi import compiled
 from rhec._casadi.validation import Whole, checked, shown
 from rhec.campaigns import store
 from rhec.campaigns.side_by_side import (
-    in_groups,
+    compile_lanes,
+    in_parts,
     n_samples,
     run_in_lanes,
     samples_alike,
     size_of_task,
+    to_compile,
 )
 from rhec.campaigns.workers import dask_client, run_on
 from rhec.scenario import Scenario
@@ -121,15 +122,17 @@ def _results(scenarios, workers):
         return
     samples, alike = sum(map(n_samples, scenarios.values())), samples_alike(scenarios.values())
     work, size = functools.partial(_rows, alike=alike), size_of_task(alike)
-    scenarios = in_groups(scenarios)
     with dask_client(workers, samples >= _LARGE) as client:
         if client is None:
-            yield from map(work, _chunks(scenarios, size))
+            yield from map(work, in_parts(scenarios, size))
             return
         work = functools.partial(work, expected=store.provenance())
+        # First, several at a time: else workers wait for one another's.
+        for _ in run_on(client, compile_lanes, to_compile(scenarios.values(), alike)):
+            yield {}
         suspects = {}  # among them is a run that kills its worker
         share = samples / (4 * max(1, sum(client.nthreads().values())))
-        for chunk, rows in run_on(client, work, _chunks(scenarios, min(size, share))):
+        for chunk, rows in run_on(client, work, in_parts(scenarios, min(size, share))):
             suspects |= {} if rows else chunk
             yield rows or {}
         # One task at a time, so that no run dies with another.
@@ -166,10 +169,3 @@ def _run_or_error(scenario):
 
 def _reason(error):
     return f"{type(error).__name__}: {textwrap.shorten(str(error), 300)}"
-
-
-def _chunks(scenarios, samples):
-    """Cut {key: scenario} into parts of about so many closed-loop samples."""
-    before = itertools.accumulate(map(n_samples, scenarios.values()), initial=0)
-    parts = itertools.groupby(zip(before, scenarios.items()), lambda each: each[0] // samples)
-    return (dict(item for _, item in part) for _, part in parts)

@@ -1,17 +1,23 @@
 """Many runs in one process: several at a time, one in each lane of the processor's registers."""
 
 import contextlib
+import functools
+import itertools
 import operator
 
 from rhec import paper, simulation
 from rhec._casadi import lanes
 
-__all__ = ["in_groups", "n_samples", "run_in_lanes", "samples_alike", "size_of_task"]
+__all__ = [
+    "compile_lanes", "in_parts", "n_samples", "run_in_lanes", "samples_alike", "size_of_task",
+    "to_compile",
+]  # fmt: skip
 
 # Samples of runs alike that pay for compiling lanes, and for using them where they are compiled.
 _WORTH_COMPILING, _WORTH_USING = 400_000, 10_000
 # Closed-loop samples in one task: about a second of work, which is also what an interruption loses.
-_TASK, _TASK_IN_LANES = 40_000, 200_000
+_TASK, _TASK_IN_LANES = 40_000, 400_000
+_MOST_LANES, _MOST_IN_MEMORY = 8, 200_000  # lanes, and samples of all of them
 
 # What nearly always decides alone which compiled loop a scenario runs.
 _ALIKE = operator.attrgetter(
@@ -35,19 +41,37 @@ def size_of_task(alike):
     return _TASK_IN_LANES if alike >= _WORTH_COMPILING else _TASK
 
 
-def in_groups(scenarios):
-    """{key: scenario}, those that share a loop next to each other, among them those of one seed,
-    which share fields and noise; otherwise in the order given.
+def in_parts(scenarios, samples):
+    """Cut {key: scenario} into parts of about so many samples, otherwise in the order given.
+
+    Near each other are as many seeds as there are lanes, whose runs share fields and noise, and
+    among their runs those that share a loop.
     """
-    loops, seeds = {}, {}
+    known, seeds = {}, {}
     for scenario in scenarios.values():
-        loops.setdefault(_ALIKE(scenario), len(loops))
+        known.setdefault(_ALIKE(scenario), len(known))
         seeds.setdefault(scenario.seed, len(seeds))
 
     def place(item):
-        return loops[_ALIKE(item[1])], seeds[item[1].seed]
+        seed = seeds[item[1].seed]
+        return seed // _MOST_LANES, known[_ALIKE(item[1])], seed
 
-    return dict(sorted(scenarios.items(), key=place))
+    ordered = sorted(scenarios.items(), key=place)
+    before = itertools.accumulate((n_samples(each) for _, each in ordered), initial=0)
+    parts = itertools.groupby(zip(before, ordered), lambda each: each[0] // samples)
+    return (dict(item for _, item in part) for _, part in parts)
+
+
+def to_compile(scenarios, alike):
+    """One of the scenarios for each loop, if they pay for compiling lanes."""
+    pays = alike >= _WORTH_COMPILING
+    return {_ALIKE(scenario): scenario for scenario in scenarios}.values() if pays else ()
+
+
+def compile_lanes(scenario):
+    """Compile the loop of a scenario for lanes; what cannot be is found out again when it runs."""
+    with contextlib.suppress(Exception):
+        lanes.load(simulation.build_sample, *simulation.set_up(scenario).structure)
 
 
 def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
@@ -56,6 +80,7 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
     Not those that fail: `simulate` says why. alike: see `samples_alike`, of the whole campaign.
     """
     blocks, waiting, done = {}, {}, {}
+    noise = functools.cache(simulation.noise_and_faults)
     if alike < _WORTH_USING:
         return done
     for key, scenario in scenarios.items():
@@ -64,14 +89,14 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
             if setup.structure not in blocks:
                 blocks[setup.structure] = _block(setup.structure, alike)
             block = blocks[setup.structure]
-            if block and samples * block.lanes <= _TASK_IN_LANES:  # all in memory
+            if block and samples * block.lanes <= _MOST_IN_MEMORY:  # all in memory
                 group = waiting.setdefault((setup.structure, samples), {})
                 group[key] = scenario, setup
                 if len(group) == block.lanes:
-                    done |= _run(block, samples, waiting.pop((setup.structure, samples)), of)
+                    done |= _run(block, samples, waiting.pop((setup.structure, samples)), noise, of)
     for (structure, samples), group in waiting.items():
         with contextlib.suppress(Exception):
-            done |= _run(blocks[structure], samples, group, of)
+            done |= _run(blocks[structure], samples, group, noise, of)
     return done
 
 
@@ -82,14 +107,10 @@ def _block(structure, alike):
     return lanes.load(*sample) if pays else None
 
 
-def _run(block, samples, group, of):
+def _run(block, samples, group, noise, of):
     """{key: `of` its Run} of {key: (scenario, setup)}, of one structure and length."""
     scenarios, setups = zip(*group.values())
-    noise = {}
-    for each in scenarios:
-        if (each.seed, each.faults) not in noise:
-            noise[each.seed, each.faults] = simulation.noise_and_faults(each, samples)
-    streams = [noise[each.seed, each.faults] for each in scenarios]
+    streams = [noise(each.seed, each.faults, samples) for each in scenarios]
     memories, settings = [each.memory for each in setups], [each.settings for each in setups]
     rows = lanes.scan(block, memories, streams, settings)
     runs = map(simulation.finish, scenarios, setups, rows)

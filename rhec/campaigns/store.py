@@ -54,6 +54,8 @@ def scenario_key(scenario):
 
 def _canonical_text(value):
     """A value as text that no other value has."""
+    if type(value) in (bool, int, float, str):  # nearly all of a scenario
+        return repr(value)
     if isinstance(value, ca.Function):
         return value.serialize()
     if isinstance(value, np.ndarray):

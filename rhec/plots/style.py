@@ -18,11 +18,12 @@ import matplotlib.pyplot as plt
 from rhec import __version__
 
 __all__ = ["BLACK", "BLUE", "COLOURS", "COLUMN_IN", "DOUBLE_IN", "FOLDER", "GREEN", "GREY"]
-__all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "SKY", "VERMILLION", "as_comments", "provenance"]
-__all__ += ["save", "save_table", "source", "source_of", "styled"]
+__all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "ROWS", "SKY", "VERMILLION", "as_comments"]
+__all__ += ["provenance", "save", "save_table", "source", "source_of", "styled"]
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "figures"
+ROWS = ROOT / "build/campaign/notebooks"  # of campaigns: what one notebook drove serves another
 
 COLUMN_IN, DOUBLE_IN = 3.4, 6.5  # widths of the paper's figures [in]
 
@@ -92,11 +93,11 @@ def styled(draw):
 
 
 def source(root=ROOT):
-    """Digest of what figures are made of: modules, data and notebooks.
+    """Digest of what figures are made of: modules, the standard fields and notebooks.
 
     The commit's name is no such digest: making the figures again in a fresh clone would change it.
     """
-    patterns = ("rhec/**/*.py", "data/*", "notebooks/*.ipynb")
+    patterns = ("rhec/**/*.py", "data/*.npz", "notebooks/*.ipynb")
     files = sorted(file for pattern in patterns for file in root.glob(pattern) if file.is_file())
     pieces = (file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)
     return hashlib.sha256(b"".join(pieces)).hexdigest()[:12]

@@ -51,6 +51,10 @@ class RealTimeIteration:
             for name, array in call.results.items():
                 home = writes if name in memory else self.arrays
                 call.write_to(name, home.setdefault(name, array))
+        # Looked up once: from Python, finding them would take as long as the shortest of them.
+        self._shift, self._linearise, self._feedback, self._expand = (
+            self.phases[name].call for name in PHASES
+        )
         self.set(self.arrays, constants)
         self.started = self.prepared = self.expanded = False
 
@@ -63,37 +67,37 @@ class RealTimeIteration:
     def start(self, memory):
         """Begin at this memory, already in place for the sample that comes."""
         self.set(self.current, memory)
-        self.phases["linearise"].call()
+        self._linearise()
         self.started = self.prepared = True
 
     def prepare(self):
         """All that can be done before the next sample arrives; before the first, nothing."""
         if self.started and not self.prepared:
             self.expand()
-            self.phases["shift"].call()
-            self.phases["linearise"].call()
+            self._shift()
+            self._linearise()
             self.prepared = True
 
     def feedback(self):
         """The answer to what is new."""
         if not self.prepared:
             raise RuntimeError("prepare() must be called before each feedback()")
-        self.phases["feedback"].call()
+        self._feedback()
         self.prepared = self.expanded = False
 
     def expand(self):
         """Once a sample: the rest of the solution."""
         if not self.expanded:
-            self.phases["expand"].call()
+            self._expand()
             self.expanded = True
 
     @checked
     def solve(self, iterations: Steps):
         """Gauss-Newton to convergence: one problem, linearised again and again."""
         for _ in range(iterations):
-            self.phases["linearise"].call()
-            self.phases["feedback"].call()
-            self.phases["expand"].call()
+            self._linearise()
+            self._feedback()
+            self._expand()
             self.set(self.current, {name: self.previous[name] for name in self.unknowns})
         self.prepared, self.expanded = False, True
 

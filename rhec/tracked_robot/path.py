@@ -4,6 +4,7 @@ A path is a row of segments, each a line or an arc: (s, x, y, θ, c) where it be
 [m], pose (x, y, θ), with curvature c [1/m].
 """
 
+import functools
 from dataclasses import dataclass
 from math import pi
 
@@ -109,13 +110,17 @@ class Path:
         Returns:
             The Path.
         """
-        return cls.from_segments(
-            [(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)] * 2, closed=True
-        )
+        return _racetrack(row_length_m, radius_m)
 
     @property
     def period_m(self) -> float:
         return self.length_m if self.closed else OPEN
+
+    @functools.cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """Where the path is, (x_min, x_max, y_min, y_max) [m], seen every half metre."""
+        x, y, _ = self.poses(np.arange(0, self.length_m, 0.5))[0].T
+        return x.min(), x.max(), y.min(), y.max()
 
     def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses and curvatures at arc lengths.
@@ -162,6 +167,12 @@ def closest(path, x, y, lib):
             best_distance = where(better, distance, best_distance)
             best_s = where(better, s + candidate, best_s)
     return best_distance, best_s
+
+
+@functools.lru_cache(maxsize=16)  # what runs of a campaign have in common
+def _racetrack(row_length_m, radius_m):
+    pieces = [(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)]
+    return Path.from_segments(pieces * 2, closed=True)
 
 
 def _on_line(along, left, length, lib):

@@ -48,7 +48,9 @@ class PaperRHC(rhc.RHC):
         horizon_ = horizon_of(horizon, qp, dt)
         limits = dict(lower=(-omega_max,), upper=(omega_max,))
         self._begin(horizon_, q, (r,), qn_factor, limits)
-        self._omega_ref = self._inputs["u_ref"][0]
+        x, p, x_ref, (omega_ref,) = self._inputs.values()
+        self._given = x, p, x_ref, omega_ref
+        self._plan = memoryview(self.iteration.arrays["u_plan"])  # whose entries are floats at once
 
     def feedback(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any) -> float:
         """Yaw rate [rad/s] to command, eq. (13).
@@ -64,7 +66,7 @@ class PaperRHC(rhc.RHC):
         """
         self._give_pose(pose, p, xi_ref, omega_ref)
         self.iteration.feedback()
-        return self.iteration.arrays["u_plan"][0].item()
+        return self._plan[0]
 
     def solve(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any, iterations: int = 20) -> float:
         """`feedback`, iterated to convergence on the nonlinear problem.
@@ -81,13 +83,14 @@ class PaperRHC(rhc.RHC):
         """
         self._give_pose(pose, p, xi_ref, omega_ref)
         self.iteration.solve(iterations)
-        return self.iteration.arrays["u_plan"][0].item()
+        return self._plan[0]
 
     def _give_pose(self, pose, p, xi_ref, omega_ref):
-        rhc.copy_checked("pose", pose, self._inputs["x"])
-        rhc.copy_checked("p", p, self._inputs["p"])
-        rhc.copy_checked("xi_ref", xi_ref, self._inputs["x_ref"])
-        rhc.copy_checked("omega_ref", omega_ref, self._omega_ref)
+        x, p_hat, x_ref, u_ref = self._given
+        rhc.copy_checked("pose", pose, x)
+        rhc.copy_checked("p", p, p_hat)
+        rhc.copy_checked("xi_ref", xi_ref, x_ref)
+        rhc.copy_checked("omega_ref", omega_ref, u_ref)
         self._start_once()
 
     @property

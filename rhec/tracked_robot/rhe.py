@@ -217,6 +217,8 @@ class PaperRHE(rhe.RHE):
             self._choice, dict.fromkeys(QUANTITIES, 0.0)
         )
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
+        arrays, n_s = self.iteration.arrays, self.model.n_s
+        self._answer = arrays["estimate"], arrays["covariance"].reshape(n_s, n_s)
 
     def _start(self, z):
         readable = np.abs(z) <= self.model.limits
@@ -231,6 +233,5 @@ class PaperRHE(rhe.RHE):
         self.iteration.started = self._guess is not None or bool(readable[:2].all())
 
     def _estimate(self):
-        arrays, n_s = self.iteration.arrays, self.model.n_s
-        covariance = arrays["covariance"].reshape(n_s, n_s).copy()
-        return PaperEstimate(*arrays["estimate"].tolist(), covariance)
+        estimate, covariance = self._answer
+        return PaperEstimate(*estimate.tolist(), covariance.copy())

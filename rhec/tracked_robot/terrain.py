@@ -41,6 +41,7 @@ __all__ = [
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
+_SMALL_M2 = 10_000.0  # a random field so large, 0.6 MB, or smaller is kept for the next run
 QUANTILES = np.linspace(-5, 5, 257)
 _MOST_BYTES = 32 * _MOST_CELLS  # of a file, unpacked
 
@@ -199,17 +200,10 @@ class Terrain:
 
 def random_for(scenario, path):
     """The random field a scenario's statistics and seed describe, with a margin around the path."""
-    xy, margin = (
-        path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2],
-        5.0 + abs(scenario.start_offset_m),
-    )
-    box = (
-        xy[:, 0].min() - margin,
-        xy[:, 0].max() + margin,
-        xy[:, 1].min() - margin,
-        xy[:, 1].max() + margin,
-    )
-    return Terrain.random(
+    (x_min, x_max, y_min, y_max), margin = path.box, 5.0 + abs(scenario.start_offset_m)
+    box = x_min - margin, x_max + margin, y_min - margin, y_max + margin
+    make = _random if (box[1] - box[0]) * (box[3] - box[2]) < _SMALL_M2 else Terrain.random
+    return make(
         scenario.seed,
         box,
         (scenario.mu_mean, scenario.kappa_mean),
@@ -217,6 +211,13 @@ def random_for(scenario, path):
         scenario.correlation_length_m,
         scenario.patches,
     )
+
+
+@functools.lru_cache(maxsize=64)  # what runs of a few seeds have in common, not to be written to
+def _random(*given):
+    terrain = Terrain.random(*given)
+    terrain.mu.setflags(write=False), terrain.kappa.setflags(write=False)
+    return terrain
 
 
 def lookup(shape):

@@ -98,7 +98,8 @@ def record(listing):
     """Append to the file `listing` what this process, or a fork of it, opens in the project.
 
     A module counts when it is imported, which always tries to open its bytecode first, and not
-    when its source is merely read, as it is to name the compiled libraries.
+    when its source is merely read, as it is to name the compiled libraries; nor does a notebook,
+    read for the digest in a figure's file: make itself knows the one that runs.
 
     Args:
         listing: path of an existing file, which gets lines "used PATH" and "made PATH".
@@ -113,7 +114,7 @@ def record(listing):
         else:
             return
         path = os.path.realpath(os.fsdecode(path))
-        if path.endswith(".py"):
+        if path.endswith((".py", ".ipynb")):
             return
         if path.endswith(".pyc") and not written:
             with contextlib.suppress(ValueError):  # bytecode without a source

@@ -270,7 +270,7 @@ def _provenance():
     commit = ours and subprocess.run(describe, capture_output=True, text=True).stdout.strip()
     return [
         ("Project", f"rhec {__version__}"),
-        ("Source", f"{style.source()} (digest of rhec/, notebooks/ and data/)"),
+        ("Source", f"{style.source()} (digest of rhec/, notebooks/ and the standard fields)"),
         ("Commit", commit or "no git repository"),
         ("Machine", timing.machine()),
         ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),

@@ -670,13 +670,12 @@ def _by_id(sentences):
 CLAIMS = _by_id(_SENTENCES)
 
 
-def collect_evidence(seeds):
+def collect_evidence(seeds, folder=None):
     """All the evidence, {process noise: {"runs", "logs", "experiments"}}, with at most this many
-    fields a label.
+    fields a label. folder: where the campaign's rows are kept.
     """
-    parts = dict(
-        runs=run_sets.runs(seeds), logs=run_sets.logs(seeds), experiments=experiments.all_of(seeds)
-    )
+    runs, logs = run_sets.runs(seeds, folder=folder), run_sets.logs(seeds)
+    parts = dict(runs=runs, logs=logs, experiments=experiments.all_of(seeds))
     return {
         process_noise: {name: part[process_noise] for name, part in parts.items()}
         for process_noise in run_sets.PROCESS_NOISES

@@ -88,7 +88,7 @@ RUNS = {
     "rhe_uncertain": _UNSURE,
     "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
     "oracle_uncertain": _UNSURE | _ORACLE,
-    "dead_reckoning": dict(estimator=_dead_reckoning),
+    "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
     "oracle_row": _ORACLE | _ON_ROW,
     "q1": dict(q=paper.Q1) | _ON_ROW,
     "q2": dict(q=paper.Q2) | _ON_ROW,
@@ -152,16 +152,17 @@ def _by_noise(found):
     return tables
 
 
-def runs(seeds, ids=tuple(RUNS), process_noises=PROCESS_NOISES, world=None):
+def runs(seeds, ids=tuple(RUNS), process_noises=PROCESS_NOISES, world=None, folder=None):
     """Metrics of RUNS, {process noise: {id: DataFrame, one row a seed}}, on so many fields; where
-    told, some of them, and in a world of WORLDS.
+    told, some of them, and in a world of WORLDS. folder: of the campaign.
     """
-    return _by_noise(drive(_asked({id_: RUNS[id_] for id_ in ids}, seeds, process_noises, world)))
+    asked = _asked({id_: RUNS[id_] for id_ in ids}, seeds, process_noises, world)
+    return _by_noise(drive(asked, folder))
 
 
-def drive(asked):
+def drive(asked, folder=None):
     """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
-    table = complete(campaign([scenario for each in asked.values() for scenario in each]))
+    table = complete(campaign([scenario for each in asked.values() for scenario in each], folder))
     rows = np.split(np.arange(len(table)), np.cumsum([len(each) for each in asked.values()])[:-1])
     return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(asked, rows)}
 

@@ -30,7 +30,7 @@ def snapshot_at(scenario, k):
     """The Snapshot of a scenario's run at sample k, from 0."""
     setup = simulation.set_up(scenario)
     functions = compiled.load(simulation.build_sample, *setup.structure)
-    inputs = simulation.noise_and_faults(scenario, k + 1)
+    inputs = simulation.noise_and_faults(scenario.seed, scenario.faults, k + 1)
     memory, rows = scan.scan(functions, setup.memory, inputs, setup.settings)
     row = dict(zip(COLUMNS, rows[-1]))
     truth, estimate = (np.array([row[name] for name in names]) for names in (POSE, ESTIMATE))
