@@ -98,7 +98,8 @@ class RealTimeIteration:
             self._linearise()
             self._feedback()
             self._expand()
-            self.set(self.current, {name: self.previous[name] for name in self.unknowns})
+            for name in self.unknowns:
+                self.current[name][:] = self.previous[name]
         self.prepared, self.expanded = False, True
 
 

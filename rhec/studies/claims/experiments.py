@@ -5,7 +5,7 @@ Each returns a DataFrame, one row a case.
 """
 
 import time
-from functools import partial
+from functools import cache, partial
 
 import casadi as ca
 import numpy as np
@@ -77,6 +77,11 @@ def _build_scan(serialized):
     return scan.build_scan(ca.Function.deserialize(serialized))
 
 
+@cache
+def _steps_with_given_arrival():
+    return compiled.load(_build_scan, with_given_arrival().serialize())
+
+
 def run_with_given_arrival(steps, log, process_noise, P_given=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
     scenario = Scenario(process_noise=process_noise)
@@ -98,7 +103,7 @@ def _arrival_cost(process_noise, world, seeds):
     |κ̂ - κ| first stays below 0.1 for 5 s, whether the yaw was ever more than 0.5 rad off; and the
     least eigenvalue of P - W over all samples, in units of W.
     """
-    (seed,), steps = seeds, compiled.load(_build_scan, with_given_arrival().serialize())
+    (seed,), steps = seeds, _steps_with_given_arrival()
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
     log = simulate(Scenario(**(world | dict(estimator="oracle", seed=seed)))).log
     estimates, P = run_with_given_arrival(steps, log, process_noise)
