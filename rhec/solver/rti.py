@@ -51,10 +51,8 @@ class RealTimeIteration:
             for name, array in call.results.items():
                 home = writes if name in memory else self.arrays
                 call.write_to(name, home.setdefault(name, array))
-        # Looked up once: from Python, finding them would take as long as the shortest of them.
-        self._shift, self._linearise, self._feedback, self._expand = (
-            self.phases[name].call for name in PHASES
-        )
+        calls = (phase.call for phase in self.phases.values())  # found once: finding takes longer
+        self._shift, self._linearise, self._feedback, self._expand = calls
         self.set(self.arrays, constants)
         self.started = self.prepared = self.expanded = False
 
