@@ -151,7 +151,7 @@ if __name__ == "__main__":
     parser.add_argument(
         "--runs",
         type=int,
-        default=10_000,
+        default=1_000,
         help="of the largest campaign, at most 100,000 (default: %(default)s)",
     )
     arguments = parser.parse_args()

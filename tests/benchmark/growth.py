@@ -5,6 +5,7 @@ a list of scenarios to a table; compiling is not.
 
 import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pandas as pd
 import psutil
@@ -70,7 +71,9 @@ def by_kind(kinds=KINDS, runs=64, rounds=3):
     turns.
     """
     chosen = [(field, value) for field, values in kinds.items() for value in values]
-    width = {each: compile_lanes(scenarios(1, **dict([each]))[0]) for each in chosen}
+    first = [scenarios(1, **dict([each]))[0] for each in chosen]
+    with ThreadPoolExecutor(os.cpu_count()) as compilers:
+        width = dict(zip(chosen, compilers.map(compile_lanes, first)))
     spent = {each: [] for each in chosen}
     for _ in range(rounds):
         for field, value in chosen:
