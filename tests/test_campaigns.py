@@ -281,6 +281,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         command_delay=1,
         qp="daqp",
         backwards=True,
+        cautious=True,
         path=target,
         terrain=soil,
         patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
