@@ -52,7 +52,7 @@ def remarks(samples, arm_estimated):
     if lost.any():
         first_s = samples.loc[lost, "t_s"].iloc[0]
         said.append(
-            f"The estimate is lost in {lost.mean():.0%} of the samples, first at {first_s:.1f} s: "
+            f"The estimate is lost in {lost.mean():.1%} of the samples, first at {first_s:.1f} s: "
             "do not trust it there."
         )
     driven, turned = (
