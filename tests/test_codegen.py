@@ -641,6 +641,7 @@ def solving_estimator():
             "^qp was 'daqp', which needs a library; to export, it should be 'structured'$",
         ),
         (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
+        (rhec.Scenario(cautious=True), "^cautious was True; to export, it should be False"),
     ],
 )
 def test_a_scenario_that_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 import rhec
 from rhec.plots.ensured import fronts
-from rhec.studies import ensured
+from rhec.studies import ensured, worst_case
 
 SHORT = dict(row_length_m=6.0, headland_radius_m=6.0, start_offset_m=0.1, estimator="oracle")
 DRIVE = rhec.Scenario(**SHORT, duration_s=150.0)
@@ -67,3 +67,37 @@ def test_every_drive_can_be_asked_for():
     for (_, _, mode, speed), fields in every.items():
         scenario = rhec.Scenario(**fields)
         assert scenario.speed_mps == speed and scenario.cautious == (mode == ensured.CAUTIOUS)
+
+
+CHOSEN = dict(
+    mu=-1.0, kappa=1.0, patch_mu=1.0, patch_kappa=-1.0, patch_radius_m=3.0, patch_s_m=10.0,
+    bump_period_s=2.0, bump_phase=0.0, gnss_period_s=4.0, gnss_phase=0.0, gnss_angle_rad=0.0,
+)  # fmt: skip
+
+
+def test_a_drive_chosen_against_the_robot_keeps_the_bounds():
+    unsteered = dict(omega_max_radps=1e-9, encoder_sigma_mps=0.0, duration_s=40.0)
+    level, base = 0.5, rhec.Scenario(estimator="oracle", start_offset_m=0.0, **unsteered)
+    run = worst_case.drive(base, level, **CHOSEN)
+    log, sigmas = run.log, 2 * level
+    assert log["mu"].min() == pytest.approx(0.9 - sigmas * 0.04)
+    assert log["mu"].max() == pytest.approx(0.9 + sigmas * 0.04)
+    assert log["kappa"].min() == pytest.approx(0.8 - sigmas * 0.08)
+    assert log["kappa"].max() == pytest.approx(0.8 + sigmas * 0.08)
+    off = log["x_meas_m"] - log["x_m"]
+    np.testing.assert_allclose(np.abs(off), sigmas * 0.03, atol=1e-9)
+    assert 2 * 40 / 4 - 2 <= np.sum(np.diff(np.sign(off)) != 0) <= 2 * 40 / 4
+    np.testing.assert_allclose(log["y_meas_m"], log["y_m"], atol=1e-9)
+    turned = np.diff(log["theta_rad"]) / 0.2
+    np.testing.assert_allclose(np.abs(turned), sigmas * 0.02, rtol=1e-6)
+    assert 2 * 40 / 2 - 2 <= np.sum(np.diff(np.sign(turned)) != 0) <= 2 * 40 / 2
+
+
+def test_what_the_search_finds_can_be_driven_again():
+    (found,) = worst_case.search([0.5], evaluations=44, estimator="oracle").to_dict("records")
+    chosen = {name: found[name] for name in CHOSEN}
+    base = rhec.Scenario(estimator="oracle", duration_s=160.0, start_offset_m=0.0)
+    columns = worst_case.drive(base, 0.5, **chosen).columns
+    lap = columns["s_m"] < 30 + np.pi * base.headland_radius_m
+    assert columns["error_true_m"][lap].max() == pytest.approx(found["worst_m"])
+    assert found["drives"] <= 44 and found["seed"] == 0
