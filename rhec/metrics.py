@@ -19,8 +19,7 @@ def metrics(columns, poses):
     violations count from the end of these 5 s, or on the whole run if it never settles.
     `mean_error_m` is the paper's: raw GNSS to the path (interpretation R11), where there is a
     position. Corner error: how much nearer to the crop a corner is on straights than that of a
-    robot in place. Overshoot: how far beyond the path, seen from the start, it gets on the first
-    row.
+    robot in place. Overshoot: how far on the first row it is beyond the path, from the start.
     """
     c = SimpleNamespace(**columns)
     stays = settled_samples(c.error_true_m)
