@@ -42,9 +42,8 @@ class RealTimeIteration:
         self.current = {name: array.copy() for name, array in self.previous.items()}
         self.arrays = {}
         for phase, call in self.phases.items():
-            reads, writes = self.current, self.current if phase == "shift" else self.previous
-            if phase == "shift":
-                reads = self.previous
+            last, now = self.previous, self.current
+            reads, writes = (last, now) if phase == "shift" else (now, last)
             for name, array in call.arguments.items():
                 home = reads if name in memory else self.arrays
                 call.read_from(name, home.setdefault(name, array))
