@@ -10,7 +10,7 @@ from rhec._casadi import compiled
 from rhec.controller.rhc import RHC
 from rhec.estimator.rhe import RHE
 
-HORIZONS = 15, 30, 60, 120, 240  # intervals; 3 s to 48 s
+HORIZONS = 15, 30, 60, 120  # intervals; 3 s to 24 s; compiling for 240 takes minutes with clang
 SAMPLES = 50
 
 
