@@ -30,12 +30,9 @@ from rhec.model.base import Model
 from rhec.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.solver import gauss_newton
 from rhec.solver.box_qp import box_qp
-from rhec.solver.gauss_newton import symmetric
 from rhec.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
 
 __all__ = ["RHE", "Window", "build_phases", "compose", "init", "predict_input"]
-
-_PAPER = "rhec.tracked_robot.rhe"  # so that nothing here depends on what stands above
 
 
 class Window(NamedTuple):
@@ -45,6 +42,7 @@ class Window(NamedTuple):
     dt_s: float
     N: int
     arrival_mean: str = "smoothed"
+    weighted: bool = False  # measurements have variances V of their own at each node
 
     @property
     def interval(self):
@@ -66,6 +64,15 @@ class Window(NamedTuple):
         return dict(V=(len(self.model.outputs), 1)) | c
 
     @property
+    def noises(self):
+        """Those of all nodes: V has a column for each."""
+        return self.noise | (dict(V=(len(self.model.outputs), self.N + 1)) if self.weighted else {})
+
+    def at(self, node, V, **noises):
+        """Those of one node, of those of all."""
+        return dict(V=V[:, node] if self.weighted else V, **noises)
+
+    @property
     def linearised(self):
         """Sparsities of one interval's end F, D (A = A_0 + D) and B."""
         return {name: self.interval.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
@@ -80,13 +87,13 @@ class Window(NamedTuple):
 def predict_input(window, B, m, P, v, z, **noise):
     """A prediction (m, P) made with the input v, corrected by what z says of that input."""
     v_m, R_v = window.interval.input_noise(z, v, **noise)
-    return m + B @ (v_m - v), symmetric(P + B @ ca.diag(R_v) @ B.T)
+    return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
 
 
 # shift: the window moves on by one sample, and its oldest node becomes the arrival cost
 
 
-def _arrival(window, s, v, m, P, z_0, z_1, W, **noise):
+def _arrival(window, s, v, m, P, z_0, z_1, W, **noises):
     """Smoothed-EKF update of the arrival cost (paper, Sec. Arrival Cost): the oldest node leaves.
 
     The prior there takes in that node's measurement z_0, passes through the interval linearised at
@@ -97,26 +104,25 @@ def _arrival(window, s, v, m, P, z_0, z_1, W, **noise):
     interval = window.interval
     F, D, B = interval.linearised(s[:, 0], v[:, 0], window.dt_s)
     A = interval.A_0 + D
-    m, P_updated, _, _, _ = kalman.update(m, P, z_0, noise["V"], interval.outputs, s[:, 0])
+    V_0, noise = window.at(0, **noises)["V"], window.at(1, **noises)
+    m, P_updated, _, _, _ = kalman.update(m, P, z_0, V_0, interval.outputs, s[:, 0])
     v_m, R_v = interval.input_noise(z_1, v[:, 0], **noise)
     added = ca.diag(interval.process_noise(v_m, W, window.dt_s, noise.get("c")))
-    P_next = symmetric(A @ P_updated @ A.T + B @ ca.diag(R_v) @ B.T) + added
+    P_next = gauss_newton.symmetric(A @ P_updated @ A.T + B @ ca.diag(R_v) @ B.T) + added
     m_next = F + A @ (m - s[:, 0]) + B @ (v_m - v[:, 0])
     # Where measurements were so wild that no covariance comes out, the old one grows instead.
     good = is_plausible(P_next) * ca.mmin(ca.diag(P_next) > 0)
-    if window.arrival_mean == "smoothed":
-        m_next = s[:, 1]
-    else:
-        m_next = ca.if_else(is_plausible(m_next), m_next, s[:, 1])
+    filtered = ca.if_else(is_plausible(m_next), m_next, s[:, 1])
+    m_next = s[:, 1] if window.arrival_mean == "smoothed" else filtered
     return m_next, ca.if_else(good, P_next, P + added)
 
 
 def _build_shift(window):
     N, n_z = window.N, len(window.model.outputs)
 
-    @casadi_function("rhe_shift", **window.memory, **window.noise, W=(window.interval.n_s, 1))
-    def shift(s, v, z, age, m, P, W, **noise):
-        m_next, P_next = _arrival(window, s, v, m, P, z[:, 0], z[:, 1], W, **noise)
+    @casadi_function("rhe_shift", **window.memory, **window.noises, W=(window.interval.n_s, 1))
+    def shift(s, v, z, age, m, P, W, **noises):
+        m_next, P_next = _arrival(window, s, v, m, P, z[:, 0], z[:, 1], W, **noises)
         # A window that is not full yet has intervals of no length before its first sample.
         s, v = gauss_newton.shift(window.interval, s, v, window.dt_s * (age >= 0))
         return dict(
@@ -144,17 +150,16 @@ def _build_linearise(window, loops):
         m, P, K, e, _ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
         F, D, B = interval.linearised(s, v, dt_s)
         A = interval.A_0 + D
-        P = ca.densify(symmetric(A @ P @ A.T))
+        P = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
 
-    @casadi_function("rhe_linearise", loops, **window.memory, **window.noise)
-    def linearise(s, v, z, age, m, P, **noise):
+    @casadi_function("rhe_linearise", loops, **window.memory, **window.noises)
+    def linearise(s, v, z, age, m, P, **noises):
         s, v, z, nodes = ca.horzsplit(s), ca.horzsplit(v), ca.horzsplit(z), []
-        # No input acts before the oldest node.
-        before = dict(B=ca.DM(B, 0), v_before=ca.DM.zeros(n_v), m=m, P=P)
+        before = dict(B=ca.DM(B, 0), v_before=ca.DM.zeros(n_v), m=m, P=P)  # no input acts there
         for i in range(N):
-            dt_s = window.dt_s * (age >= N - i)
-            node = filtered(**before, z=z[i], s=s[i], v=v[i], dt_s=dt_s, **noise)
+            known = dict(z=z[i], s=s[i], v=v[i], dt_s=window.dt_s * (age >= N - i))
+            node = filtered(**before, **known, **window.at(i, **noises))
             before = dict(B=node["B"], v_before=v[i], m=node["m"], P=node["P"])
             nodes.append(node)
         along = {name: ca.horzcat(*(node[name] for node in nodes)) for name in "FDBKe"}
@@ -246,8 +251,7 @@ def _build_expand(window, linearise, feedback, loops):
     q = _bounded(interval)
     lower, upper = (ca.DM([b[side] for b in interval.bounds.values()]) for side in (0, 1))
     state, inputs, measured = (n_s, 1), (n_v, 1), dict(z=(n_z, 1)) | window.noise
-    gains = dict(K=(n_s, rows), e=(rows, 1))
-    linearised = window.linearised
+    gains, linearised = dict(K=(n_s, rows), e=(rows, 1)), window.linearised
 
     @casadi_function(
         "rhe_backward", adjoint=state, D=linearised["D"], B=linearised["B"], **gains, s=state,
@@ -294,10 +298,8 @@ def _build_expand(window, linearise, feedback, loops):
         "rhe_accepted", **window.memory, s_new=(n_s, N + 1), v_new=(n_v, N), good=(1, 1), P_0=state
     )
     def accepted(s, v, z, age, m, P, s_new, v_new, good, P_0):
-        """The memory after the new solution.
-
-        If the step failed or gave no number, keep the shifted trajectory and restart the window at
-        its newest node with the start-up variances; else the cause would stay in the window.
+        """The memory after the new solution; if the step failed, the window restarts at its newest
+        node with the start-up variances, as the cause would stay in it.
         """
         s = ca.if_else(is_plausible(s[:, N]), s, 0)
         limit = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
@@ -311,29 +313,29 @@ def _build_expand(window, linearise, feedback, loops):
     result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok")}
 
     @casadi_function(
-        "rhe_expand", loops, **window.memory, **window.noise, P_0=state,
+        "rhe_expand", loops, **window.memory, **window.noises, P_0=state,
         **{name: linearise.sparsity_out(name) for name in "FDBKe"}, **result, z_N=(n_z, 1),
     )  # fmt: skip
-    def expand(s, v, z, age, m, P, P_0, F, D, B, K, e, K_N, e_N, multipliers, ok, z_N, **noise):
+    def expand(s, v, z, age, m, P, P_0, F, D, B, K, e, K_N, e_N, multipliers, ok, z_N, **noises):
         """Every other unknown of the window, and the KKT tolerance of the linearisation point."""
         memory = dict(v=v, z=ca.horzcat(z[:, :N], z_N), age=age, m=m, P=P)
         z, s_bar, v_bar = ca.horzsplit(memory["z"]), ca.horzsplit(s), ca.horzsplit(v)
+        measured = [(z[i], *window.at(i, **noises).values()) for i in range(N + 1)]
         F, D, B = ca.horzsplit(F), ca.horzsplit(D, n_s), ca.horzsplit(B, n_v)
         K, e = [*ca.horzsplit(K, rows), K_N], [*ca.horzsplit(e), e_N]
 
         adjoint, v_new = ca.densify(q.T @ multipliers), [None] * N
         for i in reversed(range(N)):
             v_new[i], adjoint = backward(
-                adjoint, D[i], B[i], K[i + 1], e[i + 1], s_bar[i + 1], v_bar[i], z[i + 1],
-                *noise.values(),
+                adjoint, D[i], B[i], K[i + 1], e[i + 1], s_bar[i + 1], v_bar[i], *measured[i + 1],
             )  # fmt: skip
 
-        first, descent = oldest(adjoint, K[0], e[0], m, P, s_bar[0], z[0], *noise.values())
+        first, descent = oldest(adjoint, K[0], e[0], m, P, s_bar[0], *measured[0])
         s_new, old = [first], s_bar[0]
         for i in range(N):
             new, old, more = forward(
                 s_new[i], old, F[i], D[i], B[i], s_bar[i], s_bar[i + 1], v_bar[i], v_new[i],
-                z[i + 1], *noise.values(),
+                *measured[i + 1],
             )  # fmt: skip
             s_new, descent = [*s_new, new], descent + more
         at = q @ s_bar[N]
@@ -374,7 +376,8 @@ def compose(name, phases, memory, kind):
     given |= {
         name: phase.size_in(name) for phase in order for name in phase.name_in() if name not in made
     }
-    told = [name for name in _TOLD if name in phases["feedback"].name_out()]
+    told = "estimate", "covariance", "deviance", "ok", "accepted", "restart"
+    told = [name for name in told if name in phases["feedback"].name_out()]
 
     @with_packed_memory(name, memory, kind, **given)
     def step(**known):
@@ -383,9 +386,6 @@ def compose(name, phases, memory, kind):
         return {name: known[name] for name in (*told, "kkt", *memory)}
 
     return step
-
-
-_TOLD = ("estimate", "covariance", "deviance", "ok", "accepted", "restart")
 
 
 def init(window, guess, sigma, inputs=None):
@@ -431,7 +431,8 @@ class RHE(RealTimeLoop):
 
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
         if cls is RHE and model is None:
-            cls = importlib.import_module(_PAPER).PaperRHE
+            # by name, so that nothing here depends on what stands above
+            cls = importlib.import_module("rhec.tracked_robot.rhe").PaperRHE
         return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot

@@ -1,19 +1,22 @@
-"""Innovation gating: which measurements an RHE accepts, and when it restarts. Not in the paper.
+"""Robust handling of measurements: how far each one is trusted, and when to restart. Not in the
+paper.
 
-A position is rejected where it is the last one repeated, to the last digit (the receiver is stuck),
-or where its innovation y is improbable, y' S⁻¹ y > CHI2_GATE (Bar-Shalom, Li, Kirubarajan,
-"Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7). While positions are
-missing or rejected, S grows by what dead reckoning may be off, so that good ones after a long gap
-are let in; outliers, which do not lie near each other, would slip in, too, so it does not grow for
-those. With `speed_model="parameter"`, encoder measurements that jump are rejected as well. A
-rejected measurement is treated as missing (NaN).
+Each measurement in the window of an RHE has a variance of its own, from what the sensors say of one
+another, never from how the estimate likes it alone:
 
-An estimate that is wrong itself, such as a yaw turned round, would so be cut off from what could
-mend it. Therefore the window restarts at the newest position, with the yaw of the course over
-ground, where the positions of COURSE_S are in line and as far apart as the encoders say, and
-either point elsewhere than the yaw or have all been rejected for long.
+- *Noisy* positions count less: their variance is at least that of their second differences.
+- A position is *rejected* where it is the last one repeated, to the last digit (the receiver is
+  stuck), or where its innovation y is improbable, y' S⁻¹ y > CHI2_GATE (Bar-Shalom, Li,
+  Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7) and it
+  does not follow smoothly on an accepted one.
+- The path by the encoders is laid on the last positions, turned and stretched as fits best (Kabsch,
+  1976). Where the positions are smooth, and yet do not agree with it, *encoders are doubted*: over
+  these samples the positions count, and their speed takes the place of the encoders'. So it stays
+  until both agree again. With `speed_model="parameter"` encoders that jump are doubted at once.
+- Where both agree, and the yaw is another than the estimate's, or the position for long, it is the
+  estimate that is wrong: the *window restarts* there.
 
-Gating wraps the RHE's phases from outside: the estimator itself knows nothing of it.
+All of it wraps the RHE's phases from outside: the estimator knows variances, not where from.
 """
 
 import casadi as ca
@@ -22,171 +25,230 @@ import numpy as np
 from rhec._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
 from rhec._casadi.compiled import loop_symbols
 from rhec.estimator import rhe
-from rhec.model.limits import is_valid_measurement
+from rhec.extensions.slipping import LEVER_ARM
+from rhec.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.estimators import estimator_of
 
 __all__ = ["ROBUST", "gated"]
 
 CHI2_GATE = 13.8  # two degrees of freedom: a good innovation is beyond once in a thousand
-DEAD_RECKONING = 0.07  # error per distance that it may add since the last accepted position
+PAST, CHECKED = 10, 6  # samples that positions' noise, and agreement with encoders, are found from
+MAX_BEND_M = 0.25  # second difference of positions: beyond they are not smooth
+DEAD_RECKONING = 0.06  # error per distance that it may add since the last accepted position
+LATE_S = 0.15  # positions and encoders may be out of step by so much
+TRACTION = (0.4, 1.1)  # distance by positions, over the way by encoders
+LEAST_KAPPA = 0.3
+NOISES_APART, SHARE_APART = 2.5, 0.15  # mean square apart, over the noise; rms over the path's size
+SIGMA_DOUBTED = (0.15, 0.4)  # of (ν, ω) [m/s, rad/s] that stand for doubted encoders'
 SIGMA_JUMP = (0.1, 0.3)  # of the change of ν [m/s], ω [rad/s] from one sample to the next
-CONSISTENT_POSITIONS = 5  # in a row near the one before, for dead reckoning to be doubted, not them
-COURSE_S = 2.0  # a course over ground takes this long
-MIN_COURSE_M = 0.3  # over less than this it tells no yaw
-MAX_COURSE_STRETCH, COURSE_SLACK_M = 1.3, 0.15  # by positions, over the way by encoders
-MAX_COURSE_BEND_M = 0.25  # how far the position midway may be off the chord's middle
+MIN_COURSE_M = 0.1  # a path of less than this size (rms) tells no yaw
 MIN_HEADING_COSINE = 0.7  # of the angle between course and yaw: below, over 45°, they contradict
 HEADING_MISMATCHES_TO_RESTART = 5
-MAX_REJECTION_S = 10.0  # how long positions and encoders are rejected at most
-SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.1, nu_mps=0.05)
+MAX_REJECTION_S = 12.0  # how long positions and encoders are rejected at most
+SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
 _SIGMA_RESTART_ELSE = 0.1
 
+# What is remembered: `past` positions, NaN where there was none, with the encoder measurements
+# there; the `last` position and the encoder measurements last accepted; samples `since` a smooth
+# position was accepted and since encoders were; how often in a row the course has `contradicted`
+# the yaw; whether encoders were in `doubt`.
+_MEMORY = dict(past=(4, PAST), last=(4, 1), since=(2, 1), contradicted=(1, 1), doubt=(1, 1))
 
-def _memory(dt_s):
-    """Shapes of what the gate remembers.
 
-    `past` positions, with the encoder measurements accepted then; the `last` position there was
-    and the encoder measurements last accepted; samples `since` a position and since encoders were
-    accepted; how often in a row the course has `contradicted` the yaw; samples since there was a
-    `position`, and how many of them in a row were `consistent`, near the one before.
+def _is_there(x):
+    """1 where x is a number."""
+    return is_valid_measurement(x, MAX_MEASUREMENT**2)
+
+
+def _driven(past, arm, kappa, dt_s):
+    """Places (2, n) of the antenna by the encoders' `past` (4, n), seen from the newest pose."""
+    places, yaw = [ca.SX.zeros(2)], 0
+    for k in reversed(range(1, past.size2())):
+        turn = kappa * past[3, k] * dt_s
+        ahead, left = dt_s * past[2, k] - turn * arm[1], turn * arm[0]
+        cos, sin = ca.cos(yaw - turn / 2), ca.sin(yaw - turn / 2)
+        places.append(places[-1] - ca.vertcat(cos * ahead - sin * left, sin * ahead + cos * left))
+        yaw = yaw - turn
+    return ca.horzcat(*reversed(places))
+
+
+def _registration(q, e):
+    """A path e (2, n) laid on positions q (2, n): by which angle it is turned, their mean squared
+    distance then, and the mean squares of q and e about their middles.
     """
-    one = (1, 1)
-    return dict(
-        past=(4, round(COURSE_S / dt_s)), last=(4, 1), since=(2, 1), contradicted=one,
-        position=one, consistent=one,
-    )  # fmt: skip
+    q, e = (path - ca.repmat(ca.sum2(path) / path.size2(), 1, path.size2()) for path in (q, e))
+    dot, cross = ca.sum2(ca.sum1(q * e)), ca.sum2(q[1, :] * e[0, :] - q[0, :] * e[1, :])
+    fit, sizes = ca.sqrt(dot**2 + cross**2), (ca.sumsqr(q), ca.sumsqr(e))
+    mu = ca.fmin(ca.fmax(fit / ca.fmax(sizes[1], 1e-9), TRACTION[0]), TRACTION[1])
+    apart = sizes[0] - 2 * mu * fit + mu**2 * sizes[1]
+    return ca.atan2(cross, dot), *(square / q.size2() for square in (apart, *sizes))
 
 
-def _course(past, z, kappa, dt_s):
-    """Yaw [rad] by the positions from the oldest of `past` (4, n) to z (4,).
-
-    With it, whether they moved as the encoders say, and whether far enough to tell.
+def _noise(bends):
+    """Variance (x and y together) of positions, from their squared second differences (von Neumann,
+    1941): the less of two halves, so that one outlier is not taken for noise; 0 where too few.
     """
-    n = past.size2()
-    way, midway = z[:2] - past[:2, 0], past[:2, n // 2] - (z[:2] + past[:2, 0]) / 2
-    distance, turned = (dt_s * (ca.sum2(past[row, 1:]) + z[row]) for row in (2, 3))
-    # Also 0 where anything is not a number.
-    as_far = ca.norm_2(way) < MAX_COURSE_STRETCH * ca.fabs(distance) + COURSE_SLACK_M
-    course_ok = as_far * (ca.norm_2(midway) < MAX_COURSE_BEND_M)
-    yaw = ca.atan2(way[1], way[0]) + ca.pi * (distance < 0) + kappa * turned / 2
-    return yaw, course_ok, ca.norm_2(way) > MIN_COURSE_M
+    halves = []
+    for half in ca.horzsplit(bends, [0, bends.numel() // 2, bends.numel()]):
+        n = ca.sum2(_is_there(half))
+        mean = ca.sum2(ca.if_else(_is_there(half), half, 0)) / ca.fmax(n, 1)
+        halves.append(ca.if_else(n >= 3, mean / 6, 0))
+    return ca.fmin(*halves)
 
 
-def _gate(z, limits, memory, predict, V, kappa, first, constant_speed, dt_s):
-    """Which measurements are accepted, whether to restart, at which pose, and the memory after.
+def _gate(z, limits, memory, predict, V, names, first, dt_s):
+    """What is to be made of z: measurements and variances to use, whether to restart and at which
+    pose, what doubted encoders are replaced by, and the memory after.
 
-    memory: the pieces of `_memory`; predict(z) -> mean (n,) and covariance (n, n) of the pose and
-    more, by the encoders in z alone; kappa: place of κ there; first: 1 before any measurement.
+    memory: the pieces of _MEMORY; predict(z, V) -> mean (n,) and covariance (n, n) of the pose and
+    more, by the encoders in z alone; names: of these; first: 1 before any measurement.
     """
-    past, last, since, contradicted, came, consistent = memory.values()
+    past, last, since, contradicted, doubt = memory.values()
     valid = [is_valid_measurement(z[row], limits[row]) for row in range(4)]
     may_reject = since * dt_s < MAX_REJECTION_S
+    told, heard = valid[2] * valid[3], valid[0] * valid[1]
+    has_position = heard * (1 - (z[0] == last[0]) * (z[1] == last[1]))
+    held = ca.if_else(told, z[2:], ca.if_else(_is_there(past[2:, -1]), past[2:, -1], 0))
+    seen = ca.if_else(has_position, z[:2], ca.DM.nan(2))
+    past = ca.horzcat(past, ca.vertcat(seen, held))
 
-    # Never where there is no last one.
-    change = ca.sumsqr((z[2:] - last[2:]) / ca.DM(SIGMA_JUMP))
-    jump = change > CHI2_GATE if constant_speed else 0
-    encoders = valid[2] * valid[3] * (1 - jump * may_reject[1])
-    turning = ca.if_else(encoders, z[2:], ca.DM.nan(2))
+    # Positions by themselves.
+    bend = past[:2, 2:] - 2 * past[:2, 1:-1] + past[:2, :-2]
+    bends = ca.sum1(bend * bend)
+    smooth = ca.mmin(bends[1 - CHECKED :] <= MAX_BEND_M**2)  # no position is missing, either
+    noise = ca.fmax(V[0] + V[1], _noise(bends))
+    V_position = V[:2] * noise / (V[0] + V[1])
 
-    usable = ca.vertcat(z[:2], turning)
-    m, P = predict(usable)
-    speed = ca.if_else(encoders, ca.fabs(z[2]), 0)
-    has_position = valid[0] * valid[1] * (1 - (z[0] == last[0]) * (z[1] == last[1]))
-    y = z[:2] - m[:2]
-    reach = MAX_COURSE_STRETCH * speed * dt_s * (came + 1) + COURSE_SLACK_M
-    near = ca.norm_2(z[:2] - last[:2]) < reach
-    consistent = ca.if_else(has_position, ca.if_else(near, consistent + 1, 0), consistent)
-    doubted = consistent >= CONSISTENT_POSITIONS
-    drift = DEAD_RECKONING * speed * dt_s * since[0] * doubted
-    S = P[:2, :2] + ca.diag(V[:2]) + drift**2 * ca.SX.eye(2)
+    # Positions and encoders. NaN is never in agreement.
+    m, _ = predict(ca.vertcat(seen, ca.if_else(told, z[2:], ca.DM.nan(2))), V)
+    arm = [m[names.index(name)] if name in names else 0 for name in LEVER_ARM]
+    kappa = ca.fmin(ca.fmax(m[names.index("kappa")], LEAST_KAPPA), 1)
+    checked = past[:, -CHECKED - 1 :]
+    driven = _driven(checked, arm, kappa, dt_s)
+    yaw, apart, size, size_driven = _registration(checked[:2, :], driven)
+    speed = ca.sumsqr(driven[:, 1:] - driven[:, :-1]) / (CHECKED * dt_s**2)
+    agree = apart <= NOISES_APART * noise + SHARE_APART**2 * size + (2 * LATE_S) ** 2 * speed
+    agree, wrong = smooth * agree, smooth * _is_there(apart) * (1 - agree)
+    change = ca.sumsqr((z[2:] - last[2:]) / ca.DM(SIGMA_JUMP))  # never beyond without a last one
+    jump = change > CHI2_GATE if "nu_mps" in names else 0
+    doubt = ca.logic_or(wrong, ca.logic_or(jump, doubt * (1 - agree)) * may_reject[1])
+    encoders = told * (1 - doubt)
+    way = checked[:2, -1] - checked[:2, 0]
+    sign = ca.if_else(ca.cos(m[2]) * way[0] + ca.sin(m[2]) * way[1] < 0, -1, 1)
+    mu = ca.fmax(m[names.index("mu")], TRACTION[0])
+    by_positions = ca.vertcat(sign * ca.norm_2(way) / (CHECKED * dt_s * mu), 0)
+    by_positions = ca.if_else(told * doubt * smooth, by_positions, ca.DM.nan(2))
+    turning = ca.if_else(encoders, z[2:], by_positions)
+    V_used = ca.vertcat(V_position, ca.if_else(told * doubt, ca.DM(SIGMA_DOUBTED) ** 2, V[2:]))
+
+    # Positions and the estimate.
+    m, P = predict(ca.vertcat(seen, turning), V_used)
+    y, late = z[:2] - m[:2], LATE_S * ca.fabs(held[0]) * ca.vertcat(ca.cos(m[2]), ca.sin(m[2]))
+    drift = DEAD_RECKONING * ca.fabs(held[0]) * dt_s * since[0] * agree
+    S = P[:2, :2] + ca.diag(V_position) + late @ late.T + drift**2 * ca.SX.eye(2)
     probable = ca.bilin(ca.inv_minor(S), y, y) <= CHI2_GATE
-    position = has_position * ca.logic_or(first, probable)
+    follows = ca.logic_or(wrong, (since[0] == 0) * (bends[-1] <= MAX_BEND_M**2))
+    position = has_position * ca.logic_or(first, ca.logic_or(probable, follows))
 
-    yaw, course_ok, moved_far = _course(past, usable, m[kappa], dt_s)
-    suspect = has_position * (1 - position) * course_ok
-    mismatch = suspect * moved_far * (ca.cos(yaw - m[2]) < MIN_HEADING_COSINE)
+    far = size_driven > MIN_COURSE_M**2
+    mismatch = agree * far * (ca.cos(yaw - m[2]) < MIN_HEADING_COSINE)
     contradicted = ca.if_else(mismatch, contradicted + 1, 0)
-    restart = suspect * ca.logic_or(
-        contradicted >= HEADING_MISMATCHES_TO_RESTART, 1 - may_reject[0]
+    restart = ca.logic_or(
+        contradicted >= HEADING_MISMATCHES_TO_RESTART, agree * (1 - position) * (1 - may_reject[0])
     )
     nearest = yaw - 2 * ca.pi * ca.floor((yaw - m[2]) / (2 * ca.pi) + 0.5)
 
     accepted = ca.logic_or(position, restart)
     after = dict(
-        past=ca.horzcat(past[:, 1:], ca.if_else(has_position, usable, ca.DM.nan(4))),
-        last=ca.vertcat(
-            ca.if_else(valid[0] * valid[1], z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:])
-        ),
+        past=past[:, 1:],
+        last=ca.vertcat(ca.if_else(heard, z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:])),
         since=ca.vertcat(
-            ca.if_else(accepted, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1)
+            ca.if_else(ca.logic_or(position * smooth, restart), 0, since[0] + 1),
+            ca.if_else(encoders, 0, since[1] + 1),
         ),
         contradicted=ca.if_else(restart, 0, contradicted),
-        position=ca.if_else(has_position, 0, came + 1),
-        consistent=consistent,
+        doubt=doubt,
     )
     return dict(
         accepted=ca.vertcat(accepted, accepted, encoders, encoders),
+        z_used=ca.vertcat(ca.if_else(accepted, z[:2], ca.DM.nan(2)), turning),
+        V_used=V_used,
         restart=restart,
-        pose=ca.vertcat(z[:2], ca.if_else(moved_far, nearest, m[2])),
+        pose=ca.vertcat(z[:2], ca.if_else(far, nearest, m[2])),
+        replace=wrong,
+        replaced=ca.vertcat(checked[:2, 1:], ca.repmat(turning, 1, CHECKED)),
         gate_after=ca.veccat(*after.values()),
     )
 
 
 def gated(window, phases):
-    """The phases of an RHE of the tracked robot with its measurements gated.
+    """The phases of an RHE of the tracked robot whose measurements have variances of their own.
 
     Args:
-        window: Its rhe.Window.
+        window: Its rhe.Window, weighted.
         phases: {name: Function}, from rhe.build_phases.
 
     Returns:
-        Such a dict. The memory has one piece more, `gate`; feedback says what is
-        `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
+        Such a dict. The memory has two pieces more, `V_window` (4, N + 1) and `gate`; feedback says
+        what is `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
     """
     interval, names, N = window.interval, window.model.joint_names, window.N
-    state, one, four = (interval.n_s, 1), (1, 1), (4, 1)
-    shapes = _memory(window.dt_s)
-    memory = window.memory | dict(gate=(packed_size(shapes), 1))
-    remembered = {name: memory[name] for name in ("age", "gate")}
+    one, four, replaced, newest = (1, 1), (4, 1), (4, CHECKED), min(CHECKED, N)
+    own = dict(V_window=(4, N + 1), gate=(packed_size(_MEMORY), 1))
+    remembered = dict(age=one, gate=own["gate"])
 
-    @casadi_function("gated_shift", **memory, **window.noise, W=state)
-    def shift(gate, **inputs):
-        return phases["shift"](**inputs) | dict(gate=gate)
+    def taken(phase, *without):
+        """What a phase takes but for V: shapes by name."""
+        phase = phases[phase]
+        return {n: phase.sparsity_in(n) for n in phase.name_in() if n not in ("V", *without)}
+
+    @casadi_function("gated_shift", **taken("shift"), V=four, **own)
+    def shift(V, V_window, gate, **inputs):
+        V_after = ca.horzcat(V_window[:, 1:], V)
+        return phases["shift"](V=V_window, **inputs) | dict(V_window=V_after, gate=gate)
+
+    @casadi_function(
+        "gated_linearise", loop_symbols(), **taken("linearise"), V_window=own["V_window"]
+    )
+    def linearise(V_window, **inputs):
+        return phases["linearise"](V=V_window, **inputs)
 
     @casadi_function("gate", **window.prediction, z_N=four, **window.noise, **remembered)
-    def gate(B_N, v_N, m_N, P_N, z_N, age, gate, **noise):
-        def predict(z):
-            return rhe.predict_input(window, B_N, m_N, P_N, v_N, z, **noise)
+    def gate(B_N, v_N, m_N, P_N, z_N, V, age, gate, **c):
+        def predict(z, V):
+            return rhe.predict_input(window, B_N, m_N, P_N, v_N, z, V=V, **c)
 
-        result = _gate(
-            z_N, window.model.limits, unpack(gate, shapes), predict, noise["V"],
-            names.index("kappa"), age < 1, "nu_mps" in names, window.dt_s,
-        )  # fmt: skip
-        return result | dict(z_accepted=ca.if_else(result["accepted"], z_N, ca.DM.nan(4)))
+        memory = unpack(gate, _MEMORY)
+        return _gate(z_N, window.model.limits, memory, predict, V, names, age < 1, window.dt_s)
 
-    plain = phases["feedback"]
-    shapes_in = {name: plain.sparsity_in(name) for name in plain.name_in()}
-
-    @casadi_function("gated_feedback", loop_symbols(), **shapes_in, **remembered)
+    @casadi_function("gated_feedback", loop_symbols(), **taken("feedback"), V=four, **remembered)
     def feedback(**inputs):
         result = gate(**select_inputs(gate, inputs))
-        return plain(**select_inputs(plain, inputs | dict(z_N=result["z_accepted"]))) | result
+        known = inputs | dict(z_N=result["z_used"], V=result["V_used"])
+        return phases["feedback"](**select_inputs(phases["feedback"], known)) | result
 
-    full = phases["expand"]
-    shapes_in = {name: full.sparsity_in(name) for name in full.name_in() if name != "z_N"}
-
-    @casadi_function("restarted", restart=one, pose=(3, 1), z_accepted=four, **window.memory)
-    def restarted(restart, pose, z_accepted, **memory):
-        """The window of a new start at this pose with the present speed and traction."""
+    @casadi_function(
+        "restarted", restart=one, pose=(3, 1), replace=one, replaced=replaced, z_used=four,
+        V_used=four, **window.memory, V_window=own["V_window"],
+    )  # fmt: skip
+    def restarted(restart, pose, replace, replaced, z_used, V_used, **memory):
+        """The window with doubted encoders replaced; or that of a new start at this pose with the
+        present speed and traction.
+        """
+        for name, latest in (
+            ("z", replaced[:, -newest:]), ("V_window", ca.repmat(V_used, 1, newest))
+        ):  # fmt: skip
+            with_latest = ca.horzcat(memory[name][:, :-newest], latest)
+            memory[name] = ca.if_else(replace, with_latest, memory[name])
         there = ca.vertcat(pose, memory["s"][3:, N])
         for place, (lowest, highest) in interval.bounds.items():
             there[place] = ca.fmin(ca.fmax(there[place], lowest), highest)
         sigma = [SIGMA_RESTART.get(name, _SIGMA_RESTART_ELSE) for name in names]
-        fresh = dict(
+        fresh = memory | dict(
             s=ca.repmat(there, 1, N + 1),
             v=ca.repmat(memory["v"][:, N - 1], 1, N),
-            z=ca.horzcat(ca.SX.nan(4, N), z_accepted),
+            z=ca.horzcat(ca.SX.nan(4, N), z_used),
             age=0,
             m=there,
             P=ca.diag(np.square(sigma)),
@@ -194,34 +256,36 @@ def gated(window, phases):
         return {name: ca.if_else(restart, fresh[name], memory[name]) for name in memory}
 
     @casadi_function(
-        "gated_expand", loop_symbols(), **shapes_in, z_accepted=four, restart=one, pose=(3, 1),
-        gate_after=memory["gate"],
+        "gated_expand", loop_symbols(), **taken("expand", "z_N"), z_used=four, V_used=four,
+        restart=one, pose=(3, 1), replace=one, replaced=replaced, V_window=own["V_window"],
+        gate_after=own["gate"],
     )  # fmt: skip
-    def expand(z_accepted, restart, pose, gate_after, **inputs):
-        result = full(z_N=z_accepted, **inputs)
-        new = restarted(
-            restart=restart, pose=pose, z_accepted=z_accepted,
-            **{name: result[name] for name in window.memory},
-        )  # fmt: skip
+    def expand(V_window, gate_after, **inputs):
+        V_window = ca.horzcat(V_window[:, :N], inputs["V_used"])
+        known = inputs | dict(z_N=inputs["z_used"], V=V_window)
+        result = phases["expand"](**select_inputs(phases["expand"], known))
+        known |= {name: result[name] for name in window.memory} | dict(V_window=V_window)
+        new = restarted(**select_inputs(restarted, known))
         return new | dict(gate=gate_after, kkt=result["kkt"])
 
-    linearise = phases["linearise"]
     result = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
-    return result | dict(step=rhe.compose("gated_step", result, memory, loop_symbols()))
+    return result | dict(
+        step=rhe.compose("gated_step", result, window.memory | own, loop_symbols())
+    )
 
 
 def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
     memory = estimator_of("rhe").init(choice, guess, sigma)
     gate = {
         name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
-        for name, shape in _memory(choice.dt_s).items()
+        for name, shape in _MEMORY.items()
     }
-    return memory | dict(gate=pack_array(gate))
+    V_window = np.ones((4, choice.estimation_horizon + 1))  # of no measurement
+    return memory | dict(V_window=V_window, gate=pack_array(gate))
 
 
 def _build_phases(choice):
-    plain = estimator_of("rhe").build_phases(choice)
-    return gated(paper_rhe.window_of(choice), plain)
+    return gated(paper_rhe.window_of(choice), estimator_of("rhe").build_phases(choice))
 
 
 ROBUST = {

@@ -327,7 +327,8 @@ def replay(
             signs, axes, or a robot that never moves.
         **fields: Of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon, speed_model,
             slip, arrival_mean, robust. speed_model is "slipping" by default: "input" (R13) with
-            noise that scales with motion.
+            noise that scales with motion; with it the estimator "rhe" is robust unless robust is
+            False.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index; `rhec.columns`
@@ -392,7 +393,7 @@ def replay_scenario(estimator, recording, fields):
         )
     fields = dict(speed_model="slipping") | fields
     if fields["speed_model"] == "slipping":  # not the paper's, so each measurement counts once
-        fields = dict(arrival_mean="filtered") | fields
+        fields = dict(arrival_mean="filtered", robust=estimator == "rhe") | fields
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
     if estimator_of(scenario.estimator, scenario.robust).given != "nothing":
         names = [repr(name) for name in NAMES if estimator_of(name).given == "nothing"]

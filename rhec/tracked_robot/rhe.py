@@ -64,7 +64,9 @@ class PaperEstimate(NamedTuple):
 def window_of(choice):
     """The Window of a Choice; the RHE within other estimators has the paper's speed model."""
     model = speed_model_of(choice.speed_model if choice.estimator == "rhe" else "parameter").model
-    return rhe.Window(model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
+    return rhe.Window(
+        model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, choice.robust
+    )
 
 
 def init(window, guess, sigma=SIGMA_START):
@@ -172,7 +174,7 @@ class PaperRHE(rhe.RHE):
         speed_model: "parameter", "input" or "slipping", see Scenario.
         slip: What tracks that slip do, see Scenario.
         arrival_mean: "smoothed" or "filtered"; None: see Scenario.
-        robust: Gate positions by their innovations, see Scenario.
+        robust: Trust measurements that others contradict less, see Scenario.
         track_width_m: b [m].
         guess: First (x, y, θ, ν, μ, κ). Without it the first measurement's position and speed, yaw
             0 and no slip, with a yaw that may be a right angle off.

@@ -80,9 +80,7 @@ _ESTIMATOR = (
     Slider("estimation_horizon", "window [intervals]", 2, 40, 1, "estimation horizon", "whole"),
     Selection("speed_model", "speed ν", _SPEEDS, "R6, R13: how the RHE takes the speed"),
     Selection("arrival_mean", "arrival mean", _PRIOR_MEANS, "R7: prior mean at the oldest node"),
-    Selection(
-        "robust", "robust", _YES_NO, "RHE and dual: gate positions, restart if rejected long"
-    ),
+    Selection("robust", "robust", _YES_NO, "RHE and dual: weigh measurements, restart if lost"),
     *_entries("sigma_w", "σ_W", _STATES, (-4, 1.5, 0.05, "a sample; counts with “own W”", "log")),
 )
 _CONTROLLER = (
