@@ -370,3 +370,27 @@ def test_a_scenario_takes_faults_only():
     with pytest.raises(ValueError, match="^faults"):
         rhec.Scenario(faults=("missing",))
     assert simulation.set_up(SHORT).structure.faulty is False
+
+
+@pytest.mark.parametrize("channel", ["left", "encoders"])
+def test_robust_handling_follows_positions_where_encoders_are_dead(channel):
+    """Encoders that smooth positions contradict are not trusted."""
+    dead = Fault(kind="dead", channel=channel, start_s=20.0, duration_s=5.0)
+    off, on = (
+        simulated(dead, duration_s=40.0, robust=robust).columns["error_true_m"][100:].max()
+        for robust in (False, True)
+    )
+    assert on < 0.12 and on < off + 0.01
+
+
+def test_robust_handling_rejects_a_jump_and_outliers_and_keeps_a_good_run():
+    several = [
+        Fault(kind=kind, size_m=size_m, start_s=20.0, duration_s=5.0)
+        for kind in ("jump", "outliers")
+        for size_m in (1.0, 10.0)
+    ]
+    good = simulated(Fault(kind="missing", duration_s=0.0), duration_s=40.0).columns
+    for fault in several:
+        run = simulated(fault, duration_s=40.0, robust=True).columns
+        assert run["error_true_m"][100:].max() < good["error_true_m"][100:].max() + 0.25
+        assert not run["position_accepted"][101:105].any() and run["position_accepted"][-50:].all()
