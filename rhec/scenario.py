@@ -43,8 +43,7 @@ class Scenario:
         slip               where tracks slip: the numbers that stand in `tuning.SLIP`, in that order
         arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper;
                            "filtered": from the EKF update itself (R7); None: that of process_noise
-        robust             trust noisy, improbable and contradicted measurements less, and restart
-                           where all sensors contradict the estimate (`rhec.extensions.gating`)
+        robust             trust contradicted measurements less (`rhec.extensions.gating`)
     The controller
         q, r, qn_factor    weights Q_k (x, y, θ), R, and Q_N = qn_factor · Q_k
         omega_max_radps    bound on the commanded yaw rate

@@ -431,8 +431,7 @@ class RHE(RealTimeLoop):
 
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
         if cls is RHE and model is None:
-            # by name, so that nothing here depends on what stands above
-            cls = importlib.import_module("rhec.tracked_robot.rhe").PaperRHE
+            cls = importlib.import_module("rhec.tracked_robot.rhe").PaperRHE  # stands above
         return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
