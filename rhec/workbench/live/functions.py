@@ -29,13 +29,12 @@ _FIELDS = dict(
 _SOIL = ("origin_m", "cell_m", "slip", "mean_traction")  # settings that come with the soil
 _TALLY = dict(
     k=0.0, inside=0.0, settles=0.0, settling_time_s=np.nan, n=0.0, n_known=0.0, error=0.0,
-    error_true=0.0, max_true=0.0, over=0.0, over_true=0.0, all_known=0.0, all_error=0.0, side=0.0,
-    first_row=1.0, beyond=-np.inf, mu=0.0, kappa=0.0, yaw=0.0, omega=0.0,
+    error_true=0.0, max_true=0.0, over=0.0, over_true=0.0, side=0.0, first_row=1.0,
+    beyond=-np.inf, mu=0.0, kappa=0.0, yaw=0.0,
 )  # fmt: skip
 METRICS = (
-    "settling_time_s", "mean_error_m", "mean_error_true_m", "max_error_true_m",
-    "mean_error_from_start_m", "violations", "violations_true", "overshoot_m", "rms_mu",
-    "rms_kappa", "rms_yaw_rad", "omega_peak_radps",
+    "settling_time_s", "mean_error_m", "mean_error_true_m", "max_error_true_m", "violations",
+    "violations_true", "overshoot_m", "rms_mu", "rms_kappa", "rms_yaw_rad",
 )  # fmt: skip
 
 
@@ -143,19 +142,17 @@ def _build_judge(path):
             max_true=ca.fmax(ca.if_else(t.settles, 0, t.max_true), error_true),
             over=total(t.over, (error > paper.TOLERANCE_M) * straight, known),
             over_true=total(t.over_true, (error_true > paper.TOLERANCE_M) * straight),
-            all_known=t.all_known + known, all_error=t.all_error + ca.if_else(known, error, 0),
             side=side, first_row=first_row,
             beyond=ca.fmax(t.beyond, ca.if_else(first_row > 0, -side * left, -np.inf)),
             mu=total(t.mu, (c.mu_hat - c.mu) ** 2),
             kappa=total(t.kappa, (c.kappa_hat - c.kappa) ** 2),
             yaw=total(t.yaw, (c.theta_hat_rad - c.theta_rad) ** 2),
-            omega=ca.fmax(t.omega, ca.fabs(c.omega_cmd_radps)),
         )  # fmt: skip
         a = SimpleNamespace(**new)
         metrics = (
-            a.settling_time_s, a.error / a.n_known, a.error_true / a.n, a.max_true,
-            a.all_error / a.all_known, a.over, a.over_true, ca.fmax(a.beyond, 0),
-            ca.sqrt(a.mu / a.n), ca.sqrt(a.kappa / a.n), ca.sqrt(a.yaw / a.n), a.omega,
+            a.settling_time_s, a.error / a.n_known, a.error_true / a.n, a.max_true, a.over,
+            a.over_true, ca.fmax(a.beyond, 0), ca.sqrt(a.mu / a.n), ca.sqrt(a.kappa / a.n),
+            ca.sqrt(a.yaw / a.n),
         )  # fmt: skip
         errors = ca.vertcat(ca.if_else(known, error, np.nan), error_true)
         return dict(
