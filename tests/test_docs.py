@@ -34,7 +34,7 @@ def test_a_page_is_short_and_narrow(name):
 
 
 def test_pages_are_these():
-    expected = "architecture claims closer_to_the_limit extending interpretations log_columns"
+    expected = "architecture claims closer_to_the_limit extending interpretations live log_columns"
     expected = [
         *expected.split(),
         "naming",

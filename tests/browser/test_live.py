@@ -1,6 +1,7 @@
 """The live page of the report, opened from the disk: what it runs and what it shows."""
 
 import random
+import re
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,9 @@ class Live:
         self.settled()
 
     def settled(self):
-        self.page.wait_for_function("page.loops?.length && !asked")
+        self.page.wait_for_function("page.busy && !asked")
         self.page.evaluate("page.busy")
+        assert re.match(r"\d runs of", self.page.inner_text("#said")), self.page.inner_text("#said")
 
     def choose(self, **values):
         """Take these values of the lists, and of the choices between buttons."""

@@ -1,10 +1,10 @@
-// The live page's controls, words and pictures.
-"use strict";
+"use strict"; // the live page's controls, words and pictures
 const $ = id => document.getElementById(id);
 const page = { loops: [] };
 const lines = ["--run0", "--run1", "--run2"];
 // From the controls to runs
 
+const failed = error => { $("said").textContent = error.message, console.error(error); };
 const own_sigma_w = n => // of (x, y, θ, ν, μ, κ); dual: the RHE's, then the EKF's
   [...page.values.sigma_w, ...page.values.sigma_w.slice(0, 4)].slice(0, n);
 function given(run, { given, sigma_w }) {
@@ -36,7 +36,7 @@ function ask(what) {
     asked = null;
     await now();
     document.dispatchEvent(new Event("drawn"));
-  }).catch(error => { $("said").textContent = error.message; });
+  }).catch(failed);
   if (asked !== drive) asked = what;
 }
 
@@ -298,4 +298,4 @@ load("world").then(World.of).then(world => {
     page.colours = {}, world.kept.picture = null, ask(draw);
   };
   choose(location.hash.slice(1) in world.scenes ? location.hash.slice(1) : "a");
-}).catch(error => { $("said").textContent = error.message; });
+}).catch(failed);

@@ -20,12 +20,20 @@ from rhec._casadi import cache, compiled
 
 __all__ = ["can_compile", "module_of"]
 
-_FLAGS = ["--target=wasm32-wasi", "-O2", "-ffp-contract=off", "-mbulk-memory", "-nostartfiles", "-w"]
+_FLAGS = [
+    "--target=wasm32-wasi",
+    "-O2",
+    "-ffp-contract=off",
+    "-mbulk-memory",
+    "-nostartfiles",
+    "-w",
+]
 _FLAGS += ["-Wl,--no-entry,--strip-all"]
 # Several values may be returned at once: sine and cosine of an angle cost one call, not two, and a
-# run a fifth less time. Clang 14 crashes at it.
-_ZIG = [sys.executable, "-m", "ziglang", "cc", "-mmultivalue"]
-_ZIG += ["-Xclang", "-target-abi", "-Xclang", "experimental-mv"]
+# run a fifth less time. Clang 14 crashes at it; a C library's functions on whole numbers of 128
+# bits do not know of it.
+_PAIRS = ["-mmultivalue", "-Xclang", "-target-abi", "-Xclang", "experimental-mv"]
+_ZIG = [sys.executable, "-m", "ziglang", "cc"]
 _OWN = compiled.HEADERS / "elementary.h"  # the sine of all compiled code
 
 
@@ -45,7 +53,7 @@ def can_compile():
     return _compiler() is not None
 
 
-def _compile(command, code):
+def _compile(command, code, *flags):
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "code.c").write_text(code, encoding="utf-8")
         arrays = re.findall(r"^(?:double|int) (at_\w+)\[", code, re.M)
@@ -53,7 +61,7 @@ def _compile(command, code):
         shown = [f"-Wl,--export={name}" for name in arrays + entries]
         files = ["-include", str(_OWN), "code.c", "-o", "code.wasm"]
         done = subprocess.run(
-            [*command, *_FLAGS, *shown, *files], cwd=folder, capture_output=True, text=True
+            [*command, *_FLAGS, *flags, *shown, *files], cwd=folder, capture_output=True, text=True
         )
         if done.returncode:
             said = [line for line in done.stderr.splitlines() if "error" in line] or [""]
@@ -61,16 +69,19 @@ def _compile(command, code):
         return (Path(folder) / "code.wasm").read_bytes()
 
 
-def module_of(text):
+def module_of(text, whole_numbers=False):
     """The module (bytes) of a text in C, from the cache if it was made.
+
+    whole_numbers: whether it multiplies such of 128 bits.
 
     Raises:
         OSError: if the text does not compile.
     """
-    made_of = repr((text, _OWN.read_bytes(), _compiler(), _FLAGS))
+    flags = _PAIRS if _compiler() == _ZIG and not whole_numbers else []
+    made_of = repr((text, _OWN.read_bytes(), _compiler(), _FLAGS, flags))
 
     def make(folder):
-        (folder / "code.wasm").write_bytes(_compile(_compiler(), text))
+        (folder / "code.wasm").write_bytes(_compile(_compiler(), text, *flags))
 
     name = hashlib.sha256(made_of.encode()).hexdigest()[:24]
     return cache.kept(name, make, lambda folder: (folder / "code.wasm").read_bytes())
