@@ -140,10 +140,9 @@ def build_sample(*structure):
             restart=outputs.get("restart", ca.DM(0)),
         )  # fmt: skip
         return dict(
-            row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"],
-            covariance=outputs.get("covariance", nan),
-            estimator=outputs["memory"], s=target["s"], controller=planned["memory"],
-            command=newest, **driven, **{name: measured[name] for name in sensors},
+            row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"], s=target["s"],
+            covariance=outputs.get("covariance", nan), estimator=outputs["memory"], command=newest,
+            controller=planned["memory"], **driven, **{name: measured[name] for name in sensors},
         )  # fmt: skip
 
     return scan.build_scan(sample)

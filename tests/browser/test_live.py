@@ -132,6 +132,10 @@ def test_each_control_changes_what_is_shown(live, scene):
     on_the_way = {"0": 0.5, "1": 0.28}  # where the robot comes through the patch
     for slider in live.sliders().all():
         field, place = (slider.get_attribute(f"data-{of}") for of in ("field", "place"))
+        if (field, place) == ("patch", "0"):  # what was moved before may keep the robot away
+            live.page.click("button[type=reset]")
+            live.page.click("#patch")
+            live.settled()
         before = live.pictures()
         live.move(slider, on_the_way.get(place, 0.9) if field == "patch" else 0.9)
         live.settled()
