@@ -1,5 +1,6 @@
 """Campaigns: the same rows wherever they run, whatever fails or is killed or interrupted."""
 
+import contextlib
 import dataclasses
 import itertools
 import json
@@ -833,9 +834,12 @@ def test_the_command_refuses_in_a_sentence(tmp_path):
 
 def left_of_group(group):
     """Processes of a group that still run."""
-    found = [process for process in psutil.process_iter(["status"]) if process.pid != group]
-    running = [process for process in found if process.info["status"] != psutil.STATUS_ZOMBIE]
-    return [process for process in running if os.getpgid(process.pid) == group]
+    left = []
+    for process in psutil.process_iter(["status"]):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            if process.pid != group and os.getpgid(process.pid) == group:
+                left.append(process)
+    return [process for process in left if process.info["status"] != psutil.STATUS_ZOMBIE]
 
 
 def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on(tmp_path):
