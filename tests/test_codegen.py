@@ -24,6 +24,7 @@ from rhec._casadi.build import pack_array, select_inputs
 from rhec.codegen import LOG, phases
 from rhec.columns import MEASUREMENTS
 from rhec.controller import rhc
+from rhec.extensions import cautious
 from rhec.plots.timing import embedded_times
 from rhec.studies.timing import PHASES
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
@@ -82,6 +83,12 @@ SCENARIOS = {
     "RHE, fixed traction": dict(estimator="rhe_fixed_traction", mu_mean=0.7, kappa_mean=0.6),
     "bounded EKF": dict(estimator="bounded_ekf", process_noise="calibrated"),
     "own estimator": dict(estimator=own_estimator()),
+    "cautious": dict(
+        estimator="dual",
+        cautious=True,
+        backwards=True,
+        path=rhec.Path.from_segments([(2.0, 0.0), (4.0, 0.2), (20.0, 0.0)]),
+    ),
 }
 
 
@@ -138,9 +145,14 @@ def library(exported, tmp_path_factory):
     """The paper's export as a shared library, to be called from Python; not optimised, and the same
     answers.
     """
+    return shared(exported("paper"), tmp_path_factory.mktemp("shared"))
+
+
+def shared(export, folder, *sources):
+    """An export, and other sources, as a shared library."""
     if not compiled.compiler():
         pytest.skip("there is no C compiler")
-    out = tmp_path_factory.mktemp("shared") / "rhec.so"
+    out = folder / "rhec.so"
     subprocess.run(
         [
             compiled.compiler(),
@@ -148,8 +160,9 @@ def library(exported, tmp_path_factory):
             "-ffp-contract=off",
             "-shared",
             "-fPIC",
-            f"-I{exported('paper')}",
-            *(f"{exported('paper')}/{source}" for source in toolchain.LIBRARY),
+            f"-I{export}",
+            *(export / source for source in toolchain.LIBRARY),
+            *sources,
             "-o",
             out,
             "-lm",
@@ -191,7 +204,9 @@ def log_of(export):
 
 
 def in_python(scenario, measurements):
-    """Answers of the closed loop's own Functions to these measurements: (samples, 7)."""
+    """Answers of the closed loop's own Functions to these measurements: (samples, 7), or with the
+    commanded speed (samples, 8).
+    """
     setup, choice = simulation.set_up(scenario), Choice.of(scenario)
     settings, limits = setup.settings, SPEED_MODELS["parameter"].model.limits
     estimate_step = build_step(choice)
@@ -201,6 +216,10 @@ def in_python(scenario, measurements):
     guess = dict(zip(QUANTITIES, setup.guess))
     estimator = pack_array(estimator_of(choice.estimator).init(choice, guess))
     controller = pack_array(rhc.init(horizon, setup.guess[:3], setup.guess[3:]))
+    if scenario.cautious:
+        states = estimator_of(choice.estimator).states(choice)
+        control = cautious.build_step(control, states, len(setup.path.segments), paper.DT_S)
+        controller = np.append(controller, scenario.speed_mps)
     s, omega, answers = setup.path.project(setup.guess[None, :2])[1], 0.0, []
     names = ["memory", "estimate", *estimate_step.name_out()[2:]]
     for z in measurements:
@@ -214,14 +233,14 @@ def in_python(scenario, measurements):
             omega_measured=z[3] if abs(z[3]) <= limits[3] else omega,
         )
         planned = control(
-            **select_inputs(control, settings),
-            memory=controller,
+            **select_inputs(control, settings | outputs | target | dict(memory=controller)),
             s_0=estimate,
             x_ref=target["xi_ref"],
             u_ref=target["omega_ref"],
         )
         s, controller, omega = target["s"], planned["memory"], float(planned["command"])
-        answers.append([*estimate.full().ravel(), omega])
+        speed = [float(planned["speed_mps"])] if scenario.cautious else []
+        answers.append([*estimate.full().ravel(), omega, *speed])
     return np.array(answers)
 
 
@@ -268,6 +287,34 @@ def test_answers_to_missing_and_implausible_measurements_equal_pythons(exported,
         rtol=0,
         atol=TOLERANCE,
     )
+
+
+def test_the_commanded_speed_equals_pythons(exported, tmp_path):
+    """To measurements with gaps, on which it slows down; overwritten memory keeps it in bounds."""
+    (tmp_path / "speed.c").write_text(
+        '#include "rhec.h"\ndouble speed(const struct rhec *r) { return r->nu[0]; }\n'
+    )
+    library = shared(exported("cautious"), tmp_path, tmp_path / "speed.c")
+    library.speed.restype = ctypes.c_double
+    robot = Robot(library, exported("cautious"))
+    scenario = rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS["cautious"])
+    measurements = log_of(exported("cautious"))[MEASUREMENTS].to_numpy()
+    measurements[40:44] = np.nan
+    answers = []
+    for z in measurements:
+        estimate, omega, _ = robot.step(z)
+        answers.append([*estimate, omega, library.speed(robot.memory)])
+    expected = in_python(scenario, measurements)
+    np.testing.assert_allclose(answers, expected, rtol=0, atol=TOLERANCE)
+    speeds = expected[:, -1]
+    assert speeds.min() == pytest.approx(-scenario.speed_mps) and speeds.max() > -0.4
+
+    doubles = np.frombuffer(robot.memory, dtype=float)
+    for value in (np.nan, np.inf, -1e11, 1e300):
+        doubles[4:] = value  # all but the settings' address and the counters
+        for z in measurements[-5:]:
+            robot.step(z)
+            assert -scenario.speed_mps <= library.speed(robot.memory) <= 0
 
 
 def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
@@ -389,7 +436,7 @@ def test_no_compiler_warns(compiler, exported):
     if not shutil.which(compiler):
         pytest.skip(f"there is no {compiler}")
     strict = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-    for name in ("paper", "EKF"):
+    for name in ("paper", "EKF", "cautious"):
         folder = exported(name)
         if compiler.endswith("++"):  # the header is for C++ as well
             program = (
@@ -643,7 +690,6 @@ def solving_estimator():
             "^qp was 'daqp', which needs a library; to export, it should be 'structured'$",
         ),
         (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
-        (rhec.Scenario(cautious=True), "^cautious was True; to export, it should be False"),
     ],
 )
 def test_a_scenario_that_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):

@@ -138,8 +138,6 @@ def _check(scenario):
                     f"estimator was {shown(estimator)}, which calls {called.name()!r} "
                     f"({called.class_name()}); to export, it should be made of expressions alone"
                 )
-    if scenario.cautious:
-        raise ValueError("cautious was True; to export, it should be False: the C steers alone")
     if scenario.qp != "structured":
         raise ValueError(
             f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"

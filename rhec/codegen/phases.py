@@ -12,11 +12,12 @@ import casadi as ca
 import numpy as np
 
 from rhec import simulation
-from rhec._casadi.build import casadi_function, pack_array, unpack
+from rhec._casadi.build import casadi_function, pack_array, select_inputs, unpack
 from rhec.controller.rhc import build_phases as build_controller
 from rhec.controller.rhc import init as plan_init
 from rhec.estimator.rhe import build_phases as build_estimator
 from rhec.estimator.rhe import init as window_init
+from rhec.extensions.cautious import build_speed
 from rhec.model.limits import is_valid_measurement
 from rhec.solver.pivoting import MAX_SWEEPS
 from rhec.tracked_robot import path
@@ -31,8 +32,11 @@ __all__ = ["Export", "closest", "export", "export_model"]
 _SHARED = dict(
     z_N="z",
     accepted="estimator.accepted",
+    covariance="estimator.covariance",
     estimate="estimate",
     command="omega",
+    command_speed="nu",
+    s_next="path.s_next",
     xi_ref="path.xi_ref",
     x_ref="path.xi_ref",
     omega_ref="path.omega_ref",
@@ -87,16 +91,20 @@ def export(scenario):
         return memory if estimator.build_phases else dict(memory=pack_array(memory))
 
     def first_plan(estimate):
-        return plan_init(horizon, estimate[:3], estimate[3:])
+        return plan_init(horizon, estimate[:3], estimate[3:]) | dict(speed=estimate[3])
 
     n_segments = len(setup.path.segments)
+    control = build_controller(horizon)
+    if scenario.cautious:
+        speed = build_speed(estimator.states(choice), n_segments, horizon.dt_s)
+        control = _with_speed(control, speed, estimate["feedback"])
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)[
         "references"
     ]
     follow = _follow(references, "accepted" in estimate["feedback"].name_out())
     starts = [_start(first, estimate=6) for first in (first_estimate, first_plan)]
     phases = _bind_all("estimator", starts[0], estimate, settings, _SHARED)
-    phases |= _bind_all("controller", starts[1], build_controller(horizon), settings, _SHARED)
+    phases |= _bind_all("controller", starts[1], control, settings, _SHARED)
     phases |= {
         f"path_{name}": _bind(f, name, "path", {}, settings, _SHARED)
         for name, f in (("closest", closest(n_segments)), ("follow", follow))
@@ -223,6 +231,36 @@ def _one_step(step):
         return dict(memory=memory)
 
     return dict(shift=shift, feedback=feedback)
+
+
+def _with_speed(control, speed, estimate):
+    """The phases of an RHC with the speed as a second command, as in `cautious.build_step`.
+
+    The last one is memory; whatever that holds, the next is between 0 and the set speed.
+    """
+    shift, feedback = control["shift"], control["feedback"]
+
+    def inputs(*functions):
+        return {name: f.sparsity_in(name) for f in functions for name in f.name_in()}
+
+    @casadi_function("rhec_cautious_shift", ca.MX, speed=(1, 1), **inputs(shift))
+    def moved(speed, **plan):
+        return shift(**plan) | dict(speed=speed)
+
+    given = inputs(speed, feedback) | dict(s_next=(1, 1))  # s is the RHC's
+    if "covariance" in estimate.name_out():  # in C, only its nonzeros are passed on
+        given["covariance"] = estimate.sparsity_out("covariance")
+
+    @casadi_function("rhec_cautious_feedback", ca.MX, **given)
+    def answer(**known):
+        planned = feedback(**select_inputs(feedback, known))
+        set_speed = known["speed_mps"]
+        last = ca.fmin(ca.fabs(known["speed"]), ca.fabs(set_speed))
+        known |= dict(s=known["s_next"], speed=last)
+        newest = speed(**select_inputs(speed, known))["speed"]
+        return planned | dict(speed=newest, command_speed=ca.sign(set_speed) * newest)
+
+    return control | dict(shift=moved, feedback=answer)
 
 
 def closest(n_segments):
