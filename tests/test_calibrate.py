@@ -1,6 +1,9 @@
 """Calibration of a recorded robot by its log alone; whether a replay says that it is lost."""
 
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,6 +12,8 @@ from test_replay import recorded
 
 import rhec
 from rhec.logs.lost import is_lost
+
+ROOT = Path(__file__).parents[1]
 
 ARM_M = (0.25, -0.1)
 
@@ -133,3 +138,10 @@ def test_a_replay_says_what_its_log_cannot_show(still, remark):
         remark in said
         for said in rhec.replay(log, first_yaw_rad=0.4, trust_log=True).attrs["remarks"]
     )
+
+
+def test_the_command_refuses_in_a_sentence(tmp_path):
+    command = [sys.executable, "-m", "rhec.logs.calibration", tmp_path / "missing.csv"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert done.stderr.startswith(f"log was '{tmp_path / 'missing.csv'}'; it should be")

@@ -279,5 +279,8 @@ def _lever_arm(segments, x, yaws, width_m):
 
 
 if __name__ == "__main__":
-    found = calibrate(read(sys.argv[1]))
+    try:
+        found = calibrate(read(sys.argv[1]))
+    except (ValueError, ImportError) as error:
+        sys.exit(str(error))
     print(found, f"rhec.replay(log, **{dict(found)})", sep="\n")
