@@ -95,7 +95,7 @@ bench: .venv/peers .venv/acados ## compare computation times with other tools, i
 soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
 	@$(PY) tests/soak.py --samples $(or $(SAMPLES),10000000)
 
-storm: $(READY) ## a campaign of RUNS runs, 100000, whose workers are killed all the time (an hour)
+storm: $(READY) ## a campaign of RUNS runs, 100000, whose workers are killed all the time (20 minutes)
 	@$(PY) tests/storm.py --runs $(or $(RUNS),100000)
 
 ##@ Keep
