@@ -52,10 +52,11 @@ lab: $(READY) ## open the notebooks in JupyterLab
 	  $(if $(filter 0,$(shell id -u)),--allow-root)
 
 # The file's name reaches the shell as data, never as part of a command.
-replay: export REPLAY_LOG = $(value LOG)
+replay calibrate: export REPLAY_LOG = $(value LOG)
+log_given = test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a recorded log:' \
+  'make $@ LOG=file.csv' >&2; exit 2; }
 replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=file.csv
-	@test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a .csv or .parquet file:' \
-	  'make replay LOG=file.csv' >&2; exit 2; }
+	@$(log_given)
 	@$(PY) -m rhec.workbench.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG" $(WHAT)
 
 recordings: $(READY) ## fetch the recordings of real robots that data/recordings.toml names
@@ -64,10 +65,8 @@ recordings: $(READY) ## fetch the recordings of real robots that data/recordings
 replay-table: $(READY) ## the table of real robots, each left out once: after make recordings
 	@$(PY) -m rhec.studies.transfer
 
-calibrate: export REPLAY_LOG = $(value LOG)
 calibrate: $(READY) ## find a recorded log's noise and lever arm: make calibrate LOG=file.csv
-	@test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a file:' \
-	  'make calibrate LOG=file.csv' >&2; exit 2; }
+	@$(log_given)
 	@$(PY) -m rhec.logs.calibration "$$REPLAY_LOG"
 
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which

@@ -9,8 +9,8 @@ from rhec import paper, simulation
 from rhec._casadi import lanes
 
 __all__ = [
-    "compile_lanes", "in_parts", "n_samples", "run_in_lanes", "samples_alike", "size_of_task",
-    "to_compile",
+    "compile_lanes", "in_parts", "n_samples", "run_each", "run_in_lanes", "samples_alike",
+    "size_of_task", "to_compile",
 ]  # fmt: skip
 
 # Samples of runs alike that pay for compiling lanes, and for using them where they are compiled.
@@ -98,6 +98,15 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
         with contextlib.suppress(Exception):
             done |= _run(blocks[structure], samples, group, noise, of)
     return done
+
+
+def run_each(scenarios, alike, of):
+    """`of` the Run of each of the scenarios, in their order, those that lanes cannot run included.
+
+    of: of a Run, something that is true. alike: see `samples_alike`.
+    """
+    found = run_in_lanes(dict(enumerate(scenarios)), alike, of)
+    return [found.get(k) or of(simulation.simulate(each)) for k, each in enumerate(scenarios)]
 
 
 def _block(structure, alike):

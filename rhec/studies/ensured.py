@@ -15,10 +15,9 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.campaigns.side_by_side import run_in_lanes
+from rhec.campaigns.side_by_side import run_each
 from rhec.metrics import metrics
 from rhec.scenario import Scenario
-from rhec.simulation import simulate
 from rhec.studies.claims.run_sets import each
 from rhec.studies.statistics import over_seeds, share, verdict
 from rhec.tracked_robot.path import Path
@@ -86,8 +85,7 @@ def _longest_s(scenario):
 
 
 def _in_lanes(scenarios):
-    found = run_in_lanes(dict(enumerate(scenarios)), _WORTH_LANES, lap)
-    return [found.get(k) or lap(simulate(scenario)) for k, scenario in enumerate(scenarios)]
+    return run_each(scenarios, _WORTH_LANES, lap)
 
 
 def drives(soils, estimators, modes, speeds_mps, **fields):

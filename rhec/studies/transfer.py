@@ -80,6 +80,11 @@ class _Rival(NamedTuple):
     guess: Callable
 
     @property
+    def measured(self):
+        """Columns of what its model measures."""
+        return [*MEASUREMENTS[:3], MEASUREMENTS[3] if self.model is _TRACTION else "delta_mps"]
+
+    @property
     def hats(self):
         return [f"hat_{name}" for name in self.model.names]
 
@@ -137,8 +142,7 @@ def _parts(log):
 
 def _filtered(rival, half, part, sigma):
     """Rows of a rival's filter on one segment's samples."""
-    fourth = MEASUREMENTS[3] if rival.model is _TRACTION else "delta_mps"
-    z = part[[*MEASUREMENTS[:3], fourth]].to_numpy()
+    z = part[rival.measured].to_numpy()
     first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
     guess, spread = rival.guess(half)
     m = np.array([*first[:2], part["theta_rad"].iloc[0] + _YAW_ERROR_RAD, *guess])
@@ -162,11 +166,8 @@ def _rival(rival, half, parts, sigma):
     samples = samples.assign(**dict.fromkeys(unknown, np.nan), ok=True)
     if rival.model is _TRACTION:
         samples[ESTIMATE[4:]] = samples[["hat_mu", "hat_kappa"]]
-        measured = MEASUREMENTS
-    else:
-        measured = [*MEASUREMENTS[:3], "delta_mps"]
     predict = predictor(rival.model, rival.model.names)
-    return samples, scores.ahead_rms_m(samples, predict, rival.hats, measured)
+    return samples, scores.ahead_rms_m(samples, predict, rival.hats, rival.measured)
 
 
 def _tuned(rival, log):

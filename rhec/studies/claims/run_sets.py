@@ -15,11 +15,10 @@ import pandas as pd
 
 from rhec import paper
 from rhec.campaigns.campaign import campaign
-from rhec.campaigns.side_by_side import n_samples, run_in_lanes
+from rhec.campaigns.side_by_side import n_samples, run_each
 from rhec.campaigns.workers import dask_client, run_on
 from rhec.metrics import rms
 from rhec.scenario import Scenario
-from rhec.simulation import simulate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
@@ -191,8 +190,7 @@ def logs(seeds, ids=tuple(LOGS), process_noises=PROCESS_NOISES, world=None, part
 
 def _all_measured(scenarios):
     alike = 5 * sum(map(n_samples, scenarios))  # as many more wait in other parts
-    found = run_in_lanes(dict(enumerate(scenarios)), alike, measured)
-    return [found.get(k) or measured(simulate(each)) for k, each in enumerate(scenarios)]
+    return run_each(scenarios, alike, measured)
 
 
 def each(function, arguments, at_once=1):
