@@ -16,7 +16,6 @@ from rhec import paper
 from rhec._casadi import scan
 from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack, with_packed_memory
 from rhec.columns import RECORDED_TRUTH, TRACKS
-from rhec.simulation import draw_noise
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot.terrain import Terrain, flat, lookup
 
@@ -109,7 +108,7 @@ def _build_sample(terrain):
 def _record(pose, commands, terrain, seed):
     """One piece of the log: the robot starts at this pose and follows the commands."""
     rows = [command for duration, *command in commands for _ in range(round(duration / _DT_S))]
-    given = np.hstack([np.array(rows), draw_noise(seed, len(rows))])
+    given = np.hstack([np.array(rows), robot.draw_noise(seed, len(rows))])
     memory = pack_array({name: robot.init(pose, 0.0)[name] for name in _MEMORY})
     _, rows = scan.scan(scan.build_scan(_build_sample(terrain)), memory, given, {})
     log = pd.DataFrame(rows, columns=_COLUMNS)

@@ -7,7 +7,7 @@ import numpy as np
 from rhec import paper
 from rhec._casadi.renamed import Renamed
 
-__all__ = ["SETTLING_SAMPLES", "metrics", "rms", "settled_samples"]
+__all__ = ["SETTLING_SAMPLES", "metrics", "per_sample", "rms", "settled_samples"]
 
 SETTLING_SAMPLES = round(5 / paper.DT_S)  # who stays within the tolerance so long has settled
 
@@ -22,33 +22,44 @@ def metrics(columns, poses):
     robot in place. Overshoot: how far on the first row it is beyond the path, from the start.
     """
     c = SimpleNamespace(**columns)
+    left, gathered = per_sample(c, poses.T, np)
     stays = settled_samples(c.error_true_m)
     begin = stays[0] + SETTLING_SAMPLES if len(stays) else 0
     after = slice(begin if begin < len(c.t_s) else 0, None)
-    straight = c.on_straight[after]
-    left = (c.y_m - poses[:, 1]) * np.cos(poses[:, 2]) - (c.x_m - poses[:, 0]) * np.sin(poses[:, 2])
-    across, along = (np.abs(part(c.theta_rad - poses[:, 2])) for part in (np.sin, np.cos))
-    corner = (across * paper.ROBOT_LENGTH_M - (1 - along) * paper.ROBOT_WIDTH_M) / 2 + np.abs(left)
     first_row = left[: np.argmin(c.on_straight) or None]
-    values = dict(
-        settling_time_s=c.t_s[stays[0]] if len(stays) else np.float64(np.nan),
-        mean_error_m=_mean_of_known(c.error_m[after]),
-        mean_error_true_m=c.error_true_m[after].mean(),
-        max_error_true_m=c.error_true_m[after].max(),
-        max_corner_error_true_m=corner[after][straight].max(initial=0.0),
-        mean_speed_mps=np.abs(c.nu_mps[after]).mean(),
+    values = dict(settling_time_s=c.t_s[stays[0]] if len(stays) else np.float64(np.nan))
+    values |= {name: _GATHER[how](value[after]) for name, (how, value) in gathered.items()}
+    values |= dict(
         mean_error_from_start_m=_mean_of_known(c.error_m),
-        violations=np.sum(c.error_m[after][straight] > paper.TOLERANCE_M),
-        violations_true=np.sum(c.error_true_m[after][straight] > paper.TOLERANCE_M),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
-        rms_mu=rms((c.mu_hat - c.mu)[after]), rms_kappa=rms((c.kappa_hat - c.kappa)[after]),
-        rms_yaw_rad=rms((c.theta_hat_rad - c.theta_rad)[after]),
         omega_peak_radps=np.abs(c.omega_cmd_radps).max(),
         kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]),
     )  # fmt: skip
     known = values | dict(settling_time_s=0.0, kkt_rhe_median=0.0)  # NaN if there is none
     values["all_ok"] = c.ok.all() & np.isfinite([*known.values()]).all()
     return Renamed({name: value.item() for name, value in values.items()})  # plain numbers
+
+
+def per_sample(c, pose, xp):
+    """What is gathered of each sample: the distance to the left of the path [m]; and of the samples
+    that count, by metric, (how, value). c: columns; pose: the closest path point (x, y, θ); both
+    arrays, with xp = numpy, or expressions, with xp = casadi.
+    """
+    left = (c.y_m - pose[1]) * xp.cos(pose[2]) - (c.x_m - pose[0]) * xp.sin(pose[2])
+    turned = c.theta_rad - pose[2]
+    across, along = xp.fabs(xp.sin(turned)), xp.fabs(xp.cos(turned))
+    corner = (across * paper.ROBOT_LENGTH_M - (1 - along) * paper.ROBOT_WIDTH_M) / 2 + xp.fabs(left)
+    return left, dict(
+        mean_error_m=("mean of known", c.error_m),
+        mean_error_true_m=("mean", c.error_true_m),
+        max_error_true_m=("max", c.error_true_m),
+        max_corner_error_true_m=("max", corner * c.on_straight),
+        mean_speed_mps=("mean", xp.fabs(c.nu_mps)),
+        violations=("sum", (c.error_m > paper.TOLERANCE_M) * c.on_straight),
+        violations_true=("sum", (c.error_true_m > paper.TOLERANCE_M) * c.on_straight),
+        rms_mu=("rms", c.mu_hat - c.mu), rms_kappa=("rms", c.kappa_hat - c.kappa),
+        rms_yaw_rad=("rms", c.theta_hat_rad - c.theta_rad),
+    )  # fmt: skip
 
 
 def settled_samples(error, within=paper.TOLERANCE_M):
@@ -68,3 +79,7 @@ def _mean_of_known(values):
 def rms(values):
     """Root mean square."""
     return np.sqrt(np.mean(np.square(values)))
+
+
+_GATHER = {"mean": np.mean, "mean of known": _mean_of_known, "max": np.max}
+_GATHER |= {"sum": np.sum, "rms": rms}

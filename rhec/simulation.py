@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "Run", "Setup", "build_sample", "draw_noise", "finish", "known_traction",
+    "Run", "Setup", "build_sample", "finish", "known_traction",
     "noise_and_faults", "set_up", "simulate", "simulate_setup",
 ]  # fmt: skip
 
@@ -224,21 +224,9 @@ def set_up(scenario):
     return Setup(structure, build.pack_array(flat), layout, settings, target, soil, guess)
 
 
-def draw_noise(seed, samples):
-    """Standard normal noise (samples, n) of a seed; the first rows are those of fewer samples. The
-    speed's, the last, is a stream of its own: without it, all else is the same.
-    """
-
-    def stream(number, n):
-        bits = np.random.Philox(np.random.SeedSequence((seed, number)))
-        return np.random.Generator(bits).standard_normal((samples, n))
-
-    return np.hstack([stream(1, build.packed_size(robot.NOISE) - 1), stream(4, 1)])
-
-
 def noise_and_faults(seed, given, samples):
     """The stream that a run is scanned over: noise and the given Faults, one row a sample."""
-    noise = draw_noise(seed, samples)
+    noise = robot.draw_noise(seed, samples)
     return np.hstack([noise, faults.stream(given, samples, paper.DT_S, seed)]) if given else noise
 
 

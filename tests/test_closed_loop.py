@@ -55,7 +55,7 @@ def live(scenario, samples):
     rhc = rhec.RHC(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
     rhc.iteration.start(controller.init(rhc.problem, world.guess[:3], world.guess[3:]))
     memory, s, previous, rows = robot.init(pose, nu), 0.0, 0.0, []
-    for drawn in simulation.draw_noise(scenario.seed, samples):
+    for drawn in robot.draw_noise(scenario.seed, samples):
         drawn = {
             name: np.array(ca.evalf(value))
             for name, value in function.unpack(ca.MX(ca.DM(drawn)), robot.NOISE).items()
@@ -117,7 +117,7 @@ def test_a_run_can_be_cut_anywhere(run):
     made = simulation.set_up(MINUTE)
     functions, noise = (
         compiled.load(simulation.build_sample, *made.structure),
-        simulation.draw_noise(MINUTE.seed, 300),
+        robot.draw_noise(MINUTE.seed, 300),
     )
     memory, rows = made.memory, []
     for part in np.split(noise, [1, 16, 37, 200]):

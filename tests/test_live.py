@@ -13,7 +13,7 @@ import rhec
 from rhec import simulation
 from rhec._casadi import compiled
 from rhec.columns import COLUMNS
-from rhec.tracked_robot import tuning
+from rhec.tracked_robot import plant, tuning
 from rhec.workbench import report
 from rhec.workbench.live import functions, page, texts, wasm
 
@@ -39,7 +39,7 @@ def array(library, name, n):
 
 @pytest.mark.parametrize("seed", texts.SEEDS)
 def test_noise_is_that_of_the_seed_in_every_bit(world, seed):
-    expected = simulation.draw_noise(seed, texts.MOST)
+    expected = plant.draw_noise(seed, texts.MOST)
     wide = expected.shape[1] + 3
     world.noise(seed, wide)
     found = array(world, "stream", texts.MOST * wide).reshape(texts.MOST, wide)

@@ -5,7 +5,7 @@ and start.
 from rhec import paper
 from rhec._casadi.build import select_inputs, unpack_array
 from rhec._casadi.compiled import BufferedFunction
-from rhec.simulation import draw_noise, set_up
+from rhec.simulation import set_up
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import terrain
 
@@ -20,7 +20,7 @@ class LiveRobot:
 
     def __init__(self, scenario):
         self.setup = set_up(scenario)
-        self._noise = draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
+        self._noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
         shape = terrain.common_shape(self.setup.terrain)
         functions = robot.measure(paper.DT_S), robot.drive(paper.DT_S), terrain.lookup(shape)
         self._measure, self._drive, self._slip = map(BufferedFunction, functions)

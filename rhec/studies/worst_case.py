@@ -17,7 +17,7 @@ from rhec import paper
 from rhec._casadi import compiled, scan
 from rhec._casadi.build import packed_size
 from rhec.scenario import Scenario
-from rhec.simulation import build_sample, draw_noise, finish, set_up
+from rhec.simulation import build_sample, finish, set_up
 from rhec.tracked_robot import plant as robot
 
 __all__ = ["drive", "search"]
@@ -47,7 +47,7 @@ def drive(base, level, **chosen):
     scenario = dataclasses.replace(plain, patches=(disc,))
     setup = set_up(scenario)
 
-    noise = draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
+    noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
     ends = np.cumsum([packed_size({name: of}) for name, of in robot.NOISE.items()])
     places = dict(zip(robot.NOISE, np.split(np.arange(ends[-1]), ends[:-1])))
     t_s, angle = np.arange(len(noise)) * paper.DT_S, chosen["gnss_angle_rad"]

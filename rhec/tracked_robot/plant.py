@@ -10,12 +10,13 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi.build import casadi_function
+from rhec._casadi.build import casadi_function, packed_size
 from rhec._casadi.sines import sines_by_addition
 from rhec.tracked_robot.kinematics import f, rk4
 
 __all__ = [
-    "BODY", "MEMORY", "NOISE", "SENSORS", "SUBSTEPS", "body_speeds", "drive", "init", "measure",
+    "BODY", "MEMORY", "NOISE", "SENSORS", "SUBSTEPS", "body_speeds", "draw_noise", "drive",
+    "init", "measure",
 ]  # fmt: skip
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
@@ -30,6 +31,18 @@ SENSORS = dict.fromkeys(
     ("gnss_white_m", "gnss_slow_m", "gnss_slow_time_s", "speed_sigma_mps"), (1, 1)
 )
 BODY = dict(track_width_m=(1, 1), encoder_sigma_mps=(1, 1), bump_sigma_radps=(1, 1))
+
+
+def draw_noise(seed, samples):
+    """Standard normal noise (samples, n) of a seed; the first rows are those of fewer samples. The
+    speed's, the last, is a stream of its own: without it, all else is the same.
+    """
+
+    def stream(number, n):
+        bits = np.random.Philox(np.random.SeedSequence((seed, number)))
+        return np.random.Generator(bits).standard_normal((samples, n))
+
+    return np.hstack([stream(1, packed_size(NOISE) - 1), stream(4, 1)])
 
 
 def measure(dt_s):

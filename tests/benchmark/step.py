@@ -13,6 +13,7 @@ from benchmark import acados_peer, native, peers, problems
 from rhec import simulation
 from rhec._casadi import compiled, scan
 from rhec.studies.timing import PHASES
+from rhec.tracked_robot import plant
 
 TOLERANCE = 1e-6  # m, rad, m/s, 1, rad/s: how far an answer may be from rhec's
 SAMPLES, SHARE, LOOP = (
@@ -138,7 +139,7 @@ def from_python(run, recorded, iterations=None):
 
 def fused(scenario):
     """The compiled closed loop: robot, sensors, estimator, path, controller and log."""
-    world, noise = simulation.set_up(scenario), simulation.draw_noise(scenario.seed, LOOP)
+    world, noise = simulation.set_up(scenario), plant.draw_noise(scenario.seed, LOOP)
     functions = compiled.load(simulation.build_sample, *world.structure)
 
     def block(_):

@@ -11,7 +11,7 @@ import numpy as np
 from rhec import paper, simulation
 from rhec._casadi.build import casadi_function
 from rhec.columns import COLUMNS, ESTIMATE
-from rhec.metrics import SETTLING_SAMPLES
+from rhec.metrics import SETTLING_SAMPLES, per_sample
 from rhec.scenario import Scenario
 from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.path import Path, closest
@@ -27,14 +27,14 @@ _FIELDS = dict(
     speed_sigma_mps=1, bump_sigma_radps=1, sigma_v=4,
 )  # fmt: skip
 _SOIL = ("origin_m", "cell_m", "slip", "mean_traction")  # settings that come with the soil
-_TALLY = dict(
-    k=0.0, inside=0.0, settles=0.0, settling_time_s=np.nan, n=0.0, n_known=0.0, error=0.0,
-    error_true=0.0, max_true=0.0, over=0.0, over_true=0.0, side=0.0, first_row=1.0,
-    beyond=-np.inf, mu=0.0, kappa=0.0, yaw=0.0,
-)  # fmt: skip
 METRICS = (
     "settling_time_s", "mean_error_m", "mean_error_true_m", "max_error_true_m", "violations",
     "violations_true", "overshoot_m", "rms_mu", "rms_kappa", "rms_yaw_rad",
+)  # fmt: skip
+# What the judge remembers; of a metric, its sum or maximum so far.
+_TALLY = dict.fromkeys(METRICS, 0.0) | dict(
+    k=0.0, inside=0.0, settles=0.0, settling_time_s=np.nan, n=0.0, n_known=0.0, side=0.0,
+    first_row=1.0,
 )  # fmt: skip
 
 
@@ -109,55 +109,46 @@ def _vector(value):
 
 def _build_judge(path):
     """`rhec.metrics.metrics` sample by sample: what counts begins anew once the robot settles."""
-    pieces = {name: (1, 1) for name in _TALLY}
 
-    @casadi_function("judge", tally=(len(pieces), 1), row=(len(COLUMNS), 1))
+    @casadi_function("judge", tally=(len(_TALLY), 1), row=(len(COLUMNS), 1))
     def judge(tally, row):
-        t = SimpleNamespace(**dict(zip(pieces, ca.vertsplit(tally))))
+        t = SimpleNamespace(**dict(zip(_TALLY, ca.vertsplit(tally))))
         c = SimpleNamespace(**dict(zip(COLUMNS, ca.vertsplit(row))))
         known = (ca.fabs(c.x_meas_m) < np.inf) * (ca.fabs(c.y_meas_m) < np.inf)
-        error = closest(path, c.x_meas_m, c.y_meas_m, ca)[0]
-        error_true, s = closest(path, c.x_m, c.y_m, ca)
+        c.error_m = ca.if_else(known, closest(path, c.x_meas_m, c.y_meas_m, ca)[0], np.nan)
+        c.error_true_m, s = closest(path, c.x_m, c.y_m, ca)
         pose, curvature = pose_at(s, ca.DM(path.segments.T), path.period_m)
-        straight = curvature == 0
-
-        def total(before, value, when=1):
-            return ca.if_else(t.settles, 0, before) + ca.if_else(when, value, 0)
-
-        inside = ca.if_else(error_true < paper.TOLERANCE_M, t.inside + 1, 0)
-        settles = (inside == SETTLING_SAMPLES) * ca.logic_not(t.settling_time_s >= 0)
-        settled_s = (t.k - (SETTLING_SAMPLES - 1)) * paper.DT_S
+        c.on_straight = curvature == 0
+        left, gathered = per_sample(c, ca.vertsplit(pose), ca)
 
         begins = t.k == 0
-        left = (c.y_m - pose[1]) * ca.cos(pose[2]) - (c.x_m - pose[0]) * ca.sin(pose[2])
+        inside = ca.if_else(c.error_true_m < paper.TOLERANCE_M, t.inside + 1, 0)
+        settles = (inside == SETTLING_SAMPLES) * ca.logic_not(t.settling_time_s >= 0)
+        settled_s = (t.k - (SETTLING_SAMPLES - 1)) * paper.DT_S
         side = ca.if_else(begins, ca.sign(left), t.side)
         # First row: until the first curve; if the robot begins in one, all of it.
-        first_row = ca.if_else(begins, 2 - straight, t.first_row)
-        first_row = ca.if_else(first_row == 2, 2, first_row * straight)
+        first_row = ca.if_else(begins, 2 - c.on_straight, t.first_row)
+        first_row = ca.if_else(first_row == 2, 2, first_row * c.on_straight)
         new = dict(
             k=t.k + 1, inside=inside, settles=settles,
             settling_time_s=ca.if_else(settles, settled_s, t.settling_time_s),
-            n=total(t.n, 1), n_known=total(t.n_known, 1, known), error=total(t.error, error, known),
-            error_true=total(t.error_true, error_true),
-            max_true=ca.fmax(ca.if_else(t.settles, 0, t.max_true), error_true),
-            over=total(t.over, (error > paper.TOLERANCE_M) * straight, known),
-            over_true=total(t.over_true, (error_true > paper.TOLERANCE_M) * straight),
-            side=side, first_row=first_row,
-            beyond=ca.fmax(t.beyond, ca.if_else(first_row > 0, -side * left, -np.inf)),
-            mu=total(t.mu, (c.mu_hat - c.mu) ** 2),
-            kappa=total(t.kappa, (c.kappa_hat - c.kappa) ** 2),
-            yaw=total(t.yaw, (c.theta_hat_rad - c.theta_rad) ** 2),
+            n=ca.if_else(t.settles, 0, t.n) + 1,
+            n_known=ca.if_else(t.settles, 0, t.n_known) + known, side=side, first_row=first_row,
+            overshoot_m=ca.fmax(t.overshoot_m, ca.if_else(first_row > 0, -side * left, 0)),
         )  # fmt: skip
-        a = SimpleNamespace(**new)
-        metrics = (
-            a.settling_time_s, a.error / a.n_known, a.error_true / a.n, a.max_true, a.over,
-            a.over_true, ca.fmax(a.beyond, 0), ca.sqrt(a.mu / a.n), ca.sqrt(a.kappa / a.n),
-            ca.sqrt(a.yaw / a.n),
-        )  # fmt: skip
-        errors = ca.vertcat(ca.if_else(known, error, np.nan), error_true)
+        found = {}
+        for name in (name for name in METRICS if name in gathered):
+            how, value = gathered[name]
+            before = ca.if_else(t.settles, 0, vars(t)[name])
+            added = {"mean of known": ca.if_else(known, value, 0), "rms": value**2}.get(how, value)
+            so_far = new[name] = ca.fmax(before, value) if how == "max" else before + added
+            mean, of_known = so_far / new["n"], so_far / new["n_known"]
+            of = {"mean": mean, "mean of known": of_known, "rms": ca.sqrt(mean)}
+            found[name] = of.get(how, so_far)
         return dict(
-            tally=ca.vertcat(*(new[name] for name in pieces)), errors=errors,
-            metrics=ca.vertcat(*metrics),
+            tally=ca.vertcat(*(new[name] for name in _TALLY)),
+            errors=ca.vertcat(c.error_m, c.error_true_m),
+            metrics=ca.vertcat(*((new | found)[name] for name in METRICS)),
         )  # fmt: skip
 
     return judge
