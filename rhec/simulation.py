@@ -195,7 +195,7 @@ def set_up(scenario):
     choice, shape = Choice.of(scenario), terrain.common_shape(soil)
     estimator = estimator_of(choice.estimator, choice.robust)
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
-    commanded = dict(speed=scenario.speed_mps) if scenario.cautious else {}
+    commanded = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
     memory = robot.init(pose, speed_mps) | dict(
         estimator=estimator.init(choice, dict(zip(QUANTITIES, guess))),
         s=target.project(pose[None, :2])[1],

@@ -64,7 +64,7 @@ OWN = dict(q=(1.0, 2.0, 3.0), r=4.0, speed_mps=0.6, start_offset_m=-0.8, start_y
 GAP = (rhec.Fault(kind="missing", start_s=30.0, duration_s=4.0),)
 
 
-@pytest.mark.parametrize("name", ["rhe", "ekf", "dual", "rhe_robust"])
+@pytest.mark.parametrize("name", ["rhe", "ekf", "dual", "dual_cautious", "rhe_robust"])
 def test_start_is_the_set_up_of_the_scenario_in_every_bit(name):
     own = page.STRUCTURES[name]
     start = functions.build_live(own)["start"]

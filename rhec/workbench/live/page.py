@@ -37,9 +37,10 @@ STRUCTURES = {
     "rhe": {},
     "ekf": dict(estimator="ekf"),
     "dual": dict(estimator="dual"),
+    "dual_cautious": dict(estimator="dual", cautious=True),
     "rhe_faulty": dict(faults=_FAULTY),
     "rhe_robust": dict(faults=_FAULTY, robust=True),
-} | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 20, 30)}
+} | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
 
 
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
@@ -120,7 +121,7 @@ def _world():
         cell_m=texts.CELL_M, grid=simulation.set_up(start).structure.terrain_shape,
         lowest=points.min(axis=0).tolist(), highest=points.max(axis=0).tolist(),
         faults={name: f"({', '.join(map(line_of, of))},)" for name, of in FAULTS.items()},
-        path=np.round(points, 3).tolist(), windows=[5, 10, 15, 20, 30], new_patch=NEW_PATCH,
+        path=np.round(points, 3).tolist(), windows=[5, 10, 15, 30], new_patch=NEW_PATCH,
         scenes={name: _scene(scene, defaults) for name, scene in SCENES.items()},
         defaults=defaults,
     )  # fmt: skip
