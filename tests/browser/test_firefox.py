@@ -1,0 +1,110 @@
+"""The live page in Firefox, where it is installed: the same bits there."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import time
+
+import numpy as np
+import pytest
+from test_live import PAGE
+from test_live import pytestmark as pytestmark
+
+import rhec
+from rhec.columns import COLUMNS
+from rhec.workbench.live.page import SCENES
+
+websocket = pytest.importorskip("websocket", reason="websocket-client is not installed")
+PATIENCE_S = 180
+
+
+class Firefox:
+    """A page in a headless Firefox, asked by WebDriver BiDi."""
+
+    def __init__(self, path, folder):
+        command = [path, "--headless", "--no-remote", "--profile", folder]
+        self._process = subprocess.Popen(
+            [*command, "--remote-debugging-port=0"], stderr=subprocess.DEVNULL
+        )
+        told, begun = folder / "WebDriverBiDiServer.json", time.monotonic()
+        while not (told.exists() and told.stat().st_size):
+            assert time.monotonic() < begun + PATIENCE_S and self._process.poll() is None
+            time.sleep(0.1)
+        url = "ws://{ws_host}:{ws_port}/session".format(**json.loads(told.read_text()))
+        self._socket = websocket.create_connection(url, timeout=PATIENCE_S, suppress_origin=True)
+        self._ask("session.new", capabilities={})
+        (tab,) = self._ask("browsingContext.getTree")["contexts"]
+        self._tab = tab["context"]
+
+    def _ask(self, method, **params):
+        self._socket.send(json.dumps(dict(id=1, method=method, params=params)))
+        while "id" not in (answer := json.loads(self._socket.recv())):
+            pass  # an event
+        assert answer["type"] == "success", answer
+        return answer["result"]
+
+    def open(self, url):
+        self._ask("browsingContext.navigate", context=self._tab, url=url, wait="complete")
+
+    def evaluate(self, expression):
+        """The value of a JavaScript expression, or of its promise."""
+        asked = f"Promise.resolve({expression}).then(value => JSON.stringify(value) ?? 'null')"
+        found = self._ask(
+            "script.evaluate", expression=asked, awaitPromise=True, target=dict(context=self._tab)
+        )
+        assert found["type"] == "success", found
+        return json.loads(found["result"]["value"])
+
+    def close(self):
+        self._socket.close()
+        self._process.terminate()
+        self._process.wait()
+
+
+@pytest.fixture(scope="module")
+def firefox(tmp_path_factory):
+    path = shutil.which("firefox") or shutil.which("firefox-esr")
+    if not path:
+        pytest.skip("no Firefox found on the PATH")
+    firefox = Firefox(path, tmp_path_factory.mktemp("profile"))
+    yield firefox
+    firefox.close()
+
+
+def settled(firefox):
+    """Wait until the page has drawn all that was asked for. Returns its pictures."""
+    firefox.evaluate(
+        """(async () => {
+            while (!page.busy || asked) await new Promise(done => setTimeout(done, 20))
+            await page.busy
+        })()"""
+    )
+    said = firefox.evaluate("document.getElementById('said').textContent")
+    assert re.match(r"\d runs of", said), said
+    return firefox.evaluate("[...document.querySelectorAll('canvas')].map(c => c.toDataURL())")
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_scene_follows_a_slider_with_the_bits_of_its_lines_of_python(firefox, scene):
+    firefox.open("about:blank")  # another fragment alone would not load it anew
+    firefox.open(f"{PAGE.as_uri()}#{scene}")
+    before = settled(firefox)
+    firefox.evaluate(
+        """(input => (input.value = 0.44, input.dispatchEvent(new Event('input', {bubbles: true})),
+        0))(document.querySelector('[data-scene]:not([hidden]) input[data-field=speed_mps]'))"""
+    )
+    assert settled(firefox) != before
+    lines = firefox.evaluate("document.getElementById('line').textContent").splitlines()
+    assert len(lines) == len(SCENES[scene]["runs"]) and "speed_mps=0.44" in lines[0]
+    for i, line in enumerate(lines):
+        bits = firefox.evaluate(
+            f"""(loop => btoa(Array.from(new Uint8Array(
+            loop.at_row.slice(0, loop.samples * loop.wide).buffer),
+            byte => String.fromCharCode(byte)).join("")))(page.loops[{i}])"""
+        )
+        rows = np.frombuffer(base64.b64decode(bits)).reshape(-1, len(COLUMNS))
+        native = eval(line, dict(rhec=rhec)).columns
+        expected = np.column_stack([native[name] for name in COLUMNS]).astype(float)
+        assert np.array_equal(rows, expected, equal_nan=True), line
