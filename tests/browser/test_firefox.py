@@ -23,14 +23,10 @@ PATIENCE_S = 180
 class Firefox:
     """A page in a headless Firefox, asked by WebDriver BiDi."""
 
-    def __init__(self, path, folder):
-        command = [path, "--headless", "--no-remote", "--profile", folder]
-        self._process = subprocess.Popen(
-            [*command, "--remote-debugging-port=0"], stderr=subprocess.DEVNULL
-        )
+    def __init__(self, process, folder):
         told, begun = folder / "WebDriverBiDiServer.json", time.monotonic()
         while not (told.exists() and told.stat().st_size):
-            assert time.monotonic() < begun + PATIENCE_S and self._process.poll() is None
+            assert process.poll() is None and time.monotonic() < begun + PATIENCE_S
             time.sleep(0.1)
         url = "ws://{ws_host}:{ws_port}/session".format(**json.loads(told.read_text()))
         self._socket = websocket.create_connection(url, timeout=PATIENCE_S, suppress_origin=True)
@@ -57,20 +53,19 @@ class Firefox:
         assert found["type"] == "success", found
         return json.loads(found["result"]["value"])
 
-    def close(self):
-        self._socket.close()
-        self._process.terminate()
-        self._process.wait()
-
 
 @pytest.fixture(scope="module")
 def firefox(tmp_path_factory):
     path = shutil.which("firefox") or shutil.which("firefox-esr")
     if not path:
         pytest.skip("no Firefox found on the PATH")
-    firefox = Firefox(path, tmp_path_factory.mktemp("profile"))
-    yield firefox
-    firefox.close()
+    folder = tmp_path_factory.mktemp("profile")
+    command = [path, "--headless", "--no-remote", "--profile", folder, "--remote-debugging-port=0"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield Firefox(process, folder)
+        finally:
+            process.terminate()
 
 
 def settled(firefox):
