@@ -209,8 +209,7 @@ def set_up(scenario):
         period_m=target.period_m, backwards=float(scenario.backwards), Q=np.array(scenario.q),
         QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r,
         lower=-scenario.omega_max_radps, upper=scenario.omega_max_radps, speed_mps=speed_mps,
-        command_delay=float(scenario.command_delay), origin_m=np.array(soil.origin_m),
-        cell_m=soil.cell_m, slip=terrain.flat(soil, shape), mean_traction=soil.mean,
+        command_delay=float(scenario.command_delay), **terrain.settings(soil, shape),
     )  # fmt: skip
     structure = _LoopStructure(
         choice, scenario.prediction_horizon, scenario.qp, scenario.input_reference,

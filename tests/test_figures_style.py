@@ -122,11 +122,13 @@ def test_style_stays_inside_its_figures():
     }
 
 
-def test_saving_leaves_the_layout_alone(tmp_path):
+def test_after_saving_the_layout_stands(tmp_path):
     for figure in (parabola(), robot_drawings.schematic()):
-        layout = type(figure.get_layout_engine())
         style.save(figure, "figure", folder=tmp_path)
-        assert type(figure.get_layout_engine()) is layout
+        placed = [axes.get_position().bounds for axes in figure.axes]
+        assert figure.get_layout_engine() is None
+        figure.draw_without_rendering()
+        assert [axes.get_position().bounds for axes in figure.axes] == placed
 
 
 @pytest.mark.parametrize("draw", DRAWINGS)

@@ -160,6 +160,20 @@ def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
     same(table[::2], good)
 
 
+def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):
+    own = rhec.Terrain.uniform(0.9, 0.7), rhec.Terrain.uniform(0.7, 0.9)
+    kinds = [dict(q=(1.0, 1.0, 10.0)), *(dict(terrain=soil) for soil in own)]
+    kinds += [dict(start_offset_m=offset) for offset in (0.0, -0.0)]
+    scenarios = [
+        dataclasses.replace(SMALL, **kind, seed=seed) for seed in range(3) for kind in kinds
+    ]
+    set_up, made = simulation.set_up, []
+    monkeypatch.setattr(simulation, "set_up", lambda each: made.append(each) or set_up(each))
+    table = rhec.campaign(scenarios, workers=1)
+    assert len(made) == len(kinds)
+    same(table, scenarios)
+
+
 def test_what_has_no_lanes_runs_one_by_one(always):
     """A QP solver's C is no C++ for lanes."""
     scenarios = [dataclasses.replace(SMALL, qp="daqp", seed=seed) for seed in range(3)]

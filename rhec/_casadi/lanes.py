@@ -154,10 +154,14 @@ class _Block:
         return self._arrays[name]
 
     def side_by_side(self, name, values, *shape):
-        """The array of this name with the lanes' values, of which some may be shorter."""
-        array = self.array(name, *shape)
-        for lane, value in enumerate(values):
-            array[: len(value), ..., lane] = value
+        """The array of this name with the lanes' values, of which some may be shorter; one that all
+        have in common is laid out at once.
+        """
+        array, given = self.array(name, *shape), enumerate(values)
+        if all(value is values[0] for value in values):
+            given = [(slice(None), values[0][..., None])]
+        for lanes, value in given:
+            array[: len(value), ..., lanes] = value
         return array
 
     def give(self, place, array):
@@ -185,7 +189,9 @@ def _scan(block, memories, streams, settings):
     first, each, given = ([*of, *of[-1:] * idle] for of in (memories, streams, settings))
     memory_name, _, *names = block.sizes
     for place, name in enumerate(names, 2):
-        values = (np.ravel(run[name], order="F") for run in given)
+        values = [run[name] for run in given]
+        flat = {id(each): np.ravel(each, order="F") for each in values}
+        values = [flat[id(each)] for each in values]
         block.give(place, block.side_by_side(name, values, block.sizes[name]))
     memory = block.side_by_side("first", first, block.sizes[memory_name])
     samples = -(-max(map(len, streams)) // block.length) * block.length

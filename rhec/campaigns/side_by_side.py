@@ -4,9 +4,11 @@ import contextlib
 import functools
 import itertools
 import operator
+from dataclasses import replace
 
 from rhec import paper, simulation
 from rhec._casadi import lanes
+from rhec.tracked_robot import terrain
 
 __all__ = [
     "compile_lanes", "in_parts", "n_samples", "run_each", "run_in_lanes", "samples_alike",
@@ -24,6 +26,15 @@ _ALIKE = operator.attrgetter(
     "estimator", "estimation_horizon", "speed_model", "arrival_mean", "robust",
     "prediction_horizon", "qp", "input_reference", "cautious",
 )  # fmt: skip
+
+
+_PLAIN = {bool, int, float, str, tuple, type(None)}
+
+
+def _all_but_seed(scenario):
+    """What two scenarios have in common that differ in their seed alone, while both are there."""
+    given = vars(scenario) | dict(seed=None)
+    return repr([each if type(each) in _PLAIN else id(each) for each in given.values()])
 
 
 def n_samples(scenario):
@@ -45,16 +56,17 @@ def in_parts(scenarios, samples):
     """Cut {key: scenario} into parts of about so many samples, otherwise in the order given.
 
     Near each other are as many seeds as there are lanes, whose runs share fields and noise, and
-    among their runs those that share a loop.
+    among their runs those that share a loop, and all but the seed.
     """
-    known, seeds = {}, {}
+    known, families, seeds = {}, {}, {}
     for scenario in scenarios.values():
         known.setdefault(_ALIKE(scenario), len(known))
+        families.setdefault(_all_but_seed(scenario), len(families))
         seeds.setdefault(scenario.seed, len(seeds))
 
     def place(item):
-        seed = seeds[item[1].seed]
-        return seed // _MOST_LANES, known[_ALIKE(item[1])], seed
+        seed, family = seeds[item[1].seed], families[_all_but_seed(item[1])]
+        return seed // _MOST_LANES, known[_ALIKE(item[1])], family, seed
 
     ordered = sorted(scenarios.items(), key=place)
     before = itertools.accumulate((n_samples(each) for _, each in ordered), initial=0)
@@ -79,13 +91,14 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
 
     Not those that fail: `simulate` says why. alike: see `samples_alike`, of the whole campaign.
     """
-    blocks, waiting, done = {}, {}, {}
+    blocks, waiting, done, setups = {}, {}, {}, {}
     noise = functools.cache(simulation.noise_and_faults)
     if alike < _WORTH_USING:
         return done
     for key, scenario in scenarios.items():
         with contextlib.suppress(Exception):
-            setup, samples = simulation.set_up(scenario), n_samples(scenario)
+            family, samples = _all_but_seed(scenario), n_samples(scenario)
+            setup = setups[family] = _set_up(scenario, setups.get(family))
             if setup.structure not in blocks:
                 blocks[setup.structure] = _block(setup.structure, alike)
             block = blocks[setup.structure]
@@ -98,6 +111,15 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
         with contextlib.suppress(Exception):
             done |= _run(blocks[structure], samples, group, noise, of)
     return done
+
+
+def _set_up(scenario, alike):
+    """`simulation.set_up`, from the Setup of one alike but for its seed, if there is one."""
+    if alike is None:
+        return simulation.set_up(scenario)
+    soil = scenario.terrain or terrain.random_for(scenario, alike.path)
+    on_soil = terrain.settings(soil, alike.structure.terrain_shape)
+    return replace(alike, settings=alike.settings | on_soil, terrain=soil)
 
 
 def run_each(scenarios, alike, of):

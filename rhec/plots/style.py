@@ -155,6 +155,7 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     # savefig gives a figure without a layout the default one, which must be none here
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
         figure.savefig(png, metadata=about | {"Creator": f"rhec {__version__}"})
+        figure.set_layout_engine(None)  # it stands, and takes as long as to draw
         figure.savefig(png.with_suffix(".pdf"), metadata=about | {"CreationDate": None})
     return png
 

@@ -37,6 +37,7 @@ STANDARD_FIELDS = next(
 __all__ = [
     "CELLS_PER_LENGTH", "LOWEST", "QUANTILES", "STANDARD_FIELDS", "Terrain", "beta_quantiles",
     "bilinear", "common_shape", "flat", "gaussian_fields", "lookup", "random_for",
+    "settings",
 ]  # fmt: skip
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
@@ -252,6 +253,12 @@ def flat(terrain, shape=None):
     fields[:, rows:, :columns] = fields[:, rows - 1 : rows, :columns]
     fields[:, :, columns:] = fields[:, :, columns - 1 : columns]
     return fields.ravel(order="F")
+
+
+def settings(terrain, shape):
+    """What a run's loop must be told of its soil, on a grid of this shape, by name."""
+    place = dict(origin_m=np.array(terrain.origin_m), cell_m=terrain.cell_m)
+    return place | dict(slip=flat(terrain, shape), mean_traction=terrain.mean)
 
 
 def common_shape(terrain, step=160):
