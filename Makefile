@@ -19,9 +19,10 @@ clean-explored := figures/explored
 clean-embedded := build/embedded
 clean-benchmarks := figures/bench_*
 
-# Two notebooks at a time; several goals at once stay in the order given.
-ifeq ($(words $(MAKECMDGOALS))$(filter-out figures studies report,$(MAKECMDGOALS)),1)
+# Two notebooks at a time, each on half of the cores; other goals stay in the order given.
+ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
 MAKEFLAGS += -j2
+export PYTHON_CPU_COUNT ?= $(shell echo $$((($$(getconf _NPROCESSORS_ONLN) + 1) / 2)))
 endif
 
 .PHONY: help figures studies claims report lab replay recordings replay-table calibrate campaign \
@@ -32,7 +33,7 @@ help: ## list what can be made
 
 ##@ The paper
 figures: $(call executed,$(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
-studies: $(call executed,$(STUDIES)) ## what goes beyond them: claims, faults, replay … (minutes)
+studies: $(call executed,claims $(STUDIES)) ## what goes beyond them: claims, faults, replay … (minutes)
 figures studies:
 	@$(if $(filter $^,$(made)),$(PY) -m rhec.workbench.results)
 	@echo '$@: $(if $(filter $^,$(made)),made,everything is up to date)'
@@ -157,11 +158,11 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	@$(PY) -m rhec.workbench.notebook $<
 	$(eval made += $@)
 
-# What measures time runs alone; in a report, the paper's figures come before the studies.
+# What measures time runs alone; made with studies, the paper's figures come before them.
 TIMED := $(call executed,computation_times embedded)
 $(call executed,computation_times): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
 $(call executed,embedded): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
-ifneq ($(filter report test-browser,$(MAKECMDGOALS)),)
+ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
 $(call executed,$(STUDIES)): | $(call executed,computation_times)
 endif
 

@@ -24,6 +24,7 @@ import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from dask.system import CPU_COUNT
 
 import rhec
 from rhec._casadi import compiled
@@ -879,3 +880,12 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     keys = kept.keys() | set(map(store.scenario_key, drives))
     assert "5 runs, 0 failed" in again.stdout and store.load_rows(rows).keys() == keys
     assert sum(pq.read_metadata(file).num_rows for file in rows.glob("*.parquet")) == len(keys)
+
+
+@pytest.mark.parametrize("told, cores", [("3", 3), ("", CPU_COUNT), ("default", CPU_COUNT)])
+def test_a_campaign_takes_as_many_cores_as_python_is_told(monkeypatch, told, cores):
+    monkeypatch.setenv("PYTHON_CPU_COUNT", told)
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+    monkeypatch.setattr(workers, "local_cluster", lambda n: n)
+    with workers.dask_client(None, large=True) as client:
+        assert client == (cores if cores > 1 else None)

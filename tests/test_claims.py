@@ -353,6 +353,16 @@ def test_each_argument_has_its_answer_in_order(n):
     assert run_sets.each(list, list(range(n)), at_once=20) == list(range(n))
 
 
+def test_studies_have_their_runs_in_order():
+    """However they are put beside each other to share fields and noise."""
+    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
+    asked = [
+        rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2) for q in ((1, 1, 0), (1, 1, 5))
+    ]
+    found = run_sets.of_runs(run_sets.measured, asked)
+    assert found == [run_sets.measured(rhec.simulate(each)) for each in asked]
+
+
 # What is measured
 
 

@@ -26,7 +26,7 @@ from rhec.simulation import simulate
 
 __all__ = ["campaign"]
 
-_LARGE = 500_000  # samples that take one core longer than local workers take to start
+_LARGE = 2_000_000  # samples that take one core longer than local workers take to start
 
 
 if TYPE_CHECKING:

@@ -22,8 +22,16 @@ def dask_client(workers, large):
     if workers is None and os.environ.get("DASK_SCHEDULER_ADDRESS"):
         return _connected(os.environ["DASK_SCHEDULER_ADDRESS"])
     if workers is None and large and importlib.util.find_spec("distributed"):
-        from dask.system import CPU_COUNT as workers
+        workers = _cores()
     return contextlib.nullcontext(None if workers in (None, 1) else local_cluster(workers))
+
+
+def _cores():
+    """How many this process may use: as PYTHON_CPU_COUNT tells Python from 3.13 on, or all."""
+    from dask.system import CPU_COUNT
+
+    told = os.environ.get("PYTHON_CPU_COUNT", "")
+    return int(told) if told.isdigit() else CPU_COUNT
 
 
 def _connected(address):

@@ -34,8 +34,8 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
     "DUAL", "EVALUATIONS", "LEAST", "MOST", "SETTLED_S", "TRAINING_SEEDS", "UNKNOWNS", "calibrate",
-    "deviance", "oracle_runs", "run_estimator", "scan_arguments", "search", "tracking_error_m",
-    "tune_for_tracking",
+    "columns", "deviance", "oracle_runs", "run_estimator", "scan_arguments", "search",
+    "tracking_error_m", "tune_for_tracking",
 ]  # fmt: skip
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
@@ -76,17 +76,22 @@ def _build_scan(outputs, choice):
     return scan.build_scan(ca.Function("recorded", *signals, *names, options))
 
 
+def columns(run, names):
+    """Columns of a run's log, (n, names); pandas takes longer than the estimators that use them."""
+    return np.array([run.columns[name] for name in names]).T
+
+
 def scan_arguments(scenario, run, *outputs):
     """Arguments of `scan.scan` for these outputs of the scenario's estimator on the measurements of
     a run; it starts where the robot is.
     """
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
-    guess = (*run.log.loc[0, POSE], run.scenario.speed_mps, 1.0, 1.0)
+    guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
-    true = run.log[["mu", "kappa"]].to_numpy()
+    true = columns(run, ["mu", "kappa"])
     traction = np.broadcast_to(known_traction(estimator.given, run.terrain.mean, true), true.shape)
-    stream = np.hstack([run.log[MEASUREMENTS], traction])
+    stream = np.hstack([columns(run, MEASUREMENTS), traction])
     return compiled.load(_build_scan, outputs, choice), memory, stream, estimator.settings(scenario)
 
 

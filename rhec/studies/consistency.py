@@ -79,15 +79,15 @@ def measure(scenario, runs):
         estimate, covariance = np.split(row, [6], axis=1)
         n_x = round(np.sqrt(covariance.shape[1]))
         P = covariance.reshape(-1, n_x, n_x)
-        error = estimate[:, :n_x] - run.log[TRUTH[:n_x]].to_numpy()
-        residuals = run.log[MEASUREMENTS[:3]].to_numpy() - estimate[:, places]
+        error = estimate[:, :n_x] - calibration.columns(run, TRUTH[:n_x])
+        residuals = calibration.columns(run, MEASUREMENTS[:3]) - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)
         nees = normalised_squared(error, P)
         nis_position = normalised_squared(y[:, :2], S[:, :2, :2])
         nis_speed = normalised_squared(y[:, 2:], S[:, 2:, 2:])
         scaled = error / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         results.append((scaled, nees, nis_position, nis_speed))
-    return Consistency(run.log["t_s"].to_numpy(), *(np.array(values) for values in zip(*results)))
+    return Consistency(run.columns["t_s"], *(np.array(values) for values in zip(*results)))
 
 
 def stated(run):

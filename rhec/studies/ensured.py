@@ -15,10 +15,9 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.campaigns.side_by_side import run_each
 from rhec.metrics import metrics
 from rhec.scenario import Scenario
-from rhec.studies.claims.run_sets import each
+from rhec.studies.claims.run_sets import of_runs
 from rhec.studies.statistics import over_seeds, share, verdict
 from rhec.tracked_robot.path import Path
 
@@ -40,7 +39,6 @@ SOILS = {
     "wet patches": dict(patches=_WET),
 }
 PROMISES = dict(whole="whole path", rows="rows", corners="corners on rows")
-_AT_ONCE, _WORTH_LANES = 96, 1_000_000
 
 
 class _Lap(NamedTuple):
@@ -74,7 +72,7 @@ def _laps(scenarios):
     scenarios = [
         dataclasses.replace(scenario, duration_s=_longest_s(scenario)) for scenario in scenarios
     ]
-    return pd.DataFrame(each(_in_lanes, scenarios, at_once=_AT_ONCE))
+    return pd.DataFrame(of_runs(lap, scenarios))
 
 
 def _longest_s(scenario):
@@ -82,10 +80,6 @@ def _longest_s(scenario):
     path = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
     pace_mps = scenario.mu_mean * scenario.speed_mps
     return (1.5 if scenario.cautious else 1.2) * path.length_m / pace_mps
-
-
-def _in_lanes(scenarios):
-    return run_each(scenarios, _WORTH_LANES, lap)
 
 
 def drives(soils, estimators, modes, speeds_mps, **fields):

@@ -2,6 +2,8 @@
 and start.
 """
 
+import functools
+
 from rhec import paper
 from rhec._casadi.build import select_inputs, unpack_array
 from rhec._casadi.compiled import BufferedFunction
@@ -10,6 +12,11 @@ from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import terrain
 
 __all__ = ["LiveRobot"]
+
+
+@functools.cache
+def _functions(shape):
+    return robot.measure(paper.DT_S), robot.drive(paper.DT_S), terrain.lookup(shape)
 
 
 class LiveRobot:
@@ -22,8 +29,7 @@ class LiveRobot:
         self.setup = set_up(scenario)
         self._noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
         shape = terrain.common_shape(self.setup.terrain)
-        functions = robot.measure(paper.DT_S), robot.drive(paper.DT_S), terrain.lookup(shape)
-        self._measure, self._drive, self._slip = map(BufferedFunction, functions)
+        self._measure, self._drive, self._slip = map(BufferedFunction, _functions(shape))
         for call in (self._measure, self._drive, self._slip):
             call.set(**select_inputs(call.function, self.setup.settings))
         memory = self.setup.unpack(self.setup.memory)

@@ -7,6 +7,7 @@ LOGS need what only each sample shows.
 """
 
 import itertools
+from functools import partial
 from types import SimpleNamespace
 
 import casadi as ca
@@ -15,7 +16,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.campaigns.campaign import campaign
-from rhec.campaigns.side_by_side import n_samples, run_each
+from rhec.campaigns.side_by_side import in_parts, run_each, samples_alike, size_of_task
 from rhec.campaigns.workers import dask_client, run_on
 from rhec.metrics import rms
 from rhec.scenario import Scenario
@@ -24,7 +25,7 @@ from rhec.tracked_robot.terrain import Terrain
 
 __all__ = [
     "LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "WORLDS", "complete", "drive", "each",
-    "lag_s", "logs", "measured", "runs", "scenarios"
+    "lag_s", "logs", "measured", "of_runs", "runs", "scenarios"
 ]  # fmt: skip
 
 PROCESS_NOISES = ("printed", "calibrated")
@@ -182,15 +183,26 @@ def complete(table):
 def logs(seeds, ids=tuple(LOGS), process_noises=PROCESS_NOISES, world=None, part=_LOGS_SHARE):
     """Metrics of LOGS on a part of the fields and what is `measured` beside them, as `runs`."""
     asked = _asked({id_: LOGS[id_] for id_ in ids}, part * seeds, process_noises, world)
-    rows = iter(each(_all_measured, list(itertools.chain(*asked.values())), at_once=40))
+    rows = iter(of_runs(measured, list(itertools.chain(*asked.values()))))
     return _by_noise(
         {name: pd.DataFrame([next(rows) for _ in every]) for name, every in asked.items()}
     )
 
 
-def _all_measured(scenarios):
-    alike = 5 * sum(map(n_samples, scenarios))  # as many more wait in other parts
-    return run_each(scenarios, alike, measured)
+def of_runs(of, scenarios):
+    """`of` the Run of each scenario, in their order: something that is true, by a function that
+    other processes find.
+    """
+    alike = samples_alike(scenarios)
+    parts = [*in_parts(dict(enumerate(scenarios)), size_of_task(alike))]
+    found = each(partial(_of_part, alike=alike, of=of), parts)
+    found = {place: row for part in found for place, row in part.items()}
+    return [found[place] for place in range(len(scenarios))]
+
+
+def _of_part(parts, alike, of):
+    (part,) = parts
+    return [dict(zip(part, run_each(part.values(), alike, of)))]
 
 
 def each(function, arguments, at_once=1):
@@ -258,5 +270,6 @@ def lag_s(estimate, truth, most_s=10.0):
     to most_s.
     """
     shifts = range(round(most_s / paper.DT_S) + 1)
-    left = [rms(estimate[shift:] - truth[: len(truth) - shift]) for shift in shifts]
+    off = (estimate[shift:] - truth[: len(truth) - shift] for shift in shifts)
+    left = [each @ each / len(each) for each in off]
     return paper.DT_S * int(np.argmin(left))
