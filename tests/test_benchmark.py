@@ -2,6 +2,8 @@
 time is asserted.
 """
 
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -116,7 +118,7 @@ def test_spread_is_the_quartiles():
 
 def test_the_step_is_measured_and_drawn(monkeypatch):
     monkeypatch.setattr(step, "SAMPLES", 20)
-    agreeing, table = step.measure(rounds=2)
+    agreeing, table = step.measure(rounds=2, counted=False)
     whole = table[table["problem"].isin(step.WHOLE)].set_index("contestant")
     assert set(whole.index) == {
         "rhec, closed loop",
@@ -124,7 +126,7 @@ def test_the_step_is_measured_and_drawn(monkeypatch):
         "rhec, in C",
         "rhec, to convergence",
         *peers.PEERS,
-        *([acados_peer.NAME] if acados_peer.command() else []),
+        *(acados_peer.NAMES.values() if acados_peer.command() else []),
     }
     assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
     if step.REFERENCE in peers.PEERS:
@@ -182,6 +184,18 @@ def test_instructions_a_call_are_read_from_callgrinds_file(tmp_path):
     profile = tmp_path / "callgrind.out"
     profile.write_text(CALLGRIND)
     assert instructions.per_call(profile) == {"rhe_feedback": 250, "block": 32}
+
+
+@pytest.mark.skipif(not instructions.available(), reason="valgrind is not installed")
+def test_only_what_is_asked_for_is_counted(tmp_path):
+    library = instructions.counter(tmp_path)
+    script = f"import ctypes; c = ctypes.CDLL({library!r}); work = lambda n: sum(range(n))"
+    for n in (100, 10_000, 20_000):
+        script += f"; work(100000); c.begin(); work({n}); c.end(b'{n}')"
+    command = [sys.executable, "-c", script]
+    profiles = instructions.below_callgrind(tmp_path, command)
+    few, some, more = (instructions.total(profiles[str(n)]) for n in (100, 10_000, 20_000))
+    assert few < some / 2 and 0.9 < (more - few) / (some - few) / (19_900 / 9_900) < 1.1
 
 
 def test_the_worst_case_is_at_least_every_percentile():

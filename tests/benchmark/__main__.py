@@ -1,7 +1,6 @@
 """`python -m benchmark [part …]`: measure, print, and leave tables and pictures in figures/."""
 
 import argparse
-import shutil
 
 from benchmark import (
     acados_peer,
@@ -50,9 +49,11 @@ def measure_step(_):
     report(
         table,
         "step",
-        "Time of one step in microseconds, quartiles over blocks that take turns",
+        "Time of one step in microseconds, quartiles over blocks that take turns, and instructions",
         drawings.step,
     )
+    if not instructions.available():
+        print("\nvalgrind is not installed, so no instructions were counted.")
 
 
 def measure_any_robot(_):
@@ -81,17 +82,6 @@ def measure_horizon(_):
         "Time of one step in microseconds by number of intervals",
         drawings.horizon,
     )
-
-
-def measure_instructions(_):
-    if shutil.which("valgrind"):
-        report(
-            instructions.measure(),
-            "instructions",
-            "Instructions per step of the compiled code, counted by callgrind",
-        )
-    else:
-        print("\nvalgrind is not installed, so no instructions were counted.")
 
 
 def measure_tails(arguments):
@@ -128,7 +118,6 @@ PARTS = dict(
     step=measure_step,
     any_robot=measure_any_robot,
     horizon=measure_horizon,
-    instructions=measure_instructions,
     tails=measure_tails,
     start=measure_start,
     campaign=measure_campaign,

@@ -13,7 +13,8 @@ from benchmark import peers
 from rhec import paper
 from rhec.studies.timing import PHASES
 
-NAME, SHARE, ITERATIONS = "acados, in C", 50, 30
+ITERATIONS = 30
+NAMES = {"step by step": "acados in C, step by step", "as it comes": "acados in C"}
 _OWN_PYTHON = Path(__file__).parents[2] / ".venv" / "acados" / "bin" / "python"
 
 
@@ -28,37 +29,58 @@ def command():
 
 
 class Acados:
-    """Solvers of both problems, built for these problems in a folder of their own."""
+    """Solvers of both problems, chosen and built for these problems in a folder of their own."""
 
-    def __init__(self, recorded):
-        python, environment = command()
+    def __init__(self, recorded, tolerance):
+        python, self._environment = command()
         self._folder, self._count = tempfile.TemporaryDirectory(), len(recorded)
         data = dict(zip(recorded[0]._fields, map(np.array, zip(*recorded))))
         data |= dict(dt_s=paper.DT_S, weights=peers.WEIGHTS, Q=peers.Q, QN=peers.QN, R=paper.R)
         path = Path(self._folder.name, "problems.npz")
-        np.savez(path, omega_max=paper.OMEGA_MAX_RADPS, **data)
+        np.savez(path, omega_max=paper.OMEGA_MAX_RADPS, tolerance=tolerance, **data)
         script = Path(__file__).with_name("acados_solver.py")
-        self._process = subprocess.Popen(
-            [python, script, path, self._folder.name], env=environment, text=True,
+        self._command = [python, script, path, self._folder.name]
+        self._process = self._start(self._command)
+        self.ways, self.chosen = self._hear(self._process)
+
+    def _start(self, command):
+        return subprocess.Popen(
+            command, env=self._environment, text=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        self.qp_solvers = json.loads(self._process.stdout.readline())
+
+    def _hear(self, process):
+        return json.loads(process.stdout.readline())
 
     def _ask(self, **question):
         print(json.dumps(question), file=self._process.stdin, flush=True)
-        return json.loads(self._process.stdout.readline())
+        return self._hear(self._process)
 
-    def answers(self):
+    def answers(self, way):
         """Pairs (estimate, plan) at convergence."""
-        found = self._ask(begin=0, count=self._count, iterations=ITERATIONS)
+        found = self._ask(way=way, begin=0, end=self._count, iterations=ITERATIONS)
         return [tuple(map(np.array, pair)) for pair in found]
 
-    def block(self, number):
-        """A contestant's block: one real-time iteration a problem."""
-        share = min(SHARE, self._count)
-        begin = share * number % (self._count - share + 1)
-        rhe, rhc = self._ask(begin=begin, count=share)
-        return dict(zip(PHASES, (*rhe[:2], *rhc[:2])))
+    def block(self, way):
+        """A contestant's block: one real-time iteration of each problem."""
+
+        def times(_):
+            rhe, rhc = self._ask(way=way, begin=0, end=self._count)
+            return dict(zip(PHASES, (*rhe, *rhc)))
+
+        return times
+
+    def counting(self, library, begin, end):
+        """What to run, and with which options, so that callgrind counts these problems: each way
+        and problem by the name of the contestant and of the problem.
+        """
+        asked = [
+            dict(way=way, begin=begin, end=end, library=library, name=NAMES[way])
+            for way in self.ways
+        ]
+        command = [*self._command, json.dumps(self.chosen)]
+        lines = "\n".join(map(json.dumps, asked))
+        return command, dict(env=self._environment, input=lines, text=True)
 
     def close(self):
         """End its process."""

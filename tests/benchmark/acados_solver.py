@@ -1,38 +1,53 @@
 """acados on the benchmark's problems, in a process and an environment of its own.
 
-`python acados_solver.py problems.npz folder`: builds its solvers in the folder, then answers each
-line {"count": n, "begin": i} of its standard input with one line of JSON: with "iterations" the
-answers after so many, else the microseconds that one real-time iteration a problem took. The
-arrival cost, the weights and the windows are data, as for all others.
+`python acados_solver.py problems.npz folder`: builds solvers in the folder, chooses the fastest
+that find the answers, and prints the ways to call them and the choice; then it answers each line
+{"way": one of those ways, "begin": i, "end": k} of its standard input with one line of JSON: with
+"iterations" the answers after so many, else the microseconds of one real-time iteration; with
+"library" callgrind counts them as "name". With the choice of an earlier process as a third argument
+nothing is built. The arrival cost, the weights and the windows are data, as for all others.
 """
 
 import ctypes
+import itertools
 import json
 import os
+import re
+import subprocess
 import sys
-import time
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
 try:
     from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
+
+    ACADOS, WHEEL = Path(os.environ["ACADOS_SOURCE_DIR"]), False
 except ImportError:  # as the wheel has it
     import acados
 
+    ACADOS, WHEEL = Path(acados.DIR), True
     os.environ["ACADOS_SOURCE_DIR"], os.environ["TERA_PATH"] = acados.DIR, acados.TERA_PATH
     os.environ["ACADOS_PYTHON_INTERFACE_PATH"] = acados.TEMPLATE_DIR
     for library in ("libblasfeo.so", "libhpipm.so", "libqpOASES_e.so.3.1", "libacados.so"):
         ctypes.CDLL(os.path.join(acados.LIB_DIR, library), ctypes.RTLD_GLOBAL)
     from acados.acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
-# The fastest of these on these problems is the one that is timed.
-QP_SOLVERS = (
-    "FULL_CONDENSING_DAQP",
-    "FULL_CONDENSING_HPIPM",
-    "PARTIAL_CONDENSING_HPIPM",
-    "FULL_CONDENSING_QPOASES",
+# What is tried: options to build with, and for HPIPM options of the call. What finds all answers
+# and is fastest is what is timed.
+BUILDS = (
+    dict(qp_solver="FULL_CONDENSING_DAQP"),
+    dict(qp_solver="FULL_CONDENSING_QPOASES"),
+    *(
+        dict(qp_solver="FULL_CONDENSING_HPIPM", hpipm_mode=mode)
+        for mode in ("SPEED_ABS", "SPEED", "BALANCE")
+    ),
+    dict(qp_solver="PARTIAL_CONDENSING_HPIPM", hpipm_mode="SPEED_ABS", qp_solver_cond_N=3),
 )
+WARM_STARTS, QP_TOLERANCES = (0, 1, 2, 3), (1e-6, 1e-8, 1e-10)
+TOLERANCES = ("qp_tol_stat", "qp_tol_eq", "qp_tol_ineq", "qp_tol_comp")
+ROUNDS, ITERATIONS = 5, 15
 POSE_SPEED = np.eye(6)[[0, 1, 3]]  # of s = (x, y, θ, ν, μ, κ)
 
 
@@ -41,7 +56,7 @@ def runge_kutta(f, s, u, dt_s):
     k2 = f(s + dt_s / 2 * k1, u)
     k3 = f(s + dt_s / 2 * k2, u)
     k4 = f(s + dt_s * k3, u)
-    return s + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.cse(s + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4))  # two of the four angles are one
 
 
 def track_motion(s, omega):
@@ -51,7 +66,7 @@ def track_motion(s, omega):
     )
 
 
-def problem(name, data, qp_solver):
+def problem(name, data, build):
     """What both have in common: the robot, the horizon, real-time iterations."""
     ocp, model = AcadosOcp(), AcadosModel()
     s, omega = ca.SX.sym("s", 6), ca.SX.sym("omega")
@@ -60,9 +75,10 @@ def problem(name, data, qp_solver):
     ocp.model, ocp.dims.N = model, len(data["omega_ref"][0])
     options = ocp.solver_options
     options.integrator_type, options.nlp_solver_type = "DISCRETE", "SQP_RTI"
-    options.hessian_approx, options.qp_solver = "GAUSS_NEWTON", qp_solver
-    options.qp_solver_warm_start, options.hpipm_mode = 1, "SPEED"
+    options.hessian_approx = "GAUSS_NEWTON"
     options.tf = float(ocp.dims.N)  # costs are weighted by the length of a step: 1
+    for name, value in build.items():
+        setattr(options, name, value)
     cost = ocp.cost
     cost.cost_type = cost.cost_type_0 = cost.cost_type_e = "LINEAR_LS"
     return ocp
@@ -78,134 +94,187 @@ def least_squares(ocp, stage, Vx, Vu, W):
     setattr(cost, f"yref{stage}", np.zeros(len(Vx)))
 
 
-class Estimator:
+# Both problems: the optimal control problem; what each problem gives to its stages, as (stage,
+# field, one row a problem); and which answer is looked at.
+
+
+def estimation(data, build):
     """Measurement i + 1 belongs to node i + 1 and, as its yaw rate, to interval i."""
+    ocp, weights = problem("rhe", data, build), np.diag(data["weights"])
+    first = np.vstack([np.eye(6), POSE_SPEED, np.zeros(6)])
+    least_squares(ocp, "_0", first, [0] * 9 + [1], np.eye(10))
+    least_squares(ocp, "", np.vstack([POSE_SPEED, np.zeros(6)]), [0, 0, 0, 1], weights)
+    least_squares(ocp, "_e", POSE_SPEED, [], weights[:3, :3])
+    bounds = ocp.constraints
+    bounds.idxbx_e, bounds.lbx_e, bounds.ubx_e = np.array([4, 5]), np.zeros(2), np.ones(2)
 
-    def __init__(self, data, qp_solver, folder):
-        self.data, self.N = data, len(data["omega_ref"][0])
-        self.weights = np.diag(data["weights"])
-        ocp = problem("rhe", data, qp_solver)
-        first = np.vstack([np.eye(6), POSE_SPEED, np.zeros(6)])
-        least_squares(ocp, "_0", first, [0] * 9 + [1], np.eye(10))
-        within = np.vstack([POSE_SPEED, np.zeros(6)])
-        least_squares(ocp, "", within, [0, 0, 0, 1], self.weights)
-        least_squares(ocp, "_e", POSE_SPEED, [], self.weights[:3, :3])
-        bounds = ocp.constraints
-        bounds.idxbx_e, bounds.lbx_e, bounds.ubx_e = np.array([4, 5]), np.zeros(2), np.ones(2)
-        self.solver = build(ocp, folder)
-        for node in range(self.N + 1):
-            self.solver.set(node, "x", data["estimate"][0])
-
-    def give(self, k):
-        z, solver, W = self.data["z"][k], self.solver, np.zeros((10, 10))
-        W[:6, :6], W[6:, 6:] = self.data["H"][k], self.weights
-        solver.cost_set(0, "W", W, api="new")
-        solver.cost_set(0, "yref", np.concatenate([self.data["m"][k], z[:3, 0], z[3:, 1]]))
-        for i in range(1, self.N):
-            solver.cost_set(i, "yref", np.append(z[:3, i], z[3, i + 1]))
-        solver.cost_set(self.N, "yref", z[:3, self.N])
-
-    def answer(self):
-        return self.solver.get(self.N, "x")
+    z, m, N = data["z"], data["m"], ocp.dims.N
+    W = np.zeros((len(z), 10, 10))
+    W[:, :6, :6], W[:, 6:, 6:] = data["H"], weights
+    given = [(0, "W", W), (0, "yref", np.hstack([m, z[:, :3, 0], z[:, 3:, 1]]))]
+    given += [(i, "yref", np.hstack([z[:, :3, i], z[:, 3:, i + 1]])) for i in range(1, N)]
+    return ocp, [*given, (N, "yref", z[:, :3, N])], lambda solver: solver.get(N, "x")
 
 
-class Controller:
-    def __init__(self, data, qp_solver, folder):
-        self.data, self.N = data, len(data["omega_ref"][0])
-        ocp = problem("rhc", data, qp_solver)
-        pose, Q, R = np.eye(6)[:3], data["Q"], float(data["R"])
+def control(data, build):
+    ocp, N = problem("rhc", data, build), len(data["omega_ref"][0])
+    pose, Q, R = np.eye(6)[:3], data["Q"], float(data["R"])
+    for stage in ("_0", ""):
         W = np.diag([*np.diag(Q), R])
-        for stage in ("_0", ""):
-            least_squares(ocp, stage, np.vstack([pose, np.zeros(6)]), [0, 0, 0, 1], W)
-        least_squares(ocp, "_e", pose, [], data["QN"])
-        bounds, most = ocp.constraints, float(data["omega_max"])
-        bounds.x0 = data["estimate"][0]
-        bounds.idxbu, bounds.lbu, bounds.ubu = np.array([0]), np.array([-most]), np.array([most])
-        self.solver = build(ocp, folder)
+        least_squares(ocp, stage, np.vstack([pose, np.zeros(6)]), [0, 0, 0, 1], W)
+    least_squares(ocp, "_e", pose, [], data["QN"])
+    bounds, most = ocp.constraints, float(data["omega_max"])
+    bounds.x0 = data["estimate"][0]
+    bounds.idxbu, bounds.lbu, bounds.ubu = np.array([0]), np.array([-most]), np.array([most])
 
-    def give(self, k):
-        solver, estimate = self.solver, self.data["estimate"][k]
-        solver.set(0, "lbx", estimate)
-        solver.set(0, "ubx", estimate)
-        xi_ref, omega_ref = self.data["xi_ref"][k], self.data["omega_ref"][k]
-        for i in range(self.N):
-            solver.cost_set(i, "yref", np.append(xi_ref[:, i], omega_ref[i]))
-        solver.cost_set(self.N, "yref", xi_ref[:, self.N])
-
-    def answer(self):
-        return np.array([self.solver.get(i, "u")[0] for i in range(self.N)])
+    xi_ref, omega_ref = data["xi_ref"], data["omega_ref"]
+    given = [(0, field, data["estimate"]) for field in ("lbx", "ubx")]
+    given += [(i, "yref", np.hstack([xi_ref[:, :, i], omega_ref[:, [i]]])) for i in range(N)]
+    given += [(N, "yref", xi_ref[:, :, N])]
+    return ocp, given, lambda solver: np.array([solver.get(i, "u")[0] for i in range(N)])
 
 
-def build(ocp, folder):
-    folder = os.path.join(folder, f"{ocp.model.name}_{ocp.solver_options.qp_solver}")
-    os.makedirs(folder, exist_ok=True)
-    os.chdir(folder)
-    return AcadosOcpSolver(ocp, json_file="ocp.json")
+PROBLEMS = {"estimate": estimation, "omega_plan": control}  # by the name of the answer
 
 
-def iterate(contestant):
-    """Microseconds of one real-time iteration in C: preparation, feedback."""
-    times = []
-    for phase in (1, 2):
-        contestant.solver.options_set("rti_phase", phase)
-        status = contestant.solver.solve()
-        if status not in (0, 2, 5):
-            raise SystemExit(f"acados failed with status {status}")
-        times.append(1e6 * float(np.ravel(contestant.solver.get_stats("time_tot"))[0]))
-    return times
+def compiled_driver(folder):
+    library, include = Path(folder, "acados_driver.so"), ACADOS / "include"
+    header = (include / "acados_c" / "ocp_nlp_interface.h").read_text()
+    bounds_take_out = re.search(r"ocp_nlp_constraints_model_set\([^)]*ocp_nlp_out", header)
+    command = ["cc", "-O2", "-shared", "-fPIC", "-fno-inline", *["-DSTEP_BY_STEP"] * WHEEL]
+    command += [f"-DBOUNDS_TAKE_OUT={'a->out,' if bounds_take_out else ''}"]
+    command += [f"-I{include / part}" for part in ("", "blasfeo/include", "hpipm/include")]
+    command += [Path(__file__).with_name("acados_driver.c"), "-o", library]
+    command += [f"-L{ACADOS / 'lib'}", f"-Wl,-rpath,{ACADOS / 'lib'}", "-lacados"]
+    subprocess.run(command, check=True)
+    return ctypes.CDLL(str(library))
 
 
-def solve(contestant, k, iterations):
-    contestant.give(k)
-    for _ in range(iterations):
-        iterate(contestant)
-    return contestant.answer()
+class Contestant:
+    """A solver of one of the problems, built in `folder` unless it is there already."""
+
+    def __init__(self, answer, data, build, folder, driver):
+        ocp, given, self._answer = PROBLEMS[answer](data, build)
+        name = ocp.model.name
+        folder = Path(folder, "_".join([name, *map(str, build.values())]))
+        new = not folder.exists()
+        folder.mkdir(exist_ok=True)
+        os.chdir(folder)
+        self.solver = AcadosOcpSolver(ocp, json_file="ocp.json", generate=new, build=new)
+        library, self._drive = self.solver.shared_lib, driver.drive
+
+        def part(which):
+            get = getattr(library, f"{name}_acados_get_nlp_{which}")
+            get.restype, get.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+            return get(self.solver.capsule)
+
+        parts, capsule = [part(which) for which in ("solver", "in", "out")], self.solver.capsule
+        capsule = getattr(capsule, "value", capsule)
+        solve = ctypes.cast(getattr(library, f"{name}_acados_solve"), ctypes.c_void_p).value
+        self.ways = {"as it comes": np.array([*parts, solve, capsule], np.int64)}
+        if WHEEL:
+            self.ways["step by step"] = np.array([*parts, 0, capsule], np.int64)
+        self._alive = [
+            (ctypes.create_string_buffer(field.encode()), np.ascontiguousarray(rows, float))
+            for _, field, rows in given
+        ]
+        self._fields = np.array(
+            [
+                (ctypes.addressof(field), rows.ctypes.data, stage, rows[0].size)
+                for (stage, *_), (field, rows) in zip(given, self._alive)
+            ],
+            np.int64,
+        )
+        if answer == "estimate":
+            for node in range(ocp.dims.N + 1):
+                self.solver.set(node, "x", data["estimate"][0])
+        self.run("as it comes", 0, 1)  # its steps need what a first call lays out
+
+    def run(self, way, begin, end, iterations=1):
+        """Microseconds of preparation and feedback, summed over these problems."""
+        us = np.zeros(2)
+        arrays = (self.ways[way], self._fields, us)
+        solver, fields, to = (ctypes.c_void_p(array.ctypes.data) for array in arrays)
+        counts = map(ctypes.c_longlong, (len(self._fields), begin, end, iterations))
+        failed = self._drive(solver, fields, *counts, to)
+        if failed:
+            raise RuntimeError(f"acados failed with status {failed}")
+        return us
+
+    def answers(self, way, begin, end, iterations):
+        found = []
+        for k in range(begin, end):
+            self.run(way, k, k + 1, iterations)
+            found.append(self._answer(self.solver))
+        return np.array(found)
+
+    def use(self, options):
+        for name, value in options.items():
+            self.solver.options_set(name, value)
 
 
-def one_step(contestant, problems):
-    """Microseconds a problem: preparation, feedback, and all of it from Python."""
-    times = []
-    for k in problems:
-        begin = time.perf_counter()
-        contestant.give(k)
-        phases = iterate(contestant)
-        contestant.answer()
-        times.append([*phases, 1e6 * (time.perf_counter() - begin)])
-    return np.mean(times, axis=0).tolist()
+def choices(build):
+    if "HPIPM" not in build["qp_solver"]:
+        return [{}]
+    return [
+        dict(qp_warm_start=warm, **dict.fromkeys(TOLERANCES, tolerance))
+        for warm, tolerance in itertools.product(WARM_STARTS, QP_TOLERANCES)
+    ]
 
 
-def fastest(kind, data, folder):
-    """Of the QP solvers that are there."""
-    made = {}
-    for qp_solver in QP_SOLVERS:
-        try:
-            contestant = kind(data, qp_solver, folder)
-            solve(contestant, 0, 20)
-        except (Exception, SystemExit) as error:
-            print(f"acados has no {qp_solver}: {error}", file=sys.stderr)
+def fastest(answer, data, folder, driver):
+    """(build, options) of what takes least time of what finds all answers."""
+    library, made, end = ctypes.CDLL(str(ACADOS / "lib" / "libacados.so")), {}, len(data[answer])
+    for build in BUILDS:
+        if "DAQP" in build["qp_solver"] and not hasattr(library, "dense_qp_daqp"):
             continue
-        problems = range(min(50, len(data["z"])))
-        times = [sum(one_step(contestant, problems)[:2]) for _ in range(3)]
-        made[min(times)] = contestant, qp_solver
+        contestant = Contestant(answer, data, build, folder, driver)
+        way = list(contestant.ways)[-1]
+        for options in choices(build):
+            contestant.use(options)
+            try:
+                found = contestant.answers(way, 0, end, ITERATIONS)
+            except RuntimeError:
+                continue
+            if np.abs(found - data[answer]).max() <= data["tolerance"]:
+                us = min(contestant.run(way, 0, end).sum() for _ in range(ROUNDS))
+                made[us] = build, options
     return made[min(made)]
 
 
 def main():
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what acados prints is no answer
-    data = dict(np.load(sys.argv[1]))
-    folder = os.path.abspath(sys.argv[2])
-    contestants, names = zip(*(fastest(kind, data, folder) for kind in (Estimator, Controller)))
-    print(json.dumps(names), file=answers)
+    data, folder = dict(np.load(sys.argv[1])), os.path.abspath(sys.argv[2])
+    driver = compiled_driver(folder)
+    chosen = (
+        json.loads(sys.argv[3])
+        if sys.argv[3:]
+        else [fastest(answer, data, folder, driver) for answer in PROBLEMS]
+    )
+    contestants = []
+    for answer, (build, options) in zip(PROBLEMS, chosen):
+        contestants.append(Contestant(answer, data, build, folder, driver))
+        contestants[-1].use(options)
+    print(json.dumps([list(contestants[0].ways), chosen]), file=answers)
     for line in sys.stdin:
         asked = json.loads(line)
-        problems = range(asked["begin"], asked["begin"] + asked["count"])
+        which = asked["way"], asked["begin"], asked["end"]
         if "iterations" in asked:
-            reply = [
-                [solve(c, k, asked["iterations"]).tolist() for c in contestants] for k in problems
-            ]
+            found = (c.answers(*which, asked["iterations"]).tolist() for c in contestants)
+            reply = list(zip(*found))
+        elif "library" in asked:
+            counting = ctypes.CDLL(asked["library"])
+            for problem, contestant in zip(("RHE", "RHC"), contestants):
+                contestant.answers(asked["way"], 0, asked["begin"], 1)
+                counting.begin()
+                contestant.run(*which)
+                counting.end(f"{asked['name']}/{problem}".encode())
+            reply = None
         else:
-            reply = [one_step(c, problems) for c in contestants]
+            reply = [
+                (c.run(*which) / (asked["end"] - asked["begin"])).tolist() for c in contestants
+            ]
         print(json.dumps(reply), file=answers)
 
 

@@ -1,8 +1,13 @@
 """Instructions of a step, counted by valgrind's callgrind: they do not depend on what else the
 machine is doing.
+
+Every contestant is set up and has solved some problems before it is counted (`counting.c`). A peer
+is counted as it is timed: called from Python where it is one of Python's.
 """
 
+import ctypes
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -11,25 +16,70 @@ from pathlib import Path
 
 import pandas as pd
 
-from rhec._casadi import scan
+from benchmark import peers, problems
+from rhec._casadi import compiled, scan
 from rhec.scenario import Scenario
 from rhec.studies import timing
 
-PHASES = {  # the compiled Functions that a phase calls
+RHEC = {  # the compiled Functions that a phase calls
     ("RHE", "preparation"): ("rhe_expand", "rhe_shift", "rhe_linearise"),
     ("RHE", "feedback"): ("rhe_feedback",),
     ("RHC", "preparation"): ("rhc_expand", "rhc_shift", "rhc_linearise"),
     ("RHC", "feedback"): ("rhc_feedback",),
-    ("closed loop", "overall"): ("block",),
 }
+IN_C, CLOSED_LOOP = "rhec, in C", "rhec, closed loop"
+BEFORE, COUNTED = 5, 10  # problems that a peer solves before it is counted, and then
+
+
+def available():
+    return shutil.which("valgrind") and Path("/usr/include/valgrind/callgrind.h").exists()
 
 
 def drive():
-    """What is counted: a minute of the closed loop, then its samples again from Python, phase by
-    phase.
-    """
+    """A minute of the closed loop, then its samples again from Python, phase by phase."""
     scenario = Scenario(process_noise="calibrated", duration_s=60.0)
     timing.phases(scenario, scenario.qp)
+
+
+def count(library):
+    """What is run below callgrind: rhec, then every peer."""
+    counting = ctypes.CDLL(library)
+    counting.begin()
+    drive()
+    counting.end(b"rhec")
+    recorded = problems.record(problems.drive(BEFORE + COUNTED))
+    for name, makers in peers.PEERS.items():
+        for problem, make in zip(("RHE", "RHC"), makers):
+            solve = make(recorded[0])
+            for each in recorded[:BEFORE]:
+                solve(each)
+            counting.begin()
+            for each in recorded[BEFORE:]:
+                solve(each)
+            counting.end(f"{name}/{problem}".encode())
+
+
+def counter(folder):
+    """The library with which a process says what is to be counted."""
+    library, source = str(Path(folder, "counting.so")), Path(__file__).with_name("counting.c")
+    command = [compiled.compiler(), "-shared", "-fPIC", source, "-o", library]
+    subprocess.run(command, check=True)
+    return library
+
+
+def below_callgrind(folder, command, **options):
+    """Runs it, and returns the callgrind files in the folder by what `end` was told."""
+    profile = f"--callgrind-out-file={folder}/callgrind.out"
+    valgrind = ["valgrind", "--tool=callgrind", "--instr-atstart=no", profile]
+    subprocess.run([*valgrind, *command], check=True, capture_output=True, **options)
+    told = re.compile(r"Client Request: (.*)")
+    found = {path: told.search(path.read_text()) for path in Path(folder).glob("callgrind.out.*")}
+    return {what[1]: path for path, what in found.items() if what}
+
+
+def total(profile):
+    """All instructions of a callgrind file."""
+    return int(re.search(r"^totals: (\d+)", profile.read_text(), re.MULTILINE)[1])
 
 
 def per_call(profile):
@@ -49,32 +99,33 @@ def per_call(profile):
     return {name: total[name] / calls[name] for name in calls}
 
 
-def measure():
-    """Table of instructions a sample, by phase."""
+def measure(acados=None):
+    """Table of instructions a sample, by contestant and phase."""
     drive()  # what it needs is compiled outside valgrind
     with tempfile.TemporaryDirectory() as folder:
-        profile = Path(folder) / "callgrind.out"
-        subprocess.run(
-            [
-                "valgrind",
-                "--tool=callgrind",
-                f"--callgrind-out-file={profile}",
-                sys.executable,
-                "-c",
-                f"from {__name__} import drive; drive()",
-            ],
-            check=True,
-            capture_output=True,
-        )
-        cost = per_call(profile)
-    cost["block"] /= scan.BLOCK
+        library = counter(folder)
+        script = f"from {__name__} import count; count({library!r})"
+        profiles = below_callgrind(folder, [sys.executable, "-c", script])
+        cost = per_call(profiles.pop("rhec"))
+        counts = {
+            IN_C: {key: sum(cost[name] for name in names) for key, names in RHEC.items()},
+            CLOSED_LOOP: {("closed loop", "overall"): cost["block"] / scan.BLOCK},
+        }
+        for what, profile in profiles.items():
+            name, problem = what.split("/")
+            counts.setdefault(name, {})[problem, "overall"] = total(profile) / COUNTED
+        if acados:
+            command, options = acados.counting(library, BEFORE, BEFORE + COUNTED)
+            own = Path(folder, "acados")
+            own.mkdir()
+            for what, profile in below_callgrind(own, command, **options).items():
+                (name, problem), cost = what.split("/"), per_call(profile)
+                for phase in ("preparation", "feedback"):
+                    counts.setdefault(name, {})[problem, phase] = cost[phase]
     return pd.DataFrame(
         [
-            dict(
-                problem=problem,
-                phase=phase,
-                instructions=round(sum(cost[function] for function in functions)),
-            )
-            for (problem, phase), functions in PHASES.items()
+            dict(contestant=name, problem=problem, phase=phase, instructions=round(number))
+            for name, parts in counts.items()
+            for (problem, phase), number in problems.with_sums(parts).items()
         ]
     )

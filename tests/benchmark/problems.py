@@ -88,3 +88,15 @@ def record(run, horizon=paper.HORIZON, iterations=20):
                 )
             )
     return problems
+
+
+def with_sums(parts):
+    """{(problem, phase): number} with "overall" of each problem and of both."""
+    parts = dict(parts)
+    for problem in ("RHE", "RHC"):
+        phases = [number for (which, _), number in parts.items() if which == problem]
+        if len(phases) > 1:
+            parts[problem, "overall"] = sum(phases)
+    if ("RHE", "overall") in parts:
+        parts["RHE + RHC", "overall"] = parts["RHE", "overall"] + parts["RHC", "overall"]
+    return parts

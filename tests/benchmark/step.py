@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pandas as pd
 
-from benchmark import acados_peer, native, peers, problems
+from benchmark import acados_peer, instructions, native, peers, problems
 from rhec import simulation
 from rhec._casadi import compiled, scan
 from rhec.studies.timing import PHASES
@@ -70,8 +70,8 @@ def agreement(run, recorded, acados=None):
         rows.append(
             difference(name, [(rhe(problem), rhc(problem)) for problem in recorded], recorded)
         )
-    if acados:
-        rows.append(difference(acados_peer.NAME, acados.answers(), recorded))
+    for way in acados.ways if acados else ():
+        rows.append(difference(acados_peer.NAMES[way], acados.answers(way), recorded))
     if not all(map(agreed, rows)):
         raise SystemExit(
             f"Not all answers agree to {TOLERANCE:g}, so nothing was timed:\n"
@@ -171,13 +171,7 @@ def interleaved(contestants, rounds):
     rows = []
     for number in range(-1, rounds):  # the first round warms up
         for name, block in contestants.items():
-            times = block(max(number, 0))
-            for problem in ("RHE", "RHC"):
-                parts = [time for (which, _), time in times.items() if which == problem]
-                if len(parts) > 1:
-                    times[problem, "overall"] = sum(parts)
-            if ("RHE", "overall") in times:
-                times["RHE + RHC", "overall"] = times["RHE", "overall"] + times["RHC", "overall"]
+            times = problems.with_sums(block(max(number, 0)))
             rows += [
                 dict(block=number, contestant=name, problem=problem, phase=phase, us=us)
                 for (problem, phase), us in times.items()
@@ -193,26 +187,24 @@ def spread(times, by):
     ).reset_index()
 
 
-def measure(rounds=30):
-    """Who agrees how well, and the table of times; speedup: the reference's RHE + RHC step over
-    this one, block beside block, median.
+def measure(rounds=30, counted=True):
+    """Who agrees how well, and the table of times, with instructions where valgrind is there;
+    speedup: the reference's RHE + RHC step over this one, block beside block, median.
     """
     run = problems.drive(SAMPLES)
     recorded = problems.record(run)
-    acados = acados_peer.Acados(recorded) if acados_peer.command() else None
+    acados = acados_peer.Acados(recorded, TOLERANCE) if acados_peer.command() else None
     agreeing, iterations = agreement(run, recorded, acados)
     contestants = {
-        "rhec, closed loop": fused(run.scenario),
-        "rhec, in C": native.block(run, recorded),
+        instructions.CLOSED_LOOP: fused(run.scenario),
+        instructions.IN_C: native.block(run, recorded),
         "rhec, one iteration": from_python(run, recorded),
         "rhec, to convergence": from_python(run, recorded, iterations),
     }
     contestants |= {name: peer(makers, recorded) for name, makers in peers.PEERS.items()}
-    if acados:
-        contestants[acados_peer.NAME] = acados.block
+    for way in acados.ways if acados else ():
+        contestants[acados_peer.NAMES[way]] = acados.block(way)
     times = interleaved(contestants, rounds)
-    if acados:
-        acados.close()
     table = spread(times, ["contestant", "problem", "phase"])
     whole = times[times["problem"].isin(WHOLE)].pivot(
         index="block", columns="contestant", values="us"
@@ -220,4 +212,8 @@ def measure(rounds=30):
     if REFERENCE in whole:
         speedup = (1 / whole).mul(whole[REFERENCE], axis=0).median()
         table[SPEEDUP] = table["contestant"].map(speedup).where(table["problem"].isin(WHOLE))
+    if counted and instructions.available():
+        table = table.merge(instructions.measure(acados), how="left")
+    if acados:
+        acados.close()
     return agreeing, table
