@@ -20,10 +20,8 @@ from rhec.studies import timing
 
 def report(table, name, caption, drawing=None):
     """Print a table and save it, and its picture."""
-    print(
-        f"\n{caption}\n{table.to_string(index=False, float_format='{:.4g}'.format, na_rep='')}",
-        flush=True,
-    )
+    text = table.to_string(index=False, float_format="{:.4g}".format, na_rep="")
+    print(f"\n{caption}\n{text.replace('<NA>', '    ')}", flush=True)
     style.save_table(
         table, f"bench_{name}", f"{caption}, on {timing.machine()}", notebook="benchmark"
     )

@@ -47,7 +47,7 @@ BUILDS = (
 )
 WARM_STARTS, QP_TOLERANCES = (0, 1, 2, 3), (1e-6, 1e-8, 1e-10)
 TOLERANCES = ("qp_tol_stat", "qp_tol_eq", "qp_tol_ineq", "qp_tol_comp")
-SOME, ITERATIONS, ROUNDS = 100, 30, 5
+SOME, ITERATIONS, ROUNDS = 100, 30, 20
 POSE_SPEED = np.eye(6)[[0, 1, 3]]  # of s = (x, y, θ, ν, μ, κ)
 
 
@@ -56,7 +56,7 @@ def runge_kutta(f, s, u, dt_s):
     k2 = f(s + dt_s / 2 * k1, u)
     k3 = f(s + dt_s / 2 * k2, u)
     k4 = f(s + dt_s * k3, u)
-    return ca.cse(s + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4))  # two of the four angles are one
+    return s + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def track_motion(s, omega):

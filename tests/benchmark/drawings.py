@@ -31,7 +31,7 @@ def step(table):
     whole = overall[overall["problem"].isin(WHOLE)].sort_values("median_us", ascending=False)
     places = {name: place for place, name in enumerate(whole["contestant"])}
 
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.3))
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.36 * (len(whole) + 1)))
     for problem, (colour, marker) in LOOKS.items():
         rows = overall[overall["problem"] == problem]
         axes.errorbar(

@@ -214,6 +214,7 @@ def measure(rounds=30, counted=True):
         table[SPEEDUP] = table["contestant"].map(speedup).where(table["problem"].isin(WHOLE))
     if counted and instructions.available():
         table = table.merge(instructions.measure(acados), how="left")
+        table = table.astype({"instructions": "Int64"})
     if acados:
         acados.close()
     return agreeing, table
