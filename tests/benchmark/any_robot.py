@@ -299,7 +299,7 @@ def measure(rounds=30, samples=SAMPLES):
         table = spread(times, ["contestant", "problem", "phase"])
         whole = times.query("problem == 'RHE + RHC'")
         whole = whole.pivot(index="block", columns="contestant", values="us")
-        speedup = (1 / whole).mul(whole[REFERENCE], axis=0).median()
+        speedup = whole.rtruediv(whole[REFERENCE], axis=0).median()
         table[SPEEDUP] = table["contestant"].map(speedup).where(table["problem"] == "RHE + RHC")
         table.insert(0, "robot", name)
         tables.append(table)

@@ -210,7 +210,7 @@ def measure(rounds=30, counted=True):
         index="block", columns="contestant", values="us"
     )
     if REFERENCE in whole:
-        speedup = (1 / whole).mul(whole[REFERENCE], axis=0).median()
+        speedup = whole.rtruediv(whole[REFERENCE], axis=0).median()
         table[SPEEDUP] = table["contestant"].map(speedup).where(table["problem"].isin(WHOLE))
     if counted and instructions.available():
         table = table.merge(instructions.measure(acados), how="left")
