@@ -11,11 +11,7 @@ from conftest import watched_page
 WATCH = """() => {
     window.seen = {painted: [], pressed: 0, released: 0}
     const note = () => seen.painted.push(performance.now())
-    const painted = () => requestAnimationFrame(() => setTimeout(note))
-    const picture = node => node.querySelector?.('svg') || node.tagName == 'svg'
-    const drawn = records => records.some(record => [...record.addedNodes].some(picture))
-    new MutationObserver(records => drawn(records) && painted())
-        .observe(document.querySelector('.rhec'), {childList: true, subtree: true})
+    document.addEventListener('drawn', () => requestAnimationFrame(() => setTimeout(note)))
     document.addEventListener('pointerdown', () => { seen.pressed = performance.now() }, true)
     document.addEventListener('pointerup', () => { seen.released = performance.now() }, true)
 }"""
@@ -32,7 +28,9 @@ class Explorer:
 
     @property
     def picture(self):
-        return self.page.inner_html(".rhec-picture")
+        return self.page.evaluate(
+            "[...document.querySelectorAll('.rhec-canvas')].map(canvas => canvas.toDataURL())"
+        )
 
     @property
     def metrics(self):
@@ -115,7 +113,7 @@ def opened(lab, chromium):
     with watched_page(chromium) as page:
         lab.open(page, "explore.ipynb")
         lab.run(page)
-        page.wait_for_selector(".rhec-picture")
+        page.wait_for_selector(".rhec-canvas")
         yield Explorer(page)
         lab.close(page)
 
@@ -279,7 +277,7 @@ def test_it_fits_the_screen_and_is_readable(lab, chromium, theme, width, height)
     with watched_page(chromium, width, height) as page:
         lab.open(page, "explore.ipynb", theme)
         lab.run(page)
-        page.wait_for_selector(".rhec-picture")
+        page.wait_for_selector(".rhec-canvas")
         explorer = Explorer(page)
         explorer.press("pin")
         explorer.settled()

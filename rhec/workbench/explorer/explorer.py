@@ -1,13 +1,15 @@
 """The explorer: controls on the left; on the right the whole field, run again whenever one moves.
 
 The widgets are glue. `controls` turns their values into scenarios, `rhec.simulation` runs them,
-`field_run` and `robot_view` draw. A front end holds a widget's newest value back until the one
-before has been answered, so that dragging drops frames and never queues them.
+`field_run` and `robot_view` say what is drawn, and the page draws it (`screen`). A front end holds
+a widget's newest value back until the one before has been answered, so that dragging drops frames
+and never queues them.
 """
 
 import asyncio
+import base64
 import functools
-import html
+import io
 import math
 import multiprocessing
 import re
@@ -24,9 +26,10 @@ from rhec import paper, simulation
 from rhec._casadi import compiled
 from rhec.plots import style
 from rhec.scenario import Scenario
-from rhec.workbench.explorer import controls
-from rhec.workbench.explorer.field_run import ZOOMS, FieldRun, colour_of, field_run, name_of
-from rhec.workbench.explorer.robot_view import RobotView
+from rhec.workbench.explorer import controls, field_run, robot_view
+from rhec.workbench.explorer.field_run import ZOOMS, colour_of, name_of
+from rhec.workbench.explorer.panels import packed
+from rhec.workbench.explorer.screen import CSS, Screen
 from rhec.workbench.explorer.snapshot import snapshot_at
 
 __all__ = ["METRICS", "Explorer", "change", "compile_apart", "metrics_table"]
@@ -45,8 +48,6 @@ METRICS = (
     ("rms_yaw_rad", "RMS yaw", "[rad]", 4),
 )
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-_CSS = Path(__file__).parents[1] / "templates/explorer.css"
-_STYLE = f"<style>\n{_CSS.read_text(encoding='utf-8')}</style>"
 
 
 def metrics_table(runs, pinned=()):
@@ -117,9 +118,9 @@ class Explorer(widgets.VBox):
             raise ValueError(f"start was {start!r}; it should be a rhec.Scenario")
         self.start, self.patches = start, start.patches
         self.runs, self.pinned, self.compiling, self.held = (), (), None, False
+        self.driven = set()  # structures of which no file need be read again
         # a kernel may answer a page's messages in two threads, its main one and a subshell's
         self.one_at_a_time = threading.RLock()
-        self.field, self.robot_view = FieldRun(), RobotView()
         self._make_inputs(against)
         self._make_outputs(folder)
         super().__init__(self._arranged())
@@ -158,10 +159,7 @@ class Explorer(widgets.VBox):
         self.remove_patch = _button("remove the last", "of the wet patches")
 
     def _make_outputs(self, folder):
-        outputs = [widgets.HTML() for _ in range(5)]
-        self.status, self.picture, self.table, self.line, self.patch_count = outputs
-        self.status.add_class("rhec-status")
-        self.line.add_class("rhec-code")
+        self.screen, self.patch_count = Screen(), widgets.HTML()
         self.folder, self.name = (
             widgets.Text(value, continuous_update=False, **_look(label, None, "96%", "50px"))
             for label, value in (("folder", str(folder)), ("name", "run"))
@@ -191,11 +189,8 @@ class Explorer(widgets.VBox):
         size = {"width": width, "flex": f"0 0 {width}"}
         tabs = widgets.Tab(boxes, titles=[*groups], layout=size)
         size = {"flex": "1 1 auto", "min_width": "0"}
-        pictures = widgets.VBox([self.picture, self.time, self.table], layout=size)
-        apart = {"justify_content": "space-between", "align_items": "baseline"}
-        words = widgets.HBox([self.status, self.line], layout=apart)
-        below = widgets.HBox([tabs, pictures], layout={"width": "100%"})
-        return [widgets.HTML(_STYLE), bar, words, below]
+        shown = widgets.VBox([self.screen, self.time], layout=size)
+        return [bar, widgets.HBox([tabs, shown], layout={"width": "100%"})]
 
     # What happens when
 
@@ -223,7 +218,7 @@ class Explorer(widgets.VBox):
         """The action as a widget's callback: what goes wrong is one sentence in the status line."""
 
         def callback(_):
-            with self.one_at_a_time:
+            with self.one_at_a_time, self.screen.hold_sync():  # what follows is one message
                 if self.held:
                     return
                 try:
@@ -294,21 +289,20 @@ class Explorer(widgets.VBox):
         scenarios = self.scenarios
         setups = [simulation.set_up(scenario) for scenario in scenarios]
         missing = [
-            setup.structure
-            for setup in setups
-            if not compiled.is_compiled(simulation.build_sample, *setup.structure)
+            structure
+            for structure in {setup.structure for setup in setups} - self.driven
+            if not compiled.is_compiled(simulation.build_sample, *structure)
         ]
         # the first runs are waited for: without them there is nothing to see
         if missing and self.runs and _running_loop():
             self._compile(missing)
             return
         self.runs = tuple(map(simulation.simulate_setup, scenarios, setups))
+        self.driven |= {setup.structure for setup in setups}
         ran = time.perf_counter()
         self._draw()
-        drawn = time.perf_counter()
         runs = f"{len(self.runs)} runs" if len(self.runs) > 1 else "1 run"
-        took = f"{1000 * (ran - started):.0f} ms, drawn in {1000 * (drawn - ran):.0f} ms"
-        self._say(f"{runs} of {scenarios[0].duration_s:g} s in {took}")
+        self._say(f"{runs} of {scenarios[0].duration_s:g} s in {1000 * (ran - started):.0f} ms")
 
     def _compile(self, structures):
         """Compile elsewhere, then run the newest state of the controls."""
@@ -335,33 +329,31 @@ class Explorer(widgets.VBox):
         """Show the chosen view of the runs, their metrics, and the scenario as a line."""
         field = self.view.value == "field run"
         self.time.layout.display = "none" if field else "flex"
-        (self.picture.remove_class if field else self.picture.add_class)("rhec-robot-view")
         self.unpin.disabled, self.remove_patch.disabled = not self.pinned, not self.patches
         for widget in self.patch:
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
         if field:
-            self.field.show(self.runs, self.pinned, self.zoom.value, self.soil.value)
-            self.picture.value = self.field.svg()
+            chosen = self.zoom.value, self.soil.value
+            picture = field_run.picture_of(self.runs, self.pinned, *chosen)
         else:
             run, k = self.runs[0], self.moment.value
             self.moment.max = self.play.max = len(run.columns["t_s"]) - 1
-            self.robot_view.show(run, k, snapshot_at(run.scenario, k))
-            self.picture.value = self.robot_view.svg()
-        self.table.value = metrics_table(self.runs, self.pinned)
-        line = html.escape(controls.line_of(self.runs[0].scenario))
-        copy = 'title="click to copy" onclick="navigator.clipboard?.writeText(this.innerText)"'
-        self.line.value = f'<span class="rhec-line" {copy}>{line}</span>'
+            picture = robot_view.picture_of(run, k, snapshot_at(run.scenario, k))
+        self.screen.picture, self.screen.numbers = packed(picture)
+        self.screen.table = metrics_table(self.runs, self.pinned)
+        self.screen.line = controls.line_of(self.runs[0].scenario)
 
     def _say(self, sentence, how=""):
-        self.status.value = f'<span role="status" class="{how}">{html.escape(sentence)}</span>'
+        self.screen.status, self.screen.how = sentence, how
 
     # What is taken away
 
     def figure(self) -> Figure:
         """The field run as a matplotlib figure, as it is saved."""
         with self.one_at_a_time:
-            return field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
+            chosen = self.zoom.value, self.soil.value
+            return field_run.field_run(self.runs, self.pinned, *chosen)
 
     def _save(self):
         name, folder = _safe_name(self.name.value), Path(self.folder.value).expanduser()
@@ -378,7 +370,10 @@ class Explorer(widgets.VBox):
 
     def _repr_mimebundle_(self, **formats):
         """Where there are no widgets, the picture and the table stand for them."""
-        shown = f'{_STYLE}<div class="rhec">{self.picture.value}{self.table.value}</div>'
+        self.figure().savefig(file := io.BytesIO(), format="png")
+        picture = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+        shown = f'<img alt="field run" src="{picture}">{self.screen.table}'
+        shown = f'<style>\n{CSS}</style><div class="rhec">{shown}</div>'
         return super()._repr_mimebundle_(**formats) | {"text/html": shown}
 
 

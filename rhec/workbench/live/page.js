@@ -3,7 +3,6 @@ const $ = id => document.getElementById(id);
 const page = { loops: [] };
 const lines = ["--run0", "--run1", "--run2"];
 // From the controls to runs
-
 const failed = error => { $("said").textContent = error.message, console.error(error); };
 const own_sigma_w = n => // of (x, y, θ, ν, μ, κ); dual: the RHE's, then the EKF's
   [...page.values.sigma_w, ...page.values.sigma_w.slice(0, 4)].slice(0, n);
@@ -41,7 +40,6 @@ function ask(what) {
 }
 
 // In words and numbers
-
 const python = value => Array.isArray(value)
   ? `(${value.map(python).join(", ")}${value.length === 1 ? "," : ""})`
   : { true: "True", false: "False" }[value] ?? JSON.stringify(value);
@@ -73,77 +71,17 @@ function write(said) {
 }
 
 // Pictures
-
-const colour = name => page.colours[name] ??= getComputedStyle($("live")).getPropertyValue(name);
-class Plot { // a canvas with axes, in the coordinates of the data
-  constructor(id, [x0, x1], [y0, y1], equal) {
-    const canvas = $(id), { clientWidth: w, clientHeight: h } = canvas, dots = devicePixelRatio;
-    const [left, right, top, bottom] = [38, w - 12, 6, h - 20], c = canvas.getContext("2d");
-    Object.assign(canvas, { width: w * dots, height: h * dots }); // clears it, too
-    let [sx, sy] = [(right - left) / (x1 - x0), (bottom - top) / (y1 - y0)];
-    if (equal) {
-      sx = sy = Math.min(sx, sy);
-      [x0, y0] = [(x0 + x1 - (right - left) / sx) / 2, (y0 + y1 - (bottom - top) / sy) / 2];
-    }
-    this.x = x => left + (x - x0) * sx, this.y = y => bottom - (y - y0) * sy, this.scale = sx;
-    this.data = event => [x0 + (event.offsetX - left) / sx, y0 + (bottom - event.offsetY) / sy];
-    this.c = c, c.scale(dots, dots);
-    Object.assign(c, { font: "11px system-ui, sans-serif", lineJoin: "round", lineWidth: 1,
-      fillStyle: colour("--soft"), strokeStyle: colour("--line") });
-    const ticks = (low, pixels, per, apart, put) => {
-      const ten = 10 ** Math.floor(Math.log10(apart / per));
-      const step = ten * [1, 2, 5, 10].find(times => times * ten * per >= apart);
-      for (let i = Math.ceil(low / step); i * step * per <= low * per + pixels; i++)
-        put(i * step, Number((i * step).toPrecision(6)));
-    };
-    c.beginPath(), c.textAlign = "center";
-    ticks(x0, right - left, sx, 60, (x, text) => {
-      c.moveTo(this.x(x), top), c.lineTo(this.x(x), bottom), c.fillText(text, this.x(x), h - 5);
-    });
-    c.textAlign = "right";
-    ticks(y0, bottom - top, sy, 32, (y, text) => {
-      c.moveTo(left, this.y(y)), c.lineTo(right, this.y(y)), c.fillText(text, 34, this.y(y) + 4);
-    });
-    c.stroke(), c.beginPath(), c.rect(left, top, right - left, bottom - top), c.clip();
-  }
-  line(n, x, y, name, { width = 1.5, dash = [], alpha = 1 } = {}) {
-    const { c } = this;
-    Object.assign(c, { strokeStyle: colour(name), lineWidth: width, globalAlpha: alpha });
-    c.setLineDash(dash), c.beginPath();
-    for (let k = 0; k < n; k++) c.lineTo(this.x(x(k)), this.y(y(k)));
-    c.stroke(), c.globalAlpha = 1, c.setLineDash([]);
-  }
-  through(places, name, look) {
-    this.line(places.length, k => places[k][0], k => places[k][1], name, look);
-  }
-  dots(places, name, radius, full = true) {
-    const { c } = this;
-    Object.assign(c, { fillStyle: colour(name), strokeStyle: colour(name), lineWidth: 1 });
-    for (const [x, y] of places)
-      c.beginPath(), c.arc(this.x(x), this.y(y), radius, 0, 7), full ? c.fill() : c.stroke();
-  }
-  band(n, x, middle, half, name) {
-    const { c } = this;
-    Object.assign(c, { fillStyle: colour(name), globalAlpha: 0.15 }), c.beginPath();
-    for (let k = 0; k < n; k++) c.lineTo(this.x(x(k)), this.y(middle(k) + half(k)));
-    for (let k = n - 1; k >= 0; k--) c.lineTo(this.x(x(k)), this.y(middle(k) - half(k)));
-    c.fill(), c.globalAlpha = 1;
-  }
-  soil(soil) { // and the path
-    const [x, y] = soil.origin_m, { cell_m, path } = page.world, [wide, high] = soil.n;
-    const image = page.world.keep("picture", soil, () => picture(soil)), size = cell_m * this.scale;
-    this.c.drawImage(image, this.x(x - cell_m / 2), this.y(y + (high - 0.5) * cell_m), wide * size,
-      high * size);
-    this.through(path, "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
-  }
-  robot([x, y, theta], name) {
-    const { c, scale } = this, [long, wide] = page.world.robot_m;
-    c.save(), c.translate(this.x(x), this.y(y)), c.rotate(-theta), c.scale(scale, scale);
-    Object.assign(c, { fillStyle: colour(name), globalAlpha: 0.5 });
-    c.fillRect(-long / 2, -wide / 2, long, wide), c.restore();
-  }
+function soil(plot, { slip, n, origin_m }) { // and the path
+  const { cell_m, grid, path } = page.world;
+  plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + grid[0] * j)]);
+  plot.line(...spread(path), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
 }
-
+function robot(plot, [x, y, theta], name) {
+  const [a, b] = page.world.robot_m, [c, s] = [Math.cos(theta) / 2, Math.sin(theta) / 2];
+  const corners = [[a, b], [-a, b], [-a, -b], [a, -b]].map(
+    ([ahead, left]) => [x + ahead * c - left * s, y + ahead * s + left * c]);
+  plot.area(...spread(corners), name, { alpha: 0.5 });
+}
 function draw() {
   const { loops, world, values, chosen } = page, { lowest, highest, dt_s } = world;
   const { samples } = loops[0], time = k => k * dt_s, seen = loops[chosen], mine = lines[chosen];
@@ -151,29 +89,31 @@ function draw() {
   const poses = loops.map(loop => ["x_m", "y_m", "theta_rad"].map(name => loop.get(name)(now)));
   $("time").value = `${time(now).toFixed(1)} s`;
 
-  const map = page.map = new Plot("map", [lowest[0] - 2, highest[0] + 2],
-    [lowest[1] - 3.5, highest[1] + 2], true);
-  map.soil(page.soil);
+  const map = page.map = new Plot($("map"), [lowest[0] - 2, highest[0] + 2],
+    [lowest[1] - 3.5, highest[1] + 2], { equal: true });
+  soil(map, page.soil);
   loops.forEach((loop, i) => {
-    map.line(samples, loop.get("x_m"), loop.get("y_m"), lines[i]), map.robot(poses[i], lines[i]);
+    map.line(samples, loop.get("x_m"), loop.get("y_m"), lines[i]), robot(map, poses[i], lines[i]);
   });
   const start = page.start = [0, values.start_offset_m], yaw = values.start_yaw_rad;
   const heading = page.heading = [3 * Math.cos(yaw), start[1] + 3 * Math.sin(yaw)];
-  map.through([start, heading], "--ink", { width: 1 });
-  map.dots([start], "--ink", 5), map.dots([heading], "--ink", 4, false);
+  map.line(...spread([start, heading]), "--ink", { width: 1 });
+  map.dots(...spread([start]), "--ink", { radius: 5 });
+  map.dots(...spread([heading]), "--ink", { radius: 4, full: false });
 
   const [x, y] = poses[chosen], reach = 3.2 * values.speed_mps + 0.7;
-  const near = new Plot("near", [x - reach, x + reach], [y - 0.5, y + 0.5], true);
+  const near = new Plot($("near"), [x - reach, x + reach], [y - 0.5, y + 0.5], { equal: true });
   const [age] = seen.piece("estimator.age", now)[0] ?? [0], plan = seen.piece("controller.s", now);
-  near.soil(page.soil), near.robot(poses[chosen], "--soft");
+  const past = name => spread(seen.piece(name, now).slice(-1 - age));
+  soil(near, page.soil), robot(near, poses[chosen], "--soft");
   near.line(now + 1, seen.get("x_m"), seen.get("y_m"), "--soft", { width: 1 });
-  near.dots(seen.piece("estimator.z", now).slice(-1 - age), "--measured", 5, false);
-  near.dots(seen.piece("estimator.s", now).slice(-1 - age), mine, 3);
-  near.dots(seen.desired(now), "--ink", 5, false);
-  near.through(plan, "--plan"), near.dots(plan, "--plan", 2);
+  near.dots(...past("estimator.z"), "--measured", { radius: 5, full: false });
+  near.dots(...past("estimator.s"), mine, { radius: 3 });
+  near.dots(...spread(seen.desired(now)), "--ink", { radius: 5, full: false });
+  near.line(...spread(plan), "--plan"), near.dots(...spread(plan), "--plan", { radius: 2 });
 
   const over = (id, low, high, each) => {
-    const plot = new Plot(id, [0, time(samples)], [low, high]);
+    const plot = new Plot($(id), [0, time(samples)], [low, high]);
     loops.forEach((loop, i) => each(plot, loop, lines[i]));
     plot.line(2, () => time(now), i => i ? high : low, "--soft", { width: 1 });
     return plot;
@@ -193,19 +133,8 @@ function draw() {
     (plot, loop, name) => plot.line(samples, time, loop.get("omega_cmd_radps"), name));
   limit(rates, bound), limit(rates, -bound);
 }
-function picture({ slip, n: [wide, high] }) { // 1 - κ, a dot a cell
-  const canvas = new OffscreenCanvas(wide, high), c = canvas.getContext("2d");
-  const image = c.createImageData(wide, high), wet = colour("--wet").split(",").map(Number);
-  for (let i = 0; i < wide; i++) for (let j = 0; j < high; j++) {
-    const kappa = slip[1 + 2 * (i + page.world.grid[0] * j)];
-    image.data.set([...wet, 255 * (1 - kappa)], 4 * (i + wide * (high - 1 - j)));
-  }
-  c.putImageData(image, 0, 0);
-  return canvas;
-}
 
 // What the reader does
-
 const inputs = () => document.querySelectorAll(`[data-scene="${page.scene}"] input[type=range]`);
 function holder({ field, place }) { // where a control's value stands, and under which key
   const { fields } = page.runs[page.chosen], all = field in fields ? fields : page.values;
@@ -280,7 +209,7 @@ function grasped(event) {
   return event => toMoment(at(event));
 }
 load("world").then(World.of).then(world => {
-  page.world = world, page.colours = {};
+  page.world = world;
   $("controls").oninput = changed;
   $("controls").onreset = () => setTimeout(choose, 0, page.scene);
   $("patch").onclick = () => addPatch();
@@ -294,8 +223,6 @@ load("world").then(World.of).then(world => {
     $("moment").value = (event.offsetX - 38) / (event.target.clientWidth - 50), ask(draw);
   });
   new ResizeObserver(() => ask(draw)).observe($("map"));
-  matchMedia("(prefers-color-scheme: dark)").onchange = () => {
-    page.colours = {}, world.kept.picture = null, ask(draw);
-  };
+  matchMedia("(prefers-color-scheme: dark)").onchange = () => ask(draw);
   choose(location.hash.slice(1) in world.scenes ? location.hash.slice(1) : "a");
 }).catch(failed);

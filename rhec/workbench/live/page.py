@@ -60,7 +60,7 @@ def build(folder):
     Returns the world: what its template needs to know.
     """
     folder.mkdir()
-    for file in ("live.js", "page.js", "live.css"):
+    for file in ("live.js", "plot.js", "page.js", "live.css"):
         shutil.copy(HERE / file, folder)
     written = dict(world=_world(), faults=_fault_streams())
     context = multiprocessing.get_context("spawn")

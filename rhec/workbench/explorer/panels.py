@@ -1,0 +1,139 @@
+"""Pictures as data: panels, and the marks in them. Matplotlib draws them as a figure; a page draws
+them from a list of marks and one buffer with all their numbers.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from rhec.plots.style import BLACK, BLUE, DOUBLE_IN, styled
+
+__all__ = ["Mark", "Panel", "Picture", "figure_of", "packed"]
+
+_PX = 4 / 3  # a point [px]
+# in a page, black is the page's own ink, and blue too dark for a dark one
+_PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}
+_WET = LinearSegmentedColormap.from_list("wet", [(0.47, 0.27, 0.08, 1), (0.47, 0.27, 0.08, 0)])
+
+
+class Mark(NamedTuple):
+    """A "line", the "area" inside of one, "dots", or "soil": traction (n_x, n_y) over a grid.
+
+    width: of a line, or a dot's diameter [pt]; dash: of dashes and gaps [pt]; full: a dot that is
+    no ring; label: in the legend. What is not a number leaves a gap.
+    """
+
+    kind: str
+    x: np.ndarray
+    y: np.ndarray
+    colour: str = BLACK
+    width: float = 0.75
+    alpha: float = 1.0
+    dash: tuple = ()
+    full: bool = True
+    label: str = ""
+    traction: np.ndarray | None = None
+
+
+class Panel(NamedTuple):
+    """A pair of axes. scale: "equal", one scale for both; "log", along y; or ""."""
+
+    title: str
+    xlim: tuple
+    ylim: tuple
+    marks: list
+    scale: str = ""
+
+
+class Picture(NamedTuple):
+    """Panels by name. A row of `layout` names those that stand in it, as CSS has grid areas."""
+
+    layout: tuple
+    panels: dict
+
+    @property
+    def legend(self):
+        """The marks that have a label, what is on top first."""
+        marks = [mark for panel in self.panels.values() for mark in reversed(panel.marks)]
+        return [mark for mark in marks if mark.label]
+
+
+@styled
+def figure_of(picture):
+    """A Picture as a matplotlib Figure."""
+    figure = Figure(figsize=(DOUBLE_IN, 4.3))
+    axes = figure.subplot_mosaic([row.split() for row in picture.layout])
+    for name, panel in picture.panels.items():
+        each = axes[name]
+        if panel.scale == "log":
+            each.set_yscale("log")
+        for height, mark in enumerate(panel.marks, 1):  # the grid is at 0.5
+            _draw(each, mark, height)
+        each.set_xlim(panel.xlim, auto=True)  # one of both gives way to an equal scale
+        each.set_ylim(panel.ylim, auto=True)
+        each.set_aspect("equal" if panel.scale == "equal" else "auto", adjustable="datalim")
+        each.set_title(panel.title, pad=3)
+    handles = [_line(mark, [], [], label=mark.label) for mark in picture.legend]
+    figure.legend(handles=handles, loc="outside upper right", ncols=len(handles))
+    return figure
+
+
+def _draw(axes, mark, height):
+    """Put a mark above those of a lower height."""
+    if mark.kind == "soil":
+        half = (mark.x[1] - mark.x[0]) / 2
+        extent = (mark.x[0] - half, mark.x[-1] + half, mark.y[0] - half, mark.y[-1] + half)
+        look = dict(origin="lower", interpolation="bilinear", cmap=_WET, vmin=0.36, vmax=1)
+        axes.imshow(mark.traction.T, extent=extent, zorder=height, **look)
+    elif mark.kind == "area":
+        look = dict(color=mark.colour, alpha=mark.alpha, linewidth=0)
+        axes.fill(mark.x, mark.y, zorder=height, **look)
+    else:
+        axes.add_line(_line(mark, mark.x, mark.y, zorder=height))
+
+
+def _line(mark, x, y, **more):
+    """A mark of lines or dots as Matplotlib has it; in a legend, any mark."""
+    look = dict(color=mark.colour, alpha=mark.alpha, linewidth=mark.width)
+    if mark.dash:  # told in widths
+        look |= dict(linestyle=(0, tuple(each / mark.width for each in mark.dash)))
+    if mark.kind == "dots":
+        look |= dict(linestyle="none", marker="o", markersize=mark.width, markeredgewidth=0.6)
+        look |= {} if mark.full else dict(markerfacecolor="none")
+    return Line2D(x, y, **look, **more)
+
+
+def packed(picture):
+    """A Picture for a page: what is drawn as JSON has it, and all numbers in bytes (float32).
+
+    An array is told by the place of its first number and by how many it has.
+    """
+    places, arrays, end = {}, [], 0
+
+    def place(array):
+        nonlocal end
+        if id(array) not in places:  # one array of times stands in many lines
+            places[id(array)] = end, array.size
+            arrays.append(array.ravel())
+            end += array.size
+        return places[id(array)]
+
+    def told(mark):
+        colour, width = _PAGE_COLOURS.get(mark.colour, mark.colour), mark.width * _PX
+        look = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, full=mark.full)
+        look |= dict(alpha=mark.alpha, dash=[_PX * each for each in mark.dash], label=mark.label)
+        arrays = dict(x=mark.x, y=mark.y, traction=mark.traction)
+        return look | {name: place(each) for name, each in arrays.items() if each is not None}
+
+    panels = {
+        name: panel._replace(marks=[told(mark) for mark in panel.marks])._asdict()
+        for name, panel in picture.panels.items()
+    }
+    legend = [told(mark) for mark in picture.legend]
+    content = dict(layout=picture.layout, panels=panels, legend=legend)
+    with np.errstate(over="ignore"):
+        numbers = np.concatenate(arrays, dtype=np.float32, casting="same_kind")
+    return content, numbers.tobytes()

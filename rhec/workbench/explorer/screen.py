@@ -1,0 +1,29 @@
+"""What the explorer shows, as one widget: the kernel sends what is to be seen, the page draws it.
+
+The kernel runs the field; the report's live page runs it itself. docs/live.md has both times.
+"""
+
+from pathlib import Path
+
+import anywidget
+import traitlets
+
+__all__ = ["CSS", "Screen"]
+
+_WORKBENCH = Path(__file__).parents[1]
+
+
+def _text(*files):
+    return "\n".join((_WORKBENCH / file).read_text(encoding="utf-8") for file in files)
+
+
+CSS = _text("templates/explorer.css")
+
+
+class Screen(anywidget.AnyWidget):
+    """Words, pictures and metrics of the runs; `picture` and `numbers` are of `panels.packed`."""
+
+    _esm = _text("live/plot.js", "explorer/screen.js")
+    _css = CSS
+    status, how, line, table = (traitlets.Unicode().tag(sync=True) for _ in range(4))
+    picture, numbers = traitlets.Dict().tag(sync=True), traitlets.Bytes().tag(sync=True)
