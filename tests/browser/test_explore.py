@@ -132,7 +132,7 @@ def explorer(opened, lab):
 
 def test_a_moved_slider_drives_the_field_again(explorer):
     picture, metrics, line = explorer.picture, explorer.metrics, explorer.line
-    assert len(metrics) == 2
+    assert len(metrics) == 2 and len(picture) == len({*picture}) == 6
     explorer.tab("Controller")
     explorer.keys("R", "ArrowRight", 5)
     explorer.settled()
@@ -247,6 +247,39 @@ def test_a_wet_patch_is_added_and_removed(explorer):
     assert explorer.picture == picture
 
 
+def test_zoom_and_soil_change_the_map_alone(explorer):
+    for options in (("first row", "worst place", "whole path"), ("of μ", "of κ")):
+        known = explorer.page.locator("option", has_text=options[0])
+        for option in options:
+            before = explorer.picture
+            explorer.page.locator(".rhec select", has=known).select_option(option)
+            explorer.settled()
+            assert explorer.picture[0] != before[0] and explorer.picture[1:] == before[1:]
+
+
+def test_the_pictures_follow_the_theme_and_tell_what_they_are(explorer):
+    before, page = explorer.picture, explorer.page
+    labels = page.evaluate(
+        "[...document.querySelectorAll('.rhec-canvas')]"
+        ".map(canvas => canvas.role == 'img' && canvas.ariaLabel)"
+    )
+    assert len(labels) == 6 and all(labels)
+    for theme, same in (("Dark", False), ("Light", True)):
+        page.evaluate(
+            "theme => jupyterapp.commands.execute('apputils:change-theme', {theme})",
+            f"JupyterLab {theme}",
+        )
+        page.wait_for_selector("#jupyterlab-splash", state="detached")
+        page.wait_for_function(
+            """([before, same]) => {
+                const all = [...document.querySelectorAll('.rhec-canvas')]
+                return all.every(({ clientWidth }) => clientWidth) &&
+                    all.every((canvas, i) => (canvas.toDataURL() == before[i]) == same)
+            }""",
+            arg=[before, same],
+        )
+
+
 def test_the_robot_view_plays(explorer):
     explorer.press("robot view")
     explorer.settled()
@@ -286,13 +319,13 @@ def test_it_fits_the_screen_and_is_readable(lab, chromium, theme, width, height)
             page.locator(".jp-NotebookPanel-notebook").bounding_box(),
         )
         assert box["height"] <= panel["height"] and box["width"] > 0.85 * panel["width"]
-        assert page.locator(".rhec-picture").bounding_box()["width"] > 0.5 * box["width"]
+        assert page.locator(".rhec-pictures").bounding_box()["width"] > 0.5 * box["width"]
         assert page.evaluate(
-            "[...document.querySelectorAll('.rhec, .rhec-table, .rhec-picture')]"
+            "[...document.querySelectorAll('.rhec, .rhec-table, .rhec-pictures, .rhec-title')]"
             ".every(each => each.scrollWidth <= each.clientWidth + 1)"
         )
         ink, paper = page.evaluate("""() => [
-            getComputedStyle(document.querySelector('.rhec-picture')).color,
+            getComputedStyle(document.querySelector('.rhec-pictures')).color,
             getComputedStyle(document.querySelector('.jp-Notebook')).backgroundColor,
         ]""")
         assert contrast(ink, paper) > 7

@@ -188,9 +188,9 @@ class Explorer(widgets.VBox):
         boxes, width = [widgets.VBox(group) for group in groups.values()], "344px"
         size = {"width": width, "flex": f"0 0 {width}"}
         tabs = widgets.Tab(boxes, titles=[*groups], layout=size)
-        size = {"flex": "1 1 auto", "min_width": "0"}
+        size = {"flex": "1 1 480px", "min_width": "0"}
         shown = widgets.VBox([self.screen, self.time], layout=size)
-        return [bar, widgets.HBox([tabs, shown], layout={"width": "100%"})]
+        return [bar, widgets.HBox([tabs, shown], layout={"flex_flow": "row wrap"})]
 
     # What happens when
 

@@ -38,13 +38,13 @@ _SERIES = (
 _LOOKS = {
     "bold": dict(width=0.75),  # a pixel: a page takes five times as long for wider ones
     "second": dict(width=0.7, alpha=0.5),
-    "faint": dict(width=0.4, alpha=0.55),
+    "faint": dict(width=0.4, alpha=0.4),
     "truth": dict(width=0.6, colour=BLACK),
 }
 _TITLES = {
     "error": "error [m] over time [s]; faint: by raw GNSS",
-    "mu": "μ: estimate; black: truth",
-    "kappa": "κ: estimate; black: truth",
+    "mu": "μ over time",
+    "kappa": "κ over time",
     "yaw_rate": "commanded yaw rate [rad/s] and its bounds",
     "kkt": "KKT tolerance of RHE (bold) and RHC",
 }
@@ -215,6 +215,8 @@ def _series(kind, run, place):
         if look == "truth" and place > 0:
             style |= dict(dash=(0.8, 1.2), alpha=0.7)
         label = kind + name_of(run.scenario) if panel == "map" else ""
+        if (panel, look, place) == ("mu", "truth", 0):
+            label = "truth"
         yield panel, Mark("line", run.columns[x], run.columns[y], label=label, **style)
 
 

@@ -59,7 +59,8 @@ function render({ model, el }) {
   const show = () => { say(), arrange(model.get("picture")), draw(); };
   show();
   model.on("change", show);
-  const resized = new ResizeObserver(draw), dressed = new MutationObserver(draw);
+  const resized = new ResizeObserver(draw); // while its theme changes, the page has no size
+  const dressed = new MutationObserver(() => requestAnimationFrame(draw));
   resized.observe(pictures), dressed.observe(document.body, { attributeFilter: THEMES });
   return () => { model.off("change", show), resized.disconnect(), dressed.disconnect(); };
 }

@@ -88,7 +88,6 @@ function draw() {
   const now = Math.min(Math.floor($("moment").value * samples), samples - 1);
   const poses = loops.map(loop => ["x_m", "y_m", "theta_rad"].map(name => loop.get(name)(now)));
   $("time").value = `${time(now).toFixed(1)} s`;
-
   const map = page.map = new Plot($("map"), [lowest[0] - 2, highest[0] + 2],
     [lowest[1] - 3.5, highest[1] + 2], { equal: true });
   soil(map, page.soil);
@@ -100,7 +99,6 @@ function draw() {
   map.line(...spread([start, heading]), "--ink", { width: 1 });
   map.dots(...spread([start]), "--ink", { radius: 5 });
   map.dots(...spread([heading]), "--ink", { radius: 4, full: false });
-
   const [x, y] = poses[chosen], reach = 3.2 * values.speed_mps + 0.7;
   const near = new Plot($("near"), [x - reach, x + reach], [y - 0.5, y + 0.5], { equal: true });
   const [age] = seen.piece("estimator.age", now)[0] ?? [0], plan = seen.piece("controller.s", now);
@@ -111,7 +109,6 @@ function draw() {
   near.dots(...past("estimator.s"), mine, { radius: 3 });
   near.dots(...spread(seen.desired(now)), "--ink", { radius: 5, full: false });
   near.line(...spread(plan), "--plan"), near.dots(...spread(plan), "--plan", { radius: 2 });
-
   const over = (id, low, high, each) => {
     const plot = new Plot($(id), [0, time(samples)], [low, high]);
     loops.forEach((loop, i) => each(plot, loop, lines[i]));

@@ -30,7 +30,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
       c.moveTo(this.x(x), top), c.lineTo(this.x(x), bottom), c.fillText(text, this.x(x), h - 5);
     });
     c.textAlign = "right";
-    ticks(y0, bottom - top, sy, log ? Math.max(32, sy) : 32, (value, text) => {
+    ticks(y0, bottom - top, sy, Math.max(Math.min(32, h / 5), log ? sy : 0), (value, text) => {
       const y = bottom - (value - y0) * sy; // log: of whole powers
       c.moveTo(left, y), c.lineTo(right, y), c.fillText(log ? `1e${text}` : text, 34, y + 4);
     });
