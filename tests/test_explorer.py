@@ -361,7 +361,7 @@ def test_a_lost_robot_is_drawn():
         content, numbers = packed(field_run.picture_of([lost], (), zoom))
         limits = [(*panel["xlim"], *panel["ylim"]) for panel in content["panels"].values()]
         assert len(numbers) and np.isfinite(limits).all()
-        field_run.field_run([lost], (), zoom)
+    field_run.field_run([lost])
     assert "never" in explorer.metrics_table([lost])
 
 
