@@ -196,7 +196,8 @@ def _ground(run, soil):
     terrain, field = run.terrain, getattr(run.terrain, soil)
     every = -(-max(field.shape) // _MOST_POINTS)
     grid = (at + terrain.cell_m * np.arange(n) for at, n in zip(terrain.origin_m, field.shape))
-    poses, _ = run.path.poses(np.arange(0, run.path.length_m + 0.05, 0.1))
+    length_m = run.path.length_m
+    poses, _ = run.path.poses(np.linspace(0, length_m, 2 + int(length_m / 0.25)))
     return [
         Mark("soil", *(at[::every] for at in grid), traction=field[::every, ::every]),
         Mark("area", *tolerance_band(poses).T, **FAINT_TOLERANCE | dict(alpha=0.5)),

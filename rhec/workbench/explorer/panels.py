@@ -121,18 +121,21 @@ def packed(picture):
             end += array.size
         return places[id(array)]
 
-    def told(mark):
+    def look(mark):
         colour, width = _PAGE_COLOURS.get(mark.colour, mark.colour), mark.width * _PX
-        look = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, full=mark.full)
-        look |= dict(alpha=mark.alpha, dash=[_PX * each for each in mark.dash], label=mark.label)
-        arrays = dict(x=mark.x, y=mark.y, traction=mark.traction)
-        return look | {name: place(each) for name, each in arrays.items() if each is not None}
+        dash = [_PX * each for each in mark.dash]
+        told = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
+        return told | dict(alpha=mark.alpha, full=mark.full, label=mark.label)
+
+    def told(mark):
+        named = dict(x=mark.x, y=mark.y, traction=mark.traction)
+        return look(mark) | {name: place(each) for name, each in named.items() if each is not None}
 
     panels = {
         name: panel._replace(marks=[told(mark) for mark in panel.marks])._asdict()
         for name, panel in picture.panels.items()
     }
-    legend = [told(mark) for mark in picture.legend]
+    legend = [look(mark) for mark in picture.legend]
     content = dict(layout=picture.layout, panels=panels, legend=legend)
     with np.errstate(over="ignore"):
         numbers = np.concatenate(arrays, dtype=np.float32, casting="same_kind")

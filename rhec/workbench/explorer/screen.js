@@ -1,6 +1,13 @@
 // The explorer's screen: words, pictures and metrics, as the kernel sends them.
 const THEMES = ["data-jp-theme-name", "data-vscode-theme-kind"]; // of the page's body
 
+function entry({ kind, colour, dash, full, label }) { // of the legend
+  const [all, sample] = [0, 1].map(() => document.createElement("span"));
+  sample.textContent = kind === "dots" ? full ? "●" : "○" : dash.length ? "╍" : "━";
+  sample.style.color = colour.startsWith("--") ? `var(${colour})` : colour;
+  all.append(sample, ` ${label}`);
+  return all;
+}
 function render({ model, el }) {
   const part = (name, tag = "div", within = el) => {
     const made = document.createElement(tag);
@@ -13,31 +20,24 @@ function render({ model, el }) {
   status.role = "status", line.title = "click to copy";
   line.onclick = () => navigator.clipboard?.writeText(line.innerText);
 
+  const changes = (node, to) => node.of !== to && (node.of = to, true); // what stays costs nothing
   const say = () => {
     status.textContent = model.get("status"), status.dataset.how = model.get("how");
-    line.textContent = model.get("line");
-    if (table.of !== model.get("table")) table.innerHTML = table.of = model.get("table");
+    if (changes(line, model.get("line"))) line.textContent = line.of;
+    if (changes(table, model.get("table"))) table.innerHTML = table.of;
   };
-  const arrange = ({ layout, panels, legend: marks }) => { // what seldom changes
-    const areas = layout.map(row => JSON.stringify(row)).join(" ");
-    if (pictures.style.gridTemplateAreas !== areas) {
-      pictures.style.gridTemplateAreas = areas, pictures.replaceChildren();
+  const arrange = ({ layout, panels, legend: marks }) => {
+    if (changes(pictures, layout.map(row => JSON.stringify(row)).join(" "))) {
+      pictures.style.gridTemplateAreas = pictures.of, pictures.replaceChildren();
       for (const name in panels) {
         const figure = part("panel", "figure", pictures);
         figure.style.gridArea = name, part("title", "figcaption", figure);
         canvases[name] = part("canvas", "canvas", figure), canvases[name].role = "img";
       }
     }
-    for (const [name, { title }] of Object.entries(panels))
+    for (const [name, { title }] of Object.entries(panels)) if (changes(canvases[name], title))
       canvases[name].ariaLabel = canvases[name].previousElementSibling.textContent = title;
-    legend.replaceChildren(...marks.map(({ kind, colour, dash, full, label }) => {
-      const sample = document.createElement("span");
-      sample.textContent = kind === "dots" ? full ? "●" : "○" : dash.length ? "╍" : "━";
-      sample.style.color = colour.startsWith("--") ? `var(${colour})` : colour;
-      const entry = document.createElement("span");
-      entry.append(sample, ` ${label}`);
-      return entry;
-    }));
+    if (changes(legend, JSON.stringify(marks))) legend.replaceChildren(...marks.map(entry));
   };
   const draw = () => {
     const { panels } = model.get("picture"), bytes = model.get("numbers");
