@@ -13,7 +13,7 @@ from test_any_robot import controller, estimator, fused_sample
 
 import rhec
 from rhec import simulation
-from rhec._casadi import compiled, lanes
+from rhec._casadi import compiled, lanes, parts
 from rhec._casadi.build import pack_array
 from rhec._casadi.scan import build_scan, scan
 from rhec.campaigns import campaign as campaigns
@@ -116,6 +116,59 @@ def test_an_own_model_has_the_same_bits_in_a_lane():
     )
     for alone, beside in zip(one_by_one, at_once):
         np.testing.assert_array_equal(beside, alone)
+
+
+# Parts
+
+
+def rows_of(folder, **fields):
+    """Rows of a run by a library made in this folder."""
+    folder.mkdir()
+    setup = simulation.set_up(dataclasses.replace(SMALL, **fields))
+    lanes._compile(folder, simulation.build_sample(*setup.structure))
+    if not (folder / "library.so").exists():
+        return None
+    noise = simulation.noise_and_faults(0, (), 100)
+    (rows,) = lanes.scan(lanes._Block(folder), [setup.memory], [noise], [setup.settings])
+    return rows.copy()
+
+
+@pytest.fixture
+def texts(tmp_path, monkeypatch):
+    """What is compiled, into an empty cache."""
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    found, compile_text = [], parts._compile
+    monkeypatch.setattr(
+        parts, "_compile", lambda *given: found.append(given[1]) or compile_text(*given)
+    )
+    return found
+
+
+def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
+    by_parts = rows_of(tmp_path / "parts", estimator="dual", cautious=True)
+    assert len(texts) == 3  # the steps of estimator and controller, and the rest
+    monkeypatch.setattr(parts, "_LEAST", 1000)
+    whole = rows_of(tmp_path / "whole", estimator="dual", cautious=True)
+    assert len(texts) == 4
+    np.testing.assert_array_equal(by_parts, whole)
+
+
+def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
+    for name, made in {"rhe": 3, "ekf": 1, "rhe_no_slip": 2}.items():
+        texts.clear()
+        assert rows_of(tmp_path / name, estimator=name) is not None
+        assert len(texts) == made
+        assert sum("/* rhc_linearise:(" in text for text in texts) == (name == "rhe")
+
+
+def test_a_part_that_cannot_be_compiled_leaves_no_lanes(tmp_path, texts, monkeypatch):
+    compile_text = parts._compile
+
+    def broken(folder, text, command):
+        compile_text(folder, "wrong" if str(command[-1]).startswith("-D") else text, command)
+
+    monkeypatch.setattr(parts, "_compile", broken)
+    assert rows_of(tmp_path / "parts") is None
 
 
 # Campaigns

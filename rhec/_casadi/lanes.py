@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from rhec._casadi import cache, compiled
+from rhec._casadi.parts import compile_by_parts
 
 __all__ = ["is_compiled", "load", "scan"]
 
@@ -99,7 +100,7 @@ def load(build, *structure):
         return None
 
     def make(place):
-        _compile(place, build(*structure)["block"])
+        _compile(place, build(*structure))
 
     def open_block(folder):
         return _Block(folder) if (folder / "library.so").exists() else None
@@ -109,16 +110,20 @@ def load(build, *structure):
     return None
 
 
-def _compile(place, function):
-    generator = ca.CodeGenerator("code.c")
+def _text(function, name=None):
+    generator = ca.CodeGenerator(f"{name or function.name()}.c")
     generator.add(function)
-    generator.generate(f"{place}/")
-    (place / "code.cpp").write_text(_by_lanes((place / "code.c").read_text()))
+    return f'extern "C" {{\n{_by_lanes(generator.dump())}}}\n'
+
+
+def _compile(place, functions):
     # -O1: three quarters of the time to compile, the code a twentieth slower.
-    flags = ["-O1", "-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
-    flags += ["-include", compiled.HEADERS / "lanes.h"]
-    command = [_compiler()[0], *compiled.FLAGS, *flags, "code.cpp", "-o", "library.so"]
-    subprocess.run(command, cwd=place, stderr=subprocess.DEVNULL)
+    flags = [*compiled.FLAGS, "-O1", "-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
+    command = [_compiler()[0], *flags, "-include", compiled.HEADERS / "lanes.h"]
+    key = _compiler(), flags, compiled.source_digest()
+    function, text = functions["block"], _text(functions["block"], "code")
+    with contextlib.suppress(OSError, cache.UnusableError):
+        compile_by_parts(place, text, functions["step"], _text, key, command)
     sizes = {name: function.nnz_in(name) for name in function.name_in()}
     (place / "block.json").write_text(json.dumps([sizes, function.size_out(1)]))
 
