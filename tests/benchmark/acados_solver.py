@@ -8,6 +8,7 @@ that find the answers, and prints the ways to call them and the choice; then it 
 nothing is built. The arrival cost, the weights and the windows are data, as for all others.
 """
 
+import contextlib
 import ctypes
 import itertools
 import json
@@ -47,7 +48,7 @@ BUILDS = (
 )
 WARM_STARTS, QP_TOLERANCES = (0, 1, 2, 3), (1e-6, 1e-8, 1e-10)
 TOLERANCES = ("qp_tol_stat", "qp_tol_eq", "qp_tol_ineq", "qp_tol_comp")
-SOME, ITERATIONS, ROUNDS = 100, 30, 20
+SOME, ITERATIONS, ROUNDS, FINALISTS = 100, 30, 10, 8
 POSE_SPEED = np.eye(6)[[0, 1, 3]]  # of s = (x, y, θ, ν, μ, κ)
 
 
@@ -223,24 +224,32 @@ def choices(build):
 
 
 def fastest(answer, data, folder, driver):
-    """(build, options) of what takes least time of what finds all answers."""
-    library, made, end = ctypes.CDLL(str(ACADOS / "lib" / "libacados.so")), {}, len(data[answer])
+    """(build, options) of what takes least time of what finds all answers.
+
+    The best of a first round take turns, since the machine has slow moments.
+    """
+    library, found, end = ctypes.CDLL(str(ACADOS / "lib" / "libacados.so")), [], len(data[answer])
     some = min(SOME, end)
+
+    def took(contestant, options):
+        contestant.use(options)
+        return contestant.run(list(contestant.ways)[-1], 0, end).sum()
+
     for build in BUILDS:
         if "DAQP" in build["qp_solver"] and not hasattr(library, "dense_qp_daqp"):
             continue
         contestant = Contestant(answer, data, build, folder, driver)
-        way = list(contestant.ways)[-1]
         for options in choices(build):
             contestant.use(options)
-            try:
-                found = contestant.answers(way, 0, some, ITERATIONS)
-            except RuntimeError:
-                continue
-            if np.abs(found - data[answer][:some]).max() <= data["tolerance"] / 10:
-                us = min(contestant.run(way, 0, end).sum() for _ in range(ROUNDS))
-                made[us] = build, options
-    return made[min(made)]
+            with contextlib.suppress(RuntimeError):  # acados failed
+                answers = contestant.answers(list(contestant.ways)[-1], 0, some, ITERATIONS)
+                if np.abs(answers - data[answer][:some]).max() <= data["tolerance"] / 10:
+                    us = min(took(contestant, options) for _ in range(ROUNDS))
+                    found.append((us, build, contestant, options))
+    best = sorted(found, key=lambda each: each[0])[:FINALISTS]
+    rounds = [[took(*each[2:]) for each in best] for _ in range(ROUNDS)]
+    _, build, _, options = best[np.argmin(np.min(rounds, axis=0))]
+    return build, options
 
 
 def main():
