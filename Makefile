@@ -155,7 +155,7 @@ why = $(strip $(if $(changed),$(changed) changed) $(if $(gone),$(if $(changed),a
 $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d environment.txt \
   | $(READY)
 	@echo '$*: $(if $(wildcard $@),made again because $(why),made for the first time)'
-	@$(PY) -m rhec.workbench.notebook $<
+	@$(if $(filter $@,$(TIMED)),PYTHON_CPU_COUNT=default) $(PY) -m rhec.workbench.notebook $<
 	$(eval made += $@)
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
