@@ -64,8 +64,10 @@ def test_all_pages_are_reached_from_the_first_by_clicks(offline):
     seen = {"index.html"}
     for place in range(page.locator("nav a:not(.brand)").count()):
         page.goto((REPORT / "index.html").as_uri())
-        page.locator("nav a:not(.brand)").nth(place).click()
-        page.wait_for_load_state("load")
+        link = page.locator("nav a:not(.brand)").nth(place)
+        target = link.get_attribute("href")
+        link.click()
+        page.wait_for_url(f"**/{target}")  # and until it is loaded
         seen.add(page.url.rpartition("/")[2])
         assert page.locator("h1").first.inner_text()
     assert seen == set(PAGES)
