@@ -32,6 +32,7 @@ help: ## list what can be made
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
 
 ##@ The paper
+# Claims come first of the studies: they take longest.
 figures: $(call executed,$(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
 studies: $(call executed,claims $(STUDIES)) ## what goes beyond them: claims, faults, replay … (minutes)
 figures studies:
