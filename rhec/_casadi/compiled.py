@@ -26,7 +26,7 @@ from rhec._casadi.c_text import generate_c
 
 __all__ = [
     "BufferedFunction", "FLAGS", "HEADERS", "compiler", "is_compiled", "library_name", "load",
-    "loop_symbols", "source_digest",
+    "loop_symbols", "run_compiler", "source_digest",
 ]  # fmt: skip
 
 
@@ -188,31 +188,19 @@ def _compile_library(folder, functions):
     # A loop by Clang is as fast so, after two thirds of the time; a step alone is not.
     briefly = "block" in functions and "clang" in Path(compiler()).name
     # No path of DAQP's is put in: others may use the library when this environment is gone.
-    done = subprocess.run(
-        [
-            compiler(),
-            "-O2",
-            *["-fno-vectorize", "-fno-slp-vectorize"] * briefly,
-            *FLAGS,
-            f"-I{_CASADI / 'include'}",
-            "-include",
-            HEADERS / "elementary.h",
-            "code.c",
-            "-o",
-            "library.so",
-            f"-L{_CASADI}",
-            "-ldaqp",
-            "-lm",
-        ],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        errors="replace",
-    )
+    flags = ["-O2", *["-fno-vectorize", "-fno-slp-vectorize"] * briefly, *FLAGS]
+    flags += [f"-I{_CASADI / 'include'}", "-include", HEADERS / "elementary.h"]
+    files = ["code.c", "-o", "library.so", f"-L{_CASADI}", "-ldaqp", "-lm"]
+    run_compiler([compiler(), *flags, *files], folder)
+    (folder / "functions.json").write_text(json.dumps(names))
+
+
+def run_compiler(command, folder):
+    """Run a compiler in a folder; OSError, with what it said, if it fails."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if "error" in line] or [""]
-        raise OSError(f"{compiler()} ended with {done.returncode} {said[0]}")
-    (folder / "functions.json").write_text(json.dumps(names))
+        raise OSError(f"{command[0]} ended with {done.returncode} {said[0]}")
 
 
 class BufferedFunction:

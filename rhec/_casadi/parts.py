@@ -6,11 +6,11 @@ For lanes it costs no speed; a loop for one run at a time would be a twentieth s
 
 import hashlib
 import re
-import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 from rhec._casadi import cache
+from rhec._casadi.compiled import run_compiler
 
 __all__ = ["compile_by_parts"]
 
@@ -51,7 +51,7 @@ def compile_by_parts(place, text, step, text_of, key, command):
         parts = [pool.submit(job) for job in jobs]
         _compile(place, _without_unused(text), command)
         objects = [part.result() for part in parts]
-    _run([*command, "code.o", *objects, "-o", "library.so"], place)
+    run_compiler([*command, "code.o", *objects, "-o", "library.so"], place)
 
 
 def _part(name, function, text_of, command):
@@ -77,11 +77,4 @@ def _without_unused(text):
 
 def _compile(folder, text, command):
     (folder / "code.cpp").write_text(text)
-    _run([*command, "-c", "code.cpp", "-o", "code.o"], folder)
-
-
-def _run(command, folder):
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
-    if done.returncode:
-        said = [line for line in done.stderr.splitlines() if "error" in line] or [""]
-        raise OSError(f"{command[0]} ended with {done.returncode} {said[0]}")
+    run_compiler([*command, "-c", "code.cpp", "-o", "code.o"], folder)

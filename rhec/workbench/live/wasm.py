@@ -10,7 +10,6 @@ import functools
 import hashlib
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 from importlib.util import find_spec
@@ -60,12 +59,7 @@ def _compile(command, code, *flags):
         entries = re.findall(r"^(?:int|void|double) (run|ask|noise|soil)\(", code, re.M)
         shown = [f"-Wl,--export={name}" for name in arrays + entries]
         files = ["-include", str(_OWN), "code.c", "-o", "code.wasm"]
-        done = subprocess.run(
-            [*command, *_FLAGS, *flags, *shown, *files], cwd=folder, capture_output=True, text=True
-        )
-        if done.returncode:
-            said = [line for line in done.stderr.splitlines() if "error" in line] or [""]
-            raise OSError(f"{command[0]} ended with {done.returncode} {said[0]}")
+        compiled.run_compiler([*command, *_FLAGS, *flags, *shown, *files], folder)
         return (Path(folder) / "code.wasm").read_bytes()
 
 
