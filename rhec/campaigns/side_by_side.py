@@ -27,7 +27,6 @@ _ALIKE = operator.attrgetter(
     "prediction_horizon", "qp", "input_reference", "cautious",
 )  # fmt: skip
 
-
 _PLAIN = {bool, int, float, str, tuple, type(None)}
 
 
@@ -58,17 +57,14 @@ def in_parts(scenarios, samples):
     Near each other are as many seeds as there are lanes, whose runs share fields and noise, and
     among their runs those that share a loop, and all but the seed.
     """
-    known, families, seeds = {}, {}, {}
-    for scenario in scenarios.values():
-        known.setdefault(_ALIKE(scenario), len(known))
-        families.setdefault(_all_but_seed(scenario), len(families))
-        seeds.setdefault(scenario.seed, len(seeds))
+    known, families, seeds, places = {}, {}, {}, {}
+    for key, scenario in scenarios.items():
+        seed = seeds.setdefault(scenario.seed, len(seeds))
+        loop = known.setdefault(_ALIKE(scenario), len(known))
+        family = families.setdefault(_all_but_seed(scenario), len(families))
+        places[key] = seed // _MOST_LANES, loop, family, seed
 
-    def place(item):
-        seed, family = seeds[item[1].seed], families[_all_but_seed(item[1])]
-        return seed // _MOST_LANES, known[_ALIKE(item[1])], family, seed
-
-    ordered = sorted(scenarios.items(), key=place)
+    ordered = sorted(scenarios.items(), key=lambda item: places[item[0]])
     before = itertools.accumulate((n_samples(each) for _, each in ordered), initial=0)
     parts = itertools.groupby(zip(before, ordered), lambda each: each[0] // samples)
     return (dict(item for _, item in part) for _, part in parts)

@@ -94,16 +94,16 @@ def run_with_given_arrival(steps, log, process_noise, P_given=None):
     return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
 
 
-def _arrival_cost(process_noise, world, seeds):
+def _arrival_cost(process_noise, world, seed):
     """The RHE with its arrival cost as it is, and with constant ones, on the same recorded run
-    (driven with the true state in the loop), as one row for the one seed.
+    (driven with the true state in the loop), as one row.
 
     A constant covariance is the run's mean one over 100 ("heavy": a large weight H_N), times 100
     ("light"), or times 10⁸ ("none"). For each: RMS change of κ̂ from sample to sample, time until
     |κ̂ - κ| first stays below 0.1 for 5 s, whether the yaw was ever more than 0.5 rad off; and the
     least eigenvalue of P - W over all samples, in units of W.
     """
-    (seed,), steps = seeds, _steps_with_given_arrival()
+    steps = _steps_with_given_arrival()
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
     log = simulate(Scenario(**(world | dict(estimator="oracle", seed=seed)))).log
     estimates, P = run_with_given_arrival(steps, log, process_noise)
@@ -117,7 +117,7 @@ def _arrival_cost(process_noise, world, seeds):
         yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
         row[f"step_{name}"] = rms(np.diff(estimates[:, 5]))
         row |= {f"reached_s_{name}": reached_s(error), f"lost_{name}": np.abs(yaw).max() > 0.5}
-    return [row]
+    return row
 
 
 def reached_s(error):
@@ -168,12 +168,12 @@ def live(scenario, iterations):
     return distance_m, np.array(taken), np.array(warm), np.array(cold)
 
 
-def _iterations(process_noise, world, seeds, many=10):
+def _iterations(process_noise, world, seed, many=10):
     """One iteration a sample against `many`, in the closed loop on one field, counted once settled:
     mean true errors [m], median times [µs]; the RMS distance [rad/s] of the command after one
     iteration from the converged one, started warm and cold, and the largest warm one of all.
     """
-    given = dict(process_noise=process_noise, seed=seeds[0], duration_s=80.0)
+    given = dict(process_noise=process_noise, seed=seed, duration_s=80.0)
     scenario = Scenario(**(world | given))
     one_m, one_s, warm, cold = live(scenario, 1)
     many_m, many_s, _, _ = live(scenario, many)
@@ -181,7 +181,7 @@ def _iterations(process_noise, world, seeds, many=10):
     row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
     row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
     row |= dict(rms_warm=rms(warm[settled]), rms_cold=rms(cold[settled]))
-    return [row | dict(max_warm=np.abs(warm).max())]
+    return row | dict(max_warm=np.abs(warm).max())
 
 
 def lowest_traction(process_noise, most=400):

@@ -200,27 +200,22 @@ def of_runs(of, scenarios):
     return [found[place] for place in range(len(scenarios))]
 
 
-def _of_part(parts, alike, of):
-    (part,) = parts
-    return [dict(zip(part, run_each(part.values(), alike, of)))]
+def _of_part(part, alike, of):
+    return dict(zip(part, run_each(part.values(), alike, of)))
 
 
-def each(function, arguments, at_once=1):
-    """What a function of some arguments makes of each, in order: lists, in parts of `at_once`. Many
-    parts are spread over this machine's cores.
-    """
-    starts = range(0, len(arguments), at_once)
-    parts = {start: arguments[start : start + at_once] for start in starts}
-    with dask_client(None, large=len(parts) > 2) as client:
-        tasks = [(function, start, part) for start, part in parts.items()]
+def each(function, arguments):
+    """The function of each argument, in order. Many are spread over this machine's cores."""
+    tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
+    with dask_client(None, large=len(tasks) > 2) as client:
         done = map(_applied, tasks) if client is None else run_on(client, _applied, tasks)
         found = dict(done if client is None else (result for _, result in done))
-    return [row for start in starts for row in found[start]]
+    return [found[place] for place in range(len(tasks))]
 
 
 def _applied(task):
-    function, start, part = task
-    return start, function(part)
+    function, place, argument = task
+    return place, function(argument)
 
 
 def measured(run):
