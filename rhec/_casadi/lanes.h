@@ -4,7 +4,14 @@
 // What would branch on a number has no conversion to bool and does not compile.
 #pragma once
 #include <math.h>
-#define LANES (__BIGGEST_ALIGNMENT__ > 16 ? __BIGGEST_ALIGNMENT__ / 8 : 2)
+
+#ifdef __AVX512F__
+#define LANES 8
+#elif defined __AVX__
+#define LANES 4
+#else
+#define LANES 2
+#endif  // not by __BIGGEST_ALIGNMENT__, which Clang leaves at 16
 
 struct lanes {
   typedef double reals __attribute__((vector_size(8 * LANES)));

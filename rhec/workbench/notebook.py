@@ -231,6 +231,8 @@ def main():
 
     started = time.monotonic()
     try:
+        # jsonschema would first make a parser of addresses, for 1.5 s: no notebook's format has any
+        sys.modules.setdefault("rfc3987_syntax", None)
         # takes a second, in which a person may change their mind
         from papermill.exceptions import PapermillExecutionError
 
