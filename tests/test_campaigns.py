@@ -889,3 +889,17 @@ def test_a_campaign_takes_as_many_cores_as_python_is_told(monkeypatch, told, cor
     monkeypatch.setattr(workers, "local_cluster", lambda n: n)
     with workers.dask_client(None, large=True) as client:
         assert client == (cores if cores > 1 else None)
+
+
+def test_workers_that_are_there_do_what_is_too_little_to_start_them(monkeypatch):
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+    expected = rhec.campaign(short(), workers=1)
+    workers.local_cluster(2)
+    monkeypatch.setattr(campaigns, "run_on", lambda *given: 1 / 0)
+    same(rhec.campaign(short()), expected)
+    monkeypatch.setattr(campaigns, "_HANDED_OUT", 1)
+    with pytest.raises(ZeroDivisionError):
+        rhec.campaign(short())
+    monkeypatch.setattr(campaigns, "run_on", workers.run_on)
+    same(rhec.campaign(short()), expected)

@@ -20,13 +20,14 @@ from rhec.campaigns.side_by_side import (
     size_of_task,
     to_compile,
 )
-from rhec.campaigns.workers import dask_client, run_on
+from rhec.campaigns.workers import are_waiting, dask_client, run_on
 from rhec.scenario import Scenario
 from rhec.simulation import simulate
 
 __all__ = ["campaign"]
 
-_LARGE = 2_000_000  # samples that take one core longer than local workers take to start
+# Samples that take one core longer than local workers take to start, or, once there, to be told.
+_LARGE, _HANDED_OUT = 2_000_000, 200_000
 
 
 if TYPE_CHECKING:
@@ -122,7 +123,8 @@ def _results(scenarios, workers):
         return
     samples, alike = sum(map(n_samples, scenarios.values())), samples_alike(scenarios.values())
     work, size = functools.partial(_rows, alike=alike), size_of_task(alike)
-    with dask_client(workers, samples >= _LARGE) as client:
+    large = samples >= (_HANDED_OUT if are_waiting() else _LARGE)
+    with dask_client(workers, large) as client:
         if client is None:
             yield from map(work, in_parts(scenarios, size))
             return

@@ -10,7 +10,7 @@ from multiprocessing import resource_tracker
 
 from rhec._casadi.validation import optional
 
-__all__ = ["local_cluster", "dask_client", "run_on"]
+__all__ = ["are_waiting", "dask_client", "local_cluster", "run_on"]
 
 _AT_ONCE = 3  # tasks handed out for each thread of a worker, so that none waits for the next
 PATIENCE_S = 10.0  # for a scheduler to answer
@@ -24,6 +24,11 @@ def dask_client(workers, large):
     if workers is None and large and importlib.util.find_spec("distributed"):
         workers = _cores()
     return contextlib.nullcontext(None if workers in (None, 1) else local_cluster(workers))
+
+
+def are_waiting():
+    """Whether processes of this machine, as many as it has cores to use, are there already."""
+    return bool(_clusters) and _cores() in _clusters
 
 
 def _cores():

@@ -4,6 +4,7 @@ against many, exact properties of the problems.
 Each returns a DataFrame, one row a case.
 """
 
+import operator
 import time
 from functools import cache, partial
 
@@ -23,7 +24,7 @@ from rhec.estimator.rhe import RHE
 from rhec.metrics import rms, settled_samples
 from rhec.model.base import rk4
 from rhec.scenario import Scenario
-from rhec.simulation import simulate
+from rhec.simulation import set_up, simulate
 from rhec.solver.rti import PHASES
 from rhec.studies import timing
 from rhec.studies.calibration import SETTLED_S
@@ -133,16 +134,14 @@ def live(scenario, iterations):
     """The closed loop in plain Python: one Gauss-Newton iteration a sample (`iterations` = 1), or
     as many as told.
 
-    Returns the true distance to the path (n,) [m], the time RHE and RHC took (n,) [s], and for the
-    same estimates and references how far [rad/s] the command (n,) was from the converged one, and
-    that of a cold RHC (n,), which knows the previous estimate but has planned nothing.
+    Returns the true distance to the path (n,) [m], the time RHE and RHC took (n,) [s], and of each
+    sample the RHC's problem, as `RHC.feedback` takes it, and the command [rad/s].
     """
-    robot, taken, warm, cold, positions = LiveRobot(scenario), [], [], [], []
+    robot, taken, problems, commands, positions = LiveRobot(scenario), [], [], [], []
     previous = tuple(robot.setup.guess)
     estimator = RHE(process_noise=scenario.process_noise, guess=previous)
-    controller, unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(3))
+    controller = RHC(q=scenario.q, r=scenario.r)
     tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
-    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
     for z in robot:
         begin = time.perf_counter()
         estimator.prepare()
@@ -156,16 +155,29 @@ def live(scenario, iterations):
         else:
             command = controller.solve(*problem, iterations)
         taken.append(time.perf_counter() - referenced + estimated - begin)
-        exact.prepare()
-        converged = exact.solve(*problem)
-        warm.append(command - converged)
-        unprepared.iteration.start(rhc.init(horizon, previous[:3], previous[3:]))
-        cold.append(unprepared.feedback(*problem) - converged)
-        previous = estimate[:6]
+        problems.append([np.copy(given) for given in problem])
+        commands.append(command)
         positions.append(robot.pose[:2].copy())
         robot.drive(command)
     distance_m, _ = robot.setup.path.project(positions)
-    return distance_m, np.array(taken), np.array(warm), np.array(cold)
+    return distance_m, np.array(taken), problems, np.array(commands)
+
+
+def _off_converged(scenario, problems, commands):
+    """How far [rad/s] the commands (n,) of a live loop were from the converged ones, and those of
+    a cold RHC (n,), which knows the previous estimate but has planned nothing.
+    """
+    unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(2))
+    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
+    guess, cold, converged = set_up(scenario).guess, [], []
+    previous = guess[:3], guess[3:]
+    for problem in problems:
+        exact.prepare()
+        converged.append(exact.solve(*problem))
+        unprepared.iteration.start(rhc.init(horizon, *previous))
+        cold.append(unprepared.feedback(*problem))
+        previous = problem[:2]
+    return commands - np.array(converged), np.array(cold) - np.array(converged)
 
 
 def _iterations(process_noise, world, seed, many=10):
@@ -175,8 +187,9 @@ def _iterations(process_noise, world, seed, many=10):
     """
     given = dict(process_noise=process_noise, seed=seed, duration_s=80.0)
     scenario = Scenario(**(world | given))
-    one_m, one_s, warm, cold = live(scenario, 1)
-    many_m, many_s, _, _ = live(scenario, many)
+    one_m, one_s, *solved = live(scenario, 1)
+    many_m, many_s, *_ = live(scenario, many)
+    warm, cold = _off_converged(scenario, *solved)
     settled = slice(round(SETTLED_S / paper.DT_S), None)
     row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
     row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
@@ -300,8 +313,11 @@ def all_of(seeds):
     """Every experiment, {process noise: {name: table}}; what no process noise touches stands under
     both. `seeds` is the largest number of fields of a campaign.
     """
-    independent = dict(kkt=kkt_tolerances(), gains=gains(), models=models(), times=steps_in_time())
+    exact = dict(kkt=kkt_tolerances, gains=gains, models=models, times=steps_in_time)
+    searches = [partial(lowest_traction, noise) for noise in PROCESS_NOISES]
+    found = each(operator.call, [*searches, *exact.values()])
+    searched, independent = zip(PROCESS_NOISES, found), dict(zip(exact, found[len(searches) :]))
     return {
-        noise: independent | of_estimators(seeds, noise) | dict(search=lowest_traction(noise))
-        for noise in PROCESS_NOISES
+        noise: independent | of_estimators(seeds, noise) | dict(search=search)
+        for noise, search in searched
     }
