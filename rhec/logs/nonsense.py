@@ -61,23 +61,27 @@ _TRUTH = (
 )
 
 
-def _moves(rows, length_s, delay_s):
+def _driven(rows):
+    """Of each segment: times and places of its positions, x + iy; times, and how far it had by then
+    driven and turned by its encoders, (samples, 2).
+    """
+    for _, part in rows.groupby("segment"):
+        place, speeds = (part[["t_s", *names]].dropna() for names in (_POSITION, _ENCODERS))
+        if min(len(place), len(speeds)) >= 3:
+            (t, x, y), known = place.to_numpy().T, speeds["t_s"].to_numpy()
+            made = cumulative_trapezoid(speeds[_ENCODERS], known, axis=0, initial=0)
+            yield t, x + 1j * y, known, made
+
+
+def _moves(segments, length_s, delay_s):
     """Over intervals of this length: d, n, w, the turn of the course from each to the next, w then,
     and how much that turn weighs; (intervals, 6). Positions are taken to be late by delay_s.
     """
     parts = [np.zeros((0, 6))]
-    for _, part in rows.groupby("segment"):
-        place, speeds = (part[["t_s", *names]].dropna() for names in (_POSITION, _ENCODERS))
-        if min(len(place), len(speeds)) < 3:
-            continue
-        t, x, y = place.to_numpy().T
+    for t, place, known, made in segments:
         at = np.arange(t[0], t[-1], length_s / 2)
-        p, gap_s = np.interp(at, t, x + 1j * y), np.interp(at, t[1:], np.diff(t))
-        known, driven = (
-            speeds["t_s"],
-            cumulative_trapezoid(speeds, speeds["t_s"], axis=0, initial=0),
-        )
-        n, w = (np.interp(at - delay_s, known, each) for each in driven[:, 1:].T)
+        p, gap_s = np.interp(at, t, place), np.interp(at, t[1:], np.diff(t))
+        n, w = (np.interp(at - delay_s, known, each) for each in made.T)
         now, then = p[2:-2] - p[:-4], p[4:] - p[2:-2]
         one_way = (n[2:-2] - n[:-4]) * (n[4:] - n[2:-2]) > 0  # forwards or backwards
         columns = [np.abs(now), n[2:-2] - n[:-4], w[2:-2] - w[:-4], np.angle(then * now.conj())]
@@ -95,9 +99,9 @@ def _slope(x, y):
     return b[0], sigma, 1 - rest / (y @ y) if y.any() else 0.0
 
 
-def _compare(rows, length_s, delay_s):
+def _compare(segments, length_s, delay_s):
     """μ and κ as the path has them, each as a `_slope`; None where too little is known."""
-    moves = _moves(rows, length_s, delay_s)
+    moves = _moves(segments, length_s, delay_s)
     if len(moves) < _INTERVALS:
         return None
     d, n, w, turn, w_turn, weight = moves.T
@@ -115,17 +119,19 @@ def _best(rows):
     the `_compare` where they agree best.
     """
 
+    segments = [*_driven(rows)]
+
     def explained(delay_s):
-        return sum(share for *_, share in _compare(rows, length_s, delay_s))
+        return sum(share for *_, share in _compare(segments, length_s, delay_s))
 
     for length_s in _LENGTHS_S:
-        if _compare(rows, length_s, 0.0) is None:
+        if _compare(segments, length_s, 0.0) is None:
             return 0.0, None
         best = max(_DELAYS_S, key=explained)
-        if _compare(rows, length_s, best)[0][2] > _CLEAR:
+        if _compare(segments, length_s, best)[0][2] > _CLEAR:
             break
     best = max(best + _FINER_S, key=explained)
-    found = _compare(rows, length_s, best)
+    found = _compare(segments, length_s, best)
     told = found[0][2] > _CLEAR and explained(best) > explained(0.0) + _BETTER
     return best if told else 0.0, found
 

@@ -149,30 +149,38 @@ def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
     return rms(*np.concatenate(errors).T)
 
 
-def perturbed_replay(
-    log,
-    seed,
-    noise_m=0.02,
-    yaw_error_rad=0.3,
-    estimator="rhe",
-    *,
-    track_width_m=None,
-    lever_arm_m=None,
-    position_delay_s=0.0,
-    trust_log=False,
-    faults=(),
-    **fields,
-):
-    """Samples of a replay with white noise of noise_m [m] on the position and a first yaw that is
-    wrong by yaw_error_rad in each segment.
+def perturbed_replay(log, seed, **arguments):
+    """Samples of a replay with white noise of noise_m [m], 0.02 if not told, on the position and a
+    first yaw that is wrong by yaw_error_rad [rad], 0.3, in each segment.
 
     The noise joins a sigma_v that is given, which is of the log.
     seed: of the noise; faults: (rhec.Fault, …) on top; other arguments: as in `rhec.replay`. Where
     the log has no true yaw the first one is found as `rhec.replay` does.
     """
+    recording, others = _prepared(log, **arguments)
+    return _perturbed(recording, seed, **others)
+
+
+def _prepared(log, track_width_m=None, position_delay_s=0.0, trust_log=False, **others):
+    """The Recording of a log, refused if it is nonsense, and the other arguments."""
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
         refuse_nonsense(recording)
+    return recording, others
+
+
+def _perturbed(
+    recording,
+    seed,
+    noise_m=0.02,
+    yaw_error_rad=0.3,
+    estimator="rhe",
+    *,
+    lever_arm_m=None,
+    faults=(),
+    **fields,
+):
+    """`perturbed_replay` of a Recording."""
     rows = recording.rows.copy()
     noise = np.random.default_rng(seed).standard_normal((len(rows), 2))
     if fields.get("sigma_v"):
@@ -194,8 +202,9 @@ def perturbed_replay(
 
 def perturbed_scores(log, seeds, **arguments):
     """Scores of perturbed replays: one row for each noise seed, as a DataFrame."""
-    scores = [score(perturbed_replay(log, seed, **arguments)) for seed in seeds]
-    return pd.DataFrame([dict(seed=seed) | row for seed, row in zip(seeds, scores)])
+    recording, others = _prepared(log, **arguments)
+    replays = (_perturbed(recording, seed, **others) for seed in seeds)
+    return pd.DataFrame([dict(seed=seed) | score(each) for seed, each in zip(seeds, replays)])
 
 
 def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
@@ -206,10 +215,10 @@ def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
     last_yaw_rad: error at the end of the segment; outside, not_ok: as `score`. Only for a log with
     the true pose.
     """
-    rows = []
+    (recording, others), rows = _prepared(log, **arguments), []
     for name, robust, seed in itertools.product(cases, handling, seeds):
         start_s = cases[name].start_s
-        samples = perturbed_replay(log, seed, faults=(cases[name],), robust=robust, **arguments)
+        samples = _perturbed(recording, seed, faults=(cases[name],), robust=robust, **others)
         segment = samples.loc[(samples["t_s"] - start_s).abs().idxmin(), "segment"]
         after = samples[(samples["segment"] == segment) & (samples["t_s"] >= start_s)]
         yaw, whole = yaw_error(after).abs(), score(samples)
