@@ -20,7 +20,6 @@ import contextlib
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import minimize
 
 from rhec._casadi import compiled, lanes, scan
 from rhec._casadi.build import pack_array, select_inputs
@@ -112,6 +111,8 @@ def search(objective, unknowns):
     """The standard deviations that make the objective least within the bounds and evaluations that
     all are given, to two digits, and its value; `unknowns`: where each of them stands.
     """
+    from scipy.optimize import minimize  # a fifth of a second; few ever search
+
     tried = {}
 
     def evaluate(logarithms):

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from rhec import paper
 from rhec.columns import MEASUREMENTS, TRUTH
@@ -135,6 +134,8 @@ def tune():
         error_m = calibration.tracking_error_m(**fields(logarithms))
         return np.log(error_m) + _COST * np.sum(np.maximum(excess, 0) ** 2)
 
+    from scipy.optimize import minimize  # as in calibration.search
+
     first = np.log(_FIRST)
     options = dict(initial_simplex=first + np.vstack([np.zeros(4), 0.7 * np.eye(4)]), maxfev=60)
     result = minimize(objective, first, method="Nelder-Mead", options=options)
@@ -162,7 +163,8 @@ def bounds(runs, degrees):
     freedom, lies with a probability of 95 %.
     """
     ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-    return chi2.ppf(ends, runs * degrees) / (runs * degrees)
+    quantiles = 2 * gammaincinv(runs * degrees / 2, ends)
+    return quantiles / (runs * degrees)
 
 
 def share_inside(normalised, degrees):

@@ -165,7 +165,8 @@ def run(notebook, given, output):
             extra_arguments=[
                 "--IPKernelApp.log_level=CRITICAL",
                 "--InlineBackend.figure_formats=retina",  # sharp in the report
-                "--IPKernelApp.exec_lines="
+                # Without it, a tenth of the time to draw goes into looking for garbage.
+                "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000);"
                 f"__import__('importlib').import_module({this!r}).record({listing.name!r})",
             ],
         )
@@ -231,8 +232,6 @@ def main():
 
     started = time.monotonic()
     try:
-        # jsonschema would first make a parser of addresses, for 1.5 s: no notebook's format has any
-        sys.modules.setdefault("rfc3987_syntax", None)
         # takes a second, in which a person may change their mind
         from papermill.exceptions import PapermillExecutionError
 
@@ -272,4 +271,9 @@ def _value(text):
 
 
 if __name__ == "__main__":
+    # Half a second of threads that only wait for one another; the kernel inherits it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Papermill would first load, for 1.7 s, what addresses, durations and Hadoop need.
+    for unused in ("rfc3987_syntax", "isoduration", "pyarrow"):
+        sys.modules.setdefault(unused, None)
     main()
