@@ -14,6 +14,10 @@ _COPY = """  if (y && x) memcpy(y, x, n*sizeof(casadi_real));
   else if (y) memset(y, 0, n*sizeof(casadi_real));"""
 
 
+# What results a caller takes, or has no use for, line by line, and whom it calls for them.
+_CALL = re.compile(r"(?m)^((?: *res1\[.*\n)*).*\b(casadi_f\d+)\(arg1, res1,")
+
+
 def generate_c(functions, file_name, **options):
     """The text of one C file with these Functions as its entries."""
     generator = ca.CodeGenerator(file_name, options)
@@ -36,7 +40,7 @@ def _without_questions(text):
     left_out = defaultdict(set)  # by Function: results that a caller has no use for
     for place, body in reversed(list(enumerate(functions))):  # each after those that call it
         own = left_out[re.search(r"casadi_f\d+|$", body)[0]]
-        for results, name in re.findall(r"((?: *res1\[.*\n)*).*\b(casadi_f\d+)\(arg1, res1,", body):
+        for results, name in _CALL.findall(body):
             left_out[name].update(re.findall(r"res1\[(\d+)\]=0;", results))
         for name in re.findall(r"\b(casadi_f\d+)\((?!arg1, res1,)", body):
             left_out[name].update(own)
