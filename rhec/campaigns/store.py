@@ -25,18 +25,25 @@ __all__ = [
 ]  # fmt: skip
 
 PROCESSOR = Path("/proc/cpuinfo")
+_PLAIN = {bool, int, float, str, tuple, type(None)}  # nearly all of a scenario
 
 
 def provenance():
     """Return what decides a run's numbers beside its scenario, as {name: value}."""
-    versions = {name: importlib.metadata.version(name) for name in ("casadi", "numpy", "scipy")}
-    return versions | {
-        "source of rhec": compiled.source_digest()[:16],
-        "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest()[:16],
+    return _installed() | {
         "C compiler": bool(compiled.compiler()),
         "machine": platform.machine(),
         "C library": " ".join(platform.libc_ver()),
         "vector instructions": _vector_instructions(),
+    }
+
+
+@functools.cache
+def _installed():
+    versions = {name: importlib.metadata.version(name) for name in ("casadi", "numpy", "scipy")}
+    return versions | {
+        "source of rhec": compiled.source_digest()[:16],
+        "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest()[:16],
     }
 
 
@@ -54,16 +61,19 @@ def scenario_key(scenario):
 
 def _canonical_text(value):
     """A value as text that no other value has."""
-    if type(value) in (bool, int, float, str):  # nearly all of a scenario
-        return repr(value)
     if isinstance(value, ca.Function):
         return value.serialize()
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):
-        named = ((field.name, getattr(value, field.name)) for field in fields(value))
-        return repr({name: _canonical_text(each) for name, each in named})
+        named = ((name, getattr(value, name)) for name in _field_names(type(value)))
+        return repr({k: v if type(v) in _PLAIN else _canonical_text(v) for k, v in named})
     return repr(value)
+
+
+@functools.cache
+def _field_names(kind):
+    return [field.name for field in fields(kind)]
 
 
 @functools.cache
