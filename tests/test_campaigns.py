@@ -230,7 +230,7 @@ def test_what_changes_bits_is_part_of_what_a_row_was_made_by(tmp_path, monkeypat
     assert store.provenance() != here
     monkeypatch.undo()
     (tmp_path / "processor").write_text("flags\t\t: fpu avx2\n")
-    monkeypatch.setattr(store, "PROCESSOR", tmp_path / "processor")
+    monkeypatch.setattr(compiled, "PROCESSOR", tmp_path / "processor")
     assert store.provenance() != here
     monkeypatch.undo()
     assert store.provenance() == here

@@ -13,6 +13,7 @@ import json
 import multiprocessing
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -25,15 +26,19 @@ from rhec._casadi import cache
 from rhec._casadi.c_text import generate_c
 
 __all__ = [
-    "BufferedFunction", "FLAGS", "HEADERS", "compiler", "is_compiled", "library_name", "load",
-    "loop_symbols", "run_compiler", "source_digest",
+    "BufferedFunction", "FLAGS", "HEADERS", "PROCESSOR", "compiler", "is_compiled", "library_name",
+    "load", "loop_symbols", "run_compiler", "source_digest", "vector_instructions",
 ]  # fmt: skip
 
 
-def _is_avx_there():
-    with contextlib.suppress(OSError), open("/proc/cpuinfo") as about:
-        return " avx " in about.read(8192)
-    return False
+PROCESSOR = Path("/proc/cpuinfo")
+
+
+def vector_instructions():
+    """Those of the processor by which libm and NumPy choose how they compute, as far as known."""
+    with contextlib.suppress(OSError), PROCESSOR.open() as about:
+        return {*re.findall(r"\b(?:avx|fma|asimd|sve)\w*", about.read(8192))}  # of the first core
+    return set()
 
 
 # No fused multiply-add: the virtual machine has none, and both must agree. No interposition:
@@ -41,7 +46,7 @@ def _is_avx_there():
 # the code is no slower without them; Clang, whose code is faster, takes no notice. With AVX an
 # operation need not overwrite one of its operands: a sixth fewer instructions, the same bits.
 FLAGS = (
-    *["-mavx"] * _is_avx_there(),
+    *["-mavx"] * ("avx" in vector_instructions()),
     "-fno-gcse",
     "-fno-schedule-insns2",
     "-fPIC",

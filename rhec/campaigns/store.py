@@ -6,10 +6,8 @@ import importlib.metadata
 import json
 import os
 import platform
-import re
 import warnings
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -19,12 +17,8 @@ from rhec._casadi import compiled
 from rhec._casadi.validation import optional, shown
 from rhec.tracked_robot import terrain
 
-__all__ = [
-    "PROCESSOR", "cache_folder", "failed_row", "load_rows", "provenance", "save_rows",
-    "scenario_key",
-]  # fmt: skip
+__all__ = ["cache_folder", "failed_row", "load_rows", "provenance", "save_rows", "scenario_key"]
 
-PROCESSOR = Path("/proc/cpuinfo")
 _PLAIN = {bool, int, float, str, tuple, type(None)}  # nearly all of a scenario
 
 
@@ -34,7 +28,7 @@ def provenance():
         "C compiler": bool(compiled.compiler()),
         "machine": platform.machine(),
         "C library": " ".join(platform.libc_ver()),
-        "vector instructions": _vector_instructions(),
+        "vector instructions": " ".join(sorted(compiled.vector_instructions())),
     }
 
 
@@ -45,13 +39,6 @@ def _installed():
         "source of rhec": compiled.source_digest()[:16],
         "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest()[:16],
     }
-
-
-def _vector_instructions():
-    """Those of the processor by which libm and NumPy choose how they compute, as far as known."""
-    about = PROCESSOR.read_text() if PROCESSOR.exists() else ""
-    flags = re.findall(r"\b(?:avx|fma|asimd|sve)\w*", about)
-    return " ".join(sorted({*flags}))
 
 
 def scenario_key(scenario):
