@@ -6,6 +6,7 @@ import functools
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 import pytest
 from oracles import flat, mhe_instance, mpc_instance
 from robots import BICYCLE
@@ -225,6 +226,20 @@ def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always
     table = rhec.campaign(scenarios, workers=1)
     assert len(made) == len(kinds)
     same(table, scenarios)
+
+
+def test_one_run_takes_a_lane_where_nothing_else_is_compiled(always, monkeypatch):
+    scenarios = [*unlike({})]
+    alone = [*map(rhec.simulate, scenarios)]
+    rhec.campaign(scenarios, workers=1)
+    monkeypatch.setattr(compiled, "is_compiled", lambda *what: False)
+    monkeypatch.setattr(lanes, "scan_alone", lambda *given: 1 / 0)
+    lanes._instead.cache_clear()
+    runs = [*map(rhec.simulate, scenarios)], side_by_side.simulate_all(scenarios)
+    lanes._instead.cache_clear()
+    for before, *after in zip(alone, *runs, strict=True):
+        for run in after:
+            pd.testing.assert_frame_equal(run.log, before.log)
 
 
 def test_what_has_no_lanes_runs_one_by_one(always):

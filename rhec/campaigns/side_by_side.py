@@ -12,7 +12,7 @@ from rhec.tracked_robot import terrain
 
 __all__ = [
     "compile_lanes", "in_parts", "n_samples", "run_each", "run_in_lanes", "samples_alike",
-    "size_of_task", "to_compile",
+    "simulate_all", "size_of_task", "to_compile",
 ]  # fmt: skip
 
 # Samples of runs alike that pay for compiling lanes, and for using them where they are compiled.
@@ -125,6 +125,11 @@ def run_each(scenarios, alike, of):
     """
     found = run_in_lanes(dict(enumerate(scenarios)), alike, of)
     return [found.get(k) or of(simulation.simulate(each)) for k, each in enumerate(scenarios)]
+
+
+def simulate_all(scenarios):
+    """The Runs of the scenarios, in their order; several at a time where lanes are compiled."""
+    return run_each(scenarios, samples_alike(scenarios), lambda run: run)
 
 
 def _block(structure, alike):
