@@ -89,12 +89,13 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
     """
     blocks, waiting, done, setups = {}, {}, {}, {}
     noise = functools.cache(simulation.noise_and_faults)
+    on_soil = functools.lru_cache(2 * _MOST_LANES)(terrain.settings)
     if alike < _WORTH_USING:
         return done
     for key, scenario in scenarios.items():
         with contextlib.suppress(Exception):
             family, samples = _all_but_seed(scenario), n_samples(scenario)
-            setup = setups[family] = _set_up(scenario, setups.get(family))
+            setup = setups[family] = _set_up(scenario, setups.get(family), on_soil)
             if setup.structure not in blocks:
                 blocks[setup.structure] = _block(setup.structure, alike)
             block = blocks[setup.structure]
@@ -109,13 +110,13 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
     return done
 
 
-def _set_up(scenario, alike):
+def _set_up(scenario, alike, on_soil):
     """`simulation.set_up`, from the Setup of one alike but for its seed, if there is one."""
     if alike is None:
         return simulation.set_up(scenario)
     soil = scenario.terrain or terrain.random_for(scenario, alike.path)
-    on_soil = terrain.settings(soil, alike.structure.terrain_shape)
-    return replace(alike, settings=alike.settings | on_soil, terrain=soil)
+    settings = alike.settings | on_soil(soil, alike.structure.terrain_shape)
+    return replace(alike, settings=settings, terrain=soil)
 
 
 def run_each(scenarios, alike, of):

@@ -52,7 +52,7 @@ Patch = tuple[
 ]  # disc of sudden change: (x_m, y_m, radius_m, μ, κ)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # the same only if it is itself, so that caches may know it
 class Terrain:
     """Traction on a grid: mu[i, j], kappa[i, j] at (x, y) = origin_m + cell_m · (i, j); between the
     points it is bilinear, beyond them constant.

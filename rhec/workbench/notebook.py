@@ -165,6 +165,7 @@ def run(notebook, given, output):
             extra_arguments=[
                 "--IPKernelApp.log_level=CRITICAL",
                 "--InlineBackend.figure_formats=retina",  # sharp in the report
+                "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
                 # Without it, a tenth of the time to draw goes into looking for garbage.
                 "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000);"
                 f"__import__('importlib').import_module({this!r}).record({listing.name!r})",
