@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi import build, lanes, scan
+from rhec._casadi import build, compiled, scan
 from rhec._casadi.validation import shown
 from rhec.columns import COLUMNS, FLAGS, LOG
 from rhec.controller import rhc
@@ -267,10 +267,10 @@ def simulate(scenario: Scenario) -> Run:
 
 def simulate_setup(scenario, setup):
     """The Run of a scenario that is set up."""
+    functions = compiled.load(build_sample, *setup.structure)
     samples = round(scenario.duration_s / paper.DT_S)
     stream = noise_and_faults(scenario.seed, scenario.faults, samples)
-    loop = build_sample, setup.structure
-    return finish(scenario, setup, lanes.scan_one(*loop, setup.memory, stream, setup.settings))
+    return finish(scenario, setup, scan.scan(functions, setup.memory, stream, setup.settings)[1])
 
 
 def finish(scenario, setup, rows):

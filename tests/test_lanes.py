@@ -228,18 +228,14 @@ def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always
     same(table, scenarios)
 
 
-def test_one_run_takes_a_lane_where_nothing_else_is_compiled(always, monkeypatch):
+def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
     scenarios = [*unlike({})]
     alone = [*map(rhec.simulate, scenarios)]
-    rhec.campaign(scenarios, workers=1)
+    lanes.load(simulation.build_sample, *simulation.set_up(SMALL).structure)
     monkeypatch.setattr(compiled, "is_compiled", lambda *what: False)
-    monkeypatch.setattr(lanes, "scan_alone", lambda *given: 1 / 0)
-    lanes._instead.cache_clear()
-    runs = [*map(rhec.simulate, scenarios)], side_by_side.simulate_all(scenarios)
-    lanes._instead.cache_clear()
-    for before, *after in zip(alone, *runs, strict=True):
-        for run in after:
-            pd.testing.assert_frame_equal(run.log, before.log)
+    monkeypatch.setattr(simulation, "simulate", lambda scenario: 1 / 0)
+    for run, before in zip(side_by_side.simulate_all(scenarios), alone, strict=True):
+        pd.testing.assert_frame_equal(run.log, before.log)
 
 
 def test_what_has_no_lanes_runs_one_by_one(always):

@@ -22,11 +22,8 @@ import numpy as np
 
 from rhec._casadi import cache, compiled
 from rhec._casadi.parts import compile_by_parts
-from rhec._casadi.scan import scan as scan_alone
 
-__all__ = ["is_compiled", "load", "scan", "scan_one"]
-
-_SHORT = 25_000  # samples of one run: in a lane it takes the memory of as many as there are
+__all__ = ["is_compiled", "load", "scan"]
 
 # Helpers of CasADi's that look into a number; lanes.h has them for lanes, or nothing has.
 _HELPERS = "low|interpn|interpn_weights|interpn_interpolate|fmin|fmax|fabs"
@@ -216,16 +213,3 @@ def _scan(block, memories, streams, settings):
         now, after = after, now
     by_run = np.ascontiguousarray(rows.T)
     return [rows_of[:, : len(run)].T for rows_of, run in zip(by_run, streams)]
-
-
-def scan_one(build, structure, memory, stream, settings):
-    """Rows (n, outputs) of one run of build(*structure), in a lane where only that is compiled."""
-    in_lane = compiled.compiler() and len(stream) <= _SHORT
-    if block := _instead(build, *structure) if in_lane else None:
-        return scan(block, [memory], [stream], [settings])[0].copy("K")
-    return scan_alone(compiled.load(build, *structure), memory, stream, settings)[1]
-
-
-@functools.cache
-def _instead(*what):
-    return load(*what) if is_compiled(*what) and not compiled.is_compiled(*what) else None

@@ -7,7 +7,7 @@ import operator
 from dataclasses import replace
 
 from rhec import paper, simulation
-from rhec._casadi import lanes
+from rhec._casadi import compiled, lanes
 from rhec.tracked_robot import terrain
 
 __all__ = [
@@ -90,8 +90,6 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
     blocks, waiting, done, setups = {}, {}, {}, {}
     noise = functools.cache(simulation.noise_and_faults)
     on_soil = functools.lru_cache(2 * _MOST_LANES)(terrain.settings)
-    if alike < _WORTH_USING:
-        return done
     for key, scenario in scenarios.items():
         with contextlib.suppress(Exception):
             family, samples = _all_but_seed(scenario), n_samples(scenario)
@@ -134,9 +132,12 @@ def simulate_all(scenarios):
 
 
 def _block(structure, alike):
-    """The compiled lanes of a structure, or None where there are none or they do not pay."""
+    """The compiled lanes of a structure, or None where there are none or they do not pay, as they
+    do even for few runs if these would have to wait for their own loop to be compiled.
+    """
     sample = simulation.build_sample, *structure
-    pays = alike >= _WORTH_COMPILING or lanes.is_compiled(*sample)
+    few = alike < _WORTH_USING and compiled.is_compiled(*sample)
+    pays = alike >= _WORTH_COMPILING or not few and lanes.is_compiled(*sample)
     return lanes.load(*sample) if pays else None
 
 
