@@ -49,7 +49,7 @@ def _fields(drives):
 def _over(drives):
     """What a line and its band are, for a title."""
     noise = drives[0].scenario.process_noise
-    return f"{noise} process noise: median and middle 90 % of {_fields(drives)}"
+    return f"{noise} process noise: median, middle 90 % of {_fields(drives)}"
 
 
 def _time_axis(axes, log):
