@@ -84,7 +84,7 @@ def total(profile):
 
 def per_call(profile):
     """Instructions a call, with all that is called, of every function in a callgrind file."""
-    names, calls, total = {}, Counter(), Counter()
+    names, calls, instructions = {}, Counter(), Counter()
     with open(profile) as lines:
         for line in lines:
             if function := re.match(
@@ -95,8 +95,8 @@ def per_call(profile):
                 "calls="
             ):  # `name` is the one called, the next line says what it cost
                 calls[name] += int(line.split()[0].removeprefix("calls="))
-                total[name] += int(next(lines).split()[-1])
-    return {name: total[name] / calls[name] for name in calls}
+                instructions[name] += int(next(lines).split()[-1])
+    return {name: instructions[name] / calls[name] for name in calls}
 
 
 def measure(acados=None):
