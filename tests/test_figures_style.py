@@ -122,6 +122,20 @@ def test_style_stays_inside_its_figures():
     }
 
 
+def test_a_figure_has_the_same_ticks_in_a_notebook_as_in_its_file():
+    """Their labels are the larger there, if they are not told, and so the fewer."""
+
+    def ticks():
+        figure.draw_without_rendering()
+        return [tick.get_text() for tick in figure.axes[0].get_xticklabels()]
+
+    figure = parabola()
+    with mpl.rc_context(style.RC):
+        in_file = ticks()
+    with mpl.rc_context({"xtick.labelsize": 30}):
+        assert ticks() == in_file
+
+
 def test_after_saving_the_layout_stands(tmp_path):
     for figure in (parabola(), robot_drawings.schematic()):
         style.save(figure, "figure", folder=tmp_path)

@@ -85,7 +85,12 @@ def styled(draw):
         plt.draw_if_interactive()
         with mpl.rc_context(RC):
             figure = draw(*args, **kwargs)
-            figure.draw_without_rendering()  # ticks take their style when first drawn
+            # Ticks take their style when first drawn; how many they are follows their size, each
+            # time they are drawn.
+            for axis in (each for axes in figure.axes for each in (axes.xaxis, axes.yaxis)):
+                size = RC[f"{axis.axis_name}tick.labelsize"]
+                axis.set_tick_params(labelsize=axis.get_tick_params().get("labelsize", size))
+            figure.draw_without_rendering()
         plt.close(figure)  # else pyplot keeps it, and a notebook shows it twice
         return figure
 
