@@ -88,8 +88,8 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
     Not those that fail: `simulate` says why. alike: see `samples_alike`, of the whole campaign.
     """
     blocks, waiting, done, setups = {}, {}, {}, {}
-    noise = functools.cache(simulation.noise_and_faults)
-    on_soil = functools.lru_cache(2 * _MOST_LANES)(terrain.settings)
+    last = functools.lru_cache(4 * _MOST_LANES)  # of the seeds near each other, not of a whole part
+    noise, on_soil = last(simulation.noise_and_faults), last(terrain.settings)
     for key, scenario in scenarios.items():
         with contextlib.suppress(Exception):
             family, samples = _all_but_seed(scenario), n_samples(scenario)
