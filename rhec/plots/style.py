@@ -85,11 +85,13 @@ def styled(draw):
         plt.draw_if_interactive()
         with mpl.rc_context(RC):
             figure = draw(*args, **kwargs)
-            # Ticks take their style when first drawn; how many they are follows their size, each
-            # time they are drawn.
-            for axis in (each for axes in figure.axes for each in (axes.xaxis, axes.yaxis)):
-                size = RC[f"{axis.axis_name}tick.labelsize"]
-                axis.set_tick_params(labelsize=axis.get_tick_params().get("labelsize", size))
+            # Ticks take their style when first asked for; how many they are follows the size that
+            # their labels are told to have, each time they are drawn.
+            shown = (axes for axes in figure.axes if axes.axison)
+            for axis in (each for axes in shown for each in (axes.xaxis, axes.yaxis)):
+                sizes = {label.get_fontsize() for label in axis.get_ticklabels()}
+                if len(sizes) == 1:
+                    axis.set_tick_params(labelsize=sizes.pop())
             figure.draw_without_rendering()
         plt.close(figure)  # else pyplot keeps it, and a notebook shows it twice
         return figure
