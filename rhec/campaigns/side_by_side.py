@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from rhec import paper, simulation
 from rhec._casadi import compiled, lanes
+from rhec.campaigns.store import PLAIN
 from rhec.tracked_robot import terrain
 
 __all__ = [
@@ -27,13 +28,11 @@ _ALIKE = operator.attrgetter(
     "prediction_horizon", "qp", "input_reference", "cautious",
 )  # fmt: skip
 
-_PLAIN = {bool, int, float, str, tuple, type(None)}
-
 
 def _all_but_seed(scenario):
     """What two scenarios have in common that differ in their seed alone, while both are there."""
     given = vars(scenario) | dict(seed=None)
-    return repr([each if type(each) in _PLAIN else id(each) for each in given.values()])
+    return repr([each if type(each) in PLAIN else id(each) for each in given.values()])
 
 
 def n_samples(scenario):

@@ -17,9 +17,11 @@ from rhec._casadi import compiled
 from rhec._casadi.validation import optional, shown
 from rhec.tracked_robot import terrain
 
-__all__ = ["cache_folder", "failed_row", "load_rows", "provenance", "save_rows", "scenario_key"]
+__all__ = [
+    "PLAIN", "cache_folder", "failed_row", "load_rows", "provenance", "save_rows", "scenario_key",
+]  # fmt: skip
 
-_PLAIN = {bool, int, float, str, tuple, type(None)}  # nearly all of a scenario
+PLAIN = {bool, int, float, str, tuple, type(None)}  # nearly all of a scenario: repr says it whole
 
 
 def provenance():
@@ -54,7 +56,7 @@ def _canonical_text(value):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):
         named = ((name, getattr(value, name)) for name in _field_names(type(value)))
-        return repr({k: v if type(v) in _PLAIN else _canonical_text(v) for k, v in named})
+        return repr({k: v if type(v) in PLAIN else _canonical_text(v) for k, v in named})
     return repr(value)
 
 

@@ -118,7 +118,6 @@ def _best(rows):
     """How much later than encoder measurements positions come [s], as far as that can be told, and
     the `_compare` where they agree best.
     """
-
     segments = [*_driven(rows)]
 
     def explained(delay_s):

@@ -118,6 +118,8 @@ def tune():
     and noise of the yaw enters inside the window, by σ_ω; yaw and speed have none of their own.
     Nelder and Mead's method, since σ_ω and W depend on each other.
     """
+    from scipy.optimize import minimize  # as in calibration.search
+
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS)
 
     def fields(logarithms):
@@ -133,8 +135,6 @@ def tune():
         excess = np.abs(np.log([nees.mean() / degrees, *ratios])) - np.log(_BAND)
         error_m = calibration.tracking_error_m(**fields(logarithms))
         return np.log(error_m) + _COST * np.sum(np.maximum(excess, 0) ** 2)
-
-    from scipy.optimize import minimize  # as in calibration.search
 
     first = np.log(_FIRST)
     options = dict(initial_simplex=first + np.vstack([np.zeros(4), 0.7 * np.eye(4)]), maxfev=60)
@@ -163,7 +163,7 @@ def bounds(runs, degrees):
     freedom, lies with a probability of 95 %.
     """
     ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-    quantiles = 2 * gammaincinv(runs * degrees / 2, ends)
+    quantiles = 2 * gammaincinv(runs * degrees / 2, ends)  # of χ²; scipy.stats takes long to load
     return quantiles / (runs * degrees)
 
 

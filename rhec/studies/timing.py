@@ -30,7 +30,7 @@ def phases(scenario, qp):
     """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in
     PHASES, the RHC's QP by this solver.
     """
-    (run,) = simulate_all([scenario])
+    (run,) = simulate_all([scenario])  # it needs no loop of its own compiled
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
     estimator = RHE(process_noise=scenario.process_noise, guess=guess)
     controller = RHC(q=scenario.q, r=scenario.r, qp=qp)

@@ -138,8 +138,7 @@ def live(scenario, iterations):
     sample the RHC's problem, as `RHC.feedback` takes it, and the command [rad/s].
     """
     robot, taken, problems, commands, positions = LiveRobot(scenario), [], [], [], []
-    previous = tuple(robot.setup.guess)
-    estimator = RHE(process_noise=scenario.process_noise, guess=previous)
+    estimator = RHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
     controller = RHC(q=scenario.q, r=scenario.r)
     tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
     for z in robot:
