@@ -65,14 +65,14 @@ recordings: $(READY) ## fetch the recordings of real robots that data/recordings
 	@$(PY) data/fetch_recordings.py $(HOST)
 
 replay-table: $(READY) ## the table of real robots, each left out once: after make recordings
-	@$(PY) -m rhec.studies.transfer
+	@$(PY) -m rhec.workbench.studies.transfer
 
 calibrate: $(READY) ## find a recorded log's noise and lever arm: make calibrate LOG=file.csv
 	@$(log_given)
 	@$(PY) -m rhec.logs.calibration "$$REPLAY_LOG"
 
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
-	@$(PY) -m rhec.campaigns $(WHAT)
+	@$(PY) -m rhec.simulation.campaigns $(WHAT)
 
 embedded: $(READY) ## the default scenario's estimator and controller as C, in build/embedded
 	@$(PY) -m notebooks.embedded_measurements

@@ -159,7 +159,7 @@ def convert(frame, source):
         source: Its table in recordings.toml.
 
     Returns:
-        DataFrame with the columns of a recording (`rhec.columns`), a segment without a break.
+        DataFrame with the columns of a recording (`rhec.simulation.columns`), a segment without a break.
     """
     form, parts = _rows if "ros_time" in frame else _windows, []
     for number, piece in enumerate(form(frame, source)):

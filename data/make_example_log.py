@@ -13,9 +13,15 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec._casadi import scan
-from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack, with_packed_memory
-from rhec.columns import RECORDED_TRUTH, TRACKS
+from rhec.core._casadi import scan
+from rhec.core._casadi.build import (
+    pack_array,
+    packed_size,
+    select_inputs,
+    unpack,
+    with_packed_memory,
+)
+from rhec.simulation.columns import RECORDED_TRUTH, TRACKS
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot.terrain import Terrain, flat, lookup
 

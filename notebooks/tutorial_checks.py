@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.scenario import Scenario
-from rhec.simulation import simulate
+from rhec.simulation.closed_loop import simulate
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot.path import advance
 from rhec.tracked_robot.terrain import Terrain
@@ -315,6 +315,6 @@ def paired(one, other):
     """Mean of one minus other (n,) each and its 95 % percentile bootstrap interval: (mean, low,
     high).
     """
-    from rhec.studies.statistics import over_seeds  # here, as above
+    from rhec.workbench.studies.statistics import over_seeds  # here, as above
 
     return tuple(over_seeds(np.mean, one - other)[:3])

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rhec import logs
-    from rhec.campaigns.campaign import campaign
-    from rhec.codegen import export
-    from rhec.controller.rhc import RHC
-    from rhec.estimator.ekf import EKF
-    from rhec.estimator.rhe import RHE
+    from rhec.core.controller.rhc import RHC
+    from rhec.core.estimator.ekf import EKF
+    from rhec.core.estimator.rhe import RHE
+    from rhec.core.model.base import Model
+    from rhec.embedded import export
     from rhec.extensions.faults import Fault
     from rhec.logs.calibration import calibrate
     from rhec.logs.replay import replay
-    from rhec.model.base import Model
-    from rhec.scenario import Scenario
-    from rhec.simulation import Run, simulate
+    from rhec.simulation.campaigns.campaign import campaign
+    from rhec.simulation.closed_loop import Run, simulate
+    from rhec.simulation.scenario import Scenario
     from rhec.tracked_robot.path import Path
     from rhec.tracked_robot.references import PathTracker
     from rhec.tracked_robot.terrain import Terrain
@@ -35,23 +35,23 @@ __version__ = "0.2.0"
 
 # Loaded on first use, so that a program pays only for what it uses.
 _HOME = {
-    "EKF": "estimator.ekf",
+    "EKF": "core.estimator.ekf",
     "Explorer": "workbench.explorer.explorer",
     "Fault": "extensions.faults",
-    "Model": "model.base",
+    "Model": "core.model.base",
     "Path": "tracked_robot.path",
     "PathTracker": "tracked_robot.references",
-    "RHC": "controller.rhc",
-    "RHE": "estimator.rhe",
-    "Run": "simulation",
-    "Scenario": "scenario",
+    "RHC": "core.controller.rhc",
+    "RHE": "core.estimator.rhe",
+    "Run": "simulation.closed_loop",
+    "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",
     "calibrate": "logs.calibration",
-    "campaign": "campaigns.campaign",
-    "export": "codegen",
+    "campaign": "simulation.campaigns.campaign",
+    "export": "embedded",
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
-    "simulate": "simulation",
+    "simulate": "simulation.closed_loop",
 }
 __all__ = [
     "EKF", "Explorer", "Fault", "Model", "Path", "PathTracker", "RHC", "RHE", "Run", "Scenario",

@@ -3,7 +3,7 @@ import contextlib
 import pytest
 
 import rhec
-from rhec._casadi import compiled
+from rhec.core._casadi import compiled
 
 
 @contextlib.contextmanager

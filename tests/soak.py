@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rhec import paper, simulation
-from rhec._casadi import compiled, scan
-from rhec.columns import COLUMNS, COMMAND, ESTIMATE, TRUTH
+from rhec import paper
+from rhec.core._casadi import compiled, scan
 from rhec.extensions import faults
 from rhec.extensions.faults import Fault
-from rhec.scenario import Scenario
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import COLUMNS, COMMAND, ESTIMATE, TRUTH
+from rhec.simulation.scenario import Scenario
 
 LEG = 1500  # samples
 CHECK = 500  # samples between two looks at the arrival covariance
@@ -97,7 +98,7 @@ def leg(base, seed, number):
 def init(base, seed):
     """The state before the first sample: memory of the loop, counts, digest of all rows."""
     return dict.fromkeys(COUNTS, 0) | dict(
-        seed=seed, lowest_eigenvalue=np.inf, memory=simulation.set_up(leg(base, seed, 0)).memory
+        seed=seed, lowest_eigenvalue=np.inf, memory=closed_loop.set_up(leg(base, seed, 0)).memory
     )
 
 
@@ -140,9 +141,9 @@ def drive(state, base, samples):
     while state["done"] < end:
         number, place = divmod(state["done"], LEG)
         scenario = leg(base, state["seed"], number)
-        setup = simulation.set_up(scenario)
-        functions = compiled.load(simulation.build_sample, *setup.structure)
-        stream = simulation.noise_and_faults(scenario.seed, scenario.faults, LEG)
+        setup = closed_loop.set_up(scenario)
+        functions = compiled.load(closed_loop.build_sample, *setup.structure)
+        stream = closed_loop.noise_and_faults(scenario.seed, scenario.faults, LEG)
         while place < LEG and state["done"] < end:
             until = min(place - place % CHECK + CHECK, place + end - state["done"])
             state["memory"], rows = scan.scan(

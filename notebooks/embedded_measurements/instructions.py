@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from rhec.studies.timing import PHASES
+from rhec.workbench.studies.timing import PHASES
 
 __all__ = ["CLOCK_HZ", "counts", "table", "trace"]
 

@@ -11,8 +11,8 @@ import pandas as pd
 
 from notebooks.embedded_measurements import instructions, toolchain
 from rhec import paper
-from rhec.columns import MEASUREMENTS
-from rhec.studies.timing import PHASES
+from rhec.simulation.columns import MEASUREMENTS
+from rhec.workbench.studies.timing import PHASES
 
 __all__ = ["TOLERANCE", "against_the_paper", "measure", "reported"]
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from rhec._casadi import compiled
+from rhec.core._casadi import compiled
 
 __all__ = [
     "FLAGS",

@@ -18,7 +18,7 @@ estimators, whose models have a constant speed, can follow.
 import casadi as ca
 
 from rhec import paper
-from rhec._casadi.build import casadi_function, select_inputs
+from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.path import OPEN
 from rhec.tracked_robot.references import pose_at

@@ -2,8 +2,8 @@
 
 import casadi as ca
 
-from rhec._casadi.build import casadi_function
-from rhec.model.limits import MAX_QP_ENTRY, is_plausible
+from rhec.core._casadi.build import casadi_function
+from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 
 __all__ = ["box_qp_by_library", "condensed_hessian"]
 

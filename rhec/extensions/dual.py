@@ -10,7 +10,7 @@ sample's turn ahead; a Runge-Kutta step does not.
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import pack_array
+from rhec.core._casadi.build import pack_array
 from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import Estimator, estimator_of

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from rhec._casadi.build import casadi_function
-from rhec._casadi.validation import NotNegative, Positive, Real, validated
+from rhec.core._casadi.build import casadi_function
+from rhec.core._casadi.validation import NotNegative, Positive, Real, validated
 
 __all__ = [
     "CHANNELS", "DELAY_MAX_S", "Fault", "KINDS", "MEMORY", "OWN_CHANNELS", "SIZES", "STREAM",

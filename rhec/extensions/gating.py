@@ -22,11 +22,11 @@ All of it wraps the RHE's phases from outside: the estimator knows variances, no
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
-from rhec._casadi.compiled import loop_symbols
-from rhec.estimator import rhe
+from rhec.core._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
+from rhec.core._casadi.compiled import loop_symbols
+from rhec.core.estimator import rhe
+from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.extensions.slipping import LEVER_ARM
-from rhec.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.estimators import estimator_of
 

@@ -8,7 +8,7 @@ centre x_v ahead; α_l and α_r are the shares of the tracks' speeds that reach 
 
 import casadi as ca
 
-from rhec.model.base import Model, MotionNoise
+from rhec.core.model.base import Model, MotionNoise
 
 __all__ = ["ICR", "f"]
 

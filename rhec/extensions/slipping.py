@@ -9,7 +9,7 @@ tracks ran. `tuning.SLIP` names the numbers, `rhec.calibrate` finds them in a lo
 import casadi as ca
 
 from rhec import paper
-from rhec.model.base import Model, MotionNoise
+from rhec.core.model.base import Model, MotionNoise
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
 from rhec.tracked_robot.kinematics import SpeedModel

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pandas as pd
 
-from rhec.columns import TRACKS
+from rhec.simulation.columns import TRACKS
 
 __all__ = ["SUFFIXES", "read_bag"]
 

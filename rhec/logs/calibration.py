@@ -16,18 +16,18 @@ import pandas as pd
 from scipy.optimize import minimize, minimize_scalar
 
 from rhec import paper
-from rhec._casadi import compiled, scan
-from rhec._casadi.build import pack_array, with_packed_memory
-from rhec._casadi.validation import Flag, Positive, Real, checked
-from rhec.columns import AGE, MEASUREMENTS
-from rhec.estimator import kalman
+from rhec.core._casadi import compiled, scan
+from rhec.core._casadi.build import pack_array, with_packed_memory
+from rhec.core._casadi.validation import Flag, Positive, Real, checked
+from rhec.core.estimator import kalman
+from rhec.core.model import base
+from rhec.core.solver.gauss_newton import symmetric
 from rhec.extensions import slipping
 from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.reader import read
 from rhec.logs.recording import prepare, resample
-from rhec.model import base
-from rhec.scenario import Scenario
-from rhec.solver.gauss_newton import symmetric
+from rhec.simulation.columns import AGE, MEASUREMENTS
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.estimators import estimator_of
 
 __all__ = ["Calibration", "calibrate"]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.columns import INNOVATION, SIGMA
+from rhec.simulation.columns import INNOVATION, SIGMA
 
 __all__ = ["is_lost", "remarks"]
 

@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from rhec.columns import MEASUREMENTS
+from rhec.simulation.columns import MEASUREMENTS
 
 __all__ = ["refuse_nonsense"]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rhec.columns import ESTIMATE, MEASUREMENTS
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
 
 __all__ = ["write_estimates", "write_scores"]
 

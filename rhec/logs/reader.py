@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec._casadi.validation import Positive, checked
+from rhec.core._casadi.validation import Positive, checked
 from rhec.logs.bags import SUFFIXES, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 

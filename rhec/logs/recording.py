@@ -14,7 +14,14 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.columns import MEASUREMENTS, POSE, RECORDED, RECORDED_TRUTH, TRACKS, TRUE_SPEEDS
+from rhec.simulation.columns import (
+    MEASUREMENTS,
+    POSE,
+    RECORDED,
+    RECORDED_TRUTH,
+    TRACKS,
+    TRUE_SPEEDS,
+)
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 __all__ = ["MAX_PERIOD", "SECONDS", "Recording", "measured_since", "prepare", "prepare_for"]

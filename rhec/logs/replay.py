@@ -15,22 +15,31 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec._casadi import compiled, scan
-from rhec._casadi.build import pack_array, packed_size, select_inputs, unpack
-from rhec._casadi.renamed import with_new_names
-from rhec._casadi.validation import Flag, Positive, Real, checked
-from rhec.columns import AGE, ESTIMATE, FLAGS, GATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
-from rhec.estimator.ekf import EKF
-from rhec.estimator.rhe import RHE
+from rhec.core._casadi import compiled, scan
+from rhec.core._casadi.build import pack_array, packed_size, select_inputs, unpack
+from rhec.core._casadi.renamed import with_new_names
+from rhec.core._casadi.validation import Flag, Positive, Real, checked
+from rhec.core.estimator.ekf import EKF
+from rhec.core.estimator.rhe import RHE
+from rhec.core.model.base import Model, interval
+from rhec.core.model.limits import is_valid_measurement
 from rhec.extensions import slipping
 from rhec.extensions.faults import corrupted
 from rhec.logs.lost import is_lost, remarks
 from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.recording import measured_since, prepare, prepare_for, resample
-from rhec.model.base import Model, interval
-from rhec.model.limits import is_valid_measurement
-from rhec.scenario import Scenario
-from rhec.simulation import known_traction
+from rhec.simulation.closed_loop import known_traction
+from rhec.simulation.columns import (
+    AGE,
+    ESTIMATE,
+    FLAGS,
+    GATE,
+    INNOVATION,
+    LEVER_ARM,
+    MEASUREMENTS,
+    SIGMA,
+)
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.estimators import NAMES, Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import window_of
@@ -331,7 +340,7 @@ def replay(
             False.
 
     Returns:
-        DataFrame, one row for each row of the log, in its order and with its index; `rhec.columns`
+        DataFrame, one row for each row of the log, in its order and with its index; `rhec.simulation.columns`
         documents its columns. With a model: measurements under the outputs' names, for each state,
         input and parameter `<name>_hat`, for states and parameters the standard deviation
         `<name>_sigma`, and `ok`. A row that cannot be used has the estimate before it. Nothing

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.columns import MEASUREMENTS, TRUE_SPEEDS
 from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.recording import prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
+from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
 
 __all__ = [
     "FROM_M", "REGRESSIONS", "WINDOW_S", "ahead_rms_m", "distance_driven",

@@ -10,11 +10,11 @@ keep them there.
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.build import with_packed_memory
-from rhec.estimator.ekf import predict_and_correct
-from rhec.model import base
-from rhec.model.limits import is_valid_measurement
-from rhec.solver.box_qp import box_qp
+from rhec.core._casadi.build import with_packed_memory
+from rhec.core.estimator.ekf import predict_and_correct
+from rhec.core.model import base
+from rhec.core.model.limits import is_valid_measurement
+from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import Estimator
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from rhec.model.base import Model, rk4
+from rhec.core.model.base import Model, rk4
 
 __all__ = ["QUANTITIES", "SPEED_MODELS", "SpeedModel", "f", "h", "rk4", "speed_model_of"]
 

@@ -11,7 +11,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from rhec._casadi.validation import Flag, Positive, Real, checked, numbers, shown
+from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers, shown
 
 __all__ = ["OPEN", "Path", "advance", "closest"]
 

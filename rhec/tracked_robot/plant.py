@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi.build import casadi_function, packed_size
-from rhec._casadi.sines import sines_by_addition
+from rhec.core._casadi.build import casadi_function, packed_size
+from rhec.core._casadi.sines import sines_by_addition
 from rhec.tracked_robot.kinematics import f, rk4
 
 __all__ = [

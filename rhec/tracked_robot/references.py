@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi import compiled
-from rhec._casadi.build import casadi_function
-from rhec._casadi.validation import Intervals, NotNegative, Positive, checked
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import casadi_function
+from rhec.core._casadi.validation import Intervals, NotNegative, Positive, checked
 from rhec.tracked_robot.path import OPEN, Path, advance
 
 __all__ = ["PathTracker", "build_references", "pose_at"]

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from rhec import paper
-from rhec._casadi.validation import Intervals, NotNegative, Positive, Solver, Weights, checked
-from rhec.controller import rhc
+from rhec.core._casadi.validation import Intervals, NotNegative, Positive, Solver, Weights, checked
+from rhec.core.controller import rhc
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 __all__ = ["PaperRHC", "horizon_of"]

@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec._casadi import compiled
-from rhec._casadi import validation as valid
-from rhec.estimator import rhe
-from rhec.model.base import Model
-from rhec.solver.rti import RealTimeIteration
+from rhec.core._casadi import compiled
+from rhec.core._casadi import validation as valid
+from rhec.core.estimator import rhe
+from rhec.core.model.base import Model
+from rhec.core.solver.rti import RealTimeIteration
 from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot.estimators import Choice, Estimator
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, speed_model_of

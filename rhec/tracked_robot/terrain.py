@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 from scipy.special import betaincinv, ndtr
 
-from rhec._casadi.validation import (
+from rhec.core._casadi.validation import (
     NotNegative,
     Positive,
     Real,

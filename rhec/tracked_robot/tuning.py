@@ -1,8 +1,8 @@
 """Every tuned process noise W in one place, with its source: standard deviations per sample.
 
 "printed" is the paper's, to the letter (interpretations R1, R2). "calibrated" maximises the
-likelihood of the innovations on training seeds 1000 to 1009, by `rhec.studies.calibration`.
-"consistent" is by `rhec.studies.consistency`, on training seeds, too: the least true error among
+likelihood of the innovations on training seeds 1000 to 1009, by `rhec.workbench.studies.calibration`.
+"consistent" is by `rhec.workbench.studies.consistency`, on training seeds, too: the least true error among
 RHEs that are as sure as they may be. The others say what they were tuned for.
 """
 
@@ -55,7 +55,7 @@ ARRIVAL_MEAN = dict(printed="smoothed", calibrated="smoothed", consistent="filte
 # (`calibrate("rhe", arrival_mean="filtered")`).
 SIGMA_W_FILTERED = (0.001, 0.001, 0.0058, 0.001, 0.0098, 0.0062)
 # Least true error of robots that drive training seeds 1000 to 1023 by the estimator, by
-# `rhec.studies.calibration`. Dual estimation: the RHE's six, then the EKF's four.
+# `rhec.workbench.studies.calibration`. Dual estimation: the RHE's six, then the EKF's four.
 SIGMA_W_TRACKING = {
     "rhe": (0.017, 0.017, 0.0022, 10.0, 0.001, 0.018),
     "ekf": (0.001, 0.001, 0.033, 10.0),

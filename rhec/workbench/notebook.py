@@ -255,7 +255,7 @@ def main():
 def _output(notebook, given):
     """Where the executed notebook goes: beside the pictures of a log of one's own."""
     if isinstance(given.get("log"), str):
-        from rhec.plots.replay import replay_folder  # takes a second
+        from rhec.workbench.plots.replay import replay_folder  # takes a second
 
         folder = replay_folder(ROOT / given["log"])
         if folder.is_relative_to(ROOT / "build"):

@@ -37,11 +37,11 @@ from PIL import Image
 from pygments.formatters import HtmlFormatter
 
 from rhec import __version__
-from rhec.plots import style
-from rhec.studies import timing
 from rhec.workbench import reference
 from rhec.workbench.live import page as live_page
 from rhec.workbench.live import wasm
+from rhec.workbench.plots import style
+from rhec.workbench.studies import timing
 
 __all__ = ["Cells", "build", "formula", "tone"]
 

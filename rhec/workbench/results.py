@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from rhec.studies.claims.ledger import ONE_WAY, survivors
+from rhec.workbench.studies.claims.ledger import ONE_WAY, survivors
 
 __all__ = ["main", "rewrite"]
 

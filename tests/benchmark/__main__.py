@@ -14,8 +14,8 @@ from benchmark import (
     step,
     tails,
 )
-from rhec.plots import style
-from rhec.studies import timing
+from rhec.workbench.plots import style
+from rhec.workbench.studies import timing
 
 
 def report(table, name, caption, drawing=None):

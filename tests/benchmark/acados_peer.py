@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmark import peers
 from rhec import paper
-from rhec.studies.timing import PHASES
+from rhec.workbench.studies.timing import PHASES
 
 ITERATIONS = 30
 NAMES = {"step by step": "acados in C, step by step", "as it comes": "acados in C"}

@@ -10,9 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pandas as pd
 import psutil
 
-from rhec import campaign, simulation
-from rhec._casadi import lanes
-from rhec.scenario import Scenario
+from rhec import campaign
+from rhec.simulation import closed_loop
+from rhec.simulation.lanes import lanes
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.estimators import NAMES
 
 RUNS = 1, 10, 100, 1_000, 10_000, 100_000
@@ -27,13 +28,13 @@ def scenarios(runs, **changes):
 
 def samples(runs):
     """How many closed-loop samples these are."""
-    return sum(round(run.duration_s / simulation.paper.DT_S) for run in runs)
+    return sum(round(run.duration_s / closed_loop.paper.DT_S) for run in runs)
 
 
 def compile_lanes(scenario):
     """Compile a scenario's lanes, where there are some; how many runs they drive at once."""
-    structure = simulation.set_up(scenario).structure
-    block = lanes.load(simulation.build_sample, *structure)
+    structure = closed_loop.set_up(scenario).structure
+    block = lanes.load(closed_loop.build_sample, *structure)
     return block.lanes if block else 1
 
 

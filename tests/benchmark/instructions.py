@@ -17,9 +17,9 @@ from pathlib import Path
 import pandas as pd
 
 from benchmark import peers, problems
-from rhec._casadi import compiled, scan
-from rhec.scenario import Scenario
-from rhec.studies import timing
+from rhec.core._casadi import compiled, scan
+from rhec.simulation.scenario import Scenario
+from rhec.workbench.studies import timing
 
 RHEC = {  # the compiled Functions that a phase calls
     ("RHE", "preparation"): ("rhe_expand", "rhe_shift", "rhe_linearise"),

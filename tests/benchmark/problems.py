@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rhec import paper
-from rhec.controller.rhc import RHC
-from rhec.estimator.rhe import RHE
-from rhec.scenario import Scenario
-from rhec.simulation import simulate
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator.rhe import RHE
+from rhec.simulation.closed_loop import simulate
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.references import PathTracker
 
 

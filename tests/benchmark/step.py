@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from benchmark import acados_peer, instructions, native, peers, problems
-from rhec import simulation
-from rhec._casadi import compiled, scan
-from rhec.studies.timing import PHASES
+from rhec.core._casadi import compiled, scan
+from rhec.simulation import closed_loop
 from rhec.tracked_robot import plant
+from rhec.workbench.studies.timing import PHASES
 
 TOLERANCE = 1e-6  # m, rad, m/s, 1, rad/s: how far an answer may be from rhec's
 SAMPLES, SHARE, LOOP = (
@@ -139,8 +139,8 @@ def from_python(run, recorded, iterations=None):
 
 def fused(scenario):
     """The compiled closed loop: robot, sensors, estimator, path, controller and log."""
-    world, noise = simulation.set_up(scenario), plant.draw_noise(scenario.seed, LOOP)
-    functions = compiled.load(simulation.build_sample, *world.structure)
+    world, noise = closed_loop.set_up(scenario), plant.draw_noise(scenario.seed, LOOP)
+    functions = compiled.load(closed_loop.build_sample, *world.structure)
 
     def block(_):
         begin = clock()

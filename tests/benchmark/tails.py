@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.scenario import Scenario
-from rhec.studies import timing
+from rhec.simulation.scenario import Scenario
+from rhec.workbench.studies import timing
 
 PERCENTILES = 50, 99, 99.9, 99.99
 SEEDS = range(10)

@@ -13,7 +13,7 @@ from test_live import PAGE
 from test_live import pytestmark as pytestmark
 
 import rhec
-from rhec.columns import COLUMNS
+from rhec.simulation.columns import COLUMNS
 from rhec.workbench.live.page import SCENES
 
 websocket = pytest.importorskip("websocket", reason="websocket-client is not installed")

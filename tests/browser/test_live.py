@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.columns import COLUMNS
+from rhec.simulation.columns import COLUMNS
 from rhec.workbench.live.functions import METRICS
 from rhec.workbench.live.page import FAULTS, SCENES
 from rhec.workbench.live.texts import SEEDS, SOILS

@@ -9,7 +9,7 @@ from dataclasses import fields
 from typing import NamedTuple
 
 from rhec.extensions.faults import Fault
-from rhec.scenario import Scenario
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import ROBUST_NAMES, Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES

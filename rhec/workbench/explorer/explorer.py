@@ -1,6 +1,6 @@
 """The explorer: controls on the left; on the right the whole field, run again whenever one moves.
 
-The widgets are glue. `controls` turns their values into scenarios, `rhec.simulation` runs them,
+The widgets are glue. `controls` turns their values into scenarios, `rhec.simulation.closed_loop` runs them,
 `field_run` and `robot_view` say what is drawn, and the page draws it (`screen`). A front end holds
 a widget's newest value back until the one before has been answered, so that dragging drops frames
 and never queues them.
@@ -22,15 +22,16 @@ from pathlib import Path
 import ipywidgets as widgets
 from matplotlib.figure import Figure
 
-from rhec import paper, simulation
-from rhec._casadi import compiled
-from rhec.plots import style
-from rhec.scenario import Scenario
+from rhec import paper
+from rhec.core._casadi import compiled
+from rhec.simulation import closed_loop
+from rhec.simulation.scenario import Scenario
 from rhec.workbench.explorer import controls, field_run, robot_view
 from rhec.workbench.explorer.field_run import ZOOMS, colour_of, name_of
 from rhec.workbench.explorer.panels import packed
 from rhec.workbench.explorer.screen import CSS, Screen
 from rhec.workbench.explorer.snapshot import snapshot_at
+from rhec.workbench.plots import style
 
 __all__ = ["METRICS", "Explorer", "change", "compile_apart", "metrics_table"]
 
@@ -92,7 +93,9 @@ def _safe_name(name):
 def compile_apart(structures):
     """Compile these closed loops in a process of their own, for `compiled.load` to find them."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(functools.partial(compiled.load, simulation.build_sample), *zip(*structures)))
+        list(
+            pool.map(functools.partial(compiled.load, closed_loop.build_sample), *zip(*structures))
+        )
 
 
 class Explorer(widgets.VBox):
@@ -287,17 +290,17 @@ class Explorer(widgets.VBox):
         """Run what the controls ask for and show it, or first compile it elsewhere."""
         started = time.perf_counter()
         scenarios = self.scenarios
-        setups = [simulation.set_up(scenario) for scenario in scenarios]
+        setups = [closed_loop.set_up(scenario) for scenario in scenarios]
         missing = [
             structure
             for structure in {setup.structure for setup in setups} - self.driven
-            if not compiled.is_compiled(simulation.build_sample, *structure)
+            if not compiled.is_compiled(closed_loop.build_sample, *structure)
         ]
         # the first runs are waited for: without them there is nothing to see
         if missing and self.runs and _running_loop():
             self._compile(missing)
             return
-        self.runs = tuple(map(simulation.simulate_setup, scenarios, setups))
+        self.runs = tuple(map(closed_loop.simulate_setup, scenarios, setups))
         self.driven |= {setup.structure for setup in setups}
         ran = time.perf_counter()
         self._draw()

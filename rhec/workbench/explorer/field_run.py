@@ -5,9 +5,9 @@ tolerance; up to two runs and two pinned ones.
 import numpy as np
 
 from rhec import paper
-from rhec.plots.style import BLACK, COLOURS, GREY, ORANGE, PURPLE
 from rhec.workbench.explorer.controls import ESTIMATORS
 from rhec.workbench.explorer.panels import Mark, Panel, Picture, figure_of
+from rhec.workbench.plots.style import BLACK, COLOURS, GREY, ORANGE, PURPLE
 
 __all__ = ["DASHED", "FAINT_TOLERANCE", "ZOOMS", "colour_of", "field_run", "level", "name_of"]
 __all__ += ["picture_of", "places_beside", "rectangle", "round_up_to", "tolerance_band"]

@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from rhec.plots.style import BLACK, BLUE, DOUBLE_IN, styled
+from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, styled
 
 __all__ = ["Mark", "Panel", "Picture", "figure_of", "packed"]
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from rhec import paper
-from rhec.plots.style import COLOURS, GREEN, GREY, PURPLE
 from rhec.workbench.explorer import field_run
 from rhec.workbench.explorer.panels import Mark, Panel, Picture, figure_of
+from rhec.workbench.plots.style import COLOURS, GREEN, GREY, PURPLE
 
 __all__ = ["picture_of", "robot_view", "seen_from"]
 

@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rhec import paper, simulation
-from rhec._casadi import compiled, scan
-from rhec.columns import COLUMNS, ESTIMATE, POSE
+from rhec import paper
+from rhec.core._casadi import compiled, scan
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import COLUMNS, ESTIMATE, POSE
 
 __all__ = ["Snapshot", "snapshot_at"]
 
@@ -28,9 +29,9 @@ class Snapshot(NamedTuple):
 
 def snapshot_at(scenario, k):
     """The Snapshot of a scenario's run at sample k, from 0."""
-    setup = simulation.set_up(scenario)
-    functions = compiled.load(simulation.build_sample, *setup.structure)
-    inputs = simulation.noise_and_faults(scenario.seed, scenario.faults, k + 1)
+    setup = closed_loop.set_up(scenario)
+    functions = compiled.load(closed_loop.build_sample, *setup.structure)
+    inputs = closed_loop.noise_and_faults(scenario.seed, scenario.faults, k + 1)
     memory, rows = scan.scan(functions, setup.memory, inputs, setup.settings)
     row = dict(zip(COLUMNS, rows[-1]))
     truth, estimate = (np.array([row[name] for name in names]) for names in (POSE, ESTIMATE))

@@ -8,11 +8,12 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
-from rhec import paper, simulation
-from rhec._casadi.build import casadi_function
-from rhec.columns import COLUMNS, ESTIMATE
-from rhec.metrics import SETTLING_SAMPLES, per_sample
-from rhec.scenario import Scenario
+from rhec import paper
+from rhec.core._casadi.build import casadi_function
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import COLUMNS, ESTIMATE
+from rhec.simulation.metrics import SETTLING_SAMPLES, per_sample
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.path import Path, closest
 from rhec.tracked_robot.references import build_references, pose_at
@@ -46,10 +47,10 @@ def build_live(own):
     the metrics so far. desired: the desired points over the horizon.
     """
     scenario = Scenario(**own)
-    setup = simulation.set_up(scenario)
+    setup = closed_loop.set_up(scenario)
     horizon, n_segments = scenario.prediction_horizon, len(setup.path.segments)
     return dict(
-        sample=simulation.build_sample(*setup.structure)["step"],
+        sample=closed_loop.build_sample(*setup.structure)["step"],
         start=_build_start(scenario, setup.path),
         judge=_build_judge(setup.path),
         desired=_build_desired(horizon, n_segments),
@@ -80,7 +81,7 @@ class _TracedPath(Path):
 
 
 def _build_start(scenario, path):
-    """`simulation.set_up`, traced: numbers of a Scenario -> first memory and settings."""
+    """`closed_loop.set_up`, traced: numbers of a Scenario -> first memory and settings."""
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
     lengths = _FIELDS | dict(sigma_w=estimator.n_sigma_w(choice))
@@ -93,7 +94,7 @@ def _build_start(scenario, path):
             name: tuple(ca.vertsplit(value)) if lengths[name] > 1 else value
             for name, value in given.items()
         }
-        setup = simulation.set_up(SimpleNamespace(**told | given))
+        setup = closed_loop.set_up(SimpleNamespace(**told | given))
         made = dict(memory=setup.memory, tally=[*_TALLY.values()]) | setup.settings
         return {name: _vector(value) for name, value in made.items() if name not in _SOIL}
 
@@ -108,7 +109,7 @@ def _vector(value):
 
 
 def _build_judge(path):
-    """`rhec.metrics.metrics` sample by sample: what counts begins anew once the robot settles."""
+    """`rhec.simulation.metrics.metrics` sample by sample: what counts begins anew once the robot settles."""
 
     @casadi_function("judge", tally=(len(_TALLY), 1), row=(len(COLUMNS), 1))
     def judge(tally, row):

@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rhec import paper, simulation
-from rhec._casadi.build import packed_size
-from rhec.columns import COLUMNS
+from rhec import paper
+from rhec.core._casadi.build import packed_size
 from rhec.extensions import faults
-from rhec.scenario import Scenario
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import COLUMNS
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, tuning
 from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.workbench.explorer.controls import CONTROLS, NEW_PATCH, PATCH, line_of
@@ -80,7 +81,7 @@ def _packed(values):
 def _module(own):
     """A structure's module, and all that the script must know to call it."""
     scenario = Scenario(**own)
-    setup, choice = simulation.set_up(scenario), Choice.of(scenario)
+    setup, choice = closed_loop.set_up(scenario), Choice.of(scenario)
     made, at, places = functions.build_live(own), 0, {}
     for name, shape in setup.layout.items():
         inner = shape.items() if isinstance(shape, dict) else [("", shape)]
@@ -109,7 +110,7 @@ def _world():
     # A line of Python leaves these out.
     defaults = {each.name: getattr(start, each.name) for each in fields(start)}
     defaults |= dict(sigma_v=paper.SIGMA_V, faults=())
-    path = simulation.set_up(start).path
+    path = closed_loop.set_up(start).path
     points = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2]
     return dict(
         dt_s=paper.DT_S, most=texts.MOST, tolerance_m=paper.TOLERANCE_M, columns=COLUMNS,
@@ -118,7 +119,7 @@ def _world():
         noise=packed_size(plant.NOISE), fault=packed_size(faults.STREAM),
         wasm=_packed(wasm.module_of(texts.world_text(), whole_numbers=True)),
         seeds=[*texts.SEEDS], soils=texts.SOILS,
-        cell_m=texts.CELL_M, grid=simulation.set_up(start).structure.terrain_shape,
+        cell_m=texts.CELL_M, grid=closed_loop.set_up(start).structure.terrain_shape,
         lowest=points.min(axis=0).tolist(), highest=points.max(axis=0).tolist(),
         faults={name: f"({', '.join(map(line_of, of))},)" for name, of in FAULTS.items()},
         path=np.round(points, 3).tolist(), windows=[5, 10, 15, 30], new_patch=NEW_PATCH,

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rhec import simulation
-from rhec._casadi.build import packed_size
-from rhec._casadi.c_text import generate_c
+from rhec.core._casadi.build import packed_size
+from rhec.core._casadi.c_text import generate_c
 from rhec.extensions import faults
-from rhec.scenario import Scenario
+from rhec.simulation import closed_loop
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, terrain
 
 __all__ = ["CELL_M", "MOST", "SEEDS", "SOILS", "loop_text", "world_text"]
@@ -57,7 +57,7 @@ def loop_text(functions, s_place):
 def world_text():
     """The C of noise and soil, with their tables."""
     start = Scenario()
-    setup = simulation.set_up(start)
+    setup = closed_loop.set_up(start)
     points = setup.path.poses(np.arange(0, setup.path.length_m, 0.5))[0][:, :2]
     farthest = np.ptp(points, axis=0) + 2 * (_MARGIN_M + _FARTHEST_M)
     n = np.ceil(farthest / CELL_M).astype(int) + 1

@@ -15,7 +15,7 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
-from rhec._casadi import cache, compiled
+from rhec.core._casadi import cache, compiled
 
 __all__ = ["can_compile", "module_of"]
 

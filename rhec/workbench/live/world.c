@@ -47,7 +47,7 @@ static double normal(void) {
   }
 }
 
-/* rhec.simulation.draw_noise of a seed, into rows of at_stream that are `wide` long. */
+/* rhec.simulation.closed_loop.draw_noise of a seed, into rows of at_stream that are `wide` long. */
 void noise(int seed, int wide) {
   for (int stream = 0; stream < 2; stream++) {
     int from = stream ? NOISE - 1 : 0, to = stream ? NOISE : NOISE - 1;

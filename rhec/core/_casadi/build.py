@@ -1,0 +1,123 @@
+"""CasADi Functions from plain Python functions: named expressions in, a dict of named ones out."""
+
+import casadi as ca
+import numpy as np
+
+from rhec.core._casadi.compiled import loop_symbols
+
+__all__ = [
+    "casadi_function", "every", "pack_array", "packed_size", "select_inputs", "shapes_of",
+    "short_cut", "unpack", "unpack_array", "with_packed_memory",
+]  # fmt: skip
+
+_OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
+
+
+def casadi_function(name, kind=ca.SX, /, **shapes):
+    """Decorator: the CasADi Function of a Python function, its inputs' shapes beside their names.
+
+    Args:
+        name: Of the Function.
+        kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions.
+        shapes: Each input's (rows, columns) or CasADi Sparsity, in order.
+
+    Returns:
+        A decorator that turns a function from named expressions to a dict of named expressions
+        into a Function.
+    """
+
+    def decorate(body):
+        symbols = {key: kind.sym(key, _sparsity(shape)) for key, shape in shapes.items()}
+        outputs = body(**symbols)
+        names = [*symbols], [*outputs], _OPTIONS
+        return ca.Function(name, [*symbols.values()], [*outputs.values()], *names)
+
+    return decorate
+
+
+def _sparsity(shape):
+    return shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
+
+
+def short_cut(flag):
+    """Decorator: an SX Function of which, where its input `flag` is 1, only what then counts runs.
+
+    It comes as a branch; on the virtual machine and as MX the Function stays what it is.
+    """
+
+    def decorate(whole):
+        if loop_symbols() is ca.SX or not whole.is_a("SXFunction"):
+            return whole
+        at, rest = whole.index_in(flag), (whole.name_in(), whole.name_out(), _OPTIONS)
+        given = whole.sx_in()
+        left = whole.call([*given[:at], ca.SX(1), *given[at + 1 :]])
+        short = ca.Function(f"{whole.name()}_short", given, left, *rest)
+        either = ca.Function.if_else(f"{whole.name()}_or_not", short, whole)
+        given = whole.mx_in()
+        return ca.Function(whole.name(), given, either.call([given[at], *given]), *rest)
+
+    return decorate
+
+
+def with_packed_memory(name, memory, kind=ca.MX, **shapes):
+    """`casadi_function` whose `memory` (name: shape) is packed in one vector, its first input.
+
+    The function takes each piece by its name and returns each piece's next value under that name.
+    """
+
+    def decorate(body):
+        @casadi_function(name, kind, memory=(packed_size(memory), 1), **shapes)
+        def packed(**inputs):
+            result = body(**unpack(inputs.pop("memory"), memory), **inputs)
+            result = {"memory": ca.veccat(*(result.pop(piece) for piece in memory))} | result
+            # What is scanned or logged has no structural gaps.
+            return {name: ca.densify(output) for name, output in result.items()}
+
+        return packed
+
+    return decorate
+
+
+def packed_size(shapes):
+    """Length of the vector that holds matrices of these shapes."""
+    return sum(rows * columns for rows, columns in shapes.values())
+
+
+def unpack(vector, shapes):
+    """Matrices by name from the CasADi vector that holds them in order, each column by column."""
+    offsets = [0]
+    for rows, columns in shapes.values():
+        offsets.append(offsets[-1] + rows * columns)
+    parts = ca.vertsplit(vector, offsets)
+    return {name: ca.reshape(part, *shapes[name]) for name, part in zip(shapes, parts)}
+
+
+def unpack_array(vector, shapes):
+    """`unpack` for a NumPy vector: views of it, by name."""
+    ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
+    parts = np.split(vector, ends[:-1])
+    return {name: part.reshape(shapes[name], order="F") for name, part in zip(shapes, parts)}
+
+
+def shapes_of(memory):
+    """Shapes of a memory's arrays, as `packed_size` and `unpack` take them."""
+    return {
+        name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1)
+        for name, piece in memory.items()
+    }
+
+
+def every(conditions):
+    """1 where all of these comparisons hold; their sum takes less time than CasADi's mmin."""
+    return ca.sum1(ca.vec(conditions)) == conditions.numel()
+
+
+def pack_array(memory):
+    """The NumPy vector of a memory's arrays, as `unpack` reads it; SX in them stays SX."""
+    packed = np.concatenate([np.ravel(piece, order="F") for piece in memory.values()])
+    return packed if packed.dtype == object else packed.astype(float)
+
+
+def select_inputs(function, values):
+    """Those of `values` that the Function takes."""
+    return {name: values[name] for name in function.name_in() if name in values}

@@ -1,0 +1,123 @@
+"""Extended Kalman filter of any Model: the joint state (x, p), parameters as random walks.
+
+Nothing keeps the parameters within their bounds. What the inputs' measurements say of an interval
+counts in its prediction, with their noise.
+"""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import with_packed_memory
+from rhec.core._casadi.validation import NotNegatives, Positive, Positives, Reals, checked
+from rhec.core.estimator import kalman
+from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of
+from rhec.core.model import base
+from rhec.core.model.base import Model
+from rhec.core.solver.gauss_newton import symmetric
+from rhec.core.solver.rti import copy_checked
+
+__all__ = ["EKF", "build", "predict_and_correct"]
+
+
+def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
+    """One sample of a Kalman filter; before the first there is nothing to predict.
+
+    Args:
+        m: (n,) mean.
+        P: (n, n) covariance.
+        predicted: (n,) mean after the interval.
+        A: (n, n) its transition.
+        Q: (n, n) its noise.
+        started: Whether an interval went before.
+        z: (n_z,) measurements.
+        V: (n_z,) their variances.
+        outputs: The Outputs that measure the state.
+
+    Returns:
+        m, P, and the deviance of the measurements.
+    """
+    m = ca.if_else(started, predicted, m)
+    P = ca.if_else(started, symmetric(A @ P @ A.T) + Q, P)
+    m, P, _, _, deviance = kalman.update(m, P, z, V, outputs, m)
+    return m, P, deviance
+
+
+def build(model, dt_s):
+    """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}.
+
+    Its memory: m (n_s,), P (n_s, n_s), v (n_v,) the last inputs, started.
+    """
+    interval, n_z = base.interval(model), len(model.outputs)
+    n_s, n_v = interval.n_s, interval.n_v
+    memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
+    noise = dict(V=(n_z, 1)) | (
+        dict(c=(len(model.motion_noise.constants), 1)) if model.motion_noise else {}
+    )
+
+    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(n_z, 1), **noise, W=(n_s, 1))
+    def step(m, P, v, started, z_N, W, **noise):
+        v, R_v = interval.input_noise(z_N, v, **noise)
+        F, D, B = interval.linearised(m, v, dt_s * started)
+        A = interval.A_0 + D
+        Q = symmetric(B @ ca.diag(R_v) @ B.T)
+        Q += ca.diag(interval.process_noise(v, W, dt_s, noise.get("c")))
+        m, P, deviance = predict_and_correct(
+            m, P, F, A, Q, started, z_N, noise["V"], interval.outputs
+        )
+        known = dict(zip(model.inputs, ca.vertsplit(v))) | dict(
+            zip(model.joint_names, ca.vertsplit(m))
+        )
+        estimate = ca.vertcat(*(known[name] for name in model.names))
+        return dict(estimate=estimate, covariance=P, deviance=deviance, m=m, P=P, v=v, started=1)
+
+    return dict(step=step)
+
+
+class EKF:
+    """The filter for a loop of one's own, with the verbs of RHE: `prepare()`, `feedback(z)`.
+
+    Args:
+        model: The robot, a rhec.Model.
+        dt: Length of a sample [s].
+        sigma_v: Standard deviation of each output's measurement.
+        sigma_w: Standard deviations of the process noise per sample: states, then parameters.
+        guess: First guess of each state, then each parameter.
+        sigma_guess: Its standard deviations.
+
+    Raises:
+        ValueError: In one sentence, for an argument that cannot be.
+    """
+
+    @checked
+    def __init__(
+        self, *, model: Model, dt: Positive, sigma_v: Positives, sigma_w: NotNegatives,
+        guess: Reals, sigma_guess: Positives,
+    ):  # fmt: skip
+        self.model = model
+        m, sigma = joint_guess(model, guess, sigma_guess)
+        self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
+        self._call.set(**noise_of(model, sigma_v, sigma_w))
+        memory = [*m, *np.diag(np.square(sigma)).ravel(), *np.zeros(len(model.inputs)), 0.0]
+        self._call.set(memory=memory)
+
+    def prepare(self) -> None:
+        """Nothing: the filter does all its work in `feedback`."""
+
+    def feedback(self, z: Any) -> Any:
+        """Estimate from the newest measurement.
+
+        Args:
+            z: (n_z,) measurements; an entry that is not finite is not there now.
+
+        Returns:
+            Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
+        """
+        arguments, results, n_s = self._call.arguments, self._call.results, self.model.n_s
+        copy_checked("z", z, arguments["z_N"])
+        self._call.call()
+        arguments["memory"][:] = results["memory"]
+        covariance = results["covariance"].reshape(n_s, n_s).copy()
+        return joint_estimate(self.model, results["estimate"].copy(), covariance)

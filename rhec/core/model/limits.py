@@ -1,0 +1,24 @@
+"""Limits of plausibility: beyond them a number is no measurement, no state, no entry of a QP."""
+
+import casadi as ca
+
+from rhec.core._casadi.build import every
+
+__all__ = [
+    "MAX_MEASUREMENT", "MAX_PLAUSIBLE_STATE", "MAX_QP_ENTRY", "is_plausible",
+    "is_valid_measurement",
+]  # fmt: skip
+
+MAX_MEASUREMENT = 1e8  # in any unit; a Model may say less
+MAX_PLAUSIBLE_STATE = 1e12  # of an estimate
+MAX_QP_ENTRY = 1e20  # that a solver is given; as a bound: no bound
+
+
+def is_valid_measurement(z, limit):
+    """1 where a measurement can be used, 0 where it is missing (NaN), infinite or absurd."""
+    return ca.fabs(z) <= limit
+
+
+def is_plausible(x, limit=MAX_PLAUSIBLE_STATE):
+    """1 if every entry of x is a number of at most this size."""
+    return every(ca.fabs(x) <= limit)

@@ -1,0 +1,171 @@
+"""Export: an estimator and a controller as self-contained C99 (`make embedded`).
+
+`phases` names the CasADi Functions that it is made of, `c_writer` writes the files that depend on
+them; the folders `c` (of a Scenario) and `c_model` (of a Model) hold those that do not.
+`notebooks.embedded_measurements` compiles and runs an export, here or, emulated, on 64-bit Arm.
+"""
+
+import dataclasses
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rhec.core._casadi.validation import shown
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator.rhe import RHE
+from rhec.embedded import c_writer, phases
+from rhec.simulation.closed_loop import simulate
+from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot.estimators import NAMES, estimator_of
+from rhec.tracked_robot.rhe import SIGMA_START
+
+__all__ = ["FOLDER", "LOG", "export"]
+
+FOLDER = Path("build", "embedded")
+LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
+_LOG_S = 60.0  # length of the example log, at most
+_PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # their C needs no library
+_EXPORTED = "nothing", "field mean"  # that estimators may be given
+_MARK = "rhec_memory.h"  # a folder that holds it is an export
+
+
+def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
+    """Write an estimator and a controller as self-contained C99.
+
+    The folder gets a header, a CMake file and a README.txt that says how to call it; that of a
+    Scenario also programs that replay a log, take times and fuzz, and an example log with Python's
+    answers.
+
+    Args:
+        scenario: rhec.Scenario. Its estimator must be one that a robot can run: not an oracle; a
+            CasADi Function of one's own if it is made of expressions alone. Its qp must be
+            "structured". Or, of a rhec.Model, its rhec.RHE, its rhec.RHC, or a tuple of both.
+        folder: Where to write: a new or empty folder, or an earlier export, whose files are
+            replaced.
+
+    Returns:
+        The folder's Path.
+
+    Raises:
+        ValueError: For what cannot be exported, or a folder that holds other files.
+    """
+    if not isinstance(folder, str | Path):
+        raise ValueError(f"folder was {shown(folder)}; it should be a path")
+    folder = Path(folder)
+    parts = scenario if isinstance(scenario, tuple) else (scenario,)
+    if parts and all(isinstance(part, RHE | RHC) for part in parts):
+        texts = _of_model(parts)
+        _check_folder(folder)
+    else:
+        _check(scenario)
+        _check_folder(folder)
+        texts = _of_scenario(scenario)
+    folder.mkdir(parents=True, exist_ok=True)
+    # All is written before anything is replaced.
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".unfinished-") as unfinished:
+        for name, text in texts.items():
+            Path(unfinished, name).write_text(text, encoding="utf-8")
+        for name in texts:
+            os.replace(Path(unfinished, name), folder / name)
+    return folder
+
+
+def _of_model(parts):
+    """{file: text} of the export of a Model's RHE, RHC or both."""
+    own = {
+        kind.__name__.lower(): part for kind in (RHE, RHC) for part in parts if type(part) is kind
+    }
+    if len(own) < len(parts):
+        raise ValueError(
+            f"scenario was {shown(parts)}; of one Model it should be a RHE, a RHC or one of each, "
+            "of the paper's robot a Scenario"
+        )
+    if len(own) == 2:
+        rhe, rhc = own["rhe"].window, own["rhc"].problem
+        if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
+            raise ValueError("RHE and RHC differ; both should have the same model and dt")
+    texts, made = _by_hand("c_model"), phases.export_model(**own)
+    return texts | _generated(made) | {"README.txt": c_writer.readme(made, texts["README.txt"])}
+
+
+def _of_scenario(scenario):
+    """{file: text} of the export of a Scenario."""
+    made, texts = phases.export(scenario), _by_hand("c")
+    shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
+    log = simulate(shorter).log[LOG]
+    readme = c_writer.readme(made, texts["README.txt"], samples=len(log), **SIGMA_START)
+    own = {"scenario.json": _as_json(scenario), "log.csv": log.to_csv(index=False)}
+    return texts | _generated(made) | own | {"README.txt": readme}
+
+
+def _by_hand(folder):
+    """{file: text} of the files that do not depend on what is exported."""
+    files = sorted(Path(__file__).with_name(folder).iterdir())
+    return {_MARK: ""} | {file.name: file.read_text(encoding="utf-8") for file in files}
+
+
+def _generated(made):
+    return {
+        _MARK: c_writer.memory_header(made),
+        "rhec_phases.h": c_writer.phases_header(made),
+        "rhec_functions.h": c_writer.functions_header(made),
+        "rhec_scenario.c": c_writer.scenario_source(made),
+    }
+
+
+def _check(scenario):
+    """Refuse, in one sentence, a scenario that cannot be exported."""
+    if not isinstance(scenario, Scenario):
+        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
+    estimator = scenario.estimator
+    given = estimator_of(estimator, scenario.robust).given
+    if given not in _EXPORTED:
+        names = [repr(name) for name in NAMES if estimator_of(name).given in _EXPORTED]
+        raise ValueError(
+            f"estimator was {estimator!r}, which is given the {given}; to export, it should be one "
+            f"of {', '.join(names)} or a Function of your own"
+        )
+    if isinstance(estimator, ca.Function):
+        for called in estimator.find_functions():
+            if called.class_name() not in _PLAIN:
+                raise ValueError(
+                    f"estimator was {shown(estimator)}, which calls {called.name()!r} "
+                    f"({called.class_name()}); to export, it should be made of expressions alone"
+                )
+    if scenario.qp != "structured":
+        raise ValueError(
+            f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
+        )
+
+
+def _check_folder(folder):
+    """Refuse, in one sentence, a folder with other files."""
+    reason = None
+    if folder.exists() and not folder.is_dir():
+        reason = "is a file"
+    elif folder.exists() and any(folder.iterdir()) and not (folder / _MARK).exists():
+        reason = "holds other files"
+    if reason:
+        raise ValueError(
+            f"folder was {str(folder)!r}, which {reason}; it should be a new or empty folder or an "
+            "earlier export"
+        )
+
+
+def _as_json(scenario):
+    """Every field of the scenario, as JSON."""
+
+    def plain(value):
+        if dataclasses.is_dataclass(value):
+            return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        if isinstance(value, np.ndarray):
+            return value.tolist()
+        return value.serialize() if isinstance(value, ca.Function) else str(value)
+
+    return json.dumps(plain(scenario), default=plain, indent=1) + "\n"

@@ -1,0 +1,1 @@
+"""Scenarios, the closed loop that runs them, their metrics, and campaigns of many."""

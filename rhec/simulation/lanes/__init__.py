@@ -1,0 +1,1 @@
+"""Many runs side by side on one core, one per SIMD lane."""

@@ -1,0 +1,171 @@
+"""The claims ledger as files and as one picture: numbers beside their bounds, verdicts by sign."""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from rhec.workbench.plots import style
+from rhec.workbench.studies.claims.ledger import ONE_WAY
+from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
+
+__all__ = ["save_ledger", "verdicts"]
+
+_PARTLY = "holds as printed or with a departure"
+_LOOKS = {
+    HOLDS: (style.GREEN, "✓"),
+    _PARTLY: (style.BLUE, "±"),
+    FAILS: (style.VERMILLION, "×"),
+    UNDECIDED: (style.ORANGE, "?"),
+    ONE_WAY: ("0.45", "="),
+    UNTESTABLE: (style.GREY, "–"),
+}
+_MEANINGS = {ONE_WAY: "one outcome", UNTESTABLE: "untestable"}
+# in print; the CSV has everything
+_PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict"]
+_RULES = ["id", "test", "bound", "conditions", "reached", "p_adjusted"]
+# across the figure, in hundredths: sign, bound, end of the intervals' panel, paper's numbers
+_SIGN, _BOUND, _END, _PAPER = 44.5, 54.5, 62.0, 72.0
+_ROW_IN = 0.128  # height of a row
+
+
+def _kind(kind):
+    return _PARTLY if kind.startswith(f"{HOLDS} ") else kind
+
+
+def _number(value):
+    """A number in three digits, words as they are, nothing for what is missing."""
+    if isinstance(value, str):
+        return value
+    return "" if np.isnan(value) else f"{value:.3g}"
+
+
+def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
+    """Write the ledger as CSV (all columns), LaTeX (a longtable) and Markdown.
+
+    Args:
+        table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
+        name: of the files, without a suffix.
+        folder, notebook: as for `rhec.workbench.plots.style.save`.
+
+    Returns:
+        The CSV's path. The LaTeX needs the packages booktabs and longtable.
+    """
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    about, csv = style.provenance(name, None, notebook), Path(folder) / f"{name}.csv"
+    table.to_csv(csv, index=False)
+    numbers = ("paper", "value", "low", "high")
+    words = table[_PRINTED].assign(**{column: table[column].map(_number) for column in numbers})
+    look = dict(index=False, longtable=True, escape=True, label=f"tab:{name}")
+    look["caption"] = (
+        "The paper's claims, what the runs say with 95\\,\\% intervals, and the verdicts"
+    )
+    look["column_format"] = "lp{0.34\\linewidth}llllllp{0.14\\linewidth}"
+    latex = words.to_latex(**look)
+    csv.with_suffix(".tex").write_text(style.as_comments(about) + latex, encoding="utf-8")
+    rules = table[_RULES].assign(p_adjusted=table["p_adjusted"].map(_number))
+    pages = [f"<!-- {about['Creator']} -->", _markdown(words), _markdown(rules)]
+    csv.with_suffix(".md").write_text("\n".join(pages), encoding="utf-8")
+    return csv
+
+
+def _markdown(frame):
+    rows = [frame.columns, ["---"] * len(frame.columns), *frame.astype(str).to_numpy()]
+    cells = [[str(entry).replace("|", "\\|") for entry in row] for row in rows]
+    return "\n".join([*(f"| {' | '.join(row)} |" for row in cells), ""])
+
+
+def _relative_to_bound(value, low, high, above, below, verdict):
+    """(value, low, high) from the bound, positive where the claim wants them, the farthest 1; None
+    where there is no side to be on: a number that the paper reports is met or not.
+    """
+    if np.isnan(value) or (np.isinf(above) and np.isinf(below)) or above == below:
+        return None
+    if value == above:  # all cases, or none: exact, and decided whatever the interval
+        return np.ones(3) * (1 if verdict == HOLDS else -1)
+    bound = above if abs(value - above) <= abs(value - below) else below
+    side = 1 if bound == above else -1
+    places = side * (np.array([value, low, high], dtype=float) - bound)
+    return places / (np.nanmax(np.abs(places)) or 1)
+
+
+def _draw_sign(axes, x, y, kind):
+    colour, sign = _LOOKS[kind]
+    box = dict(boxstyle="round,pad=0.08", facecolor=colour, edgecolor="none")
+    look = dict(fontsize=6.5, color="white", weight="bold", family="DejaVu Sans", bbox=box)
+    axes.text(x, y, sign, ha="center", va="center", **look)
+
+
+def _draw_intervals(axes, place, row, colour):
+    """One line a condition: filled where the numbers beside it are its own."""
+    columns = ("value", "low", "high", "above", "below")
+    own = HOLDS if row.verdict.startswith(HOLDS) else row.verdict
+    findings = [((*(getattr(row, name) for name in columns), own), colour)]
+    if row.other_condition:
+        other = (getattr(row, f"other_{name}") for name in (*columns, "verdict"))
+        findings.append((tuple(other), "white"))
+    offsets = (-0.13, 0.17) if len(findings) > 1 else (0,)
+    for offset, (finding, face) in zip(offsets, findings):
+        places = _relative_to_bound(*finding)
+        if places is not None:
+            value, *ends = _BOUND + (_END - _BOUND) * places
+            y, look = [place + offset] * 2, dict(markersize=2.4, markeredgewidth=0.5)
+            axes.plot(ends, y, color=colour, linewidth=1.0, solid_capstyle="butt")
+            axes.plot(value, y[0], "o", color=colour, markerfacecolor=face, **look)
+
+
+@style.styled
+def verdicts(table):
+    """The ledger at a glance: each claim with its verdict, the paper's number, ours with its
+    interval, and the intervals of both conditions against the bound.
+
+    Right of the line a claim holds, left it does not; each row is scaled to its farthest end. A
+    number that the paper reports, to be met, has no side.
+
+    Args:
+        table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
+    """
+    rows, centred = len(table), dict(va="center_baseline")
+    height_in = 0.75 + _ROW_IN * rows
+    figure = plt.figure(figsize=(style.DOUBLE_IN, height_in), layout="none")
+    axes = figure.add_axes((0.003, 0.002, 0.994, 0.996))
+    axes.set(xlim=(0, 100), ylim=(rows - 0.4, rows - 0.4 - height_in / _ROW_IN))
+    axes.axis("off")
+    axes.plot([_BOUND, _BOUND], [-0.5, rows - 0.5], color=style.BLACK, linewidth=0.6)
+    section = None
+    for place, row in enumerate(table.itertuples()):
+        if row.section != section:
+            section = row.section
+            axes.axhline(place - 0.5, color="0.6", linewidth=0.4)
+        _draw_row(axes, place, row)
+    for x, label, align in [
+        (4.0, "claim", "left"),
+        (_BOUND - 0.7, "fails", "right"),
+        (_BOUND + 0.7, "holds", "left"),
+        (_PAPER, "paper", "right"),
+        (_PAPER + 1, "ours [95 %]", "left"),
+        (100, "holds", "right"),
+    ]:
+        axes.text(x, -1.2, label, fontsize=6.5, ha=align, weight="bold", **centred)
+    kinds = table["kind"].map(_kind)
+    for x, kind in zip((1.0, 11.0, 44.5, 61.5, 74.5, 89.0), _LOOKS):
+        _draw_sign(axes, x, -3.4, kind)
+        count = f"{_MEANINGS.get(kind, kind)}: {(kinds == kind).sum()}"
+        axes.text(x + 1.5, -3.4, count, fontsize=7, **centred)
+    return figure
+
+
+def _draw_row(axes, place, row):
+    kind, text = _kind(row.kind), dict(fontsize=5.4, va="center_baseline")
+    colour, _ = _LOOKS[kind]
+    axes.text(0, place, row.id, **text, weight="bold")
+    axes.text(4.0, place, row.claim, **text)
+    _draw_sign(axes, _SIGN, place, kind)
+    _draw_intervals(axes, place, row, colour)
+    axes.text(_PAPER, place, _number(row.paper), **text, ha="right")
+    exact = np.isnan(row.low) or row.low == row.high
+    interval = "" if exact else f" [{_number(row.low)}, {_number(row.high)}]"
+    unit = row.unit.removeprefix("share ").strip("-") if _number(row.value) else ""
+    axes.text(_PAPER + 1, place, f"{_number(row.value)}{interval} {unit}", **text)
+    if kind == _PARTLY:
+        axes.text(100, place, row.condition, **text, ha="right", color=colour)

@@ -1,0 +1,81 @@
+"""The share of fields in which a promise is kept, beside the robot's mean speed."""
+
+import matplotlib.pyplot as plt
+
+from rhec import paper
+from rhec.workbench.plots import style
+from rhec.workbench.plots.parts import BOUND, legend_above, legend_outside
+from rhec.workbench.studies.ensured import CAUTIOUS
+
+__all__ = ["fronts", "where_it_slows"]
+
+_COLOURS = {"dual": style.VERMILLION, "full oracle": style.COLOURS["oracle"]}
+
+
+@style.styled
+def fronts(table, asked):
+    """One panel a promise: shares with 95 % intervals over the mean speed, constant speeds joined
+    by thin lines, cautious drives as diamonds.
+
+    Args:
+        table: As `rhec.workbench.studies.ensured.front` returns it.
+        asked: (least share, least speed [m/s]) that is asked for: a corner of dashed lines.
+    """
+    promises = table["promise"].unique()
+    figure, panels = plt.subplots(1, len(promises), figsize=(style.DOUBLE_IN, 2.7), sharey=True)
+    for axes, promise in zip(panels, promises):
+        shown = table[table["promise"] == promise]
+        for (estimator, mode), rows in shown.groupby(["estimator", "mode"], sort=False):
+            careful = mode == CAUTIOUS
+            error = [rows["share"] - rows["low"], rows["high"] - rows["share"]]
+            look = dict(color=_COLOURS.get(estimator, style.COLOURS["RHE"]), capsize=1.5)
+            look |= dict(fmt="D-" if careful else "o:", markersize=4 if careful else 2.5)
+            axes.errorbar(
+                rows["speed_mps"], rows["share"], yerr=error, elinewidth=0.7,
+                label=f"{estimator}, {mode}", **look,
+            )  # fmt: skip
+        share, speed = asked
+        axes.plot([speed, speed, 1], [1.02, share, share], "--", color=style.BLACK, linewidth=0.7)
+        axes.set(title=promise, xlabel="mean speed [m/s]", ylim=(0, 1.02))
+        axes.set_xlim(table["speed_mps"].min() - 0.02, table["speed_mps"].max() + 0.02)
+    panels[0].set_ylabel(f"share of {table['n'].iloc[0]} fields within 0.12 m")
+    legend_outside(figure, panels[0], "lower center", 3)
+    return figure
+
+
+@style.styled
+def where_it_slows(runs):
+    """Speed, true error and κ along the path, of drives on one field.
+
+    Args:
+        runs: {name: Run}, the first at a constant speed.
+    """
+    figure, panels = plt.subplots(3, figsize=(style.DOUBLE_IN, 3.9), sharex=True)
+    speeds, errors, soil = panels
+    for (name, run), colour in zip(runs.items(), (style.GREY, style.VERMILLION)):
+        columns = run.columns
+        look = dict(color=colour, label=name, linewidth=0.8)
+        speeds.plot(columns["s_m"], columns["nu_mps"], **look)
+        errors.plot(columns["s_m"], columns["error_true_m"], **look)
+    soil.plot(columns["s_m"], columns["kappa"], color=style.BLACK, linewidth=0.8, label="κ")
+    soil.plot(
+        columns["s_m"],
+        columns["kappa_hat"],
+        color=style.BLUE,
+        linewidth=0.6,
+        label=f"estimate, {name}",
+    )
+    errors.axhline(paper.TOLERANCE_M, **BOUND)
+    for axes in panels:
+        _, curvatures = run.path.poses(columns["s_m"])
+        axes.fill_between(
+            columns["s_m"], 0, 1, where=curvatures != 0, transform=axes.get_xaxis_transform(),
+            color="0.93", linewidth=0, zorder=0,
+        )  # fmt: skip
+    speeds.set(ylabel="speed ν [m/s]", ylim=(0, None))
+    errors.set(ylabel="true error [m]\n(dashed: 0.12 m)", ylim=(0, 0.3))
+    soil.set(ylabel="κ [-]", ylim=(0, 1), xlim=(0, run.path.length_m))
+    soil.set_xlabel("arc length of the path [m]  (shaded: curves)")
+    for axes in (speeds, soil):
+        legend_above(axes)
+    return figure

@@ -1,0 +1,127 @@
+"""Sensor faults: all cases in numbers, and true errors over time.
+
+Handling "off" is the paper's, "on" has innovation gating; over time off is a broad line and on a
+narrow one above it, so that equal answers are seen to be equal.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from rhec import paper
+from rhec.workbench.plots.parts import BOUND, TOLERANCE, legend_outside, log_axis, note, seed_range
+from rhec.workbench.plots.style import BLUE, DOUBLE_IN, VERMILLION, styled
+from rhec.workbench.studies.robustness import FAMILIES
+
+__all__ = ["fault_courses", "fault_overview"]
+
+_COLOURS, _WIDTHS = {"off": VERMILLION, "on": BLUE}, {"off": 2.0, "on": 0.8}
+_LEAST_M, _MOST_M = 0.01, 100.0  # errors drawn
+_PANELS = 4  # in a row
+
+
+def _draw_errors(axes, error, handling, before_s):
+    """Median over seeds, and the largest dotted. Returns the times [s] since the fault began."""
+    # from the shortest run's beginning: not all have a time before
+    first = np.flatnonzero(~np.isnan(error).any(axis=0))[0]
+    error, look = error[:, first:], dict(color=_COLOURS[handling], linewidth=_WIDTHS[handling])
+    t_s = (first + np.arange(error.shape[1])) * paper.DT_S - before_s
+    axes.plot(t_s, np.nanmedian(error, axis=0), label=f"{handling}: median", **look)
+    axes.plot(t_s, np.nanmax(error, axis=0), ":", label=f"{handling}: largest", **look)
+    return t_s
+
+
+@styled
+def fault_courses(keys, table, errors, before_s):
+    """True error since the fault began, a panel a case: median and largest of all seeds.
+
+    Yellow: while the fault lasts (the median, if that differs by seed). The title says how many
+    seeds recovered, and when the last of them did.
+
+    Args:
+        keys: (family, case) of each panel.
+        table, errors: of `rhec.workbench.studies.robustness.study`.
+        before_s: how long before the fault the errors begin [s].
+    """
+    rows, columns = -(-len(keys) // _PANELS), min(len(keys), _PANELS)
+    look = dict(figsize=(DOUBLE_IN, 0.8 + 1.7 * rows), sharey=True, squeeze=False)
+    figure, grid = plt.subplots(rows, columns, **look)
+    for axes, (family, case) in zip(grid.flat, keys):
+        of_case = table[(table["family"] == family) & (table["case"] == case)]
+        lines = [_label(FAMILIES[family], case)]
+        for handling, runs in of_case.groupby("handling", sort=False):
+            back, last_s = runs["recovery_s"].count(), runs["recovery_s"].max()
+            when = f", last in {last_s:.0f} s" if back else ""
+            lines.append(f"{handling}: {back} of {len(runs)} back{when}")
+            t_s = _draw_errors(axes, errors[family, case, handling], handling, before_s)
+        duration_s = np.median(of_case["end_s"] - of_case["begin_s"])
+        axes.axvspan(0, max(duration_s, paper.DT_S), **TOLERANCE, label="while it lasts")
+        axes.axhline(paper.TOLERANCE_M, **BOUND, label=f"{paper.TOLERANCE_M} m")
+        axes.set_title("\n".join(lines), fontsize=6.5)
+        axes.set(yscale="log", xlim=(t_s[0], t_s[-1]))
+        axes.minorticks_off()
+    for axes in grid.flat[len(keys) :]:
+        axes.set_visible(False)
+    top = max(np.nanmax(error) for (*key, _), error in errors.items() if (*key,) in keys)
+    grid[0, 0].set_ylim(_LEAST_M, min(2 * top, _MOST_M))
+    cut = f", cut at {_MOST_M:g} m" if top > _MOST_M else ""
+    figure.supylabel(f"true error [m]{cut}", fontsize=8)
+    for axes in grid[-1]:
+        axes.set_xlabel("time since it began [s]")
+    figure.suptitle(f"robust handling off and on, {seed_range(table)}", fontsize=8)
+    legend_outside(figure, grid[0, 0], "lower center", 6)
+    return figure
+
+
+@styled
+def fault_overview(table, n):
+    """All cases: the largest true error from the end of the trouble on, and the time until the
+    robot is back; means over seeds with their intervals, and the worst seed as a ring.
+
+    At the right how many of the n seeds came back, off and on.
+
+    Args:
+        table: rows of `rhec.workbench.studies.robustness.fault_table`, handling "off" and "on".
+        n: seeds of each.
+    """
+    cases = list(table.groupby(["family", "case"], sort=False))
+    size = dict(figsize=(DOUBLE_IN, 1.1 + 0.135 * len(cases)), sharey=True)
+    figure, (errors, times) = plt.subplots(1, 2, **size)
+    for axes, column in ((errors, "max_after_m"), (times, "recovery_s")):
+        for place, (_, runs) in enumerate(cases):
+            for row in runs.to_dict("records"):
+                colour, at = (
+                    _COLOURS[row["handling"]],
+                    place + (0.2, -0.2)[row["handling"] == "off"],
+                )
+                low, high = row[f"{column}_low"], row[f"{column}_high"]
+                axes.plot([low, high], [at, at], color=colour, linewidth=1.2)
+                axes.plot(row[column], at, "o", color=colour, markersize=2.5)
+                ring = dict(color=colour, markersize=3.5, markeredgewidth=0.5)
+                axes.plot(row[f"{column}_largest"], at, "o", markerfacecolor="none", **ring)
+        axes.grid(axis="y", visible=False)
+    for place, (_, runs) in enumerate(cases):
+        back = runs.set_index("handling")["back"]
+        at = dict(xycoords=("axes fraction", "data"), fontsize=6)
+        note(times, f"{back['off']}, {back['on']}", (1, place), (3, 0), **at)
+        if place and cases[place - 1][0][0] != cases[place][0][0]:
+            for axes in (errors, times):
+                axes.axhline(place - 0.5, color="0.6", linewidth=0.4)
+    log_axis(errors.xaxis)
+    errors.axvline(paper.TOLERANCE_M, **BOUND)
+    errors.set_yticks(range(len(cases)), [_label(*key) for key, _ in cases], fontsize=6)
+    errors.set(ylim=(len(cases) - 0.4, -0.6))
+    errors.set_xlabel(f"largest true error afterwards [m], dashed: {paper.TOLERANCE_M} m")
+    times.set_xlabel(f"time to recover [s]; right: of {n} seeds so many did")
+    for handling, colour in _COLOURS.items():
+        errors.plot([], [], "o-", color=colour, markersize=2.5, label=f"robust handling {handling}")
+    ring = dict(color="0.3", markersize=3.5, linestyle="none", markerfacecolor="none")
+    errors.plot([], [], "o", label="worst seed", **ring)
+    title = f"{n} seeds: mean, 95 % interval, worst seed"
+    figure.legend(
+        *errors.get_legend_handles_labels(), loc="outside upper center", ncols=3, title=title
+    )
+    return figure
+
+
+def _label(family, case):
+    return case if family == FAMILIES["none"] else f"{family}: {case}"

@@ -1,0 +1,372 @@
+"""The paper's Figures 1 to 4, whose pictures are not published with its text, drawn from the
+numbers it gives.
+
+Lengths that the paper gives are to scale, in metres; heights and the places of parts, which it does
+not give, are only plausible. Texts and arrow heads are sized in points.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib import patches
+from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
+from matplotlib.transforms import Affine2D
+
+from rhec import paper
+from rhec.workbench.plots.style import BLACK, BLUE, COLOURS, COLUMN_IN, GREY, VERMILLION, styled
+
+__all__ = ["hardware_blocks", "robot_in_row", "robot_parts", "schematic"]
+
+_RUBBER, _METAL, _DECK, _PAPER = "#4d4d4d", "#aab2b9", "#dfe5ea", "#f7f7f7"
+_LEAF, _STEM, _GRAIN, _SOIL = "#9ad0ba", "#4f9f7f", "#c98f3c", "#b9a78a"
+_SENSOR, _COMPUTER, _DRIVE = "#bfe0f5", "#eccfe0", "#f6d79a"  # measures, computes, drives
+_LENGTH, _WIDTH, _TRACK = paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M, paper.TRACK_WIDTH_M
+_TREAD = _WIDTH - _TRACK
+_MAST_X = 0.05  # ahead of the robot's middle [m]
+_BLOCK = np.array([1.2, 0.4])  # a block of Figure 3 [in]
+
+
+def _canvas(xlim, ylim):
+    """A column-wide figure that is one frameless drawing with equal scales."""
+    height_in = COLUMN_IN * np.ptp(ylim) / np.ptp(xlim)
+    figure = plt.figure(figsize=(COLUMN_IN, height_in), layout="none")
+    axes = figure.add_axes((0, 0, 1, 1), xlim=xlim, ylim=ylim, aspect="equal")
+    axes.set_axis_off()
+    return figure, axes
+
+
+def _box(axes, x, y, width, height, corner=0.0, colour=_DECK, **look):
+    """A rectangle about (x, y) with rounded corners."""
+    look = dict(facecolor=colour, edgecolor=BLACK, linewidth=0.6) | look
+    look["boxstyle"] = f"round,pad=0,rounding_size={corner}"
+    corner = x - width / 2, y - height / 2
+    axes.add_patch(patches.FancyBboxPatch(corner, width, height, **look))
+
+
+def _oval(axes, x, y, width, height, colour=_METAL):
+    look = dict(facecolor=colour, edgecolor=BLACK, linewidth=0.6)
+    axes.add_patch(patches.Ellipse((x, y), width, height, **look))
+
+
+def _arrow(axes, *ends, style="-|>", **look):
+    """An arrow from a point to a point, or along a Path."""
+    where = {"path": ends[0]} if isinstance(ends[0], Path) else {"posA": ends[0], "posB": ends[1]}
+    look = dict(color=BLACK, linewidth=0.8, mutation_scale=6, shrinkA=0, shrinkB=0) | look
+    axes.add_patch(patches.FancyArrowPatch(**where, arrowstyle=style, **look))
+
+
+def _beside(axes, text, point, side, **look):
+    """Small text at a point, its side right (1, 0), left (-1, 0), above (0, 1), below (0, -1)."""
+    look |= {"ha": ("center", "left", "right")[side[0]], "va": ("center", "bottom", "top")[side[1]]}
+    gap = (2.5 * side[0], 2 * side[1])
+    look |= dict(textcoords="offset points", fontsize=7, linespacing=1.05)
+    axes.annotate(text, point, gap, **look)
+
+
+def _dimension(axes, start, end, text, side=(0, 1)):
+    """A dimension line, its text beside the middle."""
+    _arrow(axes, start, end, style="<|-|>", linewidth=0.5, mutation_scale=4.5)
+    _beside(axes, text, np.mean([start, end], axis=0), side)
+
+
+def _leader(axes, text, at, side, part):
+    """A text beside `at`, and from there a hairline to a dot on the part that it names."""
+    halo = [withStroke(linewidth=1.4, foreground="w")]  # to be seen on the tracks, too
+    axes.plot(*zip(at, part, strict=True), color=BLACK, linewidth=0.5, path_effects=halo)
+    axes.plot(*part, "o", markersize=3, color=BLACK, markeredgecolor="w", markeredgewidth=0.5)
+    _beside(axes, text, at, side)
+
+
+def _sorghum(axes, x, height, stem_width):
+    """One plant on its row's centre line x: leaves drooping to either side, stem, panicle."""
+    shares, reaches = (0.42, 0.50, 0.66, 0.74, 0.90, 0.97), (0.17, -0.17, 0.19, -0.19, 0.15, -0.13)
+    drops = (0.08, 0.06, 0.03, 0.02, -0.02, -0.03)
+    for share, reach, drop in zip(shares, reaches, drops):
+        start, tip = np.array([x, share * height]), np.array([x + reach, share * height - drop])
+        bend = (start + tip) / 2 + (0, 0.13)
+        outline = [start, bend + (0, 0.03), tip, bend - (0, 0.03), start]
+        leaf = Path(outline, [Path.MOVETO] + [Path.CURVE3] * 4)
+        axes.add_patch(patches.PathPatch(leaf, facecolor=_LEAF, edgecolor=_STEM, linewidth=0.3))
+    corner, size = (x - stem_width / 2, 0), (stem_width, height)
+    axes.add_patch(patches.Rectangle(corner, *size, color=_STEM, linewidth=0))
+    grain = np.arange(90)
+    radius = np.sqrt(grain / grain.size)
+    turn = 2.4 * grain  # near the golden angle, which spreads grains evenly
+    across, up = x + 0.026 * radius * np.cos(turn), height + 0.06 + 0.085 * radius * np.sin(turn)
+    axes.scatter(across, up, 5, _GRAIN, edgecolors="w", linewidths=0.15)
+
+
+def _rear_view(axes):
+    """The robot from behind, standing on y = 0: tracks, body, deck, mast, sensors, antenna."""
+    for x in (-_TRACK / 2, _TRACK / 2):
+        _box(axes, x, 0.12, _TREAD, 0.24, 0.02, _RUBBER)
+        lugs, half = np.arange(0.03, 0.23, 0.03), 0.35 * _TREAD
+        axes.hlines(lugs, x - half, x + half, color=_METAL, linewidth=0.5, zorder=1)
+    _box(axes, 0, 0.14, _TRACK - _TREAD, 0.12, 0, _METAL)
+    _box(axes, 0, 0.255, 0.84 * _WIDTH, 0.11, 0.015)
+    _box(axes, 0, 0.475, 0.028, 0.33, 0, _METAL)
+    _box(axes, 0, 0.495, 0.12, 0.05, 0.01, _SENSOR)
+    _oval(axes, 0, 0.66, 0.15, 0.06, _SENSOR)
+
+
+def _beside_a_row(axes, row):
+    """What a row at x = `row` takes of the robot's space, widened in a strip below the drawing."""
+    stem = row - paper.STEM_WIDTH_M / 2
+    effective = stem - paper.GNSS_ACCURACY_M / 2
+    left, right = effective - 0.02, row + paper.STEM_WIDTH_M / 2
+    beam = [(left, -0.25), (right, -0.25), (0.58, -0.36), (-0.58, -0.36)]
+    axes.add_patch(patches.Polygon(beam, color="0.94", linewidth=0))
+    place, limits = (-0.58, -0.49, 1.16, 0.13), dict(xlim=(left, right), ylim=(0, 1))
+    strip = axes.inset_axes(place, transform=axes.transData, **limits)
+    strip.set_axis_off()
+    for start, end, colour, text in [
+        (left, effective, COLOURS["tolerance"], "free"),
+        (effective, stem, COLOURS["measured"], "half the\nGNSS accuracy"),
+        (stem, row, _STEM, "half\na stem"),
+        (row, right, _STEM, ""),
+    ]:
+        strip.axvspan(start, end, color=colour, alpha=0.6, linewidth=0)
+        _beside(strip, text, ((start + end) / 2, 0), (0, -1))
+    strip.axvline(row, color=BLACK, linewidth=0.6, linestyle="-.")
+    _beside(strip, "row’s\ncentre line", (row, 0), (1, -1))
+    _dimension(strip, (effective, 0.4), (stem, 0.4), f"{stem - effective:.3f} m")
+    _dimension(strip, (stem, 0.4), (row, 0.4), f"{row - stem:.3f} m")
+
+
+@styled
+def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
+    """Figure 1 and Sec. Introduction: the robot between two rows, and its 0.12 m on either side, of
+    which half a stem and half the GNSS accuracy are taken. Widths are to scale.
+
+    Args:
+        row_spacing_m: between the rows' centre lines.
+    """
+    row, edge = row_spacing_m / 2, _WIDTH / 2
+    effective = row_spacing_m - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M
+    tolerance = (effective - _WIDTH) / 2
+    figure, axes = _canvas((-0.62, 0.62), (-0.69, 0.74))
+
+    axes.add_patch(patches.Rectangle((-0.62, -0.02), 1.24, 0.02, color=_SOIL, linewidth=0))
+    free = dict(color=COLOURS["tolerance"], alpha=0.6, linewidth=0)
+    for side in (-1, 1):
+        axes.fill_between([side * edge, side * effective / 2], 0.31, **free)
+        _sorghum(axes, side * row, 0.55, paper.STEM_WIDTH_M)
+        _dimension(axes, (side * edge, -0.08), (side * effective / 2, -0.08), f"{tolerance:.2f} m")
+    _rear_view(axes)
+
+    for y, half, text in [
+        (-0.08, edge, f"robot {_WIDTH:.2f} m"),
+        (-0.16, effective / 2, f"effective row spacing {effective:.2f} m"),
+        (-0.24, row, f"row spacing {row_spacing_m:.2f} m, centre to centre"),
+    ]:
+        axes.vlines([-half, half], y - 0.01, -0.02, color=GREY, linewidth=0.4)
+        _dimension(axes, (-half, y), (half, y), text)
+    _beside_a_row(axes, row)
+    terms = (row_spacing_m, paper.STEM_WIDTH_M, paper.GNSS_ACCURACY_M, _WIDTH)
+    taken = "-".join(f"{term:.2f}" for term in terms)
+    formula = rf"$({taken})\,/\,2={tolerance:.2f}$ m on either side"
+    axes.text(0, -0.64, formula, ha="center", va="center")
+    return figure
+
+
+def _side_view(axes):
+    """The robot from its right, standing on y = 0: deck, track, mast, sensors, antenna."""
+    _box(axes, 0, 0.235, _LENGTH - 0.12, 0.15, 0.02)
+    _box(axes, 0, 0.12, _LENGTH, 0.24, 0.12, _RUBBER)
+    lugs = dict(edgecolor=_METAL, linewidth=1, linestyle=(0, (0.6, 1.6)))
+    _box(axes, 0, 0.12, _LENGTH - 0.024, 0.216, 0.108, "none", **lugs)
+    _box(axes, 0, 0.12, _LENGTH - 0.06, 0.18, 0.09)
+    for x in (0.12 - _LENGTH / 2, _LENGTH / 2 - 0.12):
+        _oval(axes, x, 0.12, 0.156, 0.156)
+        _oval(axes, x, 0.12, 0.04, 0.04, _DECK)
+    for x in np.linspace(-0.24, 0.24, 4):
+        _oval(axes, x, 0.072, 0.076, 0.076)
+    _box(axes, _MAST_X, 0.49, 0.028, 0.36, 0, _METAL)
+    _box(axes, _MAST_X + 0.049, 0.48, 0.07, 0.06, 0.01, _SENSOR)
+    _oval(axes, _MAST_X, 0.69, 0.15, 0.06, _SENSOR)
+
+
+def _top_view(axes, y):
+    """The robot from above, its deck open, about (0, y) and heading right."""
+    _box(axes, 0, y, _LENGTH - 0.12, _TRACK - _TREAD, 0.02)
+    for side in (-1, 1):
+        track = y + side * _TRACK / 2
+        _box(axes, 0, track, _LENGTH, _TREAD, 0.02, _RUBBER)
+        lugs = np.arange(0.03, _LENGTH - 0.02, 0.04) - _LENGTH / 2
+        axes.vlines(lugs, track - 0.35 * _TREAD, track + 0.35 * _TREAD, color=_METAL, linewidth=0.5)
+        _box(axes, -0.37, y + side * 0.105, 0.08, 0.11, 0.01, _DRIVE)  # motor, its encoder, battery
+        _box(axes, -0.37, y + side * 0.038, 0.06, 0.024, 0, _SENSOR)
+        _box(axes, 0.28, y + side * 0.07, 0.26, 0.11, 0.01, _METAL)
+    _box(axes, -0.225, y + 0.07, 0.09, 0.08, 0, _DRIVE)  # motor driver, motion controller, computer
+    _box(axes, -0.23, y - 0.07, 0.06, 0.06, 0, _DRIVE)
+    _box(axes, -0.08, y - 0.06, 0.10, 0.065, 0, _COMPUTER)
+    _oval(axes, _MAST_X, y, 0.05, 0.05)
+
+
+@styled
+def robot_parts():
+    """Figure 2 and Sec. System Description: the robot and its parts, from the side and above."""
+    figure, axes = _canvas((-0.72, 0.72), (-0.99, 0.76))
+    axes.axhline(0, color=_SOIL, linewidth=1.5, zorder=0)
+    _side_view(axes)
+    y, half = -0.55, _WIDTH / 2
+    _top_view(axes, y)
+
+    right, left, up, down = (1, 0), (-1, 0), (0, 1), (0, -1)
+    above, below = y + half + 0.05, y - half - 0.05
+    antenna = f"RTK GNSS antenna,\n{paper.GNSS_ACCURACY_M:.2f} m at {paper.GNSS_RATE_HZ:.0f} Hz"
+    encoders = f"encoders,\n{paper.ENCODER_ACCURACY_MPS:.3f} m/s"
+    kangaroo = f"Kangaroo x2, two\nPID loops, {paper.SPEED_LOOP_RATE_HZ:.0f} Hz"
+    computer, batteries = "on-board computer,\nRaspberry Pi 3", "LiPo batteries,\n12 V, 40 Ah each"
+    for text, at, side, part in [
+        (antenna, (0.23, 0.69), right, (0.09, 0.69)),
+        ("plant imaging\nsensors", (0.23, 0.48), right, (0.11, 0.48)),
+        ("mast, set to the\ncanopy’s height", (-0.15, 0.56), left, (_MAST_X, 0.56)),
+        ("deck", (-0.46, 0.39), up, (-0.36, 0.28)),
+        ("DC motors,\n200 W each", (-0.49, above), up, (-0.37, y + 0.12)),
+        ("Sabertooth\nmotor driver", (-0.15, above), up, (-0.225, y + 0.08)),
+        (batteries, (0.34, above), up, (0.28, y + 0.09)),
+        (encoders, (-0.53, below), down, (-0.37, y - 0.037)),
+        (kangaroo, (-0.20, below), down, (-0.23, y - 0.07)),
+        (computer, (0.17, below), down, (-0.08, y - 0.06)),
+        ("tracks", (0.50, below), down, (0.45, y - _TRACK / 2)),
+    ]:
+        _leader(axes, text, at, side, part)
+
+    _beside(axes, f"mass {paper.ROBOT_MASS_KG:.0f} kg", (-0.70, 0.69), right)
+    _arrow(axes, (0.55, 0.12), (0.69, 0.12))
+    _beside(axes, "forward", (0.62, 0.13), up)
+    _dimension(axes, (-_LENGTH / 2, -0.05), (_LENGTH / 2, -0.05), f"{_LENGTH:.2f} m", down)
+    _dimension(axes, (-0.56, y - half), (-0.56, y + half), f"{_WIDTH:.2f} m", left)
+    tracks = [(0.56, y + side * _TRACK / 2) for side in (-1, 1)]
+    _dimension(axes, *tracks, f"$b$, ours:\n{_TRACK:.2f} m", right)
+    return figure
+
+
+def _link(axes, start, end, text):
+    """A signal from a block to the next, by their middles, one above or beside the other."""
+    start, end = np.array(start), np.array(end)
+    half = np.sign(end - start) * _BLOCK / 2
+    _arrow(axes, start + half, end - half, mutation_scale=7)
+    _beside(axes, text, (start + end) / 2, (1, 0) if start[0] == end[0] else (0, 1))
+
+
+@styled
+def hardware_blocks():
+    """Figure 3 and Sec. System Description: from sensors through RHE and RHC to the tracks."""
+    gnss_hz, loop_hz = f"{paper.GNSS_RATE_HZ:.0f} Hz", f"{paper.SPEED_LOOP_RATE_HZ:.0f} Hz"
+    figure, axes = _canvas((0, COLUMN_IN), (0, 3.8))
+    left, right = 0.80, 2.60
+    _box(axes, 1.7, 2.60, 3.28, 0.68, 0.06, "0.96", edgecolor=GREY, linestyle="--")
+    _beside(axes, f"on-board computer: Raspberry Pi 3, {gnss_hz}", (1.7, 2.35), (0, 0))
+
+    at = {}
+    for title, detail, x, y, colour in [
+        ("RTK GNSS", f"receiver, {gnss_hz}", left, 3.55, _SENSOR),
+        ("Reference", "trajectory", right, 3.55, _PAPER),
+        ("RHE", "estimator", left, 2.65, _COMPUTER),
+        ("RHC", "controller", right, 2.65, _COMPUTER),
+        ("Encoders", "one on each motor", left, 1.60, _SENSOR),
+        ("Kangaroo x2", f"two PID loops, {loop_hz}", right, 1.60, _DRIVE),
+        ("DC motors", "left and right, 200 W", left, 0.92, _DRIVE),
+        ("Sabertooth", "dual 12 A driver", right, 0.92, _DRIVE),
+        ("Tracks", "left and right", left, 0.24, _METAL),
+    ]:
+        at[title] = (x, y)
+        _box(axes, x, y, *_BLOCK, 0.05, colour)
+        axes.text(x, y + 0.075, title, ha="center", va="center", weight="bold")
+        _beside(axes, detail, (x, y - 0.085), (0, 0))
+
+    for start, end, text in [
+        ("RTK GNSS", "RHE", "$x,\\ y$\nover Bluetooth"),
+        ("Encoders", "RHE", r"$\nu,\ \omega$"),
+        ("RHE", "RHC", r"$\hat\xi,\ \hat p$"),
+        ("Reference", "RHC", r"$\xi_r$"),
+        ("RHC", "Kangaroo x2", "$\\omega_\\mathrm{cmd}$\nand speed"),
+        ("Encoders", "Kangaroo x2", r"$\nu_l,\ \nu_r$"),
+        ("Kangaroo x2", "Sabertooth", "commands"),
+        ("Sabertooth", "DC motors", "voltages"),
+        ("DC motors", "Encoders", "shafts"),
+        ("DC motors", "Tracks", "torques"),
+    ]:
+        _link(axes, at[start], at[end], text)
+
+    colours, words = (_SENSOR, _COMPUTER, _DRIVE), ("measures", "computes", "drives")
+    for y, colour, text in zip((0.45, 0.28, 0.11), colours, words):
+        _box(axes, right - 0.2, y, 0.16, 0.09, 0.02, colour)
+        _beside(axes, text, (right - 0.1, y), (1, 0))
+    return figure
+
+
+@styled
+def schematic():
+    """Figure 4 and Sec. System Model: the robot's pose and Eq. (2), velocities without slip and, in
+    a hard turn, with μ = 0.75 and κ = 0.65.
+    """
+    x, y, theta, mu, kappa = 0.86, 0.80, np.radians(35), 0.75, 0.65
+    nu, nu_l, nu_r = 0.92, 0.78, 1.06
+    track, nose = _TRACK / 2, _LENGTH / 2
+    without_slip = {"color": GREY, "linestyle": (0, (3, 2))}
+    thin = {"color": GREY, "linewidth": 0.5, "linestyle": ":"}
+    figure, axes = _canvas((-0.20, 2.98), (-0.20, 1.78))
+
+    def place(along, across):
+        """A point given in the robot's frame."""
+        cos, sin = np.cos(theta), np.sin(theta)
+        return x + along * cos - across * sin, y + along * sin + across * cos
+
+    def around(radius, angle):
+        """A point, or one for each angle [rad], on a circle about the robot's middle."""
+        return np.transpose([x + radius * np.cos(angle), y + radius * np.sin(angle)])
+
+    def write(text, at, **look):
+        axes.text(*at, text, **{"ha": "center", "va": "center"} | look)
+
+    for tip, foot, name, below in [
+        ((1.80, 0), (x, 0), "$x$", (x, -0.10)),
+        ((0, 1.72), (0, y), "$y$", (-0.10, y)),
+    ]:
+        _arrow(axes, (0, 0), tip)
+        axes.plot(*zip((x, y), foot, strict=True), **thin)
+        write(name, below)
+
+    robot = Affine2D().rotate(theta).translate(x, y) + axes.transData
+    _box(axes, 0, 0, 0.84, _TRACK, transform=robot)
+    for across, speed, name in [(track, nu_l, r"$\nu_l$"), (-track, nu_r, r"$\nu_r$")]:
+        _box(axes, 0, across, _LENGTH, _TREAD, 0.02, _METAL, transform=robot)
+        _arrow(axes, place(0, across), place(speed, across), **without_slip)
+        write(name, place(speed + 0.08, across))
+    _dimension(axes, place(-nose - 0.08, track), place(-nose - 0.08, -track), "")
+    write("$b$", place(-nose - 0.16, 0))
+
+    axes.plot([x, x + 0.5], [y, y], **thin)
+    axes.add_patch(patches.Arc((x, y), 0.56, 0.56, theta2=np.degrees(theta), linewidth=0.6))
+    write(r"$\theta$", place(0.33, -0.10))
+    _arrow(axes, (x, y), place(nu, 0), **without_slip)
+    _arrow(axes, (x, y), place(mu * nu, 0), color=BLUE, linewidth=1.4)
+    write(r"$\nu$", place(nu + 0.07, 0))
+    write(r"$\mu\nu$", place(mu * nu + 0.06, 0.09), color=BLUE)
+    turn = np.radians(85) * np.linspace(1, 2, 30)
+    slipped = np.radians(85) * np.linspace(1, 1 + kappa, 30)
+    _arrow(axes, Path(around(0.50, turn)), **without_slip)
+    _arrow(axes, Path(around(0.42, slipped)), color=VERMILLION, linewidth=1.4)
+    write(r"$\omega$", around(0.58, turn[20]))
+    write(r"$\kappa\omega$", around(0.40, turn[24]), color=VERMILLION)
+    axes.plot(x, y, "o", markersize=3, color=BLACK)
+
+    for height, equation in [
+        (1.60, r"$\dot{x}=\mu\nu\,\cos\theta$"),
+        (1.40, r"$\dot{y}=\mu\nu\,\sin\theta$"),
+        (1.20, r"$\dot{\theta}=\kappa\omega$"),
+        (0.85, r"$\nu=(\nu_l+\nu_r)/2$"),
+        (0.65, r"$\omega=(\nu_r-\nu_l)/b$"),
+    ]:
+        write(equation, (2.14, height), ha="left", fontsize=9)
+    write("(2)", (2.94, 1.40), ha="right")
+    for height, note, colour in [
+        (0.34, "dashed: no slip", GREY),
+        (0.18, r"longitudinal slip $1-\mu$", BLUE),
+        (0.02, r"turning lost: $1-\kappa$", VERMILLION),
+    ]:
+        write(note, (2.14, height), ha="left", fontsize=7, color=colour)
+    return figure

@@ -1,0 +1,322 @@
+"""Experiments that are no closed-loop campaign: estimators on recorded measurements, one iteration
+against many, exact properties of the problems.
+
+Each returns a DataFrame, one row a case.
+"""
+
+import operator
+import time
+from functools import cache, partial
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+from scipy import optimize
+
+from rhec import paper
+from rhec.core._casadi import compiled, scan
+from rhec.core._casadi.build import pack_array, select_inputs, with_packed_memory
+from rhec.core.controller import rhc
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator import rhe
+from rhec.core.estimator.rhe import RHE
+from rhec.core.model.base import rk4
+from rhec.core.solver.rti import PHASES
+from rhec.simulation.closed_loop import set_up, simulate
+from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.simulation.metrics import rms, settled_samples
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import kinematics as model
+from rhec.tracked_robot import path, tuning
+from rhec.tracked_robot import rhc as paper_rhc
+from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.estimators import Choice
+from rhec.tracked_robot.references import PathTracker
+from rhec.workbench.studies import timing
+from rhec.workbench.studies.calibration import SETTLED_S
+from rhec.workbench.studies.claims.run_sets import PROCESS_NOISES, each
+from rhec.workbench.studies.live_loop import LiveRobot
+
+__all__ = [
+    "all_of", "gains", "kkt_tolerances", "live", "lowest_traction", "models", "of_estimators",
+    "reached_s", "run_with_given_arrival", "steps_in_time", "with_given_arrival"
+]  # fmt: skip
+
+
+# The arrival cost
+
+
+def _window():
+    return paper_rhe.window_of(Choice.of(Scenario()))
+
+
+def with_given_arrival():
+    """One RHE step with a choice: the arrival cost's covariance from the smoothed EKF update, or
+    P_given (6, 6) at all times where `constant` is 1.
+
+    (memory, z_N, V, W, P_0, P_given, constant) -> (memory, row); row: the estimate (6,) and the
+    arrival covariance (36,) behind it.
+    """
+    window = _window()
+    phases, kind = rhe.build_phases(window, model.QUANTITIES), compiled.loop_symbols()
+    shapes = dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 1), P_given=(6, 6), constant=(1, 1))
+
+    @with_packed_memory("given_arrival", window.memory, kind, **shapes)
+    def step(**known):
+        for name in PHASES:
+            known |= phases[name](**select_inputs(phases[name], known))
+            if name == "shift":
+                P = known["P"] = ca.if_else(known["constant"], known["P_given"], known["P"])
+        row = ca.vertcat(known["estimate"], ca.vec(P))
+        return dict(row=row) | {name: known[name] for name in window.memory}
+
+    return step
+
+
+def _build_scan(serialized):
+    """Scan of a step that is given as text: the text is part of the compiled library's name."""
+    return scan.build_scan(ca.Function.deserialize(serialized))
+
+
+@cache
+def _steps_with_given_arrival():
+    return compiled.load(_build_scan, with_given_arrival().serialize())
+
+
+def run_with_given_arrival(steps, log, process_noise, P_given=None):
+    """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
+    scenario = Scenario(process_noise=process_noise)
+    settings = paper_rhe.ESTIMATORS["rhe"].settings(scenario) | dict(
+        P_given=np.eye(6) if P_given is None else P_given, constant=float(P_given is not None)
+    )
+    guess = dict(zip(model.QUANTITIES, (*log.loc[0, POSE], log.loc[0, "nu_mps"], 1.0, 1.0)))
+    memory = pack_array(paper_rhe.init(_window(), guess))
+    _, rows = scan.scan(steps, memory, log[MEASUREMENTS].to_numpy(), settings)
+    return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
+
+
+def _arrival_cost(process_noise, world, seed):
+    """The RHE with its arrival cost as it is, and with constant ones, on the same recorded run
+    (driven with the true state in the loop), as one row.
+
+    A constant covariance is the run's mean one over 100 ("heavy": a large weight H_N), times 100
+    ("light"), or times 10⁸ ("none"). For each: RMS change of κ̂ from sample to sample, time until
+    |κ̂ - κ| first stays below 0.1 for 5 s, whether the yaw was ever more than 0.5 rad off; and the
+    least eigenvalue of P - W over all samples, in units of W.
+    """
+    steps = _steps_with_given_arrival()
+    sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
+    log = simulate(Scenario(**(world | dict(estimator="oracle", seed=seed)))).log
+    estimates, P = run_with_given_arrival(steps, log, process_noise)
+    half = 1 / np.sqrt(sigma**2)  # P - W in units of W, where all eigenvalues compare
+    row = dict(least=np.linalg.eigvalsh(half[:, None] * (P - np.diag(sigma**2)) * half).min())
+    typical = P[paper.HORIZON + 1 :].mean(axis=0)
+    for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
+        if factor is not None:
+            estimates, _ = run_with_given_arrival(steps, log, process_noise, factor * typical)
+        error = estimates[:, 5] - log["kappa"].to_numpy()
+        yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
+        row[f"step_{name}"] = rms(np.diff(estimates[:, 5]))
+        row |= {f"reached_s_{name}": reached_s(error), f"lost_{name}": np.abs(yaw).max() > 0.5}
+    return row
+
+
+def reached_s(error):
+    """When an error first stays within 0.1 for 5 s; the run's length if it never does [s]."""
+    settled = settled_samples(np.abs(error), 0.1)
+    return paper.DT_S * (settled[0] if len(settled) else len(error))
+
+
+# One iteration or many
+
+
+def live(scenario, iterations):
+    """The closed loop in plain Python: one Gauss-Newton iteration a sample (`iterations` = 1), or
+    as many as told.
+
+    Returns the true distance to the path (n,) [m], the time RHE and RHC took (n,) [s], and of each
+    sample the RHC's problem, as `RHC.feedback` takes it, and the command [rad/s].
+    """
+    robot, taken, problems, commands, positions = LiveRobot(scenario), [], [], [], []
+    estimator = RHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
+    controller = RHC(q=scenario.q, r=scenario.r)
+    tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
+    for z in robot:
+        begin = time.perf_counter()
+        estimator.prepare()
+        estimate = estimator.feedback(z) if iterations == 1 else estimator.solve(z, iterations)
+        estimated = time.perf_counter()
+        problem = estimate.pose, estimate.p, *tracker.references(estimate, z[3])
+        referenced = time.perf_counter()
+        controller.prepare()
+        if iterations == 1:
+            command = controller.feedback(*problem)
+        else:
+            command = controller.solve(*problem, iterations)
+        taken.append(time.perf_counter() - referenced + estimated - begin)
+        problems.append([np.copy(given) for given in problem])
+        commands.append(command)
+        positions.append(robot.pose[:2].copy())
+        robot.drive(command)
+    distance_m, _ = robot.setup.path.project(positions)
+    return distance_m, np.array(taken), problems, np.array(commands)
+
+
+def _off_converged(scenario, problems, commands):
+    """How far [rad/s] the commands (n,) of a live loop were from the converged ones, and those of
+    a cold RHC (n,), which knows the previous estimate but has planned nothing.
+    """
+    unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(2))
+    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
+    guess, cold, converged = set_up(scenario).guess, [], []
+    previous = guess[:3], guess[3:]
+    for problem in problems:
+        exact.prepare()
+        converged.append(exact.solve(*problem))
+        unprepared.iteration.start(rhc.init(horizon, *previous))
+        cold.append(unprepared.feedback(*problem))
+        previous = problem[:2]
+    return commands - np.array(converged), np.array(cold) - np.array(converged)
+
+
+def _iterations(process_noise, world, seed, many=10):
+    """One iteration a sample against `many`, in the closed loop on one field, counted once settled:
+    mean true errors [m], median times [µs]; the RMS distance [rad/s] of the command after one
+    iteration from the converged one, started warm and cold, and the largest warm one of all.
+    """
+    given = dict(process_noise=process_noise, seed=seed, duration_s=80.0)
+    scenario = Scenario(**(world | given))
+    one_m, one_s, *solved = live(scenario, 1)
+    many_m, many_s, *_ = live(scenario, many)
+    warm, cold = _off_converged(scenario, *solved)
+    settled = slice(round(SETTLED_S / paper.DT_S), None)
+    row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
+    row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
+    row |= dict(rms_warm=rms(warm[settled]), rms_cold=rms(cold[settled]))
+    return row | dict(max_warm=np.abs(warm).max())
+
+
+def lowest_traction(process_noise, most=400):
+    """A search for a traction estimate of the augmented EKF below zero: start, first guess of the
+    yaw, soil, bumps and field are chosen by differential evolution until one is found, or so many
+    runs were tried. One row a run, with the lowest estimate.
+    """
+    rows = []
+    ranges = dict(guess_yaw_rad=(-np.pi, np.pi), start_offset_m=(-3, 3), seed=(0, 999))
+    ranges |= dict(kappa_mean=(0.5, 0.9), kappa_deviation=(0.0, 0.2), bump_sigma_radps=(0, 0.1))
+
+    def lowest(values):
+        given = dict(zip(ranges, values)) | dict(seed=round(values[2]), duration_s=60.0)
+        choice = dict(estimator="augmented_ekf", process_noise=process_noise)
+        columns = simulate(Scenario(**given, **choice)).columns
+        row = given | dict(lowest=min(columns["mu_hat"].min(), columns["kappa_hat"].min()))
+        rows.append(row)
+        return row["lowest"]
+
+    options = dict(popsize=3, polish=False, rng=np.random.default_rng(0), tol=0)
+    optimize.differential_evolution(
+        lowest, [*ranges.values()], maxiter=most // (3 * len(ranges)),
+        callback=lambda _, convergence: min(row["lowest"] for row in rows) < 0, **options,
+    )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+# Exact properties of the problems
+
+
+def _straight_ahead(speed_mps, traction):
+    """References of an RHC on the x axis: (xi_ref (3, N+1), omega_ref (N,)), desired points one
+    sample apart.
+    """
+    xi_ref = np.zeros((3, paper.HORIZON + 1))
+    xi_ref[0] = paper.DT_S * speed_mps * traction * np.arange(paper.HORIZON + 1)
+    return xi_ref, np.zeros(paper.HORIZON)
+
+
+def _draw_states(n):
+    """n random speeds [m/s], tractions μ, κ and offsets to the left of a straight path [m]."""
+    rng = np.random.default_rng(0)
+    ranges = (0.2, 0.7), (0.6, 1.0), (0.5, 1.0), (-0.3, 0.3)
+    return zip(*(rng.uniform(least, most, n) for least, most in ranges))
+
+
+def kkt_tolerances(n=100):
+    """KKT tolerances of two RHC problems: linear, where the yaw alone has a weight (θ̇ = κω), and
+    the paper's Q³.
+
+    "reported" is that of the sample as ACADO's code gives it, at the point where the iteration
+    begins; "after the step" is taken again at the result.
+    """
+    rows = []
+    for speed, mu, kappa, offset in _draw_states(n):
+        problem, row = ((0.0, offset, offset), (speed, mu, kappa), *_straight_ahead(speed, mu)), {}
+        for name, q in {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}.items():
+            for place, count in {"reported": 1, "after the step": 2}.items():
+                controller = RHC(q=q)
+                controller.solve(*problem, count)
+                row[f"{name}_{place}"] = controller.kkt
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def gains(n=100):
+    """How strongly the converged RHC answers a small offset from a straight path, |∂ω/∂y|
+    [rad/s/m], with R = 10 and with a hundredth of it.
+    """
+    rows, weights, offset_m = [], {"large_r": paper.R, "small_r": paper.R / 100}, 1e-4
+    for speed, mu, kappa, _ in _draw_states(n):
+        problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
+        rows.append({name: abs(RHC(r=r).solve(*problem)) / offset_m for name, r in weights.items()})
+    return pd.DataFrame(rows)
+
+
+def models(n=100):
+    """The system model at random states: |f(0, 0, p)| [m/s], how far rk4 without slip is from the
+    unicycle's own motion [m], and the speed across its heading [m/s].
+    """
+    rng, rows = np.random.default_rng(0), []
+    for speed, mu, kappa, _ in _draw_states(n):
+        pose = rng.uniform(-3, 3, 3)
+        omega = rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)
+        still = np.array(ca.DM(model.f(ca.DM.zeros(3), 0, ca.DM([speed, mu, kappa])))).ravel()
+        moved = rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S)
+        circle = path.advance(*pose, omega / speed, speed * paper.DT_S, np)
+        off = np.abs(np.array(ca.DM(moved)).ravel() - circle).max()
+        x, y, _ = np.array(ca.DM(model.f(ca.DM(pose), omega, ca.DM([speed, mu, kappa])))).ravel()
+        sideways = abs(y * np.cos(pose[2]) - x * np.sin(pose[2]))
+        row = dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=off, sideways_mps=sideways)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def steps_in_time(duration_s=60.0):
+    """Whether the whole step took less than a sample, at every sample of a run on this machine."""
+    taken = timing.phases(Scenario(process_noise="calibrated", duration_s=duration_s), "daqp")
+    return pd.DataFrame(dict(in_time=taken.sum(axis=1) < 1e6 * paper.DT_S))
+
+
+def of_estimators(seeds, process_noise, world=None):
+    """The experiments that a process noise touches, {name: table}, in a world of WORLDS."""
+    given = process_noise, world or {}
+    counts = {
+        "arrival_cost": (_arrival_cost, seeds // 10),
+        "iterations": (_iterations, seeds // 25),
+    }
+    return {
+        name: pd.DataFrame(each(partial(row, *given), range(max(2, n))))
+        for name, (row, n) in counts.items()
+    }
+
+
+def all_of(seeds):
+    """Every experiment, {process noise: {name: table}}; what no process noise touches stands under
+    both. `seeds` is the largest number of fields of a campaign.
+    """
+    exact = dict(kkt=kkt_tolerances, gains=gains, models=models, times=steps_in_time)
+    searches = [partial(lowest_traction, noise) for noise in PROCESS_NOISES]
+    found = each(operator.call, [*searches, *exact.values()])
+    searched, independent = zip(PROCESS_NOISES, found), dict(zip(exact, found[len(searches) :]))
+    return {
+        noise: independent | of_estimators(seeds, noise) | dict(search=search)
+        for noise, search in searched
+    }

@@ -1,0 +1,270 @@
+"""The runs that the claims are judged on, as data, and what is measured of them. Seeds start at 0;
+those of the calibration are never used.
+
+Every id is run under both process noises at the same seeds, so that row k of any two tables of one
+length is the same field and the same noise. RUNS need their metrics alone and run as one campaign;
+LOGS need what only each sample shows.
+"""
+
+import itertools
+from functools import partial
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from rhec import paper
+from rhec.simulation.campaigns.campaign import campaign
+from rhec.simulation.campaigns.side_by_side import in_parts, run_each, samples_alike, size_of_task
+from rhec.simulation.campaigns.workers import dask_client, run_on
+from rhec.simulation.metrics import rms
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.terrain import Terrain
+
+__all__ = [
+    "LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "WORLDS", "complete", "drive", "each",
+    "lag_s", "logs", "measured", "of_runs", "runs", "scenarios"
+]  # fmt: skip
+
+PROCESS_NOISES = ("printed", "calibrated")
+LOOK_AHEAD_M = 0.5
+_SWING_M = 0.05  # so far to one side and then to the other is a swing
+_SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
+_SLIPPERY |= dict(duration_s=120.0)
+_UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
+_ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
+_CONSTANT = dict(terrain=Terrain.uniform(0.9, 0.8))  # the default soil's means
+_NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps".split()
+_UNDISTURBED = dict.fromkeys(_NOISES, 0.0)
+_ORACLE = dict(estimator="oracle", process_noise="printed")  # it has no W
+
+
+def _traction_noise_times(factor):
+    """The RHE's W with the standard deviations of μ and κ times `factor`."""
+    factors = (1, 1, 1, 1, factor, factor)
+    return lambda process_noise: tuple(
+        np.multiply(factors, tuning.SIGMA_W["rhe"][process_noise]).tolist()
+    )
+
+
+def _dead_reckoning(process_noise):
+    """An estimator (memory, z) -> (memory, estimate) without an estimate of the yaw: that is the
+    encoders' yaw rate summed up from the start, position and speed are as measured, no slip.
+    """
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    estimate = ca.vertcat(z[:2], memory[2] + paper.DT_S * z[3], z[2], 1, 1)
+    options = {"allow_duplicate_io_names": True}
+    return ca.Function("dead_reckoned", [memory, z], [estimate, estimate], options)
+
+
+def _filtered_w(process_noise):
+    """The RHE's W where its arrival mean is the filter's: calibrated, it has its own."""
+    of_filtered = {"calibrated": tuning.SIGMA_W_FILTERED}
+    return of_filtered.get(process_noise, tuning.SIGMA_W["rhe"][process_noise])
+
+
+def _by_tracking(estimator):
+    sigma_w = tuning.SIGMA_W_TRACKING[estimator]
+    return dict(estimator=estimator, sigma_w=sigma_w, process_noise="printed")
+
+
+_FILTERED = dict(arrival_mean="filtered", sigma_w=_filtered_w)
+
+# id: fields of the scenario; a field may depend on the process noise
+RUNS = {
+    "rhe": dict(),
+    "rhe_filtered": _FILTERED,
+    "ekf": dict(estimator="ekf"),
+    "oracle": _ORACLE,
+    "no_slip": dict(estimator="rhe_no_slip"),
+    "fixed_traction": dict(estimator="rhe_fixed_traction"),
+    "bounded_ekf": dict(estimator="bounded_ekf"),
+    "rhe_tracking": _by_tracking("rhe"),
+    "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
+    "cautious": dict(estimator="dual", cautious=True, duration_s=270.0),  # as far, but slower
+    "rhe_constant": _CONSTANT,
+    "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
+    "rhe_uncertain": _UNSURE,
+    "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
+    "oracle_uncertain": _UNSURE | _ORACLE,
+    "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
+    "oracle_row": _ORACLE | _ON_ROW,
+    "q1": dict(q=paper.Q1) | _ON_ROW,
+    "q2": dict(q=paper.Q2) | _ON_ROW,
+    "q2_look_ahead": dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _ON_ROW,
+    "q3": dict(q=paper.Q3) | _ON_ROW,
+    "q2_small_r": dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW,
+    "q3_small_r": dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW,
+    "q3_no_terminal_weight": dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW,
+}
+LOGS = {
+    "rhe": dict(),
+    "rhe_filtered": _FILTERED,
+    "rhe_small_w": dict(sigma_w=_traction_noise_times(0.1)),
+    "rhe_constant_parameters": dict(sigma_w=_traction_noise_times(0.0)),
+    "rhe_poor_start": dict(guess_yaw_rad=1.0),
+    "rhe_undisturbed": _CONSTANT | _UNDISTURBED,
+    "ekf": dict(estimator="ekf"),
+    "ekf_path_yaw_rate": dict(estimator="ekf", input_reference="curvature"),
+    "augmented_ekf": dict(estimator="augmented_ekf"),
+    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
+    "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
+    "q2": dict(q=paper.Q2) | _ON_ROW,
+    "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
+    "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),
+}
+_LOGS_SHARE = 0.2  # of the fields
+
+# Where a claim may come out otherwise; an id's own fields go first.
+WORLDS = {
+    "no noise, constant soil": _CONSTANT | _UNDISTURBED,
+    "slow": dict(speed_mps=0.25),
+    "rough": dict(kappa_mean=0.6, kappa_deviation=0.2, bump_sigma_radps=0.1, gnss_sigma_m=0.08),
+    "firm soil": dict(mu_mean=0.98, mu_deviation=0.01, kappa_mean=0.97, kappa_deviation=0.02),
+    "good sensors": dict(gnss_sigma_m=0.005, encoder_sigma_mps=0.001, bump_sigma_radps=0.001),
+    "noisy encoders": dict(encoder_sigma_mps=0.15, speed_sigma_mps=0.005),
+    "lively control": dict(r=0.1, omega_max_radps=1.0),
+    "slack control": dict(r=1000.0),
+}
+
+
+def scenarios(fields, process_noise, seeds, world=None):
+    """The scenarios of an id: its fields under a process noise, one a seed, at least two."""
+    given = {name: of(process_noise) if callable(of) else of for name, of in fields.items()}
+    given = (world or {}) | dict(process_noise=process_noise) | given
+    return [Scenario(seed=seed, **given) for seed in range(max(2, round(seeds)))]
+
+
+def _asked(sets, seeds, process_noises, world):
+    return {
+        (process_noise, id_): scenarios(fields, process_noise, seeds, world)
+        for process_noise in process_noises
+        for id_, fields in sets.items()
+    }
+
+
+def _by_noise(found):
+    """{process noise: {id: table}} of {(process noise, id): table}."""
+    tables = {process_noise: {} for process_noise, _ in found}
+    for (process_noise, id_), table in found.items():
+        tables[process_noise][id_] = table
+    return tables
+
+
+def runs(seeds, ids=tuple(RUNS), process_noises=PROCESS_NOISES, world=None, folder=None):
+    """Metrics of RUNS, {process noise: {id: DataFrame, one row a seed}}, on so many fields; where
+    told, some of them, and in a world of WORLDS. folder: of the campaign.
+    """
+    asked = _asked({id_: RUNS[id_] for id_ in ids}, seeds, process_noises, world)
+    return _by_noise(drive(asked, folder))
+
+
+def drive(asked, folder=None):
+    """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
+    table = complete(campaign([scenario for each in asked.values() for scenario in each], folder))
+    rows = np.split(np.arange(len(table)), np.cumsum([len(each) for each in asked.values()])[:-1])
+    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(asked, rows)}
+
+
+def complete(table):
+    """Metrics with nothing missing: a robot that never arrives has used up all its time, and
+    `arrived` says so. RuntimeError if a run failed.
+    """
+    failed, settling = table["error"][table["error"] != ""], table["settling_time_s"]
+    if len(failed):
+        first = failed.iloc[0]
+        raise RuntimeError(f"{len(failed)} of {len(table)} runs failed, the first with: {first}")
+    used_up = settling.fillna(table["duration_s"])
+    return table.assign(arrived=settling.notna(), settling_time_s=used_up)
+
+
+def logs(seeds, ids=tuple(LOGS), process_noises=PROCESS_NOISES, world=None, part=_LOGS_SHARE):
+    """Metrics of LOGS on a part of the fields and what is `measured` beside them, as `runs`."""
+    asked = _asked({id_: LOGS[id_] for id_ in ids}, part * seeds, process_noises, world)
+    rows = iter(of_runs(measured, list(itertools.chain(*asked.values()))))
+    return _by_noise(
+        {name: pd.DataFrame([next(rows) for _ in every]) for name, every in asked.items()}
+    )
+
+
+def of_runs(of, scenarios):
+    """`of` the Run of each scenario, in their order: something that is true, by a function that
+    other processes find.
+    """
+    alike = samples_alike(scenarios)
+    parts = [*in_parts(dict(enumerate(scenarios)), size_of_task(alike))]
+    found = each(partial(_of_part, alike=alike, of=of), parts)
+    found = {place: row for part in found for place, row in part.items()}
+    return [found[place] for place in range(len(scenarios))]
+
+
+def _of_part(part, alike, of):
+    return dict(zip(part, run_each(part.values(), alike, of)))
+
+
+def each(function, arguments):
+    """The function of each argument, in order. Many are spread over this machine's cores."""
+    tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
+    with dask_client(None, large=len(tasks) > 2) as client:
+        done = map(_applied, tasks) if client is None else run_on(client, _applied, tasks)
+        found = dict(done if client is None else (result for _, result in done))
+    return [found[place] for place in range(len(tasks))]
+
+
+def _applied(task):
+    function, place, argument = task
+    return place, function(argument)
+
+
+def measured(run):
+    """Metrics of a run and what only its log shows; SI units. "Late" is its second half."""
+    c, scenario = SimpleNamespace(**run.columns), run.scenario
+    arrived = not np.isnan(run.metrics["settling_time_s"])
+    settling_time_s = run.metrics["settling_time_s"] if arrived else scenario.duration_s
+    driving, late = c.t_s >= 5.0, c.t_s >= scenario.duration_s / 2  # speed loops start for 5 s
+    before, after = c.t_s <= settling_time_s, c.t_s >= settling_time_s
+    both, peak_radps = np.concatenate([c.mu_hat, c.kappa_hat]), np.abs(c.omega_cmd_radps).max()
+    _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
+    poses, curvature = run.path.poses(s)
+    x_m, y_m, theta_rad = poses.T
+    left_m = (c.y_m - y_m) * np.cos(theta_rad) - (c.x_m - x_m) * np.sin(theta_rad)
+    curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
+    side = np.sign(left_m[np.abs(left_m) > _SWING_M])
+    return run.metrics | dict(
+        late_s=c.t_s[-1] - c.s_m[-1] / scenario.speed_mps,
+        arrived=arrived,
+        settling_time_s=settling_time_s,
+        in_bounds=bool(np.all((both >= 0) & (both <= 1))),
+        above_one=bool(np.any(both > 1)),
+        near_bound=np.mean((c.mu_hat >= 0.9) & (c.kappa_hat >= 0.9)),
+        deviation_kappa_late=c.kappa_hat[late].std(),
+        step_kappa=rms(np.diff(c.kappa_hat)),
+        lag_mu_s=lag_s(c.mu_hat, c.mu),
+        yaw_bias_rad=np.mean((c.theta_hat_rad - c.theta_rad)[curved]) if curved.any() else 0.0,
+        offset_curves_m=left_m[curved].mean() if curved.any() else 0.0,
+        swings=np.sum(np.diff(side) != 0),
+        speed_variation=c.nu_mps[driving].std() / abs(c.nu_mps[driving].mean()),
+        rms_nu_hat_mps=rms((c.nu_hat_mps - c.nu_mps)[driving]),
+        rms_nu_meas_mps=rms((c.nu_meas_mps - c.nu_mps)[driving]),
+        rms_yaw_rate_radps=rms(c.omega_radps[1:] - c.omega_cmd_radps[:-1]),
+        reaches_bound=bool(peak_radps >= scenario.omega_max_radps * (1 - 1e-9)),
+        within_bound=bool(peak_radps <= scenario.omega_max_radps),
+        kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= settling_time_s),
+        kkt_rhc_before=np.median(c.kkt_rhc[before]),
+        kkt_rhc_after=np.median(c.kkt_rhc[after]) if after.any() else np.median(c.kkt_rhc),
+        kkt_rhc_late=np.median(c.kkt_rhc[late]),
+        kkt_rhe_first=np.median(c.kkt_rhe[1:16]),
+        kkt_rhe_late=np.median(c.kkt_rhe[late]),
+    )
+
+
+def lag_s(estimate, truth, most_s=10.0):
+    """How far an estimate trails the truth: the shift that leaves the least RMS difference [s], up
+    to most_s.
+    """
+    shifts = range(round(most_s / paper.DT_S) + 1)
+    off = (estimate[shift:] - truth[: len(truth) - shift] for shift in shifts)
+    left = [each @ each / len(each) for each in off]
+    return paper.DT_S * int(np.argmin(left))

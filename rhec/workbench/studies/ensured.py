@@ -1,0 +1,130 @@
+"""Is a tolerance "ensured"? The share of fields in which the robot is never beyond 0.12 m, beside
+its mean speed, for constant speeds and for the cautious controller.
+
+Every drive is judged on the same way, the first lap: from the end of the 5 s that make the robot
+settled (as `max_error_true_m`) until the whole path is driven, however long that takes. A robot
+that never settles, or needs half as long again as the set speed, has not kept the promise.
+Positions are true.
+"""
+
+import dataclasses
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from rhec import paper
+from rhec.simulation.metrics import metrics
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot.path import Path
+from rhec.workbench.studies.claims.run_sets import of_runs
+from rhec.workbench.studies.statistics import over_seeds, share, verdict
+
+__all__ = ["CAUTIOUS", "CONSTANT", "PROMISES", "SOILS", "drives", "front", "judged", "lap"]
+
+ESTIMATORS = {
+    "dual": dict(estimator="dual"),
+    "RHE, consistent": dict(process_noise="consistent"),
+    "RHE, printed": dict(process_noise="printed"),
+    "traction oracle": dict(estimator="traction_oracle"),
+    "full oracle": dict(estimator="oracle"),
+}
+CONSTANT, CAUTIOUS = "constant", "cautious"
+# Patches lie where the path turns, and on a row.
+_WET = tuple((x, y, 2.0, 0.7, 0.3) for x, y in ((37.0, 4.0), (15.0, 15.6), (-7.0, 12.0)))
+SOILS = {
+    "default soil": {},
+    "uncertain soil": dict(kappa_mean=0.7, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08),
+    "wet patches": dict(patches=_WET),
+}
+PROMISES = dict(whole="whole path", rows="rows", corners="corners on rows")
+
+
+class _Lap(NamedTuple):
+    """What of the promise a drive kept on its lap; its mean speed [m/s] and largest error [m]."""
+
+    whole: bool
+    rows: bool
+    corners: bool
+    speed_mps: float
+    error_m: float
+
+
+def lap(run):
+    """What a run kept on its lap."""
+    end = np.searchsorted(run.columns["s_m"], run.path.length_m)
+    columns = {name: column[:end] for name, column in run.columns.items()}
+    _, s = run.path.project(np.column_stack([columns["x_m"], columns["y_m"]]))
+    found = metrics(columns, run.path.poses(s)[0])
+    driven = end < len(run.columns["s_m"]) and not np.isnan(found["settling_time_s"])
+    return _Lap(
+        whole=driven and found["max_error_true_m"] <= paper.TOLERANCE_M,
+        rows=driven and found["violations_true"] == 0,
+        corners=driven and found["max_corner_error_true_m"] <= paper.TOLERANCE_M,
+        speed_mps=found["mean_speed_mps"],
+        error_m=found["max_error_true_m"] if driven else np.nan,
+    )
+
+
+def _laps(scenarios):
+    """The laps of scenarios, in their order, one row each."""
+    scenarios = [
+        dataclasses.replace(scenario, duration_s=_longest_s(scenario)) for scenario in scenarios
+    ]
+    return pd.DataFrame(of_runs(lap, scenarios))
+
+
+def _longest_s(scenario):
+    """The time of a lap at the set speed and half as much; for a constant speed, a fifth."""
+    path = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
+    pace_mps = scenario.mu_mean * scenario.speed_mps
+    return (1.5 if scenario.cautious else 1.2) * path.length_m / pace_mps
+
+
+def drives(soils, estimators, modes, speeds_mps, **fields):
+    """{(soil, estimator, mode, set speed): fields of Scenario} of all combinations."""
+    return {
+        (soil, estimator, mode, speed_mps): SOILS[soil]
+        | ESTIMATORS[estimator]
+        | dict(cautious=mode == CAUTIOUS, speed_mps=speed_mps)
+        | fields
+        for soil, estimator, mode, speed_mps in itertools.product(
+            soils, estimators, modes, speeds_mps
+        )
+    }
+
+
+def front(drives, seeds):
+    """What of the promise drives keep, beside their mean speed.
+
+    Args:
+        drives: As `drives` returns them.
+        seeds: Each drive's.
+
+    Returns:
+        A DataFrame with columns soil, estimator, mode, set_mps, promise, share, low, high (95 %, by
+        Clopper and Pearson), speed_mps, speed_low, speed_high (95 %), worst_m (largest error of
+        all), n.
+    """
+    found = _laps([Scenario(seed=seed, **of) for of in drives.values() for seed in seeds])
+    parts, rows = np.split(np.arange(len(found)), len(drives)), []
+    for labels, part in zip(drives, parts):
+        own, named = found.iloc[part], dict(zip(("soil", "estimator", "mode", "set_mps"), labels))
+        speed = over_seeds(np.mean, own["speed_mps"])
+        named |= dict(speed_mps=speed.mean, speed_low=speed.low, speed_high=speed.high)
+        for promise, words in PROMISES.items():
+            kept = share(own[promise])
+            counted = dict(share=kept.value, low=kept.low, high=kept.high, n=kept.n)
+            rows.append(named | dict(promise=words, worst_m=own["error_m"].max()) | counted)
+    return pd.DataFrame(rows)
+
+
+def judged(table, least_share, least_speed_mps):
+    """`front`'s table with a verdict each: HOLDS if both the share and the speed are above."""
+    said = [
+        verdict(min(row.low - least_share, row.speed_low - least_speed_mps),
+                min(row.high - least_share, row.speed_high - least_speed_mps), above=0)
+        for row in table.itertuples()
+    ]  # fmt: skip
+    return table.assign(verdict=said)

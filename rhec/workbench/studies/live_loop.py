@@ -1,0 +1,56 @@
+"""The simulated robot for a loop in plain Python, sample by sample, with a scenario's soil, noise
+and start.
+"""
+
+import functools
+
+from rhec import paper
+from rhec.core._casadi.build import select_inputs, unpack_array
+from rhec.core._casadi.compiled import BufferedFunction
+from rhec.simulation.closed_loop import set_up
+from rhec.tracked_robot import plant as robot
+from rhec.tracked_robot import terrain
+
+__all__ = ["LiveRobot"]
+
+
+@functools.cache
+def _functions(shape):
+    return robot.measure(paper.DT_S), robot.drive(paper.DT_S), terrain.lookup(shape)
+
+
+class LiveRobot:
+    """A robot that is measured and driven in turn: `for z in robot: …; robot.drive(omega)`.
+
+    setup: the scenario's Setup; pose (3,): the true one at the last measurement.
+    """
+
+    def __init__(self, scenario):
+        self.setup = set_up(scenario)
+        self._noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
+        shape = terrain.common_shape(self.setup.terrain)
+        self._measure, self._drive, self._slip = map(BufferedFunction, _functions(shape))
+        for call in (self._measure, self._drive, self._slip):
+            call.set(**select_inputs(call.function, self.setup.settings))
+        memory = self.setup.unpack(self.setup.memory)
+        self._state = {name: memory[name] for name in robot.MEMORY}
+
+    def __iter__(self):
+        for noise in self._noise:
+            self._state |= unpack_array(noise, robot.NOISE)
+            self.pose = self._state["pose"].ravel()
+            self._slip.set(xy=self.pose[:2])
+            self._slip.call()
+            self._measure.set(**select_inputs(self._measure.function, self._state))
+            self._measure.call()
+            yield self._measure.results["z"].copy()
+
+    def drive(self, omega_radps, **speed_mps):
+        """One sample with this commanded yaw rate and, if given, speed."""
+        self._drive.set(**select_inputs(self._drive.function, self._state))
+        self._drive.set(
+            traction=self._slip.results["traction"], omega_radps=omega_radps, **speed_mps
+        )
+        self._drive.call()
+        results = self._drive.results | dict(drift=self._measure.results["drift"])
+        self._state |= {name: value.copy() for name, value in results.items()}

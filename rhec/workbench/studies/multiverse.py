@@ -1,0 +1,249 @@
+"""Many worlds: what the paper leaves open is drawn anew, all at once, and the claims about driving
+are judged in each world on its own.
+
+The worlds are a scrambled Sobol sequence over UNKNOWNS (SciPy's `qmc`), so that no two unknowns
+move together. Which unknown decides a claim is read from rank correlations (SciPy's `spearmanr`)
+between the unknown and how far the claim is on its side, with the false discovery rate held at 5 %
+over the whole table (`false_discovery_control`).
+"""
+
+import itertools
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from rhec import paper
+from rhec.simulation.scenario import Scenario
+from rhec.workbench.studies.claims import run_sets
+from rhec.workbench.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, share, verdict
+
+__all__ = [
+    "CLAIMS", "FIRST_SEED", "UNKNOWNS", "VARIANTS", "Claim", "correlations", "drive", "in_world",
+    "judge", "sample_parameters", "scenario", "summary"
+]  # fmt: skip
+
+# name: (least, most, on a logarithmic scale); turn_demand: share of the bound on the yaw rate that
+# the headland asks for at the soil's means
+UNKNOWNS = {
+    "speed_mps": (0.2, 0.7, False),
+    "mu_mean": (0.75, 0.95, False),
+    "mu_deviation": (0.01, 0.1, False),
+    "kappa_mean": (0.65, 0.95, False),
+    "kappa_deviation": (0.02, 0.15, False),
+    "correlation_length_m": (1.0, 10.0, True),
+    "gnss_sigma_m": (0.01, 0.05, False),
+    "gnss_slow_share": (0.0, 0.95, False),
+    "gnss_slow_time_s": (5.0, 300.0, True),
+    "bump_sigma_radps": (0.0, 0.05, False),
+    "encoder_sigma_mps": (0.005, 0.035, False),
+    "row_length_m": (15.0, 25.0, False),
+    "turn_demand": (0.6, 0.9, False),
+    "start_offset_m": (0.3, 1.5, False),
+}
+FIRST_SEED = 2000  # beyond the ledger's and the calibration's; every world has fields of its own
+_DISCOVERIES = 0.05  # false discovery rate of the rank correlations
+_FLOOR_M = 1e-3  # an overshoot below 1 mm counts as 1 mm
+
+_CALIBRATED = dict(process_noise="calibrated")
+# variant: (fields of the scenario, whether the first row is all it needs); p printed, c calibrated
+VARIANTS = {
+    "rhe_p": (dict(), False),
+    "rhe_c": (_CALIBRATED, False),
+    "oracle": (dict(estimator="oracle"), False),
+    "ekf_p": (dict(estimator="ekf"), False),
+    "ekf_c": (dict(estimator="ekf") | _CALIBRATED, False),
+    "q1": (dict(q=paper.Q1) | _CALIBRATED, True),
+    "q2": (dict(q=paper.Q2) | _CALIBRATED, True),
+    "q2_look_ahead": (dict(q=paper.Q2, look_ahead_m=run_sets.LOOK_AHEAD_M) | _CALIBRATED, True),
+}
+
+
+class Claim(NamedTuple):
+    """A claim in a world. `measured` takes the runs of each variant to one number a run: how far
+    the claim is on its side (a logarithm, 0 at the bound), or, of an exact claim, whether it holds
+    in the run.
+    """
+
+    claim: str
+    measured: Callable
+
+
+def _less(one, other):
+    """Logarithm of other / one: above 0 where `one` is the smaller."""
+    return np.log(other / one)
+
+
+def _overshoots(one, other, factor):
+    """Logarithm of one's overshoot over `factor` times the other's."""
+    most, least = (np.maximum(runs.overshoot_m, _FLOOR_M) for runs in (one, other))
+    return np.log(most / (factor * least))
+
+
+def _stays(runs):
+    return runs.arrived & (runs.max_error_true_m < paper.TOLERANCE_M)
+
+
+def _beside(flags, best):
+    """What the oracle does not do either is held against nobody."""
+    return flags | ~best
+
+
+CLAIMS = {  # ids as in the ledger, with the process noise
+    "A1 c": Claim(
+        "Q¹ settles at least twice as slowly as Q³",
+        lambda r: _less(2 * r.rhe_c.settling_time_s, r.q1.settling_time_s),
+    ),
+    "A10 c": Claim(
+        "Q² overshoots at least twice as far as Q³", lambda r: _overshoots(r.q2, r.rhe_c, 2)
+    ),
+    "A5 c": Claim(
+        "Look-ahead at least halves the overshoot of Q²",
+        lambda r: -_overshoots(r.q2_look_ahead, r.q2, 0.5),
+    ),
+    "B1 p": Claim(
+        "RHE stays within 0.12 m where the oracle does",
+        lambda r: _beside(_stays(r.rhe_p), _stays(r.oracle)),
+    ),
+    "B1 c": Claim(
+        "RHE stays within 0.12 m where the oracle does",
+        lambda r: _beside(_stays(r.rhe_c), _stays(r.oracle)),
+    ),
+    "B2 c": Claim(
+        "EKF stays within 0.12 m where the oracle does",
+        lambda r: _beside(_stays(r.ekf_c), _stays(r.oracle)),
+    ),
+    "B5 p": Claim(
+        "RHE's mean error is below the EKF's",
+        lambda r: _less(r.rhe_p.mean_error_m, r.ekf_p.mean_error_m),
+    ),
+    "B5 c": Claim(
+        "RHE's mean error is below the EKF's",
+        lambda r: _less(r.rhe_c.mean_error_m, r.ekf_c.mean_error_m),
+    ),
+    "B7 p": Claim(
+        "RHE: no violation by raw GNSS where the oracle has none",
+        lambda r: _beside(r.rhe_p.violations == 0, r.oracle.violations == 0),
+    ),
+    "B7 c": Claim(
+        "RHE: no violation by raw GNSS where the oracle has none",
+        lambda r: _beside(r.rhe_c.violations == 0, r.oracle.violations == 0),
+    ),
+    "B8 c": Claim(
+        "RHE: no violation by true position where the oracle has none",
+        lambda r: _beside(r.rhe_c.violations_true == 0, r.oracle.violations_true == 0),
+    ),
+    "B19 c": Claim(
+        "RHC's output reaches its bounds",
+        lambda r: r.rhe_c.omega_peak_radps >= paper.OMEGA_MAX_RADPS * (1 - 1e-9),
+    ),
+    "C1 c": Claim("RHE's yaw is good to 2°", lambda r: _less(r.rhe_c.rms_yaw_rad, 0.035)),
+    "C2 c": Claim(
+        "RHE's μ is better than a constant", lambda r: _less(r.rhe_c.rms_mu, r.rhe_c.mu_deviation)
+    ),
+    "C3 c": Claim(
+        "RHE's κ is better than a constant",
+        lambda r: _less(r.rhe_c.rms_kappa, r.rhe_c.kappa_deviation),
+    ),
+    "R2": Claim(
+        "Calibrated W tracks better than printed",
+        lambda r: _less(r.rhe_c.mean_error_true_m, r.rhe_p.mean_error_true_m),
+    ),
+}
+
+
+def sample_parameters(n, seed=0):
+    """The first n worlds of the Sobol sequence, one row each."""
+    sequence = stats.qmc.Sobol(len(UNKNOWNS), rng=np.random.default_rng(seed))
+    unit = sequence.random_base2((n - 1).bit_length())[:n]
+    least, most, logarithmic = map(np.array, zip(*UNKNOWNS.values()))
+    scaled = np.where(logarithmic, least ** (1 - unit) * most**unit, least + (most - least) * unit)
+    return pd.DataFrame(scaled, columns=list(UNKNOWNS))
+
+
+def scenario(world, variant, seed):
+    """A world's scenario: one row, one headland and a quarter of the next row, or the first row
+    alone where that is all a variant needs.
+    """
+    fields, first_row = VARIANTS[variant]
+    world = dict(world)
+    pace_mps = world["mu_mean"] * world["speed_mps"]
+    radius_m = pace_mps / (world["kappa_mean"] * paper.OMEGA_MAX_RADPS * world.pop("turn_demand"))
+    row_m = world["row_length_m"]
+    length_m = row_m if first_row else 1.25 * row_m + np.pi * radius_m
+    driven = dict(headland_radius_m=radius_m, duration_s=length_m / pace_mps, seed=seed)
+    return Scenario(**driven, **world, **fields)
+
+
+def drive(drawn, seeds):
+    """Drive every world: {variant: runs}, `seeds` rows for each world in turn."""
+    worlds = [world for world in drawn.to_dict("records") for _ in range(seeds)]
+    return run_sets.drive(
+        {
+            variant: [scenario(world, variant, FIRST_SEED + k) for k, world in enumerate(worlds)]
+            for variant in VARIANTS
+        }
+    )
+
+
+def in_world(values):
+    """A claim in one world on its runs' numbers: (verdict, how far on its side). Flags are of an
+    exact claim. Student's t interval: five runs are too few for a bootstrap.
+    """
+    if values.dtype == bool:
+        return (HOLDS if values.all() else FAILS), np.mean(values)
+    if np.ptp(values) == 0:
+        low = high = values[0]
+    else:
+        low, high = stats.ttest_1samp(values, 0).confidence_interval(CONFIDENCE)
+    return verdict(low, high, above=0), np.mean(values)
+
+
+def judge(runs, n):
+    """Judge every claim in every one of n worlds on the runs of `drive`: DataFrames (n, claims) of
+    verdicts and of how far the claim is on its side.
+    """
+    runs = SimpleNamespace(**runs)
+    verdicts, margins = pd.DataFrame(), pd.DataFrame()
+    for id_, claim in CLAIMS.items():
+        measured = np.asarray(claim.measured(runs)).reshape(n, -1)
+        verdicts[id_], margins[id_] = zip(*map(in_world, measured))
+    return verdicts, margins.astype(float)
+
+
+def correlations(drawn, margins):
+    """Rank correlations (claims, unknowns) of how far a claim is on its side with each unknown, and
+    which of them count as discoveries.
+    """
+    rho, p = (pd.DataFrame(np.nan, margins.columns, drawn.columns) for _ in range(2))
+    for claim, unknown in itertools.product(margins, drawn):
+        if np.ptp(margins[claim]) > 0:
+            found = stats.spearmanr(margins[claim], drawn[unknown])
+            rho.loc[claim, unknown], p.loc[claim, unknown] = found
+    adjusted = p.to_numpy(copy=True)
+    known = ~np.isnan(adjusted)
+    adjusted[known] = stats.false_discovery_control(adjusted[known])
+    return rho, pd.DataFrame(adjusted < _DISCOVERIES, p.index, p.columns)
+
+
+def summary(drawn, verdicts, margins):
+    """One row a claim: the share of worlds where it holds with its interval, and the unknown that
+    decides it: the strongest discovery, if any.
+    """
+    rho, discovered = correlations(drawn, margins)
+    rows = []
+    for id_, (claim, _) in CLAIMS.items():
+        holds = share(verdicts[id_] == HOLDS)
+        found = rho.loc[id_][discovered.loc[id_]]
+        deciding = found.abs().idxmax() if len(found) else ""
+        strength = found.get(deciding, np.nan)
+        direction = "more helps" if strength > 0 else "less helps" if strength < 0 else ""
+        row = dict(id=id_, claim=claim, holds=holds.value, low=holds.low, high=holds.high)
+        row |= {"undecided": np.mean(verdicts[id_] == UNDECIDED)}
+        row |= {"fails": np.mean(verdicts[id_] == FAILS), "worlds": holds.n}
+        row |= dict(decided_by=deciding, direction=direction, rank_correlation=strength)
+        rows.append(row)
+    return pd.DataFrame(rows)

@@ -1,0 +1,206 @@
+"""Faults of the sensors, wrong starts and wet soil: the cases, and how a run is judged.
+
+A fault hits each seed somewhere else on the lap, on straights and in curves. It is over when the
+sensors are well again, or the soil is; a wrong start is over at once. The robot is back when its
+true error stays within the tolerance for 5 s.
+"""
+
+from dataclasses import replace
+from itertools import zip_longest
+
+import numpy as np
+import pandas as pd
+
+from rhec import paper
+from rhec.extensions.faults import Fault
+from rhec.simulation.closed_loop import simulate
+from rhec.simulation.metrics import settled_samples
+from rhec.workbench.studies.statistics import always, over_seeds
+
+__all__ = [
+    "AFTER_S", "BEFORE_S", "CASES", "FAMILIES", "fault_table", "interval_s", "response", "scenario",
+    "study"
+]  # fmt: skip
+
+BEFORE_S, AFTER_S = 10.0, 60.0  # what is looked at around a fault
+_AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""
+# faults begin between these times: the robot has arrived, and drives on for AFTER_S
+_FIRST_S, _LAST_S = 40.0, 130.0
+_BURST_S, _LONG_S, _FROM_START_S = 5.0, 30.0, 120.0
+_DURATIONS_S, _SIZES_M = (1.0, 3.0, 10.0, 30.0), (0.3, 1.0, 3.0, 10.0)
+_WET = dict(radius_m=3.0, mu=0.9, kappa=0.3)
+
+
+def _fault(kind, duration_s=_BURST_S, **fields):
+    return {"fault": dict(fields, kind=kind, duration_s=duration_s)}
+
+
+def _faults(name, unit, values, **fields):
+    """Cases of a fault that differ in one field."""
+    return {f"{value:g} {unit}": _fault(**{name: value}, **fields) for value in values}
+
+
+FAMILIES = {
+    "none": "none",
+    "outage": "GNSS outage",
+    "outlier": "single outlier",
+    "burst": "burst of outliers, 5 s",
+    "jump": "jump of the position, 5 s",
+    "stuck": "stuck position",
+    "latency": "latency of the position, 30 s",
+    "rate": "fewer positions, 30 s",
+    "encoders": "encoders, 5 s",
+    "numbers": "no numbers, 5 s",
+    "order": "order of samples, 30 s",
+    "start": "start",
+    "patch": "wet patch, κ = 0.3",
+}
+# {family: {case: trouble}}: a fault of the sensors, a patch of soil ahead, or other fields of the
+# scenario
+CASES = {
+    "none": {"no fault": {"fault": None}},
+    "outage": _faults("duration_s", "s", _DURATIONS_S, kind="missing"),
+    "outlier": _faults("size_m", "m", _SIZES_M, kind="outliers", duration_s=paper.DT_S),
+    "burst": _faults("size_m", "m", _SIZES_M, kind="outliers"),
+    "jump": _faults("size_m", "m", _SIZES_M, kind="jump"),
+    "stuck": _faults("duration_s", "s", _DURATIONS_S, kind="stuck"),
+    "latency": _faults("delay_s", "s", (0.1, 0.2, 0.4, 0.6), kind="latency", duration_s=_LONG_S),
+    "rate": _faults("rate_hz", "Hz", (2.5, 1.0, 0.5), kind="rate", duration_s=_LONG_S),
+    "encoders": {
+        "both missing": _fault("missing", channel="encoders"),
+        "both dead": _fault("dead", channel="encoders"),
+        "left dead": _fault("dead", channel="left"),
+        "right dead": _fault("dead", channel="right"),
+    },
+    "numbers": {
+        "all NaN": _fault("missing", channel="all"),
+        "all Inf": _fault("infinite", channel="all"),
+    },
+    "order": {
+        "time runs backwards": _fault("disorder", _LONG_S, channel="all"),
+        "duplicates": _fault("duplicates", _LONG_S, channel="all"),
+    },
+    "start": {
+        "yaw 90° wrong": {"guess_yaw_rad": np.pi / 2},
+        "yaw 180° wrong": {"guess_yaw_rad": np.pi},
+        "5 m off": {"start_offset_m": 5.0},
+        "reversed path": {"backwards": True},
+    },
+    "patch": {"forward": {"patch": _WET}, "backward": {"patch": _WET, "backwards": True}},
+}
+
+
+def scenario(case, begin_s, base):
+    """The scenario `base` with the case's trouble from the time begin_s [s] on."""
+    fields = {name: value for name, value in case.items() if name not in ("fault", "patch")}
+    if "fault" in case:
+        faults = (Fault(start_s=begin_s, **case["fault"]),) if case["fault"] else ()
+        duration_s = begin_s + sum(fault.duration_s for fault in faults) + AFTER_S
+        return replace(base, **fields, faults=faults, duration_s=duration_s)
+    if "patch" in case:  # where the robot will be
+        run = simulate(replace(base, **fields, duration_s=begin_s))
+        ((x, y, _),) = run.path.poses(run.columns["s_m"][-1:] + case["patch"]["radius_m"])[0]
+        patch = (float(x), float(y), *case["patch"].values())
+        return replace(base, **fields, patches=(patch,), duration_s=begin_s + _FROM_START_S)
+    return replace(base, **fields, duration_s=_FROM_START_S)
+
+
+def interval_s(run, case, begin_s):
+    """From when to when [s] the trouble lasts."""
+    if run.scenario.faults:
+        return begin_s, run.scenario.faults[0].end_s
+    if run.scenario.patches:
+        ((x, y, radius, *_),) = run.scenario.patches
+        wet = run.columns["t_s"][np.hypot(run.columns["x_m"] - x, run.columns["y_m"] - y) < radius]
+        return float(wet[0]), float(wet[-1])
+    return (begin_s, begin_s) if "fault" in case else (0.0, 0.0)
+
+
+def response(run, begin_s, end_s):
+    """The robot's answer to trouble between these times [s]: errors in m, times in s.
+
+    recovery_s: from its end until the true error stays within the tolerance for 5 s, NaN if it
+    never does. in_bounds: every command is finite and keeps its bound, every estimate is finite,
+    with μ and κ in [0, 1].
+    """
+    columns = run.columns
+    t, error = columns["t_s"], columns["error_true_m"]
+    back = t[settled_samples(error)]
+    back = back[back >= end_s - 1e-6]
+    estimates = ("_hat", "_hat_m", "_hat_rad", "_hat_mps")
+    in_bounds = (
+        all(np.isfinite(columns[name]).all() for name in columns if name.endswith(estimates))
+        and np.all(np.abs(columns["omega_cmd_radps"]) <= run.scenario.omega_max_radps)
+        and all(np.all((columns[k] >= 0) & (columns[k] <= 1)) for k in ("mu_hat", "kappa_hat"))
+    )
+    return dict(
+        max_during_m=float(error[(t >= begin_s) & (t <= end_s + paper.DT_S)].max()),
+        max_after_m=float(error[t >= end_s].max()),
+        recovery_s=max(0.0, float(back[0] - end_s)) if len(back) else np.nan,
+        in_bounds=bool(in_bounds),
+    )
+
+
+def _errors_around(run, begin_s, end_s):
+    """True errors from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN before the
+    run.
+    """
+    first, last = (round(time / paper.DT_S) for time in (begin_s - BEFORE_S, end_s + AFTER_S))
+    errors = run.columns["error_true_m"][max(first, 0) : last]
+    return np.pad(errors, (max(-first, 0), 0), constant_values=np.nan)
+
+
+def study(base, seeds, handling, cases=CASES):
+    """Run all cases on these seeds, with every way of `handling` them.
+
+    Args:
+        base: the Scenario that the trouble befalls.
+        seeds: seeds of soil and noise.
+        handling: {name: Scenario fields}.
+        cases: {family: {case: trouble}}, as CASES.
+
+    Returns:
+        A DataFrame, one row a run (family, case, handling, seed, begin_s, end_s and the
+        `response`), and the true errors over time, {(family, case, handling): (seeds, samples)},
+        from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN beyond.
+    """
+    rows, errors = [], {}
+    begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
+    every = [(family, name, how) for family in cases for name in cases[family] for how in handling]
+    for family, name, how in every:
+        case, curves = cases[family][name], []
+        for seed, begin_s in zip(seeds, begins_s):
+            troubled = scenario(case, begin_s, replace(base, seed=seed, **handling[how]))
+            run = simulate(troubled)
+            begin_s, end_s = interval_s(run, case, begin_s)
+            about = dict(family=family, case=name, handling=how, seed=seed)
+            about |= dict(begin_s=begin_s, end_s=end_s)
+            rows.append(about | response(run, begin_s, end_s))
+            curves.append(_errors_around(run, begin_s, end_s))
+        errors[family, name, how] = np.array([*zip_longest(*curves, fillvalue=np.nan)]).T
+    return pd.DataFrame(rows), errors
+
+
+def fault_table(table, aim_s=_AIM_S):
+    """All cases in numbers: means over seeds, and whether every seed was back within the aim.
+
+    Args:
+        table: of `study`.
+        aim_s: {family: [s]}, the aim of the others under "".
+
+    Returns:
+        DataFrame with columns family, case, handling, n; for the errors [m] during the trouble and
+        from its end on and for the recovery time [s] of the seeds that came back: mean, low, high,
+        largest; back (seeds), in_bounds (seeds), aim_s, verdict.
+    """
+    rows = []
+    for (family, case, handling), runs in table.groupby(["family", "case", "handling"], sort=False):
+        row = dict(family=FAMILIES[family], case=case, handling=handling, n=len(runs))
+        for name in ("max_during_m", "max_after_m", "recovery_s"):
+            found = over_seeds(np.mean, runs[name])
+            row |= {name: found.mean, f"{name}_low": found.low, f"{name}_high": found.high}
+            row[f"{name}_largest"] = runs[name].max()
+        aim = aim_s.get(family, aim_s[""])
+        row |= dict(back=runs["recovery_s"].count(), in_bounds=runs["in_bounds"].sum(), aim_s=aim)
+        rows.append(row | dict(verdict=always(runs["recovery_s"] <= aim).verdict))
+    return pd.DataFrame(rows)

@@ -1,0 +1,78 @@
+"""Computation times of preparation and feedback (paper, Table "Computation times of the nonlinear
+RHEC").
+
+Timed from Python, one call a phase, NumPy arrays in and out, as in a loop of one's own; the arrival
+cost belongs to the RHE's preparation.
+"""
+
+import os
+import platform
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from rhec import paper
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator.rhe import RHE
+from rhec.simulation.campaigns.side_by_side import simulate_all
+from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.tracked_robot.references import PathTracker
+
+__all__ = ["PHASES", "machine", "phases", "table"]
+
+PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (problem, phase), in order
+
+
+def phases(scenario, qp):
+    """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in
+    PHASES, the RHC's QP by this solver.
+    """
+    (run,) = simulate_all([scenario])  # it needs no loop of its own compiled
+    guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
+    estimator = RHE(process_noise=scenario.process_noise, guess=guess)
+    controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
+    tracker = PathTracker(run.path)
+    measurements = run.log[MEASUREMENTS].to_numpy()
+    clock, taken = time.perf_counter_ns, np.empty((len(measurements), 4))
+    for k, z in enumerate(measurements):
+        begin = clock()
+        estimator.prepare()
+        prepared = clock()
+        estimate = estimator.feedback(z)
+        estimated = clock()
+        references = tracker.references(estimate, z[3])
+        referenced = clock()
+        controller.prepare()
+        planned = clock()
+        controller.feedback(estimate.pose, estimate.p, *references)
+        taken[k] = prepared - begin, estimated - prepared, planned - referenced, clock() - planned
+    return taken[1:] / 1e3  # the first sample has nothing to prepare
+
+
+def table(taken):
+    """Minimum, average, median, maximum [µs] by problem and phase and overall, in the paper's
+    order, beside the paper's numbers.
+    """
+    rows = []
+    for problem, (preparation, feedback) in {"RHE": taken.T[:2], "RHC": taken.T[2:]}.items():
+        times = dict(preparation=preparation, feedback=feedback, overall=preparation + feedback)
+        for phase, values in times.items():
+            ours = values.min(), values.mean(), np.median(values), values.max()
+            papers = (1e3 * value for value in paper.TABLE_1_MS[problem, phase])
+            rows.append((problem, phase, *ours, *papers))
+    columns = "problem phase minimum_us average_us median_us maximum_us".split()
+    papers_columns = "paper_minimum_us paper_average_us paper_maximum_us".split()
+    return pd.DataFrame(rows, columns=columns + papers_columns)
+
+
+def machine():
+    """The processor's name and number, and the versions that matter."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    processor = names[0] if names else platform.processor() or platform.machine()
+    versions = f"Python {platform.python_version()}, CasADi {ca.__version__}"
+    return f"{processor}, {os.cpu_count()} cores, {versions}"

@@ -1,0 +1,262 @@
+"""Transfer: an estimator tuned on some recorded robots, tried on one it has not seen.
+
+Each log is taken at 5 Hz, with white noise on its positions and a first yaw that is wrong, once for
+every noise seed; the first metres do not count (`rhec.logs.scores`). All are tuned without truth,
+with a noise seed that no trial has: on the same log, or on the others, in the geometric mean of
+what each gave. The RHE's numbers are those of `rhec.calibrate` or those shipped (`tuning.SLIP`).
+Its rivals, an EKF with (μ, κ) as states and one with the five parameters of `rhec.extensions.icr`,
+both with noise in proportion to the inputs, are tuned by the likelihood of their innovations, with
+as many evaluations for each unknown as all in `rhec.workbench.studies.calibration`.
+
+    python -m rhec.workbench.studies.transfer [FOLDER [SEEDS]]    the table, from the logs in data/recordings
+"""
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from rhec import paper
+from rhec.core._casadi import compiled, scan
+from rhec.core._casadi.build import pack_array
+from rhec.core.estimator import ekf
+from rhec.core.estimator.base import noise_of
+from rhec.core.model.base import Model
+from rhec.extensions import slipping
+from rhec.extensions.icr import ICR
+from rhec.logs import scores
+from rhec.logs.calibration import calibrate
+from rhec.logs.recording import prepare, resample
+from rhec.logs.replay import predictor
+from rhec.simulation.columns import ESTIMATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
+from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
+from rhec.workbench.studies.calibration import search
+from rhec.workbench.studies.statistics import over_seeds
+
+__all__ = ["table", "trials"]
+
+_NOISE_M, _YAW_ERROR_RAD, _TUNING_SEED = 0.02, 0.3, 1000
+_SLIPPING = slipping.SPEED_MODELS["slipping"].model
+_SCORES = dict(
+    yaw_rms_rad="yaw RMS [rad]",
+    position_rms_m="position RMS [m]",
+    nees_yaw="NEES of the yaw",
+    inside_95="yaw in its 95 %",
+    ahead_rms_m="2 s ahead [m]",
+    mu_difference="μ - regression",
+    kappa_difference="κ - regression",
+)
+
+
+def _noisy(log, seed):
+    """A log at the estimators' rate, with noise on its positions."""
+    every = max(round(paper.DT_S / log["t_s"].diff().median()), 1)
+    log = log.iloc[::every].reset_index(drop=True)
+    x, y = _NOISE_M * np.random.default_rng(seed).standard_normal((2, len(log)))
+    return log.assign(x_m=log["x_m"] + x, y_m=log["y_m"] + y)
+
+
+def _rhe(log, fields):
+    """Samples of a noisy log's replay, with their error ahead."""
+    told = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True)
+    samples = scores.perturbed_replay(log, 0, **told, **fields)
+    return samples, scores.ahead_rms_m(samples, predictor(_SLIPPING), [*ESTIMATE, *LEVER_ARM])
+
+
+class _Rival(NamedTuple):
+    """An EKF to be tuned: of a Model with these outputs, its noise V, W (and c) from one tuple
+    sigma, where its unknowns stand there, and its first guess and its deviations by half the track
+    width.
+    """
+
+    model: Model
+    settings: Callable
+    unknowns: list
+    guess: Callable
+
+    @property
+    def measured(self):
+        """Columns of what its model measures."""
+        return [*MEASUREMENTS[:3], MEASUREMENTS[3] if self.model is _TRACTION else "delta_mps"]
+
+    @property
+    def hats(self):
+        return [f"hat_{name}" for name in self.model.names]
+
+
+def _traction_settings(sigma):
+    return noise_of(_TRACTION, sigma[:4], sigma[4:9]) | dict(c=np.array(sigma[9:11]))
+
+
+def _icr_settings(sigma):
+    noise = noise_of(ICR, sigma[:4], (0.0, 0.0, *sigma[4:10]))
+    return noise | dict(c=np.array(sigma[10:12]))
+
+
+def _of_inputs(model):
+    """A Model whose inputs have noise in proportion to them, as the ICR's, and constant noise W."""
+    return dataclasses.replace(model, motion_noise=ICR.motion_noise)
+
+
+_TRACTION = _of_inputs(OF_THE_PAPER["input"].model)
+_RIVALS = {
+    "EKF of (μ, κ)": _Rival(
+        _TRACTION, _traction_settings,
+        [(0, 1), (2,), (3,), (4, 5), (6,), (7,), (8,), (9,), (10,)],
+        lambda half: ([1.0, 1.0], [0.25, 0.25]),
+    ),
+    "EKF of five ICR parameters": _Rival(
+        ICR, _icr_settings,
+        [(0, 1), (2,), (3,), (4,), (5, 6), (7,), (8, 9), (10,), (11,)],
+        lambda half: ([half, -half, 0.0, 1.0, 1.0], [half, half, 0.1, 0.25, 0.25]),
+    ),
+}  # fmt: skip
+
+
+def _build_rival(model):
+    """The EKF with a row: estimate, variances, deviance."""
+    step = ekf.build(model, paper.DT_S)["step"]
+    given = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in step.name_in()}
+    told = step(**given)
+    row = ca.vertcat(told["estimate"], ca.diag(told["covariance"]), told["deviance"])
+    signals, names = [[*given.values()], [told["memory"], row]], [[*given], ["memory", "row"]]
+    options = {"allow_duplicate_io_names": True}
+    return scan.build_scan(ca.Function("rival", *signals, *names, options))
+
+
+def _parts(log):
+    """Half the track width, and each segment's samples with what the rivals measure."""
+    recording, parts = prepare(log), []
+    half = recording.track_width_m / 2
+    for segment, rows in recording.rows.groupby("segment"):
+        part = resample(rows, paper.DT_S, recording.averaged).assign(segment=segment)
+        part["delta_mps"] = half * part["omega_meas_radps"]
+        parts.append(part)
+    return half, parts
+
+
+def _filtered(rival, half, part, sigma):
+    """Rows of a rival's filter on one segment's samples."""
+    z = part[rival.measured].to_numpy()
+    first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
+    guess, spread = rival.guess(half)
+    m = np.array([*first[:2], part["theta_rad"].iloc[0] + _YAW_ERROR_RAD, *guess])
+    P = np.diag(np.square([1.0, 1.0, 0.3, *spread]))
+    memory = pack_array(dict(m=m, P=P, v=np.zeros(len(rival.model.inputs)), started=0.0))
+    functions = compiled.load(_build_rival, rival.model)
+    return scan.scan(functions, memory, z, rival.settings(sigma))[1]
+
+
+def _rival(rival, half, parts, sigma):
+    """Samples of a rival, with their error ahead."""
+    n, done = len(rival.hats), []
+    for part in parts:
+        rows = _filtered(rival, half, part, sigma)
+        hats = pd.DataFrame(rows[:, :n], columns=rival.hats)
+        pose = dict(zip(ESTIMATE[:3], rows[:, :3].T)) | dict(
+            zip(SIGMA[:3], np.sqrt(rows[:, n : n + 3]).T)
+        )
+        done.append(part.assign(**pose, **hats))
+    samples, unknown = pd.concat(done, ignore_index=True), [*ESTIMATE[3:], *INNOVATION]
+    samples = samples.assign(**dict.fromkeys(unknown, np.nan), ok=True)
+    if rival.model is _TRACTION:
+        samples[ESTIMATE[4:]] = samples[["hat_mu", "hat_kappa"]]
+    predict = predictor(rival.model, rival.model.names)
+    return samples, scores.ahead_rms_m(samples, predict, rival.hats, rival.measured)
+
+
+def _tuned(rival, log):
+    """The rival's sigma that makes a log's measurements likeliest, from where scores count."""
+    half, parts = _parts(log)
+    counted = [scores.distance_driven(part) >= scores.FROM_M for part in parts]
+
+    def objective(sigma):
+        deviances = (_filtered(rival, half, part, sigma)[:, -1] for part in parts)
+        value = sum(each[of].sum() for each, of in zip(deviances, counted))
+        return value if np.isfinite(value) else 1e12
+
+    return search(objective, rival.unknowns)[0]
+
+
+def _middle(found):
+    """Geometric mean of the numbers of several calibrations, of the side slip, which may be 0, the
+    arithmetic one; no lever arm, which is a robot's own.
+    """
+    fields = {}
+    for name in ("sigma_v", "sigma_w", "slip"):
+        values = np.array([each[name] for each in found])
+        fields[name] = np.exp(np.log(np.maximum(values, 1e-6)).mean(axis=0))
+    fields["slip"][-1] = np.mean([each["slip"][-1] for each in found])
+    return {name: tuple(value.tolist()) for name, value in fields.items()}
+
+
+def trials(logs, seeds):
+    """Scores of every estimator on every log: a DataFrame with a row for each log, estimator, way
+    of tuning and noise seed.
+
+    Args:
+        logs: {name: DataFrame of a recording with its truth}, two or more.
+        seeds: of the noise.
+    """
+    training, rows = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}, []
+
+    def add(log, estimator, tuned, seed, result):
+        samples, ahead_m = result
+        told = scores.score(samples) | dict(ahead_rms_m=ahead_m)
+        about = dict(log=log, estimator=estimator, tuned=tuned, seed=seed)
+        rows.append(about | {name: told.get(name, np.nan) for name in _SCORES})
+
+    found = {name: dict(calibrate(log)) for name, log in training.items()}
+    sigmas = {
+        title: {name: _tuned(rival, log) for name, log in training.items()}
+        for title, rival in _RIVALS.items()
+    }
+    for name, log in logs.items():
+        rest = [other for other in logs if other != name]
+        fields = dict(itself=found[name], others=_middle([found[o] for o in rest]), shipped={})
+        for seed in seeds:
+            noisy = _noisy(log, seed)
+            for tuned, numbers in fields.items():
+                add(name, "RHE", tuned, seed, _rhe(noisy, numbers))
+            prepared = _parts(noisy)
+            for title, rival in _RIVALS.items():
+                others = np.exp(np.log([sigmas[title][o] for o in rest]).mean(axis=0))
+                for tuned, sigma in (("itself", sigmas[title][name]), ("others", tuple(others))):
+                    add(name, title, tuned, seed, _rival(rival, *prepared, sigma))
+    return pd.DataFrame(rows)
+
+
+def table(rows):
+    """Means of `trials` over noise seeds with 95 % intervals: a DataFrame, a row for each log,
+    estimator and way of tuning, an Interval in each cell.
+    """
+    groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
+    return groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
+
+
+def _markdown(means):
+    """The table as text."""
+    lines = [["log", "estimator", "tuned on", *_SCORES.values()]]
+    lines.append(["---"] * len(lines[0]))
+    for about, cells in means.iterrows():
+        shown = [f"{c.mean:.3g} [{c.low:.3g}, {c.high:.3g}]" for c in cells]
+        lines.append([*about, *("" if "nan" in cell else cell for cell in shown)])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "data/recordings")
+    files, n = sorted(folder.glob("*.csv")), int(sys.argv[2]) if len(sys.argv) > 2 else 20
+    if len(files) < 2:
+        sys.exit(f"{folder} has {len(files)} logs, it should have two or more: make recordings")
+    result = trials({file.stem: pd.read_csv(file) for file in files}, range(n))
+    out = Path("build/replay")
+    out.mkdir(parents=True, exist_ok=True)
+    result.to_csv(out / "transfer.csv", index=False)
+    print(f"n = {n} noise seeds, mean and 95 % interval; all trials: {out / 'transfer.csv'}\n")
+    print(_markdown(table(result)))

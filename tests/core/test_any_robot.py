@@ -1,0 +1,588 @@
+"""Moving horizon estimation and model predictive control for any robot: on those of `robots` they
+solve what is written down independently in `oracles`, and bad input gets one sentence.
+"""
+
+import functools
+import re
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import (
+    drive_robot,
+    flat,
+    kalman_filter,
+    limits,
+    mhe_by_ipopt,
+    mhe_instance,
+    mpc_by_ipopt,
+    mpc_instance,
+    outputs,
+    plant,
+    reads_inputs,
+)
+from robots import BICYCLE, CART, DT, ROBOTS, SKID_STEERED, VARIANTS, N
+
+import rhec
+from rhec.core._casadi.build import pack_array, select_inputs
+from rhec.core._casadi.scan import build_scan, scan
+from rhec.core.controller import rhc
+from rhec.core.estimator import rhe
+from rhec.core.estimator.base import joint_guess
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+EVERY_ROBOT = [*ROBOTS.values(), *VARIANTS.values()]
+names = {robot: name for name, robot in (ROBOTS | VARIANTS).items()}.get
+
+
+@functools.cache
+def model(robot):
+    return rhec.Model(**robot.model)
+
+
+def estimator(robot, guess, **changes):
+    settings = dict(dt=DT, horizon=N, guess=tuple(guess)) | robot.estimator
+    return rhec.RHE(model=model(robot), **settings | dict(arrival_mean="filtered") | changes)
+
+
+def controller(robot, **changes):
+    return rhec.RHC(model=model(robot), **dict(dt=DT, horizon=N) | robot.controller | changes)
+
+
+def estimates(mhe, z, **iterations):
+    """The estimate after each row of z, by one iteration each or by as many as asked for."""
+    found = []
+    for row in z:
+        mhe.prepare()
+        found.append(mhe.solve(row, **iterations) if iterations else mhe.feedback(row))
+    return found
+
+
+# The linear robot
+
+
+def cart_log(seed, samples):
+    """A guess and noisy measurements (n, 2) of the cart; a third of the positions is missing, some
+    of them in a row.
+    """
+    rng = np.random.default_rng(seed)
+    guess, z = mhe_instance(CART, rng, samples - 1, missing=0.3)
+    z[30:40, 0] = np.nan
+    return guess, z
+
+
+@pytest.mark.parametrize("horizon", [2, 15, 60])
+@pytest.mark.parametrize("share", [0, 1])
+def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, share):
+    """At every sample, by one iteration each. Without process noise (share 0) the window's length
+    makes no difference; with it, what has left the window was filtered with W, the window without.
+    """
+    guess, z = cart_log(0, 150)
+    sigma_w = share * np.array(CART.sigma_w)
+    mhe = estimator(CART, guess, horizon=horizon, sigma_w=tuple(sigma_w))
+    for k, estimate in enumerate(estimates(mhe, z)):
+        m, P, u = kalman_filter(
+            z[: k + 1], guess, CART.sigma_guess, CART.sigma_v, sigma_w, leaving=k - horizon
+        )
+        np.testing.assert_allclose(np.append(estimate.x, estimate.p), m, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(estimate.covariance, P, rtol=0, atol=1e-9)
+        if k:
+            np.testing.assert_allclose(estimate.u, [u], rtol=0, atol=1e-9)
+
+
+def test_on_a_linear_robot_the_ekf_is_the_kalman_filter():
+    guess, z = cart_log(1, 100)
+    ekf = rhec.EKF(model=model(CART), dt=DT, guess=tuple(guess), **CART.estimator)
+    for k, estimate in enumerate(estimates(ekf, z)):
+        m, P, _ = kalman_filter(z[: k + 1], guess, *CART.estimator_sigmas, leaving=k)
+        np.testing.assert_allclose(np.append(estimate.x, estimate.p), m, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(estimate.covariance, P, rtol=0, atol=1e-9)
+
+
+def test_the_two_oracles_agree_where_both_apply():
+    """IPOPT on all samples and the Kalman filter, on the linear robot."""
+    rng = np.random.default_rng(2)
+    for _ in range(10):
+        guess, z = mhe_instance(CART, rng, missing=0.2)
+        optimum = mhe_by_ipopt(CART, guess, z)
+        m, P, u = kalman_filter(z, guess, *CART.estimator_sigmas, leaving=0)
+        np.testing.assert_allclose(np.append(optimum["x"], optimum["p"]), m, atol=1e-8)
+        np.testing.assert_allclose(optimum["covariance"], P, atol=1e-9)
+        np.testing.assert_allclose(optimum["u"], [u], atol=1e-8)
+
+
+# The nonlinear problems
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_iterated_to_convergence_the_rhe_is_the_optimum_that_ipopt_finds(robot):
+    """On 100 random windows, half of them with gaps; where parameters have bounds, at least a third
+    with one at its bound.
+    """
+    rng, bounded = np.random.default_rng(3), 0
+    for k in range(100):
+        guess, z = mhe_instance(robot, rng, missing=0.2 * (k % 2))
+        mhe = estimator(robot, guess)
+        estimates(mhe, z[:-1])
+        mhe.prepare()
+        estimate, optimum = mhe.solve(z[-1], iterations=40), mhe_by_ipopt(robot, guess, z)
+        for part in ("x", "u", "p"):
+            np.testing.assert_allclose(getattr(estimate, part), optimum[part], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(estimate.covariance, optimum["covariance"], rtol=1e-5, atol=1e-8)
+        assert mhe.ok and mhe.kkt < 1e-8
+        low, high = limits(robot)
+        at_bounds = int(np.sum((estimate.p == low) | (estimate.p == high)))
+        assert at_bounds == optimum["at_bounds"]
+        bounded += at_bounds > 0
+    if np.isfinite(limits(robot)).any():
+        assert 33 <= bounded <= 95
+
+
+@pytest.mark.parametrize("samples", [2, 3, 9, N])
+def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples(samples):
+    for robot in EVERY_ROBOT:
+        rng = np.random.default_rng(4)
+        for _ in range(3):
+            guess, z = mhe_instance(robot, rng, samples - 1)
+            mhe = estimator(robot, guess)
+            estimates(mhe, z[:-1])
+            mhe.prepare()
+            estimate, optimum = mhe.solve(z[-1], iterations=40), mhe_by_ipopt(robot, guess, z)
+            for part in ("x", "u", "p"):
+                np.testing.assert_allclose(getattr(estimate, part), optimum[part], atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_iterated_to_convergence_the_rhc_is_the_optimum_that_ipopt_finds(robot):
+    """On 100 random instances, at least a third of them with a command at its bound."""
+    rng, bounded = np.random.default_rng(5), 0
+    low, high = np.array([robot.bounds[name] for name in robot.inputs]).T[:, :, None]
+    for _ in range(100):
+        problem, mpc = mpc_instance(robot, rng), controller(robot)
+        command, optimum = mpc.solve(**problem, iterations=40), mpc_by_ipopt(robot, **problem)
+        np.testing.assert_allclose(command, optimum[:, 0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(mpc.u_plan, optimum, rtol=0, atol=1e-6)
+        np.testing.assert_array_equal(command, mpc.u_plan[:, 0])
+        assert mpc.ok and mpc.kkt < 1e-8
+        bounded += np.any((mpc.u_plan == low) | (mpc.u_plan == high))
+    assert 33 <= bounded <= 99
+
+
+@pytest.mark.parametrize("command", [("steering_rad",), ("speed_mps",)])
+def test_an_input_that_is_not_commanded_stays_at_its_reference(command):
+    rng = np.random.default_rng(6)
+    place = BICYCLE.inputs.index(command[0])
+    settings = dict(
+        command=command, bounds={command[0]: BICYCLE.bounds[command[0]]}, r=(BICYCLE.r[place],)
+    )
+    for _ in range(20):
+        problem, mpc = mpc_instance(BICYCLE, rng), controller(BICYCLE, **settings)
+        u = mpc.solve(**problem, iterations=40)
+        optimum = mpc_by_ipopt(BICYCLE, **problem, command=command)
+        np.testing.assert_allclose(u, optimum[:, 0], rtol=0, atol=1e-6)
+        np.testing.assert_array_equal(u[1 - place], problem["u_ref"][1 - place, 0])
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_the_plan_is_a_trajectory_of_the_model_from_the_state(robot):
+    rng, step = np.random.default_rng(7), plant(robot)
+    for _ in range(5):
+        problem, mpc = mpc_instance(robot, rng), controller(robot)
+        mpc.solve(**problem, iterations=40)
+        states, inputs = mpc.x_plan, mpc.u_plan
+        np.testing.assert_array_equal(states[:, 0], problem["x"])
+        for i in range(N):
+            after, _ = step(states[:, i], inputs[:, i], problem["p"])
+            np.testing.assert_allclose(states[:, i + 1], np.array(after)[:, 0], atol=1e-8)
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_without_noise_a_robot_is_tracked_exactly(robot):
+    """So every measurement counts where it belongs: an output at its node, an input in the interval
+    that ends there.
+    """
+    rng = np.random.default_rng(8)
+    x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
+    inputs = np.mean(robot.u_range, axis=0) + 0.1 * rng.normal(size=(3 * N, len(robot.inputs)))
+    truth, z = drive_robot(robot, x, inputs, p)
+    mhe = estimator(robot, np.append(x, p))
+    for k, estimate in enumerate(estimates(mhe, z, iterations=10)):
+        np.testing.assert_allclose(estimate.x, truth[k], atol=1e-8)
+        np.testing.assert_allclose(estimate.p, p, atol=1e-8)
+        if k:
+            np.testing.assert_allclose(estimate.u, inputs[k - 1], atol=1e-8)
+
+
+# One model, three forms
+
+
+def fused_sample(mhe, mpc):
+    """Estimator and controller of one sample as one Function: (memory, (z, x_ref, u_ref)) ->
+    (memory, ((x, u, p), command)).
+    """
+    estimate = rhe.build_phases(mhe.window)["step"]
+    command = rhc.build_phases(mpc.problem)["step"]
+    sizes = [estimate.numel_in("memory"), command.numel_in("memory")]
+    memory = ca.MX.sym("memory", sum(sizes))
+    shapes = [estimate.size_in("z_N"), command.size_in("x_ref"), command.size_in("u_ref")]
+    stream = ca.MX.sym("stream", sum(rows * columns for rows, columns in shapes))
+    ends = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
+    z, x_ref, u_ref = (
+        ca.reshape(stream[begin:end], *shape) for begin, end, shape in zip(ends, ends[1:], shapes)
+    )
+    settings = {name: ca.MX(ca.DM(each)) for name, each in (mhe.settings | mpc.settings).items()}
+    first = estimate(memory=memory[: sizes[0]], z_N=z, **select_inputs(estimate, settings))
+    n_x, n_u = len(mhe.model.states), len(mhe.model.inputs)
+    s_0 = ca.vertcat(first["estimate"][:n_x], first["estimate"][n_x + n_u :])
+    then = command(
+        memory=memory[sizes[0] :],
+        s_0=s_0,
+        x_ref=x_ref,
+        u_ref=u_ref,
+        **select_inputs(command, settings),
+    )
+    return ca.Function(
+        "sample",
+        [memory, stream],
+        [
+            ca.vertcat(first["memory"], then["memory"]),
+            ca.vertcat(first["estimate"], then["command"]),
+        ],
+        ["memory_in", "stream"],
+        ["memory_out", "row"],
+    )
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_the_fused_step_answers_as_the_live_objects_do(robot):
+    """Estimator and controller as one CasADi Function, scanned over a log."""
+    rng = np.random.default_rng(16)
+    guess, z = mhe_instance(robot, rng, 4 * N, missing=0.1)
+    problem, live, stream = mpc_instance(robot, rng), [], []
+    mhe, mpc = estimator(robot, guess), controller(robot)
+    for row in z:
+        x_ref = problem["x_ref"] + 0.1 * rng.normal(size=problem["x_ref"].shape)
+        mhe.prepare(), mpc.prepare()
+        estimate = mhe.feedback(row)
+        u = mpc.feedback(estimate.x, estimate.p, x_ref, problem["u_ref"])
+        live.append(np.concatenate([estimate.x, estimate.u, estimate.p, u]))
+        stream.append(np.concatenate([row, flat(x_ref), flat(problem["u_ref"])]))
+    n_x, n_u = len(robot.states), len(robot.inputs)
+    start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, robot.sigma_guess))
+    plan = rhc.init(mpc.problem, live[0][:n_x], live[0][n_x + n_u : -n_u])
+    memory = np.concatenate([pack_array(start), pack_array(plan)])
+    _, rows = scan(build_scan(fused_sample(mhe, mpc)), memory, np.array(stream), {})
+    np.testing.assert_allclose(rows, live, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_a_replayed_log_gives_the_estimates_of_the_live_objects(robot):
+    """In each segment; rows between the samples are predicted to their own time."""
+    rng = np.random.default_rng(9)
+    guess, z = mhe_instance(robot, rng, 60, missing=0.2)
+    t_s = DT * np.arange(len(z))
+    log = pd.DataFrame(dict(zip(robot.outputs, z.T))).assign(t_s=t_s, segment=0)
+    log = pd.concat([log, log.assign(t_s=t_s + 100.0, segment=1)], ignore_index=True)
+    given = dict(dt=DT, guess=tuple(guess), **robot.estimator)
+    by_rhe = rhec.replay(log, model=model(robot), horizon=N, arrival_mean="filtered", **given)
+    by_ekf = rhec.replay(log, "ekf", model=model(robot), **given)
+    ekf = rhec.EKF(model=model(robot), **given)
+    estimated = [*robot.states, *robot.parameters]
+    for replayed, live in (
+        (by_rhe, estimates(estimator(robot, guess), z)),
+        (by_ekf, estimates(ekf, z)),
+    ):
+        for part in (replayed[: len(z)], replayed[len(z) :]):
+            hats = [f"{name}_hat" for name in model(robot).names]
+            expected = np.array([[*e.x, *e.u, *e.p] for e in live])
+            np.testing.assert_allclose(part[hats], expected, rtol=0, atol=1e-9)
+            sigma = np.sqrt([np.diag(e.covariance) for e in live])
+            sigmas = [f"{name}_sigma" for name in estimated]
+            np.testing.assert_allclose(part[sigmas], sigma, rtol=0, atol=1e-9)
+        assert replayed["ok"].all()
+
+
+# Whatever comes
+
+
+def answers(robot, z):
+    """All that an estimator and a controller say along z, as one array."""
+    mhe, mpc = estimator(robot, np.zeros(len(robot.sigma_w))), controller(robot)
+    problem, said = mpc_instance(robot, np.random.default_rng(9)), []
+    for estimate in estimates(mhe, z):
+        mpc.prepare()
+        u = mpc.feedback(**problem | dict(x=estimate.x, p=estimate.p))
+        said.append(np.concatenate([estimate.x, estimate.u, estimate.p, *estimate.covariance, u]))
+    return np.array(said)
+
+
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=names)
+def test_the_same_seed_gives_the_same_bits(robot):
+    _, z = mhe_instance(robot, np.random.default_rng(10), 3 * N, missing=0.2)
+    np.testing.assert_array_equal(answers(robot, z), answers(robot, z))
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_the_estimate_has_the_shapes_of_the_model(robot):
+    guess, z = mhe_instance(robot, np.random.default_rng(11), 2 * N)
+    n_x, n_u, n_p = len(robot.states), len(robot.inputs), len(robot.parameters)
+    for estimate in estimates(estimator(robot, guess), z):
+        assert estimate.x.shape == (n_x,) and estimate.u.shape == (n_u,)
+        assert estimate.p.shape == (n_p,) and estimate.covariance.shape == (n_x + n_p, n_x + n_p)
+        np.testing.assert_array_equal(estimate.covariance, estimate.covariance.T)
+        assert np.linalg.eigvalsh(estimate.covariance).min() > 0
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-3, 3)
+
+
+@pytest.mark.parametrize(
+    "robot", [each for each in EVERY_ROBOT if np.isfinite(limits(each)).any()], ids=names
+)
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_estimates_never_leave_their_bounds(robot, data):
+    """Whatever is measured, and wherever the first guess was; and they stay numbers."""
+    low, high = limits(robot)
+    n_z, n_s = len(robot.outputs), len(robot.sigma_w)
+    guess = data.draw(st.lists(st.floats(0, 0.07), min_size=n_s, max_size=n_s))
+    guess[len(robot.states) :] = np.clip(guess[len(robot.states) :], low, high)
+    z = data.draw(
+        st.lists(st.lists(numbers, min_size=n_z, max_size=n_z), min_size=1, max_size=2 * N)
+    )
+    for estimate in estimates(estimator(robot, guess), z):
+        assert np.all((low <= estimate.p) & (estimate.p <= high))
+        for part in (estimate.x, estimate.u, estimate.p):
+            assert np.all(np.isfinite(part))
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_commands_never_leave_their_bounds(data):
+    """Not by one bit, whatever finite problem is given."""
+    robot, mpc = SKID_STEERED, controller(SKID_STEERED)
+    low, high = np.array(list(robot.bounds.values())).T
+    problem = mpc_instance(robot, np.random.default_rng(data.draw(st.integers(0, 10**6))))
+    scale = data.draw(st.sampled_from([0.1, 10.0, 1e4, 1e9]))
+    for _ in range(data.draw(st.integers(1, 5))):
+        mpc.prepare()
+        offset = np.array(data.draw(st.lists(st.floats(-1, 1), min_size=3, max_size=3)))
+        u = mpc.feedback(**problem | dict(x=problem["x"] + scale * offset))
+        assert np.all((low <= u) & (u <= high))
+
+
+@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
+def test_a_missing_input_is_bridged(robot):
+    """The last one is held, and the estimate comes back once it is measured again."""
+    guess, z = mhe_instance(robot, np.random.default_rng(12), 4 * N)
+    gaps, rows = z.copy(), np.flatnonzero(reads_inputs(robot))
+    gaps[10:14, rows] = gaps[25:40:3, rows[0]] = gaps[0, rows] = np.nan
+    complete, found = (
+        estimates(estimator(robot, guess), z),
+        estimates(estimator(robot, guess), gaps),
+    )
+    for one, other in zip(complete, found):
+        assert np.all(np.isfinite(other.x)) and np.all(np.isfinite(other.covariance))
+        assert np.abs(one.x - other.x).max() < 1
+    seen = [  # what the sensors see of the state; a lever arm hardly shows in it on a straight
+        np.array(ca.DM(outputs(robot, e.x, e.u, e.p))).ravel()[~reads_inputs(robot)]
+        for e in (found[-1], complete[-1])
+    ]
+    np.testing.assert_allclose(*seen, atol=0.1)
+    assert np.trace(found[13].covariance) > np.trace(complete[13].covariance)
+
+
+def test_a_measurement_that_is_missing_altogether_is_a_prediction():
+    guess, z = mhe_instance(BICYCLE, np.random.default_rng(13), 2 * N)
+    mhe = estimator(BICYCLE, guess)
+    before = estimates(mhe, z)[-1]
+    mhe.prepare()
+    after, (expected, _) = (
+        mhe.feedback(np.full(4, np.nan)),
+        plant(BICYCLE)(before.x, before.u, before.p),
+    )
+    np.testing.assert_allclose(after.x, np.array(expected)[:, 0], atol=0.02)
+    np.testing.assert_allclose(after.u, before.u, atol=0.02)
+
+
+def test_without_prepare_feedback_is_refused():
+    guess, z = mhe_instance(CART, np.random.default_rng(14))
+    for each, given_now in (
+        (estimator(CART, guess), dict(z=z[0])),
+        (controller(CART), mpc_instance(CART, np.random.default_rng(14))),
+    ):
+        each.prepare()
+        each.feedback(**given_now)
+        with pytest.raises(RuntimeError, match=r"prepare\(\) must be called before each feedback"):
+            each.feedback(**given_now)
+
+
+# Bad input
+
+
+def refuses(where, call):
+    """The call is refused with a ValueError of one line that names the parameter, what it was, and
+    what it may be.
+    """
+    with pytest.raises(ValueError) as refusal:
+        call()
+    sentence = str(refusal.value)
+    assert "\n" not in sentence and len(sentence) < 400
+    assert re.search(rf"\b({where})\b", sentence) and re.search("[;?]", sentence), sentence
+    assert re.search(r"\b(was|were|had|has) ", sentence), sentence
+
+
+other = ca.SX.sym("other")
+BAD_MODELS = {
+    "a state twice": ("states", dict(states=("x_m", "x_m", "theta_rad"))),
+    "a name that is no text": ("states", dict(states=("x_m", 1, "theta_rad"))),
+    "an empty name": ("states", dict(states=("x_m", "", "theta_rad"))),
+    "states that are one text": ("states", dict(states="x_m")),
+    "no states": ("states", dict(states=())),
+    "an input twice": ("inputs", dict(inputs=("v_left_mps", "v_left_mps"))),
+    "a state that is an input": ("states|inputs", dict(inputs=("x_m", "v_right_mps"))),
+    "a parameter that is a state": ("states|parameters", dict(parameters={"x_m": None, "b": None})),
+    "an output twice": ("outputs", dict(outputs=("x_m", "x_m", "v_left_mps", "v_right_mps"))),
+    "an output that nobody knows": ("outputs|h", dict(outputs=("x_m", "z_m", "v_left_mps"))),
+    "no outputs": ("outputs", dict(outputs=())),
+    "bounds the wrong way round": (
+        r"parameters|slip_left",
+        dict(parameters={"slip_left": (1, 0), "slip_right": (0, 1)}),
+    ),
+    "bounds of three": (
+        "parameters|slip_left",
+        dict(parameters={"slip_left": (0, 1, 2), "s": None}),
+    ),
+    "a bound that is no number": (
+        "parameters|slip_left",
+        dict(parameters={"slip_left": (0, np.nan), "slip_right": (0, 1)}),
+    ),
+    "bounds that are text": (
+        "parameters|slip_left",
+        dict(parameters={"slip_left": "all", "s": None}),
+    ),
+    "parameters that are a tuple": ("parameters", dict(parameters=("slip_left", "slip_right"))),
+    "an f of the wrong size": ("f", dict(f=lambda x, u, p: ca.vertcat(u[0], u[1]))),
+    "an f with a free symbol": ("f", dict(f=lambda x, u, p: ca.vertcat(u[0], u[1], other))),
+    "an f that is no function": ("f", dict(f=3)),
+    "an f of text": ("f", dict(f=lambda x, u, p: "forward")),
+    "an f of too few arguments": ("f", dict(f=lambda x, u: x)),
+    "an f that fails": ("f", dict(f=lambda x, u, p: x[7])),
+    "an h of the wrong size": (
+        "h",
+        dict(outputs=("tip_m", "v_left_mps", "v_right_mps"), h=lambda x, u, p: x[:2]),
+    ),
+    "an h with a free symbol": (
+        "h",
+        dict(outputs=("tip_m", "v_left_mps", "v_right_mps"), h=lambda x, u, p: other),
+    ),
+}
+
+
+@pytest.mark.parametrize("where, bad", BAD_MODELS.values(), ids=BAD_MODELS)
+def test_a_bad_model_is_refused_in_one_sentence(where, bad):
+    refuses(where, lambda: rhec.Model(**SKID_STEERED.model | bad))
+
+
+BAD_ESTIMATORS = {
+    "sigma_v too short": ("sigma_v", dict(sigma_v=(0.1, 0.1))),
+    "sigma_v zero": ("sigma_v", dict(sigma_v=(0.1, 0.1, 0.1, 0.0))),
+    "sigma_w too short": ("sigma_w", dict(sigma_w=(0.1,) * 3)),
+    "sigma_w negative": ("sigma_w", dict(sigma_w=(0.1,) * 4 + (-0.1,))),
+    "guess too long": ("guess", dict(guess=(0.0,) * 6)),
+    "guess without a number": ("guess", dict(guess=(0.0,) * 4 + (np.nan,))),
+    "sigma_guess too short": ("sigma_guess", dict(sigma_guess=(0.1,) * 4)),
+    "sigma_guess negative": ("sigma_guess", dict(sigma_guess=(-0.1,) * 5)),
+    "dt zero": ("dt", dict(dt=0.0)),
+    "model of nothing": ("model", dict(model="tracked")),
+}
+
+
+@pytest.mark.parametrize("where, bad", BAD_ESTIMATORS.values(), ids=BAD_ESTIMATORS)
+def test_a_bad_estimator_is_refused_in_one_sentence(where, bad):
+    good = dict(model=model(SKID_STEERED), dt=DT, guess=(0.0,) * 5) | SKID_STEERED.estimator
+    rhec.RHE(**good, horizon=N), rhec.EKF(**good)
+    refuses(where, lambda: rhec.RHE(**dict(horizon=N) | good | bad))
+    refuses(where, lambda: rhec.EKF(**good | bad))
+
+
+@pytest.mark.parametrize(
+    "where, bad",
+    [
+        ("horizon", dict(horizon=1)),
+        ("horizon", dict(horizon=2.5)),
+        ("arrival_mean", dict(arrival_mean="best")),
+        ("RHE", dict(sigmav=(1,) * 4)),
+    ],
+)
+def test_a_bad_window_is_refused_in_one_sentence(where, bad):
+    refuses(where, lambda: estimator(SKID_STEERED, (0.0,) * 5, **bad))
+
+
+BOUNDS = SKID_STEERED.bounds
+BAD_CONTROLLERS = {
+    "an unknown command": ("command", dict(command=("v_left_mps", "v_middle_mps"))),
+    "a command twice": ("command", dict(command=("v_left_mps", "v_left_mps"))),
+    "no command": ("command", dict(command=(), bounds={}, r=())),
+    "a parameter as command": ("command", dict(command=("slip_left",))),
+    "bounds of an unknown command": ("bounds", dict(bounds=BOUNDS | {"v_middle_mps": (0, 1)})),
+    "bounds the wrong way round": ("bounds", dict(bounds=BOUNDS | {"v_left_mps": (1, -1)})),
+    "a bound that is no number": ("bounds", dict(bounds=BOUNDS | {"v_left_mps": (np.nan, 1)})),
+    "q too short": ("q", dict(q=(1.0, 1.0))),
+    "q negative": ("q", dict(q=(1.0, 1.0, -1.0))),
+    "r too short": ("r", dict(r=(1.0,))),
+    "r zero": ("r", dict(r=(1.0, 0.0))),
+    "qn_factor negative": ("qn_factor", dict(qn_factor=-1.0)),
+    "dt negative": ("dt", dict(dt=-0.2)),
+    "horizon of one": ("horizon", dict(horizon=1)),
+    "an unknown argument": ("RHC", dict(commands=("v_left_mps",))),
+}
+
+
+@pytest.mark.parametrize("where, bad", BAD_CONTROLLERS.values(), ids=BAD_CONTROLLERS)
+def test_a_bad_controller_is_refused_in_one_sentence(where, bad):
+    refuses(where, lambda: controller(SKID_STEERED, **bad))
+
+
+@pytest.mark.parametrize("z", [(0.0,) * 3, 0.0, np.zeros((4, 1)), ("a", 0, 0, 0)])
+def test_a_measurement_that_does_not_fit_is_refused_in_one_sentence(z):
+    mhe = estimator(SKID_STEERED, (0.0,) * 5)
+    mhe.prepare()
+    refuses("z", lambda: mhe.feedback(z))
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("x", (0.0, 0.0)),
+        ("p", (0.1,)),
+        ("x_ref", np.zeros((3, N))),
+        ("x_ref", np.zeros((N + 1, 3))),
+        ("u_ref", np.zeros((2, N + 1))),
+        ("u_ref", np.zeros(N)),
+    ],
+)
+def test_a_problem_that_does_not_fit_is_refused_in_one_sentence(name, value):
+    problem, mpc = mpc_instance(SKID_STEERED, np.random.default_rng(15)), controller(SKID_STEERED)
+    mpc.prepare()
+    refuses(name, lambda: mpc.feedback(**problem | {name: value}))
+    command = mpc.feedback(**problem)
+    assert np.all(np.isfinite(command))
+
+
+@pytest.mark.parametrize("name", ["x", "p", "x_ref", "u_ref"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_a_value_that_is_no_number_does_no_lasting_harm(name, value):
+    """The robot must keep driving: the step is flagged, commands stay within their bounds."""
+    problem, mpc = mpc_instance(SKID_STEERED, np.random.default_rng(15)), controller(SKID_STEERED)
+    spared, low_high = controller(SKID_STEERED), np.array([*SKID_STEERED.bounds.values()]).T
+    mpc.prepare(), mpc.feedback(**problem), mpc.prepare()
+    command = mpc.feedback(**problem | {name: np.full(np.shape(problem[name]), value)})
+    assert np.all((low_high[0] <= command) & (command <= low_high[1]))
+    for _ in range(30):
+        mpc.prepare(), spared.prepare()
+        after, expected = mpc.feedback(**problem), spared.feedback(**problem)
+    np.testing.assert_allclose(after, expected, atol=1e-6)

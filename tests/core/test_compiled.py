@@ -1,0 +1,445 @@
+"""Compiled Functions: found again, never out of date, whoever builds at the same time or is killed
+doing so.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import rhec
+from rhec.core._casadi import compiled
+
+BUILD = """
+import rhec
+model = rhec.Model(
+    states=("x_m",), inputs=("v_mps",), parameters={{}}, outputs=("x_m", "v_mps"),
+    f=lambda x, u, p: u,
+)
+one = (1.0,)
+ekf = rhec.EKF(
+    model=model, dt={dt}, sigma_v=(1.0, 1.0), sigma_w=one, guess=one, sigma_guess=one
+)
+ekf.prepare()
+print(ekf.feedback((2.0, 3.0)))
+"""
+needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
+
+
+def start(cache, dt=0.2, package=Path(rhec.__file__).parents[1], **environment):
+    """A process of its own that builds the EKF."""
+    return subprocess.Popen(
+        [sys.executable, "-c", BUILD.format(dt=dt)],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        cwd=package,
+        env=os.environ | dict(RHEC_CACHE=str(cache), PYTHONPATH=str(package)) | environment,
+    )
+
+
+def answer(process):
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    return out
+
+
+def libraries(cache):
+    return sorted(path.parent.name for path in cache.glob("*/library.so"))
+
+
+@needs_compiler
+def test_processes_may_build_the_same_at_once(tmp_path):
+    first, second, third = [start(tmp_path) for _ in range(3)]
+    assert answer(first) == answer(second) == answer(third)
+    assert len(libraries(tmp_path)) == len(list(tmp_path.iterdir())) == 1
+
+
+@needs_compiler
+def test_one_of_several_processes_compiles(tmp_path):
+    compiler, calls = tmp_path / "cc", tmp_path / "calls"
+    compiler.write_text(f'#!/bin/sh\n[ "$1" = --version ] || echo once >> {calls}\nexec cc "$@"\n')
+    compiler.chmod(0o755)
+    assert (
+        len(
+            {
+                answer(process)
+                for process in [start(tmp_path / "cache", CC=str(compiler)) for _ in range(3)]
+            }
+        )
+        == 1
+    )
+    assert calls.read_text() == "once\n"
+
+
+@needs_compiler
+def test_a_library_is_reused(tmp_path):
+    answer(start(tmp_path))
+    (library,) = tmp_path.glob("*/library.so")
+    made = library.stat().st_mtime_ns
+    answer(start(tmp_path))
+    assert library.stat().st_mtime_ns == made
+
+
+@needs_compiler
+def test_a_compilation_is_announced_once_at_a_terminal(tmp_path):
+    terminal, stderr = os.openpty()
+    build = [sys.executable, "-c", BUILD.format(dt=0.2)]
+    for _ in range(2):
+        subprocess.run(
+            build,
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            env=os.environ | dict(RHEC_CACHE=str(tmp_path / "one")),
+            check=True,
+        )
+    assert os.read(terminal, 1000).decode().splitlines() == [
+        "rhec: compiling the ekf, once (some seconds)"
+    ]
+    quiet = subprocess.run(
+        build,
+        capture_output=True,
+        env=os.environ | dict(RHEC_CACHE=str(tmp_path / "two")),
+        check=True,
+    )
+    assert quiet.stderr == b""
+
+
+@needs_compiler
+def test_another_structure_or_another_source_is_another_library(tmp_path):
+    answer(start(tmp_path / "cache"))
+    answer(start(tmp_path / "cache", dt=0.1))
+    assert len(libraries(tmp_path / "cache")) == 2
+    shutil.copytree(
+        Path(rhec.__file__).parent, tmp_path / "rhec", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    shutil.copytree(Path(rhec.__file__).parents[1] / "data", tmp_path / "data")
+    answer(start(tmp_path / "cache", package=tmp_path))
+    assert len(libraries(tmp_path / "cache")) == 2  # where it lies does not matter
+    with open(tmp_path / "rhec" / "estimator" / "ekf.py", "a") as source:
+        source.write("# a new idea\n")
+    answer(start(tmp_path / "cache", package=tmp_path))
+    assert len(libraries(tmp_path / "cache")) == 3
+
+
+@needs_compiler
+def test_an_edit_compiles_again_only_where_c_is_made(tmp_path):
+    package = tmp_path / "rhec"
+    shutil.copytree(Path(rhec.__file__).parent, package)
+    answer(start(tmp_path / "cache", package=tmp_path))
+    for room in ("plots", "studies", "workbench", "campaigns", "logs"):
+        for source in (package / room).glob("**/*.py"):
+            source.write_text(source.read_text() + "# another colour\n")
+    answer(start(tmp_path / "cache", package=tmp_path))
+    assert len(libraries(tmp_path / "cache")) == 1
+    rooms = ("model", "solver", "estimator", "controller", "tracked_robot", "extensions")
+    for edited, room in enumerate(rooms, 2):
+        source = next(each for each in (package / room).glob("*.py") if each.stem != "__init__")
+        source.write_text(source.read_text() + "# another idea\n")
+        answer(start(tmp_path / "cache", package=tmp_path))
+        assert len(libraries(tmp_path / "cache")) == edited
+
+
+@needs_compiler
+def test_a_killed_build_is_built_again(tmp_path):
+    compiler, started, cache = tmp_path / "cc", tmp_path / "started", tmp_path / "cache"
+    compiler.write_text(
+        f'#!/bin/sh\n[ "$1" = --version ] || [ -e {started} ] || '
+        f"{{ touch {started}; echo rubbish > library.so; sleep 60; }}\n"
+        'exec cc "$@"\n'
+    )
+    compiler.chmod(0o755)
+    killed = start(cache, CC=str(compiler))
+    while not started.exists():
+        assert killed.poll() is None, killed.communicate()
+        time.sleep(0.01)
+    time.sleep(0.1)
+    os.killpg(killed.pid, signal.SIGKILL)
+    killed.communicate()
+    assert {path.name[:9] for path in cache.iterdir()} == {"building-"}
+    answer(start(cache, CC=str(compiler)))
+    assert [path.name for path in cache.iterdir()] == libraries(cache) and len(
+        libraries(cache)
+    ) == 1
+
+
+# A compiler, a disk or a cache that fails is no reason to fail
+
+OTHER_CACHE = "rhec: compiled code is kept in "
+VIRTUAL_MACHINE = "on CasADi's virtual machine the results are the same, about five times slower\n"
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    """What the EKF answers, compiled as usual."""
+    return answer(start(tmp_path_factory.mktemp("cache")))
+
+
+def said(process, expected):
+    """The one line on stderr of a process that gave the right answer."""
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0 and out == expected and err.count("\n") == 1, err
+    return err
+
+
+FAILING = {
+    "says no": "exit 1",
+    "dies": "kill -9 $$",
+    "dies at work": '[ "$1" = --version ] || kill -9 $$',
+    "finds no header": """[ "$1" = --version ] || { echo "x.h:1: error: no y.h" >&2; exit 1; }""",
+    "is no program": None,
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("how", FAILING)
+def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(tmp_path, expected, how):
+    compiler = tmp_path / "cc"
+    compiler.write_text(f"#!/bin/sh\n{FAILING[how]}\n" if FAILING[how] else "rubbish")
+    compiler.chmod(0o755)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    failing = start(tmp_path / "cache", CC=str(compiler), TMPDIR=str(elsewhere))
+    line = said(failing, expected)
+    assert str(compiler) in line and line.endswith(VIRTUAL_MACHINE)
+    assert not list(tmp_path.glob("cache/*")) and not list(elsewhere.glob("*/*"))
+
+
+def mounted(options, cache, elsewhere=None):
+    """The build in a world of its own, where what is at `cache` is mounted with these options."""
+    if os.geteuid() or subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode:
+        pytest.skip("only root may mount, and not everywhere")
+    cache.mkdir()
+    mount = (
+        f'for folder in "$0" {elsewhere or ""}; do mount -t tmpfs -o {options} none $folder; done'
+    )
+    build = [sys.executable, "-c", BUILD.format(dt=0.2)]
+    return subprocess.Popen(
+        ["unshare", "-m", "sh", "-c", f'{mount}; exec "$@"', cache, *build],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=Path(rhec.__file__).parents[1],
+        env=os.environ | dict(RHEC_CACHE=str(cache), TMPDIR=str(elsewhere or cache.parent)),
+    )
+
+
+@needs_compiler
+@pytest.mark.parametrize("options", ["ro", "noexec", "size=20k"])
+def test_a_cache_that_cannot_be_used_is_replaced_by_a_temporary_one(tmp_path, expected, options):
+    line = said(mounted(options, tmp_path / "cache"), expected)
+    assert line.startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, since ")
+    assert len(list(tmp_path.glob("rhec-*/*/library.so"))) == 1
+
+
+@needs_compiler
+@pytest.mark.parametrize("options", ["ro", "noexec", "size=20k"])
+def test_without_any_folder_for_code_there_is_the_virtual_machine(tmp_path, expected, options):
+    (tmp_path / "elsewhere").mkdir()
+    line = said(mounted(options, tmp_path / "cache", tmp_path / "elsewhere"), expected)
+    assert line.startswith("rhec: nothing more is compiled, since ")
+    assert line.endswith(VIRTUAL_MACHINE)
+
+
+@needs_compiler
+@pytest.mark.parametrize("variable", ["RHEC_CACHE", "XDG_CACHE_HOME", "HOME"])
+def test_a_home_where_nothing_can_be_made_is_no_reason_to_fail(tmp_path, expected, variable):
+    (tmp_path / "file").touch()
+    nowhere = {"RHEC_CACHE": "", "XDG_CACHE_HOME": "", variable: str(tmp_path / "file/home")}
+    process = start(**dict(cache="") | nowhere | dict(TMPDIR=str(tmp_path)))
+    assert said(process, expected).startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, ")
+
+
+def cut_in_half(folder):
+    library = folder / "library.so"
+    library.write_bytes(library.read_bytes()[: library.stat().st_size // 2])
+
+
+BROKEN = {
+    "half a library": cut_in_half,
+    "an empty library": lambda folder: (folder / "library.so").write_bytes(b""),
+    "no library": lambda folder: (folder / "library.so").unlink(),
+    "no list": lambda folder: (folder / "functions.json").unlink(),
+    "an empty list": lambda folder: (folder / "functions.json").write_bytes(b""),
+    "an empty folder": lambda folder: [file.unlink() for file in folder.iterdir()],
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("how", BROKEN)
+def test_what_is_broken_in_the_cache_is_built_anew(tmp_path, expected, how):
+    assert answer(start(tmp_path)) == expected
+    (folder,) = tmp_path.iterdir()
+    whole = sorted(folder.iterdir())
+    BROKEN[how](folder)
+    process = start(tmp_path)
+    assert process.communicate(timeout=60) == (expected, "") and process.returncode == 0
+    assert sorted(folder.iterdir()) == whole
+
+
+DAQP = "import rhec; rhec.RHC(horizon=2, qp='daqp').prepare()"
+
+
+@needs_compiler
+def test_a_library_does_not_know_the_environment_that_built_it(tmp_path):
+    for _ in range(2):
+        subprocess.run(
+            [sys.executable, "-c", DAQP], env=os.environ | dict(RHEC_CACHE=str(tmp_path))
+        )
+    (library,) = tmp_path.glob("*/library.so")
+    content = library.read_bytes()
+    assert b"libdaqp" in content and str(Path(ca.__file__).parents[1]).encode() not in content
+
+
+# No one else's code is loaded
+
+
+@pytest.fixture
+def planted(tmp_path):
+    """A cache of one's own with a library that leaves a mark when it is loaded, and the mark."""
+    cache, mark = tmp_path / "cache", tmp_path / "mark"
+    answer(start(cache))
+    (folder,) = cache.iterdir()
+    evil = (
+        f'#include <stdio.h>\n__attribute__((constructor)) void f(void) {{ fopen("{mark}", "w"); }}'
+    )
+    command = ["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", folder / "library.so"]
+    subprocess.run(command, input=evil, text=True, check=True)
+    (folder / "library.so").chmod(0o644)
+    if (content := folder / "content.json").exists():  # who can write a library can write this, too
+        digest = hashlib.sha256((folder / "library.so").read_bytes()).hexdigest()
+        content.write_text(json.dumps(json.loads(content.read_text()) | {"library.so": digest}))
+    return cache, mark
+
+
+@needs_compiler
+def test_code_of_ones_own_is_loaded(planted, tmp_path):
+    cache, mark = planted
+    start(cache, TMPDIR=str(tmp_path)).communicate(timeout=60)
+    assert mark.exists()
+
+
+def given_away(path):
+    if os.geteuid():
+        pytest.skip("only root may give files away")
+    os.chown(path, 65534, -1)
+
+
+def linked(path):
+    shutil.move(path, path.parents[2] / "elsewhere")
+    path.symlink_to(path.parents[2] / "elsewhere")
+
+
+@needs_compiler
+@pytest.mark.parametrize("part", ["", "*", "*/library.so", "*/content.json"])
+@pytest.mark.parametrize("how", [given_away, linked, lambda path: path.chmod(0o777)])
+def test_what_others_could_have_written_is_not_loaded(planted, tmp_path, expected, part, how):
+    cache, mark = planted
+    path = next(cache.glob(part)) if part else cache
+    if how is linked and not part:
+        pytest.skip("the cache may be a link")
+    how(path)
+    process = start(cache, TMPDIR=str(tmp_path))
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0 and out == expected and not mark.exists()
+    if not part:
+        assert err.startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, since ")
+        assert err.count("\n") == 1 and str(cache) in err
+
+
+@needs_compiler
+def test_a_lock_is_opened_without_following_links(tmp_path, expected):
+    cache, precious = tmp_path / "cache", tmp_path / "precious"
+    answer(start(cache))
+    (folder,) = cache.iterdir()
+    precious.write_text("mine")
+    shutil.rmtree(folder)
+    folder.with_name(f"building-{folder.name}").symlink_to(precious)
+    assert "building-" in said(start(cache, TMPDIR=str(tmp_path)), expected)
+    assert precious.read_text() == "mine"
+
+
+# The first loads all modules: the other user may not be allowed to read them.
+ANOTHER = f"""
+import os
+shared = os.environ.pop("RHEC_CACHE")
+{BUILD.format(dt=0.1)}
+os.setgid(65534)
+os.setuid(65534)
+os.environ["RHEC_CACHE"] = shared
+{BUILD.format(dt=0.2)}
+"""
+
+
+@needs_compiler
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may be another user")
+def test_two_users_share_a_cache_and_load_what_they_trust():
+    def owners():
+        return sorted(path.owner() for path in shared.glob("*/library.so"))
+
+    def another(**environment):
+        done = subprocess.run(
+            [sys.executable, "-c", ANOTHER],
+            capture_output=True,
+            text=True,
+            env=os.environ | dict(RHEC_CACHE=str(shared), TMPDIR="/tmp") | environment,
+            cwd=Path(rhec.__file__).parents[1],
+        )
+        assert done.returncode == 0 and done.stderr == "", done.stderr
+        return done.stdout.splitlines()[-1]
+
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        shared = Path(folder)
+        shared.chmod(0o1777)
+        mine = answer(start(shared)).strip()
+        assert another(RHEC_TRUSTED_OWNERS="root") == mine and owners() == ["root"]
+        assert another() == mine and owners() == ["nobody", "root"]
+        assert another() == mine and answer(start(shared)).strip() == mine
+        assert owners() == ["nobody", "root"]
+
+
+def test_an_unknown_trusted_owner_is_said_so(tmp_path):
+    _, err = start(tmp_path, RHEC_TRUSTED_OWNERS="no-such-user").communicate(timeout=60)
+    assert "ValueError: RHEC_TRUSTED_OWNERS was 'no-such-user'; it must be " in err
+
+
+def test_without_a_compiler_results_agree_and_one_line_says_so(tmp_path):
+    process = start(tmp_path, PATH="/nowhere", CC="cc")
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0 and err.count("no C compiler found") == 1
+    assert list(tmp_path.iterdir()) == []
+    if shutil.which("cc"):
+        assert out == answer(start(tmp_path))
+
+
+def test_a_buffered_function_computes_what_the_function_does():
+    matrix, vector = ca.SX.sym("matrix", ca.Sparsity.lower(3)), ca.SX.sym("vector", 3)
+    function = ca.Function(
+        "f",
+        [matrix, vector],
+        [matrix @ vector, ca.sumsqr(vector)],
+        ["matrix", "vector"],
+        ["product", "norm"],
+    )
+    buffered = compiled.BufferedFunction(function)
+    lower, ones = np.arange(1.0, 7.0), np.array([1.0, 10.0, 100.0])
+    buffered.set(matrix=lower, vector=ones)
+    buffered.call()
+    np.testing.assert_array_equal(buffered.results["product"], [1, 42, 653])
+    mine, out = np.array([1.0, 0.0, 0.0]), np.zeros(3)
+    buffered.read_from("vector", mine)
+    buffered.write_to("product", out)
+    buffered.call()
+    np.testing.assert_array_equal(out, [1, 2, 3])
+    assert buffered.results["norm"] == 1

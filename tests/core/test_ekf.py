@@ -1,0 +1,243 @@
+"""The extended Kalman filter against the textbook's formulas, written here with plain matrices."""
+
+import numpy as np
+import pytest
+from oracles import DT, V, drive, flat
+from scipy.optimize import lsq_linear
+
+from rhec.core._casadi import build as function
+from rhec.tracked_robot import ekf as paper_ekf
+from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
+
+W = np.square([0.02, 0.02, 0.01, 0.05])
+STEP = paper_ekf.build_step(DT)
+
+
+def init(guess, sigma):
+    return paper_ekf.init(4, *(dict(zip(QUANTITIES, values)) for values in (guess, sigma)))
+
+
+def textbook(m, P, z, traction, first):
+    """Predict with the Jacobian of eq. (23), then correct with all measurements at once."""
+    mu, kappa = traction
+    x, y, theta, nu = m
+    if not first:
+        ahead, turn = DT * mu * nu, DT * kappa * z[3]
+        A = np.array(
+            [
+                [1, 0, -ahead * np.sin(theta), DT * mu * np.cos(theta)],
+                [0, 1, ahead * np.cos(theta), DT * mu * np.sin(theta)],
+                [0, 0, 1, 0],
+                [0, 0, 0, 1],
+            ]
+        )
+        m, P = (
+            np.array([x + ahead * np.cos(theta), y + ahead * np.sin(theta), theta + turn, nu]),
+            A @ P @ A.T + np.diag(W),
+        )
+    there = ~np.isnan(z[:3])
+    H, R, y = np.eye(4)[[0, 1, 3]][there], np.diag(V[:3][there]), (z[:3] - m[[0, 1, 3]])[there]
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
+    return m + K @ y, (np.eye(4) - K @ H) @ P, y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1]
+
+
+def run(z, start, traction):
+    memory, results = function.pack_array(start), []
+    for reading in z:
+        result = STEP(memory=memory, z_N=reading, V=V, W=W, traction=traction)
+        memory = result["memory"]
+        results.append(
+            (flat(result["estimate"]), np.array(result["covariance"]), float(result["deviance"]))
+        )
+    return results
+
+
+@pytest.mark.parametrize("traction", [(1, 1), (0.9, 0.7)])
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_it_is_the_textbook_filter(traction, missing):
+    """Estimate, covariance and deviance, at every sample; a silent sensor's row is not there."""
+    rng = np.random.default_rng(0)
+    _, z = drive((1, 2, 0.5, 0.5, 0.9, 0.8), rng.uniform(-0.5, 0.5, 100))
+    z += rng.normal(size=z.shape) * np.sqrt(V)
+    z[:, :3][rng.random((len(z), 3)) < missing] = np.nan
+    m, P = np.array([0.9, 2.1, 0.3, 0.4]), np.diag([1, 1, 0.1, 0.2])
+    for k, (estimate, covariance, deviance) in enumerate(
+        run(z, init((*m, 1, 1), np.sqrt([1, 1, 0.1, 0.2, 1, 1])), traction)
+    ):
+        m, P, expected = textbook(m, P, z[k], traction, first=k == 0)
+        np.testing.assert_allclose(estimate, [*m, *traction], atol=1e-10)
+        np.testing.assert_allclose(covariance, P, atol=1e-10)
+        np.testing.assert_array_equal(covariance, covariance.T)
+        assert deviance == pytest.approx(expected, abs=1e-9)
+
+
+def test_on_a_straight_line_it_is_the_kalman_filter():
+    """With the yaw known and no yaw rate the model is linear: the best estimate of all readings and
+    steps at once, by ordinary least squares.
+    """
+    rng, n = np.random.default_rng(1), 30
+    _, z = drive((0, 0, 0, 0.5, 1, 1), np.zeros(n - 1))
+    z[:, :3] += rng.normal(size=(n, 3)) * np.sqrt(V[:3])
+    sigma, w = np.array([1.0, 1.0, 0.0, 0.3]), np.array([0.02, 0.03, 0.0, 0.05])
+    memory = function.pack_array(init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
+    for reading in z:
+        result = STEP(memory=memory, z_N=reading, V=V, W=w**2, traction=(1, 1))
+        memory = result["memory"]
+
+    A = np.array([[1, 0, DT], [0, 1, 0], [0, 0, 1]])  # of (x, y, ν)
+    rows, values = (
+        [np.eye(3, 3 * n) / sigma[[0, 1, 3], None]],
+        [np.array([0.3, -0.2, 0.6]) / sigma[[0, 1, 3]]],
+    )
+    for k in range(n):
+        rows.append(np.eye(3, 3 * n, 3 * k) / np.sqrt(V[:3, None]))
+        values.append(z[k, :3] / np.sqrt(V[:3]))
+        if k:
+            rows.append(
+                (np.eye(3, 3 * n, 3 * k) - A @ np.eye(3, 3 * n, 3 * k - 3)) / w[[0, 1, 3], None]
+            )
+            values.append(np.zeros(3))
+    best = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0][-3:]
+    np.testing.assert_allclose(flat(result["estimate"])[[0, 1, 3]], best, atol=1e-9)
+    assert float(result["estimate"][2]) == 0
+
+
+def test_while_the_yaw_rate_is_silent_the_last_one_holds():
+    _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
+    start = init((0, 0, 0, 0.5, 1, 1), (1,) * 6)
+    spoken = run(z, start, (1, 1))
+    z[5:12, 3] = [np.nan, np.inf, 1e12, -np.inf, np.nan, np.nan, np.nan]
+    silent = run(z, start, (1, 1))
+    for one, other in zip(spoken, silent):
+        np.testing.assert_array_equal(one[0], other[0])
+
+
+@pytest.mark.parametrize("reading", [np.inf, -np.inf, 1e12])
+@pytest.mark.parametrize("channel", range(3))
+def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
+    _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
+    start = init((0.1, 0, 0, 0.5, 1, 1), (1,) * 6)
+    z[[0, 5, 6], channel] = np.nan
+    silent = run(z, start, (1, 1))
+    z[[0, 5, 6], channel] = reading
+    for one, other in zip(silent, run(z, start, (1, 1))):
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
+
+
+# The rivals
+
+SIGMA_W = (0.01, 0.01, 0.02, 0.01, 0.02, 0.02)
+
+
+def choice(name):
+    return Choice(name, 5, "parameter", "smoothed", False)
+
+
+def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
+    """Estimates (n, 6) and covariances of an estimator by its name in Scenario, told a `traction`,
+    one or one a sample.
+    """
+    step, of = build_step(choice(name)), estimator_of(name)
+    first = [dict(zip(QUANTITIES, values)) for values in (guess, sigma)]
+    memory, rows = function.pack_array(of.init(choice(name), *first)), []
+    n, n_w = len(z), of.n_sigma_w(choice(name))
+    given = dict(V=V, W=np.square(SIGMA_W[:n_w]), P_0=np.ones(n_w))
+    told = np.broadcast_to((1, 1) if traction is None else traction, (n, 2))
+    for reading, p in zip(z, told):
+        known = given | dict(memory=memory, z_N=reading, traction=p)
+        result = step(**{name: known[name] for name in step.name_in()})
+        memory = result["memory"]
+        rows.append((flat(result["estimate"]), np.array(result["covariance"])))
+    return [np.array(each) for each in zip(*rows)]
+
+
+def weave(samples, size=0.3):
+    return size * np.sin(0.3 * np.arange(samples))
+
+
+def noisy(z, seed=0):
+    return z + np.random.default_rng(seed).normal(size=z.shape) * np.sqrt(V)
+
+
+def test_in_a_curve_a_runge_kutta_step_is_where_the_robot_is_and_the_papers_euler_step_is_not():
+    first = (0, 0, 0, 0.5, 0.9, 0.8)
+    truth, z = drive(first, np.full(60, 0.5))
+    exact = dict(guess=first, sigma=(1e-3,) * 6)
+    for name, told in (("traction_oracle", (0.9, 0.8)), ("augmented_ekf", None)):
+        estimates, _ = rival(name, z, traction=told, **exact)
+        np.testing.assert_allclose(estimates, truth, atol=1e-5)
+    paper, _ = rival("ekf", z, traction=(0.9, 0.8), **exact)
+    turn_rad = 0.8 * 0.5 * DT
+    late = (paper[:, 2] - truth[:, 2])[30:]
+    np.testing.assert_allclose(late, turn_rad / 2, atol=0.1 * turn_rad)
+
+
+def test_an_interval_is_predicted_with_the_traction_it_was_driven_on():
+    rng = np.random.default_rng(0)
+    tractions = rng.uniform(0.5, 1, (40, 2))
+    truth, z = [np.array([0, 0, 0, 0.5, *tractions[0]])], [[0, 0, 0.5, 0]]
+    for here, there in zip(tractions, tractions[1:]):
+        after, readings = drive((*truth[-1][:4], *here), [rng.uniform(-1, 1)])
+        truth.append(np.array([*after[1, :4], *there]))
+        z.append(readings[1])
+    estimates, _ = rival("traction_oracle", np.array(z), truth[0], (1e-3,) * 6, tractions)
+    np.testing.assert_allclose(estimates, truth, atol=1e-3)
+
+
+def test_where_no_bound_is_violated_the_bounded_ekf_is_the_augmented_one():
+    first = (0, 0, 0, 0.5, 0.7, 0.6)
+    z = noisy(drive(first, weave(150))[1])
+    start = dict(guess=first, sigma=(0.1,) * 4 + (0.02, 0.02))
+    augmented, bounded = rival("augmented_ekf", z, **start), rival("bounded_ekf", z, **start)
+    assert 0.1 < augmented[0][:, 4:].min() < augmented[0][:, 4:].max() < 0.95
+    for one, other in zip(augmented, bounded):
+        np.testing.assert_allclose(other, one, atol=1e-10)
+
+
+@pytest.mark.parametrize("traction", [(1.15, 1.3), (0.5, 1.3), (0.02, -0.3)])
+def test_the_bounded_ekf_stays_within_the_bounds_that_the_augmented_one_leaves(traction):
+    _, z = drive((0, 0, 0, 0.5, *traction), weave(150))
+    start = (0, 0, 0, 0.5, 0.9, 0.9)
+    free, _ = rival("augmented_ekf", noisy(z), start)
+    bounded, _ = rival("bounded_ekf", noisy(z), start)
+    assert ((free[:, 4:] < 0) | (free[:, 4:] > 1)).any()
+    assert ((bounded[:, 4:] >= 0) & (bounded[:, 4:] <= 1)).all()
+
+
+def test_the_bounded_estimate_is_the_likeliest_within_the_bounds():
+    """Of the Gaussian that the augmented EKF has after one sample, by bounded least squares."""
+    rng, active = np.random.default_rng(3), 0
+    for _ in range(30):
+        guess = (0, 0, 0, 0.5, *rng.normal(0.8, 0.4, 2))
+        z = noisy(drive((0, 0, 0, 0.5, 0.9, 0.9), [0.2])[1][1:], rng.integers(1000))
+        (free,), (P,) = rival("augmented_ekf", z, guess)
+        (bounded,), (same,) = rival("bounded_ekf", z, guess)
+        root = np.linalg.inv(np.linalg.cholesky(P))
+        sides = [(-np.inf,) * 4 + (0, 0), (np.inf,) * 4 + (1, 1)]
+        best = lsq_linear(root, root @ free, sides, tol=1e-14).x
+        np.testing.assert_allclose(bounded, best, atol=1e-6)
+        np.testing.assert_allclose(same, P, atol=1e-12)
+        active += int((free != bounded).any())
+    assert 5 < active < 30
+
+
+@pytest.mark.parametrize("name, told", [("rhe_fixed_traction", (0.8, 0.6)), ("rhe_no_slip", None)])
+def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told):
+    held = told or (1, 1)
+    z = noisy(drive((0, 0, 0, 0.5, 0.7, 0.7), weave(40, 0.1))[1])
+    guess = (0, 0, 0, 0.5, *held)
+    estimates, covariances = rival(name, z, guess, traction=told)
+    np.testing.assert_array_equal(estimates[:, 4:], np.broadcast_to(held, (len(z), 2)))
+    step, first = build_step(choice("rhe")), dict(zip(QUANTITIES, guess))
+    sure = dict(zip(QUANTITIES, (1.0,) * 4 + (1e-7,) * 2))
+    memory = function.pack_array(paper_rhe.init(paper_rhe.window_of(choice("rhe")), first, sure))
+    W = np.square([*SIGMA_W[:4], 1e-9, 1e-9])
+    for reading, estimate, covariance in zip(z, estimates, covariances):
+        result = step(memory=memory, z_N=reading, V=V, W=W, P_0=np.ones(6))
+        memory = result["memory"]
+        np.testing.assert_allclose(estimate, flat(result["estimate"]), atol=1e-6)
+        np.testing.assert_allclose(covariance, np.array(result["covariance"])[:4, :4], atol=1e-6)

@@ -1,0 +1,455 @@
+"""Receding horizon estimation: eq. (10), its arrival cost, one Gauss-Newton iteration a sample, or
+iterated.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import (
+    DT,
+    N,
+    V,
+    drive,
+    flat,
+    iterate,
+    places,
+    rhe_by_ipopt,
+    rhe_instance,
+    unknowns,
+    window_memory,
+)
+
+import rhec
+from rhec import paper
+from rhec.core.solver.box_qp import box_qp
+from rhec.extensions.condensed import box_qp_by_library
+from rhec.tracked_robot import estimators as base
+from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.kinematics import QUANTITIES
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+SPEED_MODELS = ["parameter", "input"]
+ARRIVAL_MEANS = ["smoothed", "filtered"]
+GUESS = (0.0, 0.0, 0.0, 0.5, 0.9, 0.8)
+
+
+def choice(speed_model="parameter", arrival_mean="smoothed"):
+    return base.Choice("rhe", N, speed_model, arrival_mean, False)
+
+
+def build_phases(*options):
+    return base.build_phases(choice(*options))
+
+
+def first_memory(guess, sigma, speed_model="parameter"):
+    of = (dict(zip(QUANTITIES, values)) for values in (guess, sigma))
+    return paper_rhe.init(paper_rhe.window_of(choice(speed_model)), *of)
+
+
+def weave(samples):
+    """Yaw rates that never stay the same."""
+    return 0.1 * np.sin(0.7 * np.arange(samples)) + 0.05 * np.cos(0.31 * np.arange(samples))
+
+
+def feed(rhe, z, **iterations):
+    """The estimates after each row of z, by one iteration each or by as many as asked for."""
+    estimates = []
+    for reading in z:
+        rhe.prepare()
+        estimates.append(rhe.solve(reading, **iterations) if iterations else rhe.feedback(reading))
+    return estimates
+
+
+def noisy(z, rng):
+    return z + rng.normal(size=z.shape) * np.sqrt(V)
+
+
+# The nonlinear problem
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model):
+    """On 110 random full windows each; at least 30 % of them with a traction coefficient at its
+    bound.
+    """
+    rng, keep, bounded = np.random.default_rng(0), places(speed_model), 0
+    phases = build_phases(speed_model)
+    for _ in range(110):
+        z, m, P = rhe_instance(rng, speed_model)
+        memory, answer, tolerances = iterate(
+            phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 12
+        )
+        optimum, newest = rhe_by_ipopt(z, m, P, speed_model, guess=unknowns(memory))
+        np.testing.assert_allclose(unknowns(memory), optimum, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            flat(answer["estimate"])[keep], newest[keep], rtol=1e-6, atol=1e-9
+        )
+        assert tolerances[-1] < 1e-9 < tolerances[0]
+        bounded += np.any(flat(answer["estimate"])[4:] == 1)
+    assert 33 <= bounded <= 100
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+@pytest.mark.parametrize("samples", [2, 3, 9, N, N + 1])
+def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples(
+    samples, speed_model
+):
+    """Prior: the guess, as uncertain as the paper's W."""
+    keep = places(speed_model)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        guess = (0.1, -0.1, 0.05, 0.5, 0.95, 0.85)
+        _, z = drive(GUESS[:4] + (0.9, 1.1), weave(samples - 1))
+        z = noisy(z, rng)
+        rhe = rhec.RHE(guess=guess, speed_model=speed_model)
+        feed(rhe, z[:-1])
+        rhe.prepare()
+        estimate = rhe.solve(z[-1], iterations=20)
+        P = np.diag(np.square(paper.SIGMA_W_RHE)[keep])
+        _, newest = rhe_by_ipopt(z, np.array(guess)[keep], P, speed_model)
+        np.testing.assert_allclose(np.array(estimate[:6])[keep], newest[keep], rtol=1e-6, atol=1e-8)
+
+
+def test_without_a_guess_it_begins_at_the_first_reading():
+    (estimate,) = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
+    assert isinstance(estimate, paper_rhe.PaperEstimate)
+    assert estimate[:6] == pytest.approx((500, -300, 0, 0.4, 1, 1))
+
+
+def test_an_impossible_first_reading_is_no_first_guess():
+    """The position then comes with the first reading that there is, wherever that may be."""
+    for first in ((np.nan,) * 4, (1e12, -1e300, np.inf, 0.0)):
+        estimate = feed(rhec.RHE(), [first, (5e5, 4e6, 0.5, 0.0), (5e5, 4e6, 0.5, 0.0)])[-1]
+        assert estimate[:4] == pytest.approx((5e5, 4e6, 0, 0.5), rel=1e-6, abs=0.2)
+
+
+# One iteration a sample
+
+
+def linear_window(rng, samples, dtheta=1e-6):
+    """Straight ahead with yaw and traction known, so that (x, y, ν) is all there is to estimate,
+    and linear: readings, arrival cost, V.
+    """
+    _, z = drive(GUESS, np.zeros(samples - 1))
+    z[:, :3] += rng.normal(size=(samples, 3)) * (0.3, 0.3, 0.2)
+    m = np.array([0.5, -0.5, 0.0, 0.8, 0.9, 0.8])
+    P = np.diag(np.square([1.0, 1.0, dtheta, 0.5, dtheta, dtheta]))
+    return z, m, P, np.square([0.3, 0.3, 0.2, dtheta])
+
+
+def batch(z, m, P, V):
+    """Mean and covariance of (x, y, ν) at the last reading by ordinary least squares over all, and
+    the -2 log likelihood of the readings.
+    """
+    free = np.ix_([0, 1, 3], [0, 1, 3])
+    rows, values, prior = [], [], m[[0, 1, 3]]
+    for i, reading in enumerate(z):
+        reach = i * DT * m[4]
+        rows += [[1, 0, reach * np.cos(m[2])], [0, 1, reach * np.sin(m[2])], [0, 0, 1]]
+        values += [*reading[:3]]
+    H, R = np.array(rows), np.diag(np.tile(V[:3], len(z)))
+    information = np.linalg.inv(P[free]) + H.T @ np.linalg.inv(R) @ H
+    off = values - H @ prior
+    first = prior + np.linalg.solve(information, H.T @ np.linalg.solve(R, off))
+    ahead = np.array([[1, 0, reach * np.cos(m[2])], [0, 1, reach * np.sin(m[2])], [0, 0, 1]])
+    S = H @ P[free] @ H.T + R
+    return (
+        ahead @ first,
+        ahead @ np.linalg.solve(information, ahead.T),
+        off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1],
+    )
+
+
+def test_one_step_solves_a_linear_problem():
+    """As the paper says: the KKT tolerance is then zero."""
+    rng, phases = np.random.default_rng(1), build_phases()
+    for _ in range(10):
+        z, m, P, V = linear_window(rng, N + 1)
+        _, answer, _ = iterate(
+            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 1
+        )
+        mean, covariance, _ = batch(z, m, P, V)
+        np.testing.assert_allclose(flat(answer["estimate"])[[0, 1, 3]], mean, atol=1e-9)
+        np.testing.assert_allclose(
+            np.array(answer["covariance"])[np.ix_([0, 1, 3], [0, 1, 3])], covariance, atol=1e-9
+        )
+        _, _, tolerances = iterate(
+            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 2
+        )
+        assert tolerances[0] > 0.1 and tolerances[1] < 1e-6 * tolerances[0]
+
+
+def test_a_linear_problem_is_estimated_as_by_least_squares_over_all_there_ever_was():
+    """With the filtered arrival cost and without process noise, what leaves the window is not lost;
+    deviances sum to -2 log likelihood.
+    """
+    samples, step = 3 * N, build_phases("parameter", "filtered")["step"]
+    z, m, P, V = linear_window(np.random.default_rng(2), samples)
+    start = first_memory(m, np.sqrt(np.diag(P)))
+    memory, deviance = np.concatenate([flat(piece) for piece in start.values()]), 0.0
+    for reading in z:
+        result = step(memory=memory, z_N=reading, V=V, W=np.zeros(6), P_0=np.ones(6))
+        memory, deviance = result["memory"], deviance + float(result["deviance"])
+    mean, covariance, likelihood = batch(z, m, P, V)
+    np.testing.assert_allclose(flat(result["estimate"])[[0, 1, 3]], mean, atol=1e-8)
+    np.testing.assert_allclose(
+        np.array(result["covariance"])[np.ix_([0, 1, 3], [0, 1, 3])], covariance, atol=1e-8
+    )
+    assert deviance == pytest.approx(likelihood, abs=1e-6)
+
+
+def test_kkt_tolerance_is_positive_and_falls_to_zero():
+    rng, phases = np.random.default_rng(3), build_phases()
+    for _ in range(10):
+        z, m, P = rhe_instance(rng, "parameter")
+        _, _, tolerances = iterate(
+            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 10
+        )
+        assert tolerances[0] > 1 and np.all(tolerances >= 0)
+        assert tolerances[2] < 0.1 * tolerances[0] and tolerances[-1] < 1e-9
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_without_noise_a_robot_that_weaves_is_tracked_exactly(speed_model):
+    """So every reading counts where it belongs: a position at its node, the newest at the last one,
+    a yaw rate in the interval that ends there.
+    """
+    truth, z = drive(GUESS, weave(3 * N))
+    estimates = feed(
+        rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="calibrated"), z, iterations=8
+    )
+    np.testing.assert_allclose([estimate[:6] for estimate in estimates], truth, atol=1e-9)
+
+
+def test_traction_is_found_where_the_robot_turns():
+    """Errors are of the size that the covariance says (with the filtered mean; the smoothed one
+    uses the window's readings twice).
+    """
+    truth, z = drive(GUESS, 3 * weave(200))
+    for seed in range(5):
+        rhe = rhec.RHE(
+            guess=(0, 0, 0.2, 0.5, 1, 1), process_noise="calibrated", arrival_mean="filtered"
+        )
+        estimates = feed(rhe, noisy(z, np.random.default_rng(seed)))[50:]
+        errors = np.array(
+            [
+                (np.array(estimate[:6]) - true) / np.sqrt(np.diag(estimate.covariance))
+                for estimate, true in zip(estimates, truth[50:])
+            ]
+        )
+        rms = np.sqrt(np.mean(errors**2, axis=0))
+        assert np.all((rms > 0.2) & (rms < 2)), rms
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
+    rng, own, active = np.random.default_rng(5), box_qp(n), 0
+    for k in range(100):
+        A, g = rng.normal(size=(n, n)), rng.normal(size=n)
+        problem = dict(H=A @ A.T + 0.01 * np.eye(n), g=g, lb=-rng.random(n), ub=rng.random(n))
+        solution, expected = (
+            own(**problem),
+            np.clip(-g / problem["H"][0], problem["lb"], problem["ub"]),
+        )
+        if n > 1:
+            other = box_qp_by_library(n, ("daqp", "qpoases")[k % 2])(**problem)
+            assert other["ok"] == 1
+            expected = flat(other["x"])
+        assert solution["ok"] == 1
+        np.testing.assert_allclose(flat(solution["x"]), expected, rtol=0, atol=1e-8)
+        x = flat(solution["x"])
+        active += np.any((x == problem["lb"]) | (x == problem["ub"]))
+    assert active > 30
+
+
+# Preparation and feedback
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_preparation_does_not_see_the_newest_reading(speed_model):
+    phases, rng = build_phases(speed_model), np.random.default_rng(6)
+    z, m, P = rhe_instance(rng, speed_model)
+    results = []
+    for newest in (np.full(4, np.nan), np.zeros(4), np.full(4, 1e6)):
+        memory = window_memory(z, m, P, speed_model)
+        memory["z"][:, -1] = newest
+        results.append(
+            np.concatenate([flat(part) for part in phases["linearise"](**memory, V=V).values()])
+        )
+    np.testing.assert_array_equal(results[1:], results[:1] * 2)
+
+
+def test_feedback_sees_the_newest_reading_at_once():
+    _, z = drive(GUESS, weave(20))
+    for channel, change in enumerate((0.5, 0.5, 0.3, 0.3)):
+        one, other = rhec.RHE(guess=GUESS), rhec.RHE(guess=GUESS)
+        feed(one, z), feed(other, z)
+        changed = z[-1].copy()
+        changed[channel] += change
+        one.prepare(), other.prepare()
+        first, second = one.feedback(z[-1]), other.feedback(changed)
+        effect = (0, 1, 3, 2)[channel]  # x, y, ν; and θ by ω
+        assert second[effect] - first[effect] > 0.05 * change * (DT if effect == 2 else 1)
+
+
+def test_feedback_without_preparation_is_refused():
+    rhe = rhec.RHE()
+    rhe.prepare()
+    rhe.feedback((0, 0, 0.5, 0))
+    with pytest.raises(RuntimeError, match=r"prepare\(\) must be called before each feedback\(\)"):
+        rhe.feedback((0, 0, 0.5, 0))
+    rhe.prepare()
+    rhe.feedback((0, 0, 0.5, 0))
+
+
+# The arrival cost
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+@pytest.mark.parametrize("arrival_mean", ARRIVAL_MEANS)
+@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_mean, speed_model):
+    """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from
+    where `arrival_mean` says.
+    """
+    phases, keep = build_phases(speed_model, arrival_mean), places(speed_model)
+    sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])[keep]
+    _, z = drive(GUESS, weave(4 * N))
+    z = noisy(z, np.random.default_rng(7))
+    z[25, :2] = z[30, 3] = z[33:36] = np.nan
+    memory, weights = (first_memory(GUESS, paper.SIGMA_W_RHE, speed_model), dict(V=V, W=sigma**2))
+    for k, newest in enumerate(z):
+        before = memory
+        memory = phases["shift"](**before, **weights)
+        full = k > N
+        if full:
+            H = np.linalg.inv(np.array(memory["P"]))
+            slack = np.linalg.eigvalsh(np.eye(len(sigma)) - sigma[:, None] * H * sigma)
+            assert slack.min() > -1e-9
+            smoothed = np.array(before["s"])[:, 1]
+            assert np.array_equal(flat(memory["m"]), smoothed) == (arrival_mean == "smoothed")
+        else:
+            np.testing.assert_array_equal(flat(memory["m"]), np.array(GUESS)[keep])
+        memory, _, _ = iterate(phases, memory | dict(z=memory["z"]), dict(z_N=newest), dict(V=V), 1)
+        window = np.array(memory["z"])
+        window[:, -1] = newest
+        memory = memory | dict(z=window)
+    assert full
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+def test_the_covariance_stays_symmetric_and_positive_definite(process_noise, speed_model):
+    _, z = drive(GUESS, weave(300))
+    for estimate in feed(
+        rhec.RHE(guess=GUESS, process_noise=process_noise, speed_model=speed_model),
+        noisy(z, np.random.default_rng(8)),
+    ):
+        scale = np.sqrt(np.diag(estimate.covariance))
+        np.testing.assert_array_equal(estimate.covariance, estimate.covariance.T)
+        assert np.linalg.eigvalsh(estimate.covariance / scale / scale[:, None]).min() > 0
+
+
+# Sensors that are silent, or lie
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_a_missing_reading_is_a_term_left_out(speed_model):
+    rng, phases = np.random.default_rng(9), build_phases(speed_model)
+    for _ in range(10):
+        z, m, P = rhe_instance(rng, speed_model)
+        complete = z.copy()
+        z[rng.random(z.shape) < 0.2] = np.nan
+        z[:, 3] = complete[:, 3]
+        z[rng.integers(1, N // 2), 3] = np.nan  # one that the positions after it tell
+        if speed_model == "input":
+            z[N:, 2] = complete[N:, 2]
+        memory, _, tolerances = iterate(
+            phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 300
+        )
+        assert tolerances[-1] < 1e-9
+        optimum, _ = rhe_by_ipopt(z, m, P, speed_model, guess=unknowns(memory))
+        np.testing.assert_allclose(unknowns(memory), optimum, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("reading", [np.inf, -np.inf, 1e12, -1e300])
+@pytest.mark.parametrize("channel", range(4))
+def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
+    _, z = drive(GUESS, weave(3 * N))
+    z = noisy(z, np.random.default_rng(10))
+    z[7:35:3, channel] = np.nan
+    silent = feed(rhec.RHE(guess=GUESS), z)
+    z[7:35:3, channel] = reading
+    absurd = feed(rhec.RHE(guess=GUESS), z)
+    for one, other in zip(silent, absurd):
+        np.testing.assert_array_equal(
+            np.append(one[:6], one.covariance), np.append(other[:6], other.covariance)
+        )
+
+
+def test_while_the_yaw_rate_is_silent_the_last_one_holds():
+    truth, z = drive(GUESS, np.full(40, 0.08))
+    z[20:24, 3] = np.nan
+    estimates = feed(rhec.RHE(guess=GUESS, process_noise="calibrated"), z, iterations=8)
+    np.testing.assert_allclose([estimate[:6] for estimate in estimates], truth, atol=1e-9)
+
+
+reading = st.floats(-3, 3) | st.floats() | st.sampled_from([np.nan, 0.0, 1e8, -1e8])
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    st.lists(st.tuples(reading, reading, reading, reading), min_size=1, max_size=40),
+    st.sampled_from(SPEED_MODELS),
+    st.booleans(),
+)
+def test_whatever_the_sensors_say_estimates_stay_finite_and_traction_between_0_and_1(
+    z, speed_model, guessed
+):
+    rhe = rhec.RHE(guess=GUESS if guessed else None, speed_model=speed_model)
+    for estimate in feed(rhe, z):
+        assert np.all(np.isfinite(estimate[:6])) and np.all(np.isfinite(estimate.covariance))
+        assert 0 <= estimate.mu <= 1 and 0 <= estimate.kappa <= 1
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_after_ten_seconds_without_gnss_it_finds_back(speed_model):
+    truth, z = drive(GUESS, 3 * weave(150))
+    z = noisy(z, np.random.default_rng(11))
+    z[60:110, :2] = np.nan
+    estimates = feed(rhec.RHE(guess=GUESS, process_noise="calibrated", speed_model=speed_model), z)
+    assert estimates[109].covariance[0, 0] > 4 * estimates[-1].covariance[0, 0]
+    assert estimates[-1][:3] == pytest.approx(truth[-1, :3], abs=0.1)
+
+
+# What one can get wrong
+
+
+@pytest.mark.parametrize("z", [(0, 0, 0), np.zeros((4, 1)), 0.0])
+def test_a_wrong_shape_is_named(z):
+    rhe = rhec.RHE()
+    rhe.prepare()
+    with pytest.raises(ValueError, match="^z had "):
+        rhe.feedback(z)
+
+
+@pytest.mark.parametrize(
+    "bad, name",
+    [
+        (dict(dt=0), "dt"),
+        (dict(horizon=0), "horizon"),
+        (dict(process_noise="exact"), "process_noise"),
+        (dict(sigma_w=(1, 1)), "sigma_w"),
+        (dict(speed_model="input", sigma_w=(1,) * 6), "sigma_w"),
+        (dict(sigma_v=(0, 1, 1, 1)), r"sigma_v\[0\]"),
+        (dict(speed_model="none"), "speed_model"),
+        (dict(arrival_mean=0), "arrival_mean"),
+        (dict(guess=(0, 0, 0)), r"guess(\[3\])?"),
+        (dict(guess=(np.nan,) * 6), r"guess\[0\]"),
+    ],
+)
+def test_a_bad_argument_is_named_in_one_sentence(bad, name):
+    with pytest.raises(ValueError, match=f"^{name} was .*; .*$"):
+        rhec.RHE(**bad)

@@ -1,0 +1,893 @@
+"""The exported C: its answers equal Python's on every machine, it needs libm alone, and no input
+makes it fail; its report.
+"""
+
+import ctypes
+import dataclasses
+import json
+import shutil
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import no_compiler
+from oracles import mhe_instance
+from robots import DT, ROBOTS, VARIANTS
+
+import rhec
+from notebooks.embedded_measurements import instructions, report, toolchain
+from rhec import paper
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import pack_array, select_inputs
+from rhec.core.controller import rhc
+from rhec.embedded import LOG, phases
+from rhec.extensions import cautious
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import MEASUREMENTS
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.references import build_references
+from rhec.tracked_robot.rhc import horizon_of
+from rhec.workbench.plots.timing import embedded_times
+from rhec.workbench.studies.timing import PHASES
+
+SECONDS = 20.0
+TOLERANCE = 1e-9
+ANSWERS = [name for name in LOG if name not in MEASUREMENTS]
+RESTARTED = toolchain.STATUS["estimator_restarted"], toolchain.STATUS["controller_restarted"]
+QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS]
+needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
+needs_valgrind = pytest.mark.skipif(not shutil.which("valgrind"), reason="there is no valgrind")
+ON = {"this machine": toolchain.this_machine, "Arm": toolchain.arm}
+
+
+def own_estimator():
+    """A complementary filter: yaw by the encoders, the position drawn towards GNSS."""
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    x, y, theta, nu, mu, kappa = ca.vertsplit(memory)
+    theta = theta + 0.2 * kappa * z[3]
+    new = ca.vertcat(x + 0.2 * (z[0] - x), y + 0.2 * (z[1] - y), theta, z[2], 0.9, 0.8)
+    return ca.Function("mine", [memory, z], [new, new])
+
+
+SCENARIOS = {
+    "paper": dict(),
+    "everything else": dict(
+        speed_model="input",
+        arrival_mean="filtered",
+        input_reference="curvature",
+        prediction_horizon=8,
+        estimation_horizon=6,
+        q=(1, 1, 10),
+        backwards=True,
+        look_ahead_m=0.3,
+        command_delay=1,
+        guess_yaw_rad=0.2,
+        process_noise="calibrated",
+        path=rhec.Path.from_segments(
+            [(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5)
+        ),
+    ),
+    "robust": dict(
+        speed_model="slipping",
+        robust=True,
+        faults=(
+            rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0),
+            rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0),
+        ),
+    ),
+    "EKF": dict(estimator="ekf", process_noise="calibrated"),
+    "dual": dict(estimator="dual", robust=True),
+    "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
+    "RHE, fixed traction": dict(estimator="rhe_fixed_traction", mu_mean=0.7, kappa_mean=0.6),
+    "bounded EKF": dict(estimator="bounded_ekf", process_noise="calibrated"),
+    "own estimator": dict(estimator=own_estimator()),
+    "cautious": dict(
+        estimator="dual",
+        cautious=True,
+        backwards=True,
+        path=rhec.Path.from_segments([(2.0, 0.0), (4.0, 0.2), (20.0, 0.0)]),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """name of a scenario -> its export, made once. What is not the paper's runs on the virtual
+    machine here, which is made sooner.
+    """
+    made = {}
+
+    def export(name):
+        if name not in made:
+            scenario, folder = (
+                rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS[name]),
+                tmp_path_factory.mktemp("export") / "rhec",
+            )
+            if name == "paper":
+                made[name] = rhec.export(scenario, folder)
+            else:
+                with no_compiler():
+                    made[name] = rhec.export(scenario, folder)
+        return made[name]
+
+    return export
+
+
+@pytest.fixture(scope="module")
+def built(exported, tmp_path_factory):
+    """(scenario's name, machine's name) -> (Machine, object files), made once."""
+    made = {}
+
+    def build(name, on):
+        machine = ON[on]()
+        if machine is None:
+            pytest.skip(
+                "there is no C compiler"
+                if on == "this machine"
+                else "there is no compiler for 64-bit Arm, or no emulator"
+            )
+        if (name, on) not in made:
+            made[name, on] = (
+                machine,
+                toolchain.library(
+                    machine, exported(name), tmp_path_factory.mktemp("built"), QUICKLY
+                ),
+            )
+        return made[name, on]
+
+    return build
+
+
+@pytest.fixture(scope="module")
+def library(exported, tmp_path_factory):
+    """The paper's export as a shared library, to be called from Python; not optimised, and the same
+    answers.
+    """
+    return shared(exported("paper"), tmp_path_factory.mktemp("shared"))
+
+
+def shared(export, folder, *sources):
+    """An export, and other sources, as a shared library."""
+    if not compiled.compiler():
+        pytest.skip("there is no C compiler")
+    out = folder / "rhec.so"
+    subprocess.run(
+        [
+            compiled.compiler(),
+            "-std=c99",
+            "-ffp-contract=off",
+            "-shared",
+            "-fPIC",
+            f"-I{export}",
+            *(export / source for source in toolchain.LIBRARY),
+            *sources,
+            "-o",
+            out,
+            "-lm",
+        ],
+        check=True,
+    )
+    return ctypes.CDLL(str(out))
+
+
+class Robot:
+    """struct rhec and its functions."""
+
+    def __init__(self, library, export, guess=None):
+        self.library, self.settings = (
+            library,
+            ctypes.byref(ctypes.c_char.in_dll(library, "rhec_scenario")),
+        )
+        header = (export / "rhec_memory.h").read_text()
+        self.memory = ctypes.create_string_buffer(
+            int(header.split("RHEC_MEMORY_BYTES ")[1].split()[0])
+        )
+        scenario_guess = (ctypes.c_double * 6).in_dll(library, "rhec_scenario_guess")
+        self.guess = np.array(scenario_guess if guess is None else guess, dtype=float)
+        library.rhec_init(self.memory, self.settings, self.guess.ctypes)
+
+    def step(self, z, prepare=True):
+        """(estimate (6,), ω, status)"""
+        z, estimate, omega = np.array(z, dtype=float), np.zeros(6), ctypes.c_double()
+        if prepare:
+            self.library.rhec_prepare_estimate(self.memory)
+            self.library.rhec_prepare_control(self.memory)
+        status = self.library.rhec_estimate(self.memory, z.ctypes, estimate.ctypes)
+        status |= self.library.rhec_control(self.memory, ctypes.byref(omega))
+        return estimate, omega.value, status
+
+
+def log_of(export):
+    return pd.read_csv(export / "log.csv")
+
+
+def in_python(scenario, measurements):
+    """Answers of the closed loop's own Functions to these measurements: (samples, 7), or with the
+    commanded speed (samples, 8).
+    """
+    setup, choice = closed_loop.set_up(scenario), Choice.of(scenario)
+    settings, limits = setup.settings, SPEED_MODELS["parameter"].model.limits
+    estimate_step = build_step(choice)
+    horizon = horizon_of(scenario.prediction_horizon)
+    references = build_references(paper.DT_S, horizon.N, len(setup.path.segments))["references"]
+    control = rhc.build_phases(horizon)["step"]
+    guess = dict(zip(QUANTITIES, setup.guess))
+    estimator = pack_array(estimator_of(choice.estimator).init(choice, guess))
+    controller = pack_array(rhc.init(horizon, setup.guess[:3], setup.guess[3:]))
+    if scenario.cautious:
+        states = estimator_of(choice.estimator).states(choice)
+        control = cautious.build_step(control, states, len(setup.path.segments), paper.DT_S)
+        controller = np.append(controller, scenario.speed_mps)
+    s, omega, answers = setup.path.project(setup.guess[None, :2])[1], 0.0, []
+    names = ["memory", "estimate", *estimate_step.name_out()[2:]]
+    for z in measurements:
+        known = [settings[name] for name in estimate_step.name_in()[2:]]
+        outputs = dict(zip(names, estimate_step.call([estimator, z, *known])))
+        estimator, estimate = outputs["memory"], outputs["estimate"]
+        target = references(
+            **select_inputs(references, settings),
+            s=s,
+            estimate=estimate,
+            omega_measured=z[3] if abs(z[3]) <= limits[3] else omega,
+        )
+        planned = control(
+            **select_inputs(control, settings | outputs | target | dict(memory=controller)),
+            s_0=estimate,
+            x_ref=target["xi_ref"],
+            u_ref=target["omega_ref"],
+        )
+        s, controller, omega = target["s"], planned["memory"], float(planned["command"])
+        speed = [float(planned["speed_mps"])] if scenario.cautious else []
+        answers.append([*estimate.full().ravel(), omega, *speed])
+    return np.array(answers)
+
+
+# Its answers equal Python's
+
+
+@pytest.mark.parametrize(
+    "name, on",
+    [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")],
+)
+def test_answers_to_the_log_of_a_closed_loop_equal_pythons(name, on, exported, built):
+    machine, objects = built(name, on)
+    program = toolchain.program(machine, exported(name), "replay", objects, QUICKLY)
+    answers, expected = (
+        toolchain.replay(machine, program, exported(name) / "log.csv"),
+        log_of(exported(name)),
+    )
+    assert len(answers) == len(expected) == SECONDS / paper.DT_S
+    np.testing.assert_allclose(answers[ANSWERS], expected[ANSWERS], rtol=0, atol=TOLERANCE)
+    assert (answers["status"] == 0).all()
+    assert toolchain.run(machine, program, exported(name) / "log.csv").returncode == 0
+
+
+def test_an_ekf_with_fixed_traction_is_given_the_fields_mean(exported):
+    scenario = rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS["fixed traction"])
+    mean, given = closed_loop.set_up(scenario).terrain.mean, phases.export(scenario).settings
+    np.testing.assert_array_equal(given["traction"].ravel(), mean)
+    assert np.max(mean) < 0.8
+    source = (exported("fixed traction") / "rhec_scenario.c").read_text()
+    assert f".traction = {{{float(mean[0])!r}, {float(mean[1])!r}}}" in source
+
+
+def test_answers_to_missing_and_implausible_measurements_equal_pythons(exported, library):
+    measurements = log_of(exported("paper"))[MEASUREMENTS].to_numpy()
+    rng = np.random.default_rng(0)
+    for value in (np.nan, np.inf, -1e300):
+        measurements[rng.random(measurements.shape) < 0.1] = value
+    measurements[40:44] = np.nan
+    robot = Robot(library, exported("paper"))
+    answers = np.array([[*estimate, omega] for estimate, omega, _ in map(robot.step, measurements)])
+    np.testing.assert_allclose(
+        answers,
+        in_python(rhec.Scenario(duration_s=SECONDS, seed=1), measurements),
+        rtol=0,
+        atol=TOLERANCE,
+    )
+
+
+def test_the_commanded_speed_equals_pythons(exported, tmp_path):
+    """To measurements with gaps, on which it slows down; overwritten memory keeps it in bounds."""
+    (tmp_path / "speed.c").write_text(
+        '#include "rhec.h"\ndouble speed(const struct rhec *r) { return r->nu[0]; }\n'
+    )
+    library = shared(exported("cautious"), tmp_path, tmp_path / "speed.c")
+    library.speed.restype = ctypes.c_double
+    robot = Robot(library, exported("cautious"))
+    scenario = rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS["cautious"])
+    measurements = log_of(exported("cautious"))[MEASUREMENTS].to_numpy()
+    measurements[40:44] = np.nan
+    answers = []
+    for z in measurements:
+        estimate, omega, _ = robot.step(z)
+        answers.append([*estimate, omega, library.speed(robot.memory)])
+    expected = in_python(scenario, measurements)
+    np.testing.assert_allclose(answers, expected, rtol=0, atol=TOLERANCE)
+    speeds = expected[:, -1]
+    assert speeds.min() == pytest.approx(-scenario.speed_mps) and speeds.max() > -0.4
+
+    doubles = np.frombuffer(robot.memory, dtype=float)
+    for value in (np.nan, np.inf, -1e11, 1e300):
+        doubles[4:] = value  # all but the settings' address and the counters
+        for z in measurements[-5:]:
+            robot.step(z)
+            assert -scenario.speed_mps <= library.speed(robot.memory) <= 0
+
+
+def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
+    machine, objects = built("paper", "this machine")
+    log = log_of(exported("paper"))
+    log.loc[50, "kappa_hat"] += 1e-8
+    log.to_csv(tmp_path / "log.csv", index=False)
+    finished = toolchain.run(
+        machine,
+        toolchain.program(machine, exported("paper"), "replay", objects),
+        tmp_path / "log.csv",
+    )
+    assert (
+        finished.returncode == 1 and "largest difference in 100 samples: 1e-08" in finished.stderr
+    )
+
+
+def test_replay_takes_a_log_without_answers_and_with_gaps(exported, built, tmp_path):
+    machine, objects = built("paper", "this machine")
+    log = log_of(exported("paper"))[MEASUREMENTS].mask(lambda z: z > 1.2)
+    log.to_csv(tmp_path / "log.csv", index=False)
+    answers = toolchain.replay(
+        machine,
+        toolchain.program(machine, exported("paper"), "replay", objects),
+        tmp_path / "log.csv",
+    )
+    np.testing.assert_allclose(
+        answers[ANSWERS],
+        in_python(rhec.Scenario(duration_s=SECONDS, seed=1), log.to_numpy()),
+        rtol=0,
+        atol=TOLERANCE,
+    )
+
+
+def test_the_closest_point_equals_path_project():
+    rng = np.random.default_rng(2)
+    for target in (
+        rhec.Path.racetrack(30.0, 7.8),
+        SCENARIOS["everything else"]["path"],
+        rhec.Path.from_segments([(5.0, -0.3), (2.0, 0.0)]),
+    ):
+        xy = rng.uniform(-20, 40, (300, 2))
+        estimates = np.column_stack([xy, np.zeros((300, 4))]).T
+        found = phases.closest(len(target.segments))(
+            estimate=estimates, segments=target.segments.T, length_m=target.length_m
+        )["s"]
+        _, s = target.project(xy)
+        np.testing.assert_allclose(found.full().ravel(), s, atol=1e-6)
+
+
+# How it is called
+
+
+def test_answers_do_not_depend_on_when_preparation_runs(exported, library):
+    one, other = Robot(library, exported("paper")), Robot(library, exported("paper"))
+    for k, z in enumerate(log_of(exported("paper"))[MEASUREMENTS].to_numpy()[:40]):
+        prepared, late = one.step(z), other.step(z, prepare=k % 3 == 0)
+        np.testing.assert_array_equal(prepared[0], late[0])
+        assert prepared[1:] == late[1:]
+
+
+def test_two_robots_are_independent(exported, library):
+    measurements = log_of(exported("paper"))[MEASUREMENTS].to_numpy()[:30]
+    alone = [Robot(library, exported("paper")).step(measurements[0])[1]]
+    one, other = (
+        Robot(library, exported("paper")),
+        Robot(library, exported("paper"), guess=[5, 5, 1, 0.3, 1, 1]),
+    )
+    together = []
+    for z in measurements:
+        together.append(one.step(z)[1])
+        other.step(-z)
+    single = Robot(library, exported("paper"))
+    assert together == [single.step(z)[1] for z in measurements] and together[:1] == alone
+
+
+def test_implausible_entries_of_the_guess_are_replaced(exported, library):
+    nonsense = Robot(library, exported("paper"), guess=[np.nan, np.inf, 1e300, -1e9, np.nan, 50])
+    clean = Robot(library, exported("paper"), guess=[0, 0, 0, 0, 1, 1])
+    z = log_of(exported("paper"))[MEASUREMENTS].to_numpy()[0]
+    np.testing.assert_array_equal(nonsense.step(z)[0], clean.step(z)[0])
+
+
+def test_overwritten_memory_restarts_and_is_reported(exported, library):
+    robot = Robot(library, exported("paper"))
+    log = log_of(exported("paper"))
+    for z in log[MEASUREMENTS].to_numpy()[:50]:
+        assert robot.step(z)[2] == 0
+    doubles = np.frombuffer(robot.memory, dtype=float)
+    doubles[4:] = np.nan  # all but the settings' address and the counters
+    _, omega, status = robot.step(log[MEASUREMENTS].to_numpy()[50])
+    assert status == sum(RESTARTED) and abs(omega) <= paper.OMEGA_MAX_RADPS
+    for z in log[MEASUREMENTS].to_numpy()[51:]:
+        estimate, omega, status = robot.step(z)
+        assert status == 0 and abs(omega) <= paper.OMEGA_MAX_RADPS and np.isfinite(estimate).all()
+    assert np.hypot(*(estimate[:2] - log[["x_hat_m", "y_hat_m"]].to_numpy()[-1])) < 0.2
+
+
+def test_an_implausible_estimate_restarts(exported, library):
+    """Positions that jump by more than anything drives are believed for a while; then the estimate
+    restarts at the measurement.
+    """
+    robot, z = Robot(library, exported("paper")), log_of(exported("paper"))[MEASUREMENTS].to_numpy()
+    statuses = 0
+    for k, row in enumerate(np.tile(z[:30], (3, 1))):
+        estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 40), 0, 0, 0])
+        statuses |= status
+        assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
+        assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
+    assert statuses & RESTARTED[0]
+
+
+# What it needs; fuzzing
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", ["gcc", "clang", "g++", "clang++", "aarch64-linux-gnu-gcc"])
+def test_no_compiler_warns(compiler, exported):
+    if not shutil.which(compiler):
+        pytest.skip(f"there is no {compiler}")
+    strict = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
+    for name in ("paper", "EKF", "cautious"):
+        folder = exported(name)
+        if compiler.endswith("++"):  # the header is for C++ as well
+            program = (
+                '#include "rhec.h"\n'
+                "int main() { static rhec r; "
+                "rhec_init(&r, &rhec_scenario, rhec_scenario_guess); }\n"
+            )
+            subprocess.run(
+                [compiler, "-std=c++11", *strict, f"-I{folder}", "-x", "c++", "-"],
+                input=program,
+                check=True,
+                text=True,
+            )
+        else:
+            subprocess.run(
+                [compiler, "-std=c99", *strict, *sorted(map(str, folder.glob("*.c")))], check=True
+            )
+
+
+@needs_compiler
+def test_it_needs_libm_alone_and_has_no_global_variables(built):
+    _, objects = built("paper", "this machine")
+    undefined = subprocess.run(
+        ["nm", "-u", *objects], check=True, capture_output=True, text=True
+    ).stdout.split()
+    own, libc = (
+        {"rhec_scenario", "rhec_scenario_guess", "_GLOBAL_OFFSET_TABLE_"},
+        {"memcpy", "memset", "memmove"},
+    )  # what compilers themselves call
+    libm = {
+        "sin",
+        "cos",
+        "sincos",
+        "atan2",
+        "hypot",
+        "floor",
+        "fmin",
+        "fmax",
+        "fabs",
+        "log",
+        "sqrt",
+    }
+    assert {
+        name for name in undefined if name not in ("U", ":") and not name.endswith(".o:")
+    } <= own | libc | libm
+    for line in subprocess.run(
+        ["size", *objects], check=True, capture_output=True, text=True
+    ).stdout.splitlines()[1:]:
+        assert line.split()[1:3] == ["0", "0"]  # data, bss
+
+
+@needs_compiler
+def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
+    compiler = shutil.which("clang") or compiled.compiler()
+    flags = [
+        "-std=c99",
+        "-O0",
+        "-g1",
+        "-fsanitize=address,undefined,float-cast-overflow",
+        "-fno-sanitize-recover=all",
+    ]
+    probe = [compiler, *flags, "-x", "c", "-", "-o", tmp_path / "probe"]
+    if subprocess.run(
+        probe, input="int main(void) { return 0; }", text=True, capture_output=True
+    ).returncode:
+        pytest.skip(f"{compiler} has no sanitizers")
+    sources = [f"{exported('paper')}/{source}" for source in ("fuzz.c", *toolchain.LIBRARY)]
+    subprocess.run(
+        [compiler, *flags, f"-I{exported('paper')}", *sources, "-o", tmp_path / "fuzz", "-lm"],
+        check=True,
+    )
+    finished = subprocess.run([tmp_path / "fuzz", "1500"], capture_output=True, text=True)
+    assert finished.returncode == 0 and not finished.stderr
+
+
+@needs_compiler
+@needs_valgrind
+def test_valgrind_finds_nothing(exported, built, tmp_path):
+    machine, objects = built("robust", "this machine")
+    for name, argument in (("replay", exported("robust") / "log.csv"), ("fuzz", "100")):
+        program = toolchain.program(machine, exported("robust"), name, objects)
+        finished = subprocess.run(
+            ["valgrind", "--error-exitcode=9", "--leak-check=full", program, str(argument)],
+            capture_output=True,
+            text=True,
+        )
+        assert finished.returncode == 0 and "0 errors from 0 contexts" in finished.stderr
+
+
+@needs_compiler
+def test_answers_are_bounded_while_fuzzing(exported, built):
+    """`fuzz` fails where an estimate is not finite or a command out of bounds."""
+    for name in ("paper", "robust", "EKF"):
+        machine, objects = built(name, "this machine")
+        came_back = toolchain.nonsense(
+            machine, toolchain.program(machine, exported(name), "fuzz", objects), 30_000, 7
+        ).iloc[0]
+        lost, storms = came_back["still_lost"], came_back["storms"]
+        assert came_back["samples"] >= 30_000 and lost < storms
+        assert lost == 0 if name == "robust" else True
+        assert 0 < came_back["estimator_restarted"] < came_back["samples"]
+
+
+@needs_compiler
+def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
+    shutil.copytree(exported("EKF"), tmp_path / "broken")
+    source = (tmp_path / "broken" / "rhec.c").read_text()
+    (tmp_path / "broken" / "rhec.c").write_text(
+        source.replace("*omega = r->omega[0];", "*omega = 1.001 * r->omega[0];")
+    )
+    machine = toolchain.this_machine()
+    objects = toolchain.library(machine, tmp_path / "broken", tmp_path, QUICKLY)
+    with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
+        toolchain.nonsense(
+            machine, toolchain.program(machine, tmp_path / "broken", "fuzz", objects), 3000
+        )
+
+
+@needs_compiler
+def test_an_export_in_a_relative_folder_compiles(exported, tmp_path, monkeypatch):
+    shutil.copytree(exported("EKF"), tmp_path / "rhec")
+    monkeypatch.chdir(tmp_path)
+    objects = toolchain.library(toolchain.this_machine(), "rhec", tmp_path, QUICKLY)
+    assert all(path.exists() for path in objects)
+
+
+def test_memory_and_stack_are_below_256_kib(exported, built):
+    machine, objects = built("paper", "this machine")
+    header = (exported("paper") / "rhec_memory.h").read_text()
+    memory = int(header.split("RHEC_MEMORY_BYTES ")[1].split()[0])
+    sizes = toolchain.sizes(machine, objects)
+    assert memory + np.nan_to_num(sizes["stack_bytes"]) < 256 * 1024
+    assert 0 < sizes["code_bytes"] < 1024 * 1024
+
+
+def test_instruction_counts_are_reproducible(exported, built, tmp_path):
+    machine, objects = built("paper", "Arm")
+    if not machine.emulator:
+        pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
+    program, samples = toolchain.program(machine, exported("paper"), "replay", objects), 6
+    (tmp_path / "log.csv").write_text(
+        "".join(
+            (exported("paper") / "log.csv").read_text().splitlines(keepends=True)[: samples + 1]
+        )
+    )
+    first, again = (instructions.trace(machine, program, tmp_path / "log.csv") for _ in range(2))
+    np.testing.assert_array_equal(instructions.counts(first), instructions.counts(again))
+    assert (
+        instructions.counts(first).shape == (samples, 4) and instructions.counts(first).min() > 500
+    )
+    table = instructions.table(first, 50_000)
+    assert (table["worst_instructions"] >= table["mean_instructions"]).all()
+    if shutil.which("llvm-mca"):
+        np.testing.assert_allclose(
+            table[["mean_ms", "worst_ms"]].iloc[-1], table[["mean_ms", "worst_ms"]].iloc[:-1].sum()
+        )
+        at_best_ms = 1e3 * table["mean_instructions"] / 2 / instructions.CLOCK_HZ  # two a cycle
+        assert (table["mean_ms"] > at_best_ms).all() and (
+            table["worst_ms"] > table["mean_ms"]
+        ).all()
+
+
+# The folder
+
+
+def test_export_is_reproducible(exported, tmp_path):
+    again = rhec.export(rhec.Scenario(duration_s=SECONDS, seed=1), tmp_path / "again")
+    assert sorted(path.name for path in again.iterdir()) == sorted(
+        path.name for path in exported("paper").iterdir()
+    )
+    for file in again.iterdir():
+        assert file.read_bytes() == (exported("paper") / file.name).read_bytes()
+
+
+def test_scenario_json_holds_every_field(exported):
+    fields = json.loads((exported("paper") / "scenario.json").read_text())
+    assert rhec.Scenario(
+        **{
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in fields.items()
+        }
+    ) == rhec.Scenario(duration_s=SECONDS, seed=1)
+    for name in SCENARIOS:
+        assert set(json.loads((exported(name) / "scenario.json").read_text())) == {
+            field.name for field in dataclasses.fields(rhec.Scenario)
+        }
+
+
+def test_an_earlier_export_is_replaced_and_other_files_stay(exported, tmp_path):
+    shutil.copytree(exported("paper"), tmp_path / "mine")
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    (tmp_path / "mine" / "rhec.h").write_text("broken")
+    with no_compiler():
+        assert (
+            rhec.export(rhec.Scenario(estimator="ekf", duration_s=2.0), str(tmp_path / "mine"))
+            == tmp_path / "mine"
+        )
+    assert (tmp_path / "mine" / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "mine" / "rhec.h").read_bytes() == (
+        exported("paper") / "rhec.h"
+    ).read_bytes()
+    assert '"ekf"' in (tmp_path / "mine" / "scenario.json").read_text()
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    for folder, reason in (
+        (tmp_path, "which holds other files"),
+        (tmp_path / "thesis.tex", "which is a file"),
+    ):
+        expected = (
+            f"^folder was .*{reason}; it should be a new or empty folder or an earlier export$"
+        )
+        with pytest.raises(ValueError, match=expected):
+            rhec.export(rhec.Scenario(), folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    for folder in (None, 3, ["build"]):
+        with pytest.raises(ValueError, match=r"^folder was .*; it should be a path$"):
+            rhec.export(rhec.Scenario(), folder)
+
+
+def solving_estimator():
+    """An estimator that solves a QP with a library."""
+    memory, z = ca.MX.sym("memory", 6), ca.MX.sym("z", 4)
+    x = ca.conic("qp", "daqp", {"h": ca.Sparsity.dense(2, 2)})(h=ca.DM.eye(2), g=-z[:2])["x"]
+    return ca.Function("mine", [memory, z], [ca.vertcat(x, memory[2:])] * 2)
+
+
+@pytest.mark.parametrize(
+    "scenario, message",
+    [
+        ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
+        (
+            rhec.Scenario(estimator="oracle"),
+            "^estimator was 'oracle', which is given the truth; to export, it should be one of "
+            "'rhe', 'rhe_fixed_traction', 'rhe_no_slip', 'ekf', 'augmented_ekf', 'bounded_ekf', "
+            "'fixed_traction', 'dual' or a Function of your own$",
+        ),
+        (
+            rhec.Scenario(estimator="traction_oracle"),
+            "^estimator was 'traction_oracle', which is given the true traction",
+        ),
+        (
+            rhec.Scenario(estimator=solving_estimator()),
+            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of "
+            "expressions alone$",
+        ),
+        (
+            rhec.Scenario(qp="daqp"),
+            "^qp was 'daqp', which needs a library; to export, it should be 'structured'$",
+        ),
+        (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
+    ],
+)
+def test_a_scenario_that_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        rhec.export(scenario, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+# Of any robot
+
+EVERY_ROBOT = ROBOTS | VARIANTS
+
+
+def made_for(robot):
+    """An RHE and an RHC of a robot, which is not where the RHE believes it to be."""
+    rng = np.random.default_rng(3)
+    x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
+    model = rhec.Model(**robot.model)
+    mhe = rhec.RHE(model=model, dt=DT, horizon=6, guess=(*x, *p), **robot.estimator)
+    return mhe, rhec.RHC(model=model, dt=DT, horizon=8, **robot.controller)
+
+
+class RobotInC:
+    """struct rhec of a Model's export, and its functions."""
+
+    def __init__(self, folder, out):
+        sources = [folder / source for source in toolchain.LIBRARY]
+        flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off"]
+        command = [shutil.which("cc") or "gcc", *flags, "-shared", "-fPIC", *sources, "-lm"]
+        subprocess.run([*command, "-o", out / "rhec.so"], check=True)
+        self.library = ctypes.CDLL(str(out / "rhec.so"))
+        sizes = (folder / "rhec_memory.h").read_text()
+        size = int(sizes.split("RHEC_MEMORY_BYTES ")[1].split()[0])
+        self.memory = ctypes.create_string_buffer(size)
+        settings, guess = (
+            ctypes.byref(ctypes.c_char.in_dll(self.library, f"rhec_scenario{name}"))
+            for name in ("", "_guess")
+        )
+        self.library.rhec_init(self.memory, settings, guess)
+
+    def call(self, name, *arrays, length):
+        """(answer, status)"""
+        arrays, answer = (
+            [np.ravel(array, order="F").astype(float) for array in arrays],
+            np.zeros(length),
+        )
+        status = getattr(self.library, f"rhec_{name}")(
+            self.memory, *(array.ctypes for array in arrays), answer.ctypes
+        )
+        return answer, status
+
+
+def live_and_in_c(mhe, mpc, in_c, log, references, late=lambda k: False):
+    """Answers of Python and of C along a log, rows of (estimate, command), and C's statuses."""
+    live, exported, statuses = [], [], []
+    for k, (z, (x_ref, u_ref)) in enumerate(zip(log, references)):
+        mhe.prepare()
+        mpc.prepare()
+        if not late(k):
+            in_c.library.rhec_prepare_estimate(in_c.memory)
+            in_c.library.rhec_prepare_control(in_c.memory)
+        estimate = mhe.feedback(z)
+        u = mpc.feedback(x=estimate.x, p=estimate.p, x_ref=x_ref, u_ref=u_ref)
+        live.append(np.concatenate([*estimate[:3], u]))
+        known, status = in_c.call("estimate", z, length=len(mhe.model.names))
+        x, p = known[: len(estimate.x)], known[len(known) - len(estimate.p) :]
+        command, planned = in_c.call("control", x, p, x_ref, u_ref, length=len(u))
+        exported.append(np.concatenate([known, command]))
+        statuses.append(status | planned)
+    return np.array(live), np.array(exported), statuses
+
+
+def inputs_of(robot, samples, seed=4):
+    """A log of measurements, a fifth of them missing, and references that keep bounds active."""
+    rng = np.random.default_rng(seed)
+    _, z = mhe_instance(robot, rng, samples - 1, missing=0.2)
+    references = []
+    for _ in range(samples):
+        u_ref = rng.uniform(*robot.u_range, (8, len(robot.inputs))).T
+        references.append((rng.uniform(*robot.x_range, (9, len(robot.states))).T, u_ref))
+    return z, references
+
+
+@needs_compiler
+@pytest.mark.parametrize("robot", EVERY_ROBOT.values(), ids=EVERY_ROBOT)
+def test_a_models_export_answers_as_the_live_objects(robot, tmp_path):
+    with no_compiler():
+        mhe, mpc = made_for(robot)
+        folder = rhec.export((mhe, mpc), tmp_path / "rhec")
+    z, references = inputs_of(robot, 40)
+    live, exported, statuses = live_and_in_c(
+        mhe, mpc, RobotInC(folder, tmp_path), z, references, late=lambda k: k % 3 == 0
+    )
+    np.testing.assert_allclose(exported, live, rtol=0, atol=TOLERANCE)
+    assert not any(statuses)
+
+
+@needs_compiler
+def test_a_models_estimator_or_controller_can_be_exported_alone(tmp_path):
+    with no_compiler():
+        both = made_for(ROBOTS["bicycle"])
+        folders = [rhec.export(part, tmp_path / type(part).__name__) for part in both]
+    (mhe, mpc), (z, references) = both, inputs_of(ROBOTS["bicycle"], 20)
+    for folder, absent in zip(folders, ("rhec_control", "rhec_estimate")):
+        in_c = RobotInC(folder, folder)
+        assert not hasattr(in_c.library, absent)
+        for row, (x_ref, u_ref) in zip(z, references):
+            mhe.prepare()
+            estimate = mhe.feedback(row)
+            if absent == "rhec_control":
+                answer, _ = in_c.call("estimate", row, length=7)
+                expected = np.concatenate(estimate[:3])
+            else:
+                mpc.prepare()
+                expected = mpc.feedback(x=estimate.x, p=estimate.p, x_ref=x_ref, u_ref=u_ref)
+                answer, _ = in_c.call("control", estimate.x, estimate.p, x_ref, u_ref, length=2)
+            np.testing.assert_allclose(answer, expected, rtol=0, atol=TOLERANCE)
+        with no_compiler():
+            mhe, _ = made_for(ROBOTS["bicycle"])
+
+
+@needs_compiler
+def test_a_models_export_survives_invalid_numbers(tmp_path):
+    """Estimates stay finite, commands within their bounds; afterwards it estimates again."""
+    robot = ROBOTS["skid_steered"]
+    with no_compiler():
+        folder = rhec.export(made_for(robot), tmp_path / "rhec")
+    in_c, rng = RobotInC(folder, tmp_path), np.random.default_rng(5)
+    z, references = inputs_of(robot, 400)
+    low, high = np.transpose([*robot.bounds.values()])
+    doubles, seen = np.frombuffer(in_c.memory, dtype=float), 0
+    for k, (row, (x_ref, u_ref)) in enumerate(zip(z, references)):
+        wrong = k < 300 and rng.random(row.shape) < 0.3
+        row = np.where(wrong, rng.choice([np.nan, np.inf, -1e300, 1e9, 0.0], row.shape), row)
+        if k % 50 == 25 and k < 300:
+            doubles[3:] = np.nan  # all but the settings' address and the counters
+        known, status = in_c.call("estimate", row, length=7)
+        command, planned = in_c.call("control", known[:3], known[5:], x_ref, u_ref, length=2)
+        assert np.isfinite(known).all() and (low <= command).all() and (command <= high).all()
+        seen |= status | planned
+    assert seen & sum(RESTARTED) == sum(RESTARTED) and status == planned == 0
+
+
+@pytest.mark.parametrize("wrong", ["twice", "paper", "ekf", "dt", "nothing"])
+def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tmp_path):
+    with no_compiler():
+        mhe, mpc = made_for(ROBOTS["cart"])
+        kalman = dict(dt=DT, guess=(0, 0, 0), **ROBOTS["cart"].estimator)
+        other = rhec.RHC(model=mpc.problem.model, dt=0.1, horizon=8, **ROBOTS["cart"].controller)
+        parts, sentence = {
+            "twice": ((mhe, mhe), "^scenario was .* it should be a RHE, a RHC or one of each"),
+            "paper": (rhec.RHE(), "of the paper's robot a Scenario$"),
+            "ekf": (rhec.EKF(model=mhe.model, **kalman), "^scenario was .*; it should be"),
+            "dt": ((mhe, other), "^RHE and RHC differ; both should have the same model and dt$"),
+            "nothing": ((), "^scenario was .*; it should be a rhec.Scenario"),
+        }[wrong]
+        with pytest.raises(ValueError, match=sentence):
+            rhec.export(parts, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+# The report
+
+
+def test_the_figure_shows_each_time():
+    times = pd.DataFrame(
+        [
+            *report.reported(),
+            *(
+                dict(
+                    machine="this machine",
+                    who="rhec, measured",
+                    problem=problem,
+                    phase=phase,
+                    mean_ms=mean,
+                    worst_ms=1.0,
+                )
+                for (problem, phase), mean in zip(PHASES, (0.004, 0.0003, 0.001, 0.0015))
+            ),
+        ]
+    )
+    (axes,) = embedded_times(times).axes
+    assert [text.get_text() for text in axes.texts] == ["152 of 880 µs", "1.8 of 6.8 µs"]
+    assert "[µs]" in axes.get_xlabel() and axes.get_xscale() == "log"
+    drawn = sorted(float(line.get_xdata()[0]) for line in axes.lines if line.get_marker() == "o")
+    assert drawn == pytest.approx([1.8, 6.8, 152, 880], rel=0.01)
+
+
+def test_without_a_compiler_the_report_has_the_papers_times(exported, monkeypatch):
+    folder = exported("paper")
+    monkeypatch.setattr(toolchain, "this_machine", lambda: None)
+    monkeypatch.setattr(toolchain, "arm", lambda: None)
+    made = report.measure(folder)
+    assert (
+        made["sizes"].empty
+        and made["counted"].empty
+        and made["nonsense"].empty
+        and set(made["times"]["who"]) == {"paper, reported"}
+    )
+    assert embedded_times(made["times"]).axes

@@ -1,0 +1,397 @@
+"""Sensor faults: their effect on a stream of measurements and in the closed loop, the robot's
+response, arguments.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import flat
+
+import rhec
+from rhec import paper
+from rhec.extensions import faults
+from rhec.extensions.faults import Fault
+from rhec.simulation import closed_loop
+from rhec.workbench.plots.faults import fault_courses, fault_overview
+from rhec.workbench.studies import robustness
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+DT, B = paper.DT_S, paper.TRACK_WIDTH_M
+T = np.arange(100) * DT
+Z = np.column_stack(
+    [0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)]
+)  # smooth, and no two samples alike
+DURING = slice(50, 60)  # 10 s ≤ t < 12 s
+SHORT = rhec.Scenario(process_noise="calibrated", duration_s=30.0)
+
+
+def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
+    """Z as it arrives with this fault."""
+    return faults.corrupted(Z, [Fault(start_s=start_s, duration_s=duration_s, **fault)], T, B, seed)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        dict(kind="missing"),
+        dict(kind="infinite"),
+        dict(kind="outliers", size_m=1.0),
+        dict(kind="jump", size_m=1.0),
+        dict(kind="stuck"),
+        dict(kind="duplicates"),
+        dict(kind="disorder"),
+        dict(kind="latency", delay_s=0.3),
+        dict(kind="rate", rate_hz=1.0),
+        dict(kind="dead", channel="left"),
+    ],
+    ids=str,
+)
+def test_only_the_channel_and_the_time_of_the_fault_are_touched(fault):
+    for channel in faults.OWN_CHANNELS.get(fault["kind"], faults.CHANNELS):
+        got = arriving(**fault | {"channel": channel})
+        changed = ~((got == Z) | (np.isnan(got) & np.isnan(Z)))
+        assert not changed[:50].any() and not changed[60:].any()
+        touched = {"gnss": [0, 1], "all": [0, 1, 2, 3]}.get(channel, [2, 3])
+        assert changed[DURING].any(axis=0).tolist() == [row in touched for row in range(4)]
+
+
+def test_missing_is_nan_and_infinite_inf():
+    assert np.isnan(arriving(kind="missing", channel="all")[DURING]).all()
+    assert np.isposinf(arriving(kind="infinite", channel="encoders")[DURING, 2:]).all()
+
+
+def test_outliers_have_their_size_and_the_directions_of_their_seed():
+    off = [
+        (arriving(kind=kind, size_m=3.0, seed=seed) - Z)[DURING, :2]
+        for kind in ("outliers", "jump")
+        for seed in (0, 0, 1)
+    ]
+    np.testing.assert_allclose(np.hypot(*np.concatenate(off).T), 3.0)
+    for kind in (off[:3], off[3:]):
+        np.testing.assert_array_equal(kind[0], kind[1])
+        assert np.abs(kind[0] - kind[2]).max() > 0.1
+    assert np.ptp(off[0], axis=0).min() > 1 and np.ptp(off[3], axis=0).max() < 1e-12
+
+
+def test_a_stuck_position_is_the_last_one_before():
+    np.testing.assert_array_equal(arriving(kind="stuck")[DURING, :2], Z[[49] * 10, :2])
+    np.testing.assert_array_equal(
+        arriving(kind="stuck", start_s=-1.0, duration_s=2.0)[:5],
+        np.column_stack([Z[[0] * 5, :2], Z[:5, 2:]]),
+    )
+
+
+@pytest.mark.parametrize(
+    "kind, order",
+    [
+        ("duplicates", [50, 50, 52, 52, 54, 54, 56, 56, 58, 58]),
+        ("disorder", [50, 49, 52, 51, 54, 53, 56, 55, 58, 57]),
+    ],
+)
+def test_duplicates_and_disorder_deliver_earlier_samples(kind, order):
+    np.testing.assert_array_equal(arriving(kind=kind, channel="all")[DURING], Z[order])
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 0.2, 0.35, 0.6])
+def test_latency_delivers_the_position_of_an_earlier_time(delay_s):
+    """Linear between the samples."""
+    got = arriving(kind="latency", delay_s=delay_s)
+    np.testing.assert_allclose(got[DURING, 0], 0.1 * (T[DURING] - delay_s), atol=1e-12)
+    np.testing.assert_array_equal(
+        arriving(kind="latency", delay_s=delay_s, start_s=0.0)[0], Z[0]
+    )  # there is none before the first
+
+
+@pytest.mark.parametrize("rate_hz, every", [(5.0, 1), (2.5, 2), (1.0, 5), (0.5, 10)])
+def test_at_a_lower_rate_positions_are_missing(rate_hz, every):
+    there = ~np.isnan(arriving(kind="rate", rate_hz=rate_hz)[DURING, 0])
+    np.testing.assert_array_equal(there, np.arange(10) % every == 0)
+
+
+def test_a_dead_encoder_measures_0():
+    left, right = Z[DURING, 2] - B / 2 * Z[DURING, 3], Z[DURING, 2] + B / 2 * Z[DURING, 3]
+    for channel, l, r in (
+        ("left", 0 * left, right),
+        ("right", left, 0 * right),
+        ("encoders", 0 * left, 0 * right),
+    ):
+        np.testing.assert_allclose(
+            arriving(kind="dead", channel=channel)[DURING, 2:],
+            np.column_stack([(l + r) / 2, (r - l) / B]),
+            atol=1e-15,
+        )
+
+
+def test_faults_add_up():
+    both = [
+        Fault(kind="jump", size_m=1.0, start_s=2.0, duration_s=5.0),
+        Fault(kind="stuck", start_s=4.0, duration_s=1.0),
+    ]
+    got = faults.corrupted(Z, both, T, B)
+    jump = got[15] - Z[15]
+    np.testing.assert_allclose(np.hypot(*jump[:2]), 1.0)
+    np.testing.assert_allclose(got[20:25, :2], Z[[19] * 5, :2] + jump[:2])
+    np.testing.assert_allclose(got[25:35], Z[25:35] + jump)
+
+
+kinds = st.sampled_from(["missing", "infinite", "stuck", "duplicates", "disorder"]).flatmap(
+    lambda kind: st.fixed_dictionaries(
+        dict(kind=st.just(kind), channel=st.sampled_from(list(faults.CHANNELS)))
+    )
+)
+sized = (
+    st.fixed_dictionaries(
+        dict(kind=st.sampled_from(["outliers", "jump"]), size_m=st.floats(0, 100))
+    )
+    | st.fixed_dictionaries(
+        dict(
+            kind=st.just("latency"),
+            channel=st.sampled_from(list(faults.CHANNELS)),
+            delay_s=st.floats(0, 1),
+        )
+    )
+    | st.fixed_dictionaries(dict(kind=st.just("rate"), rate_hz=st.floats(0.1, 20)))
+    | st.fixed_dictionaries(
+        dict(kind=st.just("dead"), channel=st.sampled_from(["left", "right", "encoders"]))
+    )
+)
+a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(
+    lambda drawn: Fault(**drawn[0], start_s=drawn[1], duration_s=drawn[2])
+)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(a_fault, max_size=4), st.integers(0, 9))
+def test_faults_are_the_same_in_the_closed_loop_and_on_a_recorded_stream(several, seed):
+    deliver, memory, rows = faults.deliver(), faults.init(), []
+    for z, row in zip(Z, faults.stream(several, len(Z), DT, seed)):
+        columns = np.split(
+            row, np.cumsum([rows * columns for rows, columns in faults.STREAM.values()])[:-1]
+        )
+        result = deliver(z=z, **memory, **dict(zip(faults.STREAM, columns)), track_width_m=B)
+        memory = {name: result[name] for name in memory}
+        rows.append(flat(result["z"]))
+    np.testing.assert_allclose(rows, faults.corrupted(Z, several, T, B, seed), rtol=1e-9, atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.lists(a_fault, max_size=4), st.integers(1, 100))
+def test_a_longer_stream_begins_like_a_shorter_one(several, n):
+    np.testing.assert_array_equal(
+        faults.stream(several, 100, DT, 3)[:n], faults.stream(several, n, DT, 3)
+    )
+
+
+# In the closed loop
+
+
+def simulated(*several, **changes):
+    return rhec.simulate(dataclasses.replace(SHORT, faults=several, **changes))
+
+
+def test_the_log_has_the_measurements_that_arrived():
+    """Before the fault the run equals the one without to the last bit; a fault that never comes
+    changes nothing.
+    """
+    healthy, never = simulated(), simulated(Fault(kind="missing", start_s=1e6))
+    for name in healthy.columns:
+        np.testing.assert_array_equal(never.columns[name], healthy.columns[name])
+    out, stuck = (
+        simulated(Fault(kind="missing", start_s=10.0, duration_s=2.0)).log,
+        simulated(Fault(kind="stuck", start_s=10.0, duration_s=2.0)).log,
+    )
+    assert (
+        out.loc[50:59, ["x_meas_m", "y_meas_m", "error_m"]].isna().all(axis=None)
+        and out.drop(range(50, 60))["error_m"].notna().all()
+    )
+    assert (
+        stuck.loc[50:59, ["x_meas_m", "y_meas_m"]] == stuck.loc[49, ["x_meas_m", "y_meas_m"]]
+    ).all(axis=None)
+    for log in (out, stuck):
+        np.testing.assert_array_equal(
+            log.drop(columns="on_straight")[:50], healthy.log.drop(columns="on_straight")[:50]
+        )
+        assert log["error_true_m"].notna().all()
+
+
+def test_means_by_gnss_are_over_the_samples_that_have_a_position():
+    run = simulated(Fault(kind="missing", start_s=10.0, duration_s=2.0))
+    assert run.metrics["mean_error_from_start_m"] == pytest.approx(
+        run.log["error_m"].mean(skipna=True)
+    )
+    silent = simulated(Fault(kind="missing"))
+    assert np.isnan(silent.metrics["mean_error_m"]) and np.isfinite(
+        silent.metrics["mean_error_true_m"]
+    )
+
+
+def test_ok_is_false_where_a_step_was_not_solved():
+    """A position 90,000 km off for a second, without gating: commands keep their bound, `ok` is
+    False for some samples, True again after.
+    """
+    fault = rhec.Fault(kind="jump", size_m=9e7, start_s=20.0, duration_s=1.0)
+    run = simulated(fault, duration_s=60.0)
+    log = run.log
+    assert (
+        log["ok"][:100].all()
+        and not log["ok"].all()
+        and log["ok"][140:].all()
+        and not run.metrics["all_ok"]
+    )
+    assert log["omega_cmd_radps"].abs().max() <= 0.1 and np.isfinite(log.filter(like="hat")).all(
+        axis=None
+    )
+
+
+def test_infinite_encoder_measurements_do_not_restart_the_estimator():
+    """Gating has rejected a jump for as long as it may; then the encoders fail."""
+    several = (
+        Fault(kind="jump", size_m=5.0, start_s=10.0),
+        Fault(kind="infinite", channel="encoders", start_s=19.0, duration_s=5.0),
+    )
+    run = simulated(*several, robust=True)
+    assert np.isfinite(run.log.filter(like="hat")).all(axis=None) and run.log["ok"].all()
+
+
+CASES = {
+    (family, name): case
+    for family, of_family in robustness.CASES.items()
+    for name, case in of_family.items()
+}
+
+
+@pytest.mark.parametrize("family, name", CASES)
+def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(family, name):
+    """`notebooks/faults.ipynb` shows how well it drives."""
+    case = CASES[family, name]
+    run = rhec.simulate(robustness.scenario(case, 12.0, SHORT))
+    assert robustness.response(run, *robustness.interval_s(run, case, 12.0))["in_bounds"]
+
+
+def test_a_response_follows_from_the_errors():
+    run = simulated()
+    error = np.full(150, 0.01)
+    error[50:80] = 0.5  # off for 6 s,
+    error[95] = 0.2  # then once more, too soon to have been back for 5 s
+    made = dataclasses.replace(run, columns=run.columns | {"error_true_m": error})
+    response = robustness.response(made, 10.0, 12.0)
+    assert response == dict(
+        max_during_m=0.5, max_after_m=0.5, recovery_s=pytest.approx(96 * DT - 12.0), in_bounds=True
+    )
+    assert robustness.response(made, 24.0, 24.0)["recovery_s"] == 0
+    never = dataclasses.replace(run, columns=run.columns | {"error_true_m": error + 1})
+    assert np.isnan(robustness.response(never, 10.0, 12.0)["recovery_s"])
+    wild = dataclasses.replace(run, columns=run.columns | {"omega_cmd_radps": np.full(150, 0.11)})
+    assert not robustness.response(wild, 10.0, 12.0)["in_bounds"]
+
+
+def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
+    cases = {
+        family: dict(list(robustness.CASES[family].items())[:2]) for family in ("outage", "start")
+    }
+    table, errors = robustness.study(
+        rhec.Scenario(process_noise="calibrated"),
+        range(2),
+        {"off": {}, "on": {"arrival_mean": "filtered"}},
+        cases,
+    )
+    assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(
+        zip(table["family"], table["case"], table["handling"])
+    )
+    outage = errors["outage", "3 s", "off"]
+    assert (
+        outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT))
+        and np.isfinite(outage).all()
+    )
+    numbers = robustness.fault_table(table, {"": 20.0, "start": 1.0}).set_index(
+        ["family", "case", "handling"]
+    )
+    for key, runs in table.groupby(["family", "case", "handling"], sort=False):
+        key = (robustness.FAMILIES[key[0]], *key[1:])
+        assert numbers.loc[key, "recovery_s"] == pytest.approx(
+            runs["recovery_s"].mean(), nan_ok=True
+        )
+        assert (
+            numbers.loc[key, "back"] == runs["recovery_s"].notna().sum()
+            and numbers.loc[key, "n"] == 2
+        )
+        assert numbers.loc[key, "verdict"] == ("does not hold" if "start" in key else "holds")
+    keys = [(family, case) for family in cases for case in cases[family]]
+    figure = fault_courses(keys, table, errors, robustness.BEFORE_S)
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    titles = [axes._left_title.get_text().split("\n")[0] for axes in shown]
+    assert all(title.endswith(case) for title, (_, case) in zip(titles, keys))
+    assert "2 seeds" in figure.get_suptitle() and "[m]" in figure.get_supylabel()
+    for axes, key in zip(shown, keys):
+        off, largest = axes.lines[0].get_ydata(), axes.lines[1].get_ydata()
+        of_case = errors[(*key, "off")]
+        known = ~np.isnan(of_case).any(axis=0)
+        np.testing.assert_allclose(off, np.nanmedian(of_case[:, known.argmax() :], axis=0))
+        assert (largest >= off).all()
+    overview = fault_overview(numbers.reset_index(), 2)
+    assert len(overview.axes[0].get_yticklabels()) == len(keys)
+    words = [text.get_text() for text in overview.axes[1].texts]
+    back = numbers.reset_index().groupby(["family", "case"], sort=False)["back"]
+    assert words == [", ".join(map(str, counts)) for _, counts in back]
+
+
+# Arguments
+
+
+@pytest.mark.parametrize(
+    "bad, sentence",
+    [
+        (dict(kind="broken"), "^kind was 'broken'; "),
+        (dict(kind="missing", channel="lidar"), "^channel was 'lidar'; "),
+        (
+            dict(kind="missing", channel="left"),
+            "^channel was 'left'; for the kind 'missing' it should be one of",
+        ),
+        (dict(kind="dead"), "^channel was 'gnss'; for the kind 'dead'"),
+        (dict(kind="outliers", channel="all", size_m=1.0), "^channel was 'all'; "),
+        (dict(kind="jump"), "^size_m was None; for the kind 'jump' it should be given"),
+        (dict(kind="rate"), "^rate_hz was None; "),
+        (dict(kind="latency", delay_s=1.1), "^delay_s was 1.1; "),
+        (dict(kind="stuck", size_m=1.0), "^size_m was 1.0; for the kind 'stuck' it should be None"),
+        (dict(kind="rate", rate_hz=0), "^rate_hz was 0; "),
+        (dict(kind="missing", start_s=np.nan), "^start_s was nan; "),
+        (dict(kind="missing", duration_s=-1), "^duration_s was -1; "),
+        (dict(kind="missing", begin_s=1), "^Fault has no parameter 'begin_s'"),
+    ],
+)
+def test_a_bad_fault_is_refused_in_one_sentence(bad, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        Fault(**bad)
+
+
+def test_a_scenario_takes_faults_only():
+    with pytest.raises(ValueError, match="^faults"):
+        rhec.Scenario(faults=("missing",))
+    assert closed_loop.set_up(SHORT).structure.faulty is False
+
+
+@pytest.mark.parametrize("channel", ["left", "encoders"])
+def test_robust_handling_follows_positions_where_encoders_are_dead(channel):
+    """Encoders that smooth positions contradict are not trusted."""
+    dead = Fault(kind="dead", channel=channel, start_s=20.0, duration_s=5.0)
+    off, on = (
+        simulated(dead, duration_s=40.0, robust=robust).columns["error_true_m"][100:].max()
+        for robust in (False, True)
+    )
+    assert on < 0.12 and on < off + 0.01
+
+
+def test_robust_handling_rejects_a_jump_and_outliers_and_keeps_a_good_run():
+    several = [
+        Fault(kind=kind, size_m=size_m, start_s=20.0, duration_s=5.0)
+        for kind in ("jump", "outliers")
+        for size_m in (1.0, 10.0)
+    ]
+    good = simulated(Fault(kind="missing", duration_s=0.0), duration_s=40.0).columns
+    for fault in several:
+        run = simulated(fault, duration_s=40.0, robust=True).columns
+        assert run["error_true_m"][100:].max() < good["error_true_m"][100:].max() + 0.25
+        assert not run["position_accepted"][101:105].any() and run["position_accepted"][-50:].all()

@@ -1,0 +1,147 @@
+"""Calibration of a recorded robot by its log alone; whether a replay says that it is lost."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_replay import recorded
+
+import rhec
+from rhec.logs.lost import is_lost
+
+ROOT = Path(__file__).parents[2]
+
+ARM_M = (0.25, -0.1)
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    """{position noise [m]: (log, its calibration)}, the antenna off the centre."""
+    logs = {
+        noise: recorded(5.0, 120.0, noise_m=noise, seed=3, arm_m=ARM_M) for noise in (0.03, 0.1)
+    }
+    return {noise: (log, rhec.calibrate(log)) for noise, log in logs.items()}
+
+
+@pytest.mark.parametrize("noise_m", [0.03, 0.1])
+def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
+    _, found = calibrated[noise_m]
+    told = found.report.loc["noise of the position"]
+    assert told["told"] and told["low"] < noise_m < told["high"]
+    assert found["sigma_v"][0] == found["sigma_v"][1] > told["value"]
+    assert told["value"] == pytest.approx(noise_m, rel=0.2)
+
+
+def test_positions_are_never_taken_to_be_better_than_receivers_are():
+    """Positions of a log may have been smoothed; what is wrong with them then is no slip."""
+    found = rhec.calibrate(recorded(5.0, 60.0, arm_m=ARM_M))
+    assert found.report.loc["noise of the position", "value"] == 0.02
+    assert found["slip"][0] < 0.1 and found["slip"][2] < 0.06
+
+
+def test_calibration_finds_the_lever_arm(calibrated):
+    _, found = calibrated[0.03]
+    np.testing.assert_allclose(found["lever_arm_m"], ARM_M, atol=0.03)
+    assert found.report.loc[["antenna ahead", "antenna left"], "told"].all()
+
+
+def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
+    log, found = calibrated[0.1]
+    errors = [
+        (result["theta_hat_rad"] - result["theta_rad"])[len(log) // 4 :].abs().mean()
+        for result in (rhec.replay(log, first_yaw_rad=0.4, **how) for how in ({}, found))
+    ]
+    assert errors[1] < errors[0]
+
+
+def test_calibration_does_not_look_at_the_truth(calibrated):
+    log, found = calibrated[0.03]
+    truth = log.columns[log.columns.str.contains("true")]
+    assert len(truth) == 5
+    assert rhec.calibrate(log.assign(**dict.fromkeys(truth, 7.0))) == found
+
+
+def test_calibration_says_what_the_log_cannot_tell():
+    log = recorded(5.0, 60.0, noise_m=0.02)
+    log["yaw_rate_radps"] = 0.0
+    log["x_m"], log["y_m"] = 0.9 * np.cumsum(0.2 * log["speed_mps"]), 0.0
+    log[["x_m", "y_m"]] += 0.02 * np.random.default_rng(0).standard_normal((len(log), 2))
+    found = rhec.calibrate(log, trust_log=True)
+    assert found["trust_log"] and "position_delay_s" not in found
+    untold = set(found.report.index[~found.report["told"]])
+    assert {"slip in turning, share of ω", "side slip", "antenna ahead"} <= untold
+    assert "lever_arm_m" not in found and "cannot tell: " in str(found)
+    assert found.report.loc["noise of the position", "told"]
+
+
+def test_a_robot_that_stands_cannot_be_calibrated():
+    log = recorded(5.0, 60.0).assign(speed_mps=0.0, yaw_rate_radps=0.0)
+    with pytest.raises(ValueError, match="hardly moves"):
+        rhec.calibrate(log, trust_log=True)
+
+
+# Whether a replay is lost
+
+
+@pytest.mark.parametrize("turned", [0.0, np.pi])
+def test_a_replay_says_whether_it_is_lost(turned):
+    """A yaw half a turn wrong, held for sure, is lost until it is found; the right one never."""
+    log = recorded(noise_m=0.02)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        given = dict(first_yaw_rad=0.4 + turned, sigma_yaw_rad=0.01)
+        result = rhec.replay(log, **given, robust=False)  # robust, it turns round within metres
+    assert result["lost"].dtype == bool and result["lost"].any() == bool(turned)
+    if turned:
+        wrong = np.cos(result["theta_hat_rad"] - result["theta_rad"]) < 0
+        assert result["lost"][wrong].mean() > 0.5 and not result["lost"].iloc[-1]
+        assert "lost" in str(caught[0].message) and "lost" in result.attrs["remarks"][0]
+    else:
+        assert not caught and not any("lost" in remark for remark in result.attrs["remarks"])
+
+
+def test_some_outliers_do_not_make_a_replay_lost():
+    log = recorded(noise_m=0.02)
+    log.loc[200:280:8, ["x_m", "y_m"]] += 2.0
+    assert not rhec.replay(log, first_yaw_rad=0.4, robust=True)["lost"].any()
+
+
+def test_what_makes_it_lost_is_the_innovation_by_its_covariance():
+    """In one dimension: P⁺ = P V / (P + V), S = P + V; lost where steady y have y² / S beyond 5."""
+    n, P, V = 60, 0.02**2, 0.03**2
+    for y, lost in ((2.2, False), (2.3, True)):
+        flipped = y * (-1.0) ** np.arange(n)
+        samples = pd.DataFrame(
+            dict(
+                innovation_x_m=y * np.sqrt(P + V), innovation_y_m=0.0, position_accepted=True,
+                sigma_x_m=np.sqrt(P * V / (P + V)), sigma_y_m=np.sqrt(P * V / (P + V)),
+                nu_meas_mps=1.0, omega_meas_radps=0.0, mu_hat=0.9, kappa_hat=0.8,
+            ),
+            index=range(n),
+        )  # fmt: skip
+        assert is_lost(samples, (0.03,) * 4)[-1] == lost
+        assert not is_lost(samples.assign(innovation_x_m=flipped), (0.03,) * 4).any()
+        rejected = samples.assign(position_accepted=False, sigma_x_m=0.02, sigma_y_m=0.02)
+        assert is_lost(rejected, (0.03,) * 4)[-1] == lost
+
+
+@pytest.mark.parametrize(
+    "still, remark", [("speed_mps", "never moves"), ("yaw_rate_radps", "turns")]
+)
+def test_a_replay_says_what_its_log_cannot_show(still, remark):
+    log = recorded(noise_m=0.02).assign(**{still: 0.0})
+    assert any(
+        remark in said
+        for said in rhec.replay(log, first_yaw_rad=0.4, trust_log=True).attrs["remarks"]
+    )
+
+
+def test_the_command_refuses_in_a_sentence(tmp_path):
+    command = [sys.executable, "-m", "rhec.logs.calibration", tmp_path / "missing.csv"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert done.stderr.startswith(f"log was '{tmp_path / 'missing.csv'}'; it should be")

@@ -1,0 +1,396 @@
+"""Files of logs: what is found in a table's text, and ROS bags written with the library that reads
+them."""
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+import rhec
+from rhec.simulation.columns import ESTIMATE
+
+T = np.arange(0, 20, 0.1).round(3)
+LOG = pd.DataFrame(
+    dict(t_s=T, x_m=0.5 * T, y_m=np.sin(T), speed_mps=0.5, yaw_rate_radps=0.1 * np.cos(T))
+)
+START_NS = 1_722_264_375_000_000_000
+
+
+def written(tmp_path, log, **how):
+    file = tmp_path / "log.csv"
+    log.to_csv(file, index=False, **how)
+    return file
+
+
+# Tables
+
+
+@pytest.mark.parametrize("separator", ["\t", ";", "|", ",", " "])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_the_separators_of_a_table_are_found_and_told(tmp_path, separator, decimal):
+    if separator == decimal:
+        pytest.skip("no number could be told from two")
+    log = rhec.logs.read(written(tmp_path, LOG, sep=separator, decimal=decimal))
+    pd.testing.assert_frame_equal(log, LOG)
+    names = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
+    assert log.attrs["found"]["separator"] == names[separator]
+    assert log.attrs["found"]["decimal"] == {".": "point", ",": "comma"}[decimal]
+
+
+@pytest.mark.parametrize(
+    "name, of_seconds, told",
+    [
+        ("t_s", lambda t: t + 1.7e9, "s"),
+        ("time", lambda t: t, "s"),
+        ("Timestamp", lambda t: 1e3 * t, "ms"),
+        ("t_s", lambda t: 1e3 * t, "ms"),  # the name is wrong
+        ("t_us", lambda t: 1e6 * t, "us"),
+        ("stamp", lambda t: 1e6 * t, "us"),
+        ("time_ns", lambda t: START_NS + np.round(1e9 * t).astype(np.int64), "ns"),
+        ("t", lambda t: START_NS + np.round(1e9 * t).astype(np.int64), "ns"),
+        ("time", lambda t: pd.to_datetime(START_NS + np.round(1e9 * t).astype(int)), "ISO 8601"),
+        (
+            "date_time",
+            lambda t: [f"2024-07-29T16:46:{second:06.3f}+02:00" for second in t],
+            "ISO 8601",
+        ),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_the_unit_of_the_time_is_found_and_told(tmp_path, name, of_seconds, told, suffix):
+    file, other = tmp_path / f"log.{suffix}", LOG.drop(columns="t_s")
+    other.insert(0, name, of_seconds(T))
+    (other.to_csv(file, index=False) if suffix == "csv" else other.to_parquet(file))
+    log = rhec.logs.read(file)
+    assert log.attrs["found"]["time"] == f"{told}, column {name}"
+    np.testing.assert_allclose(log["t_s"] - log["t_s"][0], T, atol=1e-6)
+
+
+@pytest.mark.parametrize("metadata", [b"{}", b"[]", b"nonsense", b'{"index_columns": [3]}'])
+def test_a_parquet_file_with_odd_metadata_is_refused_in_a_sentence(tmp_path, metadata):
+    table = pa.table(dict(t_s=[0.0, 0.2], x_m=[0.0, 0.1]))
+    pq.write_table(table.replace_schema_metadata({b"pandas": metadata}), tmp_path / "log.parquet")
+    with pytest.raises(ValueError, match="^log was .*, which cannot be read: "):
+        rhec.logs.read(tmp_path / "log.parquet")
+
+
+def test_a_slow_log_in_seconds_is_not_a_fast_one_in_milliseconds(tmp_path):
+    log = rhec.logs.read(written(tmp_path, LOG.assign(t_s=10 * T)))
+    assert log.attrs["found"]["time"] == "s, column t_s"
+
+
+def test_columns_can_have_other_names(tmp_path):
+    file = written(tmp_path, LOG.rename(columns=dict(x_m="east", speed_mps="v wheel ")))
+    log = rhec.logs.read(file, columns=dict(x_m="east", speed_mps="v wheel"))
+    np.testing.assert_array_equal(log[["x_m", "speed_mps"]], LOG[["x_m", "speed_mps"]])
+    with pytest.raises(ValueError, match=r"^columns\['x_m'\] was 'north'; the log has t_s, east"):
+        rhec.logs.read(file, columns=dict(x_m="north"))
+
+
+def degrees_of(log, latitude):
+    """Latitude and longitude of metres by the ellipsoid's radii of curvature: good to 1e-4."""
+    phi, a, e2 = np.deg2rad(latitude), 6378137.0, 0.00669437999014
+    w2 = 1 - e2 * np.sin(phi) ** 2
+    return dict(
+        latitude=latitude + np.rad2deg(log["y_m"] * w2**1.5 / (a * (1 - e2))),
+        longitude=11.0 + np.rad2deg(log["x_m"] * np.sqrt(w2) / (a * np.cos(phi))),
+    )
+
+
+@pytest.mark.parametrize("latitude", [-63.0, 0.0, 46.78])
+def test_latitude_and_longitude_become_metres(tmp_path, latitude):
+    log = LOG.assign(x_m=4 * LOG["x_m"], y_m=40 * LOG["y_m"])
+    degrees = log.drop(columns=["x_m", "y_m"]).assign(**degrees_of(log, latitude), altitude=np.nan)
+    read = rhec.logs.read(written(tmp_path, degrees))
+    np.testing.assert_allclose(read[["x_m", "y_m"]], log[["x_m", "y_m"]], atol=2e-3)
+    assert f"latitude {latitude:.7f}, longitude 11.0" in read.attrs["found"]["position"]
+
+
+@pytest.mark.parametrize(
+    "name, content, sentence",
+    [
+        ("log.csv", b"\xff\xfe\x00 bytes", "cannot be read"),
+        ("log.csv", b"", "cannot be read"),
+        ("log.parquet", b"PAR1", "cannot be read"),
+        ("log.bag", b"#ROSBAG V2.0\n junk", "cannot be read"),
+        ("log.mcap", b"\x89MCAP0\r\n junk", "cannot be read"),
+        ("log.db3", b"SQLite format 3\x00 junk", "cannot be read"),
+        ("log.txt", b"t_s", "it should be an existing .csv, .parquet, .bag, .db3, .mcap file"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_in_a_sentence(tmp_path, name, content, sentence):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=f"^log was .*{sentence}") as refused:
+        rhec.logs.read(tmp_path / name)
+    assert "\n" not in str(refused.value)
+
+
+# Bags
+
+KINDS = ["bag", "folder", "mcap"]
+
+
+def curve(t):
+    """Position of a robot that drives at 0.8 m/s and turns, with slip; its speed and yaw rate."""
+    yaw = 0.4 * np.sin(0.4 * t)
+    v = 0.9 * 0.8
+    fine = np.linspace(0, t[-1], 20 * len(t))
+    x, y = (
+        np.interp(t, fine, np.append(0, np.cumsum(np.diff(fine) * each[1:])))
+        for each in (v * np.cos(0.4 * np.sin(0.4 * fine)), v * np.sin(0.4 * np.sin(0.4 * fine)))
+    )
+    return x, y, np.full(len(t), 0.8), 0.16 * np.cos(0.4 * t) / 0.75, yaw
+
+
+def write_bag(folder, kind, messages):
+    """A bag of (topic, type, stamp [ns], message) in this order, received a second later each."""
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.LATEST)
+    types = {topic: name for topic, name, *_ in messages}
+    if kind == "bag":
+        file, writer = folder / "log.bag", Writer1(folder / "log.bag")
+    else:
+        file = folder / f"log_{kind}"
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        writer = Writer2(file, version=9, storage_plugin=plugin)
+    serialize = store.serialize_ros1 if kind == "bag" else store.serialize_cdr
+    with writer:
+        lines = {
+            topic: writer.add_connection(topic, name, typestore=store)
+            for topic, name in types.items()
+        }
+        for row, (topic, name, stamp, message) in enumerate(messages):
+            writer.write(
+                lines[topic], START_NS + row * 10**6, serialize(message(store, stamp), name)
+            )
+    return next(file.glob("*.mcap")) if kind == "mcap" else file
+
+
+def header(store, stamp, name="map"):
+    time = store.types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+    made = store.types["std_msgs/msg/Header"]
+    return made(0, time, name) if "seq" in made.__annotations__ else made(time, name)
+
+
+def of(store, kind, /, **fields):
+    return store.types[kind.replace("/", "/msg/")](**fields)
+
+
+def xyz(store, name, x=0.0, y=0.0, z=0.0):
+    return of(store, f"geometry_msgs/{name}", x=float(x), y=float(y), z=float(z))
+
+
+def pose(store, x, y):
+    turn = of(store, "geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    return of(store, "geometry_msgs/Pose", position=xyz(store, "Point", x, y), orientation=turn)
+
+
+def twist(store, speed, yaw_rate):
+    linear, angular = xyz(store, "Vector3", speed), xyz(store, "Vector3", z=yaw_rate)
+    return of(store, "geometry_msgs/Twist", linear=linear, angular=angular)
+
+
+def odometry(x, y, speed, yaw_rate):
+    def message(store, stamp):
+        nothing = np.zeros(36)
+        place = of(
+            store, "geometry_msgs/PoseWithCovariance", pose=pose(store, x, y), covariance=nothing
+        )
+        motion = of(
+            store,
+            "geometry_msgs/TwistWithCovariance",
+            twist=twist(store, speed, yaw_rate),
+            covariance=nothing,
+        )
+        return of(
+            store,
+            "nav_msgs/Odometry",
+            header=header(store, stamp),
+            child_frame_id="base",
+            pose=place,
+            twist=motion,
+        )
+
+    return message
+
+
+def joint_state(left, right):
+    def message(store, stamp):
+        names = ["front_left_wheel", "front_right_wheel", "rl_wheel", "rr_wheel", "mast"]
+        speeds = np.array([left, right, left, right, 7.0])
+        return of(
+            store,
+            "sensor_msgs/JointState",
+            header=header(store, stamp),
+            name=names,
+            position=np.zeros(5),
+            velocity=speeds,
+            effort=np.zeros(5),
+        )
+
+    return message
+
+
+def fix(latitude, longitude, status=0):
+    def message(store, stamp):
+        known = of(store, "sensor_msgs/NavSatStatus", status=status, service=1)
+        return of(
+            store,
+            "sensor_msgs/NavSatFix",
+            header=header(store, stamp),
+            status=known,
+            latitude=latitude,
+            longitude=longitude,
+            altitude=100.0,
+            position_covariance=np.zeros(9),
+            position_covariance_type=0,
+        )
+
+    return message
+
+
+def pose_stamped(x, y):
+    return lambda store, stamp: of(
+        store, "geometry_msgs/PoseStamped", header=header(store, stamp), pose=pose(store, x, y)
+    )
+
+
+def twist_stamped(speed, yaw_rate):
+    return lambda store, stamp: of(
+        store,
+        "geometry_msgs/TwistStamped",
+        header=header(store, stamp),
+        twist=twist(store, speed, yaw_rate),
+    )
+
+
+def stamps(rate_hz, duration_s, seed):
+    """Jittering times [s] at which a sensor measured."""
+    t = np.arange(0.05, duration_s, 1 / rate_hz)
+    return np.round(t + np.random.default_rng(seed).uniform(-0.2, 0.2, len(t)) / rate_hz, 6)
+
+
+def shuffled(messages, reach_s=0.3):
+    """The messages as they come over a network: each late by up to reach_s."""
+    late = np.random.default_rng(3).uniform(0, reach_s * 1e9, len(messages))
+    return [messages[i] for i in np.argsort([each[2] for each in messages] + late)]
+
+
+B, RADIUS = 0.5, 0.2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
+    """Odometry and wheel speeds, out of order: every message is there, at its own time, once; and
+    the estimates from it are those from the table that it was made of.
+    """
+    positions, wheels = stamps(30.0, 120.0, 1), stamps(50.0, 120.0, 2)
+    x, y, *_ = curve(positions)
+    _, _, speed, yaw_rate, yaw = curve(wheels)
+    tracks = np.array([speed - B / 2 * yaw_rate, speed + B / 2 * yaw_rate])
+    messages = [
+        ("/odom", "nav_msgs/msg/Odometry", START_NS + round(t * 1e9), odometry(*at, 9.9, 9.9))
+        for t, *at in zip(positions, x, y)
+    ] + [
+        ("/joints", "sensor_msgs/msg/JointState", START_NS + round(t * 1e9), joint_state(*each))
+        for t, *each in zip(wheels, *(tracks / RADIUS))
+    ]
+    file = write_bag(tmp_path, kind, shuffled(messages))
+    size = sum(each.stat().st_size for each in ([file] if file.is_file() else file.iterdir()))
+    log = rhec.logs.read(file, wheel_radius_m=RADIUS)
+    assert size > 4e6 and (log["t_s"].diff()[1:] > 0).all()
+    first = min(positions[0], wheels[0])
+    for times, columns, values in (
+        (positions, ["x_m", "y_m"], [x, y]),
+        (wheels, ["v_left_mps", "v_right_mps"], tracks),
+    ):
+        known = log[["t_s", *columns]].dropna()
+        np.testing.assert_allclose(known["t_s"], times - first, atol=1e-6)
+        np.testing.assert_allclose(known[columns], np.transpose(values), atol=1e-9)
+    told = log.attrs["found"]
+    assert told["positions"].startswith(f"/odom, nav_msgs/msg/Odometry, {len(positions)} ")
+    assert "0 out of order" not in told["encoders"]
+    table = pd.DataFrame(dict(t_s=positions - first, x_m=x, y_m=y)).merge(
+        pd.DataFrame(dict(t_s=wheels - first, v_left_mps=tracks[0], v_right_mps=tracks[1])),
+        how="outer",
+    )
+    given = dict(track_width_m=B, process_noise="calibrated", speed_model="input")
+    estimates, expected = (
+        rhec.replay(each, **given, first_yaw_rad=0.0)[ESTIMATE] for each in (log, table)
+    )
+    np.testing.assert_allclose(estimates, expected, atol=1e-5)
+    assert estimates["mu_hat"].median() == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory):
+    """A bag with all types, of 60 s."""
+    t = np.arange(0, 10, 0.1)
+    x, y, speed, yaw_rate, _ = curve(t)
+    degrees = degrees_of(pd.DataFrame(dict(x_m=x, y_m=y)), 46.78)
+    messages = []
+    for row, when in enumerate(t):
+        stamp = START_NS + round(when * 1e9)
+        place = degrees["latitude"][row], degrees["longitude"][row]
+        messages += [
+            ("/fix", "sensor_msgs/msg/NavSatFix", stamp, fix(*place, -1 if row == 50 else 0)),
+            ("/pose", "geometry_msgs/msg/PoseStamped", stamp, pose_stamped(x[row], y[row])),
+            ("/cmd", "geometry_msgs/msg/TwistStamped", stamp, twist_stamped(0.1, 0.2)),
+            (
+                "/wheels",
+                "geometry_msgs/msg/TwistStamped",
+                stamp,
+                twist_stamped(speed[row], yaw_rate[row]),
+            ),
+            (
+                "/odom",
+                "nav_msgs/msg/Odometry",
+                0,
+                odometry(-x[row], -y[row], speed[row], yaw_rate[row]),
+            ),
+        ]
+    return t, x, y, speed, write_bag(tmp_path_factory.mktemp("many"), "mcap", messages)
+
+
+def test_topics_are_chosen_or_found(many):
+    t, x, y, speed, file = many
+    log = rhec.logs.read(file, topics=("/fix", "/wheels"))
+    np.testing.assert_allclose(
+        log[["t_s", "x_m", "y_m"]].drop(index=50).T, np.delete([t, x, y], 50, 1), atol=2e-3
+    )
+    assert np.isnan(log["x_m"][50]) and (log["speed_mps"] == speed).all()
+    log = rhec.logs.read(file, topics=["/pose", "/odom"])
+    pose_rows = log.dropna(subset="x_m")
+    np.testing.assert_allclose(pose_rows[["x_m", "y_m"]].T, [x, y], atol=1e-12)
+    log = rhec.logs.read(file, topics=("/odom",))  # without stamps: the recorder's times
+    np.testing.assert_allclose(log[["x_m", "speed_mps"]].T, [-x, speed], atol=1e-12)
+    assert (log["t_s"].diff()[1:] > 0).all()
+
+
+@pytest.mark.parametrize(
+    "topics, sentence",
+    [
+        (None, "several topics for encoders, /cmd, /wheels; topics should name one"),
+        (("/gps",), "topics named '/gps'; the bag has /cmd, /fix, /odom, /pose, /wheels"),
+        (("/fix",), r"no topic for encoders \(JointState, TwistStamped, Odometry\) among /cmd"),
+        (("/cmd",), r"no topic for positions \(NavSatFix, PoseStamped, "),
+    ],
+)
+def test_topics_that_cannot_be_told_are_named(many, topics, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.logs.read(many[-1], topics=topics)
+
+
+def test_a_table_has_no_topics_and_wheels_need_a_radius(tmp_path):
+    with pytest.raises(ValueError, match="^topics was .*; only a bag has topics"):
+        rhec.logs.read(written(tmp_path, LOG), topics=("/odom",))
+    messages = [
+        ("/odom", "nav_msgs/msg/Odometry", START_NS, odometry(0, 0, 0, 0)),
+        ("/joints", "sensor_msgs/msg/JointState", START_NS, joint_state(1, 1)),
+    ]
+    with pytest.raises(ValueError, match="wheel_radius_m was None; /joints has wheel speeds"):
+        rhec.logs.read(write_bag(tmp_path, "bag", messages))

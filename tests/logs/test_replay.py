@@ -1,0 +1,725 @@
+"""Replay of recorded logs: columns and rows, resampling, faults of sensors and clocks, accuracy of
+the estimates, scores.
+"""
+
+import pickle
+
+import casadi as ca
+import make_example_log
+import numpy as np
+import pandas as pd
+import pytest
+
+import rhec
+from rhec.logs import recording, scores
+from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
+from rhec.workbench.plots import replay as drawings
+from rhec.workbench.studies.replay_table import replay_table
+
+MU, KAPPA, B = 0.9, 0.75, 0.5
+
+
+def recorded(rate_hz=10.0, duration_s=60.0, start_rad=0.4, noise_m=0.0, seed=0, arm_m=(0.0, 0.0)):
+    """A log with the documented columns: forwards, standing, backwards, in curves, integrated
+    finely, with white noise of noise_m. arm_m: the antenna's place ahead and left of the centre.
+    """
+    fine = np.arange(round(duration_s * 1000) + 1) / 1000
+    speed = np.interp(fine / duration_s, [0, 0.3, 0.33, 0.4, 0.43, 1], [0.6, 0.7, 0, 0, -0.5, -0.6])
+    yaw_rate = 0.4 * np.sin(0.35 * fine)
+    yaw = start_rad + np.concatenate(
+        [[0], np.cumsum(KAPPA * (yaw_rate[1:] + yaw_rate[:-1]) / 2000)]
+    )
+    x, y = (
+        np.concatenate([[0], np.cumsum((ahead[1:] + ahead[:-1]) / 2000)])
+        for ahead in (MU * speed * np.cos(yaw), MU * speed * np.sin(yaw))
+    )
+    x, y = (
+        x + arm_m[0] * np.cos(yaw) - arm_m[1] * np.sin(yaw),
+        y + arm_m[0] * np.sin(yaw) + arm_m[1] * np.cos(yaw),
+    )
+    at = np.round(np.arange(0, duration_s, 1 / rate_hz) * 1000).astype(int)
+    log = (
+        pd.DataFrame(
+            dict(
+                t_s=fine,
+                x_m=x,
+                y_m=y,
+                speed_mps=speed,
+                yaw_rate_radps=yaw_rate,
+                v_left_mps=speed - B / 2 * yaw_rate,
+                v_right_mps=speed + B / 2 * yaw_rate,
+                yaw_true_rad=yaw,
+                x_true_m=x,
+                y_true_m=y,
+                v_true_mps=MU * speed,
+                yaw_rate_true_radps=KAPPA * yaw_rate,
+            )
+        )
+        .iloc[at]
+        .reset_index(drop=True)
+    )
+    log[["x_m", "y_m"]] += noise_m * np.random.default_rng(seed).standard_normal((len(log), 2))
+    return log
+
+
+LOG = recorded(noise_m=0.02)
+
+
+@pytest.fixture(scope="module")
+def estimates():
+    return rhec.replay(LOG, first_yaw_rad=0.4)
+
+
+def errors(result):
+    return np.hypot(
+        result["x_hat_m"] - result["x_m"], result["y_hat_m"] - result["y_m"]
+    ), scores.yaw_error(result).abs()
+
+
+# Estimates
+
+
+def test_each_row_of_the_log_gets_its_estimate(estimates):
+    log = LOG.set_index(pd.Index(np.arange(len(LOG))[::-1], name="row"))
+    result = rhec.replay(log, first_yaw_rad=0.4)
+    pd.testing.assert_index_equal(result.index, log.index)
+    np.testing.assert_array_equal(result["t_s"], log["t_s"])
+    np.testing.assert_array_equal(result[ESTIMATE], estimates[ESTIMATE])
+    assert np.isfinite(result[ESTIMATE]).all(axis=None) and result["ok"].all()
+    assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 6.25, 8.0, 10.0, 20.0, 50.0])
+def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
+    """Without noise: also between the estimator's samples, and though the log's rate is no multiple
+    of theirs.
+    """
+    log = recorded(rate_hz)
+    result = rhec.replay(log, first_yaw_rad=0.4, process_noise="calibrated", speed_model="input")
+    late = result["t_s"] > 15
+    position, yaw = errors(result[late])
+    assert len(result) == len(log) and position.max() < 0.02 and yaw.max() < 0.02
+    assert result["mu_hat"][late].median() == pytest.approx(MU, abs=0.01) and result["kappa_hat"][
+        late
+    ].median() == pytest.approx(KAPPA, abs=0.02)
+
+
+def test_replaying_the_log_of_a_run_gives_its_estimates(run):
+    """The estimates are those of the closed loop, and do not depend on the truth in its log."""
+    given = dict(
+        process_noise="calibrated",
+        speed_model="parameter",
+        first_yaw_rad=float(run.log["theta_rad"][0]),
+        sigma_yaw_rad=0.1,
+    )
+    result = rhec.replay(run.log, **given)
+    np.testing.assert_allclose(result[ESTIMATE][50:], run.log[ESTIMATE][50:], atol=2e-3)
+    np.testing.assert_array_equal(result[["x_m", "theta_rad"]], run.log[["x_m", "theta_rad"]])
+    poisoned = run.log.assign(x_m=1e3, y_m=np.nan, mu=0.1, kappa=-3.0)
+    np.testing.assert_array_equal(rhec.replay(poisoned, **given)[ESTIMATE], result[ESTIMATE])
+
+
+def test_the_live_estimator_agrees():
+    prepared = recording.prepare(LOG)
+    fields = dict(process_noise="calibrated", speed_model="input")
+    samples = estimate_samples(
+        prepared, replay_scenario("rhe", prepared, fields), InitialGuess((0.4,), 0.1)
+    )
+    z = samples[MEASUREMENTS].to_numpy()
+    live = rhec.RHE(**fields, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
+    for k in range(len(z)):
+        live.prepare()
+        estimate = live.feedback(z[k])
+        np.testing.assert_allclose(estimate[:6], samples[ESTIMATE].iloc[k], atol=1e-8)
+
+
+def test_an_estimator_of_ones_own():
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    believing = ca.Function(
+        "believing", [memory, z], [memory, ca.vertcat(z[:2], memory[2], z[2], 0.5, 0.5)]
+    )
+    result = rhec.replay(LOG, estimator=believing, first_yaw_rad=0.4)
+    np.testing.assert_allclose(result["x_hat_m"][::2], LOG["x_m"][::2], atol=1e-12)
+    assert (result["theta_hat_rad"][::2] == 0.4).all() and result["sigma_theta_rad"].isna().all()
+
+
+def test_no_estimate_sees_the_truth(estimates):
+    truth = list(RECORDED_TRUTH.values())
+    for blind in (LOG.drop(columns=truth), LOG.assign(**dict.fromkeys(truth, 7.0))):
+        np.testing.assert_array_equal(
+            rhec.replay(blind, first_yaw_rad=0.4)[ESTIMATE], estimates[ESTIMATE]
+        )
+
+
+@pytest.mark.parametrize("start_rad", [-2.9, -1.2, 0.0, 1.0, 2.6])
+def test_an_unknown_first_yaw_is_found(start_rad):
+    log = recorded(start_rad=start_rad, noise_m=0.02)
+    result = rhec.replay(log.drop(columns="yaw_true_rad"), process_noise="calibrated")
+    error = (result["theta_hat_rad"] - log["yaw_true_rad"] + np.pi) % (2 * np.pi) - np.pi
+    assert error[result["t_s"] > 15].abs().max() < 0.15
+
+
+def test_the_variance_of_kappa_grows_on_a_straight():
+    log = recorded(duration_s=80.0, noise_m=0.02)
+    straight = log.iloc[[-1] * 300].assign(
+        t_s=log["t_s"].iloc[-1] + 0.1 * np.arange(1, 301), speed_mps=0.5, yaw_rate_radps=0.0
+    )
+    ahead = 0.05 * MU * np.arange(1, 301)
+    straight = straight.assign(
+        x_m=straight["x_m"] + ahead * np.cos(straight["yaw_true_rad"]),
+        y_m=straight["y_m"] + ahead * np.sin(straight["yaw_true_rad"]),
+    )
+    result = rhec.replay(
+        pd.concat([log, straight], ignore_index=True), process_noise="calibrated", first_yaw_rad=0.4
+    )
+    sigma = result["sigma_kappa"].to_numpy()
+    assert sigma[-1] > 1.2 * sigma[len(log) + 40] and np.all(
+        np.diff(sigma[len(log) + 40 :]) > -1e-4
+    )
+
+
+@pytest.mark.parametrize("estimator", ["rhe", "dual"])
+def test_what_gating_rejects_is_in_the_replay(estimator):
+    """True where a position was used, False where it is missing, rejected or another row's."""
+    log = LOG.copy()
+    log.loc[300:310, ["x_m", "y_m"]] += 5.0
+    log.loc[400:410, ["x_m", "y_m"]] = np.nan
+    given = dict(estimator=estimator, first_yaw_rad=0.4, process_noise="calibrated")
+    given |= dict(speed_model="input") if estimator == "rhe" else {}
+    accepted, there = (
+        rhec.replay(log, **given, robust=robust)["position_accepted"] for robust in (True, False)
+    )
+    assert there.tolist() == [i % 2 == 0 and not 402 <= i <= 410 for i in log.index]
+    assert not accepted[1::2].any()  # the estimator's samples are every other row
+    assert not accepted[300:311].any() and not accepted[401:411].any()
+    assert accepted[:180:2].all()
+
+
+def test_gating_says_when_it_restarts():
+    """A yaw that is wrong by 180° is found out by the course over ground."""
+    result = rhec.replay(LOG, first_yaw_rad=0.4 + np.pi, sigma_yaw_rad=0.05, robust=True)
+    restarts = result.index[result["restarted"]]
+    assert len(restarts) >= 1 and result["position_accepted"][restarts].all()
+    assert errors(result[300:])[1].max() < 0.3
+
+
+# Causality
+
+
+def stamps(name):
+    """Times [s] of 40 s of GNSS readings."""
+    if name == "5 Hz, out of phase":
+        return np.arange(0.1, 40.0, 0.2)
+    if name == "5 Hz, jittered":
+        steps = 0.2 * np.arange(200)
+        return np.maximum(steps + np.random.default_rng(3).uniform(-0.06, 0.06, 200), 0)
+    return np.arange(0, 40.0, 1 / float(name.removesuffix(" Hz")))
+
+
+GNSS = ("5 Hz", "5 Hz, out of phase", "4 Hz", "7 Hz", "5 Hz, jittered")
+
+
+def merged(gnss, encoders_hz=10.0, noise_m=0.0):
+    """A log whose positions and encoder measurements come each at times of its own."""
+    fine = recorded(1000.0)[["t_s", "x_m", "y_m", "speed_mps", "yaw_rate_radps", "yaw_true_rad"]]
+    position, encoders = (
+        fine.assign(at=fine["t_s"]).iloc[np.round(1000 * at).astype(int)]
+        for at in (stamps(gnss), np.arange(0, 40.0, 1 / encoders_hz))
+    )
+    log = pd.merge(
+        position[["t_s", "x_m", "y_m"]].drop_duplicates("t_s"),
+        encoders[["t_s", "speed_mps", "yaw_rate_radps"]],
+        on="t_s",
+        how="outer",
+    )
+    log["yaw_true_rad"] = np.interp(log["t_s"], fine["t_s"], fine["yaw_true_rad"])
+    log[["x_true_m", "y_true_m"]] = np.transpose(
+        [np.interp(log["t_s"], fine["t_s"], fine[name]) for name in ("x_m", "y_m")]
+    )
+    log[["x_m", "y_m"]] += noise_m * np.random.default_rng(1).standard_normal((len(log), 2))
+    return log
+
+
+def another_future(log, from_s, generator):
+    """The same log until from_s [s]; then other measurements, some missing, at other times."""
+    later = log[log["t_s"] > from_s].copy()
+    for name in ("x_m", "y_m", "speed_mps", "yaw_rate_radps"):
+        later[name] = later[name] + generator.normal(0, 5.0, len(later))
+        later.loc[generator.random(len(later)) < 0.2, name] = np.nan
+    later["t_s"] += generator.uniform(0, 0.03, len(later))
+    return pd.concat([log[log["t_s"] <= from_s], later[generator.random(len(later)) < 0.9]])
+
+
+@pytest.mark.parametrize("gnss, first_yaw_rad", [(each, 0.4) for each in GNSS] + [(GNSS[4], None)])
+def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
+    """Nor does its absence: wherever the log ends or changes, what was said remains."""
+    log, generator = merged(gnss, noise_m=0.02), np.random.default_rng(7)
+    given = dict(first_yaw_rad=first_yaw_rad, process_noise="calibrated", trust_log=True)
+    whole = rhec.replay(log, **given)
+    columns = [*ESTIMATE, "sigma_theta_rad", "innovation_x_m", "ok"]
+    for from_s in generator.uniform(1.0, 39.0, 6):
+        past = log[log["t_s"] <= from_s]
+        for other in (past, another_future(log, from_s, generator)):
+            said = rhec.replay(other, **given)
+            np.testing.assert_array_equal(
+                *(each[: len(past)][columns].to_numpy(float) for each in (said, whole))
+            )
+
+
+@pytest.mark.parametrize("estimator", ["rhe", "ekf"])
+def test_the_future_changes_no_estimate_of_a_model(estimator):
+    log, generator = circle(7.0), np.random.default_rng(7)
+    log["x_m"] += 0.02 * generator.standard_normal(len(log))
+    given = {name: value for name, value in OF_UNICYCLE.items() if name != "horizon"}
+    given |= dict(horizon=6) if estimator == "rhe" else {}
+    whole, columns = (
+        rhec.replay(log, estimator, **given),
+        [f"{name}_hat" for name in UNICYCLE.names],
+    )
+    for from_s in generator.uniform(1.0, 19.0, 5):
+        past = log[log["t_s"] <= from_s]
+        for other in (past, another_future(log, from_s, generator)):
+            said = rhec.replay(other, estimator, **given)[: len(past)]
+            np.testing.assert_array_equal(said[columns], whole[: len(past)][columns])
+
+
+@pytest.mark.parametrize("gnss", GNSS)
+def test_positions_between_the_samples_are_as_good_as_positions_at_them(gnss):
+    """Without noise: carried on over their age, they are where the robot is."""
+    result = rhec.replay(
+        merged(gnss), first_yaw_rad=0.4, process_noise="calibrated", speed_model="input"
+    )
+    position, yaw = errors(result[result["t_s"] > 15])
+    assert position.max() < 0.02 and yaw.max() < 0.03
+
+
+def test_nothing_is_said_before_the_first_position():
+    log = LOG.assign(x_m=LOG["x_m"].where(LOG["t_s"] > 3.0))
+    result = rhec.replay(log, first_yaw_rad=0.4)
+    said = result[ESTIMATE].notna().all(axis=1)
+    assert not said[log["t_s"] < 3.1].any() and said[log["t_s"] > 3.3].all()
+
+
+@pytest.mark.parametrize("gnss", GNSS)
+def test_noise_arrives_at_the_size_stated(gnss):
+    log = merged(gnss)
+    log = pd.concat([log.assign(segment=i) for i in range(12)], ignore_index=True)
+    position = ["x_meas_m", "y_meas_m"]
+    quiet, noisy = (scores.perturbed_replay(log, 5, noise_m=each)[position] for each in (0, 0.02))
+    added = noisy - quiet
+    assert added.count().min() > 1000
+    np.testing.assert_allclose(added.std(), 0.02, rtol=0.05)
+
+
+# Columns and rows
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 8.0, 50.0])
+def test_encoder_measurements_of_a_sample_are_means_over_the_interval_that_ends_there(rate_hz):
+    log = recorded(rate_hz)
+    samples = recording.resample(recording.prepare(log).rows, 0.2, averaged=False)
+    fine = recorded(1000.0)
+    for reading, column in (("nu_meas_mps", "speed_mps"), ("omega_meas_radps", "yaw_rate_radps")):
+        expected = fine[column].to_numpy()[1:59_801].reshape(-1, 200).mean(axis=1)
+        # the newest is held until the sample, as long as the next one is not there
+        np.testing.assert_allclose(samples[reading][1:], expected[: len(samples) - 1], atol=0.015)
+
+
+def test_encoder_measurements_of_a_run_are_means_already(run):
+    prepared = recording.prepare(run.log)
+    samples = recording.resample(prepared.rows, 0.2, prepared.averaged)
+    np.testing.assert_allclose(samples[MEASUREMENTS], run.log[MEASUREMENTS], atol=1e-9)
+
+
+def test_track_speeds_and_width_replace_speed_and_yaw_rate(estimates):
+    tracks = LOG.drop(columns=["speed_mps", "yaw_rate_radps"])
+    same = rhec.replay(tracks, first_yaw_rad=0.4, track_width_m=B)
+    np.testing.assert_allclose(same[ESTIMATE], estimates[ESTIMATE], atol=1e-6)
+    wider = rhec.replay(
+        tracks, first_yaw_rad=0.4, track_width_m=1.2 * B, process_noise="calibrated"
+    )
+    assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
+
+
+def test_the_lever_arm_can_be_given_or_estimated():
+    log = recorded(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
+    told, wrong, found = (
+        rhec.replay(log, first_yaw_rad=0.4, lever_arm_m=arm)
+        for arm in ((0.3, -0.2), (0.0, 0.0), None)
+    )
+    late = slice(900, None)
+    np.testing.assert_allclose(
+        told[["arm_forward_hat_m", "arm_left_hat_m"]][late],
+        np.broadcast_to((0.3, -0.2), (300, 2)),
+        atol=0.02,
+    )
+    np.testing.assert_allclose(
+        found[["arm_forward_hat_m", "arm_left_hat_m"]].iloc[-1], (0.3, -0.2), atol=0.08
+    )
+    rms = [scores.rms(scores.yaw_error(result[200:])) for result in (told, found, wrong)]
+    assert rms[0] < 0.7 * rms[2] and rms[1] < 0.8 * rms[2]
+    assert (
+        told["sigma_arm_left_m"].iloc[-1]
+        < found["sigma_arm_left_m"].iloc[-1]
+        < found["sigma_arm_left_m"].iloc[0]
+    )
+
+
+def test_segments_are_independent():
+    second = recorded(start_rad=2.0, noise_m=0.02, seed=1)
+    both = pd.concat(
+        [LOG.assign(segment="a"), second.assign(segment="b", t_s=second["t_s"] + 60.0)],
+        ignore_index=True,
+    )
+    result = rhec.replay(both, first_yaw_rad=(0.4, 2.0))
+    for alone, part, yaw in ((LOG, result[: len(LOG)], 0.4), (second, result[len(LOG) :], 2.0)):
+        np.testing.assert_allclose(
+            part[ESTIMATE], rhec.replay(alone, first_yaw_rad=yaw)[ESTIMATE], atol=1e-9
+        )
+
+
+def test_positions_at_1_hz_are_enough():
+    log = LOG.copy()
+    log.loc[log.index % 10 > 0, ["x_m", "y_m"]] = np.nan
+    _, yaw = errors(rhec.replay(log, first_yaw_rad=0.4, process_noise="calibrated")[300:])
+    assert yaw.max() < 0.15
+
+
+# Faults
+
+
+def test_flagged_and_implausible_measurements_are_missing(estimates):
+    bad = np.random.default_rng(0).random(len(LOG)) < 0.1
+    silent = LOG.copy()
+    silent.loc[bad, ["x_m", "y_m"]] = np.nan
+    expected = rhec.replay(silent, first_yaw_rad=0.4)
+    flagged = LOG.assign(pos_ok=np.where(bad, 0, 1))
+    flagged.loc[bad, ["x_m", "y_m"]] = 1e5
+    for log in (
+        flagged,
+        silent.fillna({"x_m": np.inf, "y_m": -1e300}),
+        silent.assign(x_m=silent["x_m"].astype(object).where(~bad, "lost")),
+    ):
+        np.testing.assert_array_equal(
+            rhec.replay(log, first_yaw_rad=0.4)[ESTIMATE], expected[ESTIMATE]
+        )
+    assert not np.array_equal(expected[ESTIMATE], estimates[ESTIMATE])
+
+
+def test_a_repeated_position_is_missing():
+    log = LOG.copy()
+    log.loc[log.index % 4 > 0, ["x_m", "y_m"]] = np.nan
+    missing, log = log, log.ffill()
+    held, silent = rhec.replay(log, first_yaw_rad=0.4), rhec.replay(missing, first_yaw_rad=0.4)
+    np.testing.assert_array_equal(held[ESTIMATE], silent[ESTIMATE])
+    assert held.attrs["faults"]["positions_held"] == 450
+
+
+def test_rows_out_of_time_change_nothing(estimates):
+    """Duplicates, older rows and implausible times are left out; each such row has the estimate
+    before it.
+    """
+    wrong = LOG.iloc[[100, 50, 200, 201]].assign(t_s=[10.0, 9.85, 1e9, np.nan], x_m=77.0, y_m=-77.0)
+    order = np.concatenate(
+        [np.arange(101), [600, 601], np.arange(101, 201), [602, 603], np.arange(201, 600)]
+    )
+    log = pd.concat([LOG, wrong], ignore_index=True).iloc[order]
+    result = rhec.replay(log, first_yaw_rad=0.4)
+    np.testing.assert_array_equal(result.index, order)
+    np.testing.assert_array_equal(result.drop(index=range(600, 604))[ESTIMATE], estimates[ESTIMATE])
+    np.testing.assert_array_equal(
+        result.loc[[600, 601], ESTIMATE], estimates.loc[[100, 100], ESTIMATE]
+    )
+    assert result.attrs["faults"]["unusable_times"] == 4
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda log: log.assign(t_s=np.where(log.index < 300, log["t_s"], log["t_s"] - 20.0)),
+        lambda log: log.drop(index=range(200, 290)),
+        lambda log: log.drop(index=log.index[1::3]),
+        lambda log: log.assign(speed_mps=log["speed_mps"].where(log.index % 50 > 25)),
+        lambda log: log.assign(speed_mps=np.inf).assign(
+            speed_mps=lambda each: each["speed_mps"].where(each.index > 30, 0.0)
+        ),
+        lambda log: log.assign(x_m=np.where(log.index % 7 == 0, 1e7, log["x_m"])),
+        lambda log: log.iloc[:1],
+        lambda log: log.iloc[:2],
+        lambda log: log.iloc[:5],
+    ],
+)
+def test_estimates_are_finite_whatever_the_log_lacks(broken):
+    log = broken(LOG)
+    result = rhec.replay(log, first_yaw_rad=None)
+    assert len(result) == len(log) and np.isfinite(result[ESTIMATE]).all(axis=None)
+    assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
+
+
+@pytest.mark.parametrize(
+    "log, sentence",
+    [
+        ([1, 2], "^log was list; it should be a DataFrame"),
+        (LOG.iloc[:0], "^log was DataFrame without rows"),
+        (LOG.drop(columns="x_m"), "^the log had no column x_m"),
+        (
+            LOG.drop(columns=["t_s", "speed_mps"]),
+            "no column t_s, speed_mps;.*or give a track_width_m",
+        ),
+        (LOG.assign(y_m="east"), "column y_m had no number"),
+        (LOG.assign(t_s=np.nan), "column t_s had no number"),
+        (LOG.iloc[::10], "rows 1 s apart"),
+        (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m"),
+    ],
+)
+def test_a_log_that_cannot_be_replayed_is_refused_in_a_sentence(log, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.replay(log)
+
+
+def test_help_names_every_column_of_a_recording():
+    names = [*RECORDED.values(), *RECORDED_TRUTH.values(), *TRACKS, "t_s", "segment", "pos_ok"]
+    assert not [name for name in names if name not in rhec.replay.__doc__]
+
+
+def test_fields_answer_to_their_old_name():
+    with pytest.warns(FutureWarning, match="'process_noise'"):
+        old = rhec.replay(LOG, first_yaw_rad=0.4, reading="calibrated")
+    new = rhec.replay(LOG, first_yaw_rad=0.4, process_noise="calibrated")
+    np.testing.assert_array_equal(old[ESTIMATE], new[ESTIMATE])
+
+
+@pytest.mark.parametrize(
+    "given, sentence",
+    [
+        (dict(estimator="oracle"), "^estimator was 'oracle'"),
+        (dict(estimator="fixed_traction"), "^estimator was 'fixed_traction'"),
+        (dict(estimator="kalman"), "^estimator was 'kalman'"),
+        (dict(sed=1), "^replay has no parameter 'sed'"),
+        (dict(process_noise="bold"), "^process_noise was 'bold'"),
+        (dict(first_yaw_rad=(0.0, 1.0)), "^first_yaw_rad had 2 entries"),
+        (dict(first_yaw_rad=np.inf), "^first_yaw_rad"),
+        (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "^lever_arm_m was"),
+        (dict(lever_arm_m=(0.1,)), "^lever_arm_m"),
+        (dict(track_width_m=-0.5), "^track_width_m was -0.5"),
+        (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
+    ],
+)
+def test_bad_parameters_are_named(given, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.replay(LOG, **given)
+
+
+# Files
+
+
+def test_logs_are_read_from_csv_and_parquet(tmp_path):
+    LOG.to_csv(tmp_path / "log.csv", index=False)
+    LOG.to_parquet(tmp_path / "log.parquet")
+    for file in ("log.csv", "log.parquet"):
+        pd.testing.assert_frame_equal(rhec.logs.read(tmp_path / file), LOG)
+
+
+def test_nothing_in_a_file_is_executed(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (pytest.fail, ("a file was run",))
+
+    bomb = pickle.dumps(Bomb())
+    for name in ("log.csv", "log.parquet", "log.pkl"):
+        (tmp_path / name).write_bytes(bomb)
+        with pytest.raises(ValueError):
+            rhec.replay(rhec.logs.read(tmp_path / name))
+    for name in (tmp_path, tmp_path / "none.csv", "https://example.org/log.csv"):
+        with pytest.raises(ValueError, match="^log was"):
+            rhec.logs.read(name)
+
+
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd.csv", "..csv", "a b$(x).csv", "/", "日誌.csv", "C:\\log.csv"]
+)
+def test_figures_of_a_log_stay_in_their_folder(name):
+    folder = drawings.replay_folder(name)
+    assert folder.parent == drawings.replay_folder("x.csv").parent and folder.resolve() == folder
+
+
+# The shipped log
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return rhec.logs.read(make_example_log.FILE)
+
+
+def test_the_shipped_log_is_reproducible(shipped):
+    pd.testing.assert_frame_equal(make_example_log.example_log(), shipped, rtol=0, atol=2e-4)
+    assert make_example_log.FILE.stat().st_size < 300_000
+
+
+def test_the_shipped_log_has_all_kinds_of_motion(shipped):
+    still = (shipped["v_true_mps"].abs() < 1e-3) & (shipped["yaw_rate_true_radps"].abs() < 1e-3)
+    spin = (shipped["v_true_mps"].abs() < 0.05) & (shipped["yaw_rate_true_radps"].abs() > 0.3)
+    for kind in (shipped["v_true_mps"] > 0.2, shipped["v_true_mps"] < -0.2, still, spin):
+        assert kind.sum() > 50
+
+
+def test_speed_as_input_beats_the_papers_constant_speed_on_the_shipped_log(shipped):
+    """One ν over a window of 3 s cannot be right while the speed changes."""
+    by_input, by_parameter = (
+        scores.perturbed_scores(shipped, range(3), process_noise="calibrated", speed_model=model)
+        for model in ("input", "parameter")
+    )
+    assert (
+        (by_input["yaw_rms_rad"] < by_parameter["yaw_rms_rad"]).all()
+        and (by_input["outside"] == 0).all()
+        and (by_input["not_ok"] == 0).all()
+    )
+    assert (by_input["innovation_rms_m"] < 0.7 * by_parameter["innovation_rms_m"]).all()
+
+
+# Scores
+
+
+def test_regression_is_that_of_true_motion_on_measurements():
+    samples = recording.resample(
+        recording.prepare(recorded(50.0)).rows, 0.2, averaged=False
+    ).assign(segment=0)
+    assert scores.regression(samples) == pytest.approx((MU, KAPPA), abs=1e-4)
+    sliding = scores.sliding_regression(samples)
+    np.testing.assert_allclose(np.nanmedian(sliding, axis=0), (MU, KAPPA), atol=1e-3)
+    assert np.isnan(sliding).any(axis=0).all()  # standing, or straight
+
+
+def test_scores_equal_the_errors_put_in(estimates):
+    counted = scores.distance_driven(estimates) >= scores.FROM_M
+    wrong = estimates.assign(
+        theta_hat_rad=estimates["theta_rad"] + np.where(counted, 0.1 + 2 * np.pi, 3.0),
+        sigma_theta_rad=0.2,
+        mu_hat=0.5,
+        kappa_hat=-0.1,
+    )
+    score = scores.score(wrong)
+    assert (
+        score["yaw_rms_rad"] == pytest.approx(0.1)
+        and score["nees_yaw"] == pytest.approx(0.25)
+        and score["inside_95"] == 1
+    )
+    assert score["mu_median"] == 0.5 and score["outside"] == len(wrong)
+
+
+def test_a_perturbed_replay_adds_the_noise_of_its_seed():
+    one, again, other = (
+        scores.perturbed_replay(LOG, seed, process_noise="calibrated") for seed in (1, 1, 2)
+    )
+    pd.testing.assert_frame_equal(one, again)
+    assert not np.array_equal(one["x_meas_m"], other["x_meas_m"])
+    added = one["x_meas_m"] - LOG["x_m"][::2].to_numpy()
+    assert added.std() == pytest.approx(0.02, rel=0.15)
+    assert abs(scores.yaw_error(one)[0]) > 0.2
+
+
+def test_faults_reach_the_measurements_and_gating_bounds_the_error():
+    """Estimates stay finite, robust or not; with robust handling, outliers do little."""
+    outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
+    clean, off, on = (
+        scores.perturbed_replay(LOG, 0, **arguments)
+        for arguments in ({}, dict(faults=outliers, robust=False), dict(faults=outliers))
+    )
+    hit = clean["t_s"].between(30.0, 32.9)
+    np.testing.assert_allclose(
+        np.hypot(off["x_meas_m"] - clean["x_meas_m"], off["y_meas_m"] - clean["y_meas_m"]),
+        np.where(hit, 5.0, 0.0),
+        atol=1e-9,
+    )
+    worst = [errors(samples[hit | (clean["t_s"] > 33)])[0].max() for samples in (off, on)]
+    assert worst[1] < 0.3 < worst[0]
+    for kind, more in (
+        ("missing", {}),
+        ("infinite", dict(channel="all")),
+        ("disorder", dict(channel="all")),
+        ("dead", dict(channel="left")),
+    ):
+        samples = scores.perturbed_replay(
+            LOG, 0, faults=(rhec.Fault(kind=kind, start_s=30.0, duration_s=5.0, **more),)
+        )
+        assert (
+            np.isfinite(samples[ESTIMATE]).all(axis=None) and scores.score(samples)["outside"] == 0
+        )
+
+
+def test_figures_of_a_log_with_and_without_truth():
+    for log in (LOG, LOG.drop(columns=list(RECORDED_TRUTH.values()))):
+        replay = {"RHE": scores.perturbed_replay(log, 0, process_noise="calibrated")}
+        trials = {"RHE": scores.perturbed_scores(log, range(2), process_noise="calibrated")}
+        for figure in (
+            drawings.replay_log(replay["RHE"], "a $ b"),
+            drawings.replay_path(rhec.replay(log, process_noise="calibrated"), "a $ b"),
+            drawings.replay_yaw(replay),
+            drawings.replay_traction(replay, "RHE"),
+            drawings.replay_innovations(replay),
+        ):
+            assert figure.axes
+        table = replay_table(trials)
+        if "yaw_true_rad" in log:
+            figure = drawings.replay_trials(trials, table, "a $ b")
+            assert "2 noise seeds" in figure.axes[0]._left_title.get_text()
+        assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == (
+            "yaw_true_rad" in log
+        )
+
+
+# Any robot
+
+UNICYCLE = rhec.Model(
+    states=("x_m", "y_m", "theta_rad"),
+    inputs=("speed_mps", "yaw_rate_radps"),
+    parameters={},
+    outputs=("x_m", "y_m", "speed_mps", "yaw_rate_radps"),
+    f=lambda x, u, p: ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1]),
+)
+OF_UNICYCLE = dict(
+    model=UNICYCLE,
+    dt=0.5,
+    horizon=6,
+    sigma_v=(0.02, 0.02, 0.01, 0.01),
+    sigma_w=(0.001, 0.001, 0.001),
+    guess=(0.0, 0.0, 0.4),
+    sigma_guess=(0.1, 0.1, 0.2),
+)
+
+
+def circle(rate_hz):
+    """A log of a unicycle on an arc, with the measured inputs since the row before."""
+    t = np.arange(0, 20, 1 / rate_hz)
+    yaw = 0.4 + 0.1 * t
+    x, y = 5 * (np.sin(yaw) - np.sin(0.4)), -5 * (np.cos(yaw) - np.cos(0.4))
+    return pd.DataFrame(dict(t_s=t, x_m=x, y_m=y, speed_mps=0.5, yaw_rate_radps=0.1, yaw=yaw))
+
+
+@pytest.mark.parametrize("estimator", ["rhe", "ekf"])
+@pytest.mark.parametrize("rate_hz", [2.0, 5.0, 8.0])
+def test_a_models_estimates_are_at_each_rows_own_time(rate_hz, estimator):
+    log = circle(rate_hz)
+    given = {name: value for name, value in OF_UNICYCLE.items() if name != "horizon"}
+    result = rhec.replay(log, estimator, **(OF_UNICYCLE if estimator == "rhe" else given))
+    for name, truth in (("x_m", log["x_m"]), ("y_m", log["y_m"]), ("theta_rad", log["yaw"])):
+        np.testing.assert_allclose(result[f"{name}_hat"], truth, atol=1e-3)
+    assert result["ok"].all() and (result["theta_rad_sigma"][4:] < 0.2).all()
+
+
+@pytest.mark.parametrize(
+    "wrong, sentence",
+    [
+        (dict(estimator="dual"), "^estimator was 'dual'; for a model it should be 'rhe' or 'ekf'$"),
+        (dict(track_width_m=0.4), "^track_width_m was 0.4; a replay with a model does not take it"),
+        (dict(guess=(0.0,)), "^guess was"),
+        (dict(robust=True), "has no parameter 'robust'"),
+        (dict(log=circle(2.0).drop(columns="speed_mps")), "^the log had no column speed_mps"),
+        (dict(log=circle(1.0)), "^the log had rows 1 s apart .*at most 0.5 s"),
+        (dict(model="unicycle"), "^model was 'unicycle'"),
+    ],
+)
+def test_bad_arguments_of_a_models_replay_are_named(wrong, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.replay(**dict(log=circle(2.0)) | OF_UNICYCLE | wrong)

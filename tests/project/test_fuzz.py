@@ -1,0 +1,546 @@
+"""Absurd input of every public entry: one sentence that names what was wrong, or a sane result; and
+files, which are data.
+"""
+
+import dataclasses
+import inspect
+import os
+import pickle
+import re
+import sys
+
+import nbformat
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from nbformat import v4
+
+import rhec
+from rhec import paper
+from rhec.extensions import faults
+from rhec.simulation import closed_loop
+from rhec.tracked_robot.rhc import PaperRHC
+from rhec.tracked_robot.rhe import PaperRHE
+from rhec.workbench import notebook
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+N = paper.HORIZON
+
+
+def some(examples):
+    return settings(
+        max_examples=examples,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+# What a program, a notebook's widget or a file may come up with
+extreme = st.sampled_from(
+    [
+        0.0,
+        -0.0,
+        5e-324,
+        1e-300,
+        1e-9,
+        1.0,
+        1e9,
+        1e160,
+        1.7e308,
+        np.inf,
+        -np.inf,
+        np.nan,
+        -1.0,
+        -1e300,
+    ]
+)
+number = extreme | st.floats() | st.integers() | st.integers(-3, 300)
+scalar = (
+    number
+    | st.none()
+    | st.booleans()
+    | st.text(max_size=5)
+    | st.binary(max_size=5)
+    | st.complex_numbers()
+    | st.sampled_from([object, np.float32(2), 10**400])
+)
+junk = (
+    st.recursive(
+        scalar,
+        lambda inner: (
+            st.lists(inner, max_size=6)
+            | st.lists(inner, max_size=6).map(tuple)
+            | st.dictionaries(st.text(max_size=3), inner, max_size=2)
+        ),
+        max_leaves=8,
+    )
+    | st.lists(number, max_size=6).map(tuple)
+    | st.lists(st.floats(), max_size=6).map(np.array)
+)
+numbers = st.lists(number, min_size=2, max_size=6).map(tuple)
+
+
+def refused_by_name(make, names):
+    """What `make` returns, or None where it was refused in one line that begins with one of the
+    names.
+    """
+    try:
+        return make()
+    except ValueError as error:
+        assert re.match(r"\w+", str(error)).group() in names, str(error)
+        assert "\n" not in str(error) and len(str(error)) < 1000 and "pydantic" not in str(error)
+
+
+FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
+
+
+def as_tuples(value):
+    """A scenario keeps lists as tuples."""
+    return tuple(map(as_tuples, value)) if isinstance(value, list | tuple) else value
+
+
+@some(200)
+@example({"patches": []})
+@example({"patches": [[0.0, 0.0, 1.0, 0.5, 0.5]]})
+@given(st.dictionaries(st.sampled_from(FIELDS), junk | numbers, min_size=1, max_size=2))
+def test_a_scenario(fields):
+    scenario = refused_by_name(lambda: rhec.Scenario(**fields), FIELDS)
+    if scenario:
+        assert all(
+            getattr(scenario, name) == as_tuples(value)
+            for name, value in fields.items()
+            if not isinstance(value, np.ndarray)
+        )
+
+
+@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize("value", [5e-324, 1e160, 1e300, 1.7e308, -1e300, 2**70, 10**400])
+def test_a_scenario_of_extreme_numbers(name, value):
+    for field in (value, (value,) * 3, (value,) * 4, (value,) * 6, [(value,) * 5]):
+        refused_by_name(lambda: rhec.Scenario(**{name: field}), FIELDS)
+
+
+@some(100)
+@given(
+    st.dictionaries(
+        st.sampled_from([field.name for field in dataclasses.fields(rhec.Fault)]), junk, max_size=3
+    ),
+    st.sampled_from(faults.KINDS),
+)
+def test_a_fault(fields, kind):
+    refused_by_name(
+        lambda: rhec.Fault(**dict(kind=kind) | fields),
+        [field.name for field in dataclasses.fields(rhec.Fault)],
+    )
+
+
+positive = st.sampled_from([1e-300, 1e-9, 1e-3, 0.03, 1.0, 1e3, 1e9, 1e100]) | st.floats(1e-6, 1e6)
+anywhere = st.sampled_from([-1e100, -1e12, -1e5, 0.0, np.pi, 1e5, 1e12, 1e100]) | st.floats(
+    -100, 100
+)
+weird = st.fixed_dictionaries(
+    {},
+    optional=dict(
+        sigma_v=st.tuples(*[positive] * 4),
+        sigma_w=st.tuples(*[st.just(0.0) | positive] * 6),
+        q=st.tuples(*[st.just(0.0) | positive] * 3),
+        r=positive,
+        qn_factor=positive,
+        omega_max_radps=positive,
+        look_ahead_m=st.just(0.0) | positive,
+        command_delay=st.integers(0, 1),
+        speed_mps=st.floats(1e-12, 1.4),
+        backwards=st.booleans(),
+        start_offset_m=anywhere,
+        start_yaw_rad=anywhere,
+        guess_yaw_rad=anywhere,
+        gnss_sigma_m=positive,
+        gnss_slow_share=st.floats(0, 1),
+        gnss_slow_time_s=positive,
+        encoder_sigma_mps=positive,
+        speed_sigma_mps=positive,
+        bump_sigma_radps=positive,
+        track_width_m=positive,
+        duration_s=st.floats(0.2, 12),
+    ),
+)
+a_fault = st.sampled_from(
+    [
+        dict(kind="missing", channel="all"),
+        dict(kind="infinite", channel="all"),
+        dict(kind="outliers", size_m=1e7),
+        dict(kind="stuck"),
+        dict(kind="dead", channel="left"),
+        dict(kind="rate", rate_hz=1e100),
+        dict(kind="disorder", channel="all"),
+    ]
+)
+SOIL = rhec.Terrain.uniform(0.9, 0.8)
+
+
+@some(40)
+@given(weird, st.lists(a_fault, max_size=2), st.booleans(), st.integers(0, 2**70))
+def test_a_simulation(fields, several, robust, seed):
+    """Whatever it is tuned to, and wherever it starts: commands keep their bound, estimates are
+    finite, traction between 0 and 1.
+    """
+    broken = tuple(rhec.Fault(**given, start_s=0.6, duration_s=1.0) for given in several) or (
+        rhec.Fault(kind="missing", duration_s=0.0),
+    )
+    scenario = rhec.Scenario(
+        **dict(duration_s=5.0) | fields, terrain=SOIL, faults=broken, robust=robust, seed=seed
+    )
+    with np.errstate(all="ignore"):
+        columns = rhec.simulate(scenario).columns
+    assert len(columns["t_s"]) == round(scenario.duration_s / 0.2)
+    for name in (*closed_loop.LOG["truth"], *closed_loop.LOG["estimate"], "omega_cmd_radps"):
+        assert np.isfinite(columns[name]).all(), name
+    assert np.all(np.abs(columns["omega_cmd_radps"]) <= scenario.omega_max_radps)
+    for name in ("mu_hat", "kappa_hat", "mu", "kappa"):
+        assert np.all((columns[name] >= 0) & (columns[name] <= 1)), name
+
+
+@some(40)
+@example(dict(patches=((0.0, 0.0, 1e100, 0.5, 0.5),)))
+@given(
+    st.fixed_dictionaries(
+        {},
+        optional=dict(
+            row_length_m=positive.filter(lambda m: m <= 1e4),
+            headland_radius_m=positive.filter(lambda m: m <= 1e3),
+            start_offset_m=anywhere,
+            mu_mean=st.floats(1e-300, 1),
+            kappa_mean=st.floats(1e-300, 1),
+            mu_deviation=st.floats(0, 0.5),
+            kappa_deviation=st.floats(0, 0.5),
+            correlation_length_m=st.floats(0.5, 1e100),
+            patches=st.lists(
+                st.tuples(anywhere, anywhere, positive, st.floats(1e-300, 1), st.floats(1e-300, 1)),
+                max_size=2,
+            ).map(tuple),
+        ),
+    )
+)
+def test_a_field(fields):
+    with np.errstate(all="ignore"):
+        made = refused_by_name(
+            lambda: closed_loop.set_up(rhec.Scenario(**fields)), [*FIELDS, "box", "mu", "kappa"]
+        )
+    assert made is None or np.isfinite(made.settings["slip"]).all()
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        rhec.Path.from_segments,
+        rhec.Path.racetrack,
+        rhec.Path,
+        rhec.Terrain,
+        rhec.Terrain.uniform,
+        rhec.Terrain.random,
+    ],
+    ids=lambda entry: entry.__qualname__,
+)
+@some(50)
+@given(st.data())
+def test_paths_and_terrains(entry, data):
+    names = list(inspect.signature(entry).parameters)
+    arguments = {
+        name: data.draw(
+            junk | numbers | st.lists(numbers.map(lambda n: n[:2]), max_size=4), label=name
+        )
+        for name in names
+    }
+    made = refused_by_name(lambda: entry(**arguments), names)
+    if isinstance(made, rhec.Path):
+        with np.errstate(all="ignore"):
+            assert np.shape(
+                made.project(made.poses(np.linspace(0, made.length_m, 9))[0][:, :2])
+            ) == (2, 9)
+
+
+@some(40)
+@given(
+    st.dictionaries(
+        st.sampled_from(
+            [
+                "q",
+                "r",
+                "qn_factor",
+                "omega_max",
+                "dt",
+                "prediction_horizon",
+                "qp",
+                "guess",
+                "sigma_v",
+                "sigma_w",
+                "speed_model",
+                "process_noise",
+            ]
+        ),
+        scalar | numbers,
+        min_size=1,
+        max_size=2,
+    ).filter(lambda fields: not isinstance(fields.get("prediction_horizon"), int))
+)
+def test_an_estimator_and_a_controller(fields):
+    for entry, made in ((rhec.RHE, PaperRHE), (rhec.RHC, PaperRHC)):
+        refused_by_name(
+            lambda: entry(**fields), [*inspect.signature(made).parameters, entry.__name__]
+        )
+
+
+@some(150)
+@given(st.sampled_from(["z", "pose", "p", "xi_ref", "omega_ref"]), junk)
+def test_a_measurement_and_a_reference_of_any_kind(name, value):
+    straight = dict(
+        pose=(0, 0, 0), p=(0.5, 1, 1), xi_ref=np.zeros((3, N + 1)), omega_ref=np.zeros(N)
+    )
+    live, given = (RHE, dict(z=value)) if name == "z" else (RHC, straight | {name: value})
+    live.prepare()
+    refused_by_name(lambda: live.feedback(**given), [name])
+
+
+RHE, RHC = None, None
+
+
+@pytest.fixture(scope="module", autouse=True)
+def live(virtual_machine):
+    global RHE, RHC
+    RHE, RHC = rhec.RHE(), rhec.RHC()
+
+
+absurd = extreme | st.floats(-1e9, 1e9)
+
+
+@some(30)
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 30), st.sampled_from(["pose", "p", "xi_ref", "omega_ref"]), absurd
+        ),
+        max_size=6,
+    ),
+    st.sampled_from(["structured", "daqp", "qpoases"]),
+)
+@example([(0, "p", 1658.0)], "daqp")
+def test_a_controller_recovers_from_absurd_arguments(moments, qp):
+    """Its command keeps the bound whatever it is told, and is that of a controller that never heard
+    of it some seconds later.
+    """
+    told, spared = rhec.RHC(qp=qp), rhec.RHC(qp=qp)
+    healthy = dict(
+        pose=(0.0, 0.1, 0.0),
+        p=(0.5, 0.9, 0.8),
+        xi_ref=np.vstack([0.1 * np.arange(N + 1), np.zeros((2, N + 1))]),
+        omega_ref=np.zeros(N),
+    )
+    for k in range(70):
+        wrong = {
+            name: np.full(np.shape(healthy[name]), value)
+            for when, name, value in moments
+            if when == k
+        }
+        told.prepare(), spared.prepare()
+        with np.errstate(all="ignore"):
+            command, expected = told.feedback(**healthy | wrong), spared.feedback(**healthy)
+        assert abs(command) <= paper.OMEGA_MAX_RADPS
+    assert command == pytest.approx(expected, abs=1e-6)
+
+
+@some(20)
+@given(
+    st.lists(st.tuples(absurd, absurd, absurd, absurd), min_size=1, max_size=40),
+    st.sampled_from(["parameter", "input", "slipping"]),
+    st.booleans(),
+)
+def test_an_estimator_stays_finite_on_absurd_measurements(measurements, speed_model, robust):
+    rhe = rhec.RHE(guess=(0, 0, 0, 0.5, 1, 1), speed_model=speed_model, robust=robust)
+    for z in measurements:
+        rhe.prepare()
+        estimate = rhe.feedback(z)
+        assert np.isfinite(estimate[:6]).all() and np.isfinite(estimate.covariance).all()
+        assert 0 <= estimate.mu <= 1 and 0 <= estimate.kappa <= 1
+
+
+@some(40)
+@given(junk)
+def test_a_run_and_a_campaign_of_junk(value):
+    refused_by_name(lambda: rhec.simulate(value), ["scenario"])
+    refused_by_name(lambda: rhec.campaign([value]), ["scenarios"])
+    if not (isinstance(value, list | tuple | dict | np.ndarray) and len(value) == 0):
+        refused_by_name(lambda: rhec.campaign(value), ["scenarios"])
+
+
+# Files are data
+
+
+class Executed:
+    """Unpickling it makes a file."""
+
+    def __reduce__(self):
+        return open, ("executed", "w")
+
+
+def test_loading_a_field_executes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    healthy = dict(
+        mu=np.ones((2, 2)), kappa=np.ones((2, 2)), origin_m=np.zeros(2), cell_m=np.array(1.0)
+    )
+    for name, value in healthy.items():
+        np.savez(
+            "field.npz", **healthy | {name: np.full(np.shape(value), Executed(), dtype=object)}
+        )
+        refused_by_name(lambda: rhec.Terrain.load("field.npz"), ["file"])
+    for content in (pickle.dumps(Executed()), pickle.dumps(healthy)):
+        (tmp_path / "field.npz").write_bytes(content)
+        refused_by_name(lambda: rhec.Terrain.load("field.npz"), ["file"])
+    assert os.listdir() == ["field.npz"]
+
+
+@some(150)
+@given(
+    st.binary(max_size=200) | st.tuples(st.integers(0, 2000), st.binary(min_size=1, max_size=20))
+)
+def test_a_corrupt_field(tmp_path_factory, change):
+    file = tmp_path_factory.getbasetemp() / "corrupt.npz"
+    if isinstance(change, tuple):  # a healthy one with some bytes replaced
+        SOIL.save(file)
+        content, (place, new) = file.read_bytes(), change
+        change = (
+            content[:place] + new + content[place + len(new) :]
+            if place < len(content)
+            else content[: -len(new)]
+        )
+    file.write_bytes(change)
+    refused_by_name(lambda: rhec.Terrain.load(file), ["file", "mu", "kappa", "origin_m", "cell_m"])
+
+
+@some(200)
+@given(junk, st.sampled_from([(int, 0, 9), (float, -1.0, 1.0), ("one", "two"), [(float, 0, 1)]]))
+def test_a_notebooks_parameter(value, allowed):
+    try:
+        notebook.parameters({"given": value}, given=allowed)
+    except notebook.ParameterError as error:
+        assert str(error).startswith("given was ") and "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../seed", "/tmp/seed", "seed/../../x", "se ed", "seed;x", "", "__import__('os')", "seed\n"],
+)
+def test_a_parameter_named_like_a_path_or_like_code_is_refused(name, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["notebook", "scenario_a.ipynb", "-p", name, "1"])
+    nbformat.write(v4.new_notebook(), "scenario_a.ipynb")
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert (
+        refusal.value.code == 2
+        and capsys.readouterr().err
+        == f"NAME was {name!r}; it must be a name as in Python, such as seed\n"
+    )
+    assert os.listdir() == ["scenario_a.ipynb"]
+
+
+def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
+    """Values that would leave the string they are in, or the folder, arrive as they are, to be
+    refused.
+    """
+    monkeypatch.chdir(tmp_path)
+    tagged = v4.new_code_cell("process_noise = 'printed'", metadata={"tags": ["parameters"]})
+    check = v4.new_code_cell(
+        "from rhec.workbench.notebook import parameters\n"
+        "parameters(globals(), process_noise=('printed', 'calibrated'))"
+    )
+    nbformat.write(v4.new_notebook(cells=[tagged, check]), "toy.ipynb")
+    value = (
+        "'); open('../executed', 'w'); ('\\'); open('../executed', 'w') #\nopen('../executed', 'w')"
+    )
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        ["notebook", "toy.ipynb", "-p", "process_noise", value, "--output", "out.ipynb"],
+    )
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert refusal.value.code == 2 and capfd.readouterr().err.startswith("process_noise was ")
+    assert os.listdir() == ["toy.ipynb"] and "executed" not in os.listdir("..")
+
+
+# Recorded logs
+
+COLUMNS = [
+    "t_s",
+    "x_m",
+    "y_m",
+    "speed_mps",
+    "yaw_rate_radps",
+    "v_left_mps",
+    "v_right_mps",
+    "pos_ok",
+    "encoders_ok",
+    "segment",
+    "yaw_true_rad",
+    "anything",
+]
+PARAMETERS = [
+    "track_width_m",
+    "lever_arm_m",
+    "first_yaw_rad",
+    "sigma_yaw_rad",
+    "sigma_v",
+    "process_noise",
+    "robust",
+    "speed_model",
+    "nonsense",
+]
+
+
+@st.composite
+def logs(draw):
+    """A log whose columns may be missing, absurd or of any type; half of the time with a clock that
+    runs.
+    """
+    rows = draw(st.integers(1, 12))
+    columns = (
+        COLUMNS[:5]
+        if draw(st.booleans())
+        else draw(st.lists(st.sampled_from(COLUMNS), unique=True))
+    )
+    log = pd.DataFrame(
+        {
+            column: draw(
+                st.lists(
+                    number | scalar if draw(st.integers(0, 5)) == 0 else number,
+                    min_size=rows,
+                    max_size=rows,
+                )
+            )
+            for column in columns
+        }
+    )
+    return log.assign(t_s=0.2 * np.arange(rows)) if draw(st.booleans()) else log
+
+
+@some(150)
+@given(
+    logs() | junk,
+    st.dictionaries(st.sampled_from(PARAMETERS), junk | numbers, max_size=1),
+    st.booleans(),
+)
+def test_a_recorded_log(log, fields, simplest):
+    """Refused in one sentence, or one finite estimate a row that could be used, with traction
+    between 0 and 1.
+    """
+    fields = {} if simplest else fields
+    result = refused_by_name(
+        lambda: rhec.replay(log, estimator="ekf", **fields), ["log", "the", "replay", *PARAMETERS]
+    )
+    if result is not None:
+        assert len(result) == len(log) and result.index.equals(log.index)
+        assert np.isfinite(result[["x_hat_m", "y_hat_m", "theta_hat_rad"]].to_numpy(float)).all()
+        assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()

@@ -1,0 +1,905 @@
+"""Campaigns: the same rows wherever they run, whatever fails or is killed or interrupted."""
+
+import contextlib
+import dataclasses
+import itertools
+import json
+import os
+import pickle
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import casadi as ca
+import distributed
+import numpy as np
+import pandas as pd
+import psutil
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from dask.system import CPU_COUNT
+
+import rhec
+from rhec.core._casadi import compiled
+from rhec.simulation.campaigns import campaign as campaigns
+from rhec.simulation.campaigns import side_by_side, store, workers
+
+SHORT = rhec.Scenario(estimator="ekf", duration_s=6.0)
+ROOT = Path(rhec.__file__).parents[1]
+
+
+def short(seeds=4, **changes):
+    return [dataclasses.replace(SHORT, seed=seed, **changes) for seed in range(seeds)]
+
+
+def same(one, other):
+    """Equal to the last bit; a column with holes may be of another type."""
+    pd.testing.assert_frame_equal(
+        one.reset_index(drop=True),
+        other.reset_index(drop=True),
+        check_exact=True,
+        check_dtype=False,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Lethal(rhec.Path):
+    """A path that kills every process but its own."""
+
+    home: int = 0
+
+    def poses(self, s):
+        if os.getpid() != self.home:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().poses(s)
+
+
+def mine(**result):
+    """An estimator that believes its measurements; or of another shape, which no loop can take."""
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    estimate = ca.vertcat(z[:2], memory[2] + 0.16 * z[3], z[2], 0.9, 0.8)
+    return ca.Function("mine", [memory, z], [estimate, result.get("estimate", estimate)])
+
+
+# Rows
+
+
+def test_a_campaign_has_a_row_for_each_scenario_in_order():
+    scenarios = [
+        dataclasses.replace(SHORT, seed=seed, estimator=estimator)
+        for seed in (5, 2, 5)
+        for estimator in ("ekf", "oracle")
+    ]
+    table = rhec.campaign(scenarios)
+    assert (
+        list(table["seed"]) == [5, 5, 2, 2, 5, 5]
+        and list(table["estimator"]) == ["ekf", "oracle"] * 3
+        and (table["error"] == "").all()
+    )
+    for scenario, (_, row) in zip(scenarios, table.iterrows()):
+        metrics = rhec.simulate(scenario).metrics
+        assert {key: row[key] for key in metrics} == pytest.approx(metrics, nan_ok=True)
+        assert {
+            field.name: row[field.name] for field in dataclasses.fields(scenario)
+        } == dataclasses.asdict(scenario)
+
+
+def test_no_metric_hides_a_field():
+    names = [field.name for field in dataclasses.fields(rhec.Scenario)]
+    metrics = rhec.simulate(SHORT).metrics
+    assert list(metrics) == list(store.failed_row(""))[:-1] and not set(names) & set(metrics)
+    assert (
+        list(rhec.campaign([]).columns)
+        == list(rhec.campaign([SHORT]).columns)
+        == [*names, *metrics, "error"]
+    )
+    assert len(rhec.campaign([])) == 0
+
+
+def test_equal_scenarios_run_once(monkeypatch):
+    ran = []
+    monkeypatch.setattr(
+        campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario)
+    )
+    table = rhec.campaign([SHORT, *short(2), SHORT])
+    assert ran == short(2) and list(table["seed"]) == [0, 0, 1, 0]
+
+
+def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
+    compiler = compiled.compiler()
+    broken = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))
+    other = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(3)))
+    table = rhec.campaign([SHORT, broken, other, *short(2)])
+    good, metrics = table["error"] == "", set(store.failed_row("")) - {"error"}
+    assert list(good) == [True, False, False, True, True]
+    assert (
+        table.loc[~good, list(metrics - {"all_ok"})].isna().all(axis=None)
+        and not table.loc[~good, "all_ok"].any()
+    )
+    assert table["error"].str.fullmatch(r"|\w+: .*").all() and table["error"].str.len().max() < 400
+    assert table.loc[1, "estimator"] is broken.estimator
+    assert compiled.compiler() == compiler  # it is not to blame
+    same(table[good], rhec.campaign([SHORT, *short(2)]))
+
+
+def test_nothing_is_shown_where_nobody_looks(capfd):
+    rhec.campaign(short())
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "arguments, sentence",
+    [
+        (dict(scenarios=SHORT), "scenarios was Scenario"),
+        (dict(scenarios=None), "scenarios was None; it should be a list of rhec.Scenario"),
+        (dict(scenarios="rhe"), "scenarios was 'rhe'; "),
+        (dict(scenarios=[SHORT, 3]), r"scenarios\[1\] was 3; it should be a rhec.Scenario"),
+        (dict(scenarios=[], workers=0), "workers was 0; "),
+        (dict(scenarios=[], workers=-1), "workers was -1; "),
+        (dict(scenarios=[], workers=1.5), "workers was 1.5; "),
+        (dict(scenarios=[], workers="2"), "workers was '2'; "),
+        (dict(scenarios=[], folder=__file__), "folder was .*file"),
+        (dict(scenarios=[], folder=3), "folder was 3; "),
+        (dict(scenarios=[], worker=2), "no parameter 'worker'; did you mean 'workers'"),
+    ],
+    ids=str,
+)
+def test_bad_arguments_are_refused_in_a_sentence(arguments, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.campaign(**arguments)
+
+
+# What is kept
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """The scenarios that really ran."""
+    ran = []
+    monkeypatch.setattr(
+        campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario)
+    )
+    return ran
+
+
+def test_what_is_kept_is_not_run_again(tmp_path, ran):
+    first = rhec.campaign(short(), tmp_path)
+    same(first, rhec.campaign(short()))
+    ran.clear()
+    same(rhec.campaign(short(), tmp_path), first)
+    assert ran == []
+    backwards = rhec.campaign(
+        [*short(6)[::-1], dataclasses.replace(SHORT, estimator=mine())], tmp_path
+    )
+    assert [scenario.seed for scenario in ran] == [5, 4, 0]
+    same(backwards[2:6][::-1], first)
+
+
+def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
+    """Interrupted anywhere, again and again: each time it gets on, and what was finished is never
+    run again.
+    """
+    monkeypatch.setattr(side_by_side, "_TASK", 30)
+    runs = []
+
+    def tiring(scenario):
+        if len(runs) % 3 == 2 and runs[-1] is not None:
+            runs.append(None)
+            raise KeyboardInterrupt
+        runs.append(scenario)
+        return rhec.simulate(scenario)
+
+    monkeypatch.setattr(campaigns, "simulate", tiring)
+    for interruptions in itertools.count():
+        try:
+            table = rhec.campaign(short(8), tmp_path)
+            break
+        except KeyboardInterrupt as interrupt:
+            assert "of 8 runs; the same call goes on from there" in str(interrupt)
+    monkeypatch.undo()
+    assert interruptions >= 2 and len([scenario for scenario in runs if scenario]) == 8
+    same(table, rhec.campaign(short(8)))
+
+
+def test_a_resumed_campaign_has_the_types_of_a_fresh_one(tmp_path):
+    broken = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))
+    for scenarios in (short(), [*short(2), broken]):
+        fresh = rhec.campaign(scenarios, tmp_path)
+        pd.testing.assert_frame_equal(rhec.campaign(scenarios, tmp_path), fresh, check_exact=True)
+        assert fresh.dtypes.equals(rhec.campaign(scenarios).dtypes)
+
+
+def test_all_is_not_ok_where_a_result_is_no_number():
+    """Where the antenna sees nothing all the way, there is no mean error by raw GNSS."""
+    blind = rhec.Fault(kind="missing", channel="gnss")
+    table = rhec.campaign([SHORT, dataclasses.replace(SHORT, faults=(blind,))])
+    assert table["mean_error_m"].isna().tolist() == [False, True]
+    assert table["all_ok"].tolist() == [True, False]
+
+
+def test_what_changes_bits_is_part_of_what_a_row_was_made_by(tmp_path, monkeypatch):
+    here = store.provenance()
+    monkeypatch.setattr(store.platform, "libc_ver", lambda: ("glibc", "0.1"))
+    assert store.provenance() != here
+    monkeypatch.undo()
+    (tmp_path / "processor").write_text("flags\t\t: fpu avx2\n")
+    monkeypatch.setattr(compiled, "PROCESSOR", tmp_path / "processor")
+    assert store.provenance() != here
+    monkeypatch.undo()
+    assert store.provenance() == here
+
+
+def test_a_compiler_that_fails_on_the_way_mixes_no_rows(tmp_path, ran, monkeypatch):
+    """What was compiled before and what runs on the virtual machine differ in their last bits."""
+    monkeypatch.setattr(campaigns, "size_of_task", lambda alike: 30)
+    monkeypatch.setattr(campaigns, "run_in_lanes", lambda *given: {})
+    real = compiled.compiler()
+    monkeypatch.setattr(compiled, "compiler", lambda: None if len(ran) > 1 else real)
+    rhec.campaign(short(), tmp_path)
+    assert ran[2:] == short() or not real
+    assert len(store.load_rows(store.cache_folder(tmp_path))) == 4
+
+
+def test_failures_are_tried_again(tmp_path, ran, monkeypatch):
+    monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
+    assert (
+        rhec.campaign(short(), tmp_path)["error"] == "ZeroDivisionError: division by zero"
+    ).all()
+    monkeypatch.setattr(campaigns, "simulate", rhec.simulate)
+    assert (rhec.campaign(short(), tmp_path)["error"] == "").all()
+
+
+def test_other_code_keeps_other_rows(tmp_path, ran, monkeypatch):
+    rhec.campaign(short(), tmp_path)
+    here = store.provenance()
+    for name in here:
+        monkeypatch.setattr(store, "provenance", lambda name=name: here | {name: "another"})
+        ran.clear()
+        rhec.campaign(short(), tmp_path)
+        assert ran == short()
+    assert len(list(tmp_path.iterdir())) == 1 + len(here)
+
+
+def test_whatever_differs_between_two_scenarios_is_told_apart():
+    soil, target = rhec.Terrain.uniform(0.7, 0.6), rhec.Path.from_segments([(20.0, 0.0)])
+    other_soil = rhec.Terrain(soil.mu, np.nextafter(soil.kappa, 1), soil.origin_m, soil.cell_m)
+    other_target = rhec.Path.from_segments([(20.0, 0.0)], start=(0.0, 1e-300, 0.0))
+    changes = dict(
+        estimator="rhe",
+        process_noise="calibrated",
+        sigma_v=(0.1,) * 4,
+        sigma_w=(1.0,) * 4,
+        speed_model="input",
+        slip=(0.2, 0.1, 0.1, 0.02, 0.05),
+        arrival_mean="filtered",
+        input_reference="curvature",
+        command_delay=1,
+        qp="daqp",
+        backwards=True,
+        cautious=True,
+        path=target,
+        terrain=soil,
+        patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
+        faults=(rhec.Fault(kind="stuck"),),
+    )
+    for field in dataclasses.fields(SHORT):
+        if field.name not in changes and field.name != "robust":
+            old = getattr(SHORT, field.name)
+            changes[field.name] = (
+                old + 1
+                if isinstance(old, int)
+                else np.nextafter(old, 0.85)
+                if isinstance(old, float)
+                else (9.0, *old[1:])
+            )
+    changed = [dataclasses.replace(SHORT, **{name: value}) for name, value in changes.items()]
+    changed += [
+        dataclasses.replace(SHORT, **more)
+        for more in (
+            dict(terrain=other_soil),
+            dict(path=other_target),
+            dict(estimator=mine()),
+            dict(estimator=mine(estimate=ca.DM.ones(6))),
+            dict(estimator="rhe", robust=True),
+        )
+    ]
+    keys = [store.scenario_key(scenario) for scenario in [SHORT, *changed]]
+    assert len(set(keys)) == len(keys) == len(changes) + 6
+    assert keys == [
+        store.scenario_key(dataclasses.replace(scenario)) for scenario in [SHORT, *changed]
+    ]
+
+
+def truncated(file):
+    file.write_bytes(file.read_bytes()[:-100])
+
+
+def of_something_else(file):
+    pq.write_table(pa.table(dict(key=["a"], price=[3.0])), file)
+
+
+def of_other_types(file):
+    table = pq.read_table(file)
+    pq.write_table(
+        table.set_column(
+            table.column_names.index("violations"), "violations", pa.array(["many"] * len(table))
+        ),
+        file,
+    )
+
+
+def forged(file):
+    """Better numbers, by who knows the format but not what it is made by."""
+    table = pq.read_table(file)
+    place = table.column_names.index("mean_error_m")
+    better = pa.array([0.001] * len(table))
+    pq.write_table(table.set_column(place, "mean_error_m", better), file, write_page_checksum=True)
+
+
+def foreign(file):
+    """What other code made of the same scenarios, put where this code's rows are."""
+    rows = store.load_rows(file.parent)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store, "provenance", lambda: dict(casadi="0.1"))
+        store.save_rows(file.parent, rows)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        truncated,
+        forged,
+        foreign,
+        of_something_else,
+        of_other_types,
+        lambda file: file.write_bytes(b""),
+        lambda file: file.write_text("key,scenario\n"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
+    first = rhec.campaign(short(), tmp_path)
+    (file,) = tmp_path.glob("*/*.parquet")
+    spoil(file)
+    ran.clear()
+    with pytest.warns(UserWarning, match="cannot be read .* done again"):
+        again = rhec.campaign(short(), tmp_path)
+    same(again, first)
+    assert ran == short()
+    same(rhec.campaign(short(), tmp_path), first)
+
+
+def test_no_damaged_row_is_ever_taken(tmp_path):
+    """One bit anywhere in the file: either it does not matter, or the file is left aside."""
+    rhec.campaign(short(3), tmp_path)
+    (file,) = tmp_path.glob("*/*.parquet")
+    content, rows, left_aside = file.read_bytes(), store.load_rows(file.parent), 0
+    for place in np.random.default_rng(0).integers(len(content), size=300):
+        file.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            got = store.load_rows(file.parent)
+        assert (repr(got), len(caught)) in ((repr(rows), 0), ("{}", 1)), place
+        left_aside += len(caught)
+    assert left_aside > 100
+
+
+# Workers of its own
+
+
+def test_it_is_the_same_on_any_number_of_workers_and_without():
+    scenarios = short(20) + [
+        dataclasses.replace(SHORT, estimator=mine()),
+        dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
+        dataclasses.replace(SHORT, duration_s=0.2),
+        dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2))),
+    ]
+    here = rhec.campaign(scenarios)
+    for number in (1, 2):
+        same(rhec.campaign(scenarios, workers=number), here)
+
+
+INTRUDER = """
+import asyncio, ssl, sys
+from distributed import comm
+
+careless = ssl.create_default_context()
+careless.check_hostname, careless.verify_mode = False, ssl.CERT_NONE
+
+async def knock(address, **known):
+    try:
+        await (await comm.connect(address, timeout=20, **known)).close()
+        print("let in at", address)
+    except OSError:
+        print("refused")
+
+for port in sys.argv[1:]:
+    asyncio.run(knock(f"tcp://127.0.0.1:{port}"))
+    asyncio.run(knock(f"tls://127.0.0.1:{port}", ssl_context=careless))
+"""
+
+
+def test_no_one_without_the_secret_speaks_to_a_scheduler_or_its_workers():
+    """Another user of this machine reaches every port. Who is let in may run code: so nobody is who
+    has no certificate, or speaks without encryption.
+    """
+    client = workers.local_cluster(2)
+    assert client.submit(sum, (1, 1)).result() == 2
+    nannies = (worker["nanny"] for worker in client.scheduler_info()["workers"].values())
+    addresses = [client.scheduler.address, *client.nthreads(), *nannies]
+    assert len(addresses) == 5
+    ports = [address.rsplit(":")[-1] for address in addresses]
+    intruder = [sys.executable, "-c", INTRUDER, *ports]
+    done = subprocess.run(intruder, capture_output=True, text=True, timeout=120)
+    assert done.stdout.splitlines() == ["refused"] * 10, done
+
+
+def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_its_error(
+    tmp_path, monkeypatch
+):
+    track = rhec.Path.racetrack(30.0, 7.8)
+    lethal = dataclasses.replace(
+        SHORT, path=Lethal(track.segments, track.length_m, True, home=os.getpid())
+    )
+    scenarios = [*short(3), lethal, *short(40)]
+    workers.local_cluster(2)
+    killed, keep = [], store.save_rows
+
+    def kill_a_worker_and_keep(*given):
+        if not killed:
+            killed.append(
+                next(
+                    child
+                    for child in psutil.Process().children()
+                    if "spawn_main" in " ".join(child.cmdline())
+                )
+            )
+            killed[0].kill()
+        keep(*given)
+
+    monkeypatch.setattr(store, "save_rows", kill_a_worker_and_keep)
+    table = rhec.campaign(scenarios, tmp_path, workers=2)
+    assert killed and not killed[0].is_running()
+    assert (
+        list(table.index[table["error"] != ""]) == [3]
+        and table.loc[3, "error"] == "KilledWorker: every worker that ran it died"
+    )
+    same(table.drop(index=3), rhec.campaign(short(3) + short(40)))
+
+
+ALL_KILLED = """
+import sys, psutil, rhec
+from rhec.simulation.campaigns import store
+scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(40)]
+keep = store.save_rows
+
+def kill_all_once_and_keep(*given):
+    for child in psutil.Process().children():
+        if "spawn_main" in " ".join(child.cmdline()):
+            child.kill()
+    store.save_rows = keep
+    keep(*given)
+
+if __name__ == "__main__":
+    store.save_rows = kill_all_once_and_keep
+    print((rhec.campaign(scenarios, sys.argv[1], workers=2)["error"] == "").sum())
+"""
+
+
+def test_workers_that_do_not_come_back_are_replaced(tmp_path):
+    """As if they took too long to start again: Dask itself would wait for them for ever."""
+    script = tmp_path / "all_killed.py"
+    script.write_text(ALL_KILLED)
+    given_up = dict(DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT="10ms", PYTHONPATH=str(ROOT))
+    command = [sys.executable, script, tmp_path / "rows"]
+    done = subprocess.run(
+        command, env=os.environ | given_up, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout == "40\n", done.stderr
+
+
+# A cluster that is there already
+
+
+@pytest.fixture
+def started():
+    """start(module, arguments, environment): a process that ends with the test."""
+    processes = []
+
+    def start(module, *arguments, **environment):
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, "-P", "-m", f"distributed.cli.{module}", *map(str, arguments)],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | dict(PYTHONPATH=str(ROOT)) | environment,
+            )
+        )
+        return processes[-1]
+
+    start.processes = processes
+    yield start
+    for process in processes[::-1]:
+        process.kill()  # they have no children
+    for process in processes:
+        process.wait(timeout=30)
+
+
+def scheduler(start, folder, *arguments, **environment):
+    """The address of a scheduler in a process of its own."""
+    file = folder / "scheduler.json"
+    start(
+        "dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        0,
+        "--no-dashboard",
+        "--dashboard-address",
+        "127.0.0.1:0",
+        "--scheduler-file",
+        file,
+        *arguments,
+        **environment,
+    )
+    while not file.exists() or not file.read_text():
+        time.sleep(0.05)
+    return json.loads(file.read_text())["address"]
+
+
+def worker(start, address, folder, **environment):
+    return start(
+        "dask_worker",
+        address,
+        "--host",
+        "127.0.0.1",
+        "--nthreads",
+        1,
+        "--no-dashboard",
+        "--no-nanny",
+        "--local-directory",
+        folder,
+        **environment,
+    )
+
+
+CAMPAIGN = """
+import sys, rhec
+scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(20)]
+rhec.campaign(scenarios, sys.argv[1])
+"""
+
+
+def certificate(folder):
+    """The environment with which README.md secures a cluster, with files made here."""
+    made, environment = distributed.Security.temporary(), {}
+    settings = dict(ca_file=made.tls_ca_file)
+    for role in ("scheduler", "worker", "client"):
+        settings[f"{role}__cert"] = made.tls_scheduler_cert
+        settings[f"{role}__key"] = made.tls_scheduler_key
+    for name, text in settings.items():
+        (folder / name).write_text(text)
+        environment[f"DASK_DISTRIBUTED__COMM__TLS__{name.upper()}"] = str(folder / name)
+    return environment | dict(DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION="True")
+
+
+def test_it_is_the_same_on_a_secured_cluster_of_separate_processes(started, tmp_path):
+    """A scheduler and two workers, one of which compiles for itself; the campaign finds them by
+    DASK_SCHEDULER_ADDRESS and Dask's settings alone, and without the certificate is not let in.
+    """
+    secured = certificate(tmp_path)
+    address = scheduler(started, tmp_path, "--protocol", "tls", **secured)
+    assert address.startswith("tls://")
+    cache = dict(RHEC_CACHE=str(tmp_path / "cache"))
+    processes = [
+        worker(started, address, tmp_path, **secured),
+        worker(started, address, tmp_path, **secured | cache),
+    ]
+    command = [sys.executable, "-c", CAMPAIGN, tmp_path / "rows"]
+    environment = os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT))
+    subprocess.run(command, env=environment | secured, check=True, timeout=120)
+    assert list((tmp_path / "cache").glob("*/library.so")) and all(
+        process.poll() is None for process in processes
+    )
+    rows = store.load_rows(store.cache_folder(tmp_path / "rows"))
+    assert set(rows) == set(map(store.scenario_key, short(20)))
+    same(rhec.campaign(short(20), tmp_path / "rows"), rhec.campaign(short(20)))
+    command[-1] = tmp_path / "other rows"
+    refused = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert refused.returncode and "ConnectionError" in refused.stderr
+
+
+def test_workers_with_other_code_are_refused(started, tmp_path, monkeypatch):
+    for name in ("rhec", "data"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    with open(tmp_path / "rhec" / "estimator" / "ekf.py", "a") as source:
+        source.write("# a new idea\n")
+    address = scheduler(started, tmp_path)
+    worker(started, address, tmp_path, PYTHONPATH=str(tmp_path))
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+    sentence = f"a worker of {address} failed .* it has source of rhec .* they must be the same"
+    with pytest.raises(RuntimeError, match=sentence):
+        rhec.campaign(short())
+
+
+def io_loops():
+    return [thread for thread in threading.enumerate() if thread.name == "IO loop"]
+
+
+def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(workers, "WORKERS_S", 1.0)
+    before = io_loops()
+    for address in (
+        "tcp://127.0.0.1:9",
+        "nonsense://127.0.0.1",
+        "127.0.0.1",
+        "a b",
+        "tcp://no.such.host.invalid:8786",
+    ):
+        monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+        with pytest.raises(ConnectionError, match=f"DASK_SCHEDULER_ADDRESS was '{address}'"):
+            rhec.campaign(short())
+    assert io_loops() == before
+    address = scheduler(started, tmp_path)
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+    with pytest.raises(ConnectionError, match="has had no worker for 1 s"):
+        rhec.campaign(short())
+
+
+def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
+    address = scheduler(started, tmp_path)
+    its_process = started.processes[0]
+    worker(started, address, tmp_path)
+    drives = ["-p", "estimator", "ekf", "-p", "duration_s", "60", "--seeds", "3000"]
+    process = subprocess.Popen(
+        [*command(tmp_path)[:3], *drives, "--folder", str(tmp_path / "rows")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT)),
+    )
+    while not list(tmp_path.glob("rows/*/*.parquet")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    time.sleep(0.5)
+    its_process.kill()
+    out, err = process.communicate(timeout=120)
+    assert (process.returncode, out) == (1, "")
+    assert err == f"the scheduler at {address} went away\n"
+
+
+def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "PATIENCE_S", 1.0)
+    address = scheduler(started, tmp_path)
+    its_process = started.processes[0]
+    worker(started, address, tmp_path)
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+    monkeypatch.setattr(store, "save_rows", lambda *given: its_process.kill())
+    with pytest.raises(ConnectionError, match=f"the scheduler at {address} went away"):
+        rhec.campaign(short(40), tmp_path / "rows")
+
+
+# Without Dask, without pyarrow
+
+WITHOUT = """
+import sys
+sys.modules.update(dict.fromkeys(["dask", "distributed", "pyarrow"]))
+import rhec
+assert "pandas" not in sys.modules
+scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(4)]
+print(rhec.campaign(scenarios, workers=1).to_csv() == rhec.campaign(scenarios).to_csv())
+for asked in (dict(workers=2), dict(folder="rows")):
+    try:
+        rhec.campaign(scenarios, **asked)
+    except ImportError as error:
+        print(error)
+"""
+
+
+def test_without_dask_and_pyarrow_it_runs_in_this_process_and_says_what_to_install(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT],
+        env=os.environ | dict(PYTHONPATH=str(ROOT)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
+    )
+    assert done.stderr == "" and done.stdout.splitlines() == [
+        "True",
+        "workers=2 needs distributed, which is not installed: pip install distributed",
+        "folder='rows' needs pyarrow, which is not installed: pip install pyarrow",
+    ]
+    assert list(tmp_path.iterdir()) == []
+
+
+# Names that columns had
+
+
+@pytest.fixture(scope="module")
+def table():
+    return rhec.campaign([*short(3), *short(3, process_noise="calibrated")])
+
+
+OLD_AND_NEW = [
+    ("reading", "process_noise"),
+    ("horizon_rhe", "estimation_horizon"),
+    ("horizon", "prediction_horizon"),
+    ("arrival_s", "settling_time_s"),
+]
+
+
+@pytest.mark.parametrize("old, new", OLD_AND_NEW)
+def test_a_renamed_column_answers_to_its_old_name_and_says_the_new_one(table, old, new):
+    for ask in (
+        lambda frame: frame[old],
+        lambda frame: frame[["seed", old]][new],
+        lambda frame: getattr(frame, old),
+        lambda frame: frame[frame["seed"] >= 0][old],
+        lambda frame: frame.copy().assign(more=1)[old],
+        lambda frame: pickle.loads(pickle.dumps(frame))[old],
+    ):
+        with pytest.warns(FutureWarning, match=f"{old!r} is now called {new!r}") as said:
+            pd.testing.assert_series_equal(ask(table), table[new])
+        assert len(said) == 1 and said[0].filename == __file__
+    assert old not in table.columns and not hasattr(table, "no_such_column")
+
+
+def test_groups_by_an_old_name_are_groups_by_the_new_one(table):
+    wanted = table.groupby(["process_noise", "seed"])["mean_error_m"].mean()
+    with pytest.warns(FutureWarning, match="'reading' is now called 'process_noise'"):
+        by_old_name = table.groupby(["reading", "seed"])["mean_error_m"].mean()
+    pd.testing.assert_series_equal(by_old_name, wanted)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_campaigns_table_is_otherwise_a_plain_one(table, tmp_path):
+    plain = pd.DataFrame({name: list(table[name]) for name in table})
+    assert table.equals(plain) and plain.equals(table) and (table.seed == plain.seed).all()
+    pd.testing.assert_frame_equal(table, plain)
+    pd.testing.assert_frame_equal(pickle.loads(pickle.dumps(table)), table)
+    means = plain.groupby("seed").mean(numeric_only=True)
+    pd.testing.assert_frame_equal(table.groupby("seed").mean(numeric_only=True), means)
+    pd.testing.assert_frame_equal(table.merge(means[[]].reset_index()), plain)
+    pd.testing.assert_frame_equal(pd.concat(dict(one=table, two=table)).loc["two"], plain)
+    table[["seed", "mean_error_m"]].to_parquet(tmp_path / "table.parquet")
+    read = pd.read_parquet(tmp_path / "table.parquet")
+    pd.testing.assert_frame_equal(table[["seed", "mean_error_m"]], read)
+    mine = table.assign(reading=1.0, horizon=2.0)  # a column of that name is just a column
+    assert (mine["reading"] == 1.0).all() and (mine.horizon == 2.0).all()
+    with pytest.raises(KeyError):
+        table["no_such_column"]
+
+
+# From the command line
+
+
+def command(folder, *arguments):
+    return [
+        sys.executable,
+        "-m",
+        "rhec.simulation.campaigns",
+        "-p",
+        "estimator",
+        "ekf",
+        "oracle",
+        "-p",
+        "q",
+        "[1,1,1]",
+        "[1, 1, 0]",
+        "-p",
+        "duration_s",
+        "6",
+        "--seeds",
+        "5",
+        "--folder",
+        str(folder),
+        *arguments,
+    ]
+
+
+def test_make_campaigns_command_runs_every_combination_and_goes_on_from_what_is_there(tmp_path):
+    first, again = (
+        subprocess.run(
+            command(tmp_path), capture_output=True, text=True, check=True, timeout=120, cwd=ROOT
+        ).stdout
+        for _ in range(2)
+    )
+    assert first == again and "20 runs, 0 failed" in first
+    table = pd.read_parquet(tmp_path / "campaign.parquet")
+    assert len(table) == 20 and (table.groupby("estimator").size() == 10).all()
+    scenario = rhec.Scenario(estimator="oracle", q=(1, 1, 0), duration_s=6.0, seed=4)
+    assert table.iloc[-1]["mean_error_m"] == rhec.simulate(scenario).metrics["mean_error_m"]
+
+
+def test_the_command_refuses_in_a_sentence(tmp_path):
+    for arguments, sentence in (
+        (
+            ("-p", "sped_mps", "1"),
+            "Scenario has no parameter 'sped_mps'; did you mean 'speed_mps'?\n",
+        ),
+        (("-p", "r", "ten"), "r was 'ten'; it should be a valid number\n"),
+    ):
+        done = subprocess.run(
+            command(tmp_path, *arguments), capture_output=True, text=True, timeout=60, cwd=ROOT
+        )
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", sentence)
+
+
+def left_of_group(group):
+    """Processes of a group that still run."""
+    left = []
+    for process in psutil.process_iter(["status"]):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            if process.pid != group and os.getpgid(process.pid) == group:
+                left.append(process)
+    return [process for process in left if process.info["status"] != psutil.STATUS_ZOMBIE]
+
+
+def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on(tmp_path):
+    """The terminal sends the signal to the workers, too."""
+    arguments = ["-p", "estimator", "ekf", "-p", "duration_s", "240", "--seeds", "3000"]
+    process = subprocess.Popen(
+        [*command(tmp_path)[:3], *arguments, "--workers", "2", "--folder", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    while not list(tmp_path.glob("*/*.parquet")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    interrupted = re.fullmatch(
+        r"interrupted after (\d+) of 3000 runs; the same call goes on from there\n", err
+    )
+    assert (process.returncode, out) == (130, "") and interrupted, err
+    (rows,) = tmp_path.glob("*/")
+    assert 0 < int(interrupted[1]) == len(store.load_rows(rows)) < 3000
+    assert not left_of_group(process.pid)
+    kept = store.load_rows(rows)
+    again = subprocess.run(
+        [*command(tmp_path)[:3], *arguments[:-1], "5", "--workers", "2", "--folder", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+        cwd=ROOT,
+    )
+    drives = [rhec.Scenario(estimator="ekf", duration_s=240.0, seed=seed) for seed in range(5)]
+    keys = kept.keys() | set(map(store.scenario_key, drives))
+    assert "5 runs, 0 failed" in again.stdout and store.load_rows(rows).keys() == keys
+    assert sum(pq.read_metadata(file).num_rows for file in rows.glob("*.parquet")) == len(keys)
+
+
+@pytest.mark.parametrize("told, cores", [("3", 3), ("", CPU_COUNT), ("default", CPU_COUNT)])
+def test_a_campaign_takes_as_many_cores_as_python_is_told(monkeypatch, told, cores):
+    monkeypatch.setenv("PYTHON_CPU_COUNT", told)
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+    monkeypatch.setattr(workers, "local_cluster", lambda n: n)
+    with workers.dask_client(None, large=True) as client:
+        assert client == (cores if cores > 1 else None)
+
+
+def test_workers_that_are_there_do_what_is_too_little_to_start_them(monkeypatch):
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+    expected = rhec.campaign(short(), workers=1)
+    workers.local_cluster(2)
+    monkeypatch.setattr(campaigns, "run_on", lambda *given: 1 / 0)
+    same(rhec.campaign(short()), expected)
+    monkeypatch.setattr(campaigns, "_HANDED_OUT", 1)
+    with pytest.raises(ZeroDivisionError):
+        rhec.campaign(short())
+    monkeypatch.setattr(campaigns, "run_on", workers.run_on)
+    same(rhec.campaign(short()), expected)

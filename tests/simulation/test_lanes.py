@@ -1,0 +1,325 @@
+"""Runs side by side in lanes have the bits of runs one by one, whatever each of them does."""
+
+import concurrent.futures
+import dataclasses
+import functools
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+from oracles import flat, mhe_instance, mpc_instance
+from robots import BICYCLE
+from test_any_robot import controller, estimator, fused_sample
+
+import rhec
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.scan import build_scan, scan
+from rhec.core.controller import rhc
+from rhec.core.estimator import rhe
+from rhec.core.estimator.base import joint_guess
+from rhec.simulation import closed_loop
+from rhec.simulation.campaigns import campaign as campaigns
+from rhec.simulation.campaigns import side_by_side
+from rhec.simulation.lanes import lanes, parts
+from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES
+
+pytestmark = pytest.mark.skipif(lanes._compiler() is None, reason="there is no C++ compiler")
+SMALL = rhec.Scenario(estimation_horizon=3, prediction_horizon=3, duration_s=20.0)
+
+
+def mine():
+    """An estimator of one's own, with functions that no other has."""
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    moved = z[:2] - memory[:2]
+    theta = ca.if_else(z[2] > 0.3, ca.atan2(moved[1], moved[0]), memory[2] + 0.16 * z[3])
+    estimate = ca.vertcat(z[:2], theta, z[2], 0.9 * ca.tanh(z[2] * 9), ca.sqrt(0.7))
+    return ca.Function("mine", [memory, z], [estimate, estimate])
+
+
+KINDS = {name: dict(estimator=name) for name in NAMES} | {
+    f"{name}, gated, with faults": dict(estimator=name, robust=True) for name in ROBUST_NAMES
+}
+KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
+KINDS["cautious"] = dict(estimator="dual", cautious=True)
+KINDS["own"] = dict(estimator=mine())
+
+
+def unlike(kind):
+    """Scenarios of one structure that differ in all that no structure holds; steps fail in some."""
+    for i in range(8):
+        faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
+        faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
+        yield dataclasses.replace(
+            SMALL, **kind, seed=i, process_noise=("printed", "calibrated")[i % 2],
+            q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
+            start_offset_m=i - 4.0, start_yaw_rad=float(i),
+            gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
+            encoder_sigma_mps=(0.0, 1.0, 0.02, 1e5)[i // 2], mu_deviation=0.01 * i,
+            faults=faults if "robust" in kind else (),
+        )  # fmt: skip
+
+
+def one_by_one_and_at_once(build, structure, memories, streams, settings):
+    """Rows of the runs by both ways."""
+    functions, block = compiled.load(build, *structure), lanes.load(build, *structure)
+    assert block.lanes in (2, 4, 8)
+    runs = [*zip(memories, streams, settings)]
+    groups = (zip(*runs[k : k + block.lanes]) for k in range(0, len(runs), block.lanes))
+    at_once = [rows for group in groups for rows in lanes.scan(block, *group)]
+    return [scan(functions, *run)[1] for run in runs], at_once
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_every_estimator_has_the_same_bits_in_a_lane(kind):
+    scenarios = [*unlike(kind)]
+    setups = [*map(closed_loop.set_up, scenarios)]
+    assert len({setup.structure for setup in setups}) == 1
+    streams = [
+        closed_loop.noise_and_faults(scenario.seed, scenario.faults, 100) for scenario in scenarios
+    ]
+    one_by_one, at_once = one_by_one_and_at_once(
+        closed_loop.build_sample, setups[0].structure, [setup.memory for setup in setups], streams,
+        [setup.settings for setup in setups],
+    )  # fmt: skip
+    np.testing.assert_array_equal(at_once, one_by_one)
+    if kind == dict(estimator="rhe"):
+        ok = np.array(at_once)[:, :, closed_loop.COLUMNS.index("ok")]
+        assert ok.all(axis=1).any() and not ok.all(axis=1).all()
+
+
+@functools.cache
+def own_robot():
+    mhe = estimator(BICYCLE, mhe_instance(BICYCLE, np.random.default_rng(1), 2)[0], horizon=3)
+    return mhe, controller(BICYCLE, horizon=3)
+
+
+def build_own_loop():
+    return build_scan(fused_sample(*own_robot()))
+
+
+def test_an_own_model_has_the_same_bits_in_a_lane():
+    """Runs of unlike length, too, and more than there are lanes."""
+    mhe, mpc = own_robot()
+    memories, streams = [], []
+    for seed, samples in enumerate((48, 50, 7, 120, 48, 1, 60, 60, 33)):
+        rng = np.random.default_rng(seed)
+        guess, z = mhe_instance(BICYCLE, rng, samples, missing=0.1 * seed)
+        target = mpc_instance(BICYCLE, rng, 3)
+        references = np.concatenate([flat(target["x_ref"]), flat(target["u_ref"])])
+        z = z[:samples] * (1e12 if seed == 3 else 1.0)
+        streams.append(np.column_stack([z, np.tile(references, (len(z), 1))]))
+        start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, BICYCLE.sigma_guess))
+        plan = rhc.init(mpc.problem, guess[: len(mhe.model.states)], guess[len(mhe.model.states) :])
+        memories.append(np.concatenate([pack_array(start), pack_array(plan)]))
+    one_by_one, at_once = one_by_one_and_at_once(
+        build_own_loop, (), memories, streams, [{}] * len(streams)
+    )
+    for alone, beside in zip(one_by_one, at_once):
+        np.testing.assert_array_equal(beside, alone)
+
+
+# Parts
+
+
+def rows_of(folder, **fields):
+    """Rows of a run by a library made in this folder."""
+    folder.mkdir()
+    setup = closed_loop.set_up(dataclasses.replace(SMALL, **fields))
+    lanes._compile(folder, closed_loop.build_sample(*setup.structure))
+    if not (folder / "library.so").exists():
+        return None
+    noise = closed_loop.noise_and_faults(0, (), 100)
+    (rows,) = lanes.scan(lanes._Block(folder), [setup.memory], [noise], [setup.settings])
+    return rows.copy()
+
+
+@pytest.fixture
+def texts(tmp_path, monkeypatch):
+    """What is compiled, into an empty cache."""
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    found, compile_text = [], parts._compile
+    monkeypatch.setattr(
+        parts, "_compile", lambda *given: found.append(given[1]) or compile_text(*given)
+    )
+    return found
+
+
+def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
+    by_parts = rows_of(tmp_path / "parts", estimator="dual", cautious=True)
+    assert len(texts) == 3  # the steps of estimator and controller, and the rest
+    monkeypatch.setattr(parts, "_LEAST", 1000)
+    whole = rows_of(tmp_path / "whole", estimator="dual", cautious=True)
+    assert len(texts) == 4
+    np.testing.assert_array_equal(by_parts, whole)
+
+
+def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
+    for name, made in {"rhe": 3, "ekf": 1, "rhe_no_slip": 2}.items():
+        texts.clear()
+        assert rows_of(tmp_path / name, estimator=name) is not None
+        assert len(texts) == made
+        assert sum("/* rhc_linearise:(" in text for text in texts) == (name == "rhe")
+
+
+def test_a_part_that_cannot_be_compiled_leaves_no_lanes(tmp_path, texts, monkeypatch):
+    compile_text = parts._compile
+
+    def broken(folder, text, command):
+        compile_text(folder, "wrong" if str(command[-1]).startswith("-D") else text, command)
+
+    monkeypatch.setattr(parts, "_compile", broken)
+    assert rows_of(tmp_path / "parts") is None
+
+
+# Campaigns
+
+
+@pytest.fixture
+def always(monkeypatch):
+    """Lanes for campaigns of any size."""
+    monkeypatch.setattr(side_by_side, "_WORTH_COMPILING", 0)
+    monkeypatch.setattr(side_by_side, "_WORTH_USING", 0)
+
+
+def same(table, scenarios):
+    for (_, row), scenario in zip(table.iterrows(), scenarios):
+        for name, value in rhec.simulate(scenario).metrics.items():
+            assert row[name] == value or np.isnan(row[name]) and np.isnan(value), name
+
+
+def test_a_campaign_in_lanes_has_the_rows_of_simulate(always, monkeypatch):
+    """Several structures in any order, groups that fill no register, runs of unlike length."""
+    kinds = (dict(), dict(estimator="ekf"), KINDS["own"])
+    scenarios = [
+        dataclasses.replace(each, duration_s=each.duration_s + 4 * (each.seed % 2))
+        for each in (each for three in zip(*map(unlike, kinds)) for each in three)
+    ]
+    monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
+    table = rhec.campaign(scenarios, workers=1)
+    assert (table["error"] == "").all()
+    same(table, scenarios)
+
+
+def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    wrong = ca.Function("wrong", [memory, z], [memory, ca.SX(2, 1)])
+    good = [*unlike({})][:2]
+    alone = []
+    simulate = campaigns.simulate
+    monkeypatch.setattr(campaigns, "simulate", lambda each: alone.append(each) or simulate(each))
+    scenarios = [good[0], dataclasses.replace(SMALL, estimator=wrong), good[1]]
+    table = rhec.campaign(scenarios, workers=1)
+    assert list(table["error"] == "") == [True, False, True] and alone == [scenarios[1]]
+    same(table[::2], good)
+
+
+def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):
+    own = rhec.Terrain.uniform(0.9, 0.7), rhec.Terrain.uniform(0.7, 0.9)
+    kinds = [dict(q=(1.0, 1.0, 10.0)), *(dict(terrain=soil) for soil in own)]
+    kinds += [dict(start_offset_m=offset) for offset in (0.0, -0.0)]
+    scenarios = [
+        dataclasses.replace(SMALL, **kind, seed=seed) for seed in range(3) for kind in kinds
+    ]
+    set_up, made = closed_loop.set_up, []
+    monkeypatch.setattr(closed_loop, "set_up", lambda each: made.append(each) or set_up(each))
+    table = rhec.campaign(scenarios, workers=1)
+    assert len(made) == len(kinds)
+    same(table, scenarios)
+
+
+def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
+    scenarios = [*unlike({})]
+    alone = [*map(rhec.simulate, scenarios)]
+    lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
+    monkeypatch.setattr(compiled, "is_compiled", lambda *what: False)
+    monkeypatch.setattr(closed_loop, "simulate", lambda scenario: 1 / 0)
+    for run, before in zip(side_by_side.simulate_all(scenarios), alone, strict=True):
+        pd.testing.assert_frame_equal(run.log, before.log)
+
+
+def test_what_has_no_lanes_runs_one_by_one(always):
+    """A QP solver's C is no C++ for lanes."""
+    scenarios = [dataclasses.replace(SMALL, qp="daqp", seed=seed) for seed in range(3)]
+    table = rhec.campaign(scenarios, workers=1)
+    assert (table["error"] == "").all()
+    same(table, scenarios)
+
+
+def test_without_a_cpp_compiler_the_rows_are_the_same(always, monkeypatch):
+    scenarios = [*unlike({})]
+    table = rhec.campaign(scenarios, workers=1)
+    monkeypatch.setattr(lanes, "_compiler", lambda: None)
+    lanes.load.cache_clear()
+    assert rhec.campaign(scenarios, workers=1).equals(table)
+    lanes.load.cache_clear()
+
+
+def test_another_processor_has_another_library(monkeypatch):
+    here = lanes._name(build_own_loop, ())
+    compiler, macros = lanes._compiler()
+    monkeypatch.setattr(lanes, "_compiler", lambda: (compiler, macros + "#define __AVX1024F__ 1"))
+    assert lanes._name(build_own_loop, ()) != here
+
+
+# Elementary functions
+
+
+def build_functions():
+    """A scan whose row is what a loop may use of an input x."""
+    memory, x = ca.SX.sym("memory"), ca.SX.sym("x")
+    rows = ca.vertcat(
+        ca.sin(x), ca.cos(x), ca.floor(x), ca.fabs(x), ca.fmin(x, memory), ca.fmax(memory, x),
+        ca.sqrt(ca.fabs(x)), ca.exp(-ca.fabs(x)), ca.if_else(x < 1, ca.tan(x), ca.log(x)),
+        ca.atan2(x, 1 - ca.fabs(x)),
+    )  # fmt: skip
+    near = ca.Function("near", [memory, x], [memory, ca.vertcat(rows, memory)])
+    far = ca.Function("far", [memory, x], [x, ca.vertcat(rows, 2 * x)])
+    chosen = ca.Function.if_else("chosen", near, far)
+    memory, x = ca.MX.sym("memory"), ca.MX.sym("x")
+    found = chosen(ca.fabs(x - memory) < 1, memory, x)
+    sample = [memory, x], [*found], ["memory_in", "x"], ["memory_out", "row"]
+    return build_scan(ca.Function("sample", *sample))
+
+
+def angles(n):
+    rng = np.random.default_rng(7)
+    quarters = rng.integers(-600_000, 600_000, n) * (np.pi / 2)
+    return np.concatenate([rng.uniform(-1e6, 1e6, n), rng.normal(size=n), quarters])
+
+
+def test_sine_and_cosine_are_within_two_units_in_the_last_place_arctangents_within_three():
+    x = angles(20_000)
+    if np.finfo(np.longdouble).eps > 1e-18:
+        pytest.skip("no number here is longer than a double")
+    (_, rows) = scan(compiled.load(build_functions), np.array([np.nan]), x[:, None], {})
+    x, beside = x.astype(np.longdouble), (1 - np.abs(x)).astype(np.longdouble)
+    known = {0: (np.sin(x), 2), 1: (np.cos(x), 2), 9: (np.arctan2(x, beside), 3)}
+    for column, (exact, units) in known.items():
+        off = np.abs(rows[:, column] - exact)
+        assert np.max(off / np.spacing(np.abs(exact).astype(float))) <= units
+
+
+def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar():
+    x = angles(500)
+    extremes = [0.0, np.nan, np.inf, 1e6, 1e300, 5e-324, 1.5, 2.0**51, 2.0**52 + 1, 3.0]
+    x = np.concatenate([x, extremes, np.negative(extremes), np.arange(20) / 4])
+    streams = [np.random.default_rng(lane).permutation(x)[:, None] for lane in range(8)]
+    memories, settings = np.arange(8.0)[:, None], [{}] * 8
+    one_by_one, at_once = one_by_one_and_at_once(build_functions, (), memories, streams, settings)
+    np.testing.assert_array_equal(at_once, one_by_one)
+    virtual = scan(build_functions(), memories[0], streams[0], {})[1]
+    near = np.abs(streams[0][:, 0]) < 1e5
+    np.testing.assert_allclose(one_by_one[0][near], virtual[near], rtol=1e-12, atol=1e-15)
+
+
+def test_threads_do_not_meet_in_a_block():
+    block, x = lanes.load(build_functions), angles(500)
+    memories, settings = np.arange(2.0)[:, None], [{}] * 2
+    streams = [np.stack([x, x[::-1]])[..., None] + thread for thread in range(8)]
+    alone = [lanes.scan(block, memories, stream, settings) for stream in streams]
+    with concurrent.futures.ThreadPoolExecutor(8) as pool:
+        found = pool.map(lambda stream: lanes.scan(block, memories, stream, settings), streams * 5)
+    for number, rows in enumerate(found):
+        np.testing.assert_array_equal(rows, alone[number % 8])

@@ -1,0 +1,117 @@
+"""The soak test: an endless drive that can be cut and resumed anywhere, and its counts.
+`make soak` drives a hundred times as far.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soak
+
+import rhec
+from rhec.extensions import faults
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import COLUMNS
+
+BASE = rhec.Scenario(robust=True)
+
+
+def same(one, other):
+    assert {name: value for name, value in one.items() if name != "memory"} == {
+        name: value for name, value in other.items() if name != "memory"
+    }
+    np.testing.assert_array_equal(one["memory"], other["memory"])
+
+
+def test_five_hours_with_sensor_faults():
+    """100,000 samples: no exception, everything finite and within its bounds, the arrival
+    covariance positive definite, memory flat.
+    """
+    command = [sys.executable, "-m", "tests.soak", "--samples", "100000", "--seed", "1"]
+    root = Path(soak.__file__).parents[1]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout[done.stdout.index("{") :])
+    assert (
+        report["done"] == 100_000
+        and report["not_finite"] == report["out_of_bounds"] == report["not_definite"] == 0
+    )
+    assert 0 < report["lowest_eigenvalue"] < 1 and report["not_ok"] < 1000
+    assert report["memory_mb_at_the_end"] - report["memory_mb_at_one_tenth"] < 5
+
+
+def test_a_drive_can_be_cut_saved_and_resumed_anywhere(tmp_path):
+    """Equal to the last bit, on either side of the end of a leg, of a check and of a block."""
+    begun, cuts = soak.init(BASE, 0), [1, 15, 484, 777, 1499, 1500, 1501, 2003]
+    whole, cut = soak.drive(begun, BASE, 2003), begun
+    for samples in np.diff([0, *cuts]):
+        cut = soak.drive(cut, BASE, int(samples))
+        soak.save(cut, tmp_path / "state.npz")
+        cut = soak.load(tmp_path / "state.npz", BASE)
+    same(cut, whole)
+    assert (
+        soak.drive(soak.init(BASE, 1), BASE, 100)["digest"]
+        != soak.drive(begun, BASE, 100)["digest"]
+    )
+
+
+def test_legs_differ_but_not_in_the_loops_structure():
+    legs = [soak.leg(BASE, 0, number) for number in range(40)]
+    assert legs == [soak.leg(BASE, 0, number) for number in range(40)] and legs[3] != soak.leg(
+        BASE, 1, 3
+    )
+    assert len({leg.seed for leg in legs}) == 40 and {
+        fault.kind for leg in legs for fault in leg.faults
+    } == set(faults.KINDS)
+    assert len({closed_loop.set_up(leg).structure for leg in legs[:8]}) == 1
+
+
+def test_each_kind_of_failure_is_counted():
+    state = soak.drive(soak.init(BASE, 0), BASE, 20)
+    scenario = soak.leg(BASE, 0, 0)
+    setup = closed_loop.set_up(scenario)
+    healthy = np.zeros((5, len(COLUMNS)))
+    healthy[:, COLUMNS.index("ok")] = 1
+
+    def found(memory=state["memory"], **wrong):
+        rows = healthy.copy()
+        for name, value in wrong.items():
+            rows[2, COLUMNS.index(name)] = value
+        return {
+            name: count
+            for name, count in soak.counted(scenario, setup, rows, memory)[0].items()
+            if count
+        }
+
+    assert found() == {}
+    assert found(omega_cmd_radps=np.nan) == found(theta_hat_rad=np.inf) == {"not_finite": 1}
+    for name, value in (
+        ("omega_cmd_radps", -scenario.omega_max_radps * (1 + 1e-15)),
+        ("mu_hat", 1 + 1e-15),
+        ("kappa_hat", -1e-300),
+    ):
+        assert found(**{name: value}) == {"out_of_bounds": 1}
+    assert found(ok=0) == {"not_ok": 1} and found(y_m=-3) == {"outside": 1}
+    for row, column, factor in ((0, 0, -1), (0, 1, 2), (0, 0, 1e-30), (5, 5, np.nan)):
+        memory = state["memory"].copy()
+        P = setup.unpack(memory)["estimator"]["P"]
+        P[row, column] = factor * P[row, column] + (row != column) * 1e-3
+        assert found(memory=memory) == {"not_definite": 1}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        dict(memory=np.zeros(3)),
+        dict(extra=1),
+        dict(done=np.zeros(2)),
+        dict(memory=np.array([object()] * 3)),
+    ],
+)
+def test_a_file_without_a_state_is_refused(tmp_path, wrong):
+    soak.save(soak.init(BASE, 0) | wrong, tmp_path / "state.npz")
+    with pytest.raises(ValueError, match="^file was|allow_pickle"):
+        soak.load(tmp_path / "state.npz", BASE)

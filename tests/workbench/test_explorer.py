@@ -1,0 +1,518 @@
+"""The explorer without a browser: controls to scenarios, changes to new pictures, and nothing but a
+sentence where something cannot be.
+"""
+
+import asyncio
+import re
+import threading
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import rhec
+from rhec import paper
+from rhec.workbench.explorer import controls, explorer, field_run, robot_view, screen
+from rhec.workbench.explorer.panels import packed
+from rhec.workbench.explorer.snapshot import snapshot_at
+from rhec.workbench.plots import style
+
+SHORT = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
+
+
+@pytest.fixture
+def made(tmp_path):
+    return rhec.Explorer(SHORT, folder=tmp_path)
+
+
+def shown(made):
+    """What stands on the screen."""
+    screen = made.screen
+    return screen.picture, screen.numbers, screen.table, screen.line
+
+
+def drawn(made):
+    """{panel: [(mark, its x, its y)]} as the page finds them in the buffer."""
+    numbers = np.frombuffer(made.screen.numbers, dtype=np.float32)
+
+    def column(first, n):
+        return numbers[first : first + n]
+
+    return {
+        name: [(mark, column(*mark["x"]), column(*mark["y"])) for mark in panel["marks"]]
+        for name, panel in made.screen.picture["panels"].items()
+    }
+
+
+# Controls and scenarios
+
+STARTS = [
+    rhec.Scenario(),
+    rhec.Scenario(
+        estimator="ekf",
+        process_noise="calibrated",
+        q=paper.Q1,
+        r=3.3,
+        patches=((9.0, 1.0, 2.0, 0.6, 0.5),),
+        seed=7,
+    ),
+    rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)),
+    rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
+    rhec.Scenario(
+        robust=True,
+        faults=(
+            rhec.Fault(kind="dead", channel="left", start_s=3.0),
+            rhec.Fault(kind="latency", delay_s=0.4),
+        ),
+    ),
+]
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_untouched_controls_give_the_start_scenario(start):
+    assert controls.scenario_of(controls.values_of(start), start.estimator, start) == start
+
+
+def test_every_field_with_a_control_is_a_field_of_scenario():
+    assert {key if isinstance(key, str) else key[0] for key in controls.CONTROLS} <= {
+        field.name for field in fields(rhec.Scenario)
+    }
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_the_line_of_python_gives_the_scenario(start):
+    assert eval(controls.line_of(start)) == start
+    for field in fields(start):
+        assert (f"{field.name}=" in controls.line_of(start)) == (
+            getattr(start, field.name) != field.default
+        )
+
+
+def test_own_process_noise_has_the_size_each_estimator_takes():
+    values = controls.values_of(SHORT) | {"process_noise": "own", ("sigma_w", 3): 0.5}
+    assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
+        0.001,
+        0.001,
+        0.001,
+        0.5,
+        0.0033,
+        0.001,
+    )
+    assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.5)
+    assert controls.scenario_of(values | {"speed_model": "input"}, "rhe", SHORT).sigma_w == (
+        0.001,
+        0.001,
+        0.001,
+        0.0033,
+        0.001,
+    )
+    assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
+    assert len(controls.scenario_of(values, "dual", SHORT).sigma_w) == 10
+    assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (
+        0.0033,
+        0.001,
+    )
+
+
+def test_robust_applies_to_estimators_with_gating():
+    values = controls.values_of(SHORT) | {"robust": True}
+    robust = {key for key in controls.ESTIMATORS if controls.scenario_of(values, key, SHORT).robust}
+    assert robust == {"rhe", "dual"}
+
+
+def test_explorer_and_its_notebook_offer_the_same_estimators(made):
+    offered = list(controls.ESTIMATORS)
+    assert [value for _, value in made.estimator.options] == offered
+    assert [value for _, value in made.against.options] == [None, *offered]
+    for estimator in offered:
+        scenario = replace(SHORT, estimator=estimator)
+        assert field_run.name_of(scenario) == controls.ESTIMATORS[estimator]
+    notebook = (Path(__file__).parents[2] / "notebooks/explore.ipynb").read_text(encoding="utf-8")
+    assert "estimator=tuple(controls.ESTIMATORS)" in notebook
+
+
+# The widget
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_widgets_begin_at_the_start_scenario(start):
+    assert rhec.Explorer(replace(start, duration_s=20.0), None).scenarios == [
+        replace(start, duration_s=20.0)
+    ]
+
+
+def test_slider_steps_include_the_start_value():
+    for start in STARTS:
+        values = controls.values_of(start)
+        for key, control in controls.CONTROLS.items():
+            if isinstance(control, controls.Slider) and values[key] > 0:
+                widget = explorer._input(control, values[key])
+                np.testing.assert_allclose(widget.value, values[key], rtol=1e-12)
+                steps = (
+                    (np.log10(values[key]) if control.kind == "log" else values[key]) - widget.min
+                ) / widget.step
+                assert abs(steps - round(steps)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("r", 30.0),
+        (("q", 2), 5.0),
+        ("speed_mps", 0.4),
+        ("kappa_mean", 0.7),
+        ("gnss_slow_share", 0.5),
+        ("look_ahead_m", 0.5),
+    ],
+)
+def test_a_changed_control_is_a_new_run_and_a_new_picture(made, key, value):
+    before = shown(made)
+    made.inputs[key].value = value
+    assert [run.scenario for run in made.runs] == made.scenarios
+    assert all(now != then for now, then in zip(shown(made)[1:], before[1:]))
+    expected = rhec.simulate(made.scenarios[0])
+    assert made.runs[0].metrics == expected.metrics
+    made.reset.click()
+    assert shown(made) == before
+
+
+def test_both_estimators_run_at_the_same_seed(made):
+    made.seed.value = 5
+    assert [run.scenario.estimator for run in made.runs] == ["rhe", "ekf"]
+    assert {run.scenario.seed for run in made.runs} == {5}
+    np.testing.assert_array_equal(made.runs[0].terrain.kappa, made.runs[1].terrain.kappa)
+    made.against.value = None
+    assert len(made.runs) == 1
+
+
+def test_the_papers_weights_are_one_run(made, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(made, "_draw", lambda: drawn.append(made.runs[0].scenario.q))
+    for button in made.weights:
+        button.click()
+    assert drawn == [paper.Q1, paper.Q2, paper.Q3]
+
+
+def test_wet_patches_are_added_moved_and_removed(made):
+    made.add_patch.click()
+    made.patch[0].value = 20.0
+    made.add_patch.click()
+    assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]), controls.NEW_PATCH)
+    made.remove_patch.click()
+    assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]),)
+    made.remove_patch.click()
+    made.patch[0].value = 3.0  # without a patch it moves nothing
+    assert made.runs[0].scenario == SHORT
+
+
+def test_pinned_runs_stay(made):
+    made.pin.click()
+    pinned = made.runs
+    assert "−" not in re.sub(r"− pinned", "", made.screen.table)
+    made.inputs["r"].value = 100.0
+    assert made.pinned is pinned and made.runs is not pinned
+    assert made.screen.table.count("<tr>") == 5
+    for run, before in zip(made.runs, pinned):
+        difference = run.metrics["mean_error_m"] - before.metrics["mean_error_m"]
+        assert explorer.change(difference, 4) in made.screen.table
+    made.unpin.click()
+    assert made.screen.table.count("<tr>") == 3
+
+
+def test_what_is_drawn_are_the_columns_of_the_runs(made):
+    made.pin.click()
+    made.inputs["r"].value = 20.0
+    (_, *series), panels = field_run._SERIES, drawn(made)
+    for run in (*made.runs, *made.pinned):
+        for panel, x, y, look in series:
+            if run in made.runs or look == "bold":
+                wanted = run.columns[x].astype(np.float32), run.columns[y].astype(np.float32)
+                found = [each[1:] for each in panels[panel]]
+                assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
+
+
+@pytest.mark.parametrize("view", ["field run", "robot view"])
+@pytest.mark.parametrize("zoom", field_run.ZOOMS)
+def test_every_view_is_complete(made, view, zoom):
+    """Each panel stands in the layout, has finite limits, and numbers for each mark."""
+    made.pin.click()
+    made.view.value, made.zoom.value, made.soil.value, made.moment.value = view, zoom, "mu", 100
+    picture = made.screen.picture
+    assert {*" ".join(picture["layout"]).split()} == {*picture["panels"]}
+    for panel in picture["panels"].values():
+        assert panel["title"] and np.isfinite([*panel["xlim"], *panel["ylim"]]).all()
+    for name, marks in drawn(made).items():
+        assert marks, name
+        for mark, x, y in marks:
+            at, n = mark.get("traction", (0, 0))
+            assert n == (len(x) * len(y) if mark["kind"] == "soil" else 0)
+            assert mark["kind"] == "soil" or len(x) == len(y)
+            assert mark["colour"] != "#000000"  # it would not be seen on a dark page
+    assert [mark["label"] for mark in picture["legend"]]
+
+
+def test_one_change_is_one_message(made, monkeypatch):
+    sent = []
+    monkeypatch.setattr(made.screen, "send_state", lambda keys: sent.append({*keys}))
+    made.inputs["r"].value = 20.0
+    (names,) = sent
+    assert {"numbers", "table", "line", "status"} <= names
+
+
+def test_small_changes_leave_the_limits(made):
+    def limits():
+        panels = made.screen.picture["panels"]
+        return {name: (panel["xlim"], panel["ylim"]) for name, panel in panels.items()}
+
+    before = limits()
+    made.inputs["q", 0].value = 1.5
+    assert limits() == before
+
+
+def test_the_script_is_short_and_asks_nothing_of_a_network():
+    script = Path(screen.__file__).with_suffix(".js").read_text("utf-8")
+    assert len(script.splitlines()) <= 150 and max(map(len, script.splitlines())) <= 100
+    assert not any(word in script for word in ("fetch(", "://", "import("))
+
+
+# What cannot be
+
+
+def test_an_impossible_setting_is_one_sentence(made, capsys):
+    made.inputs["mu_mean"].value = 0.99
+    before = shown(made)
+    made.inputs["mu_deviation"].value = 0.3
+    assert "mu_deviation was 0.3; with mu_mean 0.99 it should be below 0.0995" in made.screen.status
+    assert shown(made) == before
+    made.inputs["mu_deviation"].value = 0.04
+    assert "mu_deviation" not in made.screen.status
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", ["../x", "", "a/b", ".hidden", "a" * 65, "x\n", "C:\\x"])
+def test_a_file_name_cannot_leave_its_folder(made, name, tmp_path):
+    made.name.value = name
+    made.save.click()
+    assert "name was " in made.screen.status
+    assert not [*tmp_path.iterdir()]
+
+
+def test_callbacks_in_two_threads_do_not_overlap(made, monkeypatch):
+    """As where a kernel answers a page's messages in its main thread and in a subshell's."""
+    drawing, met = threading.Lock(), []
+
+    def draw():
+        if drawing.acquire(blocking=False):
+            time.sleep(0.05)
+            drawing.release()
+        else:
+            met.append(threading.current_thread().name)
+
+    monkeypatch.setattr(made, "_draw", draw)
+    threads = [
+        threading.Thread(target=widget.set_trait, args=("value", value))
+        for widget, value in ((made.inputs["r"], 20.0), (made.seed, 3))
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not met
+    assert (
+        [run.scenario for run in made.runs]
+        == made.scenarios
+        == [replace(SHORT, r=20.0, seed=3, estimator=name) for name in ("rhe", "ekf")]
+    )
+
+
+def test_an_internal_error_is_shown_in_the_status_line(made, monkeypatch, capsys):
+    def broken(scenario, world):
+        raise ZeroDivisionError("of all things")
+
+    monkeypatch.setattr(explorer.closed_loop, "simulate_setup", broken)
+    made.inputs["r"].value = 20.0
+    assert "ZeroDivisionError: of all things" in made.screen.status
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "start, said", [(3, "start was 3; it should be a rhec.Scenario"), ("rhe", "start was 'rhe'")]
+)
+def test_it_begins_at_a_scenario(start, said):
+    with pytest.raises(ValueError, match=said):
+        rhec.Explorer(start)
+
+
+def test_a_lost_robot_is_drawn():
+    """Wherever it gets to, and however little is finite."""
+    run = rhec.simulate(replace(SHORT, duration_s=20.0))
+    columns = {
+        name: np.full(len(values), np.nan)
+        if name.endswith("_hat") or name.startswith("kkt")
+        else values
+        for name, values in run.columns.items()
+    }
+    columns |= {"error_true_m": 1e6 * run.columns["t_s"], "x_m": 1e6 * run.columns["t_s"]}
+    lost = replace(run, columns=columns, metrics=run.metrics | {"settling_time_s": float("nan")})
+    for zoom in field_run.ZOOMS:
+        content, numbers = packed(field_run.picture_of([lost], (), zoom))
+        limits = [(*panel["xlim"], *panel["ylim"]) for panel in content["panels"].values()]
+        assert len(numbers) and np.isfinite(limits).all()
+    field_run.field_run([lost])
+    assert "never" in explorer.metrics_table([lost])
+
+
+# What is taken away
+
+
+def test_runs_and_figure_are_saved(made, tmp_path):
+    made.pin.click()
+    made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper")
+    made.save.click()
+    assert "saved" in made.screen.status
+    assert sorted(path.name for path in (tmp_path / "deeper").iterdir()) == [
+        "wet_row-1.pdf",
+        "wet_row-1.png",
+        "wet_row-1_1_rhe.csv",
+        "wet_row-1_1_rhe.parquet",
+        "wet_row-1_2_ekf.csv",
+        "wet_row-1_2_ekf.parquet",
+    ]
+    for run, name in zip(made.runs, ("1_rhe", "2_ekf")):
+        pd.testing.assert_frame_equal(
+            pd.read_parquet(tmp_path / "deeper" / f"wet_row-1_{name}.parquet"), run.log
+        )
+        pd.testing.assert_frame_equal(
+            pd.read_csv(tmp_path / "deeper" / f"wet_row-1_{name}.csv"), run.log
+        )
+
+
+def test_without_widgets_the_picture_and_the_table_stand_for_them(made):
+    bundle = made._repr_mimebundle_()
+    assert 'src="data:image/png;base64,' in bundle["text/html"]
+    assert made.screen.table in bundle["text/html"]
+
+
+# Compiling
+
+
+def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs(made, monkeypatch):
+    at_hand, compiled = set(), []
+
+    def compile_apart(structures):
+        compiled.append([each.prediction_horizon for each in structures])
+        at_hand.update(structures)
+
+    monkeypatch.setattr(explorer, "compile_apart", compile_apart)
+    monkeypatch.setattr(
+        explorer.compiled, "is_compiled", lambda build, *structure: structure in at_hand
+    )
+
+    async def user():
+        runs = made.runs
+        made.driven.clear()
+        made.against.value = None
+        made.inputs["r"].value = 20.0
+        made.inputs["r"].value = 30.0
+        assert "compiling" in made.screen.status and made.runs is runs
+        await made.compiling
+
+    asyncio.run(user())
+    assert compiled == [[15]]
+    assert made.runs[0].scenario.r == 30.0 and "compiling" not in made.screen.status
+
+
+def test_a_failed_compilation_is_said(made, monkeypatch):
+    def compile_apart(structures):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(explorer, "compile_apart", compile_apart)
+    monkeypatch.setattr(explorer.compiled, "is_compiled", lambda build, *structure: False)
+    made.driven.clear()
+
+    async def user():
+        made.inputs["r"].value = 20.0
+        await made.compiling
+
+    asyncio.run(user())
+    assert "OSError: no space left" in made.screen.status and made.compiling is None
+
+
+def test_what_another_process_compiled_is_found_by_load():
+    from rhec.core._casadi import compiled
+    from rhec.simulation import closed_loop
+
+    structure = closed_loop.set_up(
+        rhec.Scenario(estimator="oracle", prediction_horizon=2)
+    ).structure
+    explorer.compile_apart([structure])
+    assert compiled.is_compiled(closed_loop.build_sample, *structure)
+
+
+# The robot view
+
+
+@pytest.mark.parametrize("k", [0, 5, 100, 299])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        dict(),
+        dict(speed_model="input"),
+        dict(estimator="ekf"),
+        dict(estimator="dual"),
+        dict(robust=True, faults=(rhec.Fault(kind="jump", start_s=20.0, size_m=0.5),)),
+    ],
+)
+def test_snapshot_equals_the_run(k, changed):
+    run = rhec.simulate(replace(SHORT, **changed))
+    at, row = snapshot_at(run.scenario, k), run.log.loc[k]
+    np.testing.assert_array_equal(at.truth, row[["x_m", "y_m", "theta_rad"]])
+    np.testing.assert_array_equal(
+        at.estimate,
+        row[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
+    )
+    assert at.omega_radps[0] == row["omega_cmd_radps"]
+    np.testing.assert_allclose(at.plan[0], at.estimate[:3], atol=1e-12)
+    if run.scenario.estimator in ("rhe", "dual"):
+        assert len(at.window) == len(at.measured) == min(k, run.scenario.estimation_horizon) + 1
+        if run.scenario.estimator == "rhe":
+            np.testing.assert_allclose(at.window[-1], at.estimate[:3], atol=1e-9)
+        believed = np.isfinite(
+            at.measured
+        )  # a robust estimator leaves out what it does not believe
+        assert believed.all() or run.scenario.robust
+        np.testing.assert_array_equal(
+            at.measured[believed],
+            run.log.loc[k - len(at.measured) + 1 : k, ["x_meas_m", "y_meas_m"]].to_numpy()[
+                believed
+            ],
+        )
+    else:
+        assert len(at.window) == 0
+
+
+def test_the_desired_points_are_on_the_path_a_sample_apart(run):
+    at = snapshot_at(run.scenario, 200)
+    distance, _ = run.path.project(at.desired[:, :2])
+    np.testing.assert_allclose(distance, 0, atol=1e-9)
+    steps = np.hypot(*np.diff(at.desired[:, :2], axis=0).T)
+    np.testing.assert_allclose(
+        steps, 0.2 * run.log.loc[200, "mu_hat"] * run.log.loc[200, "nu_hat_mps"], rtol=1e-3
+    )
+
+
+def test_seen_from_a_pose_what_is_ahead_is_ahead():
+    np.testing.assert_allclose(
+        robot_view.seen_from((1, 2, np.pi / 2), np.array([[1.0, 5.0], [-1.0, 2.0]])),
+        [[3, 0], [0, 2]],
+        atol=1e-12,
+    )
+
+
+def test_the_figures_are_complete_without_an_explorer(run, tmp_path):
+    seen = robot_view.robot_view(run, 50, snapshot_at(run.scenario, 50))
+    for figure in (field_run.field_run([run]), seen):
+        assert style.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000

@@ -1,0 +1,318 @@
+"""Results: axes with units, our number beside the paper's, tables that equal what the logs give,
+verdicts by the rule.
+"""
+
+import dataclasses
+import itertools
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+import rhec
+from rhec import paper
+from rhec.workbench.plots import consistency, scenarios, style
+from rhec.workbench.plots.timing import embedded_times, phases
+from rhec.workbench.studies.consistency import Consistency, stated
+from rhec.workbench.studies.scenario_tables import (
+    over_fields,
+    scenario_a_table,
+    scenario_b_table,
+    share_of_fields,
+)
+
+SEEDS = range(3)
+WEIGHTS = {
+    "Q1": {"q": paper.Q1},
+    "Q2": {"q": paper.Q2},
+    "Q2, look-ahead": {"q": paper.Q2, "look_ahead_m": 0.5},
+    "Q3": {"q": paper.Q3},
+}
+TIMES = pd.DataFrame(
+    [
+        ("RHE", "preparation", 4.0, 5.0, 40.0),
+        ("RHE", "feedback", 3.0, 6.0, 30.0),  # made up
+        ("RHC", "preparation", 3.0, 4.0, 20.0),
+        ("RHC", "feedback", 2.0, 3.5, 15.0),
+    ],
+    columns=["problem", "phase", "minimum_us", "average_us", "maximum_us"],
+)
+
+
+def scenario(**choice):
+    return rhec.Scenario(duration_s=90.0, **choice)
+
+
+@pytest.fixture(scope="module")
+def runs(virtual_machine):
+    """{process noise: {"RHE": Run, "EKF": Run}}"""
+    return {
+        process_noise: {
+            name: rhec.simulate(scenario(process_noise=process_noise, estimator=name.lower()))
+            for name in ("RHE", "EKF")
+        }
+        for process_noise in ("printed", "calibrated")
+    }
+
+
+@pytest.fixture(scope="module")
+def by_weight(virtual_machine):
+    """{weight: one Run a seed}"""
+    return {
+        weight: [
+            rhec.simulate(scenario(process_noise="calibrated", seed=seed, **choice))
+            for seed in SEEDS
+        ]
+        for weight, choice in WEIGHTS.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def sweep_a(by_weight):
+    return pd.DataFrame(
+        [
+            {"weight": weight, "process_noise": "calibrated", "seed": seed} | run.metrics
+            for weight, runs in by_weight.items()
+            for seed, run in enumerate(runs)
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def sweep_b(virtual_machine):
+    return rhec.campaign(
+        [
+            scenario(process_noise=process_noise, estimator=estimator, seed=seed)
+            for process_noise in ("printed", "calibrated")
+            for estimator in ("rhe", "ekf")
+            for seed in SEEDS
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def drives(runs):
+    """{process noise: {"RHE": [Run, …], "EKF": [Run, …]}}, two fields each"""
+    return {
+        noise: {
+            name: [run, rhec.simulate(dataclasses.replace(run.scenario, seed=1))]
+            for name, run in by_name.items()
+        }
+        for noise, by_name in runs.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def drawn(runs, drives, by_weight, sweep_a, sweep_b):
+    """Every figure, by its function's name."""
+    pair, table = runs["calibrated"], scenario_b_table(sweep_b)
+    told = {noise: (by_name["RHE"], stated(by_name["RHE"])) for noise, by_name in runs.items()}
+    return {
+        "trajectories_q": scenarios.trajectories_q(
+            {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
+        ),
+        "weight_sweep": scenarios.weight_sweep(scenario_a_table(sweep_a), "calibrated"),
+        "slip_fields": scenarios.slip_fields(
+            pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"
+        ),
+        "trajectories": scenarios.trajectories(pair),
+        "errors": scenarios.errors(drives, table),
+        "violations": scenarios.violations(table),
+        "estimates": scenarios.estimates(told),
+        "speed": scenarios.speed(drives["calibrated"]["RHE"]),
+        "yaw_rate": scenarios.yaw_rate(pair["RHE"]),
+        "kkt": scenarios.kkt(drives["calibrated"]["RHE"]),
+        "phases": phases(TIMES, "a test"),
+    }
+
+
+def words(figure):
+    return " ".join(
+        text.get_text()
+        for text in figure.findobj(
+            lambda artist: hasattr(artist, "get_text") and artist.get_visible()
+        )
+    )
+
+
+def test_axes_are_labelled_with_units(drawn):
+    for name, figure in drawn.items():
+        assert isinstance(figure, Figure)
+        assert figure.get_figwidth() in (style.COLUMN_IN, style.DOUBLE_IN), name
+        labels = [
+            text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text
+        ]
+        assert labels and all(re.search(r"\[.+\]", label) for label in labels), (name, labels)
+
+
+def test_figures_say_which_process_noise_and_seeds(drawn):
+    for name, figure in drawn.items():
+        if name != "phases":
+            assert re.search(r"seeds?|fields", words(figure)), name
+            noise = re.search("(printed|calibrated) process noise", words(figure))
+            assert name == "slip_fields" or noise, name
+
+
+def test_titles_and_legends_are_inside_the_figure_and_apart(drawn):
+    for name, figure in drawn.items():
+        figure.draw_without_rendering()
+        boxes = [
+            (text.get_text(), text.get_window_extent())
+            for axes in figure.axes
+            for text in (axes.title, axes._left_title)
+            if text.get_text()
+        ]
+        for text, box in boxes:
+            assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1, (name, text)
+        for (one, a), (other, b) in itertools.combinations(boxes, 2):
+            assert not a.overlaps(b), (name, one, other)
+
+
+def test_the_papers_numbers_stand_beside_ours(drawn, sweep_b):
+    errors = words(drawn["errors"])
+    for _, of_one in sweep_b.groupby(["process_noise", "estimator"]):
+        assert f"mean {of_one['mean_error_m'].mean():.4f} m (n = {len(SEEDS)})" in errors
+    assert "paper: 0.0423 m" in errors and "paper: 0.0514 m" in errors
+    diamonds = [line for line in drawn["violations"].axes[0].lines if line.get_marker() == "D"]
+    assert sorted(line.get_xdata()[0] for line in diamonds) == [0, 17]
+    assert "here: a test" in words(drawn["phases"]) and "152 µs" in words(drawn["phases"])
+
+
+def test_no_bars_stand_on_a_logarithmic_axis(drawn):
+    """A bar's length says nothing where there is no zero."""
+    for name, figure in drawn.items():
+        for axes in figure.axes:
+            bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+            assert not bars or {axes.get_xscale(), axes.get_yscale()} == {"linear"}, name
+
+
+def test_bands_hold_the_middle_of_the_drives(drives):
+    of_rhe = drives["calibrated"]["RHE"]
+    errors = np.array([run.columns["error_m"] for run in of_rhe])
+    low, middle, high = over_fields(of_rhe, "error_m")
+    np.testing.assert_allclose(middle, errors.mean(axis=0))
+    assert (errors.min(axis=0) <= low).all() and (high <= errors.max(axis=0)).all()
+    pooled = over_fields(of_rhe, "error_m", 7)
+    assert pooled.shape == (3, errors.shape[1] // 7)
+    np.testing.assert_allclose(pooled[1, 0], np.median(errors[:, :7]))
+    np.testing.assert_allclose(
+        share_of_fields(of_rhe, "error_m", 0.03, 7)[0], (errors[:, :7] > 0.03).mean()
+    )
+
+
+@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+def test_what_the_estimator_states_is_what_it_said_in_the_loop(runs, process_noise):
+    run = runs[process_noise]["RHE"]
+    found = stated(run)
+    for name in ("mu", "kappa"):
+        value, sigma, truth, inside = found[name]
+        np.testing.assert_allclose(value, run.log[f"{name}_hat"], atol=1e-9)
+        settled = run.log["t_s"].to_numpy() >= 20
+        assert inside == np.mean((np.abs(value - truth) <= 2 * sigma)[settled])
+    assert (found["theta_rad"][2] == 0).all()
+
+
+def test_in_a_period_feedback_comes_first_and_preparation_is_over_at_its_end(drawn):
+    """Of the drawn order of phases: RHE above, RHC below, two periods."""
+    bars = sorted(
+        (bar.get_x(), bar.get_x() + bar.get_width()) for bar in drawn["phases"].axes[0].patches
+    )
+    assert len(bars) == 8
+    for k in (0, 1):
+        (rhe, rhc, prepare_rhe, prepare_rhc) = bars[4 * k : 4 * k + 4]
+        assert rhe[0] == k and rhe[1] == pytest.approx(rhc[0])
+        assert rhc[1] < prepare_rhe[0] and prepare_rhc[1] == pytest.approx(k + 1)
+
+
+def test_times_on_several_machines_share_one_axis_with_a_unit():
+    times = pd.concat(
+        TIMES.assign(machine=machine, who="C", mean_ms=TIMES["average_us"] * scale / 1000)
+        for machine, scale in (("server", 1), ("Pi", 40))
+    )
+    figure = embedded_times(times)
+    assert "9.5 of 18.5 µs" in words(figure) and "380 of 740 µs" in words(figure)
+    (axes,) = figure.axes
+    assert "[µs]" in axes.get_xlabel()
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["C\nserver", "C\nPi"]
+
+
+def test_table_a_equals_the_logs(by_weight, sweep_a):
+    table = scenario_a_table(sweep_a).set_index(["weight", "quantity"])
+    for weight, of_seeds in by_weight.items():
+        arrivals = [run.metrics["settling_time_s"] for run in of_seeds]
+        assert table.loc[(weight, "settling time [s]"), "mean"] == pytest.approx(np.mean(arrivals))
+        raw = [
+            run.log.loc[run.log["t_s"] > arrival + 4.9, "error_m"].mean()
+            for run, arrival in zip(of_seeds, arrivals)
+        ]
+        assert table.loc[(weight, "mean error, raw GNSS [m]"), "mean"] == pytest.approx(
+            np.mean(raw)
+        )
+        assert (table.loc[weight, "n"] == len(SEEDS)).all()
+    mean = table["mean"]
+    assert mean["Q1 / Q3", "settling time, ratio"] == pytest.approx(
+        mean["Q1", "settling time [s]"] / mean["Q3", "settling time [s]"]
+    )
+    assert mean["Q2 / Q3", "overshoot, ratio"] == pytest.approx(
+        mean["Q2", "overshoot [m]"] / mean["Q3", "overshoot [m]"]
+    )
+
+
+def test_table_b_equals_the_logs(runs, sweep_b):
+    first_seed = sweep_b[sweep_b["seed"] == 0].set_index(["process_noise", "estimator"])
+    table = scenario_b_table(sweep_b).set_index(["process_noise", "estimator", "quantity"])
+    for process_noise, pair in runs.items():
+        for name, run in pair.items():
+            log = run.log[run.log["t_s"] > run.metrics["settling_time_s"] + 4.9]
+            assert (
+                first_seed.loc[(process_noise, name.lower()), "violations"]
+                == (log["on_straight"] & (log["error_m"] > 0.12)).sum()
+            )
+            row = table.loc[(process_noise, name, "violations on straights, raw GNSS")]
+            of = sweep_b[
+                (sweep_b["process_noise"] == process_noise) & (sweep_b["estimator"] == name.lower())
+            ]
+            assert row["mean"] == pytest.approx(of["violations"].mean())
+            assert row["low"] <= row["mean"] <= row["high"]
+            assert of["violations"].min() <= row["p5"] <= row["p95"] <= of["violations"].max()
+            assert row["paper"] == {"RHE": 0, "EKF": 17}[name] and row["n"] == len(SEEDS)
+        error = table.loc[process_noise].xs("mean error, raw GNSS [m]", level="quantity")
+        assert error["mean"]["RHE - EKF"] == pytest.approx(
+            error["mean"]["RHE"] - error["mean"]["EKF"]
+        )
+        assert list(error["paper"]) == [0.0423, 0.0514, -0.0091]
+
+
+def test_at_most_none_includes_none_and_below_zero_does_not_include_zero(sweep_b):
+    table = scenario_b_table(sweep_b.assign(violations=0))
+    violations = table[table["quantity"] == "violations on straights, raw GNSS"]
+    verdicts = violations.set_index("estimator")["verdict"]
+    assert (verdicts["RHE"] == "holds").all() and (verdicts["RHE - EKF"] == "does not hold").all()
+
+
+def test_runs_that_never_settle_are_counted(sweep_a):
+    never = sweep_a.assign(
+        settling_time_s=sweep_a["settling_time_s"].where(sweep_a["weight"] != "Q1")
+    )
+    table = scenario_a_table(never).set_index(["weight", "quantity"])
+    assert (
+        table.loc[("Q1", "settling time [s]"), "n"] == 0
+        and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
+    )
+    assert "settled: 0 with" in words(scenarios.weight_sweep(scenario_a_table(never), "calibrated"))
+
+
+def test_consistency_of_an_unknown_kind_of_estimator_is_drawn_in_grey():
+    rng = np.random.default_rng(0)
+    t_s, squared = np.arange(0, 40, 0.2), rng.chisquare(1, (5, 200))
+    measured = Consistency(t_s, rng.normal(size=(5, 200, 4)), squared, squared, squared)
+    names = ["RHE, calibrated", "dual, W by tracking", "particle filter"]
+    figure = consistency.nees_over_time(dict.fromkeys(names, measured))
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes._left_title.get_text().split(":")[0] for axes in shown] == names
+    colours = [axes.lines[0].get_color() for axes in shown]
+    assert colours == [style.COLOURS["RHE"], style.ORANGE, style.GREY]
+    assert consistency.errors_over_sigma(dict.fromkeys(names, measured)).axes

@@ -1,0 +1,267 @@
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from nbformat import v4
+
+from rhec.workbench import notebook
+from rhec.workbench.notebook import ParameterError, parameters
+
+ALLOWED = {
+    "seed": (int, 0, 999_999),
+    "speed_mps": (float, 0.05, 2.0),
+    "process_noise": ("printed", "calibrated"),
+    "gains": [(float, 0, 100)],
+}
+DEFAULTS = {"seed": 7, "speed_mps": 0.5, "process_noise": "printed", "gains": [1, 2.5]}
+GAINS = "a list of at least one item, each a number from 0 to 100"
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("seed", 0),
+        ("seed", 999_999),
+        ("speed_mps", 2),
+        ("process_noise", "calibrated"),
+        ("gains", (100,)),
+    ],
+)
+def test_allowed_values_pass(name, value):
+    parameters(DEFAULTS | {name: value}, **ALLOWED)
+
+
+@pytest.mark.parametrize(
+    "name, value, sentence",
+    [
+        ("seed", "9", "seed was '9' (str); it must be an int from 0 to 999999"),
+        ("seed", True, "seed was True (bool); it must be an int from 0 to 999999"),
+        ("seed", 7.0, "seed was 7.0 (float); it must be an int from 0 to 999999"),
+        ("speed_mps", math.nan, "speed_mps was nan (float); it must be a number from 0.05 to 2.0"),
+        (
+            "process_noise",
+            "guess",
+            "process_noise was 'guess' (str); it must be 'printed' or 'calibrated'",
+        ),
+        (
+            "process_noise",
+            [1],
+            "process_noise was [1] (list); it must be 'printed' or 'calibrated'",
+        ),
+        ("gains", [], f"gains was [] (list); it must be {GAINS}"),
+        ("gains", [1, False], f"gains was [1, False] (list); it must be {GAINS}"),
+        ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),
+        (
+            "_parameters_checked",
+            True,
+            "_parameters_checked was True, but there is no such parameter; did you mean "
+            f"{' or '.join(ALLOWED)}?",
+        ),
+        ("x", 9, f"x was 9, but there is no such parameter; did you mean {' or '.join(ALLOWED)}?"),
+    ],
+)
+def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
+    with pytest.raises(ParameterError) as refusal:
+        parameters(DEFAULTS | {name: value}, **ALLOWED)
+    assert str(refusal.value) == sentence
+
+
+@given(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
+)
+def test_only_an_int_in_range_is_a_seed(value):
+    try:
+        parameters({"seed": value}, seed=(int, 0, 9))
+    except ParameterError:
+        assert type(value) is not int or not 0 <= value <= 9
+    else:
+        assert type(value) is int and 0 <= value <= 9
+
+
+def test_a_missing_parameter_is_refused():
+    with pytest.raises(ParameterError, match="seed was not given; it must be an int from 0 to 9"):
+        parameters({}, seed=(int, 0, 9))
+
+
+def test_the_cell_can_be_run_again():
+    namespace = {"sed": 1, "seed": 1, "os": os, "_private": 0}
+    with pytest.raises(ParameterError):
+        parameters(namespace, seed=(int, 0, 9))
+    parameters(namespace, seed=(int, 0, 9))  # the misspelt name is gone
+    namespace["result"] = [1.0]  # the notebook's own
+    parameters(namespace, seed=(int, 0, 9))
+
+
+def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monkeypatch, capfd):
+    tagged = v4.new_code_cell("seed = 7", metadata={"tags": ["parameters"]})
+    check = v4.new_code_cell(
+        "from rhec.workbench.notebook import parameters\nparameters(globals(), seed=(int, 0, 9))"
+    )
+    nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", "notebook toy.ipynb -p sed 9 --output out.ipynb".split())
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert refusal.value.code == 2
+    assert (
+        capfd.readouterr().err == "sed was 9, but there is no such parameter; did you mean seed?\n"
+    )
+    assert os.listdir(tmp_path) == ["toy.ipynb"]
+
+
+@pytest.mark.parametrize(
+    "given, sentence",
+    [
+        ("rhec 1", "rhec was 1, but there is no such parameter; did you mean seed?"),
+        ("parameters 1", "parameters was 1, but there is no such parameter; did you mean seed?"),
+        (
+            "_parameters_checked 1",
+            "_parameters_checked was 1, but there is no such parameter; did you mean seed?",
+        ),
+        ("class 1", "NAME was 'class'; it must be a name as in Python, such as seed"),
+    ],
+)
+def test_the_runner_refuses_what_the_notebook_itself_uses(
+    tmp_path, monkeypatch, capfd, given, sentence
+):
+    tagged = v4.new_code_cell("seed = 7", metadata={"tags": ["parameters"]})
+    check = v4.new_code_cell(
+        "import rhec\nfrom rhec.workbench.notebook import parameters\n"
+        "parameters(globals(), seed=(int, 0, 9))"
+    )
+    nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
+    monkeypatch.chdir(tmp_path)
+    argv = f"notebook toy.ipynb -p {given} --output out.ipynb".split()
+    monkeypatch.setattr(sys, "argv", argv)
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert (refusal.value.code, capfd.readouterr().err) == (2, f"{sentence}\n")
+
+
+@pytest.mark.parametrize("path", ["none.ipynb", __file__])
+def test_the_runner_refuses_what_is_no_notebook(path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["notebook", path])
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert refusal.value.code == 2
+    assert capsys.readouterr().err == f"NOTEBOOK was {path}; it must be an existing .ipynb file\n"
+
+
+def test_every_notebook_is_made_by_make():
+    root = Path(__file__).parents[2]
+    makefile = (root / "Makefile").read_text().replace("\\\n", " ")
+    names = " ".join(re.findall("^(?:FIGURES|STUDIES) := (.*)$", makefile, re.M)).split()
+    assert sorted(names) == sorted(each.stem for each in root.glob("notebooks/*.ipynb"))
+
+
+SCRIPT = """
+import os, pathlib, sys
+from rhec.workbench import notebook
+
+notebook.ROOT = pathlib.Path.cwd()
+sys.path.insert(0, os.getcwd())
+notebook.record("listing")
+import imported
+for other in ("read.py", "read.ipynb"):
+    pathlib.Path(other).read_text()
+if os.fork() == 0:
+    pathlib.Path("half").write_text("")
+    os.replace("half", "figure")
+else:
+    os.wait()
+"""
+
+
+def test_what_is_used_and_made_in_the_project_is_recorded(tmp_path):
+    (tmp_path / "imported.py").touch()
+    for name in ("read.py", "read.ipynb"):  # for a digest
+        (tmp_path / name).touch()
+    for _ in range(2):  # without and with the bytecode of the module
+        (tmp_path / "listing").write_text("")
+        subprocess.run([sys.executable, "-c", SCRIPT], cwd=tmp_path, check=True)
+        recorded = (tmp_path / "listing").read_text().splitlines()
+        assert f"used {tmp_path / 'imported.py'}" in recorded
+        assert f"made {tmp_path / 'figure'}" in recorded
+        assert not any("/read." in line for line in recorded)
+
+
+DRAWN = """
+from pathlib import Path
+for file in ("figures/{name}.png", "figures/fig07_trajectories.png"):
+    Path("..", file).write_text("made")
+"""
+ROOT = Path(__file__).parents[2]
+
+
+def draw(project, name):
+    """Run a notebook that draws a picture of this name."""
+    cell = v4.new_code_cell(DRAWN.format(name=name))
+    nbformat.write(v4.new_notebook(cells=[cell]), project / "notebooks/scenario_a.ipynb")
+    command = [sys.executable, "-m", "rhec.workbench.notebook", "notebooks/scenario_a.ipynb"]
+    environment = os.environ | dict(PYTHONPATH=str(project))
+    subprocess.run(command, cwd=project, check=True, env=environment, capture_output=True)
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A project whose only notebook was run."""
+    left_out = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "rhec", tmp_path / "rhec", ignore=left_out)
+    for folder in ("notebooks", "figures", "build"):
+        (tmp_path / folder).mkdir()
+    for file in ("Makefile", ".gitignore"):
+        shutil.copy(ROOT / file, tmp_path)
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    draw(tmp_path, "one")
+    return tmp_path
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="there is no make")
+def test_make_clean_removes_what_make_made_and_nothing_else(project):
+    theirs = [
+        "figures/thesis.tex",
+        "figures/explored/mine.png",
+        "figures/bench_step.csv",
+        "build/notes.txt",
+        "build/campaign/0123/rows.parquet",
+        "build/replay/field/replay_log.png",
+        "build/embedded/rhec.c",
+        "build/report/mine.html",
+        "build/notebooks/mine.ipynb",
+        "build/notebooks/scenario_a-custom.ipynb",
+    ]
+    for name in theirs:
+        (project / name).parent.mkdir(parents=True, exist_ok=True)
+        (project / name).touch()
+    made = ["figures/one.png", "build/notebooks/scenario_a.ipynb", "build/notebooks/scenario_a.d"]
+    delivered = "figures/fig07_trajectories.png"  # the notebook makes it, but it is in git
+    assert all((project / name).exists() for name in [*made, delivered])
+
+    def clean(target="clean"):
+        subprocess.run(["make", "-s", target], cwd=project, check=True)
+        return {name for name in [*theirs, *made, delivered] if not (project / name).exists()}
+
+    assert clean() == set(made)
+    assert clean() == set(made)
+    gone = set(made)
+    for name, removed in dict(
+        campaigns=theirs[4], replays=theirs[5], explored=theirs[1], embedded=theirs[6],
+        benchmarks=theirs[2],
+    ).items():  # fmt: skip
+        gone |= {removed}
+        assert clean(f"clean-{name}") == gone
+
+
+def test_what_an_earlier_run_made_is_remembered(project):
+    draw(project, "other")
+    made = (project / "build/notebooks/scenario_a.d").read_text().splitlines()[-1].split()
+    pictures = [f"figures/{name}.png" for name in ("fig07_trajectories", "one", "other")]
+    assert made == ["MADE", "+=", *pictures]
