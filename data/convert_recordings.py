@@ -17,10 +17,20 @@ from scipy.spatial.transform import Rotation
 
 __all__ = ["convert"]
 
-_DT_S, _FAST_S, _N = 0.1, 0.05, 40  # between rows of a log and of a frame; rows of a window
-_SETTLED_S, _TRIMMED_S, _BREAK_S = 1.0, 0.2, 0.3
-_HELD_S, _POSE_GAP_S = 0.25, 0.35  # wheels that change later stood before; positions missing
-_SMOOTH, _SLOPE, _DEGREE, _DIGITS = 15, 21, 2, 5
+# between rows of a log and of a frame; rows of a window
+_DT_S = 0.1
+_FAST_S = 0.05
+_N = 40
+_SETTLED_S = 1.0
+_TRIMMED_S = 0.2
+_BREAK_S = 0.3
+# wheels that change later stood before; positions missing
+_HELD_S = 0.25
+_POSE_GAP_S = 0.35
+_SMOOTH = 15
+_SLOPE = 21
+_DEGREE = 2
+_DIGITS = 5
 _ATTITUDE = ("roll", "pitch", "yaw")
 
 
@@ -52,17 +62,23 @@ def _rows(frame, source):
     yaw = Rotation.from_quat(column(*(f"icp_quat_{axis}" for axis in "xyzw"))[new]).as_euler("ZYX")
     place = column("icp_pos_x", "icp_pos_y")[new]
     yield _Piece(
-        t, column("meas_left_vel", "meas_right_vel"), column("imu_z")[:, 0],
-        column("cmd_vel_x", "cmd_vel_omega"), t[new], np.column_stack([place, yaw[:, 0]]),
-    )  # fmt: skip
+        t,
+        column("meas_left_vel", "meas_right_vel"),
+        column("imu_z")[:, 0],
+        column("cmd_vel_x", "cmd_vel_omega"),
+        t[new],
+        np.column_stack([place, yaw[:, 0]]),
+    )
 
 
 def _poses(frame, tilted):
     """Poses (x, y, yaw) of all windows' rows in one frame, (rows,) each. tilted: the pose at the
     beginning of a window counts with its roll and pitch.
     """
-    columns = [np.stack([frame[f"icp_{name}_{k}"] for k in range(_N)], axis=1)
-               for name in ("x", "y", "z", *_ATTITUDE)]  # fmt: skip
+    columns = [
+        np.stack([frame[f"icp_{name}_{k}"] for k in range(_N)], axis=1)
+        for name in ("x", "y", "z", *_ATTITUDE)
+    ]
     begin = frame[[f"init_tf_pose_{name}" for name in ("x", "y", "z", *_ATTITUDE)]].to_numpy()
     begin = begin * ([1, 1, 1, tilted, tilted, 1])
     turned = Rotation.from_euler("xyz", begin[:, 3:]).as_matrix()
@@ -88,10 +104,12 @@ def _windows(frame, source):
     left, right, gyro, *command = (
         frame[[f"{name}_{k}" for k in range(_N)]].to_numpy().ravel()[kept] for name in names
     )
-    radius_m, width_m = source["command_wheel_radius_m"], source["command_track_width_m"]
+    radius_m = source["command_wheel_radius_m"]
+    width_m = source["command_track_width_m"]
     command = radius_m * np.stack([sum(command) / 2, (command[1] - command[0]) / width_m], axis=1)
     gyro *= source["gyro_sign"]
-    pose, t = np.column_stack(_poses(frame, source["tilted"]))[kept], t[kept] - zero
+    pose = np.column_stack(_poses(frame, source["tilted"]))[kept]
+    t = t[kept] - zero
     edges = [0, *(1 + np.flatnonzero(np.diff(t) > _BREAK_S)), len(t)]
     for first, end in zip(edges, edges[1:]):
         part = np.arange(first, end)
@@ -104,7 +122,8 @@ def _windows(frame, source):
 def _changes(t, value):
     """When a wheel's speed changes and to what, with the end of each time that it stood."""
     new = np.append(True, np.diff(value) != 0)
-    t, value = t[new], value[new]
+    t = t[new]
+    value = value[new]
     late = 1 + np.flatnonzero(np.diff(t) > _HELD_S)
     return np.insert(t, late, t[late] - _HELD_S), np.insert(value, late, value[late - 1])
 
@@ -120,8 +139,12 @@ def _log(piece, source, pose_late_s, encoders_late_s):
     slope = savgol_filter(pose, _SLOPE, _DEGREE, deriv=1, delta=_FAST_S)
     cut = round(_TRIMMED_S / _FAST_S)
     rows = slice(cut, len(fast) - cut, round(_DT_S / _FAST_S))
-    t, pose, smooth, slope = fast[rows], pose[:, rows], smooth[:, rows], slope[:, rows]
-    cos, sin = np.cos(smooth[2]), np.sin(smooth[2])
+    t = fast[rows]
+    pose = pose[:, rows]
+    smooth = smooth[:, rows]
+    slope = slope[:, rows]
+    cos = np.cos(smooth[2])
+    sin = np.sin(smooth[2])
     left, right = (
         source["wheel_radius_m"] * np.interp(t + encoders_late_s, *_changes(piece.t, wheel))
         for wheel in piece.wheels.T
@@ -161,7 +184,8 @@ def convert(frame, source):
     Returns:
         DataFrame with the columns of a recording (`rhec.simulation.columns`), a segment without a break.
     """
-    form, parts = _rows if "ros_time" in frame else _windows, []
+    form = _rows if "ros_time" in frame else _windows
+    parts = []
     for number, piece in enumerate(form(frame, source)):
         if piece.t[-1] - piece.t[0] >= source.get("shortest_s", 0.0):
             late = (np.ravel(source[name]) for name in ("pose_late_s", "encoders_late_s"))

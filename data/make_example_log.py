@@ -30,7 +30,8 @@ __all__ = ["FILE", "example_log"]
 FILE = Path(__file__).with_name("example_log.csv")
 _DT_S = 0.1
 _SEED = 2018
-_GNSS_SIGMA_M, _BUMP_SIGMA_RADPS = 0.02, 0.02
+_GNSS_SIGMA_M = 0.02
+_BUMP_SIGMA_RADPS = 0.02
 _BOX = (-25.0, 35.0, -30.0, 30.0)  # of the slip field [m]
 
 # Pose where each piece begins, and its commands (duration [s], speed [m/s], yaw rate [rad/s])
@@ -81,14 +82,16 @@ def _build_sample(terrain):
     """One row: (memory, command and noise) -> (memory, _COLUMNS). The encoders are read at this
     instant.
     """
-    drive, slip = robot.drive(_DT_S), lookup(terrain.mu.shape)
+    drive = robot.drive(_DT_S)
+    slip = lookup(terrain.mu.shape)
     body = dict(
         track_width_m=paper.TRACK_WIDTH_M, encoder_sigma_mps=0.0, bump_sigma_radps=_BUMP_SIGMA_RADPS
     )
 
     @with_packed_memory("sample", _MEMORY, given=(2 + packed_size(robot.NOISE), 1))
     def sample(pose, tracks, integral, given):
-        command, noise = given[:2], unpack(given[2:], robot.NOISE)
+        command = given[:2]
+        noise = unpack(given[2:], robot.NOISE)
         traction = slip(pose[:2], terrain.origin_m, terrain.cell_m, flat(terrain))
         row = ca.vertcat(
             pose[:2] + _GNSS_SIGMA_M * noise["white"],
@@ -128,7 +131,8 @@ def _record(pose, commands, terrain, seed):
 def example_log():
     """The whole log, as in its file; the logger is off for half a minute between the pieces."""
     terrain = Terrain.random(_SEED, _BOX, (0.9, 0.8), (0.04, 0.08), 4.0)
-    pieces, begin = [], 0.0
+    pieces = []
+    begin = 0.0
     for segment, (pose, commands) in enumerate(_PIECES):
         piece = _record(pose, commands, terrain, _SEED + segment)
         pieces.append(piece.assign(segment=segment, t_s=piece["t_s"] + begin))

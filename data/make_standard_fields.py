@@ -14,7 +14,9 @@ from rhec.tracked_robot.terrain import CELLS_PER_LENGTH
 __all__ = ["make"]
 
 FILE = Path(__file__).with_name("standard_gaussian_fields.npz")
-PERIOD, MODES, SEED = 768, 144, 2018
+PERIOD = 768
+MODES = 144
+SEED = 2018
 
 
 def make(file=FILE):

@@ -20,8 +20,10 @@ from rhec.tracked_robot.path import advance
 from rhec.tracked_robot.terrain import Terrain
 
 SEEDS = range(100, 110)  # seeds that neither the tutorial nor calibration uses
-SETTLED_S, OVERSHOOT_M = 15.0, 0.1
-DRY, WET = (0.9, 0.8), (0.6, 0.5)
+SETTLED_S = 15.0
+OVERSHOOT_M = 0.1
+DRY = (0.9, 0.8)
+WET = (0.6, 0.5)
 STRIP_M = (20.0, 25.0)  # the wet strip of the terrain exercise: from x to x
 
 
@@ -100,9 +102,11 @@ def interval(step):
     inputs and traction make.
     """
     draw = np.random.default_rng(1)
-    worst, ours = 0.0, {"an Euler step": 0.0, "μ = 1": 0.0, "κ = 1": 0.0}
+    worst = 0.0
+    ours = {"an Euler step": 0.0, "μ = 1": 0.0, "κ = 1": 0.0}
     for _ in range(50):
-        xi, omega = draw.normal(size=3), draw.uniform(-1, 1)
+        xi = draw.normal(size=3)
+        omega = draw.uniform(-1, 1)
         nu, mu, kappa = p = draw.uniform([0.2, 0.3, 0.3], [1.4, 1.0, 1.0])
         exact = arc(xi, omega, p)
         end = numbers(step(xi, omega, p), 3, "step(xi, omega, p)")
@@ -140,10 +144,8 @@ def weights(q):
         simulate(Scenario(process_noise="calibrated", q=q, seed=seed, duration_s=60.0)).metrics
         for seed in SEEDS
     ]
-    settled, overshoot = (
-        [run["settling_time_s"] for run in runs],
-        max(run["overshoot_m"] for run in runs),
-    )
+    settled = [run["settling_time_s"] for run in runs]
+    overshoot = max(run["overshoot_m"] for run in runs)
     expect(
         not np.isnan(settled).any(),
         f"on {np.isnan(settled).sum()} of {len(runs)} fields the robot never settles within 60 s.",
@@ -166,7 +168,8 @@ def feedforward(turn):
     soil.
     """
     draw = np.random.default_rng(2)
-    worst, ours = 0.0, {"κ": 0.0, "μ": 0.0}
+    worst = 0.0
+    ours = {"κ": 0.0, "μ": 0.0}
     for _ in range(20):
         curvature = draw.choice([-1, 1]) * draw.uniform(0.05, 0.2)
         nu, mu, kappa = p = draw.uniform([0.2, 0.4, 0.4], [1.0, 0.95, 0.95])
@@ -264,7 +267,8 @@ def terrain(soil, path):
             & (np.abs(found - (mu, kappa)).max(axis=1) > 1e-6)
         )
         if wrong.any():
-            (x, y, _), (mu_found, kappa_found) = poses[wrong][0], found[wrong][0]
+            (x, y, _) = poses[wrong][0]
+            (mu_found, kappa_found) = found[wrong][0]
             raise NotYet(
                 f"at x = {x:.1f} m, y = {y:.1f} m, {where}, "
                 f"it has μ = {mu_found:.3g}, κ = {kappa_found:.3g}; "
@@ -281,17 +285,16 @@ def difference(answer, one, other):
     differences; other ways may come out a little different.
     """
     mean, low, high = numbers(answer, 3, "your answer")
-    one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
+    one = np.asarray(one, dtype=float)
+    other = np.asarray(other, dtype=float)
     right, right_low, right_high = paired(one, other)
     expect(
         abs(mean - right) < 1e-9 + 1e-6 * abs(right),
         f"the mean difference is {right:.3g}, not {mean:.3g}.",
     )
     width = right_high - right_low
-    unpaired, spread = (
-        2 * 1.96 * np.sqrt((one.var() + other.var()) / len(one)),
-        2 * 1.96 * np.std(one - other),
-    )
+    unpaired = 2 * 1.96 * np.sqrt((one.var() + other.var()) / len(one))
+    spread = 2 * 1.96 * np.std(one - other)
     given = high - low
     like = {
         "the seeds taken apart: both ran on the same fields, "

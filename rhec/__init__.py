@@ -54,9 +54,24 @@ _HOME = {
     "simulate": "simulation.closed_loop",
 }
 __all__ = [
-    "EKF", "Explorer", "Fault", "Model", "Path", "PathTracker", "RHC", "RHE", "Run", "Scenario",
-    "Terrain", "calibrate", "campaign", "export", "logs", "replay", "simulate",
-]  # fmt: skip
+    "EKF",
+    "Explorer",
+    "Fault",
+    "Model",
+    "Path",
+    "PathTracker",
+    "RHC",
+    "RHE",
+    "Run",
+    "Scenario",
+    "Terrain",
+    "calibrate",
+    "campaign",
+    "export",
+    "logs",
+    "replay",
+    "simulate",
+]
 
 
 def __getattr__(name):

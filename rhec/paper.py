@@ -31,7 +31,9 @@ SIGMA_W_EKF = (10.0, 10.0, 0.1, 1.0)  # x, y [m], θ [rad], ν [m/s], each per s
 
 # Sec. Implementation of Nonlinear RHC
 OMEGA_MAX_RADPS = 0.1  # eq. (16): 5.73 °/s
-Q1, Q2, Q3 = (1.0, 1.0, 10.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
+Q1 = (1.0, 1.0, 10.0)
+Q2 = (1.0, 1.0, 0.0)
+Q3 = (1.0, 1.0, 1.0)
 R = 10.0  # eq. (22)
 QN_FACTOR = 10.0
 
@@ -48,7 +50,8 @@ TABLE_1_MS = {  # minimum, average, maximum on a Raspberry Pi 3
     ("RHC", "feedback"): (0.0149, 0.0215, 0.1457),
     ("RHC", "overall"): (0.2874, 0.3966, 1.3534),
 }
-STEP_MEAN_MS, STEP_MAX_MS = 0.88, 2.8534
+STEP_MEAN_MS = 0.88
+STEP_MAX_MS = 2.8534
 
 # Not in the paper
 TRACK_WIDTH_M = 0.40  # b: 0.48 m outside, tracks of about 0.08 m

@@ -26,9 +26,12 @@ _CALLS = "rhec_prepare_estimate", "rhec_estimate", "rhec_prepare_control", "rhec
 _CALLERS = "main", "sample"
 CLOCK_HZ = 1.2e9  # Raspberry Pi 3 Model B (paper, Sec. System Description)
 _LINE_BYTES = 64
-_SECOND_CACHE_S, _DRAM_S = 20 / CLOCK_HZ, 150e-9  # assumed: to fetch a line from there
+# assumed: to fetch a line from there
+_SECOND_CACHE_S = 20 / CLOCK_HZ
+_DRAM_S = 150e-9
 # Samples whose cycles are counted: from all over the run, and those of most instructions
-_SPREAD, _LONGEST = 5, 5
+_SPREAD = 5
+_LONGEST = 5
 
 
 class _Trace(NamedTuple):
@@ -55,7 +58,11 @@ def trace(machine, program, *arguments):
 
 def _read(listing):
     """The _Trace in the emulator's listing."""
-    blocks, numbers, samples, phase, fresh = [], {}, [], None, None
+    blocks = []
+    numbers = {}
+    samples = []
+    phase = None
+    fresh = None
     for line in listing:
         if line.startswith("Trace"):
             address = line[line.index("/") + 1 :].split("/", 1)[0]

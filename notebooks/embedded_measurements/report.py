@@ -33,7 +33,10 @@ def measure(export, samples=60):
     header = (export / "rhec_memory.h").read_text()
     memory_bytes = int(re.search(r"RHEC_MEMORY_BYTES (\d+)", header)[1])
     expected = pd.read_csv(log).drop(columns=MEASUREMENTS)
-    sizes, times, nonsense, counted = [], reported(), pd.DataFrame(), pd.DataFrame()
+    sizes = []
+    times = reported()
+    nonsense = pd.DataFrame()
+    counted = pd.DataFrame()
     for machine in dict.fromkeys(filter(None, (toolchain.this_machine(), toolchain.arm()))):
         with tempfile.TemporaryDirectory() as folder:
             objects = toolchain.library(machine, export, folder)
@@ -87,7 +90,8 @@ def against_the_paper(counted):
     fifth of them.
     """
     whole = counted.iloc[-1]
-    ours, theirs = whole[["mean_ms", "worst_ms"]], (paper.STEP_MEAN_MS, paper.STEP_MAX_MS)
+    ours = whole[["mean_ms", "worst_ms"]]
+    theirs = (paper.STEP_MEAN_MS, paper.STEP_MAX_MS)
     table = pd.DataFrame(dict(time=["mean", "worst"], estimated_ms=[*ours], paper_ms=theirs))
     ratio = table["estimated_ms"] / table["paper_ms"]
     return table.assign(ratio=ratio, a_fifth_at_most=ratio <= 1 / 5)

@@ -62,7 +62,8 @@ def arm():
     """
     if platform.machine() == _ARM:
         return this_machine()
-    compiler, emulator = shutil.which(f"{_ARM}-linux-gnu-gcc"), shutil.which(f"qemu-{_ARM}")
+    compiler = shutil.which(f"{_ARM}-linux-gnu-gcc")
+    emulator = shutil.which(f"qemu-{_ARM}")
     return Machine(_ARM, compiler, (emulator,)) if compiler and emulator else None
 
 
@@ -132,7 +133,8 @@ def sizes(machine, objects):
     """
     tool = shutil.which(re.sub(r"(gcc|cc|clang)(-[\d.]+)?$", "size", machine.compiler)) or "size"
     printed = subprocess.run([tool, *objects], check=True, capture_output=True, text=True).stdout
-    frames, calls = {}, {}
+    frames = {}
+    calls = {}
     node = r'node: { title: "([^"]+)" label: "[^"]*?(\d+) bytes \(static\)'
     edge = r'edge: { sourcename: "([^"]+)" targetname: "([^"]+)"'
     for graph in objects[0].parent.glob("*.ci"):

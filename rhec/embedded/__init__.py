@@ -87,16 +87,19 @@ def _of_model(parts):
             "of the paper's robot a Scenario"
         )
     if len(own) == 2:
-        rhe, rhc = own["rhe"].window, own["rhc"].problem
+        rhe = own["rhe"].window
+        rhc = own["rhc"].problem
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
-    texts, made = _by_hand("c_model"), phases.export_model(**own)
+    texts = _by_hand("c_model")
+    made = phases.export_model(**own)
     return texts | _generated(made) | {"README.txt": c_writer.readme(made, texts["README.txt"])}
 
 
 def _of_scenario(scenario):
     """{file: text} of the export of a Scenario."""
-    made, texts = phases.export(scenario), _by_hand("c")
+    made = phases.export(scenario)
+    texts = _by_hand("c")
     shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
     log = simulate(shorter).log[LOG]
     readme = c_writer.readme(made, texts["README.txt"], samples=len(log), **SIGMA_START)

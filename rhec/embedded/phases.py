@@ -75,7 +75,8 @@ def export(scenario):
     """The phases of a scenario's estimator and controller, bound to the C's memory, and the
     scenario's settings.
     """
-    setup, choice = closed_loop.set_up(scenario), Choice.of(scenario)
+    setup = closed_loop.set_up(scenario)
+    choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
     # An EKF is given what the closed loop gives it.
     traction = closed_loop.known_traction(estimator.given, setup.settings["mean_traction"], None)
@@ -120,13 +121,16 @@ def export(scenario):
 def export_model(rhe=None, rhc=None):
     """The phases of the RHE, the RHC or both of a Model, bound to the C's memory."""
     model = rhe.model if rhe else rhc.problem.model
-    phases, settings, guess = {}, {}, np.zeros(1)
+    phases = {}
+    settings = {}
+    guess = np.zeros(1)
     macros = dict(DT_S=(rhe.window.dt_s if rhe else rhc.problem.dt_s, "time between samples [s]"))
     for name in ("states", "inputs", "parameters", "outputs"):
         names = getattr(model, name)
         macros[name.upper()] = len(names), ", ".join(names) or "none"
     if rhe:
-        guess, settings = rhe._guess[0], settings | rhe.settings
+        guess = rhe._guess[0]
+        settings = settings | rhe.settings
         start = _start(
             lambda guess: window_init(rhe.window, guess, rhe._guess[1]), guess=len(guess)
         )
@@ -136,7 +140,8 @@ def export_model(rhe=None, rhc=None):
             ESTIMATOR=(1, "there is one"), ESTIMATE=(len(model.names), ", ".join(model.names))
         )
     if rhc:
-        n_x, settings = len(model.states), settings | rhc.settings
+        n_x = len(model.states)
+        settings = settings | rhc.settings
         start = _start(
             lambda s_0: plan_init(rhc.problem, s_0[:n_x], s_0[n_x:]), s_0=rhc.problem.n_s
         )
@@ -150,7 +155,8 @@ def export_model(rhe=None, rhc=None):
 
 def _export(phases, settings, guess, macros):
     """The Export of phases that are bound, with the memory and the settings that they use."""
-    memory, used = {}, set()
+    memory = {}
+    used = set()
     for f, reads, writes in phases.values():
         sizes = [*map(f.nnz_in, range(f.n_in())), *map(f.nnz_out, range(f.n_out()))]
         for place, size in zip(reads + writes, sizes):
@@ -238,7 +244,8 @@ def _with_speed(control, speed, estimate):
 
     The last one is memory; whatever that holds, the next is between 0 and the set speed.
     """
-    shift, feedback = control["shift"], control["feedback"]
+    shift = control["shift"]
+    feedback = control["feedback"]
 
     def inputs(*functions):
         return {name: f.sparsity_in(name) for f in functions for name in f.name_in()}
@@ -270,8 +277,10 @@ def closest(n_segments):
 
     @casadi_function("rhec_closest", estimate=(6, 1), segments=(5, n_segments), length_m=(1, 1))
     def closest(estimate, segments, length_m):
-        x, y = estimate[0], estimate[1]
-        best_distance, best_s = ca.inf, 0
+        x = estimate[0]
+        y = estimate[1]
+        best_distance = ca.inf
+        best_s = 0
         ends = [segments[0, i] for i in range(1, n_segments)] + [length_m]
         for segment, end in zip(ca.horzsplit(segments), ends):
             s, x_0, y_0, theta, curvature = ca.vertsplit(segment)

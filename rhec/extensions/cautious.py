@@ -26,7 +26,8 @@ from rhec.tracked_robot.references import pose_at
 __all__ = ["ACCELERATION_MPS2", "NOSE_M", "SLOWEST_MPS", "build_speed", "build_step"]
 
 # By campaigns on training seeds from 6000 on.
-BAND_M, ACCELERATION_MPS2 = 0.04, 0.5
+BAND_M = 0.04
+ACCELERATION_MPS2 = 0.5
 SLOWEST_MPS = dict(curve=0.15, row=0.35)
 NOSE_M = paper.ROBOT_LENGTH_M / 2
 _IN_A_ROW_M = paper.ROW_SPACING_M / 2  # who is further off has a row yet to reach
@@ -44,24 +45,35 @@ def build_speed(states, n_segments, dt_s):
         A Function of speed (the last one), s (the closest point), estimate (6,), covariance (n, n),
         upper (ω_max), segments, period_m, speed_mps (the set speed), caution.
     """
-    one, n = (1, 1), len(states)
+    one = (1, 1)
+    n = len(states)
     known = ca.DM(len(QUANTITIES), n)
     for place, name in enumerate(states):
         if name in QUANTITIES:
             known[QUANTITIES.index(name), place] = 1
 
     @casadi_function(
-        "cautious_speed", speed=one, s=one, estimate=(6, 1), covariance=(n, n), upper=one,
-        segments=(5, n_segments), period_m=one, speed_mps=one, caution=one,
-    )  # fmt: skip
+        "cautious_speed",
+        speed=one,
+        s=one,
+        estimate=(6, 1),
+        covariance=(n, n),
+        upper=one,
+        segments=(5, n_segments),
+        period_m=one,
+        speed_mps=one,
+        caution=one,
+    )
     def speed(speed, s, estimate, covariance, upper, segments, period_m, speed_mps, caution):
-        P, fast = known @ covariance @ known.T, ca.fabs(speed_mps)
+        P = known @ covariance @ known.T
+        fast = ca.fabs(speed_mps)
         x, y, theta, _, mu, kappa = ca.vertsplit(estimate)
         most_mu = ca.fmin(mu + caution * ca.sqrt(P[4, 4]), 1)
         least_kappa = ca.fmax(kappa - caution * ca.sqrt(P[5, 5]), 0)
 
         pose, curvature = pose_at(s, segments, period_m)
-        sine, cosine = ca.sin(pose[2]), ca.cos(pose[2])
+        sine = ca.sin(pose[2])
+        cosine = ca.cos(pose[2])
         ahead = ca.if_else(speed_mps < 0, -NOSE_M, NOSE_M)
         left = (y - pose[1]) * cosine - (x - pose[0]) * sine + ahead * ca.sin(theta - pose[2])
         slope = ca.vertcat(-sine, cosine, ahead * ca.cos(theta - pose[2]))

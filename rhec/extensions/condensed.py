@@ -56,7 +56,8 @@ def box_qp_by_library(n, solver):
             "qp", solver, {"h": H.sparsity()}, {"error_on_fail": False, **_OPTIONS[solver]}
         )
         solution = qp(**dict(zip(("h", "g", "lbx", "ubx"), given)))
-        x, multipliers = solution["x"], solution["lam_x"]
+        x = solution["x"]
+        multipliers = solution["lam_x"]
         # An active-set solver may leave the box by its tolerance; the bounds are hard. Also 0
         # where x is not a number.
         ok = fine * ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))

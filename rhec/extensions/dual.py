@@ -25,8 +25,11 @@ def _build_step(choice):
     soil = estimator_of("rhe", choice.robust).build_step(choice)
     pose = paper_ekf.build_step(choice.dt_s, paper_ekf.runge_kutta)
     sizes = soil.numel_in("memory"), pose.numel_in("memory")
-    memory, z = ca.MX.sym("memory", sum(sizes)), ca.MX.sym("z_N", 4)
-    V, W, P_0 = ca.MX.sym("V", 4), ca.MX.sym("W", 10), ca.MX.sym("P_0", 6)
+    memory = ca.MX.sym("memory", sum(sizes))
+    z = ca.MX.sym("z_N", 4)
+    V = ca.MX.sym("V", 4)
+    W = ca.MX.sym("W", 10)
+    P_0 = ca.MX.sym("P_0", 6)
     of_soil, of_pose = ca.vertsplit(memory, [0, sizes[0], sum(sizes)])
     first = soil(memory=of_soil, z_N=z, V=V, W=W[:6], P_0=P_0)
     traction = first["estimate"][4:]

@@ -17,9 +17,19 @@ from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.validation import NotNegative, Positive, Real, validated
 
 __all__ = [
-    "CHANNELS", "DELAY_MAX_S", "Fault", "KINDS", "MEMORY", "OWN_CHANNELS", "SIZES", "STREAM",
-    "corrupted", "deliver", "init", "stream",
-]  # fmt: skip
+    "CHANNELS",
+    "DELAY_MAX_S",
+    "Fault",
+    "KINDS",
+    "MEMORY",
+    "OWN_CHANNELS",
+    "SIZES",
+    "STREAM",
+    "corrupted",
+    "deliver",
+    "init",
+    "stream",
+]
 
 _PAST = 5  # earlier measurements that the closed loop keeps
 DELAY_MAX_S = 1.0
@@ -90,7 +100,8 @@ class Fault:
                 f"{allowed}"
             )
         for name in ("size_m", "delay_s", "rate_hz"):
-            value, needed = getattr(self, name), SIZES.get(self.kind) == name
+            value = getattr(self, name)
+            needed = SIZES.get(self.kind) == name
             if needed != (value is not None):
                 raise ValueError(
                     f"{name} was {value!r}; for the kind {self.kind!r} it should be "
@@ -118,9 +129,12 @@ def _schedule(faults, t_s, seed=0):
     fixes the directions of outliers; the first rows do not depend on how many there are.
     """
     t_s = np.asarray(t_s, dtype=float)
-    n, place = len(t_s), np.arange(len(t_s))
-    source, stuck = np.column_stack([t_s, t_s]), np.zeros((n, 2), dtype=bool)
-    dead, added = np.zeros((n, 2)), np.zeros((n, 4))
+    n = len(t_s)
+    place = np.arange(len(t_s))
+    source = np.column_stack([t_s, t_s])
+    stuck = np.zeros((n, 2), dtype=bool)
+    dead = np.zeros((n, 2))
+    added = np.zeros((n, 4))
     # times of this sample and of the two before it
     recent = t_s[np.maximum(place[:, None] - (0, 1, 2), 0)]
     for number, fault in enumerate(faults):
@@ -170,7 +184,8 @@ def corrupted(z, faults, t_s, track_width_m, seed=0):
     """The stream z (n, 4) of measurements (x, y, ν, ω) taken at the times t_s (n,) [s], rising, as
     it arrives with these faults; between samples linear.
     """
-    z, plan = np.asarray(z, dtype=float), _schedule(faults, t_s, seed)
+    z = np.asarray(z, dtype=float)
+    plan = _schedule(faults, t_s, seed)
     x, y, nu, omega = (np.interp(plan["source_s"][:, row // 2], t_s, z[:, row]) for row in range(4))
     nu, omega = _without_dead_tracks(nu, omega, plan["dead"].T, track_width_m)
     return np.column_stack([x, y, nu, omega]) + plan["added"]
@@ -200,7 +215,8 @@ def deliver():
 
     @casadi_function("deliver", z=(4, 1), **MEMORY, **STREAM, track_width_m=(1, 1))
     def deliver(z, past, held, age, hold, dead, added, track_width_m):
-        known, ages = ca.horzcat(z, past), ca.DM(range(_PAST + 1))
+        known = ca.horzcat(z, past)
+        ages = ca.DM(range(_PAST + 1))
         # linear between the two samples around each age
         shares = [ca.fmax(1 - ca.fabs(channel - ages), 0) for channel in ca.vertsplit(age)]
         source = ca.vertcat(known[:2, :] @ shares[0], known[2:, :] @ shares[1])

@@ -33,13 +33,17 @@ from rhec.tracked_robot.estimators import estimator_of
 __all__ = ["ROBUST", "gated"]
 
 CHI2_GATE = 13.8  # two degrees of freedom: a good innovation is beyond once in a thousand
-PAST, CHECKED = 10, 6  # samples that positions' noise, and agreement with encoders, are found from
+# samples that positions' noise, and agreement with encoders, are found from
+PAST = 10
+CHECKED = 6
 MAX_BEND_M = 0.25  # second difference of positions: beyond they are not smooth
 DEAD_RECKONING = 0.06  # error per distance that it may add since the last accepted position
 LATE_S = 0.15  # positions and encoders may be out of step by so much
 TRACTION = (0.4, 1.1)  # distance by positions, over the way by encoders
 LEAST_KAPPA = 0.3
-NOISES_APART, SHARE_APART = 2.5, 0.15  # mean square apart, over the noise; rms over the path's size
+# mean square apart, over the noise; rms over the path's size
+NOISES_APART = 2.5
+SHARE_APART = 0.15
 SIGMA_DOUBTED = (0.15, 0.4)  # of (ν, ω) [m/s, rad/s] that stand for doubted encoders'
 SIGMA_JUMP = (0.1, 0.3)  # of the change of ν [m/s], ω [rad/s] from one sample to the next
 MIN_COURSE_M = 0.1  # a path of less than this size (rms) tells no yaw
@@ -63,11 +67,14 @@ def _is_there(x):
 
 def _driven(past, arm, kappa, dt_s):
     """Places (2, n) of the antenna by the encoders' `past` (4, n), seen from the newest pose."""
-    places, yaw = [ca.SX.zeros(2)], 0
+    places = [ca.SX.zeros(2)]
+    yaw = 0
     for k in reversed(range(1, past.size2())):
         turn = kappa * past[3, k] * dt_s
-        ahead, left = dt_s * past[2, k] - turn * arm[1], turn * arm[0]
-        cos, sin = ca.cos(yaw - turn / 2), ca.sin(yaw - turn / 2)
+        ahead = dt_s * past[2, k] - turn * arm[1]
+        left = turn * arm[0]
+        cos = ca.cos(yaw - turn / 2)
+        sin = ca.sin(yaw - turn / 2)
         places.append(places[-1] - ca.vertcat(cos * ahead - sin * left, sin * ahead + cos * left))
         yaw = yaw - turn
     return ca.horzcat(*reversed(places))
@@ -78,8 +85,10 @@ def _registration(q, e):
     distance then, and the mean squares of q and e about their middles.
     """
     q, e = (path - ca.repmat(ca.sum2(path) / path.size2(), 1, path.size2()) for path in (q, e))
-    dot, cross = ca.sum2(ca.sum1(q * e)), ca.sum2(q[1, :] * e[0, :] - q[0, :] * e[1, :])
-    fit, sizes = ca.sqrt(dot**2 + cross**2), (ca.sumsqr(q), ca.sumsqr(e))
+    dot = ca.sum2(ca.sum1(q * e))
+    cross = ca.sum2(q[1, :] * e[0, :] - q[0, :] * e[1, :])
+    fit = ca.sqrt(dot**2 + cross**2)
+    sizes = (ca.sumsqr(q), ca.sumsqr(e))
     mu = ca.fmin(ca.fmax(fit / ca.fmax(sizes[1], 1e-9), TRACTION[0]), TRACTION[1])
     apart = sizes[0] - 2 * mu * fit + mu**2 * sizes[1]
     return ca.atan2(cross, dot), *(square / q.size2() for square in (apart, *sizes))
@@ -107,7 +116,8 @@ def _gate(z, limits, memory, predict, V, names, first, dt_s):
     past, last, since, contradicted, doubt = memory.values()
     valid = [is_valid_measurement(z[row], limits[row]) for row in range(4)]
     may_reject = since * dt_s < MAX_REJECTION_S
-    told, heard = valid[2] * valid[3], valid[0] * valid[1]
+    told = valid[2] * valid[3]
+    heard = valid[0] * valid[1]
     has_position = heard * (1 - (z[0] == last[0]) * (z[1] == last[1]))
     held = ca.if_else(told, z[2:], ca.if_else(_is_there(past[2:, -1]), past[2:, -1], 0))
     seen = ca.if_else(has_position, z[:2], ca.DM.nan(2))
@@ -144,7 +154,8 @@ def _gate(z, limits, memory, predict, V, names, first, dt_s):
 
     # Positions and the estimate.
     m, P = predict(ca.vertcat(seen, turning), V_used)
-    y, late = z[:2] - m[:2], LATE_S * ca.fabs(held[0]) * ca.vertcat(ca.cos(m[2]), ca.sin(m[2]))
+    y = z[:2] - m[:2]
+    late = LATE_S * ca.fabs(held[0]) * ca.vertcat(ca.cos(m[2]), ca.sin(m[2]))
     drift = DEAD_RECKONING * ca.fabs(held[0]) * dt_s * since[0] * agree
     S = P[:2, :2] + ca.diag(V_position) + late @ late.T + drift**2 * ca.SX.eye(2)
     probable = ca.bilin(ca.inv_minor(S), y, y) <= CHI2_GATE
@@ -193,8 +204,13 @@ def gated(window, phases):
         Such a dict. The memory has two pieces more, `V_window` (4, N + 1) and `gate`; feedback says
         what is `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
     """
-    interval, names, N = window.interval, window.model.joint_names, window.N
-    one, four, replaced, newest = (1, 1), (4, 1), (4, CHECKED), min(CHECKED, N)
+    interval = window.interval
+    names = window.model.joint_names
+    N = window.N
+    one = (1, 1)
+    four = (4, 1)
+    replaced = (4, CHECKED)
+    newest = min(CHECKED, N)
     own = dict(V_window=(4, N + 1), gate=(packed_size(_MEMORY), 1))
     remembered = dict(age=one, gate=own["gate"])
 
@@ -229,16 +245,24 @@ def gated(window, phases):
         return phases["feedback"](**select_inputs(phases["feedback"], known)) | result
 
     @casadi_function(
-        "restarted", restart=one, pose=(3, 1), replace=one, replaced=replaced, z_used=four,
-        V_used=four, **window.memory, V_window=own["V_window"],
-    )  # fmt: skip
+        "restarted",
+        restart=one,
+        pose=(3, 1),
+        replace=one,
+        replaced=replaced,
+        z_used=four,
+        V_used=four,
+        **window.memory,
+        V_window=own["V_window"],
+    )
     def restarted(restart, pose, replace, replaced, z_used, V_used, **memory):
         """The window with doubted encoders replaced; or that of a new start at this pose with the
         present speed and traction.
         """
         for name, latest in (
-            ("z", replaced[:, -newest:]), ("V_window", ca.repmat(V_used, 1, newest))
-        ):  # fmt: skip
+            ("z", replaced[:, -newest:]),
+            ("V_window", ca.repmat(V_used, 1, newest)),
+        ):
             with_latest = ca.horzcat(memory[name][:, :-newest], latest)
             memory[name] = ca.if_else(replace, with_latest, memory[name])
         there = ca.vertcat(pose, memory["s"][3:, N])
@@ -256,10 +280,18 @@ def gated(window, phases):
         return {name: ca.if_else(restart, fresh[name], memory[name]) for name in memory}
 
     @casadi_function(
-        "gated_expand", loop_symbols(), **taken("expand", "z_N"), z_used=four, V_used=four,
-        restart=one, pose=(3, 1), replace=one, replaced=replaced, V_window=own["V_window"],
+        "gated_expand",
+        loop_symbols(),
+        **taken("expand", "z_N"),
+        z_used=four,
+        V_used=four,
+        restart=one,
+        pose=(3, 1),
+        replace=one,
+        replaced=replaced,
+        V_window=own["V_window"],
         gate_after=own["gate"],
-    )  # fmt: skip
+    )
     def expand(V_window, gate_after, **inputs):
         V_window = ca.horzcat(V_window[:, :N], inputs["V_used"])
         known = inputs | dict(z_N=inputs["z_used"], V=V_window)

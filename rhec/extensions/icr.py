@@ -24,11 +24,16 @@ def f(xi, u, p):
     Returns:
         (3,) dξ/dt.
     """
-    y_l, y_r, x_v = p[0], p[1], p[2]
-    left, right = p[3] * (u[0] - u[1]), p[4] * (u[0] + u[1])
+    y_l = p[0]
+    y_r = p[1]
+    x_v = p[2]
+    left = p[3] * (u[0] - u[1])
+    right = p[4] * (u[0] + u[1])
     turning = (right - left) / (y_l - y_r)
-    ahead, side = (right * y_l - left * y_r) / (y_l - y_r), -x_v * turning
-    cos, sin = ca.cos(xi[2]), ca.sin(xi[2])
+    ahead = (right * y_l - left * y_r) / (y_l - y_r)
+    side = -x_v * turning
+    cos = ca.cos(xi[2])
+    sin = ca.sin(xi[2])
     return ca.vertcat(ahead * cos - side * sin, ahead * sin + side * cos, turning)
 
 

@@ -36,10 +36,15 @@ def f(xi, v, p):
         (3,) dξ/dt.
     """
     nu, omega, slip_ahead, eta, slip_turning = (v[i] for i in range(5))
-    l_f, l_l, mu, kappa = p[0], p[1], p[2], p[3]
+    l_f = p[0]
+    l_l = p[1]
+    mu = p[2]
+    kappa = p[3]
     turning = kappa * omega + slip_turning
-    ahead, left = mu * nu + slip_ahead - turning * l_l, eta + turning * l_f
-    cos, sin = ca.cos(xi[2]), ca.sin(xi[2])
+    ahead = mu * nu + slip_ahead - turning * l_l
+    left = eta + turning * l_f
+    cos = ca.cos(xi[2])
+    sin = ca.sin(xi[2])
     return ca.vertcat(ahead * cos - left * sin, ahead * sin + left * cos, turning)
 
 
@@ -51,7 +56,8 @@ def _abs_track_speeds(nu, omega, b):
 def _input_noise(v, R, c):
     """Slip in proportion to the motion; bumps turn the robot; no slip is measured."""
     share_nu, share_omega, share_side, sigma_bumps, side_slip_s, b, dt_s = ca.vertsplit(c)
-    nu, omega = v[0], v[1]
+    nu = v[0]
+    omega = v[1]
     return ca.vertcat(nu, omega, 0, -side_slip_s * nu * omega, 0), ca.vertcat(
         _EXACT,
         _EXACT,

@@ -10,7 +10,8 @@ from rhec.simulation.columns import TRACKS
 __all__ = ["SUFFIXES", "read_bag"]
 
 SUFFIXES = (".bag", ".db3", ".mcap")
-_POSITION, _SPEEDS = ["x_m", "y_m"], ["speed_mps", "yaw_rate_radps"]
+_POSITION = ["x_m", "y_m"]
+_SPEEDS = ["speed_mps", "yaw_rate_radps"]
 _SIDES = [re.compile(rf"{side}|(^|_)[fmrb]?{side[0]}(_|$)") for side in ("left", "right")]
 
 
@@ -80,7 +81,8 @@ def _read(reader, topics, wheel_radius_m):
     chosen = {role: _choose(types, topics, role) for role in _ROLES}
     if types[chosen["encoders"]].endswith("JointState") and wheel_radius_m is None:
         raise ValueError(f"wheel_radius_m was None; {chosen['encoders']} has wheel speeds in rad/s")
-    stamps, values = {role: [] for role in _ROLES}, {role: [] for role in _ROLES}
+    stamps = {role: [] for role in _ROLES}
+    values = {role: [] for role in _ROLES}
     wanted = [each for each in reader.connections if each.topic in chosen.values()]
     for connection, received_ns, raw in reader.messages(wanted):
         message = reader.deserialize(raw, connection.msgtype)
@@ -89,7 +91,8 @@ def _read(reader, topics, wheel_radius_m):
             if topic == connection.topic:
                 stamps[role].append(stamp.sec * 10**9 + stamp.nanosec or received_ns)
                 values[role].append(_ROLES[role][connection.msgtype][1](message))
-    tables, found = [], {}
+    tables = []
+    found = {}
     for role, topic in chosen.items():
         columns = _ROLES[role][types[topic]][0]
         table = pd.DataFrame(values[role], index=stamps[role], columns=columns, dtype=float)

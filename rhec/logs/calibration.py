@@ -39,8 +39,11 @@ _COLOURED = 1.75
 _MODEL = slipping.SPEED_MODELS["slipping"].model
 _ARM = _MODEL.joint_names.index("arm_forward_m")
 # Before the first sample, of (x, y, θ, l_f, l_l, μ, κ); positions count once the first yaw is found
-_SIGMA_FIRST, _SETTLED_M = np.array([0.05, 0.05, 0.1, 0.3, 0.3, 0.25, 0.25]), 3.0
-_N_HEADINGS, _HEADING_M = 32, 15.0  # first yaws tried, over so much of the way
+_SIGMA_FIRST = np.array([0.05, 0.05, 0.1, 0.3, 0.3, 0.25, 0.25])
+_SETTLED_M = 3.0
+# first yaws tried, over so much of the way
+_N_HEADINGS = 32
+_HEADING_M = 15.0
 _HESSIAN_STEP = 0.1  # in prior deviations
 _TOLD = 0.5  # a number is told by the log if its deviation is below this share of the prior's
 _TOLD_ARM_M = 0.05
@@ -64,7 +67,10 @@ class _Unknown(NamedTuple):
         return np.maximum(value, self.least)
 
 
-_BROAD, _NARROW, _KNOWN = np.log(3.0), np.log(2.0), np.log(1.3)  # a log hardly tells the walks
+# a log hardly tells the walks
+_BROAD = np.log(3.0)
+_NARROW = np.log(2.0)
+_KNOWN = np.log(1.3)
 _UNKNOWNS = (
     # Smooth or interpolated positions seem better, until slip is found in what is wrong with them.
     _Unknown("noise of the position", "m", 0.05, _BROAD, least=0.02),
@@ -101,8 +107,10 @@ def _build_filter(outlier):
     z_N (5,) ends with the age of the position; a row is the loss of the position, the mean
     (x, y, θ, l_f, l_l, μ, κ) and its variances.
     """
-    interval, constants = base.interval(_MODEL), _MODEL.motion_noise.constants
-    n_s, n_v = interval.n_s, interval.n_v
+    interval = base.interval(_MODEL)
+    constants = _MODEL.motion_noise.constants
+    n_s = interval.n_s
+    n_v = interval.n_v
     shapes = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
     given = dict(z_N=(5, 1), V=(4, 1), c=(len(constants), 1), W=(n_s, 1))
 
@@ -110,12 +118,16 @@ def _build_filter(outlier):
     def step(m, P, v, started, z_N, V, c, W):
         v, R_v = interval.input_noise(z_N, v, V, c)
         F, D, B = interval.linearised(m, v, paper.DT_S)
-        A, W = interval.A_0 + D, interval.process_noise(v, W, paper.DT_S, c)
+        A = interval.A_0 + D
+        W = interval.process_noise(v, W, paper.DT_S, c)
         predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
-        m_before, m, P = m, ca.if_else(started, F, m), ca.if_else(started, predicted, P)
+        m_before = m
+        m = ca.if_else(started, F, m)
+        P = ca.if_else(started, predicted, P)
         since = started * (F - interval.step(m_before, v, paper.DT_S - z_N[4]))[:2]  # it was read
         z = ca.vertcat(z_N[:2] + ca.if_else(z_N[4] > 0, since, 0), z_N[2:])
-        S, y = P[:2, :2] + ca.diag(V[:2]), z[:2] - m[:2]
+        S = P[:2, :2] + ca.diag(V[:2])
+        y = z[:2] - m[:2]
         used = interval.outputs[0].is_valid(z) * interval.outputs[1].is_valid(z)
         far = ca.if_else(used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / outlier, 0)
         loss = outlier**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
@@ -164,7 +176,8 @@ def _first_yaw(z, x, width_m):
 
     apart = 2 * np.pi / _N_HEADINGS
     nearest = min(apart * np.arange(_N_HEADINGS), key=loss)
-    about, options = (nearest - apart, nearest + apart), dict(maxiter=12)
+    about = (nearest - apart, nearest + apart)
+    options = dict(maxiter=12)
     return float(minimize_scalar(loss, bounds=about, method="bounded", options=options).x)
 
 
@@ -182,8 +195,10 @@ def _objective(segments, yaws, width_m):
 
 def _covariance(objective, x):
     """Inverse of the curvature of the objective at its minimum x."""
-    n, h = len(x), _HESSIAN_STEP
-    at, axes = objective(x), h * np.eye(n)
+    n = len(x)
+    h = _HESSIAN_STEP
+    at = objective(x)
+    axes = h * np.eye(n)
     ahead, behind = (np.array([objective(x + sign * e) for e in axes]) for sign in (1, -1))
     H = np.diag((ahead - 2 * at + behind) / h**2)
     for i, j in zip(*np.triu_indices(n, 1)):
@@ -228,13 +243,16 @@ def calibrate(
     if not trust_log:
         refuse_nonsense(recording)
     width_m = recording.track_width_m
-    samples = (resample(rows, paper.DT_S, recording.averaged)
-               for _, rows in recording.rows.groupby("segment"))  # fmt: skip
+    samples = (
+        resample(rows, paper.DT_S, recording.averaged)
+        for _, rows in recording.rows.groupby("segment")
+    )
     segments = [
-        z for z in (part[[*MEASUREMENTS, AGE[0]]].to_numpy() for part in samples)
+        z
+        for z in (part[[*MEASUREMENTS, AGE[0]]].to_numpy() for part in samples)
         if np.isfinite(z[:, :2]).all(axis=1).sum() >= _LEAST_POSITIONS
         and _driven(z)[-1] > 2 * _SETTLED_M
-    ]  # fmt: skip
+    ]
     if not segments:
         raise ValueError(
             f"the log had no segment with {_LEAST_POSITIONS} positions over {2 * _SETTLED_M:g} m; "
@@ -249,7 +267,8 @@ def calibrate(
         )
         x = found.x
     deviation = np.sqrt(np.diag(_covariance(objective, x)))
-    low, high = _values(x - 1.96 * deviation), _values(x + 1.96 * deviation)
+    low = _values(x - 1.96 * deviation)
+    high = _values(x + 1.96 * deviation)
     rows = [*zip(_values(x), low, high, (u.unit for u in _UNKNOWNS), deviation < _TOLD)]
     arm, sigma = _lever_arm(segments, x, yaws, width_m)
     rows += [

@@ -14,14 +14,20 @@ from rhec.simulation.columns import INNOVATION, SIGMA
 
 __all__ = ["is_lost", "remarks"]
 
-SAMPLES, FAR, LEAST_TRACTION = 25, 5.0, 0.02
-_MOVING_MPS, _TURNING_RADPS = 0.05, 0.05
-_SEEN_M, _SEEN_RAD = 1.0, 0.5  # driven, turned: less tells nothing of μ, of κ
+SAMPLES = 25
+FAR = 5.0
+LEAST_TRACTION = 0.02
+_MOVING_MPS = 0.05
+_TURNING_RADPS = 0.05
+# driven, turned: less tells nothing of μ, of κ
+_SEEN_M = 1.0
+_SEEN_RAD = 0.5
 
 
 def _persistence(samples, sigma_v):
     """y_k' S⁻¹ y_{k-1} of the positions (n,). After an update P⁺ = V - V S⁻¹ V, which gives S."""
-    y, V = samples[INNOVATION].to_numpy(), np.square(sigma_v[:2])
+    y = samples[INNOVATION].to_numpy()
+    V = np.square(sigma_v[:2])
     P = np.square(samples[SIGMA[:2]].to_numpy())
     used = samples["position_accepted"].to_numpy()[:, None] == 1
     inverse = np.where(used, np.maximum(V - P, 0) / V**2, 1 / (V + P))
@@ -48,7 +54,8 @@ def is_lost(samples, sigma_v):
 
 def remarks(samples, arm_estimated):
     """What a user should know of a replay, in sentences."""
-    lost, said = samples["lost"], []
+    lost = samples["lost"]
+    said = []
     if lost.any():
         first_s = samples.loc[lost, "t_s"].iloc[0]
         said.append(

@@ -14,12 +14,21 @@ from rhec.simulation.columns import MEASUREMENTS
 
 __all__ = ["refuse_nonsense"]
 
-_POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
+_POSITION = MEASUREMENTS[:2]
+_ENCODERS = MEASUREMENTS[2:]
 _LENGTHS_S = (0.6, 1.2, 2.4)  # of the intervals: the first that shows through the positions' noise
-_DELAYS_S, _FINER_S = np.arange(-10, 11) / 5, np.arange(-3, 4) / 20  # tried; then about the best
-_CLEAR, _BETTER, _LATE_S = 0.5, 0.05, 0.25  # share explained, more than without; what is named
+# tried; then about the best
+_DELAYS_S = np.arange(-10, 11) / 5
+_FINER_S = np.arange(-3, 4) / 20
+# share explained, more than without; what is named
+_CLEAR = 0.5
+_BETTER = 0.05
+_LATE_S = 0.25
 _AGREE_S = 0.15  # to which the halves of a log agree
-_ROWS, _INTERVALS, _STILL = 50, 60, 0.3  # at least; [m] or [rad] that a robot which moved has made
+# at least; [m] or [rad] that a robot which moved has made
+_ROWS = 50
+_INTERVALS = 60
+_STILL = 0.3
 _SIGMA_C = 0.02  # [m²], before the log is seen: of positions good to 0.1 m
 _SURE = 9.0  # standard errors from what can be: neighbours are not independent
 _CLOCKWISE = "may be counted clockwise and should be counter-clockwise"
@@ -68,7 +77,8 @@ def _driven(rows):
     for _, part in rows.groupby("segment"):
         place, speeds = (part[["t_s", *names]].dropna() for names in (_POSITION, _ENCODERS))
         if min(len(place), len(speeds)) >= 3:
-            (t, x, y), known = place.to_numpy().T, speeds["t_s"].to_numpy()
+            (t, x, y) = place.to_numpy().T
+            known = speeds["t_s"].to_numpy()
             made = cumulative_trapezoid(speeds[_ENCODERS], known, axis=0, initial=0)
             yield t, x + 1j * y, known, made
 
@@ -80,9 +90,11 @@ def _moves(segments, length_s, delay_s):
     parts = [np.zeros((0, 6))]
     for t, place, known, made in segments:
         at = np.arange(t[0], t[-1], length_s / 2)
-        p, gap_s = np.interp(at, t, place), np.interp(at, t[1:], np.diff(t))
+        p = np.interp(at, t, place)
+        gap_s = np.interp(at, t[1:], np.diff(t))
         n, w = (np.interp(at - delay_s, known, each) for each in made.T)
-        now, then = p[2:-2] - p[:-4], p[4:] - p[2:-2]
+        now = p[2:-2] - p[:-4]
+        then = p[4:] - p[2:-2]
         one_way = (n[2:-2] - n[:-4]) * (n[4:] - n[2:-2]) > 0  # forwards or backwards
         columns = [np.abs(now), n[2:-2] - n[:-4], w[2:-2] - w[:-4], np.angle(then * now.conj())]
         columns += [w[3:-1] - w[1:-3], np.abs(then * now) * one_way]
@@ -105,7 +117,9 @@ def _compare(segments, length_s, delay_s):
     if len(moves) < _INTERVALS:
         return None
     d, n, w, turn, w_turn, weight = moves.T
-    x, y, root = np.stack([n**2, w**2, n * w, 1 + 0 * n], axis=1), d**2, np.sqrt(weight)
+    x = np.stack([n**2, w**2, n * w, 1 + 0 * n], axis=1)
+    y = d**2
+    root = np.sqrt(weight)
     rest = np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2)
     prior = np.sqrt(rest / len(y)) / _SIGMA_C * np.eye(4)[3:]  # at a constant speed c is not seen
     mu2, sigma, _ = _slope(np.append(x, prior, axis=0), np.append(y, 0))
@@ -145,7 +159,8 @@ def _late_twice(rows, delay_s):
 
 def _said(slope, table):
     """What a table says of a `_slope`, without the names of columns; None if nothing."""
-    (b, sigma, share), (measured, clear, said) = slope, table
+    (b, sigma, share) = slope
+    (measured, clear, said) = table
     limits = [-np.inf, *said]
     high = next(limit for limit in said if said[limit] is None)
     low = limits[limits.index(high) - 1]
@@ -169,7 +184,8 @@ def refuse_nonsense(recording):
         ValueError: for a robot that never moves, for wrong units, signs and axes. Positions that
             come late are a UserWarning that names the argument which makes up for that.
     """
-    rows, columns = recording.rows, recording.columns
+    rows = recording.rows
+    columns = recording.columns
     names = dict(zip(("speed", "yaw_rate", "yaw"), map(columns.get, [*_ENCODERS, "theta_rad"])))
     names["place"] = ", ".join(columns[name] for name in _POSITION)
     made = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()

@@ -23,7 +23,9 @@ _DIGITS = re.compile(r"\d,\d")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp|date_?time)(?:_(s|ms|us|ns))?", re.IGNORECASE)
 _MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
 _DEGREES = [("latitude", "lat"), ("longitude", "lon", "lng"), ("altitude", "alt")]
-_AXIS_M, _ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of the ellipsoid, WGS 84
+# of the ellipsoid, WGS 84
+_AXIS_M = 6378137.0
+_ECCENTRICITY_2 = 6.69437999014e-3
 
 
 @checked
@@ -73,7 +75,8 @@ def read(
         elif file.suffix == ".csv":
             log, found = _read_csv(file)
         else:
-            log, found = pd.read_parquet(file, engine="pyarrow"), {}
+            log = pd.read_parquet(file, engine="pyarrow")
+            found = {}
     except Exception as error:  # whatever the readers make of a file that is not what its name says
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {error}") from None
     for name, column in (columns or {}).items():
@@ -111,11 +114,13 @@ def _in_seconds(log, found):
     names = sorted((name for name in log if _TIME.fullmatch(str(name))), key=lambda n: n != "t_s")
     if not names:
         return log  # a replay says which columns it lacks
-    name, time = names[0], log[names[0]]
+    name = names[0]
+    time = log[names[0]]
     numbers = pd.to_numeric(time, errors="coerce")
     if pd.api.types.is_datetime64_any_dtype(time) or numbers.isna().all():
         stamps = pd.to_datetime(time, format="ISO8601", utc=True, errors="coerce")
-        t_s, unit = (stamps - stamps.min()).dt.total_seconds(), "ISO 8601"
+        t_s = (stamps - stamps.min()).dt.total_seconds()
+        unit = "ISO 8601"
     else:
         named = (_TIME.fullmatch(name)[1] or "").lower()
         t = numbers.to_numpy(dtype=float, na_value=np.nan)
@@ -144,7 +149,9 @@ def _in_metres(log, found):
     found["position"] = (
         f"metres east and north of latitude {phi[first]:.7f}, longitude {turned[first]:.7f}"
     )
-    phi, turned, height = np.deg2rad(phi), np.deg2rad(turned - turned[first]), np.nan_to_num(height)
+    phi = np.deg2rad(phi)
+    turned = np.deg2rad(turned - turned[first])
+    height = np.nan_to_num(height)
     normal = _AXIS_M / np.sqrt(1 - _ECCENTRICITY_2 * np.sin(phi) ** 2)
     out = (normal + height) * np.cos(phi)  # of the axis of the earth
     up = (normal * (1 - _ECCENTRICITY_2) + height) * np.sin(phi)

@@ -27,7 +27,8 @@ from rhec.tracked_robot.kinematics import SPEED_MODELS
 __all__ = ["MAX_PERIOD", "SECONDS", "Recording", "measured_since", "prepare", "prepare_for"]
 __all__ += ["resample", "time_unit"]
 
-_POSITION, _ENCODERS = MEASUREMENTS[:2], MEASUREMENTS[2:]
+_POSITION = MEASUREMENTS[:2]
+_ENCODERS = MEASUREMENTS[2:]
 _TURNING_RADPS = 0.05  # at a lower yaw rate nothing is said about the track width
 # In samples of the estimator:
 MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
@@ -35,8 +36,11 @@ _TRUTH_GAP = 1.75  # true poses further apart are not interpolated between
 _ENCODER_GAP = 3.25  # nor encoder measurements, and none is held for longer
 _HELD = 15.0  # a longer silence ends with a robot that is taken to stand,
 _SEGMENT_GAP = 3000.0  # and a longer one still with a new segment
-_MOST_FALLING, _LEAST_ROWS = 0.05, 5  # times, of a log in order; rows of a segment, on average
-SECONDS, _SHORTEST_S = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9), 0.004
+# times, of a log in order; rows of a segment, on average
+_MOST_FALLING = 0.05
+_LEAST_ROWS = 5
+SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)
+_SHORTEST_S = 0.004
 # A time further from the median of it and the two before is wrong; a clock that is set back by more
 # begins a new segment.
 _CLOCK = 5.0
@@ -95,7 +99,8 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
 
 def _moved_earlier(late, delay_s):
     """Positions that come delay_s late, each in the row nearest to when it was measured."""
-    t, known = late["t_s"].to_numpy(), late[_POSITION[0]].notna().to_numpy()
+    t = late["t_s"].to_numpy()
+    known = late[_POSITION[0]].notna().to_numpy()
     row = np.interp(t[known] - delay_s, t, np.arange(len(t)), -1, -1)
     earlier = late[_POSITION] * np.nan
     earlier.iloc[np.rint(row[row >= 0]).astype(int)] = late[_POSITION][known][row >= 0]
@@ -140,7 +145,8 @@ def _refuse_times(values, dt_s):
     """Say in a sentence that times are not in order, not in seconds, or segments not what they are
     called.
     """
-    rows, segments = len(values), values["segment"].nunique()
+    rows = len(values)
+    segments = values["segment"].nunique()
     falling = int((values.groupby("segment")["t_s"].diff() < 0).sum())
     unit, period = time_unit(values["t_s"].to_numpy(), MAX_PERIOD * dt_s)
     if falling > max(2, _MOST_FALLING * rows):
@@ -191,7 +197,8 @@ def _parse_columns(log, track_width_m):
     and whether encoder measurements are means.
     """
     simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
-    measured, truth = RECORDED, RECORDED_TRUTH
+    measured = RECORDED
+    truth = RECORDED_TRUTH
     if simulated:
         measured = {name: name for name in MEASUREMENTS}
         truth = {name: name for name in (*POSE, "mu", "kappa")}
@@ -256,7 +263,8 @@ def _usable_times(t_s, segment, dt_s):
     stamps = pd.Series(t_s[kept]).groupby(segment[kept])
     usual = stamps.transform(lambda t: t.rolling(3, min_periods=1).median()).to_numpy()
     kept = kept[np.abs(t_s[kept] - usual) <= _CLOCK * dt_s]
-    step, change = np.diff(t_s[kept], prepend=np.nan), np.diff(segment[kept], prepend=np.nan) != 0
+    step = np.diff(t_s[kept], prepend=np.nan)
+    change = np.diff(segment[kept], prepend=np.nan) != 0
     label = np.cumsum(change | (step > _SEGMENT_GAP * dt_s) | (step < -_CLOCK * dt_s)) - 1
     latest = pd.Series(t_s[kept]).groupby(label).cummax()
     rising = t_s[kept] > latest.groupby(label).shift(fill_value=-np.inf).to_numpy()
@@ -277,7 +285,8 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
     # A sample is at a row where there is one that close.
     row = t[np.minimum(np.searchsorted(t, grid - _SAME_S), len(t) - 1)]
     at = np.where(np.abs(row - grid) <= _SAME_S, row, grid)
-    before, result = np.append(at[0] - dt_s, at[:-1]), dict(t_s=at)
+    before = np.append(at[0] - dt_s, at[:-1])
+    result = dict(t_s=at)
     for name in rows.columns.drop(["segment", "t_s"]):
         value = rows[name].to_numpy()
         if name in (*means, *TRUE_SPEEDS):
@@ -297,7 +306,8 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
 
 def measured_since(rows, begin_s, dt_s, averaged, means=_ENCODERS):
     """Means of measurements from the times begin_s [s] to each row's own, as a DataFrame."""
-    t, gap_s = rows["t_s"].to_numpy(), _ENCODER_GAP * dt_s
+    t = rows["t_s"].to_numpy()
+    gap_s = _ENCODER_GAP * dt_s
     columns = {name: rows[name].to_numpy() for name in means}
     return pd.DataFrame(
         {name: _means_since(begin_s, t, t, v, averaged, gap_s) for name, v in columns.items()}
@@ -316,7 +326,8 @@ def _truth_at(at, t, value, gap_s):
     known = np.isfinite(value)
     if not known.any():
         return np.full(len(at), np.nan)
-    t, value = t[known], value[known]
+    t = t[known]
+    value = value[known]
     after = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
     inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
@@ -326,7 +337,8 @@ def _truth_at(at, t, value, gap_s):
 def _newest_since(begin, end, t, value):
     """The newest measurement in each (begin, end] and its age at the end, NaN where none is new."""
     known = np.isfinite(value)
-    t, value = np.append(-np.inf, t[known]), np.append(np.nan, value[known])
+    t = np.append(-np.inf, t[known])
+    value = np.append(np.nan, value[known])
     newest = np.searchsorted(t, end, side="right") - 1
     new = t[newest] > begin
     return np.where(new, value[newest], np.nan), np.where(new, end - t[newest], np.nan)
@@ -340,14 +352,17 @@ def _means_since(begin, end, t, value, averaged, gap_s):
     """
     if not averaged:
         known = np.isfinite(value)
-        t, value = t[known], value[known]
+        t = t[known]
+        value = value[known]
     if not len(t):
         return np.full(len(end), np.nan)
     start = np.append(min(begin[0], t[0]), t)
     mean = np.append(value[:1], value[1:] if averaged else (value[1:] + value[:-1]) / 2)
-    length, read = np.diff(start), np.searchsorted(t, end, side="right")
+    length = np.diff(start)
+    read = np.searchsorted(t, end, side="right")
     known = np.isfinite(mean) & (length <= gap_s)
-    newest, since = np.append(np.nan, value)[read], start[read]
+    newest = np.append(np.nan, value)[read]
+    since = start[read]
     held = np.isfinite(newest) & (end - since <= gap_s)
 
     def integral(rate, now):

@@ -77,12 +77,16 @@ def _build_replay(*choice):
     """The estimator's step with a row of _OUTPUTS, ready to be scanned; what the estimator does not
     tell is NaN.
     """
-    choice, nan = Choice(*choice), ca.DM.nan(1)
-    step, motion = build_step(choice), _motion(_model_of(choice), _QUANTITIES)
+    choice = Choice(*choice)
+    nan = ca.DM.nan(1)
+    step = build_step(choice)
+    motion = _motion(_model_of(choice), _QUANTITIES)
     memory = ca.MX.sym("memory", step.size1_in(0) + len(_HATS))  # the step's, the last estimate
     own, last = ca.vertsplit(memory, [0, step.size1_in(0), memory.numel()])
-    stream, settings = ca.MX.sym("stream", len(MEASUREMENTS) + 1), step.mx_in()[2:]
-    z, age_s = stream[:-1], stream[-1]
+    stream = ca.MX.sym("stream", len(MEASUREMENTS) + 1)
+    settings = step.mx_in()[2:]
+    z = stream[:-1]
+    age_s = stream[-1]
     now, then = (motion(last, z, paper.DT_S - age)[1][:2] for age in (0, age_s))
     z = ca.vertcat(z[:2] + ca.if_else(age_s > 0, now - then, 0), z[2:])
     states = estimator_of(choice.estimator, choice.robust).states(choice)
@@ -105,10 +109,8 @@ def _build_replay(*choice):
         *(accepted[0] * accepted[1], accepted[2] * accepted[3]),
         outputs.get("restart", 0),
     )
-    inputs, results = (
-        [memory, stream, *settings],
-        [ca.vertcat(outputs["memory"], row[: len(_HATS)]), row],
-    )
+    inputs = [memory, stream, *settings]
+    results = [ca.vertcat(outputs["memory"], row[: len(_HATS)]), row]
     names = ["memory", "z", *step.name_in()[2:]], ["memory", "row"]
     options = {"allow_duplicate_io_names": True}
     return scan.build_scan(ca.Function("replay", inputs, results, *names, options))
@@ -118,7 +120,8 @@ def _run(steps, scenario, z, age_s, yaw_rad, first):
     """_OUTPUTS, one row a measurement of z (n, 4) whose position is age_s (n,) old, of one segment
     that begins with this yaw, at the first position; NaN before that.
     """
-    heard, choice = np.isfinite(z[:, :2]).all(axis=1), Choice.of(scenario)
+    heard = np.isfinite(z[:, :2]).all(axis=1)
+    choice = Choice.of(scenario)
     begin = np.argmax(heard) if heard.any() else len(z)
     x, y = z[begin, :2] if heard.any() else (0.0, 0.0)
     nu = np.nan_to_num(z[0, 2])
@@ -131,7 +134,8 @@ def _run(steps, scenario, z, age_s, yaw_rad, first):
     settings = estimator.settings(scenario) | dict(
         traction=known_traction(estimator.given, None, None)
     )
-    stream, inputs = np.column_stack([z, age_s]), select_inputs(steps["step"], settings)
+    stream = np.column_stack([z, age_s])
+    inputs = select_inputs(steps["step"], settings)
     rows = scan.scan(steps, np.append(memory, guess), stream, inputs)[1]
     rows[:begin] = np.nan
     return rows
@@ -141,13 +145,16 @@ def _motion(model, names):
     """(estimate, z, tau_s) -> (estimate, outputs) of a Model after tau_s [s] of driving by the
     inputs measured in z, or estimated where z has none.
     """
-    estimate, z = ca.SX.sym("estimate", len(names)), ca.SX.sym("z", len(model.outputs))
-    known, tau_s = dict(zip(names, ca.vertsplit(estimate))), ca.SX.sym("tau_s")
+    estimate = ca.SX.sym("estimate", len(names))
+    z = ca.SX.sym("z", len(model.outputs))
+    known = dict(zip(names, ca.vertsplit(estimate)))
+    tau_s = ca.SX.sym("tau_s")
     u = [known.get(name, 0) for name in model.inputs]
     for place, row in model.input_outputs.items():
         valid = is_valid_measurement(z[row], model.limits[row])
         u[place] = ca.if_else(valid, z[row], u[place])
-    joint, u = (*model.states, *model.parameters), ca.vertcat(*u)
+    joint = (*model.states, *model.parameters)
+    u = ca.vertcat(*u)
     s = ca.vertcat(*(known[name] for name in joint))
     s = interval(model, measured=False).step(s, u, tau_s)
     x, p = ca.vertsplit(s, [0, len(model.states), len(joint)])
@@ -178,7 +185,8 @@ def _innovations(scenario, estimate, z, age_s):
     """Measured position less the one predicted from the estimate (n, 8) before it and the encoder
     measurements since, when it was read; the first sample has none.
     """
-    innovations, model = np.full((len(z), 2), np.nan), _model_of(Choice.of(scenario))
+    innovations = np.full((len(z), 2), np.nan)
+    model = _model_of(Choice.of(scenario))
     if len(z) > 1:
         tau_s = paper.DT_S - np.nan_to_num(age_s[1:])
         _, predicted = predictor(model)(estimate[:-1], z[1:], tau_s)
@@ -208,7 +216,8 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = resample(rows, paper.DT_S, recording.averaged)
-        z, age_s = part[MEASUREMENTS].to_numpy(), part[AGE[0]].to_numpy()
+        z = part[MEASUREMENTS].to_numpy()
+        age_s = part[AGE[0]].to_numpy()
         if faults:
             z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed)
             part[MEASUREMENTS] = z = np.where(np.isfinite(z), z, np.nan)
@@ -235,9 +244,11 @@ def _at_rows(samples, recording, log, dt_s, measured, means, estimated, predict)
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
-        t, sampled = rows["t_s"].to_numpy(), part["t_s"].to_numpy()
+        t = rows["t_s"].to_numpy()
+        sampled = part["t_s"].to_numpy()
         last = np.searchsorted(sampled, t, side="right") - 1
-        tau, z = t - sampled[last], part[measured].iloc[last].reset_index(drop=True)
+        tau = t - sampled[last]
+        z = part[measured].iloc[last].reset_index(drop=True)
         z[means] = measured_since(rows, sampled[last], dt_s, recording.averaged, means)
         result = part.iloc[last].reset_index(drop=True)
         moved, _ = predict(result[estimated].to_numpy(), z.to_numpy(), tau)
@@ -249,7 +260,8 @@ def _at_rows(samples, recording, log, dt_s, measured, means, estimated, predict)
         given = rows.columns.drop("segment")
         result[given] = rows[given].to_numpy()
         parts.append(result)
-    rows, place = pd.concat(parts, ignore_index=True), np.full(len(log), -1)
+    rows = pd.concat(parts, ignore_index=True)
+    place = np.full(len(log), -1)
     place[recording.kept] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(place, 0))].set_axis(log.index)
     result.loc[place < 0, measured] = np.nan
@@ -264,22 +276,28 @@ def _replay_model(log, model, estimator, arguments):
     if made is None:
         raise ValueError(f"estimator was {estimator!r}; for a model it should be 'rhe' or 'ekf'")
     made(model=model, **arguments)  # refuses bad arguments before it looks at the log
-    dt_s, names = arguments["dt"], model.names
-    recording, parts = prepare_for(model, dt_s, log), []
+    dt_s = arguments["dt"]
+    names = model.names
+    recording = prepare_for(model, dt_s, log)
+    parts = []
     means = [model.outputs[row] for row in model.input_outputs.values()]
-    hats, motion = [f"{name}_hat" for name in names], _motion(model, names)
+    hats = [f"{name}_hat" for name in names]
+    motion = _motion(model, names)
     columns = [*hats, *(f"{name}_sigma" for name in (*model.states, *model.parameters)), "ok"]
     for segment, rows in recording.rows.groupby("segment"):
-        part, told = resample(rows, dt_s, True, model.outputs, means), []
+        part = resample(rows, dt_s, True, model.outputs, means)
+        told = []
         ages = part.reindex(columns=[f"{name}_age_s" for name in model.outputs]).to_numpy()
-        live, last = made(model=model, **arguments), None
+        live = made(model=model, **arguments)
+        last = None
         for z, age_s in zip(part[[*model.outputs]].to_numpy(copy=True), ages):
             for row in np.flatnonzero(age_s > 0):
                 now, then = (motion(last, z, dt_s - age)[1] for age in (0, age_s[row]))
                 z[row] += float(now[row] - then[row])
             live.prepare()
             x, u, p, covariance = live.feedback(z)
-            last, sigma = [*x, *u, *p], np.sqrt(np.diag(covariance))
+            last = [*x, *u, *p]
+            sigma = np.sqrt(np.diag(covariance))
             told.append([*last, *sigma, getattr(live, "ok", True)])
         part[columns] = np.array(told, dtype=float)
         part.insert(0, "segment", segment)

@@ -14,10 +14,21 @@ from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
 
 __all__ = [
-    "FROM_M", "REGRESSIONS", "WINDOW_S", "ahead_rms_m", "distance_driven",
-    "fault_scores", "perturbed_replay", "perturbed_scores", "regression", "rms", "score",
-    "sliding_regression", "while_moving", "yaw_error",
-]  # fmt: skip
+    "FROM_M",
+    "REGRESSIONS",
+    "WINDOW_S",
+    "ahead_rms_m",
+    "distance_driven",
+    "fault_scores",
+    "perturbed_replay",
+    "perturbed_scores",
+    "regression",
+    "rms",
+    "score",
+    "sliding_regression",
+    "while_moving",
+    "yaw_error",
+]
 
 # Scores count from here on, driven in each segment: before, a wrong first yaw is still being found.
 FROM_M = 8.0
@@ -35,7 +46,8 @@ def regression(samples):
     """
     coefficients = []
     for measured, truth in REGRESSIONS:
-        xy, xx = samples[measured] * samples[truth], samples[measured] ** 2
+        xy = samples[measured] * samples[truth]
+        xx = samples[measured] ** 2
         total = xx[xy.notna()].sum()
         coefficients.append(xy.sum() / total if total > 0 else np.nan)  # a robot that never moves
     return tuple(coefficients)
@@ -47,7 +59,8 @@ def sliding_regression(samples):
     """
     columns = []
     for measured, truth in REGRESSIONS:
-        xy, xx = samples[measured] * samples[truth], samples[measured] ** 2
+        xy = samples[measured] * samples[truth]
+        xx = samples[measured] ** 2
         windows = pd.DataFrame(dict(xy=xy, xx=xx)).groupby(samples["segment"])
         means = windows.rolling(round(WINDOW_S / paper.DT_S), center=True).mean()
         means = means.reset_index(drop=True)
@@ -111,7 +124,8 @@ def score(samples):
         not_ok=int((~told["ok"]).sum()),
     )
     if "theta_rad" in samples:
-        error, sigma = yaw_error(counted), counted["sigma_theta_rad"]
+        error = yaw_error(counted)
+        sigma = counted["sigma_theta_rad"]
         slow = counted["omega_meas_radps"].abs() <= _FAST_RADPS
         values |= dict(
             yaw_rms_rad=rms(error),
@@ -138,9 +152,11 @@ def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
 
     predict: a `replay.predictor`; hats, measured: columns of what it takes.
     """
-    n, errors = round(_AHEAD_S / paper.DT_S), []
+    n = round(_AHEAD_S / paper.DT_S)
+    errors = []
     for _, part in samples.groupby("segment"):
-        estimate, z = part[hats].to_numpy()[:-n], part[measured].to_numpy()
+        estimate = part[hats].to_numpy()[:-n]
+        z = part[measured].to_numpy()
         for step in range(1, n + 1):
             then = z[step : step + len(estimate)]
             estimate, _ = predict(estimate, then, np.full(len(estimate), paper.DT_S))
@@ -215,13 +231,15 @@ def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
     last_yaw_rad: error at the end of the segment; outside, not_ok: as `score`. Only for a log with
     the true pose.
     """
-    (recording, others), rows = _prepared(log, **arguments), []
+    (recording, others) = _prepared(log, **arguments)
+    rows = []
     for name, robust, seed in itertools.product(cases, handling, seeds):
         start_s = cases[name].start_s
         samples = _perturbed(recording, seed, faults=(cases[name],), robust=robust, **others)
         segment = samples.loc[(samples["t_s"] - start_s).abs().idxmin(), "segment"]
         after = samples[(samples["segment"] == segment) & (samples["t_s"] >= start_s)]
-        yaw, whole = yaw_error(after).abs(), score(samples)
+        yaw = yaw_error(after).abs()
+        whole = score(samples)
         rows.append(
             dict(
                 fault=name,

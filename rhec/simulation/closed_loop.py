@@ -35,9 +35,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "Run", "Setup", "build_sample", "finish", "known_traction",
-    "noise_and_faults", "set_up", "simulate", "simulate_setup",
-]  # fmt: skip
+    "Run",
+    "Setup",
+    "build_sample",
+    "finish",
+    "known_traction",
+    "noise_and_faults",
+    "set_up",
+    "simulate",
+    "simulate_setup",
+]
 
 
 class _LoopStructure(NamedTuple):
@@ -63,7 +70,8 @@ def build_sample(*structure):
     structure = _LoopStructure(*structure)
     choice = Choice(*structure.estimator)
     given = estimator_of(choice.estimator).given
-    measure, drive = robot.measure(paper.DT_S), robot.drive(paper.DT_S)
+    measure = robot.measure(paper.DT_S)
+    drive = robot.drive(paper.DT_S)
     estimate_step = build_step(choice)
     references = build_references(
         paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
@@ -79,15 +87,33 @@ def build_sample(*structure):
     sensors = faults.MEMORY if structure.faulty else {}
     stream = robot.NOISE | (faults.STREAM if structure.faulty else {})
 
-    one, three = (1, 1), (3, 1)
+    one = (1, 1)
+    three = (3, 1)
     own = dict(estimator=(estimate_step.numel_in(0), 1), s=one, command=one)
     own |= dict(controller=(control.numel_in(0), 1))
     memory = robot.MEMORY | own | sensors
-    settings = robot.SENSORS | robot.BODY | dict(
-        segments=(5, structure.n_segments), period_m=one, look_ahead_m=one, backwards=one, Q=three,
-        QN=three, R=one, lower=one, upper=one, caution=one, speed_mps=one, command_delay=one,
-        origin_m=(2, 1), cell_m=one, slip=(slip.numel_in("slip"), 1), mean_traction=(2, 1),
-    )  # fmt: skip
+    settings = (
+        robot.SENSORS
+        | robot.BODY
+        | dict(
+            segments=(5, structure.n_segments),
+            period_m=one,
+            look_ahead_m=one,
+            backwards=one,
+            Q=three,
+            QN=three,
+            R=one,
+            lower=one,
+            upper=one,
+            caution=one,
+            speed_mps=one,
+            command_delay=one,
+            origin_m=(2, 1),
+            cell_m=one,
+            slip=(slip.numel_in("slip"), 1),
+            mean_traction=(2, 1),
+        )
+    )
     settings |= {
         name: estimate_step.size_in(name)
         for name in estimate_step.name_in()[2:]
@@ -118,13 +144,17 @@ def build_sample(*structure):
 
         accepted = outputs.get("accepted", ca.vertcat(*valid))
         target = references(
-            **build.select_inputs(references, settings), s=s, estimate=estimate,
+            **build.select_inputs(references, settings),
+            s=s,
+            estimate=estimate,
             omega_measured=ca.if_else(accepted[3], z[3], command),
-        )  # fmt: skip
+        )
         planned = control(
             **build.select_inputs(control, settings | outputs | target | dict(memory=controller)),
-            s_0=estimate, x_ref=target["xi_ref"], u_ref=target["omega_ref"],
-        )  # fmt: skip
+            s_0=estimate,
+            x_ref=target["xi_ref"],
+            u_ref=target["omega_ref"],
+        )
         newest = planned["command"]
         # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
         applied = ca.if_else(settings["command_delay"], command, newest)
@@ -133,17 +163,31 @@ def build_sample(*structure):
         driven = drive(**build.select_inputs(drive, known | planned | applied))
         nan = ca.DM.nan(1)
         row = dict(
-            truth=truth, omega=omega, z=z, estimate=estimate, command=newest, s=target["s"],
-            curvature=target["curvature"], kkt_rhe=outputs.get("kkt", nan), kkt_rhc=planned["kkt"],
-            deviance=outputs.get("deviance", nan), ok=ca.fmin(outputs.get("ok", 1), planned["ok"]),
+            truth=truth,
+            omega=omega,
+            z=z,
+            estimate=estimate,
+            command=newest,
+            s=target["s"],
+            curvature=target["curvature"],
+            kkt_rhe=outputs.get("kkt", nan),
+            kkt_rhc=planned["kkt"],
+            deviance=outputs.get("deviance", nan),
+            ok=ca.fmin(outputs.get("ok", 1), planned["ok"]),
             accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
             restart=outputs.get("restart", ca.DM(0)),
-        )  # fmt: skip
+        )
         return dict(
-            row=ca.vertcat(*(row[name] for name in LOG)), drift=measured["drift"], s=target["s"],
-            covariance=outputs.get("covariance", nan), estimator=outputs["memory"], command=newest,
-            controller=planned["memory"], **driven, **{name: measured[name] for name in sensors},
-        )  # fmt: skip
+            row=ca.vertcat(*(row[name] for name in LOG)),
+            drift=measured["drift"],
+            s=target["s"],
+            covariance=outputs.get("covariance", nan),
+            estimator=outputs["memory"],
+            command=newest,
+            controller=planned["memory"],
+            **driven,
+            **{name: measured[name] for name in sensors},
+        )
 
     return scan.build_scan(sample)
 
@@ -173,9 +217,14 @@ class Setup:
 
 
 _TAKEN_OVER = (
-    "gnss_slow_time_s", "track_width_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps",
-    "look_ahead_m", "caution",
-)  # fmt: skip
+    "gnss_slow_time_s",
+    "track_width_m",
+    "encoder_sigma_mps",
+    "speed_sigma_mps",
+    "bump_sigma_radps",
+    "look_ahead_m",
+    "caution",
+)
 
 
 def set_up(scenario):
@@ -192,7 +241,8 @@ def set_up(scenario):
     pose = np.array([x, y, theta])
     guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
 
-    choice, shape = Choice.of(scenario), terrain.common_shape(soil)
+    choice = Choice.of(scenario)
+    shape = terrain.common_shape(soil)
     estimator = estimator_of(choice.estimator, choice.robust)
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
     commanded = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
@@ -205,16 +255,29 @@ def set_up(scenario):
     slow = scenario.gnss_slow_share
     settings = {name: getattr(scenario, name) for name in _TAKEN_OVER} | dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow),
-        gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow), segments=target.segments.T,
-        period_m=target.period_m, backwards=float(scenario.backwards), Q=np.array(scenario.q),
-        QN=scenario.qn_factor * np.array(scenario.q), R=scenario.r,
-        lower=-scenario.omega_max_radps, upper=scenario.omega_max_radps, speed_mps=speed_mps,
-        command_delay=float(scenario.command_delay), **terrain.settings(soil, shape),
-    )  # fmt: skip
+        gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
+        segments=target.segments.T,
+        period_m=target.period_m,
+        backwards=float(scenario.backwards),
+        Q=np.array(scenario.q),
+        QN=scenario.qn_factor * np.array(scenario.q),
+        R=scenario.r,
+        lower=-scenario.omega_max_radps,
+        upper=scenario.omega_max_radps,
+        speed_mps=speed_mps,
+        command_delay=float(scenario.command_delay),
+        **terrain.settings(soil, shape),
+    )
     structure = _LoopStructure(
-        choice, scenario.prediction_horizon, scenario.qp, scenario.input_reference,
-        len(target.segments), shape, bool(scenario.faults), scenario.cautious,
-    )  # fmt: skip
+        choice,
+        scenario.prediction_horizon,
+        scenario.qp,
+        scenario.input_reference,
+        len(target.segments),
+        shape,
+        bool(scenario.faults),
+        scenario.cautious,
+    )
     memory |= faults.init() if scenario.faults else {}
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
     flat = memory | {name: build.pack_array(piece) for name, piece in nested.items()}

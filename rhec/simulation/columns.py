@@ -63,9 +63,24 @@ A replay with a Model returns `segment`, `t_s`, the measurements under the names
 from itertools import chain
 
 __all__ = [
-    "AGE", "COLUMNS", "COMMAND", "ESTIMATE", "FLAGS", "GATE", "INNOVATION", "LEVER_ARM", "LOG",
-    "MEASUREMENTS", "POSE", "RECORDED", "RECORDED_TRUTH", "SIGMA", "TRACKS", "TRUE_SPEEDS", "TRUTH",
-]  # fmt: skip
+    "AGE",
+    "COLUMNS",
+    "COMMAND",
+    "ESTIMATE",
+    "FLAGS",
+    "GATE",
+    "INNOVATION",
+    "LEVER_ARM",
+    "LOG",
+    "MEASUREMENTS",
+    "POSE",
+    "RECORDED",
+    "RECORDED_TRUTH",
+    "SIGMA",
+    "TRACKS",
+    "TRUE_SPEEDS",
+    "TRUTH",
+]
 
 # Lists, so that log[ESTIMATE] selects these columns.
 POSE = ["x_m", "y_m", "theta_rad"]

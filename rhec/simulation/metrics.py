@@ -33,8 +33,9 @@ def metrics(columns, poses):
         mean_error_from_start_m=_mean_of_known(c.error_m),
         overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
         omega_peak_radps=np.abs(c.omega_cmd_radps).max(),
-        kkt_rhe_median=np.median(c.kkt_rhe[after]), kkt_rhc_median=np.median(c.kkt_rhc[after]),
-    )  # fmt: skip
+        kkt_rhe_median=np.median(c.kkt_rhe[after]),
+        kkt_rhc_median=np.median(c.kkt_rhc[after]),
+    )
     known = values | dict(settling_time_s=0.0, kkt_rhe_median=0.0)  # NaN if there is none
     values["all_ok"] = c.ok.all() & np.isfinite([*known.values()]).all()
     return Renamed({name: value.item() for name, value in values.items()})  # plain numbers
@@ -47,7 +48,8 @@ def per_sample(c, pose, xp):
     """
     left = (c.y_m - pose[1]) * xp.cos(pose[2]) - (c.x_m - pose[0]) * xp.sin(pose[2])
     turned = c.theta_rad - pose[2]
-    across, along = xp.fabs(xp.sin(turned)), xp.fabs(xp.cos(turned))
+    across = xp.fabs(xp.sin(turned))
+    along = xp.fabs(xp.cos(turned))
     corner = (across * paper.ROBOT_LENGTH_M - (1 - along) * paper.ROBOT_WIDTH_M) / 2 + xp.fabs(left)
     return left, dict(
         mean_error_m=("mean of known", c.error_m),
@@ -57,9 +59,10 @@ def per_sample(c, pose, xp):
         mean_speed_mps=("mean", xp.fabs(c.nu_mps)),
         violations=("sum", (c.error_m > paper.TOLERANCE_M) * c.on_straight),
         violations_true=("sum", (c.error_true_m > paper.TOLERANCE_M) * c.on_straight),
-        rms_mu=("rms", c.mu_hat - c.mu), rms_kappa=("rms", c.kappa_hat - c.kappa),
+        rms_mu=("rms", c.mu_hat - c.mu),
+        rms_kappa=("rms", c.kappa_hat - c.kappa),
         rms_yaw_rad=("rms", c.theta_hat_rad - c.theta_rad),
-    )  # fmt: skip
+    )
 
 
 def settled_samples(error, within=paper.TOLERANCE_M):

@@ -132,7 +132,8 @@ class Scenario:
     seed: Seed = 0
 
     def __post_init__(self):
-        estimator, own = self.estimator, isinstance(self.estimator, ca.Function)
+        estimator = self.estimator
+        own = isinstance(self.estimator, ca.Function)
         if not own and not (isinstance(estimator, str) and estimator in NAMES):
             wanted = f"it should be one of {NAMES} or a CasADi Function"
             raise ValueError(f"estimator was {valid.shown(estimator)}; {wanted}")
@@ -142,7 +143,8 @@ class Scenario:
                 wanted = f"it should be a rhec.{kind.__name__} or None"
                 raise ValueError(f"{name} was {valid.shown(value)}; {wanted}")
         for name in ("mu", "kappa"):
-            mean, deviation = getattr(self, f"{name}_mean"), getattr(self, f"{name}_deviation")
+            mean = getattr(self, f"{name}_mean")
+            deviation = getattr(self, f"{name}_deviation")
             most = (mean * (1 - mean)) ** 0.5
             if deviation and deviation >= most:
                 wanted = f"with {name}_mean {mean} it should be below {most:.3g}"

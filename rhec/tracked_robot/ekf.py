@@ -106,7 +106,8 @@ def _filtered(model, move, m, P, omega, started, z, V, W):
     """The memory after a sample, with covariance and deviance."""
     omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
     predicted = move(m, omega)
-    A, outputs = ca.jacobian(predicted, m), base.interval(model).outputs
+    A = ca.jacobian(predicted, m)
+    outputs = base.interval(model).outputs
     m, P, deviance = predict_and_correct(m, P, predicted, A, ca.diag(W), started, z, V, outputs)
     return dict(covariance=P, deviance=deviance, m=m, P=P, omega=omega, started=1)
 

@@ -12,9 +12,14 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
-    "NAMES", "ROBUST_NAMES", "Choice", "Estimator", "build_phases", "build_step",
+    "NAMES",
+    "ROBUST_NAMES",
+    "Choice",
+    "Estimator",
+    "build_phases",
+    "build_step",
     "estimator_of",
-]  # fmt: skip
+]
 
 
 class Choice(NamedTuple):
@@ -30,7 +35,8 @@ class Choice(NamedTuple):
     @classmethod
     def of(cls, scenario):
         """The Choice of a Scenario."""
-        name, noise = scenario.estimator, scenario.process_noise
+        name = scenario.estimator
+        noise = scenario.process_noise
         noises = tuple(tuning.SIGMA_W.get(name, tuning.ARRIVAL_MEAN))
         if noise not in noises:
             wanted = f"for the estimator {name!r} it should be one of {noises}"
@@ -77,7 +83,8 @@ _HOME = {
     "traction_oracle": "rhec.tracked_robot.ekf",
 }
 _ROBUST_HOME = {"rhe": "rhec.extensions.gating", "dual": "rhec.extensions.dual"}
-NAMES, ROBUST_NAMES = tuple(_HOME), tuple(_ROBUST_HOME)
+NAMES = tuple(_HOME)
+ROBUST_NAMES = tuple(_ROBUST_HOME)
 
 
 def estimator_of(name, robust=False):
@@ -100,7 +107,9 @@ def build_phases(choice):
 
 
 def _build_oracle(choice):
-    memory, z, truth = ca.SX.sym("memory", 6), ca.SX.sym("z_N", 4), ca.SX.sym("truth", 6)
+    memory = ca.SX.sym("memory", 6)
+    z = ca.SX.sym("z_N", 4)
+    truth = ca.SX.sym("truth", 6)
     names = ["memory", "z_N", "truth"], ["memory", "estimate"]
     options = {"allow_duplicate_io_names": True}
     return ca.Function("oracle", [memory, z, truth], [truth, truth], *names, options)

@@ -31,8 +31,11 @@ def f(xi, u, p):
     Returns:
         (3,) dξ/dt.
     """
-    theta, omega = xi[2], u
-    nu, mu, kappa = p[0], p[1], p[2]
+    theta = xi[2]
+    omega = u
+    nu = p[0]
+    mu = p[1]
+    kappa = p[2]
     return ca.vertcat(mu * nu * ca.cos(theta), mu * nu * ca.sin(theta), kappa * omega)
 
 

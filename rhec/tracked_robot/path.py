@@ -70,10 +70,13 @@ class Path:
             raise ValueError(
                 f"pieces was {shown(pieces)}; {wanted}, at most {LONGEST_M:g} m in all"
             )
-        s, pose, table = 0.0, start, []
+        s = 0.0
+        pose = start
+        table = []
         for length, curvature in pieces:
             table.append((s, *pose, curvature))
-            s, pose = s + length, advance(*pose, curvature, length, np)
+            s = s + length
+            pose = advance(*pose, curvature, length, np)
         gap = (
             np.hypot(pose[0] - start[0], pose[1] - start[1]),
             abs(np.remainder(pose[2] - start[2] + pi, 2 * pi) - pi),
@@ -155,10 +158,12 @@ class Path:
 def closest(path, x, y, lib):
     """`Path.project` of coordinates in the library `lib`, casadi or numpy."""
     where = np.where if lib is np else ca.if_else
-    best_distance, best_s = np.inf, 0.0
+    best_distance = np.inf
+    best_s = 0.0
     ends = [*path.segments[1:, 0], path.length_m]
     for (s, x_0, y_0, theta, c), end in zip(path.segments, ends):
-        dx, dy = x - x_0, y - y_0
+        dx = x - x_0
+        dy = y - y_0
         along = dx * np.cos(theta) + dy * np.sin(theta)
         left = dy * np.cos(theta) - dx * np.sin(theta)
         arguments = (along, left, c, end - s, lib) if c else (along, left, end - s, lib)

@@ -15,13 +15,23 @@ from rhec.core._casadi.sines import sines_by_addition
 from rhec.tracked_robot.kinematics import f, rk4
 
 __all__ = [
-    "BODY", "MEMORY", "NOISE", "SENSORS", "SUBSTEPS", "body_speeds", "draw_noise", "drive",
-    "init", "measure",
-]  # fmt: skip
+    "BODY",
+    "MEMORY",
+    "NOISE",
+    "SENSORS",
+    "SUBSTEPS",
+    "body_speeds",
+    "draw_noise",
+    "drive",
+    "init",
+    "measure",
+]
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 _MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed
-_GAIN_P, GAIN_I = 1.0, 10.0  # the speed loop: from a standstill it settles in about half a second
+# the speed loop: from a standstill it settles in about half a second
+_GAIN_P = 1.0
+GAIN_I = 10.0
 _SPEED_LIMIT_MPS = 1.5  # of a track: saturation of the motor driver
 
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
@@ -59,9 +69,17 @@ def measure(dt_s):
 
     @casadi_function("measure", **pieces, **noise, **SENSORS)
     def measure(
-        pose, drift, encoders, white, slow, speed, gnss_white_m, gnss_slow_m, gnss_slow_time_s,
+        pose,
+        drift,
+        encoders,
+        white,
+        slow,
+        speed,
+        gnss_white_m,
+        gnss_slow_m,
+        gnss_slow_time_s,
         speed_sigma_mps,
-    ):  # fmt: skip
+    ):
         keep = ca.exp(-dt_s / gnss_slow_time_s)
         position = pose[:2] + gnss_white_m * white + gnss_slow_m * drift
         z = ca.vertcat(position, encoders[0] + speed_sigma_mps * speed, encoders[1])
@@ -84,9 +102,18 @@ def drive(dt_s):
 
     @casadi_function("drive", **pieces, **command, **noise, **BODY)
     def drive(
-        pose, tracks, integral, speed_mps, omega_radps, traction, bump, encoder, track_width_m,
-        encoder_sigma_mps, bump_sigma_radps,
-    ):  # fmt: skip
+        pose,
+        tracks,
+        integral,
+        speed_mps,
+        omega_radps,
+        traction,
+        bump,
+        encoder,
+        track_width_m,
+        encoder_sigma_mps,
+        bump_sigma_radps,
+    ):
         half = track_width_m / 2
         target = ca.vertcat(speed_mps - half * omega_radps, speed_mps + half * omega_radps)
         h = dt_s / SUBSTEPS

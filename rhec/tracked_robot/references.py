@@ -49,9 +49,15 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
     one = (1, 1)
 
     @casadi_function(
-        "references", s=one, estimate=(6, 1), omega_measured=one, segments=(5, n_segments),
-        period_m=one, look_ahead_m=one, backwards=one,
-    )  # fmt: skip
+        "references",
+        s=one,
+        estimate=(6, 1),
+        omega_measured=one,
+        segments=(5, n_segments),
+        period_m=one,
+        look_ahead_m=one,
+        backwards=one,
+    )
     def references(s, estimate, omega_measured, segments, period_m, look_ahead_m, backwards):
         x, y, theta, nu, mu, kappa = ca.vertsplit(estimate)
         pace = ca.fabs(mu * nu) * dt_s

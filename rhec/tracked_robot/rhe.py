@@ -83,7 +83,8 @@ def init(window, guess, sigma=SIGMA_START):
 def _settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants):
     """Settings V, W, P_0 and c of the RHE; sigma_w None: that of `process_noise`."""
     kind = speed_model_of(speed_model)
-    names, n_w = kind.model.joint_names, kind.n_sigma_w
+    names = kind.model.joint_names
+    n_w = kind.n_sigma_w
     if sigma_w is None:
         tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][process_noise]))
         sigma_w = kind.sigma_w or [tuned[name] for name in names]
@@ -124,7 +125,8 @@ def _build_held_step(choice):
     names = ["memory", "z_N", "V", "W", "P_0"]
     given = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
     given |= {name: ca.MX.sym(name, 4) for name in ("z_N", "V")} | dict(traction=ca.MX.sym("p", 2))
-    z_N, V = ca.vertcat(given["z_N"], given["traction"]), [given["V"], *[_SIGMA_TOLD**2] * 2]
+    z_N = ca.vertcat(given["z_N"], given["traction"])
+    V = [given["V"], *[_SIGMA_TOLD**2] * 2]
     known = given | dict(z_N=z_N, V=ca.vertcat(*V))
     results = step.call([known[name] for name in step.name_in()])
     options = {"allow_duplicate_io_names": True}
@@ -219,15 +221,18 @@ class PaperRHE(rhe.RHE):
             self._choice, dict.fromkeys(QUANTITIES, 0.0)
         )
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
-        arrays, n_s = self.iteration.arrays, self.model.n_s
+        arrays = self.iteration.arrays
+        n_s = self.model.n_s
         self._answer = arrays["estimate"], arrays["covariance"].reshape(n_s, n_s)
 
     def _start(self, z):
         readable = np.abs(z) <= self.model.limits
-        guess, sigma = self._guess, SIGMA_START
+        guess = self._guess
+        sigma = SIGMA_START
         if guess is None:
             x, y, nu, _ = np.where(readable, z, 0.0)
-            guess, sigma = (x, y, 0.0, nu, 1.0, 1.0), sigma | dict(theta_rad=np.pi / 2)
+            guess = (x, y, 0.0, nu, 1.0, 1.0)
+            sigma = sigma | dict(theta_rad=np.pi / 2)
         estimator = estimators.estimator_of("rhe", self._choice.robust)
         memory = estimator.init(self._choice, dict(zip(QUANTITIES, guess)), sigma)
         self.iteration.start(memory | dict(age=0.0))

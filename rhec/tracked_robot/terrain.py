@@ -35,10 +35,20 @@ STANDARD_FIELDS = next(
 )
 
 __all__ = [
-    "CELLS_PER_LENGTH", "LOWEST", "QUANTILES", "STANDARD_FIELDS", "Terrain", "beta_quantiles",
-    "bilinear", "common_shape", "flat", "gaussian_fields", "lookup", "random_for",
+    "CELLS_PER_LENGTH",
+    "LOWEST",
+    "QUANTILES",
+    "STANDARD_FIELDS",
+    "Terrain",
+    "beta_quantiles",
+    "bilinear",
+    "common_shape",
+    "flat",
+    "gaussian_fields",
+    "lookup",
+    "random_for",
     "settings",
-]  # fmt: skip
+]
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
@@ -81,7 +91,8 @@ class Terrain:
                 f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; "
                 "they must be the same"
             )
-        origin, cell = numbers("origin_m", self.origin_m), numbers("cell_m", self.cell_m)
+        origin = numbers("origin_m", self.origin_m)
+        cell = numbers("cell_m", self.cell_m)
         if origin.shape != (2,) or not np.all(np.isfinite(origin)):
             raise ValueError(
                 f"origin_m was {shown(self.origin_m)}; it must be two finite coordinates"
@@ -143,9 +154,11 @@ class Terrain:
         fields = gaussian_fields(seed, len(i), len(j), cell_m, correlation_length_m)
         mu, kappa = map(_beta_from_gaussian, fields, mean, deviation)
         for x, y, radius, mu_patch, kappa_patch in patches:
-            dx, dy = x_min + cell_m * i[:, None] - x, y_min + cell_m * j - y
+            dx = x_min + cell_m * i[:, None] - x
+            dy = y_min + cell_m * j - y
             inside = dx**2 + dy**2 <= radius * radius
-            mu, kappa = np.where(inside, mu_patch, mu), np.where(inside, kappa_patch, kappa)
+            mu = np.where(inside, mu_patch, mu)
+            kappa = np.where(inside, kappa_patch, kappa)
         return cls(mu, kappa, (float(x_min), float(y_min)), cell_m)
 
     @property
@@ -201,7 +214,8 @@ class Terrain:
 
 def random_for(scenario, path):
     """The random field a scenario's statistics and seed describe, with a margin around the path."""
-    (x_min, x_max, y_min, y_max), margin = path.box, 5.0 + abs(scenario.start_offset_m)
+    (x_min, x_max, y_min, y_max) = path.box
+    margin = 5.0 + abs(scenario.start_offset_m)
     box = x_min - margin, x_max + margin, y_min - margin, y_max + margin
     make = _random if (box[1] - box[0]) * (box[3] - box[2]) < _SMALL_M2 else Terrain.random
     return make(
@@ -225,12 +239,10 @@ def lookup(shape):
     """(xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ), bilinear on a grid of this shape,
     constant beyond its edges; slip: see `flat`.
     """
-    xy, origin_m, cell_m, slip = (
-        ca.MX.sym("xy", 2),
-        ca.MX.sym("origin_m", 2),
-        ca.MX.sym("cell_m"),
-        ca.MX.sym("slip", 2 * shape[0] * shape[1]),
-    )
+    xy = ca.MX.sym("xy", 2)
+    origin_m = ca.MX.sym("origin_m", 2)
+    cell_m = ca.MX.sym("cell_m")
+    slip = ca.MX.sym("slip", 2 * shape[0] * shape[1])
     axes = [np.arange(points, dtype=float) for points in shape]
     grid = ca.interpolant("slip_fields", "linear", axes, 2, {"lookup_mode": ["exact", "exact"]})
     place = ca.fmin(ca.fmax((xy - origin_m) / cell_m, 0), np.array(shape) - 1.0)
@@ -305,10 +317,13 @@ def bilinear(field, rows, columns):
     """A field that repeats itself, given at the corners of square cells, at the crossings (m, n) of
     rows (m,) and columns (n,) in [0, its period), counted in cells.
     """
-    i, j = rows.astype(int), columns.astype(int)
-    u, v = (rows - i)[:, None], columns - j
+    i = rows.astype(int)
+    j = columns.astype(int)
+    u = (rows - i)[:, None]
+    v = columns - j
     period = len(field)
-    before, after = period * i[:, None], period * ((i + 1) % period)[:, None]
+    before = period * i[:, None]
+    after = period * ((i + 1) % period)[:, None]
     after_j = (j + 1) % period
     return (
         (1 - u) * (1 - v) * field.take(before + j)

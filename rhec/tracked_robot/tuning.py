@@ -9,9 +9,16 @@ RHEs that are as sure as they may be. The others say what they were tuned for.
 from rhec import paper
 
 __all__ = [
-    "ARRIVAL_MEAN", "SIGMA_SIDE_SLIP_AT_REST", "SIGMA_V", "SIGMA_W", "SIGMA_W_FILTERED",
-    "SIGMA_W_SLIPPING", "SIGMA_W_TRACKING", "SLIP", "sigma_v_of"
-]  # fmt: skip
+    "ARRIVAL_MEAN",
+    "SIGMA_SIDE_SLIP_AT_REST",
+    "SIGMA_V",
+    "SIGMA_W",
+    "SIGMA_W_FILTERED",
+    "SIGMA_W_SLIPPING",
+    "SIGMA_W_TRACKING",
+    "SLIP",
+    "sigma_v_of",
+]
 
 
 def _not_the_papers(calibrated):

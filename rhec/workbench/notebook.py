@@ -108,9 +108,11 @@ def record(listing):
 
     def note(event, args):
         if event == "open" and not isinstance(args[0], int):
-            path, written = args[0], args[2] & (os.O_WRONLY | os.O_RDWR)
+            path = args[0]
+            written = args[2] & (os.O_WRONLY | os.O_RDWR)
         elif event == "os.rename":
-            path, written = args[1], True
+            path = args[1]
+            written = True
         else:
             return
         path = os.path.realpath(os.fsdecode(path))
@@ -179,7 +181,8 @@ def run(notebook, given, output):
     for path in made:
         os.utime(ROOT / path, ns=(started, started))
     output.parent.mkdir(parents=True, exist_ok=True)
-    files, rules = " ".join(sorted(used | made)), output.with_suffix(".d")
+    files = " ".join(sorted(used | made))
+    rules = output.with_suffix(".d")
     before = rules.read_text(encoding="utf-8") if rules.exists() else ""
     before = _in_project(ROOT / file for file in re.sub("(?m)^(?!MADE).*", "", before).split())
     rule = f"{os.path.relpath(output, ROOT)}: {files}\n{files}:\n"

@@ -146,9 +146,11 @@ def _page(name, body, pages):
             cell["class"] = "long"
     for old in soup.select("style"):  # pandas' own, for each table
         old.decompose()
-    heading, lead = soup.select_one("h1"), soup.select_one(".markdown p")
+    heading = soup.select_one("h1")
+    lead = soup.select_one(".markdown p")
     contents = [(h2["id"], _text(h2)) for h2 in soup.select("h2[id]")]
-    title, lead = _text(heading) if heading else name, _text(lead) if lead else ""
+    title = _text(heading) if heading else name
+    lead = _text(lead) if lead else ""
     return dict(name=name, title=title, lead=lead, contents=contents, body=Markup(soup))
 
 
@@ -204,7 +206,8 @@ def _figures_of(folder):
     found = []
     for file in sorted(folder.glob("*.png")):
         with Image.open(file) as image:
-            said, (width, height) = image.info, image.size
+            said = image.info
+            (width, height) = image.size
         about = dict(name=file.stem, notebook=Path(said.get("Subject", "")).stem)
         about |= dict(source=style.source_of(file), scenario=said.get("Keywords", ""))
         pdf = file.with_suffix(".pdf").exists()
@@ -324,7 +327,8 @@ def _write_site(notebooks, figures, site, live):
     stories = [_notebook_page(file, names) for file in notebooks]
     texts = {name: file.read_text(encoding="utf-8") for name, file in documents.items()}
     docs = [_page(name, _markdown(text), names) for name, text in texts.items()]
-    drawn, tables = _figures_of(figures), _tables_of(figures)
+    drawn = _figures_of(figures)
+    tables = _tables_of(figures)
     (site / "pictures").mkdir()
     for story in stories:
         if story["picture"]:

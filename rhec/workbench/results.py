@@ -71,7 +71,8 @@ def _summary(a, b):
     a = a[a["claim"].notna()].assign(process_noise="calibrated", estimator=a["weight"])
     rows = pd.concat([b[ours | b["paper"].notna()], a])
     quantity = rows["quantity"].replace("mean |, raw GNSS| on straights", "", regex=True)
-    rows[""], rows["here"] = rows["estimator"] + " " + quantity, _intervals(rows)
+    rows[""] = rows["estimator"] + " " + quantity
+    rows["here"] = _intervals(rows)
     paper = rows["paper"].where(rows["estimator"] != "RHE - EKF").groupby(rows[""]).first()
     here = rows.pivot(index="", columns="process_noise", values="here")[["printed", "calibrated"]]
     here = here.reindex(rows[""].unique()).rename(
@@ -110,7 +111,8 @@ def _multiplicity(claims):
 
 def _changes(claims, before):
     """Claims whose verdict is another than in the last ledger, and why."""
-    old, new = before.set_index("id"), claims.set_index("id")
+    old = before.set_index("id")
+    new = claims.set_index("id")
     both = new.join(old, how="outer").reindex([*dict.fromkeys([*new.index, *old.index])])
     both[["before", "verdict", "kind"]] = both[["before", "verdict", "kind"]].fillna("–")
     rows = both[both["before"] != both["verdict"]].reset_index()

@@ -6,20 +6,28 @@ import numpy as np
 from rhec.core._casadi.compiled import loop_symbols
 
 __all__ = [
-    "casadi_function", "every", "pack_array", "packed_size", "select_inputs", "shapes_of",
-    "short_cut", "unpack", "unpack_array", "with_packed_memory",
-]  # fmt: skip
+    "casadi_function",
+    "every",
+    "pack_array",
+    "packed_size",
+    "select_inputs",
+    "shapes_of",
+    "short_cut",
+    "unpack",
+    "unpack_array",
+    "with_packed_memory",
+]
 
 _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 
 
 def casadi_function(name, kind=ca.SX, /, **shapes):
-    """Decorator: the CasADi Function of a Python function, its inputs' shapes beside their names.
+    """Decorator: the CasADi Function of a Python function whose annotations are its inputs' shapes.
 
     Args:
         name: Of the Function.
         kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions.
-        shapes: Each input's (rows, columns) or CasADi Sparsity, in order.
+        shapes: (rows, columns) or CasADi Sparsity of the inputs that have no annotation, in order.
 
     Returns:
         A decorator that turns a function from named expressions to a dict of named expressions
@@ -27,7 +35,8 @@ def casadi_function(name, kind=ca.SX, /, **shapes):
     """
 
     def decorate(body):
-        symbols = {key: kind.sym(key, _sparsity(shape)) for key, shape in shapes.items()}
+        shaped = body.__annotations__ | shapes
+        symbols = {key: kind.sym(key, _sparsity(shape)) for key, shape in shaped.items()}
         outputs = body(**symbols)
         names = [*symbols], [*outputs], _OPTIONS
         return ca.Function(name, [*symbols.values()], [*outputs.values()], *names)
@@ -48,7 +57,8 @@ def short_cut(flag):
     def decorate(whole):
         if loop_symbols() is ca.SX or not whole.is_a("SXFunction"):
             return whole
-        at, rest = whole.index_in(flag), (whole.name_in(), whole.name_out(), _OPTIONS)
+        at = whole.index_in(flag)
+        rest = (whole.name_in(), whole.name_out(), _OPTIONS)
         given = whole.sx_in()
         left = whole.call([*given[:at], ca.SX(1), *given[at + 1 :]])
         short = ca.Function(f"{whole.name()}_short", given, left, *rest)

@@ -111,7 +111,8 @@ def _is_private_group(status):
         import grp
         import pwd
 
-        owner, group = pwd.getpwuid(status.st_uid).pw_name, grp.getgrgid(status.st_gid)
+        owner = pwd.getpwuid(status.st_uid).pw_name
+        group = grp.getgrgid(status.st_gid)
         return group.gr_name == owner and {owner}.issuperset(group.gr_mem)
     return False
 
@@ -136,7 +137,8 @@ def _digests(folder, files):
 
 def _make(root, name, make):
     """The folder, filled by make(folder)."""
-    folder, lock = root / f"{name}-{_user()}", root / f"building-{name}-{_user()}"
+    folder = root / f"{name}-{_user()}"
+    lock = root / f"building-{name}-{_user()}"
     with _locked(lock, os.O_RDWR | os.O_CREAT):
         try:
             return _find(root, name) or _make_alone(folder, make)

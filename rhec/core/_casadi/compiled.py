@@ -26,9 +26,19 @@ from rhec.core._casadi import cache
 from rhec.core._casadi.c_text import generate_c
 
 __all__ = [
-    "BufferedFunction", "FLAGS", "HEADERS", "PROCESSOR", "compiler", "is_compiled", "library_name",
-    "load", "loop_symbols", "run_compiler", "source_digest", "vector_instructions",
-]  # fmt: skip
+    "BufferedFunction",
+    "FLAGS",
+    "HEADERS",
+    "PROCESSOR",
+    "compiler",
+    "is_compiled",
+    "library_name",
+    "load",
+    "loop_symbols",
+    "run_compiler",
+    "source_digest",
+    "vector_instructions",
+]
 
 
 PROCESSOR = Path("/proc/cpuinfo")
@@ -54,7 +64,8 @@ FLAGS = (
     "-ffp-contract=off",
     "-fno-semantic-interposition",
 )
-_CASADI, HEADERS = Path(ca.__file__).parent, Path(__file__).parent
+_CASADI = Path(ca.__file__).parent
+HEADERS = Path(__file__).parent
 
 _SLOWER = "on CasADi's virtual machine the results are the same, about five times slower"
 _failed = set()  # compilers that failed in this process

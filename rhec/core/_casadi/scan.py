@@ -20,7 +20,9 @@ BLOCK = 48
 def build_scan(step):
     """{step, block}: the step, and BLOCK of them in one Function."""
     symbols = step.mx_in()
-    memory, stream, rows = symbols[0], ca.MX.sym("stream", step.size1_in(1), BLOCK), []
+    memory = symbols[0]
+    stream = ca.MX.sym("stream", step.size1_in(1), BLOCK)
+    rows = []
     for given in ca.horzsplit(stream):
         memory, row, *_ = step.call([memory, given, *symbols[2:]])
         rows.append(row)

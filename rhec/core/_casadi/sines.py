@@ -21,7 +21,8 @@ def sines_by_addition(expressions):
     angles = {node.dep().element_hash(): node.dep() for node in nodes if node.op() in _COS_SIN}
     sums = {key: angle for key, angle in angles.items() if angle.op() == ca.OP_ADD}
     shared = Counter(angle.dep(1).element_hash() for angle in sums.values())
-    new, turned = {}, {}
+    new = {}
+    turned = {}
 
     def of(node):
         return new.get(node.element_hash(), node)
@@ -32,9 +33,11 @@ def sines_by_addition(expressions):
             return turned[key]
         turned[key] = ca.cos(of(angle)), ca.sin(of(angle))
         if key in sums:
-            first, added = angle.dep(0), angle.dep(1)
+            first = angle.dep(0)
+            added = angle.dep(1)
             if first.element_hash() in angles and shared[added.element_hash()] > 1:
-                (c, s), (c_added, s_added) = cos_sin(first), cos_sin(added)
+                (c, s) = cos_sin(first)
+                (c_added, s_added) = cos_sin(added)
                 turned[key] = c * c_added - s * s_added, s * c_added + c * s_added
         return turned[key]
 

@@ -144,5 +144,6 @@ def validated(cls: type[_T]) -> type[_T]:
             raise AttributeError(f"{cls.__name__!r} object has no attribute {name!r}")
         return getattr(self, new)
 
-    cls.__init__, cls.__getattr__ = __init__, __getattr__
+    cls.__init__ = __init__
+    cls.__getattr__ = __getattr__
     return cls

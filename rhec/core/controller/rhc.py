@@ -28,7 +28,8 @@ from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_c
 __all__ = ["RHC", "Horizon", "build_phases", "init"]
 
 # Named, so that nothing here depends on what stands above.
-_PAPER, _CONDENSED = "rhec.tracked_robot.rhc", "rhec.extensions.condensed"
+_PAPER = "rhec.tracked_robot.rhc"
+_CONDENSED = "rhec.extensions.condensed"
 
 
 class Horizon(NamedTuple):
@@ -57,11 +58,16 @@ class Horizon(NamedTuple):
     @property
     def references(self):
         """The estimate s_0; x_ref, of which node 0 has no weight; u_ref; bounds of the commands."""
-        n_x, n_u, column = len(self.model.states), len(self.model.inputs), (len(self.command), 1)
+        n_x = len(self.model.states)
+        n_u = len(self.model.inputs)
+        column = (len(self.command), 1)
         return dict(
-            s_0=(self.n_s, 1), x_ref=(n_x, self.N + 1), u_ref=(n_u, self.N), lower=column,
+            s_0=(self.n_s, 1),
+            x_ref=(n_x, self.N + 1),
+            u_ref=(n_u, self.N),
+            lower=column,
             upper=column,
-        )  # fmt: skip
+        )
 
     @property
     def n_s(self):
@@ -78,15 +84,23 @@ def build_phases(horizon):
     Returns:
         {name: Function}. `step` maps (memory, weights, references) to (memory, kkt, command, ok).
     """
-    N, model, command = horizon.N, horizon.model, list(horizon.command)
-    n_x, n_u, n_c, n_s = len(model.states), len(model.inputs), len(command), horizon.n_s
+    N = horizon.N
+    model = horizon.model
+    command = list(horizon.command)
+    n_x = len(model.states)
+    n_u = len(model.inputs)
+    n_c = len(command)
+    n_s = horizon.n_s
     iv = interval(model, measured=False)
     structured = horizon.qp == "structured"
     condensed = None if structured else importlib.import_module(_CONDENSED)
     # A short horizon is faster in one piece.
     loops = compiled.loop_symbols() if structured and N > 30 else ca.SX
-    memory, weights, references = horizon.memory, horizon.weights, horizon.references
-    state, inputs = (n_s, 1), (n_u, 1)
+    memory = horizon.memory
+    weights = horizon.weights
+    references = horizon.references
+    state = (n_s, 1)
+    inputs = (n_u, 1)
     linearised = {name: iv.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
 
     @casadi_function("rhc_shift", **memory)
@@ -114,9 +128,17 @@ def build_phases(horizon):
         return dict(s_after=F + (iv.A_0 + D) @ (s_new - s) + B @ (u_new - u))
 
     @casadi_function(
-        "rhc_backward", adjoint=state, D=linearised["D"], B=linearised["B"], weight=(n_x, 1),
-        s=state, ref=(n_x, 1), u=inputs, u_ref=inputs, R=(n_c, 1),
-    )  # fmt: skip
+        "rhc_backward",
+        adjoint=state,
+        D=linearised["D"],
+        B=linearised["B"],
+        weight=(n_x, 1),
+        s=state,
+        ref=(n_x, 1),
+        u=inputs,
+        u_ref=inputs,
+        R=(n_c, 1),
+    )
     def backward(adjoint, D, B, weight, s, ref, u, u_ref, R):
         """Gradient in an interval's commands from the adjoint after it; the adjoint before it."""
         adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_s - n_x, 1))
@@ -147,10 +169,14 @@ def build_phases(horizon):
         The plan is rolled out from the new estimate.
         """
         plan = commanded(u, u_ref)
-        nodes, ref = rollout(s, u, F, D, B, s_0, plan), ca.horzsplit(x_ref)
-        D, B = ca.horzsplit(D, n_s), ca.horzsplit(B, n_u)
+        nodes = rollout(s, u, F, D, B, s_0, plan)
+        ref = ca.horzsplit(x_ref)
+        D = ca.horzsplit(D, n_s)
+        B = ca.horzsplit(B, n_u)
         u, u_ref = map(ca.horzsplit, (plan, u_ref))
-        adjoint, g, weight = ca.DM.zeros(n_s), [None] * N, QN
+        adjoint = ca.DM.zeros(n_s)
+        g = [None] * N
+        weight = QN
         for i in reversed(range(N)):
             g[i], adjoint = backward(
                 adjoint, D[i], B[i], weight, nodes[i + 1], ref[i + 1], u[i], u_ref[i], R
@@ -166,7 +192,8 @@ def build_phases(horizon):
     if structured:
         # The parameters do not move: in x alone the stages are half as large.
         x = list(range(n_x))
-        D_x, B_x = linearised["D"].sub(x, x)[0], linearised["B"].sub(x, command)[0]
+        D_x = linearised["D"].sub(x, x)[0]
+        B_x = linearised["B"].sub(x, command)[0]
         stages = box_lq(N, iv.A_0[x, x], D_x, B_x, loops)
     else:
         solve_condensed = condensed.box_qp_by_library(N * n_c, horizon.qp)
@@ -266,10 +293,17 @@ class RHC(RealTimeLoop):
 
     @valid.checked  # type: ignore[no-redef]
     def __init__(
-        self, *, model: Model, command: tuple[str, ...], q: valid.NotNegatives,
-        r: valid.Positives, dt: valid.Positive, horizon: valid.Intervals,
-        bounds: dict[str, tuple[float, float]] | None = None, qn_factor: valid.NotNegative = 10.0,
-    ):  # fmt: skip
+        self,
+        *,
+        model: Model,
+        command: tuple[str, ...],
+        q: valid.NotNegatives,
+        r: valid.Positives,
+        dt: valid.Positive,
+        horizon: valid.Intervals,
+        bounds: dict[str, tuple[float, float]] | None = None,
+        qn_factor: valid.NotNegative = 10.0,
+    ):
         _check_command(model, command, bounds or {})
         valid.of_length("q", q, len(model.states), "state")
         valid.of_length("r", r, len(command), "commanded input")
@@ -279,15 +313,18 @@ class RHC(RealTimeLoop):
         self._begin(Horizon(model, places, dt, horizon), q, r, qn_factor, limits)
 
     def _begin(self, horizon, q, r, qn_factor, limits):
-        self.problem, self.horizon = horizon, horizon.N
+        self.problem = horizon
+        self.horizon = horizon.N
         weights = dict(Q=np.array(q), QN=qn_factor * np.array(q), R=np.array(r))
         limits = {name: np.clip(of, -MAX_QP_ENTRY, MAX_QP_ENTRY) for name, of in limits.items()}
         self.settings = weights | limits
         functions = compiled.load(build_phases, horizon)
         memory = tuple(horizon.memory)
         self.iteration = RealTimeIteration(functions, memory, memory, **self.settings)
-        arrays, n_x = self.iteration.arrays, len(horizon.model.states)
-        n_u, shape = len(horizon.model.inputs), dict(order="F")  # views, in CasADi's order
+        arrays = self.iteration.arrays
+        n_x = len(horizon.model.states)
+        n_u = len(horizon.model.inputs)
+        shape = dict(order="F")
         self._inputs = dict(
             x=arrays["s_0"][:n_x],
             p=arrays["s_0"][n_x:],

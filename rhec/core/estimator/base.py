@@ -21,7 +21,8 @@ class Estimate(NamedTuple):
 
 def noise_of(model, sigma_v, sigma_w):
     """Settings V, W and c of an estimator of this model, from standard deviations."""
-    n_x, n_p = len(model.states), len(model.parameters)
+    n_x = len(model.states)
+    n_p = len(model.parameters)
     of_length("sigma_v", sigma_v, len(model.outputs), "output")
     of_length("sigma_w", sigma_w, n_x + n_p, "state, then each parameter")
     inputs = (0.0,) * (model.n_s - n_x - n_p)
@@ -33,7 +34,8 @@ def noise_of(model, sigma_v, sigma_w):
 
 def joint_guess(model, guess, sigma):
     """First joint state (n_s,) and its standard deviations, from those of (x, p)."""
-    n_x, n_p = len(model.states), len(model.parameters)
+    n_x = len(model.states)
+    n_p = len(model.parameters)
     of_length("guess", guess, n_x + n_p, "state, then each parameter")
     of_length("sigma_guess", sigma, n_x + n_p, "state, then each parameter")
     for name, value in zip(model.parameters, guess[n_x:]):
@@ -49,7 +51,9 @@ def joint_guess(model, guess, sigma):
 
 def joint_estimate(model, known, covariance):
     """The Estimate from (x, u, p) in one array and the joint state's covariance."""
-    n_x, n_s, n_p = len(model.states), model.n_s, len(model.parameters)
+    n_x = len(model.states)
+    n_s = model.n_s
+    n_p = len(model.parameters)
     end = len(known) - n_p
     if model.holds_inputs:
         kept = [*range(n_x), *range(n_s - n_p, n_s)]

@@ -50,8 +50,10 @@ def build(model, dt_s):
 
     Its memory: m (n_s,), P (n_s, n_s), v (n_v,) the last inputs, started.
     """
-    interval, n_z = base.interval(model), len(model.outputs)
-    n_s, n_v = interval.n_s, interval.n_v
+    interval = base.interval(model)
+    n_z = len(model.outputs)
+    n_s = interval.n_s
+    n_v = interval.n_v
     memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
     noise = dict(V=(n_z, 1)) | (
         dict(c=(len(model.motion_noise.constants), 1)) if model.motion_noise else {}
@@ -93,9 +95,15 @@ class EKF:
 
     @checked
     def __init__(
-        self, *, model: Model, dt: Positive, sigma_v: Positives, sigma_w: NotNegatives,
-        guess: Reals, sigma_guess: Positives,
-    ):  # fmt: skip
+        self,
+        *,
+        model: Model,
+        dt: Positive,
+        sigma_v: Positives,
+        sigma_w: NotNegatives,
+        guess: Reals,
+        sigma_guess: Positives,
+    ):
         self.model = model
         m, sigma = joint_guess(model, guess, sigma_guess)
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
@@ -115,7 +123,9 @@ class EKF:
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
         """
-        arguments, results, n_s = self._call.arguments, self._call.results, self.model.n_s
+        arguments = self._call.arguments
+        results = self._call.results
+        n_s = self.model.n_s
         copy_checked("z", z, arguments["z_N"])
         self._call.call()
         arguments["memory"][:] = results["memory"]

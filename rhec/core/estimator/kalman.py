@@ -26,15 +26,19 @@ def update(m, P, z, V, outputs, s_bar):
         m, P; the gains K (n, n_outputs); the weighted innovations e = y / S (n_outputs,); the
         deviance Σ y²/S + log S, which is -2 log likelihood of z up to a constant.
     """
-    gains, weighted, deviance = [], [], 0
+    gains = []
+    weighted = []
+    deviance = 0
     for output in outputs:
-        used, H = output.is_valid(z), output.H(s_bar)
+        used = output.is_valid(z)
+        H = output.H(s_bar)
         y = ca.if_else(used, z[output.row] - output.predicted(m, s_bar), 0)
         PH = P @ H.T
         S = H @ PH + V[output.row]
         weight = used / S
         K = PH * weight
-        m, P = m + K * y, symmetric(P - K @ PH.T)
+        m = m + K * y
+        P = symmetric(P - K @ PH.T)
         gains.append(K)
         weighted.append(y * weight)
         deviance += ca.if_else(used, y**2 / S + ca.log(S), 0)

@@ -52,7 +52,9 @@ class Window(NamedTuple):
     @property
     def memory(self):
         """s nodes, v inputs, z measurements, age intervals driven, m and P arrival cost."""
-        n_s, n_v, n_z = self.interval.n_s, self.interval.n_v, len(self.model.outputs)
+        n_s = self.interval.n_s
+        n_v = self.interval.n_v
+        n_z = len(self.model.outputs)
         window = dict(s=(n_s, self.N + 1), v=(n_v, self.N), z=(n_z, self.N + 1), age=(1, 1))
         return window | dict(m=(n_s, 1), P=(n_s, n_s))
 
@@ -80,7 +82,8 @@ class Window(NamedTuple):
     @property
     def prediction(self):
         """Of the newest node, before its measurement: mean, covariance, and the input before it."""
-        n_s, n_v = self.interval.n_s, self.interval.n_v
+        n_s = self.interval.n_s
+        n_v = self.interval.n_v
         return dict(B_N=self.linearised["B"], v_N=(n_v, 1), m_N=(n_s, 1), P_N=(n_s, n_s))
 
 
@@ -104,7 +107,8 @@ def _arrival(window, s, v, m, P, z_0, z_1, W, **noises):
     interval = window.interval
     F, D, B = interval.linearised(s[:, 0], v[:, 0], window.dt_s)
     A = interval.A_0 + D
-    V_0, noise = window.at(0, **noises)["V"], window.at(1, **noises)
+    V_0 = window.at(0, **noises)["V"]
+    noise = window.at(1, **noises)
     m, P_updated, _, _, _ = kalman.update(m, P, z_0, V_0, interval.outputs, s[:, 0])
     v_m, R_v = interval.input_noise(z_1, v[:, 0], **noise)
     added = ca.diag(interval.process_noise(v_m, W, window.dt_s, noise.get("c")))
@@ -118,7 +122,8 @@ def _arrival(window, s, v, m, P, z_0, z_1, W, **noises):
 
 
 def _build_shift(window):
-    N, n_z = window.N, len(window.model.outputs)
+    N = window.N
+    n_z = len(window.model.outputs)
 
     @casadi_function("rhe_shift", **window.memory, **window.noises, W=(window.interval.n_s, 1))
     def shift(s, v, z, age, m, P, W, **noises):
@@ -126,9 +131,13 @@ def _build_shift(window):
         # A window that is not full yet has intervals of no length before its first sample.
         s, v = gauss_newton.shift(window.interval, s, v, window.dt_s * (age >= 0))
         return dict(
-            s=s, v=v, z=ca.horzcat(z[:, 1:], ca.SX.nan(n_z)), age=ca.fmin(age + 1, N),
-            m=ca.if_else(age >= N, m_next, m), P=ca.if_else(age >= N, P_next, P),
-        )  # fmt: skip
+            s=s,
+            v=v,
+            z=ca.horzcat(z[:, 1:], ca.SX.nan(n_z)),
+            age=ca.fmin(age + 1, N),
+            m=ca.if_else(age >= N, m_next, m),
+            P=ca.if_else(age >= N, P_next, P),
+        )
 
     return shift
 
@@ -137,13 +146,25 @@ def _build_shift(window):
 
 
 def _build_linearise(window, loops):
-    interval, N, B = window.interval, window.N, window.linearised["B"]
-    n_s, n_v, n_z = interval.n_s, interval.n_v, len(window.model.outputs)
+    interval = window.interval
+    N = window.N
+    B = window.linearised["B"]
+    n_s = interval.n_s
+    n_v = interval.n_v
+    n_z = len(window.model.outputs)
 
     @casadi_function(
-        "rhe_filtered", B=B, v_before=(n_v, 1), m=(n_s, 1), P=(n_s, n_s), z=(n_z, 1), s=(n_s, 1),
-        v=(n_v, 1), dt_s=(1, 1), **window.noise,
-    )  # fmt: skip
+        "rhe_filtered",
+        B=B,
+        v_before=(n_v, 1),
+        m=(n_s, 1),
+        P=(n_s, n_s),
+        z=(n_z, 1),
+        s=(n_s, 1),
+        v=(n_v, 1),
+        dt_s=(1, 1),
+        **window.noise,
+    )
     def filtered(B, v_before, m, P, z, s, v, dt_s, **noise):
         """One node: the input before it, its measurement, then the interval after it."""
         m, P = predict_input(window, B, m, P, v_before, z, **noise)
@@ -155,7 +176,10 @@ def _build_linearise(window, loops):
 
     @casadi_function("rhe_linearise", loops, **window.memory, **window.noises)
     def linearise(s, v, z, age, m, P, **noises):
-        s, v, z, nodes = ca.horzsplit(s), ca.horzsplit(v), ca.horzsplit(z), []
+        s = ca.horzsplit(s)
+        v = ca.horzsplit(v)
+        z = ca.horzsplit(z)
+        nodes = []
         before = dict(B=ca.DM(B, 0), v_before=ca.DM.zeros(n_v), m=m, P=P)  # no input acts there
         for i in range(N):
             known = dict(z=z[i], s=s[i], v=v[i], dt_s=window.dt_s * (age >= N - i))
@@ -173,9 +197,13 @@ def _build_linearise(window, loops):
 
 
 def _build_feedback(window, quantities, loops):
-    interval, bounds = window.interval, window.interval.bounds
-    n_s, n_v, n_z = interval.n_s, interval.n_v, len(window.model.outputs)
-    q, n_q = _bounded(interval), len(bounds)
+    interval = window.interval
+    bounds = window.interval.bounds
+    n_s = interval.n_s
+    n_v = interval.n_v
+    n_z = len(window.model.outputs)
+    q = _bounded(interval)
+    n_q = len(bounds)
     lower, upper = (ca.DM([bound[side] for bound in bounds.values()]) for side in (0, 1))
 
     @casadi_function("rhe_newest", **window.prediction, s_N=(n_s, 1), z_N=(n_z, 1), **window.noise)
@@ -231,7 +259,8 @@ def _build_feedback(window, quantities, loops):
 
 def _bounded(interval):
     """The matrix that picks the bounded entries of the joint state."""
-    n_q, places = len(interval.bounds), list(interval.bounds)
+    n_q = len(interval.bounds)
+    places = list(interval.bounds)
     return ca.DM.triplet(range(n_q), places, ca.DM.ones(n_q), n_q, interval.n_s)
 
 
@@ -246,12 +275,20 @@ def _before_measurement(window, adjoint, K, e, s_bar):
 
 
 def _build_expand(window, linearise, feedback, loops):
-    interval, N, outputs = window.interval, window.N, window.interval.outputs
-    n_s, n_v, n_z, rows = interval.n_s, interval.n_v, len(window.model.outputs), len(outputs)
+    interval = window.interval
+    N = window.N
+    outputs = window.interval.outputs
+    n_s = interval.n_s
+    n_v = interval.n_v
+    n_z = len(window.model.outputs)
+    rows = len(outputs)
     q = _bounded(interval)
     lower, upper = (ca.DM([b[side] for b in interval.bounds.values()]) for side in (0, 1))
-    state, inputs, measured = (n_s, 1), (n_v, 1), dict(z=(n_z, 1)) | window.noise
-    gains, linearised = dict(K=(n_s, rows), e=(rows, 1)), window.linearised
+    state = (n_s, 1)
+    inputs = (n_v, 1)
+    measured = dict(z=(n_z, 1)) | window.noise
+    gains = dict(K=(n_s, rows), e=(rows, 1))
+    linearised = window.linearised
 
     @casadi_function(
         "rhe_backward", adjoint=state, D=linearised["D"], B=linearised["B"], **gains, s=state,
@@ -288,7 +325,8 @@ def _build_expand(window, linearise, feedback, loops):
     def forward(new, old, F, D, B, s, s_after, v, v_new, z, **noise):
         """One interval of the new solution and of the one where the iteration began, gap closed."""
         A = interval.A_0 + D
-        new, old = F + A @ (new - s) + B @ (v_new - v), F + A @ (old - s)
+        new = F + A @ (new - s) + B @ (v_new - v)
+        old = F + A @ (old - s)
         v_m, R_v = interval.input_noise(z, v, **noise)
         more = descent(new, old, s_after, z, noise["V"]) + ca.dot((v - v_m) / R_v, v_new - v)
         return dict(new=new, old=old, descent=more)
@@ -305,10 +343,13 @@ def _build_expand(window, linearise, feedback, loops):
         limit = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
         held = ca.if_else(ca.fabs(v) <= limit, v, 0)
         return dict(
-            s=ca.if_else(good, s_new, s), v=ca.if_else(good, v_new, held),
-            z=ca.if_else(good, z, ca.SX.nan(n_z, N + 1)), age=ca.if_else(good, age, 0),
-            m=ca.if_else(good, m, s[:, N]), P=ca.if_else(good, P, ca.diag(P_0)),
-        )  # fmt: skip
+            s=ca.if_else(good, s_new, s),
+            v=ca.if_else(good, v_new, held),
+            z=ca.if_else(good, z, ca.SX.nan(n_z, N + 1)),
+            age=ca.if_else(good, age, 0),
+            m=ca.if_else(good, m, s[:, N]),
+            P=ca.if_else(good, P, ca.diag(P_0)),
+        )
 
     result = {name: feedback.sparsity_out(name) for name in ("K_N", "e_N", "multipliers", "ok")}
 
@@ -319,25 +360,41 @@ def _build_expand(window, linearise, feedback, loops):
     def expand(s, v, z, age, m, P, P_0, F, D, B, K, e, K_N, e_N, multipliers, ok, z_N, **noises):
         """Every other unknown of the window, and the KKT tolerance of the linearisation point."""
         memory = dict(v=v, z=ca.horzcat(z[:, :N], z_N), age=age, m=m, P=P)
-        z, s_bar, v_bar = ca.horzsplit(memory["z"]), ca.horzsplit(s), ca.horzsplit(v)
+        z = ca.horzsplit(memory["z"])
+        s_bar = ca.horzsplit(s)
+        v_bar = ca.horzsplit(v)
         measured = [(z[i], *window.at(i, **noises).values()) for i in range(N + 1)]
-        F, D, B = ca.horzsplit(F), ca.horzsplit(D, n_s), ca.horzsplit(B, n_v)
-        K, e = [*ca.horzsplit(K, rows), K_N], [*ca.horzsplit(e), e_N]
+        F = ca.horzsplit(F)
+        D = ca.horzsplit(D, n_s)
+        B = ca.horzsplit(B, n_v)
+        K = [*ca.horzsplit(K, rows), K_N]
+        e = [*ca.horzsplit(e), e_N]
 
-        adjoint, v_new = ca.densify(q.T @ multipliers), [None] * N
+        adjoint = ca.densify(q.T @ multipliers)
+        v_new = [None] * N
         for i in reversed(range(N)):
             v_new[i], adjoint = backward(
-                adjoint, D[i], B[i], K[i + 1], e[i + 1], s_bar[i + 1], v_bar[i], *measured[i + 1],
-            )  # fmt: skip
+                adjoint, D[i], B[i], K[i + 1], e[i + 1], s_bar[i + 1], v_bar[i], *measured[i + 1]
+            )
 
         first, descent = oldest(adjoint, K[0], e[0], m, P, s_bar[0], *measured[0])
-        s_new, old = [first], s_bar[0]
+        s_new = [first]
+        old = s_bar[0]
         for i in range(N):
             new, old, more = forward(
-                s_new[i], old, F[i], D[i], B[i], s_bar[i], s_bar[i + 1], v_bar[i], v_new[i],
+                s_new[i],
+                old,
+                F[i],
+                D[i],
+                B[i],
+                s_bar[i],
+                s_bar[i + 1],
+                v_bar[i],
+                v_new[i],
                 *measured[i + 1],
-            )  # fmt: skip
-            s_new, descent = [*s_new, new], descent + more
+            )
+            s_new = [*s_new, new]
+            descent = descent + more
         at = q @ s_bar[N]
         kkt = gauss_newton.kkt_tolerance(descent, multipliers, lower - at, upper - at)
         new = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
@@ -360,7 +417,8 @@ def build_phases(window, quantities=None):
         {name: Function}. `step` maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …).
     """
     loops = compiled.loop_symbols()
-    shift, linearise = _build_shift(window), _build_linearise(window, loops)
+    shift = _build_shift(window)
+    linearise = _build_linearise(window, loops)
     feedback = _build_feedback(window, quantities, loops)
     expand = _build_expand(window, linearise, feedback, loops)
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
@@ -402,10 +460,13 @@ def init(window, guess, sigma, inputs=None):
     """
     inputs = np.zeros(window.interval.n_v) if inputs is None else np.asarray(inputs)
     return dict(
-        s=np.tile(guess, (window.N + 1, 1)).T, v=np.tile(inputs, (window.N, 1)).T,
-        z=np.full((len(window.model.outputs), window.N + 1), np.nan), age=-1.0,
-        m=np.asarray(guess), P=np.diag(np.square(sigma)),
-    )  # fmt: skip
+        s=np.tile(guess, (window.N + 1, 1)).T,
+        v=np.tile(inputs, (window.N, 1)).T,
+        z=np.full((len(window.model.outputs), window.N + 1), np.nan),
+        age=-1.0,
+        m=np.asarray(guess),
+        P=np.diag(np.square(sigma)),
+    )
 
 
 class RHE(RealTimeLoop):
@@ -440,17 +501,25 @@ class RHE(RealTimeLoop):
 
     @valid.checked  # type: ignore[no-redef]
     def __init__(
-        self, *, model: Model, dt: valid.Positive, horizon: valid.Intervals,
-        sigma_v: valid.Positives, sigma_w: valid.NotNegatives, guess: valid.Reals,
-        sigma_guess: valid.Positives, arrival_mean: valid.ArrivalMean = "smoothed",
-    ):  # fmt: skip
+        self,
+        *,
+        model: Model,
+        dt: valid.Positive,
+        horizon: valid.Intervals,
+        sigma_v: valid.Positives,
+        sigma_w: valid.NotNegatives,
+        guess: valid.Reals,
+        sigma_guess: valid.Positives,
+        arrival_mean: valid.ArrivalMean = "smoothed",
+    ):
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
         self._begin(Window(model, dt, horizon, arrival_mean), None, settings)
 
     def _begin(self, window, quantities, settings):
-        self.window, self.settings = window, settings
+        self.window = window
+        self.settings = settings
         functions = compiled.load(build_phases, window, quantities)
         self.iteration = RealTimeIteration(functions, window.memory, ("s", "v"), **settings)
 
@@ -490,7 +559,8 @@ class RHE(RealTimeLoop):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))
 
     def _estimate(self):
-        arrays, n_s = self.iteration.arrays, self.model.n_s
+        arrays = self.iteration.arrays
+        n_s = self.model.n_s
         return joint_estimate(
             self.model, arrays["estimate"].copy(), arrays["covariance"].reshape(n_s, n_s).copy()
         )

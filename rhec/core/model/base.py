@@ -135,7 +135,8 @@ class Model:
     def input_outputs(self) -> dict[int, int]:
         """Place of each input that is measured as it is: the place of its output in z."""
         x, u, p = _symbols(self)
-        z, found = self.measurement(x, u, p), {}
+        z = self.measurement(x, u, p)
+        found = {}
         for row in range(z.numel()):
             for place in range(u.numel()):
                 if ca.is_equal(z[row], u[place], 1) and place not in found:
@@ -146,7 +147,8 @@ class Model:
     def holds_inputs(self) -> bool:
         """Whether the joint state holds the last inputs, because an output mixes them."""
         x, u, p = _symbols(self)
-        z, own = self.measurement(x, u, p), set(self.input_outputs.values())
+        z = self.measurement(x, u, p)
+        own = set(self.input_outputs.values())
         return any(ca.depends_on(z[row], u) for row in range(z.numel()) if row not in own)
 
     @property
@@ -254,7 +256,8 @@ class Interval(NamedTuple):
 
         A missing input is the last one held.
         """
-        mean, variance = [], []
+        mean = []
+        variance = []
         for place in range(self.n_v):
             if place in self.input_outputs:
                 row, limit = self.input_outputs[place]
@@ -280,19 +283,23 @@ def interval(model, measured=True):
     `measured`: without outputs, and without the last inputs that some outputs need.
     """
     x, u, p = _symbols(model)
-    last, dt_s = ca.SX.sym("last", len(model.inputs)), ca.SX.sym("dt_s")
+    last = ca.SX.sym("last", len(model.inputs))
+    dt_s = ca.SX.sym("dt_s")
     x_next = ca.cse(rk4(model.dynamics, x, u, p, dt_s))
     if measured and model.holds_inputs:
         # An interval of no length lies before the first sample: no input is known there.
-        s, s_next = ca.vertcat(x, last, p), ca.vertcat(x_next, ca.if_else(dt_s > 0, u, last), p)
+        s = ca.vertcat(x, last, p)
+        s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u, last), p)
     else:
-        s, s_next = ca.vertcat(x, p), ca.vertcat(x_next, p)
+        s = ca.vertcat(x, p)
+        s_next = ca.vertcat(x_next, p)
     z = model.measurement(x, last, p)
     rows = [row for row in range(z.numel()) if row not in model.input_outputs.values()]
     rows = rows if measured else []
     # Backwards, sums over the stages are made once for all that they are differentiated by.
     J = ca.jacobian(s_next, ca.vertcat(s, u), {"helper_options": {"ad_weight": 1}})
-    A, B = ca.sparsify(J[:, : s.numel()]), J[:, s.numel() :]
+    A = ca.sparsify(J[:, : s.numel()])
+    B = J[:, s.numel() :]
     constant = ca.DM(A.sparsity(), [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()])
     A_0 = ca.sparsify(constant)
     if model.motion_noise:  # enters to first order: what it fitted is no information on s
@@ -300,7 +307,8 @@ def interval(model, measured=True):
         s_next, A, B = ca.substitute([s_next, A, B], [u], [u_bar])
         s_next += B @ (u - u_bar)
     s_next, D, B = sines_by_addition([s_next, ca.sparsify(A - A_0), B])
-    limits, inputs = model.limits, [s, u, dt_s]
+    limits = model.limits
+    inputs = [s, u, dt_s]
     return Interval(
         step=ca.Function("interval", inputs, [s_next], {"cse": True}),
         linearised=ca.Function("linearised", inputs, [s_next, D, B], {"cse": True}),
@@ -321,7 +329,8 @@ def interval(model, measured=True):
 def _output(row, limit, z_row, s):
     """The Output whose value is the expression z_row of the joint state s."""
     H = ca.jacobian(z_row, s)
-    h, slope = ca.Function("h", [s], [z_row]), ca.Function("H", [s], [ca.sparsify(H)])
+    h = ca.Function("h", [s], [z_row])
+    slope = ca.Function("H", [s], [ca.sparsify(H)])
     return Output(row, limit, h, slope, not ca.depends_on(H, s))
 
 

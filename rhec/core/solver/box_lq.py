@@ -33,7 +33,10 @@ def box_lq(N, A_0, D, B, loops):
         input guessed at its upper, its lower, no bound. Multipliers are positive at an upper bound.
     """
     n, m = B.shape
-    state, column, matrix, one = (n, 1), (m, 1), (n, n), (1, 1)
+    state = (n, 1)
+    column = (m, 1)
+    matrix = (n, n)
+    one = (1, 1)
     bounds = dict(lower=column, upper=column, active=column)
 
     @casadi_function(
@@ -42,7 +45,8 @@ def box_lq(N, A_0, D, B, loops):
     def backward(P, p, D, B, Q, R, g, lower, upper, active):
         """Cost-to-go ½x'Px + p'x one interval back, and the input u = Kx + k in between."""
         A = A_0 + D
-        free, bound = active == 0, ca.if_else(active > 0, upper, lower)
+        free = active == 0
+        bound = ca.if_else(active > 0, upper, lower)
         H = B.T @ P @ B + ca.diag(R)
         if m == 1:
             inverse = free / H
@@ -58,9 +62,19 @@ def box_lq(N, A_0, D, B, loops):
         return dict(P_before=before, p_before=A.T @ (p + P @ (B @ k)), K=K, k=k)
 
     @casadi_function(
-        "lq_forward", x=state, wrong=one, P=matrix, p=state, D=D, B=B, R=column, g=column,
-        **bounds, K=(m, n), k=column,
-    )  # fmt: skip
+        "lq_forward",
+        x=state,
+        wrong=one,
+        P=matrix,
+        p=state,
+        D=D,
+        B=B,
+        R=column,
+        g=column,
+        **bounds,
+        K=(m, n),
+        k=column,
+    )
     def forward(x, wrong, P, p, D, B, R, g, lower, upper, active, K, k):
         """Roll one interval forward; the bounds that its signs ask for; how many were wrong."""
         u = K @ x + k
@@ -69,9 +83,13 @@ def box_lq(N, A_0, D, B, loops):
         right = corrected_bound(active, u, multiplier, lower, upper)
         first, wrong = first_corrected(active, right, wrong)
         return dict(
-            x_after=x, u=u, multiplier=multiplier, right=right, first=ca.vertcat(*first),
+            x_after=x,
+            u=u,
+            multiplier=multiplier,
+            right=right,
+            first=ca.vertcat(*first),
             wrong_after=wrong,
-        )  # fmt: skip
+        )
 
     row = (1, N * m)
     given = dict(D=ca.repmat(D, 1, N), B=ca.repmat(B, 1, N), Q=state, QN=state, R=column)
@@ -83,10 +101,13 @@ def box_lq(N, A_0, D, B, loops):
     @casadi_function("lq_solve", loops, **problem, active=row)
     def solve(D, B, Q, QN, R, g, lower, upper, active):
         """The solution for one guess of the active set, and what its signs say of the guess."""
-        D, B = ca.horzsplit(D, n), ca.horzsplit(B, m)
+        D = ca.horzsplit(D, n)
+        B = ca.horzsplit(B, m)
         g, lower, upper, active = map(stages, (g, lower, upper, active))
-        P, p = [None] * N + [ca.diag(QN)], [None] * N + [ca.DM.zeros(n)]
-        K, k = [None] * N, [None] * N
+        P = [None] * N + [ca.diag(QN)]
+        p = [None] * N + [ca.DM.zeros(n)]
+        K = [None] * N
+        k = [None] * N
         for i in reversed(range(N)):
             P[i], p[i], K[i], k[i] = backward(
                 P[i + 1], p[i + 1], D[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]
@@ -94,16 +115,30 @@ def box_lq(N, A_0, D, B, loops):
         x, wrong, u, multipliers, right, first = ca.DM.zeros(n), 0, *([None] * N for _ in range(4))
         for i in range(N):
             x, u[i], multipliers[i], right[i], first[i], wrong = forward(
-                x, wrong, P[i + 1], p[i + 1], D[i], B[i], R, g[i], lower[i], upper[i], active[i],
-                K[i], k[i],
-            )  # fmt: skip
+                x,
+                wrong,
+                P[i + 1],
+                p[i + 1],
+                D[i],
+                B[i],
+                R,
+                g[i],
+                lower[i],
+                upper[i],
+                active[i],
+                K[i],
+                k[i],
+            )
         u, multipliers, right, first = (
             ca.vertcat(*column).T for column in (u, multipliers, right, first)
         )
         finite = every(ca.fabs(u) < ca.inf)  # also 0 where u is not a number
         return dict(
-            x=u, multipliers=multipliers, corrected=right, first_corrected=first,
+            x=u,
+            multipliers=multipliers,
+            corrected=right,
+            first_corrected=first,
             wrong=ca.if_else(finite, wrong, -1),
-        )  # fmt: skip
+        )
 
     return search_active_set("box_lq", N * m, solve, problem)

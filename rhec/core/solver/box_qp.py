@@ -28,7 +28,8 @@ def box_qp(n):
             least = ca.if_else(inside, -ca.inf, ca.inf)
             for x in _edges(H, g, lb, ub):
                 cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
-                best, least = ca.if_else(cost < least, x, best), ca.fmin(cost, least)
+                best = ca.if_else(cost < least, x, best)
+                least = ca.fmin(cost, least)
         ok = every(ca.vertcat(best >= lb, best <= ub))  # also 0 where x is not a number
         return dict(x=ca.if_else(ok, best, 0), ok=ok)
 
@@ -46,7 +47,8 @@ def _edges(H, g, lb, ub):
 
 
 def _box_qp_by_pivoting(n):
-    row, column = (1, n), (n, 1)
+    row = (1, n)
+    column = (n, 1)
 
     @casadi_function("qp_solve", H=(n, n), g=row, lb=row, ub=row, active=row)
     def solve(H, g, lb, ub, active):
@@ -58,9 +60,12 @@ def _box_qp_by_pivoting(n):
         right = corrected_bound(active, x, multipliers, lb, ub)
         first, wrong = first_corrected(active, right, 0)
         return dict(
-            x=x, multipliers=multipliers, corrected=right, first_corrected=ca.horzcat(*first),
+            x=x,
+            multipliers=multipliers,
+            corrected=right,
+            first_corrected=ca.horzcat(*first),
             wrong=ca.if_else(every(ca.fabs(x) < ca.inf), wrong, -1),
-        )  # fmt: skip
+        )
 
     search = search_active_set("qp", n, solve, dict(H=(n, n), g=row, lb=row, ub=row))
 

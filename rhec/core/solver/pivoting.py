@@ -46,7 +46,8 @@ def search_active_set(name, N, solve, problem):
     Returns:
         The Function; where no guess stood, ok, x and multipliers are 0.
     """
-    row, one = (1, N), (1, 1)
+    row = (1, N)
+    one = (1, 1)
     state = dict(active=row, least=one, patience=one, wrong=one, x=row, multipliers=row)
     shapes = problem | state
 
@@ -57,9 +58,12 @@ def search_active_set(name, N, solve, problem):
         at_once = ca.fmax(fewer, patience > 0)
         return dict(
             active=ca.if_else(at_once, found["corrected"], found["first_corrected"]),
-            least=ca.fmin(wrong, least), patience=ca.if_else(fewer, _PATIENCE, patience - 1),
-            wrong=wrong, x=found["x"], multipliers=found["multipliers"],
-        )  # fmt: skip
+            least=ca.fmin(wrong, least),
+            patience=ca.if_else(fewer, _PATIENCE, patience - 1),
+            wrong=wrong,
+            x=found["x"],
+            multipliers=found["multipliers"],
+        )
 
     @casadi_function(f"{name}_converged", ca.MX, **shapes)
     def converged(**inputs):

@@ -42,7 +42,8 @@ class RealTimeIteration:
         self.current = {name: array.copy() for name, array in self.previous.items()}
         self.arrays = {}
         for phase, call in self.phases.items():
-            last, now = self.previous, self.current
+            last = self.previous
+            now = self.current
             reads, writes = (last, now) if phase == "shift" else (now, last)
             for name, array in call.arguments.items():
                 home = reads if name in memory else self.arrays
@@ -97,7 +98,8 @@ class RealTimeIteration:
             self._expand()
             for name in self.unknowns:
                 self.current[name][:] = self.previous[name]
-        self.prepared, self.expanded = False, True
+        self.prepared = False
+        self.expanded = True
 
 
 class RealTimeLoop:

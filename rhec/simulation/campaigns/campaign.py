@@ -27,7 +27,8 @@ from rhec.simulation.scenario import Scenario
 __all__ = ["campaign"]
 
 # Samples that take one core longer than local workers take to start, or, once there, to be told.
-_LARGE, _HANDED_OUT = 2_000_000, 200_000
+_LARGE = 2_000_000
+_HANDED_OUT = 200_000
 
 
 if TYPE_CHECKING:
@@ -68,9 +69,11 @@ def campaign(
         CampaignTable,  # needs pandas, which workers do without
     )
 
-    scenarios, compiler = _as_list(scenarios), compiled.compiler()
+    scenarios = _as_list(scenarios)
+    compiler = compiled.compiler()
     rows_in = None if folder is None else store.cache_folder(folder)
-    keys, done = [], store.load_rows(rows_in) if rows_in else {}
+    keys = []
+    done = store.load_rows(rows_in) if rows_in else {}
     for scenario in scenarios:
         try:
             keys.append(store.scenario_key(scenario))
@@ -123,8 +126,10 @@ def _results(scenarios, workers):
     """Yield {key: row} of some of the scenarios {key: scenario} at a time, as they finish."""
     if not scenarios:
         return
-    samples, alike = sum(map(n_samples, scenarios.values())), samples_alike(scenarios.values())
-    work, size = functools.partial(_rows, alike=alike), size_of_task(alike)
+    samples = sum(map(n_samples, scenarios.values()))
+    alike = samples_alike(scenarios.values())
+    work = functools.partial(_rows, alike=alike)
+    size = size_of_task(alike)
     large = samples >= (_HANDED_OUT if are_waiting() else _LARGE)
     with dask_client(workers, large) as client:
         if client is None:

@@ -14,21 +14,39 @@ from rhec.simulation.lanes import lanes
 from rhec.tracked_robot import terrain
 
 __all__ = [
-    "compile_lanes", "in_parts", "n_samples", "run_each", "run_in_lanes", "samples_alike",
-    "simulate_all", "size_of_task", "to_compile",
-]  # fmt: skip
+    "compile_lanes",
+    "in_parts",
+    "n_samples",
+    "run_each",
+    "run_in_lanes",
+    "samples_alike",
+    "simulate_all",
+    "size_of_task",
+    "to_compile",
+]
 
 # Samples of runs alike that pay for compiling lanes, and for using them where they are compiled.
-_WORTH_COMPILING, _WORTH_USING = 400_000, 10_000
+_WORTH_COMPILING = 400_000
+_WORTH_USING = 10_000
 # Closed-loop samples in one task: about a second of work, which is also what an interruption loses.
-_TASK, _TASK_IN_LANES = 40_000, 400_000
-_MOST_LANES, _MOST_IN_MEMORY = 8, 200_000  # lanes, and samples of all of them
+_TASK = 40_000
+_TASK_IN_LANES = 400_000
+# lanes, and samples of all of them
+_MOST_LANES = 8
+_MOST_IN_MEMORY = 200_000
 
 # What nearly always decides alone which compiled loop a scenario runs.
 _ALIKE = operator.attrgetter(
-    "estimator", "estimation_horizon", "speed_model", "arrival_mean", "robust",
-    "prediction_horizon", "qp", "input_reference", "cautious",
-)  # fmt: skip
+    "estimator",
+    "estimation_horizon",
+    "speed_model",
+    "arrival_mean",
+    "robust",
+    "prediction_horizon",
+    "qp",
+    "input_reference",
+    "cautious",
+)
 
 
 def _all_but_seed(scenario):
@@ -58,7 +76,10 @@ def in_parts(scenarios, samples):
     Near each other are as many seeds as there are lanes, whose runs share fields and noise, and
     among their runs those that share a loop, and all but the seed.
     """
-    known, families, seeds, places = {}, {}, {}, {}
+    known = {}
+    families = {}
+    seeds = {}
+    places = {}
     for key, scenario in scenarios.items():
         seed = seeds.setdefault(scenario.seed, len(seeds))
         loop = known.setdefault(_ALIKE(scenario), len(known))
@@ -88,12 +109,17 @@ def run_in_lanes(scenarios, alike, of=operator.attrgetter("metrics")):
 
     Not those that fail: `simulate` says why. alike: see `samples_alike`, of the whole campaign.
     """
-    blocks, waiting, done, setups = {}, {}, {}, {}
+    blocks = {}
+    waiting = {}
+    done = {}
+    setups = {}
     last = functools.lru_cache(4 * _MOST_LANES)  # of the seeds near each other, not of a whole part
-    noise, on_soil = last(closed_loop.noise_and_faults), last(terrain.settings)
+    noise = last(closed_loop.noise_and_faults)
+    on_soil = last(terrain.settings)
     for key, scenario in scenarios.items():
         with contextlib.suppress(Exception):
-            family, samples = _all_but_seed(scenario), n_samples(scenario)
+            family = _all_but_seed(scenario)
+            samples = n_samples(scenario)
             setup = setups[family] = _set_up(scenario, setups.get(family), on_soil)
             if setup.structure not in blocks:
                 blocks[setup.structure] = _block(setup.structure, alike)
@@ -146,7 +172,8 @@ def _run(block, samples, group, noise, of):
     """{key: `of` its Run} of {key: (scenario, setup)}, of one structure and length."""
     scenarios, setups = zip(*group.values())
     streams = [noise(each.seed, each.faults, samples) for each in scenarios]
-    memories, settings = [each.memory for each in setups], [each.settings for each in setups]
+    memories = [each.memory for each in setups]
+    settings = [each.settings for each in setups]
     rows = lanes.scan(block, memories, streams, settings)
     runs = map(closed_loop.finish, scenarios, setups, rows)
     return {key: of(run) for key, run in zip(group, runs)}

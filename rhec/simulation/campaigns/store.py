@@ -18,8 +18,14 @@ from rhec.simulation import closed_loop
 from rhec.tracked_robot import terrain
 
 __all__ = [
-    "PLAIN", "cache_folder", "failed_row", "load_rows", "provenance", "save_rows", "scenario_key",
-]  # fmt: skip
+    "PLAIN",
+    "cache_folder",
+    "failed_row",
+    "load_rows",
+    "provenance",
+    "save_rows",
+    "scenario_key",
+]
 
 PLAIN = {bool, int, float, str, tuple, type(None)}  # nearly all of a scenario: repr says it whole
 
@@ -135,7 +141,8 @@ def load_rows(folder):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    names, rows = _schema().names, {}
+    names = _schema().names
+    rows = {}
     for file in sorted(folder.glob("*.parquet")):
         try:
             with pq.ParquetFile(file, page_checksum_verification=True) as parquet:

@@ -125,7 +125,9 @@ def run_on(client, function, tasks, at_once=None):
     from distributed import CancelledError, KilledWorker, as_completed
     from distributed.comm import CommClosedError
 
-    tasks, pending, address = iter(tasks), {}, client.scheduler.address
+    tasks = iter(tasks)
+    pending = {}
+    address = client.scheduler.address
     finished = as_completed(raise_errors=False, loop=client.loop)
     try:
         while True:
@@ -136,7 +138,8 @@ def run_on(client, function, tasks, at_once=None):
                 finished.add(future)
             if not pending:
                 return
-            future, result = next(finished), None
+            future = next(finished)
+            result = None
             with contextlib.suppress(KilledWorker):
                 result = future.result()
             yield pending.pop(future), result

@@ -121,9 +121,16 @@ def _text(function, name=None):
 def _compile(place, functions):
     # -O1: three quarters of the time to compile, the code a twentieth slower.
     flags = [*compiled.FLAGS, "-O1", "-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
-    command = [_compiler()[0], *flags, "-include", Path(__file__).with_name("lanes.h"), f"-I{compiled.HEADERS}"]
+    command = [
+        _compiler()[0],
+        *flags,
+        "-include",
+        Path(__file__).with_name("lanes.h"),
+        f"-I{compiled.HEADERS}",
+    ]
     key = _compiler(), flags, compiled.source_digest()
-    function, text = functions["block"], _text(functions["block"], "code")
+    function = functions["block"]
+    text = _text(functions["block"], "code")
     with contextlib.suppress(OSError, cache.UnusableError):
         compile_by_parts(place, text, functions["step"], _text, key, command)
     sizes = {name: function.nnz_in(name) for name in function.name_in()}
@@ -147,7 +154,8 @@ class _Block:
         n_arguments, n_results, n_whole, n_work = (length.value for length in lengths)
         self._arguments = (ctypes.c_void_p * n_arguments)()
         self._results = (ctypes.c_void_p * n_results)()
-        self._whole, self._arrays = (ctypes.c_longlong * n_whole)(), {}
+        self._whole = (ctypes.c_longlong * n_whole)()
+        self._arrays = {}
         self._work = ctypes.c_void_p(self.array("work", n_work).ctypes.data)
 
     def array(self, name, *shape):
@@ -165,7 +173,8 @@ class _Block:
         """The array of this name with the lanes' values, of which some may be shorter; one that all
         have in common is laid out at once.
         """
-        array, given = self.array(name, *shape), enumerate(values)
+        array = self.array(name, *shape)
+        given = enumerate(values)
         if all(value is values[0] for value in values):
             given = [(slice(None), values[0][..., None])]
         for lanes, value in given:
@@ -178,8 +187,10 @@ class _Block:
 
     def call(self, memory, stream, next_memory, rows):
         """Evaluate the block from the first two addresses into the others."""
-        self._arguments[0], self._arguments[1] = memory, stream
-        self._results[0], self._results[1] = next_memory, rows
+        self._arguments[0] = memory
+        self._arguments[1] = stream
+        self._results[0] = next_memory
+        self._results[1] = rows
         self._library.block(self._arguments, self._results, self._whole, self._work, 0)
 
 
@@ -207,7 +218,8 @@ def _scan(block, memories, streams, settings):
     memory = block.side_by_side("first", first, block.sizes[memory_name])
     samples = -(-max(map(len, streams)) // block.length) * block.length
     stream = block.side_by_side("each", each, samples, streams[0].shape[1])
-    spare, rows = block.array("spare", len(memory)), block.array("rows", samples, block.n_rows)
+    spare = block.array("spare", len(memory))
+    rows = block.array("rows", samples, block.n_rows)
     now, after, begin, end = (each.ctypes.data for each in (memory, spare, stream, rows))
     for done in range(0, samples, block.length):
         block.call(now, begin + done * stream.strides[0], after, end + done * rows.strides[0])

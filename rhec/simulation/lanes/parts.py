@@ -38,7 +38,8 @@ def compile_by_parts(place, text, step, text_of, key, command):
     """
     jobs = []
     for function in step.find_functions(0):
-        own, sizes = function.serialize(), [function.nnz_out(i) for i in range(function.n_out())]
+        own = function.serialize()
+        sizes = [function.nnz_out(i) for i in range(function.n_out())]
         head = rf"(/\* {function.name()}:\(.*\n)(.*\{{\n)"
         name = f"part_{hashlib.sha256(repr((own, key)).encode()).hexdigest()[:24]}"
         if len(function.find_functions()) < _LEAST or len(re.findall(head, text)) != 1:
@@ -65,7 +66,8 @@ def _part(name, function, text_of, command):
 
 def _without_unused(text):
     """The text without what only parts use."""
-    functions, used = re.split(r"(?m)^(?=/\* \w+:\()", text), set()
+    functions = re.split(r"(?m)^(?=/\* \w+:\()", text)
+    used = set()
     for place in reversed(range(1, len(functions))):  # each after those that call it
         (own, *called) = re.findall(r"\bcasadi_f\d+", functions[place])
         if own in used or place == len(functions) - 1:

@@ -139,7 +139,8 @@ NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
 
 def values_of(scenario):
     """Each control's value in this scenario, with "process_noise", "seed" and "patches"."""
-    own, noise = scenario.sigma_w, scenario.process_noise
+    own = scenario.sigma_w
+    noise = scenario.process_noise
     six = own if own is not None and len(own) == 6 else tuning.SIGMA_W["rhe"][noise]
     fields_of = vars(scenario) | {"sigma_w": six, "sigma_v": tuning.sigma_v_of(scenario)}
     fields_of["arrival_mean"] = Choice.of(scenario).arrival_mean
@@ -166,7 +167,8 @@ def scenario_of(values, estimator, start):
     Raises:
         ValueError: as Scenario does.
     """
-    chosen, entries = vars(start) | {"estimator": estimator}, {}
+    chosen = vars(start) | {"estimator": estimator}
+    entries = {}
     for key, value in values.items():
         if isinstance(key, tuple):
             entries.setdefault(key[0], []).append(value)

@@ -64,7 +64,8 @@ def metrics_table(runs, pinned=()):
 
     rows = [row(run, name_of(run.scenario), value, {}) for run in runs]
     for run, before in zip(runs, pinned):
-        name, pinned_name = name_of(run.scenario), name_of(before.scenario)
+        name = name_of(run.scenario)
+        pinned_name = name_of(before.scenario)
         pinned_name = "" if pinned_name == name else f" {pinned_name}"
         rows.append(row(run, f"{name} − pinned{pinned_name}", change, before.metrics))
     head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in METRICS)
@@ -119,8 +120,12 @@ class Explorer(widgets.VBox):
         start = Scenario() if start is None else start
         if not isinstance(start, Scenario):
             raise ValueError(f"start was {start!r}; it should be a rhec.Scenario")
-        self.start, self.patches = start, start.patches
-        self.runs, self.pinned, self.compiling, self.held = (), (), None, False
+        self.start = start
+        self.patches = start.patches
+        self.runs = ()
+        self.pinned = ()
+        self.compiling = None
+        self.held = False
         self.driven = set()  # structures of which no file need be read again
         # a kernel may answer a page's messages in two threads, its main one and a subshell's
         self.one_at_a_time = threading.RLock()
@@ -149,7 +154,8 @@ class Explorer(widgets.VBox):
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
         self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", 66)
-        views, width = ["field run", "robot view"], {"button_width": "96px"}
+        views = ["field run", "robot view"]
+        width = {"button_width": "96px"}
         self.view = widgets.ToggleButtons(options=views, style=width)
         self.weights = {
             _button(name, "the paper’s weights"): q
@@ -162,7 +168,8 @@ class Explorer(widgets.VBox):
         self.remove_patch = _button("remove the last", "of the wet patches")
 
     def _make_outputs(self, folder):
-        self.screen, self.patch_count = Screen(), widgets.HTML()
+        self.screen = Screen()
+        self.patch_count = widgets.HTML()
         self.folder, self.name = (
             widgets.Text(value, continuous_update=False, **_look(label, None, "96%", "50px"))
             for label, value in (("folder", str(folder)), ("name", "run"))
@@ -188,7 +195,8 @@ class Explorer(widgets.VBox):
         patches = widgets.HBox([self.add_patch, self.remove_patch, self.patch_count])
         groups["Soil"] += [patches, *self.patch]
         groups["Save"] = [self.folder, self.name, self.save]
-        boxes, width = [widgets.VBox(group) for group in groups.values()], "344px"
+        boxes = [widgets.VBox(group) for group in groups.values()]
+        width = "344px"
         size = {"width": width, "flex": f"0 0 {width}"}
         tabs = widgets.Tab(boxes, titles=[*groups], layout=size)
         size = {"flex": "1 1 480px", "min_width": "0"}
@@ -248,10 +256,12 @@ class Explorer(widgets.VBox):
 
     def _reset(self):
         with self._together():
-            values, self.patches = controls.values_of(self.start), self.start.patches
+            values = controls.values_of(self.start)
+            self.patches = self.start.patches
             for key, widget in self.inputs.items():
                 widget.value = values[key]
-            self.estimator.value, self.seed.value = self.start.estimator, self.start.seed
+            self.estimator.value = self.start.estimator
+            self.seed.value = self.start.seed
             self.process_noise.value = values["process_noise"]
 
     def _set_patches(self, patches):
@@ -280,7 +290,8 @@ class Explorer(widgets.VBox):
         values = controls.values_of(self.start)
         for key, widget in self.inputs.items():
             values[key] = controls.tidy(controls.CONTROLS[key], widget.value, values[key])
-        values["process_noise"], values["seed"] = self.process_noise.value, self.seed.value
+        values["process_noise"] = self.process_noise.value
+        values["seed"] = self.seed.value
         values["patches"] = self.patches
         estimators = [self.estimator.value, self.against.value]
         asked = [estimator for estimator in estimators if estimator is not None]
@@ -332,7 +343,8 @@ class Explorer(widgets.VBox):
         """Show the chosen view of the runs, their metrics, and the scenario as a line."""
         field = self.view.value == "field run"
         self.time.layout.display = "none" if field else "flex"
-        self.unpin.disabled, self.remove_patch.disabled = not self.pinned, not self.patches
+        self.unpin.disabled = not self.pinned
+        self.remove_patch.disabled = not self.patches
         for widget in self.patch:
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
@@ -340,7 +352,8 @@ class Explorer(widgets.VBox):
             chosen = self.zoom.value, self.soil.value
             picture = field_run.picture_of(self.runs, self.pinned, *chosen)
         else:
-            run, k = self.runs[0], self.moment.value
+            run = self.runs[0]
+            k = self.moment.value
             self.moment.max = self.play.max = len(run.columns["t_s"]) - 1
             picture = robot_view.picture_of(run, k, snapshot_at(run.scenario, k))
         self.screen.picture, self.screen.numbers = packed(picture)
@@ -348,7 +361,8 @@ class Explorer(widgets.VBox):
         self.screen.line = controls.line_of(self.runs[0].scenario)
 
     def _say(self, sentence, how=""):
-        self.screen.status, self.screen.how = sentence, how
+        self.screen.status = sentence
+        self.screen.how = how
 
     # What is taken away
 
@@ -359,7 +373,8 @@ class Explorer(widgets.VBox):
             return field_run.field_run(self.runs, self.pinned, *chosen)
 
     def _save(self):
-        name, folder = _safe_name(self.name.value), Path(self.folder.value).expanduser()
+        name = _safe_name(self.name.value)
+        folder = Path(self.folder.value).expanduser()
         folder.mkdir(parents=True, exist_ok=True)
         for place, run in enumerate(self.runs, 1):
             estimator = name_of(run.scenario).lower().replace(" ", "_")
@@ -388,12 +403,15 @@ def _input(control, value):
         if not any(value == option for _, option in options):
             options = (*options, ("as it began", value))
         return widgets.Dropdown(options=options, value=value, **look)
-    place, kind = value, widgets.FloatSlider
+    place = value
+    kind = widgets.FloatSlider
     if control.kind == "log":
         place = math.log10(value) if value > 0 else control.low
-        kind, readout = widgets.FloatLogSlider, ".3g"
+        kind = widgets.FloatLogSlider
+        readout = ".3g"
     elif control.kind == "whole":
-        kind, readout = widgets.IntSlider, "d"
+        kind = widgets.IntSlider
+        readout = "d"
     else:
         readout = f".{max(1, -math.floor(math.log10(control.step) + 1e-9))}f"
     # steps count from the lowest end: the front end changes a value that is none of them
@@ -411,7 +429,8 @@ def _input(control, value):
 
 def _look(label, about, width, label_width="initial"):
     """A widget's label, tooltip and widths."""
-    layout, style = {"width": width}, {"description_width": label_width}
+    layout = {"width": width}
+    style = {"description_width": label_width}
     return {"description": label, "tooltip": about, "layout": layout, "style": style}
 
 

@@ -119,7 +119,8 @@ def _kkt_limits(columns):
 
 def _worst_place(run):
     """The place (x, y) [m] of the largest true error after settling."""
-    c, settled_s = run.columns, run.metrics["settling_time_s"]
+    c = run.columns
+    settled_s = run.metrics["settling_time_s"]
     error = np.where(c["t_s"] >= (0 if np.isnan(settled_s) else settled_s), c["error_true_m"], -1.0)
     k = np.argmax(np.nan_to_num(error, nan=-1.0))
     return c["x_m"][k : k + 1], c["y_m"][k : k + 1]
@@ -130,19 +131,27 @@ def _map_limits(run, zoom):
     path = run.path
     if zoom == "worst place":
         centre = np.round(np.concatenate(_worst_place(run)))
-        low, high, scale = centre - 2.5, centre + 2.5, "equal"
+        low = centre - 2.5
+        high = centre + 2.5
+        scale = "equal"
     elif zoom == "first row":
         end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
         ends = path.poses([0.0, end - 1e-6])[0][:, :2]
         beside = round_up_to(abs(run.scenario.start_offset_m), (0.3, 0.6, 1.2, 3, 6, 12)) * 1.1
-        low, high, scale = ends.min(axis=0) - (1, beside), ends.max(axis=0) + (1, beside), ""
+        low = ends.min(axis=0) - (1, beside)
+        high = ends.max(axis=0) + (1, beside)
+        scale = ""
     else:
-        low, points, scale = run.terrain.origin_m, np.array(run.terrain.mu.shape) - 1, "equal"
+        low = run.terrain.origin_m
+        points = np.array(run.terrain.mu.shape) - 1
+        scale = "equal"
         high = low + points * run.terrain.cell_m
         if min(points) < 8:  # uniform soil has no extent of its own
             xy = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2]
-            low, high = xy.min(axis=0) - 5, xy.max(axis=0) + 5
-    low, high = np.array(low, dtype=float).tolist(), np.array(high, dtype=float).tolist()
+            low = xy.min(axis=0) - 5
+            high = xy.max(axis=0) + 5
+    low = np.array(low, dtype=float).tolist()
+    high = np.array(high, dtype=float).tolist()
     return *zip(low, high), scale
 
 
@@ -154,7 +163,8 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
         zoom: one of ZOOMS.
         soil: the slip field on the map, "mu" or "kappa".
     """
-    first, columns = runs[0], [run.columns for run in (*runs, *pinned)]
+    first = runs[0]
+    columns = [run.columns for run in (*runs, *pinned)]
     time = 0.0, float(max(each["t_s"][-1] + paper.DT_S for each in columns))
     bound = first.scenario.omega_max_radps
     limits = {name: _traction_limits(columns, name) for name in ("mu", "kappa")}
@@ -169,7 +179,8 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     for kind, run, place in reversed(drawn):
         for panel, mark in _series(kind, run, place):
             marks[panel].append(mark)
-    c, ring = first.columns, dict(colour=COLOURS["EKF"], width=9, full=False)
+    c = first.columns
+    ring = dict(colour=COLOURS["EKF"], width=9, full=False)
     marks["map"] += [
         Mark("dots", c["x_m"][:1], c["y_m"][:1], width=3.5),
         Mark("dots", *_worst_place(first), **ring),
@@ -193,7 +204,8 @@ def _curves(run, ylim):
 
 def _ground(run, soil):
     """The soil, and the path with its tolerance."""
-    terrain, field = run.terrain, getattr(run.terrain, soil)
+    terrain = run.terrain
+    field = getattr(run.terrain, soil)
     every = -(-max(field.shape) // _MOST_POINTS)
     grid = (at + terrain.cell_m * np.arange(n) for at, n in zip(terrain.origin_m, field.shape))
     length_m = run.path.length_m

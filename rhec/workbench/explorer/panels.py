@@ -111,7 +111,9 @@ def packed(picture):
 
     An array is told by the place of its first number and by how many it has.
     """
-    places, arrays, end = {}, [], 0
+    places = {}
+    arrays = []
+    end = 0
 
     def place(array):
         nonlocal end
@@ -122,7 +124,8 @@ def packed(picture):
         return places[id(array)]
 
     def look(mark):
-        colour, width = _PAGE_COLOURS.get(mark.colour, mark.colour), mark.width * _PX
+        colour = _PAGE_COLOURS.get(mark.colour, mark.colour)
+        width = mark.width * _PX
         dash = [_PX * each for each in mark.dash]
         told = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
         return told | dict(alpha=mark.alpha, full=mark.full, label=mark.label)

@@ -11,7 +11,9 @@ __all__ = ["picture_of", "robot_view", "seen_from"]
 
 _HALF_M = paper.ROBOT_LENGTH_M / 2, paper.ROBOT_WIDTH_M / 2
 _FOOTPRINT = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * _HALF_M
-_THIN, _PLAN, _MEASURED = dict(width=0.7), dict(colour=PURPLE), dict(colour=COLOURS["measured"])
+_THIN = dict(width=0.7)
+_PLAN = dict(colour=PURPLE)
+_MEASURED = dict(colour=COLOURS["measured"])
 _RINGS = dict(width=5, full=False)
 _NODES = dict(width=2.2)
 
@@ -40,12 +42,15 @@ def _held(t_s, values):
 
 def picture_of(run, k, snapshot):
     """The Picture of sample k of a run, with the Snapshot of that sample."""
-    c, t_s = run.columns, run.columns["t_s"]
+    c = run.columns
+    t_s = run.columns["t_s"]
     reach_s = paper.DT_S * max(run.scenario.estimation_horizon, run.scenario.prediction_horizon)
     reach_m = reach_s * run.scenario.speed_mps + 0.7
     past = slice(max(0, k - round(reach_s / paper.DT_S)), k + 1)
-    driven, ago_s = np.column_stack([c["x_m"][past], c["y_m"][past]]), t_s[past] - t_s[k]
-    time, bound = (-reach_s - 0.1, reach_s + 0.1), run.scenario.omega_max_radps
+    driven = np.column_stack([c["x_m"][past], c["y_m"][past]])
+    ago_s = t_s[past] - t_s[k]
+    time = (-reach_s - 0.1, reach_s + 0.1)
+    bound = run.scenario.omega_max_radps
     mine = dict(colour=field_run.colour_of(run.scenario))
     across = _across(run.path, snapshot, driven, ago_s, mine)
     largest = np.nanmax(np.abs(np.concatenate([mark.y for mark in across])), initial=0)
@@ -86,7 +91,8 @@ def _from_above(run, snapshot, driven, reach_m, mine):
     def mark(kind, xy, **look):
         return Mark(kind, *seen_from(snapshot.truth, xy).T, **look)
 
-    path, name = run.path, field_run.name_of(run.scenario)
+    path = run.path
+    name = field_run.name_of(run.scenario)
     _, s = path.project(snapshot.truth[None, :2])
     ahead_m = s + np.arange(-1.3 * reach_m, 1.3 * reach_m, 0.1)
     ahead_m = ahead_m if path.closed else np.clip(ahead_m, 0, path.length_m)
@@ -96,7 +102,8 @@ def _from_above(run, snapshot, driven, reach_m, mine):
         for across_m in (paper.ROW_SPACING_M / 2, -paper.ROW_SPACING_M / 2)
     ]
     plants = np.concatenate([rows[0], [[np.nan, np.nan]], rows[1]])
-    window, measured = snapshot.window[:, :2], snapshot.measured
+    window = snapshot.window[:, :2]
+    measured = snapshot.measured
     residuals = np.stack([measured, window, np.full(window.shape, np.nan)], axis=1)
     outline = _FOOTPRINT @ _turned(snapshot.estimate[2]) + snapshot.estimate[:2]
     return [

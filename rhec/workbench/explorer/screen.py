@@ -26,4 +26,5 @@ class Screen(anywidget.AnyWidget):
     _esm = _text("live/plot.js", "explorer/screen.js")
     _css = CSS
     status, how, line, table = (traitlets.Unicode().tag(sync=True) for _ in range(4))
-    picture, numbers = traitlets.Dict().tag(sync=True), traitlets.Bytes().tag(sync=True)
+    picture = traitlets.Dict().tag(sync=True)
+    numbers = traitlets.Bytes().tag(sync=True)

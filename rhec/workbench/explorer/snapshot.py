@@ -37,15 +37,19 @@ def snapshot_at(scenario, k):
     truth, estimate = (np.array([row[name] for name in names]) for names in (POSE, ESTIMATE))
 
     parts = setup.unpack(memory)
-    past, planned = parts["estimator"], parts["controller"]
-    window, measured = np.empty((0, 3)), np.empty((0, 2))
+    past = parts["estimator"]
+    planned = parts["controller"]
+    window = np.empty((0, 3))
+    measured = np.empty((0, 2))
     if {"s", "z", "age"} <= past.keys():  # an RHE's
         # a window that is not full yet has its oldest nodes at its first sample
         nodes = int(past["age"].item()) + 1
-        window, measured = past["s"].T[-nodes:, :3], past["z"].T[-nodes:, :2]
+        window = past["s"].T[-nodes:, :3]
+        measured = past["z"].T[-nodes:, :2]
         measured = np.where(np.isfinite(measured), measured, np.nan)
     step_m = abs(row["mu_hat"] * row["nu_hat_mps"]) * paper.DT_S
     ahead_m = scenario.look_ahead_m + step_m * np.arange(scenario.prediction_horizon + 1)
     desired, _ = setup.path.poses(row["s_m"] + ahead_m)
-    plan, omega_radps = planned["s"].T[:, :3], planned["u"].ravel()
+    plan = planned["s"].T[:, :3]
+    omega_radps = planned["u"].ravel()
     return Snapshot(truth, estimate, window, measured, desired, plan, omega_radps)

@@ -23,20 +23,45 @@ __all__ = ["METRICS", "build_live"]
 
 # Fields of Scenario that the page may change without another structure, by their length.
 _FIELDS = dict(
-    q=3, r=1, qn_factor=1, omega_max_radps=1, look_ahead_m=1, speed_mps=1,
-    start_offset_m=1, start_yaw_rad=1, guess_yaw_rad=1, gnss_sigma_m=1, encoder_sigma_mps=1,
-    speed_sigma_mps=1, bump_sigma_radps=1, sigma_v=4,
-)  # fmt: skip
+    q=3,
+    r=1,
+    qn_factor=1,
+    omega_max_radps=1,
+    look_ahead_m=1,
+    speed_mps=1,
+    start_offset_m=1,
+    start_yaw_rad=1,
+    guess_yaw_rad=1,
+    gnss_sigma_m=1,
+    encoder_sigma_mps=1,
+    speed_sigma_mps=1,
+    bump_sigma_radps=1,
+    sigma_v=4,
+)
 _SOIL = ("origin_m", "cell_m", "slip", "mean_traction")  # settings that come with the soil
 METRICS = (
-    "settling_time_s", "mean_error_m", "mean_error_true_m", "max_error_true_m", "violations",
-    "violations_true", "overshoot_m", "rms_mu", "rms_kappa", "rms_yaw_rad",
-)  # fmt: skip
+    "settling_time_s",
+    "mean_error_m",
+    "mean_error_true_m",
+    "max_error_true_m",
+    "violations",
+    "violations_true",
+    "overshoot_m",
+    "rms_mu",
+    "rms_kappa",
+    "rms_yaw_rad",
+)
 # What the judge remembers; of a metric, its sum or maximum so far.
 _TALLY = dict.fromkeys(METRICS, 0.0) | dict(
-    k=0.0, inside=0.0, settles=0.0, settling_time_s=np.nan, n=0.0, n_known=0.0, side=0.0,
+    k=0.0,
+    inside=0.0,
+    settles=0.0,
+    settling_time_s=np.nan,
+    n=0.0,
+    n_known=0.0,
+    side=0.0,
     first_row=1.0,
-)  # fmt: skip
+)
 
 
 def build_live(own):
@@ -48,7 +73,8 @@ def build_live(own):
     """
     scenario = Scenario(**own)
     setup = closed_loop.set_up(scenario)
-    horizon, n_segments = scenario.prediction_horizon, len(setup.path.segments)
+    horizon = scenario.prediction_horizon
+    n_segments = len(setup.path.segments)
     return dict(
         sample=closed_loop.build_sample(*setup.structure)["step"],
         start=_build_start(scenario, setup.path),
@@ -131,25 +157,30 @@ def _build_judge(path):
         first_row = ca.if_else(begins, 2 - c.on_straight, t.first_row)
         first_row = ca.if_else(first_row == 2, 2, first_row * c.on_straight)
         new = dict(
-            k=t.k + 1, inside=inside, settles=settles,
+            k=t.k + 1,
+            inside=inside,
+            settles=settles,
             settling_time_s=ca.if_else(settles, settled_s, t.settling_time_s),
             n=ca.if_else(t.settles, 0, t.n) + 1,
-            n_known=ca.if_else(t.settles, 0, t.n_known) + known, side=side, first_row=first_row,
+            n_known=ca.if_else(t.settles, 0, t.n_known) + known,
+            side=side,
+            first_row=first_row,
             overshoot_m=ca.fmax(t.overshoot_m, ca.if_else(first_row > 0, -side * left, 0)),
-        )  # fmt: skip
+        )
         found = {}
         for name in (name for name in METRICS if name in gathered):
             how, value = gathered[name]
             before = ca.if_else(t.settles, 0, vars(t)[name])
             added = {"mean of known": ca.if_else(known, value, 0), "rms": value**2}.get(how, value)
             so_far = new[name] = ca.fmax(before, value) if how == "max" else before + added
-            mean, of_known = so_far / new["n"], so_far / new["n_known"]
+            mean = so_far / new["n"]
+            of_known = so_far / new["n_known"]
             of = {"mean": mean, "mean of known": of_known, "rms": ca.sqrt(mean)}
             found[name] = of.get(how, so_far)
         return dict(
             tally=ca.vertcat(*(new[name] for name in _TALLY)),
             errors=ca.vertcat(c.error_m, c.error_true_m),
             metrics=ca.vertcat(*((new | found)[name] for name in METRICS)),
-        )  # fmt: skip
+        )
 
     return judge

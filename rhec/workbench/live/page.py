@@ -81,8 +81,11 @@ def _packed(values):
 def _module(own):
     """A structure's module, and all that the script must know to call it."""
     scenario = Scenario(**own)
-    setup, choice = closed_loop.set_up(scenario), Choice.of(scenario)
-    made, at, places = functions.build_live(own), 0, {}
+    setup = closed_loop.set_up(scenario)
+    choice = Choice.of(scenario)
+    made = functions.build_live(own)
+    at = 0
+    places = {}
     for name, shape in setup.layout.items():
         inner = shape.items() if isinstance(shape, dict) else [("", shape)]
         for piece, (rows, columns) in inner:
@@ -113,19 +116,29 @@ def _world():
     path = closed_loop.set_up(start).path
     points = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2]
     return dict(
-        dt_s=paper.DT_S, most=texts.MOST, tolerance_m=paper.TOLERANCE_M, columns=COLUMNS,
-        metrics=functions.METRICS, shown=METRICS,
+        dt_s=paper.DT_S,
+        most=texts.MOST,
+        tolerance_m=paper.TOLERANCE_M,
+        columns=COLUMNS,
+        metrics=functions.METRICS,
+        shown=METRICS,
         robot_m=(paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M),
-        noise=packed_size(plant.NOISE), fault=packed_size(faults.STREAM),
+        noise=packed_size(plant.NOISE),
+        fault=packed_size(faults.STREAM),
         wasm=_packed(wasm.module_of(texts.world_text(), whole_numbers=True)),
-        seeds=[*texts.SEEDS], soils=texts.SOILS,
-        cell_m=texts.CELL_M, grid=closed_loop.set_up(start).structure.terrain_shape,
-        lowest=points.min(axis=0).tolist(), highest=points.max(axis=0).tolist(),
+        seeds=[*texts.SEEDS],
+        soils=texts.SOILS,
+        cell_m=texts.CELL_M,
+        grid=closed_loop.set_up(start).structure.terrain_shape,
+        lowest=points.min(axis=0).tolist(),
+        highest=points.max(axis=0).tolist(),
         faults={name: f"({', '.join(map(line_of, of))},)" for name, of in FAULTS.items()},
-        path=np.round(points, 3).tolist(), windows=[5, 10, 15, 30], new_patch=NEW_PATCH,
+        path=np.round(points, 3).tolist(),
+        windows=[5, 10, 15, 30],
+        new_patch=NEW_PATCH,
         scenes={name: _scene(scene, defaults) for name, scene in SCENES.items()},
         defaults=defaults,
-    )  # fmt: skip
+    )
 
 
 def _scene(scene, defaults):

@@ -19,7 +19,10 @@ __all__ = ["CELL_M", "MOST", "SEEDS", "SOILS", "loop_text", "world_text"]
 _HERE = Path(__file__).parent
 SEEDS = range(10)
 MOST = 1200  # samples of a run
-_FARTHEST_M, _MARGIN_M, CELL_M = 3.0, 5.0, 0.5  # of a start beside the path; around it; of a cell
+# of a start beside the path; around it; of a cell
+_FARTHEST_M = 3.0
+_MARGIN_M = 5.0
+CELL_M = 0.5
 _PATCHES = 100
 SOILS = {
     "firm": {},
@@ -31,7 +34,8 @@ SOILS = {
 def loop_text(functions, s_place):
     """The C of build_live's Functions and of a whole run; s_place: of s in the loop's memory."""
     f = functions
-    lengths, given = {}, {}
+    lengths = {}
+    given = {}
     for of, function in f.items():
         inputs = {name: function.nnz_in(name) for name in function.name_in()}
         (given if of == "start" else lengths).update(inputs)
@@ -72,15 +76,25 @@ def world_text():
         [_traction(vars(start) | own, name) for name in ("mu", "kappa")] for own in SOILS.values()
     ]
     wide, long = setup.structure.terrain_shape
-    noise, fault = packed_size(plant.NOISE), packed_size(faults.STREAM)
+    noise = packed_size(plant.NOISE)
+    fault = packed_size(faults.STREAM)
     constants = dict(
-        NOISE=noise, MOST=MOST, QUANTILES=len(terrain.QUANTILES), LOWEST=terrain.LOWEST,
-        MARGIN_M=_MARGIN_M, CELL_M=CELL_M, WIDE=wide, LONG=long,
-    )  # fmt: skip
+        NOISE=noise,
+        MOST=MOST,
+        QUANTILES=len(terrain.QUANTILES),
+        LOWEST=terrain.LOWEST,
+        MARGIN_M=_MARGIN_M,
+        CELL_M=CELL_M,
+        WIDE=wide,
+        LONG=long,
+    )
     tables = _ziggurat() | dict(
-        quantiles=terrain.QUANTILES, soils=soils, keys=keys, lowest=points.min(axis=0),
+        quantiles=terrain.QUANTILES,
+        soils=soils,
+        keys=keys,
+        lowest=points.min(axis=0),
         highest=points.max(axis=0),
-    )  # fmt: skip
+    )
     arrays = dict(stream=MOST * (noise + fault), slip=2 * wide * long, patches=5 * _PATCHES)
     lines = [f"#define {name} {value}" for name, value in constants.items()]
     lines += [f"double at_{name}[{n}];" for name, n in (arrays | dict(origin_m=2)).items()]
@@ -96,7 +110,8 @@ def _read(file):
 
 def _traction(of, name):
     """The traction at each quantile of the Gaussian field."""
-    mean, deviation = of[f"{name}_mean"], of[f"{name}_deviation"]
+    mean = of[f"{name}_mean"]
+    deviation = of[f"{name}_deviation"]
     if not deviation:
         return np.full(len(terrain.QUANTILES), mean)
     return terrain.beta_quantiles(mean, deviation)
@@ -122,7 +137,8 @@ def _braces(values):
 def _ziggurat():
     """The ziggurat's tables, as NumPy's own generator shows them."""
     bits = np.random.Philox(0)
-    state, generator = bits.state, np.random.Generator(bits)
+    state = bits.state
+    generator = np.random.Generator(bits)
 
     def drawn(layer, size):
         """The number made of these random bits, and whether it was accepted at once."""
@@ -131,9 +147,11 @@ def _ziggurat():
         bits.state = state | dict(buffer_pos=0)
         return generator.standard_normal(), bits.state["buffer_pos"] == 1
 
-    width, inner = np.array([drawn(layer, 1)[0] for layer in range(256)]), []
+    width = np.array([drawn(layer, 1)[0] for layer in range(256)])
+    inner = []
     for layer in range(256):
-        low, high = 0, 1 << 52
+        low = 0
+        high = 1 << 52
         while low < high:
             middle = (low + high) // 2
             low, high = (middle + 1, high) if drawn(layer, middle)[1] else (low, middle)

@@ -25,7 +25,10 @@ _MEANINGS = {ONE_WAY: "one outcome", UNTESTABLE: "untestable"}
 _PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict"]
 _RULES = ["id", "test", "bound", "conditions", "reached", "p_adjusted"]
 # across the figure, in hundredths: sign, bound, end of the intervals' panel, paper's numbers
-_SIGN, _BOUND, _END, _PAPER = 44.5, 54.5, 62.0, 72.0
+_SIGN = 44.5
+_BOUND = 54.5
+_END = 62.0
+_PAPER = 72.0
 _ROW_IN = 0.128  # height of a row
 
 
@@ -52,7 +55,8 @@ def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
         The CSV's path. The LaTeX needs the packages booktabs and longtable.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    about, csv = style.provenance(name, None, notebook), Path(folder) / f"{name}.csv"
+    about = style.provenance(name, None, notebook)
+    csv = Path(folder) / f"{name}.csv"
     table.to_csv(csv, index=False)
     numbers = ("paper", "value", "low", "high")
     words = table[_PRINTED].assign(**{column: table[column].map(_number) for column in numbers})
@@ -109,7 +113,8 @@ def _draw_intervals(axes, place, row, colour):
         places = _relative_to_bound(*finding)
         if places is not None:
             value, *ends = _BOUND + (_END - _BOUND) * places
-            y, look = [place + offset] * 2, dict(markersize=2.4, markeredgewidth=0.5)
+            y = [place + offset] * 2
+            look = dict(markersize=2.4, markeredgewidth=0.5)
             axes.plot(ends, y, color=colour, linewidth=1.0, solid_capstyle="butt")
             axes.plot(value, y[0], "o", color=colour, markerfacecolor=face, **look)
 
@@ -125,7 +130,8 @@ def verdicts(table):
     Args:
         table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
     """
-    rows, centred = len(table), dict(va="center_baseline")
+    rows = len(table)
+    centred = dict(va="center_baseline")
     height_in = 0.75 + _ROW_IN * rows
     figure = plt.figure(figsize=(style.DOUBLE_IN, height_in), layout="none")
     axes = figure.add_axes((0.003, 0.002, 0.994, 0.996))
@@ -156,7 +162,8 @@ def verdicts(table):
 
 
 def _draw_row(axes, place, row):
-    kind, text = _kind(row.kind), dict(fontsize=5.4, va="center_baseline")
+    kind = _kind(row.kind)
+    text = dict(fontsize=5.4, va="center_baseline")
     colour, _ = _LOOKS[kind]
     axes.text(0, place, row.id, **text, weight="bold")
     axes.text(4.0, place, row.claim, **text)

@@ -23,7 +23,8 @@ def nees_over_time(measured):
     size = (DOUBLE_IN, 0.3 + 0.95 * rows)
     figure, panels = plt.subplots(rows, 2, figsize=size, sharex=True, sharey=True, squeeze=False)
     for axes, (name, of_one) in zip(panels.flat, measured.items()):
-        degrees, runs = len(of_one.states), len(of_one.nees)
+        degrees = len(of_one.states)
+        runs = len(of_one.nees)
         bounds = consistency.bounds(runs, degrees)
         axes.axhspan(*bounds, color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
         colour = next((colour for kind, colour in _COLOURS.items() if kind in name), GREY)

@@ -31,9 +31,13 @@ def fronts(table, asked):
             look = dict(color=_COLOURS.get(estimator, style.COLOURS["RHE"]), capsize=1.5)
             look |= dict(fmt="D-" if careful else "o:", markersize=4 if careful else 2.5)
             axes.errorbar(
-                rows["speed_mps"], rows["share"], yerr=error, elinewidth=0.7,
-                label=f"{estimator}, {mode}", **look,
-            )  # fmt: skip
+                rows["speed_mps"],
+                rows["share"],
+                yerr=error,
+                elinewidth=0.7,
+                label=f"{estimator}, {mode}",
+                **look,
+            )
         share, speed = asked
         axes.plot([speed, speed, 1], [1.02, share, share], "--", color=style.BLACK, linewidth=0.7)
         axes.set(title=promise, xlabel="mean speed [m/s]", ylim=(0, 1.02))
@@ -69,9 +73,15 @@ def where_it_slows(runs):
     for axes in panels:
         _, curvatures = run.path.poses(columns["s_m"])
         axes.fill_between(
-            columns["s_m"], 0, 1, where=curvatures != 0, transform=axes.get_xaxis_transform(),
-            color="0.93", linewidth=0, zorder=0,
-        )  # fmt: skip
+            columns["s_m"],
+            0,
+            1,
+            where=curvatures != 0,
+            transform=axes.get_xaxis_transform(),
+            color="0.93",
+            linewidth=0,
+            zorder=0,
+        )
     speeds.set(ylabel="speed ν [m/s]", ylim=(0, None))
     errors.set(ylabel="true error [m]\n(dashed: 0.12 m)", ylim=(0, 0.3))
     soil.set(ylabel="κ [-]", ylim=(0, 1), xlim=(0, run.path.length_m))

@@ -14,8 +14,11 @@ from rhec.workbench.studies.robustness import FAMILIES
 
 __all__ = ["fault_courses", "fault_overview"]
 
-_COLOURS, _WIDTHS = {"off": VERMILLION, "on": BLUE}, {"off": 2.0, "on": 0.8}
-_LEAST_M, _MOST_M = 0.01, 100.0  # errors drawn
+_COLOURS = {"off": VERMILLION, "on": BLUE}
+_WIDTHS = {"off": 2.0, "on": 0.8}
+# errors drawn
+_LEAST_M = 0.01
+_MOST_M = 100.0
 _PANELS = 4  # in a row
 
 
@@ -23,7 +26,8 @@ def _draw_errors(axes, error, handling, before_s):
     """Median over seeds, and the largest dotted. Returns the times [s] since the fault began."""
     # from the shortest run's beginning: not all have a time before
     first = np.flatnonzero(~np.isnan(error).any(axis=0))[0]
-    error, look = error[:, first:], dict(color=_COLOURS[handling], linewidth=_WIDTHS[handling])
+    error = error[:, first:]
+    look = dict(color=_COLOURS[handling], linewidth=_WIDTHS[handling])
     t_s = (first + np.arange(error.shape[1])) * paper.DT_S - before_s
     axes.plot(t_s, np.nanmedian(error, axis=0), label=f"{handling}: median", **look)
     axes.plot(t_s, np.nanmax(error, axis=0), ":", label=f"{handling}: largest", **look)
@@ -42,14 +46,16 @@ def fault_courses(keys, table, errors, before_s):
         table, errors: of `rhec.workbench.studies.robustness.study`.
         before_s: how long before the fault the errors begin [s].
     """
-    rows, columns = -(-len(keys) // _PANELS), min(len(keys), _PANELS)
+    rows = -(-len(keys) // _PANELS)
+    columns = min(len(keys), _PANELS)
     look = dict(figsize=(DOUBLE_IN, 0.8 + 1.7 * rows), sharey=True, squeeze=False)
     figure, grid = plt.subplots(rows, columns, **look)
     for axes, (family, case) in zip(grid.flat, keys):
         of_case = table[(table["family"] == family) & (table["case"] == case)]
         lines = [_label(FAMILIES[family], case)]
         for handling, runs in of_case.groupby("handling", sort=False):
-            back, last_s = runs["recovery_s"].count(), runs["recovery_s"].max()
+            back = runs["recovery_s"].count()
+            last_s = runs["recovery_s"].max()
             when = f", last in {last_s:.0f} s" if back else ""
             lines.append(f"{handling}: {back} of {len(runs)} back{when}")
             t_s = _draw_errors(axes, errors[family, case, handling], handling, before_s)
@@ -89,11 +95,10 @@ def fault_overview(table, n):
     for axes, column in ((errors, "max_after_m"), (times, "recovery_s")):
         for place, (_, runs) in enumerate(cases):
             for row in runs.to_dict("records"):
-                colour, at = (
-                    _COLOURS[row["handling"]],
-                    place + (0.2, -0.2)[row["handling"] == "off"],
-                )
-                low, high = row[f"{column}_low"], row[f"{column}_high"]
+                colour = _COLOURS[row["handling"]]
+                at = place + (0.2, -0.2)[row["handling"] == "off"]
+                low = row[f"{column}_low"]
+                high = row[f"{column}_high"]
                 axes.plot([low, high], [at, at], color=colour, linewidth=1.2)
                 axes.plot(row[column], at, "o", color=colour, markersize=2.5)
                 ring = dict(color=colour, markersize=3.5, markeredgewidth=0.5)

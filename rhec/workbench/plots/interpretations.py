@@ -63,7 +63,8 @@ def ekf_yaw(analysis, sweep, runs, printed, calibrated):
     for axes in (gains, yaw):
         _swept(axes, r"$\sigma_x$ of $W_k$ [m a step]", printed=printed, calibrated=calibrated)
     for (value, run), colour in zip(sorted(runs.items()), _COLOURS):
-        c, look = run.columns, dict(color=colour, linewidth=0.7, label=f"{value:g} m")
+        c = run.columns
+        look = dict(color=colour, linewidth=0.7, label=f"{value:g} m")
         time.plot(c["t_s"], c["theta_hat_rad"] - c["theta_rad"], **look)
     time.margins(y=0.25)
     time.legend(title=r"$\sigma_x$", title_fontsize=6, **_SMALL_LEGEND)
@@ -91,7 +92,8 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
         axes.axhline(_SIGMA_UNIFORM, label="anything in [0, 1]", **BOUND)
         _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, calibrated=calibrated)
     for (value, run), colour in zip(sorted(runs.items(), reverse=True), _COLOURS):
-        c, look = run.columns, dict(color=colour, linewidth=0.8, label=f"{value:g}")
+        c = run.columns
+        look = dict(color=colour, linewidth=0.8, label=f"{value:g}")
         time.plot(c["t_s"], c["kappa_hat"], **look)
     time.plot(c["t_s"], c["kappa"], color=BLACK, linewidth=0.8, label="truth")
     shade(time, c["t_s"], ~c["on_straight"])
@@ -152,7 +154,8 @@ def forest(table, baseline):
         rows = table[table["quantity"] == quantity].set_index("interpretation")
         most = _scale(rows.loc[names, "change"])
         for place, name in enumerate(names):
-            row, colour = rows.loc[name], GREY
+            row = rows.loc[name]
+            colour = GREY
             if row.change_low > 0:
                 colour = VERMILLION
             elif row.change_high < 0:

@@ -38,7 +38,8 @@ def multiverse_map(table, correlations, discovered):
         table: as `rhec.workbench.studies.multiverse.summary` returns it.
         correlations, discovered: as `rhec.workbench.studies.multiverse.correlations` returns them.
     """
-    size, widths = (DOUBLE_IN, 0.9 + 0.2 * len(table)), (1, 2.4)
+    size = (DOUBLE_IN, 0.9 + 0.2 * len(table))
+    widths = (1, 2.4)
     figure, (bars, heat) = plt.subplots(1, 2, figsize=size, sharey=True, width_ratios=widths)
     _draw_shares(bars, table)
     image = heat.imshow(correlations, cmap=_SIDES, vmin=-1, vmax=1, aspect="auto")
@@ -60,7 +61,8 @@ def multiverse_map(table, correlations, discovered):
 
 def _draw_shares(axes, table):
     """A stacked bar a claim, with the interval of the share where it holds."""
-    places, left = range(len(table)), 0
+    places = range(len(table))
+    left = 0
     for column, verdict, colour, hatch in [
         ("holds", HOLDS, GREEN, ""),
         ("undecided", UNDECIDED, ORANGE, "...."),

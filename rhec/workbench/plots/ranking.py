@@ -33,7 +33,8 @@ def ranked(sweep):
     table = ranking.ranking_table(sweep)
     names = list(dict.fromkeys(table["contestant"]))
     estimates = table.set_index(["contestant", "quantity"])[["mean", "low", "high"]]
-    size, widths = (style.DOUBLE_IN, 0.22 * len(names) + 0.8), (3, 2)
+    size = (style.DOUBLE_IN, 0.22 * len(names) + 0.8)
+    widths = (3, 2)
     figure, (errors, ratios) = plt.subplots(1, 2, figsize=size, sharey=True, width_ratios=widths)
     error, ratio = ranking.QUANTITIES["mean_error_true_m"], f"true error, ratio to {ranking.PAPERS}"
     largest = _OFF_SCALE * estimates.loc[(ranking.PAPERS, error), "mean"]
@@ -100,7 +101,8 @@ def pose_noise(rows):
         mean, low, high = np.array([over_seeds(np.mean, of[column])[:3] for _, of in by_sigma]).T
         axes.plot(sigmas, mean, color=colour, label=label)
         axes.fill_between(sigmas, low, high, color=colour, alpha=0.2, linewidth=0)
-        ring, least = dict(color="w", markeredgecolor=colour, markersize=5), mean.argmin()
+        ring = dict(color="w", markeredgecolor=colour, markersize=5)
+        least = mean.argmin()
         axes.plot(sigmas[least], mean[least], "o", **ring)
     for axes in (errors, yaw):
         axes.axvline(ranking.SIGMA_THETA, color=style.GREY, linestyle=":")

@@ -30,7 +30,8 @@ __all__ += ["replay_path", "replay_trials", "replay_yaw"]
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
 _COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
 # slower turns count as straight, by the median of so many samples
-_STRAIGHT_RADPS, _SMOOTH = 0.05, 11
+_STRAIGHT_RADPS = 0.05
+_SMOOTH = 11
 
 
 def replay_folder(file):
@@ -53,7 +54,8 @@ def _rows(n, height_in, sharey):
 
 def _broken(samples, *columns):
     """Columns as arrays with a gap after each segment, so that lines do not cross it."""
-    gap, columns = np.full((1, len(columns)), np.nan), list(columns)
+    gap = np.full((1, len(columns)), np.nan)
+    columns = list(columns)
     segments = [part[columns].to_numpy(dtype=float) for _, part in samples.groupby("segment")]
     return np.concatenate([np.append(part, gap, axis=0) for part in segments]).T
 
@@ -74,7 +76,8 @@ def replay_log(samples, title):
         samples: of one replay.
         title: of the figure, plain text.
     """
-    mosaic, size = [["plane", "speed"], ["plane", "yaw rate"]], (DOUBLE_IN, 2.6)
+    mosaic = [["plane", "speed"], ["plane", "yaw rate"]]
+    size = (DOUBLE_IN, 2.6)
     figure, panels = plt.subplot_mosaic(mosaic, figsize=size, width_ratios=(1, 2))
     plane, speed, yaw_rate = (panels[name] for name in ("plane", "speed", "yaw rate"))
     measured = dict(color=COLOURS["measured"])
@@ -111,7 +114,8 @@ def replay_path(estimates, title):
         title: of the figure, plain text.
     """
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 3.6))
-    x, y = "x_hat_m", "y_hat_m"
+    x = "x_hat_m"
+    y = "y_hat_m"
     look = dict(marker=".", linestyle="none", color=COLOURS["measured"])
     axes.plot(estimates["x_meas_m"], estimates["y_meas_m"], **look, markersize=2, label="measured")
     axes.plot(*_broken(estimates, x, y), color=COLOURS["RHE"], linewidth=0.8, label="estimated")
@@ -177,7 +181,8 @@ def replay_traction(replays, first):
             axes.plot(*_broken(estimates, "t_s", f"{name}_hat"), **look, label=estimator)
         shown = [samples.loc[scores.distance_driven(samples) >= scores.FROM_M, f"{name}_hat"]]
         if known:
-            sliding, label = scores.sliding_regression(samples)[:, place], "regression over"
+            sliding = scores.sliding_regression(samples)[:, place]
+            label = "regression over"
             look = dict(color=ORANGE, markersize=1.5, label=f"{label} {scores.WINDOW_S:.0f} s")
             axes.plot(samples["t_s"], sliding, ".", **look)
             look = dict(
@@ -219,7 +224,8 @@ def replay_trials(trials, table, title):
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.7 + 0.28 * len(trials)))
     means = table[table["quantity"] == "RMS error of yaw [rad]"].set_index("estimator")
     for place, (name, rows) in enumerate(trials.items()):
-        look, mean = dict(color=_COLOURS.get(name)), means.loc[name]
+        look = dict(color=_COLOURS.get(name))
+        mean = means.loc[name]
         dots = place - np.linspace(0.12, 0.38, len(rows))
         axes.plot(rows["yaw_rms_rad"], dots, **DOTS, **look, markersize=2.5, alpha=0.6)
         axes.plot([mean["low"], mean["high"]], [place, place], linewidth=3, alpha=0.6, **look)

@@ -17,10 +17,20 @@ from rhec.workbench.plots.style import BLACK, BLUE, COLOURS, COLUMN_IN, GREY, VE
 
 __all__ = ["hardware_blocks", "robot_in_row", "robot_parts", "schematic"]
 
-_RUBBER, _METAL, _DECK, _PAPER = "#4d4d4d", "#aab2b9", "#dfe5ea", "#f7f7f7"
-_LEAF, _STEM, _GRAIN, _SOIL = "#9ad0ba", "#4f9f7f", "#c98f3c", "#b9a78a"
-_SENSOR, _COMPUTER, _DRIVE = "#bfe0f5", "#eccfe0", "#f6d79a"  # measures, computes, drives
-_LENGTH, _WIDTH, _TRACK = paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M, paper.TRACK_WIDTH_M
+_RUBBER = "#4d4d4d"
+_METAL = "#aab2b9"
+_DECK = "#dfe5ea"
+_PAPER = "#f7f7f7"
+_LEAF = "#9ad0ba"
+_STEM = "#4f9f7f"
+_GRAIN = "#c98f3c"
+_SOIL = "#b9a78a"
+_SENSOR = "#bfe0f5"
+_COMPUTER = "#eccfe0"
+_DRIVE = "#f6d79a"
+_LENGTH = paper.ROBOT_LENGTH_M
+_WIDTH = paper.ROBOT_WIDTH_M
+_TRACK = paper.TRACK_WIDTH_M
 _TREAD = _WIDTH - _TRACK
 _MAST_X = 0.05  # ahead of the robot's middle [m]
 _BLOCK = np.array([1.2, 0.4])  # a block of Figure 3 [in]
@@ -79,20 +89,24 @@ def _leader(axes, text, at, side, part):
 
 def _sorghum(axes, x, height, stem_width):
     """One plant on its row's centre line x: leaves drooping to either side, stem, panicle."""
-    shares, reaches = (0.42, 0.50, 0.66, 0.74, 0.90, 0.97), (0.17, -0.17, 0.19, -0.19, 0.15, -0.13)
+    shares = (0.42, 0.50, 0.66, 0.74, 0.90, 0.97)
+    reaches = (0.17, -0.17, 0.19, -0.19, 0.15, -0.13)
     drops = (0.08, 0.06, 0.03, 0.02, -0.02, -0.03)
     for share, reach, drop in zip(shares, reaches, drops):
-        start, tip = np.array([x, share * height]), np.array([x + reach, share * height - drop])
+        start = np.array([x, share * height])
+        tip = np.array([x + reach, share * height - drop])
         bend = (start + tip) / 2 + (0, 0.13)
         outline = [start, bend + (0, 0.03), tip, bend - (0, 0.03), start]
         leaf = Path(outline, [Path.MOVETO] + [Path.CURVE3] * 4)
         axes.add_patch(patches.PathPatch(leaf, facecolor=_LEAF, edgecolor=_STEM, linewidth=0.3))
-    corner, size = (x - stem_width / 2, 0), (stem_width, height)
+    corner = (x - stem_width / 2, 0)
+    size = (stem_width, height)
     axes.add_patch(patches.Rectangle(corner, *size, color=_STEM, linewidth=0))
     grain = np.arange(90)
     radius = np.sqrt(grain / grain.size)
     turn = 2.4 * grain  # near the golden angle, which spreads grains evenly
-    across, up = x + 0.026 * radius * np.cos(turn), height + 0.06 + 0.085 * radius * np.sin(turn)
+    across = x + 0.026 * radius * np.cos(turn)
+    up = height + 0.06 + 0.085 * radius * np.sin(turn)
     axes.scatter(across, up, 5, _GRAIN, edgecolors="w", linewidths=0.15)
 
 
@@ -100,7 +114,8 @@ def _rear_view(axes):
     """The robot from behind, standing on y = 0: tracks, body, deck, mast, sensors, antenna."""
     for x in (-_TRACK / 2, _TRACK / 2):
         _box(axes, x, 0.12, _TREAD, 0.24, 0.02, _RUBBER)
-        lugs, half = np.arange(0.03, 0.23, 0.03), 0.35 * _TREAD
+        lugs = np.arange(0.03, 0.23, 0.03)
+        half = 0.35 * _TREAD
         axes.hlines(lugs, x - half, x + half, color=_METAL, linewidth=0.5, zorder=1)
     _box(axes, 0, 0.14, _TRACK - _TREAD, 0.12, 0, _METAL)
     _box(axes, 0, 0.255, 0.84 * _WIDTH, 0.11, 0.015)
@@ -113,10 +128,12 @@ def _beside_a_row(axes, row):
     """What a row at x = `row` takes of the robot's space, widened in a strip below the drawing."""
     stem = row - paper.STEM_WIDTH_M / 2
     effective = stem - paper.GNSS_ACCURACY_M / 2
-    left, right = effective - 0.02, row + paper.STEM_WIDTH_M / 2
+    left = effective - 0.02
+    right = row + paper.STEM_WIDTH_M / 2
     beam = [(left, -0.25), (right, -0.25), (0.58, -0.36), (-0.58, -0.36)]
     axes.add_patch(patches.Polygon(beam, color="0.94", linewidth=0))
-    place, limits = (-0.58, -0.49, 1.16, 0.13), dict(xlim=(left, right), ylim=(0, 1))
+    place = (-0.58, -0.49, 1.16, 0.13)
+    limits = dict(xlim=(left, right), ylim=(0, 1))
     strip = axes.inset_axes(place, transform=axes.transData, **limits)
     strip.set_axis_off()
     for start, end, colour, text in [
@@ -141,7 +158,8 @@ def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
     Args:
         row_spacing_m: between the rows' centre lines.
     """
-    row, edge = row_spacing_m / 2, _WIDTH / 2
+    row = row_spacing_m / 2
+    edge = _WIDTH / 2
     effective = row_spacing_m - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M
     tolerance = (effective - _WIDTH) / 2
     figure, axes = _canvas((-0.62, 0.62), (-0.69, 0.74))
@@ -209,15 +227,21 @@ def robot_parts():
     figure, axes = _canvas((-0.72, 0.72), (-0.99, 0.76))
     axes.axhline(0, color=_SOIL, linewidth=1.5, zorder=0)
     _side_view(axes)
-    y, half = -0.55, _WIDTH / 2
+    y = -0.55
+    half = _WIDTH / 2
     _top_view(axes, y)
 
-    right, left, up, down = (1, 0), (-1, 0), (0, 1), (0, -1)
-    above, below = y + half + 0.05, y - half - 0.05
+    right = (1, 0)
+    left = (-1, 0)
+    up = (0, 1)
+    down = (0, -1)
+    above = y + half + 0.05
+    below = y - half - 0.05
     antenna = f"RTK GNSS antenna,\n{paper.GNSS_ACCURACY_M:.2f} m at {paper.GNSS_RATE_HZ:.0f} Hz"
     encoders = f"encoders,\n{paper.ENCODER_ACCURACY_MPS:.3f} m/s"
     kangaroo = f"Kangaroo x2, two\nPID loops, {paper.SPEED_LOOP_RATE_HZ:.0f} Hz"
-    computer, batteries = "on-board computer,\nRaspberry Pi 3", "LiPo batteries,\n12 V, 40 Ah each"
+    computer = "on-board computer,\nRaspberry Pi 3"
+    batteries = "LiPo batteries,\n12 V, 40 Ah each"
     for text, at, side, part in [
         (antenna, (0.23, 0.69), right, (0.09, 0.69)),
         ("plant imaging\nsensors", (0.23, 0.48), right, (0.11, 0.48)),
@@ -245,7 +269,8 @@ def robot_parts():
 
 def _link(axes, start, end, text):
     """A signal from a block to the next, by their middles, one above or beside the other."""
-    start, end = np.array(start), np.array(end)
+    start = np.array(start)
+    end = np.array(end)
     half = np.sign(end - start) * _BLOCK / 2
     _arrow(axes, start + half, end - half, mutation_scale=7)
     _beside(axes, text, (start + end) / 2, (1, 0) if start[0] == end[0] else (0, 1))
@@ -254,9 +279,11 @@ def _link(axes, start, end, text):
 @styled
 def hardware_blocks():
     """Figure 3 and Sec. System Description: from sensors through RHE and RHC to the tracks."""
-    gnss_hz, loop_hz = f"{paper.GNSS_RATE_HZ:.0f} Hz", f"{paper.SPEED_LOOP_RATE_HZ:.0f} Hz"
+    gnss_hz = f"{paper.GNSS_RATE_HZ:.0f} Hz"
+    loop_hz = f"{paper.SPEED_LOOP_RATE_HZ:.0f} Hz"
     figure, axes = _canvas((0, COLUMN_IN), (0, 3.8))
-    left, right = 0.80, 2.60
+    left = 0.80
+    right = 2.60
     _box(axes, 1.7, 2.60, 3.28, 0.68, 0.06, "0.96", edgecolor=GREY, linestyle="--")
     _beside(axes, f"on-board computer: Raspberry Pi 3, {gnss_hz}", (1.7, 2.35), (0, 0))
 
@@ -291,7 +318,8 @@ def hardware_blocks():
     ]:
         _link(axes, at[start], at[end], text)
 
-    colours, words = (_SENSOR, _COMPUTER, _DRIVE), ("measures", "computes", "drives")
+    colours = (_SENSOR, _COMPUTER, _DRIVE)
+    words = ("measures", "computes", "drives")
     for y, colour, text in zip((0.45, 0.28, 0.11), colours, words):
         _box(axes, right - 0.2, y, 0.16, 0.09, 0.02, colour)
         _beside(axes, text, (right - 0.1, y), (1, 0))
@@ -303,16 +331,24 @@ def schematic():
     """Figure 4 and Sec. System Model: the robot's pose and Eq. (2), velocities without slip and, in
     a hard turn, with μ = 0.75 and κ = 0.65.
     """
-    x, y, theta, mu, kappa = 0.86, 0.80, np.radians(35), 0.75, 0.65
-    nu, nu_l, nu_r = 0.92, 0.78, 1.06
-    track, nose = _TRACK / 2, _LENGTH / 2
+    x = 0.86
+    y = 0.80
+    theta = np.radians(35)
+    mu = 0.75
+    kappa = 0.65
+    nu = 0.92
+    nu_l = 0.78
+    nu_r = 1.06
+    track = _TRACK / 2
+    nose = _LENGTH / 2
     without_slip = {"color": GREY, "linestyle": (0, (3, 2))}
     thin = {"color": GREY, "linewidth": 0.5, "linestyle": ":"}
     figure, axes = _canvas((-0.20, 2.98), (-0.20, 1.78))
 
     def place(along, across):
         """A point given in the robot's frame."""
-        cos, sin = np.cos(theta), np.sin(theta)
+        cos = np.cos(theta)
+        sin = np.sin(theta)
         return x + along * cos - across * sin, y + along * sin + across * cos
 
     def around(radius, angle):

@@ -22,7 +22,8 @@ __all__ += ["violations", "weight_sweep", "yaw_rate"]
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
-_KKT, _LEAST_KKT = {"RHE": "RHE", "RHC": "oracle"}, 1e-5  # colours; drawn
+_KKT = {"RHE": "RHE", "RHC": "oracle"}
+_LEAST_KKT = 1e-5
 _DOT_AND_LINES = "dot and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
 _POOLED = round(1 / paper.DT_S)  # samples of one second
 _LINES = {
@@ -94,7 +95,8 @@ def trajectories_q(runs):
     ends = [first.path.project(log[["x_m", "y_m"]])[1].max() for log in rows.values()]
     _reference(plane, first.path, max(ends))
     for name, log in rows.items():
-        look, settled_s = _LINES[name], runs[name].metrics["settling_time_s"]
+        look = _LINES[name]
+        settled_s = runs[name].metrics["settling_time_s"]
         plane.plot(log["x_m"], log["y_m"], **look)
         words = "never" if np.isnan(settled_s) else f"{settled_s:.1f} s"
         label = {"label": f"{look['label']}: {words}"}
@@ -183,7 +185,8 @@ def trajectories(runs):
         ("start", everything[everything["t_s"] < 25], 0.2, "start, $y$ stretched"),
         ("worst", place, 2.5 * largest, f"largest error {largest:.2f} m"),
     ]:
-        low, high = log[["x_m", "y_m"]].min() - margin_m, log[["x_m", "y_m"]].max() + margin_m
+        low = log[["x_m", "y_m"]].min() - margin_m
+        high = log[["x_m", "y_m"]].max() + margin_m
         panels[name].set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=title)
     panels["start"].set(aspect="auto", box_aspect=1)
     parts.note(panels["start"], "start", first.log[["x_m", "y_m"]].iloc[0], (5, 3))
@@ -206,7 +209,8 @@ def errors(drives, table):
         drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
         table: as `rhec.workbench.studies.scenario_tables.scenario_b_table` returns it.
     """
-    size, heights = (DOUBLE_IN, 3.6), (2, 1)
+    size = (DOUBLE_IN, 3.6)
+    heights = (2, 1)
     grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=heights)
     figure, (above, below) = plt.subplots(2, len(drives), figsize=size, **grid)
     means = table[table["quantity"] == "mean error, raw GNSS [m]"]
@@ -214,14 +218,16 @@ def errors(drives, table):
     for error, share, (noise, by_name) in zip(above, below, drives.items()):
         lines = []
         for name in ("EKF", "RHE"):
-            log, look = by_name[name][0].log, dict(color=COLOURS[name])
+            log = by_name[name][0].log
+            look = dict(color=COLOURS[name])
             t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
             _, median, p95 = over_fields(by_name[name], "error_m", _POOLED)
             error.fill_between(t_s, median, p95, alpha=0.25, linewidth=0, **look)
             error.plot(t_s, median, label=name, **look)
             beyond = share_of_fields(by_name[name], "error_m", paper.TOLERANCE_M, _POOLED)
             share.plot(t_s, 100 * beyond, **look)
-            mean, reported = means.loc[(noise, name)], REPORTED[name, "mean_error_m"]
+            mean = means.loc[(noise, name)]
+            reported = REPORTED[name, "mean_error_m"]
             lines += [f"{name}: mean {mean['mean']:.4f} m (n = {mean['n']}), paper: {reported} m"]
         error.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
         error.set_title("\n".join([f"{noise} process noise", *lines[::-1]]))
@@ -277,12 +283,14 @@ def estimates(told):
     grid = dict(figsize=(DOUBLE_IN, 4.2), sharex=True, sharey="row", squeeze=False)
     figure, rows = plt.subplots(3, len(told), **grid)
     for panels, (run, stated) in zip(rows.T, told.values()):
-        t_s, log = run.log["t_s"], run.log
+        t_s = run.log["t_s"]
+        log = run.log
         for axes, name, symbol in zip(
             panels, stated, (r"$\hat\theta-\theta$", r"$\mu$", r"$\kappa$")
         ):
             value, sigma, truth, inside = stated[name]
-            low, high = value - 2 * sigma, value + 2 * sigma
+            low = value - 2 * sigma
+            high = value + 2 * sigma
             axes.fill_between(t_s, low, high, color=SKY, alpha=0.45, linewidth=0, label="± 2 σ")
             axes.plot(t_s, value, color=COLOURS["RHE"], linewidth=0.8, label="RHE")
             axes.plot(t_s, truth, color=COLOURS["truth"], linewidth=0.8, label="truth")
@@ -341,9 +349,11 @@ def kkt(drives):
     figure, panels = parts.panels_beside(2, 2.2)
     for axes, name in zip(panels, _KKT):
         tolerance = over_fields(drives, f"kkt_{name.lower()}")
-        sample, colour = np.arange(1, tolerance.shape[1] + 1), COLOURS[_KKT[name]]
+        sample = np.arange(1, tolerance.shape[1] + 1)
+        colour = COLOURS[_KKT[name]]
         parts.band(axes, sample, np.maximum(tolerance, _LEAST_KKT / 2), name, color=colour)
-        largest, most = sample[tolerance[1].argmax()], tolerance[1].max()
+        largest = sample[tolerance[1].argmax()]
+        most = tolerance[1].max()
         title = f"{name}: largest median {most:.2g}, in sample {largest}"
         axes.set(xscale="log", yscale="log", title=title, xlim=(1, sample[-1]))
         axes.set_xlabel("sample, every 0.2 s [-]")

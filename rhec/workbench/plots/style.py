@@ -25,12 +25,20 @@ ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "figures"
 ROWS = ROOT / "build/campaign/notebooks"  # of campaigns: what one notebook drove serves another
 
-COLUMN_IN, DOUBLE_IN = 3.4, 6.5  # widths of the paper's figures [in]
+# widths of the paper's figures [in]
+COLUMN_IN = 3.4
+DOUBLE_IN = 6.5
 
 # Okabe and Ito's palette, told apart by colour-blind readers: one colour a role in every figure
-BLACK, GREY = "#000000", "#7f7f7f"
-ORANGE, SKY, GREEN, _YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
-BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+BLACK = "#000000"
+GREY = "#7f7f7f"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+_YELLOW = "#F0E442"
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+PURPLE = "#CC79A7"
 COLOURS = {
     "reference": GREY,
     "truth": BLACK,
@@ -158,7 +166,8 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
         The PNG's path.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    png, about = Path(folder) / f"{name}.png", provenance(name, scenario, notebook)
+    png = Path(folder) / f"{name}.png"
+    about = provenance(name, scenario, notebook)
     # savefig gives a figure without a layout the default one, which must be none here
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
         figure.savefig(png, metadata=about | {"Creator": f"rhec {__version__}"})
@@ -180,7 +189,8 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
         The CSV's path.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    csv, label = Path(folder) / f"{name}.csv", f"tab:{name}"
+    csv = Path(folder) / f"{name}.csv"
+    label = f"tab:{name}"
     look = dict(index=False, escape=True, float_format="%.4g", caption=caption, label=label)
     dataframe.to_csv(csv, index=False)
     about = as_comments(provenance(name, scenario, notebook))

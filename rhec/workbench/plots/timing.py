@@ -88,7 +88,8 @@ def phases(times, machine):
             axes.plot([low, high], [place + shift] * 2, color=colour, linewidth=0.9)
             look = dict(color=colour, markersize=4, label=None if place else label)
             axes.plot(average, place + shift, marker, linestyle="none", **look)
-        total, last = sum(reported[which][1] for which in _FEEDBACK), len(_COLOURS)
+        total = sum(reported[which][1] for which in _FEEDBACK)
+        last = len(_COLOURS)
         axes.plot(total, last + shift, marker, color=colour, markersize=4)
         note(axes, f"{total:.3g} µs", (total, last + shift), (5, 0))
     names = [" ".join(which) for which in _COLOURS]
@@ -113,7 +114,8 @@ def embedded_times(times):
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.9 + 0.3 * len(sources)))
     for place, (_, given) in enumerate(sources):
         mean_us = 1000 * given.set_index(["problem", "phase"])["mean_ms"]
-        command_us, step_us = mean_us[_FEEDBACK].sum(), mean_us.sum()
+        command_us = mean_us[_FEEDBACK].sum()
+        step_us = mean_us.sum()
         axes.plot([command_us, step_us], [place, place], color=GREY, linewidth=0.8, zorder=1)
         for value, colour, label in [
             (command_us, ORANGE, "measurement to command"),

@@ -33,22 +33,40 @@ from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
-    "DUAL", "EVALUATIONS", "LEAST", "MOST", "SETTLED_S", "TRAINING_SEEDS", "UNKNOWNS", "calibrate",
-    "columns", "deviance", "oracle_runs", "run_estimator", "scan_arguments", "search",
-    "tracking_error_m", "tune_for_tracking",
-]  # fmt: skip
+    "DUAL",
+    "EVALUATIONS",
+    "LEAST",
+    "MOST",
+    "SETTLED_S",
+    "TRAINING_SEEDS",
+    "UNKNOWNS",
+    "calibrate",
+    "columns",
+    "deviance",
+    "oracle_runs",
+    "run_estimator",
+    "scan_arguments",
+    "search",
+    "tracking_error_m",
+    "tune_for_tracking",
+]
 
 SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
 TRAINING_SEEDS = range(1000, 1010)
 _TRACKING_SEEDS = range(1000, 1024)
 # of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
-LEAST, MOST = 1e-3, 10.0
-_FIRST, EVALUATIONS = 0.01, 40  # where each search begins; how many for each unknown
+LEAST = 1e-3
+MOST = 10.0
+# where each search begins; how many for each unknown
+_FIRST = 0.01
+EVALUATIONS = 40
 # where in sigma_w each unknown stands
-_POSE, _SOIL = [(0, 1), (2,), (3,)], [(4,), (5,)]
+_POSE = [(0, 1), (2,), (3,)]
+_SOIL = [(4,), (5,)]
 UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
 # Its RHE has no noise of its own in the pose, and a shorter window, for the time that a step takes.
-UNKNOWNS["dual"], DUAL = [*_SOIL, (6, 7), (8,), (9,)], dict(estimation_horizon=10)
+UNKNOWNS["dual"] = [*_SOIL, (6, 7), (8,), (9,)]
+DUAL = dict(estimation_horizon=10)
 _NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
 UNKNOWNS |= dict.fromkeys(_NOT_ESTIMATED, _POSE)
 
@@ -69,7 +87,8 @@ def _build_scan(outputs, choice):
     own = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in step.name_in()}
     own = {name: symbol for name, symbol in own.items() if name not in given}
     result = step(**select_inputs(step, own | given))
-    memory, options = own.pop("memory"), {"allow_duplicate_io_names": True}
+    memory = own.pop("memory")
+    options = {"allow_duplicate_io_names": True}
     row = ca.veccat(*(result[name] for name in outputs))
     names = ["memory", "stream", *own], ["memory", "row"]
     signals = [memory, stream, *own.values()], [result["memory"], row]

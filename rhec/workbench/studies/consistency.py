@@ -25,10 +25,20 @@ from rhec.workbench.studies.calibration import SETTLED_S
 from rhec.workbench.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
 
 __all__ = [
-    "ESTIMATORS", "STATES", "Consistency", "bounds", "consistency_table", "innovations",
-    "mean_square_errors", "measure", "normalised", "normalised_squared", "share_inside", "stated",
-    "tune"
-]  # fmt: skip
+    "ESTIMATORS",
+    "STATES",
+    "Consistency",
+    "bounds",
+    "consistency_table",
+    "innovations",
+    "mean_square_errors",
+    "measure",
+    "normalised",
+    "normalised_squared",
+    "share_inside",
+    "stated",
+    "tune",
+]
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
 ESTIMATORS = {  # fields of Scenario; W is printed, by likelihood, or by `tune`
@@ -48,7 +58,8 @@ ESTIMATORS = {  # fields of Scenario; W is printed, by likelihood, or by `tune`
 
 
 # Of NEES, and of the errors of x, y, θ, ν, μ and κ over σ: within the aims of 1.1 and 1.25.
-_BAND, _COST = np.array([1.05] + [1.2] * 6), 20.0
+_BAND = np.array([1.05] + [1.2] * 6)
+_COST = 20.0
 _FIRST = 0.02, 0.02, 0.01, 0.05  # σ of the position, of μ, of κ, and σ_ω, where the search begins
 
 
@@ -72,7 +83,8 @@ def measure(scenario, runs):
     EKFs, on the measurements of `runs`.
     """
     places = [0, 1, 3]  # of x, y and ν, which are measured, among the states
-    R, results = np.diag(np.square(tuning.sigma_v_of(scenario)[:3])), []
+    R = np.diag(np.square(tuning.sigma_v_of(scenario)[:3]))
+    results = []
     for run in runs:
         row = calibration.run_estimator(scenario, run, "estimate", "covariance")
         estimate, covariance = np.split(row, [6], axis=1)
@@ -96,13 +108,16 @@ def stated(run):
         {name: (estimate, its standard deviation, truth, share of samples, settled, in which the
         truth is within two standard deviations)}, arrays (n,); the truth of the error is 0.
     """
-    row, found = calibration.run_estimator(run.scenario, run, "estimate", "covariance"), {}
+    row = calibration.run_estimator(run.scenario, run, "estimate", "covariance")
+    found = {}
     estimate, covariance = np.split(row, [6], axis=1)
     sigma = np.sqrt(np.diagonal(covariance.reshape(-1, 6, 6), axis1=1, axis2=2))
     for name, place in (("theta_rad", 2), ("mu", 4), ("kappa", 5)):
-        value, truth = estimate[:, place], run.columns[name]
+        value = estimate[:, place]
+        truth = run.columns[name]
         if name == "theta_rad":
-            value, truth = value - truth, 0 * truth
+            value = value - truth
+            truth = 0 * truth
         inside = np.abs(value - truth) <= 2 * sigma[:, place]
         found[name] = value, sigma[:, place], truth, inside[run.columns["t_s"] >= SETTLED_S].mean()
     return found

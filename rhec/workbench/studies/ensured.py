@@ -30,7 +30,8 @@ ESTIMATORS = {
     "traction oracle": dict(estimator="traction_oracle"),
     "full oracle": dict(estimator="oracle"),
 }
-CONSTANT, CAUTIOUS = "constant", "cautious"
+CONSTANT = "constant"
+CAUTIOUS = "cautious"
 # Patches lie where the path turns, and on a row.
 _WET = tuple((x, y, 2.0, 0.7, 0.3) for x, y in ((37.0, 4.0), (15.0, 15.6), (-7.0, 12.0)))
 SOILS = {
@@ -108,9 +109,11 @@ def front(drives, seeds):
         all), n.
     """
     found = _laps([Scenario(seed=seed, **of) for of in drives.values() for seed in seeds])
-    parts, rows = np.split(np.arange(len(found)), len(drives)), []
+    parts = np.split(np.arange(len(found)), len(drives))
+    rows = []
     for labels, part in zip(drives, parts):
-        own, named = found.iloc[part], dict(zip(("soil", "estimator", "mode", "set_mps"), labels))
+        own = found.iloc[part]
+        named = dict(zip(("soil", "estimator", "mode", "set_mps"), labels))
         speed = over_seeds(np.mean, own["speed_mps"])
         named |= dict(speed_mps=speed.mean, speed_low=speed.low, speed_high=speed.high)
         for promise, words in PROMISES.items():
@@ -123,8 +126,11 @@ def front(drives, seeds):
 def judged(table, least_share, least_speed_mps):
     """`front`'s table with a verdict each: HOLDS if both the share and the speed are above."""
     said = [
-        verdict(min(row.low - least_share, row.speed_low - least_speed_mps),
-                min(row.high - least_share, row.speed_high - least_speed_mps), above=0)
+        verdict(
+            min(row.low - least_share, row.speed_low - least_speed_mps),
+            min(row.high - least_share, row.speed_high - least_speed_mps),
+            above=0,
+        )
         for row in table.itertuples()
-    ]  # fmt: skip
+    ]
     return table.assign(verdict=said)

@@ -22,9 +22,14 @@ from rhec.workbench.studies import calibration, statistics
 from rhec.workbench.studies.claims import run_sets
 
 __all__ = [
-    "INTERPRETATIONS", "QUANTITIES", "ekf_on_a_straight", "likelihood_profile", "one_at_a_time",
-    "rhe_sigma_kappa", "swept"
-]  # fmt: skip
+    "INTERPRETATIONS",
+    "QUANTITIES",
+    "ekf_on_a_straight",
+    "likelihood_profile",
+    "one_at_a_time",
+    "rhe_sigma_kappa",
+    "swept",
+]
 
 
 def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
@@ -32,7 +37,8 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=
     its gains on position [-] and yaw [rad/m], its yaw's standard deviation [rad], and the time [s]
     in which it corrects a yaw error to 1/e.
     """
-    A, H = np.array([[1, paper.DT_S * pace_mps], [0, 1]]), np.array([[1.0, 0.0]])
+    A = np.array([[1, paper.DT_S * pace_mps], [0, 1]])
+    H = np.array([[1.0, 0.0]])
     V = np.array([[paper.SIGMA_V[0] ** 2]])
     rows = []
     for sigma_x in sigma_x_m:
@@ -51,13 +57,16 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     measurements on a circle (or, at ω = 0, on a straight), for each process noise sigma_kappa of κ
     a sample; the rest of W is printed or calibrated.
     """
-    nu, mu, kappa = paper.SPEED_MPS, 0.9, 0.8
+    nu = paper.SPEED_MPS
+    mu = 0.9
+    kappa = 0.8
     turned = paper.DT_S * kappa * omega_radps * np.arange(samples)
     chord = paper.DT_S * mu * nu * np.sinc(paper.DT_S * kappa * omega_radps / 2 / np.pi)
     heading = (turned + paper.DT_S * kappa * omega_radps / 2)[:-1]
     x, y = (np.cumsum(np.r_[0, chord * along(heading)]) for along in (np.cos, np.sin))
     z = np.column_stack([x, y, np.full(samples, nu), np.full(samples, omega_radps)])
-    found, guess = [], (0.0, 0.0, 0.0, nu, mu, kappa)
+    found = []
+    guess = (0.0, 0.0, 0.0, nu, mu, kappa)
     for sigma in sigma_kappa:
         sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
         estimator = RHE(sigma_w=sigma_w, guess=guess)
@@ -85,14 +94,16 @@ def swept(estimator, process_noise, place, values, seeds):
     place: which of (x and y, θ, ν, μ, κ) it is, x and y moving together; errors count from
     `calibration.SETTLED_S` on. κ's are split by straights and curves.
     """
-    runs, rows = {}, []
+    runs = {}
+    rows = []
     for value, seed in itertools.product(values, range(seeds)):
         sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], place, float(value))
         choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
         run = simulate(Scenario(seed=seed, **choice))
         runs.setdefault(value, run)
         c = run.columns
-        settled, straight = c["t_s"] >= calibration.SETTLED_S, c["on_straight"]
+        settled = c["t_s"] >= calibration.SETTLED_S
+        straight = c["on_straight"]
         kappa = c["kappa_hat"] - c["kappa"]
         row = dict(sigma=value, seed=seed)
         row |= dict(rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]))
@@ -160,9 +171,12 @@ def one_at_a_time(baseline, seeds):
         for estimator, fields in (("rhe", of_both[0]), ("ekf", of_both[-1])):
             given = dict(process_noise=baseline) | fields | dict(estimator=estimator)
             scenarios[name, estimator] = [Scenario(**given, seed=seed) for seed in range(seeds)]
-    runs, found, rows = run_sets.drive(scenarios), {}, []
+    runs = run_sets.drive(scenarios)
+    found = {}
+    rows = []
     for name in asked:
-        rhe, ekf = runs[name, "rhe"], runs[name, "ekf"]
+        rhe = runs[name, "rhe"]
+        ekf = runs[name, "ekf"]
         found[name] = rhe.assign(advantage_m=rhe.mean_error_true_m - ekf.mean_error_true_m)
     usual = found["baseline"]
     found["R14"] = usual.assign(mean_error_m=usual["mean_error_from_start_m"])

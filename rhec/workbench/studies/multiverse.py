@@ -22,9 +22,19 @@ from rhec.workbench.studies.claims import run_sets
 from rhec.workbench.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, share, verdict
 
 __all__ = [
-    "CLAIMS", "FIRST_SEED", "UNKNOWNS", "VARIANTS", "Claim", "correlations", "drive", "in_world",
-    "judge", "sample_parameters", "scenario", "summary"
-]  # fmt: skip
+    "CLAIMS",
+    "FIRST_SEED",
+    "UNKNOWNS",
+    "VARIANTS",
+    "Claim",
+    "correlations",
+    "drive",
+    "in_world",
+    "judge",
+    "sample_parameters",
+    "scenario",
+    "summary",
+]
 
 # name: (least, most, on a logarithmic scale); turn_demand: share of the bound on the yaw rate that
 # the headland asks for at the soil's means
@@ -207,7 +217,8 @@ def judge(runs, n):
     verdicts and of how far the claim is on its side.
     """
     runs = SimpleNamespace(**runs)
-    verdicts, margins = pd.DataFrame(), pd.DataFrame()
+    verdicts = pd.DataFrame()
+    margins = pd.DataFrame()
     for id_, claim in CLAIMS.items():
         measured = np.asarray(claim.measured(runs)).reshape(n, -1)
         verdicts[id_], margins[id_] = zip(*map(in_world, measured))

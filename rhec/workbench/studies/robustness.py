@@ -18,16 +18,29 @@ from rhec.simulation.metrics import settled_samples
 from rhec.workbench.studies.statistics import always, over_seeds
 
 __all__ = [
-    "AFTER_S", "BEFORE_S", "CASES", "FAMILIES", "fault_table", "interval_s", "response", "scenario",
-    "study"
-]  # fmt: skip
+    "AFTER_S",
+    "BEFORE_S",
+    "CASES",
+    "FAMILIES",
+    "fault_table",
+    "interval_s",
+    "response",
+    "scenario",
+    "study",
+]
 
-BEFORE_S, AFTER_S = 10.0, 60.0  # what is looked at around a fault
+# what is looked at around a fault
+BEFORE_S = 10.0
+AFTER_S = 60.0
 _AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""
 # faults begin between these times: the robot has arrived, and drives on for AFTER_S
-_FIRST_S, _LAST_S = 40.0, 130.0
-_BURST_S, _LONG_S, _FROM_START_S = 5.0, 30.0, 120.0
-_DURATIONS_S, _SIZES_M = (1.0, 3.0, 10.0, 30.0), (0.3, 1.0, 3.0, 10.0)
+_FIRST_S = 40.0
+_LAST_S = 130.0
+_BURST_S = 5.0
+_LONG_S = 30.0
+_FROM_START_S = 120.0
+_DURATIONS_S = (1.0, 3.0, 10.0, 30.0)
+_SIZES_M = (0.3, 1.0, 3.0, 10.0)
 _WET = dict(radius_m=3.0, mu=0.9, kappa=0.3)
 
 
@@ -124,7 +137,8 @@ def response(run, begin_s, end_s):
     with μ and κ in [0, 1].
     """
     columns = run.columns
-    t, error = columns["t_s"], columns["error_true_m"]
+    t = columns["t_s"]
+    error = columns["error_true_m"]
     back = t[settled_samples(error)]
     back = back[back >= end_s - 1e-6]
     estimates = ("_hat", "_hat_m", "_hat_rad", "_hat_mps")
@@ -164,11 +178,13 @@ def study(base, seeds, handling, cases=CASES):
         `response`), and the true errors over time, {(family, case, handling): (seeds, samples)},
         from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN beyond.
     """
-    rows, errors = [], {}
+    rows = []
+    errors = {}
     begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
     every = [(family, name, how) for family in cases for name in cases[family] for how in handling]
     for family, name, how in every:
-        case, curves = cases[family][name], []
+        case = cases[family][name]
+        curves = []
         for seed, begin_s in zip(seeds, begins_s):
             troubled = scenario(case, begin_s, replace(base, seed=seed, **handling[how]))
             run = simulate(troubled)

@@ -118,9 +118,12 @@ def scenario_b_table(sweep):
 
 def _of_estimator(about, estimator, column, values):
     """A row on one estimator; a claim where the paper reports none at all."""
-    reported, claim, said = REPORTED.get((estimator, column), ""), "", ""
+    reported = REPORTED.get((estimator, column), "")
+    claim = ""
+    said = ""
     if reported == 0:
-        claim, said = "at most 0", always(values == 0).verdict
+        claim = "at most 0"
+        said = always(values == 0).verdict
     return (
         about
         | _drives(values)

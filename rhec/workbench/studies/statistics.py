@@ -14,13 +14,35 @@ import numpy as np
 from scipy import special
 
 __all__ = [
-    "AS_PRINTED", "CONFIDENCE", "FAILS", "HOLDS", "UNDECIDED", "UNTESTABLE", "Finding", "Interval",
-    "always", "beside", "combined", "coverage", "difference", "difference_of_means", "equal",
-    "mean", "over_seeds", "possible", "ratio", "ratio_of_means", "reported", "root_of_mean",
-    "share", "verdict"
-]  # fmt: skip
+    "AS_PRINTED",
+    "CONFIDENCE",
+    "FAILS",
+    "HOLDS",
+    "UNDECIDED",
+    "UNTESTABLE",
+    "Finding",
+    "Interval",
+    "always",
+    "beside",
+    "combined",
+    "coverage",
+    "difference",
+    "difference_of_means",
+    "equal",
+    "mean",
+    "over_seeds",
+    "possible",
+    "ratio",
+    "ratio_of_means",
+    "reported",
+    "root_of_mean",
+    "share",
+    "verdict",
+]
 
-HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
+HOLDS = "holds"
+FAILS = "does not hold"
+UNDECIDED = "undecided"
 UNTESTABLE = "cannot be tested here"
 AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
 CONFIDENCE = 0.95
@@ -115,8 +137,10 @@ def coverage(statistic, *samples, n=None, trials=4000):
     """How often the interval of n pairs, drawn from these as from all there are, holds the value of
     them all.
     """
-    samples, rng = [np.asarray(sample, dtype=float) for sample in samples], np.random.default_rng(0)
-    truth, held = float(statistic(*samples, axis=-1)), 0
+    samples = [np.asarray(sample, dtype=float) for sample in samples]
+    rng = np.random.default_rng(0)
+    truth = float(statistic(*samples, axis=-1))
+    held = 0
     for _ in range(trials):
         drawn = rng.integers(0, len(samples[0]), n or len(samples[0]))
         low, high = _interval(*_estimate(statistic, [sample[drawn] for sample in samples]))
@@ -147,7 +171,8 @@ def _judged(statistic, samples, above, below):
     """The Finding of a statistic of paired samples."""
     value, error, freedom = _estimate(statistic, samples)
     low, high = _interval(value, error, freedom)
-    said, off = verdict(low, high, above, below), min(abs(value - above), abs(value - below))
+    said = verdict(low, high, above, below)
+    off = min(abs(value - above), abs(value - below))
     p = 2 * special.stdtr(freedom, -off / error) if error else np.nan
     return Finding(value, low, high, freedom + 1, said, above, below, float(p))
 
@@ -182,11 +207,16 @@ def ratio(one, other, above=-np.inf, below=np.inf):
 def share(flags, above=-np.inf, below=np.inf):
     """The share of flags that are true lies between the bounds; interval by Clopper and Pearson."""
     flags = np.asarray(flags, dtype=bool)
-    n, value, low, high, p = len(flags), np.nan, np.nan, np.nan, np.nan
+    n = len(flags)
+    value = np.nan
+    low = np.nan
+    high = np.nan
+    p = np.nan
     if n:
         from scipy import stats  # takes half a second, and most studies never ask for a share
 
-        value, k = flags.mean(), int(flags.sum())
+        value = flags.mean()
+        k = int(flags.sum())
         low, high = stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="exact")
         bound = above if abs(value - above) <= abs(value - below) else below
         if 0 < bound < 1:
@@ -228,7 +258,9 @@ def reported(values, paper):
     The interval is that of single runs, not of their mean; fewer than 40 runs cannot have one.
     """
     near = mean(values, above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
-    low, high, said = np.nan, np.nan, UNDECIDED
+    low = np.nan
+    high = np.nan
+    said = UNDECIDED
     if near.n >= _MIN_SINGLE_RUNS:
         low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
         said = near.verdict if low <= paper <= high else FAILS

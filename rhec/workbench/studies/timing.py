@@ -36,7 +36,8 @@ def phases(scenario, qp):
     controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
     tracker = PathTracker(run.path)
     measurements = run.log[MEASUREMENTS].to_numpy()
-    clock, taken = time.perf_counter_ns, np.empty((len(measurements), 4))
+    clock = time.perf_counter_ns
+    taken = np.empty((len(measurements), 4))
     for k, z in enumerate(measurements):
         begin = clock()
         estimator.prepare()

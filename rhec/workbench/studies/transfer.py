@@ -40,7 +40,9 @@ from rhec.workbench.studies.statistics import over_seeds
 
 __all__ = ["table", "trials"]
 
-_NOISE_M, _YAW_ERROR_RAD, _TUNING_SEED = 0.02, 0.3, 1000
+_NOISE_M = 0.02
+_YAW_ERROR_RAD = 0.3
+_TUNING_SEED = 1000
 _SLIPPING = slipping.SPEED_MODELS["slipping"].model
 _SCORES = dict(
     yaw_rms_rad="yaw RMS [rad]",
@@ -106,16 +108,18 @@ def _of_inputs(model):
 _TRACTION = _of_inputs(OF_THE_PAPER["input"].model)
 _RIVALS = {
     "EKF of (μ, κ)": _Rival(
-        _TRACTION, _traction_settings,
+        _TRACTION,
+        _traction_settings,
         [(0, 1), (2,), (3,), (4, 5), (6,), (7,), (8,), (9,), (10,)],
         lambda half: ([1.0, 1.0], [0.25, 0.25]),
     ),
     "EKF of five ICR parameters": _Rival(
-        ICR, _icr_settings,
+        ICR,
+        _icr_settings,
         [(0, 1), (2,), (3,), (4,), (5, 6), (7,), (8, 9), (10,), (11,)],
         lambda half: ([half, -half, 0.0, 1.0, 1.0], [half, half, 0.1, 0.25, 0.25]),
     ),
-}  # fmt: skip
+}
 
 
 def _build_rival(model):
@@ -124,14 +128,16 @@ def _build_rival(model):
     given = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in step.name_in()}
     told = step(**given)
     row = ca.vertcat(told["estimate"], ca.diag(told["covariance"]), told["deviance"])
-    signals, names = [[*given.values()], [told["memory"], row]], [[*given], ["memory", "row"]]
+    signals = [[*given.values()], [told["memory"], row]]
+    names = [[*given], ["memory", "row"]]
     options = {"allow_duplicate_io_names": True}
     return scan.build_scan(ca.Function("rival", *signals, *names, options))
 
 
 def _parts(log):
     """Half the track width, and each segment's samples with what the rivals measure."""
-    recording, parts = prepare(log), []
+    recording = prepare(log)
+    parts = []
     half = recording.track_width_m / 2
     for segment, rows in recording.rows.groupby("segment"):
         part = resample(rows, paper.DT_S, recording.averaged).assign(segment=segment)
@@ -154,7 +160,8 @@ def _filtered(rival, half, part, sigma):
 
 def _rival(rival, half, parts, sigma):
     """Samples of a rival, with their error ahead."""
-    n, done = len(rival.hats), []
+    n = len(rival.hats)
+    done = []
     for part in parts:
         rows = _filtered(rival, half, part, sigma)
         hats = pd.DataFrame(rows[:, :n], columns=rival.hats)
@@ -162,7 +169,8 @@ def _rival(rival, half, parts, sigma):
             zip(SIGMA[:3], np.sqrt(rows[:, n : n + 3]).T)
         )
         done.append(part.assign(**pose, **hats))
-    samples, unknown = pd.concat(done, ignore_index=True), [*ESTIMATE[3:], *INNOVATION]
+    samples = pd.concat(done, ignore_index=True)
+    unknown = [*ESTIMATE[3:], *INNOVATION]
     samples = samples.assign(**dict.fromkeys(unknown, np.nan), ok=True)
     if rival.model is _TRACTION:
         samples[ESTIMATE[4:]] = samples[["hat_mu", "hat_kappa"]]
@@ -203,7 +211,8 @@ def trials(logs, seeds):
         logs: {name: DataFrame of a recording with its truth}, two or more.
         seeds: of the noise.
     """
-    training, rows = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}, []
+    training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
+    rows = []
 
     def add(log, estimator, tuned, seed, result):
         samples, ahead_m = result
@@ -251,7 +260,8 @@ def _markdown(means):
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "data/recordings")
-    files, n = sorted(folder.glob("*.csv")), int(sys.argv[2]) if len(sys.argv) > 2 else 20
+    files = sorted(folder.glob("*.csv"))
+    n = int(sys.argv[2]) if len(sys.argv) > 2 else 20
     if len(files) < 2:
         sys.exit(f"{folder} has {len(files)} logs, it should have two or more: make recordings")
     result = trials({file.stem: pd.read_csv(file) for file in files}, range(n))

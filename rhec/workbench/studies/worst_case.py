@@ -23,13 +23,22 @@ from rhec.tracked_robot import plant as robot
 __all__ = ["drive", "search"]
 
 _SIGMAS = 2.0  # at level 1
-_ROW_M, _HEADLAND_M = paper.ROW_LENGTH_M, np.pi * paper.HEADLAND_RADIUS_M
+_ROW_M = paper.ROW_LENGTH_M
+_HEADLAND_M = np.pi * paper.HEADLAND_RADIUS_M
 _SIGNS = (-1.0, 1.0)  # of a bound
 _RANGES = dict(
-    mu=_SIGNS, kappa=_SIGNS, patch_mu=_SIGNS, patch_kappa=_SIGNS, patch_radius_m=(0.5, 4.0),
-    patch_s_m=(10.0, _ROW_M + _HEADLAND_M), bump_period_s=(0.4, 20.0), bump_phase=(0.0, 1.0),
-    gnss_period_s=(0.4, 40.0), gnss_phase=(0.0, 1.0), gnss_angle_rad=(0.0, np.pi),
-)  # fmt: skip
+    mu=_SIGNS,
+    kappa=_SIGNS,
+    patch_mu=_SIGNS,
+    patch_kappa=_SIGNS,
+    patch_radius_m=(0.5, 4.0),
+    patch_s_m=(10.0, _ROW_M + _HEADLAND_M),
+    bump_period_s=(0.4, 20.0),
+    bump_phase=(0.0, 1.0),
+    gnss_period_s=(0.4, 40.0),
+    gnss_phase=(0.0, 1.0),
+    gnss_angle_rad=(0.0, np.pi),
+)
 
 
 def drive(base, level, **chosen):
@@ -50,13 +59,14 @@ def drive(base, level, **chosen):
     noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
     ends = np.cumsum([packed_size({name: of}) for name, of in robot.NOISE.items()])
     places = dict(zip(robot.NOISE, np.split(np.arange(ends[-1]), ends[:-1])))
-    t_s, angle = np.arange(len(noise)) * paper.DT_S, chosen["gnss_angle_rad"]
+    t_s = np.arange(len(noise)) * paper.DT_S
+    angle = chosen["gnss_angle_rad"]
     swing = {
-        of: _SIGMAS * level * np.where(
-            (t_s / chosen[f"{of}_period_s"] + chosen[f"{of}_phase"]) % 1 < 0.5, 1.0, -1.0
-        )
+        of: _SIGMAS
+        * level
+        * np.where((t_s / chosen[f"{of}_period_s"] + chosen[f"{of}_phase"]) % 1 < 0.5, 1.0, -1.0)
         for of in ("bump", "gnss")
-    }  # fmt: skip
+    }
     noise[:, places["bump"]] = swing["bump"][:, None]
     noise[:, places["white"]] = np.outer(swing["gnss"], [np.cos(angle), np.sin(angle)])
     functions = compiled.load(build_sample, *setup.structure)
@@ -74,7 +84,8 @@ def search(levels, seed=0, evaluations=100, **fields):
     """
     longest_s = 1.3 * (_ROW_M + _HEADLAND_M) / (paper.SPEED_MPS * Scenario.mu_mean)
     given = dict(duration_s=longest_s, start_offset_m=0.0, seed=seed)
-    base, rows = Scenario(**given | fields), []
+    base = Scenario(**given | fields)
+    rows = []
 
     def error_m(values, level):
         columns = drive(base, level, **dict(zip(_RANGES, values))).columns
@@ -83,9 +94,15 @@ def search(levels, seed=0, evaluations=100, **fields):
     for level in levels:
         members = 2 * len(_RANGES)
         found = optimize.differential_evolution(
-            error_m, [*_RANGES.values()], args=(level,), popsize=2, polish=False, tol=0,
-            maxiter=max(1, evaluations // members - 1), rng=np.random.default_rng(seed),
-        )  # fmt: skip
+            error_m,
+            [*_RANGES.values()],
+            args=(level,),
+            popsize=2,
+            polish=False,
+            tol=0,
+            maxiter=max(1, evaluations // members - 1),
+            rng=np.random.default_rng(seed),
+        )
         rows.append(dict(level=level, worst_m=-found.fun, drives=found.nfev, seed=seed))
         rows[-1] |= dict(zip(_RANGES, found.x.tolist()))
     return pd.DataFrame(rows)

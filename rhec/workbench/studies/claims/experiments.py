@@ -38,9 +38,18 @@ from rhec.workbench.studies.claims.run_sets import PROCESS_NOISES, each
 from rhec.workbench.studies.live_loop import LiveRobot
 
 __all__ = [
-    "all_of", "gains", "kkt_tolerances", "live", "lowest_traction", "models", "of_estimators",
-    "reached_s", "run_with_given_arrival", "steps_in_time", "with_given_arrival"
-]  # fmt: skip
+    "all_of",
+    "gains",
+    "kkt_tolerances",
+    "live",
+    "lowest_traction",
+    "models",
+    "of_estimators",
+    "reached_s",
+    "run_with_given_arrival",
+    "steps_in_time",
+    "with_given_arrival",
+]
 
 
 # The arrival cost
@@ -58,7 +67,8 @@ def with_given_arrival():
     arrival covariance (36,) behind it.
     """
     window = _window()
-    phases, kind = rhe.build_phases(window, model.QUANTITIES), compiled.loop_symbols()
+    phases = rhe.build_phases(window, model.QUANTITIES)
+    kind = compiled.loop_symbols()
     shapes = dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 1), P_given=(6, 6), constant=(1, 1))
 
     @with_packed_memory("given_arrival", window.memory, kind, **shapes)
@@ -137,7 +147,11 @@ def live(scenario, iterations):
     Returns the true distance to the path (n,) [m], the time RHE and RHC took (n,) [s], and of each
     sample the RHC's problem, as `RHC.feedback` takes it, and the command [rad/s].
     """
-    robot, taken, problems, commands, positions = LiveRobot(scenario), [], [], [], []
+    robot = LiveRobot(scenario)
+    taken = []
+    problems = []
+    commands = []
+    positions = []
     estimator = RHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
     controller = RHC(q=scenario.q, r=scenario.r)
     tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
@@ -168,7 +182,9 @@ def _off_converged(scenario, problems, commands):
     """
     unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(2))
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
-    guess, cold, converged = set_up(scenario).guess, [], []
+    guess = set_up(scenario).guess
+    cold = []
+    converged = []
     previous = guess[:3], guess[3:]
     for problem in problems:
         exact.prepare()
@@ -215,9 +231,12 @@ def lowest_traction(process_noise, most=400):
 
     options = dict(popsize=3, polish=False, rng=np.random.default_rng(0), tol=0)
     optimize.differential_evolution(
-        lowest, [*ranges.values()], maxiter=most // (3 * len(ranges)),
-        callback=lambda _, convergence: min(row["lowest"] for row in rows) < 0, **options,
-    )  # fmt: skip
+        lowest,
+        [*ranges.values()],
+        maxiter=most // (3 * len(ranges)),
+        callback=lambda _, convergence: min(row["lowest"] for row in rows) < 0,
+        **options,
+    )
     return pd.DataFrame(rows)
 
 
@@ -249,7 +268,8 @@ def kkt_tolerances(n=100):
     """
     rows = []
     for speed, mu, kappa, offset in _draw_states(n):
-        problem, row = ((0.0, offset, offset), (speed, mu, kappa), *_straight_ahead(speed, mu)), {}
+        problem = ((0.0, offset, offset), (speed, mu, kappa), *_straight_ahead(speed, mu))
+        row = {}
         for name, q in {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}.items():
             for place, count in {"reported": 1, "after the step": 2}.items():
                 controller = RHC(q=q)
@@ -263,7 +283,9 @@ def gains(n=100):
     """How strongly the converged RHC answers a small offset from a straight path, |∂ω/∂y|
     [rad/s/m], with R = 10 and with a hundredth of it.
     """
-    rows, weights, offset_m = [], {"large_r": paper.R, "small_r": paper.R / 100}, 1e-4
+    rows = []
+    weights = {"large_r": paper.R, "small_r": paper.R / 100}
+    offset_m = 1e-4
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
         rows.append({name: abs(RHC(r=r).solve(*problem)) / offset_m for name, r in weights.items()})
@@ -274,7 +296,8 @@ def models(n=100):
     """The system model at random states: |f(0, 0, p)| [m/s], how far rk4 without slip is from the
     unicycle's own motion [m], and the speed across its heading [m/s].
     """
-    rng, rows = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    rows = []
     for speed, mu, kappa, _ in _draw_states(n):
         pose = rng.uniform(-3, 3, 3)
         omega = rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)
@@ -315,7 +338,8 @@ def all_of(seeds):
     exact = dict(kkt=kkt_tolerances, gains=gains, models=models, times=steps_in_time)
     searches = [partial(lowest_traction, noise) for noise in PROCESS_NOISES]
     found = each(operator.call, [*searches, *exact.values()])
-    searched, independent = zip(PROCESS_NOISES, found), dict(zip(exact, found[len(searches) :]))
+    searched = zip(PROCESS_NOISES, found)
+    independent = dict(zip(exact, found[len(searches) :]))
     return {
         noise: independent | of_estimators(seeds, noise) | dict(search=search)
         for noise, search in searched

@@ -50,12 +50,21 @@ from rhec.workbench.studies.statistics import (
 )
 
 __all__ = [
-    "CLAIMS", "ONE_WAY", "Claim", "collect_evidence", "counts", "coverages", "ledger", "outcomes",
+    "CLAIMS",
+    "ONE_WAY",
+    "Claim",
+    "collect_evidence",
+    "counts",
+    "coverages",
+    "ledger",
+    "outcomes",
     "survivors",
-]  # fmt: skip
+]
 
-_RELIABLE, _USUAL = 0.95, 0.5
-_CALIBRATED, _SIGNS = "W calibrated", dict(above=">", below="<")
+_RELIABLE = 0.95
+_USUAL = 0.5
+_CALIBRATED = "W calibrated"
+_SIGNS = dict(above=">", below="<")
 _PAIRS = ("rhe", "ekf"), ("rhe", "no_slip"), ("fixed_traction", "rhe"), ("q3", "q2")
 
 
@@ -177,10 +186,13 @@ _BESIDE_M = (
 ) / 2
 _PHASES_MS = sum(paper.TABLE_1_MS[column][1] for column in timing.PHASES)
 _SUMMED_MS = [  # of each problem, minimum and maximum: the sum of the two phases, and overall
-    (sum(paper.TABLE_1_MS[problem, phase][at] for phase in ("preparation", "feedback")),
-     paper.TABLE_1_MS[problem, "overall"][at])
-    for problem in ("RHE", "RHC") for at in (0, 2)
-]  # fmt: skip
+    (
+        sum(paper.TABLE_1_MS[problem, phase][at] for phase in ("preparation", "feedback")),
+        paper.TABLE_1_MS[problem, "overall"][at],
+    )
+    for problem in ("RHE", "RHC")
+    for at in (0, 2)
+]
 _W_MEASURED, _W_UNMEASURED = (np.take(paper.SIGMA_W_RHE, at) for at in ([0, 1, 3], [2, 4, 5]))
 
 
@@ -662,7 +674,8 @@ _SENTENCES = {
 
 def _by_id(sentences):
     """{id: Claim} of {"id sentence": Claim}, each with its sentence and section."""
-    claims, section = {}, ""
+    claims = {}
+    section = ""
     starts = dict(each.split(" ", 1) for each in _SECTIONS.split(", "))
     for key, claim in sentences.items():
         id_, sentence = key.split(" ", 1)
@@ -678,7 +691,8 @@ def collect_evidence(seeds, folder=None):
     """All the evidence, {process noise: {"runs", "logs", "experiments"}}, with at most this many
     fields a label. folder: where the campaign's rows are kept.
     """
-    runs, logs = run_sets.runs(seeds, folder=folder), run_sets.logs(seeds)
+    runs = run_sets.runs(seeds, folder=folder)
+    logs = run_sets.logs(seeds)
     parts = dict(runs=runs, logs=logs, experiments=experiments.all_of(seeds))
     return {
         process_noise: {name: part[process_noise] for name, part in parts.items()}

@@ -24,9 +24,21 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
 __all__ = [
-    "LOGS", "LOOK_AHEAD_M", "PROCESS_NOISES", "RUNS", "WORLDS", "complete", "drive", "each",
-    "lag_s", "logs", "measured", "of_runs", "runs", "scenarios"
-]  # fmt: skip
+    "LOGS",
+    "LOOK_AHEAD_M",
+    "PROCESS_NOISES",
+    "RUNS",
+    "WORLDS",
+    "complete",
+    "drive",
+    "each",
+    "lag_s",
+    "logs",
+    "measured",
+    "of_runs",
+    "runs",
+    "scenarios",
+]
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
@@ -53,7 +65,8 @@ def _dead_reckoning(process_noise):
     """An estimator (memory, z) -> (memory, estimate) without an estimate of the yaw: that is the
     encoders' yaw rate summed up from the start, position and speed are as measured, no slip.
     """
-    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    memory = ca.SX.sym("memory", 6)
+    z = ca.SX.sym("z", 4)
     estimate = ca.vertcat(z[:2], memory[2] + paper.DT_S * z[3], z[2], 1, 1)
     options = {"allow_duplicate_io_names": True}
     return ca.Function("dead_reckoned", [memory, z], [estimate, estimate], options)
@@ -172,7 +185,8 @@ def complete(table):
     """Metrics with nothing missing: a robot that never arrives has used up all its time, and
     `arrived` says so. RuntimeError if a run failed.
     """
-    failed, settling = table["error"][table["error"] != ""], table["settling_time_s"]
+    failed = table["error"][table["error"] != ""]
+    settling = table["settling_time_s"]
     if len(failed):
         first = failed.iloc[0]
         raise RuntimeError(f"{len(failed)} of {len(table)} runs failed, the first with: {first}")
@@ -220,12 +234,17 @@ def _applied(task):
 
 def measured(run):
     """Metrics of a run and what only its log shows; SI units. "Late" is its second half."""
-    c, scenario = SimpleNamespace(**run.columns), run.scenario
+    c = SimpleNamespace(**run.columns)
+    scenario = run.scenario
     arrived = not np.isnan(run.metrics["settling_time_s"])
     settling_time_s = run.metrics["settling_time_s"] if arrived else scenario.duration_s
-    driving, late = c.t_s >= 5.0, c.t_s >= scenario.duration_s / 2  # speed loops start for 5 s
-    before, after = c.t_s <= settling_time_s, c.t_s >= settling_time_s
-    both, peak_radps = np.concatenate([c.mu_hat, c.kappa_hat]), np.abs(c.omega_cmd_radps).max()
+    # speed loops start for 5 s
+    driving = c.t_s >= 5.0
+    late = c.t_s >= scenario.duration_s / 2
+    before = c.t_s <= settling_time_s
+    after = c.t_s >= settling_time_s
+    both = np.concatenate([c.mu_hat, c.kappa_hat])
+    peak_radps = np.abs(c.omega_cmd_radps).max()
     _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
     poses, curvature = run.path.poses(s)
     x_m, y_m, theta_rad = poses.T
