@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from rhec.core.estimator.rhe import RHE
     from rhec.core.model.base import Model
     from rhec.embedded import export
-    from rhec.extensions.faults import Fault
     from rhec.logs.calibration import calibrate
     from rhec.logs.replay import replay
     from rhec.simulation.campaigns.campaign import campaign
     from rhec.simulation.closed_loop import Run, simulate
+    from rhec.simulation.faults import Fault
     from rhec.simulation.scenario import Scenario
     from rhec.tracked_robot.path import Path
     from rhec.tracked_robot.references import PathTracker
@@ -37,7 +37,7 @@ __version__ = "0.2.0"
 _HOME = {
     "EKF": "core.estimator.ekf",
     "Explorer": "workbench.explorer.explorer",
-    "Fault": "extensions.faults",
+    "Fault": "simulation.faults",
     "Model": "core.model.base",
     "Path": "tracked_robot.path",
     "PathTracker": "tracked_robot.references",

@@ -18,10 +18,9 @@ import numpy as np
 
 from rhec import paper
 from rhec.core._casadi import compiled, scan
-from rhec.extensions import faults
-from rhec.extensions.faults import Fault
-from rhec.simulation import closed_loop
+from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS, COMMAND, ESTIMATE, TRUTH
+from rhec.simulation.faults import Fault
 from rhec.simulation.scenario import Scenario
 
 LEG = 1500  # samples

@@ -18,9 +18,9 @@ from rhec.core.estimator.rhe import build_phases as build_estimator
 from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.pivoting import MAX_SWEEPS
-from rhec.extensions.cautious import build_speed
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path
+from rhec.tracked_robot.cautious import build_speed
 from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references

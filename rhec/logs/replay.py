@@ -24,7 +24,6 @@ from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
 from rhec.extensions import slipping
-from rhec.extensions.faults import corrupted
 from rhec.logs.lost import is_lost, remarks
 from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.recording import measured_since, prepare, prepare_for, resample
@@ -39,6 +38,7 @@ from rhec.simulation.columns import (
     MEASUREMENTS,
     SIGMA,
 )
+from rhec.simulation.faults import corrupted
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.estimators import NAMES, Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS

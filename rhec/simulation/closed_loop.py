@@ -18,13 +18,13 @@ from rhec.core._casadi import build, compiled, scan
 from rhec.core._casadi.validation import shown
 from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
-from rhec.extensions import cautious, faults
+from rhec.simulation import faults
 from rhec.simulation.columns import COLUMNS, FLAGS, LOG
 from rhec.simulation.metrics import metrics
 from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import cautious, terrain
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import rhc as paper_rhc
-from rhec.tracked_robot import terrain
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path

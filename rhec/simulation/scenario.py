@@ -7,7 +7,7 @@ from pydantic import Field
 
 from rhec import paper
 from rhec.core._casadi import validation as valid
-from rhec.extensions.faults import Fault
+from rhec.simulation.faults import Fault
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, Choice, estimator_of
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
@@ -56,7 +56,7 @@ class Scenario:
         qp                 "structured": by Riccati recursion, the fastest at every horizon; or the
                            condensed QP by "daqp" or "qpoases" (the paper's; on the virtual machine)
         cautious           slow down where the estimate is unsure, or a curve asks for more yaw rate
-                           than the soil gives (`rhec.extensions.cautious`), by that many standard
+                           than the soil gives (`rhec.tracked_robot.cautious`), by that many standard
         caution            deviations of the estimate
     The drive
         speed_mps, duration_s, backwards   set speed, length of the run, λ = 1 of eq. (18)

@@ -23,9 +23,9 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import pack_array, select_inputs
 from rhec.core.controller import rhc
 from rhec.embedded import LOG, phases
-from rhec.extensions import cautious
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import MEASUREMENTS
+from rhec.tracked_robot import cautious
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references

@@ -19,8 +19,7 @@ from nbformat import v4
 
 import rhec
 from rhec import paper
-from rhec.extensions import faults
-from rhec.simulation import closed_loop
+from rhec.simulation import closed_loop, faults
 from rhec.tracked_robot.rhc import PaperRHC
 from rhec.tracked_robot.rhe import PaperRHE
 from rhec.workbench import notebook

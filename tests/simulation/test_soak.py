@@ -12,8 +12,7 @@ import pytest
 import soak
 
 import rhec
-from rhec.extensions import faults
-from rhec.simulation import closed_loop
+from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS
 
 BASE = rhec.Scenario(robust=True)

@@ -5,11 +5,10 @@ import pandas as pd
 import pytest
 from test_replay import recorded
 
-from rhec.extensions import icr
 from rhec.logs import scores
 from rhec.logs.replay import predictor
 from rhec.tracked_robot.kinematics import SPEED_MODELS
-from rhec.workbench.studies import transfer
+from rhec.workbench.studies import icr, transfer
 
 
 def test_equal_tracks_and_a_centre_at_the_antenna_are_the_papers_model():

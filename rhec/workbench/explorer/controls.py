@@ -8,7 +8,7 @@ import math
 from dataclasses import fields
 from typing import NamedTuple
 
-from rhec.extensions.faults import Fault
+from rhec.simulation.faults import Fault
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import ROBUST_NAMES, Choice, estimator_of

@@ -18,8 +18,7 @@ import numpy as np
 
 from rhec import paper
 from rhec.core._casadi.build import packed_size
-from rhec.extensions import faults
-from rhec.simulation import closed_loop
+from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, tuning

@@ -9,8 +9,7 @@ import numpy as np
 
 from rhec.core._casadi.build import packed_size
 from rhec.core._casadi.c_text import generate_c
-from rhec.extensions import faults
-from rhec.simulation import closed_loop
+from rhec.simulation import closed_loop, faults
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, terrain
 

@@ -4,7 +4,7 @@ Each log is taken at 5 Hz, with white noise on its positions and a first yaw tha
 every noise seed; the first metres do not count (`rhec.logs.scores`). All are tuned without truth,
 with a noise seed that no trial has: on the same log, or on the others, in the geometric mean of
 what each gave. The RHE's numbers are those of `rhec.calibrate` or those shipped (`tuning.SLIP`).
-Its rivals, an EKF with (μ, κ) as states and one with the five parameters of `rhec.extensions.icr`,
+Its rivals, an EKF with (μ, κ) as states and one with the five parameters of `rhec.workbench.studies.icr`,
 both with noise in proportion to the inputs, are tuned by the likelihood of their innovations, with
 as many evaluations for each unknown as all in `rhec.workbench.studies.calibration`.
 
@@ -28,7 +28,6 @@ from rhec.core.estimator import ekf
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model
 from rhec.extensions import slipping
-from rhec.extensions.icr import ICR
 from rhec.logs import scores
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare, resample
@@ -36,6 +35,7 @@ from rhec.logs.replay import predictor
 from rhec.simulation.columns import ESTIMATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
 from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
 from rhec.workbench.studies.calibration import search
+from rhec.workbench.studies.icr import ICR
 from rhec.workbench.studies.statistics import over_seeds
 
 __all__ = ["table", "trials"]

@@ -12,9 +12,8 @@ from oracles import flat
 
 import rhec
 from rhec import paper
-from rhec.extensions import faults
-from rhec.extensions.faults import Fault
-from rhec.simulation import closed_loop
+from rhec.simulation import closed_loop, faults
+from rhec.simulation.faults import Fault
 from rhec.workbench.plots.faults import fault_courses, fault_overview
 from rhec.workbench.studies import robustness
 

@@ -9,7 +9,7 @@ from oracles import flat
 import rhec
 from rhec import paper
 from rhec.core._casadi.compiled import BufferedFunction
-from rhec.extensions import cautious
+from rhec.tracked_robot import cautious
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.workbench.studies.live_loop import LiveRobot
 
