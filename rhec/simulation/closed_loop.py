@@ -2,13 +2,12 @@
 
     noise_k ─► robot ─ z_k ─► estimator ─ ξ̂, p̂ ─► path ─ ξ_r, ω_r ─► controller ─ ω ─► robot …
 
-Every tuning is an argument of the Function, so that changing a weight compiles nothing; only what
-changes its shape does.
+Every tuning parameter is an argument of the Function, so that a change of a weight compiles
+nothing. What changes the shape of the Function is in `LoopStructure`.
 """
 
-import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,6 +20,7 @@ from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
 from rhec.simulation.columns import COLUMNS, FLAGS, LOG
 from rhec.simulation.metrics import metrics
+from rhec.simulation.run import Run
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import cautious, terrain
 from rhec.tracked_robot import plant as robot
@@ -31,10 +31,8 @@ from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.terrain import Terrain
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 __all__ = [
+    "LoopStructure",
     "Run",
     "Setup",
     "build_sample",
@@ -47,7 +45,7 @@ __all__ = [
 ]
 
 
-class _LoopStructure(NamedTuple):
+class LoopStructure(NamedTuple):
     """What decides the shape of the loop's Function, and so what is compiled."""
 
     estimator: Choice
@@ -56,151 +54,243 @@ class _LoopStructure(NamedTuple):
     input_reference: str
     n_segments: int
     terrain_shape: tuple[int, int]
-    faulty: bool  # sensors with faults: what is not there costs nothing
+    faulty: bool  # whether sensors have faults: without, their code is left out
     cautious: bool
 
 
-def known_traction(given, field_mean, true):
-    """The traction (2,) that an estimator is told, by its Estimator.given."""
-    return {"field mean": field_mean, "true traction": true}.get(given, np.ones(2))
+class _Parts(NamedTuple):
+    """The Functions that a sample calls, in this order."""
+
+    slip: ca.Function
+    measure: ca.Function
+    deliver: ca.Function | None  # None where sensors have no faults
+    estimate: ca.Function
+    references: ca.Function
+    control: ca.Function
+    drive: ca.Function
 
 
-def build_sample(*structure):
-    """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), as a scan."""
-    structure = _LoopStructure(*structure)
-    choice = Choice(*structure.estimator)
-    given = estimator_of(choice.estimator).given
-    measure = robot.measure(paper.DT_S)
-    drive = robot.drive(paper.DT_S)
-    estimate_step = build_step(choice)
-    references = build_references(
-        paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
-    )["references"]
+def _build_parts(structure):
+    choice = structure.estimator
     horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
     control = rhc.build_phases(horizon)["step"]
     if structure.cautious:
         states = estimator_of(choice.estimator, choice.robust).states(choice)
         control = cautious.build_step(control, states, structure.n_segments, paper.DT_S)
-    slip = terrain.lookup(structure.terrain_shape)
-    deliver = faults.deliver()
-    limits = SPEED_MODELS["parameter"].model.limits
-    sensors = faults.MEMORY if structure.faulty else {}
-    stream = robot.NOISE | (faults.STREAM if structure.faulty else {})
-
-    one = (1, 1)
-    three = (3, 1)
-    own = dict(estimator=(estimate_step.numel_in(0), 1), s=one, command=one)
-    own |= dict(controller=(control.numel_in(0), 1))
-    memory = robot.MEMORY | own | sensors
-    settings = (
-        robot.SENSORS
-        | robot.BODY
-        | dict(
-            segments=(5, structure.n_segments),
-            period_m=one,
-            look_ahead_m=one,
-            backwards=one,
-            Q=three,
-            QN=three,
-            R=one,
-            lower=one,
-            upper=one,
-            caution=one,
-            speed_mps=one,
-            command_delay=one,
-            origin_m=(2, 1),
-            cell_m=one,
-            slip=(slip.numel_in("slip"), 1),
-            mean_traction=(2, 1),
-        )
+    references = build_references(
+        paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
     )
-    settings |= {
-        name: estimate_step.size_in(name)
-        for name in estimate_step.name_in()[2:]
+    return _Parts(
+        slip=terrain.lookup(structure.terrain_shape),
+        measure=robot.measure(paper.DT_S),
+        deliver=faults.deliver() if structure.faulty else None,
+        estimate=build_step(choice),
+        references=references["references"],
+        control=control,
+        drive=robot.drive(paper.DT_S),
+    )
+
+
+def _memory_shapes(parts):
+    """Shapes of what one sample hands to the next."""
+    return (
+        robot.MEMORY
+        | dict(
+            estimator=(parts.estimate.numel_in(0), 1),
+            s=(1, 1),
+            command=(1, 1),
+            controller=(parts.control.numel_in(0), 1),
+        )
+        | (faults.MEMORY if parts.deliver else {})
+    )
+
+
+def _settings_shapes(parts, n_segments):
+    """Shapes of the arguments that stay the same over a run."""
+    one = (1, 1)
+    settings = dict(
+        segments=(5, n_segments),
+        period_m=one,
+        look_ahead_m=one,
+        backwards=one,
+        Q=(3, 1),
+        QN=(3, 1),
+        R=one,
+        lower=one,
+        upper=one,
+        caution=one,
+        speed_mps=one,
+        command_delay=one,
+        origin_m=(2, 1),
+        cell_m=one,
+        slip=(parts.slip.numel_in("slip"), 1),
+        mean_traction=(2, 1),
+    )
+    tuning = {
+        name: parts.estimate.size_in(name)
+        for name in parts.estimate.name_in()[2:]
         if name not in ("truth", "traction")
     }
+    return robot.SENSORS | robot.BODY | settings | tuning
 
-    @build.with_packed_memory(
-        "sample", memory, ca.MX, noise=(build.packed_size(stream), 1), **settings
-    )
-    def sample(pose, tracks, estimator, s, controller, command, noise, **settings):
-        known = settings | build.unpack(noise, stream) | dict(pose=pose, tracks=tracks)
-        traction = slip(pose[:2], settings["origin_m"], settings["cell_m"], settings["slip"])
-        nu, omega = robot.body_speeds(tracks, settings["track_width_m"])
-        truth = ca.vertcat(pose, nu, traction)
 
-        measured = measure(**build.select_inputs(measure, known))
-        if structure.faulty:
-            measured |= deliver(**build.select_inputs(deliver, known | measured))
-        z = measured["z"]
-        valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
+def build_sample(*structure):
+    """The closed loop as a scan.
 
-        told = known_traction(given, settings["mean_traction"], traction)
-        known |= dict(truth=truth, traction=told)
-        inputs = [estimator, z] + [known[name] for name in estimate_step.name_in()[2:]]
-        names = ["memory", "estimate", *estimate_step.name_out()[2:]]
-        outputs = dict(zip(names, estimate_step.call(inputs)))
-        estimate = outputs["estimate"]
+    Args:
+        structure: The entries of a LoopStructure.
 
-        accepted = outputs.get("accepted", ca.vertcat(*valid))
-        target = references(
-            **build.select_inputs(references, settings),
-            s=s,
-            estimate=estimate,
-            omega_measured=ca.if_else(accepted[3], z[3], command),
-        )
-        planned = control(
-            **build.select_inputs(control, settings | outputs | target | dict(memory=controller)),
-            s_0=estimate,
-            x_ref=target["xi_ref"],
-            u_ref=target["omega_ref"],
-        )
-        newest = planned["command"]
-        # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
-        applied = ca.if_else(settings["command_delay"], command, newest)
+    Returns:
+        {name: Function} of `scan.build_scan`: one sample (memory, noise, settings …) -> (memory,
+        row, …) and a block of samples.
+    """
+    structure = LoopStructure(*structure)
+    structure = structure._replace(estimator=Choice(*structure.estimator))
+    given = estimator_of(structure.estimator.estimator).given
+    parts = _build_parts(structure)
+    memory = _memory_shapes(parts)
+    settings = _settings_shapes(parts, structure.n_segments)
+    stream = robot.NOISE | (faults.STREAM if structure.faulty else {})
+    shapes = dict(noise=(build.packed_size(stream), 1)) | settings
 
-        applied = dict(traction=traction, omega_radps=applied)
-        driven = drive(**build.select_inputs(drive, known | planned | applied))
-        nan = ca.DM.nan(1)
-        row = dict(
-            truth=truth,
-            omega=omega,
-            z=z,
-            estimate=estimate,
-            command=newest,
-            s=target["s"],
-            curvature=target["curvature"],
-            kkt_rhe=outputs.get("kkt", nan),
-            kkt_rhc=planned["kkt"],
-            deviance=outputs.get("deviance", nan),
-            ok=ca.fmin(outputs.get("ok", 1), planned["ok"]),
-            accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
-            restart=outputs.get("restart", ca.DM(0)),
-        )
-        return dict(
-            row=ca.vertcat(*(row[name] for name in LOG)),
+    @build.with_packed_memory("sample", memory, ca.MX, **shapes)
+    def sample(noise, **signals):
+        signals = signals | build.unpack(noise, stream)
+        truth, omega = _truth(parts, signals)
+        measured = _measured(parts, signals)
+        estimated = _estimated(parts, signals, measured["z"], truth, given)
+        target = _target(parts, signals, measured["z"], estimated)
+        planned = _planned(parts, signals, estimated, target)
+        driven = _driven(parts, signals, planned, truth)
+        row = dict(truth=truth, omega=omega, z=measured["z"]) | _row(estimated, target, planned)
+        following = dict(
             drift=measured["drift"],
             s=target["s"],
-            covariance=outputs.get("covariance", nan),
-            estimator=outputs["memory"],
-            command=newest,
+            covariance=estimated["covariance"],
+            estimator=estimated["memory"],
+            command=planned["command"],
             controller=planned["memory"],
-            **driven,
-            **{name: measured[name] for name in sensors},
         )
+        stored = {name: measured[name] for name in memory if name in faults.MEMORY}
+        return dict(row=ca.vertcat(*(row[name] for name in LOG))) | following | driven | stored
 
     return scan.build_scan(sample)
 
 
+def _call(function, signals, **others):
+    """Results by name of a Function that finds its inputs among these, `others` first."""
+    return function(**build.select_inputs(function, signals | others))
+
+
+def _truth(parts, signals):
+    """The state (x, y, θ, ν, μ, κ) of the robot, and its tracks' yaw rate ω."""
+    pose = signals["pose"]
+    traction = parts.slip(pose[:2], signals["origin_m"], signals["cell_m"], signals["slip"])
+    nu, omega = robot.body_speeds(signals["tracks"], signals["track_width_m"])
+    return ca.vertcat(pose, nu, traction), omega
+
+
+def _measured(parts, signals):
+    """The measurement z that arrives, and what the sensors hand to the next sample."""
+    measured = _call(parts.measure, signals)
+    if parts.deliver:
+        measured |= _call(parts.deliver, signals | measured)
+    return measured
+
+
+def _estimated(parts, signals, z, truth, given):
+    """The estimator's results, with NaN or a default for those that it does not have."""
+    limits = SPEED_MODELS["parameter"].model.limits
+    is_valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
+    signals = signals | dict(
+        truth=truth, traction=known_traction(given, signals["mean_traction"], truth[4:])
+    )
+    nan = ca.DM.nan(1)
+    defaults = dict(
+        covariance=nan,
+        kkt=nan,
+        deviance=nan,
+        ok=1,
+        accepted=ca.vertcat(*is_valid),
+        restart=ca.DM(0),
+    )
+    return defaults | _call_estimator(parts.estimate, signals["estimator"], z, signals)
+
+
+def _call_estimator(step, memory, z, signals):
+    """Results by name of a step (memory, z, settings …) -> (memory, estimate, …).
+
+    A user's own step may call its memory, measurement and estimate as it likes, so these go by
+    their places; everything else goes by name.
+    """
+    settings = [signals[name] for name in step.name_in()[2:]]
+    names = ["memory", "estimate", *step.name_out()[2:]]
+    return dict(zip(names, step.call([memory, z, *settings])))
+
+
+def _target(parts, signals, z, estimated):
+    """The references ξ_r, ω_r on the path, eq. (17)-(18)."""
+    omega_measured = ca.if_else(estimated["accepted"][3], z[3], signals["command"])
+    estimate = estimated["estimate"]
+    return _call(parts.references, signals, estimate=estimate, omega_measured=omega_measured)
+
+
+def _planned(parts, signals, estimated, target):
+    """The controller's results: the newest command, its memory, and how well it solved its QP."""
+    return _call(
+        parts.control,
+        signals | estimated | target,
+        memory=signals["controller"],
+        s_0=estimated["estimate"],
+        x_ref=target["xi_ref"],
+        u_ref=target["omega_ref"],
+    )
+
+
+def _driven(parts, signals, planned, truth):
+    """The robot's memory after one sample with the command."""
+    # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
+    applied = ca.if_else(signals["command_delay"], signals["command"], planned["command"])
+    return _call(parts.drive, signals | planned, traction=truth[4:], omega_radps=applied)
+
+
+def _row(estimated, target, planned):
+    """The parts of a row of the log that estimator, path and controller yield."""
+    accepted = estimated["accepted"]
+    return dict(
+        estimate=estimated["estimate"],
+        command=planned["command"],
+        s=target["s"],
+        curvature=target["curvature"],
+        kkt_rhe=estimated["kkt"],
+        kkt_rhc=planned["kkt"],
+        deviance=estimated["deviance"],
+        ok=ca.fmin(estimated["ok"], planned["ok"]),
+        accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
+        restart=estimated["restart"],
+    )
+
+
+def known_traction(given, field_mean, true):
+    """The traction (2,) that an estimator is given, by its Estimator.given."""
+    return {"field mean": field_mean, "true traction": true}.get(given, np.ones(2))
+
+
 @dataclass(frozen=True)
 class Setup:
-    """A scenario turned into arrays: loop structure, first memory, settings, path and terrain.
+    """A scenario turned into arrays.
 
-    layout: shapes of the memory's pieces by name; of estimator and controller, of theirs. guess:
-    (x, y, θ, ν, μ, κ), the estimator's first.
+    Attributes:
+        structure: What decides the shape of the loop's Function.
+        memory: The first memory, packed.
+        layout: Shapes of the memory's pieces by name; of estimator and controller, of theirs.
+        settings: The arguments that stay the same over the run, by name.
+        path: The path to follow.
+        terrain: The traction of the soil.
+        guess: (x, y, θ, ν, μ, κ), the estimator's first.
     """
 
-    structure: _LoopStructure
+    structure: LoopStructure
     memory: np.ndarray
     layout: dict
     settings: dict
@@ -209,110 +299,113 @@ class Setup:
     guess: np.ndarray
 
     def unpack(self, memory):
-        """A memory's arrays by name, those of estimator and controller in dicts of their own."""
+        """A memory's arrays by name; those of estimator and controller in dicts of their own."""
         nested = {name: shape for name, shape in self.layout.items() if isinstance(shape, dict)}
-        flat = self.layout | {name: (build.packed_size(inner), 1) for name, inner in nested.items()}
-        pieces = build.unpack_array(memory, flat)
-        return pieces | {name: build.unpack_array(pieces[name], of) for name, of in nested.items()}
-
-
-_TAKEN_OVER = (
-    "gnss_slow_time_s",
-    "track_width_m",
-    "encoder_sigma_mps",
-    "speed_sigma_mps",
-    "bump_sigma_radps",
-    "look_ahead_m",
-    "caution",
-)
+        sizes = {name: (build.packed_size(shapes), 1) for name, shapes in nested.items()}
+        pieces = build.unpack_array(memory, self.layout | sizes)
+        inner = {name: build.unpack_array(pieces[name], nested[name]) for name in nested}
+        return pieces | inner
 
 
 def set_up(scenario):
-    """Path, soil, starting point and settings of a scenario."""
-    target = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
-    soil = scenario.terrain or terrain.random_for(scenario, target)
-
-    ((x, y, theta),), _ = target.poses([0.0])
-    backwards = -1.0 if scenario.backwards else 1.0
-    speed_mps = backwards * scenario.speed_mps
-    x -= scenario.start_offset_m * np.sin(theta)
-    y += scenario.start_offset_m * np.cos(theta)
-    theta += scenario.start_yaw_rad + np.pi * scenario.backwards
-    pose = np.array([x, y, theta])
-    guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
-
-    choice = Choice.of(scenario)
+    """The Setup of a scenario: path, soil, starting point and settings."""
+    path = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
+    soil = scenario.terrain or terrain.random_for(scenario, path)
     shape = terrain.common_shape(soil)
-    estimator = estimator_of(choice.estimator, choice.robust)
-    horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
-    commanded = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
-    memory = robot.init(pose, speed_mps) | dict(
-        estimator=estimator.init(choice, dict(zip(QUANTITIES, guess))),
-        s=target.project(pose[None, :2])[1],
-        command=0.0,
-        controller=rhc.init(horizon, guess[:3], guess[3:]) | commanded,
-    )
-    slow = scenario.gnss_slow_share
-    settings = {name: getattr(scenario, name) for name in _TAKEN_OVER} | dict(
-        gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow),
-        gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
-        segments=target.segments.T,
-        period_m=target.period_m,
-        backwards=float(scenario.backwards),
-        Q=np.array(scenario.q),
-        QN=scenario.qn_factor * np.array(scenario.q),
-        R=scenario.r,
-        lower=-scenario.omega_max_radps,
-        upper=scenario.omega_max_radps,
-        speed_mps=speed_mps,
-        command_delay=float(scenario.command_delay),
-        **terrain.settings(soil, shape),
-    )
-    structure = _LoopStructure(
+    choice = Choice.of(scenario)
+    structure = LoopStructure(
         choice,
         scenario.prediction_horizon,
         scenario.qp,
         scenario.input_reference,
-        len(target.segments),
+        len(path.segments),
         shape,
         bool(scenario.faults),
         scenario.cautious,
     )
-    memory |= faults.init() if scenario.faults else {}
+    estimator = estimator_of(choice.estimator, choice.robust)
+    pose = _start_pose(scenario, path)
+    speed_mps = _signed_speed(scenario)
+    guess = np.array([*pose + (0, 0, scenario.guess_yaw_rad), speed_mps, 1.0, 1.0])
+    memory, layout = _pack(_first_memory(scenario, path, estimator, choice, pose, guess))
+    settings = (
+        _settings(scenario, path) | terrain.settings(soil, shape) | estimator.settings(scenario)
+    )
+    return Setup(structure, memory, layout, settings, path, soil, guess)
+
+
+def _signed_speed(scenario):
+    return (-1.0 if scenario.backwards else 1.0) * scenario.speed_mps
+
+
+def _start_pose(scenario, path):
+    """Where the robot starts: beside the path's beginning, turned from it; backwards by π, too."""
+    ((x, y, theta),), _ = path.poses([0.0])
+    x -= scenario.start_offset_m * np.sin(theta)
+    y += scenario.start_offset_m * np.cos(theta)
+    theta += scenario.start_yaw_rad + np.pi * scenario.backwards
+    return np.array([x, y, theta])
+
+
+def _first_memory(scenario, path, estimator, choice, pose, guess):
+    """The memory before the first sample, by name; estimator and controller have dicts."""
+    horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
+    speed = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
+    sensors = faults.init() if scenario.faults else {}
+    loop = dict(
+        estimator=estimator.init(choice, dict(zip(QUANTITIES, guess))),
+        s=path.project(pose[None, :2])[1],
+        command=0.0,
+        controller=rhc.init(horizon, guess[:3], guess[3:]) | speed,
+    )
+    return robot.init(pose, _signed_speed(scenario)) | loop | sensors
+
+
+def _pack(memory):
+    """A memory by name in one vector, and its layout."""
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
     flat = memory | {name: build.pack_array(piece) for name, piece in nested.items()}
-    layout = build.shapes_of(flat) | {name: build.shapes_of(of) for name, of in nested.items()}
-    settings |= estimator.settings(scenario)
-    return Setup(structure, build.pack_array(flat), layout, settings, target, soil, guess)
+    inner = {name: build.shapes_of(piece) for name, piece in nested.items()}
+    return build.pack_array(flat), build.shapes_of(flat) | inner
 
 
-def noise_and_faults(seed, given, samples):
-    """The stream that a run is scanned over: noise and the given Faults, one row a sample."""
+def _settings(scenario, path):
+    """The settings of robot, path and controller."""
+    q = np.array(scenario.q)
+    slow = scenario.gnss_slow_share
+    return dict(
+        gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow),
+        gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
+        gnss_slow_time_s=scenario.gnss_slow_time_s,
+        track_width_m=scenario.track_width_m,
+        encoder_sigma_mps=scenario.encoder_sigma_mps,
+        speed_sigma_mps=scenario.speed_sigma_mps,
+        bump_sigma_radps=scenario.bump_sigma_radps,
+        look_ahead_m=scenario.look_ahead_m,
+        caution=scenario.caution,
+        segments=path.segments.T,
+        period_m=path.period_m,
+        backwards=float(scenario.backwards),
+        Q=q,
+        QN=scenario.qn_factor * q,
+        R=scenario.r,
+        lower=-scenario.omega_max_radps,
+        upper=scenario.omega_max_radps,
+        speed_mps=_signed_speed(scenario),
+        command_delay=float(scenario.command_delay),
+    )
+
+
+def noise_and_faults(seed, scheduled, samples):
+    """The stream that a run is scanned over: noise and the scheduled Faults, one row a sample."""
     noise = robot.draw_noise(seed, samples)
-    return np.hstack([noise, faults.stream(given, samples, paper.DT_S, seed)]) if given else noise
-
-
-@dataclass(frozen=True)
-class Run:
-    """A finished run: its scenario, metrics, path, terrain, and its log's columns as arrays."""
-
-    scenario: Scenario
-    metrics: dict[str, Any]
-    path: Path
-    terrain: Terrain
-    columns: dict[str, np.ndarray]
-
-    @functools.cached_property
-    def log(self) -> "pd.DataFrame":
-        """One row a sample; `rhec.simulation.columns` says what each column is."""
-        # Half of the time it takes to import this package, and a campaign never looks at a log.
-        import pandas as pd
-
-        return pd.DataFrame(self.columns)
+    if not scheduled:
+        return noise
+    return np.hstack([noise, faults.stream(scheduled, samples, paper.DT_S, seed)])
 
 
 def simulate(scenario: Scenario) -> Run:
-    """Run a scenario. A structure's first run compiles it for some seconds, once.
+    """Run a scenario. The first run of a structure compiles it for some seconds, once.
 
     Args:
         scenario: What to run.
@@ -333,18 +426,20 @@ def simulate_setup(scenario, setup):
     functions = compiled.load(build_sample, *setup.structure)
     samples = round(scenario.duration_s / paper.DT_S)
     stream = noise_and_faults(scenario.seed, scenario.faults, samples)
-    return finish(scenario, setup, scan.scan(functions, setup.memory, stream, setup.settings)[1])
+    _, rows = scan.scan(functions, setup.memory, stream, setup.settings)
+    return finish(scenario, setup, rows)
 
 
 def finish(scenario, setup, rows):
-    """The Run whose loop gave these rows (n, LOG): its columns and metrics."""
+    """The Run whose loop yielded these rows (n, LOG): its columns and metrics."""
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
     columns |= dict(zip(COLUMNS, np.ascontiguousarray(rows.T)))
     columns |= {name: columns[name] == 1 for name in FLAGS}
-    x, y = ([columns[f"{axis}_meas_m"], columns[f"{axis}_m"]] for axis in "xy")
-    measured, true = xy = np.stack([x, y], axis=2)
+    measured = np.column_stack([columns["x_meas_m"], columns["y_meas_m"]])
     measured[~np.isfinite(measured).all(axis=1)] = np.nan
-    distance, s = setup.path.project(xy.reshape(-1, 2))
+    true = np.column_stack([columns["x_m"], columns["y_m"]])
+    # One call for both: a short run spends most of its time in calls.
+    distance, s = setup.path.project(np.concatenate([measured, true]))
     columns["error_m"], columns["error_true_m"] = np.split(distance, 2)
     poses, curvatures = setup.path.poses(s[len(true) :])
     columns["on_straight"] = curvatures == 0

@@ -1,71 +1,22 @@
-"""Columns of every log and table of samples, with their units: SI, angles in radians, yaw
-counter-clockwise and unwrapped, NaN where nothing is known.
+"""Columns of every log and table of samples: one table of names, units and meanings.
 
-A run (`rhec.Run.log`, one row a sample) has
-    t_s                              time of the measurement [s]
-  truth, which no estimator sees
-    x_m, y_m, theta_rad              pose of the robot [m, m, rad]
-    nu_mps, omega_radps              speed and yaw rate of the tracks [m/s, rad/s]; over ground the
-                                     robot moves with mu * nu and kappa * omega
-    mu, kappa                        traction coefficients, between 0 and 1
-  measurements z
-    x_meas_m, y_meas_m               GNSS position [m]
-    nu_meas_mps, omega_meas_radps    by the encoders, means since the last sample [m/s, rad/s]
-  estimates
-    x_hat_m, y_hat_m, theta_hat_rad, nu_hat_mps, mu_hat, kappa_hat
-  control
-    omega_cmd_radps                  commanded yaw rate [rad/s]
-    s_m, curvature_radpm             arc length and curvature of the path at its closest point to
-                                     the estimate [m, rad/m]; with a look-ahead, so far beyond it
-    on_straight                      whether the path is straight at its closest point to the robot
-    error_m                          distance of the measured position from the path, as in the
-                                     paper [m]
-    error_true_m                     distance of the robot from the path [m]
-  solvers
-    kkt_rhe, kkt_rhc                 KKT tolerances
-    deviance                         -2 log likelihood of the measurement, up to a constant
-    ok                               whether RHE and RHC solved their QPs
-    position_accepted, encoders_accepted
-                                     whether the measurement was used: False where it was missing
-                                     or, with robust=True, rejected
-    restarted                        with robust=True: whether the estimator restarted
+Units are SI. Yaw is counter-clockwise from the x axis and unwrapped. NaN stands for an unknown
+value. `COLUMNS_BY_NAME` is the only description of a column; docs/log_columns.md is made from it:
 
-A recording (the log of a real robot, which `rhec.replay` takes) has
-    t_s                              time [s], rows at most 0.2 s apart
-    x_m, y_m                         measured position of the antenna [m]
-    speed_mps, yaw_rate_radps        by the encoders at that instant, not corrected for slip; or, of
-    v_left_mps, v_right_mps          each track [m/s], together with a track_width_m
-  and may have
-    segment                          the robot was never driven through where this changes
-    pos_ok, encoders_ok              0 or False where that measurement is to be ignored
-    x_true_m, y_true_m, yaw_true_rad, v_true_mps, yaw_rate_true_radps
-                                     the truth, over ground; no estimator sees it
-Other columns are ignored.
-
-A replay (`rhec.replay`) returns `segment`, `t_s`, measurements, estimates, `deviance`, `kkt_rhe`,
-`ok` and the truth that is known (x_m, y_m, theta_rad, v_true_mps, yaw_rate_true_radps, and mu,
-kappa of a simulated log) under the names above, and
-    arm_forward_hat_m, arm_left_hat_m      estimated place of the antenna [m]
-    sigma_x_m, sigma_y_m, sigma_theta_rad, sigma_nu_mps, sigma_mu, sigma_kappa,
-    sigma_arm_forward_m, sigma_arm_left_m  standard deviations of the estimates
-    x_meas_m_age_s, y_meas_m_age_s         how old the position was when it was used [s]
-    innovation_x_m, innovation_y_m         measured position less the predicted one [m]
-    lost                                   whether the estimate is lost, by innovations and bounds
-    position_accepted, encoders_accepted, restarted
-                                           as above, False in rows between the estimator's samples
-A replay with a Model returns `segment`, `t_s`, the measurements under the names of its outputs, and
-    <name>_hat                             estimate of each state, input and parameter
-    <name>_sigma                           standard deviation of that of each state and parameter
-    <name>_age_s                           how old an output was when it was used [s]
-    ok                                     whether the estimator solved its QP
+    python -m rhec.simulation.columns > docs/log_columns.md
 """
 
-from itertools import chain
+from itertools import chain, groupby
+from typing import NamedTuple
+
+from rhec.simulation.metrics import METRICS
 
 __all__ = [
     "AGE",
     "COLUMNS",
+    "COLUMNS_BY_NAME",
     "COMMAND",
+    "Column",
     "ESTIMATE",
     "FLAGS",
     "GATE",
@@ -80,7 +31,23 @@ __all__ = [
     "TRACKS",
     "TRUE_SPEEDS",
     "TRUTH",
+    "page",
 ]
+
+
+class Column(NamedTuple):
+    """What one column of a log holds.
+
+    Attributes:
+        unit: Its unit; "-" for a ratio, "" for a flag or a number without a scale.
+        text: What it means.
+        tables: Which tables have it: "run", "recording", "replay".
+    """
+
+    unit: str
+    text: str
+    tables: tuple[str, ...]
+
 
 # Lists, so that log[ESTIMATE] selects these columns.
 POSE = ["x_m", "y_m", "theta_rad"]
@@ -89,7 +56,7 @@ MEASUREMENTS = ["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]
 ESTIMATE = ["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]
 COMMAND = ["omega_cmd_radps"]
 
-# One row of a run's log: results of a sample of the closed loop, in order, and their columns
+# One row of a run's log: the results of a sample of the closed loop, in this order, by column.
 LOG = dict(
     truth=TRUTH,
     omega=["omega_radps"],
@@ -109,16 +76,191 @@ GATE = ["position_accepted", "encoders_accepted", "restarted"]
 FLAGS = ["ok", *GATE]
 COLUMNS = list(chain(*LOG.values()))
 
-# A replay has besides
+# Columns that a replay has besides those of a run.
 TRUE_SPEEDS = ["v_true_mps", "yaw_rate_true_radps"]
 LEVER_ARM = ["arm_forward_hat_m", "arm_left_hat_m"]
-SIGMA = ["sigma_x_m", "sigma_y_m", "sigma_theta_rad", "sigma_nu_mps", "sigma_mu", "sigma_kappa"]
-SIGMA += ["sigma_arm_forward_m", "sigma_arm_left_m"]
+SIGMA = [
+    "sigma_x_m",
+    "sigma_y_m",
+    "sigma_theta_rad",
+    "sigma_nu_mps",
+    "sigma_mu",
+    "sigma_kappa",
+    "sigma_arm_forward_m",
+    "sigma_arm_left_m",
+]
 AGE = ["x_meas_m_age_s", "y_meas_m_age_s"]
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
 
-# Columns of a recording, by what they are called in a run or a replay
+# Columns of a recording, by their names in a run or a replay.
 TRACKS = ["v_left_mps", "v_right_mps"]
 RECORDED = dict(zip(MEASUREMENTS, ("x_m", "y_m", "speed_mps", "yaw_rate_radps")))
-RECORDED_TRUTH = dict(zip(POSE, ("x_true_m", "y_true_m", "yaw_true_rad")))
-RECORDED_TRUTH |= {name: name for name in TRUE_SPEEDS}
+RECORDED_TRUTH = dict(zip(POSE, ("x_true_m", "y_true_m", "yaw_true_rad"))) | {
+    name: name for name in TRUE_SPEEDS
+}
+
+_RUN = ("run",)
+_RECORDING = ("recording",)
+_REPLAY = ("replay",)
+_RUN_AND_REPLAY = ("run", "replay")
+_RECORDING_AND_REPLAY = ("recording", "replay")
+_EVERY = ("run", "recording", "replay")
+
+# Names that share unit and meaning, unit, meaning, tables. This order is that of the page.
+_TABLE = (
+    ("t_s", "s", "time of the measurement; in a run since its beginning", _EVERY),
+    # The truth, which no estimator sees
+    ("x_m y_m", "m", "true position; in a recording the measured one of the antenna", _EVERY),
+    ("theta_rad", "rad", "true yaw", _RUN_AND_REPLAY),
+    ("nu_mps", "m/s", "true speed of the tracks", _RUN),
+    ("omega_radps", "rad/s", "true yaw rate of the tracks", _RUN),
+    ("mu", "-", "true traction: over ground the robot moves at μν", _RUN_AND_REPLAY),
+    ("kappa", "-", "true traction: over ground the robot turns at κω", _RUN_AND_REPLAY),
+    # The measurements z
+    ("x_meas_m y_meas_m", "m", "GNSS position; NaN where there is none", _RUN_AND_REPLAY),
+    ("nu_meas_mps", "m/s", "encoders: mean speed since the last sample", _RUN_AND_REPLAY),
+    ("omega_meas_radps", "rad/s", "encoders: mean yaw rate since the last sample", _RUN_AND_REPLAY),
+    # The estimate
+    ("x_hat_m y_hat_m", "m", "estimated position", _RUN_AND_REPLAY),
+    ("theta_hat_rad", "rad", "estimated yaw", _RUN_AND_REPLAY),
+    ("nu_hat_mps", "m/s", "estimated speed of the tracks", _RUN_AND_REPLAY),
+    ("mu_hat kappa_hat", "-", "estimated traction", _RUN_AND_REPLAY),
+    # The controller and the path
+    ("omega_cmd_radps", "rad/s", "commanded yaw rate", _RUN),
+    ("s_m", "m", "arc length of the point of the path closest to the estimate", _RUN),
+    ("curvature_radpm", "rad/m", "curvature of the path at that point", _RUN),
+    ("on_straight", "", "whether the path is straight at its point closest to the robot", _RUN),
+    ("error_m", "m", "distance from the GNSS position to the path, as in the paper (R11)", _RUN),
+    ("error_true_m", "m", "distance from the true position to the path", _RUN),
+    # The solvers
+    ("kkt_rhe", "", "KKT tolerance of the RHE (R12); NaN for other estimators", _RUN_AND_REPLAY),
+    ("kkt_rhc", "", "KKT tolerance of the RHC (R12)", _RUN),
+    ("deviance", "", "-2 log likelihood of the measurement, up to a constant", _RUN_AND_REPLAY),
+    ("ok", "", "whether the QPs of RHE and RHC were solved (1)", _RUN_AND_REPLAY),
+    (
+        "position_accepted encoders_accepted",
+        "",
+        "False where it is missing or, with `robust`, rejected",
+        _RUN_AND_REPLAY,
+    ),
+    ("restarted", "", "with `robust`: whether the estimator restarted", _RUN_AND_REPLAY),
+    # A recording, besides t_s, x_m and y_m
+    ("speed_mps", "m/s", "speed by the encoders, not corrected for slip", _RECORDING),
+    ("yaw_rate_radps", "rad/s", "yaw rate by the encoders, not corrected for slip", _RECORDING),
+    (
+        "v_left_mps v_right_mps",
+        "m/s",
+        "instead of these two: speed of each track, with `track_width_m`",
+        _RECORDING,
+    ),
+    ("segment", "", "optional: the drive has a break where this changes", _RECORDING_AND_REPLAY),
+    ("pos_ok", "", "optional: 0 or False where the position is to be ignored", _RECORDING),
+    ("encoders_ok", "", "optional: 0 or False where the encoders are to be ignored", _RECORDING),
+    ("x_true_m y_true_m", "m", "optional: true position; no estimator sees it", _RECORDING),
+    ("yaw_true_rad", "rad", "optional: true yaw", _RECORDING),
+    ("v_true_mps", "m/s", "optional: true speed over ground", _RECORDING_AND_REPLAY),
+    ("yaw_rate_true_radps", "rad/s", "optional: true yaw rate", _RECORDING_AND_REPLAY),
+    # A replay, besides the names of a run
+    ("arm_forward_hat_m", "m", "estimated place of the antenna, ahead of the centre", _REPLAY),
+    ("arm_left_hat_m", "m", "estimated place of the antenna, left of the centre", _REPLAY),
+    ("sigma_x_m sigma_y_m", "m", "standard deviation of the estimated position", _REPLAY),
+    ("sigma_theta_rad", "rad", "standard deviation of the estimated yaw", _REPLAY),
+    ("sigma_nu_mps", "m/s", "standard deviation of the estimated speed", _REPLAY),
+    ("sigma_mu sigma_kappa", "-", "standard deviation of the estimated traction", _REPLAY),
+    ("sigma_arm_forward_m sigma_arm_left_m", "m", "standard deviation of that place", _REPLAY),
+    (
+        "x_meas_m_age_s y_meas_m_age_s",
+        "s",
+        "age of the position when the estimator used it",
+        _REPLAY,
+    ),
+    ("innovation_x_m innovation_y_m", "m", "measured position less the predicted one", _REPLAY),
+    ("lost", "", "whether the estimate is lost, by innovations and bounds", _REPLAY),
+)
+COLUMNS_BY_NAME = {
+    name: Column(unit, text, tables)
+    for names, unit, text, tables in _TABLE
+    for name in names.split()
+}
+
+_HEAD = """# Columns of a log
+
+<!-- Made by `python -m rhec.simulation.columns`, from the tables in that module and in metrics. -->
+
+Units are SI. Yaw is counter-clockwise from the x axis and unwrapped. `run.log` has one row for each
+sample of 0.2 s. An encoder measurement belongs to the interval that ends at its row.
+
+## A run: `run.log` of `rhec.simulate`
+"""
+_UNSOLVED = """
+(1) The RHC's QP is given up after 257 guesses of its active set, and the previous plan goes on.
+This happens where positions jump by much more than `sigma_v` allows and nothing rejects them. With
+100 m of GNSS noise it happens in 2 of 3,600 samples at a horizon of 15, and in 11 to 13 % at
+`prediction_horizon=240`. With 10 km it happens in 1 to 2 %, with 1,000 km in a quarter (seeds 0 to
+2, 240 s each). With `robust=True` all QPs were solved at 100 m. Sixteen times as many guesses solve
+all at 100 m, but not from 10 km on, and a sample may then take sixteen times as long.
+"""
+_RECORDING_HEAD = """
+## A recording: the log of a real robot, for `rhec.replay`
+
+Rows are at most 0.2 s apart. Other columns are ignored.
+"""
+_REPLAY_HEAD = """
+## A replay: the table that `rhec.replay` returns
+
+The names of a run mean the same. The flags `position_accepted`, `encoders_accepted` and `restarted`
+are False in rows between the samples of the estimator. A recording's truth stands under the names
+of a run.
+"""
+_MODEL = """
+With a `model`, a recording has `t_s`, a column for each of the model's outputs and, optionally,
+`segment`. The replay returns these, the estimate `<name>_hat` of each state, input and parameter,
+the standard deviation `<name>_sigma` of each state and parameter, the age `<name>_age_s` of each
+output in seconds when it was used, and `ok`.
+"""
+_METRICS_HEAD = """
+## Metrics
+
+`run.metrics`, and one column each in the table of `rhec.campaign`. Unless said otherwise they count
+from the end of the 5 s that make the robot settled, or from the start of a run that never settles.
+"""
+
+
+def page():
+    """The text of docs/log_columns.md."""
+    runs = _columns_of("run")
+    replays = {name: column for name, column in _columns_of("replay").items() if name not in runs}
+    metrics = {name: Column(unit, text, ()) for name, (unit, text) in METRICS.items()}
+    parts = (
+        _HEAD,
+        _rows("column", runs),
+        _UNSOLVED,
+        _RECORDING_HEAD,
+        _rows("column", _columns_of("recording")),
+        _REPLAY_HEAD,
+        _rows("column", replays),
+        _MODEL,
+        _METRICS_HEAD,
+        _rows("metric", metrics),
+    )
+    return "".join(parts)
+
+
+def _columns_of(table):
+    return {name: column for name, column in COLUMNS_BY_NAME.items() if table in column.tables}
+
+
+def _rows(title, columns):
+    """A Markdown table, in which neighbours with one unit and meaning share a row."""
+    lines = ["", f"| {title} | unit | meaning |", "|---|---|---|"]
+    for column, names in groupby(columns, columns.get):
+        quoted = ", ".join(f"`{name}`" for name in names)
+        lines.append(f"| {quoted} | {column.unit} | {column.text} |")
+    return "\n".join(lines) + "\n"
+
+
+# help(rhec.simulation.columns) shows the page, too.
+__doc__ += "\n" + page()
+
+if __name__ == "__main__":
+    print(page(), end="")

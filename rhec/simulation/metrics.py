@@ -1,88 +1,142 @@
 """Errors, violations, settling time: what is reported of a run."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi.renamed import Renamed
+from rhec.tracked_robot.path import ahead_and_left
 
-__all__ = ["SETTLING_SAMPLES", "metrics", "per_sample", "rms", "settled_samples"]
+__all__ = ["METRICS", "SETTLING_SAMPLES", "metrics", "rms", "settled_samples"]
 
-SETTLING_SAMPLES = round(5 / paper.DT_S)  # who stays within the tolerance so long has settled
+# A robot that stays within the tolerance for so long has settled.
+SETTLING_SAMPLES = round(5 / paper.DT_S)
+
+# Unit and definition of each metric, in the order of `metrics`. "Settled" samples are those from
+# the end of the 5 s that make the robot settled; of a run that never settles, all samples.
+METRICS = {
+    "settling_time_s": ("s", "when the true error begins to stay below 0.12 m for 5 s; or NaN"),
+    "mean_error_m": ("m", "mean of `error_m` where there is a position, as in the paper (R11)"),
+    "mean_error_true_m": ("m", "mean of `error_true_m`"),
+    "max_error_true_m": ("m", "largest `error_true_m`"),
+    # The reference is the corner of a robot that stands in the middle of its row, not turned.
+    "max_corner_error_true_m": ("m", "on straights: how much nearer to the crop a corner is"),
+    "mean_speed_mps": ("m/s", "mean of the tracks' speed, as an absolute value"),
+    "violations": ("samples", "samples on straights with `error_m` above 0.12 m (R14)"),
+    "violations_true": ("samples", "samples on straights with `error_true_m` above 0.12 m"),
+    "rms_mu": ("-", "RMS error of the estimated μ"),
+    "rms_kappa": ("-", "RMS error of the estimated κ"),
+    "rms_yaw_rad": ("rad", "RMS error of the estimated yaw"),
+    "mean_error_from_start_m": ("m", "mean of `error_m` over the whole run (R14)"),
+    "overshoot_m": ("m", "on the first row: the largest distance beyond the path from the start"),
+    "omega_peak_radps": ("rad/s", "largest absolute commanded yaw rate of the whole run"),
+    "kkt_rhe_median": ("", "median of `kkt_rhe` (R12)"),
+    "kkt_rhc_median": ("", "median of `kkt_rhc` (R12)"),
+    "all_ok": ("", "every QP was solved and every other metric but `settling_time_s` is a number"),
+}
 
 
 def metrics(columns, poses):
-    """Metrics of a run from its log columns and closest path points `poses` (n, 3); m and s.
+    """Metrics of a run; `METRICS` has their units and definitions.
 
-    The robot has settled when its true error stays within the tolerance for 5 s; errors and
-    violations count from the end of these 5 s, or on the whole run if it never settles.
-    `mean_error_m` is the paper's: raw GNSS to the path (interpretation R11), where there is a
-    position. Corner error: how much nearer to the crop a corner is on straights than that of a
-    robot in place. Overshoot: how far on the first row it is beyond the path, from the start.
+    Args:
+        columns: The log's columns by name, arrays (n,).
+        poses: (n, 3) poses of the path at its points closest to the robot [m, m, rad].
+
+    Returns:
+        {name: float, int or bool}.
     """
-    c = SimpleNamespace(**columns)
-    left, gathered = per_sample(c, poses.T, np)
-    stays = settled_samples(c.error_true_m)
-    begin = stays[0] + SETTLING_SAMPLES if len(stays) else 0
-    after = slice(begin if begin < len(c.t_s) else 0, None)
-    first_row = left[: np.argmin(c.on_straight) or None]
-    values = dict(settling_time_s=c.t_s[stays[0]] if len(stays) else np.float64(np.nan))
-    values |= {name: _GATHER[how](value[after]) for name, (how, value) in gathered.items()}
+    t_s = columns["t_s"]
+    settled = settled_samples(columns["error_true_m"])
+    settling_time_s = t_s[settled[0]] if len(settled) else np.float64(np.nan)
+    begin = settled[0] + SETTLING_SAMPLES if len(settled) else 0
+    # Where fewer samples are left than the 5 s, the whole run counts.
+    counted = slice(begin if begin < len(t_s) else 0, None)
+
+    left = _left_of_path(columns, poses)
+    values = dict(settling_time_s=settling_time_s)
+    values |= _of_settled_samples(
+        {name: column[counted] for name, column in columns.items()}, poses[counted], left[counted]
+    )
     values |= dict(
-        mean_error_from_start_m=_mean_of_known(c.error_m),
-        overshoot_m=np.maximum((-np.sign(left[0]) * first_row).max(), 0.0),
-        omega_peak_radps=np.abs(c.omega_cmd_radps).max(),
-        kkt_rhe_median=np.median(c.kkt_rhe[after]),
-        kkt_rhc_median=np.median(c.kkt_rhc[after]),
+        mean_error_from_start_m=_mean_of_finite(columns["error_m"]),
+        overshoot_m=_overshoot(left, columns["on_straight"]),
+        omega_peak_radps=np.abs(columns["omega_cmd_radps"]).max(),
+        kkt_rhe_median=np.median(columns["kkt_rhe"][counted]),
+        kkt_rhc_median=np.median(columns["kkt_rhc"][counted]),
     )
-    known = values | dict(settling_time_s=0.0, kkt_rhe_median=0.0)  # NaN if there is none
-    values["all_ok"] = c.ok.all() & np.isfinite([*known.values()]).all()
-    return Renamed({name: value.item() for name, value in values.items()})  # plain numbers
+    # A robot need not settle, and not every estimator has a KKT tolerance.
+    required = values | dict(settling_time_s=0.0, kkt_rhe_median=0.0)
+    values["all_ok"] = columns["ok"].all() & np.isfinite([*required.values()]).all()
+    return {name: value.item() for name, value in values.items()}
 
 
-def per_sample(c, pose, xp):
-    """What is gathered of each sample: the distance to the left of the path [m]; and of the samples
-    that count, by metric, (how, value). c: columns; pose: the closest path point (x, y, θ); both
-    arrays, with xp = numpy, or expressions, with xp = casadi.
+def _of_settled_samples(columns, poses, left):
+    """The metrics that count settled samples alone."""
+    error_m = columns["error_m"]
+    error_true_m = columns["error_true_m"]
+    on_straight = columns["on_straight"]
+    corner_m = _corner_error(columns["theta_rad"] - poses[:, 2], left)
+    return dict(
+        mean_error_m=_mean_of_finite(error_m),
+        mean_error_true_m=np.mean(error_true_m),
+        max_error_true_m=np.max(error_true_m),
+        max_corner_error_true_m=np.max(corner_m * on_straight),
+        mean_speed_mps=np.mean(np.abs(columns["nu_mps"])),
+        violations=np.sum((error_m > paper.TOLERANCE_M) * on_straight),
+        violations_true=np.sum((error_true_m > paper.TOLERANCE_M) * on_straight),
+        rms_mu=rms(columns["mu_hat"] - columns["mu"]),
+        rms_kappa=rms(columns["kappa_hat"] - columns["kappa"]),
+        rms_yaw_rad=rms(columns["theta_hat_rad"] - columns["theta_rad"]),
+    )
+
+
+def _left_of_path(columns, poses):
+    """Distance (n,) of the robot to the left of the path [m]."""
+    x, y, theta = poses.T
+    _, left = ahead_and_left(columns["x_m"] - x, columns["y_m"] - y, theta, np)
+    return left
+
+
+def _corner_error(turned, left):
+    """How much nearer to the crop a corner is than that of a robot in place [m].
+
+    |sin Δθ| L/2 - (1 - |cos Δθ|) W/2 + |left|, for a robot of length L and width W, turned by Δθ
+    against the path.
     """
-    left = (c.y_m - pose[1]) * xp.cos(pose[2]) - (c.x_m - pose[0]) * xp.sin(pose[2])
-    turned = c.theta_rad - pose[2]
-    across = xp.fabs(xp.sin(turned))
-    along = xp.fabs(xp.cos(turned))
-    corner = (across * paper.ROBOT_LENGTH_M - (1 - along) * paper.ROBOT_WIDTH_M) / 2 + xp.fabs(left)
-    return left, dict(
-        mean_error_m=("mean of known", c.error_m),
-        mean_error_true_m=("mean", c.error_true_m),
-        max_error_true_m=("max", c.error_true_m),
-        max_corner_error_true_m=("max", corner * c.on_straight),
-        mean_speed_mps=("mean", xp.fabs(c.nu_mps)),
-        violations=("sum", (c.error_m > paper.TOLERANCE_M) * c.on_straight),
-        violations_true=("sum", (c.error_true_m > paper.TOLERANCE_M) * c.on_straight),
-        rms_mu=("rms", c.mu_hat - c.mu),
-        rms_kappa=("rms", c.kappa_hat - c.kappa),
-        rms_yaw_rad=("rms", c.theta_hat_rad - c.theta_rad),
-    )
+    across = np.abs(np.sin(turned))
+    along = np.abs(np.cos(turned))
+    reach = across * paper.ROBOT_LENGTH_M - (1 - along) * paper.ROBOT_WIDTH_M
+    return reach / 2 + np.abs(left)
+
+
+def _overshoot(left, on_straight):
+    """How far the robot gets beyond the path on the first row, seen from where it starts [m]."""
+    # argmin is the first sample in a curve; it is 0, too, where there is none: then all count.
+    first_row = left[: np.argmin(on_straight) or None]
+    return np.maximum((-np.sign(left[0]) * first_row).max(), 0.0)
 
 
 def settled_samples(error, within=paper.TOLERANCE_M):
-    """The samples from which on the error (n,) [m] stays within so much for 5 s."""
+    """Samples from which on the error stays within the tolerance for 5 s.
+
+    Args:
+        error: (n,) errors [m].
+        within: Tolerance [m].
+
+    Returns:
+        Their numbers, rising.
+    """
     if len(error) <= SETTLING_SAMPLES:
         return np.array([], dtype=int)
     inside = np.convolve(error < within, np.ones(SETTLING_SAMPLES), "valid")
     return np.flatnonzero(inside == SETTLING_SAMPLES)
 
 
-def _mean_of_known(values):
-    """Mean of the values that are no NaN; NaN of none."""
-    known = values[~np.isnan(values)]
-    return known.mean() if len(known) else np.float64(np.nan)
+def _mean_of_finite(values):
+    """Mean of the values that are not NaN; NaN where all are."""
+    finite = values[~np.isnan(values)]
+    return finite.mean() if len(finite) else np.float64(np.nan)
 
 
 def rms(values):
     """Root mean square."""
     return np.sqrt(np.mean(np.square(values)))
-
-
-_GATHER = {"mean": np.mean, "mean of known": _mean_of_known, "max": np.max}
-_GATHER |= {"sum": np.sum, "rms": rms}

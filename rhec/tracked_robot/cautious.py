@@ -1,18 +1,19 @@
 """A controller that slows down where it may not be able to stay on the path. Not in the paper.
 
 It commands two inputs: the yaw rate, by the RHC as it is, and the speed ν, as fast as two chance
-constraints allow. In each, `caution` standard deviations σ of the estimate are set aside. (EVORA,
+constraints allow. Each sets aside z = `caution` standard deviations σ of the estimate. (EVORA,
 arXiv 2311.06234, has the same model, the unicycle with uncertain traction.)
 
-    |c| μ̄ ν ≤ κ̲ ω_max   the soil gives the yaw rate that curvature c asks for, eq. (16), even with
-                         μ̄ = μ̂ + z σ_μ, κ̲ = κ̂ - z σ_κ; in curves ahead: once it has braked
-    |ê| + z σ_e ≤ 0.12   the robot's nose is within the tolerance [m]; where less than BAND_M is
-                         left, ν shrinks in proportion to what is left
+    |c| μ̄ ν ≤ κ̲ ω_max   The soil gives the yaw rate that the curvature c asks for, eq. (16), even
+                         with μ̄ = μ̂ + z σ_μ and κ̲ = κ̂ - z σ_κ. In curves ahead it holds once
+                         the robot has braked.
+    |ê| + z σ_e ≤ 0.12   The robot's nose is within the tolerance [m]. Where less than BAND_M is
+                         left of it, ν shrinks in proportion to what is left.
 
-The first looks ahead; the second answers what nobody could foresee, such as a wet patch, since a
-slow robot turns in less space: in curves. On rows it comes back more steeply, too, which swings its
-corners into the crop; there it is not as slow. ν changes by ACCELERATION_MPS2 at most, which the
-estimators, whose models have a constant speed, can follow.
+The first constraint looks ahead. The second answers what nobody could foresee, such as a wet patch,
+since a slow robot turns in less space. On rows a slow robot also comes back more steeply, which
+swings its corners into the crop, so it is not as slow there. ν changes by ACCELERATION_MPS2 at
+most, which the estimators, whose models have a constant speed, can follow.
 """
 
 import casadi as ca
@@ -23,41 +24,46 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.path import OPEN
 from rhec.tracked_robot.references import pose_at
 
-__all__ = ["ACCELERATION_MPS2", "NOSE_M", "SLOWEST_MPS", "build_speed", "build_step"]
+__all__ = [
+    "ACCELERATION_MPS2",
+    "NOSE_M",
+    "SLOWEST_MPS",
+    "build_speed",
+    "build_step",
+    "plan_with_speed",
+]
 
 # By campaigns on training seeds from 6000 on.
 BAND_M = 0.04
 ACCELERATION_MPS2 = 0.5
 SLOWEST_MPS = dict(curve=0.15, row=0.35)
 NOSE_M = paper.ROBOT_LENGTH_M / 2
-_IN_A_ROW_M = paper.ROW_SPACING_M / 2  # who is further off has a row yet to reach
+# A robot further from the path has yet to reach its row and need not keep within it.
+_IN_A_ROW_M = paper.ROW_SPACING_M / 2
 
 
 def build_speed(states, n_segments, dt_s):
-    """The next commanded speed [m/s], above 0, from the last one and an estimate.
+    """The next speed to command, as a Function of the last one and an estimate.
 
     Args:
-        states: Names that the estimator's covariance (n, n) covers; others are taken as known.
-        n_segments: Of the path.
+        states: Names of what the estimator's covariance (n, n) covers; others count as certain.
+        n_segments: Number of the path's segments M.
         dt_s: Length of a sample [s].
 
     Returns:
-        A Function of speed (the last one), s (the closest point), estimate (6,), covariance (n, n),
-        upper (ω_max), segments, period_m, speed_mps (the set speed), caution.
+        A Function of speed (the last one, above 0 [m/s]), s (the closest point [m]), estimate (6,),
+        covariance (n, n), upper (ω_max), segments (5, M), period_m, speed_mps (the set speed) and
+        caution (z); its result is the speed, above 0 [m/s].
     """
     one = (1, 1)
-    n = len(states)
-    known = ca.DM(len(QUANTITIES), n)
-    for place, name in enumerate(states):
-        if name in QUANTITIES:
-            known[QUANTITIES.index(name), place] = 1
+    selection = _selection(states)
 
     @casadi_function(
         "cautious_speed",
         speed=one,
         s=one,
         estimate=(6, 1),
-        covariance=(n, n),
+        covariance=(len(states), len(states)),
         upper=one,
         segments=(5, n_segments),
         period_m=one,
@@ -65,58 +71,112 @@ def build_speed(states, n_segments, dt_s):
         caution=one,
     )
     def speed(speed, s, estimate, covariance, upper, segments, period_m, speed_mps, caution):
-        P = known @ covariance @ known.T
-        fast = ca.fabs(speed_mps)
-        x, y, theta, _, mu, kappa = ca.vertsplit(estimate)
-        most_mu = ca.fmin(mu + caution * ca.sqrt(P[4, 4]), 1)
-        least_kappa = ca.fmax(kappa - caution * ca.sqrt(P[5, 5]), 0)
-
+        P = selection @ covariance @ selection.T
+        set_speed = ca.fabs(speed_mps)
+        largest_mu = ca.fmin(estimate[4] + caution * ca.sqrt(P[4, 4]), 1)
+        least_kappa = ca.fmax(estimate[5] - caution * ca.sqrt(P[5, 5]), 0)
+        in_reach = largest_mu, least_kappa * upper
         pose, curvature = pose_at(s, segments, period_m)
-        sine = ca.sin(pose[2])
-        cosine = ca.cos(pose[2])
-        ahead = ca.if_else(speed_mps < 0, -NOSE_M, NOSE_M)
-        left = (y - pose[1]) * cosine - (x - pose[0]) * sine + ahead * ca.sin(theta - pose[2])
-        slope = ca.vertcat(-sine, cosine, ahead * ca.cos(theta - pose[2]))
-        sigma = ca.sqrt(ca.bilin(P[:3, :3], slope, slope))
-        room = paper.TOLERANCE_M - ca.fabs(left) - caution * sigma
-        slowest = ca.if_else(curvature == 0, SLOWEST_MPS["row"], SLOWEST_MPS["curve"])
-        limit = ca.fmin(ca.fmax(fast * room / BAND_M, slowest), fast)  # slow where room is NaN
-        limit = ca.if_else(ca.fabs(left) > _IN_A_ROW_M, fast, limit)
-
-        begins = [*ca.horzsplit(segments[0, :]), period_m]
-        closed = period_m < OPEN
-        place = ca.if_else(closed, s - period_m * ca.floor(s / period_m), ca.fmax(s, 0))
-        for begin, end, c in zip(begins, begins[1:], ca.horzsplit(segments[4, :])):
-            to = begin - place + period_m * (end <= place)
-            in_curve = least_kappa * upper / (most_mu * ca.fabs(c))
-            in_curve = ca.if_else(c == 0, fast, in_curve)
-            brakes = 2 * ACCELERATION_MPS2 * ca.fmax(to - NOSE_M, 0)
+        limit = _limit_by_tolerance(estimate, P, pose, curvature, speed_mps, caution)
+        for in_curve, distance in _curves(s, segments, period_m, in_reach, set_speed):
+            # ν² = ν_c² + 2 a d: so fast it may be at the distance d from what allows ν_c.
+            brakes = 2 * ACCELERATION_MPS2 * ca.fmax(distance - NOSE_M, 0)
             limit = ca.fmin(limit, ca.sqrt(in_curve**2 + brakes))
-        limit = ca.fmax(limit, ca.fmin(SLOWEST_MPS["curve"], fast))
+        limit = ca.fmax(limit, ca.fmin(SLOWEST_MPS["curve"], set_speed))
         change = ACCELERATION_MPS2 * dt_s
         return dict(speed=ca.fmin(ca.fmax(limit, speed - change), speed + change))
 
     return speed
 
 
-def build_step(control, states, n_segments, dt_s):
-    """The step of an RHC, (memory, weights, references) -> (memory, kkt, command, ok), with the
-    speed as a second command.
+def _selection(states):
+    """The matrix S (6, n) by which S P Sᵀ is the covariance of (x, y, θ, ν, μ, κ)."""
+    selection = ca.DM(len(QUANTITIES), len(states))
+    for place, name in enumerate(states):
+        if name in QUANTITIES:
+            selection[QUANTITIES.index(name), place] = 1
+    return selection
 
-    Its memory has the last speed at its end. states, n_segments, dt_s: as for `build_speed`.
+
+def _limit_by_tolerance(estimate, P, pose, curvature, speed_mps, caution):
+    """The speed that the second constraint allows, for the path's closest pose and curvature.
+
+    ê is the nose's distance to the left of the path, and σ_e² = g' P g with the slope g of ê over
+    (x, y, θ).
+    """
+    x, y, theta = ca.vertsplit(estimate[:3])
+    set_speed = ca.fabs(speed_mps)
+    sine = ca.sin(pose[2])
+    cosine = ca.cos(pose[2])
+    # In reverse the tail leads.
+    nose = ca.if_else(speed_mps < 0, -NOSE_M, NOSE_M)
+    left = (y - pose[1]) * cosine - (x - pose[0]) * sine + nose * ca.sin(theta - pose[2])
+    slope = ca.vertcat(-sine, cosine, nose * ca.cos(theta - pose[2]))
+    sigma = ca.sqrt(ca.bilin(P[:3, :3], slope, slope))
+    room = paper.TOLERANCE_M - ca.fabs(left) - caution * sigma
+    slowest = ca.if_else(curvature == 0, SLOWEST_MPS["row"], SLOWEST_MPS["curve"])
+    # fmax drops a NaN, so that the robot is slow where the room is unknown.
+    limit = ca.fmin(ca.fmax(set_speed * room / BAND_M, slowest), set_speed)
+    return ca.if_else(ca.fabs(left) > _IN_A_ROW_M, set_speed, limit)
+
+
+def _curves(s, segments, period_m, in_reach, set_speed):
+    """For each segment, the speed that the first constraint allows and the distance to it [m].
+
+    in_reach: (μ̄, κ̲ ω_max).
+    """
+    largest_mu, turning = in_reach
+    begins = [*ca.horzsplit(segments[0, :]), period_m]
+    closed = period_m < OPEN
+    place = ca.if_else(closed, s - period_m * ca.floor(s / period_m), ca.fmax(s, 0))
+    for begin, end, c in zip(begins, begins[1:], ca.horzsplit(segments[4, :])):
+        # Segments behind the robot come again after a whole period.
+        distance = begin - place + period_m * (end <= place)
+        in_curve = turning / (largest_mu * ca.fabs(c))
+        yield ca.if_else(c == 0, set_speed, in_curve), distance
+
+
+def plan_with_speed(control, speed, signals, last_speed):
+    """Plan the yaw rate by an RHC and the speed by `build_speed`, on the same signals.
+
+    Args:
+        control: Function of the RHC.
+        speed: Function of `build_speed`.
+        signals: Expressions by the names of the inputs of both, but for the last speed.
+        last_speed: The last speed, above 0 [m/s].
+
+    Returns:
+        The results of the RHC by name, and the next speed, above 0 [m/s].
+    """
+    planned = control(**select_inputs(control, signals))
+    newest = speed(**select_inputs(speed, signals | dict(speed=last_speed)))["speed"]
+    return planned, newest
+
+
+def build_step(control, states, n_segments, dt_s):
+    """The step of an RHC with the speed as a second command.
+
+    Args:
+        control: Step (memory, weights, references) -> (memory, kkt, command, ok) of the RHC.
+        states: As for `build_speed`.
+        n_segments: As for `build_speed`.
+        dt_s: As for `build_speed` [s].
+
+    Returns:
+        A step whose memory has the last speed at its end, and whose results have `speed_mps`, too.
     """
     speed = build_speed(states, n_segments, dt_s)
-    sizes = {name: f.size_in(name) for f in (control, speed) for name in f.name_in()}
+    shapes = {name: f.size_in(name) for f in (control, speed) for name in f.name_in()}
+    del shapes["speed"]
+    del shapes["estimate"]
     n = control.numel_in("memory")
-    del sizes["speed"], sizes["estimate"]
 
-    @casadi_function("cautious_step", ca.MX, **sizes | dict(memory=(n + 1, 1)))
-    def step(memory, s_0, **known):
-        of_plan, last = ca.vertsplit(memory, [0, n, n + 1])
-        known |= dict(s_0=s_0, estimate=s_0, memory=of_plan, speed=last)
-        planned = control(**select_inputs(control, known))
-        newest = speed(**select_inputs(speed, known))["speed"]
+    @casadi_function("cautious_step", ca.MX, **shapes | dict(memory=(n + 1, 1)))
+    def step(memory, s_0, **signals):
+        plan, last_speed = ca.vertsplit(memory, [0, n, n + 1])
+        signals = signals | dict(s_0=s_0, estimate=s_0, memory=plan)
+        planned, newest = plan_with_speed(control, speed, signals, last_speed)
         planned["memory"] = ca.vertcat(planned["memory"], newest)
-        return planned | dict(speed_mps=ca.if_else(known["speed_mps"] < 0, -newest, newest))
+        return planned | dict(speed_mps=ca.if_else(signals["speed_mps"] < 0, -newest, newest))
 
     return step

@@ -1,7 +1,7 @@
 """The target path: lines and arcs (paper, Sec. Experimental Results: space-based trajectory).
 
-A path is a row of segments, each a line or an arc: (s, x, y, θ, c) where it begins at arc length s
-[m], pose (x, y, θ), with curvature c [1/m].
+A path is a row of segments, each a line or an arc. A segment is (s, x, y, θ, c): it begins at the
+arc length s [m] with the pose (x, y, θ) and has the curvature c [1/m].
 """
 
 import functools
@@ -13,30 +13,60 @@ import numpy as np
 
 from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers, shown
 
-__all__ = ["OPEN", "Path", "advance", "closest"]
+__all__ = ["OPEN", "Path", "advance", "ahead_and_left"]
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
-LONGEST_M = 1e6  # a path: its field is made of points, and must fit into memory
-CLOSED = 1e-6  # how far its end may be from its beginning [m, rad], for a path to close
+LONGEST_M = 1e6  # the random field around a longer path would not fit into memory
+CLOSED = 1e-6  # a path may be called closed if its ends are as near as this [m, rad]
+_SAME_M = 1e-9  # of two points whose distances differ by less, the first one counts as closest
 
 
 def advance(x, y, theta, curvature, length, lib):
-    """The pose after `length` on a line or arc that begins at (x, y, θ); lib is casadi or numpy."""
+    """The pose after a length on a line or arc.
+
+    The chord has the length l · sin(cl/2) / (cl/2) and the direction θ + cl/2.
+
+    Args:
+        x, y, theta: Pose (x, y, θ) at the beginning [m, m, rad].
+        curvature: c [1/m].
+        length: l [m].
+        lib: numpy or casadi, by what the others are.
+
+    Returns:
+        The pose (x, y, θ).
+    """
     half = curvature * length / 2
-    chord = (
-        length * lib.sinc(half / pi)
-        if lib is np
-        else length * ca.if_else(ca.fabs(half) < 1e-8, 1, ca.sin(half) / half)
-    )
+    if lib is np:
+        chord = length * np.sinc(half / pi)
+    else:
+        chord = length * ca.if_else(ca.fabs(half) < 1e-8, 1, ca.sin(half) / half)
     return x + chord * lib.cos(theta + half), y + chord * lib.sin(theta + half), theta + 2 * half
 
 
-@dataclass(frozen=True)
-class Path:
-    """Lines and arcs one after the other; build it with `from_segments`, `racetrack` or `rows`.
+def ahead_and_left(dx, dy, theta, lib):
+    """The offset (dx, dy), seen by who looks along θ: how far ahead, how far to the left.
 
-    segments: (M, 5) rows (s, x, y, θ, c) as above. length_m: arc length of all. closed: the end is
-    the beginning.
+    Args:
+        dx, dy: Offset in the field [m].
+        theta: Direction [rad].
+        lib: numpy or casadi, by what the others are.
+
+    Returns:
+        cos θ · dx + sin θ · dy and cos θ · dy - sin θ · dx [m].
+    """
+    cos = lib.cos(theta)
+    sin = lib.sin(theta)
+    return cos * dx + sin * dy, cos * dy - sin * dx
+
+
+@dataclass(frozen=True, repr=False)
+class Path:
+    """Lines and arcs one after the other; build it with `from_segments` or `racetrack`.
+
+    Attributes:
+        segments: (M, 5) rows (s, x, y, θ, c) as above.
+        length_m: Arc length of all.
+        closed: Whether the end is the beginning.
     """
 
     segments: np.ndarray
@@ -62,44 +92,39 @@ class Path:
             The Path.
 
         Raises:
-            ValueError: In one sentence, for pieces that make no path.
+            ValueError: If the pieces make no path, or one that is not closed as said.
         """
         length_m = sum(length for length, _ in pieces)
         if not 0 < length_m <= LONGEST_M:
-            wanted = "it must be a list of (length, curvature) with at least one entry"
+            expected = "it must be a list of (length, curvature) with at least one entry"
             raise ValueError(
-                f"pieces was {shown(pieces)}; {wanted}, at most {LONGEST_M:g} m in all"
+                f"pieces was {shown(pieces)}; {expected}, at most {LONGEST_M:g} m in all"
             )
         s = 0.0
         pose = start
-        table = []
+        rows = []
         for length, curvature in pieces:
-            table.append((s, *pose, curvature))
+            rows.append((s, *pose, curvature))
             s = s + length
             pose = advance(*pose, curvature, length, np)
-        gap = (
-            np.hypot(pose[0] - start[0], pose[1] - start[1]),
-            abs(np.remainder(pose[2] - start[2] + pi, 2 * pi) - pi),
-        )
-        if closed and not max(gap) <= CLOSED * max(1, *map(abs, start), length_m):
-            ends = f"the path ends {gap[0]:.3g} m and {gap[1]:.3g} rad from where it begins"
-            raise ValueError(f"closed was True; {ends}, so it should be False")
-        return cls(np.array(table, dtype=float), s, closed)
+        if closed:
+            _check_closed(start, pose, length_m)
+        return cls(np.array(rows, dtype=float), s, closed)
 
     def __post_init__(self):
         segments = numbers("segments", self.segments)
-        if (
-            segments.ndim != 2
-            or segments.shape[1] != 5
-            or not len(segments)
-            or not np.isfinite(segments).all()
-        ):
-            wanted = "it must be rows of five finite numbers (s, x, y, θ, c)"
-            raise ValueError(f"segments was {shown(self.segments)}; {wanted}")
+        is_table = segments.ndim == 2 and segments.shape[1] == 5 and len(segments)
+        if not is_table or not np.isfinite(segments).all():
+            expected = "it must be rows of five finite numbers (s, x, y, θ, c)"
+            raise ValueError(f"segments was {shown(self.segments)}; {expected}")
         if numbers("length_m", self.length_m).shape or not 0 < self.length_m <= LONGEST_M:
-            wanted = f"it must be above 0 and at most {LONGEST_M:g} m"
-            raise ValueError(f"length_m was {shown(self.length_m)}; {wanted}")
+            expected = f"it must be above 0 and at most {LONGEST_M:g} m"
+            raise ValueError(f"length_m was {shown(self.length_m)}; {expected}")
         object.__setattr__(self, "segments", segments)
+
+    def __repr__(self) -> str:
+        kind = "closed" if self.closed else "open"
+        return f"Path({len(self.segments)} lines and arcs, {self.length_m:.2f} m, {kind})"
 
     @classmethod
     @checked
@@ -117,6 +142,7 @@ class Path:
 
     @property
     def period_m(self) -> float:
+        """Arc length after which the path repeats itself [m]; `OPEN` if it does not."""
         return self.length_m if self.closed else OPEN
 
     @functools.cached_property
@@ -134,11 +160,13 @@ class Path:
         Returns:
             Poses (n, 3) [m, m, rad] and curvatures (n,) [1/m].
         """
-        s = np.asarray(s) % self.length_m if self.closed else np.asarray(s)
-        row = self.segments[
-            np.clip(np.searchsorted(self.segments[:, 0], s, side="right") - 1, 0, None)
-        ]
-        return np.column_stack(advance(*row[:, 1:4].T, row[:, 4], s - row[:, 0], np)), row[:, 4]
+        s = np.asarray(s)
+        if self.closed:
+            s = s % self.length_m
+        # Before its beginning an open path goes on as its first segment does.
+        place = np.searchsorted(self.segments[:, 0], s, side="right") - 1
+        begin, x, y, theta, curvature = self.segments[np.clip(place, 0, None)].T
+        return np.column_stack(advance(x, y, theta, curvature, s - begin, np)), curvature
 
     def project(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Closest point of the whole path.
@@ -150,51 +178,65 @@ class Path:
             Distances (n,) and arc lengths (n,) [m]; both NaN where xy is.
         """
         xy = np.asarray(xy, dtype=float)
-        distance, s = closest(self, *xy.T, np)
-        nowhere = np.isnan(xy).any(axis=1)
-        return np.where(nowhere, np.nan, distance), np.where(nowhere, np.nan, s)
+        x, y = xy.T
+        best_distance = np.full(len(xy), np.inf)
+        best_s = np.zeros(len(xy))
+        ends = [*self.segments[1:, 0], self.length_m]
+        for (s, x_0, y_0, theta, c), end in zip(self.segments, ends):
+            ahead, left = ahead_and_left(x - x_0, y - y_0, theta, np)
+            length = end - s
+            points = _on_arc(ahead, left, c, length) if c else _on_line(ahead, left, length)
+            for distance, place in points:
+                better = distance < best_distance - _SAME_M
+                best_distance = np.where(better, distance, best_distance)
+                best_s = np.where(better, s + place, best_s)
+        unknown = np.isnan(xy).any(axis=1)
+        return np.where(unknown, np.nan, best_distance), np.where(unknown, np.nan, best_s)
 
 
-def closest(path, x, y, lib):
-    """`Path.project` of coordinates in the library `lib`, casadi or numpy."""
-    where = np.where if lib is np else ca.if_else
-    best_distance = np.inf
-    best_s = 0.0
-    ends = [*path.segments[1:, 0], path.length_m]
-    for (s, x_0, y_0, theta, c), end in zip(path.segments, ends):
-        dx = x - x_0
-        dy = y - y_0
-        along = dx * np.cos(theta) + dy * np.sin(theta)
-        left = dy * np.cos(theta) - dx * np.sin(theta)
-        arguments = (along, left, c, end - s, lib) if c else (along, left, end - s, lib)
-        for distance, candidate in (_on_arc if c else _on_line)(*arguments):
-            better = distance < best_distance - 1e-9  # of equals, the first
-            best_distance = where(better, distance, best_distance)
-            best_s = where(better, s + candidate, best_s)
-    return best_distance, best_s
+def _check_closed(start, end, length_m):
+    """Refuse a path whose ends are apart by more than rounding errors."""
+    gap_m = np.hypot(end[0] - start[0], end[1] - start[1])
+    gap_rad = abs(np.remainder(end[2] - start[2] + pi, 2 * pi) - pi)
+    rounding = CLOSED * max(1, *map(abs, start), length_m)
+    if not (gap_m <= rounding and gap_rad <= rounding):
+        ends = f"the path ends {gap_m:.3g} m and {gap_rad:.3g} rad from where it begins"
+        raise ValueError(f"closed was True; {ends}, so it should be False")
 
 
-@functools.lru_cache(maxsize=16)  # what runs of a campaign have in common
+@functools.lru_cache(maxsize=16)  # the runs of a campaign share it
 def _racetrack(row_length_m, radius_m):
     pieces = [(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)]
     return Path.from_segments(pieces * 2, closed=True)
 
 
-def _on_line(along, left, length, lib):
-    """Distance and place on a line of the point closest to (along, left) of its beginning."""
-    place = lib.fmin(lib.fmax(along, 0), length)
-    yield lib.sqrt((along - place) ** 2 + left**2), place
+def _on_line(ahead, left, length):
+    """The closest point on a line, as [(distance, place)] [m].
+
+    Args:
+        ahead, left: (n,) the point's offset from the line's beginning, seen along the line [m].
+        length: Of the line [m].
+    """
+    place = np.fmin(np.fmax(ahead, 0), length)
+    return [(np.sqrt((ahead - place) ** 2 + left**2), place)]
 
 
-def _on_arc(along, left, c, length, lib):
-    """The same on an arc of curvature c; beyond it its beginning may be closer than its end."""
-    where = np.where if lib is np else ca.if_else
-    to_centre = lib.sqrt(along**2 + (1 / c - left) ** 2)
-    place = lib.arctan2(abs(c) * along, 1 - c * left)
-    place = where(place < 0, place + 2 * pi, place) / abs(c)
-    # |to_centre - 1 / |c||, without the difference of two numbers that may be large and near
-    beside = lib.fabs(along**2 + left**2 - 2 * left / c) / (to_centre + 1 / abs(c))
+def _on_arc(ahead, left, c, length):
+    """The candidates for the closest point on an arc of curvature c, as [(distance, place)] [m].
+
+    The centre lies 1/c to the left of the beginning. The point is closest where the ray from the
+    centre through it meets the circle: at the angle atan2(|c| · ahead, 1 - c · left), in [0, 2π).
+    Beyond the arc its end is a candidate, and so is its beginning, which may be closer.
+    """
+    to_centre = np.sqrt(ahead**2 + (1 / c - left) ** 2)
+    angle = np.arctan2(abs(c) * ahead, 1 - c * left)
+    place = np.where(angle < 0, angle + 2 * pi, angle) / abs(c)
+    # |to_centre - 1 / |c||, but not as a difference of numbers that may be large and nearly equal
+    radial = np.fabs(ahead**2 + left**2 - 2 * left / c) / (to_centre + 1 / abs(c))
     x, y, _ = advance(0.0, 0.0, 0.0, c, length, np)
-    beyond = lib.sqrt((along - x) ** 2 + (left - y) ** 2)
-    yield where(place <= length, beside, beyond), lib.fmin(place, length)
-    yield lib.sqrt(along**2 + left**2), 0.0
+    to_end = np.sqrt((ahead - x) ** 2 + (left - y) ** 2)
+    to_beginning = np.sqrt(ahead**2 + left**2)
+    return [
+        (np.where(place <= length, radial, to_end), np.fmin(place, length)),
+        (to_beginning, 0.0),
+    ]

@@ -1,4 +1,8 @@
-"""References on a path, eq. (17)-(18): the desired points over the horizon."""
+"""References on a path, eq. (17)-(18): the desired points over the horizon.
+
+The closed loop follows the closest point from sample to sample by Newton's method, which is cheap
+and keeps to its branch where a path crosses itself. `Path.project` searches the whole path.
+"""
 
 from typing import Any
 
@@ -9,13 +13,26 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.validation import Intervals, NotNegative, Positive, checked
-from rhec.tracked_robot.path import OPEN, Path, advance
+from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
 __all__ = ["PathTracker", "build_references", "pose_at"]
 
+# Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.
+_LEAST_SLOPE = 0.2
+_LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not ask for any yaw rate
+
 
 def pose_at(s, segments, period_m):
-    """Pose (3,) and curvature at arc length s; segments (5, M). An open end goes on."""
+    """Pose and curvature of a path at an arc length, as CasADi expressions.
+
+    Args:
+        s: Arc length [m]; beyond the ends of an open path its last and first segment go on.
+        segments: (5, M) columns (s, x, y, θ, c) of a Path.
+        period_m: Path.period_m [m].
+
+    Returns:
+        Pose (3,) [m, m, rad] and curvature [1/m].
+    """
     # Before an open path's beginning is not after its end.
     s = ca.if_else(period_m < OPEN, s - period_m * ca.floor(s / period_m), s)
     rows = ca.horzsplit(segments)
@@ -26,25 +43,37 @@ def pose_at(s, segments, period_m):
 
 
 def _closest(xy, s, segments, period_m, iterations=2):
-    """Arc length closest to xy (2,), by Newton's method from s: r'(s)·(r(s) - xy) = 0."""
+    """Arc length closest to xy (2,), by Newton's method from s.
+
+    It solves r'(s) · (xy - r(s)) = 0, whose left side is the distance ahead, and whose derivative
+    is -(1 - c · left).
+    """
     for _ in range(iterations):
         pose, c = pose_at(s, segments, period_m)
-        off = xy - pose[:2]
-        along = ca.cos(pose[2]) * off[0] + ca.sin(pose[2]) * off[1]
-        left = ca.cos(pose[2]) * off[1] - ca.sin(pose[2]) * off[0]
-        # Near an arc's centre every point is equally close.
-        s = s + along / ca.fmax(1 - c * left, 0.2)
+        offset = xy - pose[:2]
+        ahead, left = ahead_and_left(offset[0], offset[1], pose[2], ca)
+        s = s + ahead / ca.fmax(1 - c * left, _LEAST_SLOPE)
     return s
 
 
 def build_references(dt_s, horizon, n_segments, input_reference="measured"):
-    """{references: Function} from the last arc length and the estimate to the desired points.
+    """The references as a Function of the last arc length and the estimate.
 
-    The points begin `look_ahead_m` beyond the closest one and lie one sample of the robot's own
-    estimated speed apart, so that the path, not a clock, leads. Yaw reference: eq. (18) with λ =
-    `backwards`, in the turn nearest to the estimate (interpretation R9). Input reference: the
-    measured yaw rate held over the horizon, as in the paper, or what the path's curvature asks for
-    ("curvature", R8).
+    The desired points begin `look_ahead_m` beyond the closest one. They lie one sample of the
+    robot's estimated speed over ground, |μ̂ν̂| Δt, apart, so that the path leads and not a clock,
+    eq. (17). The desired yaw is that of the path plus λπ, eq. (18), with λ = `backwards`, in the
+    turn nearest to the estimate (interpretation R9). The desired yaw rate is the measured one over
+    the whole horizon, as in the paper, or c |μ̂ν̂| / κ̂ for the path's curvature c (R8).
+
+    Args:
+        dt_s: Length of a sample [s].
+        horizon: Number of intervals N.
+        n_segments: Number of the path's segments M.
+        input_reference: "measured" or "curvature".
+
+    Returns:
+        {"references": Function} with the results s [m], xi_ref (3, N+1), omega_ref (1, N) and
+        curvature at s.
     """
     one = (1, 1)
 
@@ -70,7 +99,8 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
         if input_reference == "measured":
             omega_ref = ca.repmat(omega_measured, 1, horizon)
         else:
-            omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / ca.fmax(kappa, 0.1)
+            turning = ca.fmax(kappa, _LEAST_KAPPA)
+            omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / turning
         return dict(s=s, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature)
 
     return dict(references=references)
@@ -82,9 +112,9 @@ def _nearest_turn(angle, near):
 
 
 class PathTracker:
-    """References on a path for a control loop of one's own, eq. (17)-(18).
+    """References on a path for a user-defined control loop, eq. (17)-(18).
 
-    It remembers the closest point of the last sample, so that a path may cross itself.
+    It starts each search at the closest point of the last sample, so that a path may cross itself.
 
     Args:
         path: A rhec.Path.
@@ -117,7 +147,7 @@ class PathTracker:
 
         Args:
             estimate: (x, y, θ, ν, μ, κ), such as rhec.RHE estimates.
-            omega_measured: Measured yaw rate [rad/s]; if it is not finite, the last one counts.
+            omega_measured: Measured yaw rate [rad/s]; if it is not finite, the last finite one.
 
         Returns:
             xi_ref (3, N+1) and omega_ref (N,), valid until the next call.
