@@ -1,6 +1,10 @@
 """Simulated slip fields μ(x, y), κ(x, y): spatially correlated, in (0, 1], with patches of sudden
 change.
 
+A field is a Gaussian copula: a standard Gaussian field g with the correlation exp(-π/4 (r/ℓ)²) at
+the distance r, whose every value becomes that of a beta distribution at the same quantile,
+μ = F⁻¹(Φ(g)). So the traction has the wanted mean and deviation, and stays between 0 and 1.
+
 All fields are cut from one pair of standard Gaussian fields that a geostatistics library (GSTools)
 made once and `data/` holds, so that a run never depends on a library's random stream;
 `data/make_standard_fields.py` makes that file again.
@@ -36,36 +40,37 @@ STANDARD_FIELDS = next(
 
 __all__ = [
     "CELLS_PER_LENGTH",
-    "LOWEST",
-    "QUANTILES",
     "STANDARD_FIELDS",
     "Terrain",
-    "beta_quantiles",
-    "bilinear",
     "common_shape",
     "flat",
-    "gaussian_fields",
     "lookup",
     "random_for",
     "settings",
 ]
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
-LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
+_LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
+_QUANTILES = np.linspace(-5, 5, 257)  # of the standard normal distribution
+_MARGIN_M = 5.0  # of a field around its path
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
-_SMALL_M2 = 10_000.0  # a random field so large, 0.6 MB, or smaller is kept for the next run
-QUANTILES = np.linspace(-5, 5, 257)
+_SMALL_M2 = 10_000.0  # a random field of this size or less takes 0.6 MB and is cached
 _MOST_BYTES = 32 * _MOST_CELLS  # of a file, unpacked
 
 Seed = Annotated[Whole, Field(ge=0)]
-Patch = tuple[
-    Real, Real, Positive, Traction, Traction
-]  # disc of sudden change: (x_m, y_m, radius_m, μ, κ)
+# A disc of sudden change: (x_m, y_m, radius_m, μ, κ)
+Patch = tuple[Real, Real, Positive, Traction, Traction]
 
 
-@dataclass(frozen=True, eq=False)  # the same only if it is itself, so that caches may know it
+# Equal only to itself, so that caches can tell fields apart without comparing them.
+@dataclass(frozen=True, eq=False, repr=False)
 class Terrain:
-    """Traction on a grid: mu[i, j], kappa[i, j] at (x, y) = origin_m + cell_m · (i, j); between the
-    points it is bilinear, beyond them constant.
+    """Traction on a grid, between whose points it is bilinear, and beyond which it is constant.
+
+    Attributes:
+        mu: (m, n) traction μ at (x, y) = origin_m + cell_m · (i, j).
+        kappa: (m, n) traction κ at the same points.
+        origin_m: (x, y) of the first point [m].
+        cell_m: Distance of the points [m].
     """
 
     mu: np.ndarray
@@ -75,30 +80,25 @@ class Terrain:
 
     def __post_init__(self):
         for name in ("mu", "kappa"):
-            field = numbers(name, getattr(self, name))
-            if field.ndim != 2 or min(field.shape) < 2:
-                raise ValueError(
-                    f"{name} had shape {field.shape}; it must be a grid of at least 2 by 2 points"
-                )
-            if not (np.all(field > 0) and np.all(field <= 1)):
-                raise ValueError(
-                    f"{name} ranged from {np.min(field)} to {np.max(field)}; "
-                    "traction must lie in (0, 1]"
-                )
-            object.__setattr__(self, name, field)
+            object.__setattr__(self, name, _checked_field(name, getattr(self, name)))
         if self.mu.shape != self.kappa.shape:
-            raise ValueError(
-                f"mu and kappa had shapes {self.mu.shape} and {self.kappa.shape}; "
-                "they must be the same"
-            )
+            shapes = f"{self.mu.shape} and {self.kappa.shape}"
+            raise ValueError(f"mu and kappa had shapes {shapes}; they must be the same")
         origin = numbers("origin_m", self.origin_m)
-        cell = numbers("cell_m", self.cell_m)
         if origin.shape != (2,) or not np.all(np.isfinite(origin)):
-            raise ValueError(
-                f"origin_m was {shown(self.origin_m)}; it must be two finite coordinates"
-            )
+            expected = "it must be two finite coordinates"
+            raise ValueError(f"origin_m was {shown(self.origin_m)}; {expected}")
+        cell = numbers("cell_m", self.cell_m)
         if cell.shape or not 0 < cell < np.inf:
             raise ValueError(f"cell_m was {shown(self.cell_m)}; it must be above 0 m")
+
+    def __repr__(self) -> str:
+        rows, columns = self.mu.shape
+        mu, kappa = self.mean
+        return (
+            f"Terrain({rows} by {columns} points of {self.cell_m:g} m, "
+            f"mean mu {mu:.3f}, kappa {kappa:.3f})"
+        )
 
     @classmethod
     def uniform(cls, mu: float, kappa: float) -> "Terrain":
@@ -111,7 +111,7 @@ class Terrain:
         Returns:
             The Terrain.
         """
-        return cls(*([[value, value], [value, value]] for value in (mu, kappa)), (0.0, 0.0), 1.0)
+        return cls([[mu, mu], [mu, mu]], [[kappa, kappa], [kappa, kappa]], (0.0, 0.0), 1.0)
 
     @classmethod
     @checked
@@ -132,7 +132,7 @@ class Terrain:
             box: (x_min, x_max, y_min, y_max) [m].
             mean: Of (μ, κ).
             deviation: Standard deviation of (μ, κ).
-            correlation_length_m: How far traction is alike [m].
+            correlation_length_m: Correlation length ℓ of the traction [m].
             patches: ((x_m, y_m, radius_m, μ, κ), …), discs that replace the field.
             cell_m: Distance of the grid's points [m].
 
@@ -140,7 +140,7 @@ class Terrain:
             The Terrain.
 
         Raises:
-            ValueError: In one sentence, for what makes no field.
+            ValueError: If an argument is invalid or the box too large.
         """
         x_min, x_max, y_min, y_max = box
         cells = np.ceil(np.array([x_max - x_min, y_max - y_min]) / cell_m)
@@ -150,15 +150,15 @@ class Terrain:
                 f"{_MOST_CELLS:,} cells of {cell_m:g} m. "
                 "A path or a start that takes the robot so far needs a terrain of its own"
             )
-        i, j = (np.arange(int(n) + 1) for n in cells)
-        fields = gaussian_fields(seed, len(i), len(j), cell_m, correlation_length_m)
+        n_i, n_j = (int(n) + 1 for n in cells)
+        fields = _gaussian_fields(seed, n_i, n_j, cell_m, correlation_length_m)
         mu, kappa = map(_beta_from_gaussian, fields, mean, deviation)
-        for x, y, radius, mu_patch, kappa_patch in patches:
-            dx = x_min + cell_m * i[:, None] - x
-            dy = y_min + cell_m * j - y
+        for x, y, radius, mu_inside, kappa_inside in patches:
+            dx = x_min + cell_m * np.arange(n_i)[:, None] - x
+            dy = y_min + cell_m * np.arange(n_j) - y
             inside = dx**2 + dy**2 <= radius * radius
-            mu = np.where(inside, mu_patch, mu)
-            kappa = np.where(inside, kappa_patch, kappa)
+            mu = np.where(inside, mu_inside, mu)
+            kappa = np.where(inside, kappa_inside, kappa)
         return cls(mu, kappa, (float(x_min), float(y_min)), cell_m)
 
     @property
@@ -190,34 +190,47 @@ class Terrain:
             ValueError: For any other file.
         """
         try:
-            with np.load(file, allow_pickle=False) as data:
-                unpacked = sum(member.file_size for member in data.zip.infolist())
-                if unpacked > _MOST_BYTES:
-                    raise ValueError(f"unpacked {unpacked:,} bytes, at most {_MOST_BYTES:,}")
-                given = (
-                    data["mu"],
-                    data["kappa"],
-                    tuple(data["origin_m"].tolist()),
-                    data["cell_m"].item(),
-                )
+            arrays = _read_arrays(file)
         except (FileNotFoundError, IsADirectoryError, PermissionError):
             raise
-        except (
-            Exception
-        ) as error:  # whatever NumPy and zipfile make of a file that is none of theirs
+        # NumPy and zipfile raise all kinds of errors for a file that is none of theirs.
+        except Exception as error:
             raise ValueError(
                 f"file was {shown(str(file))}; it should be a field that Terrain.save wrote "
                 f"({shown(error)})"
             ) from None
-        return cls(*given)
+        return cls(*arrays)
+
+
+def _checked_field(name, values):
+    """Values as a grid of traction, or one sentence on why they are none."""
+    field = numbers(name, values)
+    if field.ndim != 2 or min(field.shape) < 2:
+        expected = "it must be a grid of at least 2 by 2 points"
+        raise ValueError(f"{name} had shape {field.shape}; {expected}")
+    if not (np.all(field > 0) and np.all(field <= 1)):
+        limits = f"{np.min(field)} to {np.max(field)}"
+        raise ValueError(f"{name} ranged from {limits}; traction must lie in (0, 1]")
+    return field
+
+
+def _read_arrays(file):
+    """(mu, kappa, origin_m, cell_m) of a file, which must not unpack to too much."""
+    with np.load(file, allow_pickle=False) as data:
+        unpacked = sum(member.file_size for member in data.zip.infolist())
+        if unpacked > _MOST_BYTES:
+            raise ValueError(f"unpacked {unpacked:,} bytes, at most {_MOST_BYTES:,}")
+        origin_m = tuple(data["origin_m"].tolist())
+        return data["mu"], data["kappa"], origin_m, data["cell_m"].item()
 
 
 def random_for(scenario, path):
-    """The random field a scenario's statistics and seed describe, with a margin around the path."""
-    (x_min, x_max, y_min, y_max) = path.box
-    margin = 5.0 + abs(scenario.start_offset_m)
+    """The random field of a scenario's statistics and seed, with a margin around the path."""
+    x_min, x_max, y_min, y_max = path.box
+    margin = _MARGIN_M + abs(scenario.start_offset_m)
     box = x_min - margin, x_max + margin, y_min - margin, y_max + margin
-    make = _random if (box[1] - box[0]) * (box[3] - box[2]) < _SMALL_M2 else Terrain.random
+    area_m2 = (box[1] - box[0]) * (box[3] - box[2])
+    make = _cached_random if area_m2 < _SMALL_M2 else Terrain.random
     return make(
         scenario.seed,
         box,
@@ -228,22 +241,30 @@ def random_for(scenario, path):
     )
 
 
-@functools.lru_cache(maxsize=64)  # what runs of a few seeds have in common, not to be written to
-def _random(*given):
-    terrain = Terrain.random(*given)
-    terrain.mu.setflags(write=False), terrain.kappa.setflags(write=False)
+@functools.lru_cache(maxsize=64)  # a campaign runs several scenarios on the field of a seed
+def _cached_random(*arguments):
+    """Terrain.random, whose arrays cannot be written to, since several runs share them."""
+    terrain = Terrain.random(*arguments)
+    terrain.mu.setflags(write=False)
+    terrain.kappa.setflags(write=False)
     return terrain
 
 
 def lookup(shape):
-    """(xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ), bilinear on a grid of this shape,
-    constant beyond its edges; slip: see `flat`.
+    """The traction at a place as a CasADi Function, bilinear and constant beyond the edges.
+
+    Args:
+        shape: Of the grid.
+
+    Returns:
+        A Function (xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ); slip: see `flat`.
     """
     xy = ca.MX.sym("xy", 2)
     origin_m = ca.MX.sym("origin_m", 2)
     cell_m = ca.MX.sym("cell_m")
     slip = ca.MX.sym("slip", 2 * shape[0] * shape[1])
     axes = [np.arange(points, dtype=float) for points in shape]
+    # "exact": the cell of an evenly spaced grid is computed, not searched.
     grid = ca.interpolant("slip_fields", "linear", axes, 2, {"lookup_mode": ["exact", "exact"]})
     place = ca.fmin(ca.fmax((xy - origin_m) / cell_m, 0), np.array(shape) - 1.0)
     return ca.Function(
@@ -256,8 +277,14 @@ def lookup(shape):
 
 
 def flat(terrain, shape=None):
-    """Both fields in the order `lookup` reads them, continued to a larger grid of this shape as
-    they are beyond their edges.
+    """Both fields in the order in which `lookup` reads them.
+
+    Args:
+        terrain: The Terrain.
+        shape: A larger grid, to which the fields are continued as they are beyond their edges.
+
+    Returns:
+        (2 · rows · columns,) values.
     """
     rows, columns = terrain.mu.shape
     fields = np.empty((2, *(shape or terrain.mu.shape)), order="F")
@@ -268,9 +295,13 @@ def flat(terrain, shape=None):
 
 
 def settings(terrain, shape):
-    """What a run's loop must be told of its soil, on a grid of this shape, by name."""
-    place = dict(origin_m=np.array(terrain.origin_m), cell_m=terrain.cell_m)
-    return place | dict(slip=flat(terrain, shape), mean_traction=terrain.mean)
+    """The soil's settings of a run's loop by name, on a grid of this shape."""
+    return dict(
+        origin_m=np.array(terrain.origin_m),
+        cell_m=terrain.cell_m,
+        slip=flat(terrain, shape),
+        mean_traction=terrain.mean,
+    )
 
 
 def common_shape(terrain, step=160):
@@ -279,57 +310,74 @@ def common_shape(terrain, step=160):
 
 
 def _beta_from_gaussian(gaussian, mean, deviation):
-    """A standard Gaussian field reshaped, point by point, to the beta distribution on (0, 1) with
-    that mean and standard deviation.
-    """
+    """A standard Gaussian field g, point by point as F⁻¹(Φ(g)) of the beta distribution F."""
     if deviation < 1e-6:  # as good as none, and its square may vanish
         return np.full(gaussian.shape, float(mean))
-    values = beta_quantiles(mean, deviation)
-    return np.clip(np.interp(gaussian, QUANTILES, values), LOWEST, 1)
+    values = _beta_quantiles(mean, deviation)
+    return np.clip(np.interp(gaussian, _QUANTILES, values), _LOWEST, 1)
 
 
 @functools.lru_cache
-def beta_quantiles(mean, deviation):
-    """Values of that beta distribution where the standard normal distribution has QUANTILES."""
+def _beta_quantiles(mean, deviation):
+    """Values of the beta distribution on (0, 1) where the standard normal one has _QUANTILES.
+
+    Its parameters are α = m ν and β = (1 - m) ν, with ν = m (1 - m) / σ² - 1 for the mean m and
+    the deviation σ.
+    """
     nu = mean * (1 - mean) / deviation**2 - 1
-    return betaincinv(mean * nu, (1 - mean) * nu, ndtr(QUANTILES))
+    return betaincinv(mean * nu, (1 - mean) * nu, ndtr(_QUANTILES))
 
 
-@functools.lru_cache(maxsize=1)  # what runs of one seed have in common
-def gaussian_fields(seed, n_i, n_j, cell_m, correlation_length_m):
+@functools.lru_cache(maxsize=1)  # runs of one seed follow each other
+def _gaussian_fields(seed, n_i, n_j, cell_m, correlation_length_m):
     """Two windows (n_i, n_j) of the standard fields, placed, turned and mirrored by the seed."""
-    # generate_state is guaranteed to stay the same between versions of NumPy; a Generator's
-    # stream is not
+    # NumPy guarantees generate_state to stay the same between versions, a Generator's stream not.
     draws = np.random.SeedSequence(seed).generate_state(8).reshape(2, 4)
     standard, period = _standard_fields()
-    fields = []
-    for field, (offset_i, offset_j, turn, _) in zip(standard, draws):
-        shape = (n_i, n_j) if turn & 1 else (n_j, n_i)
-        places = [np.arange(n) * cell_m / correlation_length_m * CELLS_PER_LENGTH for n in shape]
-        rows = (places[0] * (1 if turn & 2 else -1) + offset_i) % period
-        columns = (places[1] * (1 if turn & 4 else -1) + offset_j) % period
-        gaussian = bilinear(field, rows, columns)
-        fields.append((gaussian if turn & 1 else gaussian.T) * (1 if turn & 8 else -1))
-    return fields
+    step = cell_m, correlation_length_m
+    return [
+        _window(field, period, n_i, n_j, step, draw[:3]) for field, draw in zip(standard, draws)
+    ]
 
 
-def bilinear(field, rows, columns):
-    """A field that repeats itself, given at the corners of square cells, at the crossings (m, n) of
-    rows (m,) and columns (n,) in [0, its period), counted in cells.
+def _window(field, period, n_i, n_j, step, draw):
+    """A window (n_i, n_j) of a standard field; each bit of the third draw turns or mirrors it."""
+    cell_m, correlation_length_m = step
+    offset_i, offset_j, turn = draw
+    is_upright = turn & 1
+    shape = (n_i, n_j) if is_upright else (n_j, n_i)
+    i, j = (np.arange(n) * cell_m / correlation_length_m * CELLS_PER_LENGTH for n in shape)
+    rows = (i * (1 if turn & 2 else -1) + offset_i) % period
+    columns = (j * (1 if turn & 4 else -1) + offset_j) % period
+    gaussian = _bilinear(field, rows, columns)
+    return (gaussian if is_upright else gaussian.T) * (1 if turn & 8 else -1)
+
+
+def _bilinear(field, rows, columns):
+    """A field that repeats itself, interpolated at the crossings of rows and columns.
+
+    Args:
+        field: (period, period) values at the corners of square cells.
+        rows: (m,) places in [0, period), in cells.
+        columns: (n,) places likewise.
+
+    Returns:
+        (m, n) values.
     """
     i = rows.astype(int)
     j = columns.astype(int)
     u = (rows - i)[:, None]
     v = columns - j
     period = len(field)
-    before = period * i[:, None]
-    after = period * ((i + 1) % period)[:, None]
-    after_j = (j + 1) % period
+    # Places in the flattened field, of which `take` is much faster than of two indices.
+    row = period * i[:, None]
+    next_row = period * ((i + 1) % period)[:, None]
+    next_j = (j + 1) % period
     return (
-        (1 - u) * (1 - v) * field.take(before + j)
-        + u * (1 - v) * field.take(after + j)
-        + (1 - u) * v * field.take(before + after_j)
-        + u * v * field.take(after + after_j)
+        (1 - u) * (1 - v) * field.take(row + j)
+        + u * (1 - v) * field.take(next_row + j)
+        + (1 - u) * v * field.take(row + next_j)
+        + u * v * field.take(next_row + next_j)
     )
 
 

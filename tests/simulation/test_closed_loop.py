@@ -415,3 +415,26 @@ def test_an_open_path_is_followed_from_its_first_sample_whatever_the_noise():
         )
         assert run.log["s_m"].between(-0.2, path.length_m).all()
         assert run.metrics["mean_error_true_m"] < 0.12
+
+
+# What a run shows of itself
+
+
+def test_a_run_says_in_five_lines_what_it_was(run):
+    lines = repr(run).splitlines()
+    assert len(lines) <= 5 and max(map(len, lines)) <= 200
+    assert repr(run.scenario) in lines[0]
+    assert f"{run.metrics['mean_error_m']:.4f}" in repr(run) and "all_ok: True" in repr(run)
+
+
+def test_in_a_notebook_a_run_is_a_table_of_its_metrics_and_one_picture(run):
+    page = run._repr_html_()
+    assert all(f"<td>{name}</td>" in page for name in run.metrics)
+    assert page.count("<img ") == 1 and "http" not in page
+
+
+def test_the_picture_of_a_run_has_path_errors_and_traction(run):
+    figure = run.plot()
+    assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "error [m]", "μ [-]", "κ [-]"]
+    robot_line = figure.axes[0].get_lines()[1]
+    np.testing.assert_array_equal(robot_line.get_xdata(), run.columns["x_m"])

@@ -1,9 +1,16 @@
 """Names of log columns: each is documented, once, where all of them are."""
 
 import re
+from pathlib import Path
 
 import rhec
 from rhec.simulation import columns
+
+LISTS = [
+    name
+    for name in columns.__all__
+    if name not in ("LOG", "COLUMNS_BY_NAME", "Column", "page")
+]  # fmt: skip
 
 
 def _documented(name):
@@ -11,13 +18,30 @@ def _documented(name):
 
 
 def test_each_column_is_documented(run):
-    named = [getattr(columns, name) for name in columns.__all__ if name != "LOG"]
+    named = [getattr(columns, name) for name in LISTS]
     names = {column for group in named for column in group} | set(run.log.columns)
     names |= {*columns.RECORDED.values(), *columns.RECORDED_TRUTH.values()}
     names |= set(rhec.replay(run.log[:50], robust=True, first_yaw_rad=0.0).columns)
     assert not [name for name in names if not _documented(name)]
+    assert not names - columns.COLUMNS_BY_NAME.keys()
+
+
+def test_a_run_has_the_columns_that_the_table_says(run):
+    described = [n for n, column in columns.COLUMNS_BY_NAME.items() if "run" in column.tables]
+    assert set(run.log.columns) == set(described)
 
 
 def test_a_run_has_its_columns_in_this_order(run):
     made = [column for column in run.log.columns if column in columns.COLUMNS]
     assert made == columns.COLUMNS == [name for group in columns.LOG.values() for name in group]
+
+
+def test_every_metric_is_documented(run):
+    assert list(run.metrics) == list(columns.METRICS)
+
+
+def test_the_page_of_columns_is_the_one_that_the_tables_make():
+    page = Path(__file__).parents[2] / "docs" / "log_columns.md"
+    assert page.read_text(encoding="utf-8") == columns.page(), (
+        "python -m rhec.simulation.columns > docs/log_columns.md makes it anew"
+    )

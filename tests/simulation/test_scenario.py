@@ -1,15 +1,19 @@
 """A scenario is validated strictly: bad input is answered by one sentence that names it."""
 
 import dataclasses
+import inspect
 import math
+import pydoc
+from typing import get_args
 
 import numpy as np
 import pytest
 
 import rhec
 from rhec import paper
+from rhec.simulation import scenario as described
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.estimators import NAMES, Choice, estimator_of
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 OUT_OF_RANGE = [
@@ -159,9 +163,49 @@ def test_a_scenario_is_frozen():
         rhec.Scenario().seed = 3
 
 
-def test_every_field_is_documented():
-    for name in FIELDS:
-        assert name in rhec.Scenario.__doc__
+def test_every_field_is_documented_once():
+    assert list(described.FIELDS) == FIELDS
+    for name, field in described.FIELDS.items():
+        assert rhec.Scenario.__doc__.count(f"\n    {name}: ") == 1
+        assert field.text.endswith(".") and "  " not in field.text and "[" not in field.text
+        for choice in field.choices:
+            assert isinstance(choice, bool) or str(choice) in field.text, name
+
+
+def test_the_help_says_unit_and_range_beside_the_text():
+    help_text = pydoc.plain(pydoc.render_doc(rhec.Scenario))
+    assert "speed_mps: Set speed [m/s], 0 to 1.4." in help_text
+    assert "track_width_m: Distance b between the tracks [m], above 0." in help_text
+    assert "estimation_horizon: Intervals of the estimation window, 2 to 240. N " in help_text
+    assert max(map(len, rhec.Scenario.__doc__.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_the_described_range_is_the_one_that_is_checked(name):
+    field = described.FIELDS[name]
+    several = field.unit.count(",") + 1 if name != "q" else 3
+    several = several if name in ("q", "sigma_v") else 5 if name == "slip" else 6
+    for limit, beyond in ((field.lowest, -1), (field.highest, 1)):
+        if limit is not None:
+            value = limit + beyond
+            is_tuple = name in ("q", "sigma_v", "sigma_w", "slip")
+            assert refusal(**{name: (value,) * several if is_tuple else value}).startswith(name)
+
+
+def test_the_signature_can_be_read_and_names_the_estimators():
+    signature = inspect.signature(rhec.Scenario)
+    assert len(str(signature)) <= 2500
+    assert all(repr(name) in str(signature) for name in NAMES)
+    assert get_args(described.EstimatorName) == NAMES
+
+
+def test_the_repr_is_python_that_leaves_out_the_defaults():
+    fault = rhec.Fault(kind="jump", size_m=0.5, start_s=40.0)
+    scenario = rhec.Scenario(seed=3, faults=(fault,), q=(1, 2, 3))
+    assert repr(rhec.Scenario()) == "rhec.Scenario()"
+    assert eval(repr(scenario)) == scenario and "duration_s" not in repr(scenario)
+    assert repr(fault) == "rhec.Fault(kind='jump', start_s=40.0, size_m=0.5)"
+    assert repr(rhec.Scenario(path=rhec.Path.racetrack(9.0, 4.0))) == "rhec.Scenario(path=path)"
 
 
 def test_sigma_w_has_an_entry_for_each_state_of_the_estimator():
@@ -197,8 +241,6 @@ def test_consistent_process_noise_brings_what_belongs_to_it_unless_that_is_given
     )
     printed = dataclasses.replace(scenario, process_noise="printed")
     assert printed == rhec.Scenario()
-    with pytest.warns(FutureWarning, match="'process_noise'"):
-        assert rhec.Scenario(reading="consistent") == scenario
 
 
 def test_an_estimator_without_a_consistent_process_noise_says_so():

@@ -201,3 +201,9 @@ def test_the_input_reference_is_the_measured_yaw_rate_or_what_the_curve_asks_for
 def test_a_path_of_nothing_is_refused(pieces):
     with pytest.raises(ValueError, match=r"^pieces(\[\d\]\[0\])? was .*; it (must|should) be"):
         rhec.Path.from_segments(pieces)
+
+
+def test_a_path_and_a_terrain_are_shown_without_their_arrays():
+    assert repr(RACETRACK) == "Path(4 lines and arcs, 109.01 m, closed)"
+    shown = repr(rhec.Terrain.uniform(0.9, 0.8))
+    assert shown == "Terrain(2 by 2 points of 1 m, mean mu 0.900, kappa 0.800)"
