@@ -1,7 +1,7 @@
 """The paper's constants and reported results, each with its place. SI units; angles in radians.
 
-Where the paper gives no number, the value is this project's choice and is listed under "Not in the
-paper" (see interpretations R3, R4).
+Where the paper gives no number, the value is this project's choice and stands under "Not in the
+paper" (interpretations R3 and R4).
 """
 
 # Sec. Introduction: the row and the tolerance
@@ -25,9 +25,9 @@ HORIZON = 15
 
 # Sec. Implementation of Nonlinear RHE: standard deviations behind H_k = V_k⁻¹ and W, eq. (15)
 SIGMA_V = (0.03, 0.03, 0.05, 0.0175)  # x, y [m], ν [m/s], ω [rad/s]
-# x, y [m], θ [rad], ν [m/s], μ, κ, each per sample
+SIGMA_W_RHE = (10.0, 10.0, 0.1, 1.0, 0.25, 0.25)  # x, y [m], θ [rad], ν [m/s], μ, κ, per sample
 # Sec. Extended Kalman Filter, eq. (26)
-SIGMA_W_EKF = (10.0, 10.0, 0.1, 1.0)  # x, y [m], θ [rad], ν [m/s], each per sample
+SIGMA_W_EKF = (10.0, 10.0, 0.1, 1.0)  # x, y [m], θ [rad], ν [m/s], per sample
 
 # Sec. Implementation of Nonlinear RHC
 OMEGA_MAX_RADPS = 0.1  # eq. (16): 5.73 °/s
@@ -60,6 +60,5 @@ ROW_LENGTH_M = 30.0
 HEADLAND_RADIUS_M = 10 * ROW_SPACING_M  # into the 20th row over: 70 % of the yaw rate bound
 START_OFFSET_M = 1.0  # "starts off-track"
 ENCODER_SIGMA_MPS = ENCODER_ACCURACY_MPS / 2  # as a 95 % bound of one 50 Hz measurement
-SIGMA_W_RHE = (10.0, 10.0, 0.1, 1.0, 0.25, 0.25)
 
 __all__ = [name for name in dir() if name.isupper()]

@@ -3,7 +3,7 @@
     noise_k ─► robot ─ z_k ─► estimator ─ ξ̂, p̂ ─► path ─ ξ_r, ω_r ─► controller ─ ω ─► robot …
 
 Every tuning parameter is an argument of the Function, so that a change of a weight compiles
-nothing. What changes the shape of the Function is in `LoopStructure`.
+nothing. What changes the shape of the Function is in `_LoopStructure`.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,6 @@ from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.terrain import Terrain
 
 __all__ = [
-    "LoopStructure",
     "Run",
     "Setup",
     "build_sample",
@@ -45,7 +44,7 @@ __all__ = [
 ]
 
 
-class LoopStructure(NamedTuple):
+class _LoopStructure(NamedTuple):
     """What decides the shape of the loop's Function, and so what is compiled."""
 
     estimator: Choice
@@ -138,13 +137,13 @@ def build_sample(*structure):
     """The closed loop as a scan.
 
     Args:
-        structure: The entries of a LoopStructure.
+        structure: The entries of a _LoopStructure.
 
     Returns:
         {name: Function} of `scan.build_scan`: one sample (memory, noise, settings …) -> (memory,
         row, …) and a block of samples.
     """
-    structure = LoopStructure(*structure)
+    structure = _LoopStructure(*structure)
     structure = structure._replace(estimator=Choice(*structure.estimator))
     given = estimator_of(structure.estimator.estimator).given
     parts = _build_parts(structure)
@@ -290,7 +289,7 @@ class Setup:
         guess: (x, y, θ, ν, μ, κ), the estimator's first.
     """
 
-    structure: LoopStructure
+    structure: _LoopStructure
     memory: np.ndarray
     layout: dict
     settings: dict
@@ -313,7 +312,7 @@ def set_up(scenario):
     soil = scenario.terrain or terrain.random_for(scenario, path)
     shape = terrain.common_shape(soil)
     choice = Choice.of(scenario)
-    structure = LoopStructure(
+    structure = _LoopStructure(
         choice,
         scenario.prediction_horizon,
         scenario.qp,

@@ -433,8 +433,12 @@ def test_in_a_notebook_a_run_is_a_table_of_its_metrics_and_one_picture(run):
     assert page.count("<img ") == 1 and "http" not in page
 
 
-def test_the_picture_of_a_run_has_path_errors_and_traction(run):
+@pytest.mark.parametrize("estimator", ["rhe", "ekf"])
+def test_the_picture_of_a_run_has_path_errors_and_traction(estimator):
+    run = simulated(estimator=estimator, duration_s=20.0)
     figure = run.plot()
     assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "error [m]", "μ [-]", "κ [-]"]
     robot_line = figure.axes[0].get_lines()[1]
     np.testing.assert_array_equal(robot_line.get_xdata(), run.columns["x_m"])
+    # Two standard deviations, where the estimator has them for the traction.
+    assert len(figure.axes[3].collections) == (1 if estimator == "rhe" else 0)
