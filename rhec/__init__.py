@@ -83,7 +83,7 @@ def _draw_run(run, with_band):
 def __getattr__(name):
     if name in _HOME:
         home = importlib.import_module(f"rhec.{_HOME[name]}")
-        if name in ("Run", "simulate"):
+        if name in ("Run", "Scenario", "simulate"):
             # The simulation draws nothing; the workbench's picture of a run is attached here.
             importlib.import_module("rhec.simulation.run").Run.draw = staticmethod(_draw_run)
         return home if _HOME[name] == name else getattr(home, name)
