@@ -125,6 +125,7 @@ def _settings_shapes(parts, n_segments):
         slip=(parts.slip.numel_in("slip"), 1),
         mean_traction=(2, 1),
     )
+    # The rest are the estimator's, by the names it gives them. Truth and traction are no settings.
     tuning = {
         name: parts.estimate.size_in(name)
         for name in parts.estimate.name_in()[2:]
@@ -144,7 +145,6 @@ def build_sample(*structure):
         row, …) and a block of samples.
     """
     structure = _LoopStructure(*structure)
-    structure = structure._replace(estimator=Choice(*structure.estimator))
     given = estimator_of(structure.estimator.estimator).given
     parts = _build_parts(structure)
     memory = _memory_shapes(parts)
@@ -154,6 +154,7 @@ def build_sample(*structure):
 
     @build.with_packed_memory("sample", memory, ca.MX, **shapes)
     def sample(noise, **signals):
+        # Memory, noise and settings by name; each part picks its inputs from them.
         signals = signals | build.unpack(noise, stream)
         truth, omega = _truth(parts, signals)
         measured = _measured(parts, signals)
@@ -170,6 +171,7 @@ def build_sample(*structure):
             command=planned["command"],
             controller=planned["memory"],
         )
+        # Sensors with faults remember earlier measurements.
         stored = {name: measured[name] for name in memory if name in faults.MEMORY}
         return dict(row=ca.vertcat(*(row[name] for name in LOG))) | following | driven | stored
 
@@ -204,6 +206,7 @@ def _estimated(parts, signals, z, truth, given):
     signals = signals | dict(
         truth=truth, traction=known_traction(given, signals["mean_traction"], truth[4:])
     )
+    # A user's own estimator has none of these; every log has the same columns.
     nan = ca.DM.nan(1)
     defaults = dict(
         covariance=nan,
@@ -229,6 +232,7 @@ def _call_estimator(step, memory, z, signals):
 
 def _target(parts, signals, z, estimated):
     """The references ξ_r, ω_r on the path, eq. (17)-(18)."""
+    # Where the encoders are rejected, the last command stands in for the measured yaw rate.
     omega_measured = ca.if_else(estimated["accepted"][3], z[3], signals["command"])
     estimate = estimated["estimate"]
     return _call(parts.references, signals, estimate=estimate, omega_measured=omega_measured)
@@ -340,6 +344,7 @@ def _signed_speed(scenario):
 def _start_pose(scenario, path):
     """Where the robot starts: beside the path's beginning, turned from it; backwards by π, too."""
     ((x, y, theta),), _ = path.poses([0.0])
+    # (-sin θ, cos θ) points to the left.
     x -= scenario.start_offset_m * np.sin(theta)
     y += scenario.start_offset_m * np.cos(theta)
     theta += scenario.start_yaw_rad + np.pi * scenario.backwards
@@ -371,6 +376,7 @@ def _pack(memory):
 def _settings(scenario, path):
     """The settings of robot, path and controller."""
     q = np.array(scenario.q)
+    # Shares of a variance: the standard deviations go with their square roots.
     slow = scenario.gnss_slow_share
     return dict(
         gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow),
@@ -435,6 +441,7 @@ def finish(scenario, setup, rows):
     columns |= dict(zip(COLUMNS, np.ascontiguousarray(rows.T)))
     columns |= {name: columns[name] == 1 for name in FLAGS}
     measured = np.column_stack([columns["x_meas_m"], columns["y_meas_m"]])
+    # A position of which one coordinate is missing or infinite is none.
     measured[~np.isfinite(measured).all(axis=1)] = np.nan
     true = np.column_stack([columns["x_m"], columns["y_m"]])
     # One call for both: a short run spends most of its time in calls.

@@ -102,8 +102,8 @@ RECORDED_TRUTH = dict(zip(POSE, ("x_true_m", "y_true_m", "yaw_true_rad"))) | {
 _RUN = ("run",)
 _RECORDING = ("recording",)
 _REPLAY = ("replay",)
-_RUN_AND_REPLAY = ("run", "replay")
-_RECORDING_AND_REPLAY = ("recording", "replay")
+_BOTH = ("run", "replay")
+_FROM_LOG = ("recording", "replay")
 _EVERY = ("run", "recording", "replay")
 
 # Names that share unit and meaning, unit, meaning, tables. This order is that of the page.
@@ -111,20 +111,20 @@ _TABLE = (
     ("t_s", "s", "time of the measurement; in a run since its beginning", _EVERY),
     # The truth, which no estimator sees
     ("x_m y_m", "m", "true position; in a recording the measured one of the antenna", _EVERY),
-    ("theta_rad", "rad", "true yaw", _RUN_AND_REPLAY),
+    ("theta_rad", "rad", "true yaw", _BOTH),
     ("nu_mps", "m/s", "true speed of the tracks", _RUN),
     ("omega_radps", "rad/s", "true yaw rate of the tracks", _RUN),
-    ("mu", "-", "true traction: over ground the robot moves at μν", _RUN_AND_REPLAY),
-    ("kappa", "-", "true traction: over ground the robot turns at κω", _RUN_AND_REPLAY),
+    ("mu", "-", "true traction: over ground the robot moves at μν", _BOTH),
+    ("kappa", "-", "true traction: over ground the robot turns at κω", _BOTH),
     # The measurements z
-    ("x_meas_m y_meas_m", "m", "GNSS position; NaN where there is none", _RUN_AND_REPLAY),
-    ("nu_meas_mps", "m/s", "encoders: mean speed since the last sample", _RUN_AND_REPLAY),
-    ("omega_meas_radps", "rad/s", "encoders: mean yaw rate since the last sample", _RUN_AND_REPLAY),
+    ("x_meas_m y_meas_m", "m", "GNSS position; NaN where there is none", _BOTH),
+    ("nu_meas_mps", "m/s", "encoders: mean speed since the last sample", _BOTH),
+    ("omega_meas_radps", "rad/s", "encoders: mean yaw rate since the last sample", _BOTH),
     # The estimate
-    ("x_hat_m y_hat_m", "m", "estimated position", _RUN_AND_REPLAY),
-    ("theta_hat_rad", "rad", "estimated yaw", _RUN_AND_REPLAY),
-    ("nu_hat_mps", "m/s", "estimated speed of the tracks", _RUN_AND_REPLAY),
-    ("mu_hat kappa_hat", "-", "estimated traction", _RUN_AND_REPLAY),
+    ("x_hat_m y_hat_m", "m", "estimated position", _BOTH),
+    ("theta_hat_rad", "rad", "estimated yaw", _BOTH),
+    ("nu_hat_mps", "m/s", "estimated speed of the tracks", _BOTH),
+    ("mu_hat kappa_hat", "-", "estimated traction", _BOTH),
     # The controller and the path
     ("omega_cmd_radps", "rad/s", "commanded yaw rate", _RUN),
     ("s_m", "m", "arc length of the point of the path closest to the estimate", _RUN),
@@ -133,33 +133,28 @@ _TABLE = (
     ("error_m", "m", "distance from the GNSS position to the path, as in the paper (R11)", _RUN),
     ("error_true_m", "m", "distance from the true position to the path", _RUN),
     # The solvers
-    ("kkt_rhe", "", "KKT tolerance of the RHE (R12); NaN for other estimators", _RUN_AND_REPLAY),
+    ("kkt_rhe", "", "KKT tolerance of the RHE (R12); NaN for other estimators", _BOTH),
     ("kkt_rhc", "", "KKT tolerance of the RHC (R12)", _RUN),
-    ("deviance", "", "-2 log likelihood of the measurement, up to a constant", _RUN_AND_REPLAY),
-    ("ok", "", "whether the QPs of RHE and RHC were solved (1)", _RUN_AND_REPLAY),
+    ("deviance", "", "-2 log likelihood of the measurement, up to a constant", _BOTH),
+    ("ok", "", "whether the QPs of RHE and RHC were solved (1)", _BOTH),
     (
         "position_accepted encoders_accepted",
         "",
-        "False where it is missing or, with `robust`, rejected",
-        _RUN_AND_REPLAY,
+        "False where missing or, with `robust`, rejected",
+        _BOTH,
     ),
-    ("restarted", "", "with `robust`: whether the estimator restarted", _RUN_AND_REPLAY),
+    ("restarted", "", "with `robust`: whether the estimator restarted", _BOTH),
     # A recording, besides t_s, x_m and y_m
     ("speed_mps", "m/s", "speed by the encoders, not corrected for slip", _RECORDING),
     ("yaw_rate_radps", "rad/s", "yaw rate by the encoders, not corrected for slip", _RECORDING),
-    (
-        "v_left_mps v_right_mps",
-        "m/s",
-        "instead of these two: speed of each track, with `track_width_m`",
-        _RECORDING,
-    ),
-    ("segment", "", "optional: the drive has a break where this changes", _RECORDING_AND_REPLAY),
+    ("v_left_mps v_right_mps", "m/s", "instead of these two: speed of each track", _RECORDING),
+    ("segment", "", "optional: the drive has a break where this changes", _FROM_LOG),
     ("pos_ok", "", "optional: 0 or False where the position is to be ignored", _RECORDING),
     ("encoders_ok", "", "optional: 0 or False where the encoders are to be ignored", _RECORDING),
     ("x_true_m y_true_m", "m", "optional: true position; no estimator sees it", _RECORDING),
     ("yaw_true_rad", "rad", "optional: true yaw", _RECORDING),
-    ("v_true_mps", "m/s", "optional: true speed over ground", _RECORDING_AND_REPLAY),
-    ("yaw_rate_true_radps", "rad/s", "optional: true yaw rate", _RECORDING_AND_REPLAY),
+    ("v_true_mps", "m/s", "optional: true speed over ground", _FROM_LOG),
+    ("yaw_rate_true_radps", "rad/s", "optional: true yaw rate", _FROM_LOG),
     # A replay, besides the names of a run
     ("arm_forward_hat_m", "m", "estimated place of the antenna, ahead of the centre", _REPLAY),
     ("arm_left_hat_m", "m", "estimated place of the antenna, left of the centre", _REPLAY),

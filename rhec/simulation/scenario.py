@@ -19,6 +19,7 @@ from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 __all__ = ["FIELDS", "Field", "Scenario"]
 
+# Spelled out, so that an editor completes them; a test holds them against the registry.
 EstimatorName = Literal[
     "rhe",
     "rhe_fixed_traction",
@@ -108,6 +109,7 @@ seed: Fixes the soil and all noise.
 
 @valid.validated
 class Scenario:
+    # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
     estimator: Annotated[EstimatorName | ca.Function, SkipValidation] = "rhe"
     process_noise: valid.ProcessNoise = "printed"
     sigma_w: tuple[valid.NotNegative, ...] | None = None
@@ -168,10 +170,7 @@ class Scenario:
 
 
 def _check_kinds(scenario):
-    """Refuse an estimator, path or terrain of another kind.
-
-    Pydantic is told to skip these: its sentences on a union would name every member of it.
-    """
+    """Refuse an estimator, path or terrain of another kind."""
     estimator = scenario.estimator
     if not _is_users_own(estimator) and not (isinstance(estimator, str) and estimator in NAMES):
         expected = f"it should be one of {NAMES} or a CasADi Function"
@@ -239,6 +238,7 @@ def _fields():
     fields = {}
     for group, texts in zip(_GROUPS, _TEXTS.split("\n\n"), strict=True):
         for name, text in re.findall(r"^(\w+): (.*(?:\n    .*)*)", texts, re.MULTILINE):
+            # A field without a text fails in a test, a text without a field here.
             info = Scenario.__pydantic_fields__[name]
             text = " ".join(text.split())
             unit = re.search(r" \[(.*?)\]", text)
@@ -268,7 +268,8 @@ def _entry(kind):
     parts = [part for part in get_args(kind) if part not in (NoneType, Ellipsis)]
     if get_origin(kind) is tuple:
         return parts[0] if all(part is parts[0] for part in parts) else Any
-    if parts and get_origin(kind) not in (Literal, Annotated):  # a union
+    # What has parts and is neither of these is a union, by either of Python's two spellings.
+    if parts and get_origin(kind) not in (Literal, Annotated):
         return _entry(parts[0])
     return kind
 
@@ -281,6 +282,7 @@ def _flat(metadata):
 
 def _described(name, field):
     """A field's entry in the docstring: unit and range follow the first sentence of its text."""
+    # "eq. (22)" does not end a sentence.
     first, *rest = re.split(r"(?<!eq)\. ", field.text, maxsplit=1)
     unit = f" [{field.unit}]" if field.unit else ""
     limits = ""

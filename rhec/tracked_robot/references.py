@@ -89,6 +89,7 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
     )
     def references(s, estimate, omega_measured, segments, period_m, look_ahead_m, backwards):
         x, y, theta, nu, mu, kappa = ca.vertsplit(estimate)
+        # The distance over ground in one sample; the search starts where the robot should be now.
         pace = ca.fabs(mu * nu) * dt_s
         s = _closest(ca.vertcat(x, y), s + pace, segments, period_m)
         points = (s + look_ahead_m + i * pace for i in range(horizon + 1))
