@@ -74,10 +74,29 @@ __all__ = [
 ]
 
 
+def _paper_rhe():
+    from rhec.tracked_robot.live import PaperRHE
+
+    return PaperRHE
+
+
+def _paper_rhc():
+    from rhec.tracked_robot.live import PaperRHC
+
+    return PaperRHC
+
+
+# The core knows no robot; without a model RHE and RHC become those of the paper's.
+_PAPER_CLASSES = {"RHE": _paper_rhe, "RHC": _paper_rhc}
+
+
 def __getattr__(name):
     if name in _HOME:
         home = importlib.import_module(f"rhec.{_HOME[name]}")
-        return home if _HOME[name] == name else getattr(home, name)
+        shown = home if _HOME[name] == name else getattr(home, name)
+        if name in _PAPER_CLASSES:
+            shown.paper_class = _PAPER_CLASSES[name]
+        return shown
     raise AttributeError(f"module 'rhec' has no attribute {name!r}")
 
 

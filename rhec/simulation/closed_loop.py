@@ -25,7 +25,8 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import terrain
-from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
@@ -39,7 +40,6 @@ __all__ = [
     "Setup",
     "build_sample",
     "finish",
-    "known_traction",
     "noise_and_faults",
     "set_up",
     "simulate",
@@ -60,16 +60,11 @@ class _LoopStructure(NamedTuple):
     cautious: bool
 
 
-def known_traction(given, field_mean, true):
-    """The traction (2,) that an estimator is told, by its Estimator.given."""
-    return {"field mean": field_mean, "true traction": true}.get(given, np.ones(2))
-
-
 def build_sample(*structure):
     """One sample of the closed loop, (memory, noise, settings …) -> (memory, row), as a scan."""
     structure = _LoopStructure(*structure)
     choice = Choice(*structure.estimator)
-    given = estimator_of(choice.estimator).given
+    traction_input = estimator_of(choice.estimator).traction_input
     measure = robot.measure(paper.DT_S)
     drive = robot.drive(paper.DT_S)
     estimate_step = build_step(choice)
@@ -135,8 +130,8 @@ def build_sample(*structure):
         z = measured["z"]
         valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
 
-        told = known_traction(given, settings["mean_traction"], traction)
-        known |= dict(truth=truth, traction=told)
+        passed = traction_input.select_traction(settings["mean_traction"], traction)
+        known |= dict(truth=truth, traction=passed)
         inputs = [estimator, z] + [known[name] for name in estimate_step.name_in()[2:]]
         names = ["memory", "estimate", *estimate_step.name_out()[2:]]
         outputs = dict(zip(names, estimate_step.call(inputs)))

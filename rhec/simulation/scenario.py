@@ -8,7 +8,8 @@ from pydantic import Field
 from rhec import paper
 from rhec.core._casadi import validation as valid
 from rhec.extensions.faults import Fault
-from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, estimator_of
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
@@ -43,7 +44,7 @@ class Scenario:
         slip               where tracks slip: the numbers that stand in `tuning.SLIP`, in that order
         arrival_mean       "smoothed": prior mean from the previous RHE solution, as in the paper;
                            "filtered": from the EKF update itself (R7); None: that of process_noise
-        robust             trust contradicted measurements less (`rhec.extensions.gating`)
+        robust             trust contradicted measurements less (`rhec.tracked_robot.robust`)
     The controller
         q, r, qn_factor    weights Q_k (x, y, θ), R, and Q_N = qn_factor · Q_k
         omega_max_radps    bound on the commanded yaw rate

@@ -16,7 +16,7 @@ from rhec.core.model import base
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import Estimator
+from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
 from rhec.tracked_robot.rhe import SIGMA_START
 
@@ -119,7 +119,7 @@ def init(n, guess, sigma=SIGMA_START):
     return memory if n == 6 else memory | dict(driven=np.ones(2))
 
 
-def _estimator(name, given, build, n=4):
+def _estimator(name, build, n=4, traction_input=TractionInput.NONE):
     def settings(scenario):
         tuned = tuning.SIGMA_W[name][scenario.process_noise]
         sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
@@ -131,7 +131,7 @@ def _estimator(name, given, build, n=4):
         settings=settings,
         states=lambda choice: QUANTITIES[:n],
         n_sigma_w=lambda choice: n,
-        given=given,
+        traction_input=traction_input,
     )
 
 
@@ -140,13 +140,17 @@ def _build_rival(dt_s):
 
 
 ESTIMATORS = {
-    "ekf": _estimator("ekf", "nothing", build_step),
+    "ekf": _estimator("ekf", build_step),
     "augmented_ekf": _estimator(
-        "augmented_ekf", "nothing", lambda dt_s: _build_augmented_step(dt_s, bounded=False), 6
+        "augmented_ekf", lambda dt_s: _build_augmented_step(dt_s, bounded=False), 6
     ),
     "bounded_ekf": _estimator(
-        "bounded_ekf", "nothing", lambda dt_s: _build_augmented_step(dt_s, bounded=True), 6
+        "bounded_ekf", lambda dt_s: _build_augmented_step(dt_s, bounded=True), 6
     ),
-    "fixed_traction": _estimator("fixed_traction", "field mean", _build_rival),
-    "traction_oracle": _estimator("traction_oracle", "true traction", _build_rival),
+    "fixed_traction": _estimator(
+        "fixed_traction", _build_rival, traction_input=TractionInput.FIELD_MEAN
+    ),
+    "traction_oracle": _estimator(
+        "traction_oracle", _build_rival, traction_input=TractionInput.TRUE
+    ),
 }

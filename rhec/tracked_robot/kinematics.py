@@ -4,14 +4,13 @@ State ξ = (x, y, θ) [m, m, rad], input u = ω [rad/s], parameters p = (ν, μ,
 z = (x, y, ν, ω), eq. (5)-(8).
 """
 
-import importlib
 from typing import NamedTuple
 
 import casadi as ca
 
 from rhec.core.model.base import Model, rk4
 
-__all__ = ["QUANTITIES", "SPEED_MODELS", "SpeedModel", "f", "h", "rk4", "speed_model_of"]
+__all__ = ["QUANTITIES", "SPEED_MODELS", "SpeedModel", "f", "h", "rk4"]
 
 # A robot's estimate, in this order: pose ξ and parameters p.
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
@@ -85,13 +84,3 @@ _INPUT = Model(
 # ν is one parameter of the window, as in the paper; or a measured input of each interval
 # (interpretation R13).
 SPEED_MODELS = {"parameter": SpeedModel(_PARAMETER, 6), "input": SpeedModel(_INPUT, 5)}
-_HOME = {
-    "slipping": "rhec.extensions.slipping"
-}  # so that nothing here depends on what stands above
-
-
-def speed_model_of(name):
-    """The SpeedModel of this name."""
-    if name in _HOME:
-        return importlib.import_module(_HOME[name]).SPEED_MODELS[name]
-    return SPEED_MODELS[name]

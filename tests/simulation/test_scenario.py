@@ -9,7 +9,8 @@ import pytest
 import rhec
 from rhec import paper
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import estimator_of
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 OUT_OF_RANGE = [

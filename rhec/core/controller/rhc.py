@@ -10,8 +10,8 @@ feedback phase only: they move the gradient, through the linearised dynamics of 
 s = (x, p).
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,15 +21,11 @@ from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
-from rhec.core.solver import gauss_newton
+from rhec.core.solver import condensed, gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
 
 __all__ = ["RHC", "Horizon", "build_phases", "init"]
-
-# Named, so that nothing here depends on what stands above.
-_PAPER = "rhec.tracked_robot.rhc"
-_CONDENSED = "rhec.extensions.condensed"
 
 
 class Horizon(NamedTuple):
@@ -93,7 +89,6 @@ def build_phases(horizon):
     n_s = horizon.n_s
     iv = interval(model, measured=False)
     structured = horizon.qp == "structured"
-    condensed = None if structured else importlib.import_module(_CONDENSED)
     # A short horizon is faster in one piece.
     loops = compiled.loop_symbols() if structured and N > 30 else ca.SX
     memory = horizon.memory
@@ -266,7 +261,7 @@ def init(horizon, x, p):
 class RHC(RealTimeLoop):
     """Model predictive control for a loop of one's own: `prepare()`, then `feedback(…)`.
 
-    Without `model` it is the paper's controller, `rhec.tracked_robot.rhc.PaperRHC`.
+    Without `model` it is the paper's controller, `rhec.tracked_robot.live.PaperRHC`.
 
     Args:
         model: The robot, a rhec.Model.
@@ -282,9 +277,12 @@ class RHC(RealTimeLoop):
         ValueError: In one sentence, for an argument that cannot be.
     """
 
+    # Returns the class that stands in where no model is passed; `rhec` sets it.
+    paper_class: ClassVar[Callable[[], type["RHC"]] | None] = None
+
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
-        if cls is RHC and model is None:
-            cls = importlib.import_module(_PAPER).PaperRHC
+        if cls is RHC and model is None and cls.paper_class:
+            cls = cls.paper_class()
         return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot

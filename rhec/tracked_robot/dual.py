@@ -12,17 +12,21 @@ import numpy as np
 
 from rhec.core._casadi.build import pack_array
 from rhec.tracked_robot import ekf as paper_ekf
-from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import Estimator, estimator_of
+from rhec.tracked_robot import robust, tuning
+from rhec.tracked_robot.choice import Estimator
 from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.rhe import SIGMA_START
+from rhec.tracked_robot.rhe import ESTIMATORS, SIGMA_START
 
-__all__ = ["ESTIMATORS", "ROBUST"]
+__all__ = ["DUAL"]
+
+
+def _rhe_of(choice):
+    return robust.ROBUST_RHE if choice.robust else ESTIMATORS["rhe"]
 
 
 def _build_step(choice):
     """Both as one Function: memory is the RHE's, then the EKF's; so is W (10,)."""
-    soil = estimator_of("rhe", choice.robust).build_step(choice)
+    soil = _rhe_of(choice).build_step(choice)
     pose = paper_ekf.build_step(choice.dt_s, paper_ekf.runge_kutta)
     sizes = soil.numel_in("memory"), pose.numel_in("memory")
     memory = ca.MX.sym("memory", sum(sizes))
@@ -54,7 +58,7 @@ def _build_step(choice):
 
 
 def _init(choice, guess, sigma=SIGMA_START):
-    soil = estimator_of("rhe", choice.robust).init(choice, guess, sigma)
+    soil = _rhe_of(choice).init(choice, guess, sigma)
     pose = paper_ekf.init(4, guess, sigma)
     return soil | {f"pose_{name}": piece for name, piece in pose.items()}
 
@@ -68,11 +72,10 @@ def _settings(scenario):
     )
 
 
-_DUAL = Estimator(
+DUAL = Estimator(
     build_step=_build_step,
     init=_init,
     settings=_settings,
     states=lambda choice: QUANTITIES,
     n_sigma_w=lambda choice: 10,
 )
-ESTIMATORS = ROBUST = {"dual": _DUAL}

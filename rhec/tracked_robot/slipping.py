@@ -11,10 +11,9 @@ import casadi as ca
 from rhec import paper
 from rhec.core.model.base import Model, MotionNoise
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
-from rhec.tracked_robot.kinematics import SpeedModel
+from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
 
-__all__ = ["LEVER_ARM", "SPEED_MODELS", "f"]
+__all__ = ["LEVER_ARM", "SLIPPING", "f"]
 
 _EXACT = 1e-12  # variance of what the tracks do: what encoders get wrong counts as slip
 LEVER_ARM = ("arm_forward_m", "arm_left_m")
@@ -73,17 +72,18 @@ def _process_noise(v, W, dt_s, c):
     return W * (left + right) / 2 * dt_s
 
 
+_WITH_SPEED = SPEED_MODELS["input"].model
 _MODEL = Model(
-    states=OF_THE_PAPER["input"].model.states,
-    inputs=(*OF_THE_PAPER["input"].model.inputs, "slip_ahead_mps", "eta_mps", "slip_turning_radps"),
-    parameters=dict.fromkeys(LEVER_ARM) | OF_THE_PAPER["input"].model.parameters,
-    outputs=OF_THE_PAPER["input"].model.outputs,
+    states=_WITH_SPEED.states,
+    inputs=(*_WITH_SPEED.inputs, "slip_ahead_mps", "eta_mps", "slip_turning_radps"),
+    parameters=dict.fromkeys(LEVER_ARM) | _WITH_SPEED.parameters,
+    outputs=_WITH_SPEED.outputs,
     f=f,
-    max_measurement=OF_THE_PAPER["input"].model.limits,
+    max_measurement=_WITH_SPEED.limits,
     motion_noise=MotionNoise(
         constants=tuning.SLIP | dict(track_width_m=paper.TRACK_WIDTH_M, dt_s=paper.DT_S),
         inputs=_input_noise,
         process=_process_noise,
     ),
 )
-SPEED_MODELS = {"slipping": SpeedModel(_MODEL, 2, tuning.SIGMA_W_SLIPPING)}
+SLIPPING = SpeedModel(_MODEL, 2, tuning.SIGMA_W_SLIPPING)

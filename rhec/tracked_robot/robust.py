@@ -26,11 +26,12 @@ from rhec.core._casadi.build import casadi_function, pack_array, packed_size, se
 from rhec.core._casadi.compiled import loop_symbols
 from rhec.core.estimator import rhe
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
-from rhec.extensions.slipping import LEVER_ARM
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.slipping import LEVER_ARM
 
-__all__ = ["ROBUST", "gated"]
+__all__ = ["ROBUST_RHE", "gated"]
+
+_RHE = paper_rhe.ESTIMATORS["rhe"]
 
 CHI2_GATE = 13.8  # two degrees of freedom: a good innovation is beyond once in a thousand
 # samples that positions' noise, and agreement with encoders, are found from
@@ -307,7 +308,7 @@ def gated(window, phases):
 
 
 def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
-    memory = estimator_of("rhe").init(choice, guess, sigma)
+    memory = _RHE.init(choice, guess, sigma)
     gate = {
         name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
         for name, shape in _MEMORY.items()
@@ -317,13 +318,9 @@ def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
 
 
 def _build_phases(choice):
-    return gated(paper_rhe.window_of(choice), estimator_of("rhe").build_phases(choice))
+    return gated(paper_rhe.window_of(choice), _RHE.build_phases(choice))
 
 
-ROBUST = {
-    "rhe": estimator_of("rhe")._replace(
-        build_step=lambda choice: _build_phases(choice)["step"],
-        build_phases=_build_phases,
-        init=_init,
-    )
-}
+ROBUST_RHE = _RHE._replace(
+    build_step=lambda choice: _build_phases(choice)["step"], build_phases=_build_phases, init=_init
+)
