@@ -5,21 +5,60 @@ import casadi as ca
 from rhec.core._casadi.build import casadi_function
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 
-__all__ = ["box_qp_by_library", "condensed_hessian"]
+__all__ = ["CondensedQP", "box_qp_by_library", "condensed_hessian"]
 
-# DAQP is asked for more than its usual tolerance, so that all solvers give one answer to 1e-8.
+# DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {
     "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}},
     "qpoases": {"printLevel": "none", "hessian_type": "posdef"},
 }
 
 
+class CondensedQP:
+    """The QP in the commanded inputs with a dense Hessian, which the preparation phase condenses.
+
+    Args:
+        horizon: The controller's Horizon, whose `qp` names the library.
+    """
+
+    def __init__(self, horizon):
+        self.horizon = horizon
+        self._solve = box_qp_by_library(horizon.N * len(horizon.command), horizon.qp)
+
+    def prepare(self, D, B, Q, QN, R):
+        """Condense the linearised dynamics and the weights to the Hessian H."""
+        horizon = self.horizon
+        # The parameters have no weight.
+        unweighted = ca.SX(horizon.n_s - horizon.n_x, 1)
+        Q, QN = (ca.diag(ca.vertcat(weight, unweighted)) for weight in (Q, QN))
+        A = [horizon.interval.A_0 + part for part in ca.horzsplit(D, horizon.n_s)]
+        B = [part[:, list(horizon.command)] for part in ca.horzsplit(B, horizon.n_u)]
+        return dict(H=condensed_hessian(A, B, [Q] * (horizon.N - 1) + [QN], ca.diag(R)))
+
+    def solve(self, g, least, most, u, lower, upper, inputs):
+        """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, with H from `prepare`.
+
+        Args and returns are those of `rhec.core.controller.rhc.StagewiseQP.solve`.
+        """
+        solution = self._solve(H=inputs["H"], g=g.T, lb=least.T, ub=most.T)
+        return solution["x"].T, solution["multipliers"].T, solution["ok"]
+
+
 def condensed_hessian(A, B, Q, R):
     """Hessian in u alone of ½ Σ_{i=1..N} x_i' Q_i x_i + ½ Σ_{i=0..N-1} u_i' R u_i.
 
-    Here x_0 = 0 and x_{i+1} = A_i x_i + B_i u_i. It needs O(N²) operations: the response to each
+    Here x_0 = 0 and x_{i+1} = A_i x_i + B_i u_i. It takes O(N²) operations: the response to each
     single input forwards, its adjoint backwards (Andersson, "A General-Purpose Software Framework
-    for Dynamic Optimization", 2013). Q is indexed 0 … N-1 for nodes 1 … N.
+    for Dynamic Optimization", 2013).
+
+    Args:
+        A: N transition matrices (n, n).
+        B: N input matrices (n, m).
+        Q: N weights (n, n), of nodes 1 … N.
+        R: (m, m) weight of each input.
+
+    Returns:
+        H (N·m, N·m).
     """
     N = len(A)
     H = [[None] * N for _ in range(N)]
@@ -37,33 +76,35 @@ def condensed_hessian(A, B, Q, R):
 
 
 def box_qp_by_library(n, solver):
-    """A box QP by DAQP or qpOASES: (H, g, lb, ub) -> (x, multipliers, ok).
+    """Build a box QP that DAQP or qpOASES solves.
 
-    Multipliers are positive at an upper, negative at a lower bound. CasADi's solvers report a
-    failure and go on; then ok, x and the multipliers are 0: no step. What is not a number, or
-    absurd, never reaches the solver: one that starts from its last solution might keep it.
+    Args:
+        n: Number of variables.
+        solver: "daqp" or "qpoases".
+
+    Returns:
+        The Function (H, g, lb, ub) -> (x, multipliers, ok). Multipliers are positive at an upper,
+        negative at a lower bound. Where the solver fails, ok, x and the multipliers are 0.
     """
     column = (n, 1)
 
-    @casadi_function("box_qp", ca.MX, H=(n, n), g=column, lb=column, ub=column)
-    def solve(H, g, lb, ub):
-        fine = is_plausible(ca.veccat(H, g, lb, ub), MAX_QP_ENTRY)
-        given = [
-            ca.if_else(fine, value, default)
-            for value, default in ((H, ca.DM.eye(n)), (g, 0), (lb, 0), (ub, 0))
-        ]
-        qp = ca.conic(
-            "qp", solver, {"h": H.sparsity()}, {"error_on_fail": False, **_OPTIONS[solver]}
-        )
-        solution = qp(**dict(zip(("h", "g", "lbx", "ubx"), given)))
+    @casadi_function("box_qp", ca.MX)
+    def solve(H: (n, n), g: column, lb: column, ub: column):
+        # A solver that starts from its last solution might keep a value that is not a number.
+        plausible = is_plausible(ca.veccat(H, g, lb, ub), MAX_QP_ENTRY)
+        defaults = (H, ca.DM.eye(n)), (g, 0), (lb, 0), (ub, 0)
+        h, g_safe, lbx, ubx = (ca.if_else(plausible, *value) for value in defaults)
+        # CasADi's solvers report a failure and go on.
+        options = {"error_on_fail": False, **_OPTIONS[solver]}
+        qp = ca.conic("qp", solver, {"h": H.sparsity()}, options)
+        solution = qp(h=h, g=g_safe, lbx=lbx, ubx=ubx)
         x = solution["x"]
-        multipliers = solution["lam_x"]
-        # An active-set solver may leave the box by its tolerance; the bounds are hard. Also 0
-        # where x is not a number.
-        ok = fine * ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))
+        # An active-set solver may leave the box by its tolerance; the bounds are hard. The
+        # comparison is also 0 where x is not a number.
+        ok = plausible * ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))
         return dict(
             x=ca.if_else(ok, ca.fmin(ca.fmax(x, lb), ub), 0),
-            multipliers=ca.if_else(ok, multipliers, 0),
+            multipliers=ca.if_else(ok, solution["lam_x"], 0),
             ok=ok,
         )
 
