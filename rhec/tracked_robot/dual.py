@@ -1,10 +1,10 @@
 """Dual estimation: one estimator for the soil, one for the pose. Not in the paper.
 
-Wan and Nelson, "Dual Extended Kalman Filter Methods", 2001. The RHE needs a long memory to tell
-traction from noise; a pose that steers should follow its measurements faster than that. Here the
-RHE gives (μ, κ), as in the paper, and an EKF with that traction gives (x, y, θ, ν), each with the
-process noise that suits it. The paper's Euler step would put the yaw of that filter half a
-sample's turn ahead; a Runge-Kutta step does not.
+Wan and Nelson, "Dual Extended Kalman Filter Methods", 2001. The RHE needs a long memory to
+distinguish traction from noise, while a pose for steering should follow its measurements faster.
+Here the RHE estimates (μ, κ), as in the paper, and an EKF with that traction estimates
+(x, y, θ, ν), each with its own process noise. The EKF takes a Runge-Kutta step: the paper's Euler
+step would put its yaw half a sample's turn ahead.
 """
 
 import casadi as ca
@@ -25,7 +25,7 @@ def _rhe_of(choice):
 
 
 def _build_step(choice):
-    """Both as one Function: memory is the RHE's, then the EKF's; so is W (10,)."""
+    """Both as one Function. The memory and W (10,) are the RHE's, followed by the EKF's."""
     soil = _rhe_of(choice).build_step(choice)
     pose = paper_ekf.build_step(choice.dt_s, paper_ekf.runge_kutta)
     sizes = soil.numel_in("memory"), pose.numel_in("memory")
@@ -34,33 +34,34 @@ def _build_step(choice):
     V = ca.MX.sym("V", 4)
     W = ca.MX.sym("W", 10)
     P_0 = ca.MX.sym("P_0", 6)
-    of_soil, of_pose = ca.vertsplit(memory, [0, sizes[0], sum(sizes)])
-    first = soil(memory=of_soil, z_N=z, V=V, W=W[:6], P_0=P_0)
-    traction = first["estimate"][4:]
+    soil_memory, pose_memory = ca.vertsplit(memory, [0, sizes[0], sum(sizes)])
+    soil_result = soil(memory=soil_memory, z_N=z, V=V, W=W[:6], P_0=P_0)
+    traction = soil_result["estimate"][4:]
     accepted = z
     if choice.robust:
-        # The EKF sees what the RHE accepts, and restarts where the RHE does.
-        accepted = ca.if_else(first["accepted"], z, ca.DM.nan(4))
+        # The EKF uses the measurements that the RHE accepts, and restarts with the RHE.
+        accepted = ca.if_else(soil_result["accepted"], z, ca.DM.nan(4))
         fresh = pack_array(paper_ekf.init(4, dict.fromkeys(QUANTITIES, 0.0)))[4:]
-        fresh = ca.vertcat(first["estimate"][:4], fresh)
-        of_pose = ca.if_else(first["restart"], fresh, of_pose)
-    second = pose(memory=of_pose, z_N=accepted, V=V, W=W[6:], traction=traction)
-    told = ("deviance", "kkt", "ok") + (("accepted", "restart") if choice.robust else ())
-    outputs = dict(
-        memory=ca.vertcat(first["memory"], second["memory"]),
-        estimate=ca.vertcat(second["estimate"][:4], traction),
-        covariance=ca.diagcat(second["covariance"], first["covariance"][4:, 4:]),
-    ) | {name: first[name] for name in told}
+        fresh = ca.vertcat(soil_result["estimate"][:4], fresh)
+        pose_memory = ca.if_else(soil_result["restart"], fresh, pose_memory)
+    pose_result = pose(memory=pose_memory, z_N=accepted, V=V, W=W[6:], traction=traction)
+    passed_on = ["deviance", "kkt", "ok"] + (["accepted", "restart"] if choice.robust else [])
     inputs = dict(memory=memory, z_N=z, V=V, W=W, P_0=P_0)
-    names = [*inputs], [*outputs]
+    outputs = dict(
+        memory=ca.vertcat(soil_result["memory"], pose_result["memory"]),
+        estimate=ca.vertcat(pose_result["estimate"][:4], traction),
+        covariance=ca.diagcat(pose_result["covariance"], soil_result["covariance"][4:, 4:]),
+    )
+    outputs |= {name: soil_result[name] for name in passed_on}
     options = {"allow_duplicate_io_names": True}
+    names = [*inputs], [*outputs]
     return ca.Function("dual_step", [*inputs.values()], [*outputs.values()], *names, options)
 
 
 def _init(choice, guess, sigma=SIGMA_START):
-    soil = _rhe_of(choice).init(choice, guess, sigma)
+    memory = _rhe_of(choice).init(choice, guess, sigma)
     pose = paper_ekf.init(4, guess, sigma)
-    return soil | {f"pose_{name}": piece for name, piece in pose.items()}
+    return memory | {f"pose_{name}": piece for name, piece in pose.items()}
 
 
 def _settings(scenario):

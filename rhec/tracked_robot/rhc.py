@@ -8,5 +8,11 @@ __all__ = ["horizon_of"]
 
 
 def horizon_of(N, qp="structured", dt_s=paper.DT_S):
-    """The Horizon of the paper's problem: the yaw rate is commanded."""
+    """The Horizon of the paper's problem: the yaw rate ω is commanded.
+
+    Args:
+        N: Intervals of the prediction.
+        qp: Solver of the QP, see `rhec.core.controller.rhc.Horizon`.
+        dt_s: Length of a sample [s].
+    """
     return rhc.Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N, qp)

@@ -13,13 +13,13 @@ from rhec.tracked_robot.speed_models import speed_model_of
 
 __all__ = ["ESTIMATORS", "SIGMA_START", "init", "settings_of", "window_of"]
 
-# Before the first sample: the paper's W; of what else a model may estimate, next to nothing.
+# Start-up: the paper's W; next to nothing for other quantities that a model estimates.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
 _SIGMA_KNOWN = 1e-3
 
-
-# Held at what the RHE is told: inputs, measured all but exactly. What is estimating them worth?
-_SIGMA_TOLD = 1e-6
+# The RHE with the traction held, which shows what estimating it is worth: (μ, κ) are inputs,
+# measured almost exactly.
+_SIGMA_HELD = 1e-6
 _HELD = Model(
     states=QUANTITIES[:3],
     inputs=("omega_radps", "mu", "kappa"),
@@ -39,7 +39,16 @@ def window_of(choice):
 
 
 def init(window, guess, sigma=SIGMA_START):
-    """Memory before the first sample, from a guess and its standard deviations by quantity."""
+    """Make the memory before the first sample.
+
+    Args:
+        window: The Window.
+        guess: {quantity: value}; quantities without one begin at 0.
+        sigma: {quantity: standard deviation}.
+
+    Returns:
+        {name: array}.
+    """
     names = window.model.joint_names
     return rhe.init(
         window,
@@ -50,22 +59,34 @@ def init(window, guess, sigma=SIGMA_START):
 
 
 def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants):
-    """Settings V, W, P_0 and c of the RHE; sigma_w None: that of `process_noise`."""
+    """Compute the settings of the RHE, eq. (9), (15).
+
+    Args:
+        speed_model: Name of the speed model.
+        process_noise: Name of the tuned process noise.
+        sigma_w: Standard deviations of the process noise, or None for the tuned ones.
+        sigma_v: (4,) standard deviations of the measurements.
+        slip: Values of the first constants of the motion noise, as in `tuning.SLIP`, or None.
+        constants: Other constants of the motion noise, by name.
+
+    Returns:
+        {name: array}: variances V, W and P_0, and the constants c if the model has motion noise.
+    """
     kind = speed_model_of(speed_model)
     names = kind.model.joint_names
-    n_w = kind.n_sigma_w
     if sigma_w is None:
         tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][process_noise]))
         sigma_w = kind.sigma_w or [tuned[name] for name in names]
+    without_noise = len(names) - kind.n_sigma_w
     settings = dict(
         V=np.square(sigma_v),
-        W=np.square([*(0.0,) * (len(names) - n_w), *sigma_w]),
+        W=np.square([*(0.0,) * without_noise, *sigma_w]),
         P_0=np.square([SIGMA_START.get(name, _SIGMA_KNOWN) for name in names]),
     )
     if kind.model.motion_noise:
-        tuned = kind.model.motion_noise.constants
-        constants |= dict(zip(tuned, slip or ()))
-        settings["c"] = np.array([*(tuned | constants).values()])
+        defaults = kind.model.motion_noise.constants
+        constants |= dict(zip(defaults, slip or ()))
+        settings["c"] = np.array([*(defaults | constants).values()])
     return settings
 
 
@@ -91,28 +112,28 @@ def _window_held(choice):
 def _build_held_step(choice):
     """The RHE with the traction held, as a Function (memory, z_N, V, W, P_0, traction)."""
     step = rhe.build_phases(_window_held(choice), QUANTITIES)["step"]
-    names = ["memory", "z_N", "V", "W", "P_0"]
-    given = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
-    given |= {name: ca.MX.sym(name, 4) for name in ("z_N", "V")} | dict(traction=ca.MX.sym("p", 2))
-    z_N = ca.vertcat(given["z_N"], given["traction"])
-    V = [given["V"], *[_SIGMA_TOLD**2] * 2]
-    known = given | dict(z_N=z_N, V=ca.vertcat(*V))
-    results = step.call([known[name] for name in step.name_in()])
+    inputs = {
+        name: ca.MX.sym(name, step.sparsity_in(name)) for name in ("memory", "z_N", "V", "W", "P_0")
+    }
+    inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), traction=ca.MX.sym("p", 2))
+    # The traction is appended to the measurements.
+    z_N = ca.vertcat(inputs["z_N"], inputs["traction"])
+    V = ca.vertcat(inputs["V"], *[_SIGMA_HELD**2] * 2)
+    values = inputs | dict(z_N=z_N, V=V)
+    results = step.call([values[name] for name in step.name_in()])
     options = {"allow_duplicate_io_names": True}
-    return ca.Function("held", [*given.values()], results, [*given], step.name_out(), options)
+    return ca.Function("held", [*inputs.values()], results, [*inputs], step.name_out(), options)
 
 
 def _held(name, traction_input):
-    def settings(scenario):
-        tuned = tuning.SIGMA_W[name][scenario.process_noise]
-        sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
-        P_0 = np.square([SIGMA_START[name] for name in _HELD.joint_names])
-        return dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.square(sigma_w), P_0=P_0)
-
     return Estimator(
         build_step=_build_held_step,
         init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
-        settings=settings,
+        settings=lambda scenario: dict(
+            V=np.square(tuning.sigma_v_of(scenario)),
+            W=np.square(tuning.sigma_w_of(name, scenario)),
+            P_0=np.square([SIGMA_START[name] for name in _HELD.joint_names]),
+        ),
         states=lambda choice: _HELD.joint_names,
         n_sigma_w=lambda choice: 4,
         traction_input=traction_input,
@@ -120,8 +141,6 @@ def _held(name, traction_input):
 
 
 ESTIMATORS = {
-    "rhe_fixed_traction": _held("rhe_fixed_traction", TractionInput.FIELD_MEAN),
-    "rhe_no_slip": _held("rhe_no_slip", TractionInput.NONE),
     "rhe": Estimator(
         build_step=lambda choice: _build_phases(choice)["step"],
         build_phases=_build_phases,
@@ -130,4 +149,6 @@ ESTIMATORS = {
         states=lambda choice: window_of(choice).model.joint_names,
         n_sigma_w=lambda choice: speed_model_of(choice.speed_model).n_sigma_w,
     ),
+    "rhe_fixed_traction": _held("rhe_fixed_traction", TractionInput.FIELD_MEAN),
+    "rhe_no_slip": _held("rhe_no_slip", TractionInput.NONE),
 }

@@ -1,9 +1,9 @@
 """Tracks that slip sideways, and an antenna off the centre: a Model for recorded robots.
 
-Not in the paper. Every interval has slip of its own, ahead, in turning and to the side, there in
-the mean in proportion to the lateral acceleration; the position measured is that of an antenna l_f
-ahead and l_l left of the robot's centre of turning; and the process noise grows with how far the
-tracks ran. `tuning.SLIP` names the numbers, `rhec.calibrate` finds them in a log.
+Not in the paper. Each interval has its own slip: ahead, in turning, and to the side, where its mean
+is proportional to the lateral acceleration. The measured position is that of an antenna l_f ahead
+and l_l left of the robot's centre of turning. The process noise grows with the distance that the
+tracks ran. `tuning.SLIP` has the default constants; `rhec.calibrate` identifies them from a log.
 """
 
 import casadi as ca
@@ -15,15 +15,17 @@ from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
 
 __all__ = ["LEVER_ARM", "SLIPPING", "f"]
 
-_EXACT = 1e-12  # variance of what the tracks do: what encoders get wrong counts as slip
+_EXACT = 1e-12  # variance of the tracks' speeds: errors of the encoders count as slip
 LEVER_ARM = ("arm_forward_m", "arm_left_m")
 
 
 def f(xi, v, p):
-    """ξ̇ = f(ξ, v, p) where tracks slip by more than μ and κ say.
+    """ξ̇ = f(ξ, v, p) with slip in addition to that of μ and κ.
 
-    Slip adds to the motion over ground. As noise of ν and ω it would be multiplied by μ and κ, and
-    whatever fits ν and ω to jittering positions would take μ and κ too large.
+    ẋ = a cos θ - l sin θ, ẏ = a sin θ + l cos θ, with the antenna's speeds a = μν + η_a - θ̇ l_l
+    ahead, l = η + θ̇ l_f to the left, and θ̇ = κω + η_θ. The slip (η_a, η, η_θ) adds to the motion
+    over ground. As noise of ν and ω it would be multiplied by μ and κ, which a fit to noisy
+    positions would then overestimate.
 
     Args:
         xi: (3,) place of the antenna and yaw (x, y, θ) [m, m, rad].
@@ -53,21 +55,32 @@ def _abs_track_speeds(nu, omega, b):
 
 
 def _input_noise(v, R, c):
-    """Slip in proportion to the motion; bumps turn the robot; no slip is measured."""
+    """Mean and variances of the inputs: slip in proportion to the motion, turning by bumps.
+
+    Args:
+        v: (5,) measured ν and ω; slip is not measured.
+        R: (5,) variances of the measured inputs.
+        c: (7,) constants, see `tuning.SLIP`, then track width [m] and length of a sample [s].
+
+    Returns:
+        (5,) mean, (5,) variances.
+    """
     share_nu, share_omega, share_side, sigma_bumps, side_slip_s, b, dt_s = ca.vertsplit(c)
     nu = v[0]
     omega = v[1]
-    return ca.vertcat(nu, omega, 0, -side_slip_s * nu * omega, 0), ca.vertcat(
+    mean = ca.vertcat(nu, omega, 0, -side_slip_s * nu * omega, 0)
+    variances = ca.vertcat(
         _EXACT,
         _EXACT,
         R[0] + (share_nu * nu) ** 2,
         (share_side * b * omega) ** 2 + tuning.SIGMA_SIDE_SLIP_AT_REST**2,
         R[1] + (share_omega * omega) ** 2 + sigma_bumps**2 * ca.fabs(nu) / dt_s,
     )
+    return mean, variances
 
 
 def _process_noise(v, W, dt_s, c):
-    """W per metre that the tracks ran."""
+    """Variances W per metre times the distance that the tracks ran in `dt_s`, in the mean."""
     left, right = _abs_track_speeds(v[0], v[1], c[5])
     return W * (left + right) / 2 * dt_s
 
