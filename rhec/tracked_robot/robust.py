@@ -260,18 +260,9 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
         agreement, contradicted, m[2], position, may_reject[0]
     )
     accepted = ca.logic_or(position, restart)
-    after = dict(
-        past=sample.past[:, 1:],
-        last=ca.vertcat(
-            ca.if_else(sample.has_gnss, z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:])
-        ),
-        since=ca.vertcat(
-            ca.if_else(ca.logic_or(position * positions.are_smooth, restart), 0, since[0] + 1),
-            ca.if_else(encoders, 0, since[1] + 1),
-        ),
-        contradicted=ca.if_else(restart, 0, contradicted),
-        doubt=doubt,
-    )
+    trusted = ca.logic_or(position * positions.are_smooth, restart)
+    last, since = _remember(z, last, since, sample.has_gnss, trusted, encoders)
+    contradicted = ca.if_else(restart, 0, contradicted)
     return dict(
         accepted=ca.vertcat(accepted, accepted, encoders, encoders),
         z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds),
@@ -280,8 +271,15 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
         pose=ca.vertcat(z[:2], yaw),
         replace=agreement.contradict,
         replaced=ca.vertcat(path[:2, 1:], ca.repmat(speeds, 1, CHECKED)),
-        gate_after=ca.veccat(*after.values()),
+        gate_after=ca.veccat(sample.past[:, 1:], last, since, contradicted, doubt),
     )
+
+
+def _remember(z, last, since, has_gnss, position, encoders):
+    """The pieces `last` and `since` of the memory after a sample with these accepted."""
+    last = ca.vertcat(ca.if_else(has_gnss, z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:]))
+    since = ca.vertcat(ca.if_else(position, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1))
+    return last, since
 
 
 def _check_estimate(agreement, contradicted, yaw, position, may_reject):

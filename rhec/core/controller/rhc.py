@@ -148,38 +148,38 @@ class StagewiseQP:
         """Return no outputs: the recursion needs the active set, so there is nothing to prepare."""
         return {}
 
-    def solve(self, g, least, most, u, lower, upper, inputs):
+    def solve(self, step, inputs):
         """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, where the stages imply H.
 
         Args:
-            g: (1, N·n_c) gradient in the commands, n_c of them in each sample.
-            least: (1, N·n_c) lower bounds of the change Δu.
-            most: (1, N·n_c) upper bounds of the change Δu.
-            u: (1, N·n_c) the previous plan.
-            lower: (n_c, 1) lower bounds of the commands.
-            upper: (n_c, 1) upper bounds of the commands.
-            inputs: All inputs of the feedback phase, by name.
+            step: {name: row}: gradient `g` and bounds `least`, `most` of the commands' change Δu.
+            inputs: The inputs of the feedback phase, by name.
 
         Returns:
-            Δu and its multipliers (1, N·n_c), and whether they are the solution.
+            Δu and its multipliers, as rows, and whether they are the solution.
         """
         n_x = self.horizon.n_x
         D = ca.horzsplit(inputs["D"], self.horizon.n_s)
         B = ca.horzsplit(inputs["B"], self.horizon.n_u)
         # The active set is first guessed to be the bounds at which the previous plan was.
-        active = (u >= _for_all_samples(upper, self.horizon)) - (
-            u <= _for_all_samples(lower, self.horizon)
-        )
+        u = _row_of_commands(inputs["u"], self.horizon)
+        at_upper = u >= _for_all_samples(inputs["upper"], self.horizon)
+        at_lower = u <= _for_all_samples(inputs["lower"], self.horizon)
         solution = self._solve(
             D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
             B=ca.horzcat(*(part[:n_x, self._command] for part in B)),
             **{name: inputs[name] for name in self.horizon.weights},
-            g=g,
-            lower=least,
-            upper=most,
-            active=active,
+            g=step["g"],
+            lower=step["least"],
+            upper=step["most"],
+            active=at_upper - at_lower,
         )
         return solution["x"], solution["multipliers"], solution["ok"]
+
+
+def _row_of_commands(u, horizon):
+    """The commanded rows of inputs (n_u, N) as one row, sample by sample: (1, N·n_c)."""
+    return ca.vec(u[list(horizon.command), :]).T
 
 
 def _for_all_samples(bound, horizon):
@@ -248,18 +248,16 @@ def _build_roll_out(horizon):
     return roll_out
 
 
-def _build_gradient(horizon, roll_out):
-    """The gradient of the cost at the previous plan, rolled out from the new estimate.
+def _build_backward(horizon):
+    """The gradient g in an interval's commands, and the adjoint λ before it, from the one after.
 
-    With the adjoint λ of the states, backwards from λ_N = 0:
-    g_i = R (u_i - u_r,i) + B_i' (λ_{i+1} + Q (x_{i+1} - x_r,{i+1}))
-    λ_i = A_i' (λ_{i+1} + Q (x_{i+1} - x_r,{i+1})), where the parameters have no weight.
+    λ' = λ_{i+1} + Q (x_{i+1} - x_r,{i+1}), where the parameters have no weight;
+    g_i = R (u_i - u_r,i) + B_i' λ' and λ_i = A_i' λ'.
     """
-    N = horizon.N
     n_x = horizon.n_x
-    n_s = horizon.n_s
+    n_p = horizon.n_s - n_x
     command = list(horizon.command)
-    s_i = (n_s, 1)
+    s_i = (horizon.n_s, 1)
     x_i = (n_x, 1)
     u_i = (horizon.n_u, 1)
     R_i = horizon.weights["R"]
@@ -269,10 +267,18 @@ def _build_gradient(horizon, roll_out):
     def backward(
         adjoint: s_i, D: D_i, B: B_i, weight: x_i, s: s_i, ref: x_i, u: u_i, u_ref: u_i, R: R_i
     ):
-        adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_s - n_x, 1))
+        adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_p, 1))
         g = R * (u - u_ref)[command] + B[:, command].T @ adjoint
         return dict(g=g, adjoint_before=(horizon.interval.A_0 + D).T @ adjoint)
 
+    return backward
+
+
+def _build_gradient(horizon, roll_out):
+    """The gradient of the cost at the previous plan, rolled out from the new estimate."""
+    N = horizon.N
+    command = list(horizon.command)
+    backward = _build_backward(horizon)
     shapes = horizon.memory | horizon.dynamics | horizon.weights | horizon.references
 
     @casadi_function("rhc_gradient", horizon.loops, **shapes)
@@ -280,19 +286,18 @@ def _build_gradient(horizon, roll_out):
         plan = _planned(horizon, [u[place, :] for place in command], u_ref)
         nodes = roll_out(s, u, F, D, B, s_0, plan)
         ref = ca.horzsplit(x_ref)
-        D = ca.horzsplit(D, n_s)
+        D = ca.horzsplit(D, horizon.n_s)
         B = ca.horzsplit(B, horizon.n_u)
         u = ca.horzsplit(plan)
         u_ref = ca.horzsplit(u_ref)
-        adjoint = ca.DM.zeros(n_s)
+        adjoint = ca.DM.zeros(horizon.n_s)  # λ_N
         g = [None] * N
         weight = QN
         for i in reversed(range(N)):
-            g[i], adjoint = backward(
-                adjoint, D[i], B[i], weight, nodes[i + 1], ref[i + 1], u[i], u_ref[i], R
-            )
+            end = nodes[i + 1], ref[i + 1]
+            g[i], adjoint = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
             weight = Q
-        u = ca.vec(plan[command, :]).T
+        u = _row_of_commands(plan, horizon)
         return dict(
             g=ca.vertcat(*g).T,
             least=_for_all_samples(lower, horizon) - u,
@@ -304,19 +309,18 @@ def _build_gradient(horizon, roll_out):
 
 def _build_feedback(horizon, linearise, gradient, qp):
     """The estimate and the references move the gradient; the QP then gives the new plan."""
-    command = list(horizon.command)
     prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
     shapes = prepared | horizon.memory | horizon.weights | horizon.references
 
     @casadi_function("rhc_feedback", ca.MX, **shapes)
-    def feedback(lower, upper, **inputs):
-        step = gradient(**select_inputs(gradient, inputs), lower=lower, upper=upper)
-        u = ca.vec(inputs["u"][command, :]).T
-        change, multipliers, ok = qp.solve(**step, u=u, lower=lower, upper=upper, inputs=inputs)
+    def feedback(**inputs):
+        step = gradient(**select_inputs(gradient, inputs))
+        change, multipliers, ok = qp.solve(step, inputs)
+        u = _row_of_commands(inputs["u"], horizon) + change
         # Rounding may take u + (upper - u) past the bound, which is a hard one.
-        u_new = ca.fmax(u + change, _for_all_samples(lower, horizon))
-        u_new = ca.fmin(u_new, _for_all_samples(upper, horizon))
-        commands = ca.vertsplit(ca.reshape(u_new, len(command), horizon.N))
+        u = ca.fmax(u, _for_all_samples(inputs["lower"], horizon))
+        u = ca.fmin(u, _for_all_samples(inputs["upper"], horizon))
+        commands = ca.vertsplit(ca.reshape(u, len(horizon.command), horizon.N))
         u_plan = _planned(horizon, commands, inputs["u_ref"])
         return dict(u_plan=u_plan, multipliers=multipliers, ok=ok, **step)
 
@@ -335,7 +339,7 @@ def _build_expand(horizon, feedback, roll_out):
     @casadi_function("rhc_expand", horizon.loops, **shapes)
     def expand(s, u, F, D, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
         before = _planned(horizon, [u[place, :] for place in command], u_ref)
-        change = ca.vec((u_plan - before)[command, :])
+        change = _row_of_commands(u_plan - before, horizon).T
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
         predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
         # A step that failed leaves the shifted inputs. Its states may be the cause, and would

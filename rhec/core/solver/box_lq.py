@@ -37,16 +37,8 @@ def box_lq(N, A_0, D, B, loops):
     """
     n, m = B.shape
     row = (1, N * m)
-    problem = dict(
-        D=ca.repmat(D, 1, N),
-        B=ca.repmat(B, 1, N),
-        Q=(n, 1),
-        QN=(n, 1),
-        R=(m, 1),
-        g=row,
-        lower=row,
-        upper=row,
-    )
+    problem = dict(D=ca.repmat(D, 1, N), B=ca.repmat(B, 1, N), Q=(n, 1), QN=(n, 1), R=(m, 1))
+    problem |= dict(g=row, lower=row, upper=row)
     backward = _build_backward(A_0, D, B)
     forward = _build_forward(A_0, D, B)
 

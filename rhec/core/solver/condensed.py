@@ -35,12 +35,13 @@ class CondensedQP:
         B = [part[:, list(horizon.command)] for part in ca.horzsplit(B, horizon.n_u)]
         return dict(H=condensed_hessian(A, B, [Q] * (horizon.N - 1) + [QN], ca.diag(R)))
 
-    def solve(self, g, least, most, u, lower, upper, inputs):
+    def solve(self, step, inputs):
         """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, with H from `prepare`.
 
         Args and returns are those of `rhec.core.controller.rhc.StagewiseQP.solve`.
         """
-        solution = self._solve(H=inputs["H"], g=g.T, lb=least.T, ub=most.T)
+        bounds = dict(lb=step["least"].T, ub=step["most"].T)
+        solution = self._solve(H=inputs["H"], g=step["g"].T, **bounds)
         return solution["x"].T, solution["multipliers"].T, solution["ok"]
 
 
