@@ -45,6 +45,7 @@ def _build_step(choice):
         fresh = ca.vertcat(soil_result["estimate"][:4], fresh)
         pose_memory = ca.if_else(soil_result["restart"], fresh, pose_memory)
     pose_result = pose(memory=pose_memory, z_N=accepted, V=V, W=W[6:], traction=traction)
+    # Of the two filters the RHE has the diagnostics that logs show.
     passed_on = ["deviance", "kkt", "ok"] + (["accepted", "restart"] if choice.robust else [])
     inputs = dict(memory=memory, z_N=z, V=V, W=W, P_0=P_0)
     outputs = dict(
@@ -52,6 +53,7 @@ def _build_step(choice):
         estimate=ca.vertcat(pose_result["estimate"][:4], traction),
         covariance=ca.diagcat(pose_result["covariance"], soil_result["covariance"][4:, 4:]),
     )
+    # Errors of pose and traction count as independent: no filter estimates their correlation.
     outputs |= {name: soil_result[name] for name in passed_on}
     options = {"allow_duplicate_io_names": True}
     names = [*inputs], [*outputs]

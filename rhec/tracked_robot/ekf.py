@@ -65,6 +65,7 @@ def _filter(model, move, m, P, omega, started, z, V, W):
     Returns:
         The memory after the sample, with covariance and deviance.
     """
+    # While the encoders are silent, the last yaw rate is held.
     omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
     predicted = move(m, omega)
     A = ca.jacobian(predicted, m)
@@ -110,6 +111,7 @@ def _build_rival(dt_s):
 def _build_augmented_step(dt_s, bounded=False):
     """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
 
+    # The traction is a random walk: it stays in the mean.
     def move(m, omega):
         return ca.vertcat(runge_kutta(m[:4], omega, m[4:], dt_s), m[4:])
 
@@ -135,6 +137,7 @@ def _within_bounds(bounds, m, P):
     """
     places = [*bounds]
     lower, upper = (ca.DM([bound[side] for bound in bounds.values()]) for side in (0, 1))
+    # The information of q alone, with the other states marginalised.
     H = ca.inv_minor(P[places, places])
     q, _ = box_qp(len(places))(H, -H @ m[places], lower, upper)
     m = m - P[:, places] @ H @ (m[places] - q)
@@ -160,6 +163,7 @@ def init(n, guess, sigma=SIGMA_START):
         omega=0.0,
         started=0.0,
     )
+    # No interval ends at the first sample, so that its traction has no effect.
     return memory if n == 6 else memory | dict(last_traction=np.ones(2))
 
 

@@ -140,6 +140,7 @@ class PaperRHE(rhe.RHE):
         if guess is None:
             x, y, nu, _ = np.where(plausible, z, 0.0)
             guess = (x, y, 0.0, nu, 1.0, 1.0)
+            # One measurement says nothing of the yaw.
             sigma = sigma | dict(theta_rad=np.pi / 2)
         memory = self._estimator.init(self._choice, dict(zip(QUANTITIES, guess)), sigma)
         self.iteration.start(memory | dict(age=0.0))

@@ -2,6 +2,7 @@
 
 from rhec import paper
 from rhec.core.controller import rhc
+from rhec.core.solver.condensed import Condensed
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 __all__ = ["horizon_of"]
@@ -12,7 +13,8 @@ def horizon_of(N, qp="structured", dt_s=paper.DT_S):
 
     Args:
         N: Intervals of the prediction.
-        qp: Solver of the QP, see `rhec.core.controller.rhc.Horizon`.
+        qp: "structured", by stages, or the condensed QP by "daqp" or "qpoases".
         dt_s: Length of a sample [s].
     """
-    return rhc.Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N, qp)
+    solver = None if qp == "structured" else Condensed(qp)
+    return rhc.Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N, solver)

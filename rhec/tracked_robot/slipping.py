@@ -69,6 +69,7 @@ def _input_noise(v, R, c):
     nu = v[0]
     omega = v[1]
     mean = ca.vertcat(nu, omega, 0, -side_slip_s * nu * omega, 0)
+    # In the order of the inputs: ν, ω, slip ahead, to the side, in turning.
     variances = ca.vertcat(
         _EXACT,
         _EXACT,
@@ -81,6 +82,7 @@ def _input_noise(v, R, c):
 
 def _process_noise(v, W, dt_s, c):
     """Variances W per metre times the distance that the tracks ran in `dt_s`, in the mean."""
+    # The speed of either track counts: a robot that turns in place moves its soil, too.
     left, right = _abs_track_speeds(v[0], v[1], c[5])
     return W * (left + right) / 2 * dt_s
 

@@ -23,7 +23,6 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.condensed import CondensedQP
 from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
 
 __all__ = ["RHC", "Horizon", "StagewiseQP", "build_phases", "init"]
@@ -32,15 +31,16 @@ __all__ = ["RHC", "Horizon", "StagewiseQP", "build_phases", "init"]
 class Horizon(NamedTuple):
     """What decides the shape of the Functions: N intervals of dt_s, and the commanded inputs.
 
-    `command` holds the places of the commanded inputs in `model.inputs`. `qp` is "structured", the
-    QP by its stages, or "daqp" or "qpoases", the condensed QP solved by that library.
+    `command` holds the places of the commanded inputs in `model.inputs`. `qp` is None for the QP by
+    its stages, or an object such as `rhec.core.solver.condensed.Condensed`, whose `build(horizon)`
+    returns another solver with the methods of StagewiseQP.
     """
 
     model: Model
     command: tuple[int, ...]
     dt_s: float
     N: int
-    qp: str = "structured"
+    qp: Any = None
 
     @property
     def n_x(self):
@@ -101,7 +101,7 @@ class Horizon(NamedTuple):
     def loops(self):
         """SX or MX, for Functions that repeat an interval."""
         # A short horizon is faster in one piece.
-        return compiled.loop_symbols() if self.qp == "structured" and self.N > 30 else ca.SX
+        return compiled.loop_symbols() if self.qp is None and self.N > 30 else ca.SX
 
 
 def build_phases(horizon):
@@ -114,7 +114,7 @@ def build_phases(horizon):
         {name: Function}. `step` runs all phases; it maps (memory, weights, references) to
         (memory, kkt, command, ok).
     """
-    qp = StagewiseQP(horizon) if horizon.qp == "structured" else CondensedQP(horizon)
+    qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
     roll_out = _build_roll_out(horizon)
     gradient = _build_gradient(horizon, roll_out)
     linearise = _build_linearise(horizon, qp)
@@ -213,6 +213,7 @@ def _build_linearise(horizon, qp):
     @casadi_function("rhc_linearise", horizon.loops, **horizon.memory, **horizon.weights)
     def linearise(s, u, Q, QN, R):
         dt_s = ca.repmat(ca.DM(horizon.dt_s), 1, N)
+        # Each interval is linearised at its own node, whether or not the nodes are connected.
         F, D, B = horizon.interval.linearised.map(N)(s[:, :N], u, dt_s)
         return dict(F=F, D=D, B=B) | qp.prepare(D, B, Q, QN, R)
 
@@ -232,9 +233,7 @@ def _build_roll_out(horizon):
     F_i, D_i, B_i = horizon.linearised.values()
 
     @casadi_function("rhc_forward")
-    def forward(
-        F: F_i, D: D_i, B: B_i, s: state, u: inputs, s_new: state, u_new: inputs
-    ):  # one interval
+    def forward(F: F_i, D: D_i, B: B_i, s: state, u: inputs, s_new: state, u_new: inputs):
         A = horizon.interval.A_0 + D
         return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
 
@@ -292,7 +291,7 @@ def _build_gradient(horizon, roll_out):
         u_ref = ca.horzsplit(u_ref)
         adjoint = ca.DM.zeros(horizon.n_s)  # λ_N
         g = [None] * N
-        weight = QN
+        weight = QN  # of node N; node 0 has none, since no input moves it
         for i in reversed(range(N)):
             end = nodes[i + 1], ref[i + 1]
             g[i], adjoint = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
@@ -443,6 +442,7 @@ class RHC(RealTimeLoop):
             lower=np.clip(lower, -MAX_QP_ENTRY, MAX_QP_ENTRY),
             upper=np.clip(upper, -MAX_QP_ENTRY, MAX_QP_ENTRY),
         )
+        # All of the memory is unknown to the problem: predicted states and planned inputs.
         memory = tuple(horizon.memory)
         functions = compiled.load(build_phases, horizon)
         self.iteration = RealTimeIteration(functions, memory, memory, **self.settings)
@@ -459,7 +459,8 @@ class RHC(RealTimeLoop):
         problem = self.problem
         numbers = {name: np.array2string(value) for name, value in self.settings.items()}
         return (
-            f"{type(self).__name__}: {problem.N} intervals of {problem.dt_s:g} s, QP {problem.qp}\n"
+            f"{type(self).__name__}: {problem.N} intervals of {problem.dt_s:g} s, "
+            f"QP {problem.qp or 'by stages'}\n"
             f"  states   {', '.join(problem.model.states)}: Q {numbers['Q']}, QN {numbers['QN']}\n"
             f"  commands {', '.join(problem.model.inputs[place] for place in problem.command)}: "
             f"R {numbers['R']}, bounds {numbers['lower']} to {numbers['upper']}"
@@ -501,6 +502,7 @@ class RHC(RealTimeLoop):
     def _set_inputs(self, **values):
         for name, value in values.items():
             copy_checked(name, value, self._inputs[name])
+        # The first sample has no previous plan: start from a robot that stays where it is.
         if not self.iteration.started:
             x, p = list(self._inputs.values())[:2]
             self.iteration.start(init(self.problem, x, p))
@@ -513,6 +515,7 @@ class RHC(RealTimeLoop):
     @property
     def x_plan(self) -> np.ndarray:
         """Predicted states (n_x, N+1)."""
+        # The states are not needed for the command, so feedback leaves them to expand.
         self.iteration.expand()
         s = self.iteration.previous["s"].reshape((self.problem.n_s, -1), order="F")
         return s[: self.problem.n_x].copy()

@@ -54,6 +54,7 @@ def box_lq(N, A_0, D, B, loops):
             P[i], p[i], *policies[i] = backward(
                 P[i + 1], p[i + 1], D[i], B[i], Q, R, g[i], lower[i], upper[i], active[i]
             )
+        # The QP is in changes from the rolled-out plan, so it starts at 0.
         x = ca.DM.zeros(n)
         n_infeasible = 0
         solutions = []

@@ -40,6 +40,7 @@ def _best_of_two(H, g, lb, ub):
     """The optimum in two variables: the unconstrained one, or the best point of an edge."""
     best = -ca.inv_minor(H) @ g
     inside = every(ca.vertcat(best >= lb, best <= ub))
+    # No edge is better than an unconstrained optimum inside.
     least = ca.if_else(inside, -ca.inf, ca.inf)
     for x in _edges(H, g, lb, ub):
         cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)

@@ -1,11 +1,13 @@
 """The RHC's QP condensed to its commands, and solved by a library, as in the paper (qpOASES)."""
 
+from typing import NamedTuple
+
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 
-__all__ = ["CondensedQP", "box_qp_by_library", "condensed_hessian"]
+__all__ = ["Condensed", "CondensedQP", "box_qp_by_library", "condensed_hessian"]
 
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {
@@ -14,16 +16,27 @@ _OPTIONS = {
 }
 
 
+class Condensed(NamedTuple):
+    """The option of a Horizon to condense its QP; `solver` is "daqp" or "qpoases"."""
+
+    solver: str
+
+    def build(self, horizon):
+        """Build the CondensedQP of a Horizon."""
+        return CondensedQP(horizon, self.solver)
+
+
 class CondensedQP:
     """The QP in the commanded inputs with a dense Hessian, which the preparation phase condenses.
 
     Args:
-        horizon: The controller's Horizon, whose `qp` names the library.
+        horizon: The controller's Horizon.
+        solver: "daqp" or "qpoases".
     """
 
-    def __init__(self, horizon):
+    def __init__(self, horizon, solver):
         self.horizon = horizon
-        self._solve = box_qp_by_library(horizon.N * len(horizon.command), horizon.qp)
+        self._solve = box_qp_by_library(horizon.N * len(horizon.command), solver)
 
     def prepare(self, D, B, Q, QN, R):
         """Condense the linearised dynamics and the weights to the Hessian H."""

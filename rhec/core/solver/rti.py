@@ -89,6 +89,7 @@ class RealTimeIteration:
         if not self.prepared:
             raise RuntimeError("prepare() must be called before each feedback()")
         self._feedback()
+        # Expanding now would delay the command.
         self.prepared = self.expanded = False
 
     def expand(self):
@@ -104,8 +105,10 @@ class RealTimeIteration:
             self._linearise()
             self._feedback()
             self._expand()
+            # Without a shift the next linearisation is at the same sample's new solution.
             for name in self.unknowns:
                 self.current[name][:] = self.previous[name]
+        # The memory still belongs to this sample; `prepare` has to shift it.
         self.prepared = False
         self.expanded = True
 
