@@ -33,7 +33,7 @@ class Horizon(NamedTuple):
 
     `command` holds the places of the commanded inputs in `model.inputs`. `qp` is None for the QP by
     its stages, or an object such as `rhec.core.solver.condensed.Condensed`, whose `build(horizon)`
-    returns another solver with the methods of StagewiseQP.
+    returns a solver with the methods of StagewiseQP, such as CondensedQP.
     """
 
     model: Model

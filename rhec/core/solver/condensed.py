@@ -7,7 +7,7 @@ import casadi as ca
 from rhec.core._casadi.build import casadi_function
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 
-__all__ = ["Condensed", "CondensedQP", "box_qp_by_library", "condensed_hessian"]
+__all__ = ["Condensed", "CondensedQP", "box_qp_by_library"]
 
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {
@@ -46,7 +46,7 @@ class CondensedQP:
         Q, QN = (ca.diag(ca.vertcat(weight, unweighted)) for weight in (Q, QN))
         A = [horizon.interval.A_0 + part for part in ca.horzsplit(D, horizon.n_s)]
         B = [part[:, list(horizon.command)] for part in ca.horzsplit(B, horizon.n_u)]
-        return dict(H=condensed_hessian(A, B, [Q] * (horizon.N - 1) + [QN], ca.diag(R)))
+        return dict(H=_condensed_hessian(A, B, [Q] * (horizon.N - 1) + [QN], ca.diag(R)))
 
     def solve(self, step, inputs):
         """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, with H from `prepare`.
@@ -58,7 +58,7 @@ class CondensedQP:
         return solution["x"].T, solution["multipliers"].T, solution["ok"]
 
 
-def condensed_hessian(A, B, Q, R):
+def _condensed_hessian(A, B, Q, R):
     """Hessian in u alone of ½ Σ_{i=1..N} x_i' Q_i x_i + ½ Σ_{i=0..N-1} u_i' R u_i.
 
     Here x_0 = 0 and x_{i+1} = A_i x_i + B_i u_i. It takes O(N²) operations: the response to each
