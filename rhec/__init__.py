@@ -10,7 +10,7 @@ A recorded log   logs.read, calibrate, replay        Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
 """
 
-import importlib
+from importlib import import_module as _import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -81,14 +81,39 @@ def _draw_run(run, with_band):
 
 
 def __getattr__(name):
-    if name in _HOME:
-        home = importlib.import_module(f"rhec.{_HOME[name]}")
-        if name in ("Run", "Scenario", "simulate"):
-            # The simulation draws nothing; the workbench's picture of a run is attached here.
-            importlib.import_module("rhec.simulation.run").Run.draw = staticmethod(_draw_run)
-        return home if _HOME[name] == name else getattr(home, name)
-    raise AttributeError(f"module 'rhec' has no attribute {name!r}")
+    if name not in _HOME:
+        raise AttributeError(f"module 'rhec' has no attribute {name!r}")
+    home = _import_module(f"rhec.{_HOME[name]}")
+    if _HOME[name] == name:
+        return home
+    if name in ("Run", "Scenario", "simulate"):
+        # The simulation draws nothing; the workbench's picture of a run is attached here.
+        _import_module("rhec.simulation.run").Run.draw = staticmethod(_draw_run)
+    value = getattr(home, name)
+    if name in _PAPER_CLASS:
+        value.paper_class = _PAPER_CLASS[name]
+    return value
 
 
 def __dir__():
-    return sorted([*globals(), *__all__])
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
+
+
+# What RHE and RHC are without a model: the paper's. They are imported only when they are needed.
+
+
+def _paper_rhe() -> type:
+    """Return the RHE of the paper's robot."""
+    from rhec.tracked_robot.live import PaperRHE
+
+    return PaperRHE
+
+
+def _paper_rhc() -> type:
+    """Return the RHC of the paper's robot."""
+    from rhec.tracked_robot.live import PaperRHC
+
+    return PaperRHC
+
+
+_PAPER_CLASS = {"RHC": _paper_rhc, "RHE": _paper_rhe}

@@ -22,6 +22,7 @@ from rhec.embedded import c_writer, phases
 from rhec.simulation.closed_loop import simulate
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot.choice import TractionInput
 from rhec.tracked_robot.estimators import NAMES, estimator_of
 from rhec.tracked_robot.rhe import SIGMA_START
 
@@ -31,7 +32,7 @@ FOLDER = Path("build", "embedded")
 LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
 _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # their C needs no library
-_EXPORTED = "nothing", "field mean"  # that estimators may be given
+_EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 
@@ -127,12 +128,12 @@ def _check(scenario):
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     estimator = scenario.estimator
-    given = estimator_of(estimator, scenario.robust).given
-    if given not in _EXPORTED:
-        names = [repr(name) for name in NAMES if estimator_of(name).given in _EXPORTED]
+    traction_input = estimator_of(estimator, scenario.robust).traction_input
+    if traction_input not in _EXPORTED:
+        names = [repr(name) for name in NAMES if estimator_of(name).traction_input in _EXPORTED]
         raise ValueError(
-            f"estimator was {estimator!r}, which is given the {given}; to export, it should be one "
-            f"of {', '.join(names)} or a Function of your own"
+            f"estimator was {estimator!r}, which is given the {traction_input.value}; to export, "
+            f"it should be one of {', '.join(names)} or a Function of your own"
         )
     if isinstance(estimator, ca.Function):
         for called in estimator.find_functions():

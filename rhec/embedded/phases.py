@@ -21,7 +21,8 @@ from rhec.core.solver.pivoting import MAX_SWEEPS
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path
 from rhec.tracked_robot.cautious import build_speed
-from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
@@ -79,7 +80,7 @@ def export(scenario):
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
     # An EKF is given what the closed loop gives it.
-    traction = closed_loop.known_traction(estimator.given, setup.settings["mean_traction"], None)
+    traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
     settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
     if estimator.build_phases:
         estimate = estimator.build_phases(choice)

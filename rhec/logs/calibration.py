@@ -22,12 +22,12 @@ from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import kalman
 from rhec.core.model import base
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.extensions import slipping
 from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.reader import read
 from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import AGE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import slipping
 from rhec.tracked_robot.estimators import estimator_of
 
 __all__ = ["Calibration", "calibrate"]
@@ -36,7 +36,7 @@ OUTLIER = 3.0
 # Errors of recorded positions are not white, so that each says less than a filter takes from it: a
 # replay takes them to be larger than found.
 _COLOURED = 1.75
-_MODEL = slipping.SPEED_MODELS["slipping"].model
+_MODEL = slipping.SLIPPING.model
 _ARM = _MODEL.joint_names.index("arm_forward_m")
 # Before the first sample, of (x, y, θ, l_f, l_l, μ, κ); positions count once the first yaw is found
 _SIGMA_FIRST = np.array([0.05, 0.05, 0.1, 0.3, 0.3, 0.25, 0.25])

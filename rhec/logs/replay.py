@@ -23,11 +23,9 @@ from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
-from rhec.extensions import slipping
 from rhec.logs.lost import is_lost, remarks
 from rhec.logs.nonsense import refuse_nonsense
 from rhec.logs.recording import measured_since, prepare, prepare_for, resample
-from rhec.simulation.closed_loop import known_traction
 from rhec.simulation.columns import (
     AGE,
     ESTIMATE,
@@ -40,7 +38,9 @@ from rhec.simulation.columns import (
 )
 from rhec.simulation.faults import corrupted
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot.estimators import NAMES, Choice, build_step, estimator_of
+from rhec.tracked_robot import slipping
+from rhec.tracked_robot.choice import Choice, TractionInput
+from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import window_of
 from rhec.tracked_robot.tuning import sigma_v_of
@@ -132,7 +132,7 @@ def _run(steps, scenario, z, age_s, yaw_rad, first):
     estimator = estimator_of(choice.estimator, choice.robust)
     memory = pack_array(estimator.init(choice, dict(zip(_QUANTITIES, guess)), sigma))
     settings = estimator.settings(scenario) | dict(
-        traction=known_traction(estimator.given, None, None)
+        traction=estimator.traction_input.select_traction(None, None)
     )
     stream = np.column_stack([z, age_s])
     inputs = select_inputs(steps["step"], settings)
@@ -422,8 +422,10 @@ def replay_scenario(estimator, recording, fields):
     if fields["speed_model"] == "slipping":  # not the paper's, so each measurement counts once
         fields = dict(arrival_mean="filtered", robust=estimator == "rhe") | fields
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
-    if estimator_of(scenario.estimator, scenario.robust).given != "nothing":
-        names = [repr(name) for name in NAMES if estimator_of(name).given == "nothing"]
+    if estimator_of(scenario.estimator, scenario.robust).traction_input is not TractionInput.NONE:
+        names = [
+            repr(name) for name in NAMES if estimator_of(name).traction_input is TractionInput.NONE
+        ]
         raise ValueError(
             f"estimator was {estimator!r}; a replay takes {', '.join(names)} or a CasADi Function: "
             "a recording has no truth to rely on"

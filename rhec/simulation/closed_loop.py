@@ -25,7 +25,8 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import cautious, terrain
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import rhc as paper_rhc
-from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
@@ -36,7 +37,6 @@ __all__ = [
     "Setup",
     "build_sample",
     "finish",
-    "known_traction",
     "noise_and_faults",
     "set_up",
     "simulate",
@@ -145,7 +145,7 @@ def build_sample(*structure):
         row, …) and a block of samples.
     """
     structure = _LoopStructure(*structure)
-    given = estimator_of(structure.estimator.estimator).given
+    traction_input = estimator_of(structure.estimator.estimator).traction_input
     parts = _build_parts(structure)
     memory = _memory_shapes(parts)
     settings = _settings_shapes(parts, structure.n_segments)
@@ -158,7 +158,7 @@ def build_sample(*structure):
         signals = signals | build.unpack(noise, stream)
         truth, omega = _truth(parts, signals)
         measured = _measured(parts, signals)
-        estimated = _estimated(parts, signals, measured["z"], truth, given)
+        estimated = _estimated(parts, signals, measured["z"], truth, traction_input)
         target = _target(parts, signals, measured["z"], estimated)
         planned = _planned(parts, signals, estimated, target)
         driven = _driven(parts, signals, planned, truth)
@@ -199,12 +199,12 @@ def _measured(parts, signals):
     return measured
 
 
-def _estimated(parts, signals, z, truth, given):
+def _estimated(parts, signals, z, truth, traction_input):
     """The estimator's results, with NaN or a default for those that it does not have."""
     limits = SPEED_MODELS["parameter"].model.limits
     is_valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
     signals = signals | dict(
-        truth=truth, traction=known_traction(given, signals["mean_traction"], truth[4:])
+        truth=truth, traction=traction_input.select_traction(signals["mean_traction"], truth[4:])
     )
     # A user's own estimator has none of these; every log has the same columns.
     nan = ca.DM.nan(1)
@@ -272,11 +272,6 @@ def _row(estimated, target, planned):
         accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
         restart=estimated["restart"],
     )
-
-
-def known_traction(given, field_mean, true):
-    """The traction (2,) that an estimator is given, by its Estimator.given."""
-    return {"field mean": field_mean, "true traction": true}.get(given, np.ones(2))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from pydantic.fields import FieldInfo
 from rhec import paper
 from rhec.core._casadi import validation as valid
 from rhec.simulation.faults import Fault, as_python
-from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, estimator_of
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 

@@ -1,10 +1,10 @@
-"""The paper's extended Kalman filter, eq. (23)-(26), and its rivals, which take a Runge-Kutta step.
+"""The paper's extended Kalman filter, eq. (23)-(26), and variants that take a Runge-Kutta step.
 
-The paper's has state (x, y, θ, ν), the measured yaw rate as input, an Euler step, and the
-traditional model, that is μ = κ = 1; here the traction is an argument, so that one filter can also
-be told the true one. The augmented one is what the paper warns of (Sec. Extended Kalman Filter):
-(μ, κ) are states, too, and nothing keeps their estimates between 0 and 1. The bounded one does
-keep them there.
+The paper's filter has the state (x, y, θ, ν), the measured yaw rate as input, an Euler step, and
+the traditional model, that is μ = κ = 1. Here the traction is an argument, so that the same filter
+can be given the true one. The augmented filter, of which the paper warns (Sec. Extended Kalman
+Filter), has (μ, κ) as states, too, and does not keep their estimates between 0 and 1. The bounded
+filter does.
 """
 
 import casadi as ca
@@ -16,19 +16,20 @@ from rhec.core.model import base
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import Estimator
+from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
 from rhec.tracked_robot.rhe import SIGMA_START
 
 __all__ = ["ESTIMATORS", "build_step", "init", "runge_kutta"]
 
+_ROBOT = SPEED_MODELS["parameter"].model
 _POSE_AND_SPEED = base.Model(
     states=QUANTITIES[:4],
     inputs=("omega_radps", *QUANTITIES[4:]),
     parameters={},
-    outputs=SPEED_MODELS["parameter"].model.outputs,
+    outputs=_ROBOT.outputs,
     f=lambda x, u, p: ca.vertcat(f(x[:3], u[0], ca.vertcat(x[3], u[1:])), 0),
-    max_measurement=SPEED_MODELS["parameter"].model.limits,
+    max_measurement=_ROBOT.limits,
 )
 
 
@@ -47,63 +48,24 @@ def runge_kutta(m, omega, traction, dt_s):
     return ca.vertcat(rk4(f, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
 
 
-def build_step(dt_s, integrate=_euler):
-    """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
+def _filter(model, move, m, P, omega, started, z, V, W):
+    """One sample: m⁻ = f(m, ω), P⁻ = APA' + W, eq. (24)-(26), then the update with z.
 
-    Its memory: m (4,), P (4, 4), omega the last yaw rate [rad/s], driven the traction (2,) told at
-    the last sample, on which the interval that ends now was driven, started 0 before the first
-    sample, which only corrects. z_N (4,) holds the yaw rate of the interval that ends now; a
-    missing one is the last one held.
+    Args:
+        model: The Model, for its outputs.
+        move: (m, ω) -> m⁻.
+        m: (n, 1) mean.
+        P: (n, n) covariance.
+        omega: The last valid yaw rate [rad/s].
+        started: 0 before the first sample, which only corrects.
+        z: (4, 1) measurement; its yaw rate is that of the interval that ends now.
+        V: (4, 1) variances of z.
+        W: (n, 1) variances of the process noise.
+
+    Returns:
+        The memory after the sample, with covariance and deviance.
     """
-    memory = _memory(4) | dict(driven=(2, 1))
-
-    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1))
-    def step(m, P, omega, driven, started, z_N, V, W, traction):
-        def move(m, omega):
-            return integrate(m, omega, driven, dt_s)
-
-        after = _filtered(_POSE_AND_SPEED, move, m, P, omega, started, z_N, V, W)
-        return dict(estimate=ca.vertcat(after["m"], traction), driven=traction) | after
-
-    return step
-
-
-def _build_augmented_step(dt_s, bounded):
-    """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
-    model = SPEED_MODELS["parameter"].model
-
-    @with_packed_memory("augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1))
-    def step(m, P, omega, started, z_N, V, W):
-        def move(m, omega):
-            return ca.vertcat(runge_kutta(m[:4], omega, m[4:], dt_s), m[4:])
-
-        after = _filtered(model, move, m, P, omega, started, z_N, V, W)
-        if bounded:
-            after["m"] = _within_bounds(base.interval(model).bounds, after["m"], after["P"])
-        return dict(estimate=after["m"]) | after
-
-    return step
-
-
-def _within_bounds(bounds, m, P):
-    """The likeliest state within the bounds {place: (lowest, highest)} of a Gaussian (m, P): all of
-    it is conditioned on those that are violated. P stays: bounds left aside, as the RHE's.
-    """
-    places = [*bounds]
-    lower, upper = (ca.DM([bound[side] for bound in bounds.values()]) for side in (0, 1))
-    H = ca.inv_minor(P[places, places])
-    x, _ = box_qp(len(places))(H, -H @ m[places], lower, upper)
-    m = m - P[:, places] @ H @ (m[places] - x)
-    m[places] = x
-    return m
-
-
-def _memory(n):
-    return dict(m=(n, 1), P=(n, n), omega=(1, 1), started=(1, 1))
-
-
-def _filtered(model, move, m, P, omega, started, z, V, W):
-    """The memory after a sample, with covariance and deviance."""
+    # While the encoders are silent, the last yaw rate is held.
     omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
     predicted = move(m, omega)
     A = ca.jacobian(predicted, m)
@@ -112,41 +74,116 @@ def _filtered(model, move, m, P, omega, started, z, V, W):
     return dict(covariance=P, deviance=deviance, m=m, P=P, omega=omega, started=1)
 
 
-def init(n, guess, sigma=SIGMA_START):
-    """Memory before the first sample of a filter of the first n QUANTITIES, by quantity."""
-    m, sigma = ([of[name] for name in QUANTITIES[:n]] for of in (guess, sigma))
-    memory = dict(m=np.array(m), P=np.diag(np.square(sigma)), omega=0.0, started=0.0)
-    return memory if n == 6 else memory | dict(driven=np.ones(2))
+def _memory(n):
+    return dict(m=(n, 1), P=(n, n), omega=(1, 1), started=(1, 1))
 
 
-def _estimator(name, given, build, n=4):
-    def settings(scenario):
-        tuned = tuning.SIGMA_W[name][scenario.process_noise]
-        sigma_w = tuned if scenario.sigma_w is None else scenario.sigma_w
-        return dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.square(sigma_w))
+def build_step(dt_s, integrate=_euler):
+    """Build the EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
 
-    return Estimator(
-        build_step=lambda choice: build(choice.dt_s),
-        init=lambda choice, guess, sigma=SIGMA_START: init(n, guess, sigma),
-        settings=settings,
-        states=lambda choice: QUANTITIES[:n],
-        n_sigma_w=lambda choice: n,
-        given=given,
-    )
+    Its memory is that of `_filter`, and the traction (2,) of the last sample: the robot drove on it
+    during the interval that ends now.
+
+    Args:
+        dt_s: Length of a sample [s].
+        integrate: `_euler`, as in the paper, or `runge_kutta`.
+
+    Returns:
+        The Function.
+    """
+    memory = _memory(4) | dict(last_traction=(2, 1))
+
+    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1))
+    def step(m, P, omega, last_traction, started, z_N, V, W, traction):
+        def move(m, omega):
+            return integrate(m, omega, last_traction, dt_s)
+
+        after = _filter(_POSE_AND_SPEED, move, m, P, omega, started, z_N, V, W)
+        return dict(estimate=ca.vertcat(after["m"], traction), last_traction=traction) | after
+
+    return step
 
 
 def _build_rival(dt_s):
     return build_step(dt_s, runge_kutta)
 
 
+def _build_augmented_step(dt_s, bounded=False):
+    """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
+
+    # The traction is a random walk: it stays in the mean.
+    def move(m, omega):
+        return ca.vertcat(runge_kutta(m[:4], omega, m[4:], dt_s), m[4:])
+
+    @with_packed_memory("augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1))
+    def step(m, P, omega, started, z_N, V, W):
+        after = _filter(_ROBOT, move, m, P, omega, started, z_N, V, W)
+        if bounded:
+            after["m"] = _within_bounds(base.interval(_ROBOT).bounds, after["m"], after["P"])
+        return dict(estimate=after["m"]) | after
+
+    return step
+
+
+def _build_bounded_step(dt_s):
+    return _build_augmented_step(dt_s, bounded=True)
+
+
+def _within_bounds(bounds, m, P):
+    """The likeliest state within the bounds {place: (lowest, highest)} of a Gaussian (m, P).
+
+    With q the bounded states and H = P_qq⁻¹: min ½ (q - m_q)' H (q - m_q) within the bounds; the
+    other states are conditioned on q, m - P_xq H (m_q - q). P does not change, as in the RHE.
+    """
+    places = [*bounds]
+    lower, upper = (ca.DM([bound[side] for bound in bounds.values()]) for side in (0, 1))
+    # The information of q alone, with the other states marginalised.
+    H = ca.inv_minor(P[places, places])
+    q, _ = box_qp(len(places))(H, -H @ m[places], lower, upper)
+    m = m - P[:, places] @ H @ (m[places] - q)
+    m[places] = q  # exactly, without rounding
+    return m
+
+
+def init(n, guess, sigma=SIGMA_START):
+    """Make the memory before the first sample.
+
+    Args:
+        n: 4 or 6, how many of QUANTITIES are states.
+        guess: {quantity: value}.
+        sigma: {quantity: standard deviation}.
+
+    Returns:
+        {name: array}.
+    """
+    names = QUANTITIES[:n]
+    memory = dict(
+        m=np.array([guess[name] for name in names]),
+        P=np.diag(np.square([sigma[name] for name in names])),
+        omega=0.0,
+        started=0.0,
+    )
+    # No interval ends at the first sample, so that its traction has no effect.
+    return memory if n == 6 else memory | dict(last_traction=np.ones(2))
+
+
+def _estimator(name, build, n=4, traction_input=TractionInput.NONE):
+    return Estimator(
+        build_step=lambda choice: build(choice.dt_s),
+        init=lambda choice, guess, sigma=SIGMA_START: init(n, guess, sigma),
+        settings=lambda scenario: dict(
+            V=np.square(tuning.sigma_v_of(scenario)), W=np.square(tuning.sigma_w_of(name, scenario))
+        ),
+        states=lambda choice: QUANTITIES[:n],
+        n_sigma_w=lambda choice: n,
+        traction_input=traction_input,
+    )
+
+
 ESTIMATORS = {
-    "ekf": _estimator("ekf", "nothing", build_step),
-    "augmented_ekf": _estimator(
-        "augmented_ekf", "nothing", lambda dt_s: _build_augmented_step(dt_s, bounded=False), 6
-    ),
-    "bounded_ekf": _estimator(
-        "bounded_ekf", "nothing", lambda dt_s: _build_augmented_step(dt_s, bounded=True), 6
-    ),
-    "fixed_traction": _estimator("fixed_traction", "field mean", _build_rival),
-    "traction_oracle": _estimator("traction_oracle", "true traction", _build_rival),
+    "ekf": _estimator("ekf", build_step),
+    "augmented_ekf": _estimator("augmented_ekf", _build_augmented_step, 6),
+    "bounded_ekf": _estimator("bounded_ekf", _build_bounded_step, 6),
+    "fixed_traction": _estimator("fixed_traction", _build_rival, 4, TractionInput.FIELD_MEAN),
+    "traction_oracle": _estimator("traction_oracle", _build_rival, 4, TractionInput.TRUE),
 }

@@ -4,16 +4,15 @@ State ξ = (x, y, θ) [m, m, rad], input u = ω [rad/s], parameters p = (ν, μ,
 z = (x, y, ν, ω), eq. (5)-(8).
 """
 
-import importlib
 from typing import NamedTuple
 
 import casadi as ca
 
 from rhec.core.model.base import Model, rk4
 
-__all__ = ["QUANTITIES", "SPEED_MODELS", "SpeedModel", "f", "h", "rk4", "speed_model_of"]
+__all__ = ["QUANTITIES", "SPEED_MODELS", "SpeedModel", "f", "h", "rk4"]
 
-# A robot's estimate, in this order: pose ξ and parameters p.
+# The estimate of every estimator, in this order: pose ξ and parameters p.
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
 _OUTPUTS = ("x_m", "y_m", "nu_mps", "omega_radps")
 _TRACTION = {"mu": (0.0, 1.0), "kappa": (0.0, 1.0)}  # eq. (14)
@@ -32,11 +31,8 @@ def f(xi, u, p):
         (3,) dξ/dt.
     """
     theta = xi[2]
-    omega = u
-    nu = p[0]
-    mu = p[1]
-    kappa = p[2]
-    return ca.vertcat(mu * nu * ca.cos(theta), mu * nu * ca.sin(theta), kappa * omega)
+    nu, mu, kappa = (p[i] for i in range(3))
+    return ca.vertcat(mu * nu * ca.cos(theta), mu * nu * ca.sin(theta), kappa * u)
 
 
 def h(xi, u, p):
@@ -61,8 +57,8 @@ class SpeedModel(NamedTuple):
     """How a robot's speed enters its model, and the process noise that goes with it."""
 
     model: Model
-    n_sigma_w: int  # how many of the joint state's last entries have process noise
-    sigma_w: tuple | None = None  # where it is none of the paper's quantities'
+    n_sigma_w: int  # number of entries at the joint state's end that have process noise
+    sigma_w: tuple | None = None  # its default, where `tuning.SIGMA_W` has none
 
 
 _PARAMETER = Model(
@@ -82,16 +78,6 @@ _INPUT = Model(
     f=_f_with_measured_speed,
     max_measurement=_LIMITS,
 )
-# ν is one parameter of the window, as in the paper; or a measured input of each interval
+# ν is one parameter of the window, as in the paper, or a measured input of each interval
 # (interpretation R13).
 SPEED_MODELS = {"parameter": SpeedModel(_PARAMETER, 6), "input": SpeedModel(_INPUT, 5)}
-_HOME = {
-    "slipping": "rhec.extensions.slipping"
-}  # so that nothing here depends on what stands above
-
-
-def speed_model_of(name):
-    """The SpeedModel of this name."""
-    if name in _HOME:
-        return importlib.import_module(_HOME[name]).SPEED_MODELS[name]
-    return SPEED_MODELS[name]

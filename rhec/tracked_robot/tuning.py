@@ -1,9 +1,10 @@
 """Every tuned process noise W in one place, with its source: standard deviations per sample.
 
-"printed" is the paper's, to the letter (interpretations R1, R2). "calibrated" maximises the
-likelihood of the innovations on training seeds 1000 to 1009, by `rhec.workbench.studies.calibration`.
-"consistent" is by `rhec.workbench.studies.consistency`, on training seeds, too: the least true error among
-RHEs that are as sure as they may be. The others say what they were tuned for.
+- "printed" is the paper's, to the letter (interpretations R1, R2).
+- "calibrated" maximises the likelihood of the innovations on training seeds 1000 to 1009
+  (`rhec.workbench.studies.calibration`).
+- "consistent" has the least true error among RHEs whose covariance matches their errors (NEES ≈ 1),
+  on training seeds (`rhec.workbench.studies.consistency`).
 """
 
 from rhec import paper
@@ -18,16 +19,17 @@ __all__ = [
     "SIGMA_W_TRACKING",
     "SLIP",
     "sigma_v_of",
+    "sigma_w_of",
 ]
 
 
 def _not_the_papers(calibrated):
-    """W of an estimator for which the paper prints none: by likelihood, whatever is asked for."""
+    """W of an estimator for which the paper prints none: "printed" is the calibrated one, too."""
     return dict(printed=calibrated, calibrated=calibrated)
 
 
-# Of (x, y, θ, ν, μ, κ), or of (x, y, θ, ν) where the traction is not estimated. Where the paper has
-# such an estimator but for the bounds, or but for what is estimated, printed is its W.
+# Of (x, y, θ, ν, μ, κ) [m, m, rad, m/s, 1, 1], or of the first four where the traction is not
+# estimated. Variants of one of the paper's estimators have its W as the printed one.
 SIGMA_W = {
     "rhe": {
         "printed": paper.SIGMA_W_RHE,
@@ -51,18 +53,18 @@ SIGMA_W = {
     "fixed_traction": _not_the_papers((0.0073, 0.0073, 0.0052, 0.0019)),
     "traction_oracle": _not_the_papers((0.001, 0.001, 0.0048, 0.001)),
 }
-# What goes with them: measurement noise, and the arrival cost's mean (interpretation R7). An RHE
-# has process noise inside its window only through its inputs: σ_ω stands for all that turns the
-# robot and no encoder measures.
+# Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise
+# only through its inputs, so the consistent σ_ω includes all turning that no encoder measures.
 SIGMA_V = dict(
     printed=paper.SIGMA_V, calibrated=paper.SIGMA_V, consistent=(*paper.SIGMA_V[:3], 0.05)
 )
+# The mean of the arrival cost (interpretation R7).
 ARRIVAL_MEAN = dict(printed="smoothed", calibrated="smoothed", consistent="filtered")
-# The RHE whose arrival cost takes the filter's own mean: by likelihood, like "calibrated"
+# The RHE with the arrival mean "filtered": by likelihood, like "calibrated"
 # (`calibrate("rhe", arrival_mean="filtered")`).
 SIGMA_W_FILTERED = (0.001, 0.001, 0.0058, 0.001, 0.0098, 0.0062)
-# Least true error of robots that drive training seeds 1000 to 1023 by the estimator, by
-# `rhec.workbench.studies.calibration`. Dual estimation: the RHE's six, then the EKF's four.
+# Least tracking error of robots that drive training seeds 1000 to 1023 with the estimator in the
+# loop (`rhec.workbench.studies.calibration`). Dual estimation: the RHE's six, then the EKF's four.
 SIGMA_W_TRACKING = {
     "rhe": (0.017, 0.017, 0.0022, 10.0, 0.001, 0.018),
     "ekf": (0.001, 0.001, 0.033, 10.0),
@@ -74,15 +76,32 @@ SIGMA_W_TRACKING = {
     "traction_oracle": (0.001, 0.001, 0.024, 0.005),
     "dual": (0.001, 0.001, 0.001, 0.001, 0.0037, 0.033, 0.0052, 0.0052, 0.029, 0.0097),
 }
-# Tracks that slip: between what `rhec.calibrate` finds for four recorded robots, three wheeled and
-# one tracked. Noise grows with the motion: of (μ, κ) with the distance d that the tracks ran, like
-# √d [1/√m]; slip over ground, by shares of ν, of ω and, to the side, of bω; bumps turn the robot,
-# like √d [rad/√m]. The side slip speed is in the mean -side_slip_s·νω.
+# The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
+# robots, three wheeled and one tracked. The noise grows with the motion of the tracks.
+# Of (μ, κ), with the distance d that the tracks ran, as √d [1/√m].
 SIGMA_W_SLIPPING = (0.006, 0.01)
-SLIP = dict(share_nu=0.1, share_omega=0.17, share_side=0.09, sigma_bumps=0.015, side_slip_s=0.05)
-SIGMA_SIDE_SLIP_AT_REST = 1e-3  # [m/s]
+SLIP = dict(
+    # Standard deviation of the slip speed ahead, as a share of ν [1].
+    share_nu=0.1,
+    # Standard deviation of the slip in turning, as a share of ω [1].
+    share_omega=0.17,
+    # Standard deviation of the slip speed to the side, as a share of bω [1].
+    share_side=0.09,
+    # Standard deviation of the yaw from bumps, growing as √d [rad/√m].
+    sigma_bumps=0.015,
+    # The mean slip speed to the side is -side_slip_s·νω [s].
+    side_slip_s=0.05,
+)
+SIGMA_SIDE_SLIP_AT_REST = 1e-3  # [m/s], by choice: keeps the variance above 0
 
 
 def sigma_v_of(scenario):
-    """Measurement noise that a Scenario's estimator assumes."""
+    """Standard deviations of the measurements that a Scenario's estimator assumes."""
     return scenario.sigma_v or SIGMA_V[scenario.process_noise]
+
+
+def sigma_w_of(name, scenario):
+    """Standard deviations of the process noise of a Scenario's estimator, by its name."""
+    if scenario.sigma_w is None:
+        return SIGMA_W[name][scenario.process_noise]
+    return scenario.sigma_w

@@ -8,7 +8,8 @@ from scipy.optimize import lsq_linear
 from rhec.core._casadi import build as function
 from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 W = np.square([0.02, 0.02, 0.01, 0.05])

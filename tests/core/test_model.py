@@ -6,6 +6,7 @@ from oracles import flat
 
 from rhec.core.model import base
 from rhec.tracked_robot import kinematics as model
+from rhec.tracked_robot.speed_models import speed_model_of
 
 SPEED_MODELS = ["parameter", "input"]
 
@@ -26,7 +27,7 @@ def instance(rng, speed_model):
 
 
 def interval_of(speed_model):
-    return base.interval(model.speed_model_of(speed_model).model)
+    return base.interval(speed_model_of(speed_model).model)
 
 
 def arc(pose, nu, mu, kappa, omega, t):
@@ -107,7 +108,7 @@ def test_the_two_speed_models_move_alike():
 @pytest.mark.parametrize("speed_model", [*SPEED_MODELS, "slipping"])
 def test_an_interval_says_which_entry_is_what(speed_model):
     """By name: what is bounded, and what each entry of z = (x, y, ν, ω) measures."""
-    robot = model.speed_model_of(speed_model).model
+    robot = speed_model_of(speed_model).model
     interval, names = interval_of(speed_model), robot.joint_names
     assert {names[place]: bounds for place, bounds in interval.bounds.items()} == {
         "mu": (0, 1),

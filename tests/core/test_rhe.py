@@ -23,11 +23,12 @@ from oracles import (
 import rhec
 from rhec import paper
 from rhec.core.solver.box_qp import box_qp
-from rhec.extensions.condensed import box_qp_by_library
-from rhec.tracked_robot import estimators as base
+from rhec.core.solver.condensed import box_qp_by_library
+from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot import tuning
+from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.tracked_robot.live import PaperEstimate
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SPEED_MODELS = ["parameter", "input"]
@@ -36,11 +37,11 @@ GUESS = (0.0, 0.0, 0.0, 0.5, 0.9, 0.8)
 
 
 def choice(speed_model="parameter", arrival_mean="smoothed"):
-    return base.Choice("rhe", N, speed_model, arrival_mean, False)
+    return Choice("rhe", N, speed_model, arrival_mean, False)
 
 
 def build_phases(*options):
-    return base.build_phases(choice(*options))
+    return estimators.build_phases(choice(*options))
 
 
 def first_memory(guess, sigma, speed_model="parameter"):
@@ -114,7 +115,7 @@ def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples
 
 def test_without_a_guess_it_begins_at_the_first_reading():
     (estimate,) = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
-    assert isinstance(estimate, paper_rhe.PaperEstimate)
+    assert isinstance(estimate, PaperEstimate)
     assert estimate[:6] == pytest.approx((500, -300, 0, 0.4, 1, 1))
 
 

@@ -26,7 +26,8 @@ from rhec.embedded import LOG, phases
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import MEASUREMENTS
 from rhec.tracked_robot import cautious
-from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of

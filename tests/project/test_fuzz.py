@@ -20,8 +20,7 @@ from nbformat import v4
 import rhec
 from rhec import paper
 from rhec.simulation import closed_loop, faults
-from rhec.tracked_robot.rhc import PaperRHC
-from rhec.tracked_robot.rhe import PaperRHE
+from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.workbench import notebook
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")

@@ -13,7 +13,8 @@ import rhec
 from rhec import paper
 from rhec.simulation import scenario as described
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import NAMES, Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import NAMES, estimator_of
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 OUT_OF_RANGE = [

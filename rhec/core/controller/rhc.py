@@ -2,16 +2,16 @@
 
     min  ½ Σ_{i=1..N-1} ‖x_r,i - x_i‖²_{Q_k} + ½ ‖x_r,N - x_N‖²_{Q_N}
          + ½ Σ_{i=0..N-1} ‖u_r,i - u_i‖²_R
-    s.t. x_0 = x̂, x_{i+1} = F(x_i, u_i, p̂), lower ≤ u_i ≤ upper
+    s.t. x_0 = x̂, x_{i+1} = F(x_i, u_i, p̂), lower ≤ u_i ≤ upper        eq. (11), (16)
 
-The states are eliminated; the QP is in the commanded inputs. What does not depend on the newest
-sample belongs to the preparation phase. The estimate (x̂, p̂) and the references enter in the
-feedback phase only: they move the gradient, through the linearised dynamics of the joint state
-s = (x, p).
+The states are eliminated, which leaves a QP in the commanded inputs. Everything that does not
+depend on the newest sample belongs to the preparation phase. The estimate (x̂, p̂) and the
+references enter in the feedback phase only: they move the gradient, through the linearised dynamics
+of the joint state s = (x, p).
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -25,253 +25,369 @@ from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
 
-__all__ = ["RHC", "Horizon", "build_phases", "init"]
-
-# Named, so that nothing here depends on what stands above.
-_PAPER = "rhec.tracked_robot.rhc"
-_CONDENSED = "rhec.extensions.condensed"
+__all__ = ["RHC", "Horizon", "StagewiseQP", "build_phases", "init"]
 
 
 class Horizon(NamedTuple):
-    """What decides the shape of the Functions: N intervals of dt_s, which inputs are commanded.
+    """What decides the shape of the Functions: N intervals of dt_s, and the commanded inputs.
 
-    qp: "structured", by stages, or the condensed QP by "daqp" or "qpoases".
+    `command` holds the places of the commanded inputs in `model.inputs`. `qp` is None for the QP by
+    its stages, or an object such as `rhec.core.solver.condensed.Condensed`, whose `build(horizon)`
+    returns a solver with the methods of StagewiseQP, such as CondensedQP.
     """
 
     model: Model
     command: tuple[int, ...]
     dt_s: float
     N: int
-    qp: str = "structured"
+    qp: Any = None
 
     @property
-    def memory(self):
-        """s predicted joint states, u planned inputs."""
-        return dict(s=(self.n_s, self.N + 1), u=(len(self.model.inputs), self.N))
+    def n_x(self):
+        """Length of the state x."""
+        return len(self.model.states)
 
     @property
-    def weights(self):
-        """Diagonals Q, QN of the states, R of the commands."""
-        n_x = len(self.model.states)
-        return dict(Q=(n_x, 1), QN=(n_x, 1), R=(len(self.command), 1))
-
-    @property
-    def references(self):
-        """The estimate s_0; x_ref, of which node 0 has no weight; u_ref; bounds of the commands."""
-        n_x = len(self.model.states)
-        n_u = len(self.model.inputs)
-        column = (len(self.command), 1)
-        return dict(
-            s_0=(self.n_s, 1),
-            x_ref=(n_x, self.N + 1),
-            u_ref=(n_u, self.N),
-            lower=column,
-            upper=column,
-        )
+    def n_u(self):
+        """Length of the input u, whether commanded or not."""
+        return len(self.model.inputs)
 
     @property
     def n_s(self):
-        """Length of the joint state (x, p)."""
-        return len(self.model.states) + len(self.model.parameters)
+        """Length of the joint state s = (x, p)."""
+        return self.n_x + len(self.model.parameters)
+
+    @property
+    def interval(self):
+        """The model's shooting interval."""
+        return interval(self.model, measured=False)
+
+    @property
+    def memory(self):
+        """Shapes of the predicted joint states s and of the planned inputs u."""
+        return dict(s=(self.n_s, self.N + 1), u=(self.n_u, self.N))
+
+    @property
+    def weights(self):
+        """Shapes of the diagonals of Q and QN (states) and of R (commanded inputs)."""
+        return dict(Q=(self.n_x, 1), QN=(self.n_x, 1), R=(len(self.command), 1))
+
+    @property
+    def references(self):
+        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs.
+
+        Node 0 of x_ref has no weight.
+        """
+        bound = (len(self.command), 1)
+        return dict(
+            s_0=(self.n_s, 1),
+            x_ref=(self.n_x, self.N + 1),
+            u_ref=(self.n_u, self.N),
+            lower=bound,
+            upper=bound,
+        )
+
+    @property
+    def linearised(self):
+        """Sparsities of one interval's end F, of D (A = A_0 + D) and of B."""
+        return {name: self.interval.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
+
+    @property
+    def dynamics(self):
+        """Sparsities of F, D and B of all intervals, side by side."""
+        return {name: ca.repmat(part, 1, self.N) for name, part in self.linearised.items()}
+
+    @property
+    def loops(self):
+        """SX or MX, for Functions that repeat an interval."""
+        # A short horizon is faster in one piece.
+        return compiled.loop_symbols() if self.qp is None and self.N > 30 else ca.SX
 
 
 def build_phases(horizon):
-    """The RHC as CasADi Functions shift, linearise, feedback, expand (see `rti`) and step, all.
+    """Build the RHC as CasADi Functions: shift, linearise, feedback, expand (see `rti`) and step.
 
     Args:
         horizon: The Horizon.
 
     Returns:
-        {name: Function}. `step` maps (memory, weights, references) to (memory, kkt, command, ok).
+        {name: Function}. `step` runs all phases; it maps (memory, weights, references) to
+        (memory, kkt, command, ok).
     """
-    N = horizon.N
-    model = horizon.model
-    command = list(horizon.command)
-    n_x = len(model.states)
-    n_u = len(model.inputs)
-    n_c = len(command)
-    n_s = horizon.n_s
-    iv = interval(model, measured=False)
-    structured = horizon.qp == "structured"
-    condensed = None if structured else importlib.import_module(_CONDENSED)
-    # A short horizon is faster in one piece.
-    loops = compiled.loop_symbols() if structured and N > 30 else ca.SX
-    memory = horizon.memory
-    weights = horizon.weights
-    references = horizon.references
-    state = (n_s, 1)
-    inputs = (n_u, 1)
-    linearised = {name: iv.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
+    qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
+    roll_out = _build_roll_out(horizon)
+    gradient = _build_gradient(horizon, roll_out)
+    linearise = _build_linearise(horizon, qp)
+    feedback = _build_feedback(horizon, linearise, gradient, qp)
+    phases = dict(
+        shift=_build_shift(horizon),
+        linearise=linearise,
+        feedback=feedback,
+        expand=_build_expand(horizon, feedback, roll_out),
+    )
+    return phases | dict(step=_build_step(horizon, phases))
 
-    @casadi_function("rhc_shift", **memory)
+
+class StagewiseQP:
+    """The QP in the commanded inputs by a Riccati recursion over its stages (`box_lq`).
+
+    Args:
+        horizon: The Horizon.
+    """
+
+    def __init__(self, horizon):
+        self.horizon = horizon
+        self._command = list(horizon.command)
+        # The parameters do not move: with x alone the stages are half as large.
+        x = list(range(horizon.n_x))
+        D = horizon.linearised["D"].sub(x, x)[0]
+        B = horizon.linearised["B"].sub(x, self._command)[0]
+        self._solve = box_lq(horizon.N, horizon.interval.A_0[x, x], D, B, horizon.loops)
+
+    def prepare(self, D, B, Q, QN, R):
+        """Return no outputs: the recursion needs the active set, so there is nothing to prepare."""
+        return {}
+
+    def solve(self, step, inputs):
+        """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, where the stages imply H.
+
+        Args:
+            step: {name: row}: gradient `g` and bounds `least`, `most` of the commands' change Δu.
+            inputs: The inputs of the feedback phase, by name.
+
+        Returns:
+            Δu and its multipliers, as rows, and whether they are the solution.
+        """
+        n_x = self.horizon.n_x
+        D = ca.horzsplit(inputs["D"], self.horizon.n_s)
+        B = ca.horzsplit(inputs["B"], self.horizon.n_u)
+        # The active set is first guessed to be the bounds at which the previous plan was.
+        u = _row_of_commands(inputs["u"], self.horizon)
+        at_upper = u >= _for_all_samples(inputs["upper"], self.horizon)
+        at_lower = u <= _for_all_samples(inputs["lower"], self.horizon)
+        solution = self._solve(
+            D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
+            B=ca.horzcat(*(part[:n_x, self._command] for part in B)),
+            **{name: inputs[name] for name in self.horizon.weights},
+            g=step["g"],
+            lower=step["least"],
+            upper=step["most"],
+            active=at_upper - at_lower,
+        )
+        return solution["x"], solution["multipliers"], solution["ok"]
+
+
+def _row_of_commands(u, horizon):
+    """The commanded rows of inputs (n_u, N) as one row, sample by sample: (1, N·n_c)."""
+    return ca.vec(u[list(horizon.command), :]).T
+
+
+def _for_all_samples(bound, horizon):
+    """Repeat the bounds (n_c, 1) of one sample for all: (1, N·n_c)."""
+    return ca.repmat(bound, horizon.N, 1).T
+
+
+def _planned(horizon, commands, u_ref):
+    """The plan (n_u, N) from the rows of its commanded inputs; the others follow u_ref."""
+    rows = ca.vertsplit(u_ref)
+    for place, row in zip(horizon.command, commands):
+        rows[place] = row
+    return ca.vertcat(*rows)
+
+
+def _build_shift(horizon):
+    """The plan moves on by one sample."""
+
+    @casadi_function("rhc_shift", **horizon.memory)
     def shift(s, u):
-        s, u = gauss_newton.shift(iv, s, u, horizon.dt_s)
+        s, u = gauss_newton.shift(horizon.interval, s, u, horizon.dt_s)
         return dict(s=s, u=u)
 
-    @casadi_function("rhc_linearise", loops, **memory, **weights)
+    return shift
+
+
+def _build_linearise(horizon, qp):
+    """The dynamics along the plan, and what the QP can prepare."""
+    N = horizon.N
+
+    @casadi_function("rhc_linearise", horizon.loops, **horizon.memory, **horizon.weights)
     def linearise(s, u, Q, QN, R):
         dt_s = ca.repmat(ca.DM(horizon.dt_s), 1, N)
-        F, D, B = iv.linearised.map(N)(s[:, :N], u, dt_s)
-        dynamics = dict(F=F, D=D, B=B)
-        if structured:
-            return dynamics
-        # The parameters have no weight.
-        Q, QN = (ca.diag(ca.vertcat(weight, ca.SX(n_s - n_x, 1))) for weight in (Q, QN))
-        A = [iv.A_0 + part for part in ca.horzsplit(D, n_s)]
-        B = [part[:, command] for part in ca.horzsplit(B, n_u)]
-        H = condensed.condensed_hessian(A, B, [Q] * (N - 1) + [QN], ca.diag(R))
-        return dynamics | dict(H=H)
+        # Each interval is linearised at its own node, whether or not the nodes are connected.
+        F, D, B = horizon.interval.linearised.map(N)(s[:, :N], u, dt_s)
+        return dict(F=F, D=D, B=B) | qp.prepare(D, B, Q, QN, R)
 
-    @casadi_function("rhc_forward", **linearised, s=state, u=inputs, s_new=state, u_new=inputs)
-    def forward(F, D, B, s, u, s_new, u_new):
-        """s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i)."""
-        return dict(s_after=F + (iv.A_0 + D) @ (s_new - s) + B @ (u_new - u))
+    return linearise
 
-    @casadi_function(
-        "rhc_backward",
-        adjoint=state,
-        D=linearised["D"],
-        B=linearised["B"],
-        weight=(n_x, 1),
-        s=state,
-        ref=(n_x, 1),
-        u=inputs,
-        u_ref=inputs,
-        R=(n_c, 1),
-    )
-    def backward(adjoint, D, B, weight, s, ref, u, u_ref, R):
-        """Gradient in an interval's commands from the adjoint after it; the adjoint before it."""
-        adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_s - n_x, 1))
-        g = R * (u - u_ref)[command] + B[:, command].T @ adjoint
-        return dict(g=g, adjoint_before=(iv.A_0 + D).T @ adjoint)
 
-    def rollout(s, u, F, D, B, s_0, u_new):
-        """The linearised trajectory from s_0; the gaps of multiple shooting close here."""
+def _build_roll_out(horizon):
+    """A function that rolls the linearised dynamics out from s_0 under new inputs.
+
+    s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i), with (s̄, ū) from the previous plan. The gaps
+    that multiple shooting leaves between the intervals close here.
+    """
+    n_s = horizon.n_s
+    n_u = horizon.n_u
+    state = (n_s, 1)
+    inputs = (n_u, 1)
+    F_i, D_i, B_i = horizon.linearised.values()
+
+    @casadi_function("rhc_forward")
+    def forward(F: F_i, D: D_i, B: B_i, s: state, u: inputs, s_new: state, u_new: inputs):
+        A = horizon.interval.A_0 + D
+        return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
+
+    def roll_out(s, u, F, D, B, s_0, u_new):
         nodes = [s_0]
-        along = map(ca.horzsplit, (F, D, B, s, u, u_new), (1, n_s, n_u, 1, 1, 1))
-        for F_i, D_i, B_i, s_i, u_i, new_i in zip(*along):
-            nodes.append(forward(F_i, D_i, B_i, s_i, u_i, nodes[-1], new_i))
+        intervals = map(ca.horzsplit, (F, D, B, s, u, u_new), (1, n_s, n_u, 1, 1, 1))
+        for *previous, u_new_i in zip(*intervals):
+            nodes.append(forward(*previous, nodes[-1], u_new_i))
         return nodes
 
-    def commanded(u, u_ref):
-        """The plan with inputs that are not commanded as their references say."""
-        rows = ca.vertsplit(u_ref)
-        for place in command:
-            rows[place] = u[place, :]
-        return ca.vertcat(*rows)
+    return roll_out
 
-    dynamics = {name: linearise.sparsity_out(name) for name in "FDB"}
 
-    @casadi_function("rhc_gradient", loops, **memory, **dynamics, **weights, **references)
+def _build_backward(horizon):
+    """The gradient g in an interval's commands, and the adjoint λ before it, from the one after.
+
+    λ' = λ_{i+1} + Q (x_{i+1} - x_r,{i+1}), where the parameters have no weight;
+    g_i = R (u_i - u_r,i) + B_i' λ' and λ_i = A_i' λ'.
+    """
+    n_x = horizon.n_x
+    n_p = horizon.n_s - n_x
+    command = list(horizon.command)
+    s_i = (horizon.n_s, 1)
+    x_i = (n_x, 1)
+    u_i = (horizon.n_u, 1)
+    R_i = horizon.weights["R"]
+    _, D_i, B_i = horizon.linearised.values()
+
+    @casadi_function("rhc_backward")
+    def backward(
+        adjoint: s_i, D: D_i, B: B_i, weight: x_i, s: s_i, ref: x_i, u: u_i, u_ref: u_i, R: R_i
+    ):
+        adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_p, 1))
+        g = R * (u - u_ref)[command] + B[:, command].T @ adjoint
+        return dict(g=g, adjoint_before=(horizon.interval.A_0 + D).T @ adjoint)
+
+    return backward
+
+
+def _build_gradient(horizon, roll_out):
+    """The gradient of the cost at the previous plan, rolled out from the new estimate."""
+    N = horizon.N
+    command = list(horizon.command)
+    backward = _build_backward(horizon)
+    shapes = horizon.memory | horizon.dynamics | horizon.weights | horizon.references
+
+    @casadi_function("rhc_gradient", horizon.loops, **shapes)
     def gradient(s, u, F, D, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
-        """Gradient of the cost in the commands at the previous plan, and what is left to bounds.
-
-        The plan is rolled out from the new estimate.
-        """
-        plan = commanded(u, u_ref)
-        nodes = rollout(s, u, F, D, B, s_0, plan)
+        plan = _planned(horizon, [u[place, :] for place in command], u_ref)
+        nodes = roll_out(s, u, F, D, B, s_0, plan)
         ref = ca.horzsplit(x_ref)
-        D = ca.horzsplit(D, n_s)
-        B = ca.horzsplit(B, n_u)
-        u, u_ref = map(ca.horzsplit, (plan, u_ref))
-        adjoint = ca.DM.zeros(n_s)
+        D = ca.horzsplit(D, horizon.n_s)
+        B = ca.horzsplit(B, horizon.n_u)
+        u = ca.horzsplit(plan)
+        u_ref = ca.horzsplit(u_ref)
+        adjoint = ca.DM.zeros(horizon.n_s)  # λ_N
         g = [None] * N
-        weight = QN
+        weight = QN  # of node N; node 0 has none, since no input moves it
         for i in reversed(range(N)):
-            g[i], adjoint = backward(
-                adjoint, D[i], B[i], weight, nodes[i + 1], ref[i + 1], u[i], u_ref[i], R
-            )
+            end = nodes[i + 1], ref[i + 1]
+            g[i], adjoint = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
             weight = Q
-        u = ca.vec(plan[command, :]).T
+        u = _row_of_commands(plan, horizon)
         return dict(
             g=ca.vertcat(*g).T,
-            least=ca.repmat(lower, N, 1).T - u,
-            most=ca.repmat(upper, N, 1).T - u,
+            least=_for_all_samples(lower, horizon) - u,
+            most=_for_all_samples(upper, horizon) - u,
         )
 
-    if structured:
-        # The parameters do not move: in x alone the stages are half as large.
-        x = list(range(n_x))
-        D_x = linearised["D"].sub(x, x)[0]
-        B_x = linearised["B"].sub(x, command)[0]
-        stages = box_lq(N, iv.A_0[x, x], D_x, B_x, loops)
-    else:
-        solve_condensed = condensed.box_qp_by_library(N * n_c, horizon.qp)
+    return gradient
 
-    def solve(g, least, most, u, lower, upper, Q, QN, R, D, B, H=None):
-        if not structured:
-            found = solve_condensed(H=H, g=g.T, lb=least.T, ub=most.T)
-            return found["x"].T, found["multipliers"].T, found["ok"]
-        D = ca.horzcat(*(part[:n_x, :n_x] for part in ca.horzsplit(D, n_s)))
-        B = ca.horzcat(*(part[:n_x, command] for part in ca.horzsplit(B, n_u)))
-        # Where the previous plan was at its bounds.
-        active = (u >= ca.repmat(upper, N, 1).T) - (u <= ca.repmat(lower, N, 1).T)
-        found = stages(D=D, B=B, Q=Q, QN=QN, R=R, g=g, lower=least, upper=most, active=active)
-        return found["x"], found["multipliers"], found["ok"]
 
+def _build_feedback(horizon, linearise, gradient, qp):
+    """The estimate and the references move the gradient; the QP then gives the new plan."""
     prepared = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
+    shapes = prepared | horizon.memory | horizon.weights | horizon.references
 
-    @casadi_function("rhc_feedback", ca.MX, **prepared, **memory, **weights, **references)
-    def feedback(lower, upper, **inputs):
-        local = gradient(**select_inputs(gradient, inputs), lower=lower, upper=upper)
-        u = ca.vec(inputs["u"][command, :]).T
-        known = {name: inputs[name] for name in ("Q", "QN", "R", "D", "B", "H") if name in inputs}
-        x, multipliers, ok = solve(**local, u=u, lower=lower, upper=upper, **known)
-        # u + (upper - u) may round past the bound.
-        plan = ca.fmin(ca.fmax(u + x, ca.repmat(lower, N, 1).T), ca.repmat(upper, N, 1).T)
-        rows = ca.vertsplit(inputs["u_ref"])
-        for place, row in zip(command, ca.vertsplit(ca.reshape(plan, n_c, N))):
-            rows[place] = row
-        return dict(u_plan=ca.vertcat(*rows), multipliers=multipliers, ok=ok, **local)
+    @casadi_function("rhc_feedback", ca.MX, **shapes)
+    def feedback(**inputs):
+        step = gradient(**select_inputs(gradient, inputs))
+        change, multipliers, ok = qp.solve(step, inputs)
+        u = _row_of_commands(inputs["u"], horizon) + change
+        # Rounding may take u + (upper - u) past the bound, which is a hard one.
+        u = ca.fmax(u, _for_all_samples(inputs["lower"], horizon))
+        u = ca.fmin(u, _for_all_samples(inputs["upper"], horizon))
+        commands = ca.vertsplit(ca.reshape(u, len(horizon.command), horizon.N))
+        u_plan = _planned(horizon, commands, inputs["u_ref"])
+        return dict(u_plan=u_plan, multipliers=multipliers, ok=ok, **step)
 
-    result = {
-        name: feedback.sparsity_out(name)
-        for name in ("u_plan", "g", "least", "most", "multipliers", "ok")
-    }
+    return feedback
+
+
+def _build_expand(horizon, feedback, roll_out):
+    """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
+    command = list(horizon.command)
+    results = ("u_plan", "g", "least", "most", "multipliers", "ok")
+    shapes = horizon.memory | horizon.dynamics
+    shapes |= {name: horizon.references[name] for name in ("s_0", "u_ref")}
+    shapes |= {name: feedback.sparsity_out(name) for name in results}
 
     @short_cut("ok")
-    @casadi_function(
-        "rhc_expand", loops, **memory, **dynamics, s_0=state, u_ref=references["u_ref"], **result
-    )
+    @casadi_function("rhc_expand", horizon.loops, **shapes)
     def expand(s, u, F, D, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
-        """The predicted states of the new plan, and the KKT tolerance of the linearisation point.
-
-        A step that failed leaves the shifted inputs; the next linearisation begins at the estimate,
-        if that is one: what made the step fail may be in the states, and would stay.
-        """
-        change = ca.vec((u_plan - commanded(u, u_ref))[command, :])
+        before = _planned(horizon, [u[place, :] for place in command], u_ref)
+        change = _row_of_commands(u_plan - before, horizon).T
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
-        predicted = ca.horzcat(*rollout(s, u, F, D, B, s_0, u_plan))
-        anew = ca.if_else(is_plausible(s_0), ca.repmat(s_0, 1, N + 1), s)
-        return dict(s=ca.if_else(ok, predicted, anew), u=u_plan, kkt=kkt)
+        predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
+        # A step that failed leaves the shifted inputs. Its states may be the cause, and would
+        # stay: the next linearisation starts from the estimate, if that is plausible.
+        restarted = ca.if_else(is_plausible(s_0), ca.repmat(s_0, 1, horizon.N + 1), s)
+        return dict(s=ca.if_else(ok, predicted, restarted), u=u_plan, kkt=kkt)
 
-    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+    return expand
 
-    @with_packed_memory("rhc_step", memory, ca.MX, **weights, **references)
-    def step(**known):
+
+def _build_step(horizon, phases):
+    """All phases of one sample as one Function, as a closed loop calls it."""
+    memory = horizon.memory
+
+    @with_packed_memory("rhc_step", memory, ca.MX, **horizon.weights, **horizon.references)
+    def step(**values):
         for name in PHASES:
-            known |= phases[name](**select_inputs(phases[name], known))
-        told = dict(kkt=known["kkt"], command=known["u_plan"][:, 0], ok=known["ok"])
-        return told | {name: known[name] for name in memory}
+            values |= phases[name](**select_inputs(phases[name], values))
+        command = values["u_plan"][:, 0]  # eq. (13)
+        outputs = dict(kkt=values["kkt"], command=command, ok=values["ok"])
+        return outputs | {name: values[name] for name in memory}
 
-    return phases | dict(step=step)
+    return step
 
 
 def init(horizon, x, p):
-    """Memory before the first sample: the robot at x (n_x,) with p (n_p,), nothing planned."""
+    """Make the memory before the first sample: the robot stays at x, nothing is planned.
+
+    Args:
+        horizon: The Horizon.
+        x: (n_x,) state.
+        p: (n_p,) parameters.
+
+    Returns:
+        {name: array}, with shapes as in `Horizon.memory`.
+    """
     s = np.tile([*x, *p], (horizon.N + 1, 1)).T
-    return dict(s=s, u=np.zeros((len(horizon.model.inputs), horizon.N)))
+    return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))
 
 
 class RHC(RealTimeLoop):
-    """Model predictive control for a loop of one's own: `prepare()`, then `feedback(…)`.
+    """Model predictive control for a user's control loop: `prepare()`, then `feedback(…)`.
 
-    Without `model` it is the paper's controller, `rhec.tracked_robot.rhc.PaperRHC`.
+    Without `model` it is the paper's controller, `rhec.tracked_robot.live.PaperRHC`.
 
     Args:
         model: The robot, a rhec.Model.
-        command: Names of the inputs that are commanded; others follow their reference.
-        bounds: (lowest, highest) of commanded inputs, by name; what is not named has none.
+        command: Names of the inputs that are commanded; the others follow their reference.
+        bounds: (lowest, highest) of commanded inputs, by name; inputs without an entry are free.
         q: Weights Q_k of the states.
         r: Weights R of the commanded inputs, in the order of `command`.
         qn_factor: Q_N = qn_factor · Q_k.
@@ -279,12 +395,15 @@ class RHC(RealTimeLoop):
         horizon: Intervals of the prediction.
 
     Raises:
-        ValueError: In one sentence, for an argument that cannot be.
+        ValueError: if an argument is invalid.
     """
 
+    # Returns the class that stands in where no model is passed; `rhec` sets it.
+    paper_class: ClassVar[Callable[[], type["RHC"]] | None] = None
+
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
-        if cls is RHC and model is None:
-            cls = importlib.import_module(_PAPER).PaperRHC
+        if cls is RHC and model is None and cls.paper_class:
+            cls = cls.paper_class()
         return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
@@ -304,36 +423,51 @@ class RHC(RealTimeLoop):
         bounds: dict[str, tuple[float, float]] | None = None,
         qn_factor: valid.NotNegative = 10.0,
     ):
-        _check_command(model, command, bounds or {})
+        bounds = bounds or {}
+        _check_command(model, command, bounds)
         valid.of_length("q", q, len(model.states), "state")
         valid.of_length("r", r, len(command), "commanded input")
         places = tuple(model.inputs.index(name) for name in command)
-        limits = [(bounds or {}).get(name, (-MAX_QP_ENTRY, MAX_QP_ENTRY)) for name in command]
-        limits = dict(zip(("lower", "upper"), zip(*limits)))
-        self._begin(Horizon(model, places, dt, horizon), q, r, qn_factor, limits)
+        lower, upper = zip(*(bounds.get(name, (-np.inf, np.inf)) for name in command))
+        self._compile(Horizon(model, places, dt, horizon), q, r, qn_factor, lower, upper)
 
-    def _begin(self, horizon, q, r, qn_factor, limits):
+    def _compile(self, horizon, q, r, qn_factor, lower, upper):
+        """Load the compiled phases and name views of their input arrays."""
         self.problem = horizon
         self.horizon = horizon.N
-        weights = dict(Q=np.array(q), QN=qn_factor * np.array(q), R=np.array(r))
-        limits = {name: np.clip(of, -MAX_QP_ENTRY, MAX_QP_ENTRY) for name, of in limits.items()}
-        self.settings = weights | limits
-        functions = compiled.load(build_phases, horizon)
+        self.settings = dict(
+            Q=np.array(q),
+            QN=qn_factor * np.array(q),
+            R=np.array(r),
+            lower=np.clip(lower, -MAX_QP_ENTRY, MAX_QP_ENTRY),
+            upper=np.clip(upper, -MAX_QP_ENTRY, MAX_QP_ENTRY),
+        )
+        # All of the memory is unknown to the problem: predicted states and planned inputs.
         memory = tuple(horizon.memory)
+        functions = compiled.load(build_phases, horizon)
         self.iteration = RealTimeIteration(functions, memory, memory, **self.settings)
         arrays = self.iteration.arrays
-        n_x = len(horizon.model.states)
-        n_u = len(horizon.model.inputs)
-        shape = dict(order="F")
+        n_x = horizon.n_x
         self._inputs = dict(
             x=arrays["s_0"][:n_x],
             p=arrays["s_0"][n_x:],
-            x_ref=arrays["x_ref"].reshape((n_x, -1), **shape),
-            u_ref=arrays["u_ref"].reshape((n_u, -1), **shape),
+            x_ref=arrays["x_ref"].reshape((n_x, -1), order="F"),
+            u_ref=arrays["u_ref"].reshape((horizon.n_u, -1), order="F"),
+        )
+
+    def __repr__(self):
+        problem = self.problem
+        numbers = {name: np.array2string(value) for name, value in self.settings.items()}
+        return (
+            f"{type(self).__name__}: {problem.N} intervals of {problem.dt_s:g} s, "
+            f"QP {problem.qp or 'by stages'}\n"
+            f"  states   {', '.join(problem.model.states)}: Q {numbers['Q']}, QN {numbers['QN']}\n"
+            f"  commands {', '.join(problem.model.inputs[place] for place in problem.command)}: "
+            f"R {numbers['R']}, bounds {numbers['lower']} to {numbers['upper']}"
         )
 
     def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any) -> Any:
-        """Inputs to apply now, by one Gauss-Newton step.
+        """Inputs to apply now, by one Gauss-Newton step, eq. (13).
 
         Args:
             x: (n_x,) estimated state.
@@ -344,7 +478,7 @@ class RHC(RealTimeLoop):
         Returns:
             (n_u,) inputs of the first interval.
         """
-        self._give(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
+        self._set_inputs(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
         self.iteration.feedback()
         return self.u_plan[:, 0]
 
@@ -361,46 +495,45 @@ class RHC(RealTimeLoop):
         Returns:
             (n_u,) inputs of the first interval.
         """
-        self._give(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
+        self._set_inputs(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
         self.iteration.solve(iterations)
         return self.u_plan[:, 0]
 
-    def _give(self, **values):
+    def _set_inputs(self, **values):
         for name, value in values.items():
             copy_checked(name, value, self._inputs[name])
-        self._start_once()
-
-    def _start_once(self):
+        # The first sample has no previous plan: start from a robot that stays where it is.
         if not self.iteration.started:
-            self.iteration.start(init(self.problem, self._inputs["x"], self._inputs["p"]))
+            x, p = list(self._inputs.values())[:2]
+            self.iteration.start(init(self.problem, x, p))
 
     @property
     def u_plan(self) -> np.ndarray:
         """Planned inputs (n_u, N)."""
-        n_u = len(self.problem.model.inputs)
-        return self.iteration.arrays["u_plan"].reshape((n_u, -1), order="F").copy()
+        return self.iteration.arrays["u_plan"].reshape((self.problem.n_u, -1), order="F").copy()
 
     @property
     def x_plan(self) -> np.ndarray:
         """Predicted states (n_x, N+1)."""
+        # The states are not needed for the command, so feedback leaves them to expand.
         self.iteration.expand()
-        n_x = len(self.problem.model.states)
         s = self.iteration.previous["s"].reshape((self.problem.n_s, -1), order="F")
-        return s[:n_x].copy()
+        return s[: self.problem.n_x].copy()
 
 
 def _check_command(model, command, bounds):
+    """Refuse names that are no inputs, and bounds in the wrong order."""
     if not command:
         raise ValueError(f"command was (); it should name some of {model.inputs}")
-    for field, names, known in (
+    for field, names, allowed in (
         ("command", command, model.inputs),
         ("bounds", tuple(bounds), command),
     ):
         for name in names:
-            if name not in known or names.count(name) > 1:
-                wanted = f"it should name some of {known}, each once"
-                raise ValueError(f"{field} was {valid.shown(names)}; {wanted}")
+            if name not in allowed or names.count(name) > 1:
+                expected = f"it should name some of {allowed}, each once"
+                raise ValueError(f"{field} was {valid.shown(names)}; {expected}")
     for name, (lowest, highest) in bounds.items():
         if not lowest < highest:
-            wanted = "the first should be below the second"
-            raise ValueError(f"bounds of {name!r} were ({lowest}, {highest}); {wanted}")
+            expected = "the first should be below the second"
+            raise ValueError(f"bounds of {name!r} were ({lowest}, {highest}); {expected}")

@@ -14,8 +14,8 @@ bounded parameters; its multipliers then run backwards through the window and yi
 unknown (Bryson-Frazier). Each costs O(N).
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -472,7 +472,7 @@ def init(window, guess, sigma, inputs=None):
 class RHE(RealTimeLoop):
     """Moving horizon estimation for a loop of one's own: `prepare()`, then `feedback(z)`.
 
-    Without `model` it is the estimator of the paper's robot, `rhec.tracked_robot.rhe.PaperRHE`.
+    Without `model` it is the estimator of the paper's robot, `rhec.tracked_robot.live.PaperRHE`.
 
     Args:
         model: The robot, a rhec.Model.
@@ -490,9 +490,12 @@ class RHE(RealTimeLoop):
         ValueError: In one sentence, for an argument that cannot be.
     """
 
+    # Returns the class that stands in where no model is passed; `rhec` sets it.
+    paper_class: ClassVar[Callable[[], type["RHE"]] | None] = None
+
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
-        if cls is RHE and model is None:
-            cls = importlib.import_module("rhec.tracked_robot.rhe").PaperRHE  # stands above
+        if cls is RHE and model is None and cls.paper_class:
+            cls = cls.paper_class()
         return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot

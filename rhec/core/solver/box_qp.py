@@ -1,39 +1,52 @@
-"""Small dense QPs with bounds."""
+"""Small dense QPs with bounds: min ½ x'Hx + g'x, lb ≤ x ≤ ub."""
 
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
-from rhec.core.solver.pivoting import corrected_bound, first_corrected, search_active_set
+from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_active_set
 
 __all__ = ["box_qp"]
 
 
 def box_qp(n):
-    """min ½ x'Hx + g'x, lb ≤ x ≤ ub, as a Function (H, g, lb, ub) -> (x, ok).
+    """Build the Function (H, g, lb, ub) -> (x, ok) that minimises ½ x'Hx + g'x, lb ≤ x ≤ ub.
 
-    One and two variables in closed form: the optimum is the free one, or lies on an edge. More by
-    pivoting. Where no number comes out, ok and x are 0.
+    One and two variables have a closed form, more are solved by pivoting.
+
+    Args:
+        n: Number of variables.
+
+    Returns:
+        The Function. Where the solution is not finite, ok and x are 0.
     """
     if n > 2:
         return _box_qp_by_pivoting(n)
+    matrix = (n, n)
     column = (n, 1)
 
-    @casadi_function(f"box_qp_{n}", H=(n, n), g=column, lb=column, ub=column)
-    def solve(H, g, lb, ub):
+    @casadi_function(f"box_qp_{n}")
+    def solve(H: matrix, g: column, lb: column, ub: column):
         if n == 1:
             best = ca.fmin(ca.fmax(-g / H, lb), ub)
         else:
-            best = -ca.inv_minor(H) @ g
-            inside = every(ca.vertcat(best >= lb, best <= ub))
-            least = ca.if_else(inside, -ca.inf, ca.inf)
-            for x in _edges(H, g, lb, ub):
-                cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
-                best = ca.if_else(cost < least, x, best)
-                least = ca.fmin(cost, least)
+            best = _best_of_two(H, g, lb, ub)
         ok = every(ca.vertcat(best >= lb, best <= ub))  # also 0 where x is not a number
         return dict(x=ca.if_else(ok, best, 0), ok=ok)
 
     return solve
+
+
+def _best_of_two(H, g, lb, ub):
+    """The optimum in two variables: the unconstrained one, or the best point of an edge."""
+    best = -ca.inv_minor(H) @ g
+    inside = every(ca.vertcat(best >= lb, best <= ub))
+    # No edge is better than an unconstrained optimum inside.
+    least = ca.if_else(inside, -ca.inf, ca.inf)
+    for x in _edges(H, g, lb, ub):
+        cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
+        best = ca.if_else(cost < least, x, best)
+        least = ca.fmin(cost, least)
+    return best
 
 
 def _edges(H, g, lb, ub):
@@ -47,31 +60,34 @@ def _edges(H, g, lb, ub):
 
 
 def _box_qp_by_pivoting(n):
+    """The box QP of more than two variables, searched from no bound active."""
+    matrix = (n, n)
     row = (1, n)
     column = (n, 1)
 
-    @casadi_function("qp_solve", H=(n, n), g=row, lb=row, ub=row, active=row)
-    def solve(H, g, lb, ub, active):
+    @casadi_function("qp_solve")
+    def solve(H: matrix, g: row, lb: row, ub: row, active: row):
         free = active == 0
         fixed = ca.if_else(free, 0, ca.if_else(active > 0, ub, lb))
+        # Rows of variables at a bound become those of the identity.
         among_free = ca.diag(free) @ H @ ca.diag(free) + ca.diag(1 - free)
         x = ca.ldl_solve(-free.T * (g.T + H @ fixed.T), *ca.ldl(among_free, False)).T + fixed
         multipliers = -(x @ H + g) * (1 - free)
-        right = corrected_bound(active, x, multipliers, lb, ub)
-        first, wrong = first_corrected(active, right, 0)
+        proposed = proposed_bound(active, x, multipliers, lb, ub)
+        first_exchange, n_infeasible = exchange_first(active, proposed, 0)
         return dict(
             x=x,
             multipliers=multipliers,
-            corrected=right,
-            first_corrected=ca.horzcat(*first),
-            wrong=ca.if_else(every(ca.fabs(x) < ca.inf), wrong, -1),
+            corrected=proposed,
+            first_corrected=ca.horzcat(*first_exchange),
+            wrong=ca.if_else(every(ca.fabs(x) < ca.inf), n_infeasible, -1),
         )
 
-    search = search_active_set("qp", n, solve, dict(H=(n, n), g=row, lb=row, ub=row))
+    search = search_active_set("qp", n, solve, dict(H=matrix, g=row, lb=row, ub=row))
 
-    @casadi_function(f"box_qp_{n}", ca.MX, H=(n, n), g=column, lb=column, ub=column)
-    def box_qp(H, g, lb, ub):
-        found = search(H=H, g=g.T, lb=lb.T, ub=ub.T, active=ca.MX.zeros(1, n))
-        return dict(x=ca.fmin(ca.fmax(found["x"].T, lb), ub), ok=found["ok"])
+    @casadi_function(f"box_qp_{n}", ca.MX)
+    def box_qp(H: matrix, g: column, lb: column, ub: column):
+        solution = search(H=H, g=g.T, lb=lb.T, ub=ub.T, active=ca.MX.zeros(1, n))
+        return dict(x=ca.fmin(ca.fmax(solution["x"].T, lb), ub), ok=solution["ok"])
 
     return box_qp

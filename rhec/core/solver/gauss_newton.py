@@ -2,7 +2,7 @@
 
 Both problems are least squares over trajectories s_0 … s_N, v_0 … v_{N-1} of one interval,
 s⁺ = F(s, v). Linearised at the previous solution (s̄, v̄) the dynamics are s_{i+1} = F_i +
-A_i (s_i - s̄_i) + B_i (v_i - v̄_i); what is unbounded is then eliminated, and what is left is a QP
+A_i (s_i - s̄_i) + B_i (v_i - v̄_i). All unbounded unknowns are then eliminated, which leaves a QP
 with bounds only: in the bounded parameters for the RHE, in the commands for the RHC.
 """
 
@@ -12,9 +12,19 @@ __all__ = ["kkt_tolerance", "shift", "symmetric"]
 
 
 def shift(interval, s, v, dt_s):
-    """Warm start: the trajectory one interval on, its last input repeated, one node integrated.
+    """Shift a trajectory by one interval, as the warm start of the next sample.
 
-    The paper: the initial value "takes on the value of the previous one intelligently".
+    The last input is repeated and the last node integrated. In the paper's words, the initial value
+    "takes on the value of the previous one intelligently".
+
+    Args:
+        interval: The model's Interval.
+        s: (n_s, N+1) nodes s_0 … s_N.
+        v: (n_v, N) inputs v_0 … v_{N-1}.
+        dt_s: Length of the new interval [s].
+
+    Returns:
+        s and v after the shift.
     """
     v = ca.horzcat(v[:, 1:], v[:, -1])
     return ca.horzcat(s[:, 1:], interval.step(s[:, -1], v[:, -1], dt_s)), v
@@ -23,12 +33,21 @@ def shift(interval, s, v, dt_s):
 def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
     """KKT tolerance as ACADO's generated code defines it (interpretation R12).
 
-    |∇J·Δw| + Σ |λ_i · (distance from the linearisation point to the bound)|.
+    |∇J·Δw| + Σ |λ_i · d_i|, with d_i the distance from the linearisation point to the bound.
+
+    Args:
+        gradient_along_step: ∇J·Δw, the cost's slope along the Gauss-Newton step.
+        multipliers: λ, positive at an upper, negative at a lower bound.
+        lower: Distances to the lower bounds.
+        upper: Distances to the upper bounds.
+
+    Returns:
+        The tolerance, 0 at a solution.
     """
     bound = ca.if_else(multipliers > 0, upper, lower)
     return ca.fabs(gradient_along_step) + ca.sum1(ca.vec(ca.fabs(multipliers * bound)))
 
 
 def symmetric(P):
-    """P (n, n) from its upper triangle: half the work, and symmetric to the last bit."""
+    """Mirror the upper triangle of P (n, n): half the work, and symmetric to the last bit."""
     return ca.triu2symm(ca.triu(P))

@@ -1,99 +1,124 @@
 """Block principal pivoting: which of a QP's variables are at a bound.
 
-Guess which are, solve for the rest exactly, and correct the guess by the signs of what comes out:
-all wrong ones at once while their number falls, else one at a time, which cannot cycle (Júdice and
-Pires, "A Block Principal Pivoting Algorithm for Large-Scale Strictly Monotone Linear
-Complementarity Problems", 1994). When the guess stands, the solution is exact.
+Guess the active set, solve for the other variables exactly, and correct the guess by the signs of
+the solution: all infeasible variables at once while their number falls, otherwise the first one
+alone, which cannot cycle (Júdice and Pires, "A Block Principal Pivoting Algorithm for Large-Scale
+Strictly Monotone Linear Complementarity Problems", 1994). If no variable is infeasible, the
+solution is exact.
 """
 
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
 
-__all__ = ["MAX_SWEEPS", "corrected_bound", "first_corrected", "search_active_set"]
+__all__ = ["MAX_SWEEPS", "exchange_first", "proposed_bound", "search_active_set"]
 
 _DOUBLINGS = 8
-MAX_SWEEPS = 2**_DOUBLINGS + 1  # after so many guesses the search gives up; one to three are usual
-_PATIENCE = 3  # exchanges of all wrong ones that may fail to lessen their number
+MAX_SWEEPS = 2**_DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
+_PATIENCE = 3  # block exchanges that may fail to reduce the number of infeasible variables
 
 
-def corrected_bound(active, x, multiplier, lower, upper):
-    """The bound (1 upper, -1 lower, 0 none) that each variable's sign condition asks for."""
+def proposed_bound(active, x, multiplier, lower, upper):
+    """The bound that each variable's sign condition asks for: 1 upper, -1 lower, 0 none.
+
+    A free variable beyond a bound is fixed there; one at a bound stays if its multiplier presses it
+    against that bound.
+    """
     violated = (x > upper) - (x < lower)
     return ca.if_else(active == 0, violated, active * (active * multiplier >= 0))
 
 
-def first_corrected(active, corrected, n_wrong):
-    """The guess with its first wrong bound set right, unless some were before; how many are now."""
-    first = []
+def exchange_first(active, proposed, n_infeasible):
+    """Exchange only the first infeasible variable, and count the infeasible ones.
+
+    Args:
+        active: Guess of the active set.
+        proposed: What `proposed_bound` proposes for it.
+        n_infeasible: How many variables of earlier stages are infeasible.
+
+    Returns:
+        The guess with its first infeasible variable exchanged, as a list, unless an earlier stage
+        has one; the number of infeasible variables so far.
+    """
+    guess = []
     for i in range(active.numel()):
-        first.append(ca.if_else(n_wrong, active[i], corrected[i]))
-        n_wrong = n_wrong + (corrected[i] != active[i])
-    return first, n_wrong
+        guess.append(ca.if_else(n_infeasible, active[i], proposed[i]))
+        n_infeasible = n_infeasible + (proposed[i] != active[i])
+    return guess, n_infeasible
 
 
 def search_active_set(name, N, solve, problem):
-    """A Function (problem …, active) -> (x, multipliers, ok), all rows of N.
+    """Build a Function (problem …, active) -> (ok, x, multipliers), x and multipliers rows of N.
 
     Args:
         name: Prefix of the Functions' names.
         N: Number of variables.
-        solve: Function (problem …, active) -> (x, multipliers, corrected, first_corrected,
-            n_wrong): the solution for a guess of the active set; the guess that its signs ask for,
-            all at once or the first alone; how many were wrong, or -1 where no number came out.
+        solve: Function (problem …, active) -> (x, multipliers, corrected, first_corrected, wrong):
+            the solution for a guess of the active set; the guess after exchanging all infeasible
+            variables, or the first alone; their number, or -1 where the solution is not finite.
         problem: Shapes of the problem's data, by name.
 
     Returns:
-        The Function; where no guess stood, ok, x and multipliers are 0.
+        The Function. If the search gives up, ok, x and multipliers are 0.
     """
     row = (1, N)
     one = (1, 1)
+    # `wrong` counts the infeasible variables of the last guess, `least` the fewest so far.
     state = dict(active=row, least=one, patience=one, wrong=one, x=row, multipliers=row)
     shapes = problem | state
-
-    @casadi_function(f"{name}_pivot", ca.MX, **shapes)
-    def pivot(active, least, patience, wrong, x, multipliers, **problem):
-        found = solve(**problem, active=active)
-        wrong, fewer = found["wrong"], found["wrong"] < least
-        at_once = ca.fmax(fewer, patience > 0)
-        return dict(
-            active=ca.if_else(at_once, found["corrected"], found["first_corrected"]),
-            least=ca.fmin(wrong, least),
-            patience=ca.if_else(fewer, _PATIENCE, patience - 1),
-            wrong=wrong,
-            x=found["x"],
-            multipliers=found["multipliers"],
-        )
+    pivot = _build_pivot(name, solve, shapes)
 
     @casadi_function(f"{name}_converged", ca.MX, **shapes)
     def converged(**inputs):
         return {piece: inputs[piece] for piece in state}
 
-    def then(name, first, onward):
-        """`first`, and `onward` from where it got to, only if no guess has stood yet."""
+    def repeat_unless_converged(name, first, second):
+        """A Function that runs `first` and, only if that has not converged, `second`."""
 
         @casadi_function(name, ca.MX, **shapes)
         def search(**inputs):
-            found = first(**inputs)
-            unless_converged = ca.Function.if_else(f"{name}_or_not", converged, onward)
-            result = unless_converged(found["wrong"] <= 0, *(inputs | found).values())
+            after = first(**inputs)
+            unless_converged = ca.Function.if_else(f"{name}_or_not", converged, second)
+            result = unless_converged(after["wrong"] <= 0, *(inputs | after).values())
             return dict(zip(state, result))
 
         return search
 
     # CasADi has no early exit, so the loop is unrolled by doubling: each search runs the one
-    # before it and, only if that has not converged, runs it again.
+    # before it twice, 2⁸ pivots in the end.
     search = pivot
     for doubling in range(_DOUBLINGS):
-        search = then(f"{name}_search_{doubling}", search, search)
-    search = then(f"{name}_search", pivot, search)
+        search = repeat_unless_converged(f"{name}_search_{doubling}", search, search)
+    search = repeat_unless_converged(f"{name}_search", pivot, search)
 
     @casadi_function(name, ca.MX, **problem, active=row)
-    def searched(active, **problem):
+    def search_from(active, **problem):
         zeros = ca.MX.zeros(1, N)
-        begin = dict(least=N + 1, patience=_PATIENCE, wrong=N + 1, x=zeros, multipliers=zeros)
-        found = search(**problem, active=active, **begin)
-        ok = found["wrong"] == 0
-        return dict(ok=ok) | {name: ca.if_else(ok, found[name], 0) for name in ("x", "multipliers")}
+        start = dict(least=N + 1, patience=_PATIENCE, wrong=N + 1, x=zeros, multipliers=zeros)
+        end = search(**problem, active=active, **start)
+        ok = end["wrong"] == 0
+        return dict(ok=ok) | {name: ca.if_else(ok, end[name], 0) for name in ("x", "multipliers")}
 
-    return searched
+    return search_from
+
+
+def _build_pivot(name, solve, shapes):
+    """One guess solved, and the next one chosen."""
+
+    @casadi_function(f"{name}_pivot", ca.MX, **shapes)
+    def pivot(active, least, patience, wrong, x, multipliers, **problem):
+        solution = solve(**problem, active=active)
+        n_infeasible = solution["wrong"]
+        is_fewer = n_infeasible < least
+        block_exchange = ca.fmax(is_fewer, patience > 0)
+        corrected = (solution["corrected"], solution["first_corrected"])
+        return dict(
+            active=ca.if_else(block_exchange, *corrected),
+            least=ca.fmin(n_infeasible, least),
+            patience=ca.if_else(is_fewer, _PATIENCE, patience - 1),
+            wrong=n_infeasible,
+            x=solution["x"],
+            multipliers=solution["multipliers"],
+        )
+
+    return pivot

@@ -1,13 +1,16 @@
 """The real-time iteration scheme: one Gauss-Newton step a sample, prepared before its data arrive.
 
-Each sample has four phases, each a Function of its own in `rhe` and `rhc`:
-    shift      the horizon moves on by one sample, the previous solution with it (warm start)
-    linearise  integrate, differentiate, condense
-    feedback   what is new (a measurement; an estimate and references) and the QP: the answer
-    expand     the rest of the solution, for the next linearisation, and the KKT tolerance
-The paper's preparation is expand, shift and linearise; only feedback lies between a measurement
-and the command. Iterating linearise, feedback and expand without shift converges to the solution
-of the nonlinear problem.
+Each sample has four phases, each a separate Function in `rhe` and `rhc`:
+
+- shift: the horizon and the previous solution move on by one sample (warm start);
+- linearise: integrate, differentiate, condense;
+- feedback: the new data (a measurement, or an estimate and references) complete the QP, whose
+  solution is the result;
+- expand: the remaining unknowns, for the next linearisation, and the KKT tolerance.
+
+The paper's preparation consists of expand, shift and linearise. Only feedback lies between a
+measurement and the command. Iterating linearise, feedback and expand without shift converges to the
+solution of the nonlinear problem.
 """
 
 import numpy as np
@@ -21,17 +24,18 @@ PHASES = ("shift", "linearise", "feedback", "expand")
 
 
 class RealTimeIteration:
-    """The four phases on shared NumPy arrays, compiled: what RHE and RHC objects are made of.
+    """The four compiled phases on shared NumPy arrays, the engine of RHE and RHC objects.
 
-    Arrays of the same name are one array. The memory exists twice, because a Function must not
-    write what it still reads: `expand` leaves it in `previous`, `shift` takes it from there to
-    `current`, where `linearise` and `feedback` read it.
+    The phases exchange data by array name: the output "K" of one phase and the input "K" of the
+    next are the same array. The memory exists twice, because a Function must not write what it
+    still reads: `expand` writes it to `previous`, and `shift` reads it there and writes `current`,
+    where `linearise` and `feedback` read it.
 
     Args:
         functions: The compiled phases, by name.
         memory: Names of the memory's pieces.
-        unknowns: Those of them that an iteration improves.
-        constants: Values of inputs that stay, by name.
+        unknowns: The pieces that an iteration improves.
+        constants: Values of inputs that never change, by name.
     """
 
     def __init__(self, functions, memory, unknowns, **constants):
@@ -42,34 +46,38 @@ class RealTimeIteration:
         self.current = {name: array.copy() for name, array in self.previous.items()}
         self.arrays = {}
         for phase, call in self.phases.items():
-            last = self.previous
-            now = self.current
-            reads, writes = (last, now) if phase == "shift" else (now, last)
+            if phase == "shift":
+                read_memory = self.previous
+                written_memory = self.current
+            else:
+                read_memory = self.current
+                written_memory = self.previous
             for name, array in call.arguments.items():
-                home = reads if name in memory else self.arrays
-                call.read_from(name, home.setdefault(name, array))
+                shared = read_memory if name in memory else self.arrays
+                call.read_from(name, shared.setdefault(name, array))
             for name, array in call.results.items():
-                home = writes if name in memory else self.arrays
-                call.write_to(name, home.setdefault(name, array))
-        calls = (phase.call for phase in self.phases.values())  # found once: finding takes longer
+                shared = written_memory if name in memory else self.arrays
+                call.write_to(name, shared.setdefault(name, array))
+        # Looking the bound methods up in each sample would take longer.
+        calls = (phase.call for phase in self.phases.values())
         self._shift, self._linearise, self._feedback, self._expand = calls
         self.set(self.arrays, constants)
         self.started = self.prepared = self.expanded = False
 
     @staticmethod
     def set(arrays, values):
-        """Copy values into arrays of the same names."""
+        """Copy values into the arrays of the same names."""
         for name, value in values.items():
             arrays[name][:] = np.ravel(value, order="F")
 
     def start(self, memory):
-        """Begin at this memory, already in place for the sample that comes."""
+        """Start from this memory, which needs no shift before the next sample."""
         self.set(self.current, memory)
         self._linearise()
         self.started = self.prepared = True
 
     def prepare(self):
-        """All that can be done before the next sample arrives; before the first, nothing."""
+        """Do all work that is possible before the next sample arrives; none before the first."""
         if self.started and not self.prepared:
             self.expand()
             self._shift()
@@ -77,43 +85,46 @@ class RealTimeIteration:
             self.prepared = True
 
     def feedback(self):
-        """The answer to what is new."""
+        """Solve with the new data, which the caller has copied into `arrays`."""
         if not self.prepared:
             raise RuntimeError("prepare() must be called before each feedback()")
         self._feedback()
+        # Expanding now would delay the command.
         self.prepared = self.expanded = False
 
     def expand(self):
-        """Once a sample: the rest of the solution."""
+        """Compute the remaining unknowns, once a sample."""
         if not self.expanded:
             self._expand()
             self.expanded = True
 
     @checked
     def solve(self, iterations: Steps):
-        """Gauss-Newton to convergence: one problem, linearised again and again."""
+        """Iterate Gauss-Newton steps on one problem, without shifting."""
         for _ in range(iterations):
             self._linearise()
             self._feedback()
             self._expand()
+            # Without a shift the next linearisation is at the same sample's new solution.
             for name in self.unknowns:
                 self.current[name][:] = self.previous[name]
+        # The memory still belongs to this sample; `prepare` has to shift it.
         self.prepared = False
         self.expanded = True
 
 
 class RealTimeLoop:
-    """What the objects for a loop of one's own share, whose `iteration` is a RealTimeIteration."""
+    """What RHE and RHC objects share; subclasses set `iteration`."""
 
     iteration: RealTimeIteration
 
     def prepare(self) -> None:
-        """All that can be done before the next sample arrives (paper: preparation part)."""
+        """Do all work that is possible before the next sample (paper: preparation part)."""
         self.iteration.prepare()
 
     @property
     def ok(self) -> bool:
-        """Whether the last step was solved; if not, its answer is the shifted previous solution."""
+        """Whether the last step was solved; if not, its result is the shifted previous solution."""
         return self.iteration.arrays["ok"].item() == 1
 
     @property
@@ -124,11 +135,15 @@ class RealTimeLoop:
 
 
 def copy_checked(name, value, array):
-    """Copy an argument into its array, or say in one sentence why it does not fit."""
+    """Copy an argument into its array.
+
+    Raises:
+        ValueError: if its shape does not fit, or if it is not numeric.
+    """
     shape = getattr(value, "shape", None)
     try:
         if shape is None and isinstance(value, tuple) and array.shape == (len(value),):
-            for i, number in enumerate(value):  # a few numbers: faster than an array of them
+            for i, number in enumerate(value):  # faster than via an array for a few numbers
                 array[i] = number
             return
         shape = np.shape(value) if shape is None else shape

@@ -11,7 +11,8 @@ from typing import NamedTuple
 from rhec.simulation.faults import Fault
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import ROBUST_NAMES, Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import ROBUST_NAMES, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = ["CONTROLS", "ESTIMATORS", "GROUPS", "NEW_PATCH", "PATCH", "PROCESS_NOISES", "Selection"]

@@ -14,7 +14,8 @@ from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE
 from rhec.simulation.metrics import SETTLING_SAMPLES, per_sample
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.path import Path, closest
 from rhec.tracked_robot.references import build_references, pose_at
 from rhec.tracked_robot.terrain import Terrain

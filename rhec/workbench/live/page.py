@@ -22,7 +22,8 @@ from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, tuning
-from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import estimator_of
 from rhec.workbench.explorer.controls import CONTROLS, NEW_PATCH, PATCH, line_of
 from rhec.workbench.explorer.explorer import METRICS
 from rhec.workbench.live import functions, texts, wasm

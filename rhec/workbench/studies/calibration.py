@@ -24,12 +24,13 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import pack_array, select_inputs
 from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.closed_loop import build_sample, known_traction, set_up, simulate
+from rhec.simulation.closed_loop import build_sample, set_up, simulate
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.simulation.lanes import lanes, scan
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
@@ -109,7 +110,9 @@ def scan_arguments(scenario, run, *outputs):
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
     true = columns(run, ["mu", "kappa"])
-    traction = np.broadcast_to(known_traction(estimator.given, run.terrain.mean, true), true.shape)
+    traction = np.broadcast_to(
+        estimator.traction_input.select_traction(run.terrain.mean, true), true.shape
+    )
     stream = np.hstack([columns(run, MEASUREMENTS), traction])
     return compiled.load(_build_scan, outputs, choice), memory, stream, estimator.settings(scenario)
 

@@ -27,12 +27,12 @@ from rhec.core._casadi.build import pack_array
 from rhec.core.estimator import ekf
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model
-from rhec.extensions import slipping
 from rhec.logs import scores
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare, resample
 from rhec.logs.replay import predictor
 from rhec.simulation.columns import ESTIMATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
+from rhec.tracked_robot import slipping
 from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
 from rhec.workbench.studies.calibration import search
 from rhec.workbench.studies.icr import ICR
@@ -43,7 +43,7 @@ __all__ = ["table", "trials"]
 _NOISE_M = 0.02
 _YAW_ERROR_RAD = 0.3
 _TUNING_SEED = 1000
-_SLIPPING = slipping.SPEED_MODELS["slipping"].model
+_SLIPPING = slipping.SLIPPING.model
 _SCORES = dict(
     yaw_rms_rad="yaw RMS [rad]",
     position_rms_m="position RMS [m]",

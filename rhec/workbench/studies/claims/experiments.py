@@ -30,7 +30,7 @@ from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot import path, tuning
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot.estimators import Choice
+from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.references import PathTracker
 from rhec.workbench.studies import timing
 from rhec.workbench.studies.calibration import SETTLED_S

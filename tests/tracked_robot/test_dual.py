@@ -5,7 +5,8 @@ import pytest
 from oracles import V, drive, flat
 
 from rhec.core._casadi.build import pack_array
-from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.tuning import SIGMA_W_TRACKING
 

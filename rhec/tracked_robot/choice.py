@@ -1,0 +1,85 @@
+"""The records that describe an estimator of the tracked robot to those who run one."""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from rhec import paper
+from rhec.tracked_robot import tuning
+
+__all__ = ["Choice", "Estimator", "TractionInput"]
+
+
+class TractionInput(Enum):
+    """What an estimator is passed of the true traction coefficients (μ, κ)."""
+
+    NONE = "nothing"
+    FIELD_MEAN = "field mean"
+    TRUE = "true traction"
+    FULL_STATE = "truth"  # pose and speed, too
+
+    def select_traction(self, field_mean, true):
+        """Select the traction (μ, κ) that is passed to the estimator.
+
+        Args:
+            field_mean: (2,) mean of the field's (μ, κ).
+            true: (2,) or (n, 2) the true (μ, κ) at the robot.
+
+        Returns:
+            One of them; (1, 1), no slip, for an estimator that is passed neither.
+        """
+        passed = {TractionInput.FIELD_MEAN: field_mean, TractionInput.TRUE: true}
+        return passed.get(self, np.ones(2))
+
+
+class Choice(NamedTuple):
+    """The fields of a Scenario that decide the shape of its estimator's Functions."""
+
+    estimator: str  # one of `estimators.NAMES`, or a serialized Function
+    estimation_horizon: int
+    speed_model: str
+    arrival_mean: str
+    robust: bool
+    dt_s: float = paper.DT_S
+
+    @classmethod
+    def of(cls, scenario):
+        """Make the Choice of a Scenario.
+
+        Raises:
+            ValueError: if the estimator is not tuned for the scenario's process noise.
+        """
+        name = scenario.estimator
+        noise = scenario.process_noise
+        noises = tuple(tuning.SIGMA_W.get(name, tuning.ARRIVAL_MEAN))
+        if noise not in noises:
+            expected = f"for the estimator {name!r} it should be one of {noises}"
+            raise ValueError(f"process_noise was {noise!r}; {expected}")
+        return cls(
+            name.serialize() if isinstance(name, ca.Function) else name,
+            scenario.estimation_horizon,
+            scenario.speed_model,
+            scenario.arrival_mean or tuning.ARRIVAL_MEAN[noise],
+            scenario.robust,
+        )
+
+
+class Estimator(NamedTuple):
+    """What a closed loop, a replay, a study or the C export must know of an estimator.
+
+    Its step is a Function (memory, z_N, settings …) -> (memory, estimate, …), with estimate =
+    (x, y, θ, ν, μ, κ). Beyond its settings the step may have an input `traction` (2,) or
+    `truth` (6,), which `traction_input` describes.
+    """
+
+    build_step: Callable[[Choice], ca.Function]
+    # (choice, guess, sigma), both {quantity: value} -> the first memory, {name: array}
+    init: Callable[[Choice, Any, Any], dict]
+    settings: Callable[[Any], dict]  # of a Scenario: {name: array}
+    build_phases: Callable[[Choice], dict] | None = None  # where its step has the four phases
+    states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
+    n_sigma_w: Callable[[Choice], int] = lambda choice: 0
+    traction_input: TractionInput = TractionInput.NONE

@@ -1,0 +1,448 @@
+"""Robust handling of measurements: consistency checks and innovation gating. Not in the paper.
+
+Each measurement in the window of an RHE has its own variance. It follows from what the sensors
+say of one another, never from the estimate alone:
+
+- *Noise*: the variance of positions is at least that of their second differences.
+- *Stuck or improbable positions* are rejected. A receiver is stuck where it repeats its last
+  position to the last digit. A position is improbable where its innovation y has
+  y' S⁻¹ y > CHI2_GATE (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
+  Navigation", 2001, Sec. 5.7), unless it follows smoothly on an accepted one.
+- *Inconsistent encoders*: the path by the encoders is registered with the last positions, turned
+  and scaled for the best fit (Kabsch, 1976). Where the positions are smooth and do not fit, the
+  encoders are inconsistent until both agree again. Meanwhile the speed between positions replaces
+  theirs. With `speed_model="parameter"` a jump of the encoders is inconsistent at once.
+- *Restart*: where both agree, and the estimate has another yaw, or another position for long, the
+  estimate is wrong, and its window restarts.
+
+All of it wraps the RHE's phases from outside: the estimator gets variances, not their reasons.
+"""
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from rhec.core._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
+from rhec.core._casadi.compiled import loop_symbols
+from rhec.core.estimator import rhe
+from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
+from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.slipping import LEVER_ARM
+
+__all__ = ["ROBUST_RHE", "gated"]
+
+CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
+PAST = 10  # samples from which the noise of positions is estimated
+CHECKED = 6  # samples over which positions and encoders are compared
+MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth
+DEAD_RECKONING = 0.06  # error of dead reckoning per distance since the last accepted position
+LATE_S = 0.15  # [s] how far positions and encoders may be out of step
+TRACTION = (0.4, 1.1)  # range of the distance by positions over that by encoders
+LEAST_KAPPA = 0.3
+NOISES_APART = 2.5  # tolerated mean square distance of the two paths, over the noise's
+SHARE_APART = 0.15  # tolerated rms distance of the two paths, over their size
+SIGMA_BY_POSITIONS = (0.15, 0.4)  # of (ν, ω) [m/s, rad/s] that replace inconsistent encoders
+SIGMA_JUMP = (0.1, 0.3)  # of the change of (ν, ω) [m/s, rad/s] in one sample
+MIN_COURSE_M = 0.1  # [m] rms size of a path below which it does not determine the yaw
+MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
+HEADING_MISMATCHES_TO_RESTART = 5  # in a row
+MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
+SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
+_SIGMA_RESTART_OTHERS = 0.1
+_NONE = ca.DM.nan(2)  # a pair of measurements that is missing
+_RHE = paper_rhe.ESTIMATORS["rhe"]
+
+# The memory of the checks: `past` positions, NaN where missing, with the encoder measurements of
+# these samples; the `last` position and the encoder measurements last accepted; samples `since` a
+# smooth position was accepted, and since encoders were; how often in a row the course has
+# `contradicted` the yaw; `doubt`, 1 while the encoders are inconsistent.
+_MEMORY = dict(past=(4, PAST), last=(4, 1), since=(2, 1), contradicted=(1, 1), doubt=(1, 1))
+
+
+def _is_number(x):
+    return is_valid_measurement(x, MAX_MEASUREMENT**2)
+
+
+class _Sample(NamedTuple):
+    """One measurement z, as far as its sensors deliver it."""
+
+    has_gnss: ca.SX
+    has_encoders: ca.SX
+    has_position: ca.SX  # GNSS that is not stuck
+    position: ca.SX  # (2,), NaN where there is none
+    speeds_held: ca.SX  # (2,) (ν, ω), the last ones where encoders are silent
+    past: ca.SX  # (4, PAST + 1) positions and speeds up to now
+
+    @property
+    def checked(self):
+        """The columns of `past` over which positions and encoders are compared."""
+        return self.past[:, -CHECKED - 1 :]
+
+
+def _sample(z, limits, past, last):
+    valid = [is_valid_measurement(z[row], limits[row]) for row in range(4)]
+    has_gnss = valid[0] * valid[1]
+    has_encoders = valid[2] * valid[3]
+    has_position = has_gnss * (1 - (z[0] == last[0]) * (z[1] == last[1]))
+    previous = ca.if_else(_is_number(past[2:, -1]), past[2:, -1], 0)
+    speeds_held = ca.if_else(has_encoders, z[2:], previous)
+    position = ca.if_else(has_position, z[:2], _NONE)
+    past = ca.horzcat(past, ca.vertcat(position, speeds_held))
+    return _Sample(has_gnss, has_encoders, has_position, position, speeds_held, past)
+
+
+class _Positions(NamedTuple):
+    """What the positions tell without the encoders."""
+
+    are_smooth: ca.SX  # 1 where none of the checked ones is missing or jumps
+    newest_is_smooth: ca.SX
+    noise: ca.SX  # [m²] variance of x and y together
+    V: ca.SX  # (2,) [m²] variances to use
+
+
+def _check_positions(past, V):
+    bend = past[:2, 2:] - 2 * past[:2, 1:-1] + past[:2, :-2]
+    bends = ca.sum1(bend * bend)
+    noise = ca.fmax(V[0] + V[1], _noise_of_positions(bends))
+    return _Positions(
+        are_smooth=ca.mmin(bends[1 - CHECKED :] <= MAX_BEND_M**2),
+        newest_is_smooth=bends[-1] <= MAX_BEND_M**2,
+        noise=noise,
+        V=V[:2] * noise / (V[0] + V[1]),
+    )
+
+
+def _noise_of_positions(bends):
+    """Variance of positions, x and y together, from their squared second differences.
+
+    White noise of variance σ² has second differences of 6σ² (von Neumann, 1941). The result is the
+    smaller one of two halves, so that one outlier is not taken for noise; 0 where data are missing.
+    """
+    halves = []
+    for half in ca.horzsplit(bends, [0, bends.numel() // 2, bends.numel()]):
+        n = ca.sum2(_is_number(half))
+        mean = ca.sum2(ca.if_else(_is_number(half), half, 0)) / ca.fmax(n, 1)
+        halves.append(ca.if_else(n >= 3, mean / 6, 0))
+    return ca.fmin(*halves)
+
+
+class _Agreement(NamedTuple):
+    """How the path by the encoders fits the positions."""
+
+    agree: ca.SX  # 1 where it does; never where the positions are not smooth
+    contradict: ca.SX  # 1 where it does not, though the positions are smooth
+    yaw: ca.SX  # [rad] by which the path is turned: the yaw that the positions show
+    has_course: ca.SX  # 1 where the path is long enough to determine the yaw
+
+
+def _check_agreement(path, positions, m, names, dt_s):
+    """Register the path by the encoders with the positions, both in `path` (4, CHECKED + 1)."""
+    arm = [m[names.index(name)] if name in names else 0 for name in LEVER_ARM]
+    kappa = ca.fmin(ca.fmax(m[names.index("kappa")], LEAST_KAPPA), 1)
+    driven = _dead_reckoned(path, arm, kappa, dt_s)
+    yaw, apart, size, size_driven = _registration(path[:2, :], driven)
+    speed = ca.sumsqr(driven[:, 1:] - driven[:, :-1]) / (CHECKED * dt_s**2)
+    tolerance = NOISES_APART * positions.noise + SHARE_APART**2 * size + (2 * LATE_S) ** 2 * speed
+    fits = apart <= tolerance  # 0 where `apart` is NaN
+    return _Agreement(
+        agree=positions.are_smooth * fits,
+        contradict=positions.are_smooth * _is_number(apart) * (1 - fits),
+        yaw=yaw,
+        has_course=size_driven > MIN_COURSE_M**2,
+    )
+
+
+def _dead_reckoned(past, arm, kappa, dt_s):
+    """Places (2, n) of the antenna by the encoders' `past` (4, n), seen from the newest pose."""
+    places = [ca.SX.zeros(2)]
+    yaw = 0
+    for k in reversed(range(1, past.size2())):
+        turn = kappa * past[3, k] * dt_s
+        ahead = dt_s * past[2, k] - turn * arm[1]
+        left = turn * arm[0]
+        cos = ca.cos(yaw - turn / 2)
+        sin = ca.sin(yaw - turn / 2)
+        places.append(places[-1] - ca.vertcat(cos * ahead - sin * left, sin * ahead + cos * left))
+        yaw = yaw - turn
+    return ca.horzcat(*reversed(places))
+
+
+def _registration(q, e):
+    """Turn and scale the path e (2, n) for the best fit with the positions q (2, n), both centred.
+
+    Returns:
+        The angle of the turn [rad], the mean square distance that is left, and the mean squares of
+        q and e, all [m²].
+    """
+    q, e = (path - ca.repmat(ca.sum2(path) / path.size2(), 1, path.size2()) for path in (q, e))
+    dot = ca.sum2(ca.sum1(q * e))
+    cross = ca.sum2(q[1, :] * e[0, :] - q[0, :] * e[1, :])
+    fit = ca.sqrt(dot**2 + cross**2)
+    sizes = (ca.sumsqr(q), ca.sumsqr(e))
+    mu = ca.fmin(ca.fmax(fit / ca.fmax(sizes[1], 1e-9), TRACTION[0]), TRACTION[1])
+    apart = sizes[0] - 2 * mu * fit + mu**2 * sizes[1]
+    return ca.atan2(cross, dot), *(square / q.size2() for square in (apart, *sizes))
+
+
+def _are_encoders_inconsistent(z, last, before, agreement, names, may_reject):
+    """1 from a contradiction, or a jump, until positions and encoders agree again."""
+    # Without a last measurement the change is NaN, which is no jump.
+    change = ca.sumsqr((z[2:] - last[2:]) / ca.DM(SIGMA_JUMP))
+    jump = change > CHI2_GATE if "nu_mps" in names else 0
+    stays = ca.logic_or(jump, before * (1 - agreement.agree)) * may_reject
+    return ca.logic_or(agreement.contradict, stays)
+
+
+def _speeds_by_positions(path, m, names, dt_s):
+    """(ν, 0) [m/s, rad/s] of the tracks, from the first and the last position of a path."""
+    way = path[:2, -1] - path[:2, 0]
+    sign = ca.if_else(ca.cos(m[2]) * way[0] + ca.sin(m[2]) * way[1] < 0, -1, 1)
+    mu = ca.fmax(m[names.index("mu")], TRACTION[0])
+    return ca.vertcat(sign * ca.norm_2(way) / (CHECKED * dt_s * mu), 0)
+
+
+def _is_probable(y, yaw, P, V, nu, drift):
+    """Innovation gating: y' S⁻¹ y ≤ CHI2_GATE.
+
+    S is the covariance of the innovation y (2,): that of prediction P and measurement V, of being
+    out of step at speed ν, and of the drift [m] of dead reckoning.
+    """
+    late = LATE_S * ca.fabs(nu) * ca.vertcat(ca.cos(yaw), ca.sin(yaw))
+    S = P[:2, :2] + ca.diag(V) + late @ late.T + drift**2 * ca.SX.eye(2)
+    return ca.bilin(ca.inv_minor(S), y, y) <= CHI2_GATE
+
+
+def _check(z, limits, memory, predict, V, names, first, dt_s):
+    """Check one measurement.
+
+    Args:
+        z: (4,) measurement.
+        limits: (4,) largest plausible measurements.
+        memory: The pieces of _MEMORY.
+        predict: (z, V) -> mean (n,) and covariance (n, n) of the joint state, by the encoders in z.
+        V: (4,) variances of the sensors.
+        names: Names of the joint state.
+        first: 1 before any measurement.
+        dt_s: Length of a sample [s].
+
+    Returns:
+        {name: expression}: which measurements are `accepted`; `z_used` and `V_used`; whether to
+        `restart` and at which `pose`; whether to `replace` inconsistent measurements in the window,
+        and what they are `replaced` by; the memory after, `gate_after`.
+    """
+    past, last, since, contradicted, doubt = memory.values()
+    may_reject = since * dt_s < MAX_REJECTION_S
+    sample = _sample(z, limits, past, last)
+    path = sample.checked
+    positions = _check_positions(sample.past, V)
+
+    m, _ = predict(ca.vertcat(sample.position, ca.if_else(sample.has_encoders, z[2:], _NONE)), V)
+    agreement = _check_agreement(path, positions, m, names, dt_s)
+    doubt = _are_encoders_inconsistent(z, last, doubt, agreement, names, may_reject[1])
+    encoders = sample.has_encoders * (1 - doubt)
+    inconsistent = sample.has_encoders * doubt
+    by_positions = _speeds_by_positions(path, m, names, dt_s)
+    by_positions = ca.if_else(inconsistent * positions.are_smooth, by_positions, _NONE)
+    speeds = ca.if_else(encoders, z[2:], by_positions)
+    V_speeds = ca.if_else(inconsistent, ca.DM(SIGMA_BY_POSITIONS) ** 2, V[2:])
+    V_used = ca.vertcat(positions.V, V_speeds)
+
+    m, P = predict(ca.vertcat(sample.position, speeds), V_used)
+    nu = sample.speeds_held[0]
+    drift = DEAD_RECKONING * ca.fabs(nu) * dt_s * since[0] * agreement.agree
+    probable = _is_probable(z[:2] - m[:2], m[2], P, positions.V, nu, drift)
+    # Smooth positions that contradict the encoders are the better ones.
+    follows = ca.logic_or(agreement.contradict, (since[0] == 0) * positions.newest_is_smooth)
+    position = sample.has_position * ca.logic_or(first, ca.logic_or(probable, follows))
+
+    contradicted, restart, yaw = _check_estimate(
+        agreement, contradicted, m[2], position, may_reject[0]
+    )
+    accepted = ca.logic_or(position, restart)
+    trusted = ca.logic_or(position * positions.are_smooth, restart)
+    last, since = _remember(z, last, since, sample.has_gnss, trusted, encoders)
+    contradicted = ca.if_else(restart, 0, contradicted)
+    return dict(
+        accepted=ca.vertcat(accepted, accepted, encoders, encoders),
+        z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds),
+        V_used=V_used,
+        restart=restart,
+        pose=ca.vertcat(z[:2], yaw),
+        replace=agreement.contradict,
+        replaced=ca.vertcat(path[:2, 1:], ca.repmat(speeds, 1, CHECKED)),
+        gate_after=ca.veccat(sample.past[:, 1:], last, since, contradicted, doubt),
+    )
+
+
+def _remember(z, last, since, has_gnss, position, encoders):
+    """The pieces `last` and `since` of the memory after a sample with these accepted."""
+    last = ca.vertcat(ca.if_else(has_gnss, z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:]))
+    since = ca.vertcat(ca.if_else(position, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1))
+    return last, since
+
+
+def _check_estimate(agreement, contradicted, yaw, position, may_reject):
+    """Where the sensors agree and the estimate contradicts them, restart.
+
+    Returns:
+        How often in a row the course has contradicted the yaw, whether to restart, and with which
+        yaw [rad].
+    """
+    is_apart = ca.cos(agreement.yaw - yaw) < MIN_HEADING_COSINE
+    mismatch = agreement.agree * agreement.has_course * is_apart
+    contradicted = ca.if_else(mismatch, contradicted + 1, 0)
+    restart = ca.logic_or(
+        contradicted >= HEADING_MISMATCHES_TO_RESTART,
+        agreement.agree * (1 - position) * (1 - may_reject),
+    )
+    # The yaw is not wrapped: choose the full turns that are nearest to the estimate.
+    turns = ca.floor((agreement.yaw - yaw) / (2 * ca.pi) + 0.5)
+    nearest = agreement.yaw - 2 * ca.pi * turns
+    return contradicted, restart, ca.if_else(agreement.has_course, nearest, yaw)
+
+
+def gated(window, phases):
+    """Wrap the phases of an RHE of the tracked robot, so that each measurement is checked.
+
+    Args:
+        window: Its rhe.Window, weighted.
+        phases: {name: Function}, from rhe.build_phases.
+
+    Returns:
+        {name: Function}, with the same names. The memory has two more pieces, `V_window` (4, N + 1)
+        and `gate`. Feedback also returns which measurements are `accepted` (4,), as 1 or 0, and
+        whether the window is to `restart`.
+    """
+    memory = dict(V_window=(4, window.N + 1), gate=(packed_size(_MEMORY), 1))
+    shift, linearise = _wrap_preparation(phases, memory)
+    wrapped = dict(
+        shift=shift,
+        linearise=linearise,
+        feedback=_wrap_feedback(window, phases["feedback"], memory),
+        expand=_wrap_expand(window, phases["expand"], memory),
+    )
+    step = rhe.compose("gated_step", wrapped, window.memory | memory, loop_symbols())
+    return wrapped | dict(step=step)
+
+
+def _inputs_of(phase, *without):
+    """{name: sparsity} of a phase's inputs, without V and others."""
+    return {n: phase.sparsity_in(n) for n in phase.name_in() if n not in ("V", *without)}
+
+
+def _wrap_preparation(phases, memory):
+    """Shift and linearise with the variances of the window."""
+
+    @casadi_function("gated_shift", **_inputs_of(phases["shift"]), V=(4, 1), **memory)
+    def shift(V, V_window, gate, **inputs):
+        V_after = ca.horzcat(V_window[:, 1:], V)
+        return phases["shift"](V=V_window, **inputs) | dict(V_window=V_after, gate=gate)
+
+    shapes = _inputs_of(phases["linearise"]) | dict(V_window=memory["V_window"])
+
+    @casadi_function("gated_linearise", loop_symbols(), **shapes)
+    def linearise(V_window, **inputs):
+        return phases["linearise"](V=V_window, **inputs)
+
+    return shift, linearise
+
+
+def _wrap_feedback(window, feedback_of_rhe, memory):
+    """Check the newest measurement before it is used."""
+    names = window.model.joint_names
+    limits = window.model.limits
+    remembered = dict(age=(1, 1), gate=memory["gate"])
+
+    @casadi_function("gate", **window.prediction, z_N=(4, 1), **window.noise, **remembered)
+    def gate(B_N, v_N, m_N, P_N, z_N, V, age, gate, **c):
+        def predict(z, V):
+            return rhe.predict_input(window, B_N, m_N, P_N, v_N, z, V=V, **c)
+
+        return _check(z_N, limits, unpack(gate, _MEMORY), predict, V, names, age < 1, window.dt_s)
+
+    shapes = _inputs_of(feedback_of_rhe) | dict(V=(4, 1)) | remembered
+
+    @casadi_function("gated_feedback", loop_symbols(), **shapes)
+    def feedback(**inputs):
+        result = gate(**select_inputs(gate, inputs))
+        used = inputs | dict(z_N=result["z_used"], V=result["V_used"])
+        return feedback_of_rhe(**select_inputs(feedback_of_rhe, used)) | result
+
+    return feedback
+
+
+def _build_restarted(window, memory):
+    """Replace inconsistent encoders in the window, or restart it at a pose.
+
+    A restart keeps the present speed and traction.
+    """
+    names = window.model.joint_names
+    N = window.N
+    newest = min(CHECKED, N)
+    one = (1, 1)
+    four = (4, 1)
+    shapes = dict(restart=one, pose=(3, 1), replace=one, replaced=(4, CHECKED))
+    shapes |= dict(z_used=four, V_used=four) | window.memory
+    P = ca.diag(np.square([SIGMA_RESTART.get(name, _SIGMA_RESTART_OTHERS) for name in names]))
+
+    @casadi_function("restarted", **shapes, V_window=memory["V_window"])
+    def restarted(restart, pose, replace, replaced, z_used, V_used, **memory):
+        replacements = dict(z=replaced[:, -newest:], V_window=ca.repmat(V_used, 1, newest))
+        for name, latest in replacements.items():
+            with_latest = ca.horzcat(memory[name][:, :-newest], latest)
+            memory[name] = ca.if_else(replace, with_latest, memory[name])
+        s = ca.vertcat(pose, memory["s"][3:, N])
+        for place, (lowest, highest) in window.interval.bounds.items():
+            s[place] = ca.fmin(ca.fmax(s[place], lowest), highest)
+        fresh = memory | dict(
+            s=ca.repmat(s, 1, N + 1),
+            v=ca.repmat(memory["v"][:, N - 1], 1, N),
+            z=ca.horzcat(ca.SX.nan(4, N), z_used),
+            age=0,
+            m=s,
+            P=P,
+        )
+        return {name: ca.if_else(restart, fresh[name], memory[name]) for name in memory}
+
+    return restarted
+
+
+def _wrap_expand(window, expand_of_rhe, memory):
+    """Expand with the variances that were used, then replace or restart."""
+    one = (1, 1)
+    four = (4, 1)
+    restarted = _build_restarted(window, memory)
+    shapes = _inputs_of(expand_of_rhe, "z_N") | dict(z_used=four, V_used=four, restart=one)
+    shapes |= dict(pose=(3, 1), replace=one, replaced=(4, CHECKED))
+    shapes |= dict(V_window=memory["V_window"], gate_after=memory["gate"])
+
+    @casadi_function("gated_expand", loop_symbols(), **shapes)
+    def expand(V_window, gate_after, **inputs):
+        V_window = ca.horzcat(V_window[:, : window.N], inputs["V_used"])
+        values = inputs | dict(z_N=inputs["z_used"], V=V_window)
+        result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
+        values |= {name: result[name] for name in window.memory} | dict(V_window=V_window)
+        after = restarted(**select_inputs(restarted, values))
+        return after | dict(gate=gate_after, kkt=result["kkt"])
+
+    return expand
+
+
+def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
+    memory = _RHE.init(choice, guess, sigma)
+    gate = {
+        name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
+        for name, shape in _MEMORY.items()
+    }
+    V_window = np.ones((4, choice.estimation_horizon + 1))  # of no measurement
+    return memory | dict(V_window=V_window, gate=pack_array(gate))
+
+
+def _build_phases(choice):
+    return gated(paper_rhe.window_of(choice), _RHE.build_phases(choice))
+
+
+ROBUST_RHE = _RHE._replace(
+    build_step=lambda choice: _build_phases(choice)["step"], build_phases=_build_phases, init=_init
+)
