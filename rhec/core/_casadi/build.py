@@ -24,24 +24,40 @@ _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 def casadi_function(name, kind=ca.SX, /, **shapes):
     """Decorator: the CasADi Function of a Python function whose annotations are its inputs' shapes.
 
+    A shape is (rows, columns) or a CasADi Sparsity. An annotation may also be a dict of shapes by
+    name, or a NamedTuple of shapes: each entry is one input, and the function receives such a dict
+    or NamedTuple of expressions.
+
     Args:
-        name: Of the Function.
-        kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions.
-        shapes: (rows, columns) or CasADi Sparsity of the inputs that have no annotation, in order.
+        name: Name of the Function.
+        kind: SX for arithmetic (inlined, simplified), MX for functions that call other Functions.
+        shapes: Shapes of the inputs without annotation, in order.
 
     Returns:
-        A decorator that turns a function from named expressions to a dict of named expressions
-        into a Function.
+        A decorator. The decorated function returns its outputs as a dict or NamedTuple.
     """
 
     def decorate(body):
-        shaped = body.__annotations__ | shapes
-        symbols = {key: kind.sym(key, _sparsity(shape)) for key, shape in shaped.items()}
-        outputs = body(**symbols)
+        symbols = {}
+        annotated = body.__annotations__ | shapes
+        arguments = {key: _argument(key, shape, kind, symbols) for key, shape in annotated.items()}
+        outputs = body(**arguments)
+        if hasattr(outputs, "_asdict"):
+            outputs = outputs._asdict()
         names = [*symbols], [*outputs], _OPTIONS
         return ca.Function(name, [*symbols.values()], [*outputs.values()], *names)
 
     return decorate
+
+
+def _argument(name, shape, kind, symbols):
+    """A symbol of this shape, or a dict or NamedTuple of them; all are added to `symbols`."""
+    if hasattr(shape, "_asdict"):
+        return type(shape)(**_argument(name, shape._asdict(), kind, symbols))
+    if isinstance(shape, dict):
+        return {key: _argument(key, entry, kind, symbols) for key, entry in shape.items()}
+    symbols[name] = kind.sym(name, _sparsity(shape))
+    return symbols[name]
 
 
 def _sparsity(shape):
