@@ -3,18 +3,19 @@
     min  ½ ‖ŝ_0 - s_0‖²_{H_N} + ½ Σ_{i=0..N} ‖z_i - h(s_i, v_{i-1})‖²_{H_k}
     s.t. s_{i+1} = F(s_i, v_i), lower ≤ p ≤ upper
 
-The window has N intervals and N + 1 nodes; node N is the present. Measurement z_i arrives at node i.
-Its part about the state belongs to that node. Its part about the inputs belongs to the interval that
-*ends* there, so it measures v_{i-1}. Only the feedback phase uses the newest measurement.
+The window has N intervals and N + 1 nodes; node N is the present. Measurement z_i arrives at node
+i. Its part about the state belongs to that node. Its part about the inputs belongs to the interval
+that *ends* there, so it measures v_{i-1}. Only the feedback phase uses the newest measurement.
 
 The Gauss-Newton subproblem is a linear-Gaussian smoothing problem with bounds on some constants.
-Eliminating everything unbounded, from the oldest node to the newest, is exactly a Kalman filter over
-the window. The information form therefore needs H_N = P⁻¹ only, never a dense Hessian. A QP in the
-bounded parameters θ remains. Its multipliers then run backwards through the window and yield all
-other unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
+Eliminating everything unbounded, from the oldest node to the newest, is exactly a Kalman filter
+over the window. It needs the covariance P = H_N⁻¹ only, never a dense Hessian. A QP in the bounded
+parameters θ remains. Its multipliers then run backwards through the window and yield all other
+unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
 from collections.abc import Callable
+from inspect import signature
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
@@ -74,14 +75,6 @@ class Correction(NamedTuple):
     e: Any
 
 
-class Unbounded(NamedTuple):
-    """The newest estimate without bounds, N(m, covariance), and H, the information on θ."""
-
-    H: Any
-    m: Any
-    covariance: Any
-
-
 class Newest(NamedTuple):
     """Node N: its linearisation point, the input that led to it, its measurement and update."""
 
@@ -109,17 +102,6 @@ class Solution(NamedTuple):
     v_new: Any
 
 
-class Shapes(NamedTuple):
-    """Shapes (rows, columns) of one node's quantities."""
-
-    state: tuple[int, int]
-    covariance: tuple[int, int]
-    input: tuple[int, int]
-    z: tuple[int, int]
-    theta: tuple[int, int]  # the bounded parameters
-    correction: Correction
-
-
 class Window(NamedTuple):
     """The structure of an RHE, which decides the shapes of its Functions.
 
@@ -144,31 +126,28 @@ class Window(NamedTuple):
 
     @property
     def shapes(self):
-        """Shapes of one node's quantities."""
+        """Shapes (rows, columns) of s, of its covariance, of v, z, a node's Correction, and θ."""
         n_s = self.interval.n_s
-        n_outputs = len(self.interval.outputs)
-        return Shapes(
-            state=(n_s, 1),
-            covariance=(n_s, n_s),
-            input=(self.interval.n_v, 1),
-            z=(len(self.model.outputs), 1),
-            theta=(len(self.interval.bounds), 1),
-            correction=Correction(K=(n_s, n_outputs), e=(n_outputs, 1)),
+        rows = len(self.interval.outputs)
+        z = (len(self.model.outputs), 1)
+        theta = (len(self.interval.bounds), 1)
+        return (
+            (n_s, 1),
+            (n_s, n_s),
+            (self.interval.n_v, 1),
+            z,
+            Correction((n_s, rows), (rows, 1)),
+            theta,
         )
 
     @property
     def memory(self):
         """Shapes of the Memory, by name."""
-        n_s = self.interval.n_s
-        memory = Memory(
-            s=(n_s, self.N + 1),
-            v=(self.interval.n_v, self.N),
-            z=(len(self.model.outputs), self.N + 1),
-            age=(1, 1),
-            m=(n_s, 1),
-            P=(n_s, n_s),
+        s, P, v, z, *_ = self.shapes
+        window = Memory(
+            s=(s[0], self.N + 1), v=(v[0], self.N), z=(z[0], self.N + 1), age=(1, 1), m=s, P=P
         )
-        return memory._asdict()
+        return window._asdict()
 
     @property
     def noise(self):
@@ -198,8 +177,8 @@ class Window(NamedTuple):
     @property
     def prediction(self):
         """Shapes of the Prediction of node N, by name."""
-        state, covariance, v, *_ = self.shapes
-        return dict(B_N=self.linearised["B"], v_N=v, m_N=state, P_N=covariance)
+        s, P, v, *_ = self.shapes
+        return dict(B_N=self.linearised["B"], v_N=v, m_N=s, P_N=P)
 
 
 def predict_input(window, B, m, P, v, z, **noise):
@@ -261,9 +240,10 @@ def _arrival(window, memory, W, noises):
 def _build_shift(window):
     N = window.N
     n_z = len(window.model.outputs)
+    memory = Memory(**window.memory)
 
     @casadi_function("rhe_shift")
-    def shift(memory: Memory(**window.memory), noises: window.noises, W: window.shapes.state):
+    def shift(memory: memory, noises: window.noises, W: memory.m):
         """The memory one sample later; the newest measurement is still missing."""
         m_next, P_next = _arrival(window, memory, W, noises)
         # Before the first sample lie intervals of no length, until the window is full.
@@ -286,20 +266,11 @@ def _build_shift(window):
 
 def _build_filter_step(window):
     interval = window.interval
-    shapes = window.shapes
-    before = dict(
-        B=window.linearised["B"], v_before=shapes.input, m=shapes.state, P=shapes.covariance
-    )
+    s, P, v, z, *_ = window.shapes
+    before = dict(B=window.linearised["B"], v_before=v, m=s, P=P)
 
     @casadi_function("rhe_filtered")
-    def filter_step(
-        before: before,
-        z: shapes.z,
-        s: shapes.state,
-        v: shapes.input,
-        dt_s: (1, 1),
-        noise: window.noise,
-    ):
+    def filter_step(before: before, z: z, s: s, v: v, dt_s: (1, 1), noise: window.noise):
         """One node: the input before it, its measurement, then the interval after it."""
         B, v_before, m, P = Prediction(*before.values())
         m, P = predict_input(window, B, m, P, v_before, z, **noise)
@@ -349,14 +320,10 @@ def _build_update_newest(window):
     interval = window.interval
     n_theta = len(interval.bounds)
     C = selection_matrix(interval)
+    s, _, _, z, *_ = window.shapes
 
     @casadi_function("rhe_newest")
-    def update_newest(
-        prediction: window.prediction,
-        s_N: window.shapes.state,
-        z_N: window.shapes.z,
-        noise: window.noise,
-    ):
+    def update_newest(prediction: window.prediction, s_N: s, z_N: z, noise: window.noise):
         """Kalman update by z_N, and the QP  min ½ (θ - θ̂)' H (θ - θ̂) with H = (C P C')⁻¹."""
         B, v, m, P = Prediction(*prediction.values())
         m, P = predict_input(window, B, m, P, v, z_N, **noise)
@@ -374,13 +341,11 @@ def _build_update_newest(window):
 
 def _build_condition(window, quantities):
     interval = window.interval
-    state, covariance, v, z, theta, correction = window.shapes
-    names = quantities or window.model.names
+    s, P, v, z, correction, theta = window.shapes
+    H = (len(interval.bounds), len(interval.bounds))
+    newest = Newest(s, window.linearised["B"], v, z, *correction)
     C = selection_matrix(interval)
     lower, upper = _bounds(interval)
-    newest = Newest(
-        s_N=state, B_N=window.linearised["B"], v_N=v, z_N=z, K_N=correction.K, e_N=correction.e
-    )
 
     def input_of(newest, adjoint, ok, noise):
         """The last input, as measured where quantities are named, else as estimated."""
@@ -394,20 +359,15 @@ def _build_condition(window, quantities):
 
     @casadi_function("rhe_bounded")
     def condition(
-        unbounded: Unbounded(H=theta[:1] * 2, m=state, covariance=covariance),
-        x: theta,
-        solved: (1, 1),
-        newest: newest,
-        noise: window.noise,
+        H: H, m: s, covariance: P, x: theta, solved: (1, 1), newest: newest, noise: window.noise
     ):
-        """The newest estimate given θ = x:  s = m - P C' λ, with multipliers λ = H (θ̂ - θ).
+        """The newest estimate given θ = x:  s = m - P C' λ,  λ = H (θ̂ - θ), P the covariance.
 
         Where the solution is not finite, the estimate falls back to the prediction.
         """
-        H, m, P = unbounded
         multipliers = H @ (C @ m - x)
-        conditioned = m - P @ C.T @ multipliers
-        ok = solved * is_plausible(ca.vertcat(conditioned, ca.vec(P), multipliers))
+        conditioned = m - covariance @ C.T @ multipliers
+        ok = solved * is_plausible(ca.vertcat(conditioned, ca.vec(covariance), multipliers))
         s = ca.if_else(ok, conditioned, newest.s_N)
         for i, place in enumerate(interval.bounds):
             # θ exactly as the QP found it: s above may pass a bound by a rounding error.
@@ -417,9 +377,9 @@ def _build_condition(window, quantities):
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
         unknown = MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
         return dict(
-            estimate=ca.vertcat(*(values[name] for name in names)),
+            estimate=ca.vertcat(*(values[name] for name in quantities or window.model.names)),
             multipliers=multipliers,
-            covariance=ca.if_else(ok, P, unknown),
+            covariance=ca.if_else(ok, covariance, unknown),
             ok=ok,
         )
 
@@ -429,17 +389,13 @@ def _build_condition(window, quantities):
 def _build_feedback(window, quantities, loops):
     n_theta = len(window.interval.bounds)
     lower, upper = _bounds(window.interval)
+    s, _, _, z, *_ = window.shapes
     update_newest = _build_update_newest(window)
     condition = _build_condition(window, quantities)
     solve = box_qp(n_theta) if n_theta else None
 
     @casadi_function("rhe_feedback", loops if n_theta <= 2 else ca.MX)
-    def feedback(
-        s_N: window.shapes.state,
-        prediction: window.prediction,
-        z_N: window.shapes.z,
-        noise: window.noise,
-    ):
+    def feedback(s_N: s, prediction: window.prediction, z_N: z, noise: window.noise):
         """The estimate, by the Kalman update with z_N and the QP within the bounds."""
         inputs = dict(s_N=s_N, z_N=z_N) | prediction | noise
         updated = update_newest(**select_inputs(update_newest, inputs))
@@ -470,18 +426,12 @@ def adjoint_before_update(window, adjoint, correction, s_bar):
 
 def _build_backward(window):
     interval = window.interval
-    state, _, v, z, _, correction = window.shapes
+    s, _, v, z, correction, _ = window.shapes
+    _, D, B = window.linearised.values()
 
     @casadi_function("rhe_backward")
     def backward(
-        adjoint: state,
-        D: window.linearised["D"],
-        B: window.linearised["B"],
-        correction: correction,
-        s: state,
-        v: v,
-        z: z,
-        noise: window.noise,
+        adjoint: s, D: D, B: B, correction: correction, s: s, v: v, z: z, noise: window.noise
     ):
         """λ_i = A' λ and the new input v_m - R_v B' λ of one interval, from the node s after it."""
         adjoint = adjoint_before_update(window, adjoint, correction, s)
@@ -502,18 +452,10 @@ def _descent(outputs, new, old, s_bar, z, V):
 
 
 def _build_oldest(window):
-    state, covariance, _, z, _, correction = window.shapes
+    s, P, _, z, correction, _ = window.shapes
 
     @casadi_function("rhe_oldest")
-    def oldest(
-        adjoint: state,
-        correction: correction,
-        m: state,
-        P: covariance,
-        s: state,
-        z: z,
-        noise: window.noise,
-    ):
+    def oldest(adjoint: s, correction: correction, m: s, P: P, s: s, z: z, noise: window.noise):
         """The oldest node's new state m - P λ, and its part of ∇J·Δw, the arrival cost's too."""
         s_new = m - P @ adjoint_before_update(window, adjoint, correction, s)
         arrival = ca.dot(ca.ldl_solve(s - m, *ca.ldl(P, False)), s_new - s)  # H_N = P⁻¹
@@ -525,26 +467,18 @@ def _build_oldest(window):
 
 def _build_forward(window):
     interval = window.interval
-    state, _, v, z, *_ = window.shapes
+    s, _, v, z, *_ = window.shapes
+    end = Linearised(**window.linearised)
+    noise = window.noise
 
     @casadi_function("rhe_forward")
-    def forward(
-        new: state,
-        old: state,
-        linearised: Linearised(**window.linearised),
-        s: state,
-        s_after: state,
-        v: v,
-        v_new: v,
-        z: z,
-        noise: window.noise,
-    ):
+    def forward(new: s, old: s, end: end, s: s, s_after: s, v: v, v_new: v, z: z, noise: noise):
         """One interval of the new solution, and of the old inputs, with the interval's gap closed.
 
         The step Δw = new - old starts from the old inputs' trajectory without gaps, because the
         linearisation point itself need not satisfy the dynamics.
         """
-        F, D, B = linearised
+        F, D, B = end
         A = interval.A_0 + D
         new = F + A @ (new - s) + B @ (v_new - v)
         old = F + A @ (old - s)
@@ -558,19 +492,15 @@ def _build_forward(window):
 def _build_accepted(window):
     interval = window.interval
     N = window.N
-    shapes = window.memory
+    memory = Memory(**window.memory)
+    solution = Solution(memory.s, memory.v)
     n_z = len(window.model.outputs)
     limits = [limit for _, limit in interval.input_outputs.values()]
     max_input = min(limits, default=np.inf)
 
     @short_cut("good")
     @casadi_function("rhe_accepted")
-    def accepted(
-        memory: Memory(**shapes),
-        solution: Solution(s_new=shapes["s"], v_new=shapes["v"]),
-        good: (1, 1),
-        P_0: window.shapes.state,
-    ):
+    def accepted(memory: memory, solution: solution, good: (1, 1), P_0: memory.m):
         """The memory with the new solution or, if the step failed, of a new start.
 
         A failed window would fail again, as its cause remains in it. It therefore restarts at its
@@ -578,121 +508,93 @@ def _build_accepted(window):
         """
         s = ca.if_else(is_plausible(memory.s[:, N]), memory.s, 0)
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
-        restarted = Memory(
-            s=s, v=v, z=ca.SX.nan(n_z, N + 1), age=0, m=s[:, N], P=ca.diag(P_0)
-        )
+        restarted = Memory(s, v, ca.SX.nan(n_z, N + 1), age=0, m=s[:, N], P=ca.diag(P_0))
         solved = memory._replace(s=solution.s_new, v=solution.v_new)
         return Memory(*(ca.if_else(good, *pieces) for pieces in zip(solved, restarted)))
 
     return accepted
 
 
-class _Nodes(NamedTuple):
-    """A linearised window as lists: entry i of s, corrections and measured is node i's, that of
-    v and linearised the interval's after it.
-    """
-
-    s: list
-    v: list
-    linearised: list[Linearised]
-    corrections: list[Correction]
-    measured: list[dict]  # z, V and c by name
-
-
-def _nodes(window, memory, noises, linearised, correction, constrained):
-    """The _Nodes of a window."""
-    n_outputs = len(window.interval.outputs)
-    K = [*ca.horzsplit(correction.K, n_outputs), constrained.K_N]
+def _nodes(window, z, noises, correction, constrained):
+    """Of each node of the window: the measurements (z, V, c), and the Correction by them."""
+    rows = len(window.interval.outputs)
+    K = [*ca.horzsplit(correction.K, rows), constrained.K_N]
     e = [*ca.horzsplit(correction.e), constrained.e_N]
+    z = ca.horzsplit(z)
+    measured = [(z[i], *window.at(i, **noises).values()) for i in range(window.N + 1)]
+    return measured, list(map(Correction, K, e))
+
+
+def _intervals(window, linearised):
+    """The Linearised of each interval of the window."""
     F = ca.horzsplit(linearised.F)
     D = ca.horzsplit(linearised.D, window.interval.n_s)
     B = ca.horzsplit(linearised.B, window.interval.n_v)
-    z = ca.horzsplit(memory.z)
-    return _Nodes(
-        s=ca.horzsplit(memory.s),
-        v=ca.horzsplit(memory.v),
-        linearised=list(map(Linearised, F, D, B)),
-        corrections=list(map(Correction, K, e)),
-        measured=[dict(z=z_i) | window.at(i, **noises) for i, z_i in enumerate(z)],
-    )
+    return list(map(Linearised, F, D, B))
 
 
-def _sweep_backward(window, nodes, multipliers):
-    """New inputs of all intervals, and the adjoint of node 0, from the multipliers of the bounds."""
-    backward = _build_backward(window)
-    adjoint = ca.densify(selection_matrix(window.interval).T @ multipliers)
-    v_new = [None] * window.N
-    for i in reversed(range(window.N)):
-        result = backward(
-            adjoint=adjoint,
-            D=nodes.linearised[i].D,
-            B=nodes.linearised[i].B,
-            **nodes.corrections[i + 1]._asdict(),
-            s=nodes.s[i + 1],
-            v=nodes.v[i],
-            **nodes.measured[i + 1],
+def _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections):
+    """New inputs of all intervals, and the adjoint after the measurements of node 0."""
+    v_new = [None] * len(v)
+    for i in reversed(range(len(v))):
+        _, D, B = intervals[i]
+        v_new[i], adjoint = backward(
+            adjoint, D, B, *corrections[i + 1], s[i + 1], v[i], *measured[i + 1]
         )
-        v_new[i] = result["v_new"]
-        adjoint = result["adjoint"]
     return v_new, adjoint
 
 
-def _sweep_forward(window, nodes, memory, v_new, adjoint):
-    """New states of all nodes, and ∇J·Δw, from the new inputs and the adjoint of node 0."""
-    oldest = _build_oldest(window)
-    forward = _build_forward(window)
-    correction = nodes.corrections[0]._asdict()
-    start = dict(adjoint=adjoint, m=memory.m, P=memory.P, s=nodes.s[0])
-    first = oldest(**start, **correction, **nodes.measured[0])
-    s_new = [first["s_new"]]
-    descent = first["descent"]
-    old = nodes.s[0]
-    for i in range(window.N):
-        result = forward(
-            new=s_new[i],
-            old=old,
-            **nodes.linearised[i]._asdict(),
-            s=nodes.s[i],
-            s_after=nodes.s[i + 1],
-            v=nodes.v[i],
-            v_new=v_new[i],
-            **nodes.measured[i + 1],
+def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
+    """New states of all nodes, and ∇J·Δw, from those of the oldest node."""
+    s_new = [first]
+    old = s[0]
+    for i in range(len(v)):
+        new, old, more = forward(
+            s_new[i], old, *intervals[i], s[i], s[i + 1], v[i], v_new[i], *measured[i + 1]
         )
-        s_new.append(result["new"])
-        old = result["old"]
-        descent = descent + result["descent"]
+        s_new.append(new)
+        descent = descent + more
     return s_new, descent
 
 
 def _build_expand(window, linearise, feedback, loops):
-    interval = window.interval
     N = window.N
-    C = selection_matrix(interval)
-    lower, upper = _bounds(interval)
+    C = selection_matrix(window.interval)
+    lower, upper = _bounds(window.interval)
+    backward = _build_backward(window)
+    oldest = _build_oldest(window)
+    forward = _build_forward(window)
     accepted = _build_accepted(window)
+    memory = Memory(**window.memory)
+    z_N = (memory.z[0], 1)
     linearised = Linearised(*map(linearise.sparsity_out, Linearised._fields))
     correction = Correction(*map(linearise.sparsity_out, Correction._fields))
     constrained = Constrained(*map(feedback.sparsity_out, Constrained._fields))
 
     @casadi_function("rhe_expand", loops)
     def expand(
-        memory: Memory(**window.memory),
+        memory: memory,
         noises: window.noises,
-        P_0: window.shapes.state,
+        P_0: memory.m,
         linearised: linearised,
         correction: correction,
         constrained: constrained,
-        z_N: window.shapes.z,
+        z_N: z_N,
     ):
         """All other unknowns of the window, and the KKT tolerance of the linearisation point."""
         memory = memory._replace(z=ca.horzcat(memory.z[:, :N], z_N))
-        nodes = _nodes(window, memory, noises, linearised, correction, constrained)
+        s = ca.horzsplit(memory.s)
+        v = ca.horzsplit(memory.v)
+        measured, corrections = _nodes(window, memory.z, noises, correction, constrained)
+        intervals = _intervals(window, linearised)
         multipliers = constrained.multipliers
-        v_new, adjoint = _sweep_backward(window, nodes, multipliers)
-        s_new, descent = _sweep_forward(window, nodes, memory, v_new, adjoint)
-        theta = C @ nodes.s[N]
+        adjoint = ca.densify(C.T @ multipliers)
+        v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections)
+        first, descent = oldest(adjoint, *corrections[0], memory.m, memory.P, s[0], *measured[0])
+        s_new, descent = _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured)
+        theta = C @ s[N]
         kkt = gauss_newton.kkt_tolerance(descent, multipliers, lower - theta, upper - theta)
-        solution = Solution(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
+        solution = Solution(ca.horzcat(*s_new), ca.horzcat(*v_new))
         good = constrained.ok * is_plausible(s_new[N])
         after = accepted(**memory._asdict(), **solution._asdict(), good=good, P_0=P_0)
         return after | dict(kkt=kkt)
@@ -776,29 +678,33 @@ def init(window, guess, sigma, inputs=None):
 
 
 class RHE(RealTimeLoop):
-    """Moving horizon estimation for a loop of one's own: `prepare()`, then `feedback(z)`.
+    """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
-    Without `model` it is the estimator of the paper's robot, `rhec.tracked_robot.rhe.PaperRHE`.
+    Without `model` it is the estimator of the paper's robot, with the options of
+    `rhec.tracked_robot.rhe.PaperRHE`.
 
     Args:
         model: The robot, a rhec.Model.
         dt: Length of a sample [s].
         horizon: Intervals of the window.
-        sigma_v: Standard deviation of each output's measurement.
-        sigma_w: Standard deviations of the process noise per sample: one a state, then one a
-            parameter. They count in the arrival cost.
-        guess: First guess of each state, then each parameter.
-        sigma_guess: Its standard deviations.
-        arrival_mean: "smoothed": the prior mean comes from the previous solution; "filtered": from
-            the EKF update itself. On a linear model the latter is the Kalman filter.
+        sigma_v: Standard deviation of each output's measurement, in the output's unit.
+        sigma_w: Standard deviations of the process noise per sample, of each state, then of each
+            parameter. They enter the arrival cost, eq. (9).
+        guess: First guess of each state, then of each parameter.
+        sigma_guess: Standard deviations of the guess.
+        arrival_mean: Prior mean of the oldest node: "smoothed", from the previous solution, or
+            "filtered", from the EKF update. On a linear model the latter is the Kalman filter.
 
     Raises:
-        ValueError: In one sentence, for an argument that cannot be.
+        ValueError: If an argument is invalid.
     """
 
+    # Returns the class behind RHE() without a model; the package's face sets it.
+    paper_class: Callable[[], type] | None = None
+
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
-        if cls is RHE and model is None:
-            cls = importlib.import_module("rhec.tracked_robot.rhe").PaperRHE  # stands above
+        if cls is RHE and model is None and RHE.paper_class:
+            cls = RHE.paper_class()
         return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
@@ -821,24 +727,30 @@ class RHE(RealTimeLoop):
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
-        self._begin(Window(model, dt, horizon, arrival_mean), None, settings)
-
-    def _begin(self, window, quantities, settings):
-        self.window = window
+        self.window = Window(model, dt, horizon, arrival_mean)
         self.settings = settings
-        functions = compiled.load(build_phases, window, quantities)
-        self.iteration = RealTimeIteration(functions, window.memory, ("s", "v"), **settings)
+        functions = compiled.load(build_phases, self.window, None)
+        memory = tuple(self.window.memory)
+        self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **settings)
+
+    __new__.__signature__ = signature(__init__)  # what help() and editors show
+
+    def __repr__(self) -> str:
+        window = self.window
+        started = "started" if self.iteration.started else "not started"
+        size = f"dt={window.dt_s:g} s, horizon={window.N}, {started}"
+        return f"{type(self).__name__}({size}, model={window.model})"
 
     def feedback(self, z: Any) -> Any:
         """Estimate from the newest measurement, by one Gauss-Newton step.
 
         Args:
-            z: (n_z,) measurements; an entry that is not finite is not there now.
+            z: (n_z,) measurements; an entry that is not finite counts as missing.
 
         Returns:
-            Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p), bounds left aside.
+            Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p) without the bounds.
         """
-        self._give(z)
+        self._set_measurement(z)
         self.iteration.feedback()
         return self._estimate()
 
@@ -850,13 +762,13 @@ class RHE(RealTimeLoop):
             iterations: Gauss-Newton steps.
 
         Returns:
-            Estimate.
+            Estimate, as `feedback`.
         """
-        self._give(z)
+        self._set_measurement(z)
         self.iteration.solve(iterations)
         return self._estimate()
 
-    def _give(self, z):
+    def _set_measurement(self, z):
         copy_checked("z", z, self.iteration.arrays["z_N"])
         if not self.iteration.started:
             self._start(self.iteration.arrays["z_N"])
@@ -864,9 +776,8 @@ class RHE(RealTimeLoop):
     def _start(self, z):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))
 
-    def _estimate(self):
+    def _estimate(self) -> Estimate:
         arrays = self.iteration.arrays
         n_s = self.model.n_s
-        return joint_estimate(
-            self.model, arrays["estimate"].copy(), arrays["covariance"].reshape(n_s, n_s).copy()
-        )
+        covariance = arrays["covariance"].reshape(n_s, n_s).copy()
+        return joint_estimate(self.model, arrays["estimate"].copy(), covariance)
