@@ -10,7 +10,7 @@ A recorded log   logs.read, calibrate, replay        Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
 """
 
-import importlib
+from importlib import import_module as _import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -75,11 +75,34 @@ __all__ = [
 
 
 def __getattr__(name):
-    if name in _HOME:
-        home = importlib.import_module(f"rhec.{_HOME[name]}")
-        return home if _HOME[name] == name else getattr(home, name)
-    raise AttributeError(f"module 'rhec' has no attribute {name!r}")
+    if name not in _HOME:
+        raise AttributeError(f"module 'rhec' has no attribute {name!r}")
+    home = _import_module(f"rhec.{_HOME[name]}")
+    if _HOME[name] == name:
+        return home
+    value = getattr(home, name)
+    if name in _PAPER_CLASS:
+        value.paper_class = _PAPER_CLASS[name]
+    return value
 
 
 def __dir__():
-    return sorted([*globals(), *__all__])
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
+
+
+# What RHE and RHC are without a model: the paper's. They are imported only when they are needed.
+
+
+def _paper_rhe():
+    from rhec.tracked_robot.rhe import PaperRHE
+
+    return PaperRHE
+
+
+def _paper_rhc():
+    from rhec.tracked_robot.rhc import PaperRHC
+
+    return PaperRHC
+
+
+_PAPER_CLASS = {"RHC": _paper_rhc, "RHE": _paper_rhe}

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi.renamed import Renamed
 
 __all__ = ["SETTLING_SAMPLES", "metrics", "per_sample", "rms", "settled_samples"]
 
@@ -38,7 +37,7 @@ def metrics(columns, poses):
     )
     known = values | dict(settling_time_s=0.0, kkt_rhe_median=0.0)  # NaN if there is none
     values["all_ok"] = c.ok.all() & np.isfinite([*known.values()]).all()
-    return Renamed({name: value.item() for name, value in values.items()})  # plain numbers
+    return {name: value.item() for name, value in values.items()}  # plain numbers
 
 
 def per_sample(c, pose, xp):

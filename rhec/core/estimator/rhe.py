@@ -16,7 +16,7 @@ unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 
 from collections.abc import Callable
 from inspect import signature
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -128,17 +128,12 @@ class Window(NamedTuple):
     def shapes(self):
         """Shapes (rows, columns) of s, of its covariance, of v, z, a node's Correction, and θ."""
         n_s = self.interval.n_s
-        rows = len(self.interval.outputs)
+        v = (self.interval.n_v, 1)
         z = (len(self.model.outputs), 1)
+        rows = len(self.interval.outputs)
+        correction = Correction(K=(n_s, rows), e=(rows, 1))
         theta = (len(self.interval.bounds), 1)
-        return (
-            (n_s, 1),
-            (n_s, n_s),
-            (self.interval.n_v, 1),
-            z,
-            Correction((n_s, rows), (rows, 1)),
-            theta,
-        )
+        return (n_s, 1), (n_s, n_s), v, z, correction, theta
 
     @property
     def memory(self):
@@ -339,6 +334,14 @@ def _build_update_newest(window):
     return update_newest
 
 
+def _smoothed_input(window, newest, v, R_v, adjoint, ok):
+    """The last input as estimated, v - R_v B' λ; as measured, v, where that is not finite."""
+    update = Correction(newest.K_N, newest.e_N)
+    adjoint = adjoint_before_update(window, adjoint, update, newest.s_N)
+    v_new = v - R_v * (newest.B_N.T @ adjoint)
+    return ca.if_else(ok * is_plausible(v_new), v_new, v)
+
+
 def _build_condition(window, quantities):
     interval = window.interval
     s, P, v, z, correction, theta = window.shapes
@@ -346,16 +349,6 @@ def _build_condition(window, quantities):
     newest = Newest(s, window.linearised["B"], v, z, *correction)
     C = selection_matrix(interval)
     lower, upper = _bounds(interval)
-
-    def input_of(newest, adjoint, ok, noise):
-        """The last input, as measured where quantities are named, else as estimated."""
-        v, R_v = interval.input_noise(newest.z_N, newest.v_N, **noise)
-        if quantities:
-            return v
-        update = Correction(newest.K_N, newest.e_N)
-        adjoint = adjoint_before_update(window, adjoint, update, newest.s_N)
-        v_new = v - R_v * (newest.B_N.T @ adjoint)
-        return ca.if_else(ok * is_plausible(v_new), v_new, v)
 
     @casadi_function("rhe_bounded")
     def condition(
@@ -372,7 +365,9 @@ def _build_condition(window, quantities):
         for i, place in enumerate(interval.bounds):
             # θ exactly as the QP found it: s above may pass a bound by a rounding error.
             s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(newest.s_N[place], lower[i]), upper[i]))
-        v = input_of(newest, C.T @ multipliers, ok, noise)
+        v, R_v = interval.input_noise(newest.z_N, newest.v_N, **noise)
+        if not quantities:
+            v = _smoothed_input(window, newest, v, R_v, C.T @ multipliers, ok)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
         unknown = MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
@@ -700,7 +695,7 @@ class RHE(RealTimeLoop):
     """
 
     # Returns the class behind RHE() without a model; the package's face sets it.
-    paper_class: Callable[[], type] | None = None
+    paper_class: ClassVar[Callable[[], type] | None] = None
 
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
         if cls is RHE and model is None and RHE.paper_class:
@@ -736,10 +731,9 @@ class RHE(RealTimeLoop):
     __new__.__signature__ = signature(__init__)  # what help() and editors show
 
     def __repr__(self) -> str:
-        window = self.window
         started = "started" if self.iteration.started else "not started"
-        size = f"dt={window.dt_s:g} s, horizon={window.N}, {started}"
-        return f"{type(self).__name__}({size}, model={window.model})"
+        size = f"dt {self.window.dt_s:g} s, horizon {self.window.N}, {started}"
+        return f"{type(self).__name__}, {size}\n{self.model}"
 
     def feedback(self, z: Any) -> Any:
         """Estimate from the newest measurement, by one Gauss-Newton step.
