@@ -197,8 +197,6 @@ def test_consistent_process_noise_brings_what_belongs_to_it_unless_that_is_given
     )
     printed = dataclasses.replace(scenario, process_noise="printed")
     assert printed == rhec.Scenario()
-    with pytest.warns(FutureWarning, match="'process_noise'"):
-        assert rhec.Scenario(reading="consistent") == scenario
 
 
 def test_an_estimator_without_a_consistent_process_noise_says_so():

@@ -71,12 +71,14 @@ ArrivalMean = Literal["smoothed", "filtered"]
 
 
 def _sentence(name, fields, error):
-    """The first of a validation's errors: the parameter, its value, and what it may be."""
-    errors = error.errors()
+    """One of a validation's errors: the parameter, its value, and what it may be."""
+    unknown = "unexpected_keyword_argument"
+    # A misspelt name first, because it explains why another parameter is missing.
+    errors = sorted(error.errors(), key=lambda each: each["type"] != unknown)
     first = errors[0]
     kind = first["type"]
     place = first["loc"]
-    if kind == "unexpected_keyword_argument":
+    if kind == unknown:
         close = get_close_matches(place[0], fields, 1, 0.4)
         suggestion = f"; did you mean {close[0]!r}?" if close else ""
         return f"{name} has no parameter {place[0]!r}{suggestion}"

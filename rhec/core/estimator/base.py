@@ -53,7 +53,8 @@ def noise_of(model, sigma_v, sigma_w):
     n_p = len(model.parameters)
     of_length("sigma_v", sigma_v, len(model.outputs), "output")
     of_length("sigma_w", sigma_w, n_x + n_p, "state, then each parameter")
-    inputs = (0.0,) * (model.n_s - n_x - n_p)  # the last inputs are not constant: no random walk
+    # Each interval replaces the last inputs in the joint state: they have no process noise.
+    inputs = (0.0,) * (model.n_s - n_x - n_p)
     W = np.square([*sigma_w[:n_x], *inputs, *sigma_w[n_x:]])
     settings = dict(V=np.square(sigma_v), W=W)
     if model.motion_noise:
