@@ -552,10 +552,15 @@ def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
     return s_new, descent
 
 
+def _kkt_tolerance(window, theta, descent, multipliers):
+    """KKT tolerance of a linearisation point with parameters θ, from ∇J·Δw and the multipliers."""
+    lower, upper = _bounds(window.interval)
+    return gauss_newton.kkt_tolerance(descent, multipliers, lower - theta, upper - theta)
+
+
 def _build_expand(window, linearise, feedback, loops):
     N = window.N
     C = selection_matrix(window.interval)
-    lower, upper = _bounds(window.interval)
     backward = _build_backward(window)
     oldest = _build_oldest(window)
     forward = _build_forward(window)
@@ -587,12 +592,11 @@ def _build_expand(window, linearise, feedback, loops):
         v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections)
         first, descent = oldest(adjoint, *corrections[0], memory.m, memory.P, s[0], *measured[0])
         s_new, descent = _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured)
-        theta = C @ s[N]
-        kkt = gauss_newton.kkt_tolerance(descent, multipliers, lower - theta, upper - theta)
+        kkt = _kkt_tolerance(window, C @ s[N], descent, multipliers)
         solution = Solution(ca.horzcat(*s_new), ca.horzcat(*v_new))
         good = constrained.ok * is_plausible(s_new[N])
-        after = accepted(**memory._asdict(), **solution._asdict(), good=good, P_0=P_0)
-        return after | dict(kkt=kkt)
+        pieces = memory._asdict() | solution._asdict()
+        return accepted(**pieces, good=good, P_0=P_0) | dict(kkt=kkt)
 
     return expand
 
