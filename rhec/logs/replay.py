@@ -17,7 +17,6 @@ import pandas as pd
 from rhec import paper
 from rhec.core._casadi import compiled, scan
 from rhec.core._casadi.build import pack_array, packed_size, select_inputs, unpack
-from rhec.core._casadi.renamed import with_new_names
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
@@ -411,7 +410,6 @@ def replay(
 
 def replay_scenario(estimator, recording, fields):
     """The Scenario whose estimator a replay runs."""
-    fields = with_new_names(fields, _ESTIMATOR_FIELDS)
     unknown = [name for name in fields if name not in _ESTIMATOR_FIELDS]
     if unknown:
         raise ValueError(

@@ -483,13 +483,6 @@ def test_help_names_every_column_of_a_recording():
     assert not [name for name in names if name not in rhec.replay.__doc__]
 
 
-def test_fields_answer_to_their_old_name():
-    with pytest.warns(FutureWarning, match="'process_noise'"):
-        old = rhec.replay(LOG, first_yaw_rad=0.4, reading="calibrated")
-    new = rhec.replay(LOG, first_yaw_rad=0.4, process_noise="calibrated")
-    np.testing.assert_array_equal(old[ESTIMATE], new[ESTIMATE])
-
-
 @pytest.mark.parametrize(
     "given, sentence",
     [

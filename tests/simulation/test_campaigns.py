@@ -728,37 +728,6 @@ def table():
     return rhec.campaign([*short(3), *short(3, process_noise="calibrated")])
 
 
-OLD_AND_NEW = [
-    ("reading", "process_noise"),
-    ("horizon_rhe", "estimation_horizon"),
-    ("horizon", "prediction_horizon"),
-    ("arrival_s", "settling_time_s"),
-]
-
-
-@pytest.mark.parametrize("old, new", OLD_AND_NEW)
-def test_a_renamed_column_answers_to_its_old_name_and_says_the_new_one(table, old, new):
-    for ask in (
-        lambda frame: frame[old],
-        lambda frame: frame[["seed", old]][new],
-        lambda frame: getattr(frame, old),
-        lambda frame: frame[frame["seed"] >= 0][old],
-        lambda frame: frame.copy().assign(more=1)[old],
-        lambda frame: pickle.loads(pickle.dumps(frame))[old],
-    ):
-        with pytest.warns(FutureWarning, match=f"{old!r} is now called {new!r}") as said:
-            pd.testing.assert_series_equal(ask(table), table[new])
-        assert len(said) == 1 and said[0].filename == __file__
-    assert old not in table.columns and not hasattr(table, "no_such_column")
-
-
-def test_groups_by_an_old_name_are_groups_by_the_new_one(table):
-    wanted = table.groupby(["process_noise", "seed"])["mean_error_m"].mean()
-    with pytest.warns(FutureWarning, match="'reading' is now called 'process_noise'"):
-        by_old_name = table.groupby(["reading", "seed"])["mean_error_m"].mean()
-    pd.testing.assert_series_equal(by_old_name, wanted)
-
-
 @pytest.mark.filterwarnings("error")
 def test_a_campaigns_table_is_otherwise_a_plain_one(table, tmp_path):
     plain = pd.DataFrame({name: list(table[name]) for name in table})

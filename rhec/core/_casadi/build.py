@@ -24,24 +24,40 @@ _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 def casadi_function(name, kind=ca.SX, /, **shapes):
     """Decorator: the CasADi Function of a Python function whose annotations are its inputs' shapes.
 
+    A shape is (rows, columns) or a CasADi Sparsity. An annotation may also be a dict of shapes by
+    name, or a NamedTuple of shapes: each entry is one input, and the function receives such a dict
+    or NamedTuple of expressions.
+
     Args:
-        name: Of the Function.
-        kind: SX for arithmetic (inlined, simplified), MX for what calls other Functions.
-        shapes: (rows, columns) or CasADi Sparsity of the inputs that have no annotation, in order.
+        name: Name of the Function.
+        kind: SX for arithmetic (inlined, simplified), MX for functions that call other Functions.
+        shapes: Shapes of the inputs without annotation, in order.
 
     Returns:
-        A decorator that turns a function from named expressions to a dict of named expressions
-        into a Function.
+        A decorator. The decorated function returns its outputs as a dict or NamedTuple.
     """
 
     def decorate(body):
-        shaped = body.__annotations__ | shapes
-        symbols = {key: kind.sym(key, _sparsity(shape)) for key, shape in shaped.items()}
-        outputs = body(**symbols)
+        symbols = {}
+        annotated = body.__annotations__ | shapes
+        arguments = {key: _argument(key, shape, kind, symbols) for key, shape in annotated.items()}
+        outputs = body(**arguments)
+        if hasattr(outputs, "_asdict"):
+            outputs = outputs._asdict()
         names = [*symbols], [*outputs], _OPTIONS
         return ca.Function(name, [*symbols.values()], [*outputs.values()], *names)
 
     return decorate
+
+
+def _argument(name, shape, kind, symbols):
+    """A symbol of this shape, or a dict or NamedTuple of them; all are added to `symbols`."""
+    if hasattr(shape, "_asdict"):
+        return type(shape)(**_argument(name, shape._asdict(), kind, symbols))
+    if isinstance(shape, dict):
+        return {key: _argument(key, entry, kind, symbols) for key, entry in shape.items()}
+    symbols[name] = kind.sym(name, _sparsity(shape))
+    return symbols[name]
 
 
 def _sparsity(shape):
@@ -49,22 +65,23 @@ def _sparsity(shape):
 
 
 def short_cut(flag):
-    """Decorator: an SX Function of which, where its input `flag` is 1, only what then counts runs.
+    """Decorator: an SX Function that skips what does not count where its input `flag` is 1.
 
-    It comes as a branch; on the virtual machine and as MX the Function stays what it is.
+    It becomes a branch between the Function with flag = 1 and the whole Function. On the virtual
+    machine and as MX, the Function remains as it is.
     """
 
     def decorate(whole):
         if loop_symbols() is ca.SX or not whole.is_a("SXFunction"):
             return whole
-        at = whole.index_in(flag)
-        rest = (whole.name_in(), whole.name_out(), _OPTIONS)
-        given = whole.sx_in()
-        left = whole.call([*given[:at], ca.SX(1), *given[at + 1 :]])
-        short = ca.Function(f"{whole.name()}_short", given, left, *rest)
+        place = whole.index_in(flag)
+        signature = (whole.name_in(), whole.name_out(), _OPTIONS)
+        inputs = whole.sx_in()
+        outputs = whole.call([*inputs[:place], ca.SX(1), *inputs[place + 1 :]])
+        short = ca.Function(f"{whole.name()}_short", inputs, outputs, *signature)
         either = ca.Function.if_else(f"{whole.name()}_or_not", short, whole)
-        given = whole.mx_in()
-        return ca.Function(whole.name(), given, either.call([given[at], *given]), *rest)
+        inputs = whole.mx_in()
+        return ca.Function(whole.name(), inputs, either.call([inputs[place], *inputs]), *signature)
 
     return decorate
 
@@ -80,7 +97,7 @@ def with_packed_memory(name, memory, kind=ca.MX, **shapes):
         def packed(**inputs):
             result = body(**unpack(inputs.pop("memory"), memory), **inputs)
             result = {"memory": ca.veccat(*(result.pop(piece) for piece in memory))} | result
-            # What is scanned or logged has no structural gaps.
+            # A scan or log reads every entry, so that outputs must have no structural zeros.
             return {name: ca.densify(output) for name, output in result.items()}
 
         return packed
@@ -93,8 +110,14 @@ def packed_size(shapes):
     return sum(rows * columns for rows, columns in shapes.values())
 
 
+def pack_array(memory):
+    """The NumPy vector of a memory's arrays {name: array}, each column by column."""
+    pieces = [np.ravel(piece, order="F") for piece in memory.values()]
+    return np.concatenate(pieces).astype(float)
+
+
 def unpack(vector, shapes):
-    """Matrices by name from the CasADi vector that holds them in order, each column by column."""
+    """The opposite of `pack_array` for a CasADi vector: matrices by name."""
     offsets = [0]
     for rows, columns in shapes.values():
         offsets.append(offsets[-1] + rows * columns)
@@ -103,7 +126,7 @@ def unpack(vector, shapes):
 
 
 def unpack_array(vector, shapes):
-    """`unpack` for a NumPy vector: views of it, by name."""
+    """The opposite of `pack_array`: views of the NumPy vector, by name."""
     ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
     parts = np.split(vector, ends[:-1])
     return {name: part.reshape(shapes[name], order="F") for name, part in zip(shapes, parts)}
@@ -122,12 +145,6 @@ def every(conditions):
     return ca.sum1(ca.vec(conditions)) == conditions.numel()
 
 
-def pack_array(memory):
-    """The NumPy vector of a memory's arrays, as `unpack` reads it; SX in them stays SX."""
-    packed = np.concatenate([np.ravel(piece, order="F") for piece in memory.values()])
-    return packed if packed.dtype == object else packed.astype(float)
-
-
 def select_inputs(function, values):
-    """Those of `values` that the Function takes."""
+    """Those of `values` that the Function takes, in the order of its inputs."""
     return {name: values[name] for name in function.name_in() if name in values}

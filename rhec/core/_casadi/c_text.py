@@ -1,6 +1,8 @@
-"""The C that CasADi generates, without asking at each use whether an argument or result is there.
+"""C code of CasADi Functions without CasADi's checks for missing arguments and results.
 
-An entry asks once, and what it calls gets all it needs. The arithmetic is CasADi's: no bit changes.
+CasADi's code asks at each use whether the caller passed an argument or wants a result. Here an
+entry asks once, and its inner calls pass all that is needed. The arithmetic remains CasADi's, to
+the bit.
 """
 
 import re
@@ -14,37 +16,38 @@ _COPY = """  if (y && x) memcpy(y, x, n*sizeof(casadi_real));
   else if (y) memset(y, 0, n*sizeof(casadi_real));"""
 
 
-# What results a caller takes, or has no use for, line by line, and whom it calls for them.
+# A call in the code: the lines that say which results the caller takes, and the called Function.
 _CALL = re.compile(r"(?m)^((?: *res1\[.*\n)*).*\b(casadi_f\d+)\(arg1, res1,")
 
 
 def generate_c(functions, file_name, **options):
-    """The text of one C file with these Functions as its entries."""
+    """The text of a C file with these Functions as its entries."""
     generator = ca.CodeGenerator(file_name, options)
     for function in functions:
         generator.add(function)
     text = "#include <string.h>\n" + generator.dump()
     text = re.sub(r"(void casadi_copy\(.*\{\n)(?:.*\n)*?(?=\}\n)", rf"\1{_COPY}\n", text)
-    text = _without_questions(text)
+    text = _without_checks(text)
     for f in functions:
-        given = [f"!arg[{i}]" for i in range(f.n_in()) if f.nnz_in(i)]
-        given += [f"!res[{i}]" for i in range(f.n_out()) if f.nnz_out(i)]
+        missing = [f"!arg[{i}]" for i in range(f.n_in()) if f.nnz_in(i)]
+        missing += [f"!res[{i}]" for i in range(f.n_out()) if f.nnz_out(i)]
         head = rf"(int {f.name()}\(const casadi_real\*\* arg.*\{{\n)"
-        text = re.sub(head, rf"\1  if ({' || '.join(given)}) return 1;\n", text)
+        text = re.sub(head, rf"\1  if ({' || '.join(missing)}) return 1;\n", text)
     return text
 
 
-def _without_questions(text):
-    """The same without asking whether arguments are there, or results that all callers take."""
+def _without_checks(text):
+    """The text without checks for missing arguments, or for results that all callers take."""
     functions = re.split(r"(?m)^(?=/\* \w+:\()", text)
-    left_out = defaultdict(set)  # by Function: results that a caller has no use for
-    for place, body in reversed(list(enumerate(functions))):  # each after those that call it
-        own = left_out[re.search(r"casadi_f\d+|$", body)[0]]
+    unused_results = defaultdict(set)  # by Function: numbers of results that some caller skips
+    for place, body in reversed(list(enumerate(functions))):  # callers come before what they call
+        unused = unused_results[re.search(r"casadi_f\d+|$", body)[0]]
         for results, name in _CALL.findall(body):
-            left_out[name].update(re.findall(r"res1\[(\d+)\]=0;", results))
+            unused_results[name].update(re.findall(r"res1\[(\d+)\]=0;", results))
+        # Where a Function passes its own results on, the inner Function's may be missing as well.
         for name in re.findall(r"\b(casadi_f\d+)\((?!arg1, res1,)", body):
-            left_out[name].update(own)
+            unused_results[name].update(unused)
         body = re.sub(r"(arg\[\d+\]) ?\? (\1(?:\[\d+\])?) : (?:0|casadi_zeros)\b", r"\2", body)
-        asked = "|".join(own) or "none"
-        functions[place] = re.sub(rf"if \(res\[(?!{asked})[^)]*\) (?=res|casadi_copy)", "", body)
+        checked = "|".join(unused) or "none"
+        functions[place] = re.sub(rf"if \(res\[(?!{checked})[^)]*\) (?=res|casadi_copy)", "", body)
     return "".join(functions)

@@ -1,7 +1,8 @@
-"""Folders of compiled code that outlast a process: found again, whole, and nobody else's.
+"""Compiled code that outlasts a process, one folder for each library, in a private folder.
 
-What is loaded runs as whoever loads it, so it must lie where no one else can write. A folder is
-made under a name of its own and moved into place in one step: makers may race or be killed.
+Loaded code runs with the rights of whoever loads it, so the private folder belongs to the user and
+nobody else can write to it. A library's folder is filled under a temporary name and then renamed:
+processes may build at the same time, or be killed, and no half-made folder is ever found.
 """
 
 import contextlib
@@ -17,171 +18,124 @@ from pathlib import Path
 
 import platformdirs
 
-__all__ = ["UnusableError", "holds", "kept", "say"]
+with contextlib.suppress(ImportError):  # on Windows nothing is compiled, see `compiler`
+    import fcntl
 
-_CONTENT = "content.json"  # {file: its digest} of the others in a folder
-_POSIX = os.name == "posix"
+__all__ = ["UnusableError", "contains", "load_or_build", "warn_once"]
+
+_CONTENT = "content.json"  # {file: its digest}, written last, of all other files in a folder
 
 
 class UnusableError(Exception):
-    """A folder could not be made, or what is in it cannot be loaded."""
+    """A folder could not be made, or its content could not be loaded."""
 
 
 @functools.cache
-def say(line):
+def warn_once(line):
     """Print a line to stderr, once in a process."""
     print(f"rhec: {line}", file=sys.stderr, flush=True)
 
 
-def holds(name):
-    """Return whether `kept` has nothing to make."""
-    return any(_find(root, name) for root in _roots())
+def contains(name):
+    """Return whether `load_or_build` has nothing to build."""
+    return any(_is_private(root) and _is_whole(root / name) for root in _roots())
 
 
-def kept(name, make, load):
-    """Return load(folder) of the folder called `name`, filled by make(folder) if there is none.
+def load_or_build(name, build, load):
+    """Return load(folder) of the folder called `name`, filled by build(folder) if it is missing.
 
-    It is in the cache or, where that cannot be used, among temporary files, which is said once.
+    The folder is in the user's cache. Where that cannot be used, it is among the temporary files,
+    and one line on stderr says so.
 
     Raises:
-        UnusableError: in one sentence, if neither can be used.
+        UnusableError: If neither can be used.
     """
     reasons = []
     for root in _roots():
         try:
-            _make_usable(root)
-            loaded = load(_find(root, name) or _make(root, name, make))
+            _make_private(root)
+            if not _is_whole(root / name):
+                _build(root, name, build)
+            loaded = load(root / name)
         except (OSError, RuntimeError) as error:
             reasons.append(" ".join(str(error).split())[:300])
         else:
             if reasons:
-                say(f"compiled code is kept in {root}, since {reasons[0]}")
+                warn_once(f"compiled code is kept in {root}, since {reasons[0]}")
             return loaded
     raise UnusableError(reasons[0])
 
 
-def _user():
-    return os.geteuid() if _POSIX else 0
-
-
 def _roots():
-    """Where folders may be, the best first."""
+    """The private folders that may be used, the preferred one first."""
     cache = os.environ.get("RHEC_CACHE") or platformdirs.user_cache_path("rhec")
-    temporary = Path(os.environ.get("TMPDIR", "/tmp") if _POSIX else tempfile.gettempdir())
-    return Path(os.path.realpath(cache)), temporary.resolve() / f"rhec-{_user()}"
+    temporary = Path(os.environ.get("TMPDIR") or tempfile.gettempdir())
+    return Path(os.path.realpath(cache)), temporary.resolve() / f"rhec-{os.geteuid()}"
 
 
-def _trusted():
-    """The user ids in RHEC_TRUSTED_OWNERS: names or numbers of users with spaces between."""
-    named = os.environ.get("RHEC_TRUSTED_OWNERS", "").split()
-    try:
-        import pwd
-
-        return [int(name) if name.isdigit() else pwd.getpwnam(name).pw_uid for name in named]
-    except (ImportError, KeyError):
-        was = f"RHEC_TRUSTED_OWNERS was {' '.join(named)!r}"
-        raise ValueError(f"{was}; it must be names or numbers of users of this machine") from None
-
-
-def _make_usable(root):
-    """Make the folder. Refuse one without exec, or where others could exchange what is in it.
-
-    Others may make files of their own in it if its sticky bit keeps them from touching ours.
-    """
+def _make_private(root):
+    """Make the private folder; refuse one that others own or can write to."""
     root.mkdir(mode=0o700, parents=True, exist_ok=True)
-    for folder in (root, *root.parents):
-        _refuse_others(folder, {_user(), 0, os.stat("/").st_uid, *_trusted()}, stat.S_ISVTX)
-    if _POSIX and os.statvfs(root).f_flag & os.ST_NOEXEC:
-        raise OSError(f"{root} is mounted noexec")
+    if not _is_private(root):
+        raise OSError(f"{root} belongs to another user or others can write to it")
 
 
-def _refuse_others(path, owners, sticky=0):
-    """OSError for what others own or can write to; a link's mode says that all can."""
-    status = os.lstat(path)
-    writable = status.st_mode & 0o002 or status.st_mode & 0o020 and not _is_private_group(status)
-    if _POSIX and status.st_uid not in owners:
-        raise OSError(f"{path} belongs to another user ({status.st_uid})")
-    if _POSIX and writable and not status.st_mode & sticky:
-        raise OSError(f"others can write to {path}")
-
-
-def _is_private_group(status):
-    """Whether a file's group is its owner's alone, such as many systems give each user."""
-    with contextlib.suppress(ImportError, KeyError):
-        import grp
-        import pwd
-
-        owner = pwd.getpwuid(status.st_uid).pw_name
-        group = grp.getgrgid(status.st_gid)
-        return group.gr_name == owner and {owner}.issuperset(group.gr_mem)
+def _is_private(root):
+    """Whether the folder exists, is the user's own, and nobody else can write to it."""
+    with contextlib.suppress(OSError):
+        status = os.lstat(root)  # not of what a link leads to: its owner chose that
+        others_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        return status.st_uid == os.geteuid() and not others_write
     return False
 
 
-def _find(root, name):
-    """The folder of one's own, or of a trusted owner, if it is whole; else None."""
-    for owner in (_user(), *_trusted()):
-        folder = root / f"{name}-{owner}"
-        with contextlib.suppress(OSError, ValueError, TypeError):
-            content = {_CONTENT: None} | json.loads((folder / _CONTENT).read_text())
-            for path in (folder, *(folder / file for file in content)):
-                _refuse_others(path, {owner})
-            if content == {_CONTENT: None} | _digests(folder, content):
-                return folder
-    return None
+def _is_whole(folder):
+    """Whether the folder has all its files as they were built; a full disk may have cut one."""
+    with contextlib.suppress(OSError, ValueError):
+        return json.loads((folder / _CONTENT).read_text()) == _digests(folder)
+    return False
 
 
-def _digests(folder, files):
-    paths = (folder / file for file in files if file != _CONTENT)
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+def _digests(folder):
+    files = (path for path in folder.iterdir() if path.name != _CONTENT)
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def _make(root, name, make):
-    """The folder, filled by make(folder)."""
-    folder = root / f"{name}-{_user()}"
-    lock = root / f"building-{name}-{_user()}"
-    with _locked(lock, os.O_RDWR | os.O_CREAT):
+def _build(root, name, build):
+    """Fill the folder, unless another process does so meanwhile."""
+    folder = root / name
+    with _locked(root / f"building-{name}.lock"):
+        if _is_whole(folder):
+            return
+        for unfinished in root.glob(f"building-{name}-*"):  # by a process that was killed
+            shutil.rmtree(unfinished)
+        building = Path(tempfile.mkdtemp(dir=root, prefix=f"building-{name}-"))
         try:
-            return _find(root, name) or _make_alone(folder, make)
+            build(building)
+            (building / _CONTENT).write_text(json.dumps(_digests(building)))
+            if folder.exists():  # broken
+                shutil.rmtree(folder)
+            building.rename(folder)
         finally:
-            lock.unlink(missing_ok=True)
-
-
-def _make_alone(folder, make):
-    """The same; what a killed process left unfinished goes, and what was broken."""
-    for left in folder.parent.glob("building-*"):
-        with contextlib.suppress(ImportError, OSError), _locked(left, os.O_RDONLY, wait=False):
-            shutil.rmtree(left) if left.is_dir() else left.unlink()
-    with (
-        tempfile.TemporaryDirectory(
-            dir=folder.parent, prefix="building-", ignore_cleanup_errors=True
-        ) as building,
-        _locked(building, os.O_RDONLY),
-    ):
-        building = Path(building)
-        make(building)
-        content = json.dumps(_digests(building, os.listdir(building)))
-        (building / _CONTENT).write_text(content)
-        for file in building.iterdir():
-            file.chmod(0o644)
-        building.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        return building.rename(folder)
+            shutil.rmtree(building, ignore_errors=True)
 
 
 @contextlib.contextmanager
-def _locked(path, flags, wait=True):
-    """Be the only process that has this file or folder locked; a lock goes with its process.
+def _locked(path):
+    """Be the only process that holds the lock of this file; the lock ends with its process."""
+    while True:
+        with path.open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if _is_removed(lock, path):  # by its previous holder: such a lock protects nothing
+                continue
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+            return
 
-    Where there are no locks, those who wait do not, and race, which costs time alone.
-    """
-    lock = os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o600)
-    try:
-        _refuse_others(path, {_user()})
-        with contextlib.suppress((ImportError, OSError) if wait else ()):
-            import fcntl
 
-            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        yield
-    finally:
-        os.close(lock)
+def _is_removed(file, path):
+    with contextlib.suppress(FileNotFoundError):
+        return not os.path.samestat(os.fstat(file.fileno()), path.stat())
+    return True

@@ -1,8 +1,7 @@
-"""CasADi Functions as a cached shared library, or on CasADi's virtual machine where there is no C
-compiler.
+"""CasADi Functions as a cached shared library, or without a C compiler on CasADi's virtual machine.
 
-The library's name is a digest of all that made it (this package's source, the structure asked for,
-the versions and flags), so that what is found under it is never out of date.
+The library's name is a digest of everything that makes it: this package's source, the structure,
+the versions and the flags. A library that is found under its name is therefore never out of date.
 """
 
 import contextlib
@@ -45,24 +44,22 @@ PROCESSOR = Path("/proc/cpuinfo")
 
 
 def vector_instructions():
-    """Those of the processor by which libm and NumPy choose how they compute, as far as known."""
-    with contextlib.suppress(OSError), PROCESSOR.open() as about:
-        return {*re.findall(r"\b(?:avx|fma|asimd|sve)\w*", about.read(8192))}  # of the first core
+    """The processor's instructions by which libm and NumPy choose how they compute; Linux only."""
+    with contextlib.suppress(OSError), PROCESSOR.open() as description:
+        first_core = description.read(8192)
+        return {*re.findall(r"\b(?:avx|fma|asimd|sve)\w*", first_core)}
     return set()
 
 
-# No fused multiply-add: the virtual machine has none, and both must agree. No interposition:
-# CasADi's helpers may be inlined. The two passes left out take a fifth of the time to compile, and
-# the code is no slower without them; Clang, whose code is faster, takes no notice. With AVX an
-# operation need not overwrite one of its operands: a sixth fewer instructions, the same bits.
+_AVX = ["-mavx"] if "avx" in vector_instructions() else []
 FLAGS = (
-    *["-mavx"] * ("avx" in vector_instructions()),
-    "-fno-gcse",
+    *_AVX,  # an operation need not overwrite an operand: a sixth fewer instructions, same bits
+    "-fno-gcse",  # this pass and the next take a fifth of the time to compile, and gain nothing
     "-fno-schedule-insns2",
     "-fPIC",
     "-shared",
-    "-ffp-contract=off",
-    "-fno-semantic-interposition",
+    "-ffp-contract=off",  # no fused multiply-add: the virtual machine has none; both must agree
+    "-fno-semantic-interposition",  # CasADi's helpers may be inlined
 )
 _CASADI = Path(ca.__file__).parent
 HEADERS = Path(__file__).parent
@@ -72,120 +69,130 @@ _failed = set()  # compilers that failed in this process
 
 
 def compiler():
-    """The C compiler's path, or None, which is said once."""
-    found = _working_compiler()
-    return None if found in _failed else found
+    """The C compiler's path, or None, which is reported once."""
+    path = _working_compiler()
+    return None if path in _failed else path
 
 
 @functools.cache
 def _working_compiler():
     named = os.environ.get("CC", "clang")
-    found = shutil.which(named) or shutil.which("cc") or shutil.which("gcc")
-    try:
-        if found and not subprocess.run([found, "--version"], capture_output=True).returncode:
-            return found
-    except OSError:  # a file that is no program
-        pass
-    cache.say(f"{f'the C compiler {found} fails' if found else 'no C compiler found'}: {_SLOWER}")
+    path = shutil.which(named) or shutil.which("cc") or shutil.which("gcc")
+    if os.name != "posix":  # the flags and the cache's locks are those of POSIX
+        path = None
+    with contextlib.suppress(OSError):  # a file that is no program
+        if path and not subprocess.run([path, "--version"], capture_output=True).returncode:
+            return path
+    problem = f"the C compiler {path} fails" if path else "no C compiler found"
+    cache.warn_once(f"{problem}: {_SLOWER}")
     return None
 
 
 def loop_symbols():
-    """The symbols for Functions that repeat another.
+    """The symbols for Functions that repeat another Function.
 
-    MX, which calls it, where code is compiled (small and built fast); SX, which inlines it, on the
-    virtual machine.
+    MX calls it, which keeps compiled code small and fast to build. SX inlines it, which is faster
+    on the virtual machine.
     """
     return ca.MX if compiler() else ca.SX
 
 
 _PACKAGE = Path(__file__).parents[2]
+# Folders whose sources make Functions. An edit of figures, studies or logs compiles nothing anew.
 _ROOMS = (".", "core/*", "tracked_robot", "extensions", "simulation", "simulation/lanes")
 
 
 @functools.cache
 def source_digest(*modules):
-    """A digest of the sources that make Functions, and of these modules.
-
-    Figures, studies and notebooks are none of them: an edit there compiles nothing.
-    """
-    sources = {source for room in _ROOMS for source in _PACKAGE.glob(f"{room}/*.[ph]*")} | {
-        Path(sys.modules[module].__file__) for module in modules
-    }
+    """A digest of the sources that make Functions, and of these modules."""
+    sources = {source for room in _ROOMS for source in _PACKAGE.glob(f"{room}/*.[ph]*")}
+    sources |= {Path(sys.modules[module].__file__) for module in modules}
     return hashlib.sha256(b"".join(source.read_bytes() for source in sorted(sources))).hexdigest()
 
 
 def library_name(build, structure, *more):
-    """The name of the compiled Functions of build(*structure)."""
-    identity = repr(
-        (
-            build.__module__,
-            build.__name__,
-            _key(structure),
-            source_digest(build.__module__),
-            ca.__version__,
-            compiler(),
-            FLAGS,
-            platform.machine(),
-            *more,
-        )
+    """The name of the compiled Functions of build(*structure): a digest of all that makes them."""
+    origin = (
+        build.__module__,
+        build.__name__,
+        _key(structure),
+        source_digest(build.__module__),
+        ca.__version__,
+        compiler(),
+        FLAGS,
+        platform.machine(),
+        *more,
     )
-    return hashlib.sha256(identity.encode()).hexdigest()[:24]
+    return hashlib.sha256(repr(origin).encode()).hexdigest()[:24]
 
 
-def _key(piece):
-    """A structure's parts; a Model among them is replaced by the key of all that decides its C."""
-    if isinstance(piece, tuple):
-        return tuple(map(_key, piece))
-    return getattr(piece, "key", piece)
+def _key(part):
+    """A structure in which each Model is replaced by the key of all that decides its C."""
+    if isinstance(part, tuple):
+        return tuple(map(_key, part))
+    return getattr(part, "key", part)
 
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return not compiler() or cache.holds(library_name(build, structure))
+    return not compiler() or cache.contains(library_name(build, structure))
 
 
 @functools.cache
 def load(build, *structure):
     """Return the Functions of the dict build(*structure), compiled.
 
-    structure is made of strings, numbers and tuples. CasADi generates no C for qpOASES: Functions
-    that call it stay on the virtual machine, as all do where they cannot be compiled.
+    CasADi generates no C for qpOASES: Functions that call it stay on the virtual machine, as all
+    Functions do where nothing can be compiled.
+
+    Args:
+        build: A function of a module, which returns {name: Function}.
+        structure: Its arguments: strings, numbers, Models and tuples of these.
+
+    Returns:
+        {name: Function}.
     """
     if not compiler():
         return build(*structure)
     name = library_name(build, structure)
-    # Before: what is wrong with a structure is no compiler's failure.
-    functions = None if cache.holds(name) else build(*structure)
+    # Built first, because an error in the structure is not the compiler's failure.
+    functions = None if cache.contains(name) else build(*structure)
 
     def compile_library(folder):
-        if _is_interactive():
-            what = build.__module__.split(".")[-1].replace("_", " ")
-            print(f"rhec: compiling the {what}, once (some seconds)", file=sys.stderr, flush=True)
+        _announce(build)
         _compile_library(folder, functions or build(*structure))
 
     try:
-        names, compiled = cache.kept(name, compile_library, _open)
+        names, compiled = cache.load_or_build(name, compile_library, _open)
     except cache.UnusableError as error:
         _failed.add(compiler())
-        cache.say(f"nothing more is compiled, since {error}; {_SLOWER}")
+        cache.warn_once(f"nothing more is compiled, since {error}; {_SLOWER}")
         return build(*structure)
     return (build(*structure) if None in names.values() else {}) | compiled
 
 
 def _open(folder):
     """The Functions' names in a library, and the Functions."""
-    for daqp in _CASADI.glob("libdaqp.*[!a]"):  # a library finds it by its name, once it is loaded
+    for daqp in _CASADI.glob("libdaqp.*[!a]"):  # once loaded, a library finds it by its name
         ctypes.CDLL(str(daqp))
     names = json.loads((folder / "functions.json").read_text())
     library = str(folder / "library.so")
     return names, {key: ca.external(name, library) for key, name in names.items() if name}
 
 
-def _is_interactive():
-    """True in a terminal or an interactive notebook, false in workers and executed notebooks."""
-    notebook = "ipykernel" in sys.modules and not os.environ.get("RHEC_UNATTENDED")
-    return multiprocessing.parent_process() is None and (notebook or sys.stderr.isatty())
+def _announce(build):
+    """Say what is compiled to whoever waits: in a terminal, or in an interactive notebook.
+
+    Notebooks show stderr as an error, so there it goes to stdout. Workers and executed notebooks
+    say nothing.
+    """
+    if multiprocessing.parent_process() is not None:
+        return
+    is_notebook = "ipykernel" in sys.modules and not os.environ.get("RHEC_UNATTENDED")
+    if is_notebook or sys.stderr.isatty():
+        what = build.__module__.split(".")[-1].replace("_", " ")
+        stream = sys.stdout if is_notebook else sys.stderr
+        print(f"rhec: compiling the {what}, once (some seconds)", file=stream, flush=True)
 
 
 def _calls_qpoases(function):
@@ -193,35 +200,37 @@ def _calls_qpoases(function):
 
 
 def _compile_library(folder, functions):
-    """Generate and compile."""
+    """Generate C for the Functions and compile it."""
     names = {
         key: None if _calls_qpoases(function) else function.name()
         for key, function in functions.items()
     }
     entries = [functions[key] for key in names if names[key]]
     (folder / "code.c").write_text(generate_c(entries, "code.c"))
-    # A loop by Clang is as fast so, after two thirds of the time; a step alone is not.
-    briefly = "block" in functions and "clang" in Path(compiler()).name
-    # No path of DAQP's is put in: others may use the library when this environment is gone.
-    flags = ["-O2", *["-fno-vectorize", "-fno-slp-vectorize"] * briefly, *FLAGS]
+    flags = ["-O2", *FLAGS]
+    # Without vectorising, Clang compiles a loop in two thirds of the time, and the loop is as fast.
+    # A step alone would be slower.
+    if "block" in functions and "clang" in Path(compiler()).name:
+        flags = ["-O2", "-fno-vectorize", "-fno-slp-vectorize", *FLAGS]
     flags += [f"-I{_CASADI / 'include'}", "-include", HEADERS / "elementary.h"]
+    # The library does not record the path of DAQP, as that environment may be gone some day.
     files = ["code.c", "-o", "library.so", f"-L{_CASADI}", "-ldaqp", "-lm"]
     run_compiler([compiler(), *flags, *files], folder)
     (folder / "functions.json").write_text(json.dumps(names))
 
 
 def run_compiler(command, folder):
-    """Run a compiler in a folder; OSError, with what it said, if it fails."""
+    """Run a compiler in a folder; OSError, with its message, if it fails."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
     if done.returncode:
-        said = [line for line in done.stderr.splitlines() if "error" in line] or [""]
-        raise OSError(f"{command[0]} ended with {done.returncode} {said[0]}")
+        messages = [line for line in done.stderr.splitlines() if "error" in line] or [""]
+        raise OSError(f"{command[0]} ended with {done.returncode} {messages[0]}")
 
 
 class BufferedFunction:
-    """A Function whose arguments and results stay in NumPy arrays of its own.
+    """A Function whose arguments and results stay in NumPy arrays.
 
-    A call costs 0.1 µs where CasADi's ordinary one costs 26 µs. Matrices are held as CasADi stores
+    A call costs 0.1 µs; CasADi's ordinary call costs 26 µs. Matrices are stored as CasADi stores
     them: the structural nonzeros, column by column.
     """
 
@@ -236,16 +245,16 @@ class BufferedFunction:
             self._buffer.set_res(i, memoryview(array))
 
     def set(self, **values):
-        """Copy values in; matrices as usual, rows by columns."""
+        """Copy in values by name; matrices as (rows, columns)."""
         for name, value in values.items():
             self.arguments[name][:] = np.ravel(value, order="F")
 
     def read_from(self, name, array):
-        """Take an argument from this contiguous array from now on, without copying it."""
+        """From now on, take an argument from this contiguous array without copying it."""
         self.arguments[name] = array
         self._buffer.set_arg(self.function.index_in(name), memoryview(array))
 
     def write_to(self, name, array):
-        """Put a result into this contiguous array from now on."""
+        """From now on, put a result into this contiguous array."""
         self.results[name] = array
         self._buffer.set_res(self.function.index_out(name), memoryview(array))

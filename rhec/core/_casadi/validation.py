@@ -1,4 +1,4 @@
-"""Strict validation; bad input gets one sentence: the parameter, its value, what it may be.
+"""Strict validation. Invalid input gets one sentence: the parameter, its value, and what it may be.
 
 Pydantic does the checking.
 """
@@ -9,28 +9,49 @@ import re
 from collections.abc import Callable
 from difflib import get_close_matches
 from inspect import signature
-from typing import Annotated, Any, Literal, ParamSpec, TypeVar, dataclass_transform
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, dataclass_transform, get_type_hints
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
 from pydantic.dataclasses import dataclass
 
-from rhec.core._casadi.renamed import new_name, with_new_names
+__all__ = [
+    "ArrivalMean",
+    "Flag",
+    "Intervals",
+    "NotNegative",
+    "NotNegatives",
+    "Positive",
+    "Positives",
+    "ProcessNoise",
+    "Real",
+    "Reals",
+    "SigmaV",
+    "Slip",
+    "Solver",
+    "SpeedModel",
+    "Steps",
+    "Traction",
+    "Weights",
+    "Whole",
+    "checked",
+    "numbers",
+    "of_length",
+    "optional",
+    "shown",
+    "validated",
+]
 
-__all__ = ["checked", "numbers", "of_length", "optional", "shown", "validated"]
-__all__ += ["Flag", "Intervals", "NotNegative", "NotNegatives", "Positive", "Positives", "Real"]
-__all__ += ["Reals", "Slip", "Steps", "Traction", "Weights", "Whole"]
-__all__ += ["ArrivalMean", "ProcessNoise", "Solver", "SpeedModel"]
-
+# NumPy's numbers and arrays are accepted where Python's numbers and tuples are.
 _plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
-# Squares of numbers, and sums of some, should be numbers, too.
+_listed = BeforeValidator(
+    lambda value: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
+)
+# The limits keep squares, and sums of them, finite.
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e100, le=1e100), _plain]
 Positive = Annotated[Real, Field(gt=0)]
 NotNegative = Annotated[Real, Field(ge=0)]
 Traction = Annotated[Real, Field(gt=0, le=1)]
-_listed = BeforeValidator(
-    lambda value: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
-)
 Reals = Annotated[tuple[Real, ...], _listed]
 Positives = Annotated[tuple[Positive, ...], _listed]
 NotNegatives = Annotated[tuple[NotNegative, ...], _listed]
@@ -50,22 +71,36 @@ ArrivalMean = Literal["smoothed", "filtered"]
 
 
 def _sentence(name, fields, error):
-    """Say the first of a validation's errors: the parameter, its value, what it may be."""
-    first = error.errors()[0]
-    if first["type"] == "unexpected_keyword_argument":
-        unknown = first["loc"][0]
-        close = get_close_matches(unknown, fields, 1, 0.4)
-        return f"{name} has no parameter {unknown!r}" + (
-            f"; did you mean {close[0]!r}?" if close else ""
-        )
-    if not first["loc"]:  # a check across fields, which speaks for itself
+    """One of a validation's errors: the parameter, its value, and what it may be."""
+    unknown = "unexpected_keyword_argument"
+    # A misspelt name first, because it explains why another parameter is missing.
+    errors = sorted(error.errors(), key=lambda each: each["type"] != unknown)
+    first = errors[0]
+    kind = first["type"]
+    place = first["loc"]
+    if kind == unknown:
+        close = get_close_matches(place[0], fields, 1, 0.4)
+        suggestion = f"; did you mean {close[0]!r}?" if close else ""
+        return f"{name} has no parameter {place[0]!r}{suggestion}"
+    if not place:  # a check across fields, which has a sentence of its own
         return str(first["ctx"]["error"])
-    head = first["loc"][0]
-    where = (fields[head] if isinstance(head, int) else str(head)) + "".join(
-        f"[{place}]" for place in first["loc"][1:]
-    )
-    message = re.sub(r"\d{9,}", lambda digits: f"{float(digits[0]):g}", first["msg"])
-    return f"{where} was {shown(first['input'])}; {message.replace('Input', 'it', 1)}"
+    parameter = fields[place[0]] if isinstance(place[0], int) else str(place[0])
+    inner = place[1:]
+    if kind.startswith("missing") and not inner:
+        return f"{parameter} was not given; {name} needs it"
+    if kind in ("missing", "too_long"):  # of a tuple's entries
+        if kind == "missing":
+            inner = inner[:-1]
+            wanted = 1 + max(e["loc"][-1] for e in errors if e["loc"][:-1] == place[:-1])
+        else:
+            wanted = first["ctx"]["max_length"]
+        message = f"it should have {wanted} entries"
+    else:
+        # Large limits are easier to read as powers of ten.
+        message = re.sub(r"\d{9,}", lambda digits: f"{float(digits[0]):g}", first["msg"])
+        message = message.replace("Input", "it", 1)
+    where = parameter + "".join(f"[{entry}]" for entry in inner)
+    return f"{where} was {shown(first['input'])}; {message}"
 
 
 def shown(value, length=200):
@@ -103,22 +138,35 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
+def _plain_signature(function, hints):
+    """The signature with plain types: `float` for an Annotated float with its limits."""
+    full = signature(function)
+    parameters = [
+        parameter.replace(annotation=hints.get(parameter.name, parameter.annotation))
+        for parameter in full.parameters.values()
+    ]
+    return full.replace(parameters=parameters)
+
+
 def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Check every argument of a function against its annotation (a decorator)."""
     returned = function.__annotations__.pop("return", Any)  # not pydantic's to resolve
     strict = validate_call(function, config=ConfigDict(arbitrary_types_allowed=True))
+    hints = get_type_hints(function)  # without what is Annotated
     function.__annotations__["return"] = returned
     names = list(signature(function).parameters)
-    # The paper's robot has classes of its own behind RHE and RHC.
+    # PaperRHE and PaperRHC are made as RHE and RHC.
     called = function.__qualname__.removesuffix(".__init__").removeprefix("Paper")
 
     @functools.wraps(function)
     def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
         try:
-            return strict(*arguments, **with_new_names(named, names))
+            return strict(*arguments, **named)
         except ValidationError as error:
             raise ValueError(_sentence(called, names, error)) from None
 
+    call.__annotations__ = hints | {"return": returned}
+    call.__signature__ = _plain_signature(function, hints)  # type: ignore[attr-defined]
     return call
 
 
@@ -129,21 +177,15 @@ def validated(cls: type[_T]) -> type[_T]:
         frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid")
     )(cls)
     construct = cls.__init__
+    names = list(cls.__dataclass_fields__)
+    plain = _plain_signature(cls, get_type_hints(cls))
 
     def __init__(self, **fields):
         try:
-            construct(self, **with_new_names(fields, cls.__dataclass_fields__))
+            construct(self, **fields)
         except ValidationError as error:
-            raise ValueError(
-                _sentence(cls.__name__, list(cls.__dataclass_fields__), error)
-            ) from None
-
-    def __getattr__(self, name):
-        new = new_name(name, cls.__dataclass_fields__)
-        if new is None:
-            raise AttributeError(f"{cls.__name__!r} object has no attribute {name!r}")
-        return getattr(self, new)
+            raise ValueError(_sentence(cls.__name__, names, error)) from None
 
     cls.__init__ = __init__
-    cls.__getattr__ = __getattr__
+    cls.__signature__ = plain
     return cls

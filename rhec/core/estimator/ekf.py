@@ -1,7 +1,7 @@
 """Extended Kalman filter of any Model: the joint state (x, p), parameters as random walks.
 
-Nothing keeps the parameters within their bounds. What the inputs' measurements say of an interval
-counts in its prediction, with their noise.
+The filter does not keep the parameters within their bounds. The measurements of an interval's
+inputs enter its prediction, with their noise.
 """
 
 from typing import Any
@@ -23,17 +23,19 @@ __all__ = ["EKF", "build", "predict_and_correct"]
 
 
 def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
-    """One sample of a Kalman filter; before the first there is nothing to predict.
+    """One sample of a Kalman filter, eq. (24)-(26); the first sample only corrects.
+
+        m⁻ = predicted,  P⁻ = A P A' + Q,  then `kalman.update` by z.
 
     Args:
         m: (n,) mean.
         P: (n, n) covariance.
         predicted: (n,) mean after the interval.
-        A: (n, n) its transition.
-        Q: (n, n) its noise.
-        started: Whether an interval went before.
+        A: (n, n) transition matrix of the interval.
+        Q: (n, n) covariance of the process noise.
+        started: Whether there was a sample before.
         z: (n_z,) measurements.
-        V: (n_z,) their variances.
+        V: (n_z,) variances of the measurements.
         outputs: The Outputs that measure the state.
 
     Returns:
@@ -41,8 +43,8 @@ def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
     """
     m = ca.if_else(started, predicted, m)
     P = ca.if_else(started, symmetric(A @ P @ A.T) + Q, P)
-    m, P, _, _, deviance = kalman.update(m, P, z, V, outputs, m)
-    return m, P, deviance
+    updated = kalman.update(m, P, z, V, outputs, m)
+    return updated.m, updated.P, updated.deviance
 
 
 def build(model, dt_s):
@@ -53,14 +55,13 @@ def build(model, dt_s):
     interval = base.interval(model)
     n_z = len(model.outputs)
     n_s = interval.n_s
-    n_v = interval.n_v
-    memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
-    noise = dict(V=(n_z, 1)) | (
-        dict(c=(len(model.motion_noise.constants), 1)) if model.motion_noise else {}
-    )
+    memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(interval.n_v, 1), started=(1, 1))
+    noise = dict(V=(n_z, 1))
+    if model.motion_noise:
+        noise["c"] = (len(model.motion_noise.constants), 1)
 
-    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(n_z, 1), **noise, W=(n_s, 1))
-    def step(m, P, v, started, z_N, W, **noise):
+    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(n_z, 1), noise=noise, W=(n_s, 1))
+    def step(m, P, v, started, z_N, noise, W):
         v, R_v = interval.input_noise(z_N, v, **noise)
         F, D, B = interval.linearised(m, v, dt_s * started)
         A = interval.A_0 + D
@@ -69,28 +70,28 @@ def build(model, dt_s):
         m, P, deviance = predict_and_correct(
             m, P, F, A, Q, started, z_N, noise["V"], interval.outputs
         )
-        known = dict(zip(model.inputs, ca.vertsplit(v))) | dict(
-            zip(model.joint_names, ca.vertsplit(m))
-        )
-        estimate = ca.vertcat(*(known[name] for name in model.names))
+        values = dict(zip(model.inputs, ca.vertsplit(v)))
+        values |= dict(zip(model.joint_names, ca.vertsplit(m)))
+        estimate = ca.vertcat(*(values[name] for name in model.names))
         return dict(estimate=estimate, covariance=P, deviance=deviance, m=m, P=P, v=v, started=1)
 
     return dict(step=step)
 
 
 class EKF:
-    """The filter for a loop of one's own, with the verbs of RHE: `prepare()`, `feedback(z)`.
+    """The filter in a user's own loop, with the methods of RHE: `prepare()`, `feedback(z)`.
 
     Args:
         model: The robot, a rhec.Model.
         dt: Length of a sample [s].
-        sigma_v: Standard deviation of each output's measurement.
-        sigma_w: Standard deviations of the process noise per sample: states, then parameters.
-        guess: First guess of each state, then each parameter.
-        sigma_guess: Its standard deviations.
+        sigma_v: Standard deviation of each output's measurement, in the output's unit.
+        sigma_w: Standard deviations of the process noise per sample, of each state, then of each
+            parameter.
+        guess: First guess of each state, then of each parameter.
+        sigma_guess: Standard deviations of the guess.
 
     Raises:
-        ValueError: In one sentence, for an argument that cannot be.
+        ValueError: If an argument is invalid.
     """
 
     @checked
@@ -105,20 +106,24 @@ class EKF:
         sigma_guess: Positives,
     ):
         self.model = model
+        self._dt_s = dt
         m, sigma = joint_guess(model, guess, sigma_guess)
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
         self._call.set(**noise_of(model, sigma_v, sigma_w))
         memory = [*m, *np.diag(np.square(sigma)).ravel(), *np.zeros(len(model.inputs)), 0.0]
         self._call.set(memory=memory)
 
+    def __repr__(self) -> str:
+        return f"EKF, dt {self._dt_s:g} s\n{self.model}"
+
     def prepare(self) -> None:
-        """Nothing: the filter does all its work in `feedback`."""
+        """Do nothing: the filter does all its work in `feedback`."""
 
     def feedback(self, z: Any) -> Any:
         """Estimate from the newest measurement.
 
         Args:
-            z: (n_z,) measurements; an entry that is not finite is not there now.
+            z: (n_z,) measurements; an entry that is not finite counts as missing.
 
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).

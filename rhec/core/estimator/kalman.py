@@ -1,30 +1,49 @@
 """The Kalman measurement update, one scalar measurement after the other.
 
-RHE and EKF share it. One by one there is nothing to invert, and a sensor that is silent is skipped
+RHE and EKF share it. Scalar updates need no matrix inverse, and a missing measurement is skipped
 rather than replaced.
 """
+
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from rhec.core.solver.gauss_newton import symmetric
 
-__all__ = ["update"]
+__all__ = ["Update", "update"]
+
+
+class Update(NamedTuple):
+    """The corrected mean m (n,) and covariance P (n, n), and how they came about."""
+
+    m: Any
+    P: Any
+    K: Any  # (n, n_outputs) gains
+    e: Any  # (n_outputs,) weighted innovations y / S
+    deviance: Any  # -2 log likelihood of z, up to a constant
 
 
 def update(m, P, z, V, outputs, s_bar):
-    """Mean m (n,) and covariance P (n, n), corrected by the measurements z of some outputs.
+    """Correct the mean m and the covariance P by the measurements z of some outputs.
+
+    For each output h with H = ∂h/∂s and variance V, in turn:
+
+        y = z - h(m)          innovation
+        S = H P H' + V        its variance
+        K = P H' / S          gain
+        m⁺ = m + K y
+        P⁺ = P - K H P
 
     Args:
         m: (n,) mean of the joint state.
-        P: (n, n) its covariance.
+        P: (n, n) covariance of the joint state.
         z: (n_z,) measurements, NaN where there is none.
-        V: (n_z,) their variances.
+        V: (n_z,) variances of the measurements.
         outputs: The model's Outputs that measure the joint state.
-        s_bar: (n,) where outputs that are not affine are linearised.
+        s_bar: (n,) linearisation point of outputs that are not affine.
 
     Returns:
-        m, P; the gains K (n, n_outputs); the weighted innovations e = y / S (n_outputs,); the
-        deviance Σ y²/S + log S, which is -2 log likelihood of z up to a constant.
+        Update, whose deviance is Σ y²/S + log S.
     """
     gains = []
     weighted = []
@@ -35,11 +54,11 @@ def update(m, P, z, V, outputs, s_bar):
         y = ca.if_else(used, z[output.row] - output.predicted(m, s_bar), 0)
         PH = P @ H.T
         S = H @ PH + V[output.row]
-        weight = used / S
+        weight = used / S  # 1/S, and 0 without a measurement, which makes K and e zero
         K = PH * weight
         m = m + K * y
         P = symmetric(P - K @ PH.T)
         gains.append(K)
         weighted.append(y * weight)
         deviance += ca.if_else(used, y**2 / S + ca.log(S), 0)
-    return m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance
+    return Update(m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance)

@@ -1,9 +1,9 @@
 """A system as its estimators and controllers see it: ẋ = f(x, u, p), z = h(x, u, p).
 
-States x move; inputs u act over an interval; parameters p are constant over a horizon. Estimators
-and controllers work on the joint state s = (x, p), in which the parameters are states that do not
-move. An output that mixes inputs with anything else is measured through a copy of the last inputs,
-which joins the state: s = (x, u, p).
+States x change; inputs u act over an interval; parameters p are constant over a horizon. Estimators
+and controllers work on the joint state s = (x, p), in which the parameters are constant states. If
+an output depends on inputs and anything else, the joint state also holds the last inputs, through
+which that output is measured: s = (x, u, p).
 """
 
 import functools
@@ -19,16 +19,20 @@ from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 
 __all__ = ["SIGMA_UNMEASURED", "Interval", "Model", "MotionNoise", "Output", "interval", "rk4"]
 
-_SIGMA_HELD = 1.0  # of a missing input, which is the last one held
-SIGMA_UNMEASURED = 1e3  # of an input that only other outputs tell of
+# Standard deviations of inputs, in each input's unit.
+_SIGMA_HELD = 1.0  # a missing input is taken to be the last one
+SIGMA_UNMEASURED = 1e3  # an input without an output of its own is known from other outputs only
 
 
 class MotionNoise(NamedTuple):
-    """Noise that grows with the motion: functions of an interval's measured inputs.
+    """Noise that grows with the motion, as functions of an interval's measured inputs.
 
-    inputs(u, R, c) -> (u, R): mean and variances (n_u,) of the inputs, from what their own outputs
-    say of them; process(u, W, dt_s, c) -> W: variances (n_s,) of an interval of dt_s [s]; c: values
-    of `constants` {name: value}, in order.
+    Args:
+        constants: {name: value} of the constants c, in order.
+        inputs: (u, R, c) -> (u, R): mean and variances (n_u,) of the inputs, from the inputs' own
+            measurements u and their variances R.
+        process: (u, W, dt_s, c) -> W: variances (n_s,) of the process noise of an interval of
+            dt_s [s].
     """
 
     constants: Mapping[str, float]
@@ -36,22 +40,23 @@ class MotionNoise(NamedTuple):
     process: Callable
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Model:
-    """A robot, or any other system, whose motion can be written down in some lines.
+    """A robot, or any other system, whose motion can be written down in a few lines.
 
     Args:
         states: Names of the states x, such as "x_m".
         inputs: Names of the inputs u, which act over an interval: measured, commanded, or both.
-        parameters: Name of each parameter in p: its bounds (lowest, highest), or None.
-        outputs: Names of the outputs z. A name of a state, input or parameter is measured as it is.
+        parameters: {name: (lowest, highest)} of the parameters p; {name: None} without bounds.
+        outputs: Names of the outputs z. An output named like a state, input or parameter measures
+            just that.
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,).
-        h: (x, u, p) -> the outputs that are no such name, in order; or all of z.
-        max_measurement: What each output can be at most; beyond, it is not measured.
-        motion_noise: Noise in proportion to the motion, where it is not constant.
+        h: (x, u, p) -> the outputs with other names, in order; or all of z.
+        max_measurement: Largest plausible size of each output; larger values count as missing.
+        motion_noise: Noise that grows with the motion, if any.
 
     Raises:
-        ValueError: In one sentence, for what cannot be a model.
+        ValueError: If an argument is invalid.
     """
 
     states: tuple[str, ...]
@@ -66,23 +71,38 @@ class Model:
     def __post_init__(self) -> None:
         _check_names(self)
         if not callable(self.f) or not callable(self.h or self.f):
-            wanted = "f and h should be functions of (x, u, p)"
-            raise ValueError(f"f was {shown(self.f)}, h {shown(self.h)}; {wanted}")
+            problem = f"f was {shown(self.f)}, h {shown(self.h)}"
+            raise ValueError(f"{problem}; f and h should be functions of (x, u, p)")
         _check_bounds(self.parameters)
         limits = self.max_measurement
         if limits is not None and len(limits) != len(self.outputs):
             wanted = f"it should have {len(self.outputs)} entries, one for each output"
             raise ValueError(f"max_measurement was {shown(limits)}; {wanted}")
-        _ = self.dynamics, self.measurement  # an f or h that cannot be is refused at once
+        _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
+
+    def __repr__(self) -> str:
+        parameters = (
+            f"{name} in [{bounds[0]:g}, {bounds[1]:g}]" if bounds else name
+            for name, bounds in self.parameters.items()
+        )
+        return "\n".join(
+            (
+                "Model",
+                f"    states:     {', '.join(self.states)}",
+                f"    inputs:     {', '.join(self.inputs) or 'none'}",
+                f"    parameters: {', '.join(parameters) or 'none'}",
+                f"    outputs:    {', '.join(self.outputs)}",
+            )
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all that can be estimated: states, inputs, parameters."""
+        """Names of states, inputs and parameters: all that can be estimated."""
         return (*self.states, *self.inputs, *self.parameters)
 
     @property
     def limits(self) -> tuple[float, ...]:
-        """What each output can be at most."""
+        """Largest plausible size of each output."""
         return self.max_measurement or (MAX_MEASUREMENT,) * len(self.outputs)
 
     @functools.cached_property
@@ -94,29 +114,24 @@ class Model:
     def measurement(self) -> ca.Function:
         """(x, u, p) -> z."""
         x, u, p = symbols = _symbols(self)
-        known = dict(zip(self.names, ca.vertsplit(ca.vertcat(x, u, p))))
-        unnamed = [name for name in self.outputs if name not in known]
+        values = dict(zip(self.names, ca.vertsplit(ca.vertcat(x, u, p))))
+        unnamed = [name for name in self.outputs if name not in values]
         if unnamed and self.h is None:
             wanted = "it should be given, since no state, input or parameter has that name"
             raise ValueError(f"h was not given for the output {unnamed[0]!r}; {wanted}")
         if self.h is not None:
             sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
-            values = ca.vertsplit(_expressions("h", self.h, self, *sizes)(*symbols))
-            known |= dict(
-                zip(self.outputs if len(values) == len(self.outputs) else unnamed, values)
-            )
-        return ca.Function("h", [x, u, p], [ca.vertcat(*(known[name] for name in self.outputs))])
+            outputs = ca.vertsplit(_expressions("h", self.h, self, *sizes)(*symbols))
+            names = self.outputs if len(outputs) == len(self.outputs) else unnamed
+            values |= dict(zip(names, outputs))
+        return ca.Function("h", [x, u, p], [ca.vertcat(*(values[name] for name in self.outputs))])
 
     @functools.cached_property
     def key(self) -> str:
-        """All that decides what is compiled for this model, as text."""
-        x, u, p = _symbols(self)
+        """Everything that decides what is compiled for this model, as text."""
         functions = [self.dynamics, self.measurement]
         if self.motion_noise:
-            R, W, dt_s = (ca.SX.sym(*of) for of in (("R", len(u.nz)), ("W", self.n_s), ("dt_s",)))
-            c = ca.SX.sym("c", len(self.motion_noise.constants))
-            noise = *self.motion_noise.inputs(u, R, c), self.motion_noise.process(u, W, dt_s, c)
-            functions.append(ca.Function("noise", [u, R, W, dt_s, c], [*noise]))
+            functions.append(_noise_function(self))
         return repr((self.names, self.limits, self.bounds, [f.serialize() for f in functions]))
 
     def __hash__(self) -> int:
@@ -127,29 +142,29 @@ class Model:
 
     @property
     def bounds(self) -> dict[int, tuple[float, float]]:
-        """Bounds of the joint state's entries that have some, by their place in it."""
+        """Bounds of the bounded entries of the joint state, by their place in it."""
         first = self.n_s - len(self.parameters)
         return {first + i: b for i, b in enumerate(self.parameters.values()) if b is not None}
 
     @functools.cached_property
     def input_outputs(self) -> dict[int, int]:
-        """Place of each input that is measured as it is: the place of its output in z."""
+        """{place in u: place in z} of the inputs that have an output of their own."""
         x, u, p = _symbols(self)
         z = self.measurement(x, u, p)
-        found = {}
+        rows = {}
         for row in range(z.numel()):
             for place in range(u.numel()):
-                if ca.is_equal(z[row], u[place], 1) and place not in found:
-                    found[place] = row
-        return found
+                if ca.is_equal(z[row], u[place], 1) and place not in rows:
+                    rows[place] = row
+        return rows
 
     @functools.cached_property
     def holds_inputs(self) -> bool:
         """Whether the joint state holds the last inputs, because an output mixes them."""
         x, u, p = _symbols(self)
         z = self.measurement(x, u, p)
-        own = set(self.input_outputs.values())
-        return any(ca.depends_on(z[row], u) for row in range(z.numel()) if row not in own)
+        others = set(range(z.numel())) - set(self.input_outputs.values())
+        return any(ca.depends_on(z[row], u) for row in others)
 
     @property
     def n_s(self) -> int:
@@ -169,21 +184,33 @@ def _symbols(model):
     return tuple(ca.SX.sym(name, size) for name, size in sizes.items())
 
 
+def _noise_function(model):
+    """The Model's MotionNoise as a Function of (u, R, W, dt_s, c)."""
+    _, u, _ = _symbols(model)
+    R = ca.SX.sym("R", u.numel())
+    W = ca.SX.sym("W", model.n_s)
+    dt_s = ca.SX.sym("dt_s")
+    c = ca.SX.sym("c", len(model.motion_noise.constants))
+    mean, variances = model.motion_noise.inputs(u, R, c)
+    process = model.motion_noise.process(u, W, dt_s, c)
+    return ca.Function("noise", [u, R, W, dt_s, c], [mean, variances, process])
+
+
 def _expressions(name, function, model, *sizes):
-    """A user's f or h as a Function of (x, u, p), or in one sentence why it is none."""
+    """A user's f or h as a Function of (x, u, p), refused unless its length is one of the sizes."""
     symbols = _symbols(model)
     try:
         value = ca.SX(function(*symbols))
     except Exception as error:
         wanted = "it should map CasADi expressions (x, u, p) to one expression"
         raise ValueError(f"{name} was refused ({shown(error)}); {wanted}") from error
-    wanted = f"{name} was {shown(value)}"
+    problem = f"{name} was {shown(value)}"
     if value.numel() not in sizes or 1 not in value.shape:
         counts = " or ".join(map(str, sorted(sizes)))
-        raise ValueError(f"{wanted}, of shape {value.shape}; it should be a column of {counts}")
+        raise ValueError(f"{problem}, of shape {value.shape}; it should be a column of {counts}")
     free = [s.name() for s in ca.symvar(value) if not ca.depends_on(ca.vertcat(*symbols), s)]
     if free:
-        raise ValueError(f"{wanted}, with {free[0]!r} free; it should depend on x, u and p alone")
+        raise ValueError(f"{problem}, with {free[0]!r} free; it should depend on x, u and p alone")
     return ca.Function(name, symbols, [ca.densify(ca.vec(value))], ["x", "u", "p"], [name])
 
 
@@ -211,10 +238,10 @@ def _check_bounds(parameters):
     for name, bounds in parameters.items():
         try:
             lowest, highest = (-1.0, 1.0) if bounds is None else bounds
-            fine = bool(lowest < highest) and not isinstance(lowest, str)
+            is_valid = bool(lowest < highest) and not isinstance(lowest, str)
         except (TypeError, ValueError):
-            fine = False
-        if not fine:
+            is_valid = False
+        if not is_valid:
             wanted = "it should be (lowest, highest), the first below the second, or None"
             raise ValueError(f"the bounds of {name!r} were {shown(bounds)}; {wanted}")
 
@@ -238,37 +265,41 @@ class Output(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """One shooting interval of a model's joint state s, and how it is measured."""
+    """One shooting interval of a model's joint state s, and how s and the inputs v are measured."""
 
-    step: ca.Function  # (s, v, dt_s) -> s at the interval's end
-    linearised: ca.Function  # (s, v, dt_s) -> (the same, D, B = ∂s⁺/∂v), A = ∂s⁺/∂s = A_0 + D
-    A_0: ca.DM  # entries of A that are constant: written into the code, they cost next to nothing
+    step: ca.Function  # (s, v, dt_s) -> s⁺ at the interval's end
+    linearised: ca.Function  # (s, v, dt_s) -> (s⁺, D, B = ∂s⁺/∂v), where ∂s⁺/∂s = A_0 + D
+    A_0: ca.DM  # the constant entries of ∂s⁺/∂s: as numbers in the code they cost next to nothing
     n_s: int
     n_v: int
-    outputs: tuple[Output, ...]  # that measure the joint state
+    outputs: tuple[Output, ...]  # those that measure the joint state
     input_outputs: dict[int, tuple[int, float]]  # place in v: place in z, limit
-    mixing_outputs: dict[int, list[tuple[int, float]]]  # place in v: others that tell of it
+    mixing_outputs: dict[
+        int, list[tuple[int, float]]
+    ]  # place in v: other outputs that depend on it
     bounds: dict[int, tuple[float, float]]  # place in s: (lowest, highest)
     motion_noise: MotionNoise | None
 
     def input_noise(self, z, v, V, c=None):
-        """Mean and variances (n_v,) of the inputs v before z, as far as it measures them.
+        """Mean and variances (n_v,) of the inputs, given the measurements z and the last inputs v.
 
-        A missing input is the last one held.
+        A missing input is taken to be the last one.
         """
         mean = []
         variance = []
         for place in range(self.n_v):
             if place in self.input_outputs:
                 row, limit = self.input_outputs[place]
-                valid = is_valid_measurement(z[row], limit)
-                mean.append(ca.if_else(valid, z[row], v[place]))
-                variance.append(ca.if_else(valid, V[row], _SIGMA_HELD**2))
+                is_valid = is_valid_measurement(z[row], limit)
+                mean.append(ca.if_else(is_valid, z[row], v[place]))
+                variance.append(ca.if_else(is_valid, V[row], _SIGMA_HELD**2))
             else:
-                valid = [is_valid_measurement(z[row], of) for row, of in self.mixing_outputs[place]]
+                others = self.mixing_outputs[place]
+                n_valid = sum(
+                    (is_valid_measurement(z[row], limit) for row, limit in others), ca.SX(0)
+                )
                 mean.append(v[place])
-                told = sum(valid, ca.SX(0))
-                variance.append(ca.if_else(told, SIGMA_UNMEASURED**2, _SIGMA_HELD**2))
+                variance.append(ca.if_else(n_valid, SIGMA_UNMEASURED**2, _SIGMA_HELD**2))
         noise = ca.vertcat(*mean), ca.vertcat(*variance)
         return self.motion_noise.inputs(*noise, c) if self.motion_noise else noise
 
@@ -279,35 +310,29 @@ class Interval(NamedTuple):
 
 @functools.cache
 def interval(model, measured=True):
-    """The shooting interval of a Model, by one Runge-Kutta step; that of a controller if not
-    `measured`: without outputs, and without the last inputs that some outputs need.
+    """The shooting interval of a Model: one Runge-Kutta step, its derivatives, its outputs.
+
+    Args:
+        model: The Model.
+        measured: True for an estimator. A controller's interval has no outputs and does not hold
+            the last inputs that some outputs need.
     """
     x, u, p = _symbols(model)
-    last = ca.SX.sym("last", len(model.inputs))
+    u_last = ca.SX.sym("last", len(model.inputs))
     dt_s = ca.SX.sym("dt_s")
     x_next = ca.cse(rk4(model.dynamics, x, u, p, dt_s))
     if measured and model.holds_inputs:
-        # An interval of no length lies before the first sample: no input is known there.
-        s = ca.vertcat(x, last, p)
-        s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u, last), p)
+        # An interval before the first sample has no length, and its input is unknown.
+        s = ca.vertcat(x, u_last, p)
+        s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u, u_last), p)
     else:
         s = ca.vertcat(x, p)
         s_next = ca.vertcat(x_next, p)
-    z = model.measurement(x, last, p)
+    s_next, A_0, D, B = _derivatives(model, s, u, s_next)
+    limits = model.limits
+    z = model.measurement(x, u_last, p)
     rows = [row for row in range(z.numel()) if row not in model.input_outputs.values()]
     rows = rows if measured else []
-    # Backwards, sums over the stages are made once for all that they are differentiated by.
-    J = ca.jacobian(s_next, ca.vertcat(s, u), {"helper_options": {"ad_weight": 1}})
-    A = ca.sparsify(J[:, : s.numel()])
-    B = J[:, s.numel() :]
-    constant = ca.DM(A.sparsity(), [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()])
-    A_0 = ca.sparsify(constant)
-    if model.motion_noise:  # enters to first order: what it fitted is no information on s
-        u_bar = u * ca.DM([float(i in model.input_outputs) for i in range(u.numel())])
-        s_next, A, B = ca.substitute([s_next, A, B], [u], [u_bar])
-        s_next += B @ (u - u_bar)
-    s_next, D, B = sines_by_addition([s_next, ca.sparsify(A - A_0), B])
-    limits = model.limits
     inputs = [s, u, dt_s]
     return Interval(
         step=ca.Function("interval", inputs, [s_next], {"cse": True}),
@@ -316,14 +341,32 @@ def interval(model, measured=True):
         n_s=s.numel(),
         n_v=u.numel(),
         outputs=tuple(_output(row, limits[row], z[row], s) for row in rows),
-        input_outputs={u: (row, limits[row]) for u, row in model.input_outputs.items()},
+        input_outputs={place: (row, limits[row]) for place, row in model.input_outputs.items()},
         mixing_outputs={
-            place: [(row, limits[row]) for row in rows if ca.depends_on(z[row], last[place])]
+            place: [(row, limits[row]) for row in rows if ca.depends_on(z[row], u_last[place])]
             for place in range(u.numel())
         },
         bounds=model.bounds,
         motion_noise=model.motion_noise,
     )
+
+
+def _derivatives(model, s, u, s_next):
+    """s⁺ and its derivatives ∂s⁺/∂s = A_0 + D and B = ∂s⁺/∂u, with A_0 constant."""
+    # In reverse mode, sums over the Runge-Kutta stages appear once for all derivatives.
+    J = ca.jacobian(s_next, ca.vertcat(s, u), {"helper_options": {"ad_weight": 1}})
+    A = ca.sparsify(J[:, : s.numel()])
+    B = J[:, s.numel() :]
+    constants = [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()]
+    A_0 = ca.sparsify(ca.DM(A.sparsity(), constants))
+    if model.motion_noise:
+        # Inputs without an output of their own are noise, such as slip. The interval is linear in
+        # them, about zero: a value that was fitted to the noise must not change A and B.
+        u_bar = u * ca.DM([float(place in model.input_outputs) for place in range(u.numel())])
+        s_next, A, B = ca.substitute([s_next, A, B], [u], [u_bar])
+        s_next += B @ (u - u_bar)
+    s_next, D, B = sines_by_addition([s_next, ca.sparsify(A - A_0), B])
+    return s_next, A_0, D, B
 
 
 def _output(row, limit, z_row, s):
@@ -339,13 +382,13 @@ def rk4(f, x, u, p, dt_s):
 
     Args:
         f: (x, u, p) -> ẋ.
-        x: State at the interval's beginning.
-        u: Input, held.
+        x: State at the start of the interval.
+        u: Input, constant over the interval.
         p: Parameters.
         dt_s: Length of the interval [s].
 
     Returns:
-        The state at its end.
+        The state at the end of the interval.
     """
     k1 = f(x, u, p)
     k2 = f(x + dt_s / 2 * k1, u, p)
@@ -353,6 +396,8 @@ def rk4(f, x, u, p, dt_s):
     x_4 = x + dt_s / 2 * k3 + dt_s / 2 * k3
     k4 = f(x_4, u, p)
     mean = x + dt_s * (1 / 6) * (k1 + 2 * k2 + 2 * k3 + k4)
-    # A slope that stays leads there exactly, and to no other sum in a sine.
-    stays = [ca.is_equal(*slopes, 9) for slopes in zip(*map(ca.vertsplit, (k1, k4)))]
-    return ca.vertcat(*(x_4[i] if same else mean[i] for i, same in enumerate(stays)))
+    # A state with a constant slope, such as a yaw angle, ends where stage 4 is evaluated. That
+    # expression avoids a second sum of the same value inside later sines.
+    slopes = zip(ca.vertsplit(k1), ca.vertsplit(k4))
+    is_constant = [ca.is_equal(first, last, 9) for first, last in slopes]
+    return ca.vertcat(*(x_4[i] if same else mean[i] for i, same in enumerate(is_constant)))

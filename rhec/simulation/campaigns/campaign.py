@@ -65,9 +65,7 @@ def campaign(
         RuntimeError: if workers run other code or do not start.
         KeyboardInterrupt: if interrupted; says how many runs were finished.
     """
-    from rhec.simulation.campaigns.table import (
-        CampaignTable,  # needs pandas, which workers do without
-    )
+    import pandas as pd  # here, because workers do without
 
     scenarios = _as_list(scenarios)
     compiler = compiled.compiler()
@@ -101,7 +99,7 @@ def campaign(
         for field in fields(Scenario)
     }
     columns |= {name: [done[key][name] for key in keys] for name in store.failed_row("")}
-    return CampaignTable(columns)
+    return pd.DataFrame(columns)
 
 
 def _as_list(scenarios):

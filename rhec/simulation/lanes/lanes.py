@@ -92,7 +92,7 @@ def _name(build, structure):
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return not _compiler() or cache.holds(_name(build, structure))
+    return not _compiler() or cache.contains(_name(build, structure))
 
 
 @functools.cache
@@ -108,7 +108,7 @@ def load(build, *structure):
         return _Block(folder) if (folder / "library.so").exists() else None
 
     with contextlib.suppress(cache.UnusableError):
-        return cache.kept(_name(build, structure), make, open_block)
+        return cache.load_or_build(_name(build, structure), make, open_block)
     return None
 
 

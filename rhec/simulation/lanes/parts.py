@@ -61,7 +61,7 @@ def _part(name, function, text_of, command):
     def make(folder):
         _compile(folder, text_of(function), [*command, f"-D{function.name()}={name}"])
 
-    return cache.kept(name, make, lambda folder: folder / "code.o")
+    return cache.load_or_build(name, make, lambda folder: folder / "code.o")
 
 
 def _without_unused(text):

@@ -78,7 +78,7 @@ def module_of(text, whole_numbers=False):
         (folder / "code.wasm").write_bytes(_compile(_compiler(), text, *flags))
 
     name = hashlib.sha256(made_of.encode()).hexdigest()[:24]
-    return cache.kept(name, make, lambda folder: (folder / "code.wasm").read_bytes())
+    return cache.load_or_build(name, make, lambda folder: (folder / "code.wasm").read_bytes())
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec import paper
-from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.workbench.plots.style import COLOURS, DOUBLE_IN, SKY, styled
 
