@@ -21,7 +21,7 @@ from rhec.simulation.campaigns.batch import (
     samples_per_task,
     split_into_tasks,
 )
-from rhec.simulation.campaigns.workers import map_tasks, open_workers
+from rhec.simulation.campaigns.workers import are_running, map_tasks, open_workers
 from rhec.simulation.closed_loop import simulate
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import as_list
@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["campaign"]
 
-# Samples that take one core longer than worker processes take to start.
-_LARGE = 1_000_000
+# Samples that take one core longer than worker processes take to start, or to get work if they run.
+_WORTH_STARTING = 1_000_000
+_WORTH_SPREADING = 200_000
 # A share of the campaign for each worker and this number, so that all end at about the same time.
 _TASKS_PER_WORKER = 4
 
@@ -126,7 +127,8 @@ def _run_all(scenarios, workers):
     samples = sum(map(count_samples, scenarios.values()))
     mean_samples = mean_samples_per_structure(scenarios.values())
     size = samples_per_task(mean_samples)
-    with open_workers(workers, large=samples >= _LARGE) as pool:
+    large = samples >= (_WORTH_SPREADING if are_running() else _WORTH_STARTING)
+    with open_workers(workers, large) as pool:
         if pool is None:
             run_here = functools.partial(_run_task, mean_samples=mean_samples)
             yield from map(run_here, split_into_tasks(scenarios, size))

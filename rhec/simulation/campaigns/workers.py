@@ -16,7 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 from rhec.core._casadi.validation import optional
 
-__all__ = ["map_tasks", "open_workers"]
+__all__ = ["are_running", "map_tasks", "open_workers"]
 
 _TASKS_PER_WORKER = 3  # running and waiting, so that no worker waits for its next task
 _IDLE_S = 60.0  # after which a worker process ends, also if its parent was killed
@@ -40,8 +40,7 @@ def open_workers(workers, large):
         workers = _count_cores()
     if workers in (None, 1):
         return contextlib.nullcontext()
-    optional("loky", f"workers={workers}")
-    return contextlib.nullcontext(_LocalWorkers(workers))
+    return contextlib.nullcontext(_local_workers(workers))
 
 
 def _count_cores():
@@ -53,44 +52,65 @@ def _count_cores():
 
 
 class _LocalWorkers:
-    """Processes on this machine. They stay for the next campaign until they are idle too long."""
+    """Worker processes on this machine, started when the first task comes."""
 
     died = BrokenProcessPool
-    _pool = None  # the one pool of this process, and its size
-    _size = 0
 
     def __init__(self, count):
         self.count = count
-        if _LocalWorkers._size != count:
-            self.stop()
+        self.pool = None
 
     def submit(self, function, task):
-        """Return the Future of function(task); starts the processes if there are none."""
-        import loky
-        from loky.backend import resource_tracker
+        """Return the Future of function(task)."""
+        with _interrupts_for_this_process_alone():
+            if self.pool is not None:
+                with contextlib.suppress(BrokenProcessPool):  # workers died: take new ones
+                    return self.pool.submit(function, task)
+            import loky
 
-        # A terminal sends Ctrl-C to all processes, but only this one may end the workers. So they
-        # start with the signal blocked. Starting loky's resource tracker would unblock it.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            if _LocalWorkers._pool is not None:
-                with contextlib.suppress(self.died):
-                    return _LocalWorkers._pool.submit(function, task)
-            pool = loky.ProcessPoolExecutor(self.count, timeout=_IDLE_S, env=_ONE_THREAD)
-            _LocalWorkers._pool = pool
-            _LocalWorkers._size = self.count
-            return pool.submit(function, task)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            self.pool = loky.ProcessPoolExecutor(self.count, timeout=_IDLE_S, env=_ONE_THREAD)
+            return self.pool.submit(function, task)
 
-    @staticmethod
-    def stop():
+    def stop(self):
         """Kill the processes and what they run."""
-        if _LocalWorkers._pool is not None:
-            _LocalWorkers._pool.shutdown(kill_workers=True)
-        _LocalWorkers._pool = None
-        _LocalWorkers._size = 0
+        if self.pool is not None:
+            self.pool.shutdown(kill_workers=True)
+        self.pool = None
+
+
+@contextlib.contextmanager
+def _interrupts_for_this_process_alone():
+    """A context in which new processes and threads start with Ctrl-C blocked.
+
+    A terminal sends Ctrl-C to all processes, but only this one may end the workers.
+    """
+    from loky.backend import resource_tracker
+
+    resource_tracker.ensure_running()  # before, since starting it would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_local = None  # the workers of this process, which stay for the next campaign
+
+
+def are_running():
+    """Return whether workers on this machine were started before."""
+    return _local is not None and _local.pool is not None
+
+
+def _local_workers(count):
+    """Return so many workers on this machine: those that there are, or new ones."""
+    global _local
+    optional("loky", f"workers={count}")
+    if _local is None or _local.count != count:
+        if _local is not None:
+            _local.stop()
+        _local = _LocalWorkers(count)
+    return _local
 
 
 class _ClusterWorkers:
@@ -124,41 +144,40 @@ def _connect(address):
     from dask import config
 
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its errors are raised here
-    # By default Dask would use, and import from, a folder of a fixed name that all users share.
-    with (
-        tempfile.TemporaryDirectory(prefix="rhec-dask-") as private,
-        config.set({"temporary-directory": private}),
-        _client_at(address, distributed) as client,
-    ):
+    # By default Dask may use, and import from, a folder of a fixed name that all users share.
+    private = tempfile.TemporaryDirectory(prefix="rhec-dask-")
+    with private, config.set({"temporary-directory": private.name}):
+        client = _client_at(address, distributed)
         try:
             yield _ClusterWorkers(client)
         except (concurrent.futures.CancelledError, distributed.comm.CommClosedError):
             raise ConnectionError(f"the scheduler at {address} went away") from None
         except Exception as error:
-            what = f"{type(error).__name__}: {error}"
-            raise RuntimeError(f"a worker of {address} failed ({what})") from error
+            reason = f"{type(error).__name__}: {error}"
+            raise RuntimeError(f"a worker of {address} failed ({reason})") from error
+        finally:
+            client.close()
 
 
-@contextlib.contextmanager
 def _client_at(address, distributed):
-    """A context with a Client that has at least one worker."""
-    sentence = (
-        f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in "
-        f"{SCHEDULER_TIMEOUT_S:g} s"
-    )
-    client = None
+    """Return a Client that has at least one worker."""
     try:
         # A bare connection is tried first: a Client that finds no scheduler leaves threads behind.
         distributed.utils.LoopRunner().run_sync(_try_connection, address)
         client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
-        sentence = f"the scheduler at {address} has had no worker for {FIRST_WORKER_TIMEOUT_S:g} s"
-        client.wait_for_workers(1, FIRST_WORKER_TIMEOUT_S)
     except Exception as error:  # a wrong address may be anything and raise anything
-        if client:
-            client.close()
+        limit = f"{SCHEDULER_TIMEOUT_S:g} s"
+        sentence = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {limit}"
         raise ConnectionError(sentence) from error
-    with client:
-        yield client
+    try:
+        client.wait_for_workers(1, FIRST_WORKER_TIMEOUT_S)
+    except TimeoutError as error:
+        client.close()
+        limit = f"{FIRST_WORKER_TIMEOUT_S:g} s"
+        raise ConnectionError(
+            f"the scheduler at {address} has had no worker for {limit}"
+        ) from error
+    return client
 
 
 async def _try_connection(address):
