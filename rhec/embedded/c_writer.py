@@ -86,46 +86,62 @@ _FOR_ONE_FILE = """#define CASADI_SYMBOL_EXPORT static
 
 def memory_header(export):
     """rhec_memory.h: sizes, the structs of settings and of all memory."""
-    meanings = _MEANING_ON_A_PATH if "PATH" in export.macros else _MEANING
-    lines = [
-        *(
-            f"#define RHEC_{name} {value!r} /* {note} */"
-            for name, (value, note) in export.macros.items()
-        ),
-        f"#define RHEC_MAX_PLAUSIBLE {MAX_PLAUSIBLE_STATE:g} /* of a number in memory */",
+    parts = [
+        _HEAD + "#ifndef RHEC_MEMORY_H\n#define RHEC_MEMORY_H\n",
+        *_size_macros(export),
         "",
-        "struct rhec_settings {",
-    ]
-    for name, value in export.settings.items():
-        comment = f" /* {meanings[name]} */" if name in meanings else ""
-        lines.append(f"    double {name}[{value.size}];{comment}")
-    lines += [
-        "};",
+        *_settings_struct(export),
         "",
-        "struct rhec {",
-        "    const struct rhec_settings *settings;",
-        "    int estimator_stage, controller_stage, predicted, restarted;",
-        *_arrays({place: size for place, size in export.memory.items() if "." not in place}, 1),
-    ]
-    for owner in _owners(export):
-        own = _below(export.memory, owner)
-        twice = _below(own, "previous")
-        lines.append("    struct {")
-        if twice:
-            lines += ["        struct {", *_arrays(twice, 3), "        } previous, current;"]
-        lines += _arrays({name: size for name, size in own.items() if "." not in name}, 2)
-        lines.append(f"    }} {owner};")
-    w, iw = _work(export)
-    lines += [
-        f"    double w[{w}]; /* work space of CasADi's Functions */",
-        f"    int iw[{iw}];",
-        "};",
+        *_memory_struct(export),
         "",
         "/* sizeof(struct rhec) where pointers have 8 bytes */",
         f"#define RHEC_MEMORY_BYTES {_bytes_of_memory(export)}",
+        "\n#endif\n",
     ]
-    body = "\n".join(lines)
-    return f"{_HEAD}#ifndef RHEC_MEMORY_H\n#define RHEC_MEMORY_H\n\n{body}\n\n#endif\n"
+    return "\n".join(parts)
+
+
+def _size_macros(export):
+    """Lines that define the sizes, and what the export has."""
+    macros = [
+        f"#define RHEC_{name} {value!r} /* {note} */"
+        for name, (value, note) in export.macros.items()
+    ]
+    largest = f"#define RHEC_MAX_PLAUSIBLE {MAX_PLAUSIBLE_STATE:g} /* of a number in memory */"
+    return [*macros, largest]
+
+
+def _settings_struct(export):
+    """Lines of struct rhec_settings."""
+    meanings = _MEANING_ON_A_PATH if "PATH" in export.macros else _MEANING
+    lines = ["struct rhec_settings {"]
+    for name, value in export.settings.items():
+        comment = f" /* {meanings[name]} */" if name in meanings else ""
+        lines.append(f"    double {name}[{value.size}];{comment}")
+    return [*lines, "};"]
+
+
+def _memory_struct(export):
+    """Lines of struct rhec."""
+    shared = {place: size for place, size in export.memory.items() if "." not in place}
+    lines = [
+        "struct rhec {",
+        "    const struct rhec_settings *settings;",
+        "    int estimator_stage, controller_stage, predicted, restarted;",
+        *_arrays(shared, 1),
+    ]
+    for owner in _owners(export):
+        places = _below(export.memory, owner)
+        twice = _below(places, "previous")
+        lines.append("    struct {")
+        if twice:
+            lines += ["        struct {", *_arrays(twice, 3), "        } previous, current;"]
+        lines += _arrays({name: size for name, size in places.items() if "." not in name}, 2)
+        lines.append(f"    }} {owner};")
+    w, iw = _work(export)
+    lines.append(f"    double w[{w}]; /* work space of CasADi's Functions */")
+    lines.append(f"    int iw[{iw}];")
+    return [*lines, "};"]
 
 
 def _owners(export):

@@ -132,19 +132,25 @@ def export(scenario):
     phases |= _bind_all("controller", start, control, settings, _SHARED)
     for name, function in path_phases.items():
         phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
-    state = "x, y, theta, nu, mu, kappa"
-    macros = dict(
-        DT_S=(horizon.dt_s, "time between samples [s]"),
+    macros = _macros_on_a_path(scenario, horizon.dt_s)
+    return _export(phases, settings, setup.guess, macros)
+
+
+def _macros_on_a_path(scenario, dt_s):
+    """Return the macros of a scenario's export."""
+    n = len(QUANTITIES)
+    names = "x, y, theta, nu, mu, kappa"
+    return dict(
+        DT_S=(dt_s, "time between samples [s]"),
         ESTIMATOR=(1, "there is one"),
         CONTROLLER=(1, "there is one"),
         PATH=(1, "there is one, of a tracked robot"),
-        OUTPUTS=(len(MEASURED), "x, y, nu, omega"),
-        ESTIMATE=(n, state),
-        GUESS=(n, state),
+        OUTPUTS=(len(MEASURED), ", ".join(MEASURED)),
+        ESTIMATE=(n, names),
+        GUESS=(n, names),
         PATIENCE=(scenario.estimation_horizon + 1, "most predicted estimates in a row"),
         MOST_GUESSES=(MAX_SWEEPS, "of the active bounds, for one plan"),
     )
-    return _export(phases, settings, setup.guess, macros)
 
 
 def export_model(rhe=None, rhc=None):

@@ -1,7 +1,7 @@
 /* Calls the generated phases in order, and restarts where numbers leave their range: see rhec.h.
  *
  * rhec_memory.h defines what this export has: RHEC_ESTIMATOR, RHEC_CONTROLLER, and RHEC_PATH for
- * the scenario of a tracked robot that follows a path. Without RHEC_PATH it is made from a model. */
+ * the scenario of a tracked robot that follows a path. Without RHEC_PATH it is of a model. */
 #include "rhec.h"
 
 #include <math.h>
