@@ -73,13 +73,8 @@ def campaign(
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
     rows = store.load_rows(rows_folder) if rows_folder else {}
-    keys = []
-    for scenario in scenarios:
-        try:
-            keys.append(store.scenario_key(scenario))
-        except Exception as error:  # an estimator that cannot be serialised has no key
-            keys.append(f"row {len(keys)}")
-            rows[keys[-1]] = store.failed_row(_reason(error))
+    keys, unusable = _keys_of(scenarios)
+    rows |= unusable
     wanted = dict(zip(keys, scenarios))
     missing = {key: scenario for key, scenario in wanted.items() if key not in rows}
     with (
@@ -103,6 +98,19 @@ def campaign(
     }
     columns |= {name: [rows[key][name] for key in keys] for name in store.failed_row("")}
     return pd.DataFrame(columns)
+
+
+def _keys_of(scenarios):
+    """Return the keys of scenarios, and {key: row} of those that cannot be run at all."""
+    keys = []
+    unusable = {}
+    for scenario in scenarios:
+        try:
+            keys.append(store.scenario_key(scenario))
+        except Exception as error:  # an estimator that cannot be serialised has no key
+            keys.append(f"row {len(keys)}")
+            unusable[keys[-1]] = store.failed_row(_reason(error))
+    return keys, unusable
 
 
 def _interrupted(rows, wanted, folder):
