@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from rhec.logs.calibration import calibrate
     from rhec.logs.replay import replay
     from rhec.simulation.campaigns.campaign import campaign
-    from rhec.simulation.closed_loop import Run, simulate
+    from rhec.simulation.closed_loop import Run
     from rhec.simulation.faults import Fault
     from rhec.simulation.scenario import Scenario
+    from rhec.simulation.simulate import simulate
     from rhec.tracked_robot.path import Path
     from rhec.tracked_robot.references import PathTracker
     from rhec.tracked_robot.terrain import Terrain
@@ -51,7 +52,7 @@ _HOME = {
     "export": "embedded",
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
-    "simulate": "simulation.closed_loop",
+    "simulate": "simulation.simulate",
 }
 __all__ = [
     "EKF",

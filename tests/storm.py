@@ -1,5 +1,5 @@
-"""A long campaign through a storm: workers are killed all the time, the scheduler once, and once
-the disk is full. `make storm RUNS=100000` runs it for as long as that takes.
+"""A long campaign through a storm: workers are killed all the time, the campaign itself once, and
+once the disk is full. `make storm RUNS=100000` runs it for as long as that takes.
 
 Each time the command ends it is given again, as a person would. At the end there must be one row
 a run, none lost, twice or with an error, and some are run again here: the same to the last bit.
@@ -53,7 +53,7 @@ class Rows:
 
 def workers_of(process):
     children = process.children(recursive=True)
-    return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+    return [child for child in children if "popen_loky" in " ".join(child.cmdline())]
 
 
 def megabytes(processes):
@@ -90,9 +90,9 @@ def attempt(options, rows, log, disk):
                 living[log["workers_killed"] % len(living)].kill()
                 log["workers_killed"] += 1
                 next_kill = time.monotonic() + options.kill_every_s
-            if done > options.runs / 3 and not log["schedulers_killed"]:
-                process.kill()  # the scheduler lives in it
-                log["schedulers_killed"] += 1
+            if done > options.runs / 3 and not log["campaigns_killed"]:
+                process.kill()
+                log["campaigns_killed"] += 1
             elif disk and done > 2 * options.runs / 3 and not log["disks_full"]:
                 fill(filler)
                 log["disks_full"] += 1
@@ -113,7 +113,7 @@ def main():
     disk = on_a_small_disk(options.folder)
     if not disk:
         print("the disk is not filled: that takes a disk of its own, which only root may mount")
-    log = dict(workers_killed=0, schedulers_killed=0, disks_full=0, memory=[])
+    log = dict(workers_killed=0, campaigns_killed=0, disks_full=0, memory=[])
     rows, began, ends = Rows(options.folder), time.monotonic(), []
     for _ in range(10):
         code, out, err = attempt(options, rows, log, disk)
@@ -125,7 +125,7 @@ def main():
             break
     seconds = time.monotonic() - began
 
-    kept = store.load_rows(store.cache_folder(options.folder))
+    kept = store.load_rows(store.open_folder(options.folder))
     wanted = [dataclasses.replace(BASE, seed=seed) for seed in range(options.runs)]
     keys = list(map(store.scenario_key, wanted))
     again = np.random.default_rng(0).choice(options.runs, min(CHECKED, options.runs), replace=False)

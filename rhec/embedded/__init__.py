@@ -1,7 +1,8 @@
 """Export: an estimator and a controller as self-contained C99 (`make embedded`).
 
-`phases` names the CasADi Functions that it is made of, `c_writer` writes the files that depend on
-them; the folders `c` (of a Scenario) and `c_model` (of a Model) hold those that do not.
+`phases` names the CasADi Functions that the C is made of; `c_writer` writes the files that depend
+on them. The folder `c` holds the files that do not: for every export the interface rhec.h, rhec.c,
+and for a Scenario alone the programs replay.c, times.c, fuzz.c.
 `notebooks.embedded_measurements` compiles and runs an export, here or, emulated, on 64-bit Arm.
 """
 
@@ -33,6 +34,7 @@ LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
 _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # their C needs no library
 _EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
+_PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 
@@ -92,15 +94,18 @@ def _of_model(parts):
         rhc = own["rhc"].problem
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
-    texts = _by_hand("c_model")
     made = phases.export_model(**own)
-    return texts | _generated(made) | {"README.txt": c_writer.readme(made, texts["README.txt"])}
+    texts = _common_files()
+    readme = c_writer.readme(made, texts["README.txt"])
+    for program in _PROGRAMS:
+        del texts[program]
+    return texts | _generated(made) | {"README.txt": readme}
 
 
 def _of_scenario(scenario):
     """{file: text} of the export of a Scenario."""
     made = phases.export(scenario)
-    texts = _by_hand("c")
+    texts = _common_files()
     shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
     log = simulate(shorter).log[LOG]
     readme = c_writer.readme(made, texts["README.txt"], samples=len(log), **SIGMA_START)
@@ -108,9 +113,10 @@ def _of_scenario(scenario):
     return texts | _generated(made) | own | {"README.txt": readme}
 
 
-def _by_hand(folder):
-    """{file: text} of the files that do not depend on what is exported."""
-    files = sorted(Path(__file__).with_name(folder).iterdir())
+def _common_files():
+    """Return {file: text} of the files that do not depend on what is exported."""
+    files = sorted(Path(__file__).with_name("c").iterdir())
+    # The mark comes first, so that an interrupted export is still known as one.
     return {_MARK: ""} | {file.name: file.read_text(encoding="utf-8") for file in files}
 
 

@@ -1,11 +1,12 @@
-"""Functions of an export, and the place in the C's memory of each of their arguments and results.
+"""The Functions of an export, and where in the C's memory their arguments and results are.
 
-They are the phases of estimator and controller (see `solver.rti`), unchanged, and small
-ones around them: the first memory from a guess, the closest point of the whole path, the
-references. An estimator that is one step, such as the EKF, is all feedback; its preparation only
-moves its memory on.
+They are the phases of estimator and controller (see `solver.rti`), unchanged, and a few small ones
+around them: the first memory, made from a guess; the closest point of the whole path; the
+references. An estimator that is one step, such as the EKF, is all feedback: its preparation does
+nothing but carry its memory over.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import casadi as ca
@@ -29,7 +30,10 @@ from rhec.tracked_robot.rhc import horizon_of
 
 __all__ = ["Export", "closest", "export", "export_model"]
 
-# Places in `struct rhec` that the phases share; all else that they pass on is their owner's.
+MEASURED = "x", "y", "nu", "omega"  # the entries of a measurement z of the paper's robot
+
+# Places in `struct rhec` that phases of different owners share, by the names of arguments and
+# results. Whatever else a phase passes on belongs to its owner: estimator, controller or path.
 _SHARED = dict(
     z_N="z",
     accepted="estimator.accepted",
@@ -44,21 +48,37 @@ _SHARED = dict(
     u_ref="path.omega_ref",
 )
 _SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
-_ORDER = "start", "expand", "shift", "linearise", "feedback"
+_PHASES = "start", "expand", "shift", "linearise", "feedback"  # in the order of a sample
 
 
 class _Phase(NamedTuple):
-    """A Function, and places in the C's memory of its arguments and of its results, in order."""
+    """A Function, and the places in the C's memory of its arguments and results.
+
+    reads   argument: place, in the order of the arguments
+    writes  result: place, in the order of the results
+    """
 
     function: ca.Function
-    reads: list
-    writes: list
+    reads: dict
+    writes: dict
+
+
+class _Start(NamedTuple):
+    """How an owner's first memory is made.
+
+    init  of an array (n,): {name: array}
+    name  of that array among the arguments, and n, its length
+    """
+
+    init: Callable
+    name: str
+    n: int
 
 
 class Export(NamedTuple):
     """All that the C is written from.
 
-    phases    name in C: (function, reads, writes)
+    phases    name in C: _Phase
     memory    place in struct rhec: number of doubles
     settings  name: matrix
     guess     the estimator's first; of a scenario (x, y, θ, ν, μ, κ)
@@ -73,164 +93,190 @@ class Export(NamedTuple):
 
 
 def export(scenario):
-    """The phases of a scenario's estimator and controller, bound to the C's memory, and the
-    scenario's settings.
-    """
+    """Return the Export of a scenario's estimator, controller and path."""
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
     # An EKF is given what the closed loop gives it.
     traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
     settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
+    horizon = horizon_of(scenario.prediction_horizon, scenario.qp)
+    n_segments = len(setup.path.segments)
+
     if estimator.build_phases:
         estimate = estimator.build_phases(choice)
     else:
-        estimate = _one_step(estimator.build_step(choice))
-    horizon = horizon_of(scenario.prediction_horizon, scenario.qp)
+        estimate = _split_step(estimator.build_step(choice))
+    control = build_controller(horizon)
+    if scenario.cautious:
+        speed = build_speed(estimator.states(choice), n_segments, horizon.dt_s)
+        control = _with_speed(control, speed, estimate["feedback"])
+    references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
+    is_robust = "accepted" in estimate["feedback"].name_out()
+    path_phases = dict(
+        closest=closest(n_segments), follow=_build_follow(references["references"], is_robust)
+    )
 
     def first_estimate(estimate):
         memory = estimator.init(choice, dict(zip(QUANTITIES, estimate)))
         return memory if estimator.build_phases else dict(memory=pack_array(memory))
 
     def first_plan(estimate):
-        return plan_init(horizon, estimate[:3], estimate[3:]) | dict(speed=estimate[3])
+        pose = estimate[:3]
+        speed_and_traction = estimate[3:]
+        return plan_init(horizon, pose, speed_and_traction) | dict(speed=estimate[3])
 
-    n_segments = len(setup.path.segments)
-    control = build_controller(horizon)
-    if scenario.cautious:
-        speed = build_speed(estimator.states(choice), n_segments, horizon.dt_s)
-        control = _with_speed(control, speed, estimate["feedback"])
-    references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)[
-        "references"
-    ]
-    follow = _follow(references, "accepted" in estimate["feedback"].name_out())
-    starts = [_start(first, estimate=6) for first in (first_estimate, first_plan)]
-    phases = _bind_all("estimator", starts[0], estimate, settings, _SHARED)
-    phases |= _bind_all("controller", starts[1], control, settings, _SHARED)
-    phases |= {
-        f"path_{name}": _bind(f, name, "path", {}, settings, _SHARED)
-        for name, f in (("closest", closest(n_segments)), ("follow", follow))
-    }
-    macros = dict(
-        DT_S=(horizon.dt_s, "time between samples [s]"),
-        PATIENCE=(scenario.estimation_horizon + 1, "most predicted estimates in a row"),
-        MOST_GUESSES=(MAX_SWEEPS, "of the active bounds, for one plan"),
-    )
+    n = len(QUANTITIES)
+    start = _Start(first_estimate, "estimate", n)
+    phases = _bind_all("estimator", start, estimate, settings, _SHARED)
+    start = _Start(first_plan, "estimate", n)
+    phases |= _bind_all("controller", start, control, settings, _SHARED)
+    for name, function in path_phases.items():
+        phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
+    macros = _macros_on_a_path(scenario, horizon.dt_s)
     return _export(phases, settings, setup.guess, macros)
 
 
+def _macros_on_a_path(scenario, dt_s):
+    """Return the macros of a scenario's export."""
+    n = len(QUANTITIES)
+    names = "x, y, theta, nu, mu, kappa"
+    return dict(
+        DT_S=(dt_s, "time between samples [s]"),
+        ESTIMATOR=(1, "there is one"),
+        CONTROLLER=(1, "there is one"),
+        PATH=(1, "there is one, of a tracked robot"),
+        OUTPUTS=(len(MEASURED), ", ".join(MEASURED)),
+        ESTIMATE=(n, names),
+        GUESS=(n, names),
+        PATIENCE=(scenario.estimation_horizon + 1, "most predicted estimates in a row"),
+        MOST_GUESSES=(MAX_SWEEPS, "of the active bounds, for one plan"),
+    )
+
+
 def export_model(rhe=None, rhc=None):
-    """The phases of the RHE, the RHC or both of a Model, bound to the C's memory."""
+    """Return the Export of the RHE, the RHC or both of a Model."""
     model = rhe.model if rhe else rhc.problem.model
-    phases = {}
-    settings = {}
-    guess = np.zeros(1)
-    macros = dict(DT_S=(rhe.window.dt_s if rhe else rhc.problem.dt_s, "time between samples [s]"))
+    dt_s = rhe.window.dt_s if rhe else rhc.problem.dt_s
+    macros = dict(DT_S=(dt_s, "time between samples [s]"))
     for name in ("states", "inputs", "parameters", "outputs"):
         names = getattr(model, name)
         macros[name.upper()] = len(names), ", ".join(names) or "none"
+    phases = {}
+    settings = {}
+    guess = np.zeros(1)
     if rhe:
-        guess = rhe._guess[0]
-        settings = settings | rhe.settings
-        start = _start(
-            lambda guess: window_init(rhe.window, guess, rhe._guess[1]), guess=len(guess)
+        guess, sigma_guess = rhe._guess
+        settings |= rhe.settings
+        start = _Start(
+            lambda guess: window_init(rhe.window, guess, sigma_guess), "guess", len(guess)
         )
         estimate = build_estimator(rhe.window)
         phases |= _bind_all("estimator", start, estimate, settings, _SHARED_BY_MODEL)
-        macros |= dict(
-            ESTIMATOR=(1, "there is one"), ESTIMATE=(len(model.names), ", ".join(model.names))
-        )
+        macros["ESTIMATOR"] = 1, "there is one"
+        macros["ESTIMATE"] = len(model.names), ", ".join(model.names)
     if rhc:
         n_x = len(model.states)
-        settings = settings | rhc.settings
-        start = _start(
-            lambda s_0: plan_init(rhc.problem, s_0[:n_x], s_0[n_x:]), s_0=rhc.problem.n_s
+        settings |= rhc.settings
+        start = _Start(
+            lambda s_0: plan_init(rhc.problem, s_0[:n_x], s_0[n_x:]), "s_0", rhc.problem.n_s
         )
-        phases |= _bind_all(
-            "controller", start, build_controller(rhc.problem), settings, _SHARED_BY_MODEL
-        )
-        macros |= dict(CONTROLLER=(1, "there is one"), HORIZON=(rhc.horizon, "intervals of a plan"))
+        control = build_controller(rhc.problem)
+        phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
+        macros["CONTROLLER"] = 1, "there is one"
+        macros["HORIZON"] = rhc.horizon, "intervals of a plan"
     macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
     return _export(phases, settings, guess, macros)
 
 
 def _export(phases, settings, guess, macros):
-    """The Export of phases that are bound, with the memory and the settings that they use."""
+    """Return the Export of bound phases, with just the memory and the settings that they use."""
     memory = {}
     used = set()
-    for f, reads, writes in phases.values():
-        sizes = [*map(f.nnz_in, range(f.n_in())), *map(f.nnz_out, range(f.n_out()))]
-        for place, size in zip(reads + writes, sizes):
+    for function, reads, writes in phases.values():
+        sizes = [(place, function.nnz_in(name)) for name, place in reads.items()]
+        sizes += [(place, function.nnz_out(name)) for name, place in writes.items()]
+        for place, size in sizes:
             if place.startswith("settings->"):
                 used.add(place.removeprefix("settings->"))
             else:
                 memory[place] = max(size, 1)  # C has no empty arrays
-    used = {name: np.array(ca.DM(value)) for name, value in settings.items() if name in used}
-    return Export(phases, memory, used, guess, macros)
+    settings = {name: np.array(ca.DM(value)) for name, value in settings.items() if name in used}
+    return Export(phases, memory, settings, guess, macros)
 
 
 def _bind_all(owner, start, functions, settings, shared):
-    """{name in C: _Phase} of an owner's phases. start(name, shapes) makes the one that makes its
-    first memory.
-    """
+    """Return {name in C: _Phase} of an owner's phases, with the one that makes its first memory."""
     shift = functions["shift"]
     memory = {name: shift.size_in(name) for name in shift.name_in() if name in shift.name_out()}
-    functions = functions | dict(start=start(f"rhec_{owner}_start", memory))
+    functions = functions | dict(start=_build_start(f"rhec_{owner}_start", start, memory))
     return {
         f"{owner}_{name}": _bind(functions[name], name, owner, memory, settings, shared)
-        for name in _ORDER
+        for name in _PHASES
         if name in functions
     }
 
 
-def _bind(f, phase, owner, memory, settings, shared):
-    """A phase with its places. Memory exists twice (see `rti.RealTimeIteration`): `shift`
-    takes it from previous to current.
+def _bind(function, phase, owner, memory, settings, shared):
+    """Return a phase with its places.
+
+    Memory exists twice (see `rti.RealTimeIteration`): `shift` takes it from `previous` to
+    `current`, and all other phases read `current` and write `previous`.
     """
 
     def place(name, version):
         if name in memory:
             return f"{owner}.{version}.{name}"
-        return f"settings->{name}" if name in settings else shared.get(name, f"{owner}.{name}")
+        if name in settings:
+            return f"settings->{name}"
+        return shared.get(name, f"{owner}.{name}")
 
-    reading, writing = ("previous", "current") if phase == "shift" else ("current", "previous")
-    reads = [place(name, reading) for name in f.name_in()]
-    return _Phase(f, reads, [place(name, writing) for name in f.name_out()])
+    if phase == "shift":
+        read = "previous"
+        written = "current"
+    else:
+        read = "current"
+        written = "previous"
+    reads = {name: place(name, read) for name in function.name_in()}
+    writes = {name: place(name, written) for name in function.name_out()}
+    return _Phase(function, reads, writes)
 
 
-def _start(init, **size):
-    """A Function of the guess, of this name and size, for `_bind_all`. init copies entries of the
-    guess to the first memory and adds constants: it is affine.
+def _build_start(name, start, shapes):
+    """Return the Function of the guess that makes the first memory, pieces of these shapes.
+
+    start.init copies entries of the guess and adds constants, so it is affine: first memory =
+    constant + slopes · guess. Its values for zero and for the unit vectors give both.
     """
-    ((guess, n),) = size.items()
 
-    def make(name, shapes):
-        def first(values):
-            memory = init(values)
-            return pack_array({piece: memory[piece] for piece in shapes})
+    def first_memory(values):
+        memory = start.init(values)
+        return pack_array({piece: memory[piece] for piece in shapes})
 
-        constant = first(np.zeros(n))
-        slopes = np.column_stack([first(unit) - constant for unit in np.eye(n)])
-        # missing measurements are NaN for any guess
-        slopes = ca.sparsify(ca.DM(np.nan_to_num(slopes)))
+    constant = first_memory(np.zeros(start.n))
+    slopes = np.column_stack([first_memory(unit) - constant for unit in np.eye(start.n)])
+    # Missing measurements are NaN for any guess, so their slope is 0, not NaN.
+    slopes = ca.sparsify(ca.DM(np.nan_to_num(slopes)))
 
-        @casadi_function(name, **{guess: (n, 1)})
-        def start(**values):
-            return unpack(ca.SX(constant) + slopes @ values[guess], shapes)
+    @casadi_function(name, **{start.name: (start.n, 1)})
+    def function(**values):
+        return unpack(ca.SX(constant) + slopes @ values[start.name], shapes)
 
-        return start
-
-    return make
+    return function
 
 
-def _one_step(step):
-    """An estimator's step (memory, z, …) -> (memory, estimate, …) as two phases."""
+def _split_step(step):
+    """Return an estimator's step (memory, z, …) -> (memory, estimate, …) as two phases."""
+    _, _, *settings = step.name_in()
+    _, _, *others = step.name_out()
     symbols = step.mx_in()
-    inputs = ["memory", "z_N", *step.name_in()[2:]]
-    outputs = ["memory", "estimate", *step.name_out()[2:]]
-    options = {"allow_duplicate_io_names": True}
     feedback = ca.Function(
-        "rhec_estimator_feedback", symbols, step.call(symbols), inputs, outputs, options
+        "rhec_estimator_feedback",
+        symbols,
+        step.call(symbols),
+        ["memory", "z_N", *settings],
+        ["memory", "estimate", *others],
+        {"allow_duplicate_io_names": True},
     )
 
     @casadi_function("rhec_estimator_shift", ca.MX, memory=step.size_in(0))
@@ -241,39 +287,49 @@ def _one_step(step):
 
 
 def _with_speed(control, speed, estimate):
-    """The phases of an RHC with the speed as a second command, as in `cautious.build_step`.
+    """Return the phases of an RHC with the speed as a second command.
 
-    The last one is memory; whatever that holds, the next is between 0 and the set speed.
+    They do what `cautious.build_step` does. The last speed is memory; whatever that holds, the next
+    one is between 0 and the set speed.
+
+    Args:
+        control: The phases of the RHC.
+        speed: `cautious.build_speed`.
+        estimate: The feedback phase of the estimator.
     """
     shift = control["shift"]
     feedback = control["feedback"]
 
-    def inputs(*functions):
-        return {name: f.sparsity_in(name) for f in functions for name in f.name_in()}
-
-    @casadi_function("rhec_cautious_shift", ca.MX, speed=(1, 1), **inputs(shift))
-    def moved(speed, **plan):
+    @casadi_function("rhec_cautious_shift", ca.MX, speed=(1, 1), **_inputs_of(shift))
+    def shift_speed(speed, **plan):
         return shift(**plan) | dict(speed=speed)
 
-    given = inputs(speed, feedback) | dict(s_next=(1, 1))  # s is the RHC's
+    # The speed limit is that of the path at `s_next`; the RHC has an `s` of its own.
+    shapes = _inputs_of(speed) | _inputs_of(feedback) | dict(s_next=(1, 1))
     if "covariance" in estimate.name_out():  # in C, only its nonzeros are passed on
-        given["covariance"] = estimate.sparsity_out("covariance")
+        shapes["covariance"] = estimate.sparsity_out("covariance")
 
-    @casadi_function("rhec_cautious_feedback", ca.MX, **given)
-    def answer(**known):
-        planned = feedback(**select_inputs(feedback, known))
-        set_speed = known["speed_mps"]
-        last = ca.fmin(ca.fabs(known["speed"]), ca.fabs(set_speed))
-        known |= dict(s=known["s_next"], speed=last)
-        newest = speed(**select_inputs(speed, known))["speed"]
+    @casadi_function("rhec_cautious_feedback", ca.MX, **shapes)
+    def command_both(**inputs):
+        planned = feedback(**select_inputs(feedback, inputs))
+        set_speed = inputs["speed_mps"]
+        last = ca.fmin(ca.fabs(inputs["speed"]), ca.fabs(set_speed))
+        inputs |= dict(s=inputs["s_next"], speed=last)
+        newest = speed(**select_inputs(speed, inputs))["speed"]
         return planned | dict(speed=newest, command_speed=ca.sign(set_speed) * newest)
 
-    return control | dict(shift=moved, feedback=answer)
+    return control | dict(shift=shift_speed, feedback=command_both)
+
+
+def _inputs_of(function):
+    """Return {argument: sparsity} of a Function."""
+    return {name: function.sparsity_in(name) for name in function.name_in()}
 
 
 def closest(n_segments):
-    """The point of the whole path closest to the estimate, as `Path.project` finds it: its arc
-    length [m].
+    """Return the Function that finds the point of the whole path closest to the estimate.
+
+    Its result is an arc length [m], as that of `Path.project`.
     """
 
     @casadi_function("rhec_closest", estimate=(6, 1), segments=(5, n_segments), length_m=(1, 1))
@@ -285,17 +341,12 @@ def closest(n_segments):
         ends = [segments[0, i] for i in range(1, n_segments)] + [length_m]
         for segment, end in zip(ca.horzsplit(segments), ends):
             s, x_0, y_0, theta, curvature = ca.vertsplit(segment)
-            curved = ca.fmax(ca.fabs(curvature), 1e-12)
-            along = ca.cos(theta) * (x - x_0) + ca.sin(theta) * (y - y_0)
-            left = ca.cos(theta) * (y - y_0) - ca.sin(theta) * (x - x_0)
-            angle = ca.atan2(curved * along, 1 - curvature * left)
-            arc = (angle + 2 * ca.pi * (angle < 0)) / curved
-            along = ca.if_else(curvature == 0, along, arc)
-            # beyond an arc its beginning may be closer than its end
-            for candidate in (ca.fmin(ca.fmax(along, 0), end - s), 0):
-                px, py, _ = path.advance(x_0, y_0, theta, curvature, candidate, ca)
-                distance = ca.hypot(x - px, y - py)
-                better = distance < best_distance - 1e-9  # of equals, the first
+            place = _place_on_segment(x - x_0, y - y_0, theta, curvature)
+            # Beyond the end of an arc, its beginning may be closer than its end.
+            for candidate in (ca.fmin(ca.fmax(place, 0), end - s), 0):
+                nearest_x, nearest_y, _ = path.advance(x_0, y_0, theta, curvature, candidate, ca)
+                distance = ca.hypot(x - nearest_x, y - nearest_y)
+                better = distance < best_distance - 1e-9  # of equal distances, the first
                 best_distance = ca.if_else(better, distance, best_distance)
                 best_s = ca.if_else(better, s + candidate, best_s)
         return dict(s=best_s)
@@ -303,19 +354,38 @@ def closest(n_segments):
     return closest
 
 
-def _follow(references, gated):
-    """The references from the last arc length on, for the measured yaw rate; where that is missing
-    or rejected, for the last command.
-    """
-    inputs = {name: references.size_in(name) for name in references.name_in()}
-    del inputs["omega_measured"]
-    inputs |= dict(z_N=(4, 1), command=(1, 1)) | (dict(accepted=(4, 1)) if gated else {})
-    limit = SPEED_MODELS["parameter"].model.limits[3]
+def _place_on_segment(dx, dy, theta, curvature):
+    """Return the arc length from a segment's beginning to the closest point of its line or circle.
 
-    @casadi_function("rhec_follow", ca.MX, **inputs)
+    dx, dy: Of the point, from the beginning.
+    """
+    curved = ca.fmax(ca.fabs(curvature), 1e-12)  # a line does not divide by zero
+    along = ca.cos(theta) * dx + ca.sin(theta) * dy
+    left = ca.cos(theta) * dy - ca.sin(theta) * dx
+    angle = ca.atan2(curved * along, 1 - curvature * left)
+    arc = (angle + 2 * ca.pi * (angle < 0)) / curved
+    return ca.if_else(curvature == 0, along, arc)
+
+
+def _build_follow(references, is_robust):
+    """Return the Function of the references from the last arc length on.
+
+    They hold the measured yaw rate over the horizon; where that is missing or rejected, the last
+    command. is_robust: Whether the estimator itself says which measurements it accepted.
+    """
+    shapes = {name: references.size_in(name) for name in references.name_in()}
+    del shapes["omega_measured"]
+    shapes |= dict(z_N=(len(MEASURED), 1), command=(1, 1))
+    if is_robust:
+        shapes["accepted"] = (len(MEASURED), 1)
+    omega = MEASURED.index("omega")
+    limit = SPEED_MODELS["parameter"].model.limits[omega]
+
+    @casadi_function("rhec_follow", ca.MX, **shapes)
     def follow(z_N, command, accepted=None, **inputs):
-        used = accepted[3] if gated else is_valid_measurement(z_N[3], limit)
-        target = references(**inputs, omega_measured=ca.if_else(used, z_N[3], command))
+        is_used = accepted[omega] if is_robust else is_valid_measurement(z_N[omega], limit)
+        omega_measured = ca.if_else(is_used, z_N[omega], command)
+        target = references(**inputs, omega_measured=omega_measured)
         return dict(s_next=target.pop("s")) | target
 
     return follow

@@ -5,31 +5,30 @@ import dataclasses
 import itertools
 import json
 import os
-import pickle
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import warnings
 from pathlib import Path
 
 import casadi as ca
-import distributed
+import loky
 import numpy as np
 import pandas as pd
 import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from dask.system import CPU_COUNT
 
 import rhec
 from rhec.core._casadi import compiled
+from rhec.simulation.campaigns import batch, store, workers
 from rhec.simulation.campaigns import campaign as campaigns
-from rhec.simulation.campaigns import side_by_side, store, workers
 
 SHORT = rhec.Scenario(estimator="ekf", duration_s=6.0)
 ROOT = Path(rhec.__file__).parents[1]
@@ -186,7 +185,7 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
     """Interrupted anywhere, again and again: each time it gets on, and what was finished is never
     run again.
     """
-    monkeypatch.setattr(side_by_side, "_TASK", 30)
+    monkeypatch.setattr(batch, "_TASK", 30)
     runs = []
 
     def tiring(scenario):
@@ -238,13 +237,13 @@ def test_what_changes_bits_is_part_of_what_a_row_was_made_by(tmp_path, monkeypat
 
 def test_a_compiler_that_fails_on_the_way_mixes_no_rows(tmp_path, ran, monkeypatch):
     """What was compiled before and what runs on the virtual machine differ in their last bits."""
-    monkeypatch.setattr(campaigns, "size_of_task", lambda alike: 30)
+    monkeypatch.setattr(campaigns, "samples_per_task", lambda mean_samples: 30)
     monkeypatch.setattr(campaigns, "run_in_lanes", lambda *given: {})
     real = compiled.compiler()
     monkeypatch.setattr(compiled, "compiler", lambda: None if len(ran) > 1 else real)
     rhec.campaign(short(), tmp_path)
     assert ran[2:] == short() or not real
-    assert len(store.load_rows(store.cache_folder(tmp_path))) == 4
+    assert len(store.load_rows(store.open_folder(tmp_path))) == 4
 
 
 def test_failures_are_tried_again(tmp_path, ran, monkeypatch):
@@ -335,28 +334,10 @@ def of_other_types(file):
     )
 
 
-def forged(file):
-    """Better numbers, by who knows the format but not what it is made by."""
-    table = pq.read_table(file)
-    place = table.column_names.index("mean_error_m")
-    better = pa.array([0.001] * len(table))
-    pq.write_table(table.set_column(place, "mean_error_m", better), file, write_page_checksum=True)
-
-
-def foreign(file):
-    """What other code made of the same scenarios, put where this code's rows are."""
-    rows = store.load_rows(file.parent)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store, "provenance", lambda: dict(casadi="0.1"))
-        store.save_rows(file.parent, rows)
-
-
 @pytest.mark.parametrize(
     "spoil",
     [
         truncated,
-        forged,
-        foreign,
         of_something_else,
         of_other_types,
         lambda file: file.write_bytes(b""),
@@ -405,39 +386,10 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
         same(rhec.campaign(scenarios, workers=number), here)
 
 
-INTRUDER = """
-import asyncio, ssl, sys
-from distributed import comm
-
-careless = ssl.create_default_context()
-careless.check_hostname, careless.verify_mode = False, ssl.CERT_NONE
-
-async def knock(address, **known):
-    try:
-        await (await comm.connect(address, timeout=20, **known)).close()
-        print("let in at", address)
-    except OSError:
-        print("refused")
-
-for port in sys.argv[1:]:
-    asyncio.run(knock(f"tcp://127.0.0.1:{port}"))
-    asyncio.run(knock(f"tls://127.0.0.1:{port}", ssl_context=careless))
-"""
-
-
-def test_no_one_without_the_secret_speaks_to_a_scheduler_or_its_workers():
-    """Another user of this machine reaches every port. Who is let in may run code: so nobody is who
-    has no certificate, or speaks without encryption.
-    """
-    client = workers.local_cluster(2)
-    assert client.submit(sum, (1, 1)).result() == 2
-    nannies = (worker["nanny"] for worker in client.scheduler_info()["workers"].values())
-    addresses = [client.scheduler.address, *client.nthreads(), *nannies]
-    assert len(addresses) == 5
-    ports = [address.rsplit(":")[-1] for address in addresses]
-    intruder = [sys.executable, "-c", INTRUDER, *ports]
-    done = subprocess.run(intruder, capture_output=True, text=True, timeout=120)
-    assert done.stdout.splitlines() == ["refused"] * 10, done
+def worker_processes():
+    """The worker processes that this process started."""
+    children = psutil.Process().children(recursive=True)
+    return [child for child in children if "popen_loky" in " ".join(child.cmdline())]
 
 
 def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_its_error(
@@ -448,60 +400,97 @@ def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_i
         SHORT, path=Lethal(track.segments, track.length_m, True, home=os.getpid())
     )
     scenarios = [*short(3), lethal, *short(40)]
-    workers.local_cluster(2)
     killed, keep = [], store.save_rows
 
     def kill_a_worker_and_keep(*given):
         if not killed:
-            killed.append(
-                next(
-                    child
-                    for child in psutil.Process().children()
-                    if "spawn_main" in " ".join(child.cmdline())
-                )
-            )
+            killed.append(worker_processes()[0])
             killed[0].kill()
         keep(*given)
 
     monkeypatch.setattr(store, "save_rows", kill_a_worker_and_keep)
     table = rhec.campaign(scenarios, tmp_path, workers=2)
     assert killed and not killed[0].is_running()
-    assert (
-        list(table.index[table["error"] != ""]) == [3]
-        and table.loc[3, "error"] == "KilledWorker: every worker that ran it died"
-    )
+    assert list(table.index[table["error"] != ""]) == [3]
+    assert table.loc[3, "error"] == "KilledWorker: every worker that ran it died"
     same(table.drop(index=3), rhec.campaign(short(3) + short(40)))
+    same(rhec.campaign(short(), workers=2), rhec.campaign(short()))
 
 
-ALL_KILLED = """
-import sys, psutil, rhec
-from rhec.simulation.campaigns import store
-scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(40)]
-keep = store.save_rows
+def test_workers_that_die_while_they_are_idle_are_replaced():
+    expected = rhec.campaign(short(), workers=1)
+    same(rhec.campaign(short(), workers=2), expected)
+    for process in worker_processes():
+        process.kill()
+    same(rhec.campaign(short(), workers=2), expected)
 
-def kill_all_once_and_keep(*given):
-    for child in psutil.Process().children():
-        if "spawn_main" in " ".join(child.cmdline()):
-            child.kill()
-    store.save_rows = keep
-    keep(*given)
 
-if __name__ == "__main__":
-    store.save_rows = kill_all_once_and_keep
-    print((rhec.campaign(scenarios, sys.argv[1], workers=2)["error"] == "").sum())
+SCRIPT = """
+import sys, rhec
+
+class Shifted(rhec.Path):
+    def poses(self, s):
+        poses, curvatures = super().poses(s)
+        return poses + SHIFT, curvatures
+
+SHIFT = (0.0, 0.5, 0.0)
+track = rhec.Path.racetrack(30.0, 7.8)
+path = Shifted(track.segments, track.length_m, True)
+scenarios = [
+    rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed, path=path) for seed in range(8)
+]
+table = rhec.campaign(scenarios, workers=2)
+assert (table["error"] == "").all(), table["error"]
+print(table.drop(columns="path").equals(rhec.campaign(scenarios).drop(columns="path")))
 """
 
 
-def test_workers_that_do_not_come_back_are_replaced(tmp_path):
-    """As if they took too long to start again: Dask itself would wait for them for ever."""
-    script = tmp_path / "all_killed.py"
-    script.write_text(ALL_KILLED)
-    given_up = dict(DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT="10ms", PYTHONPATH=str(ROOT))
-    command = [sys.executable, script, tmp_path / "rows"]
+@pytest.mark.parametrize("from_stdin", [False, True])
+def test_a_script_without_guard_and_what_is_typed_start_workers(tmp_path, from_stdin):
+    """Classes and constants of `__main__` reach the workers; no process is left behind."""
+    (tmp_path / "script.py").write_text(SCRIPT)
     done = subprocess.run(
-        command, env=os.environ | given_up, capture_output=True, text=True, timeout=120
+        [sys.executable, "-" if from_stdin else "script.py"],
+        input=SCRIPT if from_stdin else None,
+        env=os.environ | dict(PYTHONPATH=str(ROOT)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
     )
-    assert done.stdout == "40\n", done.stderr
+    assert (done.stdout, done.stderr) == ("True\n", "")
+
+
+def listening():
+    """Sockets that wait for connections, of this process and of all that it started."""
+    family = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    return [
+        connection
+        for process in family
+        for connection in process.net_connections()
+        if connection.status == psutil.CONN_LISTEN
+    ]
+
+
+def test_workers_open_no_port():
+    before = listening()
+    rhec.campaign(short(), workers=2)
+    assert len(worker_processes()) == 2 and listening() == before
+
+
+def test_workers_end_where_their_parent_was_killed(tmp_path):
+    script = "import os, rhec; rhec.campaign([rhec.Scenario(duration_s=2.0)] * 2, workers=2)"
+    script = "from rhec.simulation.campaigns import workers; workers._IDLE_S = 0.5\n" + script
+    process = subprocess.Popen(
+        [sys.executable, "-c", script + "; os.kill(os.getpid(), 9)"],
+        env=os.environ | dict(PYTHONPATH=str(ROOT)),
+        start_new_session=True,
+    )
+    process.wait(timeout=60)
+    deadline = time.monotonic() + 60
+    while left_of_group(process.pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
 
 
 # A cluster that is there already
@@ -569,61 +558,38 @@ def worker(start, address, folder, **environment):
     )
 
 
-CAMPAIGN = """
-import sys, rhec
-scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(20)]
-rhec.campaign(scenarios, sys.argv[1])
-"""
-
-
-def certificate(folder):
-    """The environment with which README.md secures a cluster, with files made here."""
-    made, environment = distributed.Security.temporary(), {}
-    settings = dict(ca_file=made.tls_ca_file)
-    for role in ("scheduler", "worker", "client"):
-        settings[f"{role}__cert"] = made.tls_scheduler_cert
-        settings[f"{role}__key"] = made.tls_scheduler_key
-    for name, text in settings.items():
-        (folder / name).write_text(text)
-        environment[f"DASK_DISTRIBUTED__COMM__TLS__{name.upper()}"] = str(folder / name)
-    return environment | dict(DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION="True")
-
-
-def test_it_is_the_same_on_a_secured_cluster_of_separate_processes(started, tmp_path):
-    """A scheduler and two workers, one of which compiles for itself; the campaign finds them by
-    DASK_SCHEDULER_ADDRESS and Dask's settings alone, and without the certificate is not let in.
+def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path, monkeypatch):
+    """A scheduler and two workers, one of which compiles for itself. Nothing of the campaign's own
+    process lies in a folder that others could have made.
     """
-    secured = certificate(tmp_path)
-    address = scheduler(started, tmp_path, "--protocol", "tls", **secured)
-    assert address.startswith("tls://")
+    (tmp_path / "shared").mkdir()
+    address = scheduler(started, tmp_path)
     cache = dict(RHEC_CACHE=str(tmp_path / "cache"))
-    processes = [
-        worker(started, address, tmp_path, **secured),
-        worker(started, address, tmp_path, **secured | cache),
-    ]
-    command = [sys.executable, "-c", CAMPAIGN, tmp_path / "rows"]
-    environment = os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT))
-    subprocess.run(command, env=environment | secured, check=True, timeout=120)
-    assert list((tmp_path / "cache").glob("*/library.so")) and all(
-        process.poll() is None for process in processes
-    )
-    rows = store.load_rows(store.cache_folder(tmp_path / "rows"))
+    processes = [worker(started, address, tmp_path), worker(started, address, tmp_path, **cache)]
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "shared"))
+    path = list(sys.path)
+    table = rhec.campaign(short(20), tmp_path / "rows")
+    assert list((tmp_path / "cache").glob("*/library.so"))
+    assert all(process.poll() is None for process in processes)
+    assert list((tmp_path / "shared").iterdir()) == [] and sys.path == path
+    rows = store.load_rows(store.open_folder(tmp_path / "rows"))
     assert set(rows) == set(map(store.scenario_key, short(20)))
-    same(rhec.campaign(short(20), tmp_path / "rows"), rhec.campaign(short(20)))
-    command[-1] = tmp_path / "other rows"
-    refused = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert refused.returncode and "ConnectionError" in refused.stderr
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS")
+    same(table, rhec.campaign(short(20)))
 
 
 def test_workers_with_other_code_are_refused(started, tmp_path, monkeypatch):
     for name in ("rhec", "data"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    with open(tmp_path / "rhec" / "estimator" / "ekf.py", "a") as source:
+    with open(tmp_path / "rhec" / "core" / "estimator" / "ekf.py", "a") as source:
         source.write("# a new idea\n")
     address = scheduler(started, tmp_path)
     worker(started, address, tmp_path, PYTHONPATH=str(tmp_path))
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
-    sentence = f"a worker of {address} failed .* it has source of rhec .* they must be the same"
+    sentence = (
+        f"a worker of {address} failed .* the worker has source of rhec .* they must be the same"
+    )
     with pytest.raises(RuntimeError, match=sentence):
         rhec.campaign(short())
 
@@ -633,8 +599,8 @@ def io_loops():
 
 
 def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
-    monkeypatch.setattr(workers, "PATIENCE_S", 1.0)
-    monkeypatch.setattr(workers, "WORKERS_S", 1.0)
+    monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(workers, "FIRST_WORKER_TIMEOUT_S", 1.0)
     before = io_loops()
     for address in (
         "tcp://127.0.0.1:9",
@@ -676,7 +642,7 @@ def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
 
 
 def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
-    monkeypatch.setattr(workers, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 1.0)
     address = scheduler(started, tmp_path)
     its_process = started.processes[0]
     worker(started, address, tmp_path)
@@ -686,11 +652,11 @@ def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
         rhec.campaign(short(40), tmp_path / "rows")
 
 
-# Without Dask, without pyarrow
+# Without what is optional
 
 WITHOUT = """
 import sys
-sys.modules.update(dict.fromkeys(["dask", "distributed", "pyarrow"]))
+sys.modules.update(dict.fromkeys(["dask", "distributed", "loky", "pyarrow"]))
 import rhec
 assert "pandas" not in sys.modules
 scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(4)]
@@ -703,7 +669,7 @@ for asked in (dict(workers=2), dict(folder="rows")):
 """
 
 
-def test_without_dask_and_pyarrow_it_runs_in_this_process_and_says_what_to_install(tmp_path):
+def test_without_loky_dask_and_pyarrow_it_runs_in_this_process_and_says_what_to_install(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT],
         env=os.environ | dict(PYTHONPATH=str(ROOT)),
@@ -714,37 +680,10 @@ def test_without_dask_and_pyarrow_it_runs_in_this_process_and_says_what_to_insta
     )
     assert done.stderr == "" and done.stdout.splitlines() == [
         "True",
-        "workers=2 needs distributed, which is not installed: pip install distributed",
+        "workers=2 needs loky, which is not installed: pip install loky",
         "folder='rows' needs pyarrow, which is not installed: pip install pyarrow",
     ]
     assert list(tmp_path.iterdir()) == []
-
-
-# Names that columns had
-
-
-@pytest.fixture(scope="module")
-def table():
-    return rhec.campaign([*short(3), *short(3, process_noise="calibrated")])
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_campaigns_table_is_otherwise_a_plain_one(table, tmp_path):
-    plain = pd.DataFrame({name: list(table[name]) for name in table})
-    assert table.equals(plain) and plain.equals(table) and (table.seed == plain.seed).all()
-    pd.testing.assert_frame_equal(table, plain)
-    pd.testing.assert_frame_equal(pickle.loads(pickle.dumps(table)), table)
-    means = plain.groupby("seed").mean(numeric_only=True)
-    pd.testing.assert_frame_equal(table.groupby("seed").mean(numeric_only=True), means)
-    pd.testing.assert_frame_equal(table.merge(means[[]].reset_index()), plain)
-    pd.testing.assert_frame_equal(pd.concat(dict(one=table, two=table)).loc["two"], plain)
-    table[["seed", "mean_error_m"]].to_parquet(tmp_path / "table.parquet")
-    read = pd.read_parquet(tmp_path / "table.parquet")
-    pd.testing.assert_frame_equal(table[["seed", "mean_error_m"]], read)
-    mine = table.assign(reading=1.0, horizon=2.0)  # a column of that name is just a column
-    assert (mine["reading"] == 1.0).all() and (mine.horizon == 2.0).all()
-    with pytest.raises(KeyError):
-        table["no_such_column"]
 
 
 # From the command line
@@ -851,24 +790,47 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     assert sum(pq.read_metadata(file).num_rows for file in rows.glob("*.parquet")) == len(keys)
 
 
-@pytest.mark.parametrize("told, cores", [("3", 3), ("", CPU_COUNT), ("default", CPU_COUNT)])
+ALL = loky.cpu_count()
+
+
+@pytest.mark.parametrize(
+    "told, cores", [("3", 3), ("", ALL), ("default", ALL), ("0", ALL), ("²", ALL)]
+)
 def test_a_campaign_takes_as_many_cores_as_python_is_told(monkeypatch, told, cores):
     monkeypatch.setenv("PYTHON_CPU_COUNT", told)
     monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
-    monkeypatch.setattr(workers, "local_cluster", lambda n: n)
-    with workers.dask_client(None, large=True) as client:
-        assert client == (cores if cores > 1 else None)
+    with workers.open_workers(None, large=True) as pool:
+        assert (pool.count if pool else 1) == cores
 
 
-def test_workers_that_are_there_do_what_is_too_little_to_start_them(monkeypatch):
-    monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
-    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
-    expected = rhec.campaign(short(), workers=1)
-    workers.local_cluster(2)
-    monkeypatch.setattr(campaigns, "run_on", lambda *given: 1 / 0)
-    same(rhec.campaign(short()), expected)
-    monkeypatch.setattr(campaigns, "_HANDED_OUT", 1)
-    with pytest.raises(ZeroDivisionError):
-        rhec.campaign(short())
-    monkeypatch.setattr(campaigns, "run_on", workers.run_on)
-    same(rhec.campaign(short()), expected)
+# One verb for runs
+
+
+def test_simulate_takes_one_scenario_or_several_in_their_order():
+    scenarios = [*short(3), dataclasses.replace(SHORT, estimator="oracle"), *short(1)]
+    runs = rhec.simulate(iter(scenarios))
+    assert [run.scenario for run in runs] == scenarios and rhec.simulate([]) == []
+    for run, scenario in zip(runs, scenarios):
+        pd.testing.assert_frame_equal(run.log, rhec.simulate(scenario).log, check_exact=True)
+
+
+@pytest.mark.parametrize(
+    "scenario, sentence",
+    [
+        (3, "^scenario was 3; it should be a rhec.Scenario$"),
+        ("rhe", "^scenario was 'rhe'; it should be a rhec.Scenario$"),
+        ([SHORT, 3], r"^scenario\[1\] was 3; it should be a rhec.Scenario$"),
+    ],
+)
+def test_simulate_refuses_what_is_no_scenario(scenario, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.simulate(scenario)
+
+
+def test_one_run_loads_neither_campaigns_nor_lanes():
+    script = (
+        "import sys, rhec; rhec.simulate(rhec.Scenario(estimator='ekf', duration_s=2.0)); "
+        "print([name for name in sys.modules if 'campaigns' in name or 'lanes' in name])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout == "[]\n", done.stderr

@@ -20,8 +20,8 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import joint_guess
 from rhec.simulation import closed_loop
+from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
-from rhec.simulation.campaigns import side_by_side
 from rhec.simulation.lanes import lanes, parts
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES
 
@@ -179,8 +179,8 @@ def test_a_part_that_cannot_be_compiled_leaves_no_lanes(tmp_path, texts, monkeyp
 @pytest.fixture
 def always(monkeypatch):
     """Lanes for campaigns of any size."""
-    monkeypatch.setattr(side_by_side, "_WORTH_COMPILING", 0)
-    monkeypatch.setattr(side_by_side, "_WORTH_USING", 0)
+    monkeypatch.setattr(batch, "_WORTH_COMPILING", 0)
+    monkeypatch.setattr(batch, "_WORTH_LOADING", 0)
 
 
 def same(table, scenarios):
@@ -235,7 +235,7 @@ def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
     lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
     monkeypatch.setattr(compiled, "is_compiled", lambda *what: False)
     monkeypatch.setattr(closed_loop, "simulate", lambda scenario: 1 / 0)
-    for run, before in zip(side_by_side.simulate_all(scenarios), alone, strict=True):
+    for run, before in zip(rhec.simulate(scenarios), alone, strict=True):
         pd.testing.assert_frame_equal(run.log, before.log)
 
 

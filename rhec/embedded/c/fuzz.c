@@ -1,10 +1,11 @@
 /* Fuzzing: fuzz [steps [seed]]
  *
- * Measurements are NaN, infinite, denormal, huge or ordinary, alone and in storms, and at times the
+ * Measurements are NaN, infinite, denormal, huge or ordinary, alone and in storms. At times the
  * memory in struct rhec is overwritten. After every step the estimate must be finite and the
- * command within its bounds: if not, it says so and returns 1. After each storm come 20 s of
- * ordinary driving. Reported are how many storms leave an estimate that is then still wrong by more
- * than 0.5 m, or a fall-back, and how often each status was returned. */
+ * command must be within its bounds; otherwise the program says so and returns 1. After each storm
+ * the robot drives normally for 20 s. The program reports how many storms leave an estimate that is
+ * then still wrong by more than 0.5 m, or a status other than 0, and how often each status was
+ * returned. */
 #include <float.h>
 #include <inttypes.h>
 #include <math.h>
@@ -16,7 +17,7 @@
 
 static uint64_t state;
 
-/* splitmix64 */
+/* A random number of 64 bits, by splitmix64. */
 static uint64_t bits(void)
 {
     uint64_t b = state += UINT64_C(0x9E3779B97F4A7C15);
@@ -25,11 +26,13 @@ static uint64_t bits(void)
     return b ^ (b >> 31);
 }
 
+/* Uniform between 0 and 1. */
 static double uniform(void)
 {
     return (double)(bits() >> 11) / 9007199254740992.0;
 }
 
+/* A number that no sensor should return. */
 static double invalid(void)
 {
     static const double odd[] = {0,       -0.0,   NAN,     INFINITY, -INFINITY, DBL_MAX,
@@ -41,7 +44,7 @@ static double invalid(void)
     case 0:
         return odd[b % (sizeof odd / sizeof *odd)];
     case 1:
-        memcpy(&number, &b, sizeof number); /* any double there is */
+        memcpy(&number, &b, sizeof number); /* any bits as a double */
         return number;
     case 2:
         return sign * pow(10, 600 * uniform() - 300);
@@ -50,7 +53,7 @@ static double invalid(void)
     }
 }
 
-/* The robot drives on: eq. (systemmodel) at the scenario's set speed, little slip. */
+/* The robot drives for one sample, by the system model of the paper, with little slip. */
 static void drive(double pose[3], double speed, double omega)
 {
     for (int i = 0; i < 10; i++) {
@@ -60,7 +63,7 @@ static void drive(double pose[3], double speed, double omega)
     }
 }
 
-/* One sample; each entry of z is invalid with this probability. Returns the status; exits where an
+/* One sample. Each entry of z is invalid with this probability. Returns the status; exits if an
  * answer is not finite or out of bounds. */
 static int sample(struct rhec *r, double pose[3], double probability, double error[1])
 {

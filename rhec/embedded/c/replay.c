@@ -1,8 +1,9 @@
 /* Replays a log: replay log.csv > answers.csv
  *
- * Below a line of titles, each row of the log holds a measurement: x, y, nu, omega (nothing, or
- * nan: no measurement). If it also holds Python's answers, x, y, theta, nu, mu, kappa and the
- * command, the largest difference is reported, and is an error above 1e-9. */
+ * The first line of the log has the titles. Each further line is a measurement: x, y, nu, omega. An
+ * empty field or nan means that there is no measurement. If a line also has Python's answers (x, y,
+ * theta, nu, mu, kappa and the command), the largest difference is reported; it is an error above
+ * 1e-9. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,9 +11,9 @@
 
 #include "rhec.h"
 
-enum { GIVEN = 4, ANSWERED = 7 };
+enum { GIVEN = RHEC_OUTPUTS, ANSWERED = RHEC_ESTIMATE + 1 };
 
-/* The numbers of a line, NaN where there is none; returns how many. */
+/* Reads the numbers of a line, NaN where there is none. Returns how many fields there are. */
 static int parse(char *line, double *numbers, int most)
 {
     int count = 0;
@@ -47,7 +48,7 @@ int main(int argc, char **argv)
         rhec_prepare_estimate(&r);
         rhec_prepare_control(&r);
         int status = rhec_estimate(&r, numbers, answer);
-        status |= rhec_control(&r, &answer[6]);
+        status |= rhec_control(&r, &answer[RHEC_ESTIMATE]);
         for (int i = 0; i < ANSWERED; i++) {
             printf("%.17g,", answer[i]);
         }

@@ -1,4 +1,7 @@
-/* Calls the generated phases in order, and restarts where numbers leave their range: see rhec.h. */
+/* Calls the generated phases in order, and restarts where numbers leave their range: see rhec.h.
+ *
+ * rhec_memory.h defines what this export has: RHEC_ESTIMATOR, RHEC_CONTROLLER, and RHEC_PATH for
+ * the scenario of a tracked robot that follows a path. Without RHEC_PATH it is of a model. */
 #include "rhec.h"
 
 #include <math.h>
@@ -14,41 +17,67 @@ static int are_plausible(const double *numbers, int count)
     return 1;
 }
 
-/* x, y, theta, nu, mu, kappa that a robot may have. Measurements beyond do not count either, and a
- * yaw of more turns has lost its digits. */
-static int is_plausible(int i, double number)
-{
-    static const double most[6] = {1e8, 1e8, 1e6, 100, 10, 10};
-    return fabs(number) <= most[i];
-}
-
 #include "rhec_phases.h" /* generated: each phase bound to the memory */
 
-enum { TO_SHIFT, PREPARED, TO_EXPAND }; /* how far preparation has got */
+/* How far preparation has got. NO_PLAN: the first plan begins at the first estimate. */
+enum { TO_SHIFT, PREPARED, TO_EXPAND, NO_PLAN };
 
-/* Start the RHE at this guess as far as it is plausible, else at the other, and look for the
- * closest point on the whole path. */
-static void restart(struct rhec *r, const double guess[6], const double other[6])
+/* Returns whether a component has restarted since the last call, and forgets it. */
+static int take_restart(struct rhec *r, int component)
 {
-    static const double origin[6] = {0, 0, 0, 0, 1, 1};
-
-    for (int i = 0; i < 6; i++) {
-        r->estimate[i] = is_plausible(i, guess[i])   ? guess[i]
-                         : is_plausible(i, other[i]) ? other[i]
-                                                     : origin[i];
-    }
-    estimator_start(r);
-    path_closest(r);
-    r->estimator_stage = TO_SHIFT;
-    r->predicted = 0;
+    int restarted = r->restarted & component;
+    r->restarted &= ~component;
+    return restarted;
 }
 
-void rhec_init(struct rhec *r, const struct rhec_settings *settings, const double guess[6])
+#ifdef RHEC_ESTIMATOR
+
+#ifdef RHEC_PATH
+/* Largest x, y, theta, nu, mu, kappa of a robot. Measurements above are ignored, too. A yaw above
+ * 1e6 rad has lost its digits. */
+static const double largest[RHEC_GUESS] = {1e8, 1e8, 1e6, 100, 10, 10};
+static const double fallback[RHEC_GUESS] = {0, 0, 0, 0, 1, 1};
+#else
+#define fallback rhec_scenario_guess
+#endif
+
+static int is_plausible(int i, double number)
 {
-    memset(r, 0, sizeof *r);
-    r->settings = settings;
-    restart(r, guess, guess);
-    controller_start(r);
+#ifdef RHEC_PATH
+    return fabs(number) <= largest[i];
+#else
+    (void)i;
+    return are_plausible(&number, 1);
+#endif
+}
+
+/* Where the RHE starts. For a path this is also the estimate that the controller begins with. */
+static double *start_of(struct rhec *r)
+{
+#ifdef RHEC_PATH
+    return r->estimate;
+#else
+    return r->guess;
+#endif
+}
+
+/* Starts the RHE. Each entry is that of the guess if it is plausible, else that of the other guess,
+ * else a fixed number. On a path, the closest point of the whole path is found anew. */
+static void restart(struct rhec *r, const double guess[], const double other[])
+{
+    double *start = start_of(r);
+
+    for (int i = 0; i < RHEC_GUESS; i++) {
+        start[i] = is_plausible(i, guess[i])   ? guess[i]
+                   : is_plausible(i, other[i]) ? other[i]
+                                               : fallback[i];
+    }
+    estimator_start(r);
+#ifdef RHEC_PATH
+    path_closest(r);
+#endif
+    r->estimator_stage = TO_SHIFT;
+    r->predicted = 0;
 }
 
 void rhec_prepare_estimate(struct rhec *r)
@@ -60,7 +89,7 @@ void rhec_prepare_estimate(struct rhec *r)
         estimator_expand(r);
     }
     if (!estimator_is_plausible(r)) {
-        restart(r, r->estimate, r->estimate);
+        restart(r, start_of(r), start_of(r));
         r->restarted |= RHEC_ESTIMATOR_RESTARTED;
     }
     estimator_shift(r);
@@ -68,55 +97,121 @@ void rhec_prepare_estimate(struct rhec *r)
     r->estimator_stage = PREPARED;
 }
 
-int rhec_estimate(struct rhec *r, const double z[4], double estimate[6])
+/* The feedback phase alone. Returns whether the preparation before it had to restart. */
+static int estimator_step(struct rhec *r, const double z[RHEC_OUTPUTS])
 {
-    double last[6];
-    int status, lost = 0;
-
     rhec_prepare_estimate(r);
-    memcpy(last, r->estimate, sizeof last);
+    int status = take_restart(r, RHEC_ESTIMATOR_RESTARTED);
     memcpy(r->z, z, sizeof r->z);
     estimator_feedback(r);
     r->estimator_stage = TO_EXPAND;
-
-    r->predicted = estimator_ok(r) ? 0 : r->predicted + 1;
-    status = r->restarted & RHEC_ESTIMATOR_RESTARTED;
-    status |= r->predicted ? RHEC_PREDICTED : 0;
-    for (int i = 0; i < 6; i++) {
-        lost |= !is_plausible(i, r->estimate[i]);
-    }
-    if (lost || r->predicted > RHEC_PATIENCE) {
-        const double measured[6] = {z[0], z[1], last[2], z[2], 1, 1};
-        restart(r, measured, last);
-        status |= RHEC_ESTIMATOR_RESTARTED;
-    }
-    r->restarted &= ~RHEC_ESTIMATOR_RESTARTED;
-    memcpy(estimate, r->estimate, sizeof r->estimate);
     return status;
 }
 
+#ifdef RHEC_PATH
+/* Whether the estimate is not plausible, or has been predicted for longer than the window. */
+static int is_lost(const struct rhec *r)
+{
+    for (int i = 0; i < RHEC_ESTIMATE; i++) {
+        if (!is_plausible(i, r->estimate[i])) {
+            return 1;
+        }
+    }
+    return r->predicted > RHEC_PATIENCE;
+}
+
+int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE])
+{
+    double last[RHEC_ESTIMATE];
+
+    rhec_prepare_estimate(r); /* may restart and so change the last estimate */
+    memcpy(last, r->estimate, sizeof last);
+    int status = estimator_step(r, z);
+    r->predicted = estimator_ok(r) ? 0 : r->predicted + 1;
+    status |= r->predicted ? RHEC_PREDICTED : 0;
+    if (is_lost(r)) {
+        const double measured[RHEC_GUESS] = {z[0], z[1], last[2], z[2], 1, 1};
+        restart(r, measured, last);
+        status |= RHEC_ESTIMATOR_RESTARTED;
+    }
+    memcpy(estimate, r->estimate, sizeof r->estimate);
+    return status;
+}
+#else
+int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE])
+{
+    int status = 0;
+
+    /* A second time after a restart, which leaves nothing of a window that went wrong. */
+    for (int attempt = 0; attempt < 2; attempt++) {
+        status |= estimator_step(r, z);
+        if (are_plausible(r->estimate, RHEC_ESTIMATE)) {
+            break;
+        }
+        restart(r, r->guess, r->guess);
+        status |= RHEC_ESTIMATOR_RESTARTED;
+    }
+    status |= estimator_ok(r) ? 0 : RHEC_PREDICTED;
+    memcpy(estimate, r->estimate, sizeof r->estimate);
+    return status;
+}
+#endif
+
+#endif /* RHEC_ESTIMATOR */
+
+void rhec_init(struct rhec *r, const struct rhec_settings *settings, const double guess[RHEC_GUESS])
+{
+    memset(r, 0, sizeof *r);
+    r->settings = settings;
+    r->controller_stage = NO_PLAN;
+#ifdef RHEC_ESTIMATOR
+    restart(r, guess, guess);
+#else
+    (void)guess;
+#endif
+#ifdef RHEC_PATH
+    controller_start(r);
+    r->controller_stage = TO_SHIFT;
+#endif
+}
+
+#ifdef RHEC_CONTROLLER
+
 void rhec_prepare_control(struct rhec *r)
 {
-    if (r->controller_stage == PREPARED) {
+    if (r->controller_stage == PREPARED || r->controller_stage == NO_PLAN) {
         return;
     }
     if (r->controller_stage == TO_EXPAND) {
         controller_expand(r);
     }
     if (!controller_is_plausible(r)) {
-        controller_start(r);
         r->restarted |= RHEC_CONTROLLER_RESTARTED;
+#ifdef RHEC_PATH
+        controller_start(r);
+#else
+        r->controller_stage = NO_PLAN;
+        return;
+#endif
     }
     controller_shift(r);
     controller_linearise(r);
     r->controller_stage = PREPARED;
 }
 
+/* The feedback phase alone. Returns whether the command is an old one. */
+static int controller_step(struct rhec *r)
+{
+    controller_feedback(r);
+    r->controller_stage = TO_EXPAND;
+    return controller_ok(r) ? 0 : RHEC_AS_PLANNED;
+}
+
+#ifdef RHEC_PATH
 int rhec_control(struct rhec *r, double *omega)
 {
     rhec_prepare_control(r);
-    int status = r->restarted & RHEC_CONTROLLER_RESTARTED;
-    r->restarted &= ~RHEC_CONTROLLER_RESTARTED;
+    int status = take_restart(r, RHEC_CONTROLLER_RESTARTED);
 
     path_follow(r);
     if (!are_plausible(r->path.s_next, 1)) {
@@ -126,12 +221,31 @@ int rhec_control(struct rhec *r, double *omega)
     }
     r->path.s[0] = r->path.s_next[0];
     memcpy(r->controller.s_0, r->estimate, sizeof r->estimate);
-    controller_feedback(r);
-    r->controller_stage = TO_EXPAND;
-    if (!controller_ok(r)) {
-        status |= RHEC_AS_PLANNED;
-    }
+    status |= controller_step(r);
     r->omega[0] = r->controller.u_plan[0];
     *omega = r->omega[0];
     return status;
 }
+#else
+int rhec_control(struct rhec *r, const double x[], const double p[], const double x_ref[],
+                 const double u_ref[], double u[RHEC_INPUTS])
+{
+    rhec_prepare_control(r);
+    int status = take_restart(r, RHEC_CONTROLLER_RESTARTED);
+
+    memcpy(r->controller.s_0, x, RHEC_STATES * sizeof *x);
+    memcpy(r->controller.s_0 + RHEC_STATES, p, RHEC_PARAMETERS * sizeof *p);
+    memcpy(r->controller.x_ref, x_ref, sizeof r->controller.x_ref);
+    memcpy(r->controller.u_ref, u_ref, sizeof r->controller.u_ref);
+    if (r->controller_stage == NO_PLAN) {
+        controller_start(r);
+        r->controller.current = r->controller.previous;
+        controller_linearise(r);
+    }
+    status |= controller_step(r);
+    memcpy(u, r->controller.u_plan, RHEC_INPUTS * sizeof *u);
+    return status;
+}
+#endif
+
+#endif /* RHEC_CONTROLLER */

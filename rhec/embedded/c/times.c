@@ -1,5 +1,5 @@
-/* Times of each phase on this machine [ns], for every row of a log: times log.csv > times.csv
- * (POSIX) */
+/* Measures how long each phase takes on this machine [ns], for every line of a log:
+ * times log.csv > times.csv. Needs POSIX. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>

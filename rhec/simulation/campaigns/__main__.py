@@ -1,8 +1,12 @@
-"""Run every combination of some parameters on many seeds, or go on where that was interrupted."""
+"""Run every combination of some parameters on many seeds; the same command again goes on.
+
+The rows are kept in the folder, and the table is written to campaign.parquet in it.
+"""
 
 import argparse
 import itertools
 import json
+import os
 from pathlib import Path
 
 from rhec.simulation.campaigns.campaign import campaign
@@ -10,52 +14,79 @@ from rhec.simulation.scenario import Scenario
 
 __all__ = ["main"]
 
-_SHOWN = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true"]
+# The metrics whose means are printed.
+_PRINTED = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true"]
 
 
 def main():
     """Read the command line, run the campaign, print means and write the table."""
-    parser = argparse.ArgumentParser("python -m rhec.simulation.campaigns", description=__doc__)
-    value = "a parameter of rhec.Scenario and its values: numbers, words or lists such as [1,1,0]"
-    parser.add_argument(
-        "-p", nargs="+", action="append", default=[], metavar=("NAME", "VALUE"), help=value
-    )
-    parser.add_argument("--seeds", type=int, default=250, help="how many, from 0 on (250)")
-    folder = "where rows are kept, and the table campaign.parquet (build/campaign)"
-    parser.add_argument("--folder", type=Path, default=Path("build/campaign"), help=folder)
-    workers = "processes on this machine (one a core, or the cluster at DASK_SCHEDULER_ADDRESS)"
-    parser.add_argument("--workers", type=int, help=workers)
-    args = parser.parse_args()
-
-    vary = {name: list(map(_value, texts)) for name, *texts in args.p} or dict(
-        estimator=["rhe", "ekf"], process_noise=["printed", "calibrated"]
-    )
-    vary = vary if "seed" in vary else vary | dict(seed=range(args.seeds))
+    parser = _parser()
+    options = parser.parse_args()
+    values = {name: [_parse(text) for text in texts] for name, *texts in options.p}
+    values = values or dict(estimator=["rhe", "ekf"], process_noise=["printed", "calibrated"])
+    values.setdefault("seed", range(options.seeds))
+    file = options.folder / "campaign.parquet"
     try:
-        scenarios = [
-            Scenario(**dict(zip(vary, each))) for each in itertools.product(*vary.values())
-        ]
-        table = campaign(scenarios, args.folder, args.workers)
-    except (ValueError, ImportError, OSError, RuntimeError) as error:
-        parser.exit(2 if isinstance(error, ValueError) else 1, f"{error}\n")
+        combinations = itertools.product(*values.values())
+        scenarios = [Scenario(**dict(zip(values, combination))) for combination in combinations]
+        table = campaign(scenarios, options.folder, options.workers)
+        _write(table, file)
+    except ValueError as error:
+        parser.exit(2, f"{error}\n")
+    except (ImportError, OSError, RuntimeError) as error:
+        parser.exit(1, f"{error}\n")
     except KeyboardInterrupt as error:
         parser.exit(130, f"{error}\n")
-    varied = [name for name in vary if name != "seed"]
+    varied = [name for name in values if name != "seed"]
     if len(table) and varied:
-        print(table.groupby(varied, sort=False, dropna=False)[_SHOWN].mean().to_string())
-    file = args.folder / "campaign.parquet"
-    table.to_parquet(file)
+        print(table.groupby(varied, sort=False, dropna=False)[_PRINTED].mean().to_string())
     errors = table.loc[table["error"] != "", "error"]
     first = f", the first by {errors.iloc[0]}" if len(errors) else ""
     print(f"{len(table)} runs, {len(errors)} failed{first}; all of them are in {file}")
 
 
-def _value(text):
+def _parser():
+    parser = argparse.ArgumentParser("python -m rhec.simulation.campaigns", description=__doc__)
+    parser.add_argument(
+        "-p",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar=("NAME", "VALUE"),
+        help="a parameter of rhec.Scenario and its values: numbers, words or lists like [1,1,0]",
+    )
+    parser.add_argument("--seeds", type=int, default=250, help="how many, from 0 on (250)")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("build/campaign"),
+        help="where rows are kept, and the table campaign.parquet (build/campaign)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        help="processes on this machine (one a core, or the cluster at DASK_SCHEDULER_ADDRESS)",
+    )
+    return parser
+
+
+def _parse(text):
+    """Return a value of the command line: JSON, or else a word."""
     try:
         value = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
     return tuple(value) if isinstance(value, list) else value
+
+
+def _write(table, file):
+    """Write the table; if that fails, for example on a full disk, an older table stays."""
+    unfinished = file.with_suffix(".unfinished")
+    try:
+        table.to_parquet(unfinished)
+        os.replace(unfinished, file)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,8 @@
-"""Rows on disk: Parquet files in a folder for each provenance, keyed by scenario."""
+"""Rows on disk: Parquet files, keyed by scenario.
+
+Rows are valid only for the code, versions and machine that made them (their provenance). So each
+provenance has a folder of its own, named by a digest.
+"""
 
 import functools
 import hashlib
@@ -19,19 +23,20 @@ from rhec.tracked_robot import terrain
 
 __all__ = [
     "PLAIN",
-    "cache_folder",
     "failed_row",
     "load_rows",
+    "open_folder",
     "provenance",
     "save_rows",
     "scenario_key",
 ]
 
-PLAIN = {bool, int, float, str, tuple, type(None)}  # nearly all of a scenario: repr says it whole
+# Types of nearly all fields of a scenario; their repr gives the value to the last bit.
+PLAIN = {bool, int, float, str, tuple, type(None)}
 
 
 def provenance():
-    """Return what decides a run's numbers beside its scenario, as {name: value}."""
+    """Return {name: value} of all that decides a run's numbers besides its scenario."""
     return _installed() | {
         "C compiler": bool(compiled.compiler()),
         "machine": platform.machine(),
@@ -50,19 +55,22 @@ def _installed():
 
 
 def scenario_key(scenario):
-    """A digest of the scenario, down to the last bit of its terrain."""
+    """Return a digest of the scenario, down to the last bit of its terrain."""
     return hashlib.sha256(_canonical_text(scenario).encode()).hexdigest()[:32]
 
 
 def _canonical_text(value):
-    """A value as text that no other value has."""
+    """Return a value as a text that no other value has."""
     if isinstance(value, ca.Function):
         return value.serialize()
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):
-        named = ((name, getattr(value, name)) for name in _field_names(type(value)))
-        return repr({k: v if type(v) in PLAIN else _canonical_text(v) for k, v in named})
+        texts = {}
+        for name in _field_names(type(value)):
+            field = getattr(value, name)
+            texts[name] = field if type(field) in PLAIN else _canonical_text(field)
+        return repr(texts)
     return repr(value)
 
 
@@ -72,22 +80,30 @@ def _field_names(kind):
 
 
 @functools.cache
-def _metrics():
-    """Some run's metrics: their names and types."""
-    numbers = dict.fromkeys((*closed_loop.COLUMNS, "t_s", "error_m", "error_true_m"), np.zeros(1))
-    flags = dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
-    return closed_loop.metrics(numbers | flags, np.zeros((1, 3)))
+def _example_metrics():
+    """Return the metrics of an empty run, for their names and types."""
+    names = (*closed_loop.COLUMNS, "t_s", "error_m", "error_true_m")
+    columns = dict.fromkeys(names, np.zeros(1))
+    columns |= dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
+    return closed_loop.metrics(columns, np.zeros((1, 3)))
 
 
 def failed_row(error):
-    """The row of a run that failed for this reason: each metric is NaN, or False."""
-    some = _metrics().items()
-    none = {name: False if isinstance(each, bool) else np.nan for name, each in some}
-    return none | dict(error=error)
+    """Return the row of a run that failed for this reason: each metric is NaN, or False."""
+    row = {
+        name: False if isinstance(value, bool) else np.nan
+        for name, value in _example_metrics().items()
+    }
+    return row | dict(error=error)
 
 
-def cache_folder(folder):
-    """Make and return the folder for rows of this provenance."""
+def open_folder(folder):
+    """Make and return the folder of this provenance.
+
+    Raises:
+        ValueError: If the path is a file.
+        ImportError: If pyarrow is not installed.
+    """
     optional("pyarrow", f"folder={str(folder)!r}")
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"folder was {str(folder)!r}; that is a file, it should be a folder")
@@ -98,24 +114,16 @@ def cache_folder(folder):
 
 @functools.cache
 def _schema():
+    """Return the columns of a file: the key, and the metrics with their types."""
     import pyarrow as pa
 
     types = {bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
-    return pa.schema(
-        dict(key=pa.string()) | {name: types[type(each)] for name, each in _metrics().items()}
-    )
-
-
-def _seal(table):
-    """Metadata that a file of these rows must have: what made them, and a digest of both."""
-    made_by = json.dumps(provenance())
-    rows = json.dumps([table.column_names, table.to_pylist()])
-    digest = hashlib.sha256(f"{made_by}{rows}".encode()).hexdigest()
-    return dict(made_by=made_by, digest=digest)
+    metrics = {name: types[type(value)] for name, value in _example_metrics().items()}
+    return pa.schema(dict(key=pa.string()) | metrics)
 
 
 def save_rows(folder, rows):
-    """Write the rows without error as one more file, which is there as a whole or not at all."""
+    """Write the rows without error as one more file, which is complete or does not exist."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -123,8 +131,8 @@ def save_rows(folder, rows):
     if not rows:
         return
     table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
-    table = table.replace_schema_metadata(_seal(table))
     name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
+    # The process number keeps two campaigns on one folder from writing the same file.
     unfinished = folder / f"{name}.{os.getpid()}.unfinished"
     try:
         pq.write_table(table, unfinished, write_page_checksum=True)
@@ -134,27 +142,20 @@ def save_rows(folder, rows):
 
 
 def load_rows(folder):
-    """Read {key: row} from all files in the folder that are sound, with a warning for others.
-
-    Sound is what `save_rows` wrote with this provenance and nobody changed, unless to deceive.
-    """
+    """Return {key: row} of all files in the folder; warn about damaged files and skip them."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    names = _schema().names
     rows = {}
     for file in sorted(folder.glob("*.parquet")):
         try:
             with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
-                table = parquet.read(names).select(names).cast(_schema())
-                metadata = parquet.schema_arrow.metadata or {}
-            if any(
-                metadata.get(name.encode()) != seal.encode() for name, seal in _seal(table).items()
-            ):
-                raise ValueError("not as it was written here")
+                table = parquet.read(_schema().names).cast(_schema())
         except (pa.ArrowException, OSError, KeyError, ValueError) as error:
-            why = f"{file} cannot be read ({type(error).__name__}: {shown(str(error))})"
-            warnings.warn(f"{why}, so its runs are done again", stacklevel=3)
+            reason = f"{type(error).__name__}: {shown(str(error))}"
+            warnings.warn(
+                f"{file} cannot be read ({reason}), so its runs are done again", stacklevel=3
+            )
             continue
         rows |= {row.pop("key"): row | dict(error="") for row in table.to_pylist()}
     return rows

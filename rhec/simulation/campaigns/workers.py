@@ -1,152 +1,224 @@
-"""Tasks on a Dask cluster: one that is there already, or processes on this machine."""
+"""Worker processes: on this machine by loky, elsewhere by a Dask cluster that exists already.
 
+loky's processes speak through pipes that only they have, so there is no port that others could
+reach. They need no `if __name__ == "__main__":` in the script that starts them.
+"""
+
+import concurrent.futures
 import contextlib
 import importlib.util
 import itertools
 import logging
 import os
 import signal
-from multiprocessing import resource_tracker
+import tempfile
+from concurrent.futures.process import BrokenProcessPool
 
 from rhec.core._casadi.validation import optional
 
-__all__ = ["are_waiting", "dask_client", "local_cluster", "run_on"]
+__all__ = ["are_running", "map_tasks", "open_workers"]
 
-_AT_ONCE = 3  # tasks handed out for each thread of a worker, so that none waits for the next
-PATIENCE_S = 10.0  # for a scheduler to answer
-WORKERS_S = 60.0  # for a first worker to come
+_TASKS_PER_WORKER = 3  # running and waiting, so that no worker waits for its next task
+_IDLE_S = 60.0  # after which a worker process ends, also if its parent was killed
+SCHEDULER_TIMEOUT_S = 10.0
+FIRST_WORKER_TIMEOUT_S = 60.0
+# Each worker is one thread on one core; BLAS would start as many threads as there are cores.
+_ONE_THREAD = dict(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 
-def dask_client(workers, large):
-    """A context that gives a Dask client, or None where this process shall do the work itself."""
+def open_workers(workers, large):
+    """Return a context with the workers of a campaign, or with None for this process itself.
+
+    Args:
+        workers: Number of processes on this machine, or None to choose: the cluster at
+            DASK_SCHEDULER_ADDRESS; without that, one process a core for a large campaign.
+        large: Whether the campaign is worth starting processes for.
+    """
     if workers is None and os.environ.get("DASK_SCHEDULER_ADDRESS"):
-        return _connected(os.environ["DASK_SCHEDULER_ADDRESS"])
-    if workers is None and large and importlib.util.find_spec("distributed"):
-        workers = _cores()
-    return contextlib.nullcontext(None if workers in (None, 1) else local_cluster(workers))
+        return _connect(os.environ["DASK_SCHEDULER_ADDRESS"])
+    if workers is None and large and importlib.util.find_spec("loky"):
+        workers = _count_cores()
+    if workers in (None, 1):
+        return contextlib.nullcontext()
+    return contextlib.nullcontext(_local_workers(workers))
 
 
-def are_waiting():
-    """Whether processes of this machine, as many as it has cores to use, are there already."""
-    return bool(_clusters) and _cores() in _clusters
+def _count_cores():
+    """Return how many cores to use: PYTHON_CPU_COUNT, as for Python from 3.13 on, or all."""
+    import loky
+
+    wanted = os.environ.get("PYTHON_CPU_COUNT", "")
+    return int(wanted) if wanted.isdecimal() and int(wanted) else loky.cpu_count()
 
 
-def _cores():
-    """How many this process may use: as PYTHON_CPU_COUNT tells Python from 3.13 on, or all."""
-    from dask.system import CPU_COUNT
+class _LocalWorkers:
+    """Worker processes on this machine, started when the first task comes."""
 
-    told = os.environ.get("PYTHON_CPU_COUNT", "")
-    return int(told) if told.isdigit() else CPU_COUNT
+    died = BrokenProcessPool
+
+    def __init__(self, count):
+        self.count = count
+        self.pool = None
+
+    def submit(self, function, task):
+        """Return the Future of function(task)."""
+        with _interrupts_for_this_process_alone():
+            if self.pool is not None:
+                with contextlib.suppress(BrokenProcessPool):  # workers died: take new ones
+                    return self.pool.submit(function, task)
+            import loky
+
+            self.pool = loky.ProcessPoolExecutor(self.count, timeout=_IDLE_S, env=_ONE_THREAD)
+            return self.pool.submit(function, task)
+
+    def stop(self):
+        """Kill the processes and what they run."""
+        if self.pool is not None:
+            self.pool.shutdown(kill_workers=True)
+        self.pool = None
 
 
-def _connected(address):
-    distributed = optional("distributed", f"DASK_SCHEDULER_ADDRESS={address}")
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it logs is raised
-    sentence = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {PATIENCE_S:g} s"
-    client = None
+@contextlib.contextmanager
+def _interrupts_for_this_process_alone():
+    """A context in which new processes and threads start with Ctrl-C blocked.
+
+    A terminal sends Ctrl-C to all processes, but only this one may end the workers.
+    """
+    from loky.backend import resource_tracker
+
+    resource_tracker.ensure_running()  # before, since starting it would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        # First a greeting: a Client that finds no one leaves threads behind.
-        distributed.utils.LoopRunner().run_sync(_greet, address)
-        client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
-        sentence = f"the scheduler at {address} has had no worker for {WORKERS_S:g} s"
-        client.wait_for_workers(1, WORKERS_S)
-    except Exception as error:  # whatever may be at a wrong address
-        if client:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_local = None  # the workers of this process, which stay for the next campaign
+
+
+def are_running():
+    """Return whether workers on this machine were started before."""
+    return _local is not None and _local.pool is not None
+
+
+def _local_workers(count):
+    """Return so many workers on this machine: those that there are, or new ones."""
+    global _local
+    optional("loky", f"workers={count}")
+    if _local is None or _local.count != count:
+        if _local is not None:
+            _local.stop()
+        _local = _LocalWorkers(count)
+    return _local
+
+
+class _ClusterWorkers:
+    """The workers of a Dask cluster."""
+
+    def __init__(self, client):
+        from distributed import KilledWorker
+
+        self.client = client
+        self.died = KilledWorker
+        self.executor = client.get_executor(pure=False)
+
+    @property
+    def count(self):
+        """Return the number of threads of all workers, which may come and go."""
+        return max(1, sum(self.client.nthreads().values()))
+
+    def submit(self, function, task):
+        """Return the Future of function(task)."""
+        return self.executor.submit(function, task)
+
+    def stop(self):
+        """Cancel what this client has handed out."""
+        self.executor.shutdown(wait=False)
+
+
+@contextlib.contextmanager
+def _connect(address):
+    """A context with the workers of the Dask cluster at an address."""
+    distributed = optional("distributed", f"DASK_SCHEDULER_ADDRESS={address}")
+    from dask import config
+
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its errors are raised here
+    # By default Dask may use, and import from, a folder of a fixed name that all users share.
+    private = tempfile.TemporaryDirectory(prefix="rhec-dask-")
+    with private, config.set({"temporary-directory": private.name}):
+        client = _client_at(address, distributed)
+        try:
+            yield _ClusterWorkers(client)
+        except (concurrent.futures.CancelledError, distributed.comm.CommClosedError):
+            raise ConnectionError(f"the scheduler at {address} went away") from None
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise RuntimeError(f"a worker of {address} failed ({reason})") from error
+        finally:
             client.close()
+
+
+def _client_at(address, distributed):
+    """Return a Client that has at least one worker."""
+    try:
+        # A bare connection is tried first: a Client that finds no scheduler leaves threads behind.
+        distributed.utils.LoopRunner().run_sync(_try_connection, address)
+        client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
+    except Exception as error:  # a wrong address may be anything and raise anything
+        limit = f"{SCHEDULER_TIMEOUT_S:g} s"
+        sentence = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {limit}"
         raise ConnectionError(sentence) from error
+    try:
+        client.wait_for_workers(1, FIRST_WORKER_TIMEOUT_S)
+    except TimeoutError as error:
+        client.close()
+        limit = f"{FIRST_WORKER_TIMEOUT_S:g} s"
+        raise ConnectionError(
+            f"the scheduler at {address} has had no worker for {limit}"
+        ) from error
     return client
 
 
-async def _greet(address):
+async def _try_connection(address):
     from distributed import Security, comm
 
     settings = Security().get_connection_args("client")
-    await (await comm.connect(address, timeout=PATIENCE_S, **settings)).close()
+    await (await comm.connect(address, timeout=SCHEDULER_TIMEOUT_S, **settings)).close()
 
 
-_clusters = {}  # {workers: client} of the one cluster on this machine
+def map_tasks(workers, function, tasks, at_once=None):
+    """Yield (task, function(task)) in the order in which the workers finish.
 
+    The result is None for tasks that were handed out when a worker process died. For local workers
+    these are all that were handed out: which of them the process died of is unknown.
 
-def local_cluster(workers):
-    """The client of so many processes on this machine, which stay until this process ends.
+    Args:
+        workers: As `open_workers` gives them.
+        function: A function of a task.
+        tasks: An iterable of tasks.
+        at_once: How many tasks are handed out at a time; by default three for each worker.
 
-    Whoever may speak to a scheduler may run code as its owner, and anyone on this machine can reach
-    a port. So all must show a certificate that is made here, kept in memory, and known to no one
-    else; and nothing is served to browsers.
+    Raises:
+        RuntimeError: If the function raises an error.
     """
-    distributed = optional("distributed", f"workers={workers}")
-    optional("cryptography", f"workers={workers}")
-    from dask import config
-    from tornado.ioloop import PeriodicCallback
-
-    if workers in _clusters and _clusters[workers].status == "running":
-        return _clusters[workers]
-    for client in _clusters.values():
-        client.close()
-        client.cluster.close()
-    _clusters.clear()
-    # A terminal sends Ctrl-C to all processes, but ending the workers is for this one alone: the
-    # signal is blocked in threads and processes started here. The tracker would unblock it.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    here = dict(host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs="CRITICAL")
-    here["security"] = distributed.Security.temporary()
-    scheduler = dict(dashboard=False, allowed_failures=1)
-    pages = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker", "nanny")}
-    options = {
-        # Not forked: a notebook's kernel has threads, and a fork may catch one inside a lock.
-        "distributed.worker.multiprocessing-method": "spawn",
-        # Without Dask's word to malloc, which has each array's memory made anew: a third slower.
-        "distributed.nanny.pre-spawn-environ": dict(OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1),
-        "distributed.worker.profile.enabled": False,  # looks at each stack every 10 ms: a sixth
-    }
-    try:
-        with config.set(options | pages):
-            cluster = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, scheduler_kwargs=scheduler, **here
-            )
-        # Dask gives up a worker that takes long to come back, or is killed again meanwhile.
-        fill_up = PeriodicCallback(lambda: cluster.scale(workers), 5000)
-        cluster.loop.add_callback(fill_up.start)
-        _clusters[workers] = distributed.Client(cluster, set_as_default=False)
-    except RuntimeError as error:
-        needs = "a script that starts workers needs `if __name__ == '__main__':`"
-        raise RuntimeError(f"the workers did not start; {needs}") from error
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    return _clusters[workers]
-
-
-def run_on(client, function, tasks, at_once=None):
-    """Yield (task, function(task)) as workers finish; None if every worker that had the task died.
-
-    At most `at_once` tasks are handed out, by default some for each thread.
-    """
-    from distributed import CancelledError, KilledWorker, as_completed
-    from distributed.comm import CommClosedError
-
     tasks = iter(tasks)
     pending = {}
-    address = client.scheduler.address
-    finished = as_completed(raise_errors=False, loop=client.loop)
     try:
         while True:
-            room = (at_once or _AT_ONCE * sum(client.nthreads().values()) or 1) - len(pending)
+            room = (at_once or _TASKS_PER_WORKER * workers.count) - len(pending)
             for task in itertools.islice(tasks, max(room, 0)):
-                future = client.submit(function, task, pure=False)
-                pending[future] = task
-                finished.add(future)
+                pending[workers.submit(function, task)] = task
             if not pending:
                 return
-            future = next(finished)
-            result = None
-            with contextlib.suppress(KilledWorker):
-                result = future.result()
-            yield pending.pop(future), result
-    except (CancelledError, CommClosedError):
-        raise ConnectionError(f"the scheduler at {address} went away") from None
-    except Exception as error:
-        what = f"{type(error).__name__}: {error}"
-        raise RuntimeError(f"a worker of {address} failed ({what})") from error
+            finished, _ = concurrent.futures.wait(
+                pending, return_when=concurrent.futures.FIRST_COMPLETED
+            )
+            for future in finished:
+                result = None
+                with contextlib.suppress(workers.died):
+                    result = future.result()
+                yield pending.pop(future), result
     finally:
-        client.cancel(list(pending), force=True)
+        if pending:  # interrupted, or an error
+            workers.stop()

@@ -1,7 +1,8 @@
-// casadi_real as LANES numbers side by side, one GCC vector as wide as a register: CasADi's C,
-// compiled as C++ after this header, evaluates a Function LANES times at once. Truth is 1 or 0, as
-// in CasADi. Each operation is the scalar one in each lane, so that a lane has the scalar's bits.
-// What would branch on a number has no conversion to bool and does not compile.
+// A number for each SIMD lane of a register. CasADi's C is compiled as C++ after this header, with
+// casadi_real = lanes, a GCC vector as wide as a register, so that it evaluates a Function LANES
+// times at once. Each operation is the scalar one in each lane, so a lane has the bits of a scalar.
+// Truth is 1 or 0, as in CasADi. There is no conversion to bool: code that would branch on a number
+// does not compile.
 #pragma once
 #include <math.h>
 
@@ -11,7 +12,7 @@
 #define LANES 4
 #else
 #define LANES 2
-#endif  // not by __BIGGEST_ALIGNMENT__, which Clang leaves at 16
+#endif  // __BIGGEST_ALIGNMENT__ would not do: Clang leaves it at 16
 
 struct lanes {
   typedef double reals __attribute__((vector_size(8 * LANES)));
@@ -68,12 +69,12 @@ struct complex { lanes real, imaginary; };
 #define IMAGINARY_PART(pair) (pair).imaginary
 #include "elementary.h"
 
-// Function.if_else: where lanes disagree both Functions run, and each lane keeps its own results,
-// whose lengths are given. So a search goes on until it is settled in all lanes.
+// Function.if_else. Where lanes disagree, both Functions run and each lane keeps its own results. A
+// search therefore goes on until it has ended in all lanes. lengths: of the results.
 typedef int function(const lanes**, lanes**, long long*, lanes*, int);
 template <int... lengths> static int if_else(function yes, function no, const lanes** arg,
                                              lanes** res, long long* iw, lanes* w) {
-  lanes otherwise = fabs(*arg[0]) < 1.0;  // as C makes it a whole number
+  lanes otherwise = fabs(*arg[0]) < 1.0;  // as C converts it to an integer
   if (!any(otherwise)) return yes(arg + 1, res, iw, w, 0);
   if (!any(!otherwise)) return no(arg + 1, res, iw, w, 0);
   lanes of_yes[(lengths + ...)], *kept = of_yes;
@@ -88,8 +89,8 @@ template <int... lengths> static int if_else(function yes, function no, const la
   return 0;
 }
 
-// The slip fields, each lane's own, as casadi_interpn looks them up: m values at points 0, 1, 2 …
-// of two dimensions.
+// Bilinear interpolation of the slip fields, one field for each lane, as in casadi_interpn: m values
+// at the points 0, 1, 2 … of two dimensions.
 static void slip_fields(lanes* res, int, const lanes*, const long long* offset, const lanes* values,
                         const lanes* x, const long long*, int m, long long*, lanes*) {
   long long n = offset[1] - offset[0], last[] = {n - 1, offset[2] - offset[1] - 1}, at[2];

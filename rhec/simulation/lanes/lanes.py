@@ -1,8 +1,7 @@
-"""Many scans at once: one in each lane of the processor's registers, with the bits of one after
-the other.
+"""Many scans at a time, one in each SIMD lane, with the bits of one after the other.
 
-A Function's C is compiled as C++ whose numbers are vectors (lanes.h). What the platform or the
-Function does not allow (no C++ compiler, a QP solver's C) is found out by compiling, once.
+CasADi's C of a Function is compiled as C++ whose numbers are vectors (lanes.h). What the platform
+or the Function does not allow (no C++ compiler, a QP solver's C) shows when it is compiled, once.
 """
 
 import contextlib
@@ -26,64 +25,68 @@ from rhec.simulation.lanes.parts import compile_by_parts
 
 __all__ = ["is_compiled", "load", "scan"]
 
-# Helpers of CasADi's that look into a number; lanes.h has them for lanes, or nothing has.
+# Helpers of CasADi's C that branch on a number. Those that a loop may use are in lanes.h.
 _HELPERS = "low|interpn|interpn_weights|interpn_interpolate|fmin|fmax|fabs"
+# The C of Function.if_else, and an assignment, perhaps of a sine or cosine.
 _IF_ELSE = re.compile(
     r"->\((?P<outputs>\S*)\) \*/\n(?P<head>.* \{)\n"
     r"  if \(arg\[0\] \? casadi_to_int\(\*arg\[0\]\) : 0\) \{\n"
     r"    if \((?P<yes>\w+)\(arg\+1, res, iw, w, 0\)\) return 1;\n  \} else \{\n"
     r"    if \((?P<no>\w+)\(arg\+1, res, iw, w, 0\)\) return 1;\n  \}\n  return 0;"
 )
+_ASSIGNMENT = re.compile(r"  (a\d+)=(?:(sin|cos)\((a\d+)\);$)?")
 
 
-_ASSIGNED = re.compile(r"  (a\d+)=(?:(sin|cos)\((a\d+)\);$)?")
-
-
-def _by_lanes(code):
-    """CasADi's C as C++ for lanes: what cannot be overloaded becomes a call."""
-    code = "\n".join(_sines_with_cosines(code.splitlines()))
+def _vectorise(code):
+    """Return CasADi's C as C++ for lanes: what C++ cannot overload becomes a call."""
+    code = "\n".join(_join_sines_and_cosines(code.splitlines()))
     code = re.sub(rf"^\w+ casadi_({_HELPERS})\(.*?^}}\n", "", code, flags=re.M | re.S)
     code = re.sub(r"\bcasadi_(fmin|fmax|fabs)\(", r"\1(", code)
     code = re.sub(r"\((\w+|\(\*cr\+\+\))\?(\w+(?:\[i\])?):0\)", r"select(\1, \2, 0.0)", code)
     slip = r"(/\* slip_fields:\(x\[2\],#c.*?)casadi_interpn\("
-    return _IF_ELSE.sub(_if_else, re.sub(slip, r"\1slip_fields(", code, flags=re.S))
+    code = re.sub(slip, r"\1slip_fields(", code, flags=re.S)
+    return _IF_ELSE.sub(_call_if_else, code)
 
 
-def _sines_with_cosines(lines):
-    """Lines of C in which sine and cosine of one angle, each an assignment, are one call."""
-    known = {}  # {variable: name of the pair of its sine and cosine}
+def _join_sines_and_cosines(lines):
+    """Yield lines of C in which sine and cosine of one angle are one call.
+
+    An angle is a variable, so a pair is valid only until its variable changes.
+    """
+    pairs = {}  # {variable: name of the pair of its sine and cosine}
     for number, line in enumerate(lines):
-        if found := _ASSIGNED.match(line):
-            variable, function, angle = found.groups()
+        assignment = _ASSIGNMENT.match(line)
+        if assignment:
+            variable, function, angle = assignment.groups()
             if function:
-                call = "" if angle in known else f"complex pair{number}=own_cis({angle}); "
-                pair = known.setdefault(angle, f"pair{number}")
-                line = f"  {call}{variable}={pair}.{dict(sin='imaginary', cos='real')[function]};"
-            known.pop(variable, None)
+                call = "" if angle in pairs else f"complex pair{number}=own_cis({angle}); "
+                pair = pairs.setdefault(angle, f"pair{number}")
+                part = dict(sin="imaginary", cos="real")[function]
+                line = f"  {call}{variable}={pair}.{part};"
+            pairs.pop(variable, None)
         elif line == "}":
-            known.clear()
+            pairs.clear()
         yield line
 
 
-def _if_else(found):
-    """The Function that chooses between two, as a call of lanes.h with its outputs' lengths."""
-    shapes = re.findall(r"o\d+(?:\[(?:[^],]*,)?([^]]*)\])?", found["outputs"])
-    lengths = (math.prod(map(int, re.findall(r"\d+", shape))) for shape in shapes)
-    call = "  return if_else<{}>({yes}, {no}, arg, res, iw, w);".format(
-        ", ".join(map(str, lengths)), **found.groupdict()
-    )
-    return f"*/\n{found['head']}\n{call}"
+def _call_if_else(match):
+    """Return the Function that chooses between two, as a call of lanes.h with output lengths."""
+    shapes = re.findall(r"o\d+(?:\[(?:[^],]*,)?([^]]*)\])?", match["outputs"])
+    lengths = [math.prod(map(int, re.findall(r"\d+", shape))) for shape in shapes]
+    functions = f"{match['yes']}, {match['no']}"
+    call = f"if_else<{', '.join(map(str, lengths))}>({functions}, arg, res, iw, w)"
+    return f"*/\n{match['head']}\n  return {call};"
 
 
 @functools.cache
 def _compiler():
-    """The C++ compiler and all that it knows of this processor; None where there are no lanes."""
-    found = shutil.which(os.environ.get("CXX", "c++")) or shutil.which("clang++")
-    if not (found and compiled.compiler()):
+    """Return the C++ compiler and its macros, which name the processor; None without lanes."""
+    compiler = shutil.which(os.environ.get("CXX", "c++")) or shutil.which("clang++")
+    if not (compiler and compiled.compiler()):
         return None
-    ask = [found, "-march=native", "-dM", "-E", "-x", "c++", os.devnull]
-    asked = subprocess.run(ask, capture_output=True, text=True)
-    return None if asked.returncode else (found, asked.stdout)
+    command = [compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull]
+    answer = subprocess.run(command, capture_output=True, text=True)
+    return None if answer.returncode else (compiler, answer.stdout)
 
 
 def _name(build, structure):
@@ -97,7 +100,7 @@ def is_compiled(build, *structure):
 
 @functools.cache
 def load(build, *structure):
-    """The block of build(*structure) for several scans at once, or None where that cannot be."""
+    """Return the block of build(*structure) for several scans, or None where there are no lanes."""
     if not _compiler():
         return None
 
@@ -113,24 +116,22 @@ def load(build, *structure):
 
 
 def _text(function, name=None):
+    """Return the C++ of a Function, for lanes."""
     generator = ca.CodeGenerator(f"{name or function.name()}.c")
     generator.add(function)
-    return f'extern "C" {{\n{_by_lanes(generator.dump())}}}\n'
+    return f'extern "C" {{\n{_vectorise(generator.dump())}}}\n'
 
 
 def _compile(place, functions):
-    # -O1: three quarters of the time to compile, the code a twentieth slower.
+    """Compile the Functions of a scan into a folder; without library.so if that fails."""
+    # -O1 compiles in three quarters of the time of -O3; its code is a twentieth slower.
     flags = [*compiled.FLAGS, "-O1", "-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
-    command = [
-        _compiler()[0],
-        *flags,
-        "-include",
-        Path(__file__).with_name("lanes.h"),
-        f"-I{compiled.HEADERS}",
-    ]
+    compiler, _ = _compiler()
+    header = Path(__file__).with_name("lanes.h")
+    command = [compiler, *flags, "-include", header, f"-I{compiled.HEADERS}"]
     key = _compiler(), flags, compiled.source_digest()
     function = functions["block"]
-    text = _text(functions["block"], "code")
+    text = _text(function, "code")
     with contextlib.suppress(OSError, cache.UnusableError):
         compile_by_parts(place, text, functions["step"], _text, key, command)
     sizes = {name: function.nnz_in(name) for name in function.name_in()}
@@ -138,29 +139,37 @@ def _compile(place, functions):
 
 
 class _Block:
-    """A block of samples whose every number is one a lane, side by side in memory.
+    """The compiled Function of a block of samples, whose every number is one for each lane.
 
-    sizes: of its arguments by name; n_rows, length: of what it yields, (outputs, samples).
+    Attributes:
+        sizes: {argument: length} of its memory, its stream and its settings, in order.
+        n_rows: Number of outputs of a sample.
+        length: Number of samples.
+        lanes: Number of lanes.
+        lock: To be held while the block is used: all threads share its arrays.
+        last_settings: {name: what the lanes were given last}.
     """
 
     def __init__(self, folder):
         self.sizes, (self.n_rows, self.length) = json.loads((folder / "block.json").read_text())
+        self.lock = threading.Lock()
+        self.last_settings = {}
+        self._arrays = {}  # those of settings have their names; other names have a space
         self._library = ctypes.CDLL(str(folder / "library.so"))
-        self.lock = threading.Lock()  # arrays and work space are one for all threads
-        self.given = {}  # {name: what the lanes were given last}
         self.lanes = self._library.code_casadi_real_size() // 8
+        # CasADi's convention: pointers to arguments and results, and integer and real work space.
         lengths = [ctypes.c_longlong() for _ in range(4)]
         self._library.block_work(*map(ctypes.byref, lengths))
-        n_arguments, n_results, n_whole, n_work = (length.value for length in lengths)
+        n_arguments, n_results, n_integers, n_reals = (length.value for length in lengths)
         self._arguments = (ctypes.c_void_p * n_arguments)()
         self._results = (ctypes.c_void_p * n_results)()
-        self._whole = (ctypes.c_longlong * n_whole)()
-        self._arrays = {}
-        self._work = ctypes.c_void_p(self.array("work", n_work).ctypes.data)
+        self._integers = (ctypes.c_longlong * n_integers)()
+        self._reals = ctypes.c_void_p(self.array("work space", n_reals).ctypes.data)
 
     def array(self, name, *shape):
-        """The array of this name, which stays as long as its shape does: a number for each lane,
-        from an address where a register can be read.
+        """Return the array of this name, (*shape, lanes), which is kept as long as its shape is.
+
+        Its address is a multiple of a register's width, else loading a register would fail.
         """
         if name not in self._arrays or self._arrays[name].shape[:-1] != shape:
             n = math.prod(shape) * self.lanes
@@ -169,60 +178,87 @@ class _Block:
             self._arrays[name] = raw[begin : begin + n].reshape(*shape, self.lanes)
         return self._arrays[name]
 
-    def side_by_side(self, name, values, *shape):
-        """The array of this name with the lanes' values, of which some may be shorter; one that all
-        have in common is laid out at once.
-        """
+    def interleave(self, name, values, *shape):
+        """Return the array of this name with one value for each lane; some may be shorter."""
         array = self.array(name, *shape)
-        given = enumerate(values)
-        if all(value is values[0] for value in values):
-            given = [(slice(None), values[0][..., None])]
-        for lanes, value in given:
-            array[: len(value), ..., lanes] = value
+        first = values[0]
+        if all(value is first for value in values):
+            array[: len(first)] = first[..., None]
+        else:
+            for lane, value in enumerate(values):
+                array[: len(value), ..., lane] = value
         return array
 
-    def give(self, place, array):
-        """Take an argument from an array, which stays as long as its shape does."""
+    def set_argument(self, place, array):
+        """Take an argument from an array of this block."""
         self._arguments[place] = array.ctypes.data
 
     def call(self, memory, stream, next_memory, rows):
-        """Evaluate the block from the first two addresses into the others."""
+        """Evaluate the block. All four are addresses: it reads the first two, writes the others."""
         self._arguments[0] = memory
         self._arguments[1] = stream
         self._results[0] = next_memory
         self._results[1] = rows
-        self._library.block(self._arguments, self._results, self._whole, self._work, 0)
+        self._library.block(self._arguments, self._results, self._integers, self._reals, 0)
 
 
 def scan(block, memories, streams, settings):
-    """Rows (n, outputs) of as many runs as there are lanes, or fewer, each as by `scan.scan`.
+    """Scan the block over as many runs as there are lanes, or fewer, as `scan.scan` does for one.
 
-    memories: vectors; streams: (n, inputs), n may differ; settings: dicts.
+    Args:
+        block: As `load` returns it.
+        memories: First memory of each run, a vector.
+        streams: Inputs of each run, (samples, inputs); the number of samples may differ.
+        settings: {name: array} of each run.
+
+    Returns:
+        The rows of each run, (samples, outputs).
     """
+    # Lanes without a run repeat the last one.
+    n_idle = block.lanes - len(memories)
+    memories = [*memories, *memories[-1:] * n_idle]
+    settings = [*settings, *settings[-1:] * n_idle]
+    padded_streams = [*streams, *streams[-1:] * n_idle]
     with block.lock:
-        return _scan(block, memories, streams, settings)
+        _set_settings(block, settings)
+        rows = _scan(block, memories, padded_streams)
+        # One copy of (samples, outputs, lanes) as (lanes, outputs, samples): columns of a run are
+        # contiguous.
+        by_lane = np.ascontiguousarray(rows.T)
+    return [of_run[:, : len(stream)].T for of_run, stream in zip(by_lane, streams)]
 
 
-def _scan(block, memories, streams, settings):
-    idle = block.lanes - len(memories)  # such lanes repeat the last run
-    first, each, given = ([*of, *of[-1:] * idle] for of in (memories, streams, settings))
-    memory_name, _, *names = block.sizes
+def _set_settings(block, settings):
+    """Give the block the settings of its lanes, of which many are those of the runs before."""
+    _, _, *names = block.sizes
     for place, name in enumerate(names, 2):
-        values = [run[name] for run in given]
-        if all(map(operator.is_, values, block.given.get(name, [None]))):
-            continue  # as for the runs before
-        block.given[name] = values
-        flat = {id(each): np.ravel(each, order="F") for each in values}
-        values = [flat[id(each)] for each in values]
-        block.give(place, block.side_by_side(name, values, block.sizes[name]))
-    memory = block.side_by_side("first", first, block.sizes[memory_name])
-    samples = -(-max(map(len, streams)) // block.length) * block.length
-    stream = block.side_by_side("each", each, samples, streams[0].shape[1])
-    spare = block.array("spare", len(memory))
-    rows = block.array("rows", samples, block.n_rows)
-    now, after, begin, end = (each.ctypes.data for each in (memory, spare, stream, rows))
-    for done in range(0, samples, block.length):
-        block.call(now, begin + done * stream.strides[0], after, end + done * rows.strides[0])
-        now, after = after, now
-    by_run = np.ascontiguousarray(rows.T)
-    return [rows_of[:, : len(run)].T for rows_of, run in zip(by_run, streams)]
+        values = [of_run[name] for of_run in settings]
+        last = block.last_settings.get(name)
+        if last is not None and all(map(operator.is_, values, last)):
+            continue
+        block.last_settings[name] = values
+        # An array that several lanes share is flattened once, so that `interleave` sees it is one.
+        flat = {id(value): np.ravel(value, order="F") for value in values}
+        flat_values = [flat[id(value)] for value in values]
+        block.set_argument(place, block.interleave(name, flat_values, block.sizes[name]))
+
+
+def _scan(block, memories, streams):
+    """Return the rows of all lanes, (samples, outputs, lanes), in an array of the block."""
+    memory_name, *_ = block.sizes
+    n_samples = max(map(len, streams))
+    n_blocks = -(-n_samples // block.length)  # rounded up: the last block may be partly unused
+    n_samples = n_blocks * block.length
+    memory = block.interleave("first memory", memories, block.sizes[memory_name])
+    stream = block.interleave("all streams", streams, n_samples, streams[0].shape[1])
+    next_memory = block.array("next memory", len(memory))
+    rows = block.array("all rows", n_samples, block.n_rows)
+    # Plain addresses, because a new array for each block would cost time.
+    memory_at = memory.ctypes.data
+    next_memory_at = next_memory.ctypes.data
+    for first_sample in range(0, n_samples, block.length):
+        stream_at = stream.ctypes.data + first_sample * stream.strides[0]
+        rows_at = rows.ctypes.data + first_sample * rows.strides[0]
+        block.call(memory_at, stream_at, next_memory_at, rows_at)
+        memory_at, next_memory_at = next_memory_at, memory_at
+    return rows

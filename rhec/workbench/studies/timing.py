@@ -17,8 +17,8 @@ import pandas as pd
 from rhec import paper
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
-from rhec.simulation.campaigns.side_by_side import simulate_all
 from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = ["PHASES", "machine", "phases", "table"]
@@ -30,7 +30,7 @@ def phases(scenario, qp):
     """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in
     PHASES, the RHC's QP by this solver.
     """
-    (run,) = simulate_all([scenario])  # it needs no loop of its own compiled
+    (run,) = simulate([scenario])  # it needs no loop of its own compiled
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
     estimator = RHE(process_noise=scenario.process_noise, guess=guess)
     controller = RHC(q=scenario.q, r=scenario.r, qp=qp)

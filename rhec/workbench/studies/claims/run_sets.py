@@ -15,9 +15,14 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.simulation.campaigns.batch import (
+    mean_samples_per_structure,
+    samples_per_task,
+    simulate_batch,
+    split_into_tasks,
+)
 from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.campaigns.side_by_side import in_parts, run_each, samples_alike, size_of_task
-from rhec.simulation.campaigns.workers import dask_client, run_on
+from rhec.simulation.campaigns.workers import map_tasks, open_workers
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
@@ -207,23 +212,23 @@ def of_runs(of, scenarios):
     """`of` the Run of each scenario, in their order: something that is true, by a function that
     other processes find.
     """
-    alike = samples_alike(scenarios)
-    parts = [*in_parts(dict(enumerate(scenarios)), size_of_task(alike))]
-    found = each(partial(_of_part, alike=alike, of=of), parts)
+    mean_samples = mean_samples_per_structure(scenarios)
+    parts = [*split_into_tasks(dict(enumerate(scenarios)), samples_per_task(mean_samples))]
+    found = each(partial(_of_part, mean_samples=mean_samples, of=of), parts)
     found = {place: row for part in found for place, row in part.items()}
     return [found[place] for place in range(len(scenarios))]
 
 
-def _of_part(part, alike, of):
-    return dict(zip(part, run_each(part.values(), alike, of)))
+def _of_part(part, mean_samples, of):
+    return dict(zip(part, simulate_batch(part.values(), of, mean_samples)))
 
 
 def each(function, arguments):
     """The function of each argument, in order. Many are spread over this machine's cores."""
     tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
-    with dask_client(None, large=len(tasks) > 2) as client:
-        done = map(_applied, tasks) if client is None else run_on(client, _applied, tasks)
-        found = dict(done if client is None else (result for _, result in done))
+    with open_workers(None, large=len(tasks) > 2) as workers:
+        done = map(_applied, tasks) if workers is None else map_tasks(workers, _applied, tasks)
+        found = dict(done if workers is None else (result for _, result in done))
     return [found[place] for place in range(len(tasks))]
 
 

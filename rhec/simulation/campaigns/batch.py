@@ -1,0 +1,217 @@
+"""Many runs in one process: several at a time, one in each SIMD lane, where that is faster."""
+
+import contextlib
+import functools
+import itertools
+import operator
+from dataclasses import replace
+
+from rhec import paper
+from rhec.core._casadi import compiled
+from rhec.simulation import closed_loop
+from rhec.simulation.campaigns.store import PLAIN
+from rhec.simulation.lanes import lanes
+from rhec.tracked_robot import terrain
+
+__all__ = [
+    "compile_lanes",
+    "count_samples",
+    "mean_samples_per_structure",
+    "one_per_structure",
+    "run_in_lanes",
+    "samples_per_task",
+    "simulate_batch",
+    "split_into_tasks",
+]
+
+# Samples of one loop structure that pay for compiling its lanes, which takes some seconds.
+_WORTH_COMPILING = 400_000
+# Samples of one loop structure that pay for loading lanes that are compiled already.
+_WORTH_LOADING = 10_000
+# Samples in one task. A task takes about a second, which is also what an interruption loses.
+_TASK = 40_000
+_TASK_IN_LANES = 400_000
+# Runs of as many seeds as the widest registers have lanes (AVX-512: 8) share fields and noise.
+_SEEDS_TOGETHER = 8
+# Samples of all lanes together; longer runs are simulated one by one to bound the memory.
+_MAX_SAMPLES_IN_MEMORY = 200_000
+
+# The fields that nearly always decide alone which compiled loop a scenario runs.
+_STRUCTURE = operator.attrgetter(
+    "estimator",
+    "estimation_horizon",
+    "speed_model",
+    "arrival_mean",
+    "robust",
+    "prediction_horizon",
+    "qp",
+    "input_reference",
+    "cautious",
+)
+
+
+def _all_but_seed(scenario):
+    """Return a text that two scenarios share if they differ in their seeds alone.
+
+    Arrays and other objects count as equal only if they are the same object, so the text is valid
+    only as long as the scenarios exist.
+    """
+    values = (vars(scenario) | dict(seed=None)).values()
+    return repr([value if type(value) in PLAIN else id(value) for value in values])
+
+
+def count_samples(scenario):
+    """Return how many samples a run of the scenario has."""
+    return round(scenario.duration_s / paper.DT_S)
+
+
+def mean_samples_per_structure(scenarios):
+    """Return how many samples the scenarios have, on average, for each compiled loop."""
+    return sum(map(count_samples, scenarios)) / len({*map(_STRUCTURE, scenarios)})
+
+
+def samples_per_task(mean_samples):
+    """Return how many samples a task should have, by `mean_samples_per_structure`."""
+    return _TASK_IN_LANES if mean_samples >= _WORTH_COMPILING else _TASK
+
+
+def split_into_tasks(scenarios, samples):
+    """Yield parts of {key: scenario}, each of about so many samples.
+
+    The order is chosen so that runs which share work are neighbours: first by groups of seeds,
+    whose runs share fields and noise; then by loop; then by all fields but the seed. Otherwise the
+    scenarios keep their order.
+    """
+    # Each group, loop and so on is numbered in the order in which it occurs first.
+    seeds = {}
+    loops = {}
+    families = {}
+
+    def place(scenario):
+        seed = seeds.setdefault(scenario.seed, len(seeds))
+        loop = loops.setdefault(_STRUCTURE(scenario), len(loops))
+        family = families.setdefault(_all_but_seed(scenario), len(families))
+        return seed // _SEEDS_TOGETHER, loop, family, seed
+
+    places = {key: place(scenario) for key, scenario in scenarios.items()}
+    ordered = sorted(scenarios, key=places.get)
+    # Task number of a run: the samples of all runs before it, divided by the size of a task.
+    lengths = (count_samples(scenarios[key]) for key in ordered)
+    n_before = itertools.accumulate(lengths, initial=0)
+    numbered = zip(n_before, ordered)
+    for _, task in itertools.groupby(numbered, lambda item: item[0] // samples):
+        yield {key: scenarios[key] for _, key in task}
+
+
+def one_per_structure(scenarios, mean_samples):
+    """Return one scenario for each loop whose lanes are worth compiling."""
+    if mean_samples < _WORTH_COMPILING:
+        return []
+    return [*{_STRUCTURE(scenario): scenario for scenario in scenarios}.values()]
+
+
+def compile_lanes(scenario):
+    """Compile the lanes of a scenario's loop. The run itself reports what goes wrong here."""
+    with contextlib.suppress(Exception):
+        lanes.load(closed_loop.build_sample, *closed_loop.set_up(scenario).structure)
+
+
+def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics")):
+    """Run those of the scenarios that can run in lanes.
+
+    Args:
+        scenarios: {key: scenario}.
+        mean_samples: `mean_samples_per_structure` of the whole campaign.
+        result_of: What is kept of a Run.
+
+    Returns:
+        {key: result_of(run)}. A scenario that fails is left out: `closed_loop.simulate` of it
+        raises the reason.
+    """
+    blocks = {}
+    groups = {}
+    results = {}
+    setups = {}
+    # The cache holds the seeds that are neighbours, not those of a whole task.
+    cached = functools.lru_cache(4 * _SEEDS_TOGETHER)
+    noise = cached(closed_loop.noise_and_faults)
+    soil_settings = cached(terrain.settings)
+    for key, scenario in scenarios.items():
+        with contextlib.suppress(Exception):
+            family = _all_but_seed(scenario)
+            setup = _set_up(scenario, setups.get(family), soil_settings)
+            setups[family] = setup
+            if setup.structure not in blocks:
+                blocks[setup.structure] = _load_block(setup.structure, mean_samples)
+            block = blocks[setup.structure]
+            samples = count_samples(scenario)
+            if not block or samples * block.lanes > _MAX_SAMPLES_IN_MEMORY:
+                continue
+            group = groups.setdefault((setup.structure, samples), {})
+            group[key] = scenario, setup
+            if len(group) == block.lanes:
+                del groups[setup.structure, samples]
+                results |= _run_group(block, samples, group, noise, result_of)
+    # The groups that are left have fewer runs than there are lanes.
+    for (structure, samples), group in groups.items():
+        with contextlib.suppress(Exception):
+            results |= _run_group(blocks[structure], samples, group, noise, result_of)
+    return results
+
+
+def _set_up(scenario, relative, soil_settings):
+    """Return `closed_loop.set_up(scenario)`.
+
+    relative: The Setup of a scenario that differs in its seed alone, or None. With it, only the
+    soil is made anew.
+    """
+    if relative is None:
+        return closed_loop.set_up(scenario)
+    soil = scenario.terrain or terrain.random_for(scenario, relative.path)
+    settings = relative.settings | soil_settings(soil, relative.structure.terrain_shape)
+    return replace(relative, settings=settings, terrain=soil)
+
+
+def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
+    """Run scenarios in lanes where that is faster, the others one by one.
+
+    Args:
+        scenarios: Scenarios, in any order.
+        result_of: What is kept of a Run: something that is true.
+        mean_samples: `mean_samples_per_structure`, if these are a part of a larger batch.
+
+    Returns:
+        A list of result_of(run), in the order of the scenarios.
+    """
+    scenarios = list(scenarios)
+    if not scenarios:
+        return []
+    if mean_samples is None:
+        mean_samples = mean_samples_per_structure(scenarios)
+    in_lanes = run_in_lanes(dict(enumerate(scenarios)), mean_samples, result_of)
+    return [
+        in_lanes.get(k) or result_of(closed_loop.simulate(scenario))
+        for k, scenario in enumerate(scenarios)
+    ]
+
+
+def _load_block(structure, mean_samples):
+    """Return the compiled lanes of a structure, or None where they do not pay or do not exist."""
+    sample = closed_loop.build_sample, *structure
+    if mean_samples < _WORTH_COMPILING:
+        # Even a few runs use lanes that exist if they would have to compile their own loop first.
+        few = mean_samples < _WORTH_LOADING and compiled.is_compiled(*sample)
+        if few or not lanes.is_compiled(*sample):
+            return None
+    return lanes.load(*sample)
+
+
+def _run_group(block, samples, group, noise, result_of):
+    """Return {key: result_of(run)} of {key: (scenario, setup)} of one structure and length."""
+    scenarios, setups = zip(*group.values())
+    streams = [noise(scenario.seed, scenario.faults, samples) for scenario in scenarios]
+    memories = [setup.memory for setup in setups]
+    settings = [setup.settings for setup in setups]
+    rows = lanes.scan(block, memories, streams, settings)
+    runs = map(closed_loop.finish, scenarios, setups, rows)
+    return {key: result_of(run) for key, run in zip(group, runs)}
