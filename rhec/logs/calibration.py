@@ -23,7 +23,7 @@ from rhec.core.estimator import kalman
 from rhec.core.model import base
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.extensions import slipping
-from rhec.logs.nonsense import refuse_nonsense
+from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.reader import read
 from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import AGE, MEASUREMENTS
@@ -241,7 +241,7 @@ def calibrate(
     )
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
-        refuse_nonsense(recording)
+        refuse_implausible(recording)
     width_m = recording.track_width_m
     samples = (
         resample(rows, paper.DT_S, recording.averaged)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.logs.nonsense import refuse_nonsense
+from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.recording import prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
@@ -178,10 +178,10 @@ def perturbed_replay(log, seed, **arguments):
 
 
 def _prepared(log, track_width_m=None, position_delay_s=0.0, trust_log=False, **others):
-    """The Recording of a log, refused if it is nonsense, and the other arguments."""
+    """The Recording of a log, refused if it is implausible, and the other arguments."""
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
-        refuse_nonsense(recording)
+        refuse_implausible(recording)
     return recording, others
 
 
