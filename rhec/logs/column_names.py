@@ -56,7 +56,7 @@ def missing_columns(log, wanted):
     )
     if RECORDED.items() <= wanted.items() and set(TRACKS) <= set(columns):
         sentence += f", or give a track_width_m for {', '.join(TRACKS)}"
-    sentence += f"; it has {listed}, and columns= of rhec.logs.read gives them the names needed"
+    sentence += f"; it has {listed}; columns= of rhec.logs.read renames them"
     free = [column for column in columns if column not in wanted.values()]
     meant = [f"{name}={column}" for name, column in _suggestions(missing, free).items()]
     return sentence + (f": did you mean {', '.join(meant)}?" if meant else "")

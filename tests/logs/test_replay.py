@@ -483,11 +483,23 @@ def test_help_names_every_column_of_a_recording():
     assert not [name for name in names if name not in rhec.replay.__doc__]
 
 
-def test_fields_answer_to_their_old_name():
-    with pytest.warns(FutureWarning, match="'process_noise'"):
-        old = rhec.replay(LOG, first_yaw_rad=0.4, reading="calibrated")
-    new = rhec.replay(LOG, first_yaw_rad=0.4, process_noise="calibrated")
-    np.testing.assert_array_equal(old[ESTIMATE], new[ESTIMATE])
+FOREIGN = LOG.rename(
+    columns=dict(x_m="Easting [m]", y_m="northing", speed_mps="vel", yaw_rate_radps="gyro")
+)
+
+
+@pytest.mark.parametrize(
+    "log, sentence",
+    [
+        (FOREIGN, r"it has t_s, Easting \[m\], northing, vel, gyro, v_left_mps"),
+        (FOREIGN, r"columns= of rhec.logs.read renames them: did you mean x_m=Easting \[m\], "),
+        (FOREIGN, r", y_m=northing, speed_mps=vel, yaw_rate_radps=gyro\?$"),
+        (LOG.drop(columns="x_m"), "renames them$"),
+    ],
+)
+def test_a_log_with_other_names_is_told_how_to_rename_them(log, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.replay(log)
 
 
 @pytest.mark.parametrize(
