@@ -33,23 +33,14 @@ _ATTITUDE = ("roll", "pitch", "yaw")
 
 
 class _Piece(NamedTuple):
-    """What was recorded without a break.
+    """What was recorded without a break."""
 
-    Args:
-        t: (n,) times [s].
-        wheels: (n, 2) speeds of the left and the right wheels [rad/s].
-        gyro: (n,) yaw rate by the gyro [rad/s].
-        command: (n, 2) commanded speed [m/s] and yaw rate [rad/s].
-        t_pose: (m,) times at which the pose changes [s].
-        pose: (m, 3) pose from then on [m, m, rad].
-    """
-
-    t: np.ndarray
-    wheels: np.ndarray
-    gyro: np.ndarray
-    command: np.ndarray
-    t_pose: np.ndarray
-    pose: np.ndarray
+    t: np.ndarray  # (n,) times [s]
+    wheels: np.ndarray  # (n, 2) speeds of the left and the right wheels [rad/s]
+    gyro: np.ndarray  # (n,) yaw rate by the gyro [rad/s]
+    command: np.ndarray  # (n, 2) commanded speed [m/s] and yaw rate [rad/s]
+    t_pose: np.ndarray  # (m,) times at which the pose changes [s]
+    pose: np.ndarray  # (m, 3) pose from then on [m, m, rad]
 
 
 def _pieces_of_rows(frame, source):

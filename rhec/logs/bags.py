@@ -101,19 +101,19 @@ def _read(reader, topics, wheel_radius_m):
         raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
     messages = _messages(reader, types, chosen)
     tables = []
-    found = {}
+    inferred = {}
     for role, topic in chosen.items():
         source = _ROLES[role][types[topic]]
         stamps_ns, values = messages[role]
         table = pd.DataFrame(values, index=stamps_ns, columns=source.columns, dtype=float)
         disorder = int((np.diff(table.index) < 0).sum())
-        found[role] = f"{topic}, {types[topic]}, {len(table)} messages, {disorder} out of order"
+        inferred[role] = f"{topic}, {types[topic]}, {len(table)} messages, {disorder} out of order"
         if source.columns is TRACKS:
             table *= wheel_radius_m
         tables.append(table[~table.index.duplicated()].sort_index())
     table = tables[0].join(tables[1], how="outer")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
-    return table.reset_index(drop=True), found
+    return table.reset_index(drop=True), inferred
 
 
 def _messages(reader, types, chosen):

@@ -53,23 +53,14 @@ _LEAST_POSITIONS = 50
 
 
 class _Unknown(NamedTuple):
-    """A number to be found, with its prior.
-
-    Args:
-        name: What it is.
-        unit: Its unit.
-        middle: Mean of the prior.
-        deviation: Standard deviation of the prior, of the logarithm for a scale.
-        is_scale: Whether the logarithm is normally distributed, not the number itself.
-        least: Lower bound.
-    """
+    """A number to be found, with its prior."""
 
     name: str
     unit: str
-    middle: float
-    deviation: float
-    is_scale: bool = True
-    least: float = 0.0
+    middle: float  # mean of the prior
+    deviation: float  # its standard deviation, of the logarithm for a scale
+    is_scale: bool = True  # the logarithm is normally distributed, not the number itself
+    least: float = 0.0  # lower bound
 
     def at(self, x):
         """Its value x prior standard deviations from the middle."""

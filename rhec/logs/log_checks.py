@@ -35,17 +35,11 @@ _STANDARD_ERRORS = 9.0
 
 
 class _Check(NamedTuple):
-    """What a slope may be, and what is wrong with a log whose slope is not.
+    """What a slope may be, and what is wrong with a log whose slope is not."""
 
-    Args:
-        measured: Sentence on what the slope `times` is.
-        least_share: Share of the squares that the slope has to explain.
-        causes: {upper limit of the slope: cause}; None for the range that is plausible.
-    """
-
-    measured: str
-    least_share: float
-    causes: dict
+    measured: str  # sentence that says what the slope `times` is
+    least_share: float  # of the squares, which the slope has to explain
+    causes: dict  # {upper limit of the slope: cause}; None for the range that is plausible
 
 
 class _Slope(NamedTuple):
@@ -95,21 +89,13 @@ _TRUE_YAW = _Check(
 
 
 class _Track(NamedTuple):
-    """One segment: positions x + iy with their times, and how far the encoders drove and turned.
+    """The path of one segment, and its ways by the encoders."""
 
-    Args:
-        t: (n,) times of the positions [s].
-        position: (n,) positions x + iy [m].
-        t_encoders: (m,) times of the encoder measurements [s].
-        driven: (m,) way driven by then [m].
-        turned: (m,) angle turned by then [rad].
-    """
-
-    t: np.ndarray
-    position: np.ndarray
-    t_encoders: np.ndarray
-    driven: np.ndarray
-    turned: np.ndarray
+    t: np.ndarray  # (n,) times of the positions [s]
+    position: np.ndarray  # (n,) x + iy [m]
+    t_encoders: np.ndarray  # (m,) times of the encoder measurements [s]
+    driven: np.ndarray  # (m,) way driven by then [m]
+    turned: np.ndarray  # (m,) angle turned by then [rad]
 
 
 def _tracks(rows):

@@ -75,12 +75,12 @@ def read(
         raise ValueError(f"topics was {topics!r}; only a bag has topics, and log was {str(file)!r}")
     try:
         if is_bag:
-            log, found = read_bag(file, topics, wheel_radius_m)
+            log, inferred = read_bag(file, topics, wheel_radius_m)
         elif file.suffix == ".csv":
-            log, found = _read_csv(file)
+            log, inferred = _read_csv(file)
         else:
             log = pd.read_parquet(file, engine="pyarrow")
-            found = {}
+            inferred = {}
     except Exception as error:  # any error that a reader raises for a broken file
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {error}") from None
     for name, column in (columns or {}).items():
@@ -89,9 +89,9 @@ def read(
                 f"columns[{name!r}] was {column!r}; the log has {', '.join(map(str, log))}"
             )
         log[name] = log[column]
-    log = _in_seconds(log, found)
-    log = _in_metres(log, found)
-    log.attrs["found"] = found
+    log = _in_seconds(log, inferred)
+    log = _in_metres(log, inferred)
+    log.attrs["found"] = inferred
     return log
 
 
@@ -114,7 +114,7 @@ def _read_csv(file):
     return table, dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
 
 
-def _in_seconds(log, found):
+def _in_seconds(log, inferred):
     """The log with its time in a column t_s [s]; a time in another unit counts from its first."""
     names = [name for name in log if _TIME.fullmatch(str(name))]
     if not names:
@@ -130,7 +130,7 @@ def _in_seconds(log, found):
         unit = _unit(name, numbers)
         # Nanoseconds since 1970 have too many digits for a float; their difference has not.
         t_s = numbers if unit == "s" else (numbers - numbers.min()) * SECONDS[unit]
-    found["time"] = f"{unit}, column {name}"
+    inferred["time"] = f"{unit}, column {name}"
     return log.assign(t_s=t_s)
 
 
@@ -152,7 +152,7 @@ def _degrees(log, names):
     return pd.to_numeric(log[column], errors="coerce").to_numpy(dtype=float)
 
 
-def _in_metres(log, found):
+def _in_metres(log, inferred):
     """The log with x_m east and y_m north of the first position, from latitude and longitude.
 
     Geocentric coordinates are turned into the plane that touches the ellipsoid at the first
@@ -166,7 +166,7 @@ def _in_metres(log, found):
     if latitude is None or longitude is None:
         return log
     first = np.argmax(np.isfinite(latitude + longitude))
-    found["position"] = (
+    inferred["position"] = (
         f"metres east and north of latitude {latitude[first]:.7f}, longitude {longitude[first]:.7f}"
     )
     phi = np.deg2rad(latitude)

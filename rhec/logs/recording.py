@@ -58,24 +58,14 @@ _SAME_S = 1e-3  # times this close are the same
 
 
 class Recording(NamedTuple):
-    """A log made ready.
+    """A log that is ready to be resampled."""
 
-    Args:
-        rows: DataFrame, one row for each usable row of the log: segment, t_s, measurements and the
-            truth that is in the log, under the names of a run's log.
-        kept: (rows,) their places in the log.
-        averaged: Whether encoder measurements are means since the row before, not instantaneous.
-        track_width_m: As passed; else by the log's track speeds and yaw rate; else the paper's.
-        faults: {reason: number of rows or measurements that were left out}.
-        columns: {column of `rows`: what the log calls it}.
-    """
-
-    rows: pd.DataFrame
-    kept: np.ndarray
-    averaged: bool
-    track_width_m: float
-    faults: dict
-    columns: dict
+    rows: pd.DataFrame  # its usable rows: segment, t_s, measurements, truth, named as in a run
+    places: np.ndarray  # (rows,) where they are in the log
+    averaged: bool  # whether encoder measurements are means since the row before
+    track_width_m: float  # as passed; else by the log's track speeds; else the paper's
+    faults: dict  # {reason: number of rows or measurements that cannot be used}
+    columns: dict  # {column of `rows`: what the log calls it}
 
 
 def prepare(log, track_width_m=None, position_delay_s=0.0):
@@ -98,7 +88,7 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     _drop_implausible(values, columns, dict(zip(MEASUREMENTS, limits)))
     # Half a position is none.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
-    rows, kept = _usable_rows(values, paper.DT_S)
+    rows, places = _usable_rows(values, paper.DT_S)
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     is_held = is_repeated & (rows["segment"].diff() == 0)
     rows.loc[is_held, _POSITION] = np.nan
@@ -109,12 +99,12 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
         no_encoders=int(values[_ENCODERS].isna().any(axis=1).sum()),
-        unusable_times=len(log) - len(kept),
+        unusable_times=len(log) - len(places),
         positions_held=int(is_held.sum()),
         segments=int(rows["segment"].max()) + 1,
     )
     width_m = track_width_m or _recorded_width(log)
-    return Recording(rows, kept, is_simulated, width_m, faults, columns)
+    return Recording(rows, places, is_simulated, width_m, faults, columns)
 
 
 def prepare_for(model, dt_s, log):
@@ -122,9 +112,9 @@ def prepare_for(model, dt_s, log):
     columns = {name: name for name in model.outputs}
     values = _parse(log, columns)
     _drop_implausible(values, columns, dict(zip(columns, model.limits)))
-    rows, kept = _usable_rows(values, dt_s)
-    faults = dict(rows=len(log), unusable_times=len(log) - len(kept))
-    return Recording(rows, kept, True, np.nan, faults, columns)
+    rows, places = _usable_rows(values, dt_s)
+    faults = dict(rows=len(log), unusable_times=len(log) - len(places))
+    return Recording(rows, places, True, np.nan, faults, columns)
 
 
 # Columns
@@ -278,28 +268,28 @@ def _refuse_times(values, dt_s):
 def _usable_rows(values, dt_s):
     """The rows whose times can be used, segments numbered from 0, and their places in the log."""
     _refuse_times(values, dt_s)
-    kept, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
-    if not len(kept):
+    places, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
+    if not len(places):
         raise ValueError(
             "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
             "segment"
         )
-    return values.iloc[kept].assign(segment=segment).reset_index(drop=True), kept
+    return values.iloc[places].assign(segment=segment).reset_index(drop=True), places
 
 
 def _usable_times(t_s, segment, dt_s):
     """Places of the rows whose times can be used, and their segments, numbered from 0."""
-    kept = np.flatnonzero(np.isfinite(t_s))
-    stamps = pd.Series(t_s[kept]).groupby(segment[kept])
+    places = np.flatnonzero(np.isfinite(t_s))
+    stamps = pd.Series(t_s[places]).groupby(segment[places])
     usual = stamps.transform(lambda t: t.rolling(3, min_periods=1).median()).to_numpy()
-    kept = kept[np.abs(t_s[kept] - usual) <= _CLOCK * dt_s]
-    step = np.diff(t_s[kept], prepend=np.nan)
-    begins = np.diff(segment[kept], prepend=np.nan) != 0
+    places = places[np.abs(t_s[places] - usual) <= _CLOCK * dt_s]
+    step = np.diff(t_s[places], prepend=np.nan)
+    begins = np.diff(segment[places], prepend=np.nan) != 0
     begins |= (step > _SEGMENT_GAP * dt_s) | (step < -_CLOCK * dt_s)
     label = np.cumsum(begins) - 1
-    latest = pd.Series(t_s[kept]).groupby(label).cummax()
-    rises = t_s[kept] > latest.groupby(label).shift(fill_value=-np.inf).to_numpy()
-    return kept[rises], label[rises]
+    latest = pd.Series(t_s[places]).groupby(label).cummax()
+    rises = t_s[places] > latest.groupby(label).shift(fill_value=-np.inf).to_numpy()
+    return places[rises], label[rises]
 
 
 # Samples
@@ -389,19 +379,12 @@ def _newest_since(begin, end, t, value):
 
 
 def _means_since(begin, end, t, value, averaged, gap_s):
-    """Mean of a signal over each (begin, end], by its measurements until the end.
+    """Mean of a signal over each (begin, end] [s], by its measurements (t, value) until the end.
 
-    The signal is linear between two instants, or has the measured mean if `averaged`. After the
-    newest measurement it is held. It is unknown across gaps longer than gap_s. Over the time
-    covered the mean is ∫ signal dt / ∫ 1 dt, and NaN if that is less than half of end - begin.
-
-    Args:
-        begin: (n,) [s].
-        end: (n,) [s].
-        t: (m,) times of the measurements [s].
-        value: (m,) measurements; the first counts for the interval before it as well.
-        averaged: Whether each is the mean since the one before.
-        gap_s: Longest gap [s].
+    The signal is linear between two instants; if `averaged`, a value is its mean since the one
+    before. The first value also counts before it, and the newest one is held. Across gaps longer
+    than gap_s the signal is unknown. The mean is ∫ signal dt / ∫ 1 dt over the time covered, and
+    NaN if less than half of end - begin is.
     """
     if not averaged:
         is_known = np.isfinite(value)
@@ -423,15 +406,10 @@ def _means_since(begin, end, t, value, averaged, gap_s):
 
 
 def _integrals(begin, end, edges, n_until_end, signal, held):
-    """∫ over each (begin, end] of a signal that is constant between edges, then held.
+    """∫ over each of n intervals (begin, end] of a signal that is constant between edges.
 
-    Args:
-        begin: (n,).
-        end: (n,).
-        edges: (m + 1,).
-        n_until_end: (n,) how many of the m pieces end before `end`.
-        signal: (m,) value in each piece.
-        held: (n,) value after the last of these pieces.
+    Of the m pieces between the edges, with the values `signal` (m,), n_until_end (n,) are over by
+    `end`; from then on the signal has the value `held` (n,).
     """
     until_edge = np.append(0, np.cumsum(signal * np.diff(edges)))
     last_edge = edges[n_until_end]

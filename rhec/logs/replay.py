@@ -80,18 +80,11 @@ _SIGMA_ARM_M = 0.005  # of an antenna's place that the user passes
 
 
 class InitialGuess(NamedTuple):
-    """Prior knowledge of a recorded robot before the first sample.
+    """Prior knowledge of a recorded robot before the first sample; None is unknown."""
 
-    Args:
-        yaw_rad: First yaw of each segment [rad]; None if it is unknown.
-        sigma_yaw_rad: Standard deviation of the first yaw [rad].
-        lever_arm_m: Place of the antenna ahead and left of the robot's centre [m]; None if it is
-            unknown.
-    """
-
-    yaw_rad: tuple | None = None
-    sigma_yaw_rad: float = _SIGMA_FIRST[2]
-    lever_arm_m: tuple | None = None
+    yaw_rad: tuple | None = None  # first yaw of each segment [rad]
+    sigma_yaw_rad: float = _SIGMA_FIRST[2]  # its standard deviation [rad]
+    lever_arm_m: tuple | None = None  # place of the antenna ahead and left of the centre [m]
 
 
 _UNKNOWN = InitialGuess()
@@ -189,15 +182,15 @@ def _motion(model, names):
 
 
 def predictor(model, names=_QUANTITIES):
-    """A function that predicts many estimates of a Model at once.
+    """A function that predicts many estimates of a Model at once, by `_motion`.
 
     Args:
         model: The Model.
         names: What the estimates are of, in order.
 
     Returns:
-        Function (estimate (n, names), z (n, n_z), tau_s (n,)) -> [estimate, outputs], arrays of n
-        rows. A missing measurement is the one in the row before.
+        Function of arrays (estimate (n, names), z (n, n_z), tau_s (n,)) -> [estimate, outputs]. A
+        missing measurement is the one in the row before.
     """
 
     def predict(estimate, z, tau_s):
@@ -217,17 +210,9 @@ def _model_of(choice):
 
 
 def _run(functions, scenario, z, age_s, yaw_rad, first):
-    """_COLUMNS of one segment, an array with a row for each of its samples.
+    """_COLUMNS of the samples of one segment (n, columns); NaN before the first position.
 
-    Rows before the first position are NaN.
-
-    Args:
-        functions: The compiled `_build_replay`.
-        scenario: The Scenario of the estimator.
-        z: (n, 4) measurements.
-        age_s: (n,) ages of their positions [s].
-        yaw_rad: First yaw [rad].
-        first: The InitialGuess.
+    The samples have the measurements z (n, 4), whose positions are age_s (n,) old [s].
     """
     has_position = np.isfinite(z[:, :2]).all(axis=1)
     begin = np.argmax(has_position) if has_position.any() else len(z)
@@ -318,19 +303,12 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
 
 
 class _Columns(NamedTuple):
-    """Which columns of the samples `_at_rows` predicts, and by what.
+    """Which columns of the samples `_at_rows` predicts, and by what."""
 
-    Args:
-        measured: Names of all measurements.
-        means: Names of the measurements that are means, those of the inputs.
-        estimated: Names of the estimates.
-        predict: The `predictor` of these estimates.
-    """
-
-    measured: list
-    means: list
+    measured: list  # all measurements
+    means: list  # the measurements that are means, those of the inputs
     estimated: list
-    predict: Any
+    predict: Any  # the `predictor` of these estimates
 
 
 def _at_rows(samples, recording, log, dt_s, columns):
@@ -344,11 +322,11 @@ def _at_rows(samples, recording, log, dt_s, columns):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
         parts.append(_at_rows_of_segment(part, rows, dt_s, recording.averaged, columns))
     rows = pd.concat(parts, ignore_index=True)
-    place = np.full(len(log), -1)
-    place[recording.kept] = np.arange(len(rows))
-    result = rows.iloc[np.maximum.accumulate(np.maximum(place, 0))].set_axis(log.index)
-    result.loc[place < 0, columns.measured] = np.nan
-    result.loc[place < 0, result.columns.intersection(GATE)] = False
+    usable = np.full(len(log), -1)
+    usable[recording.places] = np.arange(len(rows))
+    result = rows.iloc[np.maximum.accumulate(np.maximum(usable, 0))].set_axis(log.index)
+    result.loc[usable < 0, columns.measured] = np.nan
+    result.loc[usable < 0, result.columns.intersection(GATE)] = False
     result.attrs["faults"] = recording.faults
     return result
 

@@ -1,7 +1,6 @@
-"""An estimator offline: its step scanned over recorded measurements, with arrays by name.
+"""An estimator offline: its step scanned over recorded measurements, with results by name.
 
-Replays, calibrations and studies all run an estimator over measurements that exist already. `build`
-makes the Functions of such a scan, which `compiled.load` compiles; `run` calls them.
+`build` makes the Functions of the scan, which `compiled.load` compiles; `run` calls them.
 """
 
 import casadi as ca
@@ -30,16 +29,17 @@ def build(step, outputs, streamed=()):
     columns = [z, *streamed]
     ends = np.cumsum([symbols[name].numel() for name in columns])
     stream = ca.MX.sym("stream", int(ends[-1]))
-    newest = dict(zip(columns, ca.vertsplit(stream, [0, *map(int, ends)])))
-    results = step.call([*(symbols | newest).values()])
-    known = dict(zip(["memory", "estimate", *step.name_out()[2:]], results))
-    recorded = {name: ca.densify(known[name]) for name in outputs}
+    # Entries of the stream replace these inputs of the step; the others stay inputs of the scan.
+    sample = dict(zip(columns, ca.vertsplit(stream, [0, *map(int, ends)])))
+    results = step.call([*(symbols | sample).values()])
+    results = dict(zip(["memory", "estimate", *step.name_out()[2:]], results))
+    recorded = {name: ca.densify(results[name]) for name in outputs}
     constant = [name for name in settings if name not in streamed]
-    # The outputs behind the row are for their names and shapes, which `run` reads.
     whole = ca.Function(
         "offline",
         [symbols[memory], stream, *(symbols[name] for name in constant)],
-        [known["memory"], ca.veccat(*recorded.values()), *recorded.values()],
+        # The scan reads the row alone; `run` reads names and shapes of the outputs behind it.
+        [results["memory"], ca.veccat(*recorded.values()), *recorded.values()],
         ["memory", "stream", *constant],
         ["memory", "row", *recorded],
         {"allow_duplicate_io_names": True},
@@ -54,11 +54,10 @@ def run(functions, memory, stream, settings):
         functions: What `build` returns, compiled or not.
         memory: (n_memory,) the step's memory before the first sample.
         stream: (n, columns) measurements z, then the streamed settings.
-        settings: {name: array} of the other settings; those that the step does not take are unused.
+        settings: {name: array} of the other settings, and of more that are not used.
 
     Returns:
-        {output: array}, of shape (n,) for a number, (n, rows) for a vector, (n, rows, columns) for
-        a matrix.
+        {output: array}, (n,) of a number, (n, rows) of a vector, (n, rows, columns) of a matrix.
     """
     _, rows = scan.scan(functions, memory, stream, settings)
     step = functions["step"]
@@ -68,9 +67,8 @@ def run(functions, memory, stream, settings):
         n_rows, n_columns = step.size_out(name)
         part = rows[:, begin : begin + n_rows * n_columns]
         begin += n_rows * n_columns
-        if n_columns > 1:
-            # CasADi stores matrices column by column.
-            arrays[name] = part.reshape(len(rows), n_columns, n_rows).swapaxes(1, 2)
-        else:
-            arrays[name] = part[:, 0] if n_rows == 1 else part
+        # CasADi stores matrices column by column.
+        matrices = part.reshape(len(rows), n_columns, n_rows).swapaxes(1, 2)
+        shape = (n_rows, n_columns) if n_columns > 1 else (n_rows,) if n_rows > 1 else ()
+        arrays[name] = matrices.reshape(len(rows), *shape)
     return arrays
