@@ -66,6 +66,7 @@ def fetch(name, folder=FOLDER, host=_HOST, recordings=RECORDINGS):
         ValueError: If its digest is not that of recordings.toml. The file is removed.
     """
     source = recordings[name]
+    # A commit, not a branch: the file cannot change under this address.
     url = f"{host}/{source['repository']}/{source['commit']}/{quote(source['path'])}"
     digest = f"sha256:{source['sha256']}"
     return Path(pooch.retrieve(url, digest, fname=f"{name}.pkl", path=folder))

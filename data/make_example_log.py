@@ -126,6 +126,7 @@ def _record(pose, commands, terrain, seed):
     _, rows = scan.scan(scan.build_scan(_build_sample(terrain)), memory, stream, {})
     log = pd.DataFrame(rows, columns=_COLUMNS)
     log.insert(0, "t_s", _DT_S * np.arange(len(log)))
+    # A receiver's logger repeats the last position until a new one comes.
     is_new = log.index % round(paper.DT_S / _DT_S) == 0
     log.loc[~is_new, ["x_m", "y_m"]] = np.nan
     nu, omega = robot.body_speeds((log["v_left_mps"], log["v_right_mps"]), paper.TRACK_WIDTH_M)

@@ -1,8 +1,8 @@
 """Implausible logs: wrong units, signs and axes, and late positions, before anything is estimated.
 
 The path of the positions is compared with the encoders over intervals of one length. Where the
-tracks drive n and turn w, an antenna moves by d with d² = μ² n² + a w² + b n w + c (a and b depend
-on its lever arm, c on the noise), and the course turns by κ w. This needs no estimator and no yaw.
+tracks drive n and turn w, an antenna moves by d with d² = μ² n² + a w² + b n w + c. Its lever arm
+gives a and b, the noise gives c. The course turns by κ w. This needs no estimator and no yaw.
 """
 
 import warnings

@@ -1,9 +1,10 @@
 """Whether a replay has lost its robot, and what its log does not determine.
 
-An estimate is lost if its innovations y are large and have the direction of the one before. In the
-median of SAMPLES in which the robot moves, y_k' S⁻¹ y_{k-1} is about 0 for an estimate that follows
-the robot, even if the positions are worse than assumed or some are outliers. An estimate is also
-lost if μ or κ are at their lower bound, which is how a yaw that is half a turn wrong ends.
+An estimate is lost if its innovations y are large and have the direction of the one before. The
+measure is the median of y_k' S⁻¹ y_{k-1} over SAMPLES in which the robot moves. For an estimate
+that follows the robot it is about 0, even if positions are worse than assumed or some are outliers.
+An estimate is also lost if μ or κ are at their lower bound, which is how a yaw that is half a turn
+wrong ends.
 """
 
 import numpy as np
@@ -14,9 +15,10 @@ from rhec.simulation.columns import INNOVATION, SIGMA
 
 __all__ = ["is_lost", "remarks"]
 
-SAMPLES = 25
-FAR = 5.0
-LEAST_TRACTION = 0.02
+SAMPLES = 25  # of a median
+FAR = 5.0  # a median above this is lost
+LEAST_TRACTION = 0.02  # and a median of μ or κ below this
+# A robot below both of these stands.
 _MOVING_MPS = 0.05
 _TURNING_RADPS = 0.05
 # A robot that drives or turns less determines no μ or no κ.
@@ -57,6 +59,7 @@ def is_lost(samples, sigma_v):
         (-samples["mu_hat"], moves, -LEAST_TRACTION),
         (-samples["kappa_hat"], turns, -LEAST_TRACTION),
     ):
+        # Samples in which the robot stands tell nothing: the medians are over the others.
         counted = value[counts & value.notna()]
         median = counted.rolling(SAMPLES, min_periods=SAMPLES // 2).median()
         lost |= (median > limit).reindex(samples.index).ffill().eq(True)

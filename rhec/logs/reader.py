@@ -99,6 +99,7 @@ def _read_csv(file):
     """The table in a .csv file, and its separators."""
     with file.open(encoding="utf-8-sig") as lines:
         head = list(itertools.islice(lines, 50))
+    # The space is tried last, since a name may contain one.
     names = head[0].strip() if head else ""
     separator = next((mark for mark in _SEPARATORS if mark in names), ",")
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in head[1:])

@@ -283,6 +283,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
         z = part[MEASUREMENTS].to_numpy()
         age_s = part[AGE[0]].to_numpy()
         if faults:
+            # An infinite measurement of a fault is missing, as it is in a log.
             z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed)
             z = np.where(np.isfinite(z), z, np.nan)
             part[MEASUREMENTS] = z
@@ -322,6 +323,7 @@ def _at_rows(samples, recording, log, dt_s, columns):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
         parts.append(_at_rows_of_segment(part, rows, dt_s, recording.averaged, columns))
     rows = pd.concat(parts, ignore_index=True)
+    # The row of `rows` for each row of the log; -1 where there is none, then the one before.
     usable = np.full(len(log), -1)
     usable[recording.places] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(usable, 0))].set_axis(log.index)

@@ -181,6 +181,7 @@ def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
         measured: Columns of the measurements that it takes.
     """
     n = round(_AHEAD_S / paper.DT_S)
+    # All samples of a segment are predicted at once, one step after the other.
     errors = []
     for _, part in samples.groupby("segment"):
         estimate = part[hats].to_numpy()[:-n]
@@ -237,6 +238,7 @@ def _perturbed(
     rows = recording.rows.copy()
     noise = np.random.default_rng(seed).standard_normal((len(rows), 2))
     rows[MEASUREMENTS[:2]] += noise_m * noise
+    # The variances of independent errors add up.
     if fields.get("sigma_v"):
         sigma_x, sigma_y, *encoders = fields["sigma_v"]
         fields["sigma_v"] = (np.hypot(sigma_x, noise_m), np.hypot(sigma_y, noise_m), *encoders)
