@@ -1,8 +1,8 @@
-"""Fetch the recordings of data/recordings.toml into data/recordings/, and make logs of them.
+"""Fetch the recordings of data/recordings.toml into data/recordings/, and convert them to logs.
 
-They are pickled pandas frames, and a pickle can run code when it is loaded: a file with another
-digest is refused, and reading admits a list of classes and nothing else. `python
-data/fetch_recordings.py [HOST]` fetches what is not there and writes a .csv beside each file.
+`python data/fetch_recordings.py [HOST]` fetches the files that are missing and writes a .csv beside
+each. They are pickled pandas frames, and a pickle can run code when it is loaded. Therefore a file
+with another digest is refused, and only the classes of a frame of numbers may be unpickled.
 """
 
 import sys
@@ -20,49 +20,64 @@ __all__ = ["FOLDER", "RECORDINGS", "fetch", "main", "read_frame"]
 FOLDER = Path(__file__).with_name("recordings")
 RECORDINGS = tomllib.loads(Path(__file__).with_name("recordings.toml").read_text("utf-8"))
 _HOST = "https://raw.githubusercontent.com"
+# What a pickled frame of numbers consists of, also one by an older pandas: {module: names}.
 _ADMITTED = {
-    "builtins": "slice",
-    "functools": "partial",
-    "numpy": "ndarray dtype",
-    "numpy.core.multiarray": "_reconstruct scalar",
-    "numpy._core.multiarray": "_reconstruct scalar",
-    "numpy.core.numeric": "_frombuffer",
-    "numpy._core.numeric": "_frombuffer",
-    "pandas": "DataFrame Index RangeIndex Series",
-    "pandas._libs.internals": "_unpickle_block",
-    "pandas.core.frame": "DataFrame",
-    "pandas.core.indexes.base": "_new_Index Index",
-    "pandas.core.indexes.numeric": "Int64Index Float64Index",
-    "pandas.core.indexes.range": "RangeIndex",
-    "pandas.core.internals.blocks": "new_block",
-    "pandas.core.internals.managers": "BlockManager",
-    "pandas.core.series": "Series",
+    "builtins": ["slice"],
+    "functools": ["partial"],
+    "numpy": ["ndarray", "dtype"],
+    "numpy.core.multiarray": ["_reconstruct", "scalar"],
+    "numpy._core.multiarray": ["_reconstruct", "scalar"],
+    "numpy.core.numeric": ["_frombuffer"],
+    "numpy._core.numeric": ["_frombuffer"],
+    "pandas": ["DataFrame", "Index", "RangeIndex", "Series"],
+    "pandas._libs.internals": ["_unpickle_block"],
+    "pandas.core.frame": ["DataFrame"],
+    "pandas.core.indexes.base": ["_new_Index", "Index"],
+    "pandas.core.indexes.numeric": ["Int64Index", "Float64Index"],
+    "pandas.core.indexes.range": ["RangeIndex"],
+    "pandas.core.internals.blocks": ["new_block"],
+    "pandas.core.internals.managers": ["BlockManager"],
+    "pandas.core.series": ["Series"],
 }
 
 
 class _OnlyFrames(Unpickler):
-    """Reads frames of numbers, also of older pandas."""
+    """Unpickles frames of numbers and nothing else."""
 
     def find_class(self, module, name):
-        if name not in _ADMITTED.get(module, "").split():
+        if name not in _ADMITTED.get(module, []):
             raise ValueError(f"the pickle asks for {module}.{name}; a frame of numbers has none")
         return super().find_class(module, name)
 
 
 def fetch(name, folder=FOLDER, host=_HOST, recordings=RECORDINGS):
-    """Path of a recording's file, fetched if it is not there.
+    """Fetch a recording's file if it is not there.
+
+    Args:
+        name: Of the recording.
+        folder: Path of the folder for the file.
+        host: Address from which files of repositories are fetched.
+        recordings: {name: its table in recordings.toml}.
+
+    Returns:
+        Path of the file.
 
     Raises:
-        ValueError: where its digest is not the one of recordings.toml; nothing is kept.
+        ValueError: If its digest is not that of recordings.toml. The file is removed.
     """
     source = recordings[name]
+    # A commit, not a branch: the file cannot change under this address.
     url = f"{host}/{source['repository']}/{source['commit']}/{quote(source['path'])}"
-    known = f"sha256:{source['sha256']}"
-    return Path(pooch.retrieve(url, known, fname=f"{name}.pkl", path=folder))
+    digest = f"sha256:{source['sha256']}"
+    return Path(pooch.retrieve(url, digest, fname=f"{name}.pkl", path=folder))
 
 
 def read_frame(file):
-    """The pandas frame in a pickle that has nothing else in it."""
+    """The pandas frame of numbers in a pickle.
+
+    Raises:
+        ValueError: If the pickle has anything else in it.
+    """
     with open(file, "rb") as opened:
         frame = _OnlyFrames(opened).load()
     if not isinstance(frame, pd.DataFrame):
@@ -71,10 +86,10 @@ def read_frame(file):
 
 
 def main(host=_HOST, folder=FOLDER, recordings=RECORDINGS):
-    """Fetch and convert every recording.
+    """Fetch and convert every recording; the arguments are those of `fetch`.
 
     Raises:
-        SystemExit: with a sentence, for one that cannot be fetched or is not what it should be.
+        SystemExit: With a sentence, if a recording cannot be fetched or converted.
     """
     for name, source in recordings.items():
         try:

@@ -1,9 +1,8 @@
-"""Make data/example_log.csv: the simulated robot driven open loop, recorded as by a real robot's
-logger.
+"""Make data/example_log.csv: the simulated robot, driven open loop and recorded like a real one.
 
-Forward, backward, standing still and turning on the spot, at changing speeds, on a slip field, in
-two pieces. Ten rows a second, with a new position in every other one; between them the last
-position is repeated and pos_ok is 0. `python data/make_example_log.py` writes the file.
+`python data/make_example_log.py` writes the file. The robot drives forward and backward, stands
+still and turns on the spot, at changing speeds, on a slip field, in two pieces. The log has ten
+rows a second. Every other row has a new position; the others repeat it, and their pos_ok is 0.
 """
 
 from pathlib import Path
@@ -34,7 +33,8 @@ _GNSS_SIGMA_M = 0.02
 _BUMP_SIGMA_RADPS = 0.02
 _BOX = (-25.0, 35.0, -30.0, 30.0)  # of the slip field [m]
 
-# Pose where each piece begins, and its commands (duration [s], speed [m/s], yaw rate [rad/s])
+# Each piece: the pose where it begins, then its commands (duration [s], speed [m/s],
+# yaw rate [rad/s]).
 _PIECES = [
     (
         (0.0, 0.0, 0.4),
@@ -79,8 +79,9 @@ _COLUMNS = ["x_m", "y_m", *TRACKS, *RECORDED_TRUTH.values()]
 
 
 def _build_sample(terrain):
-    """One row: (memory, command and noise) -> (memory, _COLUMNS). The encoders are read at this
-    instant.
+    """Function (memory, command and noise) -> (memory, row), one row of _COLUMNS.
+
+    The encoder measurements are those of this instant, not means.
     """
     drive = robot.drive(_DT_S)
     slip = lookup(terrain.mu.shape)
@@ -88,10 +89,10 @@ def _build_sample(terrain):
         track_width_m=paper.TRACK_WIDTH_M, encoder_sigma_mps=0.0, bump_sigma_radps=_BUMP_SIGMA_RADPS
     )
 
-    @with_packed_memory("sample", _MEMORY, given=(2 + packed_size(robot.NOISE), 1))
-    def sample(pose, tracks, integral, given):
-        command = given[:2]
-        noise = unpack(given[2:], robot.NOISE)
+    @with_packed_memory("sample", _MEMORY, inputs=(2 + packed_size(robot.NOISE), 1))
+    def sample(pose, tracks, integral, inputs):
+        command = inputs[:2]
+        noise = unpack(inputs[2:], robot.NOISE)
         traction = slip(pose[:2], terrain.origin_m, terrain.cell_m, flat(terrain))
         row = ca.vertcat(
             pose[:2] + _GNSS_SIGMA_M * noise["white"],
@@ -116,16 +117,20 @@ def _build_sample(terrain):
 
 def _record(pose, commands, terrain, seed):
     """One piece of the log: the robot starts at this pose and follows the commands."""
-    rows = [command for duration, *command in commands for _ in range(round(duration / _DT_S))]
-    given = np.hstack([np.array(rows), robot.draw_noise(seed, len(rows))])
-    memory = pack_array({name: robot.init(pose, 0.0)[name] for name in _MEMORY})
-    _, rows = scan.scan(scan.build_scan(_build_sample(terrain)), memory, given, {})
+    rows = []
+    for duration_s, speed_mps, yaw_rate_radps in commands:
+        rows += [(speed_mps, yaw_rate_radps)] * round(duration_s / _DT_S)
+    stream = np.hstack([np.array(rows), robot.draw_noise(seed, len(rows))])
+    first = robot.init(pose, 0.0)
+    memory = pack_array({name: first[name] for name in _MEMORY})
+    _, rows = scan.scan(scan.build_scan(_build_sample(terrain)), memory, stream, {})
     log = pd.DataFrame(rows, columns=_COLUMNS)
     log.insert(0, "t_s", _DT_S * np.arange(len(log)))
-    new = log.index % round(paper.DT_S / _DT_S) == 0
-    log.loc[~new, ["x_m", "y_m"]] = np.nan
+    # A receiver's logger repeats the last position until a new one comes.
+    is_new = log.index % round(paper.DT_S / _DT_S) == 0
+    log.loc[~is_new, ["x_m", "y_m"]] = np.nan
     nu, omega = robot.body_speeds((log["v_left_mps"], log["v_right_mps"]), paper.TRACK_WIDTH_M)
-    return log.ffill().assign(pos_ok=new.astype(int), speed_mps=nu, yaw_rate_radps=omega)
+    return log.ffill().assign(pos_ok=is_new.astype(int), speed_mps=nu, yaw_rate_radps=omega)
 
 
 def example_log():

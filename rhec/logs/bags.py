@@ -1,6 +1,8 @@
-"""ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table: each row what was measured at one time."""
+"""ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table; a row is what was measured at one time."""
 
 import re
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,102 +14,138 @@ __all__ = ["SUFFIXES", "read_bag"]
 SUFFIXES = (".bag", ".db3", ".mcap")
 _POSITION = ["x_m", "y_m"]
 _SPEEDS = ["speed_mps", "yaw_rate_radps"]
-_SIDES = [re.compile(rf"{side}|(^|_)[fmrb]?{side[0]}(_|$)") for side in ("left", "right")]
+# Names of joints on the left and on the right, such as front_left_wheel, rl_wheel or l.
+_LEFT = re.compile(r"left|(^|_)[fmrb]?l(_|$)")
+_RIGHT = re.compile(r"right|(^|_)[fmrb]?r(_|$)")
 
 
 def _fix(message):
-    place = message.latitude, message.longitude, message.altitude
-    return place if message.status.status >= 0 else (np.nan,) * 3  # no fix
+    """Latitude, longitude [deg] and altitude [m] of a NavSatFix; NaN if it has no fix."""
+    if message.status.status < 0:
+        return np.nan, np.nan, np.nan
+    return message.latitude, message.longitude, message.altitude
 
 
-def _pose(message):
-    place = getattr(message.pose, "pose", message.pose).position  # with a covariance, or without
-    return place.x, place.y
+def _position(message):
+    """Position (x, y) [m] of a pose with or without a covariance."""
+    position = getattr(message.pose, "pose", message.pose).position
+    return position.x, position.y
 
 
 def _twist(message):
+    """Speed [m/s] and yaw rate [rad/s] of a twist with or without a covariance."""
     twist = getattr(message.twist, "twist", message.twist)
     return twist.linear.x, twist.angular.z
 
 
 def _wheels(message):
     """Mean speeds of the wheels on the left and on the right [rad/s]."""
-    speeds = [
-        [speed for name, speed in zip(message.name, message.velocity) if side.search(name.lower())]
-        for side in _SIDES
-    ]
-    return tuple(np.mean(each) if each else np.nan for each in speeds)
+    means = []
+    for side in (_LEFT, _RIGHT):
+        joints = zip(message.name, message.velocity)
+        speeds = [speed for name, speed in joints if side.search(name.lower())]
+        means.append(np.mean(speeds) if speeds else np.nan)
+    return tuple(means)
 
 
-# What is read of each type of message, the preferred first; a role's first type in a bag is used.
+class _Source(NamedTuple):
+    """What is read of a type of message: the columns, and the function of a message for them."""
+
+    columns: list
+    values: Callable
+
+
+# The types of message for each role, the preferred first: the first one in a bag is read.
 _ROLES = {
     "positions": {
-        "sensor_msgs/msg/NavSatFix": (["latitude", "longitude", "altitude"], _fix),
-        "geometry_msgs/msg/PoseStamped": (_POSITION, _pose),
-        "geometry_msgs/msg/PoseWithCovarianceStamped": (_POSITION, _pose),
-        "nav_msgs/msg/Odometry": (_POSITION, _pose),
+        "sensor_msgs/msg/NavSatFix": _Source(["latitude", "longitude", "altitude"], _fix),
+        "geometry_msgs/msg/PoseStamped": _Source(_POSITION, _position),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": _Source(_POSITION, _position),
+        "nav_msgs/msg/Odometry": _Source(_POSITION, _position),
     },
     "encoders": {
-        "sensor_msgs/msg/JointState": (TRACKS, _wheels),
-        "geometry_msgs/msg/TwistStamped": (_SPEEDS, _twist),
-        "nav_msgs/msg/Odometry": (_SPEEDS, _twist),
+        "sensor_msgs/msg/JointState": _Source(TRACKS, _wheels),
+        "geometry_msgs/msg/TwistStamped": _Source(_SPEEDS, _twist),
+        "nav_msgs/msg/Odometry": _Source(_SPEEDS, _twist),
     },
 }
 
 
 def _choose(types, topics, role):
-    """The topic of {topic: type} that has a role."""
+    """The topic for a role, of {topic: type}; among `topics`, if the user named some."""
     kinds = [*_ROLES[role]]
-    able = [name for name in topics or types if types[name] in kinds]
-    if not able:
-        had = ", ".join(f"{name} ({kind})" for name, kind in types.items())
-        known = ", ".join(kind.rsplit("/", 1)[1] for kind in kinds)
-        raise ValueError(f"no topic for {role} ({known}) among {had or 'none'}")
-    best = min((types[name] for name in able), key=kinds.index)
-    able = [name for name in able if types[name] == best]
-    if topics is None and len(able) > 1:
-        raise ValueError(f"several topics for {role}, {', '.join(able)}; topics should name one")
-    return able[0 if role == "positions" else -1]
+    suitable = [name for name in topics or types if types[name] in kinds]
+    if not suitable:
+        present = ", ".join(f"{name} ({kind})" for name, kind in types.items())
+        readable = ", ".join(kind.rsplit("/", 1)[1] for kind in kinds)
+        raise ValueError(f"no topic for {role} ({readable}) among {present or 'none'}")
+    best = min((types[name] for name in suitable), key=kinds.index)
+    suitable = [name for name in suitable if types[name] == best]
+    if topics is None and len(suitable) > 1:
+        raise ValueError(
+            f"several topics for {role}, {', '.join(suitable)}; topics should name one"
+        )
+    # Of two topics of one type the user names that of the positions first.
+    return suitable[0 if role == "positions" else -1]
 
 
 def _read(reader, topics, wheel_radius_m):
-    """The table of an open bag: its rows sorted by the time in the messages' headers (by that of
-    the recorder where they have none), one for each time.
-    """
+    """The table of an open bag, and what was inferred."""
     types = {name: topic.msgtype for name, topic in reader.topics.items()}
     unknown = [name for name in topics or () if name not in types]
     if unknown:
         raise ValueError(f"topics named {unknown[0]!r}; the bag has {', '.join(types)}")
     chosen = {role: _choose(types, topics, role) for role in _ROLES}
-    if types[chosen["encoders"]].endswith("JointState") and wheel_radius_m is None:
-        raise ValueError(f"wheel_radius_m was None; {chosen['encoders']} has wheel speeds in rad/s")
-    stamps = {role: [] for role in _ROLES}
-    values = {role: [] for role in _ROLES}
-    wanted = [each for each in reader.connections if each.topic in chosen.values()]
-    for connection, received_ns, raw in reader.messages(wanted):
-        message = reader.deserialize(raw, connection.msgtype)
-        stamp = message.header.stamp
-        for role, topic in chosen.items():
-            if topic == connection.topic:
-                stamps[role].append(stamp.sec * 10**9 + stamp.nanosec or received_ns)
-                values[role].append(_ROLES[role][connection.msgtype][1](message))
+    encoders = chosen["encoders"]
+    if types[encoders].endswith("JointState") and wheel_radius_m is None:
+        raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
+    messages = _messages(reader, types, chosen)
     tables = []
-    found = {}
+    inferred = {}
     for role, topic in chosen.items():
-        columns = _ROLES[role][types[topic]][0]
-        table = pd.DataFrame(values[role], index=stamps[role], columns=columns, dtype=float)
+        source = _ROLES[role][types[topic]]
+        stamps_ns, values = messages[role]
+        table = pd.DataFrame(values, index=stamps_ns, columns=source.columns, dtype=float)
         disorder = int((np.diff(table.index) < 0).sum())
-        found[role] = f"{topic}, {types[topic]}, {len(table)} messages, {disorder} out of order"
-        if columns is TRACKS:
+        inferred[role] = f"{topic}, {types[topic]}, {len(table)} messages, {disorder} out of order"
+        if source.columns is TRACKS:
             table *= wheel_radius_m
         tables.append(table[~table.index.duplicated()].sort_index())
     table = tables[0].join(tables[1], how="outer")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
-    return table.reset_index(drop=True), found
+    return table.reset_index(drop=True), inferred
+
+
+def _messages(reader, types, chosen):
+    """{role: (time stamps [ns], values)} of the chosen topics {role: topic} of an open bag.
+
+    The stamp is that of the message's header or, where it has none, that of the recorder.
+    """
+    messages = {role: ([], []) for role in chosen}
+    topics = set(chosen.values())
+    connections = [connection for connection in reader.connections if connection.topic in topics]
+    for connection, received_ns, raw in reader.messages(connections):
+        message = reader.deserialize(raw, connection.msgtype)
+        stamp = message.header.stamp
+        for role, topic in chosen.items():
+            if topic == connection.topic:  # an Odometry may have both roles
+                stamps_ns, values = messages[role]
+                stamps_ns.append(stamp.sec * 10**9 + stamp.nanosec or received_ns)
+                values.append(_ROLES[role][types[topic]].values(message))
+    return messages
 
 
 def read_bag(file, topics, wheel_radius_m):
-    """A bag's table, and what was found in it."""
+    """A bag's table, and what was inferred.
+
+    Args:
+        file: Path of the bag.
+        topics: As in `rhec.logs.read`.
+        wheel_radius_m: As in `rhec.logs.read`.
+
+    Raises:
+        ValueError: If rosbags is not installed, or if the bag cannot be read.
+    """
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -118,5 +156,5 @@ def read_bag(file, topics, wheel_radius_m):
             return _read(reader, topics, wheel_radius_m)
     except ValueError:
         raise
-    except Exception as error:  # whatever the parser of a broken file comes to
+    except Exception as error:  # any error that a parser raises for a broken file
         raise ValueError(f"{type(error).__name__}: {error}") from None

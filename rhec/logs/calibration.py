@@ -1,10 +1,12 @@
 """Calibration: noise, side slip and lever arm of a recorded robot, from its log alone.
 
-Found are the numbers under which the log's positions are likeliest, as a Kalman filter of the
-slipping robot predicts each from the positions before and the encoders. Predicting 0.6 to 2 s
-ahead, too, found no better numbers on four robots' logs and worse ones on one. The rest is Bayes:
-broad priors stand in for what a log cannot tell, and the posterior is taken to be normal about its
-maximum (Laplace). A position further off than OUTLIER standard deviations counts less (Huber).
+`calibrate` finds the numbers under which the log's positions are likeliest. A Kalman filter of the
+slipping robot predicts each position from those before it and from the encoders. Predicting 0.6 to
+2 s ahead as well found no better numbers on the logs of four robots, and worse ones on one.
+
+What a log does not determine comes from broad priors. The posterior is taken to be normal about
+its maximum (Laplace's approximation). A position that is further off than OUTLIER standard
+deviations counts less (Huber's loss).
 """
 
 import sys
@@ -16,13 +18,13 @@ import pandas as pd
 from scipy.optimize import minimize, minimize_scalar
 
 from rhec import paper
-from rhec.core._casadi import compiled, scan
+from rhec.core._casadi import compiled
 from rhec.core._casadi.build import pack_array, with_packed_memory
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.estimator import kalman
+from rhec.core.estimator import kalman, offline
 from rhec.core.model import base
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.logs.nonsense import refuse_nonsense
+from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.reader import read
 from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import AGE, MEASUREMENTS
@@ -33,51 +35,51 @@ from rhec.tracked_robot.estimators import estimator_of
 __all__ = ["Calibration", "calibrate"]
 
 OUTLIER = 3.0
-# Errors of recorded positions are not white, so that each says less than a filter takes from it: a
-# replay takes them to be larger than found.
-_COLOURED = 1.75
+# Errors of recorded positions are correlated, so that each says less than a filter takes from it: a
+# replay takes them to be this much larger.
+_CORRELATED = 1.75
 _MODEL = slipping.SLIPPING.model
 _ARM = _MODEL.joint_names.index("arm_forward_m")
-# Before the first sample, of (x, y, θ, l_f, l_l, μ, κ); positions count once the first yaw is found
+# Standard deviations before the first sample, of (x, y, θ, l_f, l_l, μ, κ).
 _SIGMA_FIRST = np.array([0.05, 0.05, 0.1, 0.3, 0.3, 0.25, 0.25])
-_SETTLED_M = 3.0
-# first yaws tried, over so much of the way
-_N_HEADINGS = 32
-_HEADING_M = 15.0
-_HESSIAN_STEP = 0.1  # in prior deviations
-_TOLD = 0.5  # a number is told by the log if its deviation is below this share of the prior's
-_TOLD_ARM_M = 0.05
+_SETTLED_M = 3.0  # positions count from here on: by then the filter has found the first yaw
+_N_HEADINGS = 32  # first yaws tried
+_HEADING_M = 15.0  # way over which they are compared
+_HESSIAN_STEP = 0.1  # in prior standard deviations
+# The log determines a number if its standard deviation is below this share of the prior's.
+_DETERMINED = 0.5
+_DETERMINED_ARM_M = 0.05  # the same for the antenna's place
 _LEAST_POSITIONS = 50
 
 
 class _Unknown(NamedTuple):
-    """A number to be found, with its prior: the logarithm of a scale, or the number, is normal."""
+    """A number to be found, with its prior."""
 
     name: str
     unit: str
-    middle: float
-    deviation: float
-    is_scale: bool = True
-    least: float = 0.0
+    middle: float  # mean of the prior
+    deviation: float  # its standard deviation, of the logarithm for a scale
+    is_scale: bool = True  # the logarithm is normally distributed, not the number itself
+    least: float = 0.0  # lower bound
 
     def at(self, x):
-        """Its value x prior deviations from the middle."""
+        """Its value x prior standard deviations from the middle."""
         value = x * self.deviation
         value = self.middle * np.exp(value) if self.is_scale else self.middle + value
         return np.maximum(value, self.least)
 
 
-# a log hardly tells the walks
 _BROAD = np.log(3.0)
 _NARROW = np.log(2.0)
-_KNOWN = np.log(1.3)
+_VERY_NARROW = np.log(1.3)  # a log hardly determines how μ and κ walk
 _UNKNOWNS = (
-    # Smooth or interpolated positions seem better, until slip is found in what is wrong with them.
+    # Smoothed or interpolated positions seem better than they are, until the filter attributes
+    # their errors to slip: hence the lower bound.
     _Unknown("noise of the position", "m", 0.05, _BROAD, least=0.02),
     _Unknown("noise of ν", "m/s", 0.03, _BROAD),
     _Unknown("noise of ω", "rad/s", 0.012, _BROAD),
-    _Unknown("walk of μ", "1/√m", 0.004, _KNOWN),
-    _Unknown("walk of κ", "1/√m", 0.007, _KNOWN),
+    _Unknown("walk of μ", "1/√m", 0.004, _VERY_NARROW),
+    _Unknown("walk of κ", "1/√m", 0.007, _VERY_NARROW),
     _Unknown("slip ahead, share of ν", "-", 0.1, _NARROW),
     _Unknown("slip in turning, share of ω", "-", 0.06, _NARROW),
     _Unknown("slip sideways, share of bω", "-", 0.06, _NARROW),
@@ -87,79 +89,93 @@ _UNKNOWNS = (
 
 
 class Calibration(dict):
-    """What `rhec.replay` takes of a log: sigma_v, sigma_w, slip, and lever_arm_m if the log tells.
+    """Arguments of `rhec.replay` that calibrate it for a log.
 
-    report   DataFrame, one row a number: its value, the bounds of its 95 % interval, low and high,
-             its unit, and whether the log has told it; if not, it is little more than the prior
+    They are sigma_v, sigma_w, slip, and lever_arm_m if the log determines it.
+
+    Attributes:
+        report: DataFrame, one row for each number: its value, the bounds `low` and `high` of its
+            95 % interval, its unit, and `told`, whether the log determines it. Where the log does
+            not, the value is little more than the prior.
     """
 
     report: pd.DataFrame
 
     def __str__(self) -> str:
         untold = list(self.report.index[~self.report["told"]])
-        told = f"The log cannot tell: {', '.join(untold)}." if untold else "The log tells all."
-        return f"{self.report.to_string(float_format='%.3g')}\n{told}"
+        summary = f"The log cannot tell: {', '.join(untold)}." if untold else "The log tells all."
+        return f"{self.report.to_string(float_format='%.3g')}\n{summary}"
 
 
 def _build_filter(outlier):
-    """The filter as a Function (memory, z_N, V, c, W) -> (memory, row), to be scanned.
+    """The scan of a Kalman filter whose positions may be outliers.
 
-    z_N (5,) ends with the age of the position; a row is the loss of the position, the mean
-    (x, y, θ, l_f, l_l, μ, κ) and its variances.
+    Its step takes z_N (5,), whose last entry is the age of the position [s], and V, c, W. At each
+    sample it records the mean (x, y, θ, l_f, l_l, μ, κ), its variances and the position's loss,
+    2 ρ(|y|_S) + log det S with Huber's ρ.
     """
     interval = base.interval(_MODEL)
     constants = _MODEL.motion_noise.constants
     n_s = interval.n_s
     n_v = interval.n_v
     shapes = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
-    given = dict(z_N=(5, 1), V=(4, 1), c=(len(constants), 1), W=(n_s, 1))
+    settings = dict(z_N=(5, 1), V=(4, 1), c=(len(constants), 1), W=(n_s, 1))
 
-    @with_packed_memory("calibrated", shapes, ca.SX, **given)
+    @with_packed_memory("calibrated", shapes, ca.SX, **settings)
     def step(m, P, v, started, z_N, V, c, W):
         v, R_v = interval.input_noise(z_N, v, V, c)
         F, D, B = interval.linearised(m, v, paper.DT_S)
         A = interval.A_0 + D
         W = interval.process_noise(v, W, paper.DT_S, c)
-        predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
-        m_before = m
-        m = ca.if_else(started, F, m)
-        P = ca.if_else(started, predicted, P)
-        since = started * (F - interval.step(m_before, v, paper.DT_S - z_N[4]))[:2]  # it was read
+        P_predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
+        # The robot moved on since its position was measured.
+        since = started * (F - interval.step(m, v, paper.DT_S - z_N[4]))[:2]
         z = ca.vertcat(z_N[:2] + ca.if_else(z_N[4] > 0, since, 0), z_N[2:])
-        S = P[:2, :2] + ca.diag(V[:2])
+        m = ca.if_else(started, F, m)
+        P = ca.if_else(started, P_predicted, P)
+        # How many times OUTLIER standard deviations the position is off.
         y = z[:2] - m[:2]
-        used = interval.outputs[0].is_valid(z) * interval.outputs[1].is_valid(z)
-        far = ca.if_else(used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / outlier, 0)
+        S = P[:2, :2] + ca.diag(V[:2])
+        is_used = interval.outputs[0].is_valid(z) * interval.outputs[1].is_valid(z)
+        far = ca.if_else(is_used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / outlier, 0)
         loss = outlier**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
-        m, P, _, _, _ = kalman.update(m, P, z, V * ca.fmax(far, 1) ** 2, interval.outputs, m)
-        row = ca.vertcat(ca.if_else(used, loss, 0), m, ca.diag(P))
-        return dict(row=row, m=m, P=P, v=v, started=1)
+        # An outlier's variance grows until its weight is that of Huber's loss.
+        V = V * ca.fmax(far, 1) ** 2
+        m, P, _, _, _ = kalman.update(m, P, z, V, interval.outputs, m)
+        recorded = dict(estimate=m, variances=ca.diag(P), loss=ca.if_else(is_used, loss, 0))
+        return recorded | dict(m=m, P=P, v=v, started=1)
 
-    return scan.build_scan(step)
+    return offline.build(step, ["estimate", "variances", "loss"])
 
 
 def _values(x):
-    return [float(unknown.at(each)) for unknown, each in zip(_UNKNOWNS, x)]
+    """The value of each of _UNKNOWNS where the search is at x."""
+    return [float(unknown.at(entry)) for unknown, entry in zip(_UNKNOWNS, x)]
 
 
 def _fields(x):
     """Fields of a Scenario where the search is at x."""
-    position, *rest = _values(x)
+    position, speed, yaw_rate, *rest = _values(x)
     return dict(
-        sigma_v=(position, position, *rest[:2]), sigma_w=tuple(rest[2:4]), slip=tuple(rest[4:])
+        sigma_v=(position, position, speed, yaw_rate), sigma_w=tuple(rest[:2]), slip=tuple(rest[2:])
     )
 
 
 def _filtered(z, x, yaw_rad, width_m):
-    """Rows of the filter for one segment's z (n, 5), with the numbers at x."""
-    choice = dict(speed_model="slipping", track_width_m=width_m)
-    settings = estimator_of("rhe").settings(Scenario(**choice, **_fields(x)))
+    """What the filter records for one segment's z (n, 5), as {name: array}.
+
+    x: where the search is; yaw_rad: the first yaw [rad]; width_m: the track width [m].
+    """
+    scenario = Scenario(speed_model="slipping", track_width_m=width_m, **_fields(x))
+    settings = estimator_of("rhe").settings(scenario)
     first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
     memory = dict(
-        m=np.array([*first[:2], yaw_rad, 0.0, 0.0, 1.0, 1.0]), P=np.diag(_SIGMA_FIRST**2),
-        v=np.zeros(len(_MODEL.inputs)), started=0.0,
-    )  # fmt: skip
-    return scan.scan(compiled.load(_build_filter, OUTLIER), pack_array(memory), z, settings)[1]
+        m=np.array([*first[:2], yaw_rad, 0.0, 0.0, 1.0, 1.0]),
+        P=np.diag(_SIGMA_FIRST**2),
+        v=np.zeros(len(_MODEL.inputs)),
+        started=0.0,
+    )
+    return offline.run(compiled.load(_build_filter, OUTLIER), pack_array(memory), z, settings)
 
 
 def _driven(z):
@@ -172,21 +188,21 @@ def _first_yaw(z, x, width_m):
     begin = z[: np.searchsorted(_driven(z), _HEADING_M) + 1]
 
     def loss(yaw_rad):
-        return np.nan_to_num(_filtered(begin, x, yaw_rad, width_m)[:, 0].sum(), nan=np.inf)
+        return np.nan_to_num(_filtered(begin, x, yaw_rad, width_m)["loss"].sum(), nan=np.inf)
 
-    apart = 2 * np.pi / _N_HEADINGS
-    nearest = min(apart * np.arange(_N_HEADINGS), key=loss)
-    about = (nearest - apart, nearest + apart)
+    step = 2 * np.pi / _N_HEADINGS
+    nearest = min(step * np.arange(_N_HEADINGS), key=loss)
+    bounds = (nearest - step, nearest + step)
     options = dict(maxiter=12)
-    return float(minimize_scalar(loss, bounds=about, method="bounded", options=options).x)
+    return float(minimize_scalar(loss, bounds=bounds, method="bounded", options=options).x)
 
 
 def _objective(segments, yaws, width_m):
-    """x -> minus the log posterior, up to a constant."""
+    """Function of x: minus the logarithm of the posterior, up to a constant."""
     parts = [(z, yaw, _driven(z) > _SETTLED_M) for z, yaw in zip(segments, yaws)]
 
     def minus_log_posterior(x):
-        losses = (_filtered(z, x, yaw, width_m)[settled, 0].sum() for z, yaw, settled in parts)
+        losses = (_filtered(z, x, yaw, width_m)["loss"][counts].sum() for z, yaw, counts in parts)
         value = sum(losses) / 2 + x @ x / 2
         return value if np.isfinite(value) else 1e12
 
@@ -194,18 +210,23 @@ def _objective(segments, yaws, width_m):
 
 
 def _covariance(objective, x):
-    """Inverse of the curvature of the objective at its minimum x."""
+    """Inverse H⁻¹ of the Hessian of the objective at its minimum x, by finite differences.
+
+    It is never wider than the prior, whose Hessian is the identity.
+    """
     n = len(x)
     h = _HESSIAN_STEP
-    at = objective(x)
-    axes = h * np.eye(n)
-    ahead, behind = (np.array([objective(x + sign * e) for e in axes]) for sign in (1, -1))
-    H = np.diag((ahead - 2 * at + behind) / h**2)
+    steps = h * np.eye(n)
+    center = objective(x)
+    ahead = np.array([objective(x + step) for step in steps])
+    behind = np.array([objective(x - step) for step in steps])
+    H = np.diag((ahead - 2 * center + behind) / h**2)
     for i, j in zip(*np.triu_indices(n, 1)):
-        both = objective(x + axes[i] + axes[j])
-        H[i, j] = H[j, i] = (both - ahead[i] - ahead[j] + at) / h**2
+        both = objective(x + steps[i] + steps[j])
+        H[i, j] = (both - ahead[i] - ahead[j] + center) / h**2
+        H[j, i] = H[i, j]
     values, vectors = np.linalg.eigh(H)
-    return vectors / np.clip(values, 1.0, None) @ vectors.T  # never wider than the prior
+    return vectors / np.clip(values, 1.0, None) @ vectors.T
 
 
 @checked
@@ -218,88 +239,116 @@ def calibrate(
 ) -> Calibration:
     """Noise, side slip and lever arm of a recorded robot, from its log alone, without truth.
 
-    `rhec.replay(log, **rhec.calibrate(log))` replays a log with its own numbers. Found are, in the
-    words of the report, the noise of positions and encoders, how μ and κ walk, the shares of slip,
-    bumps, side slip, and where the antenna is. The antenna's place ahead is that from the centre of
-    turning, which nobody can tell from a lever arm and a centre elsewhere.
+    `rhec.replay(log, **rhec.calibrate(log))` replays a log with its own numbers. The report lists
+    the noise of positions and encoders, how μ and κ walk, the shares of slip, bumps, side slip, and
+    the antenna's place. That place is relative to the centre of turning: a log cannot tell a longer
+    lever arm from a centre elsewhere.
 
     Args:
-        log: DataFrame of a recording, as `rhec.replay` takes it; the truth in it is not looked at.
-        track_width_m: As in `rhec.replay`, like the next two.
-        position_delay_s: How late the positions were stamped [s].
-        trust_log: Whether to take a log as it is in which something is surely wrong.
+        log: DataFrame of a recording, as `rhec.replay` takes it. The truth in it is not used.
+        track_width_m: Distance of the tracks [m], as in `rhec.replay`.
+        position_delay_s: How much later than the encoder measurements the positions were stamped
+            [s].
+        trust_log: Whether to calibrate by a log that is surely wrong, as in `rhec.replay`.
 
     Returns:
-        A dict of arguments of `rhec.replay`, these three among them, with a `report`.
+        Calibration, a dict of arguments of `rhec.replay` with a `report`. The last three arguments
+        above are among them where they are not the defaults.
 
     Raises:
-        ValueError: For a log that `rhec.replay` refuses, or one with less than 50 positions in a
-            segment where the robot drives some metres.
+        ValueError: If `rhec.replay` refuses the log, or if no segment has 50 positions on a way of
+            some metres.
+
+    Warns:
+        UserWarning: If the positions come late.
     """
-    given = dict(
-        track_width_m=track_width_m, position_delay_s=position_delay_s, trust_log=trust_log
-    )
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
-        refuse_nonsense(recording)
+        refuse_implausible(recording)
     width_m = recording.track_width_m
-    samples = (
-        resample(rows, paper.DT_S, recording.averaged)
-        for _, rows in recording.rows.groupby("segment")
+    segments = _usable_segments(recording)
+    x = np.zeros(len(_UNKNOWNS))
+    for _ in range(2):  # the second search has better first yaws
+        yaws = [_first_yaw(z, x, width_m) for z in segments]
+        objective = _objective(segments, yaws, width_m)
+        bounds = [(-4, 4)] * len(x)
+        x = minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=dict(maxiter=50)).x
+    deviation = np.sqrt(np.diag(_covariance(objective, x)))
+    arm, sigma_arm = _lever_arm(segments, x, yaws, width_m)
+    result = Calibration(_fields(x))
+    sigma_x, sigma_y, *encoders = result["sigma_v"]
+    result["sigma_v"] = (_CORRELATED * sigma_x, _CORRELATED * sigma_y, *encoders)
+    if (sigma_arm < _DETERMINED_ARM_M).all():
+        result["lever_arm_m"] = tuple(arm.tolist())
+    arguments = dict(
+        track_width_m=track_width_m, position_delay_s=position_delay_s, trust_log=trust_log
     )
-    segments = [
-        z
-        for z in (part[[*MEASUREMENTS, AGE[0]]].to_numpy() for part in samples)
-        if np.isfinite(z[:, :2]).all(axis=1).sum() >= _LEAST_POSITIONS
-        and _driven(z)[-1] > 2 * _SETTLED_M
-    ]
+    result.update({name: value for name, value in arguments.items() if value})
+    result.report = _report(x, deviation, arm, sigma_arm)
+    return result
+
+
+def _usable_segments(recording):
+    """z and age of the position (n, 5) of each segment by which a robot can be calibrated."""
+    segments = []
+    for _, rows in recording.rows.groupby("segment"):
+        part = resample(rows, paper.DT_S, recording.averaged)
+        z = part[[*MEASUREMENTS, AGE[0]]].to_numpy()
+        positions = np.isfinite(z[:, :2]).all(axis=1).sum()
+        if positions >= _LEAST_POSITIONS and _driven(z)[-1] > 2 * _SETTLED_M:
+            segments.append(z)
     if not segments:
         raise ValueError(
             f"the log had no segment with {_LEAST_POSITIONS} positions over {2 * _SETTLED_M:g} m; "
             "a robot that hardly moves tells nothing"
         )
-    x = np.zeros(len(_UNKNOWNS))
-    for _ in range(2):  # the second time with better first yaws
-        yaws = [_first_yaw(z, x, width_m) for z in segments]
-        objective = _objective(segments, yaws, width_m)
-        found = minimize(
-            objective, x, method="L-BFGS-B", bounds=[(-4, 4)] * len(x), options=dict(maxiter=50)
-        )
-        x = found.x
-    deviation = np.sqrt(np.diag(_covariance(objective, x)))
-    low = _values(x - 1.96 * deviation)
-    high = _values(x + 1.96 * deviation)
-    rows = [*zip(_values(x), low, high, (u.unit for u in _UNKNOWNS), deviation < _TOLD)]
-    arm, sigma = _lever_arm(segments, x, yaws, width_m)
-    rows += [
-        (*(arm[i] + side * sigma[i] for side in (0, -1.96, 1.96)), "m", sigma[i] < _TOLD_ARM_M)
-        for i in range(2)
-    ]
-    result = Calibration(_fields(x))
-    position, _, *encoders = result["sigma_v"]
-    result["sigma_v"] = (_COLOURED * position,) * 2 + tuple(encoders)
-    if (sigma < _TOLD_ARM_M).all():
-        result["lever_arm_m"] = tuple(arm.tolist())
-    result.update({name: value for name, value in given.items() if value})
-    names = [*(unknown.name for unknown in _UNKNOWNS), "antenna ahead", "antenna left"]
-    columns = ["value", "low", "high", "unit", "told"]
-    result.report = pd.DataFrame(rows, index=names, columns=columns)
-    return result
+    return segments
 
 
 def _lever_arm(segments, x, yaws, width_m):
-    """Place of the antenna (ahead, left) [m] and its deviations: of all segments together."""
-    place = slice(1 + _ARM, 3 + _ARM)
-    last = [_filtered(z, x, yaw, width_m)[-1] for z, yaw in zip(segments, yaws)]
-    arms, variances = (np.array([row[part] for row in last])
-                       for part in (place, slice(place.start + 7, place.stop + 7)))  # fmt: skip
-    variance = 1 / (1 / variances).sum(axis=0)
-    return variance * (arms / variances).sum(axis=0), np.sqrt(variance)
+    """Place of the antenna (ahead, left) [m] and its standard deviations [m].
+
+    Each segment's last estimate has the weight of its inverse variance.
+    """
+    arms = []
+    variances = []
+    for z, yaw_rad in zip(segments, yaws):
+        recorded = _filtered(z, x, yaw_rad, width_m)
+        arms.append(recorded["estimate"][-1, _ARM : _ARM + 2])
+        variances.append(recorded["variances"][-1, _ARM : _ARM + 2])
+    weights = 1 / np.array(variances)
+    variance = 1 / weights.sum(axis=0)
+    return variance * (np.array(arms) / np.array(variances)).sum(axis=0), np.sqrt(variance)
+
+
+def _report(x, deviation, arm, sigma_arm):
+    """The report of a Calibration, from _UNKNOWNS at x and the antenna's place."""
+    numbers = pd.DataFrame(
+        dict(
+            value=_values(x),
+            low=_values(x - 1.96 * deviation),
+            high=_values(x + 1.96 * deviation),
+            unit=[unknown.unit for unknown in _UNKNOWNS],
+            told=deviation < _DETERMINED,
+        ),
+        index=[unknown.name for unknown in _UNKNOWNS],
+    )
+    antenna = pd.DataFrame(
+        dict(
+            value=arm,
+            low=arm - 1.96 * sigma_arm,
+            high=arm + 1.96 * sigma_arm,
+            unit="m",
+            told=sigma_arm < _DETERMINED_ARM_M,
+        ),
+        index=["antenna ahead", "antenna left"],
+    )
+    return pd.concat([numbers, antenna])
 
 
 if __name__ == "__main__":
     try:
-        found = calibrate(read(sys.argv[1]))
+        calibration = calibrate(read(sys.argv[1]))
     except (ValueError, ImportError) as error:
         sys.exit(str(error))
-    print(found, f"rhec.replay(log, **{dict(found)})", sep="\n")
+    print(calibration, f"rhec.replay(log, **{dict(calibration)})", sep="\n")

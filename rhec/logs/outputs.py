@@ -1,4 +1,4 @@
-"""What a replay leaves behind: its estimates as tables, and paths for `evo`."""
+"""Files of a replay: its estimates as tables, its paths for the tool `evo`, its scores as text."""
 
 import numpy as np
 
@@ -8,20 +8,35 @@ __all__ = ["write_estimates", "write_scores"]
 
 
 def write_estimates(estimates, folder):
-    """Write what `rhec.replay` returned: estimates.csv, .parquet, estimated.tum, measured.tum."""
+    """Write estimates.csv, estimates.parquet, estimated.tum and measured.tum.
+
+    Args:
+        estimates: DataFrame, as `rhec.replay` returns it.
+        folder: Path of the folder, which is made if it is not there.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     estimates.to_csv(folder / "estimates.csv", index=False)
     estimates.to_parquet(folder / "estimates.parquet")
-    for name, (x, y) in dict(estimated=ESTIMATE[:2], measured=MEASUREMENTS[:2]).items():
-        path = estimates.dropna(subset=[x, y]).drop_duplicates("t_s")
-        half = path[ESTIMATE[2]] / 2 * (name == "estimated")  # no sensor measures a direction
-        path = path.assign(no=0.0, qz=np.sin(half), qw=np.cos(half))
-        columns = ["t_s", x, y, "no", "no", "no", "qz", "qw"]  # t x y z qx qy qz qw
-        np.savetxt(folder / f"{name}.tum", path[columns], fmt="%.9f")
+    x, y, yaw = ESTIMATE[:3]
+    _write_path(folder / "estimated.tum", estimates, x, y, estimates[yaw])
+    x, y = MEASUREMENTS[:2]
+    _write_path(folder / "measured.tum", estimates, x, y, 0.0)  # no sensor measures a direction
+
+
+def _write_path(file, estimates, x, y, yaw_rad):
+    """Write a path with a line `t x y z qx qy qz qw` for each time at which its position is known.
+
+    x, y: columns of the position; yaw_rad: its yaw [rad], as a quaternion (0, 0, qz, qw).
+    """
+    path = estimates[["t_s", x, y]].assign(
+        z=0.0, qx=0.0, qy=0.0, qz=np.sin(yaw_rad / 2), qw=np.cos(yaw_rad / 2)
+    )
+    path = path.dropna(subset=[x, y]).drop_duplicates("t_s")
+    np.savetxt(file, path, fmt="%.9f")
 
 
 def write_scores(table, remarks, folder):
-    """Write scores.txt: the RHE's means of `replay_table`, then what a replay remarked."""
+    """Write scores.txt: the RHE's means of `replay_table`, then the remarks of a replay."""
     rows = table[table["estimator"] == "RHE"]
     lines = [
         f"{row.quantity}: {row.mean:.4g} [{row.low:.4g}, {row.high:.4g}]"

@@ -1,11 +1,12 @@
-"""Recordings: parse the columns of a log, leave out rows and measurements that cannot be used,
-resample the rest at the estimator's rate.
+"""Recordings: parse the columns of a log, leave out what cannot be used, resample the rest.
 
-`help(rhec.replay)` lists the columns. Faults of sensors and clocks are no errors. A measurement
-that is no finite number of plausible size is missing. A position equal to the one before to the
-last digit is an old one held, so it is missing, too. A row is left out where its time is no number,
-is far from those of the rows before it or is not later than all of them. Where the clock is set
-back, or the log is silent for ten minutes, a new segment begins.
+`help(rhec.replay)` lists the columns. Faults of sensors and clocks are no errors:
+
+- A measurement that is no finite number of plausible size is missing.
+- A position equal to the one before to the last digit is an old one that was held: it is missing.
+- A row is left out if its time is no number, is far from those of the rows before it, or is not
+  later than all of them.
+- Where the clock is set back, or the log is silent for ten minutes, a new segment begins.
 """
 
 from typing import NamedTuple
@@ -14,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.logs.column_names import missing_columns
 from rhec.simulation.columns import (
     MEASUREMENTS,
     POSE,
@@ -24,103 +26,179 @@ from rhec.simulation.columns import (
 )
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = ["MAX_PERIOD", "SECONDS", "Recording", "measured_since", "prepare", "prepare_for"]
-__all__ += ["resample", "time_unit"]
+__all__ = [
+    "MAX_PERIOD",
+    "SECONDS",
+    "Recording",
+    "measured_since",
+    "prepare",
+    "prepare_for",
+    "resample",
+    "time_unit",
+]
 
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
-_TURNING_RADPS = 0.05  # at a lower yaw rate nothing is said about the track width
-# In samples of the estimator:
+_FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # false: these are missing
+_TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
+# Times in samples of the estimator:
 MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
-_TRUTH_GAP = 1.75  # true poses further apart are not interpolated between
-_ENCODER_GAP = 3.25  # nor encoder measurements, and none is held for longer
-_HELD = 15.0  # a longer silence ends with a robot that is taken to stand,
-_SEGMENT_GAP = 3000.0  # and a longer one still with a new segment
-# times, of a log in order; rows of a segment, on average
-_MOST_FALLING = 0.05
-_LEAST_ROWS = 5
-SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)
-_SHORTEST_S = 0.004
-# A time further from the median of it and the two before is wrong; a clock that is set back by more
-# begins a new segment.
+_TRUTH_GAP = 1.75  # true poses further apart are not interpolated
+_ENCODER_GAP = 3.25  # nor are encoder measurements, and none is held for longer
+_HELD = 15.0  # after a longer silence the robot is taken to stand
+_SEGMENT_GAP = 3000.0  # after a longer silence a new segment begins
+# A time that is further from the median of itself and the two before is wrong; a clock that is set
+# back by more begins a new segment.
 _CLOCK = 5.0
+_MOST_FALLING = 0.05  # share of the times of a log in order
+_LEAST_ROWS = 5  # of a segment, on average
+SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)  # units of time
+_SHORTEST_S = 0.004  # between rows of a log
 _SAME_S = 1e-3  # times this close are the same
 
 
 class Recording(NamedTuple):
-    """A log made ready.
+    """A log that is ready to be resampled."""
 
-    rows           one for each row of the log that can be used: segment, t_s, measurements and,
-                   under the names of a run's log, the truth that is known
-    kept           (rows,) their places in the log
-    averaged       whether encoder measurements are means over the time since the row before, not
-                   values of an instant
-    track_width_m  as given, else by the log's track speeds and yaw rate, else the paper's
-    faults         how many rows or measurements were left out, by reason
-    columns        what the log calls a column of `rows`
-    """
-
-    rows: pd.DataFrame
-    kept: np.ndarray
-    averaged: bool
-    track_width_m: float
-    faults: dict
-    columns: dict
+    rows: pd.DataFrame  # its usable rows: segment, t_s, measurements, truth, named as in a run
+    places: np.ndarray  # (rows,) where they are in the log
+    averaged: bool  # whether encoder measurements are means since the row before
+    track_width_m: float  # as passed; else by the log's track speeds; else the paper's
+    faults: dict  # {reason: number of rows or measurements that cannot be used}
+    columns: dict  # {column of `rows`: what the log calls it}
 
 
 def prepare(log, track_width_m=None, position_delay_s=0.0):
-    """The Recording in a DataFrame. track_width_m [m]: take ν and ω from the tracks' speeds, this
-    far apart; position_delay_s [s]: how late positions come, a row holds those that come then.
+    """The Recording in a log of the paper's robot.
+
+    Args:
+        log: DataFrame, as `rhec.replay` takes it.
+        track_width_m: Compute ν and ω from the speeds of tracks this far apart [m].
+        position_delay_s: How late the positions were stamped [s].
+
+    Returns:
+        Recording.
+
+    Raises:
+        ValueError: For a log without the columns, numbers or times that a replay needs.
     """
-    values, columns, averaged = _parse_columns(log, track_width_m)
-    _drop_implausible(
-        values, columns, dict(zip(MEASUREMENTS, SPEED_MODELS["parameter"].model.limits))
-    )
+    is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
+    values, columns = _parse_robot(log, is_simulated, track_width_m)
+    limits = SPEED_MODELS["parameter"].model.limits
+    _drop_implausible(values, columns, dict(zip(MEASUREMENTS, limits)))
+    # Half a position is none.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
-    rows, kept = _usable_rows(values, paper.DT_S)
-    again = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
-    held = again & (rows["segment"].diff() == 0)
-    rows.loc[held, _POSITION] = np.nan
+    rows, places = _usable_rows(values, paper.DT_S)
+    is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
+    is_held = is_repeated & (rows["segment"].diff() == 0)
+    rows.loc[is_held, _POSITION] = np.nan
     if position_delay_s:
-        rows[_POSITION] = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]].apply(
-            _moved_earlier, position_delay_s
-        )
+        positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
+        rows[_POSITION] = positions.apply(_moved_earlier, position_delay_s)
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
         no_encoders=int(values[_ENCODERS].isna().any(axis=1).sum()),
-        unusable_times=len(log) - len(kept),
-        positions_held=int(held.sum()),
+        unusable_times=len(log) - len(places),
+        positions_held=int(is_held.sum()),
         segments=int(rows["segment"].max()) + 1,
     )
     width_m = track_width_m or _recorded_width(log)
-    return Recording(rows, kept, averaged, width_m, faults, columns)
-
-
-def _moved_earlier(late, delay_s):
-    """Positions that come delay_s late, each in the row nearest to when it was measured."""
-    t = late["t_s"].to_numpy()
-    known = late[_POSITION[0]].notna().to_numpy()
-    row = np.interp(t[known] - delay_s, t, np.arange(len(t)), -1, -1)
-    earlier = late[_POSITION] * np.nan
-    earlier.iloc[np.rint(row[row >= 0]).astype(int)] = late[_POSITION][known][row >= 0]
-    return earlier
+    return Recording(rows, places, is_simulated, width_m, faults, columns)
 
 
 def prepare_for(model, dt_s, log):
-    """The Recording in a DataFrame with a column for each of a Model's outputs; those that measure
-    inputs are means since the row before.
-    """
+    """The Recording in a log of a Model: a column for each output, measured inputs as means."""
     columns = {name: name for name in model.outputs}
-    values = _columns(log, columns)
+    values = _parse(log, columns)
     _drop_implausible(values, columns, dict(zip(columns, model.limits)))
-    rows, kept = _usable_rows(values, dt_s)
-    faults = dict(rows=len(log), unusable_times=len(log) - len(kept))
-    return Recording(rows, kept, True, np.nan, faults, columns)
+    rows, places = _usable_rows(values, dt_s)
+    faults = dict(rows=len(log), unusable_times=len(log) - len(places))
+    return Recording(rows, places, True, np.nan, faults, columns)
+
+
+# Columns
+
+
+def _parse_robot(log, is_simulated, track_width_m):
+    """`_parse` of a log of the paper's robot, and {name: what the log calls it}."""
+    measured = RECORDED
+    truth = RECORDED_TRUTH
+    if is_simulated:
+        measured = {name: name for name in MEASUREMENTS}
+        truth = {name: name for name in (*POSE, "mu", "kappa")}
+    if track_width_m is not None:
+        measured = measured | dict(zip(_ENCODERS, TRACKS))
+    values = _parse(log, measured, truth, _FLAGS)
+    if track_width_m is not None:
+        left = values[_ENCODERS[0]]
+        right = values[_ENCODERS[1]]
+        values = values.assign(
+            nu_meas_mps=(left + right) / 2, omega_meas_radps=(right - left) / track_width_m
+        )
+        measured = measured | dict.fromkeys(_ENCODERS, ", ".join(TRACKS))
+    if is_simulated and {"mu", "nu_mps", "kappa", "omega_radps"} <= set(log.columns):
+        # Over ground the robot moves with μ ν and κ ω.
+        values["v_true_mps"] = values["mu"] * _numbers(log, "nu_mps")
+        values["yaw_rate_true_radps"] = values["kappa"] * _numbers(log, "omega_radps")
+    return values, truth | measured
+
+
+def _parse(log, measured, optional=None, flags=None):
+    """Columns of a log as floats: t_s, the measured ones, segment, and the optional ones it has.
+
+    Args:
+        log: DataFrame.
+        measured: {name: column} of what it must have.
+        optional: {name: column} of what it may have.
+        flags: {column: names} of columns that are false where these are missing.
+    """
+    if not isinstance(log, pd.DataFrame) or not len(log):
+        empty = " without rows" if isinstance(log, pd.DataFrame) else ""
+        raise ValueError(f"log was {type(log).__name__}{empty}; it should be a DataFrame with rows")
+    wanted = dict(t_s="t_s") | measured
+    sentence = missing_columns(log, wanted)
+    if sentence:
+        raise ValueError(sentence)
+    values = pd.DataFrame({name: _numbers(log, column) for name, column in wanted.items()})
+    for name, column in wanted.items():
+        if not np.isfinite(values[name]).any():
+            raise ValueError(f"the log's column {column} had no number in it")
+    segment = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
+    values = values.assign(segment=segment)
+    for flag, flagged in (flags or {}).items():
+        if flag in log:
+            values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
+    for name, column in (optional or {}).items():
+        if column in log:
+            values[name] = _numbers(log, column)
+    return values
+
+
+def _numbers(log, column):
+    """A column as an array of floats; an entry that is no finite number becomes NaN."""
+    values = log[column]
+    if not isinstance(values, pd.Series):
+        raise ValueError(f"the log had several columns {column}; it should have one")
+    if not (pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values)):
+        values = pd.to_numeric(values.map(str), errors="coerce")  # bytes are no number either
+    values = values.to_numpy(dtype=float, na_value=np.nan)
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _recorded_width(log):
+    """Track width b [m]: the median of (ν_r - ν_l)/ω if the log has all three, else the paper's."""
+    yaw_rate = RECORDED["omega_meas_radps"]
+    if not {*TRACKS, yaw_rate} <= set(log.columns):
+        return paper.TRACK_WIDTH_M
+    left, right, omega = (_numbers(log, name) for name in (*TRACKS, yaw_rate))
+    turns = np.abs(omega) > _TURNING_RADPS
+    width = np.median((right - left)[turns] / omega[turns]) if turns.any() else np.nan
+    return float(width) if width > 0 else paper.TRACK_WIDTH_M
 
 
 def _drop_implausible(values, columns, limits):
-    """Make missing what is above its limit, unless most of a column is."""
+    """Make measurements above their limit missing; refuse a column most of which is."""
     for name, limit in limits.items():
         size = values[name].abs()
         if (size > limit).sum() > size.notna().sum() / 2 > _LEAST_ROWS:
@@ -131,9 +209,30 @@ def _drop_implausible(values, columns, limits):
         values.loc[~(size <= limit), name] = np.nan
 
 
+def _moved_earlier(rows, delay_s):
+    """Positions of a segment that come delay_s late, each in the row nearest to its own time."""
+    t = rows["t_s"].to_numpy()
+    has_position = rows[_POSITION[0]].notna().to_numpy()
+    row = np.interp(t[has_position] - delay_s, t, np.arange(len(t)), -1, -1)
+    earlier = rows[_POSITION] * np.nan
+    places = np.rint(row[row >= 0]).astype(int)
+    earlier.iloc[places] = rows[_POSITION][has_position][row >= 0]
+    return earlier
+
+
+# Times
+
+
 def time_unit(t, max_period_s):
-    """The unit of the times t in which rows are 4 ms to max_period_s apart, None if there is none,
-    and how far apart they are (median).
+    """The unit of times, by how far rows are apart.
+
+    Args:
+        t: (n,) times.
+        max_period_s: Rows are at least 4 ms and at most this far apart [s].
+
+    Returns:
+        The first unit of SECONDS that fits, None if there is none; and the median distance of the
+        rows, in that unit.
     """
     step = np.abs(np.diff(t[np.isfinite(t)]))
     period = np.median(step[step > 0]) if (step > 0).any() else np.nan
@@ -142,9 +241,7 @@ def time_unit(t, max_period_s):
 
 
 def _refuse_times(values, dt_s):
-    """Say in a sentence that times are not in order, not in seconds, or segments not what they are
-    called.
-    """
+    """Raise a ValueError for times out of order or too far apart, and for too many segments."""
     rows = len(values)
     segments = values["segment"].nunique()
     falling = int((values.groupby("segment")["t_s"].diff() < 0).sum())
@@ -169,116 +266,50 @@ def _refuse_times(values, dt_s):
 
 
 def _usable_rows(values, dt_s):
-    """The rows whose times can be used, with their segments numbered from 0, and their places."""
+    """The rows whose times can be used, segments numbered from 0, and their places in the log."""
     _refuse_times(values, dt_s)
-    kept, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
-    if not len(kept):
+    places, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
+    if not len(places):
         raise ValueError(
             "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
             "segment"
         )
-    return values.iloc[kept].assign(segment=segment).reset_index(drop=True), kept
-
-
-def _recorded_width(log):
-    """Track width b [m], median of (ν_r - ν_l)/ω where the log has all three and turns, else
-    the paper's.
-    """
-    if not {*TRACKS, RECORDED["omega_meas_radps"]} <= set(log.columns):
-        return paper.TRACK_WIDTH_M
-    left, right, omega = (_numbers(log, name) for name in (*TRACKS, RECORDED["omega_meas_radps"]))
-    turning = np.abs(omega) > _TURNING_RADPS
-    width = np.median((right - left)[turning] / omega[turning]) if turning.any() else np.nan
-    return float(width) if width > 0 else paper.TRACK_WIDTH_M
-
-
-def _parse_columns(log, track_width_m):
-    """The log's known columns as floats under the names of a run's log, what the log calls them,
-    and whether encoder measurements are means.
-    """
-    simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
-    measured = RECORDED
-    truth = RECORDED_TRUTH
-    if simulated:
-        measured = {name: name for name in MEASUREMENTS}
-        truth = {name: name for name in (*POSE, "mu", "kappa")}
-    if track_width_m is not None:
-        measured = measured | dict(zip(_ENCODERS, TRACKS))
-    values = _columns(log, measured)
-    if track_width_m is not None:
-        left, right = (values[name] for name in _ENCODERS)
-        values = values.assign(
-            nu_meas_mps=(left + right) / 2, omega_meas_radps=(right - left) / track_width_m
-        )
-        measured |= dict.fromkeys(_ENCODERS, ", ".join(TRACKS))
-    for flag, flagged in (("pos_ok", _POSITION), ("encoders_ok", _ENCODERS)):
-        if flag in log:
-            values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
-    for name, column in truth.items():
-        if column in log:
-            values[name] = _numbers(log, column)
-    if simulated and {"mu", "nu_mps", "kappa", "omega_radps"} <= set(log.columns):
-        values["v_true_mps"] = values["mu"] * _numbers(log, "nu_mps")
-        values["yaw_rate_true_radps"] = values["kappa"] * _numbers(log, "omega_radps")
-    return values, truth | measured, simulated
-
-
-def _columns(log, measured):
-    """Columns of a log as floats: t_s, those of `measured` {name: column}, segment."""
-    if not isinstance(log, pd.DataFrame) or not len(log):
-        empty = " without rows" if isinstance(log, pd.DataFrame) else ""
-        raise ValueError(f"log was {type(log).__name__}{empty}; it should be a DataFrame with rows")
-    wanted = dict(t_s="t_s") | measured
-    missing = [column for column in wanted.values() if column not in log]
-    if missing:
-        by_tracks = measured is RECORDED and set(TRACKS) <= set(log.columns)
-        raise ValueError(
-            f"the log had no column {', '.join(missing)}; it should have "
-            f"{', '.join(wanted.values())}"
-            + f", or give a track_width_m for {', '.join(TRACKS)}"
-            * by_tracks
-        )
-    values = pd.DataFrame({name: _numbers(log, column) for name, column in wanted.items()})
-    for name, column in wanted.items():
-        if not np.isfinite(values[name]).any():
-            raise ValueError(f"the log's column {column} had no number in it")
-    segment = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
-    return values.assign(segment=segment)
-
-
-def _numbers(log, column):
-    """A column as an array of floats; an entry that is no number becomes NaN."""
-    values = log[column]
-    if not isinstance(values, pd.Series):
-        raise ValueError(f"the log had several columns {column}; it should have one")
-    if not (pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values)):
-        values = pd.to_numeric(values.map(str), errors="coerce")  # bytes, too, are no number
-    values = values.to_numpy(dtype=float, na_value=np.nan)
-    return np.where(np.isfinite(values), values, np.nan)
+    return values.iloc[places].assign(segment=segment).reset_index(drop=True), places
 
 
 def _usable_times(t_s, segment, dt_s):
     """Places of the rows whose times can be used, and their segments, numbered from 0."""
-    kept = np.flatnonzero(np.isfinite(t_s))
-    stamps = pd.Series(t_s[kept]).groupby(segment[kept])
+    places = np.flatnonzero(np.isfinite(t_s))
+    stamps = pd.Series(t_s[places]).groupby(segment[places])
     usual = stamps.transform(lambda t: t.rolling(3, min_periods=1).median()).to_numpy()
-    kept = kept[np.abs(t_s[kept] - usual) <= _CLOCK * dt_s]
-    step = np.diff(t_s[kept], prepend=np.nan)
-    change = np.diff(segment[kept], prepend=np.nan) != 0
-    label = np.cumsum(change | (step > _SEGMENT_GAP * dt_s) | (step < -_CLOCK * dt_s)) - 1
-    latest = pd.Series(t_s[kept]).groupby(label).cummax()
-    rising = t_s[kept] > latest.groupby(label).shift(fill_value=-np.inf).to_numpy()
-    return kept[rising], label[rising]
+    places = places[np.abs(t_s[places] - usual) <= _CLOCK * dt_s]
+    step = np.diff(t_s[places], prepend=np.nan)
+    begins = np.diff(segment[places], prepend=np.nan) != 0
+    begins |= (step > _SEGMENT_GAP * dt_s) | (step < -_CLOCK * dt_s)
+    label = np.cumsum(begins) - 1
+    latest = pd.Series(t_s[places]).groupby(label).cummax()
+    rises = t_s[places] > latest.groupby(label).shift(fill_value=-np.inf).to_numpy()
+    return places[rises], label[rises]
+
+
+# Samples
 
 
 def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
-    """One segment's rows as samples about dt_s [s] apart, from its first row on: t_s, measurements,
-    truth. No measurement in a sample was read after it.
+    """One segment's rows as samples; no measurement in a sample was read after it.
 
-    Of the `measured` columns those in `means` are means over the interval that ends at the sample,
-    as a model's inputs are, and true speeds are, too. The others are the newest since the sample
-    before, and how old each is stands beside it, under its name and `_age_s`. A true pose is
-    that at the sample's time.
+    Args:
+        rows: DataFrame of one segment's rows of a Recording.
+        dt_s: Distance of the samples [s]; the first is at the first row.
+        averaged: As in Recording.
+        measured: Names of the measurements. In a sample each is the newest since the sample before,
+            with its age [s] in the column `<name>_age_s`.
+        means: Those of them that are means over the interval that ends at the sample, as a model's
+            inputs are.
+
+    Returns:
+        DataFrame with t_s, measurements, and the truth: speeds as means over the interval, the pose
+        at the sample's time.
     """
     t = rows["t_s"].to_numpy()
     grid = t[0] + dt_s * np.arange(int((t[-1] - t[0] + _SAME_S) / dt_s) + 1)
@@ -290,17 +321,19 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
     for name in rows.columns.drop(["segment", "t_s"]):
         value = rows[name].to_numpy()
         if name in (*means, *TRUE_SPEEDS):
-            of_rows = averaged and name in means
-            result[name] = _means_since(before, at, t, value, of_rows, _ENCODER_GAP * dt_s)
+            is_mean = averaged and name in means
+            result[name] = _means_since(before, at, t, value, is_mean, _ENCODER_GAP * dt_s)
         elif name in measured:
             result[name], result[f"{name}_age_s"] = _newest_since(before, at, t, value)
         else:
             value = _unwrapped(value) if name == "theta_rad" else value
             result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s)
-    silent = at - t[np.searchsorted(t, at, side="right") - 1] > _HELD * dt_s
-    begins = np.diff(silent, prepend=False) & silent
-    for name in _ENCODERS if begins.any() else ():
-        result[name][begins] = 0.0  # at which a missing input is held from then on
+    is_silent = at - t[np.searchsorted(t, at, side="right") - 1] > _HELD * dt_s
+    silence_begins = np.diff(is_silent, prepend=False) & is_silent
+    if silence_begins.any():
+        # The estimator holds a missing input: from here on at 0, a robot that stands.
+        for name in _ENCODERS:
+            result[name][silence_begins] = 0.0
     return pd.DataFrame(result)
 
 
@@ -308,69 +341,77 @@ def measured_since(rows, begin_s, dt_s, averaged, means=_ENCODERS):
     """Means of measurements from the times begin_s [s] to each row's own, as a DataFrame."""
     t = rows["t_s"].to_numpy()
     gap_s = _ENCODER_GAP * dt_s
-    columns = {name: rows[name].to_numpy() for name in means}
-    return pd.DataFrame(
-        {name: _means_since(begin_s, t, t, v, averaged, gap_s) for name, v in columns.items()}
-    )
+    columns = {
+        name: _means_since(begin_s, t, t, rows[name].to_numpy(), averaged, gap_s) for name in means
+    }
+    return pd.DataFrame(columns)
 
 
 def _unwrapped(angle):
-    """An angle without jumps of 2π; gaps stay gaps."""
-    angle, known = angle.copy(), np.isfinite(angle)
-    angle[known] = np.unwrap(angle[known])
+    """An angle [rad] without jumps of 2π; gaps stay gaps."""
+    angle = angle.copy()
+    is_known = np.isfinite(angle)
+    angle[is_known] = np.unwrap(angle[is_known])
     return angle
 
 
 def _truth_at(at, t, value, gap_s):
-    """The value at these times, between two that are close linear."""
-    known = np.isfinite(value)
-    if not known.any():
+    """A value at these times, linear between two that are no more than gap_s apart, else NaN."""
+    is_known = np.isfinite(value)
+    if not is_known.any():
         return np.full(len(at), np.nan)
-    t = t[known]
-    value = value[known]
+    t = t[is_known]
+    value = value[is_known]
     after = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
-    inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
-    return np.where(inside | (t[after] == at), np.interp(at, t, value), np.nan)
+    is_inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
+    return np.where(is_inside | (t[after] == at), np.interp(at, t, value), np.nan)
 
 
 def _newest_since(begin, end, t, value):
-    """The newest measurement in each (begin, end] and its age at the end, NaN where none is new."""
-    known = np.isfinite(value)
-    t = np.append(-np.inf, t[known])
-    value = np.append(np.nan, value[known])
+    """The newest measurement in each (begin, end] and its age at the end; NaN where none is new."""
+    is_known = np.isfinite(value)
+    t = np.append(-np.inf, t[is_known])
+    value = np.append(np.nan, value[is_known])
     newest = np.searchsorted(t, end, side="right") - 1
-    new = t[newest] > begin
-    return np.where(new, value[newest], np.nan), np.where(new, end - t[newest], np.nan)
+    is_new = t[newest] > begin
+    return np.where(is_new, value[newest], np.nan), np.where(is_new, end - t[newest], np.nan)
 
 
 def _means_since(begin, end, t, value, averaged, gap_s):
-    """Mean of a measurement over each (begin, end] as it is known at the end, NaN where less than
-    half of that time is: between instants linear, after the newest held, no longer than gap_s.
+    """Mean of a signal over each (begin, end] [s], by its measurements (t, value) until the end.
 
-    The first counts for the interval before it.
+    The signal is linear between two instants; if `averaged`, a value is its mean since the one
+    before. The first value also counts before it, and the newest one is held. Across gaps longer
+    than gap_s the signal is unknown. The mean is ∫ signal dt / ∫ 1 dt over the time covered, and
+    NaN if less than half of end - begin is.
     """
     if not averaged:
-        known = np.isfinite(value)
-        t = t[known]
-        value = value[known]
+        is_known = np.isfinite(value)
+        t = t[is_known]
+        value = value[is_known]
     if not len(t):
         return np.full(len(end), np.nan)
-    start = np.append(min(begin[0], t[0]), t)
+    edges = np.append(min(begin[0], t[0]), t)
     mean = np.append(value[:1], value[1:] if averaged else (value[1:] + value[:-1]) / 2)
-    length = np.diff(start)
-    read = np.searchsorted(t, end, side="right")
-    known = np.isfinite(mean) & (length <= gap_s)
-    newest = np.append(np.nan, value)[read]
-    since = start[read]
-    held = np.isfinite(newest) & (end - since <= gap_s)
-
-    def integral(rate, now):
-        total = np.append(0, np.cumsum(rate * length))
-        driven = total[read] - np.interp(np.minimum(begin, since), start, total)
-        return driven + now * (end - np.maximum(begin, since))
-
-    covered = integral(known, held)
-    total = integral(np.where(known, mean, 0), np.where(held, newest, 0))
+    is_covered = np.isfinite(mean) & (np.diff(edges) <= gap_s)
+    n_until_end = np.searchsorted(t, end, side="right")
+    newest = np.append(np.nan, value)[n_until_end]
+    is_held = np.isfinite(newest) & (end - edges[n_until_end] <= gap_s)
+    times = (begin, end, edges, n_until_end)
+    covered_s = _integrals(*times, is_covered, is_held)
+    integral = _integrals(*times, np.where(is_covered, mean, 0), np.where(is_held, newest, 0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(covered >= 0.5 * (end - begin), total / covered, np.nan)
+        return np.where(covered_s >= 0.5 * (end - begin), integral / covered_s, np.nan)
+
+
+def _integrals(begin, end, edges, n_until_end, signal, held):
+    """∫ over each of n intervals (begin, end] of a signal that is constant between edges.
+
+    Of the m pieces between the edges, with the values `signal` (m,), n_until_end (n,) are over by
+    `end`; from then on the signal has the value `held` (n,).
+    """
+    until_edge = np.append(0, np.cumsum(signal * np.diff(edges)))
+    last_edge = edges[n_until_end]
+    before = np.interp(np.minimum(begin, last_edge), edges, until_edge)
+    return until_edge[n_until_end] - before + held * (end - np.maximum(begin, last_edge))

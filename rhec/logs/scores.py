@@ -1,5 +1,6 @@
-"""Scores of a replay: against the truth where the log has it, else by its innovations; and harder
-replays, with noise, a wrong first yaw and sensor faults on top of a log.
+"""Scores of a replay: by the truth where the log has it, else by its innovations.
+
+Harder replays add noise, a wrong first yaw and sensor faults to a log.
 """
 
 import itertools
@@ -8,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.logs.nonsense import refuse_nonsense
+from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.recording import prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
@@ -30,32 +31,35 @@ __all__ = [
     "yaw_error",
 ]
 
-# Scores count from here on, driven in each segment: before, a wrong first yaw is still being found.
+# Scores count from here on, driven in each segment: before, a replay is still finding its yaw.
 FROM_M = 8.0
-_FAST_RADPS = 0.8  # yaw errors are also given without the spins that are faster
-_AHEAD_S = 2.0  # how far a prediction by the encoders goes
-WINDOW_S = 5.0  # of the sliding regressions,
-_MOVES = 0.05  # [m/s, rad/s] by the encoders
-_LEAST_RMS = 0.1  # which need measurements of this size in their window [m/s, rad/s]
+WINDOW_S = 5.0  # of the sliding regressions
 REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
+_FAST_RADPS = 0.8  # there is a score of the yaw without spins that are faster
+_AHEAD_S = 2.0  # how far a prediction by the encoders goes
+_MOVING = 0.05  # [m/s, rad/s] by the encoders
+_LEAST_RMS = 0.1  # of the measurements [m/s, rad/s] in a window whose regression counts
 
 
 def regression(samples):
-    """Apparent (μ, κ) of the whole log: true speed and yaw rate over ground on those measured by
-    the encoders, least squares through the origin.
+    """Apparent (μ, κ) of the whole log, by least squares through the origin.
+
+    The regressions are of true speed and yaw rate over ground on those measured by the encoders:
+    Σ xy / Σ x². They are NaN for a robot that never moves.
     """
     coefficients = []
     for measured, truth in REGRESSIONS:
         xy = samples[measured] * samples[truth]
         xx = samples[measured] ** 2
         total = xx[xy.notna()].sum()
-        coefficients.append(xy.sum() / total if total > 0 else np.nan)  # a robot that never moves
+        coefficients.append(xy.sum() / total if total > 0 else np.nan)
     return tuple(coefficients)
 
 
 def sliding_regression(samples):
-    """Apparent (μ, κ) over the WINDOW_S around each sample, (n, 2); NaN where the measurements are
-    too small to tell.
+    """Apparent (μ, κ) over the WINDOW_S around each sample, (n, 2).
+
+    They are NaN where the measurements are too small.
     """
     columns = []
     for measured, truth in REGRESSIONS:
@@ -69,26 +73,31 @@ def sliding_regression(samples):
 
 
 def yaw_error(samples):
-    """Estimated less true yaw [rad], by the shorter way."""
+    """Estimated minus true yaw [rad], between -π and π."""
     return (samples["theta_hat_rad"] - samples["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
 
 
 def _position_error(samples):
-    """Estimated less true position [m], (x, y)."""
+    """Estimated minus true position [m], (x, y)."""
     return samples["x_hat_m"] - samples["x_m"], samples["y_hat_m"] - samples["y_m"]
 
 
 def distance_driven(samples):
-    """Distance driven in its segment at each sample [m], forwards or backwards, by the encoders."""
+    """Way driven in its segment until each sample [m], forwards or backwards, by the encoders."""
     steps = paper.DT_S * samples["nu_meas_mps"].abs().fillna(0)
     return steps.groupby(samples["segment"]).cumsum()
 
 
 def while_moving(samples, from_s, duration_s):
-    """When a robot begins to move for duration_s, from from_s on [s], or moves most of that time;
-    from the log's beginning on if it ends before.
+    """When a robot first moves for most of a duration [s].
+
+    Args:
+        samples: DataFrame of a replay's samples.
+        from_s: Earliest time [s]; the log's beginning, if the robot does not move after it.
+        duration_s: The duration [s].
     """
-    moves = (samples[MEASUREMENTS[2:]].abs() > _MOVES).any(axis=1)
+    moves = (samples[MEASUREMENTS[2:]].abs() > _MOVING).any(axis=1)
+    # The reverse order makes a rolling mean one of the samples ahead.
     ahead = moves[::-1].groupby(samples["segment"]).rolling(round(duration_s / paper.DT_S) + 1)
     share = ahead.mean().droplevel(0).reindex(samples.index).fillna(0)
     later = share[samples["t_s"] >= from_s]
@@ -96,46 +105,62 @@ def while_moving(samples, from_s, duration_s):
 
 
 def rms(*components):
-    """Root mean square of a vector's length; a vector that lacks a component does not count."""
+    """Root mean square of a vector's length, without the vectors that lack a component."""
     if not len(components[0]):
         return np.nan
     return float(np.sqrt(np.nanmean(sum(np.square(component) for component in components))))
 
 
 def score(samples):
-    """Scores of a replay's samples, as a dict. All but `outside` and `not_ok` count from FROM_M
-    driven in each segment.
+    """Scores of a replay's samples.
 
-    innovation_rms_m; outside: samples with an estimate of μ or κ that is not in [0, 1]; not_ok:
-    samples whose step failed. With the truth in the log: yaw_rms_rad, yaw_rms_slow_rad (without
-    fast spins), position_rms_m, medians of μ and κ beside their regressions, and how well the
-    estimator knows its yaw error: nees_yaw, the mean of its square by its variance (1 if it knows),
-    and inside_95, the share within 1.96 standard deviations.
+    Args:
+        samples: DataFrame, as `estimate_samples` returns it.
+
+    Returns:
+        {score: number}. All but outside and not_ok count from FROM_M driven in each segment.
+
+        - samples: how many count;
+        - innovation_rms_m;
+        - mu_median, kappa_median;
+        - outside: samples with an estimate of μ or κ outside [0, 1];
+        - not_ok: samples whose step failed.
+
+        With the true yaw:
+
+        - yaw_rms_rad, and yaw_rms_slow_rad without fast spins;
+        - nees_yaw: mean of the squared error over its variance, 1 if the estimator is consistent;
+        - inside_95: share of the errors within 1.96 standard deviations.
+
+        With the true position, position_rms_m; with the true speeds, the regressions
+        mu_regression and kappa_regression, and mu_difference and kappa_difference of the medians
+        from them.
     """
     counted = samples[distance_driven(samples) >= FROM_M]
-    told = samples[samples["theta_hat_rad"].notna()]
-    traction = told[["mu_hat", "kappa_hat"]]
+    estimated = samples[samples["theta_hat_rad"].notna()]
+    traction = estimated[["mu_hat", "kappa_hat"]]
+    is_inside = ((traction >= 0) & (traction <= 1)).all(axis=1)
     values = dict(
         samples=len(counted),
         innovation_rms_m=rms(counted["innovation_x_m"], counted["innovation_y_m"]),
         mu_median=counted["mu_hat"].median(),
         kappa_median=counted["kappa_hat"].median(),
-        outside=int((~((traction >= 0) & (traction <= 1)).all(axis=1)).sum()),
-        not_ok=int((~told["ok"]).sum()),
+        outside=int((~is_inside).sum()),
+        not_ok=int((~estimated["ok"]).sum()),
     )
     if "theta_rad" in samples:
         error = yaw_error(counted)
         sigma = counted["sigma_theta_rad"]
-        slow = counted["omega_meas_radps"].abs() <= _FAST_RADPS
+        is_slow = counted["omega_meas_radps"].abs() <= _FAST_RADPS
         values |= dict(
             yaw_rms_rad=rms(error),
-            yaw_rms_slow_rad=rms(error[slow]),
+            yaw_rms_slow_rad=rms(error[is_slow]),
             nees_yaw=(error**2 / sigma**2).mean(),
             inside_95=(error.abs() <= 1.96 * sigma)[error.notna()].mean(),
         )
     if {"x_m", "y_m"} <= set(samples):
         values["position_rms_m"] = rms(*_position_error(counted))
-    if {truth for _, truth in REGRESSIONS} <= set(samples):
+    if set(TRUE_SPEEDS) <= set(samples):
         mu, kappa = regression(samples)
         values |= dict(
             mu_regression=mu,
@@ -147,41 +172,54 @@ def score(samples):
 
 
 def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
-    """RMS error [m] of the position _AHEAD_S after each sample that counts, as its estimate and the
-    encoders' later measurements predict it.
+    """RMS error [m] of positions predicted from estimates and the encoders' later measurements.
 
-    predict: a `replay.predictor`; hats, measured: columns of what it takes.
+    Args:
+        samples: DataFrame of a replay's samples with the true position.
+        predict: A `replay.predictor`, which predicts for _AHEAD_S in steps of one sample.
+        hats: Columns of the estimates that it takes.
+        measured: Columns of the measurements that it takes.
     """
     n = round(_AHEAD_S / paper.DT_S)
+    # All samples of a segment are predicted at once, one step after the other.
     errors = []
     for _, part in samples.groupby("segment"):
         estimate = part[hats].to_numpy()[:-n]
         z = part[measured].to_numpy()
+        tau_s = np.full(len(estimate), paper.DT_S)
         for step in range(1, n + 1):
-            then = z[step : step + len(estimate)]
-            estimate, _ = predict(estimate, then, np.full(len(estimate), paper.DT_S))
+            estimate, _ = predict(estimate, z[step : step + len(estimate)], tau_s)
         error = estimate[:, :2] - part[["x_m", "y_m"]].to_numpy()[n:]
         errors.append(error[distance_driven(part)[:-n] >= FROM_M])
     return rms(*np.concatenate(errors).T)
 
 
 def perturbed_replay(log, seed, **arguments):
-    """Samples of a replay with white noise of noise_m [m], 0.02 if not told, on the position and a
-    first yaw that is wrong by yaw_error_rad [rad], 0.3, in each segment.
+    """Samples of a replay with noise, a wrong first yaw and faults on top of the log.
 
-    The noise joins a sigma_v that is given, which is of the log.
-    seed: of the noise; faults: (rhec.Fault, …) on top; other arguments: as in `rhec.replay`. Where
-    the log has no true yaw the first one is found as `rhec.replay` does.
+    Args:
+        log: DataFrame of a recording, as `rhec.replay` takes it.
+        seed: Of the noise and the faults.
+        **arguments: Those of `rhec.replay`, and
+
+            - noise_m: standard deviation of the white noise on positions [m], by default 0.02. It
+              is added to that of a sigma_v, which is of the log itself;
+            - yaw_error_rad: error of the first yaw in each segment [rad], by default 0.3. In a log
+              without the true yaw the first one is found as `rhec.replay` finds it;
+            - faults: (rhec.Fault, …).
+
+    Returns:
+        DataFrame, one row for each sample of the estimator.
     """
     recording, others = _prepared(log, **arguments)
     return _perturbed(recording, seed, **others)
 
 
 def _prepared(log, track_width_m=None, position_delay_s=0.0, trust_log=False, **others):
-    """The Recording of a log, refused if it is nonsense, and the other arguments."""
+    """The Recording of a log, refused if it is implausible, and the other arguments."""
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
-        refuse_nonsense(recording)
+        refuse_implausible(recording)
     return recording, others
 
 
@@ -199,39 +237,49 @@ def _perturbed(
     """`perturbed_replay` of a Recording."""
     rows = recording.rows.copy()
     noise = np.random.default_rng(seed).standard_normal((len(rows), 2))
-    if fields.get("sigma_v"):
-        own_x, own_y, *encoders = fields["sigma_v"]
-        fields["sigma_v"] = (np.hypot(own_x, noise_m), np.hypot(own_y, noise_m), *encoders)
     rows[MEASUREMENTS[:2]] += noise_m * noise
+    # The variances of independent errors add up.
+    if fields.get("sigma_v"):
+        sigma_x, sigma_y, *encoders = fields["sigma_v"]
+        fields["sigma_v"] = (np.hypot(sigma_x, noise_m), np.hypot(sigma_y, noise_m), *encoders)
     yaws = None
     if "theta_rad" in rows:
         first = rows.groupby("segment")["theta_rad"].first()
         yaws = tuple(first + yaw_error_rad) if first.notna().all() else None
-    return estimate_samples(
-        recording._replace(rows=rows),
-        replay_scenario(estimator, recording, fields),
-        InitialGuess(yaws, lever_arm_m=lever_arm_m),
-        faults,
-        seed,
-    )
+    guess = InitialGuess(yaws, lever_arm_m=lever_arm_m)
+    scenario = replay_scenario(estimator, recording, fields)
+    return estimate_samples(recording._replace(rows=rows), scenario, guess, faults, seed)
 
 
 def perturbed_scores(log, seeds, **arguments):
-    """Scores of perturbed replays: one row for each noise seed, as a DataFrame."""
+    """Scores of perturbed replays, a DataFrame with one row for each seed.
+
+    Args:
+        log: As in `perturbed_replay`.
+        seeds: Of the noise.
+        **arguments: As in `perturbed_replay`.
+    """
     recording, others = _prepared(log, **arguments)
     replays = (_perturbed(recording, seed, **others) for seed in seeds)
-    return pd.DataFrame([dict(seed=seed) | score(each) for seed, each in zip(seeds, replays)])
+    return pd.DataFrame([dict(seed=seed) | score(samples) for seed, samples in zip(seeds, replays)])
 
 
 def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
-    """Perturbed replays with each fault of cases {name: rhec.Fault} on top, robust or not: one row
-    for each case, handling and noise seed, as a DataFrame.
+    """Scores of perturbed replays with faults, with and without robust handling.
 
-    worst_position_m, worst_yaw_rad: from the beginning of the fault to the end of its segment;
-    last_yaw_rad: error at the end of the segment; outside, not_ok: as `score`. Only for a log with
-    the true pose.
+    Args:
+        log: As in `perturbed_replay`, with the true pose.
+        cases: {name: rhec.Fault}.
+        seeds: Of the noise.
+        handling: Values of `robust`.
+        **arguments: As in `perturbed_replay`.
+
+    Returns:
+        DataFrame, one row for each fault, handling and seed. worst_position_m and worst_yaw_rad are
+        from the beginning of the fault to the end of its segment, where last_yaw_rad is the error;
+        outside and not_ok are those of `score`.
     """
-    (recording, others) = _prepared(log, **arguments)
+    recording, others = _prepared(log, **arguments)
     rows = []
     for name, robust, seed in itertools.product(cases, handling, seeds):
         start_s = cases[name].start_s
@@ -239,7 +287,7 @@ def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
         segment = samples.loc[(samples["t_s"] - start_s).abs().idxmin(), "segment"]
         after = samples[(samples["segment"] == segment) & (samples["t_s"] >= start_s)]
         yaw = yaw_error(after).abs()
-        whole = score(samples)
+        scores = score(samples)
         rows.append(
             dict(
                 fault=name,
@@ -248,8 +296,8 @@ def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
                 worst_position_m=np.hypot(*_position_error(after)).max(),
                 worst_yaw_rad=yaw.max(),
                 last_yaw_rad=yaw.iloc[-1],
-                outside=whole["outside"],
-                not_ok=whole["not_ok"],
+                outside=scores["outside"],
+                not_ok=scores["not_ok"],
             )
         )
     return pd.DataFrame(rows)

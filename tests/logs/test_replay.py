@@ -483,6 +483,25 @@ def test_help_names_every_column_of_a_recording():
     assert not [name for name in names if name not in rhec.replay.__doc__]
 
 
+FOREIGN = LOG.rename(
+    columns=dict(x_m="Easting [m]", y_m="northing", speed_mps="vel", yaw_rate_radps="gyro")
+)
+
+
+@pytest.mark.parametrize(
+    "log, sentence",
+    [
+        (FOREIGN, r"it has t_s, Easting \[m\], northing, vel, gyro, v_left_mps"),
+        (FOREIGN, r"columns= of rhec.logs.read renames them: did you mean x_m=Easting \[m\], "),
+        (FOREIGN, r", y_m=northing, speed_mps=vel, yaw_rate_radps=gyro\?$"),
+        (LOG.drop(columns="x_m"), "renames them$"),
+    ],
+)
+def test_a_log_with_other_names_is_told_how_to_rename_them(log, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.replay(log)
+
+
 @pytest.mark.parametrize(
     "given, sentence",
     [

@@ -420,11 +420,7 @@ def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virt
 
 
 def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
-    import casadi as ca
-
-    from rhec.core._casadi import scan
-
-    steps = scan.build_scan(ca.Function.deserialize(experiments.with_given_arrival().serialize()))
+    steps = experiments.build_with_given_arrival()
     log = run.log[:60]
     estimates, P = experiments.run_with_given_arrival(steps, log, "calibrated")
     np.testing.assert_allclose(

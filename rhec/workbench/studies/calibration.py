@@ -18,11 +18,11 @@ error: not an estimator's best guess of the truth, but the one that this control
 
 import contextlib
 
-import casadi as ca
 import numpy as np
 
-from rhec.core._casadi import compiled, scan
-from rhec.core._casadi.build import pack_array, select_inputs
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import pack_array
+from rhec.core.estimator import offline
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import build_sample, set_up, simulate
 from rhec.simulation.columns import MEASUREMENTS, POSE
@@ -79,21 +79,10 @@ def oracle_runs(seeds, duration_s=240.0):
 
 
 def _build_scan(outputs, choice):
-    """Scan of an estimator's step over a stream of z and the traction that it is given, with these
-    of its outputs as the row.
-    """
+    """Scan of an estimator's step over measurements, and the traction where it takes one."""
     step = build_step(Choice(*choice))
-    stream = ca.MX.sym("stream", 6)
-    given = dict(z_N=stream[:4], traction=stream[4:])
-    own = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in step.name_in()}
-    own = {name: symbol for name, symbol in own.items() if name not in given}
-    result = step(**select_inputs(step, own | given))
-    memory = own.pop("memory")
-    options = {"allow_duplicate_io_names": True}
-    row = ca.veccat(*(result[name] for name in outputs))
-    names = ["memory", "stream", *own], ["memory", "row"]
-    signals = [memory, stream, *own.values()], [result["memory"], row]
-    return scan.build_scan(ca.Function("recorded", *signals, *names, options))
+    streamed = ["traction"] if "traction" in step.name_in() else []
+    return offline.build(step, outputs, streamed)
 
 
 def columns(run, names):
@@ -102,11 +91,13 @@ def columns(run, names):
 
 
 def scan_arguments(scenario, run, *outputs):
-    """Arguments of `scan.scan` for these outputs of the scenario's estimator on the measurements of
-    a run; it starts where the robot is.
+    """Arguments of `offline.run` for outputs of a scenario's estimator on the measurements of a run.
+
+    The estimator starts where the robot is.
     """
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
+    functions = compiled.load(_build_scan, outputs, choice)
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
     true = columns(run, ["mu", "kappa"])
@@ -114,12 +105,14 @@ def scan_arguments(scenario, run, *outputs):
         estimator.traction_input.select_traction(run.terrain.mean, true), true.shape
     )
     stream = np.hstack([columns(run, MEASUREMENTS), traction])
-    return compiled.load(_build_scan, outputs, choice), memory, stream, estimator.settings(scenario)
+    # The traction is not in the stream of an estimator that takes none.
+    stream = stream[:, : functions["step"].size1_in(1)]
+    return functions, memory, stream, estimator.settings(scenario)
 
 
 def run_estimator(scenario, run, *outputs):
-    """Outputs of the scenario's estimator on the measurements of a run, side by side (n, …)."""
-    return scan.scan(*scan_arguments(scenario, run, *outputs))[1]
+    """Outputs of the scenario's estimator on the measurements of a run, as {name: array}."""
+    return offline.run(*scan_arguments(scenario, run, *outputs))
 
 
 def deviance(estimator, sigma_w, runs, **fields):
@@ -127,7 +120,7 @@ def deviance(estimator, sigma_w, runs, **fields):
     fields of Scenario: how else the estimator is set.
     """
     scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
-    return sum(run_estimator(scenario, run, "deviance").sum() for run in runs)
+    return sum(run_estimator(scenario, run, "deviance")["deviance"].sum() for run in runs)
 
 
 def search(objective, unknowns):

@@ -86,10 +86,10 @@ def measure(scenario, runs):
     R = np.diag(np.square(tuning.sigma_v_of(scenario)[:3]))
     results = []
     for run in runs:
-        row = calibration.run_estimator(scenario, run, "estimate", "covariance")
-        estimate, covariance = np.split(row, [6], axis=1)
-        n_x = round(np.sqrt(covariance.shape[1]))
-        P = covariance.reshape(-1, n_x, n_x)
+        recorded = calibration.run_estimator(scenario, run, "estimate", "covariance")
+        estimate = recorded["estimate"]
+        P = recorded["covariance"]
+        n_x = P.shape[1]
         error = estimate[:, :n_x] - calibration.columns(run, TRUTH[:n_x])
         residuals = calibration.columns(run, MEASUREMENTS[:3]) - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)
@@ -108,10 +108,10 @@ def stated(run):
         {name: (estimate, its standard deviation, truth, share of samples, settled, in which the
         truth is within two standard deviations)}, arrays (n,); the truth of the error is 0.
     """
-    row = calibration.run_estimator(run.scenario, run, "estimate", "covariance")
+    recorded = calibration.run_estimator(run.scenario, run, "estimate", "covariance")
     found = {}
-    estimate, covariance = np.split(row, [6], axis=1)
-    sigma = np.sqrt(np.diagonal(covariance.reshape(-1, 6, 6), axis1=1, axis2=2))
+    estimate = recorded["estimate"]
+    sigma = np.sqrt(np.diagonal(recorded["covariance"], axis1=1, axis2=2))
     for name, place in (("theta_rad", 2), ("mu", 4), ("kappa", 5)):
         value = estimate[:, place]
         truth = run.columns[name]

@@ -17,14 +17,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.core._casadi import compiled, scan
+from rhec.core._casadi import compiled
 from rhec.core._casadi.build import pack_array
-from rhec.core.estimator import ekf
+from rhec.core.estimator import ekf, offline
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model
 from rhec.logs import scores
@@ -123,15 +122,9 @@ _RIVALS = {
 
 
 def _build_rival(model):
-    """The EKF with a row: estimate, variances, deviance."""
+    """The scan of a Model's EKF."""
     step = ekf.build(model, paper.DT_S)["step"]
-    given = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in step.name_in()}
-    told = step(**given)
-    row = ca.vertcat(told["estimate"], ca.diag(told["covariance"]), told["deviance"])
-    signals = [[*given.values()], [told["memory"], row]]
-    names = [[*given], ["memory", "row"]]
-    options = {"allow_duplicate_io_names": True}
-    return scan.build_scan(ca.Function("rival", *signals, *names, options))
+    return offline.build(step, ["estimate", "covariance", "deviance"])
 
 
 def _parts(log):
@@ -147,7 +140,7 @@ def _parts(log):
 
 
 def _filtered(rival, half, part, sigma):
-    """Rows of a rival's filter on one segment's samples."""
+    """What a rival's filter records on one segment's samples, as {name: array}."""
     z = part[rival.measured].to_numpy()
     first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
     guess, spread = rival.guess(half)
@@ -155,19 +148,18 @@ def _filtered(rival, half, part, sigma):
     P = np.diag(np.square([1.0, 1.0, 0.3, *spread]))
     memory = pack_array(dict(m=m, P=P, v=np.zeros(len(rival.model.inputs)), started=0.0))
     functions = compiled.load(_build_rival, rival.model)
-    return scan.scan(functions, memory, z, rival.settings(sigma))[1]
+    return offline.run(functions, memory, z, rival.settings(sigma))
 
 
 def _rival(rival, half, parts, sigma):
     """Samples of a rival, with their error ahead."""
-    n = len(rival.hats)
     done = []
     for part in parts:
-        rows = _filtered(rival, half, part, sigma)
-        hats = pd.DataFrame(rows[:, :n], columns=rival.hats)
-        pose = dict(zip(ESTIMATE[:3], rows[:, :3].T)) | dict(
-            zip(SIGMA[:3], np.sqrt(rows[:, n : n + 3]).T)
-        )
+        recorded = _filtered(rival, half, part, sigma)
+        estimate = recorded["estimate"]
+        deviation = np.sqrt(np.diagonal(recorded["covariance"], axis1=1, axis2=2))
+        hats = pd.DataFrame(estimate, columns=rival.hats)
+        pose = dict(zip(ESTIMATE[:3], estimate.T)) | dict(zip(SIGMA[:3], deviation.T))
         done.append(part.assign(**pose, **hats))
     samples = pd.concat(done, ignore_index=True)
     unknown = [*ESTIMATE[3:], *INNOVATION]
@@ -184,7 +176,7 @@ def _tuned(rival, log):
     counted = [scores.distance_driven(part) >= scores.FROM_M for part in parts]
 
     def objective(sigma):
-        deviances = (_filtered(rival, half, part, sigma)[:, -1] for part in parts)
+        deviances = (_filtered(rival, half, part, sigma)["deviance"] for part in parts)
         value = sum(each[of].sum() for each, of in zip(deviances, counted))
         return value if np.isfinite(value) else 1e12
 

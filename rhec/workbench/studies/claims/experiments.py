@@ -6,7 +6,7 @@ Each returns a DataFrame, one row a case.
 
 import operator
 import time
-from functools import cache, partial
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -14,11 +14,11 @@ import pandas as pd
 from scipy import optimize
 
 from rhec import paper
-from rhec.core._casadi import compiled, scan
+from rhec.core._casadi import compiled
 from rhec.core._casadi.build import pack_array, select_inputs, with_packed_memory
 from rhec.core.controller import rhc
 from rhec.core.controller.rhc import RHC
-from rhec.core.estimator import rhe
+from rhec.core.estimator import offline, rhe
 from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
@@ -39,6 +39,7 @@ from rhec.workbench.studies.live_loop import LiveRobot
 
 __all__ = [
     "all_of",
+    "build_with_given_arrival",
     "gains",
     "kkt_tolerances",
     "live",
@@ -48,7 +49,6 @@ __all__ = [
     "reached_s",
     "run_with_given_arrival",
     "steps_in_time",
-    "with_given_arrival",
 ]
 
 
@@ -59,12 +59,11 @@ def _window():
     return paper_rhe.window_of(Choice.of(Scenario()))
 
 
-def with_given_arrival():
-    """One RHE step with a choice: the arrival cost's covariance from the smoothed EKF update, or
-    P_given (6, 6) at all times where `constant` is 1.
+def build_with_given_arrival():
+    """Scan of an RHE step with a choice of the arrival cost's covariance.
 
-    (memory, z_N, V, W, P_0, P_given, constant) -> (memory, row); row: the estimate (6,) and the
-    arrival covariance (36,) behind it.
+    It is that of the smoothed EKF update, or P_given (6, 6) where `constant` is 1. The settings are
+    V, W, P_0, P_given and constant; recorded are the estimate (6,) and that covariance (6, 6).
     """
     window = _window()
     phases = rhe.build_phases(window, model.QUANTITIES)
@@ -76,24 +75,15 @@ def with_given_arrival():
         for name in PHASES:
             known |= phases[name](**select_inputs(phases[name], known))
             if name == "shift":
-                P = known["P"] = ca.if_else(known["constant"], known["P_given"], known["P"])
-        row = ca.vertcat(known["estimate"], ca.vec(P))
-        return dict(row=row) | {name: known[name] for name in window.memory}
+                P = ca.if_else(known["constant"], known["P_given"], known["P"])
+                known["P"] = P
+        memory = {name: known[name] for name in window.memory}
+        return dict(estimate=known["estimate"], arrival_covariance=P) | memory
 
-    return step
-
-
-def _build_scan(serialized):
-    """Scan of a step that is given as text: the text is part of the compiled library's name."""
-    return scan.build_scan(ca.Function.deserialize(serialized))
+    return offline.build(step, ["estimate", "arrival_covariance"])
 
 
-@cache
-def _steps_with_given_arrival():
-    return compiled.load(_build_scan, with_given_arrival().serialize())
-
-
-def run_with_given_arrival(steps, log, process_noise, P_given=None):
+def run_with_given_arrival(functions, log, process_noise, P_given=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
     scenario = Scenario(process_noise=process_noise)
     settings = paper_rhe.ESTIMATORS["rhe"].settings(scenario) | dict(
@@ -101,8 +91,8 @@ def run_with_given_arrival(steps, log, process_noise, P_given=None):
     )
     guess = dict(zip(model.QUANTITIES, (*log.loc[0, POSE], log.loc[0, "nu_mps"], 1.0, 1.0)))
     memory = pack_array(paper_rhe.init(_window(), guess))
-    _, rows = scan.scan(steps, memory, log[MEASUREMENTS].to_numpy(), settings)
-    return rows[:, :6], rows[:, 6:].reshape(-1, 6, 6)
+    recorded = offline.run(functions, memory, log[MEASUREMENTS].to_numpy(), settings)
+    return recorded["estimate"], recorded["arrival_covariance"]
 
 
 def _arrival_cost(process_noise, world, seed):
@@ -114,7 +104,7 @@ def _arrival_cost(process_noise, world, seed):
     |κ̂ - κ| first stays below 0.1 for 5 s, whether the yaw was ever more than 0.5 rad off; and the
     least eigenvalue of P - W over all samples, in units of W.
     """
-    steps = _steps_with_given_arrival()
+    steps = compiled.load(build_with_given_arrival)
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
     log = simulate(Scenario(**(world | dict(estimator="oracle", seed=seed)))).log
     estimates, P = run_with_given_arrival(steps, log, process_noise)

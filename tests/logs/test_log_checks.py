@@ -62,7 +62,7 @@ def nothing_estimated(monkeypatch):
 
 
 @pytest.mark.parametrize("what", CASES)
-def test_nonsense_is_named_before_anything_is_estimated(what, nothing_estimated):
+def test_an_implausible_log_is_named_before_anything_is_estimated(what, nothing_estimated):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises((ValueError, UserWarning)) as named:
@@ -92,7 +92,7 @@ def test_the_page_has_these_and_no_other():
         ),
     ],
 )  # fmt: skip
-def test_what_a_log_may_be_is_not_nonsense(log, nothing_estimated):
+def test_what_a_log_may_be_is_plausible(log, nothing_estimated):
     """Slip, sparse and noisy positions, outliers, wrapped yaws, UTM coordinates, no one delay."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")

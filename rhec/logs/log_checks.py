@@ -1,0 +1,281 @@
+"""Implausible logs: wrong units, signs and axes, and late positions, before anything is estimated.
+
+The path of the positions is compared with the encoders over intervals of one length. Where the
+tracks drive n and turn w, an antenna moves by d with d² = μ² n² + a w² + b n w + c. Its lever arm
+gives a and b, the noise gives c. The course turns by κ w. This needs no estimator and no yaw.
+"""
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from rhec.simulation.columns import MEASUREMENTS
+
+__all__ = ["refuse_implausible"]
+
+_POSITION = MEASUREMENTS[:2]
+_ENCODERS = MEASUREMENTS[2:]
+# Lengths of the intervals; the first one is used in which motion stands out from noise.
+_LENGTHS_S = (0.6, 1.2, 2.4)
+_DELAYS_S = np.arange(-10, 11) / 5  # tried first
+_FINER_DELAYS_S = np.arange(-3, 4) / 20  # tried next, about the best of them
+_CLEAR_SHARE = 0.5  # of the squares: less is not explained by the motion
+_LEAST_GAIN = 0.05  # of that share, by a delay that is named
+_LATE_S = 0.25  # a shorter delay is not named
+_AGREE_S = 0.15  # to which both halves of a log have to agree on a delay
+_LEAST_ROWS = 50
+_LEAST_INTERVALS = 60
+_STANDING = 0.3  # a robot that drove and turned less than this [m, rad] never moved
+_SIGMA_C = 0.02  # prior standard deviation of c [m²]: of positions good to 0.1 m
+# A slope is outside its range if it is this many standard errors outside; they are too small, since
+# the errors of neighbouring intervals are not independent.
+_STANDARD_ERRORS = 9.0
+
+
+class _Check(NamedTuple):
+    """What a slope may be, and what is wrong with a log whose slope is not."""
+
+    measured: str  # sentence that says what the slope `times` is
+    least_share: float  # of the squares, which the slope has to explain
+    causes: dict  # {upper limit of the slope: cause}; None for the range that is plausible
+
+
+class _Slope(NamedTuple):
+    """A least-squares slope, its standard error, and the share of the squares it explains."""
+
+    value: float
+    sigma: float
+    share: float
+
+
+_CLOCKWISE = "may be counted clockwise and should be counter-clockwise"
+_YAW_RATE_CLOCKWISE = f"{{yaw_rate}} {_CLOCKWISE}"
+_SWAPPED = "{place} may be swapped"
+_MU = _Check(
+    "the path of {place} is {times:.3g} times as long as {speed} says",
+    0.3,
+    {
+        5e-5: "{place} may be longitude and latitude and should be in m",
+        1.5e-3: "{speed} may be in mm/s and should be in m/s",
+        0.02: "{speed} may be in cm/s and should be in m/s",
+        0.31: "{speed} may be in km/h and should be in m/s",
+        1.4: None,
+        10.0: "{place} may be in feet and should be in m",
+        200.0: "{place} may be in cm and should be in m",
+        np.inf: "{place} may be in mm and should be in m",
+    },
+)
+_KAPPA = _Check(
+    "the path of {place} turns {times:.3g} times as far as {yaw_rate} says",
+    0.1,
+    {
+        0.0: f"{_YAW_RATE_CLOCKWISE}, or {_SWAPPED}",
+        0.12: "{yaw_rate} may be in degrees per second and should be in rad/s",
+        1.7: None,
+        np.inf: "{yaw_rate} may be in another unit and should be in rad/s",
+    },
+)
+_TRUE_YAW = _Check(
+    "{yaw} turns {times:.3g} times as far as {yaw_rate} says",
+    0.1,
+    {
+        0.0: f"{{yaw}} {_CLOCKWISE}",
+        10.0: None,
+        np.inf: "{yaw} may be in degrees and should be in rad",
+    },
+)
+
+
+class _Track(NamedTuple):
+    """The path of one segment, and its ways by the encoders."""
+
+    t: np.ndarray  # (n,) times of the positions [s]
+    position: np.ndarray  # (n,) x + iy [m]
+    t_encoders: np.ndarray  # (m,) times of the encoder measurements [s]
+    driven: np.ndarray  # (m,) way driven by then [m]
+    turned: np.ndarray  # (m,) angle turned by then [rad]
+
+
+def _tracks(rows):
+    """The _Track of each segment that has three positions and three encoder measurements."""
+    tracks = []
+    for _, part in rows.groupby("segment"):
+        positions = part[["t_s", *_POSITION]].dropna()
+        speeds = part[["t_s", *_ENCODERS]].dropna()
+        if min(len(positions), len(speeds)) >= 3:
+            t, x, y = positions.to_numpy().T
+            t_encoders = speeds["t_s"].to_numpy()
+            ways = cumulative_trapezoid(speeds[_ENCODERS], t_encoders, axis=0, initial=0)
+            tracks.append(_Track(t, x + 1j * y, t_encoders, *ways.T))
+    return tracks
+
+
+def _moves(tracks, length_s, delay_s):
+    """What antenna and tracks do in all intervals of this length, (intervals, 6).
+
+    The columns are d, n and w; the turn of the course to the next interval; w in between; and the
+    weight of that turn. Positions are taken to be late by delay_s.
+    """
+    parts = [np.zeros((0, 6))]
+    for track in tracks:
+        # Five instants, half an interval apart, belong to a move: k, …, k + 4.
+        at = np.arange(track.t[0], track.t[-1], length_s / 2)
+        p = np.interp(at, track.t, track.position)
+        n = np.interp(at - delay_s, track.t_encoders, track.driven)
+        w = np.interp(at - delay_s, track.t_encoders, track.turned)
+        step = p[2:-2] - p[:-4]
+        next_step = p[4:] - p[2:-2]
+        n_step = n[2:-2] - n[:-4]
+        keeps_direction = n_step * (n[4:] - n[2:-2]) > 0  # forwards or backwards
+        columns = [
+            np.abs(step),
+            n_step,
+            w[2:-2] - w[:-4],
+            np.angle(next_step * step.conj()),
+            w[3:-1] - w[1:-3],
+            np.abs(next_step * step) * keeps_direction,
+        ]
+        gap_s = np.interp(at, track.t[1:], np.diff(track.t))
+        is_dense = [gap_s[first : len(at) - 4 + first] < length_s for first in range(5)]
+        parts.append(np.transpose(columns)[np.all(is_dense, axis=0)])
+    return np.concatenate(parts)
+
+
+def _slope(x, y):
+    """The _Slope b_0 of the least-squares fit y = x b."""
+    b = np.linalg.lstsq(x, y)[0]
+    residual = np.sum((y - x @ b) ** 2)
+    sigma = np.sqrt(residual / len(y) * max(np.linalg.pinv(x.T @ x)[0, 0], 0))
+    return _Slope(b[0], sigma, 1 - residual / (y @ y) if y.any() else 0.0)
+
+
+def _compare(tracks, length_s, delay_s):
+    """The _Slope of the path over the encoders' way, μ, and of its turns over theirs, κ.
+
+    None if there are too few intervals.
+    """
+    moves = _moves(tracks, length_s, delay_s)
+    if len(moves) < _LEAST_INTERVALS:
+        return None
+    d, n, w, turn, w_turn, weight = moves.T
+    # d² = μ² n² + a w² + b n w + c
+    x = np.stack([n**2, w**2, n * w, 1 + 0 * n], axis=1)
+    y = d**2
+    residual = np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2)
+    # At a constant speed the intervals do not determine c: a prior does.
+    prior = np.sqrt(residual / len(y)) / _SIGMA_C * np.eye(4)[3:]
+    mu2, sigma, _ = _slope(np.append(x, prior, axis=0), np.append(y, 0))
+    mu = np.sqrt(max(mu2, 1e-14))
+    share = 1 - residual / max(np.sum((y - y.mean()) ** 2), residual, 1e-300)
+    root = np.sqrt(weight)
+    return _Slope(mu, sigma / (2 * mu), share), _slope((root * w_turn)[:, None], root * turn)
+
+
+def _best_delay(rows):
+    """How much later than encoder measurements positions come [s], and `_compare` at that delay.
+
+    The delay is 0 where the log does not determine it.
+    """
+    tracks = _tracks(rows)
+
+    def explained(delay_s):
+        return sum(slope.share for slope in _compare(tracks, length_s, delay_s))
+
+    for length_s in _LENGTHS_S:
+        if _compare(tracks, length_s, 0.0) is None:
+            return 0.0, None
+        best = max(_DELAYS_S, key=explained)
+        mu, _ = _compare(tracks, length_s, best)
+        if mu.share > _CLEAR_SHARE:
+            break
+    best = max(best + _FINER_DELAYS_S, key=explained)
+    mu, kappa = _compare(tracks, length_s, best)
+    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + _LEAST_GAIN
+    return best if is_clear else 0.0, (mu, kappa)
+
+
+def _halves_agree(rows, delay_s):
+    """Whether one half of a log shows the delay of all of it, and the other shows no other one.
+
+    Positions that are only noisy do not.
+    """
+    middle = len(rows) // 2
+    delays = [_best_delay(half)[0] for half in (rows[:middle], rows[middle:])]
+    return any(delays) and all(not delay or abs(delay - delay_s) <= _AGREE_S for delay in delays)
+
+
+def _cause(slope, check):
+    """What is wrong with a log of this _Slope, by a _Check; None if nothing surely is."""
+    limits = [-np.inf, *check.causes]
+    high = next(limit for limit in check.causes if check.causes[limit] is None)
+    low = limits[limits.index(high) - 1]
+    error = _STANDARD_ERRORS * slope.sigma
+    is_outside = slope.value + error <= low or slope.value - error > high
+    if slope.share < check.least_share or not is_outside:
+        return None
+    return next(check.causes[limit] for limit in check.causes if slope.value <= limit)
+
+
+def _turn_of_the_truth(rows):
+    """The _Slope of the true yaw's turns between rows over those by the encoders."""
+    step = rows.groupby("segment")[["t_s", "theta_rad"]].diff()
+    step = step.assign(w=rows[_ENCODERS[1]] * step["t_s"]).dropna()
+    is_usual = step["t_s"] < 2 * step["t_s"].median()
+    step = step[is_usual & (step["theta_rad"].abs() < 3)]  # without silences and jumps of 2π
+    return _slope(step[["w"]].to_numpy(), step["theta_rad"].to_numpy())
+
+
+def _refuse_standing(rows, names):
+    """Raise a ValueError for a robot that never moves."""
+    ways = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()
+    farthest = (ways.max() - ways.min()).max()
+    if len(rows) >= _LEAST_ROWS and farthest < _STANDING:
+        raise ValueError(
+            f"the log's {names['speed']} and {names['yaw_rate']} should be of a robot that moves: "
+            f"it drove and turned {farthest:.2g} m and rad at most"
+        )
+
+
+def refuse_implausible(recording):
+    """Refuse a Recording that cannot be what its columns say.
+
+    Args:
+        recording: The Recording.
+
+    Raises:
+        ValueError: For a robot that never moves, and for wrong units, signs and axes.
+
+    Warns:
+        UserWarning: If the positions come late; it names the argument that corrects this.
+    """
+    rows = recording.rows
+    columns = recording.columns
+    names = dict(
+        speed=columns[_ENCODERS[0]],
+        yaw_rate=columns[_ENCODERS[1]],
+        yaw=columns.get("theta_rad"),
+        place=", ".join(columns[name] for name in _POSITION),
+    )
+    _refuse_standing(rows, names)
+    delay_s, slopes = _best_delay(rows)
+    if slopes is None:
+        return
+    mu, kappa = slopes
+    truth = _turn_of_the_truth(rows) if "theta_rad" in rows else None
+    for slope, check in ((mu, _MU), (kappa, _KAPPA), (truth, _TRUE_YAW)):
+        cause = _cause(slope, check) if slope else None
+        if cause and check is _KAPPA and kappa.value < 0 and truth:
+            # The true yaw tells a yaw rate of the wrong sign from swapped axes.
+            cause = _SWAPPED if truth.value > 0 else _YAW_RATE_CLOCKWISE
+        if cause:
+            sentence = f"the log's {cause}: {check.measured}"
+            raise ValueError(sentence.format(times=slope.value, **names))
+    if abs(delay_s) >= _LATE_S and _halves_agree(rows, delay_s):
+        late = f"{abs(delay_s):.2g} s {'later' if delay_s > 0 else 'earlier'}"
+        warnings.warn(
+            f"the log's {names['place']} come {late} than {names['speed']}, {names['yaw_rate']}; "
+            f"position_delay_s={delay_s:.2f} makes up for that",
+            stacklevel=3,
+        )
