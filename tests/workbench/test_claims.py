@@ -432,7 +432,7 @@ def test_a_weak_verdict_does_not_survive_among_many():
 
 @pytest.mark.parametrize("n", [0, 3, 45])
 def test_each_argument_has_its_answer_in_order(n):
-    assert run_sets.each(int, list(range(n))) == list(range(n))
+    assert run_sets.parallel_map(int, list(range(n))) == list(range(n))
 
 
 def test_studies_have_their_runs_in_order():
@@ -441,7 +441,7 @@ def test_studies_have_their_runs_in_order():
     asked = [
         rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2) for q in ((1, 1, 0), (1, 1, 5))
     ]
-    found = run_sets.of_runs(run_sets.measured, asked)
+    found = run_sets.map_runs(run_sets.measured, asked)
     assert found == [run_sets.measured(rhec.simulate(each)) for each in asked]
 
 

@@ -18,7 +18,7 @@ from rhec import paper
 from rhec.simulation.metrics import metrics
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import Path
-from rhec.workbench.studies.claims.run_sets import of_runs
+from rhec.workbench.studies.claims.run_sets import map_runs
 from rhec.workbench.studies.statistics import over_seeds, share, verdict
 
 __all__ = ["CAUTIOUS", "CONSTANT", "PROMISES", "SOILS", "drives", "front", "judged", "lap"]
@@ -73,7 +73,7 @@ def _laps(scenarios):
     scenarios = [
         dataclasses.replace(scenario, duration_s=_longest_s(scenario)) for scenario in scenarios
     ]
-    return pd.DataFrame(of_runs(lap, scenarios))
+    return pd.DataFrame(map_runs(lap, scenarios))
 
 
 def _longest_s(scenario):
