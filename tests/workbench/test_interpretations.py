@@ -87,6 +87,21 @@ def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine
     )
 
 
+def test_every_entry_has_its_profile_with_both_values(virtual_machine):
+    profiles = interpretations.likelihood_profiles((1.0,), seeds=1)
+    entries = interpretations.ENTRIES.values()
+    assert list(profiles) == [entry.label for entry in entries]
+    for (table, *values), entry in zip(profiles.values(), entries):
+        assert values == [entry.values["printed"], entry.values["calibrated"]]
+        assert table["sigma"].item() == entry.values["calibrated"]
+
+
+def test_kappa_is_known_better_in_curves(virtual_machine):
+    table = interpretations.sigma_kappa_table([0.1, 0.2])
+    assert list(table) == ["sigma_kappa", "straight", "curve"]
+    assert (table["curve"] < table["straight"]).all()
+
+
 @pytest.fixture(scope="module")
 def moved(virtual_machine):
     with pytest.MonkeyPatch.context() as patch:

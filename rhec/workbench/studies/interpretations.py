@@ -26,7 +26,6 @@ __all__ = [
     "ENTRIES",
     "INTERPRETATIONS",
     "QUANTITIES",
-    "Entry",
     "ekf_on_a_straight",
     "likelihood_profile",
     "likelihood_profiles",
@@ -44,7 +43,7 @@ _KAPPA = 0.8  # the default soil's means
 _MU = 0.9
 
 
-class Entry(NamedTuple):
+class _Entry(NamedTuple):
     """A standard deviation of an estimator's W that differs between printed and calibrated W."""
 
     label: str
@@ -60,10 +59,10 @@ class Entry(NamedTuple):
 
 
 ENTRIES = {
-    "ekf_x": Entry("EKF: $\\sigma_x$ [m]", "ekf", "x"),
-    "ekf_theta": Entry("EKF: $\\sigma_\\theta$ [rad]", "ekf", "theta"),
-    "rhe_theta": Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
-    "rhe_kappa": Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
+    "ekf_x": _Entry("EKF: $\\sigma_x$ [m]", "ekf", "x"),
+    "ekf_theta": _Entry("EKF: $\\sigma_\\theta$ [rad]", "ekf", "theta"),
+    "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
+    "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
 }
 
 

@@ -42,7 +42,6 @@ __all__ = [
     "reported",
     "root_of_mean",
     "share",
-    "three_digits",
     "verdict",
 ]
 
@@ -365,7 +364,7 @@ def combined(findings):
 # Tables for readers
 
 
-def three_digits(value):
+def _three_digits(value):
     """A number with three significant digits, large ones to the unit; nothing for a missing one."""
     if pd.isna(value):
         return ""
@@ -376,9 +375,11 @@ def three_digits(value):
 
 def _cell(row):
     """ "mean [low, high]" of a table's row, and its verdict if it has one."""
-    interval = f" [{three_digits(row.low)}, {three_digits(row.high)}]" if row.low < row.high else ""
+    interval = (
+        f" [{_three_digits(row.low)}, {_three_digits(row.high)}]" if row.low < row.high else ""
+    )
     found = getattr(row, "verdict", "")
-    return three_digits(row.mean) + interval + (f" ({found})" if found and found == found else "")
+    return _three_digits(row.mean) + interval + (f" ({found})" if found and found == found else "")
 
 
 def _papers(table, labels):

@@ -20,14 +20,14 @@ from rhec.workbench.studies import statistics, timing
 from rhec.workbench.studies.claims import run_sets
 from rhec.workbench.studies.statistics import AS_PRINTED, UNTESTABLE, Finding
 
-__all__ = ["CALIBRATED", "CLAIMS", "Claim", "Rule", "load"]
+__all__ = ["CALIBRATED", "CLAIMS", "load"]
 
 CALIBRATED = "W calibrated"
 _FILE = Path(__file__).with_name("claims.toml")
 _CONDITIONS = {"printed": AS_PRINTED, "calibrated": CALIBRATED}  # of each process noise
 
 
-class Rule(NamedTuple):
+class _Rule(NamedTuple):
     """How a claim is judged.
 
     Args:
@@ -46,13 +46,13 @@ class Rule(NamedTuple):
     tables: dict[str, list] | None = None
 
 
-class Claim(NamedTuple):
+class _Claim(NamedTuple):
     """A sentence of the paper: its section, its test in words, its rule, the verdict's reason."""
 
     section: str
     claim: str
     test: str
-    rule: Rule
+    rule: _Rule
     why: str
 
 
@@ -216,7 +216,7 @@ def _rule_on_tables(entry, kind, bounds, expressions, departures):
         conditions = {"": conditions[AS_PRINTED]}
         tables = None
     unit = entry["rule"].get("unit", "-")
-    return Rule(conditions, unit, paper_says, _BOUNDS.get(name, words), tables)
+    return _Rule(conditions, unit, paper_says, _BOUNDS.get(name, words), tables)
 
 
 # The file
@@ -256,8 +256,8 @@ def _claim(section, entry, expressions, departures):
         rule = _rule_on_tables(entry, kinds[0], bounds, expressions, departures)
     else:
         conditions = _EXACT_RULES[settings["name"]]
-        rule = Rule(conditions, settings.get("unit", ""), entry.get("paper", ""))
-    return Claim(section, entry["sentence"], entry.get("test", "-"), rule, entry.get("why", ""))
+        rule = _Rule(conditions, settings.get("unit", ""), entry.get("paper", ""))
+    return _Claim(section, entry["sentence"], entry.get("test", "-"), rule, entry.get("why", ""))
 
 
 def load(file=_FILE):

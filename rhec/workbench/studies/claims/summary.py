@@ -4,7 +4,7 @@ import pandas as pd
 
 from rhec.workbench.studies.statistics import AS_PRINTED, FAILS, HOLDS, UNDECIDED, UNTESTABLE
 
-__all__ = ["DEPARTURE", "ONE_WAY", "PRINTED", "kind_of", "survivors", "verdict_counts"]
+__all__ = ["DEPARTURE", "ONE_WAY", "PRINTED", "survivors", "verdict_counts"]
 
 ONE_WAY = "only one outcome found, so not tested"
 PRINTED = f"{HOLDS} {AS_PRINTED}"
@@ -12,7 +12,7 @@ DEPARTURE = f"{HOLDS} with a departure from it (W calibrated, …)"
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
 
 
-def kind_of(kind):
+def _class_of(kind):
     """The class of an entry of the ledger's column `kind`; conditions are left out.
 
     PRINTED: the claim holds as printed, but not under every departure. DEPARTURE: it does not hold
@@ -37,7 +37,7 @@ def verdict_counts(table):
         undecided, ONE_WAY, cannot be tested here. Kinds without a claim have 0.
     """
     order = [HOLDS, PRINTED, DEPARTURE, FAILS, UNDECIDED, ONE_WAY, UNTESTABLE]
-    kinds = pd.Categorical(table["kind"].map(kind_of), order)
+    kinds = pd.Categorical(table["kind"].map(_class_of), order)
     return pd.Series(kinds).value_counts(sort=False).rename("claims").rename_axis("verdict")
 
 
