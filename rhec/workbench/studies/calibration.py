@@ -185,7 +185,8 @@ def calibrate(estimator, **fields):
 def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
     """Mean true error [m] over these seeds of a Scenario with these fields."""
     scenarios = [Scenario(seed=seed, **fields) for seed in seeds]
-    lanes.load(build_sample, *set_up(scenarios[0]).structure)  # a search is worth compiling them
+    # One structure is driven hundreds of times, which pays for compiling its lanes.
+    lanes.load(build_sample, *set_up(scenarios[0]).structure)
     return campaign(scenarios, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
 
 

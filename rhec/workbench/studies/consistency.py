@@ -68,7 +68,7 @@ class Consistency(NamedTuple):
     """Errors and normalised squares of m runs with n samples each."""
 
     t_s: np.ndarray  # (n,)
-    errors: np.ndarray  # (m, n, n_x) estimate less truth over its own standard deviation
+    errors: np.ndarray  # (m, n, n_x) estimate less truth over its standard deviation
     nees: np.ndarray  # (m, n)
     nis_position: np.ndarray  # (m, n), of the measurements of x and y
     nis_speed: np.ndarray  # (m, n), of the measurement of ν
@@ -92,12 +92,14 @@ def measure(scenario, runs):
     for run in runs:
         row = calibration.run_estimator(scenario, run, "estimate", "covariance")
         estimate, covariance = np.split(row, [6], axis=1)
+        # An EKF without traction states has n_x = 4; the estimate has six entries all the same.
         n_x = round(np.sqrt(covariance.shape[1]))
         P = covariance.reshape(-1, n_x, n_x)
         error = estimate[:, :n_x] - calibration.columns(run, TRUTH[:n_x])
         residuals = calibration.columns(run, MEASUREMENTS[:3]) - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)
         nees = normalised_squared(error, P)
+        # GNSS and encoders are tested apart, so that one cannot hide the other's error.
         nis_position = normalised_squared(y[:, :2], S[:, :2, :2])
         nis_speed = normalised_squared(y[:, 2:], S[:, 2:, 2:])
         scaled = error / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
@@ -135,7 +137,7 @@ def stated(run):
 def _fields(logarithms):
     """Fields of Scenario of the search's unknowns: ln σ of position, μ and κ, and ln σ_ω.
 
-    The arrival cost takes the filter's own mean. Noise of the yaw enters inside the window, by
+    The mean of the arrival cost is the filter's. Noise of the yaw enters inside the window, by
     σ_ω; yaw and speed have no process noise besides.
     """
     position, mu, kappa, omega = np.exp(logarithms).tolist()
@@ -171,6 +173,7 @@ def tune():
         error_m = calibration.tracking_error_m(**fields)
         return np.log(error_m) + _COST * np.sum(np.maximum(excess, 0) ** 2)
 
+    # A simplex wider than SciPy's default, which is 5 % of each logarithm and ends near its start.
     first = np.log(_FIRST)
     options = dict(initial_simplex=first + np.vstack([np.zeros(4), 0.7 * np.eye(4)]), maxfev=60)
     result = minimize(objective, first, method="Nelder-Mead", options=options)

@@ -180,7 +180,7 @@ def swept(estimator, process_noise, state, values, seeds):
         sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], state, float(value))
         choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
         run = simulate(Scenario(seed=seed, **choice))
-        runs.setdefault(value, run)
+        runs.setdefault(value, run)  # the first seed's, for pictures
         c = run.columns
         settled = c["t_s"] >= calibration.SETTLED_S
         straight = c["on_straight"]

@@ -176,6 +176,7 @@ def sample_parameters(n, seed=0):
     A point u in [0, 1) becomes least + (most - least) u, or least^(1-u) most^u on a logarithmic
     scale.
     """
+    # A Sobol sequence is balanced at powers of two, so it is drawn to the next one and cut.
     sequence = stats.qmc.Sobol(len(UNKNOWNS), rng=np.random.default_rng(seed))
     unit = sequence.random_base2((n - 1).bit_length())[:n]
     least, most, logarithmic = map(np.array, zip(*UNKNOWNS.values()))
@@ -235,6 +236,7 @@ def in_world(values):
     """
     if values.dtype == bool:
         return (HOLDS if values.all() else FAILS), np.mean(values)
+    # SciPy divides by a standard deviation of zero.
     if np.ptp(values) == 0:
         low = high = values[0]
     else:

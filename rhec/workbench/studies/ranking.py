@@ -126,6 +126,7 @@ def by_pose_noise(sigmas_rad, seeds):
         for seed in seeds:
             fields = CONTESTANTS["dual"].fields | dict(seed=seed, sigma_w=sigma_w)
             run = simulate(Scenario(**fields))
+            # A robot that never settles is counted from its start.
             stays = settled_samples(run.columns["error_true_m"])
             log = run.log[stays[0] + SETTLING_SAMPLES :] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()

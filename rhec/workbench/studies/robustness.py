@@ -151,6 +151,7 @@ def response(run, begin_s, end_s):
     columns = run.columns
     t = columns["t_s"]
     error = columns["error_true_m"]
+    # The small tolerance on time allows for rounding of multiples of 0.2 s.
     back = t[settled_samples(error)]
     back = back[back >= end_s - 1e-6]
     estimates = ("_hat", "_hat_m", "_hat_rad", "_hat_mps")
@@ -190,6 +191,7 @@ def study(base, seeds, handling, cases=CASES):
     """
     rows = []
     errors = {}
+    # The same fault begins elsewhere on the lap for every seed.
     begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
     every = [(family, name, how) for family in cases for name in cases[family] for how in handling]
     for family, name, how in every:

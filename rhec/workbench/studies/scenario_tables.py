@@ -160,6 +160,7 @@ def share_of_fields(drives, column, above, pooled=1):
 def _pooled(drives, column, pooled):
     """A column of all Runs, (Runs, samples / pooled, pooled); an incomplete pool is left out."""
     values = np.array([run.columns[column] for run in drives])
+    # Pooling smooths percentiles over few drives.
     whole = values.shape[1] // pooled * pooled
     return values[:, :whole].reshape(len(drives), -1, pooled)
 
@@ -238,6 +239,7 @@ def _of_estimator(estimator, column, values):
 def _gain(column, rhe, ekf):
     """Columns of a row on how much less the RHE has than the EKF at equal seeds."""
     gain = over_seeds(difference_of_means, rhe, ekf)
+    # The paper gives four decimals.
     reported = round(REPORTED["RHE", column] - REPORTED["EKF", column], 4)
     judged = dict(claim="below 0", verdict=verdict(gain.low, gain.high, below=0))
     return gain._asdict() | dict(estimator="RHE - EKF", paper=reported) | judged

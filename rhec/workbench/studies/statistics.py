@@ -221,8 +221,8 @@ def _judged(statistic, samples, above, below):
     low, high = _interval(value, error, freedom)
     off = min(abs(value - above), abs(value - below))
     p = 2 * special.stdtr(freedom, -off / error) if error else np.nan
-    found = verdict(low, high, above, below)
-    return Finding(value, low, high, freedom + 1, found, above, below, float(p))
+    outcome = verdict(low, high, above, below)
+    return Finding(value, low, high, freedom + 1, outcome, above, below, float(p))
 
 
 def _checked(*samples):
@@ -278,8 +278,8 @@ def share(flags, above=-np.inf, below=np.inf):
         if 0 < bound < 1:
             tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
             p = min(1.0, 2 * min(tails))
-    found = verdict(low, high, above, below)
-    return Finding(float(value), float(low), float(high), n, found, above, below, float(p))
+    outcome = verdict(low, high, above, below)
+    return Finding(float(value), float(low), float(high), n, outcome, above, below, float(p))
 
 
 def relative_to_oracle(flags, oracle, above):
@@ -290,9 +290,9 @@ def relative_to_oracle(flags, oracle, above):
 
 def always(flags):
     """Judge an exact property, true in every case. One exception refutes it."""
-    found = share(flags)
-    exact = UNDECIDED if found.n == 0 else HOLDS if found.value == 1 else FAILS
-    return found._replace(verdict=exact, above=1.0)
+    outcome = share(flags)
+    exact = UNDECIDED if outcome.n == 0 else HOLDS if outcome.value == 1 else FAILS
+    return outcome._replace(verdict=exact, above=1.0)
 
 
 def possible(flags):
@@ -301,9 +301,9 @@ def possible(flags):
     It holds if one flag is true. If none is, it does not hold once the interval of its share ends
     below 1 %.
     """
-    found = share(flags)
-    seen = HOLDS if found.value > 0 else FAILS if found.high < _RARE else UNDECIDED
-    return found._replace(verdict=seen, above=0.0)
+    outcome = share(flags)
+    seen = HOLDS if outcome.value > 0 else FAILS if outcome.high < _RARE else UNDECIDED
+    return outcome._replace(verdict=seen, above=0.0)
 
 
 def reported(values, paper):
@@ -318,19 +318,19 @@ def reported(values, paper):
     near = mean(values, above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
     low = np.nan
     high = np.nan
-    found = UNDECIDED
+    outcome = UNDECIDED
     if near.n >= _MIN_SINGLE_RUNS:
         low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-        found = near.verdict if low <= paper <= high else FAILS
-    return Finding(near.value, float(low), float(high), near.n, found, paper, paper)
+        outcome = near.verdict if low <= paper <= high else FAILS
+    return Finding(near.value, float(low), float(high), near.n, outcome, paper, paper)
 
 
 def equal(value, expected, tolerance):
     """Judge that a number which follows without any run is within `tolerance` of `expected`."""
     value = float(value)
-    found = HOLDS if abs(value - expected) <= tolerance else FAILS
-    found = UNDECIDED if np.isnan(value) else found
-    return Finding(value, value, value, 1, found, expected - tolerance, expected + tolerance)
+    outcome = HOLDS if abs(value - expected) <= tolerance else FAILS
+    outcome = UNDECIDED if np.isnan(value) else outcome
+    return Finding(value, value, value, 1, outcome, expected - tolerance, expected + tolerance)
 
 
 def combined(findings):
@@ -348,7 +348,7 @@ def combined(findings):
     """
     verdicts = {condition: finding.verdict for condition, finding in findings.items()}
     first = next(iter(verdicts))
-    holding = [condition for condition, found in verdicts.items() if found == HOLDS]
+    holding = [condition for condition, outcome in verdicts.items() if outcome == HOLDS]
     if len(holding) == len(verdicts):
         return HOLDS, first
     if holding and first == holding[0]:
@@ -357,7 +357,7 @@ def combined(findings):
     if holding:
         only = "only " * (verdicts[first] == FAILS)
         return f"{HOLDS} {only}with {holding[0]}", holding[0]
-    undecided = [condition for condition, found in verdicts.items() if found == UNDECIDED]
+    undecided = [condition for condition, outcome in verdicts.items() if outcome == UNDECIDED]
     return (UNDECIDED, undecided[0]) if undecided else (verdicts[first], first)
 
 
@@ -378,8 +378,12 @@ def _cell(row):
     interval = (
         f" [{_three_digits(row.low)}, {_three_digits(row.high)}]" if row.low < row.high else ""
     )
-    found = getattr(row, "verdict", "")
-    return _three_digits(row.mean) + interval + (f" ({found})" if found and found == found else "")
+    outcome = getattr(row, "verdict", "")
+    return (
+        _three_digits(row.mean)
+        + interval
+        + (f" ({outcome})" if outcome and outcome == outcome else "")
+    )
 
 
 def _papers(table, labels):

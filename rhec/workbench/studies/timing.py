@@ -43,6 +43,7 @@ def phases(scenario, qp):
     tracker = PathTracker(run.path)
     measurements = run.log[MEASUREMENTS].to_numpy()
     clock = time.perf_counter_ns
+    # References belong to neither RHE nor RHC, so they are left out of the times.
     taken = np.empty((len(measurements), 4))
     for k, z in enumerate(measurements):
         begin = clock()

@@ -61,6 +61,7 @@ _SCORES = dict(
 
 def _noisy(log, seed):
     """A log at the estimators' rate, with noise on its positions."""
+    # Recordings are faster than 5 Hz; every n-th sample is taken, as a 5 Hz receiver gives it.
     every = max(round(paper.DT_S / log["t_s"].diff().median()), 1)
     log = log.iloc[::every].reset_index(drop=True)
     x, y = _NOISE_M * np.random.default_rng(seed).standard_normal((2, len(log)))
@@ -161,6 +162,7 @@ def _parts(log):
 def _filtered(rival, half, part, sigma):
     """Rows of a rival's filter on one segment's samples."""
     z = part[rival.measured].to_numpy()
+    # Standard deviations of the first guess: 1 m, 0.3 rad, and the rival's parameters.
     first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
     guess, spread = rival.guess(half)
     m = np.array([*first[:2], part["theta_rad"].iloc[0] + _YAW_ERROR_RAD, *guess])
@@ -182,6 +184,7 @@ def _rival(rival, half, parts, sigma):
         )
         estimated.append(part.assign(**pose, **hats))
     samples = pd.concat(estimated, ignore_index=True)
+    # Scores expect all columns of a replay; a rival has neither innovations nor, as an ICR, (μ, κ).
     unknown = [*ESTIMATE[3:], *INNOVATION]
     samples = samples.assign(**dict.fromkeys(unknown, np.nan), ok=True)
     if rival.model is _TRACTION:

@@ -82,10 +82,12 @@ def drive(base, level, **chosen):
     """
     mu, kappa, *patch = _soil(base, level, chosen)
     constant = dict(mu_mean=mu, kappa_mean=kappa, mu_deviation=0.0, kappa_deviation=0.0)
+    # The patch is placed along the path, which is known once the scenario is set up.
     plain = dataclasses.replace(base, **constant)
     ((x, y, _),), _ = set_up(plain).path.poses([chosen["patch_s_m"]])
     disc = (float(x), float(y), float(chosen["patch_radius_m"]), *patch)
     scenario = dataclasses.replace(plain, patches=(disc,))
+    # The run's noise is replaced, so the loop is scanned here and not by `simulate`.
     setup = set_up(scenario)
     noise = _noise(scenario, level, chosen)
     functions = compiled.load(build_sample, *setup.structure)

@@ -207,6 +207,7 @@ def _distances_from_converged(scenario, problems, commands):
         Differences (n,) of the live commands, and of those of a cold RHC, which knows the previous
         estimate but has planned nothing.
     """
+    # Two controllers, since each starts from its previous plan.
     exact = RHC(q=scenario.q, r=scenario.r)
     unprepared = RHC(q=scenario.q, r=scenario.r)
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
@@ -323,7 +324,7 @@ def gains(n=100):
     """
     rows = []
     weights = {"large_r": paper.R, "small_r": paper.R / 100}
-    offset_m = 1e-4
+    offset_m = 1e-4  # small enough that no input reaches its bound
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
         rows.append({name: abs(RHC(r=r).solve(*problem)) / offset_m for name, r in weights.items()})

@@ -62,31 +62,31 @@ def collect_evidence(seeds, folder=None):
 # Both outcomes
 
 
-def _in_world(wanted, world, seeds):
+def _in_world(tables, world, seeds):
     """Evidence of the tables {kind: ids} in a world of WORLDS, with W calibrated."""
     noise = "calibrated"
     evidence = {kind: {} for kind in ("runs", "logs", "experiments")}
     for kind, drive in {"runs": run_sets.runs, "logs": partial(run_sets.logs, part=1.0)}.items():
-        if kind in wanted:
-            evidence[kind] = drive(seeds, wanted[kind], [noise], world)[noise]
-    if "experiments" in wanted:
+        if kind in tables:
+            evidence[kind] = drive(seeds, tables[kind], [noise], world)[noise]
+    if "experiments" in tables:
         evidence["experiments"] = experiments.of_estimators(seeds, noise, world)
     return {noise: evidence}
 
 
 def _tables_of(rules):
     """The tables {kind: ids} that these rules need, each id once."""
-    wanted = {}
+    tables = {}
     for rule in rules:
         for kind, ids in rule.tables.items():
-            wanted[kind] = [*dict.fromkeys([*wanted.get(kind, []), *ids])]
-    return wanted
+            tables[kind] = [*dict.fromkeys([*tables.get(kind, []), *ids])]
+    return tables
 
 
 def outcomes(evidence, seeds, claims=CLAIMS, worlds=run_sets.WORLDS):
     """Where each claim holds and where it does not.
 
-    The ledger's own conditions come first. While one of the two verdicts is missing, the claim is
+    The conditions of the ledger come first. While one of the two verdicts is missing, the claim is
     judged in one other world after the next.
 
     Args:
@@ -110,6 +110,7 @@ def outcomes(evidence, seeds, claims=CLAIMS, worlds=run_sets.WORLDS):
         }
         if not one_sided:
             break
+        # One evidence for all claims that are still one-sided: a world's drives are made once.
         elsewhere = _in_world(_tables_of(one_sided.values()), world, seeds)
         for id_, rule in one_sided.items():
             places[id_].setdefault(rule.by_condition[CALIBRATED](elsewhere).verdict, name)
@@ -177,6 +178,7 @@ def ledger(evidence, reached, claims=CLAIMS):
     table = pd.DataFrame(rows, columns=_COLUMNS).replace({"p": {-1.0: np.nan}})
     chance = table["p"].notna()
     adjusted = stats.false_discovery_control(table.loc[chance, "p"], method="by")
+    # Claims share runs, so their tests are dependent; Benjamini and Yekutieli allow for that.
     table.loc[chance, "p_adjusted"] = adjusted
     return table
 

@@ -174,6 +174,7 @@ def _judge(evidence, rule, bounds, kind, ids, expressions, process_noise, instea
 
 def _departures_of(entry, departures):
     """The departures that a claim is judged under, by name in claims.toml, the RHE's W first."""
+    # The arrival mean (R7) belongs to the RHE alone, and to every claim on it.
     names = entry.get("departures", [])
     if "rhe" in [*entry.get("runs", []), *entry.get("logs", [])]:
         names = ["filtered", *names]
@@ -212,7 +213,8 @@ def _rule_on_tables(entry, kind, bounds, expressions, departures):
     )
     conditions = _by_condition(judge, _departures_of(entry, departures))
     tables = {_KINDS[kind]: entry[kind]} if entry.get("other_worlds", True) else None
-    if kind == "property":  # no process noise touches it, and no world
+    # Neither process noise nor world affects a property, so it has one condition without a name.
+    if kind == "property":
         conditions = {"": conditions[AS_PRINTED]}
         tables = None
     unit = entry["rule"].get("unit", "-")

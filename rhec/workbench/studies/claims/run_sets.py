@@ -237,6 +237,7 @@ def map_runs(function, scenarios):
 
     The function must be one that other processes can import.
     """
+    # Scenarios of one structure run together, in lanes, where that pays for compiling them.
     alike = samples_alike(scenarios)
     parts = [*in_parts(dict(enumerate(scenarios)), size_of_task(alike))]
     results = parallel_map(partial(_of_part, alike=alike, function=function), parts)
