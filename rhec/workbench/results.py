@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from rhec.workbench.studies.claims.ledger import ONE_WAY, survivors
+from rhec.workbench.studies.claims.summary import ONE_WAY, survivors, verdict_counts
 
 __all__ = ["main", "rewrite"]
 
@@ -82,10 +82,8 @@ def _summary(a, b):
 
 
 def _verdicts(claims):
-    kinds = claims["kind"].str.replace("only as printed", "as printed")
-    departures = "holds with a departure from it (W calibrated, …)"
-    kinds = kinds.str.replace("holds (only )?with .*", departures, regex=True)
-    return _list(kinds.value_counts(sort=False).sort_values(ascending=False, kind="stable"))
+    counts = verdict_counts(claims)
+    return _list(counts[counts > 0])
 
 
 def _failed(claims):

@@ -12,7 +12,7 @@ from rhec import paper
 from rhec.tracked_robot import tuning
 from rhec.workbench.plots import claims as drawings
 from rhec.workbench.studies import statistics
-from rhec.workbench.studies.claims import experiments, ledger, run_sets
+from rhec.workbench.studies.claims import experiments, ledger, rules, run_sets, summary
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 
 RNG = np.random.default_rng(0)
@@ -51,7 +51,7 @@ SHARES = np.arange(200)
             20 * NORMAL,
         ),
         (
-            lambda flags: statistics.beside(flags, np.r_[SHARES < 160, False], 0.9),
+            lambda flags: statistics.relative_to_oracle(flags, np.r_[SHARES < 160, False], 0.9),
             np.r_[SHARES < 160, False],
             np.r_[SHARES < 20, True],
             np.r_[SHARES < 144, True],
@@ -70,7 +70,7 @@ SHARES = np.arange(200)
         "possible",
         "reported",
         "reported of runs that differ much",
-        "beside",
+        "relative to oracle",
         "equal",
     ],
 )
@@ -178,6 +178,29 @@ def test_missing_values_and_unequal_samples_are_refused():
         statistics.difference([1.0, 2.0], [1.0])
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_ratio_to_almost_nothing_is_undecided_without_a_warning():
+    """If one pair alone keeps the denominator from zero, the ratio has no interval."""
+    found = statistics.ratio(np.ones(5), np.arange(5) == 0, above=1)
+    assert found.value == 5 and np.isnan([found.low, found.high, found.p]).all()
+    assert found.verdict == UNDECIDED and found.n == 5
+
+
+def test_a_table_is_read_as_texts():
+    row = dict(
+        estimator="RHE", quantity="error [m]", mean=0.03461, low=0.0323, high=0.037, paper=0.04
+    )
+    rows = [row, row | dict(estimator="EKF", mean=1234.5, low=np.nan, high=np.nan, paper="")]
+    rows.append(row | dict(quantity="runs", mean=0.0, low=0.0, high=0.0, paper="", verdict=HOLDS))
+    shown = statistics.readable(pd.DataFrame(rows))
+    assert list(shown.columns) == ["RHE", "EKF", "paper"]
+    assert list(shown.loc["error [m]"]) == ["0.0346 [0.0323, 0.0370]", "1234", "0.04"]
+    assert list(shown.loc["runs"]) == ["0 (holds)", "", ""]
+    assert (
+        statistics.readable(pd.DataFrame(rows), transposed=True).loc["EKF", "error [m]"] == "1234"
+    )
+
+
 def finding(verdict):
     return Finding(1.0, 0.0, 2.0, 9, verdict)
 
@@ -271,7 +294,7 @@ def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     assert (untested["why"] != "").all() and (
         table.drop(untested.index)["test"].str.len() > 10
     ).all()
-    assert ledger.counts(table).sum() == len(table)
+    assert summary.verdict_counts(table).sum() == len(table)
 
 
 @pytest.mark.parametrize("smaller, verdict", [("rhe", HOLDS), ("ekf", FAILS)])
@@ -336,7 +359,66 @@ def test_what_comes_out_one_way_everywhere_is_not_counted_as_tested(made_up):
     table = judged(made_up, {"S3": ledger.CLAIMS["S3"], "I4": ledger.CLAIMS["I4"]})
     assert list(table["kind"]) == [ledger.ONE_WAY, UNTESTABLE]
     assert list(table["verdict"]) == [FAILS, UNTESTABLE]
-    assert ledger.counts(table)[[FAILS, ledger.ONE_WAY, UNTESTABLE]].tolist() == [0, 1, 1]
+    assert summary.verdict_counts(table)[[FAILS, ledger.ONE_WAY, UNTESTABLE]].tolist() == [0, 1, 1]
+
+
+def test_verdicts_are_counted_by_kind():
+    kinds = [HOLDS, "holds as printed", "holds only as printed", "holds only with W calibrated"]
+    kinds += ["holds with ν as input", FAILS, UNTESTABLE] + [ledger.ONE_WAY] * 2
+    counts = summary.verdict_counts(pd.DataFrame(dict(kind=kinds)))
+    assert counts.tolist() == [1, 2, 2, 1, 0, 2, 1] and counts.sum() == len(kinds)
+    assert list(counts.index)[1:3] == [summary.PRINTED, summary.DEPARTURE]
+
+
+# The file of claims
+
+GOOD = """
+[Times.X1]
+sentence = "It is fast"
+test = "times; below 1 s"
+rule = { name = "mean", below = 1 }
+runs = ["ekf"]
+of = ["mean_error_m"]
+"""
+
+
+def test_a_claim_is_read_as_it_is_written(tmp_path):
+    file = tmp_path / "claims.toml"
+    file.write_text(GOOD, encoding="utf-8")
+    ((id_, claim),) = rules.load(file).items()
+    assert (id_, claim.section, claim.claim) == ("X1", "Times", "It is fast")
+    assert claim.rule.bound == "< 1" and claim.rule.tables == {"runs": ["ekf"]}
+    assert list(claim.rule.by_condition) == ["as printed", "W calibrated"]
+
+
+@pytest.mark.parametrize(
+    "written, instead, refused",
+    [
+        ('sentence = "It is fast"', "", "claim X1 had no sentence; it should have one"),
+        ("test =", "tests =", "the unknown entry tests"),
+        ('"mean"', '"median"', "the unknown rule 'median'"),
+        ("below = 1", "under = 1", "had under in its rule"),
+        ('["ekf"]', '["kalman"]', "had unknown runs kalman"),
+        ('of = ["mean_error_m"]', "", "for the rule mean; it should have one kind with `of`"),
+        ("of =", 'departures = ["late"]\nof =', "the unknown departure late"),
+        ("of =", 'logs = ["ekf"]\nof =', "had tables ['runs', 'logs']"),
+    ],
+)
+def test_a_malformed_claim_is_refused_in_one_sentence(tmp_path, written, instead, refused):
+    file = tmp_path / "claims.toml"
+    file.write_text(GOOD.replace(written, instead), encoding="utf-8")
+    with pytest.raises(ValueError, match="claim X1") as error:
+        rules.load(file)
+    assert refused in str(error.value) and "\n" not in str(error.value)
+
+
+def test_the_paper_s_values_are_those_of_the_package():
+    says = {id_: claim.rule.paper for id_, claim in ledger.CLAIMS.items()}
+    assert says["B3"] == paper.MEAN_ERROR_RHE_M and says["B4"] == paper.MEAN_ERROR_EKF_M
+    assert says["B9"] == paper.VIOLATIONS_EKF and says["I1"] == paper.TOLERANCE_M
+    assert (says["T1"], says["T2"]) == (paper.STEP_MEAN_MS, paper.STEP_MAX_MS)
+    stays = ledger.CLAIMS["B1"].rule.by_condition["as printed"].keywords["expressions"]
+    assert stays == [f"arrived & (max_error_true_m < {paper.TOLERANCE_M})"]
 
 
 def test_a_weak_verdict_does_not_survive_among_many():
@@ -344,13 +426,13 @@ def test_a_weak_verdict_does_not_survive_among_many():
         return pd.DataFrame(dict(id=["A"], p=[p], p_adjusted=[p], kind=[HOLDS]))
 
     strong, weak = table(1e-4), table(0.2).assign(id="B")
-    assert ledger.survivors(pd.concat([strong, weak], ignore_index=True)) == (2, ["B"])
-    assert ledger.survivors(strong.assign(kind=ledger.ONE_WAY)) == (0, [])
+    assert summary.survivors(pd.concat([strong, weak], ignore_index=True)) == (2, ["B"])
+    assert summary.survivors(strong.assign(kind=ledger.ONE_WAY)) == (0, [])
 
 
 @pytest.mark.parametrize("n", [0, 3, 45])
 def test_each_argument_has_its_answer_in_order(n):
-    assert run_sets.each(int, list(range(n))) == list(range(n))
+    assert run_sets.parallel_map(int, list(range(n))) == list(range(n))
 
 
 def test_studies_have_their_runs_in_order():
@@ -359,7 +441,7 @@ def test_studies_have_their_runs_in_order():
     asked = [
         rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2) for q in ((1, 1, 0), (1, 1, 5))
     ]
-    found = run_sets.of_runs(run_sets.measured, asked)
+    found = run_sets.map_runs(run_sets.measured, asked)
     assert found == [run_sets.measured(rhec.simulate(each)) for each in asked]
 
 

@@ -80,11 +80,26 @@ def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
 
 
 def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine):
-    table = interpretations.likelihood_profile("ekf", 0, (0.2, 1.0, 5.0), seeds=1)
+    table = interpretations.likelihood_profile("ekf", "x", (0.2, 1.0, 5.0), seeds=1)
     assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
     assert list(table["sigma"]) == pytest.approx(
         [factor * tuning.SIGMA_W["ekf"]["calibrated"][0] for factor in (0.2, 1, 5)]
     )
+
+
+def test_every_entry_has_its_profile_with_both_values(virtual_machine):
+    profiles = interpretations.likelihood_profiles((1.0,), seeds=1)
+    entries = interpretations.ENTRIES.values()
+    assert list(profiles) == [entry.label for entry in entries]
+    for (table, *values), entry in zip(profiles.values(), entries):
+        assert values == [entry.values["printed"], entry.values["calibrated"]]
+        assert table["sigma"].item() == entry.values["calibrated"]
+
+
+def test_kappa_is_known_better_in_curves(virtual_machine):
+    table = interpretations.sigma_kappa_table([0.1, 0.2])
+    assert list(table) == ["sigma_kappa", "straight", "curve"]
+    assert (table["curve"] < table["straight"]).all()
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +140,21 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
     )  # R1 is the EKF's alone
 
 
+def test_changes_are_read_as_texts(moved):
+    shown = interpretations.readable_changes(moved)
+    assert shown.shape == (6, 5) and shown.loc[("R14", "errors from the start")].str.len().min() > 8
+    assert shown.loc["baseline"].iloc[0, 0].count("+") == 0 < shown.loc["R10"].iloc[0, 0].count("+")
+
+
+def test_the_entries_of_w_are_those_of_the_tuning():
+    values = interpretations.ENTRIES["rhe_kappa"].values
+    assert values == {name: tuning.SIGMA_W["rhe"][name][5] for name in ("printed", "calibrated")}
+    assert [entry.values["printed"] for entry in interpretations.ENTRIES.values()][:2] == [
+        paper.SIGMA_W_EKF[0],
+        paper.SIGMA_W_EKF[2],
+    ]
+
+
 def test_the_forest_has_a_row_for_each_interpretation(moved):
     figure = forest(moved, "calibrated")
     assert len(figure.axes[0].get_yticklabels()) == 5
@@ -151,7 +181,7 @@ def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
             or simulate(type(scenario)(duration_s=80.0, sigma_w=scenario.sigma_w))
         ),
     )
-    runs, sweep = interpretations.swept("rhe", "printed", 4, (0.25, 0.01), 1)
+    runs, sweep = interpretations.swept("rhe", "printed", "kappa", (0.25, 0.01), 1)
     assert [scenario.sigma_w for scenario in asked] == [
         (*tuning.SIGMA_W["rhe"]["printed"][:5], value) for value in (0.25, 0.01)
     ]

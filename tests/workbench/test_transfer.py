@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from test_replay import recorded
+from logs.test_replay import recorded
 
 from rhec.logs import scores
 from rhec.logs.replay import predictor

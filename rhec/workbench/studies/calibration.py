@@ -1,9 +1,9 @@
-"""Process noise from training seeds, never from the paper's results: by likelihood (calibrated W,
+"""Process noise W from training seeds, never from the paper's results: by likelihood (calibrated W,
 R1, R2), and by tracking. Seeds below 1000 are never used.
 
-All estimators are tuned alike: the same bounds on what a standard deviation per sample may be, the
-same first one, the same search (Powell's method on logarithms, position x and y sharing one) and
-the same number of evaluations for each unknown.
+All estimators are tuned by the same rules: the same bounds on a standard deviation per sample, the
+same first guess, the same search (Powell's method on logarithms, x and y sharing one value) and the
+same number of evaluations for each unknown.
 
 By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
 so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
@@ -11,7 +11,7 @@ its deviance is -2 log likelihood of each measurement given all before it. 3. Ch
 deviations behind W that minimise the deviance summed over all training runs.
 
 By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true
-error: not an estimator's best guess of the truth, but the one that this controller drives best by.
+error. That W need not give the best estimates; it gives those that this controller drives best by.
 
     python -m rhec.workbench.studies.calibration    repeats all of it (half an hour)
 """
@@ -52,20 +52,19 @@ __all__ = [
     "tune_for_tracking",
 ]
 
-SETTLED_S = 20.0  # by then the first guess, which is exact, no longer counts
+SETTLED_S = 20.0  # by then the exact first guess no longer matters
 TRAINING_SEEDS = range(1000, 1010)
 _TRACKING_SEEDS = range(1000, 1024)
-# of a standard deviation per sample; 1 mm, 1 mrad, 1 mm/s: less is the same as none
+# Bounds on a standard deviation per sample; less than 1 mm, 1 mrad or 1 mm/s has no effect.
 LEAST = 1e-3
 MOST = 10.0
-# where each search begins; how many for each unknown
-_FIRST = 0.01
-EVALUATIONS = 40
-# where in sigma_w each unknown stands
+_FIRST = 0.01  # where each search begins
+EVALUATIONS = 40  # for each unknown
+# The places in sigma_w that each unknown sets.
 _POSE = [(0, 1), (2,), (3,)]
 _SOIL = [(4,), (5,)]
 UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
-# Its RHE has no noise of its own in the pose, and a shorter window, for the time that a step takes.
+# Its RHE has no process noise of the pose, and a shorter window because it takes more time.
 UNKNOWNS["dual"] = [*_SOIL, (6, 7), (8,), (9,)]
 DUAL = dict(estimation_horizon=10)
 _NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
@@ -74,8 +73,8 @@ UNKNOWNS |= dict.fromkeys(_NOT_ESTIMATED, _POSE)
 
 def oracle_runs(seeds, duration_s=240.0):
     """Runs of the default scenario with the true state in the loop, one a seed."""
-    asked = dict(estimator="oracle", duration_s=duration_s)
-    return [simulate(Scenario(seed=seed, **asked)) for seed in seeds]
+    fields = dict(estimator="oracle", duration_s=duration_s)
+    return [simulate(Scenario(seed=seed, **fields)) for seed in seeds]
 
 
 def _build_scan(outputs, choice):
@@ -116,18 +115,29 @@ def run_estimator(scenario, run, *outputs):
 
 
 def deviance(estimator, sigma_w, runs, **fields):
-    """Sum of -2 log likelihood of the measurements of `runs` under the process noise sigma_w;
-    fields of Scenario: how else the estimator is set.
+    """-2 log likelihood of recorded measurements under a process noise.
+
+    Args:
+        estimator: Its name.
+        sigma_w: Standard deviations of W.
+        runs: The Runs whose measurements are summed over.
+        fields: Other settings of the estimator, fields of Scenario.
     """
     scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
     return sum(run_estimator(scenario, run, "deviance")["deviance"].sum() for run in runs)
 
 
 def search(objective, unknowns):
-    """The standard deviations that make the objective least within the bounds and evaluations that
-    all are given, to two digits, and its value; `unknowns`: where each of them stands.
+    """Find the standard deviations that minimise an objective, with EVALUATIONS a unknown.
+
+    Args:
+        objective: Function of sigma_w, a tuple.
+        unknowns: For each unknown, the places in sigma_w that it sets; other places are LEAST.
+
+    Returns:
+        The best sigma_w that was tried, to two digits, and its objective.
     """
-    from scipy.optimize import minimize  # a fifth of a second; few ever search
+    from scipy.optimize import minimize  # a fifth of a second to load, and few ever search
 
     tried = {}
 
@@ -141,6 +151,7 @@ def search(objective, unknowns):
         tried[sigma_w] = objective(sigma_w)
         return tried[sigma_w]
 
+    # Powell's own limit counts whole lines only; the exception stops at the exact number.
     with contextlib.suppress(_Exhausted):
         minimize(
             evaluate,
@@ -158,23 +169,28 @@ class _Exhausted(Exception):
 
 
 def calibrate(estimator, **fields):
-    """Process noise of an estimator by maximum likelihood on the training seeds: standard
-    deviations, to two digits, and the deviance.
+    """Process noise of an estimator by maximum likelihood on the training seeds.
+
+    Returns:
+        Standard deviations, to two digits, and the deviance.
     """
     runs = oracle_runs(TRAINING_SEEDS)
     return search(lambda sigma_w: deviance(estimator, sigma_w, runs, **fields), UNKNOWNS[estimator])
 
 
 def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
-    """Mean true error [m] over these seeds of robots that drive by a Scenario of these fields."""
+    """Mean true error [m] over these seeds of a Scenario with these fields."""
     scenarios = [Scenario(seed=seed, **fields) for seed in seeds]
-    lanes.load(build_sample, *set_up(scenarios[0]).structure)  # a search is worth compiling them
+    # One structure is driven hundreds of times, which pays for compiling its lanes.
+    lanes.load(build_sample, *set_up(scenarios[0]).structure)
     return campaign(scenarios, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
 
 
 def tune_for_tracking(estimator, **fields):
-    """Process noise of an estimator by least mean true error on the training seeds: standard
-    deviations, to two digits, and the error [m].
+    """Process noise of an estimator by least mean true error on the training seeds.
+
+    Returns:
+        Standard deviations, to two digits, and the error [m].
     """
     return search(
         lambda sigma_w: tracking_error_m(estimator=estimator, sigma_w=sigma_w, **fields),

@@ -1,10 +1,10 @@
-"""Is a tolerance "ensured"? The share of fields in which the robot is never beyond 0.12 m, beside
-its mean speed, for constant speeds and for the cautious controller.
+"""Is a tolerance "ensured"? The share of fields in which the robot stays within 0.12 m, and its
+mean speed, for constant speeds and for the cautious controller.
 
-Every drive is judged on the same way, the first lap: from the end of the 5 s that make the robot
-settled (as `max_error_true_m`) until the whole path is driven, however long that takes. A robot
-that never settles, or needs half as long again as the set speed, has not kept the promise.
-Positions are true.
+Every drive is judged on the first lap, by true positions: from the moment at which
+`max_error_true_m` begins to count until the whole path is driven, however long that takes. A robot
+that never settles, or takes more than 1.2 times (cautious: 1.5 times) the time at the set speed,
+has failed.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from rhec import paper
 from rhec.simulation.metrics import metrics
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import Path
-from rhec.workbench.studies.claims.run_sets import of_runs
+from rhec.workbench.studies.claims.run_sets import map_runs
 from rhec.workbench.studies.statistics import over_seeds, share, verdict
 
 __all__ = ["CAUTIOUS", "CONSTANT", "PROMISES", "SOILS", "drives", "front", "judged", "lap"]
@@ -32,7 +32,7 @@ ESTIMATORS = {
 }
 CONSTANT = "constant"
 CAUTIOUS = "cautious"
-# Patches lie where the path turns, and on a row.
+# (x, y, radius, μ, κ): patches where the path turns, and on a row.
 _WET = tuple((x, y, 2.0, 0.7, 0.3) for x, y in ((37.0, 4.0), (15.0, 15.6), (-7.0, 12.0)))
 SOILS = {
     "default soil": {},
@@ -43,7 +43,10 @@ PROMISES = dict(whole="whole path", rows="rows", corners="corners on rows")
 
 
 class _Lap(NamedTuple):
-    """What of the promise a drive kept on its lap; its mean speed [m/s] and largest error [m]."""
+    """Whether a drive's lap stays within the tolerance, on the whole path, on rows, with corners.
+
+    speed_mps is its mean speed, error_m its largest error, NaN if the lap is not completed.
+    """
 
     whole: bool
     rows: bool
@@ -53,18 +56,18 @@ class _Lap(NamedTuple):
 
 
 def lap(run):
-    """What a run kept on its lap."""
+    """The first lap of a run, as a _Lap."""
     end = np.searchsorted(run.columns["s_m"], run.path.length_m)
     columns = {name: column[:end] for name, column in run.columns.items()}
     _, s = run.path.project(np.column_stack([columns["x_m"], columns["y_m"]]))
-    found = metrics(columns, run.path.poses(s)[0])
-    driven = end < len(run.columns["s_m"]) and not np.isnan(found["settling_time_s"])
+    values = metrics(columns, run.path.poses(s)[0])
+    driven = end < len(run.columns["s_m"]) and not np.isnan(values["settling_time_s"])
     return _Lap(
-        whole=driven and found["max_error_true_m"] <= paper.TOLERANCE_M,
-        rows=driven and found["violations_true"] == 0,
-        corners=driven and found["max_corner_error_true_m"] <= paper.TOLERANCE_M,
-        speed_mps=found["mean_speed_mps"],
-        error_m=found["max_error_true_m"] if driven else np.nan,
+        whole=driven and values["max_error_true_m"] <= paper.TOLERANCE_M,
+        rows=driven and values["violations_true"] == 0,
+        corners=driven and values["max_corner_error_true_m"] <= paper.TOLERANCE_M,
+        speed_mps=values["mean_speed_mps"],
+        error_m=values["max_error_true_m"] if driven else np.nan,
     )
 
 
@@ -73,11 +76,11 @@ def _laps(scenarios):
     scenarios = [
         dataclasses.replace(scenario, duration_s=_longest_s(scenario)) for scenario in scenarios
     ]
-    return pd.DataFrame(of_runs(lap, scenarios))
+    return pd.DataFrame(map_runs(lap, scenarios))
 
 
 def _longest_s(scenario):
-    """The time of a lap at the set speed and half as much; for a constant speed, a fifth."""
+    """How long a lap may take [s]: 1.2 times as long as at the set speed, cautious 1.5 times."""
     path = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
     pace_mps = scenario.mu_mean * scenario.speed_mps
     return (1.5 if scenario.cautious else 1.2) * path.length_m / pace_mps
@@ -97,35 +100,40 @@ def drives(soils, estimators, modes, speeds_mps, **fields):
 
 
 def front(drives, seeds):
-    """What of the promise drives keep, beside their mean speed.
+    """How often drives stay within the tolerance, and how fast they are.
 
     Args:
-        drives: As `drives` returns them.
+        drives: Of `drives`.
         seeds: Each drive's.
 
     Returns:
-        A DataFrame with columns soil, estimator, mode, set_mps, promise, share, low, high (95 %, by
+        DataFrame with columns soil, estimator, mode, set_mps, promise, share, low, high (95 %, by
         Clopper and Pearson), speed_mps, speed_low, speed_high (95 %), worst_m (largest error of
         all), n.
     """
-    found = _laps([Scenario(seed=seed, **of) for of in drives.values() for seed in seeds])
-    parts = np.split(np.arange(len(found)), len(drives))
+    laps = _laps([Scenario(seed=seed, **fields) for fields in drives.values() for seed in seeds])
+    parts = np.split(np.arange(len(laps)), len(drives))
     rows = []
     for labels, part in zip(drives, parts):
-        own = found.iloc[part]
-        named = dict(zip(("soil", "estimator", "mode", "set_mps"), labels))
-        speed = over_seeds(np.mean, own["speed_mps"])
-        named |= dict(speed_mps=speed.mean, speed_low=speed.low, speed_high=speed.high)
+        of_drive = laps.iloc[part]
+        about = dict(zip(("soil", "estimator", "mode", "set_mps"), labels))
+        speed = over_seeds(np.mean, of_drive["speed_mps"])
+        about |= dict(speed_mps=speed.mean, speed_low=speed.low, speed_high=speed.high)
         for promise, words in PROMISES.items():
-            kept = share(own[promise])
-            counted = dict(share=kept.value, low=kept.low, high=kept.high, n=kept.n)
-            rows.append(named | dict(promise=words, worst_m=own["error_m"].max()) | counted)
+            within = share(of_drive[promise])
+            about |= dict(promise=words, worst_m=of_drive["error_m"].max())
+            rows.append(
+                about | dict(share=within.value, low=within.low, high=within.high, n=within.n)
+            )
     return pd.DataFrame(rows)
 
 
 def judged(table, least_share, least_speed_mps):
-    """`front`'s table with a verdict each: HOLDS if both the share and the speed are above."""
-    said = [
+    """The table of `front` with the column `verdict`: HOLDS if share and speed are both above.
+
+    The worse of the two margins decides, at either end of their intervals.
+    """
+    verdicts = [
         verdict(
             min(row.low - least_share, row.speed_low - least_speed_mps),
             min(row.high - least_share, row.speed_high - least_speed_mps),
@@ -133,4 +141,4 @@ def judged(table, least_share, least_speed_mps):
         )
         for row in table.itertuples()
     ]
-    return table.assign(verdict=said)
+    return table.assign(verdict=verdicts)

@@ -1,5 +1,5 @@
-"""Audit of the interpretations R1 to R14: what each way to read the paper does to the estimators,
-by analysis and by simulation.
+"""Audit of the interpretations R1 to R14 (docs/interpretations.md): what each way to read the paper
+does to the estimators, by analysis and by simulation.
 
 Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
 and GNSS measures y. The steady state of their Riccati recursion (SciPy's `solve_discrete_are`)
@@ -7,6 +7,7 @@ obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x²,
 """
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -22,20 +23,67 @@ from rhec.workbench.studies import calibration, statistics
 from rhec.workbench.studies.claims import run_sets
 
 __all__ = [
+    "ENTRIES",
     "INTERPRETATIONS",
     "QUANTITIES",
     "ekf_on_a_straight",
     "likelihood_profile",
+    "likelihood_profiles",
     "one_at_a_time",
+    "readable_changes",
     "rhe_sigma_kappa",
+    "sigma_kappa_table",
     "swept",
 ]
 
 
+# Where W holds the standard deviation of each state; x and y share one.
+_PLACES = {"x": (0, 1), "theta": (2,), "nu": (3,), "mu": (4,), "kappa": (5,)}
+_KAPPA = 0.8  # the default soil's means
+_MU = 0.9
+
+
+class _Entry(NamedTuple):
+    """A standard deviation of an estimator's W that differs between printed and calibrated W."""
+
+    label: str
+    estimator: str
+    state: str  # x (and y), theta, nu, mu or kappa
+
+    @property
+    def values(self):
+        """{"printed": σ, "calibrated": σ}."""
+        place = _PLACES[self.state][0]
+        noises = ("printed", "calibrated")
+        return {name: tuning.SIGMA_W[self.estimator][name][place] for name in noises}
+
+
+ENTRIES = {
+    "ekf_x": _Entry("EKF: $\\sigma_x$ [m]", "ekf", "x"),
+    "ekf_theta": _Entry("EKF: $\\sigma_\\theta$ [rad]", "ekf", "theta"),
+    "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
+    "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
+}
+
+
+# Analysis
+
+
 def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
-    """The steady EKF on a straight for each process noise sigma_x_m of the position: a DataFrame of
-    its gains on position [-] and yaw [rad/m], its yaw's standard deviation [rad], and the time [s]
-    in which it corrects a yaw error to 1/e.
+    """The steady EKF of (y, θ) on a straight, for each process noise of the position.
+
+    With A = [1, T v; 0, 1] at the pace v = μν, H = [1, 0], W = diag(σ_x², σ_θ²) and V = σ_GNSS²,
+    the predicted covariance P solves the discrete Riccati equation, K = P H' / (H P H' + V), and
+    the corrected covariance is (I - K H) P. An error of the yaw decays as the slower eigenvalue λ
+    of (I - K H) A, to 1/e in -T / ln |λ|.
+
+    Args:
+        sigma_x_m: Standard deviations of the position in W [m].
+        sigma_theta_rad: That of the yaw [rad].
+        pace_mps: Speed over ground μν [m/s].
+
+    Returns:
+        DataFrame with columns sigma_x_m, gain_position [-], gain_yaw_radpm, sigma_yaw_rad, time_s.
     """
     A = np.array([[1, paper.DT_S * pace_mps], [0, 1]])
     H = np.array([[1.0, 0.0]])
@@ -43,6 +91,7 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=
     rows = []
     for sigma_x in sigma_x_m:
         W = np.diag([sigma_x**2, sigma_theta_rad**2])
+        # SciPy's equation is that of control, which is dual: A' for A and H' for B.
         predicted = linalg.solve_discrete_are(A.T, H.T, W, V)
         K = predicted @ H.T / (H @ predicted @ H.T + V)
         corrected = (np.eye(2) - K @ H) @ predicted
@@ -52,55 +101,86 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=
     return pd.DataFrame(rows)
 
 
-def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
-    """The RHE's own standard deviation of κ, bounds left aside, after `samples` perfect
-    measurements on a circle (or, at ω = 0, on a straight), for each process noise sigma_kappa of κ
-    a sample; the rest of W is printed or calibrated.
+def _circle(omega_radps, samples):
+    """Perfect measurements (samples, 4) on a circle, or on a straight where ω is 0.
+
+    Within a sample the robot turns by T κ ω along an arc whose chord is T μν sinc(T κ ω / 2).
     """
     nu = paper.SPEED_MPS
-    mu = 0.9
-    kappa = 0.8
-    turned = paper.DT_S * kappa * omega_radps * np.arange(samples)
-    chord = paper.DT_S * mu * nu * np.sinc(paper.DT_S * kappa * omega_radps / 2 / np.pi)
-    heading = (turned + paper.DT_S * kappa * omega_radps / 2)[:-1]
+    half_turn = paper.DT_S * _KAPPA * omega_radps / 2
+    heading = (paper.DT_S * _KAPPA * omega_radps * np.arange(samples) + half_turn)[:-1]
+    chord = paper.DT_S * _MU * nu * np.sinc(half_turn / np.pi)
     x, y = (np.cumsum(np.r_[0, chord * along(heading)]) for along in (np.cos, np.sin))
-    z = np.column_stack([x, y, np.full(samples, nu), np.full(samples, omega_radps)])
-    found = []
-    guess = (0.0, 0.0, 0.0, nu, mu, kappa)
+    return np.column_stack([x, y, np.full(samples, nu), np.full(samples, omega_radps)])
+
+
+def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
+    """The RHE's own standard deviation of κ after perfect measurements, bounds left aside.
+
+    Args:
+        sigma_kappa: Process noises of κ, for each sample [-].
+        omega_radps: Yaw rate of the circle that is driven; 0 for a straight [rad/s].
+        process_noise: The rest of W, "printed" or "calibrated".
+        samples: How many measurements.
+
+    Returns:
+        Standard deviations of κ̂, one for each sigma_kappa.
+    """
+    z = _circle(omega_radps, samples)
+    guess = (0.0, 0.0, 0.0, paper.SPEED_MPS, _MU, _KAPPA)
+    deviations = []
     for sigma in sigma_kappa:
         sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
         estimator = RHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
             estimate = estimator.feedback(measurement)
-        found.append(np.sqrt(estimate.covariance[5, 5]))
-    return np.array(found)
+        deviations.append(np.sqrt(estimate.covariance[5, 5]))
+    return np.array(deviations)
 
 
-def _entries(place):
-    """Where W holds the standard deviation at this place of (x and y, θ, ν, μ, κ)."""
-    return (0, 1) if place == 0 else (place + 1,)
+def sigma_kappa_table(sigma_kappa, process_noise="printed"):
+    """`rhe_sigma_kappa` on a straight and in the headland's curve: a DataFrame with columns
+    sigma_kappa, straight, curve.
+    """
+    omega_radps = _MU * paper.SPEED_MPS / paper.HEADLAND_RADIUS_M / _KAPPA
+    columns = {
+        name: rhe_sigma_kappa(sigma_kappa, omega, process_noise)
+        for name, omega in (("straight", 0.0), ("curve", omega_radps))
+    }
+    return pd.DataFrame(dict(sigma_kappa=sigma_kappa) | columns)
 
 
-def _with_entry(sigma_w, place, value):
-    """W with the standard deviation at this place replaced, x and y moving together."""
-    return tuple(value if k in _entries(place) else sigma for k, sigma in enumerate(sigma_w))
+# Sweeps of W
 
 
-def swept(estimator, process_noise, place, values, seeds):
-    """Runs with one of W's standard deviations replaced: those of the first seed {value: run}, and
-    one row a run with what the sweep changes.
+def _with_entry(sigma_w, state, value):
+    """W with the standard deviation of this state replaced."""
+    return tuple(value if k in _PLACES[state] else sigma for k, sigma in enumerate(sigma_w))
 
-    place: which of (x and y, θ, ν, μ, κ) it is, x and y moving together; errors count from
-    `calibration.SETTLED_S` on. κ's are split by straights and curves.
+
+def swept(estimator, process_noise, state, values, seeds):
+    """Runs with one of W's standard deviations replaced.
+
+    Args:
+        estimator: Its name.
+        process_noise: The rest of W, "printed" or "calibrated".
+        state: Which standard deviation: x (and y), theta, nu, mu or kappa.
+        values: What it becomes.
+        seeds: How many fields, from seed 0 on.
+
+    Returns:
+        runs: {value: Run} of the first seed.
+        table: DataFrame, one row a run: sigma, seed, and RMS errors from
+            `calibration.SETTLED_S` on: rms_yaw_rad, rms_kappa_straights, rms_kappa_curves.
     """
     runs = {}
     rows = []
     for value, seed in itertools.product(values, range(seeds)):
-        sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], place, float(value))
+        sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], state, float(value))
         choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
         run = simulate(Scenario(seed=seed, **choice))
-        runs.setdefault(value, run)
+        runs.setdefault(value, run)  # the first seed's, for pictures
         c = run.columns
         settled = c["t_s"] >= calibration.SETTLED_S
         straight = c["on_straight"]
@@ -112,19 +192,39 @@ def swept(estimator, process_noise, place, values, seeds):
     return runs, pd.DataFrame(rows)
 
 
-def likelihood_profile(estimator, place, factors, seeds=3):
-    """How much less likely (in -2 log likelihood a sample) the measurements of the first training
-    runs become when one of the calibrated W's standard deviations is multiplied by each factor; x
-    and y move together.
+def likelihood_profile(estimator, state, factors, seeds=3):
+    """How much less likely measurements become as one of the calibrated W's entries changes.
+
+    Args:
+        estimator: Its name.
+        state: Which standard deviation: x (and y), theta, nu, mu or kappa.
+        factors: What it is multiplied by.
+        seeds: How many of the training runs.
+
+    Returns:
+        DataFrame with columns sigma and deviance, -2 log likelihood a sample above the least.
     """
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
     samples = sum(len(run.columns["t_s"]) for run in runs)
     calibrated = tuning.SIGMA_W[estimator]["calibrated"]
-    sigmas = [factor * calibrated[_entries(place)[0]] for factor in factors]
-    tried = [_with_entry(calibrated, place, sigma) for sigma in sigmas]
-    found = np.array([calibration.deviance(estimator, W, runs) / samples for W in tried])
-    return pd.DataFrame(dict(sigma=sigmas, deviance=found - found.min()))
+    sigmas = [factor * calibrated[_PLACES[state][0]] for factor in factors]
+    sigma_w = [_with_entry(calibrated, state, sigma) for sigma in sigmas]
+    deviances = np.array([calibration.deviance(estimator, W, runs) / samples for W in sigma_w])
+    return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
 
+
+def likelihood_profiles(factors, seeds=3):
+    """`likelihood_profile` of all ENTRIES: {label: (table, printed σ, calibrated σ)}."""
+    return {
+        entry.label: (
+            likelihood_profile(entry.estimator, entry.state, factors, seeds),
+            *entry.values.values(),
+        )
+        for entry in ENTRIES.values()
+    }
+
+
+# One interpretation at a time
 
 # id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); R11, R12
 # and R14 concern what is reported, not what is driven
@@ -151,42 +251,68 @@ QUANTITIES = {
 }
 
 
+def _scenarios(baseline, seeds, interpretations):
+    """{(interpretation, estimator): scenarios, one a seed}."""
+    scenarios = {}
+    for name, (_, *of_both) in interpretations.items():
+        for estimator, fields in (("rhe", of_both[0]), ("ekf", of_both[-1])):
+            choice = dict(process_noise=baseline) | fields | dict(estimator=estimator)
+            scenarios[name, estimator] = [Scenario(**choice, seed=seed) for seed in range(seeds)]
+    return scenarios
+
+
 def one_at_a_time(baseline, seeds):
-    """How much each interpretation moves the RHE's results from those of the baseline (the process
-    noise "printed" or "calibrated"), paired by seed. R1 and R2 are the other W, for one estimator
-    at a time.
+    """How much each interpretation moves the RHE's results from the baseline's, paired by seed.
+
+    R1 and R2 are the other W, for one estimator at a time.
+
+    Args:
+        baseline: Its process noise, "printed" or "calibrated".
+        seeds: How many fields, from seed 0 on.
 
     Returns:
         DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
         with their 95 % intervals. "advantage_m" is RHE - EKF, both under the interpretation.
     """
     other = "calibrated" if baseline == "printed" else "printed"
-    asked = {
+    interpretations = {
         "baseline": ("baseline", dict()),
         "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
         "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
     } | INTERPRETATIONS
-    scenarios = {}
-    for name, (_, *of_both) in asked.items():
-        for estimator, fields in (("rhe", of_both[0]), ("ekf", of_both[-1])):
-            given = dict(process_noise=baseline) | fields | dict(estimator=estimator)
-            scenarios[name, estimator] = [Scenario(**given, seed=seed) for seed in range(seeds)]
-    runs = run_sets.drive(scenarios)
-    found = {}
-    rows = []
-    for name in asked:
+    runs = run_sets.drive(_scenarios(baseline, seeds, interpretations))
+    results = {}
+    for name in interpretations:
         rhe = runs[name, "rhe"]
-        ekf = runs[name, "ekf"]
-        found[name] = rhe.assign(advantage_m=rhe.mean_error_true_m - ekf.mean_error_true_m)
-    usual = found["baseline"]
-    found["R14"] = usual.assign(mean_error_m=usual["mean_error_from_start_m"])
-    for name, (words, *_) in (asked | {"R14": ("errors from the start",)}).items():
+        advantage_m = rhe.mean_error_true_m - runs[name, "ekf"].mean_error_true_m
+        results[name] = rhe.assign(advantage_m=advantage_m)
+    usual = results["baseline"]
+    results["R14"] = usual.assign(mean_error_m=usual["mean_error_from_start_m"])
+    rows = []
+    for name, (words, *_) in (interpretations | {"R14": ("errors from the start",)}).items():
         for column, quantity in QUANTITIES.items():
-            value = statistics.mean(found[name][column])
-            moved = statistics.difference(found[name][column], usual[column])
+            value = statistics.mean(results[name][column])
+            moved = statistics.difference(results[name][column], usual[column])
             rows.append(
                 dict(interpretation=name, words=words, quantity=quantity)
                 | dict(value=value.value, low=value.low, high=value.high, change=moved.value)
                 | dict(change_low=moved.low, change_high=moved.high, n=moved.n)
             )
     return pd.DataFrame(rows)
+
+
+def readable_changes(table):
+    """The table of `one_at_a_time` for readers: "+0.0034 [+0.0021, +0.0047]" in each cell.
+
+    The baseline's row has its values, all others their changes from it.
+    """
+    cells = []
+    for row in table.itertuples():
+        if row.interpretation == "baseline":
+            cells.append(f"{row.value:.3g} [{row.low:.3g}, {row.high:.3g}]")
+        else:
+            cells.append(f"{row.change:+.3g} [{row.change_low:+.3g}, {row.change_high:+.3g}]")
+    names = ["interpretation", "words"]
+    return table.assign(cell=cells).pivot_table(
+        "cell", index=names, columns="quantity", aggfunc="first", sort=False
+    )

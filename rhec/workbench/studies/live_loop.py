@@ -1,5 +1,5 @@
-"""The simulated robot for a loop in plain Python, sample by sample, with a scenario's soil, noise
-and start.
+"""The simulated robot for a loop in plain Python, sample by sample: the closed loop's plant with a
+scenario's soil, noise and start.
 """
 
 import functools
@@ -16,13 +16,16 @@ __all__ = ["LiveRobot"]
 
 @functools.cache
 def _functions(shape):
+    """The plant's measurement and motion, and the soil's lookup for a field of this shape."""
     return robot.measure(paper.DT_S), robot.drive(paper.DT_S), terrain.lookup(shape)
 
 
 class LiveRobot:
     """A robot that is measured and driven in turn: `for z in robot: …; robot.drive(omega)`.
 
-    setup: the scenario's Setup; pose (3,): the true one at the last measurement.
+    Attributes:
+        setup: The scenario's Setup.
+        pose: The true pose (3,) at the last measurement.
     """
 
     def __init__(self, scenario):
@@ -46,7 +49,12 @@ class LiveRobot:
             yield self._measure.results["z"].copy()
 
     def drive(self, omega_radps, **speed_mps):
-        """One sample with this commanded yaw rate and, if given, speed."""
+        """Drive for one sample.
+
+        Args:
+            omega_radps: Commanded yaw rate.
+            speed_mps: Commanded speed; the scenario's, by default.
+        """
         self._drive.set(**select_inputs(self._drive.function, self._state))
         self._drive.set(
             traction=self._slip.results["traction"], omega_radps=omega_radps, **speed_mps

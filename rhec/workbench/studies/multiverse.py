@@ -1,10 +1,10 @@
-"""Many worlds: what the paper leaves open is drawn anew, all at once, and the claims about driving
-are judged in each world on its own.
+"""Many worlds: what the paper leaves open is drawn at random, all of it at once, and the claims
+about driving are judged in each world.
 
 The worlds are a scrambled Sobol sequence over UNKNOWNS (SciPy's `qmc`), so that no two unknowns
-move together. Which unknown decides a claim is read from rank correlations (SciPy's `spearmanr`)
-between the unknown and how far the claim is on its side, with the false discovery rate held at 5 %
-over the whole table (`false_discovery_control`).
+are correlated. Which unknown decides a claim is read from Spearman's rank correlations between the
+unknown and how far the claim is on its side, with the false discovery rate held at 5 % over the
+whole table (Benjamini and Hochberg).
 """
 
 import itertools
@@ -36,8 +36,8 @@ __all__ = [
     "summary",
 ]
 
-# name: (least, most, on a logarithmic scale); turn_demand: share of the bound on the yaw rate that
-# the headland asks for at the soil's means
+# name: (least, most, on a logarithmic scale). turn_demand is the share of the yaw rate's bound that
+# the headland needs at the soil's means.
 UNKNOWNS = {
     "speed_mps": (0.2, 0.7, False),
     "mu_mean": (0.75, 0.95, False),
@@ -54,12 +54,12 @@ UNKNOWNS = {
     "turn_demand": (0.6, 0.9, False),
     "start_offset_m": (0.3, 1.5, False),
 }
-FIRST_SEED = 2000  # beyond the ledger's and the calibration's; every world has fields of its own
+FIRST_SEED = 2000  # beyond the ledger's and the calibration's seeds; no world shares a field
 _DISCOVERIES = 0.05  # false discovery rate of the rank correlations
 _FLOOR_M = 1e-3  # an overshoot below 1 mm counts as 1 mm
 
 _CALIBRATED = dict(process_noise="calibrated")
-# variant: (fields of the scenario, whether the first row is all it needs); p printed, c calibrated
+# variant: (fields of Scenario, whether it needs the first row only); p printed, c calibrated
 VARIANTS = {
     "rhe_p": (dict(), False),
     "rhe_c": (_CALIBRATED, False),
@@ -73,9 +73,13 @@ VARIANTS = {
 
 
 class Claim(NamedTuple):
-    """A claim in a world. `measured` takes the runs of each variant to one number a run: how far
-    the claim is on its side (a logarithm, 0 at the bound), or, of an exact claim, whether it holds
-    in the run.
+    """A claim that is judged in each world.
+
+    Args:
+        claim: In words.
+        measured: Function of the runs of all variants that returns one number a run: how far the
+            claim is on its side (a logarithm, 0 at the bound), or, of an exact claim, whether it
+            holds in the run.
     """
 
     claim: str
@@ -83,26 +87,27 @@ class Claim(NamedTuple):
 
 
 def _less(one, other):
-    """Logarithm of other / one: above 0 where `one` is the smaller."""
+    """ln(other / one): above 0 where `one` is the smaller."""
     return np.log(other / one)
 
 
 def _overshoots(one, other, factor):
-    """Logarithm of one's overshoot over `factor` times the other's."""
+    """ln(o_one / (factor o_other)) of the overshoots o, an overshoot below 1 mm counted as 1 mm."""
     most, least = (np.maximum(runs.overshoot_m, _FLOOR_M) for runs in (one, other))
     return np.log(most / (factor * least))
 
 
 def _stays(runs):
+    """Whether each robot arrives and then stays within the tolerance."""
     return runs.arrived & (runs.max_error_true_m < paper.TOLERANCE_M)
 
 
-def _beside(flags, best):
-    """What the oracle does not do either is held against nobody."""
-    return flags | ~best
+def _relative_to_oracle(flags, oracle):
+    """Flags relative to the oracle: where it fails too, the claim is not refuted."""
+    return flags | ~oracle
 
 
-CLAIMS = {  # ids as in the ledger, with the process noise
+CLAIMS = {  # ids as in claims.toml, with the process noise (p printed, c calibrated)
     "A1 c": Claim(
         "Q¹ settles at least twice as slowly as Q³",
         lambda r: _less(2 * r.rhe_c.settling_time_s, r.q1.settling_time_s),
@@ -116,15 +121,15 @@ CLAIMS = {  # ids as in the ledger, with the process noise
     ),
     "B1 p": Claim(
         "RHE stays within 0.12 m where the oracle does",
-        lambda r: _beside(_stays(r.rhe_p), _stays(r.oracle)),
+        lambda r: _relative_to_oracle(_stays(r.rhe_p), _stays(r.oracle)),
     ),
     "B1 c": Claim(
         "RHE stays within 0.12 m where the oracle does",
-        lambda r: _beside(_stays(r.rhe_c), _stays(r.oracle)),
+        lambda r: _relative_to_oracle(_stays(r.rhe_c), _stays(r.oracle)),
     ),
     "B2 c": Claim(
         "EKF stays within 0.12 m where the oracle does",
-        lambda r: _beside(_stays(r.ekf_c), _stays(r.oracle)),
+        lambda r: _relative_to_oracle(_stays(r.ekf_c), _stays(r.oracle)),
     ),
     "B5 p": Claim(
         "RHE's mean error is below the EKF's",
@@ -136,15 +141,15 @@ CLAIMS = {  # ids as in the ledger, with the process noise
     ),
     "B7 p": Claim(
         "RHE: no violation by raw GNSS where the oracle has none",
-        lambda r: _beside(r.rhe_p.violations == 0, r.oracle.violations == 0),
+        lambda r: _relative_to_oracle(r.rhe_p.violations == 0, r.oracle.violations == 0),
     ),
     "B7 c": Claim(
         "RHE: no violation by raw GNSS where the oracle has none",
-        lambda r: _beside(r.rhe_c.violations == 0, r.oracle.violations == 0),
+        lambda r: _relative_to_oracle(r.rhe_c.violations == 0, r.oracle.violations == 0),
     ),
     "B8 c": Claim(
         "RHE: no violation by true position where the oracle has none",
-        lambda r: _beside(r.rhe_c.violations_true == 0, r.oracle.violations_true == 0),
+        lambda r: _relative_to_oracle(r.rhe_c.violations_true == 0, r.oracle.violations_true == 0),
     ),
     "B19 c": Claim(
         "RHC's output reaches its bounds",
@@ -166,7 +171,12 @@ CLAIMS = {  # ids as in the ledger, with the process noise
 
 
 def sample_parameters(n, seed=0):
-    """The first n worlds of the Sobol sequence, one row each."""
+    """The first n worlds of the Sobol sequence, one row each, one column an unknown.
+
+    A point u in [0, 1) becomes least + (most - least) u, or least^(1-u) most^u on a logarithmic
+    scale.
+    """
+    # A Sobol sequence is balanced at powers of two, so it is drawn to the next one and cut.
     sequence = stats.qmc.Sobol(len(UNKNOWNS), rng=np.random.default_rng(seed))
     unit = sequence.random_base2((n - 1).bit_length())[:n]
     least, most, logarithmic = map(np.array, zip(*UNKNOWNS.values()))
@@ -175,8 +185,15 @@ def sample_parameters(n, seed=0):
 
 
 def scenario(world, variant, seed):
-    """A world's scenario: one row, one headland and a quarter of the next row, or the first row
-    alone where that is all a variant needs.
+    """The Scenario of a variant in a world.
+
+    It lasts for one row, one headland and a quarter of the next row, or for the first row alone
+    where a variant needs no more. At pace v = μν the headland's radius is v / (κ ω_max demand).
+
+    Args:
+        world: One value for each of UNKNOWNS.
+        variant: Of VARIANTS.
+        seed: Of the field.
     """
     fields, first_row = VARIANTS[variant]
     world = dict(world)
@@ -188,23 +205,38 @@ def scenario(world, variant, seed):
     return Scenario(**driven, **world, **fields)
 
 
-def drive(drawn, seeds):
-    """Drive every world: {variant: runs}, `seeds` rows for each world in turn."""
-    worlds = [world for world in drawn.to_dict("records") for _ in range(seeds)]
+def drive(worlds, seeds):
+    """Drive every world.
+
+    Args:
+        worlds: Of `sample_parameters`.
+        seeds: Fields of each world.
+
+    Returns:
+        {variant: DataFrame of metrics}, `seeds` rows for each world in turn.
+    """
+    rows = [world for world in worlds.to_dict("records") for _ in range(seeds)]
     return run_sets.drive(
         {
-            variant: [scenario(world, variant, FIRST_SEED + k) for k, world in enumerate(worlds)]
+            variant: [scenario(world, variant, FIRST_SEED + k) for k, world in enumerate(rows)]
             for variant in VARIANTS
         }
     )
 
 
 def in_world(values):
-    """A claim in one world on its runs' numbers: (verdict, how far on its side). Flags are of an
-    exact claim. Student's t interval: five runs are too few for a bootstrap.
+    """Judge a claim in one world.
+
+    Args:
+        values: Of the claim's `measured`, one a run; flags if the claim is exact.
+
+    Returns:
+        The verdict, by Student's t interval of the mean (an exact claim holds if all flags are
+        true), and the mean.
     """
     if values.dtype == bool:
         return (HOLDS if values.all() else FAILS), np.mean(values)
+    # SciPy divides by a standard deviation of zero.
     if np.ptp(values) == 0:
         low = high = values[0]
     else:
@@ -213,8 +245,14 @@ def in_world(values):
 
 
 def judge(runs, n):
-    """Judge every claim in every one of n worlds on the runs of `drive`: DataFrames (n, claims) of
-    verdicts and of how far the claim is on its side.
+    """Judge every claim in every world.
+
+    Args:
+        runs: Of `drive`.
+        n: How many worlds they are of.
+
+    Returns:
+        DataFrames (n, claims) of verdicts, and of how far the claim is on its side.
     """
     runs = SimpleNamespace(**runs)
     verdicts = pd.DataFrame()
@@ -225,32 +263,46 @@ def judge(runs, n):
     return verdicts, margins.astype(float)
 
 
-def correlations(drawn, margins):
-    """Rank correlations (claims, unknowns) of how far a claim is on its side with each unknown, and
-    which of them count as discoveries.
+def correlations(worlds, margins):
+    """Rank correlations between the unknowns and how far each claim is on its side.
+
+    Args:
+        worlds: Of `sample_parameters`.
+        margins: Of `judge`.
+
+    Returns:
+        DataFrames (claims, unknowns) of the correlations, NaN where a claim's margin is constant,
+        and of whether each is significant with the false discovery rate held over all.
     """
-    rho, p = (pd.DataFrame(np.nan, margins.columns, drawn.columns) for _ in range(2))
-    for claim, unknown in itertools.product(margins, drawn):
+    rho, p = (pd.DataFrame(np.nan, margins.columns, worlds.columns) for _ in range(2))
+    for claim, unknown in itertools.product(margins, worlds):
         if np.ptp(margins[claim]) > 0:
-            found = stats.spearmanr(margins[claim], drawn[unknown])
-            rho.loc[claim, unknown], p.loc[claim, unknown] = found
+            result = stats.spearmanr(margins[claim], worlds[unknown])
+            rho.loc[claim, unknown], p.loc[claim, unknown] = result
     adjusted = p.to_numpy(copy=True)
-    known = ~np.isnan(adjusted)
-    adjusted[known] = stats.false_discovery_control(adjusted[known])
+    tested = ~np.isnan(adjusted)
+    adjusted[tested] = stats.false_discovery_control(adjusted[tested])
     return rho, pd.DataFrame(adjusted < _DISCOVERIES, p.index, p.columns)
 
 
-def summary(drawn, verdicts, margins):
-    """One row a claim: the share of worlds where it holds with its interval, and the unknown that
-    decides it: the strongest discovery, if any.
+def summary(worlds, verdicts, margins):
+    """In how many worlds each claim holds, and which unknown decides it.
+
+    Args:
+        worlds: Of `sample_parameters`.
+        verdicts, margins: Of `judge`.
+
+    Returns:
+        DataFrame, one row a claim: the share of worlds where it holds with its interval, those
+        where it is undecided and fails, and the unknown of the strongest significant correlation.
     """
-    rho, discovered = correlations(drawn, margins)
+    rho, significant = correlations(worlds, margins)
     rows = []
     for id_, (claim, _) in CLAIMS.items():
         holds = share(verdicts[id_] == HOLDS)
-        found = rho.loc[id_][discovered.loc[id_]]
-        deciding = found.abs().idxmax() if len(found) else ""
-        strength = found.get(deciding, np.nan)
+        candidates = rho.loc[id_][significant.loc[id_]]
+        deciding = candidates.abs().idxmax() if len(candidates) else ""
+        strength = candidates.get(deciding, np.nan)
         direction = "more helps" if strength > 0 else "less helps" if strength < 0 else ""
         row = dict(id=id_, claim=claim, holds=holds.value, low=holds.low, high=holds.high)
         row |= {"undecided": np.mean(verdicts[id_] == UNDECIDED)}

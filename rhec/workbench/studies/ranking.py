@@ -1,9 +1,10 @@
-"""Beyond the paper: estimators side by side in the closed loop, from the paper's to one that knows
-the truth, and how the pose filter's noise matters.
+"""Beyond the paper: estimators compared in the closed loop, from the paper's to one that knows the
+truth, and how the pose filter's noise matters.
 
 Each estimator appears with the process noise W as printed, by likelihood, and by tracking
-(`rhec.workbench.studies.calibration`: one procedure and one budget for all), as far as there is one; the RHE
-also as sure as it may be (`rhec.workbench.studies.consistency`).
+(`rhec.workbench.studies.calibration`: one procedure and one budget for all), where there is one.
+The RHE also appears with a consistent W, whose NEES is close to 1
+(`rhec.workbench.studies.consistency`).
 """
 
 import itertools
@@ -35,8 +36,8 @@ __all__ = [
     "step_times",
 ]
 
-# asked of the proposal: so much less true error than the paper's RHE, and no more than so much
-# above an oracle's
+# Aims of the proposal: so much less true error than the paper's RHE, and at most so much more than
+# an oracle's.
 LEAST_GAIN = 0.30
 MOST_ABOVE = 0.10
 SIGMA_THETA = tuning.SIGMA_W_TRACKING["dual"][8]
@@ -49,17 +50,19 @@ QUANTITIES = {
 
 
 class _Contestant(NamedTuple):
-    """An estimator with its process noise: the label in tables and figures, fields of Scenario."""
+    """An estimator with its process noise: its label in tables and figures, fields of Scenario."""
 
     label: str
     fields: dict
 
 
 def _with(label, estimator, **fields):
+    """A contestant by the name of its estimator."""
     return _Contestant(label, dict(estimator=estimator, **fields))
 
 
 def _tracking(label, estimator, **fields):
+    """A contestant with the W that tracks best."""
     sigma_w = tuning.SIGMA_W_TRACKING[estimator]
     return _with(f"{label}, W by tracking", estimator, sigma_w=sigma_w, **fields)
 
@@ -95,7 +98,7 @@ CONTESTANTS = {  # from the paper's own to the truth
 PROPOSAL = CONTESTANTS["dual"].label
 PAPERS = CONTESTANTS["rhe_printed"].label
 _ORACLES = [CONTESTANTS[id_].label for id_ in ("traction_likelihood", "traction_tracking")]
-# What estimating the traction is worth, or a window: each contestant over these, too.
+# The value of estimating the traction, and of a window: ratios to these two are shown as well.
 _RIVALS = [CONTESTANTS[id_].label for id_ in ("rhe_fixed_tracking", "bounded_tracking")]
 
 
@@ -106,11 +109,15 @@ def scenarios(seeds):
 
 
 def by_pose_noise(sigmas_rad, seeds):
-    """The proposal with other process noise of the yaw in its pose filter: one row a seed and
-    sigma_theta_rad.
+    """The proposal with other process noises of the yaw in its pose filter.
 
-    Mean true errors [m] on straights and in curves, counted from the arrival, and the RMS error of
-    the estimated yaw [rad].
+    Args:
+        sigmas_rad: Standard deviations of the yaw in W.
+        seeds: Of the fields.
+
+    Returns:
+        DataFrame, one row a seed and sigma_theta_rad: mean true errors [m] on straights, in curves
+        and overall, counted from the arrival, and the RMS error of the estimated yaw [rad].
     """
     tuned = tuning.SIGMA_W_TRACKING["dual"]
     rows = []
@@ -119,6 +126,7 @@ def by_pose_noise(sigmas_rad, seeds):
         for seed in seeds:
             fields = CONTESTANTS["dual"].fields | dict(seed=seed, sigma_w=sigma_w)
             run = simulate(Scenario(**fields))
+            # A robot that never settles is counted from its start.
             stays = settled_samples(run.columns["error_true_m"])
             log = run.log[stays[0] + SETTLING_SAMPLES :] if len(stays) else run.log
             errors = log.groupby("on_straight")["error_true_m"].mean()
@@ -131,9 +139,17 @@ def by_pose_noise(sigmas_rad, seeds):
 
 
 def step_times(ids, rounds=40):
-    """Time of one step [µs] of these contestants on the same measurements, one after the other in
-    each round: a DataFrame (rounds, ids) with their labels. Compiled code alone, mean over a run
-    of 1200 samples.
+    """Time of one estimator step of these contestants on the same measurements.
+
+    Contestants take turns in each round, so that a change of the machine's speed hits all alike.
+    Compiled code alone is timed.
+
+    Args:
+        ids: Of CONTESTANTS.
+        rounds: How many.
+
+    Returns:
+        DataFrame (rounds, ids) of times [µs], mean over a run of 1200 samples, with their labels.
     """
     run = simulate(Scenario(estimator="oracle"))
     calls = {}
@@ -151,12 +167,13 @@ def step_times(ids, rounds=40):
 
 
 def ranking_table(sweep):
-    """Means over seeds of every contestant, and ratios of mean true errors at equal seeds: to the
-    paper's RHE, both traction oracles, the RHE that estimates no traction and the bounded EKF. The
-    claims are those asked of the proposal.
+    """Means over seeds of every contestant, and ratios of mean true errors at equal seeds.
+
+    The ratios are to the paper's RHE, both traction oracles, the RHE that estimates no traction and
+    the bounded EKF. The claims are the aims of the proposal.
 
     Args:
-        sweep: rows of `rhec.campaign` with the column `contestant`, labels as in CONTESTANTS, the
+        sweep: Rows of `rhec.campaign` with the column `contestant`, labels as in CONTESTANTS, the
             same seeds in the same order for each.
 
     Returns:
@@ -177,7 +194,7 @@ def ranking_table(sweep):
                 row = dict(contestant=name, quantity=f"true error, ratio to {other}")
                 rows.append(row | ratio._asdict())
                 if name == PROPOSAL and most:
-                    said = verdict(ratio.low, ratio.high, below=most)
-                    rows[-1] |= dict(claim=f"at most {most:.2f}", verdict=said)
+                    judged = verdict(ratio.low, ratio.high, below=most)
+                    rows[-1] |= dict(claim=f"at most {most:.2f}", verdict=judged)
     columns = "contestant quantity mean low high n claim verdict".split()
     return pd.DataFrame(rows, columns=columns).fillna({"claim": "", "verdict": ""})

@@ -28,8 +28,13 @@ _QUANTITIES = dict(
 
 
 def replay_table(trials):
-    """Means of scores over noise seeds: a DataFrame with columns estimator, quantity, mean, low,
-    high, n, of {name: rows of `rhec.logs.scores.trials`}.
+    """Means of scores over noise seeds.
+
+    Args:
+        trials: {name: rows of `rhec.logs.scores.trials`}.
+
+    Returns:
+        DataFrame with columns estimator, quantity, mean, low, high, n.
     """
     rows = []
     for (name, scores), (column, quantity) in itertools.product(

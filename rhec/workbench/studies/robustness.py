@@ -1,8 +1,8 @@
 """Faults of the sensors, wrong starts and wet soil: the cases, and how a run is judged.
 
-A fault hits each seed somewhere else on the lap, on straights and in curves. It is over when the
-sensors are well again, or the soil is; a wrong start is over at once. The robot is back when its
-true error stays within the tolerance for 5 s.
+A fault hits each seed at another place of the lap, on straights and in curves. It ends when the
+sensors work again, or the wet soil is behind the robot; a wrong start ends at once. The robot has
+recovered when its true error stays within the tolerance for 5 s.
 """
 
 from dataclasses import replace
@@ -29,11 +29,11 @@ __all__ = [
     "study",
 ]
 
-# what is looked at around a fault
+# How long before and after a fault the errors are recorded.
 BEFORE_S = 10.0
 AFTER_S = 60.0
-_AIM_S = {"": 20.0, "start": 60.0}  # to be back by then, by family, the others under ""
-# faults begin between these times: the robot has arrived, and drives on for AFTER_S
+_AIM_S = {"": 20.0, "start": 60.0}  # recovery time to reach, by family; "" for all others
+# Faults begin between these times: the robot has arrived, and drives on for AFTER_S.
 _FIRST_S = 40.0
 _LAST_S = 130.0
 _BURST_S = 5.0
@@ -45,6 +45,7 @@ _WET = dict(radius_m=3.0, mu=0.9, kappa=0.3)
 
 
 def _fault(kind, duration_s=_BURST_S, **fields):
+    """A case: one fault of the sensors."""
     return {"fault": dict(fields, kind=kind, duration_s=duration_s)}
 
 
@@ -68,8 +69,8 @@ FAMILIES = {
     "start": "start",
     "patch": "wet patch, κ = 0.3",
 }
-# {family: {case: trouble}}: a fault of the sensors, a patch of soil ahead, or other fields of the
-# scenario
+# {family: {case: what goes wrong}}: "fault" has fields of Fault, "patch" the wet soil ahead; all
+# others are fields of Scenario.
 CASES = {
     "none": {"no fault": {"fault": None}},
     "outage": _faults("duration_s", "s", _DURATIONS_S, kind="missing"),
@@ -104,13 +105,19 @@ CASES = {
 
 
 def scenario(case, begin_s, base):
-    """The scenario `base` with the case's trouble from the time begin_s [s] on."""
+    """The scenario of a case.
+
+    Args:
+        case: Of CASES.
+        begin_s: When its fault begins [s].
+        base: The Scenario that it is added to.
+    """
     fields = {name: value for name, value in case.items() if name not in ("fault", "patch")}
     if "fault" in case:
         faults = (Fault(start_s=begin_s, **case["fault"]),) if case["fault"] else ()
         duration_s = begin_s + sum(fault.duration_s for fault in faults) + AFTER_S
         return replace(base, **fields, faults=faults, duration_s=duration_s)
-    if "patch" in case:  # where the robot will be
+    if "patch" in case:  # it begins where the robot is at begin_s
         run = simulate(replace(base, **fields, duration_s=begin_s))
         ((x, y, _),) = run.path.poses(run.columns["s_m"][-1:] + case["patch"]["radius_m"])[0]
         patch = (float(x), float(y), *case["patch"].values())
@@ -119,7 +126,7 @@ def scenario(case, begin_s, base):
 
 
 def interval_s(run, case, begin_s):
-    """From when to when [s] the trouble lasts."""
+    """When the case's fault begins and ends [s]; with a patch, while the robot is on it."""
     if run.scenario.faults:
         return begin_s, run.scenario.faults[0].end_s
     if run.scenario.patches:
@@ -130,15 +137,21 @@ def interval_s(run, case, begin_s):
 
 
 def response(run, begin_s, end_s):
-    """The robot's answer to trouble between these times [s]: errors in m, times in s.
+    """The robot's response to a fault.
 
-    recovery_s: from its end until the true error stays within the tolerance for 5 s, NaN if it
-    never does. in_bounds: every command is finite and keeps its bound, every estimate is finite,
-    with μ and κ in [0, 1].
+    Args:
+        run: The Run.
+        begin_s, end_s: When the fault begins and ends [s].
+
+    Returns:
+        max_during_m, max_after_m: Largest true errors [m]. recovery_s: time [s] from the end until
+        the true error stays within the tolerance for 5 s, NaN if it never does. in_bounds: every
+        command is finite and within its bound, every estimate is finite, μ and κ in [0, 1].
     """
     columns = run.columns
     t = columns["t_s"]
     error = columns["error_true_m"]
+    # The small tolerance on time allows for rounding of multiples of 0.2 s.
     back = t[settled_samples(error)]
     back = back[back >= end_s - 1e-6]
     estimates = ("_hat", "_hat_m", "_hat_rad", "_hat_mps")
@@ -156,38 +169,36 @@ def response(run, begin_s, end_s):
 
 
 def _errors_around(run, begin_s, end_s):
-    """True errors from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN before the
-    run.
-    """
+    """True errors from BEFORE_S before the fault to AFTER_S after it; NaN before the run."""
     first, last = (round(time / paper.DT_S) for time in (begin_s - BEFORE_S, end_s + AFTER_S))
     errors = run.columns["error_true_m"][max(first, 0) : last]
     return np.pad(errors, (max(-first, 0), 0), constant_values=np.nan)
 
 
 def study(base, seeds, handling, cases=CASES):
-    """Run all cases on these seeds, with every way of `handling` them.
+    """Run all cases on these seeds, with every way of handling them.
 
     Args:
-        base: the Scenario that the trouble befalls.
-        seeds: seeds of soil and noise.
-        handling: {name: Scenario fields}.
-        cases: {family: {case: trouble}}, as CASES.
+        base: The Scenario that faults are added to.
+        seeds: Of soil and noise.
+        handling: {name: fields of Scenario}.
+        cases: {family: {case: what goes wrong}}, as CASES.
 
     Returns:
         A DataFrame, one row a run (family, case, handling, seed, begin_s, end_s and the
         `response`), and the true errors over time, {(family, case, handling): (seeds, samples)},
-        from BEFORE_S before the trouble begins to AFTER_S after it ends, NaN beyond.
+        from BEFORE_S before the fault to AFTER_S after it, NaN beyond.
     """
     rows = []
     errors = {}
+    # The same fault begins elsewhere on the lap for every seed.
     begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
     every = [(family, name, how) for family in cases for name in cases[family] for how in handling]
     for family, name, how in every:
         case = cases[family][name]
         curves = []
         for seed, begin_s in zip(seeds, begins_s):
-            troubled = scenario(case, begin_s, replace(base, seed=seed, **handling[how]))
-            run = simulate(troubled)
+            run = simulate(scenario(case, begin_s, replace(base, seed=seed, **handling[how])))
             begin_s, end_s = interval_s(run, case, begin_s)
             about = dict(family=family, case=name, handling=how, seed=seed)
             about |= dict(begin_s=begin_s, end_s=end_s)
@@ -198,23 +209,23 @@ def study(base, seeds, handling, cases=CASES):
 
 
 def fault_table(table, aim_s=_AIM_S):
-    """All cases in numbers: means over seeds, and whether every seed was back within the aim.
+    """All cases in numbers: means over seeds, and whether every seed recovered in time.
 
     Args:
-        table: of `study`.
-        aim_s: {family: [s]}, the aim of the others under "".
+        table: Of `study`.
+        aim_s: {family: recovery time to reach [s]}; "" for all other families.
 
     Returns:
-        DataFrame with columns family, case, handling, n; for the errors [m] during the trouble and
-        from its end on and for the recovery time [s] of the seeds that came back: mean, low, high,
-        largest; back (seeds), in_bounds (seeds), aim_s, verdict.
+        DataFrame with columns family, case, handling, n; mean, low, high and largest of the errors
+        [m] during and after the fault and of the recovery time [s] of the seeds that recovered;
+        back (seeds that recovered), in_bounds (seeds), aim_s, verdict.
     """
     rows = []
     for (family, case, handling), runs in table.groupby(["family", "case", "handling"], sort=False):
         row = dict(family=FAMILIES[family], case=case, handling=handling, n=len(runs))
         for name in ("max_during_m", "max_after_m", "recovery_s"):
-            found = over_seeds(np.mean, runs[name])
-            row |= {name: found.mean, f"{name}_low": found.low, f"{name}_high": found.high}
+            over = over_seeds(np.mean, runs[name])
+            row |= {name: over.mean, f"{name}_low": over.low, f"{name}_high": over.high}
             row[f"{name}_largest"] = runs[name].max()
         aim = aim_s.get(family, aim_s[""])
         row |= dict(back=runs["recovery_s"].count(), in_bounds=runs["in_bounds"].sum(), aim_s=aim)

@@ -1,16 +1,20 @@
-"""Intervals and verdicts: one interval, and one rule that turns an interval into a verdict.
+"""Intervals and verdicts: one kind of interval, and one rule that turns an interval into a verdict.
 
-An interval is a 95 % one, in tables and rules alike: Student's t with the standard error by the
-jackknife, of a mean or of any function of means; `coverage` measures how often it holds the truth.
+All intervals hold the truth with a probability of 95 %. Those of means, and of functions of means
+such as a ratio, are Student's t with a jackknife standard error (`_estimate`; B. Efron and
+R. Tibshirani, "An Introduction to the Bootstrap", 1993, ch. 11). Those of shares are by C. Clopper
+and E. Pearson (Biometrika 26, 1934). `coverage` measures how often an interval holds the truth.
+
 A claim about a mean, a difference, a ratio or a share *holds* if the whole interval lies between
 its bounds, *does not hold* if none of it does, and is *undecided* otherwise. A bound that is
-touched is not included, since no change at all is no improvement. Each rule is a pure function of
-what was measured and of a bound fixed before.
+touched is not kept, since no change at all is no improvement. Each rule is a pure function of the
+samples and the bounds.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy import special
 
 __all__ = [
@@ -23,7 +27,7 @@ __all__ = [
     "Finding",
     "Interval",
     "always",
-    "beside",
+    "relative_to_oracle",
     "combined",
     "coverage",
     "difference",
@@ -34,6 +38,7 @@ __all__ = [
     "possible",
     "ratio",
     "ratio_of_means",
+    "readable",
     "reported",
     "root_of_mean",
     "share",
@@ -47,12 +52,12 @@ UNTESTABLE = "cannot be tested here"
 AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
 CONFIDENCE = 0.95
 _MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
-_RARE = 0.01
+_RARE = 0.01  # an event that "may" happen is refuted once its share must be below this
 _NEAR = 0.25  # a mean is near a number of the paper if it is within a quarter of it
 
 
 class Interval(NamedTuple):
-    """A mean (or another statistic) over n seeds and its interval: four columns of a table."""
+    """A statistic over n seeds with its 95 % interval: four columns of a table."""
 
     mean: float
     low: float
@@ -61,9 +66,16 @@ class Interval(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A number, its interval, how many runs (or samples, or cases) are behind it, the verdict, the
-    bounds it was judged by, and the chance p that a value on the nearer bound came out as far off
-    (two-sided; NaN where nothing was left to chance).
+    """The result of a rule.
+
+    Args:
+        value: The number that is judged.
+        low, high: Its 95 % interval.
+        n: How many runs, samples or cases are behind it.
+        verdict: HOLDS, FAILS, UNDECIDED or UNTESTABLE.
+        above, below: The bounds.
+        p: Two-sided probability of a value as far off, if the truth lay on the nearer bound; NaN
+            where nothing is left to chance.
     """
 
     value: float
@@ -77,8 +89,15 @@ class Finding(NamedTuple):
 
 
 def verdict(low, high, above=-np.inf, below=np.inf):
-    """HOLDS if the whole interval from `low` to `high` lies between the bounds, themselves not
-    included, FAILS if none of it does, else UNDECIDED, also where there is none (NaN).
+    """The verdict on an interval.
+
+    Args:
+        low, high: The interval; NaN if there is none.
+        above, below: The bounds, themselves not included.
+
+    Returns:
+        HOLDS if all of the interval lies between the bounds, FAILS if none of it does, else
+        UNDECIDED.
     """
     if np.isnan(low) or np.isnan(high):
         return UNDECIDED
@@ -91,9 +110,20 @@ def verdict(low, high, above=-np.inf, below=np.inf):
 
 
 def _estimate(statistic, samples):
-    """A statistic of paired samples (n,), its standard error, and the degrees of freedom.
+    """A statistic of paired samples, its standard error (jackknife), and the degrees of freedom.
 
-    The jackknife leaves out one pair at a time; a function of means is then one of n new means.
+    With θ₍ᵢ₎ the statistic without pair i, and θ₍.₎ their mean,
+
+        error² = (n - 1) / n Σᵢ (θ₍ᵢ₎ - θ₍.₎)².
+
+    The statistic depends on the samples' means alone, so θ₍ᵢ₎ is that of the n means that are left.
+
+    Args:
+        statistic: Function of arrays and `axis`.
+        samples: Arrays (n,).
+
+    Returns:
+        The value; the error, NaN where there is none; n - 1.
     """
     n = len(samples[0])
     value = float(statistic(*samples, axis=-1)) if n else np.nan
@@ -101,12 +131,19 @@ def _estimate(statistic, samples):
         return value, np.nan, 0
     if all(np.ptp(sample) == 0 for sample in samples):
         return value, 0.0, n - 1
-    without = [((sample.sum() - sample) / (n - 1))[:, None] for sample in samples]
-    return value, float(np.sqrt(n - 1) * np.std(statistic(*without, axis=-1))), n - 1
+    means_without = [((sample.sum() - sample) / (n - 1))[:, None] for sample in samples]
+    values_without = statistic(*means_without, axis=-1)
+    # A ratio is infinite where its denominator is zero in all pairs that are left: such samples
+    # cannot bound it, so it has no error and stays undecided. It happens with few fields in two
+    # other worlds: on firm soil κ̂ is near κ from the start (claim H5, time of zero), and under
+    # slack control most robots never settle, so they have no offset in curves (claim M4).
+    if not np.isfinite(values_without).all():
+        return value, np.nan, n - 1
+    return value, float(np.sqrt(n - 1) * np.std(values_without)), n - 1
 
 
 def _interval(value, error, freedom):
-    """(low, high) by Student's t."""
+    """(low, high) = value ± t error, t the 97.5 % quantile of Student's t; NaN without an error."""
     if np.isnan(error):
         return np.nan, np.nan
     half = float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2)) * error if error else 0.0
@@ -117,13 +154,13 @@ def over_seeds(statistic, *samples):
     """Estimate a statistic over seeds with its 95 % interval.
 
     Args:
-        statistic: function of arrays and `axis` that depends on their means alone, e.g. `np.mean`
-            or `ratio_of_means`.
-        samples: one array (seeds,) each, in the same order of seeds; a seed that is missing (NaN)
-            in one of them is left out.
+        statistic: Function of arrays and `axis` that depends on their means alone, for example
+            `np.mean` or `ratio_of_means`.
+        samples: Arrays (seeds,) in the same order of seeds. A seed that is missing (NaN) in one of
+            them is left out of all.
 
     Returns:
-        Interval, n the seeds that count; NaN for the numbers where n is below 2.
+        Interval, n the seeds that count; its numbers are NaN where n is below 2.
     """
     samples = np.column_stack(samples).astype(float)
     samples = samples[~np.isnan(samples).any(axis=1)].T
@@ -134,18 +171,29 @@ def over_seeds(statistic, *samples):
 
 
 def coverage(statistic, *samples, n=None, trials=4000):
-    """How often the interval of n pairs, drawn from these as from all there are, holds the value of
-    them all.
+    """How often the 95 % interval holds the truth, by resampling.
+
+    The samples stand for all pairs there are, so their statistic is the truth. Each trial draws
+    pairs from them, with replacement.
+
+    Args:
+        statistic: As for `over_seeds`.
+        samples: Arrays of one length, paired.
+        n: Pairs in a trial; as many as there are, by default.
+        trials: How many.
+
+    Returns:
+        The share of trials whose interval holds the truth; 0.95 if the intervals are right.
     """
     samples = [np.asarray(sample, dtype=float) for sample in samples]
     rng = np.random.default_rng(0)
     truth = float(statistic(*samples, axis=-1))
-    held = 0
+    n_held = 0
     for _ in range(trials):
         drawn = rng.integers(0, len(samples[0]), n or len(samples[0]))
         low, high = _interval(*_estimate(statistic, [sample[drawn] for sample in samples]))
-        held += low <= truth <= high
-    return held / trials
+        n_held += low <= truth <= high
+    return n_held / trials
 
 
 def ratio_of_means(one, other, axis):
@@ -168,17 +216,17 @@ def root_of_mean(squares, axis):
 
 
 def _judged(statistic, samples, above, below):
-    """The Finding of a statistic of paired samples."""
+    """The Finding of a statistic of paired samples; p by Student's t at the nearer bound."""
     value, error, freedom = _estimate(statistic, samples)
     low, high = _interval(value, error, freedom)
-    said = verdict(low, high, above, below)
     off = min(abs(value - above), abs(value - below))
     p = 2 * special.stdtr(freedom, -off / error) if error else np.nan
-    return Finding(value, low, high, freedom + 1, said, above, below, float(p))
+    outcome = verdict(low, high, above, below)
+    return Finding(value, low, high, freedom + 1, outcome, above, below, float(p))
 
 
 def _checked(*samples):
-    """Samples as arrays of one length. A claim must say itself what a missing number means."""
+    """Samples as arrays of one length without missing values."""
     samples = [np.asarray(sample, dtype=float) for sample in samples]
     lengths = [len(sample) for sample in samples]
     if len(set(lengths)) > 1:
@@ -189,23 +237,31 @@ def _checked(*samples):
 
 
 def mean(values, above=-np.inf, below=np.inf):
-    """A mean lies between the bounds."""
+    """Judge that a mean lies between the bounds."""
     return _judged(np.mean, _checked(values), above, below)
 
 
 def difference(one, other, above=-np.inf, below=np.inf):
-    """The mean of one - other, paired by their order, lies between the bounds."""
+    """Judge that the mean of one - other, paired by their order, lies between the bounds."""
     one, other = _checked(one, other)
     return _judged(np.mean, [one - other], above, below)
 
 
 def ratio(one, other, above=-np.inf, below=np.inf):
-    """The ratio of two paired samples' means lies between the bounds."""
+    """Judge that the ratio of two paired samples' means lies between the bounds."""
     return _judged(ratio_of_means, _checked(one, other), above, below)
 
 
 def share(flags, above=-np.inf, below=np.inf):
-    """The share of flags that are true lies between the bounds; interval by Clopper and Pearson."""
+    """Judge that the share k / n of true flags lies between the bounds.
+
+    Clopper and Pearson's interval reaches to the shares under which k, or what is further off,
+    comes out with a probability of 2.5 %: with B_q(a, b) the quantiles of the beta distribution,
+
+        low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
+
+    p is twice the smaller tail of the binomial distribution at the nearer bound.
+    """
     flags = np.asarray(flags, dtype=bool)
     n = len(flags)
     value = np.nan
@@ -213,7 +269,7 @@ def share(flags, above=-np.inf, below=np.inf):
     high = np.nan
     p = np.nan
     if n:
-        from scipy import stats  # takes half a second, and most studies never ask for a share
+        from scipy import stats  # it takes half a second to load, and most studies need no share
 
         value = flags.mean()
         k = int(flags.sum())
@@ -222,76 +278,140 @@ def share(flags, above=-np.inf, below=np.inf):
         if 0 < bound < 1:
             tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
             p = min(1.0, 2 * min(tails))
-    said = verdict(low, high, above, below)
-    return Finding(float(value), float(low), float(high), n, said, above, below, float(p))
+    outcome = verdict(low, high, above, below)
+    return Finding(float(value), float(low), float(high), n, outcome, above, below, float(p))
 
 
-def beside(flags, best, above):
-    """The share of flags among the cases that the best possible masters, too: what nobody can do is
-    held against nobody.
-    """
-    flags, best = _checked(flags, best)
-    return share(flags[best > 0], above)
+def relative_to_oracle(flags, oracle, above):
+    """Judge a share of flags relative to the oracle: fields where the oracle fails are left out."""
+    flags, oracle = _checked(flags, oracle)
+    return share(flags[oracle > 0], above)
 
 
 def always(flags):
-    """An exact property: true in every case. One exception refutes it."""
-    found = share(flags)
-    said = UNDECIDED if found.n == 0 else HOLDS if found.value == 1 else FAILS
-    return found._replace(verdict=said, above=1.0)
+    """Judge an exact property, true in every case. One exception refutes it."""
+    outcome = share(flags)
+    exact = UNDECIDED if outcome.n == 0 else HOLDS if outcome.value == 1 else FAILS
+    return outcome._replace(verdict=exact, above=1.0)
 
 
 def possible(flags):
-    """A thing that "may" happen was found. Not found, it does not hold once so many cases were
-    tried that its share must be below 1 %.
+    """Judge that what "may" happen does happen.
+
+    It holds if one flag is true. If none is, it does not hold once the interval of its share ends
+    below 1 %.
     """
-    found = share(flags)
-    said = HOLDS if found.value > 0 else FAILS if found.high < _RARE else UNDECIDED
-    return found._replace(verdict=said, above=0.0)
+    outcome = share(flags)
+    seen = HOLDS if outcome.value > 0 else FAILS if outcome.high < _RARE else UNDECIDED
+    return outcome._replace(verdict=seen, above=0.0)
 
 
 def reported(values, paper):
-    """A single number that the paper reports, of one drive or few, is usual here: it lies where the
-    middle 95 % of single runs do, and the mean is within a quarter of it. (Without the second, the
-    more runs differ the more numbers would be usual.)
+    """Judge that a number which the paper reports, of one drive or few, is usual here.
 
-    The interval is that of single runs, not of their mean; fewer than 40 runs cannot have one.
+    It holds if the number lies in the middle 95 % of single runs and the mean is within a quarter
+    of it. Without the second condition, more numbers would be usual the more the runs differ.
+
+    Returns:
+        Finding with the interval of single runs, not of their mean; fewer than 40 runs have none.
     """
     near = mean(values, above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
     low = np.nan
     high = np.nan
-    said = UNDECIDED
+    outcome = UNDECIDED
     if near.n >= _MIN_SINGLE_RUNS:
         low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-        said = near.verdict if low <= paper <= high else FAILS
-    return Finding(near.value, float(low), float(high), near.n, said, paper, paper)
+        outcome = near.verdict if low <= paper <= high else FAILS
+    return Finding(near.value, float(low), float(high), near.n, outcome, paper, paper)
 
 
 def equal(value, expected, tolerance):
-    """A number that follows without any run: within `tolerance` of `expected`."""
+    """Judge that a number which follows without any run is within `tolerance` of `expected`."""
     value = float(value)
-    said = UNDECIDED if np.isnan(value) else HOLDS if abs(value - expected) <= tolerance else FAILS
-    return Finding(value, value, value, 1, said, expected - tolerance, expected + tolerance)
+    outcome = HOLDS if abs(value - expected) <= tolerance else FAILS
+    outcome = UNDECIDED if np.isnan(value) else outcome
+    return Finding(value, value, value, 1, outcome, expected - tolerance, expected + tolerance)
 
 
 def combined(findings):
-    """One verdict from the findings under several conditions {condition: Finding}, the first of
-    them the paper to the letter, and the condition whose numbers stand for it.
+    """One verdict from the findings under several conditions.
 
     A claim that does not hold under all of them "holds as printed" or, if not that, "holds with"
-    the first that it holds with; "only" where it does not hold otherwise. If it holds under none,
-    the first speaks, and a single doubt keeps it open.
+    the first condition that it holds with; "only" where no other lets it hold. If it holds under
+    none, the first condition decides, unless one is undecided: then the claim is, too.
+
+    Args:
+        findings: {condition: Finding}; the first condition is the paper as printed.
+
+    Returns:
+        The verdict, and the condition whose numbers stand for it.
     """
-    said = {condition: found.verdict for condition, found in findings.items()}
-    first = next(iter(said))
-    holding = [condition for condition, each in said.items() if each == HOLDS]
-    if len(holding) == len(said):
+    verdicts = {condition: finding.verdict for condition, finding in findings.items()}
+    first = next(iter(verdicts))
+    holding = [condition for condition, outcome in verdicts.items() if outcome == HOLDS]
+    if len(holding) == len(verdicts):
         return HOLDS, first
     if holding and first == holding[0]:
-        only = "only " * (len(holding) == 1 and UNDECIDED not in said.values())
+        only = "only " * (len(holding) == 1 and UNDECIDED not in verdicts.values())
         return f"{HOLDS} {only}{first}", first
     if holding:
-        only = "only " * (said[first] == FAILS)
+        only = "only " * (verdicts[first] == FAILS)
         return f"{HOLDS} {only}with {holding[0]}", holding[0]
-    open_ = [condition for condition, each in said.items() if each == UNDECIDED]
-    return (UNDECIDED, open_[0]) if open_ else (said[first], first)
+    undecided = [condition for condition, outcome in verdicts.items() if outcome == UNDECIDED]
+    return (UNDECIDED, undecided[0]) if undecided else (verdicts[first], first)
+
+
+# Tables for readers
+
+
+def _three_digits(value):
+    """A number with three significant digits, large ones to the unit; nothing for a missing one."""
+    if pd.isna(value):
+        return ""
+    if value == 0:
+        return "0"
+    return f"{value:.0f}" if abs(value) >= 99.95 else f"{value:#.3g}"
+
+
+def _cell(row):
+    """ "mean [low, high]" of a table's row, and its verdict if it has one."""
+    interval = (
+        f" [{_three_digits(row.low)}, {_three_digits(row.high)}]" if row.low < row.high else ""
+    )
+    outcome = getattr(row, "verdict", "")
+    return (
+        _three_digits(row.mean)
+        + interval
+        + (f" ({outcome})" if outcome and outcome == outcome else "")
+    )
+
+
+def _papers(table, labels):
+    """The paper's values, a column of texts for each variant that has some; "paper" if one has."""
+    reported = table[pd.to_numeric(table["paper"], errors="coerce").notna()]
+    values = reported["paper"].map(lambda value: f"{float(value):g}")
+    variants = reported[labels[-1]] if len(labels) else pd.Series("", reported.index)
+    cells = reported.assign(value=values, variant="paper, " + variants.astype(str))
+    columns = cells.pivot_table("value", "quantity", "variant", aggfunc="first", sort=False)
+    return columns.set_axis(["paper"], axis=1) if columns.shape[1] == 1 else columns
+
+
+def readable(table, transposed=False):
+    """A table of intervals as people read it: "34.6 [32.3, 37.0]" in each cell.
+
+    Args:
+        table: DataFrame with the columns quantity, mean, low, high, and, if it has them, paper and
+            verdict. The columns before `quantity` name the variant.
+        transposed: One row a variant, for tables with more variants than quantities.
+
+    Returns:
+        DataFrame of texts, one row a quantity, one column a variant, the paper's values after them.
+    """
+    labels = list(table.columns[: table.columns.get_loc("quantity")])
+    variants = table[labels].astype(str).agg(", ".join, axis=1)
+    cells = table.assign(cell=[_cell(row) for row in table.itertuples()], variant=variants)
+    shown = cells.pivot_table("cell", "quantity", "variant", aggfunc="first", sort=False)
+    if "paper" in table:
+        shown = shown.join(_papers(table, labels))
+    shown = shown.reindex(table["quantity"].unique()).fillna("").rename_axis(None, axis=1)
+    return shown.T if transposed else shown

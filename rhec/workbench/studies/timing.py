@@ -1,8 +1,8 @@
 """Computation times of preparation and feedback (paper, Table "Computation times of the nonlinear
 RHEC").
 
-Timed from Python, one call a phase, NumPy arrays in and out, as in a loop of one's own; the arrival
-cost belongs to the RHE's preparation.
+Timed from Python, one call a phase, NumPy arrays in and out, as in a user's loop; the arrival cost
+belongs to the RHE's preparation.
 """
 
 import os
@@ -27,16 +27,23 @@ PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (probl
 
 
 def phases(scenario, qp):
-    """Times [µs] of the four phases at every sample of a scenario's run, (samples, 4) as in
-    PHASES, the RHC's QP by this solver.
+    """Times of the four phases at every sample of a scenario's run.
+
+    Args:
+        scenario: The Scenario.
+        qp: The RHC's QP solver.
+
+    Returns:
+        Times [µs], (samples, 4), in the order of PHASES.
     """
-    (run,) = simulate([scenario])  # it needs no loop of its own compiled
+    (run,) = simulate([scenario])  # one run does not pay for compiling its loop
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
     estimator = RHE(process_noise=scenario.process_noise, guess=guess)
     controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
     tracker = PathTracker(run.path)
     measurements = run.log[MEASUREMENTS].to_numpy()
     clock = time.perf_counter_ns
+    # References belong to neither RHE nor RHC, so they are left out of the times.
     taken = np.empty((len(measurements), 4))
     for k, z in enumerate(measurements):
         begin = clock()
@@ -54,8 +61,10 @@ def phases(scenario, qp):
 
 
 def table(taken):
-    """Minimum, average, median, maximum [µs] by problem and phase and overall, in the paper's
-    order, beside the paper's numbers.
+    """Minimum, average, median and maximum [µs] by problem and phase, with the paper's numbers.
+
+    Args:
+        taken: Times of `phases`.
     """
     rows = []
     for problem, (preparation, feedback) in {"RHE": taken.T[:2], "RHC": taken.T[2:]}.items():

@@ -1,14 +1,17 @@
-"""Transfer: an estimator tuned on some recorded robots, tried on one it has not seen.
+"""Transfer: an estimator tuned on some recorded robots, tried on one that it has not seen.
 
-Each log is taken at 5 Hz, with white noise on its positions and a first yaw that is wrong, once for
-every noise seed; the first metres do not count (`rhec.logs.scores`). All are tuned without truth,
-with a noise seed that no trial has: on the same log, or on the others, in the geometric mean of
-what each gave. The RHE's numbers are those of `rhec.calibrate` or those shipped (`tuning.SLIP`).
-Its rivals, an EKF with (μ, κ) as states and one with the five parameters of `rhec.workbench.studies.icr`,
-both with noise in proportion to the inputs, are tuned by the likelihood of their innovations, with
-as many evaluations for each unknown as all in `rhec.workbench.studies.calibration`.
+Each log is taken at 5 Hz, with white noise on its positions and a wrong first yaw, once for every
+noise seed; the first metres do not count (`rhec.logs.scores`). All estimators are tuned without
+truth, with a noise seed that no trial has: on the same log, or on the others, in the geometric mean
+of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped (`tuning.SLIP`).
+Its rivals are an EKF with (μ, κ) as states and one with the five parameters of
+`rhec.workbench.studies.icr`, both with noise in proportion to the inputs. They are tuned by the likelihood
+of their innovations, with the same number of evaluations for each unknown as in
+`rhec.workbench.studies.calibration`.
 
-    python -m rhec.workbench.studies.transfer [FOLDER [SEEDS]]    the table, from the logs in data/recordings
+    python -m rhec.workbench.studies.transfer [FOLDER [SEEDS]]
+
+prints the table, from the logs in data/recordings.
 """
 
 import dataclasses
@@ -39,9 +42,10 @@ from rhec.workbench.studies.statistics import over_seeds
 
 __all__ = ["table", "trials"]
 
-_NOISE_M = 0.02
-_YAW_ERROR_RAD = 0.3
-_TUNING_SEED = 1000
+_NOISE_M = 0.02  # on recorded positions
+_YAW_ERROR_RAD = 0.3  # of the first yaw
+_TUNING_SEED = 1000  # no trial has it
+_UNUSABLE = 1e12  # the objective where a filter diverges
 _SLIPPING = slipping.SLIPPING.model
 _SCORES = dict(
     yaw_rms_rad="yaw RMS [rad]",
@@ -56,6 +60,7 @@ _SCORES = dict(
 
 def _noisy(log, seed):
     """A log at the estimators' rate, with noise on its positions."""
+    # Recordings are faster than 5 Hz; every n-th sample is taken, as a 5 Hz receiver gives it.
     every = max(round(paper.DT_S / log["t_s"].diff().median()), 1)
     log = log.iloc[::every].reset_index(drop=True)
     x, y = _NOISE_M * np.random.default_rng(seed).standard_normal((2, len(log)))
@@ -63,16 +68,21 @@ def _noisy(log, seed):
 
 
 def _rhe(log, fields):
-    """Samples of a noisy log's replay, with their error ahead."""
-    told = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True)
-    samples = scores.perturbed_replay(log, 0, **told, **fields)
+    """Samples of a noisy log's replay, and how far off their predictions 2 s ahead are [m]."""
+    options = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True)
+    samples = scores.perturbed_replay(log, 0, **options, **fields)
     return samples, scores.ahead_rms_m(samples, predictor(_SLIPPING), [*ESTIMATE, *LEVER_ARM])
 
 
 class _Rival(NamedTuple):
-    """An EKF to be tuned: of a Model with these outputs, its noise V, W (and c) from one tuple
-    sigma, where its unknowns stand there, and its first guess and its deviations by half the track
-    width.
+    """An EKF to be tuned.
+
+    Args:
+        model: Its Model.
+        settings: Function of one tuple sigma that returns the noises V, W (and c).
+        unknowns: For each unknown of the search, the places in sigma that it sets.
+        guess: Function of half the track width that returns the parameters' first guess and its
+            standard deviations.
     """
 
     model: Model
@@ -87,20 +97,23 @@ class _Rival(NamedTuple):
 
     @property
     def hats(self):
+        """Columns of the estimates of its model's states and parameters."""
         return [f"hat_{name}" for name in self.model.names]
 
 
 def _traction_settings(sigma):
+    """Noises of the EKF of (μ, κ)."""
     return noise_of(_TRACTION, sigma[:4], sigma[4:9]) | dict(c=np.array(sigma[9:11]))
 
 
 def _icr_settings(sigma):
+    """Noises of the EKF of five ICR parameters, which has no noise of the position."""
     noise = noise_of(ICR, sigma[:4], (0.0, 0.0, *sigma[4:10]))
     return noise | dict(c=np.array(sigma[10:12]))
 
 
 def _of_inputs(model):
-    """A Model whose inputs have noise in proportion to them, as the ICR's, and constant noise W."""
+    """The Model with noise in proportion to its inputs, as the ICR's, beside the constant W."""
     return dataclasses.replace(model, motion_noise=ICR.motion_noise)
 
 
@@ -142,6 +155,7 @@ def _parts(log):
 def _filtered(rival, half, part, sigma):
     """What a rival's filter records on one segment's samples, as {name: array}."""
     z = part[rival.measured].to_numpy()
+    # Standard deviations of the first guess: 1 m, 0.3 rad, and the rival's parameters.
     first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
     guess, spread = rival.guess(half)
     m = np.array([*first[:2], part["theta_rad"].iloc[0] + _YAW_ERROR_RAD, *guess])
@@ -152,16 +166,17 @@ def _filtered(rival, half, part, sigma):
 
 
 def _rival(rival, half, parts, sigma):
-    """Samples of a rival, with their error ahead."""
-    done = []
+    """Samples of a rival, and how far off their predictions 2 s ahead are [m]."""
+    estimated = []
     for part in parts:
         recorded = _filtered(rival, half, part, sigma)
         estimate = recorded["estimate"]
         deviation = np.sqrt(np.diagonal(recorded["covariance"], axis1=1, axis2=2))
         hats = pd.DataFrame(estimate, columns=rival.hats)
         pose = dict(zip(ESTIMATE[:3], estimate.T)) | dict(zip(SIGMA[:3], deviation.T))
-        done.append(part.assign(**pose, **hats))
-    samples = pd.concat(done, ignore_index=True)
+        estimated.append(part.assign(**pose, **hats))
+    samples = pd.concat(estimated, ignore_index=True)
+    # Scores expect all columns of a replay; a rival has neither innovations nor, as an ICR, (μ, κ).
     unknown = [*ESTIMATE[3:], *INNOVATION]
     samples = samples.assign(**dict.fromkeys(unknown, np.nan), ok=True)
     if rival.model is _TRACTION:
@@ -177,64 +192,83 @@ def _tuned(rival, log):
 
     def objective(sigma):
         deviances = (_filtered(rival, half, part, sigma)["deviance"] for part in parts)
-        value = sum(each[of].sum() for each, of in zip(deviances, counted))
-        return value if np.isfinite(value) else 1e12
+        value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
+        return value if np.isfinite(value) else _UNUSABLE
 
     return search(objective, rival.unknowns)[0]
 
 
-def _middle(found):
-    """Geometric mean of the numbers of several calibrations, of the side slip, which may be 0, the
-    arithmetic one; no lever arm, which is a robot's own.
+def _middle(calibrations):
+    """Geometric mean of several calibrations, without the lever arm, which belongs to one robot.
+
+    The side slip may be 0, so its mean is the arithmetic one.
     """
     fields = {}
     for name in ("sigma_v", "sigma_w", "slip"):
-        values = np.array([each[name] for each in found])
+        values = np.array([calibration[name] for calibration in calibrations])
         fields[name] = np.exp(np.log(np.maximum(values, 1e-6)).mean(axis=0))
-    fields["slip"][-1] = np.mean([each["slip"][-1] for each in found])
+    fields["slip"][-1] = np.mean([calibration["slip"][-1] for calibration in calibrations])
     return {name: tuple(value.tolist()) for name, value in fields.items()}
 
 
+def _row(log, estimator, tuned, seed, samples, ahead_m):
+    """A row of `trials`: who was tried on what, and its scores."""
+    values = scores.score(samples) | dict(ahead_rms_m=ahead_m)
+    about = dict(log=log, estimator=estimator, tuned=tuned, seed=seed)
+    return about | {name: values.get(name, np.nan) for name in _SCORES}
+
+
+def _trials_of_rhe(log, noisy, fields, seed):
+    """Rows of the RHE on a noisy log; fields: {way of tuning: its numbers}."""
+    return [
+        _row(log, "RHE", tuned, seed, *_rhe(noisy, numbers)) for tuned, numbers in fields.items()
+    ]
+
+
+def _trials_of_rivals(log, noisy, sigmas, rest, seed):
+    """Rows of the rivals on a noisy log; sigmas: {rival: {log: its sigma}}, rest: other logs."""
+    half, parts = _parts(noisy)
+    rows = []
+    for title, rival in _RIVALS.items():
+        others = np.exp(np.log([sigmas[title][other] for other in rest]).mean(axis=0))
+        for tuned, sigma in (("itself", sigmas[title][log]), ("others", tuple(others))):
+            rows.append(_row(log, title, tuned, seed, *_rival(rival, half, parts, sigma)))
+    return rows
+
+
 def trials(logs, seeds):
-    """Scores of every estimator on every log: a DataFrame with a row for each log, estimator, way
-    of tuning and noise seed.
+    """Scores of every estimator on every log.
 
     Args:
         logs: {name: DataFrame of a recording with its truth}, two or more.
-        seeds: of the noise.
+        seeds: Of the noise.
+
+    Returns:
+        DataFrame, one row for each log, estimator, way of tuning and noise seed.
     """
     training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
-    rows = []
-
-    def add(log, estimator, tuned, seed, result):
-        samples, ahead_m = result
-        told = scores.score(samples) | dict(ahead_rms_m=ahead_m)
-        about = dict(log=log, estimator=estimator, tuned=tuned, seed=seed)
-        rows.append(about | {name: told.get(name, np.nan) for name in _SCORES})
-
-    found = {name: dict(calibrate(log)) for name, log in training.items()}
+    numbers = {name: dict(calibrate(log)) for name, log in training.items()}
     sigmas = {
         title: {name: _tuned(rival, log) for name, log in training.items()}
         for title, rival in _RIVALS.items()
     }
+    rows = []
     for name, log in logs.items():
         rest = [other for other in logs if other != name]
-        fields = dict(itself=found[name], others=_middle([found[o] for o in rest]), shipped={})
+        of_others = _middle([numbers[other] for other in rest])
+        fields = dict(itself=numbers[name], others=of_others, shipped={})
         for seed in seeds:
             noisy = _noisy(log, seed)
-            for tuned, numbers in fields.items():
-                add(name, "RHE", tuned, seed, _rhe(noisy, numbers))
-            prepared = _parts(noisy)
-            for title, rival in _RIVALS.items():
-                others = np.exp(np.log([sigmas[title][o] for o in rest]).mean(axis=0))
-                for tuned, sigma in (("itself", sigmas[title][name]), ("others", tuple(others))):
-                    add(name, title, tuned, seed, _rival(rival, *prepared, sigma))
+            rows += _trials_of_rhe(name, noisy, fields, seed)
+            rows += _trials_of_rivals(name, noisy, sigmas, rest, seed)
     return pd.DataFrame(rows)
 
 
 def table(rows):
-    """Means of `trials` over noise seeds with 95 % intervals: a DataFrame, a row for each log,
-    estimator and way of tuning, an Interval in each cell.
+    """Means of `trials` over noise seeds with 95 % intervals.
+
+    Returns:
+        DataFrame, one row for each log, estimator and way of tuning, an Interval in each cell.
     """
     groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
     return groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})

@@ -1,10 +1,11 @@
 """The worst drive within bounds: soil, bumps and position errors chosen against the robot.
 
-A share of random fields says how often; this says how far. Within bounds, `level` times two
-standard deviations of the default scenario each, differential evolution looks for the drive (the
-first row and headland, begun on the path) that goes furthest off it: traction of all the soil and
-of one patch, where that lies; bumps and position errors always at their bound, with a sign that
-changes periodically. What is found exists, by its seed and numbers; what is not found may exist.
+Random fields say how often the robot fails; this says by how much. Within bounds of `level` times
+two standard deviations of the default scenario, differential evolution looks for the drive (the
+first row and headland, begun on the path) with the largest error. It chooses the traction of the
+whole soil and of one patch, and where the patch lies. Bumps and position errors are at their bound,
+with a sign that changes periodically. A drive that is found can be repeated by its seed and
+numbers; a worse one may exist.
 """
 
 import dataclasses
@@ -41,59 +42,82 @@ _RANGES = dict(
 )
 
 
-def drive(base, level, **chosen):
-    """The Run of a scenario's fields with the choices in _RANGES, at a level of the bounds."""
+def _soil(base, level, chosen):
+    """Traction (μ, κ) of the whole soil and of the patch, at a level of the bounds."""
     off = {name: _SIGMAS * level * getattr(base, f"{name}_deviation") for name in ("mu", "kappa")}
-    soil = {name: getattr(base, f"{name}_mean") for name in off}
-    mu, kappa, *patch = (
-        float(np.clip(soil[name] + off[name] * chosen[of], 0.01, 0.999))
-        for name, of in zip(("mu", "kappa") * 2, ("mu", "kappa", "patch_mu", "patch_kappa"))
-    )
-    where = dict(mu_mean=mu, kappa_mean=kappa, mu_deviation=0.0, kappa_deviation=0.0)
-    plain = dataclasses.replace(base, **where)
-    ((x, y, _),), _ = set_up(plain).path.poses([chosen["patch_s_m"]])
-    disc = (float(x), float(y), float(chosen["patch_radius_m"]), *patch)
-    scenario = dataclasses.replace(plain, patches=(disc,))
-    setup = set_up(scenario)
+    mean = {name: getattr(base, f"{name}_mean") for name in off}
+    return [
+        float(np.clip(mean[name] + off[name] * chosen[choice], 0.01, 0.999))
+        for name, choice in zip(("mu", "kappa") * 2, ("mu", "kappa", "patch_mu", "patch_kappa"))
+    ]
 
+
+def _square_wave(chosen, name, level, t_s):
+    """Noise at its bound whose sign changes periodically, in standard deviations."""
+    cycles = t_s / chosen[f"{name}_period_s"] + chosen[f"{name}_phase"]
+    return _SIGMAS * level * np.where(cycles % 1 < 0.5, 1.0, -1.0)
+
+
+def _noise(scenario, level, chosen):
+    """The scenario's noise with bumps and position errors replaced by the chosen ones."""
     noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
-    ends = np.cumsum([packed_size({name: of}) for name, of in robot.NOISE.items()])
+    ends = np.cumsum([packed_size({name: shape}) for name, shape in robot.NOISE.items()])
     places = dict(zip(robot.NOISE, np.split(np.arange(ends[-1]), ends[:-1])))
     t_s = np.arange(len(noise)) * paper.DT_S
     angle = chosen["gnss_angle_rad"]
-    swing = {
-        of: _SIGMAS
-        * level
-        * np.where((t_s / chosen[f"{of}_period_s"] + chosen[f"{of}_phase"]) % 1 < 0.5, 1.0, -1.0)
-        for of in ("bump", "gnss")
-    }
-    noise[:, places["bump"]] = swing["bump"][:, None]
-    noise[:, places["white"]] = np.outer(swing["gnss"], [np.cos(angle), np.sin(angle)])
+    noise[:, places["bump"]] = _square_wave(chosen, "bump", level, t_s)[:, None]
+    noise[:, places["white"]] = np.outer(
+        _square_wave(chosen, "gnss", level, t_s), [np.cos(angle), np.sin(angle)]
+    )
+    return noise
+
+
+def drive(base, level, **chosen):
+    """The Run of a scenario with chosen soil, bumps and position errors.
+
+    Args:
+        base: The Scenario.
+        level: Of the bounds.
+        chosen: A value for each of _RANGES.
+    """
+    mu, kappa, *patch = _soil(base, level, chosen)
+    constant = dict(mu_mean=mu, kappa_mean=kappa, mu_deviation=0.0, kappa_deviation=0.0)
+    # The patch is placed along the path, which is known once the scenario is set up.
+    plain = dataclasses.replace(base, **constant)
+    ((x, y, _),), _ = set_up(plain).path.poses([chosen["patch_s_m"]])
+    disc = (float(x), float(y), float(chosen["patch_radius_m"]), *patch)
+    scenario = dataclasses.replace(plain, patches=(disc,))
+    # The run's noise is replaced, so the loop is scanned here and not by `simulate`.
+    setup = set_up(scenario)
+    noise = _noise(scenario, level, chosen)
     functions = compiled.load(build_sample, *setup.structure)
     return finish(scenario, setup, scan.scan(functions, setup.memory, noise, setup.settings)[1])
 
 
 def search(levels, seed=0, evaluations=100, **fields):
-    """The worst drives found, one row a level: their largest error [m], and the choices.
+    """Search for the worst drive at each level.
 
     Args:
         levels: Of the bounds.
         seed: Of the search, and of the encoders' noise.
         evaluations: Drives a level, about.
         fields: Of Scenario.
+
+    Returns:
+        DataFrame, one row a level: worst_m, the largest error [m]; drives, how many were tried;
+        seed; and the choices.
     """
     longest_s = 1.3 * (_ROW_M + _HEADLAND_M) / (paper.SPEED_MPS * Scenario.mu_mean)
-    given = dict(duration_s=longest_s, start_offset_m=0.0, seed=seed)
-    base = Scenario(**given | fields)
+    base = Scenario(**dict(duration_s=longest_s, start_offset_m=0.0, seed=seed) | fields)
     rows = []
 
     def error_m(values, level):
         columns = drive(base, level, **dict(zip(_RANGES, values))).columns
         return -columns["error_true_m"][columns["s_m"] < _ROW_M + _HEADLAND_M].max()
 
+    members = 2 * len(_RANGES)  # of a generation, by popsize
     for level in levels:
-        members = 2 * len(_RANGES)
-        found = optimize.differential_evolution(
+        result = optimize.differential_evolution(
             error_m,
             [*_RANGES.values()],
             args=(level,),
@@ -103,6 +127,6 @@ def search(levels, seed=0, evaluations=100, **fields):
             maxiter=max(1, evaluations // members - 1),
             rng=np.random.default_rng(seed),
         )
-        rows.append(dict(level=level, worst_m=-found.fun, drives=found.nfev, seed=seed))
-        rows[-1] |= dict(zip(_RANGES, found.x.tolist()))
+        rows.append(dict(level=level, worst_m=-result.fun, drives=result.nfev, seed=seed))
+        rows[-1] |= dict(zip(_RANGES, result.x.tolist()))
     return pd.DataFrame(rows)

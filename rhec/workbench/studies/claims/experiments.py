@@ -1,5 +1,5 @@
 """Experiments that are no closed-loop campaign: estimators on recorded measurements, one iteration
-against many, exact properties of the problems.
+compared with many, exact properties of the problems.
 
 Each returns a DataFrame, one row a case.
 """
@@ -34,7 +34,7 @@ from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.references import PathTracker
 from rhec.workbench.studies import timing
 from rhec.workbench.studies.calibration import SETTLED_S
-from rhec.workbench.studies.claims.run_sets import PROCESS_NOISES, each
+from rhec.workbench.studies.claims.run_sets import PROCESS_NOISES, parallel_map
 from rhec.workbench.studies.live_loop import LiveRobot
 
 __all__ = [
@@ -84,7 +84,17 @@ def build_with_given_arrival():
 
 
 def run_with_given_arrival(functions, log, process_noise, P_given=None):
-    """Estimates (n, 6) and arrival covariances (n, 6, 6) on the measurements of a log."""
+    """Run the RHE over the measurements of a log.
+
+    Args:
+        functions: Scan of `build_with_given_arrival`.
+        log: Of a Run.
+        process_noise: "printed" or "calibrated".
+        P_given: Covariance (6, 6) of the arrival cost at all times; the RHE's, by default.
+
+    Returns:
+        Estimates (n, 6) and arrival covariances (n, 6, 6).
+    """
     scenario = Scenario(process_noise=process_noise)
     settings = paper_rhe.ESTIMATORS["rhe"].settings(scenario) | dict(
         P_given=np.eye(6) if P_given is None else P_given, constant=float(P_given is not None)
@@ -96,21 +106,24 @@ def run_with_given_arrival(functions, log, process_noise, P_given=None):
 
 
 def _arrival_cost(process_noise, world, seed):
-    """The RHE with its arrival cost as it is, and with constant ones, on the same recorded run
-    (driven with the true state in the loop), as one row.
+    """The RHE with its arrival cost as it is, and with constant ones, on one recorded run.
 
-    A constant covariance is the run's mean one over 100 ("heavy": a large weight H_N), times 100
-    ("light"), or times 10⁸ ("none"). For each: RMS change of κ̂ from sample to sample, time until
-    |κ̂ - κ| first stays below 0.1 for 5 s, whether the yaw was ever more than 0.5 rad off; and the
-    least eigenvalue of P - W over all samples, in units of W.
+    The run is driven with the true state in the loop. A constant covariance is the run's mean one
+    over 100 ("heavy": a large weight H_N), times 100 ("light"), or times 10⁸ ("none").
+
+    Returns:
+        One row: for each arrival cost the RMS change of κ̂ from sample to sample, the time until
+        |κ̂ - κ| first stays below 0.1 for 5 s, and whether the yaw was ever more than 0.5 rad off;
+        and `least`, the least eigenvalue of P - W over all samples in units of W.
     """
     steps = compiled.load(build_with_given_arrival)
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
     log = simulate(Scenario(**(world | dict(estimator="oracle", seed=seed)))).log
     estimates, P = run_with_given_arrival(steps, log, process_noise)
-    half = 1 / np.sqrt(sigma**2)  # P - W in units of W, where all eigenvalues compare
+    # W^-1/2 (P - W) W^-1/2: the states have different units, and W makes them comparable.
+    half = 1 / np.sqrt(sigma**2)
     row = dict(least=np.linalg.eigvalsh(half[:, None] * (P - np.diag(sigma**2)) * half).min())
-    typical = P[paper.HORIZON + 1 :].mean(axis=0)
+    typical = P[paper.HORIZON + 1 :].mean(axis=0)  # from the first full window on
     for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
         if factor is not None:
             estimates, _ = run_with_given_arrival(steps, log, process_noise, factor * typical)
@@ -131,14 +144,20 @@ def reached_s(error):
 
 
 def live(scenario, iterations):
-    """The closed loop in plain Python: one Gauss-Newton iteration a sample (`iterations` = 1), or
-    as many as told.
+    """Drive the closed loop in plain Python, with a fixed number of iterations a sample.
 
-    Returns the true distance to the path (n,) [m], the time RHE and RHC took (n,) [s], and of each
-    sample the RHC's problem, as `RHC.feedback` takes it, and the command [rad/s].
+    Args:
+        scenario: The Scenario.
+        iterations: Gauss-Newton iterations of RHE and RHC; with 1, they run as in real time.
+
+    Returns:
+        distance_m: True distance to the path (n,) [m].
+        taken_s: Time that RHE and RHC took (n,) [s].
+        problems: Of each sample, the arguments of `RHC.feedback`.
+        commands: Commanded yaw rates (n,) [rad/s].
     """
     robot = LiveRobot(scenario)
-    taken = []
+    taken_s = []
     problems = []
     commands = []
     positions = []
@@ -157,20 +176,30 @@ def live(scenario, iterations):
             command = controller.feedback(*problem)
         else:
             command = controller.solve(*problem, iterations)
-        taken.append(time.perf_counter() - referenced + estimated - begin)
-        problems.append([np.copy(given) for given in problem])
+        # The references belong to neither problem.
+        taken_s.append(time.perf_counter() - referenced + estimated - begin)
+        problems.append([np.copy(argument) for argument in problem])
         commands.append(command)
         positions.append(robot.pose[:2].copy())
         robot.drive(command)
     distance_m, _ = robot.setup.path.project(positions)
-    return distance_m, np.array(taken), problems, np.array(commands)
+    return distance_m, np.array(taken_s), problems, np.array(commands)
 
 
-def _off_converged(scenario, problems, commands):
-    """How far [rad/s] the commands (n,) of a live loop were from the converged ones, and those of
-    a cold RHC (n,), which knows the previous estimate but has planned nothing.
+def _distances_from_converged(scenario, problems, commands):
+    """How far commands are from the converged ones [rad/s].
+
+    Args:
+        scenario: The live loop's.
+        problems, commands: Of the live loop, as `live` returns them.
+
+    Returns:
+        Differences (n,) of the live commands, and of those of a cold RHC, which knows the previous
+        estimate but has planned nothing.
     """
-    unprepared, exact = (RHC(q=scenario.q, r=scenario.r) for _ in range(2))
+    # Two controllers, since each starts from its previous plan.
+    exact = RHC(q=scenario.q, r=scenario.r)
+    unprepared = RHC(q=scenario.q, r=scenario.r)
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
     guess = set_up(scenario).guess
     cold = []
@@ -186,15 +215,17 @@ def _off_converged(scenario, problems, commands):
 
 
 def _iterations(process_noise, world, seed, many=10):
-    """One iteration a sample against `many`, in the closed loop on one field, counted once settled:
-    mean true errors [m], median times [µs]; the RMS distance [rad/s] of the command after one
-    iteration from the converged one, started warm and cold, and the largest warm one of all.
+    """One iteration a sample compared with `many`, in the closed loop on one field, once settled.
+
+    Returns:
+        One row: mean true errors [m], median times [µs], the RMS distance [rad/s] of the command
+        after one iteration from the converged one, started warm and cold, and the largest warm one.
     """
-    given = dict(process_noise=process_noise, seed=seed, duration_s=80.0)
-    scenario = Scenario(**(world | given))
+    fields = world | dict(process_noise=process_noise, seed=seed, duration_s=80.0)
+    scenario = Scenario(**fields)
     one_m, one_s, *solved = live(scenario, 1)
     many_m, many_s, *_ = live(scenario, many)
-    warm, cold = _off_converged(scenario, *solved)
+    warm, cold = _distances_from_converged(scenario, *solved)
     settled = slice(round(SETTLED_S / paper.DT_S), None)
     row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
     row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
@@ -203,19 +234,27 @@ def _iterations(process_noise, world, seed, many=10):
 
 
 def lowest_traction(process_noise, most=400):
-    """A search for a traction estimate of the augmented EKF below zero: start, first guess of the
-    yaw, soil, bumps and field are chosen by differential evolution until one is found, or so many
-    runs were tried. One row a run, with the lowest estimate.
+    """Search for a traction estimate of the augmented EKF below zero.
+
+    Differential evolution chooses start, first guess of the yaw, soil, bumps and field until an
+    estimate is below zero.
+
+    Args:
+        process_noise: "printed" or "calibrated".
+        most: Runs after which the search gives up.
+
+    Returns:
+        DataFrame, one row a run: its fields, and `lowest`, the lowest estimate of μ or κ.
     """
     rows = []
     ranges = dict(guess_yaw_rad=(-np.pi, np.pi), start_offset_m=(-3, 3), seed=(0, 999))
     ranges |= dict(kappa_mean=(0.5, 0.9), kappa_deviation=(0.0, 0.2), bump_sigma_radps=(0, 0.1))
 
     def lowest(values):
-        given = dict(zip(ranges, values)) | dict(seed=round(values[2]), duration_s=60.0)
+        fields = dict(zip(ranges, values)) | dict(seed=round(values[2]), duration_s=60.0)
         choice = dict(estimator="augmented_ekf", process_noise=process_noise)
-        columns = simulate(Scenario(**given, **choice)).columns
-        row = given | dict(lowest=min(columns["mu_hat"].min(), columns["kappa_hat"].min()))
+        columns = simulate(Scenario(**fields, **choice)).columns
+        row = fields | dict(lowest=min(columns["mu_hat"].min(), columns["kappa_hat"].min()))
         rows.append(row)
         return row["lowest"]
 
@@ -234,9 +273,7 @@ def lowest_traction(process_noise, most=400):
 
 
 def _straight_ahead(speed_mps, traction):
-    """References of an RHC on the x axis: (xi_ref (3, N+1), omega_ref (N,)), desired points one
-    sample apart.
-    """
+    """References of an RHC on the x axis, xi_ref (3, N+1) and omega_ref (N,), one sample apart."""
     xi_ref = np.zeros((3, paper.HORIZON + 1))
     xi_ref[0] = paper.DT_S * speed_mps * traction * np.arange(paper.HORIZON + 1)
     return xi_ref, np.zeros(paper.HORIZON)
@@ -250,11 +287,11 @@ def _draw_states(n):
 
 
 def kkt_tolerances(n=100):
-    """KKT tolerances of two RHC problems: linear, where the yaw alone has a weight (θ̇ = κω), and
-    the paper's Q³.
+    """KKT tolerances of two RHC problems at n random states.
 
-    "reported" is that of the sample as ACADO's code gives it, at the point where the iteration
-    begins; "after the step" is taken again at the result.
+    "linear": the yaw alone has a weight, and θ̇ = κω. "nonlinear": the paper's Q³. "reported" is
+    the tolerance as ACADO's code computes it, at the point where the iteration begins; "after the
+    step" is computed again at the result.
     """
     rows = []
     for speed, mu, kappa, offset in _draw_states(n):
@@ -270,12 +307,14 @@ def kkt_tolerances(n=100):
 
 
 def gains(n=100):
-    """How strongly the converged RHC answers a small offset from a straight path, |∂ω/∂y|
-    [rad/s/m], with R = 10 and with a hundredth of it.
+    """How strongly the converged RHC answers a small offset from a straight path.
+
+    Returns:
+        DataFrame, one row a random state: |∂ω/∂y| [rad/s/m], with R = 10 and a hundredth of it.
     """
     rows = []
     weights = {"large_r": paper.R, "small_r": paper.R / 100}
-    offset_m = 1e-4
+    offset_m = 1e-4  # small enough that no input reaches its bound
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
         rows.append({name: abs(RHC(r=r).solve(*problem)) / offset_m for name, r in weights.items()})
@@ -283,54 +322,62 @@ def gains(n=100):
 
 
 def models(n=100):
-    """The system model at random states: |f(0, 0, p)| [m/s], how far rk4 without slip is from the
-    unicycle's own motion [m], and the speed across its heading [m/s].
+    """The system model at n random states.
+
+    Returns:
+        DataFrame: at_rest_mps, |f(0, 0, p)|; off_unicycle_m, how far rk4 without slip is from the
+        unicycle's circle; sideways_mps, the speed across the heading.
     """
     rng = np.random.default_rng(0)
     rows = []
     for speed, mu, kappa, _ in _draw_states(n):
         pose = rng.uniform(-3, 3, 3)
         omega = rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)
-        still = np.array(ca.DM(model.f(ca.DM.zeros(3), 0, ca.DM([speed, mu, kappa])))).ravel()
+        at_rest = np.array(ca.DM(model.f(ca.DM.zeros(3), 0, ca.DM([speed, mu, kappa])))).ravel()
         moved = rk4(model.f, ca.DM(pose), omega, ca.DM([speed, 1, 1]), paper.DT_S)
         circle = path.advance(*pose, omega / speed, speed * paper.DT_S, np)
         off = np.abs(np.array(ca.DM(moved)).ravel() - circle).max()
         x, y, _ = np.array(ca.DM(model.f(ca.DM(pose), omega, ca.DM([speed, mu, kappa])))).ravel()
         sideways = abs(y * np.cos(pose[2]) - x * np.sin(pose[2]))
-        row = dict(at_rest_mps=np.linalg.norm(still), off_unicycle_m=off, sideways_mps=sideways)
+        row = dict(at_rest_mps=np.linalg.norm(at_rest), off_unicycle_m=off, sideways_mps=sideways)
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def steps_in_time(duration_s=60.0):
-    """Whether the whole step took less than a sample, at every sample of a run on this machine."""
+    """Whether the whole step takes less than a sample, at every sample, on this machine."""
     taken = timing.phases(Scenario(process_noise="calibrated", duration_s=duration_s), "daqp")
     return pd.DataFrame(dict(in_time=taken.sum(axis=1) < 1e6 * paper.DT_S))
 
 
+# All of them
+
+
 def of_estimators(seeds, process_noise, world=None):
-    """The experiments that a process noise touches, {name: table}, in a world of WORLDS."""
-    given = process_noise, world or {}
+    """The experiments that a process noise affects, {name: table}, in a world of WORLDS."""
     counts = {
         "arrival_cost": (_arrival_cost, seeds // 10),
         "iterations": (_iterations, seeds // 25),
     }
     return {
-        name: pd.DataFrame(each(partial(row, *given), range(max(2, n))))
+        name: pd.DataFrame(parallel_map(partial(row, process_noise, world or {}), range(max(2, n))))
         for name, (row, n) in counts.items()
     }
 
 
 def all_of(seeds):
-    """Every experiment, {process noise: {name: table}}; what no process noise touches stands under
-    both. `seeds` is the largest number of fields of a campaign.
+    """Every experiment, {process noise: {name: table}}.
+
+    Experiments that no process noise affects are listed under both.
+
+    Args:
+        seeds: The largest number of fields of a campaign.
     """
     exact = dict(kkt=kkt_tolerances, gains=gains, models=models, times=steps_in_time)
     searches = [partial(lowest_traction, noise) for noise in PROCESS_NOISES]
-    found = each(operator.call, [*searches, *exact.values()])
-    searched = zip(PROCESS_NOISES, found)
-    independent = dict(zip(exact, found[len(searches) :]))
+    tables = parallel_map(operator.call, [*searches, *exact.values()])
+    independent = dict(zip(exact, tables[len(searches) :]))
     return {
         noise: independent | of_estimators(seeds, noise) | dict(search=search)
-        for noise, search in searched
+        for noise, search in zip(PROCESS_NOISES, tables)
     }

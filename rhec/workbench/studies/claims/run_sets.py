@@ -1,9 +1,8 @@
-"""The runs that the claims are judged on, as data, and what is measured of them. Seeds start at 0;
-those of the calibration are never used.
+"""The simulated drives that the claims are judged on, and what is measured of them.
 
-Every id is run under both process noises at the same seeds, so that row k of any two tables of one
-length is the same field and the same noise. RUNS need their metrics alone and run as one campaign;
-LOGS need what only each sample shows.
+Seeds start at 0; those of the calibration are never used. Every id is run under both process noises
+at the same seeds, so that row k of any two tables of one length is the same field and the same
+noise. RUNS need their metrics alone and run as one campaign; LOGS need what only each sample shows.
 """
 
 import itertools
@@ -36,18 +35,19 @@ __all__ = [
     "WORLDS",
     "complete",
     "drive",
-    "each",
     "lag_s",
     "logs",
+    "map_runs",
     "measured",
-    "of_runs",
+    "parallel_map",
     "runs",
     "scenarios",
 ]
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
-_SWING_M = 0.05  # so far to one side and then to the other is a swing
+_SWING_M = 0.05  # an offset to one side and then to the other counts as a swing from here on
+_LOGS_SHARE = 0.2  # of the fields
 _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
 _SLIPPERY |= dict(duration_s=120.0)
 _UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
@@ -67,8 +67,10 @@ def _traction_noise_times(factor):
 
 
 def _dead_reckoning(process_noise):
-    """An estimator (memory, z) -> (memory, estimate) without an estimate of the yaw: that is the
-    encoders' yaw rate summed up from the start, position and speed are as measured, no slip.
+    """An estimator (memory, z) -> (memory, estimate) that does not estimate the yaw.
+
+    The yaw is the sum of the encoders' yaw rates since the start. Position and speed are as
+    measured, and there is no slip. The estimate is the memory.
     """
     memory = ca.SX.sym("memory", 6)
     z = ca.SX.sym("z", 4)
@@ -78,19 +80,21 @@ def _dead_reckoning(process_noise):
 
 
 def _filtered_w(process_noise):
-    """The RHE's W where its arrival mean is the filter's: calibrated, it has its own."""
-    of_filtered = {"calibrated": tuning.SIGMA_W_FILTERED}
-    return of_filtered.get(process_noise, tuning.SIGMA_W["rhe"][process_noise])
+    """The W of an RHE whose arrival mean is the filter's: calibrated, it has a separate one."""
+    if process_noise == "calibrated":
+        return tuning.SIGMA_W_FILTERED
+    return tuning.SIGMA_W["rhe"][process_noise]
 
 
 def _by_tracking(estimator):
+    """Fields of an estimator with the W that tracks best."""
     sigma_w = tuning.SIGMA_W_TRACKING[estimator]
     return dict(estimator=estimator, sigma_w=sigma_w, process_noise="printed")
 
 
 _FILTERED = dict(arrival_mean="filtered", sigma_w=_filtered_w)
 
-# id: fields of the scenario; a field may depend on the process noise
+# id: fields of Scenario; a field may be a function of the process noise
 RUNS = {
     "rhe": dict(),
     "rhe_filtered": _FILTERED,
@@ -101,7 +105,9 @@ RUNS = {
     "bounded_ekf": dict(estimator="bounded_ekf"),
     "rhe_tracking": _by_tracking("rhe"),
     "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
-    "cautious": dict(estimator="dual", cautious=True, duration_s=270.0),  # as far, but slower
+    "cautious": dict(
+        estimator="dual", cautious=True, duration_s=270.0
+    ),  # slower, so it needs longer
     "rhe_constant": _CONSTANT,
     "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
     "rhe_uncertain": _UNSURE,
@@ -133,9 +139,7 @@ LOGS = {
     "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
     "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),
 }
-_LOGS_SHARE = 0.2  # of the fields
-
-# Where a claim may come out otherwise; an id's own fields go first.
+# Other worlds, where a claim may come out otherwise; the fields of an id take precedence.
 WORLDS = {
     "no noise, constant soil": _CONSTANT | _UNDISTURBED,
     "slow": dict(speed_mps=0.25),
@@ -148,47 +152,72 @@ WORLDS = {
 }
 
 
+# Runs
+
+
 def scenarios(fields, process_noise, seeds, world=None):
-    """The scenarios of an id: its fields under a process noise, one a seed, at least two."""
-    given = {name: of(process_noise) if callable(of) else of for name, of in fields.items()}
-    given = (world or {}) | dict(process_noise=process_noise) | given
-    return [Scenario(seed=seed, **given) for seed in range(max(2, round(seeds)))]
+    """The scenarios of an id under a process noise, one a seed, at least two.
+
+    Args:
+        fields: Of RUNS or LOGS.
+        process_noise: "printed" or "calibrated".
+        seeds: How many fields, from seed 0 on.
+        world: Of WORLDS.
+    """
+    fields = {name: of(process_noise) if callable(of) else of for name, of in fields.items()}
+    fields = (world or {}) | dict(process_noise=process_noise) | fields
+    return [Scenario(seed=seed, **fields) for seed in range(max(2, round(seeds)))]
 
 
-def _asked(sets, seeds, process_noises, world):
+def _every_scenario(sets, ids, seeds, process_noises, world):
+    """{(process noise, id): scenarios} of these ids of RUNS or LOGS."""
     return {
-        (process_noise, id_): scenarios(fields, process_noise, seeds, world)
+        (process_noise, id_): scenarios(sets[id_], process_noise, seeds, world)
         for process_noise in process_noises
-        for id_, fields in sets.items()
+        for id_ in ids
     }
 
 
-def _by_noise(found):
+def _by_noise(results):
     """{process noise: {id: table}} of {(process noise, id): table}."""
-    tables = {process_noise: {} for process_noise, _ in found}
-    for (process_noise, id_), table in found.items():
+    tables = {process_noise: {} for process_noise, _ in results}
+    for (process_noise, id_), table in results.items():
         tables[process_noise][id_] = table
     return tables
 
 
 def runs(seeds, ids=tuple(RUNS), process_noises=PROCESS_NOISES, world=None, folder=None):
-    """Metrics of RUNS, {process noise: {id: DataFrame, one row a seed}}, on so many fields; where
-    told, some of them, and in a world of WORLDS. folder: of the campaign.
+    """Metrics of RUNS.
+
+    Args:
+        seeds: How many fields, from seed 0 on.
+        ids: Of RUNS.
+        process_noises: "printed", "calibrated", or both.
+        world: Of WORLDS.
+        folder: Where the campaign keeps its rows.
+
+    Returns:
+        {process noise: {id: DataFrame, one row a seed}}.
     """
-    asked = _asked({id_: RUNS[id_] for id_ in ids}, seeds, process_noises, world)
-    return _by_noise(drive(asked, folder))
+    return _by_noise(drive(_every_scenario(RUNS, ids, seeds, process_noises, world), folder))
 
 
-def drive(asked, folder=None):
+def drive(scenarios, folder=None):
     """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
-    table = complete(campaign([scenario for each in asked.values() for scenario in each], folder))
-    rows = np.split(np.arange(len(table)), np.cumsum([len(each) for each in asked.values()])[:-1])
-    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(asked, rows)}
+    every = [scenario for of_name in scenarios.values() for scenario in of_name]
+    table = complete(campaign(every, folder))
+    ends = np.cumsum([len(of_name) for of_name in scenarios.values()])
+    places = np.split(np.arange(len(table)), ends[:-1])
+    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(scenarios, places)}
 
 
 def complete(table):
-    """Metrics with nothing missing: a robot that never arrives has used up all its time, and
-    `arrived` says so. RuntimeError if a run failed.
+    """Metrics with nothing missing.
+
+    A robot that never arrives has used up all its time; the column `arrived` says so.
+
+    Raises:
+        RuntimeError: If a run failed.
     """
     failed = table["error"][table["error"] != ""]
     settling = table["settling_time_s"]
@@ -200,95 +229,136 @@ def complete(table):
 
 
 def logs(seeds, ids=tuple(LOGS), process_noises=PROCESS_NOISES, world=None, part=_LOGS_SHARE):
-    """Metrics of LOGS on a part of the fields and what is `measured` beside them, as `runs`."""
-    asked = _asked({id_: LOGS[id_] for id_ in ids}, part * seeds, process_noises, world)
-    rows = iter(of_runs(measured, list(itertools.chain(*asked.values()))))
+    """Metrics of LOGS and what is `measured` of their logs, on a part of the fields, as `runs`."""
+    every = _every_scenario(LOGS, ids, part * seeds, process_noises, world)
+    rows = iter(map_runs(measured, list(itertools.chain(*every.values()))))
     return _by_noise(
-        {name: pd.DataFrame([next(rows) for _ in every]) for name, every in asked.items()}
+        {name: pd.DataFrame([next(rows) for _ in of_name]) for name, of_name in every.items()}
     )
 
 
-def of_runs(of, scenarios):
-    """`of` the Run of each scenario, in their order: something that is true, by a function that
-    other processes find.
+def map_runs(function, scenarios):
+    """The function of the Run of each scenario, in their order.
+
+    The function must be one that other processes can import.
     """
+    # Scenarios of one structure run together, in lanes, where that pays for compiling them.
     mean_samples = mean_samples_per_structure(scenarios)
     parts = [*split_into_tasks(dict(enumerate(scenarios)), samples_per_task(mean_samples))]
-    found = each(partial(_of_part, mean_samples=mean_samples, of=of), parts)
-    found = {place: row for part in found for place, row in part.items()}
-    return [found[place] for place in range(len(scenarios))]
+    task = partial(_of_part, mean_samples=mean_samples, function=function)
+    results = parallel_map(task, parts)
+    by_place = {place: result for part in results for place, result in part.items()}
+    return [by_place[place] for place in range(len(scenarios))]
 
 
-def _of_part(part, mean_samples, of):
-    return dict(zip(part, simulate_batch(part.values(), of, mean_samples)))
+def _of_part(part, mean_samples, function):
+    """{place: result} of {place: scenario}."""
+    return dict(zip(part, simulate_batch(part.values(), function, mean_samples)))
 
 
-def each(function, arguments):
-    """The function of each argument, in order. Many are spread over this machine's cores."""
+def parallel_map(function, arguments):
+    """The function of each argument, in order; three or more are spread over the cores."""
     tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
     with open_workers(None, large=len(tasks) > 2) as workers:
-        done = map(_applied, tasks) if workers is None else map_tasks(workers, _applied, tasks)
-        found = dict(done if workers is None else (result for _, result in done))
-    return [found[place] for place in range(len(tasks))]
+        if workers is None:
+            results = dict(map(_apply, tasks))
+        else:
+            results = dict(result for _, result in map_tasks(workers, _apply, tasks))
+    return [results[place] for place in range(len(tasks))]
 
 
-def _applied(task):
+
+
+def _apply(task):
+    """(place, result) of a task (function, place, argument)."""
     function, place, argument = task
     return place, function(argument)
 
 
+# What is measured
+
+
 def measured(run):
-    """Metrics of a run and what only its log shows; SI units. "Late" is its second half."""
+    """Metrics of a run and what only its log shows; SI units. "Late" is the run's second half."""
     c = SimpleNamespace(**run.columns)
-    scenario = run.scenario
     arrived = not np.isnan(run.metrics["settling_time_s"])
-    settling_time_s = run.metrics["settling_time_s"] if arrived else scenario.duration_s
-    # speed loops start for 5 s
-    driving = c.t_s >= 5.0
-    late = c.t_s >= scenario.duration_s / 2
-    before = c.t_s <= settling_time_s
-    after = c.t_s >= settling_time_s
+    settling_time_s = run.metrics["settling_time_s"] if arrived else run.scenario.duration_s
+    late_s = c.t_s[-1] - c.s_m[-1] / run.scenario.speed_mps
+    return (
+        run.metrics
+        | dict(late_s=late_s, arrived=arrived, settling_time_s=settling_time_s)
+        | _traction(run, c)
+        | _offsets(run, c, settling_time_s)
+        | _speeds_and_commands(run, c)
+        | _kkt(run, c, settling_time_s)
+    )
+
+
+def _traction(run, c):
+    """Bounds, spread and lag of the traction estimates."""
     both = np.concatenate([c.mu_hat, c.kappa_hat])
-    peak_radps = np.abs(c.omega_cmd_radps).max()
-    _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
-    poses, curvature = run.path.poses(s)
-    x_m, y_m, theta_rad = poses.T
-    left_m = (c.y_m - y_m) * np.cos(theta_rad) - (c.x_m - x_m) * np.sin(theta_rad)
-    curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
-    side = np.sign(left_m[np.abs(left_m) > _SWING_M])
-    return run.metrics | dict(
-        late_s=c.t_s[-1] - c.s_m[-1] / scenario.speed_mps,
-        arrived=arrived,
-        settling_time_s=settling_time_s,
+    late = c.t_s >= run.scenario.duration_s / 2
+    return dict(
         in_bounds=bool(np.all((both >= 0) & (both <= 1))),
         above_one=bool(np.any(both > 1)),
         near_bound=np.mean((c.mu_hat >= 0.9) & (c.kappa_hat >= 0.9)),
         deviation_kappa_late=c.kappa_hat[late].std(),
         step_kappa=rms(np.diff(c.kappa_hat)),
         lag_mu_s=lag_s(c.mu_hat, c.mu),
+    )
+
+
+def _offsets(run, c, settling_time_s):
+    """Yaw bias and offset to the left in left-hand curves, and swings across the path.
+
+    A robot that never settles has no curve that counts: its bias and offset are zero.
+    """
+    _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
+    poses, curvature = run.path.poses(s)
+    x_m, y_m, theta_rad = poses.T
+    left_m = (c.y_m - y_m) * np.cos(theta_rad) - (c.x_m - x_m) * np.sin(theta_rad)
+    curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
+    side = np.sign(left_m[np.abs(left_m) > _SWING_M])
+    return dict(
         yaw_bias_rad=np.mean((c.theta_hat_rad - c.theta_rad)[curved]) if curved.any() else 0.0,
         offset_curves_m=left_m[curved].mean() if curved.any() else 0.0,
         swings=np.sum(np.diff(side) != 0),
+    )
+
+
+def _speeds_and_commands(run, c):
+    """Speed, its estimate, and the commanded yaw rate relative to its bound."""
+    driving = c.t_s >= 5.0  # until then the speed loops start
+    peak_radps = np.abs(c.omega_cmd_radps).max()
+    bound_radps = run.scenario.omega_max_radps
+    return dict(
         speed_variation=c.nu_mps[driving].std() / abs(c.nu_mps[driving].mean()),
         rms_nu_hat_mps=rms((c.nu_hat_mps - c.nu_mps)[driving]),
         rms_nu_meas_mps=rms((c.nu_meas_mps - c.nu_mps)[driving]),
         rms_yaw_rate_radps=rms(c.omega_radps[1:] - c.omega_cmd_radps[:-1]),
-        reaches_bound=bool(peak_radps >= scenario.omega_max_radps * (1 - 1e-9)),
-        within_bound=bool(peak_radps <= scenario.omega_max_radps),
+        reaches_bound=bool(peak_radps >= bound_radps * (1 - 1e-9)),
+        within_bound=bool(peak_radps <= bound_radps),
+    )
+
+
+def _kkt(run, c, settling_time_s):
+    """KKT tolerances: medians before and after arrival, at the start and late."""
+    late = c.t_s >= run.scenario.duration_s / 2
+    before = c.t_s <= settling_time_s
+    after = c.t_s >= settling_time_s
+    return dict(
         kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= settling_time_s),
         kkt_rhc_before=np.median(c.kkt_rhc[before]),
         kkt_rhc_after=np.median(c.kkt_rhc[after]) if after.any() else np.median(c.kkt_rhc),
         kkt_rhc_late=np.median(c.kkt_rhc[late]),
-        kkt_rhe_first=np.median(c.kkt_rhe[1:16]),
+        kkt_rhe_first=np.median(c.kkt_rhe[1:16]),  # 3 s; the first sample has no problem yet
         kkt_rhe_late=np.median(c.kkt_rhe[late]),
     )
 
 
 def lag_s(estimate, truth, most_s=10.0):
-    """How far an estimate trails the truth: the shift that leaves the least RMS difference [s], up
-    to most_s.
-    """
+    """How far an estimate trails the truth [s]: the shift, up to most_s, of least RMS error."""
     shifts = range(round(most_s / paper.DT_S) + 1)
-    off = (estimate[shift:] - truth[: len(truth) - shift] for shift in shifts)
-    left = [each @ each / len(each) for each in off]
-    return paper.DT_S * int(np.argmin(left))
+    differences = (estimate[shift:] - truth[: len(truth) - shift] for shift in shifts)
+    mean_squares = [difference @ difference / len(difference) for difference in differences]
+    return paper.DT_S * int(np.argmin(mean_squares))

@@ -1,0 +1,288 @@
+"""The claims of claims.toml as rules: functions of the evidence, one for each condition.
+
+claims.toml holds each sentence of the paper and how it is judged; its first lines say what each
+entry means. Evidence is {process noise: {"runs", "logs", "experiments"}}, and each of the three is
+{id: DataFrame}. Rules that are arithmetic on the paper's own numbers need no evidence; they are
+functions here.
+"""
+
+import tomllib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from rhec import paper
+from rhec.tracked_robot.kinematics import SPEED_MODELS
+from rhec.workbench.studies import statistics, timing
+from rhec.workbench.studies.claims import run_sets
+from rhec.workbench.studies.statistics import AS_PRINTED, UNTESTABLE, Finding
+
+__all__ = ["CALIBRATED", "CLAIMS", "load"]
+
+CALIBRATED = "W calibrated"
+_FILE = Path(__file__).with_name("claims.toml")
+_CONDITIONS = {"printed": AS_PRINTED, "calibrated": CALIBRATED}  # of each process noise
+
+
+class _Rule(NamedTuple):
+    """How a claim is judged.
+
+    Args:
+        by_condition: {condition: function of the evidence that returns a Finding}, the paper's
+            text first, then departures from it.
+        unit: Of the Finding's numbers.
+        paper: The paper's number, or its word for it.
+        bound: In words, the bound beyond which the verdict changes.
+        tables: {kind: ids}, the tables to make again in another world; None if no world matters.
+    """
+
+    by_condition: dict[str, Callable]
+    unit: str = ""
+    paper: object = ""
+    bound: str = ""
+    tables: dict[str, list] | None = None
+
+
+class _Claim(NamedTuple):
+    """A sentence of the paper: its section, its test in words, its rule, the verdict's reason."""
+
+    section: str
+    claim: str
+    test: str
+    rule: _Rule
+    why: str
+
+
+# Rules on the paper's own numbers: functions of the evidence, which most of them do not need.
+
+
+def _untestable(evidence):
+    """No run here can decide."""
+    return Finding(np.nan, np.nan, np.nan, 0, UNTESTABLE)
+
+
+def _yaw_rate_error(evidence):
+    """Not testable: the speed loops are this project's. Shows how far ω is from its command."""
+    errors = evidence["printed"]["logs"]["rhe"]["rms_yaw_rate_radps"]
+    return Finding(*statistics.mean(errors)[:4], UNTESTABLE)
+
+
+def _row_clearance(evidence):
+    """(row spacing - stem - GNSS - robot width) / 2 is the tolerance, to the nearest cm."""
+    taken = paper.STEM_WIDTH_M + paper.GNSS_ACCURACY_M + paper.ROBOT_WIDTH_M
+    return statistics.equal((paper.ROW_SPACING_M - taken) / 2, paper.TOLERANCE_M, 0.005)
+
+
+def _sampling_time(evidence):
+    """The sampling time is in the range of milliseconds."""
+    return statistics.always([paper.DT_S < 0.1])
+
+
+def _process_noise_sizes(evidence):
+    """Every entry of W of a measured quantity exceeds every entry of one that is not measured."""
+    measured = np.take(paper.SIGMA_W_RHE, [0, 1, 3])  # x, y, ν
+    unmeasured = np.take(paper.SIGMA_W_RHE, [2, 4, 5])  # θ, μ, κ
+    return statistics.always([min(measured) > max(unmeasured)])
+
+
+def _table_sums(evidence):
+    """The averages of the four phases add up to that of the whole step."""
+    phases_ms = sum(paper.TABLE_1_MS[phase][1] for phase in timing.PHASES)
+    return statistics.equal(phases_ms, paper.STEP_MEAN_MS, 0.01)
+
+
+def _table_extremes(evidence):
+    """Overall minimum and maximum of RHE and RHC are not the sums of the two phases' extremes.
+
+    A sample reaches the sum of two maxima only if both phases are worst at that sample.
+    """
+    differences = []
+    for problem in ("RHE", "RHC"):
+        for place in (0, 2):  # minimum and maximum
+            parts = [paper.TABLE_1_MS[problem, name][place] for name in ("preparation", "feedback")]
+            differences.append(paper.TABLE_1_MS[problem, "overall"][place] - sum(parts))
+    return statistics.always(np.abs(differences) > 2e-4)
+
+
+def _parameters_of_p(speed_model, evidence):
+    """Eq. (6) has the two parameters that the paper counts."""
+    return statistics.equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
+
+
+_EXACT_RULES = {  # name: {condition: function of the evidence}
+    "untestable": {"": _untestable},
+    "yaw_rate_error": {"": _yaw_rate_error},
+    "row_clearance": {"": _row_clearance},
+    "sampling_time": {"": _sampling_time},
+    "process_noise_sizes": {"": _process_noise_sizes},
+    "table_sums": {"": _table_sums},
+    "table_extremes": {"": _table_extremes},
+    "parameters_of_p": {
+        AS_PRINTED: partial(_parameters_of_p, "parameter"),
+        "ν as input": partial(_parameters_of_p, "input"),
+    },
+}
+
+
+# Rules on tables
+
+
+def _share_twice(one, other, **bounds):
+    """The share of pairs where one is more than twice the other."""
+    return statistics.share(one > 2 * other, **bounds)
+
+
+_RULES = {
+    "always": statistics.always,
+    "difference": statistics.difference,
+    "mean": statistics.mean,
+    "possible": statistics.possible,
+    "ratio": statistics.ratio,
+    "relative_to_oracle": statistics.relative_to_oracle,
+    "reported": statistics.reported,
+    "share": statistics.share,
+    "share_twice": _share_twice,
+}
+_BOUNDS = {"always": "every case", "possible": "one case", "reported": "usual"}
+_PAPERS = {"always": "all", "possible": "may"}
+_KINDS = {"runs": "runs", "logs": "logs", "experiment": "experiments", "property": "experiments"}
+_IDS = {
+    "runs": run_sets.RUNS,
+    "logs": run_sets.LOGS,
+    "experiment": ("arrival_cost", "iterations", "search"),
+    "property": ("gains", "kkt", "models", "times"),
+}
+_REQUIRED = {"sentence", "rule"}
+_OPTIONAL = {"test", "of", "departures", "paper", "other_worlds", "why", *_KINDS}
+
+
+def _judge(evidence, rule, bounds, kind, ids, expressions, process_noise, instead):
+    """The Finding of a rule on expressions of tables, under one process noise and departure.
+
+    A name in `instead` is replaced, be it a table's id or an expression. Tables of unequal length
+    are compared on the seeds that both have.
+    """
+    tables = [evidence[process_noise][kind][instead.get(id_, id_)] for id_ in ids]
+    n = min(map(len, tables))
+    columns = [instead.get(expression, expression) for expression in expressions]
+    values = [table[:n].eval(column, engine="python") for table in tables for column in columns]
+    return rule(*values, **bounds)
+
+
+def _departures_of(entry, departures):
+    """The departures that a claim is judged under, by name in claims.toml, the RHE's W first."""
+    # The arrival mean (R7) belongs to the RHE alone, and to every claim on it.
+    names = entry.get("departures", [])
+    if "rhe" in [*entry.get("runs", []), *entry.get("logs", [])]:
+        names = ["filtered", *names]
+    return [departures[name] for name in names]
+
+
+def _by_condition(judge, departures):
+    """{condition: rule}: the process noises as the paper has it, then so with each departure."""
+    conditions = {
+        condition: partial(judge, process_noise=process_noise, instead={})
+        for process_noise, condition in _CONDITIONS.items()
+    }
+    for departure in departures:
+        fixed = departure.get("process_noises")  # where the departure sets W itself
+        for process_noise in fixed or _CONDITIONS:
+            both = process_noise == "calibrated"
+            name = f"{CALIBRATED}, {departure['name']}" if both else departure["name"]
+            instead = departure["instead"]
+            conditions[name] = partial(judge, process_noise=process_noise, instead=instead)
+    return conditions
+
+
+def _rule_on_tables(entry, kind, bounds, expressions, departures):
+    """The Rule of an entry that is judged on tables of this kind."""
+    name = entry["rule"]["name"]
+    paper_says = entry.get("paper", _PAPERS.get(name, ""))
+    sides = {">": bounds.get("above"), "<": bounds.get("below")}
+    words = " and ".join(f"{sign} {bound:g}" for sign, bound in sides.items() if bound is not None)
+    judge = partial(
+        _judge,
+        rule=_RULES[name],
+        bounds=bounds | ({"paper": paper_says} if name == "reported" else {}),
+        kind=_KINDS[kind],
+        ids=entry[kind],
+        expressions=[expressions.get(each, each) for each in entry["of"]],
+    )
+    conditions = _by_condition(judge, _departures_of(entry, departures))
+    tables = {_KINDS[kind]: entry[kind]} if entry.get("other_worlds", True) else None
+    # Neither process noise nor world affects a property, so it has one condition without a name.
+    if kind == "property":
+        conditions = {"": conditions[AS_PRINTED]}
+        tables = None
+    unit = entry["rule"].get("unit", "-")
+    return _Rule(conditions, unit, paper_says, _BOUNDS.get(name, words), tables)
+
+
+# The file
+
+
+def _check(id_, entry, departures):
+    """Refuse an entry that cannot be judged, by a ValueError of one sentence."""
+
+    def refuse(what, should):
+        raise ValueError(f"claim {id_} {what}; it should {should}")
+
+    if missing := _REQUIRED - {*entry}:
+        refuse(f"had no {sorted(missing)[0]}", "have one")
+    if unknown := {*entry} - _REQUIRED - _OPTIONAL:
+        refuse(f"had the unknown entry {sorted(unknown)[0]}", f"have {sorted(_OPTIONAL)}")
+    name = entry["rule"].get("name")
+    if name not in _RULES and name not in _EXACT_RULES:
+        refuse(f"had the unknown rule {name!r}", f"have one of {sorted(_RULES | _EXACT_RULES)}")
+    if unknown := {*entry["rule"]} - {"name", "above", "below", "unit"}:
+        refuse(f"had {sorted(unknown)[0]} in its rule", "have name, above, below or unit")
+    if unknown := {*entry.get("departures", [])} - {*departures}:
+        refuse(f"had the unknown departure {sorted(unknown)[0]}", f"have {sorted(departures)}")
+    kinds = [kind for kind in _KINDS if kind in entry]
+    if len(kinds) != (name in _RULES) or ("of" in entry) != (name in _RULES):
+        refuse(f"had tables {kinds} for the rule {name}", "have one kind with `of`, or none")
+    for kind in kinds:
+        if unknown := {*entry[kind]} - {*_IDS[kind]}:
+            refuse(f"had unknown {kind} {sorted(unknown)[0]}", f"have {sorted(_IDS[kind])}")
+
+
+def _claim(section, entry, expressions, departures):
+    """The Claim of a checked entry."""
+    settings = entry["rule"]
+    kinds = [kind for kind in _KINDS if kind in entry]
+    if kinds:
+        bounds = {side: settings[side] for side in ("above", "below") if side in settings}
+        rule = _rule_on_tables(entry, kinds[0], bounds, expressions, departures)
+    else:
+        conditions = _EXACT_RULES[settings["name"]]
+        rule = _Rule(conditions, settings.get("unit", ""), entry.get("paper", ""))
+    return _Claim(section, entry["sentence"], entry.get("test", "-"), rule, entry.get("why", ""))
+
+
+def load(file=_FILE):
+    """Read the claims, {id: Claim} in the file's order.
+
+    Args:
+        file: Path of a TOML file such as claims.toml.
+
+    Returns:
+        {id: Claim}.
+
+    Raises:
+        ValueError: If an entry is incomplete, or names what does not exist.
+    """
+    text = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+    expressions = text.pop("expressions", {})
+    departures = text.pop("departures", {})
+    claims = {}
+    for section, entries in text.items():
+        for id_, entry in entries.items():
+            _check(id_, entry, departures)
+            claims[id_] = _claim(section, entry, expressions, departures)
+    return claims
+
+
+CLAIMS = load()
