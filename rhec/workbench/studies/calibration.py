@@ -21,12 +21,12 @@ import contextlib
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi import compiled
+from rhec.core._casadi import compiled, scan
 from rhec.core._casadi.build import pack_array, select_inputs
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import build_sample, known_traction, set_up, simulate
 from rhec.simulation.columns import MEASUREMENTS, POSE
-from rhec.simulation.lanes import lanes, scan
+from rhec.simulation.lanes import lanes
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
