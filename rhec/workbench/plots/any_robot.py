@@ -23,7 +23,7 @@ def positions(tracks):
     looks["reference"] = dict(linestyle="--")
     for name, track in tracks.items():
         axes.plot(*np.transpose(track), label=name, color=COLOURS[name], **looks.get(name, {}))
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set(aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
 
@@ -51,6 +51,8 @@ def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
         for limit in limits:
             axes.axhline(limit, label="bounds", **_BOUND)
         axes.set(xlabel="time [s]", title=name)
+    panels[0].set_ylabel("parameter [-]")
+    # The two bounds share one entry.
     handles, labels = panels[0].get_legend_handles_labels()
     unique = dict(zip(labels, handles))
     figure.legend(unique.values(), unique.keys(), loc="outside right center")

@@ -21,15 +21,16 @@ _LOOKS = {
     UNTESTABLE: (style.GREY, "–"),
 }
 _MEANINGS = {ONE_WAY: "one outcome", UNTESTABLE: "untestable"}
-# in print; the CSV has everything
+# The printed table has these columns; the CSV has all of them.
 _PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict"]
 _RULES = ["id", "test", "bound", "conditions", "reached", "p_adjusted"]
-# across the figure, in hundredths: sign, bound, end of the intervals' panel, paper's numbers
-_SIGN = 44.5
-_BOUND = 54.5
-_END = 62.0
-_PAPER = 72.0
-_ROW_IN = 0.128  # height of a row
+# Places across the figure [% of its width]: sign, bound, end of the intervals, paper's numbers.
+_SIGN = 40.5
+_BOUND = 49.0
+_END = 55.5
+_PAPER = 63.0
+_ROW_IN = 0.128  # height of a row [in]
+_WIDTH_IN = 7.2  # the longest claim, its interval and its condition fit side by side
 
 
 def _kind(kind):
@@ -85,7 +86,8 @@ def _relative_to_bound(value, low, high, above, below, verdict):
     """
     if np.isnan(value) or (np.isinf(above) and np.isinf(below)) or above == below:
         return None
-    if value == above:  # all cases, or none: exact, and decided whatever the interval
+    # All cases, or none: the share is exact, so the interval does not matter.
+    if value == above:
         return np.ones(3) * (1 if verdict == HOLDS else -1)
     bound = above if abs(value - above) <= abs(value - below) else below
     side = 1 if bound == above else -1
@@ -101,10 +103,10 @@ def _draw_sign(axes, x, y, kind):
 
 
 def _draw_intervals(axes, place, row, colour):
-    """One line a condition: filled where the numbers beside it are its own."""
+    """One line for each condition; the marker of the condition that the text states is filled."""
     columns = ("value", "low", "high", "above", "below")
-    own = HOLDS if row.verdict.startswith(HOLDS) else row.verdict
-    findings = [((*(getattr(row, name) for name in columns), own), colour)]
+    verdict = HOLDS if row.verdict.startswith(HOLDS) else row.verdict
+    findings = [((*(getattr(row, name) for name in columns), verdict), colour)]
     if row.other_condition:
         other = (getattr(row, f"other_{name}") for name in (*columns, "verdict"))
         findings.append((tuple(other), "white"))
@@ -121,11 +123,10 @@ def _draw_intervals(axes, place, row, colour):
 
 @style.styled
 def verdicts(table):
-    """The ledger at a glance: each claim with its verdict, the paper's number, ours with its
-    interval, and the intervals of both conditions against the bound.
+    """The ledger at a glance: verdicts, the paper's numbers, ours, and intervals against bounds.
 
-    Right of the line a claim holds, left it does not; each row is scaled to its farthest end. A
-    number that the paper reports, to be met, has no side.
+    A claim holds to the right of the line and fails to the left. Each row is scaled to its farthest
+    end. A number of the paper that has to be met has no side, so its row has no interval.
 
     Args:
         table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
@@ -133,7 +134,7 @@ def verdicts(table):
     rows = len(table)
     centred = dict(va="center_baseline")
     height_in = 0.75 + _ROW_IN * rows
-    figure = plt.figure(figsize=(style.DOUBLE_IN, height_in), layout="none")
+    figure = plt.figure(figsize=(_WIDTH_IN, height_in), layout="none")
     axes = figure.add_axes((0.003, 0.002, 0.994, 0.996))
     axes.set(xlim=(0, 100), ylim=(rows - 0.4, rows - 0.4 - height_in / _ROW_IN))
     axes.axis("off")
@@ -150,11 +151,11 @@ def verdicts(table):
         (_BOUND + 0.7, "holds", "left"),
         (_PAPER, "paper", "right"),
         (_PAPER + 1, "ours [95 %]", "left"),
-        (100, "holds", "right"),
+        (100, "under which condition", "right"),
     ]:
         axes.text(x, -1.2, label, fontsize=6.5, ha=align, weight="bold", **centred)
     kinds = table["kind"].map(_kind)
-    for x, kind in zip((1.0, 11.0, 44.5, 61.5, 74.5, 89.0), _LOOKS):
+    for x, kind in zip((1.0, 11.0, 42.5, 60.0, 74.5, 89.0), _LOOKS):
         _draw_sign(axes, x, -3.4, kind)
         count = f"{_MEANINGS.get(kind, kind)}: {(kinds == kind).sum()}"
         axes.text(x + 1.5, -3.4, count, fontsize=7, **centred)

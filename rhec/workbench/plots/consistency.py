@@ -1,6 +1,6 @@
-"""Are estimators as sure as they may be? NEES over time, and errors over standard deviations.
+"""Consistency of estimators: NEES over time, and RMS errors in units of the stated deviations.
 
-`measured` is {estimator: Consistency}; an estimator of no known kind is grey.
+`measured` is {estimator: Consistency}. Estimators that have no colour of their own are grey.
 """
 
 import matplotlib.pyplot as plt

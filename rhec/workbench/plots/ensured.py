@@ -1,10 +1,10 @@
-"""The share of fields in which a promise is kept, beside the robot's mean speed."""
+"""The share of fields on which the robot stays in its corridor, over its mean speed."""
 
 import matplotlib.pyplot as plt
 
 from rhec import paper
 from rhec.workbench.plots import style
-from rhec.workbench.plots.parts import BOUND, legend_above, legend_outside
+from rhec.workbench.plots.parts import BOUND, legend_above, legend_outside, shade
 from rhec.workbench.studies.ensured import CAUTIOUS
 
 __all__ = ["fronts", "where_it_slows"]
@@ -13,13 +13,15 @@ _COLOURS = {"dual": style.VERMILLION, "full oracle": style.COLOURS["oracle"]}
 
 
 @style.styled
-def fronts(table, asked):
-    """One panel a promise: shares with 95 % intervals over the mean speed, constant speeds joined
-    by thin lines, cautious drives as diamonds.
+def fronts(table, target):
+    """Shares with 95 % intervals over the mean speed, one panel for each promise.
+
+    Dotted lines join constant speeds, diamonds are cautious drives, and a dashed corner is the
+    target.
 
     Args:
         table: As `rhec.workbench.studies.ensured.front` returns it.
-        asked: (least share, least speed [m/s]) that is asked for: a corner of dashed lines.
+        target: (share, speed [m/s]) that are to be reached together.
     """
     promises = table["promise"].unique()
     figure, panels = plt.subplots(1, len(promises), figsize=(style.DOUBLE_IN, 2.7), sharey=True)
@@ -38,8 +40,9 @@ def fronts(table, asked):
                 label=f"{estimator}, {mode}",
                 **look,
             )
-        share, speed = asked
-        axes.plot([speed, speed, 1], [1.02, share, share], "--", color=style.BLACK, linewidth=0.7)
+        share, speed = target
+        corner = ([speed, speed, 1], [1.02, share, share])
+        axes.plot(*corner, "--", color=style.BLACK, linewidth=0.7, label="target")
         axes.set(title=promise, xlabel="mean speed [m/s]", ylim=(0, 1.02))
         axes.set_xlim(table["speed_mps"].min() - 0.02, table["speed_mps"].max() + 0.02)
     panels[0].set_ylabel(f"share of {table['n'].iloc[0]} fields within 0.12 m")
@@ -72,16 +75,7 @@ def where_it_slows(runs):
     errors.axhline(paper.TOLERANCE_M, **BOUND)
     for axes in panels:
         _, curvatures = run.path.poses(columns["s_m"])
-        axes.fill_between(
-            columns["s_m"],
-            0,
-            1,
-            where=curvatures != 0,
-            transform=axes.get_xaxis_transform(),
-            color="0.93",
-            linewidth=0,
-            zorder=0,
-        )
+        shade(axes, columns["s_m"], curvatures != 0)
     speeds.set(ylabel="speed ν [m/s]", ylim=(0, None))
     errors.set(ylabel="true error [m]\n(dashed: 0.12 m)", ylim=(0, 0.3))
     soil.set(ylabel="κ [-]", ylim=(0, 1), xlim=(0, run.path.length_m))

@@ -1,7 +1,7 @@
 """Sensor faults: all cases in numbers, and true errors over time.
 
-Handling "off" is the paper's, "on" has innovation gating; over time off is a broad line and on a
-narrow one above it, so that equal answers are seen to be equal.
+Robust handling "off" is the paper's estimator; "on" gates and weighs innovations. Over time, "off"
+is a broad line and "on" a narrow one above it, so that equal results show as equal.
 """
 
 import matplotlib.pyplot as plt
@@ -16,7 +16,7 @@ __all__ = ["fault_courses", "fault_overview"]
 
 _COLOURS = {"off": VERMILLION, "on": BLUE}
 _WIDTHS = {"off": 2.0, "on": 0.8}
-# errors drawn
+# Limits of the error axis, outside which nothing is of interest.
 _LEAST_M = 0.01
 _MOST_M = 100.0
 _PANELS = 4  # in a row
@@ -24,7 +24,7 @@ _PANELS = 4  # in a row
 
 def _draw_errors(axes, error, handling, before_s):
     """Median over seeds, and the largest dotted. Returns the times [s] since the fault began."""
-    # from the shortest run's beginning: not all have a time before
+    # Runs begin at different times before their fault; the shortest of them decides.
     first = np.flatnonzero(~np.isnan(error).any(axis=0))[0]
     error = error[:, first:]
     look = dict(color=_COLOURS[handling], linewidth=_WIDTHS[handling])
@@ -57,7 +57,7 @@ def fault_courses(keys, table, errors, before_s):
             back = runs["recovery_s"].count()
             last_s = runs["recovery_s"].max()
             when = f", last in {last_s:.0f} s" if back else ""
-            lines.append(f"{handling}: {back} of {len(runs)} back{when}")
+            lines.append(f"{handling}: {back} of {len(runs)} recover{when}")
             t_s = _draw_errors(axes, errors[family, case, handling], handling, before_s)
         duration_s = np.median(of_case["end_s"] - of_case["begin_s"])
         axes.axvspan(0, max(duration_s, paper.DT_S), **TOLERANCE, label="while it lasts")
@@ -116,7 +116,7 @@ def fault_overview(table, n):
     errors.set_yticks(range(len(cases)), [_label(*key) for key, _ in cases], fontsize=6)
     errors.set(ylim=(len(cases) - 0.4, -0.6))
     errors.set_xlabel(f"largest true error afterwards [m], dashed: {paper.TOLERANCE_M} m")
-    times.set_xlabel(f"time to recover [s]; right: of {n} seeds so many did")
+    times.set_xlabel(f"time to recover [s]; right: how many of {n} seeds recovered, off and on")
     for handling, colour in _COLOURS.items():
         errors.plot([], [], "o-", color=colour, markersize=2.5, label=f"robust handling {handling}")
     ring = dict(color="0.3", markersize=3.5, linestyle="none", markerfacecolor="none")

@@ -117,8 +117,9 @@ def likelihood(profiles):
     standard deviation of W at a time.
 
     Args:
-        profiles: {title: (table of `rhec.workbench.studies.interpretations.likelihood_profile`, printed
-            value, calibrated value)}.
+        profiles: {title: (table of
+            `rhec.workbench.studies.interpretations.likelihood_profile`, printed value, calibrated
+            value)}.
     """
     figure, panels = plt.subplots(1, len(profiles), figsize=(DOUBLE_IN, 2.0))
     for axes, (title, (table, printed, calibrated)) in zip(panels, profiles.items()):

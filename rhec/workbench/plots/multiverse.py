@@ -49,7 +49,7 @@ def multiverse_map(table, correlations, discovered):
                 rho = correlations.loc[claim, unknown]
                 text = f"{rho:.1f}".replace("-", "−").replace("0.", ".")
                 colour = "white" if abs(rho) > 0.75 else "black"
-                heat.text(j, i, text, ha="center", va="center", fontsize=6, color=colour)
+                heat.text(j, i, text, ha="center", va="center", fontsize=5.5, color=colour)
     labels = [_LABELS[name] for name in correlations.columns]
     heat.set_xticks(range(len(labels)), labels, rotation=50, ha="right", rotation_mode="anchor")
     heat.grid(visible=False)

@@ -10,22 +10,23 @@ from rhec.workbench.studies.statistics import over_seeds
 
 __all__ = ["pose_noise", "ranked"]
 
-_FAMILIES = {  # by the beginning of the contestant's name; the rest is grey
+_FAMILIES = {  # colours by the beginning of an estimator's name; all others are grey
     "dual": style.VERMILLION,
     "RHE": style.COLOURS["RHE"],
     "traction oracle": style.COLOURS["oracle"],
     "full oracle": style.BLACK,
 }
-_OFF_SCALE = 1.8  # times the paper's RHE: what is worse is drawn as an arrow at the edge
+_OFF_SCALE = 1.8  # times the paper's RHE; a larger mean is drawn as an arrow at the edge
+_ERROR = ranking.QUANTITIES["mean_error_true_m"]
+_RATIO = f"true error, ratio to {ranking.PAPERS}"
 
 
 @style.styled
 def ranked(sweep):
-    """True error of every contestant, and its ratio to the paper's RHE at equal seeds.
+    """True error of every estimator, and its ratio to the paper's RHE at equal seeds.
 
-    Dots: seeds; where some are off the scale, so many are counted at its edge, and an arrow is a
-    mean that is. Dashed: the gain asked of the proposal. Dotted: what it may have at most, by the
-    best that knows the traction.
+    Dots are seeds. Where seeds are off the scale, their number stands at its edge; an arrow is a
+    mean that is off the scale. The dashed and the dotted line are the targets of the proposal.
 
     Args:
         sweep: as in `rhec.workbench.studies.ranking.ranking_table`.
@@ -36,40 +37,19 @@ def ranked(sweep):
     size = (style.DOUBLE_IN, 0.22 * len(names) + 0.8)
     widths = (3, 2)
     figure, (errors, ratios) = plt.subplots(1, 2, figsize=size, sharey=True, width_ratios=widths)
-    error, ratio = ranking.QUANTITIES["mean_error_true_m"], f"true error, ratio to {ranking.PAPERS}"
-    largest = _OFF_SCALE * estimates.loc[(ranking.PAPERS, error), "mean"]
-    shown = [(errors, error, largest, ".4f"), (ratios, ratio, _OFF_SCALE, ".2f")]
-    mark = dict(fmt="D", markeredgecolor="w", markeredgewidth=0.5, markersize=4, capsize=2)
+    largest = _OFF_SCALE * estimates.loc[(ranking.PAPERS, _ERROR), "mean"]
     for place, name in enumerate(names):
-        families = (colour for family, colour in _FAMILIES.items() if name.startswith(family))
-        colour = next(families, style.GREY)
-        look = mark | dict(color=colour, zorder=3)
-        seeds = sweep.loc[sweep["contestant"] == name, "mean_error_true_m"]
-        spread = np.linspace(0.3, -0.3, len(seeds))
-        inside = seeds.to_numpy() < largest
-        dots = dict(color=colour, markersize=1.5, alpha=0.3)
-        errors.plot(seeds[inside], (place + spread)[inside], **DOTS, **dots)
-        if not inside.all():
-            beyond = dict(ha="right", fontsize=5.5, color=colour)
-            note(errors, f"{(~inside).sum()} beyond ", (largest, place), (-4, 4), **beyond)
-        for axes, quantity, most, digits in shown:
-            known = (name, quantity) in estimates.index  # the paper's RHE has no ratio to itself
-            mean, low, high = estimates.loc[(name, quantity)] if known else (1.0, 1.0, 1.0)
-            if mean < most:
-                axes.errorbar(mean, place, xerr=[[mean - low], [high - mean]], **look)
-            else:
-                axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
-            note(axes, f"{mean:{digits}}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
-    for axes, _, most, _ in shown:
+        colour = _colour_of(name)
+        seeds = sweep.loc[sweep["contestant"] == name, "mean_error_true_m"].to_numpy()
+        _draw_seeds(errors, place, seeds, largest, colour)
+        _draw_mean(errors, place, estimates.loc[(name, _ERROR)], largest, ".4f", colour)
+        # The paper's RHE has no ratio to itself.
+        ratio = estimates.loc[(name, _RATIO)] if (name, _RATIO) in estimates.index else (1, 1, 1)
+        _draw_mean(ratios, place, ratio, _OFF_SCALE, ".2f", colour)
+    for axes, most in ((errors, largest), (ratios, _OFF_SCALE)):
         axes.set_xlim(0, most)
         axes.grid(axis="y", visible=False)
-    target = dict(color=style.BLACK, linewidth=0.7)
-    ratios.axvline(1 - ranking.LEAST_GAIN, **target, linestyle="--", label="gain asked for")
-    oracles = [name for name in names if name.startswith("traction oracle")]
-    if oracles:
-        best = (1 + ranking.MOST_ABOVE) * estimates.loc[(oracles[0], error), "mean"]
-        above = f"{100 * ranking.MOST_ABOVE:.0f} % above {oracles[0]}"
-        errors.axvline(best, **target, linestyle=":", label=above)
+    _draw_targets(errors, ratios, estimates, names)
     figure.legend(loc="outside lower center", ncols=2)
     errors.set_yticks(range(len(names)), names)
     errors.get_yticklabels()[names.index(ranking.PROPOSAL)].set_fontweight("bold")
@@ -79,11 +59,55 @@ def ranked(sweep):
     return figure
 
 
+def _colour_of(name):
+    """The colour of an estimator's family."""
+    families = (colour for family, colour in _FAMILIES.items() if name.startswith(family))
+    return next(families, style.GREY)
+
+
+def _draw_seeds(axes, place, errors, largest, colour):
+    """A dot for each seed, and the number of seeds beyond the scale."""
+    spread = np.linspace(0.3, -0.3, len(errors))
+    inside = errors < largest
+    dots = dict(color=colour, markersize=1.5, alpha=0.3)
+    axes.plot(errors[inside], (place + spread)[inside], **DOTS, **dots)
+    if not inside.all():
+        # A white box keeps the number readable on top of the dots.
+        box = dict(boxstyle="square,pad=0.1", facecolor="w", edgecolor="none", alpha=0.85)
+        look = dict(ha="right", fontsize=5.5, color=colour, bbox=box, zorder=4)
+        note(axes, f"{(~inside).sum()} off scale", (largest, place), (-4, 0), **look)
+
+
+def _draw_mean(axes, place, estimate, most, digits, colour):
+    """A mean with its 95 % interval, or an arrow at the edge, and its number to the right."""
+    mean, low, high = estimate
+    if mean < most:
+        look = dict(fmt="D", markeredgecolor="w", markeredgewidth=0.5, markersize=4, capsize=2)
+        axes.errorbar(
+            mean, place, xerr=[[mean - low], [high - mean]], color=colour, zorder=3, **look
+        )
+    else:
+        axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
+    note(axes, f"{mean:{digits}}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
+
+
+def _draw_targets(errors, ratios, estimates, names):
+    """Vertical lines at the gain over the paper's RHE and the distance to the traction oracle."""
+    target = dict(color=style.BLACK, linewidth=0.7)
+    gain = f"target: {100 * ranking.LEAST_GAIN:.0f} % below the paper's RHE"
+    ratios.axvline(1 - ranking.LEAST_GAIN, **target, linestyle="--", label=gain)
+    oracles = [name for name in names if name.startswith("traction oracle")]
+    if oracles:
+        best = (1 + ranking.MOST_ABOVE) * estimates.loc[(oracles[0], _ERROR), "mean"]
+        above = f"target: {100 * ranking.MOST_ABOVE:.0f} % above {oracles[0]}"
+        errors.axvline(best, **target, linestyle=":", label=above)
+
+
 @style.styled
 def pose_noise(rows):
     """True errors and RMS error of the yaw over the process noise σ_θ of the proposal's filter.
 
-    A ring marks the least of each curve, the dotted line the proposal's σ_θ; bands are 95 %
+    A ring marks the minimum of each curve and the dotted line the proposal's σ_θ. Bands are 95 %
     intervals over seeds.
 
     Args:

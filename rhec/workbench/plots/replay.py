@@ -1,7 +1,7 @@
-"""A replayed log in pictures.
+"""Figures of a replayed log.
 
 `replays` is {estimator: samples}, as `rhec.logs.scores.perturbed_replay` returns them; what a log
-does not know (its true pose, say) is left out of the picture.
+does not contain (for example its true pose) is left out of the figure.
 """
 
 import re
@@ -29,7 +29,7 @@ __all__ += ["replay_path", "replay_trials", "replay_yaw"]
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
 _COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
-# slower turns count as straight, by the median of so many samples
+# Turning more slowly counts as straight; the median over _SMOOTH samples removes encoder noise.
 _STRAIGHT_RADPS = 0.05
 _SMOOTH = 11
 
@@ -245,7 +245,7 @@ def replay_trials(trials, table, title):
 @styled
 def replay_faults(table):
     """Largest error of the position and of the yaw from the beginning of each fault on, with and
-    without gating; every noise seed a dot, their mean a bar.
+    without robust handling; each noise seed is a dot, their mean a bar.
 
     Args:
         table: rows of `rhec.logs.scores.fault_scores`.
@@ -257,8 +257,8 @@ def replay_faults(table):
         (panels[1], "worst_yaw_rad", "largest yaw error [rad]"),
     ]:
         for robust, handling, colour, shift in [
-            (False, "as it is", COLOURS["EKF"], -0.18),
-            (True, "robust", COLOURS["RHE"], 0.18),
+            (False, "robust handling off", COLOURS["EKF"], -0.18),
+            (True, "robust handling on", COLOURS["RHE"], 0.18),
         ]:
             for place, name in enumerate(names):
                 values = table.loc[(table["fault"] == name) & (table["robust"] == robust), column]

@@ -34,6 +34,8 @@ _TRACK = paper.TRACK_WIDTH_M
 _TREAD = _WIDTH - _TRACK
 _MAST_X = 0.05  # ahead of the robot's middle [m]
 _BLOCK = np.array([1.2, 0.4])  # a block of Figure 3 [in]
+_LEFT = 0.80  # the two columns of Figure 3 [in]
+_RIGHT = 2.60
 
 
 def _canvas(xlim, ylim):
@@ -276,120 +278,139 @@ def _link(axes, start, end, text):
     _beside(axes, text, (start + end) / 2, (1, 0) if start[0] == end[0] else (0, 1))
 
 
+_BLOCKS = [  # title, detail, place [in], colour
+    ("RTK GNSS", f"receiver, {paper.GNSS_RATE_HZ:.0f} Hz", _LEFT, 3.55, _SENSOR),
+    ("Reference", "trajectory", _RIGHT, 3.55, _PAPER),
+    ("RHE", "estimator", _LEFT, 2.65, _COMPUTER),
+    ("RHC", "controller", _RIGHT, 2.65, _COMPUTER),
+    ("Encoders", "one on each motor", _LEFT, 1.60, _SENSOR),
+    ("Kangaroo x2", f"two PID loops, {paper.SPEED_LOOP_RATE_HZ:.0f} Hz", _RIGHT, 1.60, _DRIVE),
+    ("DC motors", "left and right, 200 W", _LEFT, 0.92, _DRIVE),
+    ("Sabertooth", "dual 12 A driver", _RIGHT, 0.92, _DRIVE),
+    ("Tracks", "left and right", _LEFT, 0.24, _METAL),
+]
+_SIGNALS = [  # from, to, what is sent
+    ("RTK GNSS", "RHE", "$x,\\ y$\nover Bluetooth"),
+    ("Encoders", "RHE", r"$\nu,\ \omega$"),
+    ("RHE", "RHC", r"$\hat\xi,\ \hat p$"),
+    ("Reference", "RHC", r"$\xi_r$"),
+    ("RHC", "Kangaroo x2", "$\\omega_\\mathrm{cmd}$\nand speed"),
+    ("Encoders", "Kangaroo x2", r"$\nu_l,\ \nu_r$"),
+    ("Kangaroo x2", "Sabertooth", "commands"),
+    ("Sabertooth", "DC motors", "voltages"),
+    ("DC motors", "Encoders", "shafts"),
+    ("DC motors", "Tracks", "torques"),
+]
+
+
 @styled
 def hardware_blocks():
     """Figure 3 and Sec. System Description: from sensors through RHE and RHC to the tracks."""
-    gnss_hz = f"{paper.GNSS_RATE_HZ:.0f} Hz"
-    loop_hz = f"{paper.SPEED_LOOP_RATE_HZ:.0f} Hz"
     figure, axes = _canvas((0, COLUMN_IN), (0, 3.8))
-    left = 0.80
-    right = 2.60
     _box(axes, 1.7, 2.60, 3.28, 0.68, 0.06, "0.96", edgecolor=GREY, linestyle="--")
-    _beside(axes, f"on-board computer: Raspberry Pi 3, {gnss_hz}", (1.7, 2.35), (0, 0))
-
-    at = {}
-    for title, detail, x, y, colour in [
-        ("RTK GNSS", f"receiver, {gnss_hz}", left, 3.55, _SENSOR),
-        ("Reference", "trajectory", right, 3.55, _PAPER),
-        ("RHE", "estimator", left, 2.65, _COMPUTER),
-        ("RHC", "controller", right, 2.65, _COMPUTER),
-        ("Encoders", "one on each motor", left, 1.60, _SENSOR),
-        ("Kangaroo x2", f"two PID loops, {loop_hz}", right, 1.60, _DRIVE),
-        ("DC motors", "left and right, 200 W", left, 0.92, _DRIVE),
-        ("Sabertooth", "dual 12 A driver", right, 0.92, _DRIVE),
-        ("Tracks", "left and right", left, 0.24, _METAL),
-    ]:
-        at[title] = (x, y)
+    computer = f"on-board computer: Raspberry Pi 3, {paper.GNSS_RATE_HZ:.0f} Hz"
+    _beside(axes, computer, (1.7, 2.35), (0, 0))
+    for title, detail, x, y, colour in _BLOCKS:
         _box(axes, x, y, *_BLOCK, 0.05, colour)
         axes.text(x, y + 0.075, title, ha="center", va="center", weight="bold")
         _beside(axes, detail, (x, y - 0.085), (0, 0))
-
-    for start, end, text in [
-        ("RTK GNSS", "RHE", "$x,\\ y$\nover Bluetooth"),
-        ("Encoders", "RHE", r"$\nu,\ \omega$"),
-        ("RHE", "RHC", r"$\hat\xi,\ \hat p$"),
-        ("Reference", "RHC", r"$\xi_r$"),
-        ("RHC", "Kangaroo x2", "$\\omega_\\mathrm{cmd}$\nand speed"),
-        ("Encoders", "Kangaroo x2", r"$\nu_l,\ \nu_r$"),
-        ("Kangaroo x2", "Sabertooth", "commands"),
-        ("Sabertooth", "DC motors", "voltages"),
-        ("DC motors", "Encoders", "shafts"),
-        ("DC motors", "Tracks", "torques"),
+    places = {title: (x, y) for title, _, x, y, _ in _BLOCKS}
+    for start, end, text in _SIGNALS:
+        _link(axes, places[start], places[end], text)
+    for y, colour, text in [
+        (0.45, _SENSOR, "measures"),
+        (0.28, _COMPUTER, "computes"),
+        (0.11, _DRIVE, "drives"),
     ]:
-        _link(axes, at[start], at[end], text)
-
-    colours = (_SENSOR, _COMPUTER, _DRIVE)
-    words = ("measures", "computes", "drives")
-    for y, colour, text in zip((0.45, 0.28, 0.11), colours, words):
-        _box(axes, right - 0.2, y, 0.16, 0.09, 0.02, colour)
-        _beside(axes, text, (right - 0.1, y), (1, 0))
+        _box(axes, _RIGHT - 0.2, y, 0.16, 0.09, 0.02, colour)
+        _beside(axes, text, (_RIGHT - 0.1, y), (1, 0))
     return figure
+
+
+# Figure 4: the drawn pose, its traction, and speeds as lengths of arrows [m].
+_X = 0.86
+_Y = 0.80
+_THETA = np.radians(35)
+_MU = 0.75
+_KAPPA = 0.65
+_NU = 0.92
+_NU_LEFT = 0.78
+_NU_RIGHT = 1.06
+_WITHOUT_SLIP = {"color": GREY, "linestyle": (0, (3, 2))}
+_THIN = {"color": GREY, "linewidth": 0.5, "linestyle": ":"}
+
+
+def _in_robot_frame(along, across):
+    """A point of the robot's frame in the plane."""
+    cos = np.cos(_THETA)
+    sin = np.sin(_THETA)
+    return _X + along * cos - across * sin, _Y + along * sin + across * cos
+
+
+def _on_circle(radius, angle):
+    """Points at angles [rad] on a circle about the robot's middle."""
+    return np.transpose([_X + radius * np.cos(angle), _Y + radius * np.sin(angle)])
+
+
+def _write(axes, text, at, **look):
+    axes.text(*at, text, **{"ha": "center", "va": "center"} | look)
+
+
+def _draw_axes(axes):
+    """The axes of the plane, and the robot's coordinates on them."""
+    for tip, foot, name, below in [
+        ((1.80, 0), (_X, 0), "$x$", (_X, -0.10)),
+        ((0, 1.72), (0, _Y), "$y$", (-0.10, _Y)),
+    ]:
+        _arrow(axes, (0, 0), tip)
+        axes.plot(*zip((_X, _Y), foot, strict=True), **_THIN)
+        _write(axes, name, below)
+
+
+def _draw_tracks(axes):
+    """Body and tracks with the track speeds, and the distance b between them."""
+    track = _TRACK / 2
+    rear = -_LENGTH / 2
+    robot = Affine2D().rotate(_THETA).translate(_X, _Y) + axes.transData
+    _box(axes, 0, 0, 0.84, _TRACK, transform=robot)
+    for across, speed, name in [(track, _NU_LEFT, r"$\nu_l$"), (-track, _NU_RIGHT, r"$\nu_r$")]:
+        _box(axes, 0, across, _LENGTH, _TREAD, 0.02, _METAL, transform=robot)
+        ends = (_in_robot_frame(0, across), _in_robot_frame(speed, across))
+        _arrow(axes, *ends, **_WITHOUT_SLIP)
+        _write(axes, name, _in_robot_frame(speed + 0.08, across))
+    ends = (_in_robot_frame(rear - 0.08, track), _in_robot_frame(rear - 0.08, -track))
+    _dimension(axes, *ends, "")
+    _write(axes, "$b$", _in_robot_frame(rear - 0.16, 0))
+
+
+def _draw_velocities(axes):
+    """Yaw, speed and yaw rate, each without slip (dashed) and with it."""
+    axes.plot([_X, _X + 0.5], [_Y, _Y], **_THIN)
+    axes.add_patch(patches.Arc((_X, _Y), 0.56, 0.56, theta2=np.degrees(_THETA), linewidth=0.6))
+    _write(axes, r"$\theta$", _in_robot_frame(0.33, -0.10))
+    _arrow(axes, (_X, _Y), _in_robot_frame(_NU, 0), **_WITHOUT_SLIP)
+    _arrow(axes, (_X, _Y), _in_robot_frame(_MU * _NU, 0), color=BLUE, linewidth=1.4)
+    _write(axes, r"$\nu$", _in_robot_frame(_NU + 0.07, 0))
+    _write(axes, r"$\mu\nu$", _in_robot_frame(_MU * _NU + 0.06, 0.09), color=BLUE)
+    turn = np.radians(85) * np.linspace(1, 2, 30)
+    slipped = np.radians(85) * np.linspace(1, 1 + _KAPPA, 30)
+    _arrow(axes, Path(_on_circle(0.50, turn)), **_WITHOUT_SLIP)
+    _arrow(axes, Path(_on_circle(0.42, slipped)), color=VERMILLION, linewidth=1.4)
+    _write(axes, r"$\omega$", _on_circle(0.58, turn[20]))
+    _write(axes, r"$\kappa\omega$", _on_circle(0.40, turn[24]), color=VERMILLION)
+    axes.plot(_X, _Y, "o", markersize=3, color=BLACK)
 
 
 @styled
 def schematic():
-    """Figure 4 and Sec. System Model: the robot's pose and Eq. (2), velocities without slip and, in
-    a hard turn, with μ = 0.75 and κ = 0.65.
+    """Figure 4 and Sec. System Model: the robot's pose and eq. (2).
+
+    Velocities are drawn without slip and, in a hard turn, with μ = 0.75 and κ = 0.65.
     """
-    x = 0.86
-    y = 0.80
-    theta = np.radians(35)
-    mu = 0.75
-    kappa = 0.65
-    nu = 0.92
-    nu_l = 0.78
-    nu_r = 1.06
-    track = _TRACK / 2
-    nose = _LENGTH / 2
-    without_slip = {"color": GREY, "linestyle": (0, (3, 2))}
-    thin = {"color": GREY, "linewidth": 0.5, "linestyle": ":"}
     figure, axes = _canvas((-0.20, 2.98), (-0.20, 1.78))
-
-    def place(along, across):
-        """A point given in the robot's frame."""
-        cos = np.cos(theta)
-        sin = np.sin(theta)
-        return x + along * cos - across * sin, y + along * sin + across * cos
-
-    def around(radius, angle):
-        """A point, or one for each angle [rad], on a circle about the robot's middle."""
-        return np.transpose([x + radius * np.cos(angle), y + radius * np.sin(angle)])
-
-    def write(text, at, **look):
-        axes.text(*at, text, **{"ha": "center", "va": "center"} | look)
-
-    for tip, foot, name, below in [
-        ((1.80, 0), (x, 0), "$x$", (x, -0.10)),
-        ((0, 1.72), (0, y), "$y$", (-0.10, y)),
-    ]:
-        _arrow(axes, (0, 0), tip)
-        axes.plot(*zip((x, y), foot, strict=True), **thin)
-        write(name, below)
-
-    robot = Affine2D().rotate(theta).translate(x, y) + axes.transData
-    _box(axes, 0, 0, 0.84, _TRACK, transform=robot)
-    for across, speed, name in [(track, nu_l, r"$\nu_l$"), (-track, nu_r, r"$\nu_r$")]:
-        _box(axes, 0, across, _LENGTH, _TREAD, 0.02, _METAL, transform=robot)
-        _arrow(axes, place(0, across), place(speed, across), **without_slip)
-        write(name, place(speed + 0.08, across))
-    _dimension(axes, place(-nose - 0.08, track), place(-nose - 0.08, -track), "")
-    write("$b$", place(-nose - 0.16, 0))
-
-    axes.plot([x, x + 0.5], [y, y], **thin)
-    axes.add_patch(patches.Arc((x, y), 0.56, 0.56, theta2=np.degrees(theta), linewidth=0.6))
-    write(r"$\theta$", place(0.33, -0.10))
-    _arrow(axes, (x, y), place(nu, 0), **without_slip)
-    _arrow(axes, (x, y), place(mu * nu, 0), color=BLUE, linewidth=1.4)
-    write(r"$\nu$", place(nu + 0.07, 0))
-    write(r"$\mu\nu$", place(mu * nu + 0.06, 0.09), color=BLUE)
-    turn = np.radians(85) * np.linspace(1, 2, 30)
-    slipped = np.radians(85) * np.linspace(1, 1 + kappa, 30)
-    _arrow(axes, Path(around(0.50, turn)), **without_slip)
-    _arrow(axes, Path(around(0.42, slipped)), color=VERMILLION, linewidth=1.4)
-    write(r"$\omega$", around(0.58, turn[20]))
-    write(r"$\kappa\omega$", around(0.40, turn[24]), color=VERMILLION)
-    axes.plot(x, y, "o", markersize=3, color=BLACK)
-
+    _draw_axes(axes)
+    _draw_tracks(axes)
+    _draw_velocities(axes)
     for height, equation in [
         (1.60, r"$\dot{x}=\mu\nu\,\cos\theta$"),
         (1.40, r"$\dot{y}=\mu\nu\,\sin\theta$"),
@@ -397,12 +418,12 @@ def schematic():
         (0.85, r"$\nu=(\nu_l+\nu_r)/2$"),
         (0.65, r"$\omega=(\nu_r-\nu_l)/b$"),
     ]:
-        write(equation, (2.14, height), ha="left", fontsize=9)
-    write("(2)", (2.94, 1.40), ha="right")
+        _write(axes, equation, (2.14, height), ha="left", fontsize=9)
+    _write(axes, "(2)", (2.94, 1.40), ha="right")
     for height, note, colour in [
         (0.34, "dashed: no slip", GREY),
         (0.18, r"longitudinal slip $1-\mu$", BLUE),
         (0.02, r"turning lost: $1-\kappa$", VERMILLION),
     ]:
-        write(note, (2.14, height), ha="left", fontsize=7, color=colour)
+        _write(axes, note, (2.14, height), ha="left", fontsize=7, color=colour)
     return figure

@@ -1,8 +1,9 @@
 """The paper's Figures 6 to 13, drawn from finished runs.
 
 `run` is a Run as `rhec.simulate` returns it, `drives` are Runs that differ by their seeds, `table`
-is of `rhec.workbench.studies.scenario_tables`. Bands and thin lines hold the middle 90 % of the drives, thick
-lines are 95 % intervals of their mean, and every number that the paper reports stands beside ours.
+is of `rhec.workbench.studies.scenario_tables`. Bands and thin lines hold the middle 90 % of the
+drives, thick lines are 95 % intervals of their mean. Where the paper reports a number, it is shown
+beside ours.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +19,7 @@ from rhec.workbench.studies.scenario_tables import REPORTED, over_fields, share_
 __all__ = ["errors", "estimates", "kkt", "slip_fields", "speed", "trajectories", "trajectories_q"]
 __all__ += ["violations", "weight_sweep", "yaw_rate"]
 
-# dark where it slips, grey so that trajectories stand out
+# Dark where the soil slips; grey, so that coloured trajectories stand out.
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
@@ -73,6 +74,15 @@ def _reference(axes, path, up_to_m=None):
     """The reference trajectory from the start of the path to an arc length [m], else to its end."""
     poses, _ = path.poses(np.arange(0, (up_to_m or path.length_m) + 0.05, 0.1))
     axes.plot(*poses[:, :2].T, **parts.BOUND | dict(linewidth=0.8, label="reference"))
+
+
+def _corridor(axes, path):
+    """The tolerance to the left and right of the path, as two thin lines."""
+    poses, _ = path.poses(np.arange(0, path.length_m + 0.05, 0.1))
+    x, y, theta = poses.T
+    for side_m in (-paper.TOLERANCE_M, paper.TOLERANCE_M):
+        look = dict(color=COLOURS["tolerance"], linewidth=1.2, zorder=1)
+        axes.plot(x - side_m * np.sin(theta), y + side_m * np.cos(theta), **look)
 
 
 def _first_row(run):
@@ -159,8 +169,10 @@ def slip_fields(terrain, path, title):
 
 @styled
 def trajectories(runs):
-    """Figure 7: reference and trajectories on the map of κ: all, the start, and where the true
-    error after settling is largest.
+    """Figure 7: reference and trajectories on the map of κ.
+
+    Above, the whole drive; below, the start and the place of the largest true error after settling,
+    both with the 0.12 m on either side of the path in yellow.
 
     Args:
         runs: {"RHE": Run, "EKF": Run} on the same terrain.
@@ -171,7 +183,8 @@ def trajectories(runs):
     for axes in panels.values():
         image = _field(axes, first.terrain, first.terrain.kappa)
         _reference(axes, first.path)
-        for name in ("EKF", "RHE"):  # the RHE, which strays less, on top
+        # The RHE is drawn last and narrow, so that both lines show where they agree.
+        for name in ("EKF", "RHE"):
             log = runs[name].log
             wide = dict(linewidth=1.8) if name == "EKF" else {}
             axes.plot(log["x_m"], log["y_m"], **_LINES[name], **wide)
@@ -188,6 +201,8 @@ def trajectories(runs):
         low = log[["x_m", "y_m"]].min() - margin_m
         high = log[["x_m", "y_m"]].max() + margin_m
         panels[name].set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=title)
+    for name in ("start", "worst"):
+        _corridor(panels[name], first.path)
     panels["start"].set(aspect="auto", box_aspect=1)
     parts.note(panels["start"], "start", first.log[["x_m", "y_m"]].iloc[0], (5, 3))
     ahead = first.path.poses(np.array([0.3, 0.45]) * first.scenario.row_length_m)[0][:, :2]
@@ -237,7 +252,7 @@ def errors(drives, table):
     above[0].set(ylabel="error, raw GNSS [m]", ylim=(0.02, 10))
     above[0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
     below[0].set(ylabel=f"samples above\n{paper.TOLERANCE_M} m [%]", ylim=(0, 100))
-    many = f"median (line) to 95th percentile of {_fields(by_name['RHE'])}, a second at a time"
+    many = f"median (line) to 95th percentile of {_fields(by_name['RHE'])}, means over 1 s"
     figure.suptitle(many, fontsize=8)
     parts.legend_outside(figure, above[0], "lower center", 3)
     return figure
@@ -273,16 +288,18 @@ def violations(table):
 
 
 @styled
-def estimates(told):
-    """Figure 10: the RHE's yaw error, its traction parameters beside the truth and the constraints
-    (14), and two standard deviations by its own covariance.
+def estimates(runs):
+    """Figure 10: the RHE's yaw error, and its traction parameters with the truth and eq. (14).
+
+    Bands are two standard deviations by the RHE's own covariance.
 
     Args:
-        told: {process noise: (Run, `rhec.workbench.studies.consistency.stated` of it)}, a column for each.
+        runs: {process noise: (Run, `rhec.workbench.studies.consistency.stated` of it)}, a column
+            for each.
     """
     grid = dict(figsize=(DOUBLE_IN, 4.2), sharex=True, sharey="row", squeeze=False)
-    figure, rows = plt.subplots(3, len(told), **grid)
-    for panels, (run, stated) in zip(rows.T, told.values()):
+    figure, rows = plt.subplots(3, len(runs), **grid)
+    for panels, (run, stated) in zip(rows.T, runs.values()):
         t_s = run.log["t_s"]
         log = run.log
         for axes, name, symbol in zip(
@@ -333,7 +350,7 @@ def yaw_rate(run):
     bound = run.scenario.omega_max_radps
     axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **parts.BOUND)
     parts.legend_above(axes, **_TIGHT)
-    # a command lasts until the next sample
+    # A command is held until the next sample, so it belongs to the yaw rate one row later.
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
     title = f"{_about(run)}: actual - reference, RMS {rms:.3f} rad/s"
     axes.set(ylabel=r"yaw rate $\omega$ [rad/s]", title=title)
@@ -343,22 +360,23 @@ def yaw_rate(run):
 
 @styled
 def kkt(drives):
-    """Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration, sample by sample,
-    the first ones wide apart.
+    """Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration.
+
+    Time is logarithmic, because the transient ends after two or three samples.
     """
     figure, panels = parts.panels_beside(2, 2.2)
     for axes, name in zip(panels, _KKT):
         tolerance = over_fields(drives, f"kkt_{name.lower()}")
-        sample = np.arange(1, tolerance.shape[1] + 1)
+        t_s = paper.DT_S * np.arange(1, tolerance.shape[1] + 1)
         colour = COLOURS[_KKT[name]]
-        parts.band(axes, sample, np.maximum(tolerance, _LEAST_KKT / 2), name, color=colour)
-        largest = sample[tolerance[1].argmax()]
+        parts.band(axes, t_s, np.maximum(tolerance, _LEAST_KKT / 2), name, color=colour)
+        largest_s = t_s[tolerance[1].argmax()]
         most = tolerance[1].max()
-        title = f"{name}: largest median {most:.2g}, in sample {largest}"
-        axes.set(xscale="log", yscale="log", title=title, xlim=(1, sample[-1]))
-        axes.set_xlabel("sample, every 0.2 s [-]")
+        title = f"{name}: largest median {most:.2g}, at {largest_s:.1f} s"
+        axes.set(xscale="log", yscale="log", title=title, xlim=(t_s[0], t_s[-1]))
+        axes.set_xlabel("time [s], logarithmic; the first sample is at 0.2 s")
         axes.minorticks_off()
-    # it vanishes where every command is at its bound
+    # The RHC's tolerance vanishes where every command is at its bound, hence the cut.
     panels[0].set(ylabel=f"KKT tolerance [-], cut at {_LEAST_KKT:g}", ylim=_LEAST_KKT)
     figure.suptitle(_over(drives), fontsize=8)
     return figure

@@ -27,7 +27,7 @@ _COLOURS = {
     ("RHC", "feedback"): ORANGE,
 }
 _FEEDBACK = [("RHE", "feedback"), ("RHC", "feedback")]
-# in one drawn period, which is no scale: where each phase begins and ends
+# Where each phase begins and ends in a drawn period; the drawing is not to scale.
 _PLACES = dict(zip(_COLOURS, ((0.52, 0.76), (0.76, 1.0), (0.0, 0.17), (0.17, 0.3))))
 
 
@@ -42,7 +42,7 @@ def _cycle(axes):
         for which, (begin, end) in _PLACES.items():
             problem, phase = which
             look = dict(color=_COLOURS[which], edgecolor=BLACK, linewidth=0.5)
-            axes.barh(problem == "RHC", end - begin, 0.6, k + begin, **look)
+            axes.barh(problem == "RHC", end - begin, 0.85, k + begin, **look)
             text = f"{problem}\n{'feedback' if phase == 'feedback' else 'shift, prepare'}"
             ink = "w" if _COLOURS[which] in (BLUE, GREEN) else BLACK
             centre = dict(ha="center", fontsize=6, color=ink)
@@ -82,7 +82,7 @@ def phases(times, machine):
     papers = {which: [1000 * ms for ms in paper.TABLE_1_MS[which]] for which in _COLOURS}
     for reported, marker, colour, shift, label in [
         (ours, "o", BLUE, -0.13, f"here: {machine}"),
-        (papers, "D", GREY, 0.13, "paper: Raspberry Pi 3"),
+        (papers, "D", GREY, 0.13, "paper: Raspberry Pi 3 (another processor)"),
     ]:
         for place, (low, average, high) in enumerate(reported.values()):
             axes.plot([low, high], [place + shift] * 2, color=colour, linewidth=0.9)
