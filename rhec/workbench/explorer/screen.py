@@ -23,7 +23,7 @@ CSS = _text("templates/explorer.css")
 class Screen(anywidget.AnyWidget):
     """Words, pictures and metrics of the runs; `picture` and `numbers` are of `panels.packed`."""
 
-    _esm = _text("live/plot.js", "explorer/screen.js")
+    _esm = _text("explorer/plot.js", "explorer/screen.js")
     _css = CSS
     status, how, line, table = (traitlets.Unicode().tag(sync=True) for _ in range(4))
     picture = traitlets.Dict().tag(sync=True)

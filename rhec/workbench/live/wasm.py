@@ -1,8 +1,8 @@
-"""C as WebAssembly, by the `ziglang` wheel (Clang and musl), or by Clang with LLD and wasi-libc.
+"""Compile C to WebAssembly: by the `ziglang` wheel, or by Clang with LLD and wasi-libc.
 
     python -m rhec.workbench.live.wasm
 
-ends with 1 where neither is there.
+exits with 1 where no compiler for WebAssembly is installed.
 """
 
 import contextlib
@@ -22,62 +22,71 @@ __all__ = ["can_compile", "module_of"]
 _FLAGS = [
     "--target=wasm32-wasi",
     "-O2",
+    # A fused multiply-add rounds once where Python's run rounds twice.
     "-ffp-contract=off",
     "-mbulk-memory",
     "-nostartfiles",
     "-w",
+    "-Wl,--no-entry,--strip-all",
 ]
-_FLAGS += ["-Wl,--no-entry,--strip-all"]
-# Several values may be returned at once: sine and cosine of an angle cost one call, not two, and a
-# run a fifth less time. Clang 14 crashes at it; a C library's functions on whole numbers of 128
-# bits do not know of it.
-_PAIRS = ["-mmultivalue", "-Xclang", "-target-abi", "-Xclang", "experimental-mv"]
+# Functions may return several values: sine and cosine of an angle cost one call instead of two,
+# and a run a fifth less time. Clang 14 crashes on these flags, Zig's Clang does not.
+_MULTIVALUE = ["-mmultivalue", "-Xclang", "-target-abi", "-Xclang", "experimental-mv"]
 _ZIG = [sys.executable, "-m", "ziglang", "cc"]
-_OWN = compiled.HEADERS / "elementary.h"  # the sine of all compiled code
+_SINES = compiled.HEADERS / "elementary.h"  # the sine of all compiled code
+_PROBE = "double run(double x) { return sin(x) * cos(x) + exp(x); }"
 
 
 @functools.cache
 def _compiler():
-    """The command that makes WebAssembly here, or None."""
-    clang = shutil.which("clang")
-    for command in [_ZIG] * bool(find_spec("ziglang")) + [[clang]] * bool(clang):
-        with contextlib.suppress(OSError):  # no linker, or no library
-            _compile(command, "double run(double x) { return sin(x) * cos(x) + exp(x); }")
+    """The command that compiles WebAssembly on this machine, or None."""
+    commands = []
+    if find_spec("ziglang"):
+        commands.append(_ZIG)
+    if clang := shutil.which("clang"):
+        commands.append([clang])
+    for command in commands:
+        with contextlib.suppress(OSError):  # Clang without its linker or without a C library
+            _compile(command, _PROBE)
             return command
     return None
 
 
 def can_compile():
-    """Return whether there is a compiler for WebAssembly."""
+    """Return whether a compiler for WebAssembly is installed."""
     return _compiler() is not None
 
 
 def _compile(command, code, *flags):
+    """The module's bytes; it exports `run` and all arrays whose names begin with `at_`."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "code.c").write_text(code, encoding="utf-8")
-        arrays = re.findall(r"^(?:double|int) (at_\w+)\[", code, re.M)
-        entries = re.findall(r"^(?:int|void|double) (run|ask|noise|soil)\(", code, re.M)
-        shown = [f"-Wl,--export={name}" for name in arrays + entries]
-        files = ["-include", str(_OWN), "code.c", "-o", "code.wasm"]
-        compiled.run_compiler([*command, *_FLAGS, *flags, *shown, *files], folder)
+        arrays = re.findall(r"^double (at_\w+)\[", code, re.M)
+        exports = [f"-Wl,--export={name}" for name in [*arrays, "run"]]
+        files = ["-include", str(_SINES), "code.c", "-o", "code.wasm"]
+        compiled.run_compiler([*command, *_FLAGS, *flags, *exports, *files], folder)
         return (Path(folder) / "code.wasm").read_bytes()
 
 
-def module_of(text, whole_numbers=False):
-    """The module (bytes) of a text in C, from the cache if it was made.
+def module_of(text):
+    """Compile a C text, or take its module from the cache.
 
-    whole_numbers: whether it multiplies such of 128 bits.
+    Args:
+        text: C with the entry `run`.
+
+    Returns:
+        The module's bytes.
 
     Raises:
         OSError: if the text does not compile.
     """
-    flags = _PAIRS if _compiler() == _ZIG and not whole_numbers else []
-    made_of = repr((text, _OWN.read_bytes(), _compiler(), _FLAGS, flags))
+    flags = _MULTIVALUE if _compiler() == _ZIG else []
+    key = repr((text, _SINES.read_bytes(), _compiler(), _FLAGS, flags))
 
     def make(folder):
         (folder / "code.wasm").write_bytes(_compile(_compiler(), text, *flags))
 
-    name = hashlib.sha256(made_of.encode()).hexdigest()[:24]
+    name = hashlib.sha256(key.encode()).hexdigest()[:24]
     return cache.kept(name, make, lambda folder: (folder / "code.wasm").read_bytes())
 
 
