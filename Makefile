@@ -171,7 +171,9 @@ build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
   $(wildcard docs/*.md rhec/workbench/live/* rhec/workbench/templates/* \
   rhec/workbench/templates/*/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
-	@$(PY) -m rhec.workbench.report $(EXECUTED)
+	@$(PY) -m rhec.workbench.report $(EXECUTED) \
+	  $$($(PY) -m rhec.workbench.live.wasm && echo --live)
+	@$(PY) -m rhec.workbench.live.page
 
 # What each notebook used and made when it was last run.
 $(EXECUTED:.ipynb=.d):

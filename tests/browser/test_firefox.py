@@ -88,7 +88,7 @@ def test_a_scene_follows_a_slider_with_the_bits_of_its_lines_of_python(firefox, 
     before = settled(firefox)
     firefox.evaluate(
         """(input => (input.value = 0.44, input.dispatchEvent(new Event('input', {bubbles: true})),
-        0))(document.querySelector('[data-scene]:not([hidden]) input[data-field=speed_mps]'))"""
+        0))(document.querySelector('#sliders input[data-field=speed_mps]'))"""
     )
     assert settled(firefox) != before
     lines = firefox.evaluate("document.getElementById('line').textContent").splitlines()

@@ -58,9 +58,8 @@ class World { // noise, soils and sensor faults of the seeds
   soil(seed, kind, patches, start_offset_m) {
     return this.keep("soil", JSON.stringify([seed, kind, patches, start_offset_m]), async () => {
       const steps = new Uint16Array(await unpack((await load(`seed_${seed}`)).soils[kind]));
-      const { shape: [n_x, n_y], step, cell_m, margin_m } = this.soil_grid;
-      const [wide, long] = this.grid;
-      const margin = margin_m + Math.abs(start_offset_m);
+      const { soil_shape: [n_x, n_y], loop_shape: [wide, long], cell_m } = this;
+      const margin = this.margin_m + Math.abs(start_offset_m);
       const origin_m = this.lowest.map(low => low - margin);
       const n = origin_m.map((from, i) => Math.ceil((this.highest[i] + margin - from) / cell_m) + 1);
       const slip = new Float64Array(2 * wide * long);
@@ -72,7 +71,7 @@ class World { // noise, soils and sensor faults of the seeds
           const y = origin_m[1] + cell_m * row;
           const patch = patches.findLast(([u, v, r]) => (x - u) ** 2 + (y - v) ** 2 <= r * r);
           for (let of = 0; of < 2; of++) {
-            const traction = step * steps[(of * n_x + column) * n_y + row];
+            const traction = this.traction_step * steps[(of * n_x + column) * n_y + row];
             slip[of + 2 * (i + wide * j)] = patch ? patch[3 + of] : traction;
           }
         }
@@ -104,7 +103,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
 
   // What `set_up` in rhec/simulation/closed_loop.py makes of fields of Scenario.
   set(values) {
-    const square = each => each ** 2;
+    const square = each => each * each; // the bits of numpy.square
     const settings = {
       ...this.data.settings,
       Q: values.q,

@@ -106,7 +106,7 @@ function write(said) {
 
 // What the reader does
 
-const sliders = () => document.querySelectorAll(`[data-scene="${page.scene}"] input[type=range]`);
+const sliders = () => document.querySelectorAll("#sliders input[type=range]");
 
 // Where a slider's value is stored: [object, key], or null where the slider sets nothing.
 function slot({ field, place }) {

@@ -30,7 +30,7 @@ from rhec.simulation.columns import COLUMNS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, tuning
 from rhec.tracked_robot.estimators import Choice, estimator_of
-from rhec.workbench.explorer.controls import CONTROLS, NEW_PATCH, PATCH, line_of
+from rhec.workbench.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
 from rhec.workbench.explorer.explorer import METRICS
 from rhec.workbench.live import functions, wasm
 
@@ -60,13 +60,10 @@ STRUCTURES = {
     "rhe_robust": dict(faults=_ANY_FAULT, robust=True),
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
-# Fields of Scenario that have sliders, by group.
-_GROUPS = {
-    "Controller": ("q", "r", "look_ahead_m", "omega_max_radps"),
-    "Noise assumed": ("sigma_w", "sigma_v"),
-    "Start and drive": ("start_offset_m", "start_yaw_rad", "speed_mps", "duration_s"),
-    "Sensors": ("gnss_sigma_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps"),
-}
+# Fields of Scenario that have sliders; none of them changes the structure of the loop.
+_FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v"}
+_FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "duration_s"}
+_FIELDS |= {"gnss_sigma_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps"}
 # Fields of Scenario in which the loop's first memory is affine.
 _START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
 # Settings of the loop that come with the soil.
@@ -198,68 +195,72 @@ def _world():
     defaults = {field.name: getattr(start, field.name) for field in fields(start)}
     # The line of Python leaves out what has its default.
     defaults |= dict(sigma_v=paper.SIGMA_V, faults=())
-    setup = closed_loop.set_up(Scenario(start_offset_m=0.0))
-    farthest = closed_loop.set_up(Scenario(start_offset_m=_FARTHEST_START_M)).terrain
-    # As many equal steps as there are half metres: the last point is one step before the first.
-    path_step_m = setup.path.length_m / np.ceil(2 * setup.path.length_m)
-    line = setup.path.poses(np.arange(0, setup.path.length_m - 1e-9, path_step_m))[0][:, :2]
-    return dict(
+    return _geometry() | dict(
         dt_s=paper.DT_S,
         max_samples=functions.MAX_SAMPLES,
         tolerance_m=paper.TOLERANCE_M,
+        robot_m=(paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M),
         columns=COLUMNS,
         errors=functions.ERRORS,
         metrics=METRICS,
-        robot_m=(paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M),
         noise=dict(n=packed_size(plant.NOISE), step=NOISE_STEP),
         n_fault=packed_size(faults.STREAM),
-        soil_grid=dict(
-            step=TRACTION_STEP,
-            cell_m=farthest.cell_m,
-            shape=farthest.mu.shape,
-            # A random field reaches so far beyond the path, and farther by the start's offset.
-            margin_m=setup.path.box[0] - setup.terrain.origin_m[0],
-        ),
-        grid=setup.structure.terrain_shape,
-        seeds=[*SEEDS],
-        soils=SOILS,
-        lowest=setup.path.box[::2],
-        highest=setup.path.box[1::2],
-        path=np.round(line, 3).tolist(),
-        path_step_m=path_step_m,
         faults={name: f"({', '.join(map(line_of, fault))},)" for name, fault in FAULTS.items()},
         shaded={name: [(of.start_s, of.end_s) for of in fault] for name, fault in FAULTS.items()},
+        seeds=[*SEEDS],
+        soils=SOILS,
         windows=[5, 10, 15, 30],
         new_patch=NEW_PATCH,
+        groups=_sliders(),
         scenes={name: _scene(scene, defaults) for name, scene in SCENES.items()},
         defaults=defaults,
     )
 
 
+def _geometry():
+    """The path, and the grids of soils."""
+    setup = closed_loop.set_up(Scenario(start_offset_m=0.0))
+    farthest = closed_loop.set_up(Scenario(start_offset_m=_FARTHEST_START_M)).terrain
+    path = setup.path
+    # Equal steps of about half a metre: the last point is one step before the first.
+    path_step_m = path.length_m / np.ceil(2 * path.length_m)
+    line = path.poses(np.arange(0, path.length_m - 1e-9, path_step_m))[0][:, :2]
+    return dict(
+        path=np.round(line, 3).tolist(),
+        path_step_m=path_step_m,
+        lowest=path.box[::2],
+        highest=path.box[1::2],
+        # A random field reaches so far beyond the path, and farther by the start's offset.
+        margin_m=path.box[0] - setup.terrain.origin_m[0],
+        cell_m=farthest.cell_m,
+        traction_step=TRACTION_STEP,
+        soil_shape=farthest.mu.shape,
+        loop_shape=setup.structure.terrain_shape,
+    )
+
+
 def _scene(scene, defaults):
-    """A scene with its runs, values and sliders in full."""
+    """A scene with its runs and the sliders' first values in full."""
     runs = [
         (name, module, {field: getattr(paper, constant) for field, constant in own.items()})
         for name, module, own in scene["runs"]
     ]
     own = dict(duration_s=scene["duration_s"], sigma_w=tuning.SIGMA_W["rhe"]["calibrated"])
-    groups = {title: _sliders(_GROUPS[title]) for title in scene["groups"]}
-    groups["Last wet patch"] = [_slider(slider, "patch", slider.key) for slider in PATCH]
-    names = {name for group in _GROUPS.values() for name in group}
-    values = {name: value for name, value in (defaults | own).items() if name in names}
-    return dict(fault=next(iter(FAULTS))) | scene | dict(runs=runs, groups=groups, values=values)
+    values = {name: value for name, value in (defaults | own).items() if name in _FIELDS}
+    return dict(fault=next(iter(FAULTS))) | scene | dict(runs=runs, values=values)
 
 
-def _sliders(names):
-    """The explorer's sliders of these fields of Scenario."""
-    places = [(key if isinstance(key, tuple) else (key, None), key) for key in CONTROLS]
-    return [_slider(CONTROLS[key], *place) for place, key in places if place[0] in names]
-
-
-def _slider(slider, field, place):
-    """A Slider as the script reads it: field and place, range and text."""
-    high = functions.MAX_SAMPLES * paper.DT_S if field == "duration_s" else slider.high
-    return slider._asdict() | dict(field=field, place=place, high=high)
+def _sliders():
+    """{group: sliders} of the explorer that the page has, and those of the last wet patch."""
+    groups = {}
+    for title, controls in GROUPS.items():
+        for control in controls:
+            field, place = control.key if isinstance(control.key, tuple) else (control.key, None)
+            if field in _FIELDS:
+                slider = control._asdict() | dict(field=field, place=place)
+                groups.setdefault(title, []).append(slider)
+    patch = [slider._asdict() | dict(field="patch", place=slider.key) for slider in PATCH]
+    return groups | {"Last wet patch": patch}
 
 
 def _main():
@@ -267,7 +268,7 @@ def _main():
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.live.page", description=about)
     parser.add_argument("folder", metavar="FOLDER", nargs="?", type=Path, default=REPORT)
     folder = parser.parse_args().folder
-    if not wasm.can_compile():
+    if not wasm.compiler():
         print("live page: left out, since nothing on this machine compiles C to WebAssembly")
         return
     write(folder)

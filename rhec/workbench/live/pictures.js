@@ -4,8 +4,8 @@
 const COLOURS = ["--run0", "--run1", "--run2"]; // of the runs
 
 function draw_soil(plot, { slip, n, origin_m }) { // and the path
-  const { soil_grid: { cell_m }, grid, path } = page.world;
-  plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + grid[0] * j)]);
+  const { cell_m, loop_shape, path } = page.world;
+  plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + loop_shape[0] * j)]);
   plot.line(...spread(path), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
 }
 

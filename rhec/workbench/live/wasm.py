@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rhec.core._casadi import cache, compiled
 
-__all__ = ["can_compile", "module_of"]
+__all__ = ["compiler", "module_of"]
 
 _FLAGS = [
     "--target=wasm32-wasi",
@@ -38,23 +38,14 @@ _PROBE = "double run(double x) { return sin(x) * cos(x) + exp(x); }"
 
 
 @functools.cache
-def _compiler():
+def compiler():
     """The command that compiles WebAssembly on this machine, or None."""
-    commands = []
-    if find_spec("ziglang"):
-        commands.append(_ZIG)
-    if clang := shutil.which("clang"):
-        commands.append([clang])
-    for command in commands:
+    clang = shutil.which("clang")
+    for command in [_ZIG] * bool(find_spec("ziglang")) + [[clang]] * bool(clang):
         with contextlib.suppress(OSError):  # Clang without its linker or without a C library
             _compile(command, _PROBE)
             return command
     return None
-
-
-def can_compile():
-    """Return whether a compiler for WebAssembly is installed."""
-    return _compiler() is not None
 
 
 def _compile(command, code, *flags):
@@ -80,15 +71,15 @@ def module_of(text):
     Raises:
         OSError: if the text does not compile.
     """
-    flags = _MULTIVALUE if _compiler() == _ZIG else []
-    key = repr((text, _SINES.read_bytes(), _compiler(), _FLAGS, flags))
+    flags = _MULTIVALUE if compiler() == _ZIG else []
+    key = repr((text, _SINES.read_bytes(), compiler(), _FLAGS, flags))
 
     def make(folder):
-        (folder / "code.wasm").write_bytes(_compile(_compiler(), text, *flags))
+        (folder / "code.wasm").write_bytes(_compile(compiler(), text, *flags))
 
     name = hashlib.sha256(key.encode()).hexdigest()[:24]
     return cache.kept(name, make, lambda folder: (folder / "code.wasm").read_bytes())
 
 
 if __name__ == "__main__":
-    sys.exit(not can_compile())
+    sys.exit(compiler() is None)
