@@ -17,8 +17,8 @@ DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
 FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
 
 _COLOURS = COLOURS | {"traction oracle": PURPLE, "dual": ORANGE}
-_LAYOUT = ("map mu",) * 2 + ("map kappa",) * 2 + ("map yaw_rate", "error yaw_rate")
-_LAYOUT += ("error kkt",) * 2  # as many rows as there are different heights
+# Two columns: map over error, and four pictures over each other.
+_LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
 _MOST_POINTS = 300  # of soil, along one side
 
 # What is drawn of a run: panel, columns along x and y, and how: all but "truth" in the estimator's
@@ -45,8 +45,8 @@ _TITLES = {
     "error": "error [m] over time [s]; faint: by raw GNSS",
     "mu": "μ over time",
     "kappa": "κ over time",
-    "yaw_rate": "commanded yaw rate [rad/s] and its bounds",
-    "kkt": "KKT tolerance of RHE (bold) and RHC",
+    "yaw_rate": "commanded yaw rate [rad/s]",
+    "kkt": "KKT: RHE (bold), RHC",
 }
 
 
@@ -142,14 +142,10 @@ def _map_limits(run, zoom):
         high = ends.max(axis=0) + (1, beside)
         scale = ""
     else:
-        low = run.terrain.origin_m
-        points = np.array(run.terrain.mu.shape) - 1
+        margin_m = 2.0 + abs(run.scenario.start_offset_m)
+        low = np.array(path.box[::2]) - margin_m
+        high = np.array(path.box[1::2]) + margin_m
         scale = "equal"
-        high = low + points * run.terrain.cell_m
-        if min(points) < 8:  # uniform soil has no extent of its own
-            xy = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2]
-            low = xy.min(axis=0) - 5
-            high = xy.max(axis=0) + 5
     low = np.array(low, dtype=float).tolist()
     high = np.array(high, dtype=float).tolist()
     return *zip(low, high), scale
