@@ -1,7 +1,4 @@
-"""What the explorer shows, as one widget: the kernel sends what is to be seen, the page draws it.
-
-The kernel runs the field; the report's live page runs it itself. docs/live.md has both times.
-"""
+"""What the explorer shows, as one widget: the kernel sends pictures as data, the browser draws."""
 
 from pathlib import Path
 
