@@ -96,7 +96,7 @@ def test_a_scene_follows_a_slider_with_the_bits_of_its_lines_of_python(firefox, 
     for i, line in enumerate(lines):
         bits = firefox.evaluate(
             f"""(loop => btoa(Array.from(new Uint8Array(
-            loop.at_row.slice(0, loop.samples * loop.wide).buffer),
+            loop.at_row.slice(0, loop.samples * loop.world.columns.length).buffer),
             byte => String.fromCharCode(byte)).join("")))(page.loops[{i}])"""
         )
         rows = np.frombuffer(base64.b64decode(bits)).reshape(-1, len(COLUMNS))

@@ -98,8 +98,8 @@ RUNS = """() => {
     }
     const lines = document.getElementById("line").textContent.split("\\n")
     return page.loops.map((loop, i) => {
-        const { samples, wide, data, metrics } = loop
-        const { noise, n_fault } = page.world
+        const { samples, data, metrics } = loop
+        const { noise, n_fault, columns: { length: wide } } = page.world
         const width = noise.n + (data.faulty ? n_fault : 0)
         return {
             line: lines[i],

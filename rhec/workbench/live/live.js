@@ -61,7 +61,8 @@ class World { // noise, soils and sensor faults of the seeds
       const { soil_shape: [n_x, n_y], loop_shape: [wide, long], cell_m } = this;
       const margin = this.margin_m + Math.abs(start_offset_m);
       const origin_m = this.lowest.map(low => low - margin);
-      const n = origin_m.map((from, i) => Math.ceil((this.highest[i] + margin - from) / cell_m) + 1);
+      const end_m = this.highest.map(high => high + margin);
+      const n = end_m.map((end, i) => Math.ceil((end - origin_m[i]) / cell_m) + 1);
       const slip = new Float64Array(2 * wide * long);
       for (let j = 0; j < long; j++) {
         for (let i = 0; i < wide; i++) {
@@ -92,7 +93,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
       unused[from][of] = () => 0;
     }
     const loop = new Loop();
-    Object.assign(loop, { name, data, world, wide: world.columns.length });
+    Object.assign(loop, { name, data, world });
     loop.wasm = (await WebAssembly.instantiate(module, unused)).exports;
     for (const array of Object.keys(loop.wasm).filter(each => each.startsWith("at_"))) {
       const from = loop.wasm[array].value; // each reaches to the memory's end
@@ -115,9 +116,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
       V: values.sigma_v.map(square),
       gnss_white_m: [values.gnss_sigma_m],
     };
-    const same = ["look_ahead_m", "speed_mps", "encoder_sigma_mps", "speed_sigma_mps",
-      "bump_sigma_radps"];
-    for (const name of same) settings[name] = [values[name]];
+    for (const name in settings) if (name in values) settings[name] = [values[name]];
     for (const name in settings) this[`at_${name}`]?.set(settings[name]);
     const { memory, directions } = this.data;
     this.at_memory.set(memory.map((value, i) => {
@@ -138,15 +137,12 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     this.metrics = metrics_of(this, this.world);
   }
 
-  get(name) { // a column of the log, as a function of the sample
-    const i = this.world.columns.indexOf(name);
-    return k => this.at_row[k * this.wide + i];
-  }
-
-  error(name) { // one of world.errors, as a function of the sample
-    const n = this.world.errors.length;
-    const i = this.world.errors.indexOf(name);
-    return k => this.at_errors[k * n + i];
+  get(name) { // a column of the log or one of the errors, as a function of the sample
+    const { columns, errors } = this.world;
+    const names = errors.includes(name) ? errors : columns;
+    const array = names === errors ? this.at_errors : this.at_row;
+    const i = names.indexOf(name);
+    return k => array[k * names.length + i];
   }
 
   sigma(name) { // standard deviation of a state, by sample; null where it is not estimated
@@ -157,10 +153,9 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
   }
 
   piece(name, k) { // of the memory after sample k, column by column
-    const [first, rows, columns] = this.data.places[name] ?? [0, 0, 0];
-    const from = (k + 1) * this.data.memory.length + first;
-    return Array.from({ length: columns }, (_, i) =>
-      this.at_memory.subarray(from + i * rows, from + (i + 1) * rows));
+    const first = (k + 1) * this.data.memory.length;
+    const columns = this.data.places[name] ?? [];
+    return columns.map(column => column.map(i => this.at_memory[first + i]));
   }
 
   // Points of the path that the controller follows at sample k, eq. (17): one sample apart.
@@ -168,7 +163,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     const { path, path_step_m, dt_s } = this.world;
     const pace = Math.abs(this.get("mu_hat")(k) * this.get("nu_hat_mps")(k)) * dt_s;
     const from = this.get("s_m")(k) + look_ahead_m;
-    return this.piece("controller.s", k).map((_, i) => {
+    return this.piece("plan", k).map((_, i) => {
       const place = (from + i * pace) / path_step_m;
       const [a, b] = [0, 1].map(next => path[(Math.floor(place) + next) % path.length]);
       return a.map((value, axis) => value + (place % 1) * (b[axis] - value));
@@ -179,10 +174,10 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
 // The metrics of rhec/simulation/metrics.py: they count from when the robot has settled.
 function metrics_of(loop, { dt_s, tolerance_m }) {
   const { samples } = loop;
-  const error = loop.error("error_m");
-  const error_true = loop.error("error_true_m");
-  const on_straight = loop.error("on_straight");
-  const left = loop.error("left_m");
+  const error = loop.get("error_m");
+  const error_true = loop.get("error_true_m");
+  const on_straight = loop.get("on_straight");
+  const left = loop.get("left_m");
   const enough = Math.round(SETTLING_S / dt_s);
   let inside = 0;
   let settled = 0; // samples until the robot has settled; 0: it never does

@@ -60,7 +60,8 @@ function ask(what) {
 // In words and numbers
 
 function python(value) {
-  if (!Array.isArray(value)) return { true: "True", false: "False" }[value] ?? JSON.stringify(value);
+  const word = { true: "True", false: "False" }[value];
+  if (!Array.isArray(value)) return word ?? JSON.stringify(value);
   return `(${value.map(python).join(", ")}${value.length === 1 ? "," : ""})`;
 }
 
@@ -153,7 +154,6 @@ function choose(id) { // a scene as it begins
   $("faulty").hidden = id !== "faults";
   $("fault").value = scene.fault;
   $("moment").value = (scene.time_s + 0.1) / values.duration_s;
-  history.replaceState(null, "", `#${id}`);
   show();
   ask(drive);
 }
@@ -197,8 +197,7 @@ function dragged(canvas, grasp) { // grasp: pointer -> what its moves do
     held(event);
   };
   canvas.onpointermove = event => held?.(event);
-  canvas.onpointerup = () => { held = null; };
-  canvas.onpointercancel = canvas.onpointerup;
+  canvas.onpointerup = canvas.onpointercancel = () => { held = null; };
 }
 
 const far = ([x, y], [u, v]) => Math.hypot(x - u, y - v);
@@ -229,18 +228,12 @@ function grasped(event) { // what is held on the map
   return event => to_moment(at(event));
 }
 
-function copy_line() { // a page from the disk may have no other way to the clipboard
-  getSelection().selectAllChildren($("line"));
-  document.execCommand("copy");
-}
-
 function begin(world) {
   page.world = world;
   $("controls").oninput = changed;
   $("controls").onreset = () => setTimeout(choose, 0, page.scene);
   $("patch").onclick = () => add_patch();
   $("dry").onclick = remove_patches;
-  $("copy").onclick = copy_line;
   dragged($("map"), grasped);
   $("map").ondblclick = event => add_patch(...page.map.data(event).map(Math.round));
   for (const id of ["error", "mu", "kappa", "omega"]) dragged($(id), () => event => {
@@ -249,8 +242,8 @@ function begin(world) {
   });
   new ResizeObserver(() => page.soil && ask(draw)).observe($("pictures"));
   matchMedia("(prefers-color-scheme: dark)").onchange = () => ask(draw);
-  window.onhashchange = () => location.hash.slice(1) in world.scenes && choose(location.hash.slice(1));
-  choose(location.hash.slice(1) in world.scenes ? location.hash.slice(1) : "a");
+  const scene = location.hash.slice(1);
+  choose(scene in world.scenes ? scene : "a");
 }
 
 load("world").then(data => begin(new World(data))).catch(failed);

@@ -7,13 +7,13 @@ faults of each seed are data that Python computes here; the loop is WebAssembly,
 structure of the loop. The page loads seeds and modules when they are first needed.
 """
 
-import argparse
 import base64
 import gzip
 import json
 import multiprocessing
 import os
 import shutil
+import sys
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
@@ -71,11 +71,7 @@ _OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
 
 
 def write(folder=REPORT):
-    """Write live.html, and what it loads, into a folder.
-
-    Args:
-        folder: Where to, by default the report's. Notebooks' pages in it get a link.
-    """
+    """Write live.html and what it loads into a folder; it links the notebooks' pages there."""
     folder.mkdir(parents=True, exist_ok=True)
     files = folder / "live"
     shutil.rmtree(files, ignore_errors=True)
@@ -104,15 +100,10 @@ def _packed(values):
 
 
 def seed_data(seed):
-    """Noise, soils and sensor faults of a seed, as the page loads them.
+    """Noise, soils and sensor faults of a seed, each array compressed, as text.
 
-    Args:
-        seed: Seed of Scenario.
-
-    Returns:
-        dict(noise: (MAX_SAMPLES, n) in steps of NOISE_STEP; soils: {name: (2, n_x, n_y) in steps
-        of TRACTION_STEP}, on the grid of a start _FARTHEST_START_M beside the path; faults:
-        {name: (MAX_SAMPLES, n)}), each compressed, as text.
+    noise: (MAX_SAMPLES, n) in steps of NOISE_STEP; soils: {name: (2, n_x, n_y)} in steps of
+    TRACTION_STEP, for a start _FARTHEST_START_M beside the path; faults: {name: (MAX_SAMPLES, n)}.
     """
     noise = plant.draw_noise(seed, functions.MAX_SAMPLES) / NOISE_STEP
     soils = {}
@@ -129,14 +120,10 @@ def seed_data(seed):
 
 
 def affine_memory(own):
-    """The loop's first memory as an affine function of the start.
+    """The loop's first memory m = m_0 + Σ value · direction, for the structure of Scenario(**own).
 
-    Args:
-        own: Fields of Scenario that decide the structure.
-
-    Returns:
-        The memory (n,) where all of _START are 0, and {field of _START: its direction (n,)}:
-        memory = m_0 + Σ value · direction. It holds copies of the pose, its guess and the speed.
+    It consists of constants and copies of pose, guess and speed, which are affine in the fields
+    of _START. Returns m_0 (n,) and {field: direction (n,)}.
     """
 
     def memory(**start):
@@ -168,7 +155,7 @@ def _module(own):
             for name, value in setup.settings.items()
             if name not in _OF_THE_SOIL
         },
-        places=_places(setup.layout),
+        places=_places(setup),
         states=estimator_of(choice.estimator, choice.robust).states(choice),
         sigma_w={name: sigma_w[name] for name in noises},
         line={name: value for name, value in own.items() if name != "faults"},
@@ -177,16 +164,13 @@ def _module(own):
     )
 
 
-def _places(layout):
-    """{piece of the memory: (first index, rows, columns)}, as "controller.s"."""
-    places = {}
-    first = 0
-    for name, shape in layout.items():
-        pieces = shape if isinstance(shape, dict) else {"": shape}
-        for piece, (rows, columns) in pieces.items():
-            places[f"{name}.{piece}".rstrip(".")] = first, rows, columns
-            first += rows * columns
-    return places
+def _places(setup):
+    """{piece of the memory: indices of its columns}: the plan, and the window of an RHE."""
+    pieces = setup.unpack(np.arange(len(setup.memory)))
+    window = pieces["estimator"]
+    names = ("s", "z", "age") if "age" in window else ()
+    places = {name: window[name].T.tolist() for name in names}
+    return places | dict(plan=pieces["controller"]["s"].T.tolist())
 
 
 def _world():
@@ -264,12 +248,9 @@ def _sliders():
 
 
 def _main():
-    about = "Write the live page, the closed loop in the reader's browser, into a folder."
-    parser = argparse.ArgumentParser(prog="python -m rhec.workbench.live.page", description=about)
-    parser.add_argument("folder", metavar="FOLDER", nargs="?", type=Path, default=REPORT)
-    folder = parser.parse_args().folder
-    if not wasm.compiler():
-        print("live page: left out, since nothing on this machine compiles C to WebAssembly")
+    folder = Path(sys.argv[1]) if sys.argv[1:] else REPORT
+    if not wasm.can_compile():
+        print("live page: left out, since ziglang is not installed")
         return
     write(folder)
     print(f"live page: open {os.path.relpath(folder / 'live.html')}")

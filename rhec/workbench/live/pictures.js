@@ -50,15 +50,16 @@ function draw_near(now) { // what estimator and controller of the followed run k
   const [x, y] = pose;
   const reach = 3.2 * page.values.speed_mps + 0.7;
   const near = new Plot($("near"), [x - reach, x + reach], [y - 0.5, y + 0.5], { equal: true });
-  const [age] = loop.piece("estimator.age", now)[0] ?? [0]; // intervals in the window
+  const [age] = loop.piece("age", now)[0] ?? [0]; // intervals in the window
   const window = name => spread(loop.piece(name, now).slice(-1 - age));
-  const plan = spread(loop.piece("controller.s", now));
+  const plan = spread(loop.piece("plan", now));
   draw_soil(near, page.soil);
   draw_robot(near, pose, "--soft");
   near.line(now + 1, loop.get("x_m"), loop.get("y_m"), "--soft", { width: 1 });
-  near.dots(...window("estimator.z"), "--measured", { radius: 5, full: false });
-  near.dots(...window("estimator.s"), colour, { radius: 3 });
-  near.dots(...spread(loop.desired(now, page.values.look_ahead_m)), "--ink", { radius: 5, full: false });
+  near.dots(...window("z"), "--measured", { radius: 5, full: false });
+  near.dots(...window("s"), colour, { radius: 3 });
+  const desired = loop.desired(now, page.values.look_ahead_m);
+  near.dots(...spread(desired), "--ink", { radius: 5, full: false });
   near.line(...plan, "--plan");
   near.dots(...plan, "--plan", { radius: 2 });
 }
@@ -72,8 +73,8 @@ function draw_over_time(id, [low, high], now, draw_loop) {
   if (loops.some(({ data }) => data.faulty)) {
     for (const [from, to] of shaded[$("fault").value]) {
       const across = [from, Math.min(to, end_s)];
-      plot.area(4, i => across[i >> 1], i => [low, high, high, low][i], "--measured",
-        { alpha: 0.15 });
+      const up = i => [low, high, high, low][i];
+      plot.area(4, i => across[i >> 1], up, "--measured", { alpha: 0.15 });
     }
   }
   loops.forEach((loop, i) => draw_loop(plot, loop, COLOURS[i], time));
@@ -88,7 +89,7 @@ function draw_error(now) {
   const largest = Math.max(0.3, ...loops.map(({ metrics }) => 1.1 * metrics.max_error_true_m));
   const plot = draw_over_time("error", [0, Math.min(largest, 5)], now,
     (plot, loop, colour, time) =>
-      plot.line(loop.samples, time, loop.error("error_true_m"), colour));
+      plot.line(loop.samples, time, loop.get("error_true_m"), colour));
   plot.limit(world.tolerance_m);
 }
 
