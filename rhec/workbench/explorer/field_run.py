@@ -51,7 +51,7 @@ _TITLES = {
 
 
 def name_of(scenario):
-    """The estimator's name in legends; "own" for one of the user's."""
+    """The estimator's name in legends; "own" for an estimator of the user."""
     own = not isinstance(scenario.estimator, str)
     return "own" if own else ESTIMATORS.get(scenario.estimator, scenario.estimator)
 
@@ -92,7 +92,7 @@ def round_up_to(value, steps=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
 
 def _finite(columns, *names):
     """All finite values of these columns of several runs, one after another."""
-    values = np.concatenate([each[name] for each in columns for name in names])
+    values = np.concatenate([run[name] for run in columns for name in names])
     return values[np.isfinite(values)]
 
 
@@ -161,7 +161,7 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     """
     first = runs[0]
     columns = [run.columns for run in (*runs, *pinned)]
-    time = 0.0, float(max(each["t_s"][-1] + paper.DT_S for each in columns))
+    time = 0.0, float(max(run["t_s"][-1] + paper.DT_S for run in columns))
     bound = first.scenario.omega_max_radps
     limits = {name: _traction_limits(columns, name) for name in ("mu", "kappa")}
     limits |= dict(error=_error_limits(columns), kkt=_kkt_limits(columns))
@@ -195,7 +195,7 @@ def _curves(run, ylim):
     """The times in the path's curved parts, as grey areas."""
     edges = np.flatnonzero(np.diff(~run.columns["on_straight"], prepend=False, append=False))
     times = np.append(run.columns["t_s"], run.columns["t_s"][-1] + paper.DT_S)[edges]
-    return [rectangle(each, ylim, alpha=0.07) for each in times.reshape(-1, 2)]
+    return [rectangle(span, ylim, alpha=0.07) for span in times.reshape(-1, 2)]
 
 
 def _ground(run, soil):
