@@ -142,10 +142,9 @@ $(READY): environment.txt pyproject.toml
 	@$(PY) -m venv $@ && $@/bin/python -m pip --disable-pip-version-check install -q --no-deps \
 	  --require-hashes -r $< || { rm -rf $@; echo 'acados could not be installed' >&2; }
 
-# What makes WebAssembly for the report's live page, where nothing here does yet; the report can do
-# without.
+# The compiler of WebAssembly for the report's live page; without it the report has none.
 .venv/wasm: rhec/workbench/live/zig.txt $(READY)
-	@$(PY) -m rhec.workbench.live.wasm || $(PIP) --no-deps --require-hashes -r $< || true
+	@$(PIP) --no-deps --require-hashes -r $< || true
 	@touch $@
 
 # The reason for a run: `$?` is what is newer than the last run, or gone.
@@ -172,7 +171,9 @@ build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
   $(wildcard docs/*.md rhec/workbench/live/* rhec/workbench/templates/* \
   rhec/workbench/templates/*/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
-	@$(PY) -m rhec.workbench.report $(EXECUTED)
+	@$(PY) -m rhec.workbench.report $(EXECUTED) \
+	  $$($(PY) -c 'import ziglang' 2>/dev/null && echo --live)
+	@$(PY) -m rhec.workbench.live.page
 
 # What each notebook used and made when it was last run.
 $(EXECUTED:.ipynb=.d):

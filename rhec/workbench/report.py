@@ -19,6 +19,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import tomllib
 from collections import Counter
 from datetime import datetime
 from html import escape
@@ -38,8 +39,6 @@ from pygments.formatters import HtmlFormatter
 
 from rhec import __version__
 from rhec.workbench import reference
-from rhec.workbench.live import page as live_page
-from rhec.workbench.live import wasm
 from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
 
@@ -49,6 +48,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
 LONG = 40  # characters: a text in a table that wants room
+SCENES = Path(__file__).parent / "live/scenes.toml"  # of the live page, which comes afterwards
 LIVE = '<p class="live">Sliders: run <code>make lab</code> and open this notebook.</p>'
 # A notebook may be called claims, too.
 RESULTS = [f"results-{name}" for name in ("claims", "figures", "tables", "provenance")]
@@ -299,7 +299,7 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
         notebooks: paths of executed notebooks, in the order of the pages.
         figures: folder of the figures and tables that they left.
         report: folder of the site.
-        live: whether it has the live page, for which C is compiled to WebAssembly.
+        live: whether to link the live page (`python -m rhec.workbench.live.page`).
 
     Raises:
         ValueError: if a notebook cannot be shown; the old site is left as it was.
@@ -349,7 +349,7 @@ def _write_site(notebooks, figures, site, live):
         provenance=_provenance(),
         packages=_packages(),
         environment=sorted({figure["source"] for figure in drawn}),
-        live=live_page.LEADS if live else {},
+        live=_scenes() if live else {},
     )
     looks = dict(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     loader = jinja2.FileSystemLoader(TEMPLATES)
@@ -364,8 +364,6 @@ def _write_site(notebooks, figures, site, live):
 
     for page in ["index", *RESULTS]:
         write(page, page)
-    if live:
-        write("live", "live", world=live_page.build(site / "live"))
     contents, body = reference.of_the_face()
     write("reference", "reference", contents=contents, body=Markup(body))
     for template, pages in {"story": stories, "document": docs}.items():
@@ -378,18 +376,24 @@ def _write_site(notebooks, figures, site, live):
     (site / "report.css").write_text(css, encoding="utf-8")
 
 
+def _scenes():
+    """{notebook: the live page's scene about it}."""
+    scenes = tomllib.loads(SCENES.read_text(encoding="utf-8"))
+    return {scene["notebook"]: name for name, scene in scenes.items()}
+
+
 def _main():
     about = "Make build/report/ from executed notebooks, such as build/notebooks/scenario_a.ipynb."
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
+    parser.add_argument("--live", action="store_true", help="link the live page")
+    arguments = parser.parse_args()
     try:
-        build(parser.parse_args().notebooks, live=wasm.can_compile())
+        build(arguments.notebooks, live=arguments.live)
     except KeyboardInterrupt:
         parser.exit(130, "report: interrupted; an older one is left as it was\n")
     except ValueError as error:
         parser.exit(1, f"report: {error}\n")
-    if not wasm.can_compile():
-        print("report: with pictures alone, since nothing here compiles C to WebAssembly")
     print(f"report: open {os.path.relpath(REPORT / 'index.html')}")
 
 

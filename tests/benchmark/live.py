@@ -34,7 +34,7 @@ def main():
             page.wait_for_function("page.loops?.length && !asked")
             loaded = page.evaluate("performance.now()")
             page.evaluate(WATCH)
-            page.locator("[data-scene]:not([hidden]) input[data-field=speed_mps]").focus()
+            page.locator("#sliders input[data-field=speed_mps]").focus()
             for number in range(PRESSES):
                 page.keyboard.press("ArrowLeft" if number % 2 else "ArrowRight")
                 page.wait_for_function(f"taken.length > {number}", polling=20)

@@ -122,7 +122,7 @@ def opened(lab, chromium):
 def explorer(opened, lab):
     """The explorer as it begins."""
     opened.press("unpin") if opened.page.get_by_role("button", name="unpin").is_enabled() else None
-    opened.press("field run")
+    opened.press("Field run")
     opened.press("reset")
     opened.quiet()
     opened.page.evaluate("seen.painted = []")
@@ -281,7 +281,7 @@ def test_the_pictures_follow_the_theme_and_tell_what_they_are(explorer):
 
 
 def test_the_robot_view_plays(explorer):
-    explorer.press("robot view")
+    explorer.press("Robot view")
     explorer.settled()
     first = explorer.picture
     explorer.page.locator(

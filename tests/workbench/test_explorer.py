@@ -15,6 +15,7 @@ import pytest
 
 import rhec
 from rhec import paper
+from rhec.tracked_robot import tuning
 from rhec.workbench.explorer import controls, explorer, field_run, robot_view, screen
 from rhec.workbench.explorer.panels import packed
 from rhec.workbench.explorer.snapshot import snapshot_at
@@ -234,12 +235,12 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
                 assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
 
 
-@pytest.mark.parametrize("view", ["field run", "robot view"])
+@pytest.mark.parametrize("view", ["Field run", "Robot view"])
 @pytest.mark.parametrize("zoom", field_run.ZOOMS)
 def test_every_view_is_complete(made, view, zoom):
     """Each panel stands in the layout, has finite limits, and numbers for each mark."""
     made.pin.click()
-    made.view.value, made.zoom.value, made.soil.value, made.moment.value = view, zoom, "mu", 100
+    made.view.value, made.zoom.value, made.soil.value, made.sample.value = view, zoom, "mu", 100
     picture = made.screen.picture
     assert {*" ".join(picture["layout"]).split()} == {*picture["panels"]}
     for panel in picture["panels"].values():
@@ -396,6 +397,26 @@ def test_without_widgets_the_picture_and_the_table_stand_for_them(made):
     assert made.screen.table in bundle["text/html"]
 
 
+def test_its_text_is_the_errors_and_the_scenario(made):
+    first, *errors, line = repr(made).splitlines()
+    assert first == "Explorer" and line.strip() == made.screen.line
+    assert [error.split(":")[0].strip() for error in errors] == ["RHE", "EKF"]
+    assert f"mean error {made.runs[0].metrics['mean_error_m']:.4f} m" in errors[0]
+
+
+def test_sliders_of_w_show_the_w_in_use(made):
+    sliders = [made.inputs["sigma_w", place] for place in range(6)]
+    for noise in ("printed", "calibrated"):
+        made.process_noise.value = noise
+        assert tuple(slider.value for slider in sliders) == tuning.SIGMA_W["rhe"][noise]
+        assert all(slider.disabled for slider in sliders)
+    made.process_noise.value = "own"
+    assert not any(slider.disabled for slider in sliders)
+    assert made.runs[0].scenario.sigma_w == tuning.SIGMA_W["rhe"]["calibrated"]
+    sliders[5].value = 0.1
+    assert made.runs[0].scenario.sigma_w[5] == 0.1
+
+
 # Compiling
 
 
@@ -413,7 +434,7 @@ def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs
 
     async def user():
         runs = made.runs
-        made.driven.clear()
+        made.loaded.clear()
         made.against.value = None
         made.inputs["r"].value = 20.0
         made.inputs["r"].value = 30.0
@@ -431,7 +452,7 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
 
     monkeypatch.setattr(explorer, "compile_apart", compile_apart)
     monkeypatch.setattr(explorer.compiled, "is_compiled", lambda build, *structure: False)
-    made.driven.clear()
+    made.loaded.clear()
 
     async def user():
         made.inputs["r"].value = 20.0

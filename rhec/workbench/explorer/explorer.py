@@ -1,9 +1,9 @@
-"""The explorer: controls on the left; on the right the whole field, run again whenever one moves.
+"""The explorer: controls on the left; on the right the field, driven again when a control moves.
 
-The widgets are glue. `controls` turns their values into scenarios, `rhec.simulation.closed_loop` runs them,
-`field_run` and `robot_view` say what is drawn, and the page draws it (`screen`). A front end holds
-a widget's newest value back until the one before has been answered, so that dragging drops frames
-and never queues them.
+`controls` turns the widgets' values into scenarios, `rhec.simulation.closed_loop` runs them,
+`field_run` and `robot_view` describe the pictures, and the browser draws them (`screen`). A front
+end sends a widget's next value only when the last one was answered: dragging drops frames and
+never queues them.
 """
 
 import asyncio
@@ -26,6 +26,7 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import tuning
 from rhec.workbench.explorer import controls, field_run, robot_view
 from rhec.workbench.explorer.field_run import ZOOMS, colour_of, name_of
 from rhec.workbench.explorer.panels import packed
@@ -35,7 +36,7 @@ from rhec.workbench.plots import style
 
 __all__ = ["METRICS", "Explorer", "change", "compile_apart", "metrics_table"]
 
-# A run's metrics, all of them better small: column, two lines of heading, digits.
+# Metrics of a run, the smaller the better: name, two lines of heading, digits.
 METRICS = (
     ("mean_error_m", "mean error", "GNSS [m]", 4),
     ("mean_error_true_m", "mean error", "true [m]", 4),
@@ -52,24 +53,28 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 def metrics_table(runs, pinned=()):
-    """The metrics of runs as HTML, a row each, then their differences to the pinned runs."""
-
-    def value(number, digits):
-        return f"{number:.{digits}f}" if math.isfinite(number) else "never"
-
-    def row(run, name, cell, less):
-        swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
-        found = [cell(run.metrics[m] - less.get(m, 0), digits) for m, _, _, digits in METRICS]
-        return f"<tr><td>{swatch} {name}</td>{''.join(f'<td>{each}</td>' for each in found)}</tr>"
-
-    rows = [row(run, name_of(run.scenario), value, {}) for run in runs]
+    """The metrics of runs as an HTML table: a row per run, then differences to the pinned runs."""
+    rows = [_table_row(run, name_of(run.scenario), _value, {}) for run in runs]
     for run, before in zip(runs, pinned):
         name = name_of(run.scenario)
         pinned_name = name_of(before.scenario)
-        pinned_name = "" if pinned_name == name else f" {pinned_name}"
-        rows.append(row(run, f"{name} − pinned{pinned_name}", change, before.metrics))
+        title = f"{name} − pinned" + ("" if pinned_name == name else f" {pinned_name}")
+        rows.append(_table_row(run, title, change, before.metrics))
     head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in METRICS)
     return f'<table class="rhec-table"><tr><th></th>{head}</tr>{"".join(rows)}</table>'
+
+
+def _table_row(run, title, cell, subtracted):
+    """A run's metrics, less the subtracted ones, each as `cell` writes it."""
+    swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
+    cells = [
+        cell(run.metrics[name] - subtracted.get(name, 0), digits) for name, _, _, digits in METRICS
+    ]
+    return f"<tr><td>{swatch} {title}</td>{''.join(f'<td>{text}</td>' for text in cells)}</tr>"
+
+
+def _value(number, digits):
+    return f"{number:.{digits}f}" if math.isfinite(number) else "never"
 
 
 def change(difference, digits):
@@ -92,23 +97,22 @@ def _safe_name(name):
 
 
 def compile_apart(structures):
-    """Compile these closed loops in a process of their own, for `compiled.load` to find them."""
+    """Compile these closed loops in another process; `compiled.load` then finds them."""
+    load = functools.partial(compiled.load, closed_loop.build_sample)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        list(
-            pool.map(functools.partial(compiled.load, closed_loop.build_sample), *zip(*structures))
-        )
+        list(pool.map(load, *zip(*structures)))
 
 
 class Explorer(widgets.VBox):
-    """The explorer as a widget.
+    """The explorer as a widget for Jupyter.
 
     Args:
-        start: the rhec.Scenario it begins at; without one, the default scenario.
-        against: the estimator compared at the same seed, or None.
-        folder: where runs and figures are saved.
+        start: The Scenario that it begins with, by default the paper's.
+        against: Estimator that drives the same field to compare with, or None.
+        folder: Where runs and figures are saved.
 
     Raises:
-        ValueError: if start is no Scenario.
+        ValueError: If start is not a Scenario.
     """
 
     def __init__(
@@ -126,8 +130,8 @@ class Explorer(widgets.VBox):
         self.pinned = ()
         self.compiling = None
         self.held = False
-        self.driven = set()  # structures of which no file need be read again
-        # a kernel may answer a page's messages in two threads, its main one and a subshell's
+        self.loaded = set()  # structures whose compiled loop is in memory
+        # A kernel may answer a page's messages in its main thread and in a subshell's.
         self.one_at_a_time = threading.RLock()
         self._make_inputs(against)
         self._make_outputs(folder)
@@ -148,24 +152,25 @@ class Explorer(widgets.VBox):
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
         self.estimator = _list(estimators, self.start.estimator, "run", 142)
         self.against = _list([("nothing", None), *estimators], against, "against", 160)
-        noise, about = values["process_noise"], "process noise, one’s own in the tab Estimator"
+        about = "process noise W of the estimators; “own W” is set in the tab Estimator"
+        noise = values["process_noise"]
         self.process_noise = _list(controls.PROCESS_NOISES, noise, "W", 122, about)
-        look = _look("seed", "fixes terrain and noise together", "112px", "36px")
+        look = _look("seed", "fixes soil and noise together", "112px", "36px")
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
         self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", 66)
-        views = ["field run", "robot view"]
+        views = ["Field run", "Robot view"]
         width = {"button_width": "96px"}
         self.view = widgets.ToggleButtons(options=views, style=width)
         self.weights = {
             _button(name, "the paper’s weights"): q
             for name, q in (("Q¹", paper.Q1), ("Q²", paper.Q2), ("Q³", paper.Q3))
         }
-        self.pin = _button("pin", "keep these runs, to compare with")
-        self.unpin = _button("unpin", "let go of the kept runs")
-        self.reset = _button("reset", "back to the scenario it began with")
+        self.pin = _button("pin", "keep these runs to compare with")
+        self.unpin = _button("unpin", "forget the pinned runs")
+        self.reset = _button("reset", "back to the first scenario")
         self.add_patch = _button("add a wet patch", "a disc of sudden change")
-        self.remove_patch = _button("remove the last", "of the wet patches")
+        self.remove_patch = _button("remove the last", "remove the wet patch that was added last")
 
     def _make_outputs(self, folder):
         self.screen = Screen()
@@ -178,9 +183,9 @@ class Explorer(widgets.VBox):
         self.save = _button("save runs and figure", about)
         self.play = widgets.Play(100, min=0, max=100, interval=100, show_repeat=False)
         look = _look("sample", None, None, "50px") | {"layout": {"flex": "1 1 auto"}}
-        self.moment = widgets.IntSlider(100, 0, 100, **look)
-        self.link = widgets.jslink((self.play, "value"), (self.moment, "value"))
-        self.time = widgets.HBox([self.play, self.moment], layout={"display": "none"})
+        self.sample = widgets.IntSlider(100, 0, 100, **look)
+        self.link = widgets.jslink((self.play, "value"), (self.sample, "value"))
+        self.time = widgets.HBox([self.play, self.sample], layout={"display": "none"})
 
     def _arranged(self):
         what = [self.estimator, self.against, self.process_noise, self.seed]
@@ -207,7 +212,7 @@ class Explorer(widgets.VBox):
 
     def _watch(self):
         choices = (self.estimator, self.against, self.process_noise, self.seed)
-        drawn = (self.zoom, self.soil, self.view, self.moment)
+        drawn = (self.zoom, self.soil, self.view, self.sample)
         changed = ((*choices, *self.inputs.values()), self._refresh)
         for those, action in (changed, (self.patch, self._change_patch), (drawn, self._draw)):
             for widget in those:
@@ -226,22 +231,23 @@ class Explorer(widgets.VBox):
             button.on_click(self._answer(action))
 
     def _answer(self, action):
-        """The action as a widget's callback: what goes wrong is one sentence in the status line."""
+        """The action as a widget's callback; an error becomes a sentence in the status line."""
 
         def callback(_):
-            with self.one_at_a_time, self.screen.hold_sync():  # what follows is one message
+            # hold_sync: everything that the action changes is sent in one message.
+            with self.one_at_a_time, self.screen.hold_sync():
                 if self.held:
                     return
                 try:
                     action()
                 except Exception as error:
-                    self._say(_sentence(error), "bad")
+                    self._show_status(_sentence(error), "bad")
 
         return callback
 
     @contextmanager
     def _together(self):
-        """Several controls change, one run follows."""
+        """Change several controls, then run once."""
         self.held = True
         try:
             yield
@@ -265,7 +271,7 @@ class Explorer(widgets.VBox):
             self.process_noise.value = values["process_noise"]
 
     def _set_patches(self, patches):
-        """Other wet patches, the last of them on its sliders."""
+        """Replace the wet patches; the sliders show the last one."""
         with self._together():
             self.patches = patches
             for widget, value in zip(self.patch, patches[-1] if patches else controls.NEW_PATCH):
@@ -286,46 +292,50 @@ class Explorer(widgets.VBox):
 
     @property
     def scenarios(self):
-        """The scenarios that the controls ask for: one, or two at the same seed."""
+        """The scenarios of the controls: one, or two with the same seed."""
         values = controls.values_of(self.start)
         for key, widget in self.inputs.items():
             values[key] = controls.tidy(controls.CONTROLS[key], widget.value, values[key])
         values["process_noise"] = self.process_noise.value
         values["seed"] = self.seed.value
         values["patches"] = self.patches
-        estimators = [self.estimator.value, self.against.value]
-        asked = [estimator for estimator in estimators if estimator is not None]
-        return [controls.scenario_of(values, estimator, self.start) for estimator in asked]
+        return [
+            controls.scenario_of(values, estimator, self.start)
+            for estimator in (self.estimator.value, self.against.value)
+            if estimator is not None
+        ]
 
     def _refresh(self):
-        """Run what the controls ask for and show it, or first compile it elsewhere."""
+        """Run the scenarios of the controls and show them, or first compile them elsewhere."""
         started = time.perf_counter()
         scenarios = self.scenarios
         setups = [closed_loop.set_up(scenario) for scenario in scenarios]
         missing = [
             structure
-            for structure in {setup.structure for setup in setups} - self.driven
+            for structure in {setup.structure for setup in setups} - self.loaded
             if not compiled.is_compiled(closed_loop.build_sample, *structure)
         ]
-        # the first runs are waited for: without them there is nothing to see
+        # The first runs are waited for: without them there is nothing to see.
         if missing and self.runs and _running_loop():
             self._compile(missing)
             return
         self.runs = tuple(map(closed_loop.simulate_setup, scenarios, setups))
-        self.driven |= {setup.structure for setup in setups}
+        self.loaded |= {setup.structure for setup in setups}
         ran = time.perf_counter()
         self._draw()
         runs = f"{len(self.runs)} runs" if len(self.runs) > 1 else "1 run"
-        self._say(f"{runs} of {scenarios[0].duration_s:g} s in {1000 * (ran - started):.0f} ms")
+        self._show_status(
+            f"{runs} of {scenarios[0].duration_s:g} s in {1000 * (ran - started):.0f} ms"
+        )
 
     def _compile(self, structures):
         """Compile elsewhere, then run the newest state of the controls."""
         horizons = {
-            f"{each.estimator.estimation_horizon} and {each.prediction_horizon} intervals"
-            for each in structures
+            f"{structure.estimator.estimation_horizon} and {structure.prediction_horizon} intervals"
+            for structure in structures
         }
         which = f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time"
-        self._say(f"{which}: a few seconds; the picture is that of before", "wait")
+        self._show_status(f"{which}: a few seconds; the picture is the one before", "wait")
         if not self.compiling:
             self.compiling = _running_loop().create_task(self._compiled(structures))
 
@@ -333,7 +343,7 @@ class Explorer(widgets.VBox):
         try:
             await asyncio.to_thread(compile_apart, structures)
         except Exception as error:
-            self._say(_sentence(error), "bad")
+            self._show_status(_sentence(error), "bad")
             return
         finally:
             self.compiling = None
@@ -341,36 +351,56 @@ class Explorer(widgets.VBox):
 
     def _draw(self):
         """Show the chosen view of the runs, their metrics, and the scenario as a line."""
-        field = self.view.value == "field run"
+        field = self.view.value == "Field run"
         self.time.layout.display = "none" if field else "flex"
         self.unpin.disabled = not self.pinned
+        self._show_process_noise()
         self.remove_patch.disabled = not self.patches
         for widget in self.patch:
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
         if field:
-            chosen = self.zoom.value, self.soil.value
-            picture = field_run.picture_of(self.runs, self.pinned, *chosen)
+            zoom, soil = self.zoom.value, self.soil.value
+            picture = field_run.picture_of(self.runs, self.pinned, zoom, soil)
         else:
             run = self.runs[0]
-            k = self.moment.value
-            self.moment.max = self.play.max = len(run.columns["t_s"]) - 1
+            k = self.sample.value
+            self.sample.max = self.play.max = len(run.columns["t_s"]) - 1
             picture = robot_view.picture_of(run, k, snapshot_at(run.scenario, k))
         self.screen.picture, self.screen.numbers = packed(picture)
         self.screen.table = metrics_table(self.runs, self.pinned)
         self.screen.line = controls.line_of(self.runs[0].scenario)
 
-    def _say(self, sentence, how=""):
+    def _show_process_noise(self):
+        """Show the W in use on the sliders of σ_W; they can be moved where W is "own"."""
+        noise = self.process_noise.value
+        for place in range(6):
+            slider = self.inputs["sigma_w", place]
+            slider.disabled = noise != "own"
+            if slider.disabled:
+                self.held = True  # this moves sliders, but no run follows
+                slider.value = tuning.SIGMA_W["rhe"][noise][place]
+                self.held = False
+
+    def _show_status(self, sentence, how=""):
         self.screen.status = sentence
         self.screen.how = how
 
-    # What is taken away
+    # Figures, files and texts
+
+    def __repr__(self) -> str:
+        """The estimators with their errors, and the scenario as Python."""
+        errors = [
+            f"{name_of(run.scenario)}: mean error {run.metrics['mean_error_m']:.4f} m, "
+            f"true {run.metrics['mean_error_true_m']:.4f} m"
+            for run in self.runs
+        ]
+        return "\n  ".join(["Explorer", *errors, controls.line_of(self.runs[0].scenario)])
 
     def figure(self) -> Figure:
         """The field run as a matplotlib figure, as it is saved."""
         with self.one_at_a_time:
-            chosen = self.zoom.value, self.soil.value
-            return field_run.field_run(self.runs, self.pinned, *chosen)
+            return field_run.field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
 
     def _save(self):
         name = _safe_name(self.name.value)
@@ -384,10 +414,10 @@ class Explorer(widgets.VBox):
         scenarios = [run.scenario for run in self.runs]
         style.save(self.figure(), name, scenarios, folder=folder, notebook="explore.ipynb")
         files = "CSV and Parquet of each run, the figure as PNG and PDF"
-        self._say(f"saved under the name {name} in {folder}: {files}")
+        self._show_status(f"saved under the name {name} in {folder}: {files}")
 
     def _repr_mimebundle_(self, **formats):
-        """Where there are no widgets, the picture and the table stand for them."""
+        """Add picture and table as HTML, for pages without widgets."""
         self.figure().savefig(file := io.BytesIO(), format="png")
         picture = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
         shown = f'<img alt="field run" src="{picture}">{self.screen.table}'
@@ -396,12 +426,12 @@ class Explorer(widgets.VBox):
 
 
 def _input(control, value):
-    """The widget of a control. Its range takes in the value it begins with."""
-    look = _look(control.label, control.about, "98%", "116px")
+    """The widget of a control; its range is widened to include its first value."""
+    look = _look(control.label, control.about, "98%", "126px")
     if isinstance(control, controls.Selection):
         options = control.options
         if not any(value == option for _, option in options):
-            options = (*options, ("as it began", value))
+            options = (*options, ("as at the start", value))
         return widgets.Dropdown(options=options, value=value, **look)
     place = value
     kind = widgets.FloatSlider
@@ -414,7 +444,7 @@ def _input(control, value):
         readout = "d"
     else:
         readout = f".{max(1, -math.floor(math.log10(control.step) + 1e-9))}f"
-    # steps count from the lowest end: the front end changes a value that is none of them
+    # A front end rounds to whole steps above the lowest value: the first value must be one.
     low = round(place - control.step * math.ceil((place - control.low) / control.step - 1e-9), 12)
     return kind(
         value,
@@ -422,7 +452,7 @@ def _input(control, value):
         max=max(control.high, place),
         step=control.step,
         readout_format=readout,
-        continuous_update=control.kind != "whole",  # which is compiled when first asked for
+        continuous_update=control.kind != "whole",  # whose first use compiles
         **look,
     )
 
@@ -444,7 +474,7 @@ def _button(text, about):
 
 
 def _sentence(error):
-    """An error in one line. A ValueError of this package speaks for itself."""
+    """An error in one line; a ValueError of this package needs no name of its type."""
     text = " ".join(str(error).split())
     return text if isinstance(error, ValueError) and text else f"{type(error).__name__}: {text}"
 

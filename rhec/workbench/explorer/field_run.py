@@ -17,8 +17,8 @@ DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
 FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
 
 _COLOURS = COLOURS | {"traction oracle": PURPLE, "dual": ORANGE}
-_LAYOUT = ("map mu",) * 2 + ("map kappa",) * 2 + ("map yaw_rate", "error yaw_rate")
-_LAYOUT += ("error kkt",) * 2  # as many rows as there are different heights
+# Two columns: map over error, and four pictures over each other.
+_LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
 _MOST_POINTS = 300  # of soil, along one side
 
 # What is drawn of a run: panel, columns along x and y, and how: all but "truth" in the estimator's
@@ -45,13 +45,13 @@ _TITLES = {
     "error": "error [m] over time [s]; faint: by raw GNSS",
     "mu": "μ over time",
     "kappa": "κ over time",
-    "yaw_rate": "commanded yaw rate [rad/s] and its bounds",
-    "kkt": "KKT tolerance of RHE (bold) and RHC",
+    "yaw_rate": "commanded yaw rate [rad/s]",
+    "kkt": "KKT: RHE (bold), RHC",
 }
 
 
 def name_of(scenario):
-    """The estimator's name in legends; "own" for one of the user's."""
+    """The estimator's name in legends; "own" for an estimator of the user."""
     own = not isinstance(scenario.estimator, str)
     return "own" if own else ESTIMATORS.get(scenario.estimator, scenario.estimator)
 
@@ -92,7 +92,7 @@ def round_up_to(value, steps=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
 
 def _finite(columns, *names):
     """All finite values of these columns of several runs, one after another."""
-    values = np.concatenate([each[name] for each in columns for name in names])
+    values = np.concatenate([run[name] for run in columns for name in names])
     return values[np.isfinite(values)]
 
 
@@ -142,14 +142,10 @@ def _map_limits(run, zoom):
         high = ends.max(axis=0) + (1, beside)
         scale = ""
     else:
-        low = run.terrain.origin_m
-        points = np.array(run.terrain.mu.shape) - 1
+        margin_m = 2.0 + abs(run.scenario.start_offset_m)
+        low = np.array(path.box[::2]) - margin_m
+        high = np.array(path.box[1::2]) + margin_m
         scale = "equal"
-        high = low + points * run.terrain.cell_m
-        if min(points) < 8:  # uniform soil has no extent of its own
-            xy = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2]
-            low = xy.min(axis=0) - 5
-            high = xy.max(axis=0) + 5
     low = np.array(low, dtype=float).tolist()
     high = np.array(high, dtype=float).tolist()
     return *zip(low, high), scale
@@ -165,7 +161,7 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     """
     first = runs[0]
     columns = [run.columns for run in (*runs, *pinned)]
-    time = 0.0, float(max(each["t_s"][-1] + paper.DT_S for each in columns))
+    time = 0.0, float(max(run["t_s"][-1] + paper.DT_S for run in columns))
     bound = first.scenario.omega_max_radps
     limits = {name: _traction_limits(columns, name) for name in ("mu", "kappa")}
     limits |= dict(error=_error_limits(columns), kkt=_kkt_limits(columns))
@@ -199,7 +195,7 @@ def _curves(run, ylim):
     """The times in the path's curved parts, as grey areas."""
     edges = np.flatnonzero(np.diff(~run.columns["on_straight"], prepend=False, append=False))
     times = np.append(run.columns["t_s"], run.columns["t_s"][-1] + paper.DT_S)[edges]
-    return [rectangle(each, ylim, alpha=0.07) for each in times.reshape(-1, 2)]
+    return [rectangle(span, ylim, alpha=0.07) for span in times.reshape(-1, 2)]
 
 
 def _ground(run, soil):

@@ -67,15 +67,15 @@ def figure_of(picture):
     figure = Figure(figsize=(DOUBLE_IN, 4.3))
     axes = figure.subplot_mosaic([row.split() for row in picture.layout])
     for name, panel in picture.panels.items():
-        each = axes[name]
+        ax = axes[name]
         if panel.scale == "log":
-            each.set_yscale("log")
+            ax.set_yscale("log")
         for height, mark in enumerate(panel.marks, 1):  # the grid is at 0.5
-            _draw(each, mark, height)
-        each.set_xlim(panel.xlim, auto=True)  # one of both gives way to an equal scale
-        each.set_ylim(panel.ylim, auto=True)
-        each.set_aspect("equal" if panel.scale == "equal" else "auto", adjustable="datalim")
-        each.set_title(panel.title, pad=3)
+            _draw(ax, mark, height)
+        ax.set_xlim(panel.xlim, auto=True)  # an equal scale widens one of both limits
+        ax.set_ylim(panel.ylim, auto=True)
+        ax.set_aspect("equal" if panel.scale == "equal" else "auto", adjustable="datalim")
+        ax.set_title(panel.title, pad=3)
     handles = [_line(mark, [], [], label=mark.label) for mark in picture.legend]
     figure.legend(handles=handles, loc="outside upper right", ncols=len(handles))
     return figure
@@ -98,8 +98,8 @@ def _draw(axes, mark, height):
 def _line(mark, x, y, **more):
     """A mark of lines or dots as Matplotlib has it; in a legend, any mark."""
     look = dict(color=mark.colour, alpha=mark.alpha, linewidth=mark.width)
-    if mark.dash:  # told in widths
-        look |= dict(linestyle=(0, tuple(each / mark.width for each in mark.dash)))
+    if mark.dash:  # Matplotlib counts dashes in line widths
+        look |= dict(linestyle=(0, tuple(length / mark.width for length in mark.dash)))
     if mark.kind == "dots":
         look |= dict(linestyle="none", marker="o", markersize=mark.width, markeredgewidth=0.6)
         look |= {} if mark.full else dict(markerfacecolor="none")
@@ -109,7 +109,7 @@ def _line(mark, x, y, **more):
 def packed(picture):
     """A Picture for a page: what is drawn as JSON has it, and all numbers in bytes (float32).
 
-    An array is told by the place of its first number and by how many it has.
+    An array is given as (index of its first number, how many numbers it has).
     """
     places = {}
     arrays = []
@@ -126,16 +126,17 @@ def packed(picture):
     def look(mark):
         colour = _PAGE_COLOURS.get(mark.colour, mark.colour)
         width = mark.width * _PX
-        dash = [_PX * each for each in mark.dash]
-        told = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
-        return told | dict(alpha=mark.alpha, full=mark.full, label=mark.label)
+        dash = [_PX * length for length in mark.dash]
+        line = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
+        return line | dict(alpha=mark.alpha, full=mark.full, label=mark.label)
 
-    def told(mark):
-        named = dict(x=mark.x, y=mark.y, traction=mark.traction)
-        return look(mark) | {name: place(each) for name, each in named.items() if each is not None}
+    def described(mark):
+        arrays = dict(x=mark.x, y=mark.y, traction=mark.traction)
+        places = {name: place(array) for name, array in arrays.items() if array is not None}
+        return look(mark) | places
 
     panels = {
-        name: panel._replace(marks=[told(mark) for mark in panel.marks])._asdict()
+        name: panel._replace(marks=[described(mark) for mark in panel.marks])._asdict()
         for name, panel in picture.panels.items()
     }
     legend = [look(mark) for mark in picture.legend]

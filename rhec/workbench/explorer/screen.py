@@ -1,7 +1,4 @@
-"""What the explorer shows, as one widget: the kernel sends what is to be seen, the page draws it.
-
-The kernel runs the field; the report's live page runs it itself. docs/live.md has both times.
-"""
+"""What the explorer shows, as one widget: the kernel sends pictures as data, the browser draws."""
 
 from pathlib import Path
 
@@ -23,7 +20,7 @@ CSS = _text("templates/explorer.css")
 class Screen(anywidget.AnyWidget):
     """Words, pictures and metrics of the runs; `picture` and `numbers` are of `panels.packed`."""
 
-    _esm = _text("live/plot.js", "explorer/screen.js")
+    _esm = _text("explorer/plot.js", "explorer/screen.js")
     _css = CSS
     status, how, line, table = (traitlets.Unicode().tag(sync=True) for _ in range(4))
     picture = traitlets.Dict().tag(sync=True)

@@ -1,99 +1,215 @@
-// The engine of the live page. The closed loop, its start, errors and metrics are CasADi's own C as
-// WebAssembly, noise and soil are world.c; this script fills and reads their arrays.
+// The engine of the live page. A closed loop is CasADi's own C as WebAssembly; noise, soils and
+// sensor faults are data of the chosen seed. This script fills the loop's arrays and reads them.
 "use strict";
-const live = { loading: {}, waiting: {}, arrived: (name, content) => live.waiting[name](content) };
 
+const SETTLING_S = 5; // a robot that stays within the tolerance this long has settled
+
+const live = {
+  loading: {},
+  waiting: {},
+  arrived: (name, content) => live.waiting[name](content),
+};
+
+// Load live/name.js. A page from the disk may not fetch, so its data are scripts.
 const load = name => live.loading[name] ??= new Promise((resolve, reject) => {
-  live.waiting[name] = resolve; // a page from the disk may not fetch: its data are scripts
-  const script = Object.assign(document.createElement("script"), { src: `live/${name}.js` });
-  script.onerror = () => reject(new Error(`live/${name}.js is not there`));
+  live.waiting[name] = resolve;
+  const script = document.createElement("script");
+  script.src = `live/${name}.js`;
+  script.onerror = () => reject(new Error(`live/${name}.js is missing`));
   document.head.append(script);
 });
-const unpack = async text => {
+
+async function unpack(text) {
   const bytes = Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Response(stream).arrayBuffer();
-};
-const compile = text => unpack(text).then(WebAssembly.compile);
-
-class Module { // an instance of WebAssembly; each of its arrays has a property, as `at_noise`
-  async open(module) {
-    const nothing = {}; // a C library may ask for what is never called
-    for (const { module: from, name } of WebAssembly.Module.imports(module))
-      (nothing[from] ??= {})[name] = () => 0;
-    this.wasm = (await WebAssembly.instantiate(module, nothing)).exports;
-    for (const name of Object.keys(this.wasm).filter(name => name.startsWith("at_"))) {
-      const Kind = name === "at_n" ? Int32Array : Float64Array; // up to the memory's end
-      this[name] = new Kind(this.wasm.memory.buffer, this.wasm[name].value);
-    }
-    return this;
-  }
 }
 
-class World extends Module { // noise and soil of a seed
-  static async of(told) {
-    const world = Object.assign(new World(), told, { kept: {}, kinds: Object.keys(told.soils) });
-    return world.open(await compile(told.wasm));
+class World { // noise, soils and sensor faults of the seeds
+  constructor(data) {
+    Object.assign(this, data);
+    this.newest = {};
   }
-  keep(what, key, make) { // the newest of its kind
-    if (this.kept[what]?.key !== key) this.kept[what] = { key, of: make() };
-    return this.kept[what].of;
+
+  // Keep what was computed last of a kind: most moves of a slider change neither noise nor soil.
+  async keep(kind, key, compute) {
+    if (this.newest[kind]?.key !== key) this.newest[kind] = { key, value: compute() };
+    return this.newest[kind].value;
   }
-  stream(seed, fault) { // of a run: noise, and beside it the sensors' faults
+
+  // A run's input, sample after sample: noise and, where sensors fail, the fault beside it.
+  stream(seed, fault) {
     return this.keep(`stream ${!fault}`, `${seed} ${fault}`, async () => {
-      const { noise, most, at_stream } = this, wide = noise + (fault ? this.fault : 0);
-      const faults = fault && new Float64Array(await unpack((await load("faults"))[fault][seed]));
-      this.wasm.noise(seed, wide);
-      const stream = at_stream.slice(0, most * wide);
-      for (let k = 0; fault && k < most; k++)
-        stream.set(faults.subarray(k * this.fault, (k + 1) * this.fault), k * wide + noise);
+      const data = await load(`seed_${seed}`);
+      const noise = new Int16Array(await unpack(data.noise));
+      const faults = fault && new Float64Array(await unpack(data.faults[fault]));
+      const { noise: { n, step }, n_fault, max_samples } = this;
+      const width = n + (fault ? n_fault : 0);
+      const stream = new Float64Array(max_samples * width);
+      for (let k = 0; k < max_samples; k++) {
+        for (let i = 0; i < n; i++) stream[k * width + i] = step * noise[k * n + i];
+        if (fault) stream.set(faults.subarray(k * n_fault, (k + 1) * n_fault), k * width + n);
+      }
       return stream;
     });
   }
+
+  // The slip field (2, grid) as the loop reads it, beyond its edge as on it; origin and size.
   soil(seed, kind, patches, start_offset_m) {
-    return this.keep("soil", JSON.stringify([seed, kind, patches, start_offset_m]), () => {
-      this.at_patches.set(patches.flat());
-      this.wasm.soil(seed, this.kinds.indexOf(kind), start_offset_m, patches.length);
-      return { slip: this.at_slip.slice(0, 2 * this.grid[0] * this.grid[1]),
-        origin_m: this.at_origin_m.slice(0, 2), cell_m: [this.cell_m], n: this.at_n.slice(0, 2) };
+    return this.keep("soil", JSON.stringify([seed, kind, patches, start_offset_m]), async () => {
+      const steps = new Uint16Array(await unpack((await load(`seed_${seed}`)).soils[kind]));
+      const { soil_shape: [n_x, n_y], loop_shape: [wide, long], cell_m } = this;
+      const margin = this.margin_m + Math.abs(start_offset_m);
+      const origin_m = this.lowest.map(low => low - margin);
+      const end_m = this.highest.map(high => high + margin);
+      const n = end_m.map((end, i) => Math.ceil((end - origin_m[i]) / cell_m) + 1);
+      const slip = new Float64Array(2 * wide * long);
+      for (let j = 0; j < long; j++) {
+        for (let i = 0; i < wide; i++) {
+          const column = Math.min(i, n[0] - 1);
+          const row = Math.min(j, n[1] - 1);
+          const x = origin_m[0] + cell_m * column;
+          const y = origin_m[1] + cell_m * row;
+          const patch = patches.findLast(([u, v, r]) => (x - u) ** 2 + (y - v) ** 2 <= r * r);
+          for (let of = 0; of < 2; of++) {
+            const traction = this.traction_step * steps[(of * n_x + column) * n_y + row];
+            slip[of + 2 * (i + wide * j)] = patch ? patch[3 + of] : traction;
+          }
+        }
+      }
+      return { slip, origin_m, cell_m, n };
     });
   }
 }
 
-class Loop extends Module { // a closed loop; `run` leaves the log of a whole run in its arrays
+class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
   static async of(name, world) {
-    const told = await load(name), { columns, metrics } = world;
-    const places = names => Object.fromEntries(names.map((each, i) => [each, i]));
-    const loop = { name, told, wide: columns.length, column: places(columns), judged: metrics };
-    return Object.assign(new Loop(), loop).open(await (told.module ??= compile(told.wasm)));
+    const data = await load(name);
+    data.module ??= unpack(data.wasm).then(WebAssembly.compile);
+    const module = await data.module;
+    const unused = {}; // a C library may import what is never called
+    for (const { module: from, name: of } of WebAssembly.Module.imports(module)) {
+      unused[from] ??= {};
+      unused[from][of] = () => 0;
+    }
+    const loop = new Loop();
+    Object.assign(loop, { name, data, world });
+    loop.wasm = (await WebAssembly.instantiate(module, unused)).exports;
+    for (const array of Object.keys(loop.wasm).filter(each => each.startsWith("at_"))) {
+      const from = loop.wasm[array].value; // each reaches to the memory's end
+      loop[array] = new Float64Array(loop.wasm.memory.buffer, from);
+    }
+    return loop;
   }
-  run(given, stream, soil, samples) {
-    for (const name in this.told.given) this[`at_given_${name}`].set([given[name]].flat());
-    for (const name of ["slip", "origin_m", "cell_m"]) this[`at_${name}`].set(soil[name]);
+
+  // What `set_up` in rhec/simulation/closed_loop.py makes of fields of Scenario.
+  set(values) {
+    const square = each => each * each; // the bits of numpy.square
+    const settings = {
+      ...this.data.settings,
+      Q: values.q,
+      QN: values.q.map(weight => values.qn_factor * weight),
+      R: [values.r],
+      lower: [-values.omega_max_radps],
+      upper: [values.omega_max_radps],
+      W: values.sigma_w.map(square),
+      V: values.sigma_v.map(square),
+      gnss_white_m: [values.gnss_sigma_m],
+    };
+    for (const name in settings) if (name in values) settings[name] = [values[name]];
+    for (const name in settings) this[`at_${name}`]?.set(settings[name]);
+    const { memory, directions } = this.data;
+    this.at_memory.set(memory.map((value, i) => {
+      let sum = value ?? NaN;
+      for (const field in directions) sum += values[field] * directions[field][i];
+      return sum;
+    }));
+  }
+
+  run(values, stream, soil, samples) {
+    this.set(values);
+    this.at_slip.set(soil.slip);
+    this.at_origin_m.set(soil.origin_m);
+    this.at_cell_m[0] = soil.cell_m;
     this.at_noise.set(stream);
     if (this.wasm.run(samples)) throw new Error(`${this.name} failed`);
     this.samples = samples;
-    this.metrics = Object.fromEntries(this.judged.map((name, i) => [name, this.at_metrics[i]]));
+    this.metrics = metrics_of(this, this.world);
   }
-  get(name) { // a column of the log, by sample
-    const { at_row, wide, column: { [name]: i } } = this;
-    return k => at_row[k * wide + i];
+
+  get(name) { // a column of the log or one of the errors, as a function of the sample
+    const { columns, errors } = this.world;
+    const names = errors.includes(name) ? errors : columns;
+    const array = names === errors ? this.at_errors : this.at_row;
+    const i = names.indexOf(name);
+    return k => array[k * names.length + i];
   }
-  error() { // of the true position, by sample
-    const { at_errors } = this;
-    return k => at_errors[2 * k + 1];
+
+  sigma(name) { // standard deviation of a state, by sample; null where it is not estimated
+    const { states } = this.data;
+    const n = states.length;
+    const i = states.indexOf(name);
+    return i < 0 ? null : k => Math.sqrt(this.at_covariance[(k * n + i) * n + i]);
   }
-  sigma(name) { // the standard deviation of a state, by sample; null: it is not estimated
-    const { at_covariance, told: { states } } = this, i = states.indexOf(name), n = states.length;
-    return i < 0 ? null : k => Math.sqrt(at_covariance[(k * n + i) * n + i]);
+
+  piece(name, k) { // of the memory after sample k, column by column
+    const first = (k + 1) * this.data.memory.length;
+    const columns = this.data.places[name] ?? [];
+    return columns.map(column => column.map(i => this.at_memory[first + i]));
   }
-  piece(name, k) { // of the memory after sample k, by columns
-    const { n, places } = this.told, [at, rows, columns] = places[name] ?? [0, 0, 0];
-    return Array.from({ length: columns }, (_, i) => (k + 1) * n + at + i * rows).map(
-      from => this.at_memory.subarray(from, from + rows));
+
+  // Points of the path that the controller follows at sample k, eq. (17): one sample apart.
+  desired(k, look_ahead_m) {
+    const { path, path_step_m, dt_s } = this.world;
+    const pace = Math.abs(this.get("mu_hat")(k) * this.get("nu_hat_mps")(k)) * dt_s;
+    const from = this.get("s_m")(k) + look_ahead_m;
+    return this.piece("plan", k).map((_, i) => {
+      const place = (from + i * pace) / path_step_m;
+      const [a, b] = [0, 1].map(next => path[(Math.floor(place) + next) % path.length]);
+      return a.map((value, axis) => value + (place % 1) * (b[axis] - value));
+    });
   }
-  desired(k) { // the poses of the path that the controller is asked for at sample k
-    this.wasm.ask(k);
-    return this.piece("controller.s", k).map((_, i) => this.at_xi_ref.slice(3 * i, 3 * i + 3));
+}
+
+// The metrics of rhec/simulation/metrics.py: they count from when the robot has settled.
+function metrics_of(loop, { dt_s, tolerance_m }) {
+  const { samples } = loop;
+  const error = loop.get("error_m");
+  const error_true = loop.get("error_true_m");
+  const on_straight = loop.get("on_straight");
+  const left = loop.get("left_m");
+  const enough = Math.round(SETTLING_S / dt_s);
+  let inside = 0;
+  let settled = 0; // samples until the robot has settled; 0: it never does
+  for (let k = 0; k < samples && !settled; k++) {
+    inside = error_true(k) < tolerance_m ? inside + 1 : 0;
+    if (inside === enough) settled = k + 1;
   }
+  const begin = settled < samples ? settled : 0;
+  const gather = (value, start, add) => {
+    let result = start;
+    for (let k = begin; k < samples; k++) result = add(result, value(k));
+    return result;
+  };
+  const sum = value => gather(value, 0, (total, each) => total + each);
+  const mean = value => sum(value) / (samples - begin);
+  const violations = value => sum(k => (value(k) > tolerance_m) * on_straight(k));
+  const rms = (estimate, truth) =>
+    Math.sqrt(mean(k => (loop.get(estimate)(k) - loop.get(truth)(k)) ** 2));
+  const is_known = k => Number(!Number.isNaN(error(k)));
+  let overshoot = 0; // on the first row
+  for (let k = 0; k < samples && on_straight(k); k++)
+    overshoot = Math.max(overshoot, -Math.sign(left(0)) * left(k));
+  return {
+    settling_time_s: settled ? (settled - enough) * dt_s : NaN,
+    mean_error_m: sum(k => is_known(k) ? error(k) : 0) / sum(is_known),
+    mean_error_true_m: mean(error_true),
+    max_error_true_m: gather(error_true, 0, Math.max),
+    violations: violations(error),
+    violations_true: violations(error_true),
+    overshoot_m: overshoot,
+    rms_mu: rms("mu_hat", "mu"),
+    rms_kappa: rms("kappa_hat", "kappa"),
+    rms_yaw_rad: rms("theta_hat_rad", "theta_rad"),
+  };
 }

@@ -1,19 +1,25 @@
-"""The live page: the closed loop in the reader's browser, from files alone.
+"""Write the live page: the closed loop in the reader's browser, from files alone.
 
-`build` writes what the page needs beside its script: the world (fields, noise, controls) and one
-module of WebAssembly for each structure of the loop, each loaded when it is asked for.
+    python -m rhec.workbench.live.page [FOLDER]
+
+writes FOLDER/live.html and FOLDER/live/, by default into build/report. Noise, soils and sensor
+faults of each seed are data that Python computes here; the loop is WebAssembly, one module per
+structure of the loop. The page loads seeds and modules when they are first needed.
 """
 
 import base64
 import gzip
 import json
 import multiprocessing
+import os
 import shutil
+import sys
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
 from pathlib import Path
 
+import jinja2
 import numpy as np
 
 from rhec import paper
@@ -24,155 +30,231 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
-from rhec.workbench.explorer.controls import CONTROLS, NEW_PATCH, PATCH, line_of
+from rhec.workbench.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
 from rhec.workbench.explorer.explorer import METRICS
-from rhec.workbench.live import functions, texts, wasm
+from rhec.workbench.live import functions, wasm
 
-__all__ = ["FAULTS", "LEADS", "SCENES", "STRUCTURES", "build"]
+__all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
+__all__ += ["affine_memory", "seed_data", "write"]
 
 HERE = Path(__file__).parent
-FAULTS = {name: of for name, of in CONTROLS["faults"].options if of}
-_FAULTY = next(iter(FAULTS.values()))
-# What each compiled module is a loop of: fields of Scenario.
+REPORT = Path(__file__).resolve().parents[3] / "build/report"
+SEEDS = range(10)
+NOISE_STEP = 1 / 4096  # of 16 bits with sign: up to eight standard deviations
+TRACTION_STEP = 1 / 65535  # of 16 bits without sign: up to 1
+_FARTHEST_START_M = 3.0
+SOILS = {
+    "firm": {},
+    "soft": dict(mu_mean=0.8, mu_deviation=0.08, kappa_mean=0.65, kappa_deviation=0.12),
+    "even": dict(mu_deviation=0.0, kappa_deviation=0.0),
+}
+FAULTS = {name: fault for name, fault in CONTROLS["faults"].options if fault}
+_ANY_FAULT = next(iter(FAULTS.values()))
+# The compiled modules: fields of Scenario that decide the structure of the loop.
 STRUCTURES = {
     "rhe": {},
     "ekf": dict(estimator="ekf"),
     "dual": dict(estimator="dual"),
     "dual_cautious": dict(estimator="dual", cautious=True),
-    "rhe_faulty": dict(faults=_FAULTY),
-    "rhe_robust": dict(faults=_FAULTY, robust=True),
+    "rhe_faulty": dict(faults=_ANY_FAULT),
+    "rhe_robust": dict(faults=_ANY_FAULT, robust=True),
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
-
-
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
-_GROUPS = {  # of controls, by field
-    "Controller": ("q", "r", "look_ahead_m", "omega_max_radps"),
-    "Noise assumed": ("sigma_w", "sigma_v"),
-    "Start and drive": ("start_offset_m", "start_yaw_rad", "speed_mps", "duration_s"),
-    "Sensors": ("gnss_sigma_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps"),
-}
-# The scene that shows what a notebook does.
-LEADS = {scene["notebook"]: name for name, scene in SCENES.items()}
+# Fields of Scenario that have sliders; none of them changes the structure of the loop.
+_FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v"}
+_FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "duration_s"}
+_FIELDS |= {"gnss_sigma_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps"}
+# Fields of Scenario in which the loop's first memory is affine.
+_START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
+# Settings of the loop that come with the soil.
+_OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
 
 
-def build(folder):
-    """Write what the live page needs into a new folder: its script, the world, and the modules.
-
-    Returns the world: what its template needs to know.
-    """
-    folder.mkdir()
-    for file in ("live.js", "plot.js", "page.js", "live.css"):
-        shutil.copy(HERE / file, folder)
-    written = dict(world=_world(), faults=_fault_streams())
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(2, context) as pool:  # each takes seconds, the first time
-        written |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
-    for name, content in written.items():
-        text = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
-        (folder / f"{name}.js").write_text(f"live.arrived({name!r}, {text})\n", encoding="utf-8")
-    return written["world"]
+def write(folder=REPORT):
+    """Write live.html and what it loads into a folder; it links the notebooks' pages there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = folder / "live"
+    shutil.rmtree(files, ignore_errors=True)
+    files.mkdir()
+    for script in ("live.js", "pictures.js", "page.js", "live.css"):
+        shutil.copy(HERE / script, files)
+    shutil.copy(HERE.parent / "explorer/plot.js", files)
+    world = _world()
+    data = dict(world=world) | {f"seed_{seed}": seed_data(seed) for seed in SEEDS}
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        # Tracing a loop takes seconds; its compiled module is cached.
+        data |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
+    for name, content in data.items():
+        text = json.dumps(content, allow_nan=True, separators=(",", ":"), ensure_ascii=False)
+        (files / f"{name}.js").write_text(f"live.arrived({name!r}, {text})\n", encoding="utf-8")
+    source = (HERE / "live.html.j2").read_text(encoding="utf-8")
+    template = jinja2.Template(source, undefined=jinja2.StrictUndefined, autoescape=True)
+    pages = {file.stem: file.relative_to(folder).as_posix() for file in folder.rglob("*.html")}
+    html = template.render(world=world, pages=pages)
+    (folder / "live.html").write_text(html, encoding="utf-8")
 
 
 def _packed(values):
-    """Bytes or an array, compressed, as text."""
+    """An array or bytes, compressed, as text."""
     return base64.b64encode(gzip.compress(bytes(values), 9, mtime=0)).decode()
 
 
+def seed_data(seed):
+    """Noise, soils and sensor faults of a seed, each array compressed, as text.
+
+    noise: (MAX_SAMPLES, n) in steps of NOISE_STEP; soils: {name: (2, n_x, n_y)} in steps of
+    TRACTION_STEP, for a start _FARTHEST_START_M beside the path; faults: {name: (MAX_SAMPLES, n)}.
+    """
+    noise = plant.draw_noise(seed, functions.MAX_SAMPLES) / NOISE_STEP
+    soils = {}
+    for name, statistics in SOILS.items():
+        scenario = Scenario(seed=seed, start_offset_m=_FARTHEST_START_M, **statistics)
+        soil = closed_loop.set_up(scenario).terrain
+        steps = np.round(np.stack([soil.mu, soil.kappa]) / TRACTION_STEP)
+        soils[name] = _packed(steps.astype(np.uint16))
+    streams = {
+        name: _packed(faults.stream(fault, functions.MAX_SAMPLES, paper.DT_S, seed))
+        for name, fault in FAULTS.items()
+    }
+    return dict(noise=_packed(np.round(noise).astype(np.int16)), soils=soils, faults=streams)
+
+
+def affine_memory(own):
+    """The loop's first memory m = m_0 + Σ value · direction, for the structure of Scenario(**own).
+
+    It consists of constants and copies of pose, guess and speed, which are affine in the fields
+    of _START. Returns m_0 (n,) and {field: direction (n,)}.
+    """
+
+    def memory(**start):
+        return closed_loop.set_up(Scenario(**own, **(_START | start))).memory
+
+    middle = memory()
+    directions = {name: 2 * (memory(**{name: at + 0.5}) - middle) for name, at in _START.items()}
+    # A gap in the estimator's window is NaN whatever the start.
+    directions = {name: np.nan_to_num(slope) for name, slope in directions.items()}
+    return middle - sum(at * directions[name] for name, at in _START.items()), directions
+
+
 def _module(own):
-    """A structure's module, and all that the script must know to call it."""
+    """A structure's module, and what the script must know to call it."""
     scenario = Scenario(**own)
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
-    made = functions.build_live(own)
-    at = 0
-    places = {}
-    for name, shape in setup.layout.items():
-        inner = shape.items() if isinstance(shape, dict) else [("", shape)]
-        for piece, (rows, columns) in inner:
-            places[f"{name}.{piece}".rstrip(".")] = at, rows, columns
-            at += rows * columns
-    estimator = estimator_of(choice.estimator, choice.robust)
-    tuned = tuning.SIGMA_W.get(scenario.estimator) or dict.fromkeys(
-        ("printed", "calibrated"), tuning.SIGMA_W_TRACKING[scenario.estimator]
-    )
+    memory, directions = affine_memory(own)
+    noises = ("printed", "calibrated")
+    # The paper prints no W for dual estimation.
+    tracking = dict.fromkeys(noises, tuning.SIGMA_W_TRACKING[scenario.estimator])
+    sigma_w = tuning.SIGMA_W.get(scenario.estimator, tracking)
+    text = functions.c_text(functions.build_functions(scenario))
     return dict(
-        given={name: made["start"].nnz_in(name) for name in made["start"].name_in()},
-        n=len(setup.memory),
-        places=places,
-        states=estimator.states(choice),
-        sigma_w={name: tuned[name] for name in ("printed", "calibrated")},
+        memory=[None if np.isnan(value) else value for value in memory.tolist()],
+        directions={name: slope.tolist() for name, slope in directions.items()},
+        settings={
+            name: np.ravel(value, order="F").astype(float).tolist()
+            for name, value in setup.settings.items()
+            if name not in _OF_THE_SOIL
+        },
+        places=_places(setup),
+        states=estimator_of(choice.estimator, choice.robust).states(choice),
+        sigma_w={name: sigma_w[name] for name in noises},
         line={name: value for name, value in own.items() if name != "faults"},
         faulty=bool(scenario.faults),
-        wasm=_packed(wasm.module_of(texts.loop_text(made, places["s"][0]))),
+        wasm=_packed(wasm.module_of(text)),
     )
+
+
+def _places(setup):
+    """{piece of the memory: indices of its columns}: the plan, and the window of an RHE."""
+    pieces = setup.unpack(np.arange(len(setup.memory)))
+    window = pieces["estimator"]
+    names = ("s", "z", "age") if "age" in window else ()
+    places = {name: window[name].T.tolist() for name in names}
+    return places | dict(plan=pieces["controller"]["s"].T.tolist())
 
 
 def _world():
-    """All that the runs have in common, and the controls."""
+    """What all runs have in common, and the controls."""
     start = Scenario()
-    # A line of Python leaves these out.
-    defaults = {each.name: getattr(start, each.name) for each in fields(start)}
+    defaults = {field.name: getattr(start, field.name) for field in fields(start)}
+    # The line of Python leaves out what has its default.
     defaults |= dict(sigma_v=paper.SIGMA_V, faults=())
-    path = closed_loop.set_up(start).path
-    points = path.poses(np.arange(0, path.length_m, 0.5))[0][:, :2]
-    return dict(
+    return _geometry() | dict(
         dt_s=paper.DT_S,
-        most=texts.MOST,
+        max_samples=functions.MAX_SAMPLES,
         tolerance_m=paper.TOLERANCE_M,
-        columns=COLUMNS,
-        metrics=functions.METRICS,
-        shown=METRICS,
         robot_m=(paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M),
-        noise=packed_size(plant.NOISE),
-        fault=packed_size(faults.STREAM),
-        wasm=_packed(wasm.module_of(texts.world_text(), whole_numbers=True)),
-        seeds=[*texts.SEEDS],
-        soils=texts.SOILS,
-        cell_m=texts.CELL_M,
-        grid=closed_loop.set_up(start).structure.terrain_shape,
-        lowest=points.min(axis=0).tolist(),
-        highest=points.max(axis=0).tolist(),
-        faults={name: f"({', '.join(map(line_of, of))},)" for name, of in FAULTS.items()},
-        path=np.round(points, 3).tolist(),
+        columns=COLUMNS,
+        errors=functions.ERRORS,
+        metrics=METRICS,
+        noise=dict(n=packed_size(plant.NOISE), step=NOISE_STEP),
+        n_fault=packed_size(faults.STREAM),
+        faults={name: f"({', '.join(map(line_of, fault))},)" for name, fault in FAULTS.items()},
+        shaded={name: [(of.start_s, of.end_s) for of in fault] for name, fault in FAULTS.items()},
+        seeds=[*SEEDS],
+        soils=SOILS,
         windows=[5, 10, 15, 30],
         new_patch=NEW_PATCH,
+        groups=_sliders(),
         scenes={name: _scene(scene, defaults) for name, scene in SCENES.items()},
         defaults=defaults,
     )
 
 
+def _geometry():
+    """The path, and the grids of soils."""
+    setup = closed_loop.set_up(Scenario(start_offset_m=0.0))
+    farthest = closed_loop.set_up(Scenario(start_offset_m=_FARTHEST_START_M)).terrain
+    path = setup.path
+    # Equal steps of about half a metre: the last point is one step before the first.
+    path_step_m = path.length_m / np.ceil(2 * path.length_m)
+    line = path.poses(np.arange(0, path.length_m - 1e-9, path_step_m))[0][:, :2]
+    return dict(
+        path=np.round(line, 3).tolist(),
+        path_step_m=path_step_m,
+        lowest=path.box[::2],
+        highest=path.box[1::2],
+        # A random field reaches so far beyond the path, and farther by the start's offset.
+        margin_m=path.box[0] - setup.terrain.origin_m[0],
+        cell_m=farthest.cell_m,
+        traction_step=TRACTION_STEP,
+        soil_shape=farthest.mu.shape,
+        loop_shape=setup.structure.terrain_shape,
+    )
+
+
 def _scene(scene, defaults):
-    """A scene with its runs and controls in full."""
+    """A scene with its runs and the sliders' first values in full."""
     runs = [
-        (name, module, {field: getattr(paper, number) for field, number in own.items()})
+        (name, module, {field: getattr(paper, constant) for field, constant in own.items()})
         for name, module, own in scene["runs"]
     ]
-    values = defaults | dict(
-        duration_s=scene["duration_s"], sigma_w=tuning.SIGMA_W["rhe"]["calibrated"]
-    )
-    groups = {title: _controls(_GROUPS[title], values) for title in scene["groups"]}
-    patch = [slider._replace(key=("patch", slider.key)) for slider in PATCH]
-    groups["Last wet patch"] = [_as_dict(slider, dict(patch=NEW_PATCH)) for slider in patch]
-    return scene | dict(runs=runs, groups=groups)
+    own = dict(duration_s=scene["duration_s"], sigma_w=tuning.SIGMA_W["rhe"]["calibrated"])
+    values = {name: value for name, value in (defaults | own).items() if name in _FIELDS}
+    return dict(fault=next(iter(FAULTS))) | scene | dict(runs=runs, values=values)
 
 
-def _controls(fields, values):
-    """The explorer's sliders of these fields of Scenario."""
-    keys = [key for key in CONTROLS if (key[0] if isinstance(key, tuple) else key) in fields]
-    return [_as_dict(CONTROLS[key], values) for key in keys]
+def _sliders():
+    """{group: sliders} of the explorer that the page has, and those of the last wet patch."""
+    groups = {}
+    for title, controls in GROUPS.items():
+        for control in controls:
+            field, place = control.key if isinstance(control.key, tuple) else (control.key, None)
+            if field in _FIELDS:
+                slider = control._asdict() | dict(field=field, place=place)
+                groups.setdefault(title, []).append(slider)
+    patch = [slider._asdict() | dict(field="patch", place=slider.key) for slider in PATCH]
+    return groups | {"Last wet patch": patch}
 
 
-def _as_dict(slider, values):
-    """A Slider as the script reads it: field and place, range and value."""
-    field, place = slider.key if isinstance(slider.key, tuple) else (slider.key, None)
-    value = values[field] if place is None else values[field][place]
-    high = texts.MOST * paper.DT_S if field == "duration_s" else slider.high
-    return slider._asdict() | dict(field=field, place=place, high=high, value=value)
+def _main():
+    folder = Path(sys.argv[1]) if sys.argv[1:] else REPORT
+    if not wasm.can_compile():
+        print("live page: left out, since ziglang is not installed")
+        return
+    write(folder)
+    print(f"live page: open {os.path.relpath(folder / 'live.html')}")
 
 
-def _fault_streams():
-    """The sensors' faults as the loop reads them, {fault: one stream for each seed}."""
-    return {
-        name: [_packed(faults.stream(of, texts.MOST, paper.DT_S, seed)) for seed in texts.SEEDS]
-        for name, of in FAULTS.items()
-    }
+if __name__ == "__main__":
+    _main()

@@ -1,15 +1,7 @@
-"""C as WebAssembly, by the `ziglang` wheel (Clang and musl), or by Clang with LLD and wasi-libc.
+"""Compile C to WebAssembly with Zig's Clang and musl, from the `ziglang` wheel."""
 
-    python -m rhec.workbench.live.wasm
-
-ends with 1 where neither is there.
-"""
-
-import contextlib
-import functools
 import hashlib
 import re
-import shutil
 import sys
 import tempfile
 from importlib.util import find_spec
@@ -19,67 +11,49 @@ from rhec.core._casadi import cache, compiled
 
 __all__ = ["can_compile", "module_of"]
 
+_SINES = compiled.HEADERS / "elementary.h"  # the sine of all compiled code
+_COMMAND = [sys.executable, "-m", "ziglang", "cc", "-include", str(_SINES), "code.c"]
 _FLAGS = [
     "--target=wasm32-wasi",
     "-O2",
+    # A fused multiply-add rounds once where Python's run rounds twice.
     "-ffp-contract=off",
     "-mbulk-memory",
     "-nostartfiles",
     "-w",
+    "-Wl,--no-entry,--strip-all,--export=run",
+    # Functions may return several values: sine and cosine of an angle then cost one call instead
+    # of two, and a run takes a fifth less time.
+    *("-mmultivalue", "-Xclang", "-target-abi", "-Xclang", "experimental-mv"),
 ]
-_FLAGS += ["-Wl,--no-entry,--strip-all"]
-# Several values may be returned at once: sine and cosine of an angle cost one call, not two, and a
-# run a fifth less time. Clang 14 crashes at it; a C library's functions on whole numbers of 128
-# bits do not know of it.
-_PAIRS = ["-mmultivalue", "-Xclang", "-target-abi", "-Xclang", "experimental-mv"]
-_ZIG = [sys.executable, "-m", "ziglang", "cc"]
-_OWN = compiled.HEADERS / "elementary.h"  # the sine of all compiled code
-
-
-@functools.cache
-def _compiler():
-    """The command that makes WebAssembly here, or None."""
-    clang = shutil.which("clang")
-    for command in [_ZIG] * bool(find_spec("ziglang")) + [[clang]] * bool(clang):
-        with contextlib.suppress(OSError):  # no linker, or no library
-            _compile(command, "double run(double x) { return sin(x) * cos(x) + exp(x); }")
-            return command
-    return None
 
 
 def can_compile():
-    """Return whether there is a compiler for WebAssembly."""
-    return _compiler() is not None
+    """Return whether the wheel is installed."""
+    return find_spec("ziglang") is not None
 
 
-def _compile(command, code, *flags):
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "code.c").write_text(code, encoding="utf-8")
-        arrays = re.findall(r"^(?:double|int) (at_\w+)\[", code, re.M)
-        entries = re.findall(r"^(?:int|void|double) (run|ask|noise|soil)\(", code, re.M)
-        shown = [f"-Wl,--export={name}" for name in arrays + entries]
-        files = ["-include", str(_OWN), "code.c", "-o", "code.wasm"]
-        compiled.run_compiler([*command, *_FLAGS, *flags, *shown, *files], folder)
-        return (Path(folder) / "code.wasm").read_bytes()
+def module_of(text):
+    """Compile a C text, or take its module from the cache.
 
+    Args:
+        text: C with the entry `run`; arrays whose names begin with `at_` are exported.
 
-def module_of(text, whole_numbers=False):
-    """The module (bytes) of a text in C, from the cache if it was made.
-
-    whole_numbers: whether it multiplies such of 128 bits.
+    Returns:
+        The module's bytes.
 
     Raises:
         OSError: if the text does not compile.
     """
-    flags = _PAIRS if _compiler() == _ZIG and not whole_numbers else []
-    made_of = repr((text, _OWN.read_bytes(), _compiler(), _FLAGS, flags))
+    arrays = re.findall(r"^double (at_\w+)\[", text, re.M)
+    exports = [f"-Wl,--export={name}" for name in arrays]
 
     def make(folder):
-        (folder / "code.wasm").write_bytes(_compile(_compiler(), text, *flags))
+        with tempfile.TemporaryDirectory() as sources:
+            (Path(sources) / "code.c").write_text(text, encoding="utf-8")
+            module = folder / "code.wasm"
+            compiled.run_compiler([*_COMMAND, *_FLAGS, *exports, "-o", str(module)], sources)
 
-    name = hashlib.sha256(made_of.encode()).hexdigest()[:24]
+    key = repr((text, _SINES.read_bytes(), _FLAGS, find_spec("ziglang").origin))
+    name = hashlib.sha256(key.encode()).hexdigest()[:24]
     return cache.load_or_build(name, make, lambda folder: (folder / "code.wasm").read_bytes())
-
-
-if __name__ == "__main__":
-    sys.exit(not can_compile())
