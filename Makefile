@@ -1,9 +1,9 @@
 PYTHON ?= python3
 
 # The paper's figures and tables, and what goes beyond them, in the order of the report.
-FIGURES := robot_and_terrain scenario_a scenario_b computation_times
-STUDIES := tutorial your_robot equations claims multiverse readings_audit faults replay \
-  explore beyond ensured embedded
+FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
+STUDIES := 01_tutorial 02_equations 06_claims multiverse 07_interpretations 08_beyond ensured \
+  09_faults 10_replay 11_your_robot explore embedded
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -14,7 +14,7 @@ EXECUTED := $(call executed,$(FIGURES) $(STUDIES))
 # `make clean-NAME` removes these, `make clean` does not.
 KEPT := campaigns replays explored embedded benchmarks
 clean-campaigns := build/campaign
-clean-replays := build/replay build/notebooks/replay-custom.*
+clean-replays := build/replay build/notebooks/10_replay-custom.*
 clean-explored := figures/explored
 clean-embedded := build/embedded
 clean-benchmarks := figures/bench_*
@@ -33,13 +33,13 @@ help: ## list what can be made
 
 ##@ The paper
 # What takes longest comes first: scenario B of the figures, claims of the studies.
-figures: $(call executed,scenario_b $(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
-studies: $(call executed,claims $(STUDIES)) ## what goes beyond them: claims, faults, replay … (minutes)
+figures: $(call executed,04_scenario_b $(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
+studies: $(call executed,06_claims $(STUDIES)) ## what goes beyond them: claims, faults, replay … (minutes)
 figures studies:
 	@$(if $(filter $^,$(made)),$(PY) -m rhec.workbench.results)
 	@echo '$@: $(if $(filter $^,$(made)),made,everything is up to date)'
 
-claims: $(call executed,claims) ## the claims ledger alone: figures/claims.csv, .tex, .md, .png
+claims: $(call executed,06_claims) ## the claims ledger alone: figures/claims.csv, .tex, .md, .png
 
 report: build/report/index.html ## all of it and the reference as one site, build/report/
 	@echo 'report: open build/report/index.html'
@@ -59,7 +59,7 @@ log_given = test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a re
   'make $@ LOG=file.csv' >&2; exit 2; }
 replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=file.csv
 	@$(log_given)
-	@$(PY) -m rhec.workbench.notebook notebooks/replay.ipynb -p log "$$REPLAY_LOG" $(WHAT)
+	@$(PY) -m rhec.workbench.notebook notebooks/10_replay.ipynb -p log "$$REPLAY_LOG" $(WHAT)
 
 recordings: $(READY) ## fetch the recordings of real robots that data/recordings.toml names
 	@$(PY) data/fetch_recordings.py $(HOST)
@@ -160,11 +160,11 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	$(eval made += $@)
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
-TIMED := $(call executed,computation_times embedded)
-$(call executed,computation_times): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
+TIMED := $(call executed,05_computation_times embedded)
+$(call executed,05_computation_times): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
 $(call executed,embedded): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
 ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
-$(call executed,$(STUDIES)): | $(call executed,computation_times)
+$(call executed,$(STUDIES)): | $(call executed,05_computation_times)
 endif
 
 build/report/index.html: $(EXECUTED) rhec/workbench/report.py \

@@ -1,6 +1,6 @@
 """Strict parameters for notebooks, and a runner that records what a notebook used and made.
 
-python -m rhec.workbench.notebook notebooks/scenario_a.ipynb -p seed 7
+python -m rhec.workbench.notebook notebooks/03_scenario_a.ipynb -p seed 7
 """
 
 import argparse
@@ -213,7 +213,7 @@ def main():
     """Run a notebook from the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m rhec.workbench.notebook",
-        description="Run a notebook, such as notebooks/scenario_a.ipynb.",
+        description="Run a notebook, such as notebooks/03_scenario_a.ipynb.",
     )
     value = "a parameter and its value: a number, a word or a list such as [1,2]"
     output = "the executed notebook, by default in build/notebooks"

@@ -1,7 +1,7 @@
 """The report: executed notebooks, figures, tables, claims, documentation, the reference of the
 public face and where all of it came from, as one site that needs no network.
 
-    python -m rhec.workbench.report build/notebooks/scenario_a.ipynb …
+    python -m rhec.workbench.report build/notebooks/03_scenario_a.ipynb …
 
 nbconvert turns the notebooks' cells into HTML and pdoc the docstrings, Jinja puts every page into
 one frame, matplotlib typesets the formulas (as SVG, in the figures' fonts), so that no page needs a
@@ -383,7 +383,7 @@ def _scenes():
 
 
 def _main():
-    about = "Make build/report/ from executed notebooks, such as build/notebooks/scenario_a.ipynb."
+    about = "Make build/report/ from executed notebooks, such as build/notebooks/03_scenario_a.ipynb."
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     parser.add_argument("--live", action="store_true", help="link the live page")

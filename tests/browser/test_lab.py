@@ -60,6 +60,6 @@ def address(tmp_path):
 
 def test_it_opens_on_the_notebooks_and_asks_nothing(chromium, page, address):
     page.goto(address)
-    page.wait_for_selector(".jp-DirListing-item[title*='tutorial.ipynb']")
+    page.wait_for_selector(".jp-DirListing-item[title*='01_tutorial.ipynb']")
     page.wait_for_timeout(3000)  # for what would be asked a moment later
     assert page.locator(".Toastify__toast, .jp-Dialog").count() == 0

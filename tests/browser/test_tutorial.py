@@ -20,7 +20,7 @@ EXERCISE = """[...jupyterapp.shell.currentWidget.content.widgets]
 @pytest.fixture
 def tutorial(lab, page):
     """The tutorial, run from top to bottom."""
-    lab.open(page, "tutorial.ipynb")
+    lab.open(page, "01_tutorial.ipynb")
     lab.run(page)
     yield page
     lab.close(page)

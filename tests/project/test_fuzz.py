@@ -432,8 +432,8 @@ def test_a_notebooks_parameter(value, allowed):
 )
 def test_a_parameter_named_like_a_path_or_like_code_is_refused(name, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["notebook", "scenario_a.ipynb", "-p", name, "1"])
-    nbformat.write(v4.new_notebook(), "scenario_a.ipynb")
+    monkeypatch.setattr(sys, "argv", ["notebook", "03_scenario_a.ipynb", "-p", name, "1"])
+    nbformat.write(v4.new_notebook(), "03_scenario_a.ipynb")
     with pytest.raises(SystemExit) as refusal:
         notebook.main()
     assert (
@@ -441,7 +441,7 @@ def test_a_parameter_named_like_a_path_or_like_code_is_refused(name, monkeypatch
         and capsys.readouterr().err
         == f"NAME was {name!r}; it must be a name as in Python, such as seed\n"
     )
-    assert os.listdir() == ["scenario_a.ipynb"]
+    assert os.listdir() == ["03_scenario_a.ipynb"]
 
 
 def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):

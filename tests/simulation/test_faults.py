@@ -264,7 +264,7 @@ CASES = {
 
 @pytest.mark.parametrize("family, name", CASES)
 def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(family, name):
-    """`notebooks/faults.ipynb` shows how well it drives."""
+    """`notebooks/09_faults.ipynb` shows how well it drives."""
     case = CASES[family, name]
     run = rhec.simulate(robustness.scenario(case, 12.0, SHORT))
     assert robustness.response(run, *robustness.interval_s(run, case, 12.0))["in_bounds"]

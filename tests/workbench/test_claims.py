@@ -578,12 +578,12 @@ def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machi
 
 def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
     table = judged(made_up)
-    csv = drawings.save_ledger(table, folder=tmp_path, notebook="claims.ipynb")
+    csv = drawings.save_ledger(table, folder=tmp_path, notebook="06_claims.ipynb")
     read = pd.read_csv(csv, keep_default_na=False, na_values=[""])
     assert list(read["id"]) == list(table["id"]) and list(read["verdict"]) == list(table["verdict"])
     np.testing.assert_allclose(read["value"], table["value"])
     markdown = csv.with_suffix(".md").read_text(encoding="utf-8")
-    assert markdown.count("\n|") == 2 * (len(table) + 2) and "claims.ipynb" in csv.with_suffix(
+    assert markdown.count("\n|") == 2 * (len(table) + 2) and "06_claims.ipynb" in csv.with_suffix(
         ".tex"
     ).read_text(encoding="utf-8")
 

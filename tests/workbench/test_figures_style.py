@@ -54,15 +54,15 @@ def test_a_figure_made_again_is_the_same_bytes(tmp_path):
 
 
 def test_files_tell_version_scenario_and_notebook(tmp_path):
-    png = style.save(parabola(), "parabola", Scenario(), tmp_path, notebook="scenario_a.ipynb")
+    png = style.save(parabola(), "parabola", Scenario(), tmp_path, notebook="03_scenario_a.ipynb")
     inside = Image.open(png).text
     assert inside["Title"] == "parabola"
     assert inside["Creator"] == f"rhec {rhec.__version__}"
     assert inside["Keywords"] == SCENARIO_JSON
-    assert inside["Subject"] == "scenario_a.ipynb"
+    assert inside["Subject"] == "03_scenario_a.ipynb"
     pdf = png.with_suffix(".pdf").read_bytes()
     creator = f"/Creator (rhec {rhec.__version__}"
-    for expected in ("/Title (parabola)", creator, SCENARIO_JSON, "/Subject (scenario_a.ipynb)"):
+    for expected in ("/Title (parabola)", creator, SCENARIO_JSON, "/Subject (03_scenario_a.ipynb)"):
         assert expected.encode() in pdf
     assert b"CreationDate" not in pdf
 
@@ -98,7 +98,7 @@ def test_an_edit_of_the_source_leaves_a_picture_s_bytes_and_changes_its_source(
 def test_pictures_in_git_carry_no_digest_of_the_source():
     for name in ("fig07_trajectories", "fig08_errors"):
         about = Image.open(style.FOLDER / f"{name}.png").text
-        assert about["Subject"] == "scenario_b.ipynb" and "source" not in about["Creator"]
+        assert about["Subject"] == "04_scenario_b.ipynb" and "source" not in about["Creator"]
 
 
 def test_a_table_comes_back_as_it_went(tmp_path):

@@ -204,8 +204,8 @@ ROOT = Path(__file__).parents[2]
 def draw(project, name):
     """Run a notebook that draws a picture of this name."""
     cell = v4.new_code_cell(DRAWN.format(name=name))
-    nbformat.write(v4.new_notebook(cells=[cell]), project / "notebooks/scenario_a.ipynb")
-    command = [sys.executable, "-m", "rhec.workbench.notebook", "notebooks/scenario_a.ipynb"]
+    nbformat.write(v4.new_notebook(cells=[cell]), project / "notebooks/03_scenario_a.ipynb")
+    command = [sys.executable, "-m", "rhec.workbench.notebook", "notebooks/03_scenario_a.ipynb"]
     environment = os.environ | dict(PYTHONPATH=str(project))
     subprocess.run(command, cwd=project, check=True, env=environment, capture_output=True)
 
@@ -241,7 +241,7 @@ def test_make_clean_removes_what_make_made_and_nothing_else(project):
     for name in theirs:
         (project / name).parent.mkdir(parents=True, exist_ok=True)
         (project / name).touch()
-    made = ["figures/one.png", "build/notebooks/scenario_a.ipynb", "build/notebooks/scenario_a.d"]
+    made = ["figures/one.png", "build/notebooks/03_scenario_a.ipynb", "build/notebooks/scenario_a.d"]
     delivered = "figures/fig07_trajectories.png"  # the notebook makes it, but it is in git
     assert all((project / name).exists() for name in [*made, delivered])
 

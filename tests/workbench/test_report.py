@@ -76,7 +76,7 @@ def site(tmp_path_factory):
         metadata=timed,
         cells=[
             v4.new_markdown_cell(
-                "# One: the $Q^3$ story\n\nWhat it *shows*, see [the other](claims.ipynb).\n\n"
+                "# One: the $Q^3$ story\n\nWhat it *shows*, see [the other](06_claims.ipynb).\n\n"
                 "## First & last\n\n"
                 "Here $\\dot x = \\mu\\nu$ and $$\\frac{1}{2}$$"
             ),
@@ -92,7 +92,7 @@ def site(tmp_path_factory):
     for name, notebook in [("one", one), ("claims", two)]:
         nbformat.write(notebook, folder / f"{name}.ipynb")
     report.build(
-        [folder / "one.ipynb", folder / "claims.ipynb"], folder / "figures", folder / "report"
+        [folder / "one.ipynb", folder / "06_claims.ipynb"], folder / "figures", folder / "report"
     )
     return folder / "report"
 
@@ -109,10 +109,10 @@ def test_every_link_and_picture_is_there(site):
     assert {
         "index.html",
         "one.html",
-        "claims.html",
+        "06_claims.html",
         "results-figures.html",
         "results-tables.html",
-        "results-claims.html",
+        "results-06_claims.html",
         "results-provenance.html",
         "reference.html",
         *(f"docs-{file.stem}.html" for file in (ROOT / "docs").glob("*.md")),
@@ -187,7 +187,7 @@ def test_pictures_have_a_description_and_a_size(site):
 
 
 def test_tables_stay_text(site):
-    table = pages(site)["results-claims.html"].select_one("table")
+    table = pages(site)["results-06_claims.html"].select_one("table")
     assert table.select_one("td").get_text() == "error <m>"
     assert table.select_one(".verdict.good").get_text() == "holds"
     assert len(table.select("tbody tr")) == 1  # the row without a claim is none

@@ -16,7 +16,7 @@ from notebooks import tutorial_checks
 from rhec import paper
 from rhec.tracked_robot import kinematics as model
 
-TUTORIAL = Path(__file__).parents[2] / "notebooks/tutorial.ipynb"
+TUTORIAL = Path(__file__).parents[2] / "notebooks/01_tutorial.ipynb"
 DT = paper.DT_S
 
 
