@@ -167,9 +167,8 @@ ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
 $(call executed,$(STUDIES)): | $(call executed,computation_times)
 endif
 
-build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
-  $(wildcard docs/*.md rhec/workbench/live/* rhec/workbench/templates/* \
-  rhec/workbench/templates/*/*) | .venv/wasm
+build/report/index.html: $(EXECUTED) rhec/workbench/report.py README.md $(wildcard docs/*.md \
+  docs/conf.py docs/_static/* docs/_templates/*/* rhec/workbench/live/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
 	@$(PY) -m rhec.workbench.report $(EXECUTED)
 

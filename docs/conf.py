@@ -1,25 +1,36 @@
 """Sphinx's configuration of the report; `rhec.workbench.report` calls it."""
 
 import inspect
+import re
 from types import SimpleNamespace
 from typing import get_type_hints
 
 from docutils.nodes import SkipNode
 from latex2mathml.converter import convert
 
-from rhec import __version__
+import rhec
 
 project = "rhec"
-release = __version__
+release = rhec.__version__
 copyright = "the rhec authors, MIT licence"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["figures"]
-templates_path = ["../rhec/workbench/live"]
+templates_path = ["_templates"]
 
 html_theme = "furo"
 html_title = f"rhec {release}"
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]
+html_sidebars = {
+    "**": [
+        "sidebar/brand.html",
+        "sidebar/search.html",
+        "sidebar/scroll-start.html",
+        "sidebar/live.html",
+        "sidebar/navigation.html",
+        "sidebar/scroll-end.html",
+    ]
+}
 html_show_sourcelink = False
 html_copy_source = False
 html_use_index = False
@@ -44,12 +55,15 @@ napoleon_google_docstring = True
 
 
 def setup(app):
-    """Typeset formulas without scripts, and show annotations without how they are validated."""
+    """Typeset formulas without scripts, and show types without how they are validated."""
     inline = (_visit_inline_formula, None)
     display = (_visit_formula, None)
     app.add_html_math_renderer("mathml", inline, display)
     app.connect("autodoc-before-process-signature", _show_plain_types)
-    app.connect("html-page-context", _let_keyboards_scroll)
+    app.connect("html-page-context", _finish_page)
+    for thing in (getattr(rhec, name) for name in rhec.__all__):
+        if inspect.isclass(thing) and "__signature__" in vars(thing):
+            thing.__signature__ = _plain(thing.__signature__)
 
 
 def _visit_inline_formula(translator, node):
@@ -65,17 +79,30 @@ def _visit_formula(translator, node):
 
 def _show_plain_types(app, thing, is_bound):
     """Leave of each annotation the type alone: `float` of `Annotated[float, Ge(0)]`."""
-    if inspect.isclass(thing):
-        thing = thing.__init__
     hints = getattr(thing, "__annotations__", {})
+    hints.update(_types(hints))
+
+
+def _plain(signature):
+    """A signature with the types alone."""
+    types = _types({name: each.annotation for name, each in signature.parameters.items()})
+    plain = [
+        each.replace(annotation=types.get(name, each.annotation))
+        for name, each in signature.parameters.items()
+    ]
+    return signature.replace(parameters=plain)
+
+
+def _types(hints):
+    """Types of annotations, without those that are text or missing."""
     known = {name: hint for name, hint in hints.items() if hint and not isinstance(hint, str)}
-    if known:
-        hints.update(get_type_hints(SimpleNamespace(__annotations__=known)))
+    return get_type_hints(SimpleNamespace(__annotations__=known))
 
 
-def _let_keyboards_scroll(app, page, template, context, doctree):
-    """Whoever scrolls by keys must be able to reach what scrolls."""
+def _finish_page(app, page, template, context, doctree):
+    """Let whoever scrolls by keys reach what scrolls, and tell the frame of the live page."""
     body = context.get("body", "")
-    for scrolls in ('<div class="table-wrapper', "<pre>"):
-        body = body.replace(scrolls, scrolls.replace(" ", ' tabindex="0" ', 1))
-    context["body"] = body
+    body = body.replace('<div class="table-wrapper', '<div tabindex="0" class="table-wrapper')
+    body = re.sub(r'<div class="(cell_output|gallery-)', r'<div tabindex="0" class="\1', body)
+    context["body"] = body.replace("<pre>", '<pre tabindex="0">')
+    context["live"] = app.tags.has("live")

@@ -22,7 +22,6 @@ from datetime import datetime
 from html import escape
 from pathlib import Path
 
-import jinja2
 import nbformat
 import pandas as pd
 from PIL import Image
@@ -41,7 +40,8 @@ __all__ = ["build"]
 
 ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
-THUMBNAIL = (800, 800)  # pixels, at most: sharp at 400 CSS pixels on a dense screen
+THUMBNAIL = (640, 640)  # pixels, at most
+LONG = 30  # characters: a longer text in a table is broken into lines
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _COPIED = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
 _RULES = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and *does not
@@ -70,9 +70,9 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
         site = Path(folder) / report.name
         site.mkdir()
         _lay_out(source, notebooks, figures, live)
-        if live:
-            _write_live_page(source, site)
         _run_sphinx(source, site, ["live"] if live else [])
+        if live:
+            live_page.write(site)
         (site / "report.d").touch()  # for `make clean`
         made = [f"build/report/{file.relative_to(site)}" for file in site.rglob("*.*")]
         (site / "report.d").write_text(f"MADE += {' '.join(made)}\n")
@@ -98,10 +98,11 @@ def _lay_out(source, notebooks, figures, live):
     shutil.copytree(figures, source / "figures")
     (source / "notebooks").mkdir()
     stories = {file.stem: nbformat.read(file, as_version=4) for file in notebooks}
+    scenes = {scene["notebook"]: name for name, scene in live_page.SCENES.items()}
     captions = {}
     for name, notebook in stories.items():
         captions |= {figure: (name, text) for figure, text in _captions(notebook, figures).items()}
-        _prepare(notebook, live_page.LEADS.get(name), live)
+        _prepare(notebook, scenes.get(re.sub(r"^\d+_", "", name)), live)
         nbformat.write(notebook, source / f"notebooks/{name}.ipynb")
     pages = {
         "figures": _figures_page(stories, captions, source / "figures"),
@@ -111,16 +112,6 @@ def _lay_out(source, notebooks, figures, live):
     }
     for name, text in pages.items():
         (source / f"{name}.md").write_text(text, encoding="utf-8")
-
-
-def _write_live_page(source, site):
-    """The live page, and beside the site's other files what its script needs."""
-    world = live_page.build(site / "live")
-    template = (Path(live_page.__file__).parent / "live.html").read_text(encoding="utf-8")
-    jinja = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    html = jinja.from_string(template).render(world=world)
-    text = f"{_WIDE}# The field, live\n\n```{{raw}} html\n{html}\n```\n"
-    (source / "live.md").write_text(text, encoding="utf-8")
 
 
 # ---------------------------------------------------------------- notebooks
@@ -207,7 +198,11 @@ def _plain(text):
 
 def _with_fewer_colours(png):
     """A PNG (base64) in 256 colours: a drawing loses nothing that can be seen."""
-    image = Image.open(io.BytesIO(b64decode(png))).convert("RGB").quantize(256, Image.Quantize.FASTOCTREE, dither=0)
+    image = (
+        Image.open(io.BytesIO(b64decode(png)))
+        .convert("RGB")
+        .quantize(256, Image.Quantize.FASTOCTREE, dither=0)
+    )
     file = io.BytesIO()
     image.save(file, "PNG", optimize=True)
     return b64encode(file.getvalue()).decode()
@@ -230,7 +225,9 @@ def _figures_page(stories, captions, folder):
     text += "Each file carries the scenario and the notebook that made it.\n"
     for title, names in groups.items():
         if names:
-            shown = "\n".join(_figure(name, *captions.get(name, ("", "")), folder) for name in names)
+            shown = "\n".join(
+                _figure(name, *captions.get(name, ("", "")), folder) for name in names
+            )
             text += f"\n## {title}\n\n::::{{container}} gallery\n{shown}\n::::\n"
     return text
 
@@ -239,7 +236,7 @@ def _figure(name, story, caption, folder):
     """A thumbnail with its caption and links, as Markdown."""
     with Image.open(folder / f"{name}.png") as image:
         image.thumbnail(THUMBNAIL)
-        image.convert("RGB").save(folder / f"thumbnails/{name}.webp", quality=85)
+        image.convert("RGB").save(folder / f"thumbnails/{name}.webp", quality=80)
     links = [f"[notebook](notebooks/{story}.ipynb)"] if story else []
     if (folder / f"{name}.pdf").exists():
         links.append(f"{{download}}`PDF <figures/{name}.pdf>`")
@@ -277,10 +274,18 @@ def _as_html(table):
 
     def cell(value):
         text = results.format_number(value) if isinstance(value, float) else str(value)
-        return text if text.startswith("<a id=") else escape(text)
+        if text.startswith("<a id="):
+            return text
+        return f'<div class="long">{escape(text)}</div>' if len(text) > LONG else escape(text)
 
     table = table.rename(columns=lambda name: escape(str(name)).replace("_", " "))
-    html = table.to_html(index=False, border=0, escape=False, formatters=[cell] * len(table.columns))
+    html = table.to_html(
+        index=False,
+        border=0,
+        escape=False,
+        classes="docutils",
+        formatters=[cell] * len(table.columns),
+    )
     return f'```{{raw}} html\n<div class="table-wrapper docutils container">{html}</div>\n```'
 
 
@@ -323,7 +328,9 @@ def _provenance_page(stories, figures):
         ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")),
     ]
     runs = pd.DataFrame([_run_of(name, notebook) for name, notebook in stories.items()])
-    packages = pd.DataFrame(_packages(), columns=["package", "version", "pinned in environment.txt"])
+    packages = pd.DataFrame(
+        _packages(), columns=["package", "version", "pinned in environment.txt"]
+    )
     return "\n\n".join(
         [
             "# Provenance",

@@ -113,7 +113,8 @@ def _spread(table, value):
     order = {key: table[key].unique() for key in (name, "quantity")}
     rows, columns = sorted(order, key=lambda key: -len(order[key]))
     wide = table.pivot(index=rows, columns=columns, values=value)
-    return wide.reindex(index=order[rows], columns=order[columns]).fillna("").reset_index()
+    wide = wide.reindex(index=order[rows], columns=order[columns]).fillna("").reset_index()
+    return wide.rename_axis(columns=None)
 
 
 _ROWS = {  # the README's rows: (estimator or weight, quantity) and what a person calls them
@@ -144,7 +145,7 @@ def _summary(a, b):
         # The paper prints no differences; they follow from its numbers.
         paper = "" if " - " in key[0] else format_number(of_key["paper"].iloc[0])
         lines.append([label, *here, paper, _judged(of_key)])
-    heads = ["", "W as printed", "W calibrated", "the paper", "the paper's claim"]
+    heads = ["quantity", "W as printed", "W calibrated", "the paper", "the paper's claim"]
     n = f"Means over {rows['n'].max()} fields, with 95 % intervals:"
     return f"{n}\n\n{to_markdown(pd.DataFrame(lines, columns=heads))}"
 
