@@ -1,7 +1,6 @@
 """Sphinx's configuration of the report; `rhec.workbench.report` calls it."""
 
 import inspect
-import re
 from types import SimpleNamespace
 from typing import get_type_hints
 
@@ -60,7 +59,7 @@ def setup(app):
     display = (_visit_formula, None)
     app.add_html_math_renderer("mathml", inline, display)
     app.connect("autodoc-before-process-signature", _show_plain_types)
-    app.connect("html-page-context", _finish_page)
+    app.connect("html-page-context", _finish_page, priority=900)  # after the theme
     for thing in (getattr(rhec, name) for name in rhec.__all__):
         if inspect.isclass(thing) and "__signature__" in vars(thing):
             thing.__signature__ = _plain(thing.__signature__)
@@ -99,10 +98,21 @@ def _types(hints):
     return get_type_hints(SimpleNamespace(__annotations__=known))
 
 
+# What Sphinx, myst-nb and furo write, and what it lacks for readers who use no mouse or no eyes.
+_ACCESSIBLE = {
+    '<div class="table-wrapper': '<div tabindex="0" class="table-wrapper',
+    '<div class="cell_output': '<div tabindex="0" class="cell_output',
+    "<pre>": '<pre tabindex="0">',
+    '<summary aria-label="Toggle hidden content">': "<summary>",
+    '<dl>\n<dd><em class="sig-param">': '<dl role="list">\n<dd><em class="sig-param">',
+    '<dd><em class="sig-param">': '<dd role="listitem"><em class="sig-param">',
+    'role="heading"': 'role="heading" aria-level="2"',
+}
+
+
 def _finish_page(app, page, template, context, doctree):
-    """Let whoever scrolls by keys reach what scrolls, and tell the frame of the live page."""
-    body = context.get("body", "")
-    body = body.replace('<div class="table-wrapper', '<div tabindex="0" class="table-wrapper')
-    body = re.sub(r'<div class="(cell_output|gallery-)', r'<div tabindex="0" class="\1', body)
-    context["body"] = body.replace("<pre>", '<pre tabindex="0">')
+    """Mend what assistive technology stumbles over, and tell the frame of the live page."""
+    for part in ("body", "furo_navigation_tree"):
+        for written, better in _ACCESSIBLE.items():
+            context[part] = context.get(part, "").replace(written, better)
     context["live"] = app.tags.has("live")

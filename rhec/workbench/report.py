@@ -142,6 +142,7 @@ def _prepare(notebook, scene, live):
         scene: the live page's scene that shows what the notebook does, or None.
         live: whether there is a live page.
     """
+    notebook.metadata.pop("widgets", None)  # their state, which nothing here can show
     unfolded = notebook.metadata.get("rhec", {}).get("code") == "open"
     above = notebook.cells[0]
     sliders = [above] if scene and live else []
