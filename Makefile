@@ -114,6 +114,7 @@ lock upgrade:
 clean: ## remove the executed notebooks, their figures and tables, and the report
 	@rm -f $(filter-out $(shell sed -n 's/^!//p' .gitignore),$(MADE)) $(EXECUTED:.ipynb=.d) \
 	  $(EXECUTED) $(wildcard build/notebooks/*.unfinished)
+	@rm -rf build/report/live build/report/live.html
 	@find build figures -type d -empty -delete 2>/dev/null || true
 
 # What took long or came from a person goes by its name alone.
@@ -167,9 +168,8 @@ ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
 $(call executed,$(STUDIES)): | $(call executed,05_computation_times)
 endif
 
-build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
-  $(wildcard docs/*.md rhec/workbench/live/* rhec/workbench/templates/* \
-  rhec/workbench/templates/*/*) | .venv/wasm
+build/report/index.html: $(EXECUTED) rhec/workbench/report.py README.md $(wildcard docs/*.md \
+  docs/conf.py docs/_static/* docs/_templates/*/* rhec/workbench/live/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
 	@$(PY) -m rhec.workbench.report $(EXECUTED) \
 	  $$($(PY) -c 'import ziglang' 2>/dev/null && echo --live)

@@ -14,7 +14,7 @@ def _text(*files):
     return "\n".join((_WORKBENCH / file).read_text(encoding="utf-8") for file in files)
 
 
-CSS = _text("templates/explorer.css")
+CSS = _text("explorer/explorer.css")
 
 
 class Screen(anywidget.AnyWidget):

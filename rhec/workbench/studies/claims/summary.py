@@ -8,7 +8,7 @@ __all__ = ["DEPARTURE", "ONE_WAY", "PRINTED", "survivors", "verdict_counts"]
 
 ONE_WAY = "only one outcome found, so not tested"
 PRINTED = f"{HOLDS} {AS_PRINTED}"
-DEPARTURE = f"{HOLDS} with a departure from it (W calibrated, …)"
+DEPARTURE = f"{HOLDS}, but not as printed (for example only with W calibrated)"
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
 
 
