@@ -241,11 +241,7 @@ def test_make_clean_removes_what_make_made_and_nothing_else(project):
     for name in theirs:
         (project / name).parent.mkdir(parents=True, exist_ok=True)
         (project / name).touch()
-    made = [
-        "figures/one.png",
-        "build/notebooks/03_scenario_a.ipynb",
-        "build/notebooks/scenario_a.d",
-    ]
+    made = ["figures/one.png", "build/notebooks/03_scenario_a.ipynb", "build/notebooks/scenario_a.d"]
     delivered = "figures/fig07_trajectories.png"  # the notebook makes it, but it is in git
     assert all((project / name).exists() for name in [*made, delivered])
 
