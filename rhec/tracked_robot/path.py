@@ -137,7 +137,12 @@ class Path:
 
         Returns:
             The Path.
+
+        Raises:
+            ValueError: If a length is not above 0, or the radius too small for its curvature.
         """
+        if 1 / radius_m > 1e100:  # the largest Real
+            raise ValueError(f"radius_m was {radius_m}; it must be at least 1e-100")
         return _racetrack(row_length_m, radius_m)
 
     @property

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import no_compiler
+from helpers import no_compiler
 from oracles import mhe_instance
 from robots import DT, ROBOTS, VARIANTS
 

@@ -360,8 +360,9 @@ class Explorer(widgets.VBox):
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
         if field:
-            zoom, soil = self.zoom.value, self.soil.value
-            picture = field_run.picture_of(self.runs, self.pinned, zoom, soil)
+            picture = field_run.picture_of(
+                self.runs, self.pinned, zoom=self.zoom.value, soil=self.soil.value
+            )
         else:
             run = self.runs[0]
             k = self.sample.value

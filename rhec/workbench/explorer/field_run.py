@@ -155,7 +155,8 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     """The Picture of field runs.
 
     Args:
-        runs, pinned: one or two runs each; the pinned ones, dashed, to compare with.
+        runs: one or two runs.
+        pinned: one or two runs to compare with, dashed.
         zoom: one of ZOOMS.
         soil: the slip field on the map, "mu" or "kappa".
     """

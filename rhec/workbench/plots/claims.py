@@ -50,7 +50,8 @@ def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
     Args:
         table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
         name: of the files, without a suffix.
-        folder, notebook: as for `rhec.workbench.plots.style.save`.
+        folder: as for `rhec.workbench.plots.style.save`.
+        notebook: likewise.
 
     Returns:
         The CSV's path. The LaTeX needs the packages booktabs and longtable.

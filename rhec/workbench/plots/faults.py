@@ -43,7 +43,8 @@ def fault_courses(keys, table, errors, before_s):
 
     Args:
         keys: (family, case) of each panel.
-        table, errors: of `rhec.workbench.studies.robustness.study`.
+        table: of `rhec.workbench.studies.robustness.study`.
+        errors: likewise.
         before_s: how long before the fault the errors begin [s].
     """
     rows = -(-len(keys) // _PANELS)

@@ -36,7 +36,8 @@ def multiverse_map(table, correlations, discovered):
 
     Args:
         table: as `rhec.workbench.studies.multiverse.summary` returns it.
-        correlations, discovered: as `rhec.workbench.studies.multiverse.correlations` returns them.
+        correlations: as `rhec.workbench.studies.multiverse.correlations` returns them.
+        discovered: likewise, where a correlation is significant.
     """
     size = (DOUBLE_IN, 0.9 + 0.2 * len(table))
     widths = (1, 2.4)

@@ -166,6 +166,7 @@ def replay_traction(replays, first):
     encoder measurements, over a sliding window and over the whole log (dashed).
 
     Args:
+        replays: {estimator: what `rhec.replay` returns}.
         first: the estimator whose band of two standard deviations is shown.
     """
     figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.6), sharex=True)

@@ -183,7 +183,9 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
         dataframe: the table.
         name: of the files, without a suffix.
         caption: in LaTeX; the table needs the package booktabs.
-        folder, scenario, notebook: as for `save`.
+        folder: as for `save`.
+        scenario: likewise.
+        notebook: likewise.
 
     Returns:
         The CSV's path.

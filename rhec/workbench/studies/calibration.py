@@ -90,7 +90,7 @@ def columns(run, names):
 
 
 def scan_arguments(scenario, run, *outputs):
-    """Arguments of `offline.run` for outputs of a scenario's estimator on the measurements of a run.
+    """Arguments of `offline.run`: outputs of a scenario's estimator on the measurements of a run.
 
     The estimator starts where the robot is.
     """

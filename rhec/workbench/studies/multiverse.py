@@ -290,7 +290,8 @@ def summary(worlds, verdicts, margins):
 
     Args:
         worlds: Of `sample_parameters`.
-        verdicts, margins: Of `judge`.
+        verdicts: Of `judge`.
+        margins: Of `judge`.
 
     Returns:
         DataFrame, one row a claim: the share of worlds where it holds with its interval, those

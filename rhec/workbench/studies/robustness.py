@@ -141,7 +141,8 @@ def response(run, begin_s, end_s):
 
     Args:
         run: The Run.
-        begin_s, end_s: When the fault begins and ends [s].
+        begin_s: When the fault begins [s].
+        end_s: When it ends [s].
 
     Returns:
         max_during_m, max_after_m: Largest true errors [m]. recovery_s: time [s] from the end until

@@ -92,8 +92,10 @@ def verdict(low, high, above=-np.inf, below=np.inf):
     """The verdict on an interval.
 
     Args:
-        low, high: The interval; NaN if there is none.
-        above, below: The bounds, themselves not included.
+        low: Lower end of the interval; NaN if there is none.
+        high: Its upper end.
+        above: Lower bound, itself not included.
+        below: Upper bound, itself not included.
 
     Returns:
         HOLDS if all of the interval lies between the bounds, FAILS if none of it does, else
