@@ -75,7 +75,7 @@ campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" s
 	@$(PY) -m rhec.simulation.campaigns $(WHAT)
 
 embedded: $(READY) ## the default scenario's estimator and controller as C, in build/embedded
-	@$(PY) -m notebooks.embedded_measurements
+	@$(PY) -m rhec.workbench.studies.embedded
 
 ##@ Check
 test: $(READY) ## run the tests
