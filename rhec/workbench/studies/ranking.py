@@ -46,6 +46,7 @@ LEAST_GAIN = 0.30
 MOST_ABOVE = 0.10
 _MEANS = ["contestant", "quantity", "mean", "low", "high"]
 SIGMA_THETA = tuning.SIGMA_W_TRACKING["dual"][8]
+_SIGMAS_RAD = SIGMA_THETA * 2.0 ** np.arange(-4, 3)
 QUANTITIES = {
     "mean_error_true_m": "mean true error [m]",
     "mean_error_m": "mean error, raw GNSS [m]",
@@ -127,7 +128,7 @@ def scenarios(seeds):
     return [(label, Scenario(seed=seed, **fields)) for (label, fields), seed in every]
 
 
-def by_pose_noise(seeds, sigmas_rad=SIGMA_THETA * 2.0 ** np.arange(-4, 3)):
+def by_pose_noise(seeds, sigmas_rad=_SIGMAS_RAD):
     """The proposal with other process noises of the yaw in its pose filter.
 
     Args:

@@ -126,10 +126,7 @@ _HANDLING = {"off": {}, "on": {"robust": True}}
 _ORACLE = {"oracle": {"estimator": "oracle"}}
 # No estimator can do better than the oracle in these families.
 _WITH_ORACLE = ("start", "patch")
-_SHOWN = {
-    "max_after_m": "largest true error afterwards [m]",
-    "recovery_s": "time to recover [s]",
-}
+_SHOWN = {"max_after_m": "largest true error afterwards [m]", "recovery_s": "time to recover [s]"}
 
 
 def cases_of(family):
@@ -320,5 +317,7 @@ def verdict_counts(table):
     verdicts = table.pivot_table("case", "handling", "verdict", aggfunc="count", fill_value=0)
     by_handling = table.groupby("handling")
     return verdicts.assign(
-        cases=verdicts.sum(axis=1), runs=by_handling["n"].sum(), in_bounds=by_handling["in_bounds"].sum()
+        cases=verdicts.sum(axis=1),
+        runs=by_handling["n"].sum(),
+        in_bounds=by_handling["in_bounds"].sum(),
     )
