@@ -4,6 +4,7 @@ python -m rhec.workbench.notebook notebooks/03_scenario_a.ipynb -p seed 7
 """
 
 import argparse
+import ast
 import contextlib
 import difflib
 import importlib.util
@@ -17,81 +18,117 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Annotated, get_type_hints
 
-__all__ = ["ParameterError", "main", "parameters", "record", "run"]
+__all__ = ["ParameterError", "main", "parameters", "real", "record", "run", "whole"]
 
 ROOT = Path(__file__).resolve().parents[2]
 _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
-_CHECKED = "_parameters_checked"  # says in a notebook's namespace that its parameters were checked
+_CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameters were checked
+# Dots per inch of a figure in JupyterLab: a column of the paper, 3.4 in, is 900 pixels wide.
+_DPI = 265
 
 
 class ParameterError(ValueError):
-    """A notebook was given a parameter that it does not take."""
+    """A notebook was given an unknown or invalid parameter."""
+
+    def _render_traceback_(self):
+        """Lines that Jupyter shows instead of a traceback."""
+        return [f"{type(self).__name__}: {self}"]
 
 
-def parameters(namespace, **allowed):
-    """Refuse, in one sentence, what a notebook's parameters may not be.
+def whole(lowest, highest):
+    """Annotation of a notebook's parameter that is a whole number from `lowest` to `highest`."""
+    from pydantic import Field
+
+    from rhec.core._casadi import validation
+
+    return Annotated[validation.Whole, Field(ge=lowest, le=highest)]
+
+
+def real(lowest, highest):
+    """Annotation of a notebook's parameter that is a number from `lowest` to `highest`."""
+    from pydantic import Field
+
+    from rhec.core._casadi import validation
+
+    return Annotated[validation.Real, Field(ge=lowest, le=highest)]
+
+
+def parameters(namespace):
+    """Check a notebook's parameters, and make its figures large in JupyterLab.
+
+    The cell tagged `parameters` declares each of them as `name: type = default  # [unit] meaning`.
+    The type is `int`, `float`, `bool`, `str`, `whole(1, 9)`, `real(0, 1)`, a `Literal` or a
+    `list[...]`. Of a parameter named like a field of `rhec.Scenario`, a plain type means the
+    values that the field takes.
 
     Args:
-        namespace: the notebook's `globals()`, right after the cell tagged `parameters`.
-        **allowed: what each parameter may be: a number `(type, lowest, highest)`, a choice
-            `("one", "other")`, any text but an empty one, `str`, or a list, `[(float, 0, 100)]`.
+        namespace: The notebook's `globals()`, right after that cell.
 
     Raises:
-        ParameterError: if one is missing, is not what it may be, or is not known.
+        ParameterError: If a parameter is unknown or invalid; the message is one sentence.
     """
-    # The first time, all data found here was given as a parameter; later the notebook has its own.
-    if namespace.get(_CHECKED) is not parameters:
-        _refuse_unknown(namespace, allowed)
-    for name, spec in allowed.items():
-        if name not in namespace:
-            raise ParameterError(f"{name} was not given; it must be {_wanted(spec)}")
-        value = namespace[name]
-        if not _fits(value, spec):
-            was = f"{reprlib.repr(value)} ({type(value).__name__})"
-            raise ParameterError(f"{name} was {was}; it must be {_wanted(spec)}")
+    from rhec.core._casadi.validation import validated
+
+    types = {}
+    for source in namespace["In"]:
+        for name, annotation in _declared(source).items():
+            types[name] = _strict(name, eval(annotation, namespace))
+    # The first time, all plain data are parameters; later the notebook has data of its own.
+    if _CHECKED not in namespace or namespace[_CHECKED] is not parameters:
+        _refuse_unknown(namespace, types)
+    notebook = validated(type("the notebook", (), {"__annotations__": types}))
+    try:
+        notebook(**{name: namespace[name] for name in types if name in namespace})
+    except ValueError as error:
+        raise ParameterError(str(error)) from None
     namespace[_CHECKED] = parameters
+    # The report shows them at the size of the paper.
+    if "get_ipython" in namespace and "RHEC_UNATTENDED" not in os.environ:
+        from matplotlib_inline.backend_inline import set_matplotlib_formats
+
+        set_matplotlib_formats("png", dpi=_DPI, bbox_inches=None)
 
 
-def _refuse_unknown(namespace, allowed):
+def _declared(source):
+    """{name: annotation} of the annotated assignments in a cell; {} if it is no Python."""
+    try:
+        nodes = ast.parse(source).body
+    except SyntaxError:
+        return {}
+    nodes = [node for node in nodes if isinstance(node, ast.AnnAssign)]
+    return {ast.unparse(node.target): ast.unparse(node.annotation) for node in nodes}
+
+
+def _strict(name, annotation):
+    """The type that pydantic checks for a parameter with this annotation."""
+    from rhec.core._casadi import validation
+    from rhec.simulation.scenario import FIELDS, Scenario
+
+    plain = {int: validation.Whole, float: validation.Real, bool: validation.Flag, str: str}
+    if annotation not in plain:
+        return annotation
+    if name in FIELDS:
+        return get_type_hints(Scenario, include_extras=True)[name]
+    return plain[annotation]
+
+
+def _refuse_unknown(namespace, types):
     # Papermill makes a misspelt parameter a new global, next to the untouched one that was meant.
     ipython = namespace.get("get_ipython")
-    known = allowed.keys() | (ipython().user_ns_hidden if ipython else ())
+    known = types.keys() | (ipython().user_ns_hidden if ipython else {"In"})
     for name, value in list(namespace.items()):
         private = name.startswith("_") and name != _CHECKED
         if isinstance(value, _PLAIN_DATA) and not private and name not in known:
             del namespace[name]  # so that the cells, once corrected, can be run again
-            raise _no_such_parameter(name, value, allowed)
+            raise _no_such_parameter(name, value, types)
 
 
-def _no_such_parameter(name, value, allowed):
-    meant = " or ".join(difflib.get_close_matches(name, allowed, n=1) or allowed)
-    was = f"{name} was {reprlib.repr(value)}, but there is no such parameter"
-    return ParameterError(f"{was}; did you mean {meant}?" if meant else was)
-
-
-def _fits(value, spec):
-    if spec is str:
-        return isinstance(value, str) and value != ""
-    if isinstance(spec, list):
-        some = isinstance(value, list | tuple) and (value or spec[-1] is ...)
-        return some and all(_fits(v, spec[0]) for v in value)
-    if isinstance(spec[0], type):
-        kind, lowest, highest = spec
-        return type(value) in {int, kind} and lowest <= value <= highest
-    return type(value) in map(type, spec) and value in spec
-
-
-def _wanted(spec):
-    if spec is str:
-        return "a text"
-    if isinstance(spec, list):
-        least = "any number of items" if spec[-1] is ... else "at least one item"
-        return f"a list of {least}, each {_wanted(spec[0])}"
-    if isinstance(spec[0], type):
-        kind, lowest, highest = spec
-        return f"{'an int' if kind is int else 'a number'} from {lowest} to {highest}"
-    return " or ".join(map(repr, spec))
+def _no_such_parameter(name, value, names):
+    close = " or ".join(difflib.get_close_matches(name, names, n=1) or names)
+    unknown = f"{name} was {reprlib.repr(value)}, but there is no such parameter"
+    return ParameterError(f"{unknown}; did you mean {close}?" if close else unknown)
 
 
 def record(listing):
@@ -142,16 +179,16 @@ def run(notebook, given, output):
     # Not imported above: every notebook imports this module, and none needs these.
     import nbformat
     import papermill
-    from papermill.translators import PythonTranslator
 
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     # A name that the notebook itself uses (rhec) would be overwritten before it is checked.
     cells = nbformat.read(notebook, 4).cells
     tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
-    known = [each.name for cell in tagged for each in PythonTranslator.inspect(cell)]
-    for name in given.keys() - known:
-        raise _no_such_parameter(name, given[name], known)
+    declared = [name for cell in tagged for name in _declared(cell.source)]
+    for name in given.keys() - declared:
+        raise _no_such_parameter(name, given[name], declared)
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
+    os.environ["RHEC_NOTEBOOK"] = notebook.name  # for the figures' and tables' files
     os.environ["RHEC_UNATTENDED"] = "1"  # its outputs are the results, not what was waited for
     this = "rhec.workbench.notebook"
     with tempfile.NamedTemporaryFile("r") as listing:

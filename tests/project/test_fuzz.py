@@ -8,6 +8,7 @@ import os
 import pickle
 import re
 import sys
+from typing import Literal
 
 import nbformat
 import numpy as np
@@ -418,12 +419,16 @@ def test_a_corrupt_field(tmp_path_factory, change):
 
 
 @some(200)
-@given(junk, st.sampled_from([(int, 0, 9), (float, -1.0, 1.0), ("one", "two"), [(float, 0, 1)]]))
-def test_a_notebooks_parameter(value, allowed):
+@given(
+    junk,
+    st.sampled_from(["whole(0, 9)", "real(-1, 1)", "Literal['one', 'two']", "list[real(0, 1)]"]),
+)
+def test_a_notebooks_parameter(value, kind):
+    namespace = dict(In=[f"given: {kind} = 0"], given=value, Literal=Literal)
     try:
-        notebook.parameters({"given": value}, given=allowed)
+        notebook.parameters(namespace | dict(whole=notebook.whole, real=notebook.real))
     except notebook.ParameterError as error:
-        assert str(error).startswith("given was ") and "\n" not in str(error)
+        assert str(error).startswith("given") and " was " in str(error) and "\n" not in str(error)
 
 
 @pytest.mark.parametrize(
@@ -449,10 +454,9 @@ def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
     refused.
     """
     monkeypatch.chdir(tmp_path)
-    tagged = v4.new_code_cell("process_noise = 'printed'", metadata={"tags": ["parameters"]})
+    tagged = v4.new_code_cell("process_noise: str = 'printed'", metadata={"tags": ["parameters"]})
     check = v4.new_code_cell(
-        "from rhec.workbench.notebook import parameters\n"
-        "parameters(globals(), process_noise=('printed', 'calibrated'))"
+        "from rhec.workbench.notebook import parameters\nparameters(globals())"
     )
     nbformat.write(v4.new_notebook(cells=[tagged, check]), "toy.ipynb")
     value = (

@@ -576,9 +576,10 @@ def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machi
 # Files and figure
 
 
-def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path):
+def test_the_ledger_is_written_as_csv_latex_and_markdown(made_up, tmp_path, monkeypatch):
+    monkeypatch.setenv("RHEC_NOTEBOOK", "06_claims.ipynb")
     table = judged(made_up)
-    csv = drawings.save_ledger(table, folder=tmp_path, notebook="06_claims.ipynb")
+    csv = drawings.save_ledger(table, folder=tmp_path)
     read = pd.read_csv(csv, keep_default_na=False, na_values=[""])
     assert list(read["id"]) == list(table["id"]) and list(read["verdict"]) == list(table["verdict"])
     np.testing.assert_allclose(read["value"], table["value"])

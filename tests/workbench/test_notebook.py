@@ -15,95 +15,124 @@ from nbformat import v4
 from rhec.workbench import notebook
 from rhec.workbench.notebook import ParameterError, parameters
 
-ALLOWED = {
-    "seed": (int, 0, 999_999),
-    "speed_mps": (float, 0.05, 2.0),
-    "process_noise": ("printed", "calibrated"),
-    "gains": [(float, 0, 100)],
-}
-DEFAULTS = {"seed": 7, "speed_mps": 0.5, "process_noise": "printed", "gains": [1, 2.5]}
-GAINS = "a list of at least one item, each a number from 0 to 100"
+CELL = """
+from typing import Literal
+from rhec.workbench.notebook import real, whole
+
+seed: int = 7  # as of rhec.Scenario
+seeds: whole(2, 1000) = 20
+speed_mps: float = 0.5  # [m/s] as of rhec.Scenario
+delay_s: real(-10, 10) = 0
+process_noise: Literal["printed", "calibrated"] = "printed"
+gains: list[real(0, 100)] = [1, 2.5]
+is_robust: bool = False
+file: str = "log.csv"
+"""
+NAMES = ["seed", "seeds", "speed_mps", "delay_s", "process_noise", "gains", "is_robust", "file"]
+
+
+def executed(cell=CELL, **injected):
+    """Namespace of a notebook after its cell of parameters and the one that papermill adds."""
+    namespace = {"In": ["", "%magic", cell]}
+    exec(cell, namespace)
+    return namespace | injected
 
 
 @pytest.mark.parametrize(
     "name, value",
     [
         ("seed", 0),
-        ("seed", 999_999),
-        ("speed_mps", 2),
+        ("seeds", 1000),
+        ("speed_mps", 1),
+        ("delay_s", -10),
         ("process_noise", "calibrated"),
         ("gains", (100,)),
+        ("gains", []),
+        ("is_robust", True),
     ],
 )
 def test_allowed_values_pass(name, value):
-    parameters(DEFAULTS | {name: value}, **ALLOWED)
+    parameters(executed(**{name: value}))
 
 
 @pytest.mark.parametrize(
     "name, value, sentence",
     [
-        ("seed", "9", "seed was '9' (str); it must be an int from 0 to 999999"),
-        ("seed", True, "seed was True (bool); it must be an int from 0 to 999999"),
-        ("seed", 7.0, "seed was 7.0 (float); it must be an int from 0 to 999999"),
-        ("speed_mps", math.nan, "speed_mps was nan (float); it must be a number from 0.05 to 2.0"),
+        ("seeds", "9", "seeds was '9'; it should be a valid integer"),
+        ("seeds", True, "seeds was True; it should be a valid integer"),
+        ("seeds", 7.0, "seeds was 7.0; it should be a valid integer"),
+        ("seeds", 5000, "seeds was 5000; it should be less than or equal to 1000"),
+        ("seed", -1, "seed was -1; it should be greater than or equal to 0"),
+        ("speed_mps", 2.0, "speed_mps was 2.0; it should be less than or equal to 1.4"),
+        ("speed_mps", math.nan, "speed_mps was nan; it should be a finite number"),
+        ("delay_s", 11, "delay_s was 11; it should be less than or equal to 10"),
         (
             "process_noise",
             "guess",
-            "process_noise was 'guess' (str); it must be 'printed' or 'calibrated'",
+            "process_noise was 'guess'; it should be 'printed' or 'calibrated'",
         ),
-        (
-            "process_noise",
-            [1],
-            "process_noise was [1] (list); it must be 'printed' or 'calibrated'",
-        ),
-        ("gains", [], f"gains was [] (list); it must be {GAINS}"),
-        ("gains", [1, False], f"gains was [1, False] (list); it must be {GAINS}"),
+        ("process_noise", [1], "process_noise was [1]; it should be 'printed' or 'calibrated'"),
+        ("gains", [1, False], "gains[1] was False; it should be a valid number"),
+        ("is_robust", 1, "is_robust was 1; it should be a valid boolean"),
+        ("file", 1, "file was 1; it should be a valid string"),
         ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),
         (
             "_parameters_checked",
             True,
             "_parameters_checked was True, but there is no such parameter; did you mean "
-            f"{' or '.join(ALLOWED)}?",
+            f"{' or '.join(NAMES)}?",
         ),
-        ("x", 9, f"x was 9, but there is no such parameter; did you mean {' or '.join(ALLOWED)}?"),
+        ("x", 9, f"x was 9, but there is no such parameter; did you mean {' or '.join(NAMES)}?"),
     ],
 )
 def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
     with pytest.raises(ParameterError) as refusal:
-        parameters(DEFAULTS | {name: value}, **ALLOWED)
+        parameters(executed(**{name: value}))
     assert str(refusal.value) == sentence
+    # Jupyter shows these lines in place of a traceback.
+    assert refusal.value._render_traceback_() == [f"ParameterError: {sentence}"]
 
 
 @given(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
 )
-def test_only_an_int_in_range_is_a_seed(value):
+def test_only_a_whole_number_in_range_is_a_number_of_seeds(value):
     try:
-        parameters({"seed": value}, seed=(int, 0, 9))
+        parameters(executed(seeds=value))
     except ParameterError:
-        assert type(value) is not int or not 0 <= value <= 9
+        assert type(value) is not int or not 2 <= value <= 1000
     else:
-        assert type(value) is int and 0 <= value <= 9
+        assert type(value) is int and 2 <= value <= 1000
 
 
 def test_a_missing_parameter_is_refused():
-    with pytest.raises(ParameterError, match="seed was not given; it must be an int from 0 to 9"):
-        parameters({}, seed=(int, 0, 9))
+    namespace = executed()
+    del namespace["seed"]
+    with pytest.raises(ParameterError, match="^seed was not given; the notebook needs it$"):
+        parameters(namespace)
 
 
 def test_the_cell_can_be_run_again():
-    namespace = {"sed": 1, "seed": 1, "os": os, "_private": 0}
+    namespace = executed(sed=1, os=os, _private=0)
     with pytest.raises(ParameterError):
-        parameters(namespace, seed=(int, 0, 9))
-    parameters(namespace, seed=(int, 0, 9))  # the misspelt name is gone
+        parameters(namespace)
+    parameters(namespace)  # the misspelt name is gone
     namespace["result"] = [1.0]  # the notebook's own
-    parameters(namespace, seed=(int, 0, 9))
+    parameters(namespace)
+
+
+@pytest.mark.parametrize("path", sorted(Path(__file__).parents[2].glob("notebooks/*.ipynb")))
+def test_every_notebook_declares_its_parameters_and_checks_them(path):
+    cells = nbformat.read(path, 4).cells
+    (tagged,) = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
+    assert any("parameters(globals())" in cell.source for cell in cells)
+    parameters(executed(tagged.source))
 
 
 def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monkeypatch, capfd):
-    tagged = v4.new_code_cell("seed = 7", metadata={"tags": ["parameters"]})
+    tagged = v4.new_code_cell("seed: int = 7", metadata={"tags": ["parameters"]})
     check = v4.new_code_cell(
-        "from rhec.workbench.notebook import parameters\nparameters(globals(), seed=(int, 0, 9))"
+        "from rhec.workbench.notebook import parameters\nparameters(globals())"
     )
     nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
     monkeypatch.chdir(tmp_path)
@@ -132,10 +161,9 @@ def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monke
 def test_the_runner_refuses_what_the_notebook_itself_uses(
     tmp_path, monkeypatch, capfd, given, sentence
 ):
-    tagged = v4.new_code_cell("seed = 7", metadata={"tags": ["parameters"]})
+    tagged = v4.new_code_cell("seed: int = 7", metadata={"tags": ["parameters"]})
     check = v4.new_code_cell(
-        "import rhec\nfrom rhec.workbench.notebook import parameters\n"
-        "parameters(globals(), seed=(int, 0, 9))"
+        "import rhec\nfrom rhec.workbench.notebook import parameters\nparameters(globals())"
     )
     nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
     monkeypatch.chdir(tmp_path)
@@ -236,12 +264,16 @@ def test_make_clean_removes_what_make_made_and_nothing_else(project):
         "build/embedded/rhec.c",
         "build/report/mine.html",
         "build/notebooks/mine.ipynb",
-        "build/notebooks/scenario_a-custom.ipynb",
+        "build/notebooks/03_scenario_a-custom.ipynb",
     ]
     for name in theirs:
         (project / name).parent.mkdir(parents=True, exist_ok=True)
         (project / name).touch()
-    made = ["figures/one.png", "build/notebooks/03_scenario_a.ipynb", "build/notebooks/scenario_a.d"]
+    made = [
+        "figures/one.png",
+        "build/notebooks/03_scenario_a.ipynb",
+        "build/notebooks/03_scenario_a.d",
+    ]
     delivered = "figures/fig07_trajectories.png"  # the notebook makes it, but it is in git
     assert all((project / name).exists() for name in [*made, delivered])
 
@@ -262,6 +294,6 @@ def test_make_clean_removes_what_make_made_and_nothing_else(project):
 
 def test_what_an_earlier_run_made_is_remembered(project):
     draw(project, "other")
-    made = (project / "build/notebooks/scenario_a.d").read_text().splitlines()[-1].split()
+    made = (project / "build/notebooks/03_scenario_a.d").read_text().splitlines()[-1].split()
     pictures = [f"figures/{name}.png" for name in ("fig07_trajectories", "one", "other")]
     assert made == ["MADE", "+=", *pictures]

@@ -412,7 +412,7 @@ class Explorer(widgets.VBox):
             run.log.to_csv(f"{file}.csv", index=False)
             run.log.to_parquet(f"{file}.parquet", index=False)
         scenarios = [run.scenario for run in self.runs]
-        style.save(self.figure(), name, scenarios, folder=folder, notebook="explore.ipynb")
+        style.save(self.figure(), name, scenarios, folder=folder)
         files = "CSV and Parquet of each run, the figure as PNG and PDF"
         self._show_status(f"saved under the name {name} in {folder}: {files}")
 

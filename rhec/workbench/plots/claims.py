@@ -44,19 +44,19 @@ def _number(value):
     return "" if np.isnan(value) else f"{value:.3g}"
 
 
-def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
+def save_ledger(table, name="claims", folder=style.FOLDER):
     """Write the ledger as CSV (all columns), LaTeX (a longtable) and Markdown.
 
     Args:
         table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
         name: of the files, without a suffix.
-        folder, notebook: as for `rhec.workbench.plots.style.save`.
+        folder: as for `rhec.workbench.plots.style.save`.
 
     Returns:
         The CSV's path. The LaTeX needs the packages booktabs and longtable.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    about = style.provenance(name, None, notebook)
+    about = style.provenance(name, None)
     csv = Path(folder) / f"{name}.csv"
     table.to_csv(csv, index=False)
     numbers = ("paper", "value", "low", "high")

@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import os
 import re
 from pathlib import Path
 
@@ -129,12 +130,18 @@ def _as_json(scenario):
     return json.dumps(scenario, default=plain)
 
 
-def provenance(name, scenario, notebook):
+def _running_notebook():
+    """Name of the notebook that runs: by our runner, by JupyterLab, or None."""
+    path = os.environ.get("RHEC_NOTEBOOK") or os.environ.get("JPY_SESSION_NAME")
+    return Path(path).name if path else None
+
+
+def provenance(name, scenario, notebook=None):
     """Where a file came from, by keys that a PDF allows; its Keywords are the scenario."""
     about = {
         "Title": name,
         "Creator": f"rhec {__version__}, source {source()}",
-        "Subject": notebook,
+        "Subject": notebook or _running_notebook(),
         "Keywords": None if scenario is None else _as_json(scenario),
     }
     return {key: value for key, value in about.items() if value is not None}
@@ -160,7 +167,7 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
         name: of the files, without a suffix.
         scenario: a rhec.Scenario, or any nest of dicts and lists with what made the figure.
         folder: where the files go; made if it is not there.
-        notebook: name of the notebook that made it.
+        notebook: what made it; by default the notebook that runs.
 
     Returns:
         The PNG's path.
