@@ -2,8 +2,8 @@ PYTHON ?= python3
 
 # The paper's figures and tables, and what goes beyond them, in the order of the report.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
-STUDIES := 01_tutorial 02_equations 06_claims multiverse 07_interpretations 08_beyond ensured \
-  09_faults 10_replay 11_your_robot explore embedded
+STUDIES := 01_tutorial 02_equations 06_claims 07_interpretations 08_beyond \
+  09_faults 10_replay 11_your_robot
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -160,9 +160,9 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	$(eval made += $@)
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
-TIMED := $(call executed,05_computation_times embedded)
+TIMED := $(call executed,05_computation_times 11_your_robot)
 $(call executed,05_computation_times): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
-$(call executed,embedded): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
+$(call executed,11_your_robot): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
 ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
 $(call executed,$(STUDIES)): | $(call executed,05_computation_times)
 endif
