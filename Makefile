@@ -45,11 +45,13 @@ report: build/report/index.html ## all of it and the reference as one site, buil
 	@echo 'report: open build/report/index.html'
 
 ##@ Work
-# No news, no updates, no extensions from the network. Without a display it prints an address.
+# No news, no updates, no extensions from the network. What it logs are errors and its address,
+# which one opens where there is no display.
 lab: $(READY) ## open the notebooks in JupyterLab
 	@JUPYTER_CONFIG_PATH="$(CURDIR)/.jupyter:$$JUPYTER_CONFIG_PATH" $(PY) -m jupyter lab \
-	  --ServerApp.preferred_dir=notebooks --LabApp.extension_manager=readonly \
-	  --LabApp.news_url=None --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
+	  --LabApp.default_url=/lab/tree/notebooks/00_start.ipynb --Application.log_level=ERROR \
+	  --LabApp.extension_manager=readonly --LabApp.news_url=None \
+	  --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
 	  $(if $(DISPLAY)$(WAYLAND_DISPLAY)$(filter Darwin,$(shell uname)),,--no-browser) \
 	  $(if $(filter 0,$(shell id -u)),--allow-root)
 

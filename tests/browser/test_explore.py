@@ -111,7 +111,7 @@ class Explorer:
 @pytest.fixture(scope="module")
 def opened(lab, chromium):
     with watched_page(chromium) as page:
-        lab.open(page, "explore.ipynb")
+        lab.open(page, "00_start.ipynb")
         lab.run(page)
         page.wait_for_selector(".rhec-canvas")
         yield Explorer(page)
@@ -308,7 +308,7 @@ def test_a_new_horizon_compiles_in_the_background(explorer):
 @pytest.mark.parametrize("width, height", [(1366, 768), (2560, 1440)])
 def test_it_fits_the_screen_and_is_readable(lab, chromium, theme, width, height):
     with watched_page(chromium, width, height) as page:
-        lab.open(page, "explore.ipynb", theme)
+        lab.open(page, "00_start.ipynb", theme)
         lab.run(page)
         page.wait_for_selector(".rhec-canvas")
         explorer = Explorer(page)

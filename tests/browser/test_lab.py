@@ -58,8 +58,9 @@ def address(tmp_path):
         lab.wait()
 
 
-def test_it_opens_on_the_notebooks_and_asks_nothing(chromium, page, address):
+def test_it_opens_on_the_first_notebook_and_asks_nothing(chromium, page, address):
     page.goto(address)
     page.wait_for_selector(".jp-DirListing-item[title*='01_tutorial.ipynb']")
+    page.wait_for_selector(".jp-Notebook .jp-MarkdownOutput h1:has-text('Start here')")
     page.wait_for_timeout(3000)  # for what would be asked a moment later
     assert page.locator(".Toastify__toast, .jp-Dialog").count() == 0

@@ -124,15 +124,13 @@ def test_robust_applies_to_estimators_with_gating():
     assert robust == {"rhe", "dual"}
 
 
-def test_explorer_and_its_notebook_offer_the_same_estimators(made):
+def test_the_explorer_offers_every_estimator_it_can_draw(made):
     offered = list(controls.ESTIMATORS)
     assert [value for _, value in made.estimator.options] == offered
     assert [value for _, value in made.against.options] == [None, *offered]
     for estimator in offered:
         scenario = replace(SHORT, estimator=estimator)
         assert field_run.name_of(scenario) == controls.ESTIMATORS[estimator]
-    notebook = (Path(__file__).parents[2] / "notebooks/explore.ipynb").read_text(encoding="utf-8")
-    assert all(estimator in notebook for estimator in offered)
 
 
 # The widget

@@ -109,7 +109,7 @@ def drives(runs):
 def drawn(runs, drives, by_weight, sweep_a, sweep_b):
     """Every figure, by its function's name."""
     pair, table = runs["calibrated"], scenario_b_table(sweep_b)
-    told = {noise: (by_name["RHE"], stated(by_name["RHE"])) for noise, by_name in runs.items()}
+    by_noise = {noise: by_name["RHE"] for noise, by_name in runs.items()}
     return {
         "trajectories_q": scenarios.trajectories_q(
             {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
@@ -121,7 +121,7 @@ def drawn(runs, drives, by_weight, sweep_a, sweep_b):
         "trajectories": scenarios.trajectories(pair),
         "errors": scenarios.errors(drives, table),
         "violations": scenarios.violations(table),
-        "estimates": scenarios.estimates(told),
+        "estimates": scenarios.estimates(by_noise),
         "speed": scenarios.speed(drives["calibrated"]["RHE"]),
         "yaw_rate": scenarios.yaw_rate(pair["RHE"]),
         "kkt": scenarios.kkt(drives["calibrated"]["RHE"]),

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import os
 import textwrap
 from dataclasses import fields
 from pathlib import Path
@@ -124,7 +125,9 @@ def _progress_bar(total, done):
     """Return a bar of runs done and time left, shown on a screen after the first second."""
     from tqdm.auto import tqdm
 
-    options = dict(desc="campaign", unit="run", leave=False, delay=1, disable=None)
+    # None: disabled unless it is a terminal or a notebook in which somebody waits.
+    disabled = True if os.environ.get("RHEC_UNATTENDED") else None
+    options = dict(desc="campaign", unit="run", leave=False, delay=1, disable=disabled)
     return tqdm(total=total, initial=done, **options)
 
 

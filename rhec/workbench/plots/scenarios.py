@@ -14,6 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from rhec import paper
 from rhec.workbench.plots import parts
 from rhec.workbench.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
+from rhec.workbench.studies.consistency import stated
 from rhec.workbench.studies.scenario_tables import REPORTED, over_fields, share_of_fields
 
 __all__ = ["errors", "estimates", "kkt", "slip_fields", "speed", "trajectories", "trajectories_q"]
@@ -294,18 +295,18 @@ def estimates(runs):
     Bands are two standard deviations by the RHE's own covariance.
 
     Args:
-        runs: {process noise: (Run, `rhec.workbench.studies.consistency.stated` of it)}, a column
-            for each.
+        runs: {process noise: Run}, a column for each.
     """
     grid = dict(figsize=(DOUBLE_IN, 4.2), sharex=True, sharey="row", squeeze=False)
     figure, rows = plt.subplots(3, len(runs), **grid)
-    for panels, (run, stated) in zip(rows.T, runs.values()):
+    for panels, run in zip(rows.T, runs.values()):
+        entries = stated(run)
         t_s = run.log["t_s"]
         log = run.log
         for axes, name, symbol in zip(
-            panels, stated, (r"$\hat\theta-\theta$", r"$\mu$", r"$\kappa$")
+            panels, entries, (r"$\hat\theta-\theta$", r"$\mu$", r"$\kappa$")
         ):
-            value, sigma, truth, inside = stated[name]
+            value, sigma, truth, inside = entries[name]
             low = value - 2 * sigma
             high = value + 2 * sigma
             axes.fill_between(t_s, low, high, color=SKY, alpha=0.45, linewidth=0, label="± 2 σ")

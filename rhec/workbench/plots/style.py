@@ -17,6 +17,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 
 from rhec import __version__
+from rhec.simulation.run import Run
 
 __all__ = ["BLACK", "BLUE", "COLOURS", "COLUMN_IN", "DOUBLE_IN", "FOLDER", "GREEN", "GREY"]
 __all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "ROWS", "SKY", "VERMILLION", "as_comments"]
@@ -120,9 +121,11 @@ def source(root=ROOT):
 
 
 def _as_json(scenario):
-    """A scenario, or any nest of dicts, lists and dataclasses, as one line of JSON."""
+    """A scenario, or any nest of dicts, lists, dataclasses and Runs, as one line of JSON."""
 
     def plain(value):
+        # Its scenario makes a run.
+        value = value.scenario if isinstance(value, Run) else value
         if dataclasses.is_dataclass(value):
             return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return str(value)
@@ -165,7 +168,7 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     Args:
         figure: a matplotlib Figure.
         name: of the files, without a suffix.
-        scenario: a rhec.Scenario, or any nest of dicts and lists with what made the figure.
+        scenario: a Scenario or a Run, or any nest of dicts and lists with what made the figure.
         folder: where the files go; made if it is not there.
         notebook: what made it; by default the notebook that runs.
 

@@ -20,7 +20,15 @@ from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 
-__all__ = ["PHASES", "machine", "phases", "table"]
+__all__ = [
+    "PHASES",
+    "by_solver",
+    "feedback_over_preparation",
+    "machine",
+    "phases",
+    "table",
+    "whole_step",
+]
 
 PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (problem, phase), in order
 
@@ -75,6 +83,33 @@ def table(taken):
     columns = "problem phase minimum_us average_us median_us maximum_us".split()
     papers_columns = "paper_minimum_us paper_average_us paper_maximum_us".split()
     return pd.DataFrame(rows, columns=columns + papers_columns)
+
+
+def by_solver(scenario):
+    """The `table` of a scenario's run for each QP solver of the RHC, with the machine's name."""
+    tables = {qp: table(phases(scenario, qp)) for qp in ("qpoases", "daqp", "structured")}
+    return pd.concat(tables, names=["qp"]).reset_index(level=0).assign(machine=machine())
+
+
+def feedback_over_preparation(times):
+    """Medians [µs] of both phases, and their ratio, by QP solver and problem.
+
+    Args:
+        times: Of `by_solver`.
+    """
+    single = times[times["phase"] != "overall"]
+    medians = single.pivot(index=["qp", "problem"], columns="phase", values="median_us")
+    return medians.assign(ratio=medians["feedback"] / medians["preparation"])
+
+
+def whole_step(times):
+    """Times [µs] of RHE and RHC together, by QP solver.
+
+    Args:
+        times: Of `by_solver`.
+    """
+    columns = ["average_us", "median_us", "maximum_us", "paper_average_us"]
+    return times[times["phase"] == "overall"].groupby("qp")[columns].sum()
 
 
 def machine():
