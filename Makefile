@@ -2,8 +2,8 @@ PYTHON ?= python3
 
 # The paper's figures and tables, and what goes beyond them, in the order of the report.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
-STUDIES := 01_tutorial 02_equations 06_claims multiverse 07_interpretations 08_beyond ensured \
-  09_faults 10_replay 11_your_robot embedded
+STUDIES := 01_tutorial 02_equations 06_claims 07_interpretations 08_beyond \
+  09_faults 10_replay 11_your_robot
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -77,7 +77,7 @@ campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" s
 	@$(PY) -m rhec.simulation.campaigns $(WHAT)
 
 embedded: $(READY) ## the default scenario's estimator and controller as C, in build/embedded
-	@$(PY) -m notebooks.embedded_measurements
+	@$(PY) -m rhec.workbench.studies.embedded
 
 ##@ Check
 test: $(READY) ## run the tests
@@ -163,9 +163,9 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	$(eval made += $@)
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
-TIMED := $(call executed,05_computation_times embedded)
+TIMED := $(call executed,05_computation_times 11_your_robot)
 $(call executed,05_computation_times): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
-$(call executed,embedded): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
+$(call executed,11_your_robot): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
 ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
 $(call executed,$(STUDIES)): | $(call executed,05_computation_times)
 endif

@@ -3,7 +3,7 @@
 `phases` names the CasADi Functions that the C is made of; `c_writer` writes the files that depend
 on them. The folder `c` holds the files that do not: for every export the interface rhec.h, rhec.c,
 and for a Scenario alone the programs replay.c, times.c, fuzz.c.
-`notebooks.embedded_measurements` compiles and runs an export, here or, emulated, on 64-bit Arm.
+`rhec.workbench.studies.embedded` compiles and runs an export, here or, emulated, on 64-bit Arm.
 """
 
 import dataclasses

@@ -374,7 +374,9 @@ def _packages():
 
 
 def _main():
-    about = "Make build/report/ from executed notebooks, such as build/notebooks/03_scenario_a.ipynb."
+    about = (
+        "Make build/report/ from executed notebooks, such as build/notebooks/03_scenario_a.ipynb."
+    )
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     parser.add_argument("--live", action="store_true", help="link the live page")

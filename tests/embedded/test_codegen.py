@@ -17,7 +17,7 @@ from oracles import mhe_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
-from notebooks.embedded_measurements import instructions, report, toolchain
+from rhec.workbench.studies.embedded import instructions, report, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import pack_array, select_inputs

@@ -16,7 +16,7 @@ from rhec.logs import recording, scores
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
 from rhec.workbench.plots import replay as drawings
-from rhec.workbench.studies.replay_table import replay_table
+from rhec.workbench.studies.replay_study import replay_table
 
 LOG = recorded_log(noise_m=0.02)
 

@@ -219,7 +219,7 @@ def replay_trials(trials, table, title):
 
     Args:
         trials: {estimator: rows of `rhec.logs.scores.perturbed_scores`}.
-        table: `rhec.workbench.studies.replay_table.replay_table` of them.
+        table: `rhec.workbench.studies.replay_study.replay_table` of them.
         title: which log it is, plain text.
     """
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.7 + 0.28 * len(trials)))
