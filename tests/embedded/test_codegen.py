@@ -17,7 +17,6 @@ from oracles import mhe_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
-from rhec.workbench.studies.embedded import instructions, report, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import pack_array, select_inputs
@@ -32,6 +31,7 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 from rhec.workbench.plots.timing import embedded_times
+from rhec.workbench.studies.embedded import instructions, report, toolchain
 from rhec.workbench.studies.timing import PHASES
 
 SECONDS = 20.0
