@@ -32,17 +32,6 @@ from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.terrain import Terrain
 
-__all__ = [
-    "Run",
-    "Setup",
-    "build_sample",
-    "finish",
-    "noise_and_faults",
-    "set_up",
-    "simulate",
-    "simulate_setup",
-]
-
 
 class _LoopStructure(NamedTuple):
     """What decides the shape of the loop's Function, and so what is compiled."""

@@ -11,29 +11,6 @@ from typing import NamedTuple
 
 from rhec.simulation.metrics import METRICS
 
-__all__ = [
-    "AGE",
-    "COLUMNS",
-    "COLUMNS_BY_NAME",
-    "COMMAND",
-    "Column",
-    "ESTIMATE",
-    "FLAGS",
-    "GATE",
-    "INNOVATION",
-    "LEVER_ARM",
-    "LOG",
-    "MEASUREMENTS",
-    "POSE",
-    "RECORDED",
-    "RECORDED_TRUTH",
-    "SIGMA",
-    "TRACKS",
-    "TRUE_SPEEDS",
-    "TRUTH",
-    "page",
-]
-
 
 class Column(NamedTuple):
     """What one column of a log holds.

@@ -20,22 +20,6 @@ from pydantic import Field
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.validation import NotNegative, Positive, Real, validated
 
-__all__ = [
-    "CHANNELS",
-    "DELAY_MAX_S",
-    "Fault",
-    "KINDS",
-    "MEMORY",
-    "OWN_CHANNELS",
-    "SIZES",
-    "STREAM",
-    "as_python",
-    "corrupted",
-    "deliver",
-    "init",
-    "stream",
-]
-
 _PAST = 5  # earlier measurements that the closed loop stores
 DELAY_MAX_S = 1.0
 KINDS = (

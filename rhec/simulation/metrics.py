@@ -5,8 +5,6 @@ import numpy as np
 from rhec import paper
 from rhec.tracked_robot.path import ahead_and_left
 
-__all__ = ["METRICS", "SETTLING_SAMPLES", "metrics", "rms", "settled_samples"]
-
 # A robot that stays within the tolerance for so long has settled.
 SETTLING_SAMPLES = round(5 / paper.DT_S)
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Run"]
-
 
 @dataclass(frozen=True, repr=False)
 class Run:

@@ -18,8 +18,6 @@ from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, estimator_of
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
-__all__ = ["FIELDS", "Field", "Scenario"]
-
 # Spelled out, so that an editor completes them; a test holds them against the registry.
 EstimatorName = Literal[
     "rhe",

@@ -8,8 +8,6 @@ from rhec.simulation import closed_loop
 from rhec.simulation.closed_loop import Run
 from rhec.simulation.scenario import Scenario
 
-__all__ = ["as_list", "simulate"]
-
 
 @overload
 def simulate(scenario: Scenario) -> Run: ...

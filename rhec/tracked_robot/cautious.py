@@ -24,15 +24,6 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.path import OPEN
 from rhec.tracked_robot.references import pose_at
 
-__all__ = [
-    "ACCELERATION_MPS2",
-    "NOSE_M",
-    "SLOWEST_MPS",
-    "build_speed",
-    "build_step",
-    "plan_with_speed",
-]
-
 # By campaigns on training seeds from 6000 on.
 BAND_M = 0.04
 ACCELERATION_MPS2 = 0.5

@@ -10,8 +10,6 @@ import numpy as np
 from rhec import paper
 from rhec.tracked_robot import tuning
 
-__all__ = ["Choice", "Estimator", "TractionInput"]
-
 
 class TractionInput(Enum):
     """What an estimator is passed of the true traction coefficients (μ, κ)."""

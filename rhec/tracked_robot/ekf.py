@@ -12,18 +12,16 @@ import numpy as np
 
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core.estimator.ekf import predict_and_correct
-from rhec.core.model import base
+from rhec.core.model.base import Model, interval, rk4
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.rhe import SIGMA_START
 
-__all__ = ["ESTIMATORS", "build_step", "init", "runge_kutta"]
-
 _ROBOT = SPEED_MODELS["parameter"].model
-_POSE_AND_SPEED = base.Model(
+_POSE_AND_SPEED = Model(
     states=QUANTITIES[:4],
     inputs=("omega_radps", *QUANTITIES[4:]),
     parameters={},
@@ -69,7 +67,7 @@ def _filter(model, move, m, P, omega, started, z, V, W):
     omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
     predicted = move(m, omega)
     A = ca.jacobian(predicted, m)
-    outputs = base.interval(model).outputs
+    outputs = interval(model).outputs
     m, P, deviance = predict_and_correct(m, P, predicted, A, ca.diag(W), started, z, V, outputs)
     return dict(covariance=P, deviance=deviance, m=m, P=P, omega=omega, started=1)
 
@@ -119,7 +117,7 @@ def _build_augmented_step(dt_s, bounded=False):
     def step(m, P, omega, started, z_N, V, W):
         after = _filter(_ROBOT, move, m, P, omega, started, z_N, V, W)
         if bounded:
-            after["m"] = _within_bounds(base.interval(_ROBOT).bounds, after["m"], after["P"])
+            after["m"] = _within_bounds(interval(_ROBOT).bounds, after["m"], after["P"])
         return dict(estimate=after["m"]) | after
 
     return step

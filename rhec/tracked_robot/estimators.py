@@ -7,8 +7,6 @@ from rhec.tracked_robot import dual, ekf, rhe, robust, tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES
 
-__all__ = ["NAMES", "ROBUST_NAMES", "build_phases", "build_step", "estimator_of"]
-
 
 def _build_oracle(choice):
     """An estimator whose estimate is the true state."""

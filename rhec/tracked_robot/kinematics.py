@@ -8,9 +8,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from rhec.core.model.base import Model, rk4
-
-__all__ = ["QUANTITIES", "SPEED_MODELS", "SpeedModel", "f", "h", "rk4"]
+from rhec.core.model.base import Model
 
 # The estimate of every estimator, in this order: pose ξ and parameters p.
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")

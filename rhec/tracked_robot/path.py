@@ -13,8 +13,6 @@ import numpy as np
 
 from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers, shown
 
-__all__ = ["OPEN", "Path", "advance", "ahead_and_left"]
-
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # the random field around a longer path would not fit into memory
 CLOSED = 1e-6  # a path may be called closed if its ends are as near as this [m, rad]

@@ -11,20 +11,8 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.build import casadi_function, packed_size
 from rhec.core._casadi.sines import sines_by_addition
-from rhec.tracked_robot.kinematics import f, rk4
-
-__all__ = [
-    "BODY",
-    "MEMORY",
-    "NOISE",
-    "SENSORS",
-    "SUBSTEPS",
-    "body_speeds",
-    "draw_noise",
-    "drive",
-    "init",
-    "measure",
-]
+from rhec.core.model.base import rk4
+from rhec.tracked_robot.kinematics import f
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 _MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed

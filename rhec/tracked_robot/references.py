@@ -15,8 +15,6 @@ from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.validation import Intervals, NotNegative, Positive, checked
 from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
-__all__ = ["PathTracker", "build_references", "pose_at"]
-
 # Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.
 _LEAST_SLOPE = 0.2
 _LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not ask for any yaw rate

@@ -5,8 +5,6 @@ from rhec.core.controller import rhc
 from rhec.core.solver.condensed import Condensed
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = ["horizon_of"]
-
 
 def horizon_of(N, qp="structured", dt_s=paper.DT_S):
     """The Horizon of the paper's problem: the yaw rate ω is commanded.

@@ -11,8 +11,6 @@ from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.speed_models import speed_model_of
 
-__all__ = ["ESTIMATORS", "SIGMA_START", "init", "settings_of", "window_of"]
-
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
 _SIGMA_KNOWN = 1e-3

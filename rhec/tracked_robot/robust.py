@@ -30,8 +30,6 @@ from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.slipping import LEVER_ARM
 
-__all__ = ["ROBUST_RHE", "gated"]
-
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
 PAST = 10  # samples from which the noise of positions is estimated
 CHECKED = 6  # samples over which positions and encoders are compared

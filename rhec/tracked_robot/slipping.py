@@ -13,8 +13,6 @@ from rhec.core.model.base import Model, MotionNoise
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
 
-__all__ = ["LEVER_ARM", "SLIPPING", "f"]
-
 _EXACT = 1e-12  # variance of the tracks' speeds: errors of the encoders count as slip
 LEVER_ARM = ("arm_forward_m", "arm_left_m")
 

@@ -2,8 +2,6 @@
 
 from rhec.tracked_robot import kinematics, slipping
 
-__all__ = ["SPEED_MODELS", "speed_model_of"]
-
 SPEED_MODELS = kinematics.SPEED_MODELS | {"slipping": slipping.SLIPPING}
 
 

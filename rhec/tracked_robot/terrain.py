@@ -38,16 +38,6 @@ STANDARD_FIELDS = next(
     None,
 )
 
-__all__ = [
-    "CELLS_PER_LENGTH",
-    "STANDARD_FIELDS",
-    "Terrain",
-    "common_shape",
-    "flat",
-    "lookup",
-    "random_for",
-    "settings",
-]
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 _LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _QUANTILES = np.linspace(-5, 5, 257)  # of the standard normal distribution

@@ -9,19 +9,6 @@
 
 from rhec import paper
 
-__all__ = [
-    "ARRIVAL_MEAN",
-    "SIGMA_SIDE_SLIP_AT_REST",
-    "SIGMA_V",
-    "SIGMA_W",
-    "SIGMA_W_FILTERED",
-    "SIGMA_W_SLIPPING",
-    "SIGMA_W_TRACKING",
-    "SLIP",
-    "sigma_v_of",
-    "sigma_w_of",
-]
-
 
 def _not_the_papers(calibrated):
     """W of an estimator for which the paper prints none: "printed" is the calibrated one, too."""
