@@ -4,17 +4,13 @@ The simulation draws nothing and imports nothing of the workbench. The function 
 `rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run.draw`.
 """
 
-import base64
 import functools
-import html
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rhec.simulation.metrics import METRICS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Terrain
@@ -30,7 +26,7 @@ class Run:
 
     Attributes:
         scenario: What was run.
-        metrics: {name: value}; `rhec.simulation.metrics.METRICS` defines them.
+        metrics: {name: value}; `rhec.simulation.log_page.METRICS` defines them.
         path: The path to follow.
         terrain: The traction of the soil.
         columns: The log's columns by name, arrays (n,).
@@ -47,7 +43,7 @@ class Run:
 
     @functools.cached_property
     def log(self) -> "pd.DataFrame":
-        """One row a sample; `rhec.simulation.columns` says what each column is."""
+        """One row a sample; `rhec.simulation.log_page` says what each column is."""
         # pandas takes half of the time of importing this package; campaigns never look at a log.
         import pandas as pd
 
@@ -65,19 +61,10 @@ class Run:
 
     def _repr_html_(self) -> str:
         """In a notebook: the scenario, a table of the metrics, and the picture."""
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{_rounded(value)}</td><td>{METRICS[name][0]}</td></tr>"
-            for name, value in self.metrics.items()
-        )
-        picture = io.BytesIO()
-        # Without the band, since a result of a cell must not wait for a compiler.
-        self.draw(self, with_band=False).savefig(picture, format="png", dpi=100)
-        data = base64.b64encode(picture.getvalue()).decode()
-        return (
-            f"<p><code>{html.escape(repr(self.scenario))}</code></p>"
-            f'<div style="display: flex"><table>{rows}</table>'
-            f'<img src="data:image/png;base64,{data}" alt="path, errors and traction"></div>'
-        )
+        # Imported here, because only notebooks show a run.
+        from rhec.simulation.run_html import html_of
+
+        return html_of(self)
 
     def plot(self) -> "Figure":
         """Draw path and robot, the errors, and the traction with two standard deviations.
@@ -86,7 +73,3 @@ class Run:
             A matplotlib Figure.
         """
         return self.draw(self, with_band=True)
-
-
-def _rounded(value):
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -2,7 +2,6 @@
 
 from rhec import paper
 from rhec.core.controller import rhc
-from rhec.core.solver.condensed import Condensed
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 
@@ -14,5 +13,10 @@ def horizon_of(N, qp="structured", dt_s=paper.DT_S):
         qp: "structured", by stages, or the condensed QP by "daqp" or "qpoases".
         dt_s: Length of a sample [s].
     """
-    solver = None if qp == "structured" else Condensed(qp)
+    solver = None
+    if qp != "structured":
+        # Imported here, because only the two condensed QPs need it.
+        from rhec.core.solver.condensed import Condensed
+
+        solver = Condensed(qp)
     return rhc.Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N, solver)

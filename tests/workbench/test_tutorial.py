@@ -14,7 +14,7 @@ from nbclient import NotebookClient
 import rhec
 from notebooks import tutorial_checks
 from rhec import paper
-from rhec.core.model.base import rk4
+from rhec.core.model import base
 from rhec.tracked_robot import kinematics as model
 
 TUTORIAL = Path(__file__).parents[2] / "notebooks/01_tutorial.ipynb"
@@ -68,7 +68,7 @@ def test_solutions_are_folded_away():
 
 
 def rk4(xi, omega, p):
-    return rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
+    return base.rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
 
 
 def midpoint(xi, omega, p):
