@@ -106,42 +106,24 @@ def _memory_shapes(parts):
 def _settings_shapes(parts, n_segments):
     """Shapes of the arguments that stay the same over a run."""
     one = (1, 1)
-    settings = dict(
-        segments=(5, n_segments),
-        period_m=one,
-        look_ahead_m=one,
-        backwards=one,
-        Q=(3, 1),
-        QN=(3, 1),
-        R=one,
-        lower=one,
-        upper=one,
-        caution=one,
-        speed_mps=one,
-        command_delay=one,
-        origin_m=(2, 1),
-        cell_m=one,
-        slip=(parts.slip.numel_in("slip"), 1),
-        mean_traction=(2, 1),
-    )
+    path = dict(segments=(5, n_segments), period_m=one, look_ahead_m=one, backwards=one)
+    weights = dict(Q=(3, 1), QN=(3, 1), R=one)
+    commands = dict.fromkeys(("lower", "upper", "caution", "speed_mps", "command_delay"), one)
+    slip = (parts.slip.numel_in("slip"), 1)
+    soil = dict(origin_m=(2, 1), cell_m=one, slip=slip, mean_traction=(2, 1))
     # The rest are the estimator's, by the names it gives them. Truth and traction are no settings.
     tuning = {
         name: parts.estimate.size_in(name)
         for name in parts.estimate.name_in()[2:]
         if name not in ("truth", "traction")
     }
-    return robot.SENSORS | robot.BODY | settings | tuning
+    return robot.SENSORS | robot.BODY | path | weights | commands | soil | tuning
 
 
 def build_sample(*structure):
-    """The closed loop as a scan.
+    """The closed loop of a _LoopStructure as a scan: {name: Function} of `scan.build_scan`.
 
-    Args:
-        structure: The entries of a _LoopStructure.
-
-    Returns:
-        {name: Function} of `scan.build_scan`: one sample (memory, noise, settings …) -> (memory,
-        row, …) and a block of samples.
+    One sample is (memory, noise, settings …) -> (memory, row, …).
     """
     structure = _LoopStructure(*structure)
     traction_input = estimator_of(structure.estimator.estimator).traction_input
@@ -439,7 +421,7 @@ def simulate(scenario: Scenario) -> Run: ...
 def simulate(scenario: Iterable[Scenario]) -> list[Run]: ...
 
 
-def simulate(scenario):
+def simulate(scenario: Scenario | Iterable[Scenario]) -> Run | list[Run]:
     """Run one scenario, or several.
 
     The first run of a loop structure compiles that structure, which takes some seconds, once.
@@ -457,7 +439,7 @@ def simulate(scenario):
     """
     if isinstance(scenario, Scenario):
         return simulate_setup(scenario, set_up(scenario))
-    if isinstance(scenario, str) or not isinstance(scenario, Iterable):
+    if not _is_several(scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     # Imported here, because a single run needs neither SIMD lanes nor the code of campaigns.
     from rhec.simulation.campaigns.batch import simulate_batch
@@ -465,9 +447,14 @@ def simulate(scenario):
     return simulate_batch(as_list(scenario, "scenario"))
 
 
+def _is_several(scenarios):
+    # Text and dicts are iterable, too, but their entries are no scenarios.
+    return isinstance(scenarios, Iterable) and not isinstance(scenarios, str | dict)
+
+
 def as_list(scenarios, name):
     """An iterable of scenarios as a list; anything else raises a ValueError with the name."""
-    if isinstance(scenarios, str) or not isinstance(scenarios, Iterable):
+    if not _is_several(scenarios):
         raise ValueError(f"{name} was {shown(scenarios)}; it should be a list of rhec.Scenario")
     scenarios = list(scenarios)
     for i, scenario in enumerate(scenarios):

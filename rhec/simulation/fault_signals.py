@@ -119,17 +119,10 @@ def _without_dead_tracks(nu, omega, dead, track_width_m):
 
 
 def corrupted(z, faults, t_s, track_width_m, seed=0):
-    """A recorded stream of measurements as it arrives with faults.
+    """A recorded stream of measurements z (n, 4) as it arrives with faults, (n, 4).
 
-    Args:
-        z: (n, 4) measurements (x, y, ν, ω); linear between the samples.
-        faults: Faults.
-        t_s: (n,) times of the samples, rising [s].
-        track_width_m: b [m].
-        seed: Fixes the directions of outliers.
-
-    Returns:
-        (n, 4) measurements.
+    z = (x, y, ν, ω) is linear between its rising times t_s (n,) [s]. The seed fixes the directions
+    of outliers.
     """
     z = np.asarray(z, dtype=float)
     plan = _schedule(faults, t_s, seed)

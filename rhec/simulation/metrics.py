@@ -10,14 +10,10 @@ SETTLING_SAMPLES = round(5 / paper.DT_S)
 
 
 def metrics(columns, poses):
-    """Metrics of a run; `log_page.METRICS` has their units and definitions.
+    """Metrics of a run by name; `log_page.METRICS` has their units and definitions.
 
-    Args:
-        columns: The log's columns by name, arrays (n,).
-        poses: (n, 3) poses of the path at its points closest to the robot [m, m, rad].
-
-    Returns:
-        {name: float, int or bool}.
+    `columns` has the log's columns (n,) by name, `poses` (n, 3) the poses of the path at its points
+    closest to the robot.
     """
     t_s = columns["t_s"]
     settled = settled_samples(columns["error_true_m"])
@@ -91,15 +87,7 @@ def _overshoot(left, on_straight):
 
 
 def settled_samples(error, within=paper.TOLERANCE_M):
-    """Samples from which on the error stays within the tolerance for 5 s.
-
-    Args:
-        error: (n,) errors [m].
-        within: Tolerance [m].
-
-    Returns:
-        Their numbers, rising.
-    """
+    """Numbers of the samples from which on errors (n,) [m] stay within the tolerance for 5 s."""
     if len(error) <= SETTLING_SAMPLES:
         return np.array([], dtype=int)
     inside = np.convolve(error < within, np.ones(SETTLING_SAMPLES), "valid")

@@ -1,13 +1,12 @@
 """A finished run: its metrics, its log, and what it shows of itself.
 
 The simulation draws nothing and imports nothing of the workbench. The function that draws a run,
-`rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run.draw`.
+`rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run._draw`.
 """
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +17,10 @@ from rhec.tracked_robot.terrain import Terrain
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+
+def _without_face(run: "Run", with_band: bool) -> "Figure":
+    raise NotImplementedError("the picture of a run is drawn where it comes from `import rhec`")
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,8 +41,8 @@ class Run:
     terrain: Terrain
     columns: dict[str, np.ndarray]
 
-    # (run, with_band) -> Figure
-    draw: ClassVar[Callable[..., "Figure"]]
+    # The public face puts the workbench's picture in its place.
+    _draw = staticmethod(_without_face)
 
     @functools.cached_property
     def log(self) -> "pd.DataFrame":
@@ -72,4 +75,4 @@ class Run:
         Returns:
             A matplotlib Figure.
         """
-        return self.draw(self, with_band=True)
+        return self._draw(self, with_band=True)

@@ -15,7 +15,7 @@ def html_of(run):
     )
     picture = io.BytesIO()
     # Without the band, since a result of a cell must not wait for a compiler.
-    run.draw(run, with_band=False).savefig(picture, format="png", dpi=100)
+    run._draw(run, with_band=False).savefig(picture, format="png", dpi=100)
     data = base64.b64encode(picture.getvalue()).decode()
     return (
         f"<p><code>{html.escape(repr(run.scenario))}</code></p>"

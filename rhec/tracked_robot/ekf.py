@@ -47,21 +47,11 @@ def runge_kutta(m, omega, traction, dt_s):
 
 
 def _filter(model, move, m, P, omega, started, z, V, W):
-    """One sample: m⁻ = f(m, ω), P⁻ = APA' + W, eq. (24)-(26), then the update with z.
+    """One sample: m⁻ = f(m, ω), P⁻ = APA' + W, eq. (24)-(26), then the update with z (4,).
 
-    Args:
-        model: The Model, for its outputs.
-        move: (m, ω) -> m⁻.
-        m: (n, 1) mean.
-        P: (n, n) covariance.
-        omega: The last valid yaw rate [rad/s].
-        started: 0 before the first sample, which only corrects.
-        z: (4, 1) measurement; its yaw rate is that of the interval that ends now.
-        V: (4, 1) variances of z.
-        W: (n, 1) variances of the process noise.
-
-    Returns:
-        The memory after the sample, with covariance and deviance.
+    `move` is (m, ω) -> m⁻ and omega the last valid yaw rate; before the first sample, where
+    `started` is 0, there is only the update. V and W are variances. The result is the memory after
+    the sample, with covariance and deviance.
     """
     # While the encoders are silent, the last yaw rate is held.
     omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
@@ -77,17 +67,10 @@ def _memory(n):
 
 
 def build_step(dt_s, integrate=_euler):
-    """Build the EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
+    """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
 
     Its memory is that of `_filter`, and the traction (2,) of the last sample: the robot drove on it
-    during the interval that ends now.
-
-    Args:
-        dt_s: Length of a sample [s].
-        integrate: `_euler`, as in the paper, or `runge_kutta`.
-
-    Returns:
-        The Function.
+    during the interval that ends now. `integrate` is `_euler`, as in the paper, or `runge_kutta`.
     """
     memory = _memory(4) | dict(last_traction=(2, 1))
 
@@ -144,16 +127,7 @@ def _within_bounds(bounds, m, P):
 
 
 def init(n, guess, sigma=SIGMA_START):
-    """Make the memory before the first sample.
-
-    Args:
-        n: 4 or 6, how many of QUANTITIES are states.
-        guess: {quantity: value}.
-        sigma: {quantity: standard deviation}.
-
-    Returns:
-        {name: array}.
-    """
+    """The memory before the first sample, {name: array}, for the first n (4 or 6) of QUANTITIES."""
     names = QUANTITIES[:n]
     memory = dict(
         m=np.array([guess[name] for name in names]),

@@ -62,14 +62,9 @@ _ESTIMATORS = rhe.ESTIMATORS | ekf.ESTIMATORS | {"oracle": _ORACLE}
 
 
 def estimator_of(name, robust=False):
-    """Look up an Estimator.
+    """The Estimator of a name; any name that is not in NAMES stands for a user's Function.
 
-    Args:
-        name: One of NAMES; anything else stands for a user's Function.
-        robust: Whether measurements are checked first (`rhec.tracked_robot.robust`).
-
-    Returns:
-        The Estimator.
+    `robust`: whether measurements are checked first (`rhec.tracked_robot.robust`).
     """
     # Both are imported here, because they are not in the paper: most runs do without them.
     if name == "dual":

@@ -34,16 +34,7 @@ def f(xi, u, p):
 
 
 def h(xi, u, p):
-    """Eq. (4): z = h(ξ, u, p) = (x, y, ν, ω).
-
-    Args:
-        xi: (3,) pose (x, y, θ) [m, m, rad].
-        u: Yaw rate ω of the tracks [rad/s].
-        p: (3,) speed ν of the tracks [m/s], traction coefficients μ and κ.
-
-    Returns:
-        (4,) GNSS position and the encoders' speed and yaw rate.
-    """
+    """Eq. (4): z = h(ξ, u, p) = (x, y, ν, ω), by GNSS and the encoders; arguments as for `f`."""
     return ca.vertcat(xi[0], xi[1], p[0], u)
 
 

@@ -36,17 +36,10 @@ _STREAM_OF_SPEED = 4
 
 
 def draw_noise(seed, samples):
-    """Standard normal noise of a seed.
+    """Standard normal noise of a seed, (samples, n), each row NOISE packed.
 
-    The noise of the speed comes last and from a separate stream, so that all else is the same with
-    and without it.
-
-    Args:
-        seed: Fixes all of it.
-        samples: Number of rows; the first rows are those of fewer samples.
-
-    Returns:
-        (samples, n) noise, each row NOISE packed.
+    The first rows are those of fewer samples. The noise of the speed comes last and from a separate
+    stream, so that all else is the same with and without it.
     """
     n_speed = packed_size({"speed": NOISE["speed"]})
     n_others = packed_size(NOISE) - n_speed

@@ -6,12 +6,9 @@ from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 
 def horizon_of(N, qp="structured", dt_s=paper.DT_S):
-    """The Horizon of the paper's problem: the yaw rate ω is commanded.
+    """The Horizon of the paper's problem, N intervals of dt_s [s]: the yaw rate ω is commanded.
 
-    Args:
-        N: Intervals of the prediction.
-        qp: "structured", by stages, or the condensed QP by "daqp" or "qpoases".
-        dt_s: Length of a sample [s].
+    `qp` is "structured", by stages, or the condensed QP by "daqp" or "qpoases".
     """
     solver = None
     if qp != "structured":

@@ -37,15 +37,9 @@ def window_of(choice):
 
 
 def init(window, guess, sigma=SIGMA_START):
-    """Make the memory before the first sample.
+    """The memory before the first sample, {name: array}; quantities without a guess begin at 0.
 
-    Args:
-        window: The Window.
-        guess: {quantity: value}; quantities without one begin at 0.
-        sigma: {quantity: standard deviation}.
-
-    Returns:
-        {name: array}.
+    `guess` and `sigma` are {quantity: value} and {quantity: standard deviation}.
     """
     names = window.model.joint_names
     return rhe.init(
@@ -57,18 +51,10 @@ def init(window, guess, sigma=SIGMA_START):
 
 
 def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants):
-    """Compute the settings of the RHE, eq. (9), (15).
+    """The settings of the RHE, eq. (9), (15): variances V, W and P_0, and the noise's constants c.
 
-    Args:
-        speed_model: Name of the speed model.
-        process_noise: Name of the tuned process noise.
-        sigma_w: Standard deviations of the process noise, or None for the tuned ones.
-        sigma_v: (4,) standard deviations of the measurements.
-        slip: Values of the first constants of the motion noise, as in `tuning.SLIP`, or None.
-        constants: Other constants of the motion noise, by name.
-
-    Returns:
-        {name: array}: variances V, W and P_0, and the constants c if the model has motion noise.
+    Standard deviations `sigma_w` are by default those tuned for `process_noise`. `slip` has the
+    first constants of the motion noise, as in `tuning.SLIP`; `constants` has others by name.
     """
     kind = speed_model_of(speed_model)
     names = kind.model.joint_names

@@ -169,9 +169,8 @@ def _dead_reckoned(past, arm, kappa, dt_s):
 def _registration(q, e):
     """Turn and scale the path e (2, n) for the best fit with the positions q (2, n), both centred.
 
-    Returns:
-        The angle of the turn [rad], the mean square distance that is left, and the mean squares of
-        q and e, all [m²].
+    The results are the angle of the turn [rad], the mean square distance that is left, and the mean
+    squares of q and e, all [m²].
     """
     q, e = (path - ca.repmat(ca.sum2(path) / path.size2(), 1, path.size2()) for path in (q, e))
     dot = ca.sum2(ca.sum1(q * e))
@@ -212,22 +211,13 @@ def _is_probable(y, yaw, P, V, nu, drift):
 
 
 def _check(z, limits, memory, predict, V, names, first, dt_s):
-    """Check one measurement.
+    """Check one measurement z (4,) against `limits` (4,), earlier ones and the prediction.
 
-    Args:
-        z: (4,) measurement.
-        limits: (4,) largest plausible measurements.
-        memory: The pieces of _MEMORY.
-        predict: (z, V) -> mean (n,) and covariance (n, n) of the joint state, by the encoders in z.
-        V: (4,) variances of the sensors.
-        names: Names of the joint state.
-        first: 1 before any measurement.
-        dt_s: Length of a sample [s].
-
-    Returns:
-        {name: expression}: which measurements are `accepted`; `z_used` and `V_used`; whether to
-        `restart` and at which `pose`; whether to `replace` inconsistent measurements in the window,
-        and what they are `replaced` by; the memory after, `gate_after`.
+    `predict` is (z, V) -> mean (n,) and covariance (n, n) of the joint state `names`, by the
+    encoders in z; `first` is 1 before any measurement. The results by name: which measurements are
+    `accepted`; `z_used` and `V_used`; whether to `restart` and at which `pose`; whether to
+    `replace` inconsistent measurements in the window, and what they are `replaced` by; the memory
+    after, `gate_after`.
     """
     past, last, since, contradicted, doubt = memory.values()
     may_reject = since * dt_s < MAX_REJECTION_S
@@ -283,9 +273,8 @@ def _remember(z, last, since, has_gnss, position, encoders):
 def _check_estimate(agreement, contradicted, yaw, position, may_reject):
     """Where the sensors agree and the estimate contradicts them, restart.
 
-    Returns:
-        How often in a row the course has contradicted the yaw, whether to restart, and with which
-        yaw [rad].
+    The results are how often in a row the course has contradicted the yaw, whether to restart, and
+    with which yaw [rad].
     """
     is_apart = ca.cos(agreement.yaw - yaw) < MIN_HEADING_COSINE
     mismatch = agreement.agree * agreement.has_course * is_apart
@@ -301,16 +290,10 @@ def _check_estimate(agreement, contradicted, yaw, position, may_reject):
 
 
 def gated(window, phases):
-    """Wrap the phases of an RHE of the tracked robot, so that each measurement is checked.
+    """Wrap the phases {name: Function} of a weighted RHE, so that each measurement is checked.
 
-    Args:
-        window: Its rhe.Window, weighted.
-        phases: {name: Function}, from rhe.build_phases.
-
-    Returns:
-        {name: Function}, with the same names. The memory has two more pieces, `V_window` (4, N + 1)
-        and `gate`. Feedback also returns which measurements are `accepted` (4,), as 1 or 0, and
-        whether the window is to `restart`.
+    The memory has two more pieces, `V_window` (4, N + 1) and `gate`. Feedback also returns which
+    measurements are `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
     """
     memory = dict(V_window=(4, window.N + 1), gate=(packed_size(_MEMORY), 1))
     shift, linearise = _wrap_preparation(phases, memory)
