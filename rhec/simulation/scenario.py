@@ -42,6 +42,7 @@ class Scenario:
     cautious: valid.Flag = False
     caution: valid.NotNegative = 0.25
 
+    # A track saturates at 1.5 m/s, and the outer one is faster in a curve.
     speed_mps: Annotated[valid.Positive, Limits(le=1.4)] = paper.SPEED_MPS
     duration_s: Annotated[valid.Positive, Limits(ge=paper.DT_S, le=1e6)] = 240.0
     backwards: valid.Flag = False
@@ -57,6 +58,7 @@ class Scenario:
     mu_deviation: valid.NotNegative = 0.04
     kappa_mean: valid.Traction = 0.8
     kappa_deviation: valid.NotNegative = 0.08
+    # Shorter ones than the grid's cells, 0.5 m, cannot be seen.
     correlation_length_m: Annotated[valid.Positive, Limits(ge=0.5)] = 4.0
     patches: tuple[Patch, ...] = ()
 
@@ -111,6 +113,7 @@ def _check_deviation(scenario, name):
 def _check_fits_estimator(scenario):
     """Refuse `robust` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
+    # A user's Function has no name; any name that is not in NAMES stands for it.
     name = "own" if _is_users_own(estimator) else estimator
     if scenario.robust and name not in ROBUST_NAMES:
         expected = f"for the estimator {valid.shown(estimator)} it should be False"

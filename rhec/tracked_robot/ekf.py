@@ -85,10 +85,6 @@ def build_step(dt_s, integrate=_euler):
     return step
 
 
-def _build_rival(dt_s):
-    return build_step(dt_s, runge_kutta)
-
-
 def _build_augmented_step(dt_s, bounded=False):
     """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
 
@@ -104,10 +100,6 @@ def _build_augmented_step(dt_s, bounded=False):
         return dict(estimate=after["m"]) | after
 
     return step
-
-
-def _build_bounded_step(dt_s):
-    return _build_augmented_step(dt_s, bounded=True)
 
 
 def _within_bounds(bounds, m, P):
@@ -139,13 +131,12 @@ def init(n, guess, sigma=SIGMA_START):
     return memory if n == 6 else memory | dict(last_traction=np.ones(2))
 
 
-def _estimator(name, build, n=4, traction_input=TractionInput.NONE):
+def _estimator(name, build, n=4, traction_input=TractionInput.NONE, **options):
+    """The Estimator with the first n of QUANTITIES as states; `options` are those of `build`."""
     return Estimator(
-        build_step=lambda choice: build(choice.dt_s),
+        build_step=lambda choice: build(choice.dt_s, **options),
         init=lambda choice, guess, sigma=SIGMA_START: init(n, guess, sigma),
-        settings=lambda scenario: dict(
-            V=np.square(tuning.sigma_v_of(scenario)), W=np.square(tuning.sigma_w_of(name, scenario))
-        ),
+        settings=lambda scenario: tuning.variances_of(name, scenario),
         states=lambda choice: QUANTITIES[:n],
         n_sigma_w=lambda choice: n,
         traction_input=traction_input,
@@ -155,7 +146,12 @@ def _estimator(name, build, n=4, traction_input=TractionInput.NONE):
 ESTIMATORS = {
     "ekf": _estimator("ekf", build_step),
     "augmented_ekf": _estimator("augmented_ekf", _build_augmented_step, 6),
-    "bounded_ekf": _estimator("bounded_ekf", _build_bounded_step, 6),
-    "fixed_traction": _estimator("fixed_traction", _build_rival, 4, TractionInput.FIELD_MEAN),
-    "traction_oracle": _estimator("traction_oracle", _build_rival, 4, TractionInput.TRUE),
+    "bounded_ekf": _estimator("bounded_ekf", _build_augmented_step, 6, bounded=True),
+    # They show what knowing the traction is worth, so their model is otherwise the better one.
+    "fixed_traction": _estimator(
+        "fixed_traction", build_step, 4, TractionInput.FIELD_MEAN, integrate=runge_kutta
+    ),
+    "traction_oracle": _estimator(
+        "traction_oracle", build_step, 4, TractionInput.TRUE, integrate=runge_kutta
+    ),
 }

@@ -114,9 +114,8 @@ def _held(name, traction_input):
         build_step=_build_held_step,
         init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
         settings=lambda scenario: dict(
-            V=np.square(tuning.sigma_v_of(scenario)),
-            W=np.square(tuning.sigma_w_of(name, scenario)),
-            P_0=np.square([SIGMA_START[name] for name in _HELD.joint_names]),
+            **tuning.variances_of(name, scenario),
+            P_0=np.square([SIGMA_START[state] for state in _HELD.joint_names]),
         ),
         states=lambda choice: _HELD.joint_names,
         n_sigma_w=lambda choice: 4,

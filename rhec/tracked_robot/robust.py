@@ -244,13 +244,11 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     follows = ca.logic_or(agreement.contradict, (since[0] == 0) * positions.newest_is_smooth)
     position = sample.has_position * ca.logic_or(first, ca.logic_or(probable, follows))
 
-    contradicted, restart, yaw = _check_estimate(
-        agreement, contradicted, m[2], position, may_reject[0]
-    )
+    judged = _check_estimate(agreement, contradicted, m[2], position, may_reject[0])
+    contradicted, restart, yaw = judged
     accepted = ca.logic_or(position, restart)
     trusted = ca.logic_or(position * positions.are_smooth, restart)
     last, since = _remember(z, last, since, sample.has_gnss, trusted, encoders)
-    contradicted = ca.if_else(restart, 0, contradicted)
     return dict(
         accepted=ca.vertcat(accepted, accepted, encoders, encoders),
         z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds),
@@ -286,7 +284,8 @@ def _check_estimate(agreement, contradicted, yaw, position, may_reject):
     # The yaw is not wrapped: choose the full turns that are nearest to the estimate.
     turns = ca.floor((agreement.yaw - yaw) / (2 * ca.pi) + 0.5)
     nearest = agreement.yaw - 2 * ca.pi * turns
-    return contradicted, restart, ca.if_else(agreement.has_course, nearest, yaw)
+    yaw = ca.if_else(agreement.has_course, nearest, yaw)
+    return ca.if_else(restart, 0, contradicted), restart, yaw
 
 
 def gated(window, phases):

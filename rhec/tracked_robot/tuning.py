@@ -7,6 +7,8 @@
   on training seeds (`rhec.workbench.studies.consistency`).
 """
 
+import numpy as np
+
 from rhec import paper
 
 
@@ -87,8 +89,9 @@ def sigma_v_of(scenario):
     return scenario.sigma_v or SIGMA_V[scenario.process_noise]
 
 
-def sigma_w_of(name, scenario):
-    """Standard deviations of the process noise of a Scenario's estimator, by its name."""
-    if scenario.sigma_w is None:
-        return SIGMA_W[name][scenario.process_noise]
-    return scenario.sigma_w
+def variances_of(name, scenario):
+    """The settings V and W of a Scenario's estimator, by its name."""
+    sigma_w = scenario.sigma_w
+    if sigma_w is None:
+        sigma_w = SIGMA_W[name][scenario.process_noise]
+    return dict(V=np.square(sigma_v_of(scenario)), W=np.square(sigma_w))
