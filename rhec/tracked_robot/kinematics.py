@@ -9,6 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from rhec.core.model.base import Model
+from rhec.core.model.base import rk4 as rk4  # eq. (3)
 
 # The estimate of every estimator, in this order: pose ξ and parameters p.
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
