@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from rhec.logs.calibration import calibrate
     from rhec.logs.replay import replay
     from rhec.simulation.campaigns.campaign import campaign
-    from rhec.simulation.closed_loop import Run
+    from rhec.simulation.closed_loop import simulate
     from rhec.simulation.faults import Fault
+    from rhec.simulation.run import Run
     from rhec.simulation.scenario import Scenario
-    from rhec.simulation.simulate import simulate
     from rhec.tracked_robot.path import Path
     from rhec.tracked_robot.references import PathTracker
     from rhec.tracked_robot.terrain import Terrain
@@ -44,7 +44,7 @@ _HOME = {
     "PathTracker": "tracked_robot.references",
     "RHC": "core.controller.rhc",
     "RHE": "core.estimator.rhe",
-    "Run": "simulation.closed_loop",
+    "Run": "simulation.run",
     "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",
     "calibrate": "logs.calibration",
@@ -52,7 +52,7 @@ _HOME = {
     "export": "embedded",
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
-    "simulate": "simulation.simulate",
+    "simulate": "simulation.closed_loop",
 }
 __all__ = [
     "EKF",

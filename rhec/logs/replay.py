@@ -38,7 +38,7 @@ from rhec.simulation.columns import (
     MEASUREMENTS,
     SIGMA,
 )
-from rhec.simulation.faults import corrupted
+from rhec.simulation.fault_signals import corrupted
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import slipping
 from rhec.tracked_robot.choice import Choice, TractionInput
@@ -470,7 +470,7 @@ def replay(
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
-        `rhec.simulation.columns` documents the columns. With a model it has the measurements under
+        `rhec.simulation.log_page` documents the columns. With a model it has the measurements under
         the names of the outputs, `<name>_hat` for each state, input and parameter, `<name>_sigma`,
         the standard deviation, for states and parameters, and `ok`. A row that cannot be used has
         the estimate before it. Estimates before a segment's first position are NaN.

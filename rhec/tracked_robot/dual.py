@@ -17,8 +17,6 @@ from rhec.tracked_robot.choice import Estimator
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.rhe import ESTIMATORS, SIGMA_START
 
-__all__ = ["DUAL"]
-
 
 def _rhe_of(choice):
     return robust.ROBUST_RHE if choice.robust else ESTIMATORS["rhe"]

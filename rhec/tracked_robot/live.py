@@ -17,8 +17,6 @@ from rhec.tracked_robot.rhc import horizon_of
 from rhec.tracked_robot.rhe import SIGMA_START, settings_of, window_of
 from rhec.tracked_robot.speed_models import speed_model_of
 
-__all__ = ["PaperEstimate", "PaperRHC", "PaperRHE"]
-
 
 class PaperEstimate(NamedTuple):
     """Pose [m, m, rad], speed [m/s], traction, and the covariance of the joint state.

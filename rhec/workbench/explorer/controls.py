@@ -10,7 +10,8 @@ from dataclasses import fields
 from typing import NamedTuple
 
 from rhec.simulation.faults import Fault
-from rhec.simulation.scenario import FIELDS, Scenario
+from rhec.simulation.scenario import Scenario
+from rhec.simulation.scenario_fields import FIELDS
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import ROBUST_NAMES, estimator_of
