@@ -5,19 +5,6 @@ import numpy as np
 
 from rhec.core._casadi.compiled import loop_symbols
 
-__all__ = [
-    "casadi_function",
-    "every",
-    "pack_array",
-    "packed_size",
-    "select_inputs",
-    "shapes_of",
-    "short_cut",
-    "unpack",
-    "unpack_array",
-    "with_packed_memory",
-]
-
 _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 
 

@@ -21,8 +21,6 @@ import platformdirs
 with contextlib.suppress(ImportError):  # on Windows nothing is compiled, see `compiler`
     import fcntl
 
-__all__ = ["UnusableError", "contains", "load_or_build", "warn_once"]
-
 _CONTENT = "content.json"  # {file: its digest}, written last, of all other files in a folder
 
 

@@ -24,22 +24,6 @@ import numpy as np
 from rhec.core._casadi import cache
 from rhec.core._casadi.c_text import generate_c
 
-__all__ = [
-    "BufferedFunction",
-    "FLAGS",
-    "HEADERS",
-    "PROCESSOR",
-    "compiler",
-    "is_compiled",
-    "library_name",
-    "load",
-    "loop_symbols",
-    "run_compiler",
-    "source_digest",
-    "vector_instructions",
-]
-
-
 PROCESSOR = Path("/proc/cpuinfo")
 
 

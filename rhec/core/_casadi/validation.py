@@ -15,33 +15,6 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
 from pydantic.dataclasses import dataclass
 
-__all__ = [
-    "ArrivalMean",
-    "Flag",
-    "Intervals",
-    "NotNegative",
-    "NotNegatives",
-    "Positive",
-    "Positives",
-    "ProcessNoise",
-    "Real",
-    "Reals",
-    "SigmaV",
-    "Slip",
-    "Solver",
-    "SpeedModel",
-    "Steps",
-    "Traction",
-    "Weights",
-    "Whole",
-    "checked",
-    "numbers",
-    "of_length",
-    "optional",
-    "shown",
-    "validated",
-]
-
 # NumPy's numbers and arrays are accepted where Python's numbers and tuples are.
 _plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
 _listed = BeforeValidator(

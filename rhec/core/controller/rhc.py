@@ -10,8 +10,7 @@ references enter in the feedback phase only: they move the gradient, through the
 of the joint state s = (x, p).
 """
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,8 +23,6 @@ from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
-
-__all__ = ["RHC", "Horizon", "StagewiseQP", "build_phases", "init"]
 
 
 class Horizon(NamedTuple):
@@ -397,14 +394,6 @@ class RHC(RealTimeLoop):
     Raises:
         ValueError: if an argument is invalid.
     """
-
-    # Returns the class that stands in where no model is passed; `rhec` sets it.
-    paper_class: ClassVar[Callable[[], type["RHC"]] | None] = None
-
-    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
-        if cls is RHC and model is None and cls.paper_class:
-            cls = cls.paper_class()
-        return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
 

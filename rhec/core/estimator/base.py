@@ -7,8 +7,6 @@ import numpy as np
 from rhec.core._casadi.validation import of_length
 from rhec.core.model.base import SIGMA_UNMEASURED
 
-__all__ = ["Estimate", "joint_estimate", "joint_guess", "noise_of"]
-
 
 class _Arrays(NamedTuple):
     x: np.ndarray

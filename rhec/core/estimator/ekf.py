@@ -19,8 +19,6 @@ from rhec.core.model.base import Model
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.core.solver.rti import copy_checked
 
-__all__ = ["EKF", "build", "predict_and_correct"]
-
 
 def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
     """One sample of a Kalman filter, eq. (24)-(26); the first sample only corrects.

@@ -10,8 +10,6 @@ import casadi as ca
 
 from rhec.core.solver.gauss_newton import symmetric
 
-__all__ = ["Update", "update"]
-
 
 class Update(NamedTuple):
     """The corrected mean m (n,) and covariance P (n, n), and how they came about."""

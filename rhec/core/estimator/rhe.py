@@ -14,9 +14,7 @@ parameters θ remains. Its multipliers then run backwards through the window and
 unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
-from collections.abc import Callable
-from inspect import signature
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -33,8 +31,7 @@ from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
 
-__all__ = ["RHE", "Window", "build_phases", "compose", "init", "predict_input"]
-
+ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
 
 # Records that the phases pass on. Their entries are expressions, or the shapes of these; a name
 # is that of a Function's input, because the phases share arrays by name.
@@ -75,17 +72,6 @@ class Correction(NamedTuple):
     e: Any
 
 
-class Newest(NamedTuple):
-    """Node N: its linearisation point, the input that led to it, its measurement and update."""
-
-    s_N: Any
-    B_N: Any
-    v_N: Any
-    z_N: Any
-    K_N: Any
-    e_N: Any
-
-
 class Constrained(NamedTuple):
     """The solution of the QP: the last Kalman update, multipliers of the bounds, and success."""
 
@@ -103,21 +89,13 @@ class Solution(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The structure of an RHE, which decides the shapes of its Functions.
+    """The structure of an RHE, which decides the shapes of its Functions."""
 
-    Args:
-        model: The rhec.Model.
-        dt_s: Length of an interval [s].
-        N: Intervals of the window.
-        arrival_mean: "smoothed" or "filtered", interpretation R7; see RHE.
-        weighted: Whether the variances V of the measurements differ from node to node.
-    """
-
-    model: base.Model
-    dt_s: float
-    N: int
-    arrival_mean: str = "smoothed"
-    weighted: bool = False
+    model: Model
+    dt_s: float  # length of an interval [s]
+    N: int  # intervals of the window
+    arrival_mean: ArrivalMean = "smoothed"
+    weighted: bool = False  # whether the variances V of the measurements differ by node
 
     @property
     def interval(self):
@@ -139,25 +117,22 @@ class Window(NamedTuple):
     def memory(self):
         """Shapes of the Memory, by name."""
         s, P, v, z, *_ = self.shapes
-        window = Memory(
-            s=(s[0], self.N + 1), v=(v[0], self.N), z=(z[0], self.N + 1), age=(1, 1), m=s, P=P
-        )
-        return window._asdict()
+        N = self.N
+        window = dict(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1))
+        return window | dict(age=(1, 1), m=s, P=P)
 
     @property
     def noise(self):
         """Shapes at one node: variances V of measurements, constants c of noise by motion."""
         V = dict(V=(len(self.model.outputs), 1))
-        if not (self.model.motion_noise and self.model.motion_noise.constants):
-            return V
-        return V | dict(c=(len(self.model.motion_noise.constants), 1))
+        motion_noise = self.model.motion_noise
+        return V | dict(c=(len(motion_noise.constants), 1)) if motion_noise else V
 
     @property
     def noises(self):
         """Shapes for the whole window: where it is weighted, V has a column for each node."""
-        if not self.weighted:
-            return self.noise
-        return self.noise | dict(V=(len(self.model.outputs), self.N + 1))
+        columns = self.N + 1 if self.weighted else 1
+        return self.noise | dict(V=(len(self.model.outputs), columns))
 
     def at(self, node, V, **noises):
         """V and c of one node, from those of the whole window."""
@@ -177,29 +152,23 @@ class Window(NamedTuple):
 
 
 def predict_input(window, B, m, P, v, z, **noise):
-    """A Prediction made with the input v, corrected by what z says about that input.
+    """Correct the mean m and covariance P of a prediction by what z says about its input v.
 
     m + B (v_m - v),  P + B R_v B', where v_m and R_v are the input's mean and variances given z.
-
-    Returns:
-        m (n_s,), P (n_s, n_s).
     """
     v_m, R_v = window.interval.input_noise(z, v, **noise)
     return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
 
 
-def selection_matrix(interval):
-    """The matrix C of zeros and ones that selects the bounded parameters, θ = C s."""
+def _bounded(interval):
+    """Matrix C of zeros and ones that selects the bounded parameters θ = C s, and their bounds."""
     n_theta = len(interval.bounds)
-    places = list(interval.bounds)
-    return ca.DM.triplet(range(n_theta), places, ca.DM.ones(n_theta), n_theta, interval.n_s)
-
-
-def _bounds(interval):
-    """Lower and upper bounds of θ."""
+    C = ca.DM.triplet(
+        range(n_theta), [*interval.bounds], ca.DM.ones(n_theta), n_theta, interval.n_s
+    )
     lower = ca.DM([bound[0] for bound in interval.bounds.values()])
     upper = ca.DM([bound[1] for bound in interval.bounds.values()])
-    return lower, upper
+    return C, lower, upper
 
 
 # Shift: the window moves on by one sample, and its oldest node becomes the arrival cost.
@@ -314,7 +283,7 @@ def _build_linearise(window, loops):
 def _build_update_newest(window):
     interval = window.interval
     n_theta = len(interval.bounds)
-    C = selection_matrix(interval)
+    C, _, _ = _bounded(interval)
     s, _, _, z, *_ = window.shapes
 
     @casadi_function("rhe_newest")
@@ -334,21 +303,13 @@ def _build_update_newest(window):
     return update_newest
 
 
-def _smoothed_input(window, newest, v, R_v, adjoint, ok):
-    """The last input as estimated, v - R_v B' λ; as measured, v, where that is not finite."""
-    update = Correction(newest.K_N, newest.e_N)
-    adjoint = adjoint_before_update(window, adjoint, update, newest.s_N)
-    v_new = v - R_v * (newest.B_N.T @ adjoint)
-    return ca.if_else(ok * is_plausible(v_new), v_new, v)
-
-
 def _build_condition(window, quantities):
     interval = window.interval
     s, P, v, z, correction, theta = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
-    newest = Newest(s, window.linearised["B"], v, z, *correction)
-    C = selection_matrix(interval)
-    lower, upper = _bounds(interval)
+    K, e = correction
+    newest = dict(s_N=s, B_N=window.linearised["B"], v_N=v, z_N=z, K_N=K, e_N=e)
+    C, lower, upper = _bounded(interval)
 
     @casadi_function("rhe_bounded")
     def condition(
@@ -358,16 +319,21 @@ def _build_condition(window, quantities):
 
         Where the solution is not finite, the estimate falls back to the prediction.
         """
+        s_N, B_N, v_N, z_N, K_N, e_N = newest.values()
         multipliers = H @ (C @ m - x)
         conditioned = m - covariance @ C.T @ multipliers
         ok = solved * is_plausible(ca.vertcat(conditioned, ca.vec(covariance), multipliers))
-        s = ca.if_else(ok, conditioned, newest.s_N)
+        s = ca.if_else(ok, conditioned, s_N)
         for i, place in enumerate(interval.bounds):
             # θ exactly as the QP found it: s above may pass a bound by a rounding error.
-            s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(newest.s_N[place], lower[i]), upper[i]))
-        v, R_v = interval.input_noise(newest.z_N, newest.v_N, **noise)
+            s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(s_N[place], lower[i]), upper[i]))
+        v, R_v = interval.input_noise(z_N, v_N, **noise)
         if not quantities:
-            v = _smoothed_input(window, newest, v, R_v, C.T @ multipliers, ok)
+            # The last input as estimated; as measured where that is not finite.
+            adjoint = C.T @ multipliers
+            adjoint = adjoint_before_update(window, adjoint, Correction(K_N, e_N), s_N)
+            v_new = v - R_v * (B_N.T @ adjoint)
+            v = ca.if_else(ok * is_plausible(v_new), v_new, v)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
         unknown = MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
@@ -383,7 +349,7 @@ def _build_condition(window, quantities):
 
 def _build_feedback(window, quantities, loops):
     n_theta = len(window.interval.bounds)
-    lower, upper = _bounds(window.interval)
+    _, lower, upper = _bounded(window.interval)
     s, _, _, z, *_ = window.shapes
     update_newest = _build_update_newest(window)
     condition = _build_condition(window, quantities)
@@ -510,22 +476,15 @@ def _build_accepted(window):
     return accepted
 
 
-def _nodes(window, z, noises, correction, constrained):
-    """Of each node of the window: the measurements (z, V, c), and the Correction by them."""
-    rows = len(window.interval.outputs)
-    K = [*ca.horzsplit(correction.K, rows), constrained.K_N]
+def _split(window, z, noises, linearised, correction, constrained):
+    """Of each node the measurements (z, V, c) and the Correction; of each interval F, D and B."""
+    interval = window.interval
+    K = [*ca.horzsplit(correction.K, len(interval.outputs)), constrained.K_N]
     e = [*ca.horzsplit(correction.e), constrained.e_N]
     z = ca.horzsplit(z)
     measured = [(z[i], *window.at(i, **noises).values()) for i in range(window.N + 1)]
-    return measured, list(map(Correction, K, e))
-
-
-def _intervals(window, linearised):
-    """The Linearised of each interval of the window."""
-    F = ca.horzsplit(linearised.F)
-    D = ca.horzsplit(linearised.D, window.interval.n_s)
-    B = ca.horzsplit(linearised.B, window.interval.n_v)
-    return list(map(Linearised, F, D, B))
+    intervals = map(ca.horzsplit, linearised, (1, interval.n_s, interval.n_v))
+    return measured, list(zip(K, e)), list(zip(*intervals))
 
 
 def _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections):
@@ -552,15 +511,9 @@ def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
     return s_new, descent
 
 
-def _kkt_tolerance(window, theta, descent, multipliers):
-    """KKT tolerance of a linearisation point with parameters θ, from ∇J·Δw and the multipliers."""
-    lower, upper = _bounds(window.interval)
-    return gauss_newton.kkt_tolerance(descent, multipliers, lower - theta, upper - theta)
-
-
 def _build_expand(window, linearise, feedback, loops):
     N = window.N
-    C = selection_matrix(window.interval)
+    C, lower, upper = _bounded(window.interval)
     backward = _build_backward(window)
     oldest = _build_oldest(window)
     forward = _build_forward(window)
@@ -585,14 +538,17 @@ def _build_expand(window, linearise, feedback, loops):
         memory = memory._replace(z=ca.horzcat(memory.z[:, :N], z_N))
         s = ca.horzsplit(memory.s)
         v = ca.horzsplit(memory.v)
-        measured, corrections = _nodes(window, memory.z, noises, correction, constrained)
-        intervals = _intervals(window, linearised)
-        multipliers = constrained.multipliers
-        adjoint = ca.densify(C.T @ multipliers)
+        measured, corrections, intervals = _split(
+            window, memory.z, noises, linearised, correction, constrained
+        )
+        adjoint = ca.densify(C.T @ constrained.multipliers)
         v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections)
         first, descent = oldest(adjoint, *corrections[0], memory.m, memory.P, s[0], *measured[0])
         s_new, descent = _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured)
-        kkt = _kkt_tolerance(window, C @ s[N], descent, multipliers)
+        theta = C @ s[N]
+        kkt = gauss_newton.kkt_tolerance(
+            descent, constrained.multipliers, lower - theta, upper - theta
+        )
         solution = Solution(ca.horzcat(*s_new), ca.horzcat(*v_new))
         good = constrained.ok * is_plausible(s_new[N])
         pieces = memory._asdict() | solution._asdict()
@@ -698,14 +654,6 @@ class RHE(RealTimeLoop):
         ValueError: If an argument is invalid.
     """
 
-    # Returns the class behind RHE() without a model; the package's face sets it.
-    paper_class: ClassVar[Callable[[], type] | None] = None
-
-    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
-        if cls is RHE and model is None and RHE.paper_class:
-            cls = RHE.paper_class()
-        return super().__new__(cls)
-
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
 
         def __init__(self, *, model: Model | None = None, **options: Any) -> None: ...
@@ -721,7 +669,7 @@ class RHE(RealTimeLoop):
         sigma_w: valid.NotNegatives,
         guess: valid.Reals,
         sigma_guess: valid.Positives,
-        arrival_mean: valid.ArrivalMean = "smoothed",
+        arrival_mean: ArrivalMean = "smoothed",
     ):
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
@@ -731,8 +679,6 @@ class RHE(RealTimeLoop):
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **settings)
-
-    __new__.__signature__ = signature(__init__)  # what help() and editors show
 
     def __repr__(self) -> str:
         started = "started" if self.iteration.started else "not started"

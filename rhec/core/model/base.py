@@ -17,8 +17,6 @@ from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import shown
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 
-__all__ = ["SIGMA_UNMEASURED", "Interval", "Model", "MotionNoise", "Output", "interval", "rk4"]
-
 # Standard deviations of inputs, in each input's unit.
 _SIGMA_HELD = 1.0  # a missing input is taken to be the last one
 SIGMA_UNMEASURED = 1e3  # an input without an output of its own is known from other outputs only

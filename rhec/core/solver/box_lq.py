@@ -16,8 +16,6 @@ from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_active_set
 
-__all__ = ["box_lq"]
-
 
 def box_lq(N, A_0, D, B, loops):
     """Build the Function (D, B, Q, QN, R, g, lower, upper, active) -> (x, multipliers, ok).

@@ -5,8 +5,6 @@ import casadi as ca
 from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_active_set
 
-__all__ = ["box_qp"]
-
 
 def box_qp(n):
     """Build the Function (H, g, lb, ub) -> (x, ok) that minimises ½ x'Hx + g'x, lb ≤ x ≤ ub.

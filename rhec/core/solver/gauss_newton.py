@@ -8,8 +8,6 @@ with bounds only: in the bounded parameters for the RHE, in the commands for the
 
 import casadi as ca
 
-__all__ = ["kkt_tolerance", "shift", "symmetric"]
-
 
 def shift(interval, s, v, dt_s):
     """Shift a trajectory by one interval, as the warm start of the next sample.

@@ -11,8 +11,6 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
 
-__all__ = ["MAX_SWEEPS", "exchange_first", "proposed_bound", "search_active_set"]
-
 _DOUBLINGS = 8
 MAX_SWEEPS = 2**_DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
 _PATIENCE = 3  # block exchanges that may fail to reduce the number of infeasible variables
