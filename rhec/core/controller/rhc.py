@@ -22,21 +22,21 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
+from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked, run_phases
 
 
 class Horizon(NamedTuple):
-    """What decides the shape of the Functions: N intervals of dt_s, and the commanded inputs.
+    """The structure of an RHC, which decides the shapes of its Functions.
 
-    `command` holds the places of the commanded inputs in `model.inputs`. `qp` is None for the QP by
-    its stages, or an object such as `rhec.core.solver.condensed.Condensed`, whose `build(horizon)`
-    returns a solver with the methods of StagewiseQP, such as CondensedQP.
+    `qp` is None for the QP by its stages, or an object such as
+    `rhec.core.solver.condensed.Condensed`, whose `build(horizon)` returns a solver with the methods
+    of StagewiseQP.
     """
 
     model: Model
-    command: tuple[int, ...]
-    dt_s: float
-    N: int
+    command: tuple[int, ...]  # places of the commanded inputs in `model.inputs`
+    dt_s: float  # length of an interval [s]
+    N: int  # intervals of the prediction
     qp: Any = None
 
     @property
@@ -102,35 +102,23 @@ class Horizon(NamedTuple):
 
 
 def build_phases(horizon):
-    """Build the RHC as CasADi Functions: shift, linearise, feedback, expand (see `rti`) and step.
+    """Build the RHC as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
-    Args:
-        horizon: The Horizon.
-
-    Returns:
-        {name: Function}. `step` runs all phases; it maps (memory, weights, references) to
-        (memory, kkt, command, ok).
+    `step` runs all phases; it maps (memory, weights, references) to (memory, kkt, command, ok).
     """
     qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
     roll_out = _build_roll_out(horizon)
     gradient = _build_gradient(horizon, roll_out)
     linearise = _build_linearise(horizon, qp)
     feedback = _build_feedback(horizon, linearise, gradient, qp)
-    phases = dict(
-        shift=_build_shift(horizon),
-        linearise=linearise,
-        feedback=feedback,
-        expand=_build_expand(horizon, feedback, roll_out),
-    )
+    expand = _build_expand(horizon, feedback, roll_out)
+    shift = _build_shift(horizon)
+    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     return phases | dict(step=_build_step(horizon, phases))
 
 
 class StagewiseQP:
-    """The QP in the commanded inputs by a Riccati recursion over its stages (`box_lq`).
-
-    Args:
-        horizon: The Horizon.
-    """
+    """The QP in the commanded inputs by a Riccati recursion over its stages (`box_lq`)."""
 
     def __init__(self, horizon):
         self.horizon = horizon
@@ -225,12 +213,12 @@ def _build_roll_out(horizon):
     """
     n_s = horizon.n_s
     n_u = horizon.n_u
-    state = (n_s, 1)
-    inputs = (n_u, 1)
+    s_i = (n_s, 1)
+    u_i = (n_u, 1)
     F_i, D_i, B_i = horizon.linearised.values()
 
     @casadi_function("rhc_forward")
-    def forward(F: F_i, D: D_i, B: B_i, s: state, u: inputs, s_new: state, u_new: inputs):
+    def forward(F: F_i, D: D_i, B: B_i, s: s_i, u: u_i, s_new: s_i, u_new: u_i):
         A = horizon.interval.A_0 + D
         return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
 
@@ -352,8 +340,7 @@ def _build_step(horizon, phases):
 
     @with_packed_memory("rhc_step", memory, ca.MX, **horizon.weights, **horizon.references)
     def step(**values):
-        for name in PHASES:
-            values |= phases[name](**select_inputs(phases[name], values))
+        values = run_phases(phases, values)
         command = values["u_plan"][:, 0]  # eq. (13)
         outputs = dict(kkt=values["kkt"], command=command, ok=values["ok"])
         return outputs | {name: values[name] for name in memory}
@@ -362,16 +349,7 @@ def _build_step(horizon, phases):
 
 
 def init(horizon, x, p):
-    """Make the memory before the first sample: the robot stays at x, nothing is planned.
-
-    Args:
-        horizon: The Horizon.
-        x: (n_x,) state.
-        p: (n_p,) parameters.
-
-    Returns:
-        {name: array}, with shapes as in `Horizon.memory`.
-    """
+    """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
     s = np.tile([*x, *p], (horizon.N + 1, 1)).T
     return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))
 

@@ -29,7 +29,7 @@ from rhec.core.model.base import Model
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
-from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
+from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked, run_phases
 
 ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
 
@@ -580,16 +580,13 @@ def build_phases(window, quantities=None):
 
 
 def compose(name, phases, memory, kind):
-    """All phases of one sample as one Function.
+    """All phases of one sample as one Function (memory, z_N, …) -> (memory, estimate, …).
 
     Args:
         name: Name of the Function.
         phases: {name: Function}, see `build_phases`.
         memory: {name: shape} of what is packed in the first input and output, a vector.
         kind: Type of the symbols, SX or MX.
-
-    Returns:
-        Function (memory, z_N, …) -> (memory, estimate, …).
     """
     order = [phases[phase] for phase in PHASES]
     computed = {output for phase in order for output in phase.name_out()} | memory.keys()
@@ -601,24 +598,20 @@ def compose(name, phases, memory, kind):
 
     @with_packed_memory(name, memory, kind, **inputs)
     def step(**values):
-        for phase in order:
-            values |= phase(**select_inputs(phase, values))
+        values = run_phases(phases, values)
         return {key: values[key] for key in (*outputs, "kkt", *memory)}
 
     return step
 
 
 def init(window, guess, sigma, inputs=None):
-    """Memory before the first sample.
+    """Memory before the first sample, by name, with the shapes of `Window.memory`.
 
     Args:
         window: The Window.
         guess: (n_s,) joint state.
         sigma: (n_s,) its standard deviations.
         inputs: (n_v,) inputs before the first sample; by default 0.
-
-    Returns:
-        {name: array}, as `Window.memory` gives the shapes.
     """
     inputs = np.zeros(window.interval.n_v) if inputs is None else np.asarray(inputs)
     memory = Memory(

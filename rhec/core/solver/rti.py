@@ -20,11 +20,22 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from rhec.core._casadi.build import select_inputs
 from rhec.core._casadi.compiled import BufferedFunction
 from rhec.core._casadi.validation import Steps, checked, shown
 from rhec.core.model.base import Model
 
 PHASES = ("shift", "linearise", "feedback", "expand")
+
+
+def run_phases(phases, values):
+    """Run all phases {name: Function} of one sample on expressions; each adds its results by name.
+
+    The phases share `values` as RealTimeIteration's share arrays.
+    """
+    for name in PHASES:
+        values |= phases[name](**select_inputs(phases[name], values))
+    return values
 
 
 class RealTimeIteration:
@@ -50,17 +61,13 @@ class RealTimeIteration:
         self.current = {name: array.copy() for name, array in self.previous.items()}
         self.arrays = {}
         for phase, call in self.phases.items():
-            if phase == "shift":
-                read_memory = self.previous
-                written_memory = self.current
-            else:
-                read_memory = self.current
-                written_memory = self.previous
+            memories = [self.current, self.previous]
+            read, written = reversed(memories) if phase == "shift" else memories
             for name, array in call.arguments.items():
-                shared = read_memory if name in memory else self.arrays
+                shared = read if name in memory else self.arrays
                 call.read_from(name, shared.setdefault(name, array))
             for name, array in call.results.items():
-                shared = written_memory if name in memory else self.arrays
+                shared = written if name in memory else self.arrays
                 call.write_to(name, shared.setdefault(name, array))
         # Looking the bound methods up in each sample would take longer.
         calls = (phase.call for phase in self.phases.values())
