@@ -18,7 +18,8 @@ import numpy as np
 from pydantic import Field
 
 from rhec.core._casadi.build import casadi_function
-from rhec.core._casadi.validation import NotNegative, Positive, Real, validated
+from rhec.core._casadi.validation import NotNegative, Positive, Real
+from rhec.simulation.validated import validated
 
 __all__ = [
     "CHANNELS",

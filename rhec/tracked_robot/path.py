@@ -11,7 +11,8 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers, shown
+from rhec.core._casadi.validation import Flag, Positive, Real, checked, shown
+from rhec.tracked_robot.options import numbers
 
 __all__ = ["OPEN", "Path", "advance", "ahead_and_left"]
 
