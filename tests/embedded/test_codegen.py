@@ -20,7 +20,8 @@ import rhec
 from notebooks.embedded_measurements import instructions, report, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array, select_inputs
+from rhec.core._casadi.build import select_inputs
+from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.embedded import LOG, phases
 from rhec.simulation import closed_loop

@@ -1,7 +1,6 @@
 """CasADi Functions from plain Python functions: named expressions in, a dict of named ones out."""
 
 import casadi as ca
-import numpy as np
 
 from rhec.core._casadi.compiled import loop_symbols
 
@@ -97,34 +96,13 @@ def packed_size(shapes):
     return sum(rows * columns for rows, columns in shapes.values())
 
 
-def pack_array(memory):
-    """The NumPy vector of a memory's arrays {name: array}, each column by column."""
-    pieces = [np.ravel(piece, order="F") for piece in memory.values()]
-    return np.concatenate(pieces).astype(float)
-
-
 def unpack(vector, shapes):
-    """The opposite of `pack_array` for a CasADi vector: matrices by name."""
+    """Matrices by name from the CasADi vector that holds them."""
     offsets = [0]
     for rows, columns in shapes.values():
         offsets.append(offsets[-1] + rows * columns)
     parts = ca.vertsplit(vector, offsets)
     return {name: ca.reshape(part, *shapes[name]) for name, part in zip(shapes, parts)}
-
-
-def unpack_array(vector, shapes):
-    """The opposite of `pack_array`: views of the NumPy vector, by name."""
-    ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
-    parts = np.split(vector, ends[:-1])
-    return {name: part.reshape(shapes[name], order="F") for name, part in zip(shapes, parts)}
-
-
-def shapes_of(memory):
-    """Shapes of a memory's arrays, as `packed_size` and `unpack` take them."""
-    return {
-        name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1)
-        for name, piece in memory.items()
-    }
 
 
 def every(conditions):

@@ -124,16 +124,10 @@ def _locked(path):
     while True:
         with path.open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            if _is_removed(lock, path):  # by its previous holder: such a lock protects nothing
+            if not os.fstat(lock.fileno()).st_nlink:  # its previous holder removed the file
                 continue
             try:
                 yield
             finally:
                 path.unlink(missing_ok=True)
             return
-
-
-def _is_removed(file, path):
-    with contextlib.suppress(FileNotFoundError):
-        return not os.path.samestat(os.fstat(file.fileno()), path.stat())
-    return True
