@@ -10,17 +10,11 @@ _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 def casadi_function(name, kind=ca.SX, /, **shapes):
     """Decorator: the CasADi Function of a Python function whose annotations are its inputs' shapes.
 
-    A shape is (rows, columns) or a CasADi Sparsity. An annotation may also be a dict of shapes by
-    name, or a NamedTuple of shapes: each entry is one input, and the function receives such a dict
-    or NamedTuple of expressions.
-
-    Args:
-        name: Name of the Function.
-        kind: SX for arithmetic (inlined, simplified), MX for functions that call other Functions.
-        shapes: Shapes of the inputs without annotation, in order.
-
-    Returns:
-        A decorator. The decorated function returns its outputs as a dict or NamedTuple.
+    A shape is (rows, columns) or a CasADi Sparsity. An annotation may also be a dict or NamedTuple
+    of shapes: each entry is one input, and the function receives a dict or NamedTuple of
+    expressions. `shapes` are those of inputs without annotation. The function returns its outputs
+    as a dict or NamedTuple. `kind` is SX for arithmetic (inlined, simplified), or MX for functions
+    that call other Functions.
     """
 
     def decorate(body):

@@ -85,14 +85,9 @@ class Horizon(NamedTuple):
         )
 
     @property
-    def linearised(self):
-        """Sparsities of one interval's end F, of D (A = A_0 + D) and of B."""
-        return {name: self.interval.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
-
-    @property
     def dynamics(self):
         """Sparsities of F, D and B of all intervals, side by side."""
-        return {name: ca.repmat(part, 1, self.N) for name, part in self.linearised.items()}
+        return {name: ca.repmat(part, 1, self.N) for name, part in self.interval.sparsities.items()}
 
     @property
     def loops(self):
@@ -125,8 +120,8 @@ class StagewiseQP:
         self._command = list(horizon.command)
         # The parameters do not move: with x alone the stages are half as large.
         x = list(range(horizon.n_x))
-        D = horizon.linearised["D"].sub(x, x)[0]
-        B = horizon.linearised["B"].sub(x, self._command)[0]
+        D = horizon.interval.sparsities["D"].sub(x, x)[0]
+        B = horizon.interval.sparsities["B"].sub(x, self._command)[0]
         self._solve = box_lq(horizon.N, horizon.interval.A_0[x, x], D, B, horizon.loops)
 
     def prepare(self, D, B, Q, QN, R):
@@ -215,7 +210,7 @@ def _build_roll_out(horizon):
     n_u = horizon.n_u
     s_i = (n_s, 1)
     u_i = (n_u, 1)
-    F_i, D_i, B_i = horizon.linearised.values()
+    F_i, D_i, B_i = horizon.interval.sparsities.values()
 
     @casadi_function("rhc_forward")
     def forward(F: F_i, D: D_i, B: B_i, s: s_i, u: u_i, s_new: s_i, u_new: u_i):
@@ -245,7 +240,7 @@ def _build_backward(horizon):
     x_i = (n_x, 1)
     u_i = (horizon.n_u, 1)
     R_i = horizon.weights["R"]
-    _, D_i, B_i = horizon.linearised.values()
+    _, D_i, B_i = horizon.interval.sparsities.values()
 
     @casadi_function("rhc_backward")
     def backward(

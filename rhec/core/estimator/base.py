@@ -37,15 +37,10 @@ class Estimate(_Arrays):
 
 
 def noise_of(model, sigma_v, sigma_w):
-    """Settings V, W and c of an estimator.
+    """Variances V (n_z,) and W (n_s,), and constants c of noise by motion, if any, by name.
 
-    Args:
-        model: The Model.
-        sigma_v: (n_z,) standard deviations of the measurements.
-        sigma_w: (n_x + n_p,) standard deviations of the process noise per sample.
-
-    Returns:
-        {name: array}: variances V (n_z,) and W (n_s,), and constants c of noise by motion, if any.
+    sigma_v (n_z,) are standard deviations of the measurements, sigma_w (n_x + n_p,) those of the
+    process noise per sample.
     """
     n_x = len(model.states)
     n_p = len(model.parameters)

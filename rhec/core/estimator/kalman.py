@@ -22,7 +22,7 @@ class Update(NamedTuple):
 
 
 def update(m, P, z, V, outputs, s_bar):
-    """Correct the mean m and the covariance P by the measurements z of some outputs.
+    """Correct the mean m (n,) and the covariance P (n, n) by the measurements z of some outputs.
 
     For each output h with H = ∂h/∂s and variance V, in turn:
 
@@ -32,16 +32,8 @@ def update(m, P, z, V, outputs, s_bar):
         m⁺ = m + K y
         P⁺ = P - K H P
 
-    Args:
-        m: (n,) mean of the joint state.
-        P: (n, n) covariance of the joint state.
-        z: (n_z,) measurements, NaN where there is none.
-        V: (n_z,) variances of the measurements.
-        outputs: The model's Outputs that measure the joint state.
-        s_bar: (n,) linearisation point of outputs that are not affine.
-
-    Returns:
-        Update, whose deviance is Σ y²/S + log S.
+    The measurements z (n_z,) are NaN where there is none. Outputs that are not affine are
+    linearised at s_bar (n,). The deviance is Σ y²/S + log S.
     """
     gains = []
     weighted = []

@@ -14,6 +14,7 @@ parameters θ remains. Its multipliers then run backwards through the window and
 unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
+from collections import namedtuple
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import casadi as ca
@@ -48,44 +49,17 @@ class Memory(NamedTuple):
     P: Any  # (n_s, n_s) covariance of the arrival cost
 
 
-class Prediction(NamedTuple):
-    """A node before its measurement: mean m, covariance P, last input v, and B = ∂s/∂v."""
+# A node before its measurement: mean m, covariance P, last input v, and B = ∂s/∂v.
+Prediction = namedtuple("Prediction", "B v m P")
 
-    B: Any
-    v: Any
-    m: Any
-    P: Any
+# Intervals s⁺ = F + (A_0 + D) (s - s̄) + B (v - v̄), one or all of the window side by side.
+Linearised = namedtuple("Linearised", "F D B")
 
+# Kalman updates, of one node or several side by side: gains K, weighted innovations e.
+Correction = namedtuple("Correction", "K e")
 
-class Linearised(NamedTuple):
-    """Intervals s⁺ = F + (A_0 + D) (s - s̄) + B (v - v̄), one or all of the window side by side."""
-
-    F: Any
-    D: Any
-    B: Any
-
-
-class Correction(NamedTuple):
-    """Kalman updates, of one node or several side by side: gains K, weighted innovations e."""
-
-    K: Any
-    e: Any
-
-
-class Constrained(NamedTuple):
-    """The solution of the QP: the last Kalman update, multipliers of the bounds, and success."""
-
-    K_N: Any
-    e_N: Any
-    multipliers: Any
-    ok: Any
-
-
-class Solution(NamedTuple):
-    """The new trajectory: joint states (n_s, N + 1) and inputs (n_v, N)."""
-
-    s_new: Any
-    v_new: Any
+# The solution of the QP: the last Kalman update, multipliers of the bounds, and success.
+Constrained = namedtuple("Constrained", "K_N e_N multipliers ok")
 
 
 class Window(NamedTuple):
@@ -139,16 +113,10 @@ class Window(NamedTuple):
         return dict(V=V[:, node] if self.weighted else V, **noises)
 
     @property
-    def linearised(self):
-        """Sparsities of the Linearised of one interval, by name."""
-        linearised = self.interval.linearised
-        return {name: linearised.sparsity_out(i) for i, name in enumerate(Linearised._fields)}
-
-    @property
     def prediction(self):
         """Shapes of the Prediction of node N, by name."""
         s, P, v, *_ = self.shapes
-        return dict(B_N=self.linearised["B"], v_N=v, m_N=s, P_N=P)
+        return dict(B_N=self.interval.sparsities["B"], v_N=v, m_N=s, P_N=P)
 
 
 def predict_input(window, B, m, P, v, z, **noise):
@@ -231,7 +199,7 @@ def _build_shift(window):
 def _build_filter_step(window):
     interval = window.interval
     s, P, v, z, *_ = window.shapes
-    before = dict(B=window.linearised["B"], v_before=v, m=s, P=P)
+    before = dict(B=window.interval.sparsities["B"], v_before=v, m=s, P=P)
 
     @casadi_function("rhe_filtered")
     def filter_step(before: before, z: z, s: s, v: v, dt_s: (1, 1), noise: window.noise):
@@ -261,7 +229,7 @@ def _build_linearise(window, loops):
         z = ca.horzsplit(memory.z)
         nodes = []
         # No input acts before the oldest node.
-        B_before = ca.DM(window.linearised["B"], 0)
+        B_before = ca.DM(window.interval.sparsities["B"], 0)
         before = dict(B=B_before, v_before=ca.DM.zeros(n_v), m=memory.m, P=memory.P)
         for i in range(N):
             dt_s = window.dt_s * (memory.age >= N - i)
@@ -308,7 +276,7 @@ def _build_condition(window, quantities):
     s, P, v, z, correction, theta = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
     K, e = correction
-    newest = dict(s_N=s, B_N=window.linearised["B"], v_N=v, z_N=z, K_N=K, e_N=e)
+    newest = dict(s_N=s, B_N=window.interval.sparsities["B"], v_N=v, z_N=z, K_N=K, e_N=e)
     C, lower, upper = _bounded(interval)
 
     @casadi_function("rhe_bounded")
@@ -388,7 +356,7 @@ def adjoint_before_update(window, adjoint, correction, s_bar):
 def _build_backward(window):
     interval = window.interval
     s, _, v, z, correction, _ = window.shapes
-    _, D, B = window.linearised.values()
+    _, D, B = window.interval.sparsities.values()
 
     @casadi_function("rhe_backward")
     def backward(
@@ -429,7 +397,7 @@ def _build_oldest(window):
 def _build_forward(window):
     interval = window.interval
     s, _, v, z, *_ = window.shapes
-    end = Linearised(**window.linearised)
+    end = Linearised(**window.interval.sparsities)
     noise = window.noise
 
     @casadi_function("rhe_forward")
@@ -454,14 +422,13 @@ def _build_accepted(window):
     interval = window.interval
     N = window.N
     memory = Memory(**window.memory)
-    solution = Solution(memory.s, memory.v)
     n_z = len(window.model.outputs)
     limits = [limit for _, limit in interval.input_outputs.values()]
     max_input = min(limits, default=np.inf)
 
     @short_cut("good")
     @casadi_function("rhe_accepted")
-    def accepted(memory: memory, solution: solution, good: (1, 1), P_0: memory.m):
+    def accepted(memory: memory, s_new: memory.s, v_new: memory.v, good: (1, 1), P_0: memory.m):
         """The memory with the new solution or, if the step failed, of a new start.
 
         A failed window would fail again, as its cause remains in it. It therefore restarts at its
@@ -470,7 +437,7 @@ def _build_accepted(window):
         s = ca.if_else(is_plausible(memory.s[:, N]), memory.s, 0)
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
         restarted = Memory(s, v, ca.SX.nan(n_z, N + 1), age=0, m=s[:, N], P=ca.diag(P_0))
-        solved = memory._replace(s=solution.s_new, v=solution.v_new)
+        solved = memory._replace(s=s_new, v=v_new)
         return Memory(*(ca.if_else(good, *pieces) for pieces in zip(solved, restarted)))
 
     return accepted
@@ -549,25 +516,21 @@ def _build_expand(window, linearise, feedback, loops):
         kkt = gauss_newton.kkt_tolerance(
             descent, constrained.multipliers, lower - theta, upper - theta
         )
-        solution = Solution(ca.horzcat(*s_new), ca.horzcat(*v_new))
+        solution = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
         good = constrained.ok * is_plausible(s_new[N])
-        pieces = memory._asdict() | solution._asdict()
+        pieces = memory._asdict() | solution
         return accepted(**pieces, good=good, P_0=P_0) | dict(kkt=kkt)
 
     return expand
 
 
 def build_phases(window, quantities=None):
-    """The RHE as CasADi Functions shift, linearise, feedback, expand (see `rti`) and step, all.
+    """The RHE as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
-    Args:
-        window: The Window.
-        quantities: Names of the estimate's entries. Inputs among them are as measured: with noise
-            that is slip, an encoder does not measure the robot's motion. By default states, inputs
-            and parameters, all as estimated.
-
-    Returns:
-        {name: Function}. `step` maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …).
+    `step` runs all phases; it maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …). The
+    estimate's entries are the named `quantities`, in which inputs are as measured: with noise that
+    is slip, an encoder does not measure the robot's motion. By default they are all states, inputs
+    and parameters, as estimated.
     """
     loops = compiled.loop_symbols()
     shift = _build_shift(window)
@@ -582,11 +545,7 @@ def build_phases(window, quantities=None):
 def compose(name, phases, memory, kind):
     """All phases of one sample as one Function (memory, z_N, …) -> (memory, estimate, …).
 
-    Args:
-        name: Name of the Function.
-        phases: {name: Function}, see `build_phases`.
-        memory: {name: shape} of what is packed in the first input and output, a vector.
-        kind: Type of the symbols, SX or MX.
+    `memory` {name: shape} is packed in one vector; `kind` is SX or MX.
     """
     order = [phases[phase] for phase in PHASES]
     computed = {output for phase in order for output in phase.name_out()} | memory.keys()
@@ -607,11 +566,8 @@ def compose(name, phases, memory, kind):
 def init(window, guess, sigma, inputs=None):
     """Memory before the first sample, by name, with the shapes of `Window.memory`.
 
-    Args:
-        window: The Window.
-        guess: (n_s,) joint state.
-        sigma: (n_s,) its standard deviations.
-        inputs: (n_v,) inputs before the first sample; by default 0.
+    It holds a guess (n_s,) of the joint state, its standard deviations sigma (n_s,), and the inputs
+    (n_v,) before the first sample, by default 0.
     """
     inputs = np.zeros(window.interval.n_v) if inputs is None else np.asarray(inputs)
     memory = Memory(

@@ -26,15 +26,12 @@ SIGMA_UNMEASURED = 1e3  # an input without an output of its own is known from ot
 class MotionNoise(NamedTuple):
     """Noise that grows with the motion, as functions of an interval's measured inputs.
 
-    Args:
-        constants: {name: value} of the constants c, in order.
-        inputs: (u, R, c) -> (u, R): mean and variances (n_u,) of the inputs, from the inputs' own
-            measurements u and their variances R.
-        process: (u, W, dt_s, c) -> W: variances (n_s,) of the process noise of an interval of
-            dt_s [s].
+    `inputs` maps (u, R, c) to the mean and variances (n_u,) of the inputs, from their measurements
+    u with variances R. `process` maps (u, W, dt_s, c) to the variances (n_s,) of the process noise
+    of an interval of dt_s [s].
     """
 
-    constants: Mapping[str, float]
+    constants: Mapping[str, float]  # of c, by name, in order
     inputs: Callable
     process: Callable
 
@@ -267,6 +264,11 @@ class Interval(NamedTuple):
     mixing_outputs: dict[int, list[tuple[int, float]]]  # the same of all other outputs of it
     bounds: dict[int, tuple[float, float]]  # place in s: (lowest, highest)
     motion_noise: MotionNoise | None
+
+    @property
+    def sparsities(self):
+        """Sparsities of the interval's end F, of D and of B, by name."""
+        return {name: self.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
 
     def input_noise(self, z, v, V, c=None):
         """Mean and variances (n_v,) of the inputs, given the measurements z and the last inputs v.

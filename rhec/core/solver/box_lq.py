@@ -20,18 +20,11 @@ from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_act
 def box_lq(N, A_0, D, B, loops):
     """Build the Function (D, B, Q, QN, R, g, lower, upper, active) -> (x, multipliers, ok).
 
-    Args:
-        N: Intervals.
-        A_0: (n, n) constant entries of an interval's transition A = A_0 + D.
-        D: Sparsity of the other entries.
-        B: Sparsity of its (n, m) input matrix.
-        loops: SX or MX, for Functions that repeat an interval.
-
-    Returns:
-        The Function. D and B stand side by side; Q, QN (n,) and R (m,) are diagonals; g, lower,
-        upper and active are rows of N·m entries, interval by interval. active is 1 for an input at
-        its upper bound, -1 at its lower, 0 at none. x holds the inputs; multipliers are positive
-        at an upper bound.
+    An interval's transition is A = A_0 + D, with A_0 (n, n) constant and D of this sparsity, as its
+    input matrix B (n, m); `loops` is SX or MX. The Function takes D and B side by side, and the
+    diagonals Q, QN (n,) and R (m,). Its rows g, lower, upper, active, x and multipliers have N·m
+    entries, interval by interval: `active` is 1 for an input at its upper bound, -1 at its lower, 0
+    at none; x holds the inputs; multipliers are positive at an upper bound.
     """
     n, m = B.shape
     row = (1, N * m)

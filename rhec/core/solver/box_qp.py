@@ -9,13 +9,8 @@ from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_act
 def box_qp(n):
     """Build the Function (H, g, lb, ub) -> (x, ok) that minimises ½ x'Hx + g'x, lb ≤ x ≤ ub.
 
-    One and two variables have a closed form, more are solved by pivoting.
-
-    Args:
-        n: Number of variables.
-
-    Returns:
-        The Function. Where the solution is not finite, ok and x are 0.
+    One and two variables have a closed form, more are solved by pivoting. Where the solution is not
+    finite, ok and x are 0.
     """
     if n > 2:
         return _box_qp_by_pivoting(n)

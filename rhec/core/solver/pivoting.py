@@ -27,16 +27,10 @@ def proposed_bound(active, x, multiplier, lower, upper):
 
 
 def exchange_first(active, proposed, n_infeasible):
-    """Exchange only the first infeasible variable, and count the infeasible ones.
+    """Exchange only the first infeasible variable of the guess, and count the infeasible ones.
 
-    Args:
-        active: Guess of the active set.
-        proposed: What `proposed_bound` proposes for it.
-        n_infeasible: How many variables of earlier stages are infeasible.
-
-    Returns:
-        The guess with its first infeasible variable exchanged, as a list, unless an earlier stage
-        has one; the number of infeasible variables so far.
+    `n_infeasible` variables of earlier stages are infeasible; if any is, the guess stays. Returns
+    the guess as a list, and the number of infeasible variables so far.
     """
     guess = []
     for i in range(active.numel()):
@@ -48,16 +42,10 @@ def exchange_first(active, proposed, n_infeasible):
 def search_active_set(name, N, solve, problem):
     """Build a Function (problem …, active) -> (ok, x, multipliers), x and multipliers rows of N.
 
-    Args:
-        name: Prefix of the Functions' names.
-        N: Number of variables.
-        solve: Function (problem …, active) -> (x, multipliers, corrected, first_corrected, wrong):
-            the solution for a guess of the active set; the guess after exchanging all infeasible
-            variables, or the first alone; their number, or -1 where the solution is not finite.
-        problem: Shapes of the problem's data, by name.
-
-    Returns:
-        The Function. If the search gives up, ok, x and multipliers are 0.
+    `problem` {name: shape} is the QP's data. `solve` is a Function (problem …, active) -> (x,
+    multipliers, corrected, first_corrected, wrong): the solution for a guess of the active set; the
+    guess after exchanging all infeasible variables, or the first alone; their number, or -1 where
+    the solution is not finite. If the search gives up, ok, x and multipliers are 0.
     """
     row = (1, N)
     one = (1, 1)

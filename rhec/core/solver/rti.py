@@ -46,11 +46,8 @@ class RealTimeIteration:
     still reads: `expand` writes it to `previous`, and `shift` reads it there and writes `current`,
     where `linearise` and `feedback` read it.
 
-    Args:
-        functions: The compiled phases, by name.
-        memory: Names of the memory's pieces.
-        unknowns: The pieces that an iteration improves.
-        constants: Values of inputs that never change, by name.
+    `memory` names the pieces of the memory, and `unknowns` those that an iteration improves.
+    `constants` are values of inputs that never change.
     """
 
     def __init__(self, functions, memory, unknowns, **constants):
