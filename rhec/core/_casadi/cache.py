@@ -43,10 +43,7 @@ def load_or_build(name, build, load):
     """Return load(folder) of the folder called `name`, filled by build(folder) if it is missing.
 
     The folder is in the user's cache. Where that cannot be used, it is among the temporary files,
-    and one line on stderr says so.
-
-    Raises:
-        UnusableError: If neither can be used.
+    and one line on stderr says so. If neither can be used, UnusableError is raised.
     """
     reasons = []
     for root in _roots():

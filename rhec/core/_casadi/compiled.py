@@ -24,12 +24,10 @@ import numpy as np
 from rhec.core._casadi import cache
 from rhec.core._casadi.c_text import generate_c
 
-PROCESSOR = Path("/proc/cpuinfo")
-
 
 def vector_instructions():
     """The processor's instructions by which libm and NumPy choose how they compute; Linux only."""
-    with contextlib.suppress(OSError), PROCESSOR.open() as description:
+    with contextlib.suppress(OSError), open("/proc/cpuinfo") as description:
         first_core = description.read(8192)
         return {*re.findall(r"\b(?:avx|fma|asimd|sve)\w*", first_core)}
     return set()
@@ -83,7 +81,7 @@ def loop_symbols():
 
 _PACKAGE = Path(__file__).parents[2]
 # Folders whose sources make Functions. An edit of figures, studies or logs compiles nothing anew.
-_ROOMS = (".", "core/*", "tracked_robot", "extensions", "simulation", "simulation/lanes")
+_ROOMS = (".", "core/*", "tracked_robot", "simulation", "simulation/lanes")
 
 
 @functools.cache
@@ -126,15 +124,9 @@ def is_compiled(build, *structure):
 def load(build, *structure):
     """Return the Functions of the dict build(*structure), compiled.
 
-    CasADi generates no C for qpOASES: Functions that call it stay on the virtual machine, as all
-    Functions do where nothing can be compiled.
-
-    Args:
-        build: A function of a module, which returns {name: Function}.
-        structure: Its arguments: strings, numbers, Models and tuples of these.
-
-    Returns:
-        {name: Function}.
+    The structure consists of strings, numbers, Models and tuples of these. CasADi generates no C
+    for qpOASES: Functions that call it stay on the virtual machine, as all Functions do where
+    nothing can be compiled.
     """
     if not compiler():
         return build(*structure)
@@ -179,16 +171,12 @@ def _announce(build):
         print(f"rhec: compiling the {what}, once (some seconds)", file=stream, flush=True)
 
 
-def _calls_qpoases(function):
-    return any(inner.class_name() == "QpoasesInterface" for inner in function.find_functions())
-
-
 def _compile_library(folder, functions):
     """Generate C for the Functions and compile it."""
-    names = {
-        key: None if _calls_qpoases(function) else function.name()
-        for key, function in functions.items()
-    }
+    names = {}
+    for key, function in functions.items():
+        calls = {inner.class_name() for inner in function.find_functions()}
+        names[key] = None if "QpoasesInterface" in calls else function.name()
     entries = [functions[key] for key in names if names[key]]
     (folder / "code.c").write_text(generate_c(entries, "code.c"))
     flags = ["-O2", *FLAGS]
@@ -220,13 +208,13 @@ class BufferedFunction:
 
     def __init__(self, function):
         self.function = function
-        self.arguments = {name: np.zeros(function.nnz_in(name)) for name in function.name_in()}
-        self.results = {name: np.zeros(function.nnz_out(name)) for name in function.name_out()}
         self._buffer, self.call = function.buffer()
-        for i, array in enumerate(self.arguments.values()):
-            self._buffer.set_arg(i, memoryview(array))
-        for i, array in enumerate(self.results.values()):
-            self._buffer.set_res(i, memoryview(array))
+        self.arguments = {}
+        self.results = {}
+        for name in function.name_in():
+            self.read_from(name, np.zeros(function.nnz_in(name)))
+        for name in function.name_out():
+            self.write_to(name, np.zeros(function.nnz_out(name)))
 
     def set(self, **values):
         """Copy in values by name; matrices as (rows, columns)."""

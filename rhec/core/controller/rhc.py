@@ -71,18 +71,10 @@ class Horizon(NamedTuple):
 
     @property
     def references(self):
-        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs.
-
-        Node 0 of x_ref has no weight.
-        """
+        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs."""
         bound = (len(self.command), 1)
-        return dict(
-            s_0=(self.n_s, 1),
-            x_ref=(self.n_x, self.N + 1),
-            u_ref=(self.n_u, self.N),
-            lower=bound,
-            upper=bound,
-        )
+        references = dict(s_0=(self.n_s, 1), x_ref=(self.n_x, self.N + 1), u_ref=(self.n_u, self.N))
+        return references | dict(lower=bound, upper=bound)
 
     @property
     def dynamics(self):
@@ -131,12 +123,9 @@ class StagewiseQP:
     def solve(self, step, inputs):
         """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, where the stages imply H.
 
-        Args:
-            step: {name: row}: gradient `g` and bounds `least`, `most` of the commands' change Δu.
-            inputs: The inputs of the feedback phase, by name.
-
-        Returns:
-            Δu and its multipliers, as rows, and whether they are the solution.
+        `step` holds the gradient g and the bounds least and most of the commands' change Δu, as
+        rows; `inputs` are those of the feedback phase. Returns the rows Δu and its multipliers, and
+        whether they are the solution.
         """
         n_x = self.horizon.n_x
         D = ca.horzsplit(inputs["D"], self.horizon.n_s)
@@ -491,11 +480,9 @@ def _check_command(model, command, bounds):
         ("command", command, model.inputs),
         ("bounds", tuple(bounds), command),
     ):
-        for name in names:
-            if name not in allowed or names.count(name) > 1:
-                expected = f"it should name some of {allowed}, each once"
-                raise ValueError(f"{field} was {valid.shown(names)}; {expected}")
+        if not set(names) <= set(allowed) or len(set(names)) < len(names):
+            valid.refuse(f"{field} was", names, f"it should name some of {allowed}, each once")
     for name, (lowest, highest) in bounds.items():
         if not lowest < highest:
-            expected = "the first should be below the second"
-            raise ValueError(f"bounds of {name!r} were ({lowest}, {highest}); {expected}")
+            pair = (lowest, highest)
+            valid.refuse(f"bounds of {name!r} were", pair, "the first should be below the second")

@@ -14,7 +14,7 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_active_set
+from rhec.core.solver.pivoting import correct_guess, search_active_set
 
 
 def box_lq(N, A_0, D, B, loops):
@@ -128,8 +128,9 @@ def _build_forward(A_0, D_i, B_i):
         u = K @ x + k
         x = (A_0 + D) @ x + B @ u
         multiplier = -(g + R * u + B.T @ (p + P @ x)) * (active != 0)
-        proposed = proposed_bound(active, u, multiplier, lower, upper)
-        first_exchange, n_infeasible = exchange_first(active, proposed, wrong)
+        proposed, first_exchange, n_infeasible = correct_guess(
+            active, u, multiplier, lower, upper, wrong
+        )
         return dict(
             x_after=x,
             u=u,

@@ -3,7 +3,7 @@
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
-from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_active_set
+from rhec.core.solver.pivoting import correct_guess, search_active_set
 
 
 def box_qp(n):
@@ -66,8 +66,7 @@ def _box_qp_by_pivoting(n):
         among_free = ca.diag(free) @ H @ ca.diag(free) + ca.diag(1 - free)
         x = ca.ldl_solve(-free.T * (g.T + H @ fixed.T), *ca.ldl(among_free, False)).T + fixed
         multipliers = -(x @ H + g) * (1 - free)
-        proposed = proposed_bound(active, x, multipliers, lb, ub)
-        first_exchange, n_infeasible = exchange_first(active, proposed, 0)
+        proposed, first_exchange, n_infeasible = correct_guess(active, x, multipliers, lb, ub)
         return dict(
             x=x,
             multipliers=multipliers,

@@ -16,27 +16,21 @@ MAX_SWEEPS = 2**_DOUBLINGS + 1  # guesses before the search gives up; one to thr
 _PATIENCE = 3  # block exchanges that may fail to reduce the number of infeasible variables
 
 
-def proposed_bound(active, x, multiplier, lower, upper):
-    """The bound that each variable's sign condition asks for: 1 upper, -1 lower, 0 none.
+def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
+    """Correct a guess of the active set by the sign conditions of its solution.
 
     A free variable beyond a bound is fixed there; one at a bound stays if its multiplier presses it
-    against that bound.
+    against that bound. Returns the guess with all infeasible variables exchanged, the guess (a
+    list) with the first one exchanged unless one of the earlier stages is infeasible, and how many
+    are infeasible so far.
     """
     violated = (x > upper) - (x < lower)
-    return ca.if_else(active == 0, violated, active * (active * multiplier >= 0))
-
-
-def exchange_first(active, proposed, n_infeasible):
-    """Exchange only the first infeasible variable of the guess, and count the infeasible ones.
-
-    `n_infeasible` variables of earlier stages are infeasible; if any is, the guess stays. Returns
-    the guess as a list, and the number of infeasible variables so far.
-    """
-    guess = []
+    proposed = ca.if_else(active == 0, violated, active * (active * multiplier >= 0))
+    first_exchange = []
     for i in range(active.numel()):
-        guess.append(ca.if_else(n_infeasible, active[i], proposed[i]))
+        first_exchange.append(ca.if_else(n_infeasible, active[i], proposed[i]))
         n_infeasible = n_infeasible + (proposed[i] != active[i])
-    return guess, n_infeasible
+    return proposed, first_exchange, n_infeasible
 
 
 def search_active_set(name, N, solve, problem):

@@ -154,11 +154,7 @@ class RealTimeLoop:
 
 
 def copy_checked(name, value, array):
-    """Copy an argument into its array.
-
-    Raises:
-        ValueError: if its shape does not fit, or if it is not numeric.
-    """
+    """Copy an argument into its array; refuse one of another shape, or one that is not numeric."""
     shape = getattr(value, "shape", None)
     try:
         if shape is None and isinstance(value, tuple) and array.shape == (len(value),):
