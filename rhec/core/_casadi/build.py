@@ -36,12 +36,9 @@ def _argument(name, shape, kind, symbols):
         return type(shape)(**_argument(name, shape._asdict(), kind, symbols))
     if isinstance(shape, dict):
         return {key: _argument(key, entry, kind, symbols) for key, entry in shape.items()}
-    symbols[name] = kind.sym(name, _sparsity(shape))
+    sparsity = shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
+    symbols[name] = kind.sym(name, sparsity)
     return symbols[name]
-
-
-def _sparsity(shape):
-    return shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
 
 
 def short_cut(flag):

@@ -24,10 +24,12 @@ import numpy as np
 from rhec.core._casadi import cache
 from rhec.core._casadi.c_text import generate_c
 
+PROCESSOR = Path("/proc/cpuinfo")
+
 
 def vector_instructions():
     """The processor's instructions by which libm and NumPy choose how they compute; Linux only."""
-    with contextlib.suppress(OSError), open("/proc/cpuinfo") as description:
+    with contextlib.suppress(OSError), PROCESSOR.open() as description:
         first_core = description.read(8192)
         return {*re.findall(r"\b(?:avx|fma|asimd|sve)\w*", first_core)}
     return set()
@@ -94,17 +96,8 @@ def source_digest(*modules):
 
 def library_name(build, structure, *more):
     """The name of the compiled Functions of build(*structure): a digest of all that makes them."""
-    origin = (
-        build.__module__,
-        build.__name__,
-        _key(structure),
-        source_digest(build.__module__),
-        ca.__version__,
-        compiler(),
-        FLAGS,
-        platform.machine(),
-        *more,
-    )
+    code = (build.__module__, build.__name__, _key(structure), source_digest(build.__module__))
+    origin = (*code, ca.__version__, compiler(), FLAGS, platform.machine(), *more)
     return hashlib.sha256(repr(origin).encode()).hexdigest()[:24]
 
 

@@ -36,19 +36,23 @@ class Estimate(_Arrays):
         return "\n".join(("Estimate", *lines))
 
 
+def _by_name(model, parameter, values):
+    """The values of each state, then of each parameter, by name."""
+    names = (*model.states, *model.parameters)
+    of_length(parameter, values, len(names), "state, then each parameter")
+    return dict(zip(names, values))
+
+
 def noise_of(model, sigma_v, sigma_w):
     """Variances V (n_z,) and W (n_s,), and constants c of noise by motion, if any, by name.
 
     sigma_v (n_z,) are standard deviations of the measurements, sigma_w (n_x + n_p,) those of the
     process noise per sample.
     """
-    n_x = len(model.states)
-    n_p = len(model.parameters)
     of_length("sigma_v", sigma_v, len(model.outputs), "output")
-    of_length("sigma_w", sigma_w, n_x + n_p, "state, then each parameter")
+    sigma_w = _by_name(model, "sigma_w", sigma_w)
     # Each interval replaces the last inputs in the joint state: they have no process noise.
-    inputs = (0.0,) * (model.n_s - n_x - n_p)
-    W = np.square([*sigma_w[:n_x], *inputs, *sigma_w[n_x:]])
+    W = np.square([sigma_w.get(name, 0.0) for name in model.joint_names])
     settings = dict(V=np.square(sigma_v), W=W)
     if model.motion_noise:
         settings["c"] = np.array([*model.motion_noise.constants.values()])
@@ -57,17 +61,14 @@ def noise_of(model, sigma_v, sigma_w):
 
 def joint_guess(model, guess, sigma):
     """First joint state (n_s,) and its standard deviations (n_s,), from those of (x, p)."""
-    n_x = len(model.states)
-    n_p = len(model.parameters)
-    of_length("guess", guess, n_x + n_p, "state, then each parameter")
-    of_length("sigma_guess", sigma, n_x + n_p, "state, then each parameter")
-    for name, value in zip(model.parameters, guess[n_x:]):
-        bounds = model.parameters[name]
-        if bounds and not bounds[0] <= value <= bounds[1]:
-            raise ValueError(f"guess of {name!r} was {value}; it should be within {bounds}")
-    n_inputs = model.n_s - n_x - n_p
-    mean = np.array([*guess[:n_x], *[0.0] * n_inputs, *guess[n_x:]])
-    return mean, np.array([*sigma[:n_x], *[SIGMA_UNMEASURED] * n_inputs, *sigma[n_x:]])
+    guess = _by_name(model, "guess", guess)
+    sigma = _by_name(model, "sigma_guess", sigma)
+    for name, bounds in model.parameters.items():
+        if bounds and not bounds[0] <= guess[name] <= bounds[1]:
+            raise ValueError(f"guess of {name!r} was {guess[name]}; it should be within {bounds}")
+    names = model.joint_names
+    mean = np.array([guess.get(name, 0.0) for name in names])
+    return mean, np.array([sigma.get(name, SIGMA_UNMEASURED) for name in names])
 
 
 def joint_estimate(model, values, covariance):

@@ -49,14 +49,9 @@ class Memory(NamedTuple):
     P: Any  # (n_s, n_s) covariance of the arrival cost
 
 
-# A node before its measurement: mean m, covariance P, last input v, and B = ∂s/∂v.
-Prediction = namedtuple("Prediction", "B v m P")
-
-# Intervals s⁺ = F + (A_0 + D) (s - s̄) + B (v - v̄), one or all of the window side by side.
-Linearised = namedtuple("Linearised", "F D B")
-
-# Kalman updates, of one node or several side by side: gains K, weighted innovations e.
-Correction = namedtuple("Correction", "K e")
+# Intervals s⁺ = F + (A_0 + D) (s - s̄) + B (v - v̄), with gains K and weighted innovations e of the
+# Kalman update of the node before each; one interval, or all of the window side by side.
+Filtered = namedtuple("Filtered", "F D B K e")
 
 # The solution of the QP: the last Kalman update, multipliers of the bounds, and success.
 Constrained = namedtuple("Constrained", "K_N e_N multipliers ok")
@@ -78,12 +73,12 @@ class Window(NamedTuple):
 
     @property
     def shapes(self):
-        """Shapes (rows, columns) of s, of its covariance, of v, z, a node's Correction, and θ."""
+        """Shapes (rows, columns) of s, of its covariance, of v, z, a node's K and e, and θ."""
         n_s = self.interval.n_s
         v = (self.interval.n_v, 1)
         z = (len(self.model.outputs), 1)
         rows = len(self.interval.outputs)
-        correction = Correction(K=(n_s, rows), e=(rows, 1))
+        correction = dict(K=(n_s, rows), e=(rows, 1))
         theta = (len(self.interval.bounds), 1)
         return (n_s, 1), (n_s, n_s), v, z, correction, theta
 
@@ -114,7 +109,7 @@ class Window(NamedTuple):
 
     @property
     def prediction(self):
-        """Shapes of the Prediction of node N, by name."""
+        """Shapes of node N before its measurement: B = ∂s/∂v, last input v, mean and covariance."""
         s, P, v, *_ = self.shapes
         return dict(B_N=self.interval.sparsities["B"], v_N=v, m_N=s, P_N=P)
 
@@ -196,15 +191,17 @@ def _build_shift(window):
 # Linearise: a Kalman filter from the oldest node to the newest, whose measurement is to come.
 
 
-def _build_filter_step(window):
+def _build_linearise(window, loops):
     interval = window.interval
+    N = window.N
     s, P, v, z, *_ = window.shapes
-    before = dict(B=window.interval.sparsities["B"], v_before=v, m=s, P=P)
+    B_0 = interval.sparsities["B"]
+    before = dict(B=B_0, v_before=v, m=s, P=P)
 
     @casadi_function("rhe_filtered")
     def filter_step(before: before, z: z, s: s, v: v, dt_s: (1, 1), noise: window.noise):
         """One node: the input before it, its measurement, then the interval after it."""
-        B, v_before, m, P = Prediction(*before.values())
+        B, v_before, m, P = before.values()
         m, P = predict_input(window, B, m, P, v_before, z, **noise)
         m, P, K, e, _ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
         F, D, B = interval.linearised(s, v, dt_s)
@@ -213,34 +210,21 @@ def _build_filter_step(window):
         P = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
 
-    return filter_step
-
-
-def _build_linearise(window, loops):
-    N = window.N
-    n_v = window.interval.n_v
-    filter_step = _build_filter_step(window)
-
     @casadi_function("rhe_linearise", loops)
     def linearise(memory: Memory(**window.memory), noises: window.noises):
-        """Linearised and Correction of the whole window, Prediction of node N, and s̄_N."""
-        s = ca.horzsplit(memory.s)
-        v = ca.horzsplit(memory.v)
-        z = ca.horzsplit(memory.z)
+        """Filtered of the whole window, the prediction of node N, and s̄_N."""
+        s, v, z = map(ca.horzsplit, (memory.s, memory.v, memory.z))
         nodes = []
         # No input acts before the oldest node.
-        B_before = ca.DM(window.interval.sparsities["B"], 0)
-        before = dict(B=B_before, v_before=ca.DM.zeros(n_v), m=memory.m, P=memory.P)
+        before = dict(B=ca.DM(B_0, 0), v_before=ca.DM.zeros(*v[0].shape), m=memory.m, P=memory.P)
         for i in range(N):
             dt_s = window.dt_s * (memory.age >= N - i)
             noise = window.at(i, **noises)
             node = filter_step(**before, z=z[i], s=s[i], v=v[i], dt_s=dt_s, **noise)
             before = dict(B=node["B"], v_before=v[i], m=node["m"], P=node["P"])
             nodes.append(node)
-        stacked = (*Linearised._fields, *Correction._fields)
-        window_wide = {name: ca.horzcat(*(node[name] for node in nodes)) for name in stacked}
-        prediction = dict(zip(window.prediction, before.values()))
-        return window_wide | prediction | dict(s_N=s[N])
+        filtered = {name: ca.horzcat(*(node[name] for node in nodes)) for name in Filtered._fields}
+        return filtered | dict(zip(window.prediction, before.values()), s_N=s[N])
 
     return linearise
 
@@ -257,7 +241,7 @@ def _build_update_newest(window):
     @casadi_function("rhe_newest")
     def update_newest(prediction: window.prediction, s_N: s, z_N: z, noise: window.noise):
         """Kalman update by z_N, and the QP  min ½ (θ - θ̂)' H (θ - θ̂) with H = (C P C')⁻¹."""
-        B, v, m, P = Prediction(*prediction.values())
+        B, v, m, P = prediction.values()
         m, P = predict_input(window, B, m, P, v, z_N, **noise)
         m, P, K, e, deviance = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
         P_theta = C @ P @ C.T
@@ -275,8 +259,8 @@ def _build_condition(window, quantities):
     interval = window.interval
     s, P, v, z, correction, theta = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
-    K, e = correction
-    newest = dict(s_N=s, B_N=window.interval.sparsities["B"], v_N=v, z_N=z, K_N=K, e_N=e)
+    newest = dict(s_N=s, B_N=interval.sparsities["B"], v_N=v, z_N=z)
+    newest |= dict(K_N=correction["K"], e_N=correction["e"])
     C, lower, upper = _bounded(interval)
 
     @casadi_function("rhe_bounded")
@@ -299,7 +283,7 @@ def _build_condition(window, quantities):
         if not quantities:
             # The last input as estimated; as measured where that is not finite.
             adjoint = C.T @ multipliers
-            adjoint = adjoint_before_update(window, adjoint, Correction(K_N, e_N), s_N)
+            adjoint = adjoint_before_update(interval.outputs, adjoint, K_N, e_N, s_N)
             v_new = v - R_v * (B_N.T @ adjoint)
             v = ca.if_else(ok * is_plausible(v_new), v_new, v)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
@@ -339,35 +323,17 @@ def _build_feedback(window, quantities, loops):
     return feedback
 
 
-def adjoint_before_update(window, adjoint, correction, s_bar):
+def adjoint_before_update(outputs, adjoint, K, e, s_bar):
     """The adjoint λ before a node's measurements, from the one after them (Bryson-Frazier).
 
     λ - H' (K' λ + e) for one scalar measurement after the other, the last first.
     """
-    K, e = correction
-    for i, output in reversed(list(enumerate(window.interval.outputs))):
+    for i, output in reversed(list(enumerate(outputs))):
         adjoint = adjoint - output.H(s_bar).T @ (K[:, i].T @ adjoint + e[i])
     return adjoint
 
 
 # Expand: the multipliers run backwards through the window, the new solution forwards.
-
-
-def _build_backward(window):
-    interval = window.interval
-    s, _, v, z, correction, _ = window.shapes
-    _, D, B = window.interval.sparsities.values()
-
-    @casadi_function("rhe_backward")
-    def backward(
-        adjoint: s, D: D, B: B, correction: correction, s: s, v: v, z: z, noise: window.noise
-    ):
-        """λ_i = A' λ and the new input v_m - R_v B' λ of one interval, from the node s after it."""
-        adjoint = adjoint_before_update(window, adjoint, correction, s)
-        v_m, R_v = interval.input_noise(z, v, **noise)
-        return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=(interval.A_0 + D).T @ adjoint)
-
-    return backward
 
 
 def _descent(outputs, new, old, s_bar, z, V):
@@ -380,42 +346,45 @@ def _descent(outputs, new, old, s_bar, z, V):
     return total
 
 
-def _build_oldest(window):
-    s, P, _, z, correction, _ = window.shapes
+def _build_passes(window):
+    """One interval backward, the oldest node, and one interval forward, as Functions."""
+    interval = window.interval
+    outputs = interval.outputs
+    noise = window.noise
+    s, P, v, z, update, _ = window.shapes
+    F, D, B = interval.sparsities.values()
+
+    @casadi_function("rhe_backward")
+    def backward(adjoint: s, D: D, B: B, update: update, s: s, v: v, z: z, noise: noise):
+        """λ_i = A' λ and the new input v_m - R_v B' λ of one interval, from the node s after it."""
+        adjoint = adjoint_before_update(outputs, adjoint, *update.values(), s)
+        v_m, R_v = interval.input_noise(z, v, **noise)
+        return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=(interval.A_0 + D).T @ adjoint)
 
     @casadi_function("rhe_oldest")
-    def oldest(adjoint: s, correction: correction, m: s, P: P, s: s, z: z, noise: window.noise):
+    def oldest(adjoint: s, update: update, m: s, P: P, s: s, z: z, noise: noise):
         """The oldest node's new state m - P λ, and its part of ∇J·Δw, the arrival cost's too."""
-        s_new = m - P @ adjoint_before_update(window, adjoint, correction, s)
+        s_new = m - P @ adjoint_before_update(outputs, adjoint, *update.values(), s)
         arrival = ca.dot(ca.ldl_solve(s - m, *ca.ldl(P, False)), s_new - s)  # H_N = P⁻¹
-        measured = _descent(window.interval.outputs, s_new, s, s, z, noise["V"])
-        return dict(s_new=s_new, descent=arrival + measured)
-
-    return oldest
-
-
-def _build_forward(window):
-    interval = window.interval
-    s, _, v, z, *_ = window.shapes
-    end = Linearised(**window.interval.sparsities)
-    noise = window.noise
+        return dict(s_new=s_new, descent=arrival + _descent(outputs, s_new, s, s, z, noise["V"]))
 
     @casadi_function("rhe_forward")
-    def forward(new: s, old: s, end: end, s: s, s_after: s, v: v, v_new: v, z: z, noise: noise):
+    def forward(
+        new: s, old: s, F: F, D: D, B: B, s: s, s_after: s, v: v, v_new: v, z: z, noise: noise
+    ):
         """One interval of the new solution, and of the old inputs, with the interval's gap closed.
 
         The step Δw = new - old starts from the old inputs' trajectory without gaps, because the
         linearisation point itself need not satisfy the dynamics.
         """
-        F, D, B = end
         A = interval.A_0 + D
         new = F + A @ (new - s) + B @ (v_new - v)
         old = F + A @ (old - s)
         v_m, R_v = interval.input_noise(z, v, **noise)
-        descent = _descent(interval.outputs, new, old, s_after, z, noise["V"])
+        descent = _descent(outputs, new, old, s_after, z, noise["V"])
         return dict(new=new, old=old, descent=descent + ca.dot((v - v_m) / R_v, v_new - v))
 
-    return forward
+    return backward, oldest, forward
 
 
 def _build_accepted(window):
@@ -443,25 +412,24 @@ def _build_accepted(window):
     return accepted
 
 
-def _split(window, z, noises, linearised, correction, constrained):
-    """Of each node the measurements (z, V, c) and the Correction; of each interval F, D and B."""
+def _split(window, z, noises, filtered, constrained):
+    """Of each node the measurements (z, V, c) and the update (K, e); of each interval F, D, B."""
     interval = window.interval
-    K = [*ca.horzsplit(correction.K, len(interval.outputs)), constrained.K_N]
-    e = [*ca.horzsplit(correction.e), constrained.e_N]
     z = ca.horzsplit(z)
     measured = [(z[i], *window.at(i, **noises).values()) for i in range(window.N + 1)]
-    intervals = map(ca.horzsplit, linearised, (1, interval.n_s, interval.n_v))
-    return measured, list(zip(K, e)), list(zip(*intervals))
+    widths = (1, interval.n_s, interval.n_v, len(interval.outputs), 1)
+    F, D, B, K, e = map(ca.horzsplit, filtered, widths)
+    updates = list(zip([*K, constrained.K_N], [*e, constrained.e_N]))
+    return measured, updates, list(zip(F, D, B))
 
 
-def _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections):
+def _sweep_backward(backward, adjoint, intervals, s, v, measured, updates):
     """New inputs of all intervals, and the adjoint after the measurements of node 0."""
     v_new = [None] * len(v)
     for i in reversed(range(len(v))):
         _, D, B = intervals[i]
-        v_new[i], adjoint = backward(
-            adjoint, D, B, *corrections[i + 1], s[i + 1], v[i], *measured[i + 1]
-        )
+        node = (*updates[i + 1], s[i + 1], v[i], *measured[i + 1])
+        v_new[i], adjoint = backward(adjoint, D, B, *node)
     return v_new, adjoint
 
 
@@ -481,43 +449,31 @@ def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
 def _build_expand(window, linearise, feedback, loops):
     N = window.N
     C, lower, upper = _bounded(window.interval)
-    backward = _build_backward(window)
-    oldest = _build_oldest(window)
-    forward = _build_forward(window)
+    backward, oldest, forward = _build_passes(window)
     accepted = _build_accepted(window)
     memory = Memory(**window.memory)
     z_N = (memory.z[0], 1)
-    linearised = Linearised(*map(linearise.sparsity_out, Linearised._fields))
-    correction = Correction(*map(linearise.sparsity_out, Correction._fields))
-    constrained = Constrained(*map(feedback.sparsity_out, Constrained._fields))
+    noises = window.noises
+    filtered = Filtered(*map(linearise.sparsity_out, Filtered._fields))
+    solved = Constrained(*map(feedback.sparsity_out, Constrained._fields))
 
     @casadi_function("rhe_expand", loops)
     def expand(
-        memory: memory,
-        noises: window.noises,
-        P_0: memory.m,
-        linearised: linearised,
-        correction: correction,
-        constrained: constrained,
-        z_N: z_N,
+        memory: memory, noises: noises, P_0: memory.m, filtered: filtered, solved: solved, z_N: z_N
     ):
         """All other unknowns of the window, and the KKT tolerance of the linearisation point."""
         memory = memory._replace(z=ca.horzcat(memory.z[:, :N], z_N))
         s = ca.horzsplit(memory.s)
         v = ca.horzsplit(memory.v)
-        measured, corrections, intervals = _split(
-            window, memory.z, noises, linearised, correction, constrained
-        )
-        adjoint = ca.densify(C.T @ constrained.multipliers)
-        v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections)
-        first, descent = oldest(adjoint, *corrections[0], memory.m, memory.P, s[0], *measured[0])
+        measured, updates, intervals = _split(window, memory.z, noises, filtered, solved)
+        adjoint = ca.densify(C.T @ solved.multipliers)
+        v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, updates)
+        first, descent = oldest(adjoint, *updates[0], memory.m, memory.P, s[0], *measured[0])
         s_new, descent = _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured)
         theta = C @ s[N]
-        kkt = gauss_newton.kkt_tolerance(
-            descent, constrained.multipliers, lower - theta, upper - theta
-        )
+        kkt = gauss_newton.kkt_tolerance(descent, solved.multipliers, lower - theta, upper - theta)
         solution = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
-        good = constrained.ok * is_plausible(s_new[N])
+        good = solved.ok * is_plausible(s_new[N])
         pieces = memory._asdict() | solution
         return accepted(**pieces, good=good, P_0=P_0) | dict(kkt=kkt)
 
