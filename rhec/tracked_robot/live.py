@@ -120,6 +120,7 @@ class PaperRHE(rhe.RHE):
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = self._estimator.init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
+        self._inputs = dict(z=self.iteration.arrays["z_N"])
 
     def __repr__(self):
         sigmas = {name: np.array2string(np.sqrt(self.settings[name])) for name in "VW"}
@@ -133,7 +134,8 @@ class PaperRHE(rhe.RHE):
             f"  measurements: sigma of ({', '.join(self.model.outputs)}) {sigmas['V']}"
         )
 
-    def _start(self, z):
+    def _start(self):
+        z = self._inputs["z"]
         plausible = np.abs(z) <= self.model.limits
         guess = self._guess
         sigma = SIGMA_START

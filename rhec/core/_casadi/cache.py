@@ -48,7 +48,9 @@ def load_or_build(name, build, load):
     reasons = []
     for root in _roots():
         try:
-            _make_private(root)
+            root.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not _is_private(root):
+                raise OSError(f"{root} belongs to another user or others can write to it")
             if not _is_whole(root / name):
                 _build(root, name, build)
             loaded = load(root / name)
@@ -66,13 +68,6 @@ def _roots():
     cache = os.environ.get("RHEC_CACHE") or platformdirs.user_cache_path("rhec")
     temporary = Path(os.environ.get("TMPDIR") or tempfile.gettempdir())
     return Path(os.path.realpath(cache)), temporary.resolve() / f"rhec-{os.geteuid()}"
-
-
-def _make_private(root):
-    """Make the private folder; refuse one that others own or can write to."""
-    root.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not _is_private(root):
-        raise OSError(f"{root} belongs to another user or others can write to it")
 
 
 def _is_private(root):

@@ -89,11 +89,9 @@ _T = TypeVar("_T")
 def plain_signature(function, hints):
     """The signature with plain types: `float` for an Annotated float with its limits."""
     full = signature(function)
-    parameters = [
-        parameter.replace(annotation=hints.get(parameter.name, parameter.annotation))
-        for parameter in full.parameters.values()
-    ]
-    return full.replace(parameters=parameters)
+    parameters = full.parameters.values()
+    plain = [p.replace(annotation=hints.get(p.name, p.annotation)) for p in parameters]
+    return full.replace(parameters=plain)
 
 
 def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:

@@ -22,7 +22,7 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked, run_phases
+from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
 
 
 class Horizon(NamedTuple):
@@ -134,15 +134,13 @@ class StagewiseQP:
         u = _row_of_commands(inputs["u"], self.horizon)
         at_upper = u >= _for_all_samples(inputs["upper"], self.horizon)
         at_lower = u <= _for_all_samples(inputs["lower"], self.horizon)
-        solution = self._solve(
+        stages = dict(
             D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
             B=ca.horzcat(*(part[:n_x, self._command] for part in B)),
             **{name: inputs[name] for name in self.horizon.weights},
-            g=step["g"],
-            lower=step["least"],
-            upper=step["most"],
-            active=at_upper - at_lower,
         )
+        bounds = dict(lower=step["least"], upper=step["most"])
+        solution = self._solve(**stages, g=step["g"], **bounds, active=at_upper - at_lower)
         return solution["x"], solution["multipliers"], solution["ok"]
 
 
@@ -386,13 +384,9 @@ class RHC(RealTimeLoop):
         """Load the compiled phases and name views of their input arrays."""
         self.problem = horizon
         self.horizon = horizon.N
-        self.settings = dict(
-            Q=np.array(q),
-            QN=qn_factor * np.array(q),
-            R=np.array(r),
-            lower=np.clip(lower, -MAX_QP_ENTRY, MAX_QP_ENTRY),
-            upper=np.clip(upper, -MAX_QP_ENTRY, MAX_QP_ENTRY),
-        )
+        lower, upper = np.clip((lower, upper), -MAX_QP_ENTRY, MAX_QP_ENTRY)
+        Q = np.array(q)
+        self.settings = dict(Q=Q, QN=qn_factor * Q, R=np.array(r), lower=lower, upper=upper)
         # All of the memory is unknown to the problem: predicted states and planned inputs.
         memory = tuple(horizon.memory)
         functions = compiled.load(build_phases, horizon)
@@ -450,13 +444,10 @@ class RHC(RealTimeLoop):
         self.iteration.solve(iterations)
         return self.u_plan[:, 0]
 
-    def _set_inputs(self, **values):
-        for name, value in values.items():
-            copy_checked(name, value, self._inputs[name])
-        # The first sample has no previous plan: start from a robot that stays where it is.
-        if not self.iteration.started:
-            x, p = list(self._inputs.values())[:2]
-            self.iteration.start(init(self.problem, x, p))
+    def _start(self):
+        # There is no previous plan: start from a robot that stays where it is.
+        x, p = list(self._inputs.values())[:2]
+        self.iteration.start(init(self.problem, x, p))
 
     @property
     def u_plan(self) -> np.ndarray:

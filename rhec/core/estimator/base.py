@@ -1,6 +1,6 @@
 """What estimators of any Model share: first guess, noise, and the estimate they return."""
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -8,14 +8,7 @@ from rhec.core._casadi.validation import of_length
 from rhec.core.model.base import SIGMA_UNMEASURED
 
 
-class _Arrays(NamedTuple):
-    x: np.ndarray
-    u: np.ndarray
-    p: np.ndarray
-    covariance: np.ndarray
-
-
-class Estimate(_Arrays):
+class Estimate(namedtuple("Estimate", "x u p covariance")):
     """An estimate of a Model: states x, inputs u of the last interval, parameters p.
 
     `covariance` (n_x + n_p, n_x + n_p) is that of (x, p).

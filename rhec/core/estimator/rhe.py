@@ -30,7 +30,7 @@ from rhec.core.model.base import Model
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
-from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked, run_phases
+from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, run_phases
 
 ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
 
@@ -519,22 +519,17 @@ def compose(name, phases, memory, kind):
     return step
 
 
-def init(window, guess, sigma, inputs=None):
+def init(window, guess, sigma, inputs=0.0):
     """Memory before the first sample, by name, with the shapes of `Window.memory`.
 
     It holds a guess (n_s,) of the joint state, its standard deviations sigma (n_s,), and the inputs
     (n_v,) before the first sample, by default 0.
     """
-    inputs = np.zeros(window.interval.n_v) if inputs is None else np.asarray(inputs)
-    memory = Memory(
-        s=np.tile(guess, (window.N + 1, 1)).T,
-        v=np.tile(inputs, (window.N, 1)).T,
-        z=np.full((len(window.model.outputs), window.N + 1), np.nan),
-        age=-1.0,
-        m=np.asarray(guess),
-        P=np.diag(np.square(sigma)),
-    )
-    return memory._asdict()
+    N = window.N
+    s = np.full((N + 1, window.interval.n_s), guess).T
+    v = np.full((N, window.interval.n_v), inputs).T
+    z = np.full((len(window.model.outputs), N + 1), np.nan)
+    return dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
 
 
 class RHE(RealTimeLoop):
@@ -584,6 +579,7 @@ class RHE(RealTimeLoop):
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **settings)
+        self._inputs = dict(z=self.iteration.arrays["z_N"])
 
     def __repr__(self) -> str:
         started = "started" if self.iteration.started else "not started"
@@ -599,7 +595,7 @@ class RHE(RealTimeLoop):
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p) without the bounds.
         """
-        self._set_measurement(z)
+        self._set_inputs(z=z)
         self.iteration.feedback()
         return self._estimate()
 
@@ -613,16 +609,11 @@ class RHE(RealTimeLoop):
         Returns:
             Estimate, as `feedback`.
         """
-        self._set_measurement(z)
+        self._set_inputs(z=z)
         self.iteration.solve(iterations)
         return self._estimate()
 
-    def _set_measurement(self, z):
-        copy_checked("z", z, self.iteration.arrays["z_N"])
-        if not self.iteration.started:
-            self._start(self.iteration.arrays["z_N"])
-
-    def _start(self, z):
+    def _start(self):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))
 
     def _estimate(self) -> Estimate:

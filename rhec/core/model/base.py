@@ -285,7 +285,8 @@ class Interval(NamedTuple):
                 variance.append(ca.if_else(is_valid, V[row], _SIGMA_HELD**2))
             else:
                 others = self.mixing_outputs[place]
-                n_valid = sum((is_valid_measurement(z[row], limit) for row, limit in others), 0)
+                valid = [is_valid_measurement(z[row], limit) for row, limit in others]
+                n_valid = sum(valid, ca.SX(0))
                 mean.append(v[place])
                 variance.append(ca.if_else(n_valid, SIGMA_UNMEASURED**2, _SIGMA_HELD**2))
         noise = ca.vertcat(*mean), ca.vertcat(*variance)

@@ -8,8 +8,6 @@ bound, one Riccati recursion solves for the others; `pivoting` corrects the gues
 the active set of the previous solution.
 """
 
-from functools import partial
-
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
@@ -37,7 +35,8 @@ def box_lq(N, A_0, D, B, loops):
     def solve(D, B, Q, QN, R, g, lower, upper, active):
         D = ca.horzsplit(D, n)
         B = ca.horzsplit(B, m)
-        g, lower, upper, active = map(partial(_columns, m=m), (g, lower, upper, active))
+        rows = (g, lower, upper, active)
+        g, lower, upper, active = ([part.T for part in ca.horzsplit(row, m)] for row in rows)
         P = [None] * N + [ca.diag(QN)]
         p = [None] * N + [ca.DM.zeros(n)]
         policies = [None] * N
@@ -65,11 +64,6 @@ def box_lq(N, A_0, D, B, loops):
         )
 
     return search_active_set("box_lq", N * m, solve, problem)
-
-
-def _columns(row, m):
-    """The row (1, N·m) as N columns (m, 1)."""
-    return [part.T for part in ca.horzsplit(row, m)]
 
 
 def _build_backward(A_0, D_i, B_i):

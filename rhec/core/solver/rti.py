@@ -122,7 +122,7 @@ class RealTimeIteration:
 
 
 class RealTimeLoop:
-    """What RHE and RHC objects share; subclasses set `iteration`."""
+    """What RHE and RHC objects share; subclasses set `iteration` and `_inputs`, views by name."""
 
     iteration: RealTimeIteration
     # Returns the class that stands in where no model is passed; `rhec` sets it on RHE and RHC.
@@ -140,6 +140,13 @@ class RealTimeLoop:
     def prepare(self) -> None:
         """Do all work that is possible before the next sample (paper: preparation part)."""
         self.iteration.prepare()
+
+    def _set_inputs(self, **values):
+        """Copy the new data in; the first ones also start the iteration."""
+        for name, value in values.items():
+            copy_checked(name, value, self._inputs[name])
+        if not self.iteration.started:
+            self._start()
 
     @property
     def ok(self) -> bool:
