@@ -96,10 +96,9 @@ def build_phases(horizon):
     qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
     roll_out = _build_roll_out(horizon)
     gradient = _build_gradient(horizon, roll_out)
-    linearise = _build_linearise(horizon, qp)
+    shift, linearise = _build_preparation(horizon, qp)
     feedback = _build_feedback(horizon, linearise, gradient, qp)
     expand = _build_expand(horizon, feedback, roll_out)
-    shift = _build_shift(horizon)
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     return phases | dict(step=_build_step(horizon, phases))
 
@@ -162,20 +161,14 @@ def _planned(horizon, commands, u_ref):
     return ca.vertcat(*rows)
 
 
-def _build_shift(horizon):
-    """The plan moves on by one sample."""
+def _build_preparation(horizon, qp):
+    """The plan moved on by one sample; the dynamics along it, and what the QP can prepare."""
+    N = horizon.N
 
     @casadi_function("rhc_shift", **horizon.memory)
     def shift(s, u):
         s, u = gauss_newton.shift(horizon.interval, s, u, horizon.dt_s)
         return dict(s=s, u=u)
-
-    return shift
-
-
-def _build_linearise(horizon, qp):
-    """The dynamics along the plan, and what the QP can prepare."""
-    N = horizon.N
 
     @casadi_function("rhc_linearise", horizon.loops, **horizon.memory, **horizon.weights)
     def linearise(s, u, Q, QN, R):
@@ -184,7 +177,7 @@ def _build_linearise(horizon, qp):
         F, D, B = horizon.interval.linearised.map(N)(s[:, :N], u, dt_s)
         return dict(F=F, D=D, B=B) | qp.prepare(D, B, Q, QN, R)
 
-    return linearise
+    return shift, linearise
 
 
 def _build_roll_out(horizon):
@@ -251,11 +244,9 @@ def _build_gradient(horizon, roll_out):
     def gradient(s, u, F, D, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
         plan = _planned(horizon, [u[place, :] for place in command], u_ref)
         nodes = roll_out(s, u, F, D, B, s_0, plan)
-        ref = ca.horzsplit(x_ref)
         D = ca.horzsplit(D, horizon.n_s)
         B = ca.horzsplit(B, horizon.n_u)
-        u = ca.horzsplit(plan)
-        u_ref = ca.horzsplit(u_ref)
+        ref, u, u_ref = map(ca.horzsplit, (x_ref, plan, u_ref))
         adjoint = ca.DM.zeros(horizon.n_s)  # λ_N
         g = [None] * N
         weight = QN  # of node N; node 0 has none, since no input moves it

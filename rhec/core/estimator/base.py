@@ -18,15 +18,13 @@ class Estimate(namedtuple("Estimate", "x u p covariance")):
 
     def __repr__(self) -> str:
         n_x = len(self.x)
-        variances = np.diag(self.covariance)
-        nothing = [np.nan] * len(self.u)  # inputs have no covariance
-        sigma = [*np.sqrt(variances[:n_x]), *nothing, *np.sqrt(variances[n_x:])]
-        values = [*self.x, *self.u, *self.p]
-        lines = (
-            f"    {name}: {value:.4g}" + ("" if np.isnan(deviation) else f" ± {deviation:.2g}")
-            for name, value, deviation in zip(self.names, values, sigma)
-        )
-        return "\n".join(("Estimate", *lines))
+        sigma = np.sqrt(np.diag(self.covariance))
+        sigma = [*sigma[:n_x], *[np.nan] * len(self.u), *sigma[n_x:]]  # inputs have no covariance
+        text = "Estimate"
+        for name, value, deviation in zip(self.names, [*self.x, *self.u, *self.p], sigma):
+            tolerance = "" if np.isnan(deviation) else f" ± {deviation:.2g}"
+            text += f"\n    {name}: {value:.4g}{tolerance}"
+        return text
 
 
 def _by_name(model, parameter, values):

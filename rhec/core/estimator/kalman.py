@@ -4,21 +4,15 @@ RHE and EKF share it. Scalar updates need no matrix inverse, and a missing measu
 rather than replaced.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import casadi as ca
 
 from rhec.core.solver.gauss_newton import symmetric
 
-
-class Update(NamedTuple):
-    """The corrected mean m (n,) and covariance P (n, n), and how they came about."""
-
-    m: Any
-    P: Any
-    K: Any  # (n, n_outputs) gains
-    e: Any  # (n_outputs,) weighted innovations y / S
-    deviance: Any  # -2 log likelihood of z, up to a constant
+# The corrected mean m (n,) and covariance P (n, n), gains K (n, n_outputs), weighted innovations
+# e = y / S (n_outputs,), and the deviance, -2 log likelihood of z up to a constant.
+Update = namedtuple("Update", "m P K e deviance")
 
 
 def update(m, P, z, V, outputs, s_bar):

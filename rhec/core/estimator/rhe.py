@@ -125,12 +125,8 @@ def predict_input(window, B, m, P, v, z, **noise):
 
 def _bounded(interval):
     """Matrix C of zeros and ones that selects the bounded parameters θ = C s, and their bounds."""
-    n_theta = len(interval.bounds)
-    C = ca.DM.triplet(
-        range(n_theta), [*interval.bounds], ca.DM.ones(n_theta), n_theta, interval.n_s
-    )
-    lower = ca.DM([bound[0] for bound in interval.bounds.values()])
-    upper = ca.DM([bound[1] for bound in interval.bounds.values()])
+    C = ca.DM.eye(interval.n_s)[[*interval.bounds], :]
+    lower, upper = (ca.DM([b[side] for b in interval.bounds.values()]) for side in (0, 1))
     return C, lower, upper
 
 

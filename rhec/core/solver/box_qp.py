@@ -35,21 +35,16 @@ def _best_of_two(H, g, lb, ub):
     inside = every(ca.vertcat(best >= lb, best <= ub))
     # No edge is better than an unconstrained optimum inside.
     least = ca.if_else(inside, -ca.inf, ca.inf)
-    for x in _edges(H, g, lb, ub):
-        cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
-        best = ca.if_else(cost < least, x, best)
-        least = ca.fmin(cost, least)
-    return best
-
-
-def _edges(H, g, lb, ub):
-    """The best point of each of the four edges of a box in two variables."""
     for fixed in (0, 1):
         other = 1 - fixed
         for bound in (lb, ub):
             along = -(g[other] + H[other, fixed] * bound[fixed]) / H[other, other]
             along = ca.fmin(ca.fmax(along, lb[other]), ub[other])
-            yield ca.vertcat(bound[0], along) if fixed == 0 else ca.vertcat(along, bound[1])
+            x = ca.vertcat(bound[0], along) if fixed == 0 else ca.vertcat(along, bound[1])
+            cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
+            best = ca.if_else(cost < least, x, best)
+            least = ca.fmin(cost, least)
+    return best
 
 
 def _box_qp_by_pivoting(n):
