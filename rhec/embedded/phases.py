@@ -12,7 +12,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, pack_array, select_inputs, unpack
+from rhec.core._casadi.build import casadi_function, select_inputs, unpack
+from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import build_phases as build_controller
 from rhec.core.controller.rhc import init as plan_init
 from rhec.core.estimator.rhe import build_phases as build_estimator

@@ -19,7 +19,8 @@ from scipy.optimize import minimize, minimize_scalar
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array, with_packed_memory
+from rhec.core._casadi.build import with_packed_memory
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import kalman, offline
 from rhec.core.model import base

@@ -18,7 +18,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import casadi_function, pack_array, packed_size, unpack
+from rhec.core._casadi.build import casadi_function, packed_size, unpack
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import offline
 from rhec.core.estimator.ekf import EKF

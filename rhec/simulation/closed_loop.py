@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi import build, compiled, scan
+from rhec.core._casadi import build, compiled, packing, scan
 from rhec.core._casadi.validation import shown
 from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
@@ -281,8 +281,8 @@ class Setup:
         """A memory's arrays by name; those of estimator and controller in dicts of their own."""
         nested = {name: shape for name, shape in self.layout.items() if isinstance(shape, dict)}
         sizes = {name: (build.packed_size(shapes), 1) for name, shapes in nested.items()}
-        pieces = build.unpack_array(memory, self.layout | sizes)
-        inner = {name: build.unpack_array(pieces[name], nested[name]) for name in nested}
+        pieces = packing.unpack_array(memory, self.layout | sizes)
+        inner = {name: packing.unpack_array(pieces[name], nested[name]) for name in nested}
         return pieces | inner
 
 
@@ -344,9 +344,9 @@ def _first_memory(scenario, path, estimator, choice, pose, guess):
 def _pack(memory):
     """A memory by name in one vector, and its layout."""
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
-    flat = memory | {name: build.pack_array(piece) for name, piece in nested.items()}
-    inner = {name: build.shapes_of(piece) for name, piece in nested.items()}
-    return build.pack_array(flat), build.shapes_of(flat) | inner
+    flat = memory | {name: packing.pack_array(piece) for name, piece in nested.items()}
+    inner = {name: packing.shapes_of(piece) for name, piece in nested.items()}
+    return packing.pack_array(flat), packing.shapes_of(flat) | inner
 
 
 def _settings(scenario, path):

@@ -10,27 +10,30 @@ from pydantic import SkipValidation
 
 from rhec import paper
 from rhec.core._casadi import validation as valid
+from rhec.core.estimator.rhe import ArrivalMean
 from rhec.simulation.faults import Fault, as_python
+from rhec.simulation.validated import validated
+from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 
-@valid.validated
+@validated
 class Scenario:  # noqa: D101 - its docstring is made from FIELDS
     # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
     estimator: Annotated[EstimatorName | ca.Function, SkipValidation] = "rhe"
-    process_noise: valid.ProcessNoise = "printed"
+    process_noise: options.ProcessNoise = "printed"
     sigma_w: tuple[valid.NotNegative, ...] | None = None
-    sigma_v: valid.SigmaV | None = None
+    sigma_v: options.SigmaV | None = None
     estimation_horizon: valid.Intervals = paper.HORIZON
-    speed_model: valid.SpeedModel = "parameter"
-    slip: valid.Slip | None = None
-    arrival_mean: valid.ArrivalMean | None = None
+    speed_model: options.SpeedModel = "parameter"
+    slip: options.Slip | None = None
+    arrival_mean: ArrivalMean | None = None
     robust: valid.Flag = False
 
-    q: valid.Weights = paper.Q3
+    q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
     qn_factor: valid.NotNegative = paper.QN_FACTOR
     omega_max_radps: valid.Positive = paper.OMEGA_MAX_RADPS
@@ -38,7 +41,7 @@ class Scenario:  # noqa: D101 - its docstring is made from FIELDS
     look_ahead_m: valid.NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
-    qp: valid.Solver = "structured"
+    qp: options.Solver = "structured"
     cautious: valid.Flag = False
     caution: valid.NotNegative = 0.25
 
@@ -54,9 +57,9 @@ class Scenario:  # noqa: D101 - its docstring is made from FIELDS
     guess_yaw_rad: valid.Real = 0.0
 
     terrain: Annotated[Terrain | None, SkipValidation] = None
-    mu_mean: valid.Traction = 0.9
+    mu_mean: options.Traction = 0.9
     mu_deviation: valid.NotNegative = 0.04
-    kappa_mean: valid.Traction = 0.8
+    kappa_mean: options.Traction = 0.8
     kappa_deviation: valid.NotNegative = 0.08
     # Shorter ones than the grid's cells, 0.5 m, cannot be seen.
     correlation_length_m: Annotated[valid.Positive, Limits(ge=0.5)] = 4.0

@@ -23,8 +23,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
+from rhec.core._casadi.build import casadi_function, packed_size, select_inputs, unpack
 from rhec.core._casadi.compiled import loop_symbols
+from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import rhe as paper_rhe

@@ -27,7 +27,7 @@ from oracles import (
 from robots import BICYCLE, CART, DT, ROBOTS, SKID_STEERED, VARIANTS, N
 
 import rhec
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.scan import build_scan, scan
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe

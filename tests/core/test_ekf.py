@@ -6,7 +6,7 @@ from helpers import choice_of, with_noise
 from oracles import DT, V, drive, flat
 from scipy.optimize import lsq_linear
 
-from rhec.core._casadi import build as function
+from rhec.core._casadi import packing
 from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.estimators import build_step, estimator_of
@@ -46,7 +46,7 @@ def textbook(m, P, z, traction, first):
 
 
 def run(z, start, traction):
-    memory, results = function.pack_array(start), []
+    memory, results = packing.pack_array(start), []
     for reading in z:
         result = STEP(memory=memory, z_N=reading, V=V, W=W, traction=traction)
         memory = result["memory"]
@@ -83,7 +83,7 @@ def test_on_a_straight_line_it_is_the_kalman_filter():
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.zeros(n - 1))
     z[:, :3] += rng.normal(size=(n, 3)) * np.sqrt(V[:3])
     sigma, w = np.array([1.0, 1.0, 0.0, 0.3]), np.array([0.02, 0.03, 0.0, 0.05])
-    memory = function.pack_array(init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
+    memory = packing.pack_array(init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
     for reading in z:
         result = STEP(memory=memory, z_N=reading, V=V, W=w**2, traction=(1, 1))
         memory = result["memory"]
@@ -144,7 +144,7 @@ def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
     """
     step, of = build_step(choice_of(name, 5)), estimator_of(name)
     first = [dict(zip(QUANTITIES, values)) for values in (guess, sigma)]
-    memory, rows = function.pack_array(of.init(choice_of(name, 5), *first)), []
+    memory, rows = packing.pack_array(of.init(choice_of(name, 5), *first)), []
     n, n_w = len(z), of.n_sigma_w(choice_of(name, 5))
     given = dict(V=V, W=np.square(SIGMA_W[:n_w]), P_0=np.ones(n_w))
     told = np.broadcast_to((1, 1) if traction is None else traction, (n, 2))
@@ -227,7 +227,7 @@ def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told)
     np.testing.assert_array_equal(estimates[:, 4:], np.broadcast_to(held, (len(z), 2)))
     step, first = build_step(choice_of("rhe", 5)), dict(zip(QUANTITIES, guess))
     sure = dict(zip(QUANTITIES, (1.0,) * 4 + (1e-7,) * 2))
-    memory = function.pack_array(
+    memory = packing.pack_array(
         paper_rhe.init(paper_rhe.window_of(choice_of("rhe", 5)), first, sure)
     )
     W = np.square([*SIGMA_W[:4], 1e-9, 1e-9])

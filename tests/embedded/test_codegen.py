@@ -19,7 +19,8 @@ from robots import DT, ROBOTS, VARIANTS
 import rhec
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array, select_inputs
+from rhec.core._casadi.build import select_inputs
+from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.embedded import LOG, phases
 from rhec.simulation import closed_loop

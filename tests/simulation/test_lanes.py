@@ -14,7 +14,7 @@ from robots import BICYCLE
 
 import rhec
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.scan import build_scan, scan
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe

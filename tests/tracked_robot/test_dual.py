@@ -5,7 +5,7 @@ import pytest
 from helpers import choice_of, weaving_yaw_rates, with_noise
 from oracles import V, drive, flat
 
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.tuning import SIGMA_W_TRACKING

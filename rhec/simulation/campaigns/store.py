@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.validation import optional, shown
+from rhec.core._casadi.validation import shown
 from rhec.simulation import closed_loop
+from rhec.simulation.campaigns.optional import optional
 from rhec.tracked_robot import terrain
 
 __all__ = [

@@ -14,7 +14,7 @@ import signal
 import tempfile
 from concurrent.futures.process import BrokenProcessPool
 
-from rhec.core._casadi.validation import optional
+from rhec.simulation.campaigns.optional import optional
 
 __all__ = ["are_running", "map_tasks", "open_workers"]
 

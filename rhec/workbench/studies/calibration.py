@@ -21,7 +21,7 @@ import contextlib
 import numpy as np
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import offline
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import build_sample, set_up, simulate

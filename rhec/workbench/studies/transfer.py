@@ -25,7 +25,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import ekf, offline
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model

@@ -15,7 +15,8 @@ from scipy import optimize
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array, select_inputs, with_packed_memory
+from rhec.core._casadi.build import select_inputs, with_packed_memory
+from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.core.estimator import offline, rhe
 from rhec.core.model.base import rk4
