@@ -8,8 +8,6 @@ import casadi as ca
 from rhec.core._casadi.c_text import generate_c
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
-__all__ = ["functions_header", "memory_header", "phases_header", "readme", "scenario_source"]
-
 # Comments of the settings, in C. Those of a Model have no units, which only its author knows.
 _MEANING = {
     "V": "variances of the measurement noise, in the order of the outputs",

@@ -28,8 +28,6 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 
-__all__ = ["Export", "closest", "export", "export_model"]
-
 MEASURED = "x", "y", "nu", "omega"  # the entries of a measurement z of the paper's robot
 
 # Places in `struct rhec` that phases of different owners share, by the names of arguments and

@@ -9,8 +9,6 @@ import pandas as pd
 
 from rhec.simulation.columns import TRACKS
 
-__all__ = ["SUFFIXES", "read_bag"]
-
 SUFFIXES = (".bag", ".db3", ".mcap")
 _POSITION = ["x_m", "y_m"]
 _SPEEDS = ["speed_mps", "yaw_rate_radps"]

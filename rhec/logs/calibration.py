@@ -32,8 +32,6 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import slipping
 from rhec.tracked_robot.estimators import estimator_of
 
-__all__ = ["Calibration", "calibrate"]
-
 OUTLIER = 3.0
 # Errors of recorded positions are correlated, so that each says less than a filter takes from it: a
 # replay takes them to be this much larger.

@@ -4,8 +4,6 @@ import re
 
 from rhec.simulation.columns import RECORDED, TRACKS
 
-__all__ = ["missing_columns"]
-
 # What other loggers call the columns of a recording, without unit and case; the likeliest first.
 _OTHER_NAMES = {
     "t_s": ("t", "time", "stamp", "timestamp", "seconds"),

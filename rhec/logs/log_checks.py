@@ -13,8 +13,6 @@ from scipy.integrate import cumulative_trapezoid
 
 from rhec.simulation.columns import MEASUREMENTS
 
-__all__ = ["refuse_implausible"]
-
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 # Lengths of the intervals; the first one is used in which motion stands out from noise.

@@ -13,8 +13,6 @@ import pandas as pd
 from rhec import paper
 from rhec.simulation.columns import INNOVATION, SIGMA
 
-__all__ = ["is_lost", "remarks"]
-
 SAMPLES = 25  # of a median
 FAR = 5.0  # a median above this is lost
 LEAST_TRACTION = 0.02  # and a median of μ or κ below this

@@ -4,8 +4,6 @@ import numpy as np
 
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
 
-__all__ = ["write_estimates", "write_scores"]
-
 
 def write_estimates(estimates, folder):
     """Write estimates.csv, estimates.parquet, estimated.tum and measured.tum.

@@ -16,8 +16,6 @@ from rhec.core._casadi.validation import Positive, checked
 from rhec.logs.bags import SUFFIXES, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
-__all__ = ["read"]
-
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
 _DECIMALS = {",": "comma", ".": "point"}
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")

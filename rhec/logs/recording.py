@@ -26,17 +26,6 @@ from rhec.simulation.columns import (
 )
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = [
-    "MAX_PERIOD",
-    "SECONDS",
-    "Recording",
-    "measured_since",
-    "prepare",
-    "prepare_for",
-    "resample",
-    "time_unit",
-]
-
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # false: these are missing

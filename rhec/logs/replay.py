@@ -47,8 +47,6 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import window_of
 from rhec.tracked_robot.tuning import sigma_v_of
 
-__all__ = ["InitialGuess", "estimate_samples", "predictor", "replay", "replay_scenario"]
-
 # What a replay estimates, and the columns of the estimates.
 _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)
 _HATS = [*ESTIMATE, *LEVER_ARM]

@@ -14,23 +14,6 @@ from rhec.logs.recording import prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
 
-__all__ = [
-    "FROM_M",
-    "REGRESSIONS",
-    "WINDOW_S",
-    "ahead_rms_m",
-    "distance_driven",
-    "fault_scores",
-    "perturbed_replay",
-    "perturbed_scores",
-    "regression",
-    "rms",
-    "score",
-    "sliding_regression",
-    "while_moving",
-    "yaw_error",
-]
-
 # Scores count from here on, driven in each segment: before, a replay is still finding its yaw.
 FROM_M = 8.0
 WINDOW_S = 5.0  # of the sliding regressions

@@ -12,8 +12,6 @@ from pathlib import Path
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 
-__all__ = ["main"]
-
 # The metrics whose means are printed.
 _PRINTED = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true"]
 

@@ -13,17 +13,6 @@ from rhec.simulation.campaigns.store import PLAIN
 from rhec.simulation.lanes import lanes
 from rhec.tracked_robot import terrain
 
-__all__ = [
-    "compile_lanes",
-    "count_samples",
-    "mean_samples_per_structure",
-    "one_per_structure",
-    "run_in_lanes",
-    "samples_per_task",
-    "simulate_batch",
-    "split_into_tasks",
-]
-
 # Samples of one loop structure that pay for compiling its lanes, which takes some seconds.
 _WORTH_COMPILING = 400_000
 # Samples of one loop structure that pay for loading lanes that are compiled already.

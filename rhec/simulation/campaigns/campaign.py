@@ -29,8 +29,6 @@ from rhec.simulation.simulate import as_list
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["campaign"]
-
 # Samples that take one core longer than worker processes take to start, or to get work if they run.
 _WORTH_STARTING = 1_000_000
 _WORTH_SPREADING = 200_000

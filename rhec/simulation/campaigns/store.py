@@ -21,16 +21,6 @@ from rhec.core._casadi.validation import optional, shown
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import terrain
 
-__all__ = [
-    "PLAIN",
-    "failed_row",
-    "load_rows",
-    "open_folder",
-    "provenance",
-    "save_rows",
-    "scenario_key",
-]
-
 # Types of nearly all fields of a scenario; their repr gives the value to the last bit.
 PLAIN = {bool, int, float, str, tuple, type(None)}
 

@@ -16,8 +16,6 @@ from concurrent.futures.process import BrokenProcessPool
 
 from rhec.core._casadi.validation import optional
 
-__all__ = ["are_running", "map_tasks", "open_workers"]
-
 _TASKS_PER_WORKER = 3  # running and waiting, so that no worker waits for its next task
 _IDLE_S = 60.0  # after which a worker process ends, also if its parent was killed
 SCHEDULER_TIMEOUT_S = 10.0

@@ -23,8 +23,6 @@ import numpy as np
 from rhec.core._casadi import cache, compiled
 from rhec.simulation.lanes.parts import compile_by_parts
 
-__all__ = ["is_compiled", "load", "scan"]
-
 # Helpers of CasADi's C that branch on a number. Those that a loop may use are in lanes.h.
 _HELPERS = "low|interpn|interpn_weights|interpn_interpolate|fmin|fmax|fabs"
 # The C of Function.if_else, and an assignment, perhaps of a sine or cosine.

@@ -12,8 +12,6 @@ from functools import partial
 from rhec.core._casadi import cache
 from rhec.core._casadi.compiled import run_compiler
 
-__all__ = ["compile_by_parts"]
-
 _LEAST = 5  # Functions that a part calls; a smaller one is compiled with the rest
 _CALL = """  casadi_real unused[{size}];
   for (int i = 0; i < {n_out}; i++) if (!res[i]) res[i] = unused;
