@@ -684,8 +684,8 @@ def solving_estimator():
         ),
         (
             rhec.Scenario(estimator=solving_estimator()),
-            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of "
-            "expressions alone$",
+            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should consist of "
+            "expressions$",
         ),
         (
             rhec.Scenario(qp="daqp"),

@@ -25,8 +25,9 @@
  * Guarantees: for any z (NaN, infinities, huge values), every call returns in bounded time,
  * estimates are finite and commands are within their bounds. If the QP of the RHC is not solved, or
  * if numbers leave their range, the result is the last solution shifted by one sample, and the
- * return value reports this. A return value of 0 does not guarantee a correct estimate: consistent but wrong
- * measurements are not detected. Pointers must be valid, and settings within the ranges of Python.
+ * return value reports this. A return value of 0 does not guarantee a correct estimate: wrong
+ * measurements that agree are not detected. Pointers must be valid, and settings within the ranges
+ * of Python.
  *
  * Units of a scenario: m, s, rad. x, y, theta: position and yaw in the plane, yaw counter-clockwise
  * and unwrapped. nu, omega: speed and yaw rate of the tracks; over ground they are mu * nu and
