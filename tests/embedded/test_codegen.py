@@ -648,7 +648,7 @@ def test_an_earlier_export_is_replaced_and_other_files_stay(exported, tmp_path):
 def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     for folder, reason in (
-        (tmp_path, "which holds other files"),
+        (tmp_path, "which contains other files"),
         (tmp_path / "thesis.tex", "which is a file"),
     ):
         expected = (
@@ -675,18 +675,18 @@ def solving_estimator():
         ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
         (
             rhec.Scenario(estimator="oracle"),
-            "^estimator was 'oracle', which is given the truth; to export, it should be one of "
+            "^estimator was 'oracle', which needs the truth; to export, it should be one of "
             "'rhe', 'rhe_fixed_traction', 'rhe_no_slip', 'ekf', 'augmented_ekf', 'bounded_ekf', "
-            "'fixed_traction', 'dual' or a Function of your own$",
+            "'fixed_traction', 'dual' or a CasADi Function$",
         ),
         (
             rhec.Scenario(estimator="traction_oracle"),
-            "^estimator was 'traction_oracle', which is given the true traction",
+            "^estimator was 'traction_oracle', which needs the true traction",
         ),
         (
             rhec.Scenario(estimator=solving_estimator()),
-            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of "
-            "expressions alone$",
+            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should consist of "
+            "expressions$",
         ),
         (
             rhec.Scenario(qp="daqp"),

@@ -31,7 +31,7 @@ def calibrated():
 def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
     _, found = calibrated[noise_m]
     told = found.report.loc["noise of the position"]
-    assert told["told"] and told["low"] < noise_m < told["high"]
+    assert told["determined"] and told["low"] < noise_m < told["high"]
     assert found["sigma_v"][0] == found["sigma_v"][1] > told["value"]
     assert told["value"] == pytest.approx(noise_m, rel=0.2)
 
@@ -46,7 +46,7 @@ def test_positions_are_never_taken_to_be_better_than_receivers_are():
 def test_calibration_finds_the_lever_arm(calibrated):
     _, found = calibrated[0.03]
     np.testing.assert_allclose(found["lever_arm_m"], ARM_M, atol=0.03)
-    assert found.report.loc[["antenna ahead", "antenna left"], "told"].all()
+    assert found.report.loc[["antenna ahead", "antenna left"], "determined"].all()
 
 
 def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
@@ -74,8 +74,8 @@ def test_calibration_says_what_the_log_cannot_tell():
     assert found["trust_log"] and "position_delay_s" not in found
     untold = set(found.report.index[~found.report["told"]])
     assert {"slip in turning, share of ω", "side slip", "antenna ahead"} <= untold
-    assert "lever_arm_m" not in found and "cannot tell: " in str(found)
-    assert found.report.loc["noise of the position", "told"]
+    assert "lever_arm_m" not in found and "does not determine: " in str(found)
+    assert found.report.loc["noise of the position", "determined"]
 
 
 def test_a_robot_that_stands_cannot_be_calibrated():

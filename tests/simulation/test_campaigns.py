@@ -201,7 +201,7 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
             table = rhec.campaign(short(8), tmp_path)
             break
         except KeyboardInterrupt as interrupt:
-            assert "of 8 runs; the same call goes on from there" in str(interrupt)
+            assert "of 8 runs; the same call continues from there" in str(interrupt)
     monkeypatch.undo()
     assert interruptions >= 2 and len([scenario for scenario in runs if scenario]) == 8
     assert_equal_rows(table, rhec.campaign(short(8)))
@@ -349,7 +349,7 @@ def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
     (file,) = tmp_path.glob("*/*.parquet")
     spoil(file)
     ran.clear()
-    with pytest.warns(UserWarning, match="cannot be read .* done again"):
+    with pytest.warns(UserWarning, match="cannot be read .* repeated"):
         again = rhec.campaign(short(), tmp_path)
     assert_equal_rows(again, first)
     assert ran == short()
@@ -638,7 +638,7 @@ def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
     its_process.kill()
     out, err = process.communicate(timeout=120)
     assert (process.returncode, out) == (1, "")
-    assert err == f"the scheduler at {address} went away\n"
+    assert err == f"the connection to the scheduler at {address} was lost\n"
 
 
 def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
@@ -648,7 +648,7 @@ def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
     worker(started, address, tmp_path)
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
     monkeypatch.setattr(store, "save_rows", lambda *given: its_process.kill())
-    with pytest.raises(ConnectionError, match=f"the scheduler at {address} went away"):
+    with pytest.raises(ConnectionError, match=f"the connection to the scheduler at {address} was lost"):
         rhec.campaign(short(40), tmp_path / "rows")
 
 
@@ -769,7 +769,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
     interrupted = re.fullmatch(
-        r"interrupted after (\d+) of 3000 runs; the same call goes on from there\n", err
+        r"interrupted after (\d+) of 3000 runs; the same call continues from there\n", err
     )
     assert (process.returncode, out) == (130, "") and interrupted, err
     (rows,) = tmp_path.glob("*/")

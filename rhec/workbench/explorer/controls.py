@@ -17,9 +17,6 @@ from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import ROBUST_NAMES, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
-__all__ = ["CONTROLS", "ESTIMATORS", "GROUPS", "NEW_PATCH", "PATCH", "PROCESS_NOISES", "Selection"]
-__all__ += ["Slider", "line_of", "scenario_of", "sigma_w_shown", "tidy", "values_of"]
-
 
 class Slider(NamedTuple):
     """A number from low to high.

@@ -34,8 +34,6 @@ from rhec.workbench.explorer.screen import CSS, Screen
 from rhec.workbench.explorer.snapshot import snapshot_at
 from rhec.workbench.plots import style
 
-__all__ = ["METRICS", "Explorer", "change", "compile_apart", "metrics_table"]
-
 # Metrics of a run, the smaller the better: name, two lines of heading, digits.
 METRICS = (
     ("mean_error_m", "mean error", "GNSS [m]", 4),

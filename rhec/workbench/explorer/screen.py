@@ -5,8 +5,6 @@ from pathlib import Path
 import anywidget
 import traitlets
 
-__all__ = ["CSS", "Screen"]
-
 _WORKBENCH = Path(__file__).parents[1]
 
 

@@ -9,8 +9,6 @@ from rhec.workbench.plots import style
 from rhec.workbench.studies.claims.summary import ONE_WAY
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 
-__all__ = ["save_ledger", "verdicts"]
-
 _PARTLY = "holds as printed or with a departure"
 _LOOKS = {
     HOLDS: (style.GREEN, "✓"),

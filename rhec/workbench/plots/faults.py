@@ -12,8 +12,6 @@ from rhec.workbench.plots.parts import BOUND, TOLERANCE, legend_outside, log_axi
 from rhec.workbench.plots.style import BLUE, DOUBLE_IN, VERMILLION, styled
 from rhec.workbench.studies.robustness import FAMILIES
 
-__all__ = ["fault_courses", "fault_overview"]
-
 _COLOURS = {"off": VERMILLION, "on": BLUE}
 _WIDTHS = {"off": 2.0, "on": 0.8}
 # Limits of the error axis, outside which nothing is of interest.

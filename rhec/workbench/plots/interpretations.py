@@ -13,8 +13,6 @@ from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY
 from rhec.workbench.studies import statistics
 from rhec.workbench.studies.interpretations import QUANTITIES
 
-__all__ = ["ekf_yaw", "forest", "likelihood", "rhe_kappa"]
-
 _CHATTER_S = (40, 100)  # what is shown of the time: before and in the first turn
 _COLOURS = (SKY, ORANGE, VERMILLION)
 _SIGMA_UNIFORM = 1 / np.sqrt(12)  # standard deviation of a uniform distribution on [0, 1]

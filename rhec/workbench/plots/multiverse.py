@@ -6,8 +6,6 @@ from matplotlib.colors import LinearSegmentedColormap
 from rhec.workbench.plots.style import BLUE, DOUBLE_IN, GREEN, ORANGE, VERMILLION, styled
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED
 
-__all__ = ["multiverse_map"]
-
 _SIDES = LinearSegmentedColormap.from_list("sides", [VERMILLION, "white", BLUE])
 _LABELS = {
     "speed_mps": "speed",

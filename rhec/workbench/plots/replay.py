@@ -24,9 +24,6 @@ from rhec.workbench.plots.style import (
     styled,
 )
 
-__all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
-__all__ += ["replay_path", "replay_trials", "replay_yaw"]
-
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
 _COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
 # Turning more slowly counts as straight; the median over _SMOOTH samples removes encoder noise.

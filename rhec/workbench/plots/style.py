@@ -19,10 +19,6 @@ import matplotlib.pyplot as plt
 from rhec import __version__
 from rhec.simulation.run import Run
 
-__all__ = ["BLACK", "BLUE", "COLOURS", "COLUMN_IN", "DOUBLE_IN", "FOLDER", "GREEN", "GREY"]
-__all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "ROWS", "SKY", "VERMILLION", "as_comments"]
-__all__ += ["provenance", "save", "save_table", "source", "source_of", "styled"]
-
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "figures"
 ROWS = ROOT / "build/campaign/notebooks"  # of campaigns: what one notebook drove serves another
