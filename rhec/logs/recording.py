@@ -52,6 +52,7 @@ _SEGMENT_GAP = 3000.0  # after a longer silence a new segment begins
 _CLOCK = 5.0
 _MOST_FALLING = 0.05  # share of the times of a log in order
 _LEAST_ROWS = 5  # of a segment, on average
+_LEAST_USABLE = 0.5  # share of the rows whose times can be used: fewer are no recording of a drive
 SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)  # units of time
 _SHORTEST_S = 0.004  # between rows of a log
 _SAME_S = 1e-3  # times this close are the same
@@ -273,6 +274,11 @@ def _usable_rows(values, dt_s):
         raise ValueError(
             "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
             "segment"
+        )
+    if len(places) < _LEAST_USABLE * len(values):
+        raise ValueError(
+            f"the log's t_s can be used in {len(places)} of {len(values)} rows; it may be constant "
+            "or rounded and should rise from row to row"
         )
     return values.iloc[places].assign(segment=segment).reset_index(drop=True), places
 
