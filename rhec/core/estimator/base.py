@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rhec.core._casadi.validation import of_length
+from rhec.core._casadi.validation import of_length, shown
 from rhec.core.model.base import SIGMA_UNMEASURED
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
 __all__ = ["Estimate", "joint_estimate", "joint_guess", "noise_of"]
 
@@ -68,6 +69,9 @@ def joint_guess(model, guess, sigma):
     n_p = len(model.parameters)
     of_length("guess", guess, n_x + n_p, "state, then each parameter")
     of_length("sigma_guess", sigma, n_x + n_p, "state, then each parameter")
+    if max(np.square(sigma)) >= MAX_PLAUSIBLE_STATE:
+        limit = MAX_PLAUSIBLE_STATE**0.5
+        raise ValueError(f"sigma_guess was {shown(sigma)}; each should be below {limit:g}")
     for name, value in zip(model.parameters, guess[n_x:]):
         bounds = model.parameters[name]
         if bounds and not bounds[0] <= value <= bounds[1]:

@@ -15,7 +15,7 @@ import casadi as ca
 
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import shown
-from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
+from rhec.core.model.limits import MAX_MEASUREMENT, MAX_PLAUSIBLE_STATE, is_valid_measurement
 
 __all__ = ["SIGMA_UNMEASURED", "Interval", "Model", "MotionNoise", "Output", "interval", "rk4"]
 
@@ -53,6 +53,7 @@ class Model:
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,).
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
         max_measurement: Largest plausible size of each output; larger values count as missing.
+            By default 1e8 in the output's unit: choose units in which no output is that large.
         motion_noise: Noise that grows with the motion, if any.
 
     Raises:
@@ -74,10 +75,10 @@ class Model:
             problem = f"f was {shown(self.f)}, h {shown(self.h)}"
             raise ValueError(f"{problem}; f and h should be functions of (x, u, p)")
         _check_bounds(self.parameters)
-        limits = self.max_measurement
-        if limits is not None and len(limits) != len(self.outputs):
-            wanted = f"it should have {len(self.outputs)} entries, one for each output"
-            raise ValueError(f"max_measurement was {shown(limits)}; {wanted}")
+        _check_limits(self.max_measurement, len(self.outputs))
+        if not isinstance(self.motion_noise, MotionNoise | None):
+            wanted = "it should be a MotionNoise or None"
+            raise ValueError(f"motion_noise was {shown(self.motion_noise)}; {wanted}")
         _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
 
     def __repr__(self) -> str:
@@ -238,12 +239,27 @@ def _check_bounds(parameters):
     for name, bounds in parameters.items():
         try:
             lowest, highest = (-1.0, 1.0) if bounds is None else bounds
-            is_valid = bool(lowest < highest) and not isinstance(lowest, str)
-        except (TypeError, ValueError):
+            is_valid = float(lowest) < float(highest) and not isinstance(lowest, str)
+        except Exception:  # CasADi's symbols raise errors of their own
             is_valid = False
         if not is_valid:
             wanted = "it should be (lowest, highest), the first below the second, or None"
             raise ValueError(f"the bounds of {name!r} were {shown(bounds)}; {wanted}")
+
+
+def _check_limits(limits, n_z):
+    if limits is None:
+        return
+    try:
+        is_valid = len(limits) == n_z and all(0 < limit <= MAX_PLAUSIBLE_STATE for limit in limits)
+    except Exception:  # CasADi's symbols raise errors of their own
+        is_valid = False
+    if not is_valid:
+        wanted = (
+            f"it should have {n_z} entries, one for each output, each above 0 and at most "
+            f"{MAX_PLAUSIBLE_STATE:g}"
+        )
+        raise ValueError(f"max_measurement was {shown(limits)}; {wanted}")
 
 
 class Output(NamedTuple):
