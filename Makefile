@@ -28,7 +28,9 @@ clean-campaigns := build/campaign
 clean-replays := build/replay build/notebooks/10_replay-custom.*
 clean-explored := figures/explored
 clean-embedded := build/embedded
-clean-benchmarks := figures/bench_*
+benchmarks := agreement any_robot any_robot_agreement campaign campaign_kinds horizon start step \
+  tails
+clean-benchmarks := $(foreach suffix,csv tex png pdf,$(benchmarks:%=figures/bench_%.$(suffix)))
 
 # These are added to below, and are not what the environment may call so.
 MADE :=
@@ -135,7 +137,7 @@ clean-campaigns: ## remove the rows of campaigns (build/campaign)
 clean-replays: ## remove pictures of logs of your own (build/replay)
 clean-explored: ## remove pictures saved in the explorer (figures/explored)
 clean-embedded: ## remove the exported C (build/embedded)
-clean-benchmarks: ## remove the tables and pictures of make bench (figures/bench_*)
+clean-benchmarks: ## remove the tables and pictures of make bench (figures/bench_…)
 $(KEPT:%=clean-%):
 	@rm -rf $($@)
 
@@ -184,7 +186,7 @@ endif
 build/report/index.html: $(EXECUTED) rhec/workbench/report.py README.md $(wildcard docs/*.md \
   docs/conf.py docs/_static/* docs/_templates/*/* rhec/workbench/live/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
-	@$(PY) -m rhec.workbench.report $(EXECUTED) \
+	@$(PY) -m rhec.workbench.report $(EXECUTED) --also $(wildcard $(clean-benchmarks)) \
 	  $$($(PY) -c 'import ziglang' 2>/dev/null && echo --live)
 	@$(PY) -m rhec.workbench.live.page
 
