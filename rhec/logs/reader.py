@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.core._casadi.validation import Positive, checked
+from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bags import SUFFIXES, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
@@ -67,7 +67,11 @@ def read(
     Raises:
         ValueError: If the file cannot be read, or if it lacks the topics or columns.
     """
+    if not isinstance(path, str | Path):
+        raise ValueError(f"log was {shown(path)}; it should be a path")
     file = Path(path)
+    if not _is_path(file):
+        raise ValueError(f"log was {shown(path)}; it cannot be a path")
     is_bag = file.suffix in SUFFIXES or (file / "metadata.yaml").is_file()
     if not (is_bag and file.exists() or file.suffix in (".csv", ".parquet") and file.is_file()):
         raise ValueError(
@@ -96,6 +100,15 @@ def read(
     log = _in_metres(log, inferred)
     log.attrs["found"] = inferred
     return log
+
+
+def _is_path(file):
+    """Whether the system takes this as a path at all: not with a NUL or thousands of letters."""
+    try:
+        file.exists()
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def _read_csv(file):

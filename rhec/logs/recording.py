@@ -165,8 +165,7 @@ def _parse(log, measured, optional=None, flags=None):
     for name, column in wanted.items():
         if not np.isfinite(values[name]).any():
             raise ValueError(f"the log's column {column} had no number in it")
-    segment = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
-    values = values.assign(segment=segment)
+    values = values.assign(segment=_segments(log))
     for flag, flagged in (flags or {}).items():
         if flag in log:
             values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
@@ -174,6 +173,16 @@ def _parse(log, measured, optional=None, flags=None):
         if column in log:
             values[name] = _numbers(log, column)
     return values
+
+
+def _segments(log):
+    """The segments, numbered in the order in which they come; 0 without such a column."""
+    if "segment" not in log:
+        return 0.0
+    try:
+        return pd.factorize(log["segment"])[0].astype(float)
+    except (TypeError, ValueError):  # lists, or several columns of this name
+        raise ValueError("the log's segment should be one column of numbers or words") from None
 
 
 def _numbers(log, column):

@@ -66,3 +66,12 @@ def test_what_does_not_load_is_removed(tmp_path, monkeypatch):
     assert cache.load_or_build("name", build_with("good"), load) == "good"
     assert (tmp_path / "cache/name").is_dir()
     assert not (tmp_path / "other").exists() or not list((tmp_path / "other").glob("*/name"))
+
+
+def test_a_model_without_inputs_is_refused_where_it_cannot_be_used():
+    model = rhec.Model(
+        states=("x_m",), inputs=(), parameters={}, outputs=("x_m",), f=lambda x, u, p: -x
+    )
+    options = dict(dt=0.2, sigma_v=(0.1,), sigma_w=(0.1,), guess=(0.0,), sigma_guess=(1.0,))
+    with pytest.raises(ValueError, match="model had no inputs"):
+        rhec.RHE(model=model, horizon=5, **options)

@@ -75,3 +75,14 @@ def test_files_too_large_for_a_log_are_refused(tmp_path):
     pd.DataFrame(dict.fromkeys("abcdefghij", np.zeros(6_000_000))).to_parquet(bomb)
     with pytest.raises(ValueError, match="60000000 values"):
         rhec.logs.read(bomb)
+
+
+@pytest.mark.parametrize("path", [5, None, b"log.csv", "a" * 5_000])
+def test_what_is_no_path_is_refused_in_a_sentence(path):
+    with pytest.raises(ValueError, match="log was .* it (should|cannot) be a path"):
+        rhec.logs.read(path)
+
+
+def test_segments_that_cannot_be_told_apart_are_refused():
+    with pytest.raises(ValueError, match="segment should be one column of numbers or words"):
+        rhec.replay(DRIVE.assign(segment=[[1]] * 600))
