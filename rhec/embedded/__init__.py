@@ -37,6 +37,7 @@ _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions with
 _EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
 _PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
+_UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave
 
 
 def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
@@ -69,9 +70,11 @@ def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
         _check(scenario)
         _check_folder(folder)
         texts = _of_scenario(scenario)
+    _refuse_folders(folder, texts)
     folder.mkdir(parents=True, exist_ok=True)
-    # All files are written before the first one is replaced.
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".unfinished-") as unfinished:
+    # All files are written before the first one is replaced. This happens inside the folder, because
+    # the folder may be the root of another file system, across which nothing can be renamed.
+    with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as unfinished:
         for name, text in texts.items():
             Path(unfinished, name).write_text(text, encoding="utf-8")
         for name in texts:
@@ -160,13 +163,26 @@ def _check_folder(folder):
     reason = None
     if folder.exists() and not folder.is_dir():
         reason = "is a file"
-    elif folder.exists() and any(folder.iterdir()) and not (folder / _MARK).exists():
+    elif folder.exists() and not (folder / _MARK).exists() and _has_other_files(folder):
         reason = "contains other files"
     if reason:
         raise ValueError(
             f"folder was {str(folder)!r}, which {reason}; it should be a new or empty folder or an "
             "earlier export"
         )
+
+
+def _has_other_files(folder):
+    # The root of a file system may have a folder for what its repair finds.
+    names = {file.name for file in folder.iterdir()} - {"lost+found"}
+    return any(not name.startswith(_UNFINISHED) for name in names)
+
+
+def _refuse_folders(folder, names):
+    """Refuse, before anything is replaced, a folder in which a file's name is that of a folder."""
+    for name in names:
+        if (folder / name).is_dir():
+            raise ValueError(f"folder was {str(folder)!r}, in which {name} is a folder, not a file")
 
 
 def _as_json(scenario):

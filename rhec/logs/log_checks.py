@@ -232,6 +232,16 @@ def _refuse_standing(rows, names):
         )
 
 
+def _refuse_frozen(recording, names):
+    """Raise a ValueError for positions that never change although the robot moves."""
+    n_positions = recording.rows[_POSITION[0]].count()
+    n_held = recording.faults["positions_held"]
+    if n_positions <= recording.faults["segments"] and n_held >= _LEAST_ROWS:
+        raise ValueError(
+            f"the log's {names['place']} should be of a robot that moves: they never change"
+        )
+
+
 def refuse_implausible(recording):
     """Refuse a Recording with wrong units, signs or axes, or of a robot that never moves.
 
@@ -253,6 +263,7 @@ def refuse_implausible(recording):
         place=", ".join(columns[name] for name in _POSITION),
     )
     _refuse_standing(rows, names)
+    _refuse_frozen(recording, names)
     delay_s, slopes = _best_delay(rows)
     if slopes is None:
         return

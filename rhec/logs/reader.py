@@ -12,11 +12,14 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.core._casadi.validation import Positive, checked
+from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bags import SUFFIXES, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
+# Larger files are no logs, and would take minutes and gigabytes to read.
+_MOST_VALUES = 50_000_000
+_MOST_COLUMNS = 10_000
 _DECIMALS = {",": "comma", ".": "point"}
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp|date_?time)(?:_(s|ms|us|ns))?", re.IGNORECASE)
@@ -62,7 +65,11 @@ def read(
     Raises:
         ValueError: If the file cannot be read, or if it lacks the topics or columns.
     """
+    if not isinstance(path, str | Path):
+        raise ValueError(f"log was {shown(path)}; it should be a path")
     file = Path(path)
+    if not _is_path(file):
+        raise ValueError(f"log was {shown(path)}; it cannot be a path")
     is_bag = file.suffix in SUFFIXES or (file / "metadata.yaml").is_file()
     if not (is_bag and file.exists() or file.suffix in (".csv", ".parquet") and file.is_file()):
         raise ValueError(
@@ -77,7 +84,7 @@ def read(
         elif file.suffix == ".csv":
             log, inferred = _read_csv(file)
         else:
-            log = pd.read_parquet(file, engine="pyarrow")
+            log = _read_parquet(file)
             inferred = {}
     except Exception as error:  # any error that a reader raises for a broken file
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {error}") from None
@@ -93,6 +100,15 @@ def read(
     return log
 
 
+def _is_path(file):
+    """Whether the system takes this as a path at all: not with a NUL or thousands of letters."""
+    try:
+        file.exists()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
 def _read_csv(file):
     """The table in a .csv file, and its separators as {property: inferred value}."""
     with file.open(encoding="utf-8-sig") as lines:
@@ -102,6 +118,9 @@ def _read_csv(file):
     separator = next((mark for mark in _SEPARATORS if mark in names), ",")
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in head[1:])
     decimal = "," if separator != "," and has_commas else "."
+    n_columns = names.count(separator) + 1
+    if n_columns > _MOST_COLUMNS:
+        raise ValueError(f"it has {n_columns} columns, and should have at most {_MOST_COLUMNS}")
     table = pd.read_csv(
         file,
         sep=r"\s+" if separator == " " else separator,
@@ -111,6 +130,17 @@ def _read_csv(file):
     )
     table.columns = [str(name).strip() for name in table]
     return table, dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
+
+
+def _read_parquet(file):
+    """The table in a .parquet file, unless unpacking it would fill the memory."""
+    import pyarrow.parquet as pq  # only some have it
+
+    metadata = pq.read_metadata(file)
+    n_values = metadata.num_rows * metadata.num_columns
+    if n_values > _MOST_VALUES:
+        raise ValueError(f"it has {n_values} values, and should have at most {_MOST_VALUES}")
+    return pd.read_parquet(file, engine="pyarrow")
 
 
 def _in_seconds(log, inferred):
@@ -151,6 +181,17 @@ def _degrees(log, names):
     return pd.to_numeric(log[column], errors="coerce").to_numpy(dtype=float)
 
 
+def _refuse_other_angles(angle, largest):
+    """Raise a ValueError for latitudes or longitudes that are not in degrees."""
+    size = np.nanmedian(np.abs(angle)) if np.isfinite(angle).any() else 0.0
+    if size > largest:
+        name = "latitude" if largest == 90 else "longitude"
+        raise ValueError(
+            f"the log's {name} is {size:.7g} (median); it may be in degrees and minutes or in "
+            f"1e-7 degrees and should be in degrees, at most {largest}"
+        )
+
+
 def _in_metres(log, inferred):
     """The log with x_m east and y_m north of the first position, from latitude and longitude.
 
@@ -164,6 +205,10 @@ def _in_metres(log, inferred):
     altitude = _degrees(log, _ALTITUDE)
     if latitude is None or longitude is None:
         return log
+    _refuse_other_angles(latitude, 90)
+    _refuse_other_angles(longitude, 180)
+    # A receiver without a fix sends 0, 0.
+    latitude = np.where((latitude == 0) & (longitude == 0), np.nan, latitude)
     first = np.argmax(np.isfinite(latitude + longitude))
     inferred["position"] = (
         f"metres east and north of latitude {latitude[first]:.7f}, longitude {longitude[first]:.7f}"

@@ -41,6 +41,7 @@ _SEGMENT_GAP = 3000.0  # after a longer gap a new segment begins
 _CLOCK = 5.0
 _MOST_FALLING = 0.05  # largest share of falling times in a log that counts as sorted
 _LEAST_ROWS = 5  # of a segment, on average
+_LEAST_USABLE = 0.5  # share of the rows whose times can be used: fewer are no recording of a drive
 SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)  # units of time
 _SHORTEST_S = 0.004  # shortest median period of a log
 _SAME_S = 1e-3  # times that differ by less are equal
@@ -153,8 +154,7 @@ def _parse(log, measured, optional=None, flags=None):
     for name, column in required.items():
         if not np.isfinite(values[name]).any():
             raise ValueError(f"the log's column {column} had no number in it")
-    segment = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
-    values = values.assign(segment=segment)
+    values = values.assign(segment=_segments(log))
     for flag, flagged in (flags or {}).items():
         if flag in log:
             values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
@@ -162,6 +162,16 @@ def _parse(log, measured, optional=None, flags=None):
         if column in log:
             values[name] = _numbers(log, column)
     return values
+
+
+def _segments(log):
+    """The segments, numbered in the order in which they come; 0 without such a column."""
+    if "segment" not in log:
+        return 0.0
+    try:
+        return pd.factorize(log["segment"])[0].astype(float)
+    except (TypeError, ValueError):  # lists, or several columns of this name
+        raise ValueError("the log's segment should be one column of numbers or words") from None
 
 
 def _numbers(log, column):
@@ -262,6 +272,11 @@ def _usable_rows(values, dt_s):
         raise ValueError(
             "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
             "segment"
+        )
+    if len(places) < _LEAST_USABLE * len(values):
+        raise ValueError(
+            f"the log's t_s can be used in {len(places)} of {len(values)} rows; it may be constant "
+            "or rounded and should rise from row to row"
         )
     return values.iloc[places].assign(segment=segment).reset_index(drop=True), places
 

@@ -174,7 +174,8 @@ def run(notebook, given, output):
 
     Raises:
         ParameterError: if it has no such parameter.
-        PapermillExecutionError: if a cell fails; nothing is written then.
+        PapermillExecutionError: if a cell fails; then only the files that the cells before it made
+            and their list are written.
     """
     # Not imported above: every notebook imports this module, and none needs these.
     import nbformat
@@ -193,25 +194,49 @@ def run(notebook, given, output):
     this = "rhec.workbench.notebook"
     with tempfile.NamedTemporaryFile("r") as listing:
         started = time.time_ns()
-        executed = papermill.execute_notebook(
-            str(notebook),
-            None,
-            given,
-            kernel_name="python3",
-            language="python",
-            cwd=notebook.parent,
-            progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
-            extra_arguments=[
-                "--IPKernelApp.log_level=CRITICAL",
-                "--InlineBackend.figure_formats=retina",  # sharp in the report
-                "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
-                # Without it, a tenth of the time to draw goes into looking for garbage.
-                "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000);"
-                f"__import__('importlib').import_module({this!r}).record({listing.name!r})",
-            ],
-        )
-        opened = [line.rstrip("\n").split(" ", 1) for line in listing]
-    made = _in_project(path for verb, path in opened if verb == "made")
+        try:
+            executed = papermill.execute_notebook(
+                str(notebook),
+                None,
+                given,
+                kernel_name="python3",
+                language="python",
+                cwd=notebook.parent,
+                progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
+                extra_arguments=[
+                    "--IPKernelApp.log_level=CRITICAL",
+                    "--InlineBackend.figure_formats=retina",  # sharp in the report
+                    "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else drawn twice
+                    # Without it, a tenth of the time to draw goes into looking for garbage.
+                    "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000);"
+                    f"__import__('importlib').import_module({this!r}).record({listing.name!r})",
+                ],
+            )
+        except BaseException:
+            # `make clean` has to know what was made until the interruption or failure.
+            _write_rules(output, listing, started, only_if_made=True)
+            raise
+        _write_rules(output, listing, started)
+    _write(output, nbformat.writes(executed), started)
+
+
+def _write_rules(output, listing, started, only_if_made=False):
+    """Write beside the output, for make, what the notebook used and made.
+
+    Args:
+        output: path of the executed notebook.
+        listing: the open file that `record` wrote.
+        started: when the notebook was started [ns].
+        only_if_made: whether to write nothing if the notebook made nothing.
+    """
+    opened = [line.rstrip("\n").split(" ", 1) for line in listing]
+    written = [path for verb, path in opened if verb == "made"]
+    for path in written:  # by a kernel that was killed on the way
+        if path.endswith(".unfinished"):
+            Path(path).unlink(missing_ok=True)
+    made = _in_project(written)
+    if only_if_made and not made:
+        return
     used = _in_project([__file__, ROOT / "rhec/__init__.py", *(path for _, path in opened)]) - made
 
     # All are dated to the start, so that whatever is edited during the run counts as newer.
@@ -226,7 +251,6 @@ def run(notebook, given, output):
     # For `make clean`, which removes these and no other files.
     rule += f"MADE += {' '.join(sorted(made | before))}\n"
     _write(rules, rule, started)
-    _write(output, nbformat.writes(executed), started)
 
 
 def _in_project(paths):
@@ -281,6 +305,8 @@ def main():
         parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
     except ParameterError as error:
         parser.exit(2, f"{error}\n")
+    except OSError as error:  # a folder that cannot be written to, a full disk
+        parser.exit(1, f"{notebook.stem}: {error}\n")
     except PapermillExecutionError as error:
         if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
             parser.exit(2, f"{error.evalue}\n")
@@ -307,7 +333,7 @@ def _output(notebook, given):
 def _value(text):
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
 
 

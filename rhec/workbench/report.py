@@ -34,7 +34,7 @@ from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
 from rhec.workbench.studies.claims.summary import ONE_WAY, verdict_counts
 
-__all__ = ["build"]
+__all__ = ["build", "made_by"]
 
 ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
@@ -52,7 +52,7 @@ gave the other one. Where the verdict names a condition, the text as printed giv
 _WIDE = "---\nhide-toc: true\n---\n\n"  # the contents at the right give their place to the page
 
 
-def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
+def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=None):
     """Write the site; it replaces the old one only when it is whole.
 
     Args:
@@ -60,6 +60,8 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
         figures: folder of the figures and tables that they left.
         report: folder of the site.
         live: whether to link the live page, which `python -m rhec.workbench.live.page` adds.
+        published: names of the files in `figures` that the report may read; by default all. Other
+            files are a person's own, and may be anything.
 
     Raises:
         sphinx.errors.SphinxError: if a page cannot be made; the old site is left as it was.
@@ -69,7 +71,7 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
         source = Path(folder) / "source"
         site = Path(folder) / report.name
         site.mkdir()
-        _lay_out(source, notebooks, figures, live)
+        _lay_out(source, notebooks, figures, live, published)
         _run_sphinx(source, site, ["live"] if live else [])
         (site / "report.d").touch()  # for `make clean`
         made = [f"build/report/{file.relative_to(site)}" for file in site.rglob("*.*")]
@@ -87,13 +89,33 @@ def _run_sphinx(source, site, tags):
         (site / left).unlink(missing_ok=True)
 
 
-def _lay_out(source, notebooks, figures, live):
+def made_by(notebooks, figures=style.FOLDER):
+    """Names of the files in a folder that these notebooks made, by the lists beside them."""
+    names = set()
+    for rules in (Path(notebook).with_suffix(".d") for notebook in notebooks):
+        text = rules.read_text(encoding="utf-8") if rules.exists() else ""
+        files = (
+            ROOT / file for line in re.findall(r"(?m)^MADE \+=(.*)$", text) for file in line.split()
+        )
+        names |= {file.name for file in files if file.parent == figures}
+    return names
+
+
+def _copy_figures(figures, folder, published):
+    folder.mkdir()
+    for file in figures.iterdir():
+        if file.is_file() and (published is None or file.name in published):
+            shutil.copy(file, folder)
+
+
+def _lay_out(source, notebooks, figures, live, published):
     """All that the pages are made of, in a new folder."""
     shutil.copytree(ROOT / "docs", source / "docs", ignore=shutil.ignore_patterns("index.md"))
     shutil.copy(ROOT / "docs/index.md", source)
     for name in _COPIED:
         shutil.copy(ROOT / name, source)
-    shutil.copytree(figures, source / "figures")
+    _copy_figures(figures, source / "figures", published)
+    figures = source / "figures"
     (source / "notebooks").mkdir()
     stories = {file.stem: nbformat.read(file, as_version=4) for file in notebooks}
     scenes = tomllib.loads(_SCENES.read_text(encoding="utf-8"))
@@ -104,8 +126,8 @@ def _lay_out(source, notebooks, figures, live):
         _prepare(notebook, scene_of.get(name), live)
         nbformat.write(notebook, source / f"notebooks/{name}.ipynb")
     pages = {
-        "figures": _figures_page(stories, captions, source / "figures"),
-        "tables": _tables_page(source / "figures"),
+        "figures": _figures_page(stories, captions, figures),
+        "tables": _tables_page(figures),
         "claims": _claims_page(figures / "claims.csv"),
         "provenance": _provenance_page(stories, figures),
     }
@@ -380,9 +402,12 @@ def _main():
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     parser.add_argument("--live", action="store_true", help="link the live page")
+    also = "a file in figures/ to publish besides those that the notebooks made"
+    parser.add_argument("--also", metavar="FILE", nargs="*", default=[], type=Path, help=also)
     options = parser.parse_args()
     try:
-        build(options.notebooks, live=options.live)
+        published = made_by(options.notebooks) | {file.name for file in options.also}
+        build(options.notebooks, live=options.live, published=published)
     except KeyboardInterrupt:
         parser.exit(130, "report: interrupted; an older one is left as it was\n")
     if not options.live:

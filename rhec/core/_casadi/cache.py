@@ -53,7 +53,7 @@ def load_or_build(name, build, load):
                 raise OSError(f"{root} belongs to another user or others can write to it")
             if not _is_whole(root / name):
                 _build(root, name, build)
-            loaded = load(root / name)
+            loaded = _load_or_remove(root, name, load)
         except (OSError, RuntimeError) as error:
             reasons.append(" ".join(str(error).split())[:300])
         else:
@@ -61,6 +61,16 @@ def load_or_build(name, build, load):
                 warn_once(f"compiled code is kept in {root}, since {reasons[0]}")
             return loaded
     raise UnusableError(reasons[0])
+
+
+def _load_or_remove(root, name, load):
+    """Return load(folder); a folder that cannot be loaded goes, so that it is built again."""
+    try:
+        return load(root / name)
+    except (OSError, RuntimeError):
+        with contextlib.suppress(OSError), _locked(root / f"building-{name}.lock"):
+            shutil.rmtree(root / name)
+        raise
 
 
 def _roots():

@@ -49,6 +49,8 @@ _CASADI = Path(ca.__file__).parent
 HEADERS = Path(__file__).parent
 
 _SLOWER = "on CasADi's virtual machine the results are the same, about five times slower"
+_ANSWER_S = 30.0  # in which a compiler has to tell its version
+_COMPILE_S = 1800.0  # in which it has to compile; the largest structures take minutes
 _failed = set()  # compilers that failed in this process
 
 
@@ -64,8 +66,10 @@ def _working_compiler():
     path = shutil.which(named) or shutil.which("cc") or shutil.which("gcc")
     if os.name != "posix":  # the flags and the cache's locks are those of POSIX
         path = None
-    with contextlib.suppress(OSError):  # a file that is no program
-        if path and not subprocess.run([path, "--version"], capture_output=True).returncode:
+    # A file that is no program, or one that hangs.
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        answer = [path, "--version"]
+        if path and not subprocess.run(answer, capture_output=True, timeout=_ANSWER_S).returncode:
             return path
     problem = f"the C compiler {path} fails" if path else "no C compiler found"
     cache.warn_once(f"{problem}: {_SLOWER}")
@@ -186,7 +190,17 @@ def _compile_library(folder, functions):
 
 def run_compiler(command, folder):
     """Run a compiler in a folder; OSError, with its message, if it fails."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_COMPILE_S,
+        )
+    except subprocess.TimeoutExpired:
+        raise OSError(f"{command[0]} did not end in {_COMPILE_S:g} s") from None
     if done.returncode:
         messages = [line for line in done.stderr.splitlines() if "error" in line] or [""]
         raise OSError(f"{command[0]} ended with {done.returncode} {messages[0]}")

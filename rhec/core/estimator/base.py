@@ -4,8 +4,9 @@ from collections import namedtuple
 
 import numpy as np
 
-from rhec.core._casadi.validation import of_length
+from rhec.core._casadi.validation import of_length, shown
 from rhec.core.model.base import SIGMA_UNMEASURED
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
 
 class Estimate(namedtuple("Estimate", "x u p covariance")):
@@ -54,6 +55,10 @@ def joint_guess(model, guess, sigma):
     """First joint state (n_s,) and its standard deviations (n_s,), from those of (x, p)."""
     guess = _by_name(model, "guess", guess)
     sigma = _by_name(model, "sigma_guess", sigma)
+    if max(np.square([*sigma.values()])) >= MAX_PLAUSIBLE_STATE:
+        limit = MAX_PLAUSIBLE_STATE**0.5
+        values = tuple(sigma.values())
+        raise ValueError(f"sigma_guess was {shown(values)}; each should be below {limit:g}")
     for name, bounds in model.parameters.items():
         if bounds and not bounds[0] <= guess[name] <= bounds[1]:
             raise ValueError(f"guess of {name!r} was {guess[name]}; it should be within {bounds}")

@@ -567,6 +567,8 @@ class RHE(RealTimeLoop):
         sigma_guess: valid.Positives,
         arrival_mean: ArrivalMean = "smoothed",
     ):
+        if not model.inputs:
+            raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))

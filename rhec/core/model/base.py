@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from rhec.core._casadi.sines import sines_by_addition
-from rhec.core._casadi.validation import of_length, refuse, shown
-from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
+from rhec.core._casadi.validation import refuse, shown
+from rhec.core.model.limits import MAX_MEASUREMENT, MAX_PLAUSIBLE_STATE, is_valid_measurement
 
 # Standard deviations of inputs, in each input's unit.
 _SIGMA_HELD = 1.0  # a missing input is taken to be the last one
@@ -49,6 +49,7 @@ class Model:
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,).
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
         max_measurement: Largest plausible size of each output; larger values count as missing.
+            By default 1e8 in the output's unit: choose units in which no output is that large.
         motion_noise: Noise that grows with the motion, if any.
 
     Raises:
@@ -70,8 +71,9 @@ class Model:
             problem = f"f was {shown(self.f)}, h {shown(self.h)}"
             raise ValueError(f"{problem}; f and h should be functions of (x, u, p)")
         _check_bounds(self.parameters)
-        if self.max_measurement is not None:
-            of_length("max_measurement", self.max_measurement, len(self.outputs), "output")
+        _check_limits(self.max_measurement, len(self.outputs))
+        if not isinstance(self.motion_noise, MotionNoise | None):
+            refuse("motion_noise was", self.motion_noise, "it should be a MotionNoise or None")
         _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
 
     def __repr__(self) -> str:
@@ -225,12 +227,25 @@ def _check_bounds(parameters):
     for name, bounds in parameters.items():
         try:
             lowest, highest = (-1.0, 1.0) if bounds is None else bounds
-            is_valid = bool(lowest < highest) and not isinstance(lowest, str)
-        except (TypeError, ValueError):
+            is_valid = float(lowest) < float(highest) and not isinstance(lowest, str)
+        except Exception:  # CasADi's symbols raise errors of their own
             is_valid = False
         if not is_valid:
             expected = "it should be (lowest, highest), the first below the second, or None"
             refuse(f"the bounds of {name!r} were", bounds, expected)
+
+
+def _check_limits(limits, n_z):
+    if limits is None:
+        return
+    try:
+        is_valid = len(limits) == n_z and all(0 < limit <= MAX_PLAUSIBLE_STATE for limit in limits)
+    except Exception:  # CasADi's symbols raise errors of their own
+        is_valid = False
+    if not is_valid:
+        entries = f"{n_z} entries, one for each output"
+        expected = f"it should have {entries}, each above 0 and at most {MAX_PLAUSIBLE_STATE:g}"
+        refuse("max_measurement was", limits, expected)
 
 
 class Output(NamedTuple):

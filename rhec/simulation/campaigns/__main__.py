@@ -20,6 +20,11 @@ def main():
     """Read the command line, run the campaign, write the table, and print means."""
     parser = _parser()
     options = parser.parse_args()
+    if options.seeds < 1:
+        parser.exit(2, f"--seeds was {options.seeds}; it should be at least 1\n")
+    for name, *texts in options.p:
+        if not texts:
+            parser.exit(2, f"-p {name} had no value; it should have at least one\n")
     values = {name: [_parse(text) for text in texts] for name, *texts in options.p}
     values = values or dict(estimator=["rhe", "ekf"], process_noise=["printed", "calibrated"])
     values.setdefault("seed", range(options.seeds))
