@@ -72,8 +72,8 @@ def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
         texts = _of_scenario(scenario)
     _refuse_folders(folder, texts)
     folder.mkdir(parents=True, exist_ok=True)
-    # All files are written before the first one is replaced. This happens inside the folder, because
-    # the folder may be the root of another file system, across which nothing can be renamed.
+    # All files are written before the first one is replaced. This happens inside the folder,
+    # because it may be the root of another file system, across which nothing can be renamed.
     with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as unfinished:
         for name, text in texts.items():
             Path(unfinished, name).write_text(text, encoding="utf-8")
