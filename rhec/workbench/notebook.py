@@ -132,101 +132,115 @@ def _no_such_parameter(name, value, names):
 
 
 def record(listing):
-    """Append to the file `listing` what this process, or a fork of it, opens in the project.
+    """Append to a file what this process, or a fork of it, opens in the project.
 
-    A module counts when it is imported, which always tries to open its bytecode first, and not
-    when its source is merely read, as it is to name the compiled libraries; nor does a notebook,
-    read for the digest in a figure's file: make itself knows the one that runs.
+    A module counts when it is imported, which always tries to open its bytecode first. It does not
+    count when its source is merely read, as it is to name the compiled libraries. Nor does a
+    notebook, which is read for the digest in a figure's file: make knows the one that runs.
 
     Args:
-        listing: path of an existing file, which gets lines "used PATH" and "made PATH".
+        listing: Path of an existing file, which gets lines "used PATH" and "made PATH".
     """
     log = os.open(listing, os.O_WRONLY | os.O_APPEND)
 
     def note(event, args):
         if event == "open" and not isinstance(args[0], int):
             path = args[0]
-            written = args[2] & (os.O_WRONLY | os.O_RDWR)
+            is_written = args[2] & (os.O_WRONLY | os.O_RDWR)
         elif event == "os.rename":
             path = args[1]
-            written = True
+            is_written = True
         else:
             return
         path = os.path.realpath(os.fsdecode(path))
         if path.endswith((".py", ".ipynb")):
             return
-        if path.endswith(".pyc") and not written:
+        if path.endswith(".pyc") and not is_written:
             with contextlib.suppress(ValueError):  # bytecode without a source
                 path = importlib.util.source_from_cache(path)
         if path.startswith(f"{ROOT}{os.sep}"):
-            os.write(log, f"{'made' if written else 'used'} {path}\n".encode())
+            os.write(log, f"{'made' if is_written else 'used'} {path}\n".encode())
 
     sys.addaudithook(note)
 
 
-def run(notebook, given, output):
+def run(notebook, values, output):
     """Execute a notebook and write beside it, for make, what it used and made.
 
     Args:
-        notebook: path of the notebook.
-        given: its parameters, by name.
-        output: path of the executed notebook.
+        notebook: Path of the notebook.
+        values: {name: value} of its parameters.
+        output: Path of the executed notebook.
 
     Raises:
-        ParameterError: if it has no such parameter.
-        PapermillExecutionError: if a cell fails; nothing is written then.
+        ParameterError: If it has no such parameter.
+        PapermillExecutionError: If a cell fails; nothing is written then.
     """
-    # Not imported above: every notebook imports this module, and none needs these.
+    # Not imported above: every notebook imports this module, and none needs it.
     import nbformat
-    import papermill
 
-    logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     # A name that the notebook itself uses (rhec) would be overwritten before it is checked.
     cells = nbformat.read(notebook, 4).cells
     tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
     declared = [name for cell in tagged for name in _declared(cell.source)]
-    for name in given.keys() - declared:
-        raise _no_such_parameter(name, given[name], declared)
-    os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
-    os.environ["RHEC_NOTEBOOK"] = notebook.name  # for the figures' and tables' files
-    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs are the results, not what was waited for
-    this = "rhec.workbench.notebook"
+    for name in values.keys() - declared:
+        raise _no_such_parameter(name, values[name], declared)
+    started_ns = time.time_ns()
     with tempfile.NamedTemporaryFile("r") as listing:
-        started = time.time_ns()
-        executed = papermill.execute_notebook(
-            str(notebook),
-            None,
-            given,
-            kernel_name="python3",
-            language="python",
-            cwd=notebook.parent,
-            progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
-            extra_arguments=[
-                "--IPKernelApp.log_level=CRITICAL",
-                "--InlineBackend.figure_formats=retina",  # sharp in the report
-                "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
-                # Without it, a tenth of the time to draw goes into looking for garbage.
-                "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000);"
-                f"__import__('importlib').import_module({this!r}).record({listing.name!r})",
-            ],
-        )
+        executed = _execute(notebook, values, listing.name)
         opened = [line.rstrip("\n").split(" ", 1) for line in listing]
     made = _in_project(path for verb, path in opened if verb == "made")
     used = _in_project([__file__, ROOT / "rhec/__init__.py", *(path for _, path in opened)]) - made
-
     # All are dated to the start, so that whatever is edited during the run counts as newer.
     for path in made:
-        os.utime(ROOT / path, ns=(started, started))
+        os.utime(ROOT / path, ns=(started_ns, started_ns))
     output.parent.mkdir(parents=True, exist_ok=True)
-    files = " ".join(sorted(used | made))
     rules = output.with_suffix(".d")
+    _write(rules, _rules(output, rules, used, made), started_ns)
+    _write(output, nbformat.writes(executed), started_ns)
+
+
+def _execute(notebook, values, listing):
+    """The executed notebook; `listing` gets what its kernel opens."""
+    import papermill
+
+    logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # a kernel that dies by Ctrl-C
+    os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
+    os.environ["RHEC_NOTEBOOK"] = notebook.name  # for the figures' and tables' files
+    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs hold results, and no progress
+    this = "rhec.workbench.notebook"
+    return papermill.execute_notebook(
+        str(notebook),
+        None,
+        values,
+        kernel_name="python3",
+        language="python",
+        cwd=notebook.parent,
+        progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
+        extra_arguments=[
+            "--IPKernelApp.log_level=CRITICAL",
+            "--InlineBackend.figure_formats=retina",  # sharp in the report
+            "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
+            # Without it, a tenth of the time to draw goes into looking for garbage.
+            "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000);"
+            f"__import__('importlib').import_module({this!r}).record({listing!r})",
+        ],
+    )
+
+
+def _rules(output, rules, used, made):
+    """Text for make: the files that the executed notebook depends on, and MADE.
+
+    `make clean` removes what MADE lists and no other files: what this run made, and what earlier
+    ones did.
+    """
+    files = " ".join(sorted(used | made))
     before = rules.read_text(encoding="utf-8") if rules.exists() else ""
-    before = _in_project(ROOT / file for file in re.sub("(?m)^(?!MADE).*", "", before).split())
-    rule = f"{os.path.relpath(output, ROOT)}: {files}\n{files}:\n"
-    # For `make clean`, which removes these and no other files.
-    rule += f"MADE += {' '.join(sorted(made | before))}\n"
-    _write(rules, rule, started)
-    _write(output, nbformat.writes(executed), started)
+    before = re.sub("(?m)^(?!MADE).*", "", before).split()
+    made_ever = made | _in_project(ROOT / file for file in before)
+    depends = f"{os.path.relpath(output, ROOT)}: {files}\n{files}:\n"
+    return f"{depends}MADE += {' '.join(sorted(made_ever))}\n"
 
 
 def _in_project(paths):
@@ -239,15 +253,55 @@ def _in_project(paths):
     }
 
 
-def _write(path, text, date):
+def _write(path, text, date_ns):
+    """Write a file with a date, whole or not at all."""
     unfinished = path.with_name(f"{path.name}.unfinished")
     unfinished.write_text(text, encoding="utf-8")
-    os.utime(unfinished, ns=(date, date))
+    os.utime(unfinished, ns=(date_ns, date_ns))
     unfinished.replace(path)
 
 
 def main():
     """Run a notebook from the command line."""
+    parser, args = _arguments()
+    notebook = next(
+        (p.resolve() for p in (args.notebook, ROOT / args.notebook) if p.is_file()), None
+    )
+    if notebook is None or notebook.suffix != ".ipynb":
+        parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
+    for name, _ in args.p:
+        if not name.isidentifier() or keyword.iskeyword(name):
+            parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
+    values = {name: _value(text) for name, text in args.p}
+    output = args.output or _output(notebook, values)
+    interrupted = f"{notebook.stem}: interrupted, and nothing half-made left behind\n"
+
+    started_s = time.monotonic()
+    try:
+        # Importing it takes a second, in which Ctrl-C may come.
+        from papermill.exceptions import PapermillExecutionError
+
+        run(notebook, values, output)
+    except KeyboardInterrupt:
+        parser.exit(130, interrupted)
+    except ParameterError as error:
+        parser.exit(2, f"{error}\n")
+    except PapermillExecutionError as error:
+        # Ctrl-C reaches the kernel, too, and its cell may fail first.
+        if error.ename == KeyboardInterrupt.__name__:
+            parser.exit(130, interrupted)
+        if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
+            parser.exit(2, f"{error.evalue}\n")
+        parser.exit(1, str(error))
+    seconds = time.monotonic() - started_s
+    scores = output.with_name("scores.txt")
+    if "log" in values and scores.exists():
+        print(scores.read_text(encoding="utf-8"), end="")
+    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
+
+
+def _arguments():
+    """The parser and the arguments of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m rhec.workbench.notebook",
         description="Run a notebook, such as notebooks/03_scenario_a.ipynb.",
@@ -259,52 +313,23 @@ def main():
         "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help=value
     )
     parser.add_argument("--output", type=Path, help=output)
-    args = parser.parse_args()
-
-    places = (args.notebook, ROOT / args.notebook)
-    notebook = next((path.resolve() for path in places if path.is_file()), None)
-    if notebook is None or notebook.suffix != ".ipynb":
-        parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
-    for name, _ in args.p:
-        if not name.isidentifier() or keyword.iskeyword(name):
-            parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
-    given = {name: _value(text) for name, text in args.p}
-    output = args.output or _output(notebook, given)
-
-    started = time.monotonic()
-    try:
-        # takes a second, in which a person may change their mind
-        from papermill.exceptions import PapermillExecutionError
-
-        run(notebook, given, output)
-    except KeyboardInterrupt:
-        parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
-    except ParameterError as error:
-        parser.exit(2, f"{error}\n")
-    except PapermillExecutionError as error:
-        if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
-            parser.exit(2, f"{error.evalue}\n")
-        parser.exit(1, str(error))
-    seconds = time.monotonic() - started
-    scores = output.with_name("scores.txt")
-    if "log" in given and scores.exists():
-        print(scores.read_text(encoding="utf-8"), end="")
-    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
+    return parser, parser.parse_args()
 
 
-def _output(notebook, given):
-    """Where the executed notebook goes: beside the pictures of a log of one's own."""
-    if isinstance(given.get("log"), str):
-        from rhec.workbench.plots.replay import replay_folder  # takes a second
+def _output(notebook, values):
+    """Where the executed notebook goes: for a user's log, beside its pictures."""
+    if isinstance(values.get("log"), str):
+        from rhec.workbench.plots.replay import replay_folder  # importing it takes a second
 
-        folder = replay_folder(ROOT / given["log"])
+        folder = replay_folder(ROOT / values["log"])
         if folder.is_relative_to(ROOT / "build"):
             return folder / notebook.name
-    stem = f"{notebook.stem}-custom" if given else notebook.stem
+    stem = f"{notebook.stem}-custom" if values else notebook.stem
     return ROOT / f"build/notebooks/{stem}.ipynb"
 
 
 def _value(text):
+    """A parameter's value: what its JSON says, or else the text itself."""
     try:
         return json.loads(text)
     except ValueError:
@@ -312,9 +337,9 @@ def _value(text):
 
 
 if __name__ == "__main__":
-    # Half a second of threads that only wait for one another; the kernel inherits it.
+    # With more, threads wait for one another for half a second; the kernel inherits it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Papermill would first load, for 1.7 s, what addresses, durations and Hadoop need.
+    # Papermill would import them, which takes 1.7 s, and uses none of them here.
     for unused in ("rfc3987_syntax", "isoduration", "pyarrow"):
         sys.modules.setdefault(unused, None)
     main()

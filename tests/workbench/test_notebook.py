@@ -8,7 +8,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from nbformat import v4
 
@@ -93,6 +93,7 @@ def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
     assert refusal.value._render_traceback_() == [f"ParameterError: {sentence}"]
 
 
+@settings(deadline=None)  # checks are built anew each time
 @given(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
 )

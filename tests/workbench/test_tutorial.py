@@ -20,20 +20,33 @@ TUTORIAL = Path(__file__).parents[2] / "notebooks/01_tutorial.ipynb"
 DT = paper.DT_S
 
 
+SOLUTION = re.compile(
+    r"<details>\n<summary>Solution</summary>\n.*```python\n(.*)\n```\n\n</details>", re.DOTALL
+)
+
+
+def solutions(notebook):
+    """The code of the solutions, which stand in Markdown so that "Run all" does not run them."""
+    matches = [SOLUTION.fullmatch(cell.source) for cell in notebook.cells]
+    return [match[1] for match in matches if match]
+
+
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory):
-    """The tutorial, executed in a folder that holds nothing of the project."""
+    """The tutorial as it is, then its solutions, executed in a folder without the project."""
     notebook = nbformat.read(TUTORIAL, as_version=4)
-    return NotebookClient(
-        notebook,
-        timeout=300,
-        resources={"metadata": {"path": str(tmp_path_factory.mktemp("elsewhere"))}},
-    ).execute()
+    tagged = {"tags": ["solution"]}
+    notebook.cells += [
+        nbformat.v4.new_code_cell(code, metadata=tagged) for code in solutions(notebook)
+    ]
+    folder = str(tmp_path_factory.mktemp("elsewhere"))
+    resources = {"metadata": {"path": folder}}
+    return NotebookClient(notebook, timeout=300, resources=resources).execute()
 
 
 def answers(notebook, tag):
-    """What the checks said in the cells with this tag."""
-    said = {
+    """The checks' answers in the cells with this tag."""
+    by_cell = {
         cell["id"]: [
             text
             for output in cell.outputs
@@ -44,26 +57,26 @@ def answers(notebook, tag):
         for cell in notebook.cells
         if tag in cell.metadata.get("tags", [])
     }
-    assert said and all(len(each) == 1 for each in said.values()), said
-    return [each for (each,) in said.values()]
+    assert by_cell and all(len(answers) == 1 for answers in by_cell.values()), by_cell
+    return [answer for (answer,) in by_cell.values()]
 
 
 def test_every_solution_is_right(executed):
-    solutions = answers(executed, "solution")
-    assert all(said.startswith("Right: ") for said in solutions), solutions
+    right = answers(executed, "solution")
+    assert all(answer.startswith("Right: ") for answer in right), right
 
 
 def test_no_exercise_is_solved_before_it_is_answered(executed):
     blank = answers(executed, "exercise")
-    assert len(blank) == len(answers(executed, "solution")) >= 4
-    assert all(said.startswith("Not yet: ") for said in blank), blank
+    assert len(blank) == len(answers(executed, "solution")) == 6
+    assert all(answer.startswith("Not yet: ") for answer in blank), blank
 
 
-def test_solutions_are_folded_away():
-    for cell in nbformat.read(TUTORIAL, as_version=4).cells:
-        assert ("solution" in cell.metadata.get("tags", [])) == cell.metadata.get(
-            "jupyter", {}
-        ).get("source_hidden", False)
+def test_each_exercise_is_followed_by_its_solution():
+    cells = nbformat.read(TUTORIAL, as_version=4).cells
+    for cell, following in zip(cells, cells[1:]):
+        is_exercise = "exercise" in cell.metadata.get("tags", [])
+        assert is_exercise == bool(SOLUTION.fullmatch(following.source)), cell.source
 
 
 def rk4(xi, omega, p):
