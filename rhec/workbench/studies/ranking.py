@@ -21,7 +21,13 @@ from rhec.simulation.metrics import SETTLING_SAMPLES, settled_samples
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.workbench.studies import calibration
-from rhec.workbench.studies.statistics import over_seeds, ratio_of_means, readable, verdict
+from rhec.workbench.studies.statistics import (
+    interval_text,
+    over_seeds,
+    ratio_of_means,
+    readable,
+    verdict,
+)
 
 __all__ = [
     "CONTESTANTS",
@@ -37,6 +43,7 @@ __all__ = [
     "ranking_table",
     "scenarios",
     "step_times",
+    "targets",
     "time_table",
 ]
 
@@ -192,6 +199,13 @@ def time_table(times):
     ratios = times[other] / times[one]
     rows = times.assign(**{f"ratio, {other} / {one}": ratios}).quantile([0.5, 0.25, 0.75]).T
     return rows.set_axis(["median", "lower quartile", "upper quartile"], axis=1).round(2)
+
+
+def targets(table):
+    """The targets in `ranking_table` for readers: value, claim and verdict of each."""
+    rows = table[table["claim"] != ""]
+    values = [interval_text(*interval) for interval in zip(rows["mean"], rows["low"], rows["high"])]
+    return rows.assign(ratio=values).set_index("quantity")[["ratio", "n", "claim", "verdict"]]
 
 
 def overview(table):

@@ -309,7 +309,7 @@ def readable_fault_table(table):
     recovered = table["back"].astype(str) + " of " + table["n"].astype(str)
     counts = table.assign(quantity=cases, recovered=recovered)
     counts = counts.pivot(index="quantity", columns="handling", values="recovered")
-    counts = counts[["off", "on", "oracle"]].add_prefix("recovered, ").fillna("")
+    counts = counts.add_prefix("recovered, ").fillna("")
     return shown.join(counts)
 
 
