@@ -209,9 +209,9 @@ of a run.
 """
 _MODEL = """
 With a `model`, a recording has `t_s`, a column for each of the model's outputs and, optionally,
-`segment`. The replay returns these and `ok`. It adds the estimate `<name>_hat` of each state, input
-and parameter, and the standard deviation `<name>_sigma` of each state and parameter. The age of
-each output when it was used is `<name>_age_s`, in seconds.
+`segment`. The replay returns these, the estimate `<name>_hat` of each state, input and parameter,
+the standard deviation `<name>_sigma` of each state and parameter, the age `<name>_age_s` of each
+output in seconds when it was used, and `ok`.
 """
 _METRICS_HEAD = """
 ## Metrics

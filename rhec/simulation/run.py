@@ -1,7 +1,7 @@
 """A finished run: its metrics, its log, and what it shows of itself.
 
 The simulation draws nothing and imports nothing of the workbench. The function that draws a run,
-`rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run._draw`.
+`rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run.draw`.
 """
 
 import base64
@@ -45,7 +45,7 @@ class Run:
     columns: dict[str, np.ndarray]
 
     # (run, with_band) -> Figure
-    _draw: ClassVar[Callable[..., "Figure"]]
+    draw: ClassVar[Callable[..., "Figure"]]
 
     @functools.cached_property
     def log(self) -> "pd.DataFrame":
@@ -73,7 +73,7 @@ class Run:
         )
         picture = io.BytesIO()
         # Without the band, since a result of a cell must not wait for a compiler.
-        self._draw(self, with_band=False).savefig(picture, format="png", dpi=100)
+        self.draw(self, with_band=False).savefig(picture, format="png", dpi=100)
         data = base64.b64encode(picture.getvalue()).decode()
         return (
             f"<p><code>{html.escape(repr(self.scenario))}</code></p>"
@@ -87,7 +87,7 @@ class Run:
         Returns:
             A matplotlib Figure.
         """
-        return self._draw(self, with_band=True)
+        return self.draw(self, with_band=True)
 
 
 def _rounded(value):

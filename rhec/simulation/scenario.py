@@ -109,7 +109,7 @@ seed: Fixes the soil and all noise.
 
 
 @valid.validated
-class Scenario:  # noqa: D101 - its docstring is made from FIELDS
+class Scenario:
     # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
     estimator: Annotated[EstimatorName | ca.Function, SkipValidation] = "rhe"
     process_noise: valid.ProcessNoise = "printed"

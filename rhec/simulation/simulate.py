@@ -19,7 +19,7 @@ def simulate(scenario: Scenario) -> Run: ...
 def simulate(scenario: Iterable[Scenario]) -> list[Run]: ...
 
 
-def simulate(scenario: Scenario | Iterable[Scenario]) -> Run | list[Run]:
+def simulate(scenario):
     """Run one scenario, or several.
 
     The first run of a loop structure compiles that structure, which takes some seconds, once.
@@ -35,7 +35,7 @@ def simulate(scenario: Scenario | Iterable[Scenario]) -> Run | list[Run]:
     Raises:
         ValueError: If an argument is no Scenario.
     """
-    if isinstance(scenario, (str, dict)) or not isinstance(scenario, Iterable):
+    if isinstance(scenario, str) or not isinstance(scenario, Iterable):
         return closed_loop.simulate(scenario)
     scenarios = as_list(scenario, "scenario")
     # Imported here, because a single run needs neither SIMD lanes nor the code of campaigns.
@@ -50,7 +50,7 @@ def as_list(scenarios, name):
     Raises:
         ValueError: If it is not iterable, or holds anything but a Scenario; it names the argument.
     """
-    if isinstance(scenarios, (str, dict)) or not isinstance(scenarios, Iterable):
+    if isinstance(scenarios, str) or not isinstance(scenarios, Iterable):
         raise ValueError(f"{name} was {shown(scenarios)}; it should be a list of rhec.Scenario")
     scenarios = list(scenarios)
     for i, scenario in enumerate(scenarios):

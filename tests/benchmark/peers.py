@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.core.model.base import rk4
 from rhec.tracked_robot import kinematics as model
 
 quiet = functools.partial(warnings.catch_warnings, action="ignore")
@@ -36,7 +35,7 @@ OPTIONS = {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb"
 
 
 def next_pose(xi, omega, p):
-    return rk4(model.f, xi, omega, p, paper.DT_S)
+    return model.rk4(model.f, xi, omega, p, paper.DT_S)
 
 
 def squared(error, weight):

@@ -402,7 +402,6 @@ class RHC(RealTimeLoop):
     paper_class: ClassVar[Callable[[], type["RHC"]] | None] = None
 
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
-        """Without a model, make a controller of the class that stands in."""
         if cls is RHC and model is None and cls.paper_class:
             cls = cls.paper_class()
         return super().__new__(cls)

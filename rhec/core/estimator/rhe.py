@@ -702,7 +702,6 @@ class RHE(RealTimeLoop):
     paper_class: ClassVar[Callable[[], type] | None] = None
 
     def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
-        """Without a model, make an estimator of the class that stands in."""
         if cls is RHE and model is None and RHE.paper_class:
             cls = RHE.paper_class()
         return super().__new__(cls)

@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator.rhe import RHE
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.simulation.simulate import simulate
-from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = ["PHASES", "machine", "phases", "table"]
@@ -37,8 +38,8 @@ def phases(scenario, qp):
     """
     (run,) = simulate([scenario])  # one run does not pay for compiling its loop
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
-    estimator = PaperRHE(process_noise=scenario.process_noise, guess=guess)
-    controller = PaperRHC(q=scenario.q, r=scenario.r, qp=qp)
+    estimator = RHE(process_noise=scenario.process_noise, guess=guess)
+    controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
     tracker = PathTracker(run.path)
     measurements = run.log[MEASUREMENTS].to_numpy()
     clock = time.perf_counter_ns
