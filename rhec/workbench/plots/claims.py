@@ -50,8 +50,7 @@ def save_ledger(table, name="claims", folder=style.FOLDER, notebook=None):
     Args:
         table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
         name: of the files, without a suffix.
-        folder: as for `rhec.workbench.plots.style.save`.
-        notebook: likewise.
+        folder, notebook: as for `rhec.workbench.plots.style.save`.
 
     Returns:
         The CSV's path. The LaTeX needs the packages booktabs and longtable.
