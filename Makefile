@@ -105,7 +105,7 @@ lint: $(READY) ## check style, the types of the public face, and notebooks for o
 	@$(PY) -m ruff check --quiet
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
-	@.venv/bin/lint-imports --no-timing --no-cache > build/imports || { cat build/imports >&2; exit 1; }
+	@.venv/bin/lint-imports --no-cache > build/imports || { cat build/imports >&2; exit 1; }
 	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id
 
 bench: .venv/peers .venv/acados ## compare computation times with other tools, into figures/ (minutes)
