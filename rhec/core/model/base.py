@@ -15,7 +15,12 @@ import casadi as ca
 
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import shown
-from rhec.core.model.limits import MAX_MEASUREMENT, MAX_PLAUSIBLE_STATE, is_valid_measurement
+from rhec.core.model.limits import (
+    MAX_MEASUREMENT,
+    MAX_PLAUSIBLE_STATE,
+    MAX_QP_ENTRY,
+    is_valid_measurement,
+)
 
 __all__ = ["SIGMA_UNMEASURED", "Interval", "Model", "MotionNoise", "Output", "interval", "rk4"]
 
@@ -145,7 +150,12 @@ class Model:
     def bounds(self) -> dict[int, tuple[float, float]]:
         """Bounds of the bounded entries of the joint state, by their place in it."""
         first = self.n_s - len(self.parameters)
-        return {first + i: b for i, b in enumerate(self.parameters.values()) if b is not None}
+        # An infinite bound is a number here, because its product with a multiplier 0 is no number.
+        return {
+            first + i: (max(b[0], -MAX_QP_ENTRY), min(b[1], MAX_QP_ENTRY))
+            for i, b in enumerate(self.parameters.values())
+            if b is not None
+        }
 
     @functools.cached_property
     def input_outputs(self) -> dict[int, int]:
