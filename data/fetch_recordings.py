@@ -5,6 +5,7 @@ each. They are pickled pandas frames, and a pickle can run code when it is loade
 with another digest is refused, and only the classes of a frame of numbers may be unpickled.
 """
 
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -12,6 +13,7 @@ from urllib.parse import quote
 
 import pandas as pd
 import pooch
+import requests
 from convert_recordings import convert
 from pandas.compat.pickle_compat import Unpickler
 
@@ -19,6 +21,8 @@ __all__ = ["FOLDER", "RECORDINGS", "fetch", "main", "read_frame"]
 
 FOLDER = Path(__file__).with_name("recordings")
 RECORDINGS = tomllib.loads(Path(__file__).with_name("recordings.toml").read_text("utf-8"))
+_NEEDED = {"repository", "commit", "path", "sha256"}
+_MOST_BYTES = 200_000_000  # the largest recording has a few tens of megabytes
 _HOST = "https://raw.githubusercontent.com"
 # What a pickled frame of numbers consists of, also one by an older pandas: {module: names}.
 _ADMITTED = {
@@ -63,13 +67,28 @@ def fetch(name, folder=FOLDER, host=_HOST, recordings=RECORDINGS):
         Path of the file.
 
     Raises:
-        ValueError: If its digest is not that of recordings.toml. The file is removed.
+        ValueError: If its digest is not that of recordings.toml (the file is removed), if it is
+            larger than any recording, or if its table lacks an entry.
     """
     source = recordings[name]
+    if not source.keys() >= _NEEDED or not re.fullmatch(r"[\w-]+", name):
+        raise ValueError(f"its table should have a plain name and {', '.join(sorted(_NEEDED))}")
     # A commit, not a branch: the file cannot change under this address.
     url = f"{host}/{source['repository']}/{source['commit']}/{quote(source['path'])}"
     digest = f"sha256:{source['sha256']}"
-    return Path(pooch.retrieve(url, digest, fname=f"{name}.pkl", path=folder))
+    return Path(pooch.retrieve(url, digest, f"{name}.pkl", folder, downloader=_download))
+
+
+def _download(url, file, _):
+    """Download to a file, as pooch asks, but no more than a recording has."""
+    with requests.get(url, stream=True, timeout=30) as answer, open(file, "wb") as opened:
+        answer.raise_for_status()
+        size = 0
+        for piece in answer.iter_content(1 << 16):
+            size += len(piece)
+            if size > _MOST_BYTES:
+                raise ValueError(f"{url} has more than {_MOST_BYTES} bytes")
+            opened.write(piece)
 
 
 def read_frame(file):
@@ -78,8 +97,13 @@ def read_frame(file):
     Raises:
         ValueError: If the pickle has anything else in it.
     """
-    with open(file, "rb") as opened:
-        frame = _OnlyFrames(opened).load()
+    try:
+        with open(file, "rb") as opened:
+            frame = _OnlyFrames(opened).load()
+    except (OSError, ValueError):
+        raise
+    except Exception as error:  # any error that a broken pickle may raise
+        raise ValueError(f"{Path(file).name} is no pickle ({type(error).__name__})") from None
     if not isinstance(frame, pd.DataFrame):
         raise ValueError(f"{Path(file).name} has a {type(frame).__name__}; it should have a frame")
     return frame

@@ -72,7 +72,7 @@ def __getattr__(name):
         return home
     if name in ("Run", "Scenario", "simulate"):
         # The simulation draws nothing; the workbench's picture of a run is attached here.
-        _import_module("rhec.simulation.run").Run.draw = staticmethod(_draw_run)
+        _import_module("rhec.simulation.run").Run._draw = staticmethod(_draw_run)
     value = getattr(home, name)
     if name in ("RHC", "RHE"):
         value.paper_class = _partial(_paper_class, name)

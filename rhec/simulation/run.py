@@ -1,7 +1,7 @@
 """A finished run: its metrics, its log, and what it shows of itself.
 
 The simulation draws nothing and imports nothing of the workbench. The function that draws a run,
-`rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run.draw`.
+`rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run._draw`.
 """
 
 import functools

@@ -75,3 +75,18 @@ def test_a_model_without_inputs_is_refused_where_it_cannot_be_used():
     options = dict(dt=0.2, sigma_v=(0.1,), sigma_w=(0.1,), guess=(0.0,), sigma_guess=(1.0,))
     with pytest.raises(ValueError, match="model had no inputs"):
         rhec.RHE(model=model, horizon=5, **options)
+
+
+@pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (-np.inf, 5.0), (0.0, np.inf)])
+def test_an_infinite_bound_is_none(virtual_machine, bounds):
+    options = dict(dt=0.2, sigma_v=(0.1, 0.1), sigma_w=(0.0, 0.01))
+    options |= dict(guess=(0.0, 0.5), sigma_guess=(1.0, 1.0), horizon=5)
+    estimates = []
+    for slip in (bounds, None):
+        estimator = rhec.RHE(model=model_with(parameters=dict(slip=slip)), **options)
+        for k in range(10):
+            estimator.prepare()
+            estimate = estimator.feedback([0.1 * k, 0.6])
+        assert estimator.kkt >= 0
+        estimates.append([*estimate.x, *estimate.p])
+    np.testing.assert_allclose(*estimates, rtol=1e-9)

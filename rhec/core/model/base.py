@@ -16,7 +16,12 @@ import casadi as ca
 
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import refuse, shown
-from rhec.core.model.limits import MAX_MEASUREMENT, MAX_PLAUSIBLE_STATE, is_valid_measurement
+from rhec.core.model.limits import (
+    MAX_MEASUREMENT,
+    MAX_PLAUSIBLE_STATE,
+    MAX_QP_ENTRY,
+    is_valid_measurement,
+)
 
 # Standard deviations of inputs, in each input's unit.
 _SIGMA_HELD = 1.0  # a missing input is taken to be the last one
@@ -137,8 +142,11 @@ class Model:
     def bounds(self) -> dict[int, tuple[float, float]]:
         """Bounds of the bounded entries of the joint state, by their place in it."""
         place = self.joint_names.index
+        # An infinite bound is a number here, because its product with a multiplier 0 is no number.
         return {
-            place(name): bounds for name, bounds in self.parameters.items() if bounds is not None
+            place(name): (max(bounds[0], -MAX_QP_ENTRY), min(bounds[1], MAX_QP_ENTRY))
+            for name, bounds in self.parameters.items()
+            if bounds is not None
         }
 
     @functools.cached_property

@@ -14,11 +14,11 @@ import pandas as pd
 from scipy import linalg
 
 from rhec import paper
-from rhec.core.estimator.rhe import RHE
 from rhec.simulation.closed_loop import simulate
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
+from rhec.tracked_robot.live import PaperRHE
 from rhec.workbench.studies import calibration, statistics
 from rhec.workbench.studies.claims import run_sets
 
@@ -135,7 +135,7 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     deviations = []
     for sigma in sigma_kappa:
         sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
-        estimator = RHE(sigma_w=sigma_w, guess=guess)
+        estimator = PaperRHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
             estimate = estimator.feedback(measurement)

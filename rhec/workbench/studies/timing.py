@@ -17,6 +17,7 @@ import pandas as pd
 from rhec import paper
 from rhec.simulation.closed_loop import simulate
 from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
@@ -44,8 +45,8 @@ def phases(scenario, qp):
     """
     (run,) = simulate([scenario])  # one run does not pay for compiling its loop
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
-    estimator = RHE(process_noise=scenario.process_noise, guess=guess)
-    controller = RHC(q=scenario.q, r=scenario.r, qp=qp)
+    estimator = PaperRHE(process_noise=scenario.process_noise, guess=guess)
+    controller = PaperRHC(q=scenario.q, r=scenario.r, qp=qp)
     tracker = PathTracker(run.path)
     measurements = run.log[MEASUREMENTS].to_numpy()
     clock = time.perf_counter_ns
