@@ -8,7 +8,7 @@ SAMPLES ?= 10000000
 RUNS ?= 100000
 export LOG WHAT SAMPLES RUNS HOST PYTHON
 
-# The paper's figures and tables, and what goes beyond them, in the order of the report.
+# Notebooks of the paper's figures and tables, and of further studies, in the order of the report.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
 STUDIES := 01_tutorial 02_equations 06_claims 07_interpretations 08_beyond \
   09_faults 10_replay 11_your_robot
@@ -22,7 +22,7 @@ PIP := $(PY) -m pip --disable-pip-version-check install -q
 executed = $(1:%=build/notebooks/%.ipynb)
 EXECUTED := $(call executed,$(FIGURES) $(STUDIES))
 
-# `make clean-NAME` removes these, `make clean` does not.
+# Only `make clean-NAME` removes these, `make clean` does not.
 KEPT := campaigns replays explored embedded benchmarks
 clean-campaigns := build/campaign
 clean-replays := build/replay build/notebooks/10_replay-custom.*
@@ -36,7 +36,7 @@ clean-benchmarks := $(foreach suffix,csv tex png pdf,$(benchmarks:%=figures/benc
 MADE :=
 made :=
 
-# Two notebooks at a time, each on half of the cores; other goals stay in the order given.
+# Two notebooks run at a time, each on half of the cores. Other goals run in their order.
 ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
 MAKEFLAGS += -j2
 export PYTHON_CPU_COUNT ?= $(shell echo $$((($$(getconf _NPROCESSORS_ONLN) + 1) / 2)))
@@ -45,20 +45,20 @@ endif
 .PHONY: help figures studies claims report lab replay recordings replay-table calibrate campaign \
   embedded test test-browser lint bench soak storm lock upgrade clean $(KEPT:%=clean-%)
 
-help: ## list what can be made
+help: ## list the goals
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
 
 ##@ The paper
-# What takes longest comes first: scenario B of the figures, claims of the studies.
+# The longest notebook of each goal starts first.
 figures: $(call executed,04_scenario_b $(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
-studies: $(call executed,06_claims $(STUDIES)) ## what goes beyond them: claims, faults, replay … (minutes)
+studies: $(call executed,06_claims $(STUDIES)) ## further studies: claims, faults, replay … (minutes)
 figures studies:
 	@$(if $(filter $^,$(made)),$(PY) -m rhec.workbench.results)
 	@echo '$@: $(if $(filter $^,$(made)),made,everything is up to date)'
 
-claims: $(call executed,06_claims) ## the claims ledger alone: figures/claims.csv, .tex, .md, .png
+claims: $(call executed,06_claims) ## only the claims ledger: figures/claims.csv, .tex, .md, .png
 
-report: build/report/index.html ## all of it and the reference as one site, build/report/
+report: build/report/index.html ## all notebooks, documents and the reference as a site in build/report/
 	@echo 'report: open build/report/index.html'
 
 ##@ Work
@@ -81,10 +81,10 @@ replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=fi
 recordings: $(READY) ## fetch the recordings of real robots that data/recordings.toml names
 	@$(PY) data/fetch_recordings.py $${HOST:+"$$HOST"}
 
-replay-table: $(READY) ## the table of real robots, each left out once: after make recordings
+replay-table: $(READY) ## compute the table of docs/recorded_robots.md (after make recordings)
 	@$(PY) -m rhec.workbench.studies.transfer
 
-calibrate: $(READY) ## find a recorded log's noise and lever arm: make calibrate LOG=file.csv
+calibrate: $(READY) ## estimate noise and lever arm from a recorded log: make calibrate LOG=file.csv
 	@$(log_given)
 	@$(PY) -m rhec.logs.calibration "$$LOG"
 
@@ -98,17 +98,17 @@ embedded: $(READY) ## the default scenario's estimator and controller as C, in b
 test: $(READY) ## run the tests
 	@$(PY) -m pytest -n auto --ignore=tests/browser
 
-test-browser: build/report/index.html ## test what the pages show, in a headless Chromium
+test-browser: build/report/index.html ## test the pages in a headless Chromium
 	@$(PY) -m pytest -rs tests/browser
 
-lint: $(READY) ## check style, the types of the public face, and notebooks for outputs
+lint: $(READY) ## check style, types of the public interface, imports, and notebooks for outputs
 	@$(PY) -m ruff check --quiet
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
 	@.venv/bin/lint-imports --no-cache > build/imports || { cat build/imports >&2; exit 1; }
 	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id
 
-bench: .venv/peers .venv/acados ## compare computation times with other tools, into figures/ (minutes)
+bench: .venv/peers .venv/acados ## compare computation times with other tools, in figures/ (minutes)
 	@cd tests && ../$(PY) -m benchmark
 
 soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
@@ -117,9 +117,9 @@ soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten 
 storm: $(READY) ## a campaign of RUNS runs, 100000, whose workers are killed all the time (20 minutes)
 	@$(PY) tests/storm.py --runs "$$RUNS"
 
-##@ Keep
-lock: ## pin what pyproject.toml names in environment.txt; old pins stay (needs uv)
-upgrade: ## the same with the newest versions that pyproject.toml allows
+##@ Maintain
+lock: ## pin the packages of pyproject.toml in environment.txt, keeping old pins (needs uv)
+upgrade: ## pin the newest versions that pyproject.toml allows (needs uv)
 lock upgrade:
 	@command -v uv >/dev/null || { echo 'make $@ needs uv on the PATH' >&2; exit 1; }
 	@uv pip compile --quiet $(if $(filter upgrade,$@),--upgrade) --universal \
@@ -127,17 +127,17 @@ lock upgrade:
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
 	  --output-file environment.txt pyproject.toml
 
-# Made are the files that the notebooks' runner and the report say they made, less those in git.
+# MADE lists the files that notebooks and report have written; files in git stay.
 clean: ## remove the executed notebooks, their figures and tables, and the report
 	@rm -f $(filter-out $(shell sed -n 's/^!//p' .gitignore),$(MADE)) $(EXECUTED:.ipynb=.d) \
 	  $(EXECUTED) $(wildcard build/notebooks/*.unfinished)
 	@rm -rf build/report/live build/report/live.html
 	@find build figures -type d -empty -delete 2>/dev/null || true
 
-# What took long or came from a person goes by its name alone.
+# Results that took long or that a user saved are removed only by name.
 clean-campaigns: ## remove the rows of campaigns (build/campaign)
-clean-replays: ## remove pictures of logs of your own (build/replay)
-clean-explored: ## remove pictures saved in the explorer (figures/explored)
+clean-replays: ## remove the results of replayed logs (build/replay)
+clean-explored: ## remove figures saved in the explorer (figures/explored)
 clean-embedded: ## remove the exported C (build/embedded)
 clean-benchmarks: ## remove the tables and pictures of make bench (figures/bench_…)
 $(KEPT:%=clean-%):
@@ -155,17 +155,17 @@ $(READY): environment.txt pyproject.toml
 .venv/peers: tests/benchmark/peers.txt $(READY)
 	@$(PIP) --no-deps --require-hashes -r $< && touch $@
 
-# acados in an environment of its own: its wheel brings a CasADi of its own.
+# acados has a separate environment, because its wheel contains another CasADi.
 .venv/acados: tests/benchmark/acados.txt $(READY)
 	@$(PY) -m venv $@ && $@/bin/python -m pip --disable-pip-version-check install -q --no-deps \
 	  --require-hashes -r $< || { rm -rf $@; echo 'acados could not be installed' >&2; }
 
-# The compiler of WebAssembly for the report's live page; without it the report has none.
+# The WebAssembly compiler for the live page, which the report leaves out without it.
 .venv/wasm: rhec/workbench/live/zig.txt $(READY)
 	@$(PIP) --no-deps --require-hashes -r $< || true
 	@touch $@
 
-# The reason for a run: `$?` is what is newer than the last run, or gone.
+# The reason for a run: `$?` are the files that are newer than the last run, or gone.
 changed = $(wildcard $?)
 gone = $(filter-out $(changed),$?)
 is_gone = $(gone) $(if $(word 2,$(gone)),are,is) gone
@@ -192,6 +192,6 @@ build/report/index.html: $(EXECUTED) rhec/workbench/report.py README.md $(wildca
 	  $$($(PY) -c 'import ziglang' 2>/dev/null && echo --live)
 	@$(PY) -m rhec.workbench.live.page
 
-# What each notebook used and made when it was last run.
+# Inputs and outputs of each notebook in its last run.
 $(EXECUTED:.ipynb=.d):
 include $(wildcard $(EXECUTED:.ipynb=.d) build/report/report.d)

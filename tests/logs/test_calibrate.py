@@ -72,8 +72,8 @@ def test_calibration_says_what_the_log_cannot_tell():
     log[["x_m", "y_m"]] += 0.02 * np.random.default_rng(0).standard_normal((len(log), 2))
     found = rhec.calibrate(log, trust_log=True)
     assert found["trust_log"] and "position_delay_s" not in found
-    untold = set(found.report.index[~found.report["told"]])
-    assert {"slip in turning, share of ω", "side slip", "antenna ahead"} <= untold
+    undetermined = set(found.report.index[~found.report["determined"]])
+    assert {"slip in turning, share of ω", "side slip", "antenna ahead"} <= undetermined
     assert "lever_arm_m" not in found and "does not determine: " in str(found)
     assert found.report.loc["noise of the position", "determined"]
 

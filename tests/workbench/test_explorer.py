@@ -93,7 +93,7 @@ def test_the_line_of_python_gives_the_scenario(start):
 
 
 def test_own_process_noise_has_the_size_each_estimator_takes():
-    values = controls.values_of(SHORT) | {"process_noise": "own", ("sigma_w", 3): 0.5}
+    values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}
     assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
         0.001,
         0.001,
@@ -408,7 +408,7 @@ def test_sliders_of_w_show_the_w_in_use(made):
         made.process_noise.value = noise
         assert tuple(slider.value for slider in sliders) == tuning.SIGMA_W["rhe"][noise]
         assert all(slider.disabled for slider in sliders)
-    made.process_noise.value = "own"
+    made.process_noise.value = "custom"
     assert not any(slider.disabled for slider in sliders)
     assert made.runs[0].scenario.sigma_w == tuning.SIGMA_W["rhe"]["calibrated"]
     sliders[5].value = 0.1
@@ -421,11 +421,11 @@ def test_sliders_of_w_show_the_w_in_use(made):
 def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs(made, monkeypatch):
     at_hand, compiled = set(), []
 
-    def compile_apart(structures):
+    def compile_in_process(structures):
         compiled.append([each.prediction_horizon for each in structures])
         at_hand.update(structures)
 
-    monkeypatch.setattr(explorer, "compile_apart", compile_apart)
+    monkeypatch.setattr(explorer, "compile_in_process", compile_in_process)
     monkeypatch.setattr(
         explorer.compiled, "is_compiled", lambda build, *structure: structure in at_hand
     )
@@ -445,10 +445,10 @@ def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs
 
 
 def test_a_failed_compilation_is_said(made, monkeypatch):
-    def compile_apart(structures):
+    def compile_in_process(structures):
         raise OSError("no space left")
 
-    monkeypatch.setattr(explorer, "compile_apart", compile_apart)
+    monkeypatch.setattr(explorer, "compile_in_process", compile_in_process)
     monkeypatch.setattr(explorer.compiled, "is_compiled", lambda build, *structure: False)
     made.loaded.clear()
 
@@ -467,7 +467,7 @@ def test_what_another_process_compiled_is_found_by_load():
     structure = closed_loop.set_up(
         rhec.Scenario(estimator="oracle", prediction_horizon=2)
     ).structure
-    explorer.compile_apart([structure])
+    explorer.compile_in_process([structure])
     assert compiled.is_compiled(closed_loop.build_sample, *structure)
 
 

@@ -1,8 +1,7 @@
-"""The explorer's controls as data, and the scenarios that their values stand for.
+"""The controls of the explorer, and the conversion of their values to scenarios and back.
 
-A control's key is a field of Scenario, or (field, place) for one entry of a field that has several.
-Units, tooltips and choices come from `FIELDS`; what is written here is a short name and the range
-of a slider. A new control is one line.
+The key of a control is a field of Scenario, or (field, index) for one entry of a tuple. Units,
+tooltips and choices come from `FIELDS`; a control adds a short label and the range of a slider.
 """
 
 import math
@@ -21,8 +20,8 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 class Slider(NamedTuple):
     """A number from low to high.
 
-    kind: "real"; "whole", which changes the structure of the loop, so that a first use compiles;
-    or "log", whose low, high and step are powers of ten.
+    kind: "real"; "whole" for integers that change the compiled loop; or "log", with powers of ten
+    as low, high and step.
     """
 
     key: str | tuple
@@ -30,17 +29,17 @@ class Slider(NamedTuple):
     low: float
     high: float
     step: float
-    about: str
+    tooltip: str
     kind: str = "real"
 
 
 class Selection(NamedTuple):
-    """One of several values, each with its name in the list."""
+    """One of several values."""
 
     key: str
     label: str
-    options: tuple
-    about: str
+    options: tuple  # of (name in the list, value)
+    tooltip: str
 
 
 def _slider(field, name, low, high, step, kind="real"):
@@ -52,16 +51,16 @@ def _slider(field, name, low, high, step, kind="real"):
 
 def _entries(field, symbol, names, low, high, step, kind="real"):
     """One Slider for each entry of a field."""
-    about = FIELDS[field].text
+    tooltip = FIELDS[field].text
     return [
-        Slider((field, place), f"{symbol} of {name}", low, high, step, about, kind)
+        Slider((field, place), f"{symbol} of {name}", low, high, step, tooltip, kind)
         for place, name in enumerate(names)
     ]
 
 
-def _selection(field, name, words):
-    """The Selection of a field; words: what its choices are called."""
-    options = tuple(zip(words, FIELDS[field].choices, strict=True))
+def _selection(field, name, labels):
+    """The Selection of a field; labels: the names of its choices."""
+    options = tuple(zip(labels, FIELDS[field].choices, strict=True))
     return Selection(field, name, options, FIELDS[field].text)
 
 
@@ -69,7 +68,7 @@ def _fault(duration_s, **settings):
     return (Fault(start_s=40.0, duration_s=duration_s, **settings),)
 
 
-# By their names in Scenario
+# {name in Scenario: label}
 ESTIMATORS = {
     "rhe": "RHE",
     "ekf": "EKF",
@@ -77,7 +76,7 @@ ESTIMATORS = {
     "oracle": "oracle",
     "traction_oracle": "traction oracle",
 }
-PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("own W", "own"))
+PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("custom W", "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
@@ -141,7 +140,7 @@ GROUPS = {
 }
 CONTROLS = {control.key: control for group in GROUPS.values() for control in group}
 
-# The entries of one of Scenario's `patches`, and a new one.
+# Sliders for the entries of one of Scenario's `patches`, and the values of a new patch.
 PATCH = (
     Slider(0, "along x [m]", -10, 45, 0.5, "The first row runs along x from 0."),
     Slider(1, "across y [m]", -8, 24, 0.5, "The first row is at y = 0."),
@@ -153,13 +152,13 @@ NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
 
 
 def values_of(scenario):
-    """The controls' values for a scenario.
+    """The values of the controls for a scenario.
 
     Args:
         scenario: A Scenario.
 
     Returns:
-        {key of a control: its value}, with "process_noise", "seed" and "patches".
+        {key of a control: value}, with "process_noise", "seed" and "patches".
     """
     noise = scenario.process_noise
     values = vars(scenario) | dict(
@@ -172,23 +171,23 @@ def values_of(scenario):
     entries = {
         key: values[key[0]][key[1]] if isinstance(key, tuple) else values[key] for key in keys
     }
-    return entries | dict(process_noise=noise if is_offered else "own")
+    return entries | dict(process_noise=noise if is_offered else "custom")
 
 
 def sigma_w_shown(scenario):
-    """The six standard deviations of W that the sliders show: a scenario's, or else the RHE's."""
+    """The six standard deviations of W on the sliders: the scenario's, else those of the RHE."""
     if scenario.sigma_w is not None and len(scenario.sigma_w) == 6:
         return scenario.sigma_w
     return tuning.SIGMA_W["rhe"][scenario.process_noise]
 
 
 def scenario_of(values, estimator, start):
-    """The scenario that the controls' values stand for.
+    """The scenario for the values of the controls.
 
     Args:
         values: As `values_of` returns them.
         estimator: As in Scenario.
-        start: The Scenario from which all fields without a control are taken.
+        start: The Scenario that provides the fields without a control.
 
     Returns:
         A Scenario.
@@ -205,22 +204,22 @@ def scenario_of(values, estimator, start):
             settings[key] = value
     settings |= {name: tuple(entry) for name, entry in entries.items()}
     settings["robust"] = settings["robust"] and estimator in ROBUST_NAMES
-    if settings["process_noise"] == "own":
-        named = start.process_noise in dict(PROCESS_NOISES).values()
-        settings["process_noise"] = start.process_noise if named else "calibrated"
-        settings["sigma_w"] = _own_sigma_w(settings)
+    if settings["process_noise"] == "custom":
+        is_listed = start.process_noise in dict(PROCESS_NOISES).values()
+        settings["process_noise"] = start.process_noise if is_listed else "calibrated"
+        settings["sigma_w"] = _sigma_w_for_estimator(settings)
     else:
         settings["sigma_w"] = None
-    # None stands for the value that goes with the process noise, and keeps the line short.
+    # None means the default for the process noise, which keeps the printed scenario short.
     for name, usual in (("sigma_v", tuning.SIGMA_V), ("arrival_mean", tuning.ARRIVAL_MEAN)):
         if settings[name] == usual[settings["process_noise"]]:
             settings[name] = None
     return Scenario(**settings)
 
 
-def _own_sigma_w(settings):
-    """Scenario's `sigma_w` for an estimator, from the six of the sliders; None if it has none."""
-    if settings["estimator"] == "dual":  # the RHE's, then the EKF's
+def _sigma_w_for_estimator(settings):
+    """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
+    if settings["estimator"] == "dual":  # the RHE followed by the EKF
         names = (*QUANTITIES, *QUANTITIES[:4])
     else:
         estimator = estimator_of(settings["estimator"])
@@ -232,7 +231,7 @@ def _own_sigma_w(settings):
 
 
 def tidy(control, value, before):
-    """A control's value without a slider's rounding errors: as before, if it has not moved."""
+    """The value of a control without rounding errors; the previous value if it has not moved."""
     if isinstance(control, Selection):
         return value
     if math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
@@ -243,16 +242,16 @@ def tidy(control, value, before):
 
 
 def line_of(record):
-    """A Scenario or Fault as one line of Python, without the fields that have their default.
+    """A Scenario or Fault as one line of Python, without fields that have their default.
 
-    A path, terrain or estimator of the user appears by the name of its field.
+    A user-defined path, terrain or estimator appears as the name of its field.
     """
-    words = [
+    arguments = [
         f"{field.name}={_as_code(getattr(record, field.name), field.name)}"
         for field in fields(record)
         if getattr(record, field.name) != field.default
     ]
-    return f"rhec.{type(record).__name__}({', '.join(words)})"
+    return f"rhec.{type(record).__name__}({', '.join(arguments)})"
 
 
 def _as_code(value, name):

@@ -1,9 +1,9 @@
-"""The explorer: controls on the left; on the right the field, driven again when a control moves.
+"""The explorer: controls on the left, and on the right a run that follows the controls.
 
-`controls` turns the widgets' values into scenarios, `rhec.simulation.closed_loop` runs them,
+`controls` converts the values of the widgets to scenarios, `rhec.simulation.closed_loop` runs them,
 `field_run` and `robot_view` describe the pictures, and the browser draws them (`screen`). A front
-end sends a widget's next value only when the last one was answered: dragging drops frames and
-never queues them.
+end sends the next value of a widget only after the reply to the last one, so that dragging skips
+frames instead of queueing them.
 """
 
 import asyncio
@@ -34,7 +34,7 @@ from rhec.workbench.explorer.screen import CSS, Screen
 from rhec.workbench.explorer.snapshot import snapshot_at
 from rhec.workbench.plots import style
 
-# Metrics of a run, the smaller the better: name, two lines of heading, digits.
+# Metrics of a run, all better if smaller: name, two lines of heading, digits.
 METRICS = (
     ("mean_error_m", "mean error", "GNSS [m]", 4),
     ("mean_error_true_m", "mean error", "true [m]", 4),
@@ -51,7 +51,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 def metrics_table(runs, pinned=()):
-    """The metrics of runs as an HTML table: a row per run, then differences to the pinned runs."""
+    """An HTML table with the metrics of runs, and differences from the pinned runs."""
     rows = [_table_row(run, name_of(run.scenario), _value, {}) for run in runs]
     for run, before in zip(runs, pinned):
         name = name_of(run.scenario)
@@ -63,7 +63,7 @@ def metrics_table(runs, pinned=()):
 
 
 def _table_row(run, title, cell, subtracted):
-    """A run's metrics, less the subtracted ones, each as `cell` writes it."""
+    """The metrics of a run minus the subtracted ones, formatted by `cell`."""
     swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
     cells = [
         cell(run.metrics[name] - subtracted.get(name, 0), digits) for name, _, _, digits in METRICS
@@ -76,7 +76,7 @@ def _value(number, digits):
 
 
 def change(difference, digits):
-    """The change of a metric as HTML: less is better."""
+    """The change of a metric as HTML; smaller is better."""
     if not math.isfinite(difference):
         return "–"
     text = f"{difference:+.{digits}f}"
@@ -87,15 +87,15 @@ def change(difference, digits):
 
 
 def _safe_name(name):
-    """A file name that cannot leave its folder."""
+    """The name if it is safe as a file name in a folder; otherwise raise a ValueError."""
     if not _NAME.fullmatch(name):
-        rule = "letters, digits, - and _, beginning with a letter or digit, at most 64 of them"
+        rule = "up to 64 letters, digits, - and _, starting with a letter or digit"
         raise ValueError(f"name was {name!r}; it should be {rule}")
     return name
 
 
-def compile_apart(structures):
-    """Compile these closed loops in another process; `compiled.load` then finds them."""
+def compile_in_process(structures):
+    """Compile closed loops in another process, for a later `compiled.load`."""
     load = functools.partial(compiled.load, closed_loop.build_sample)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         list(pool.map(load, *zip(*structures)))
@@ -105,9 +105,9 @@ class Explorer(widgets.VBox):
     """The explorer as a widget for Jupyter.
 
     Args:
-        start: The Scenario that it begins with, by default the paper's.
-        against: Estimator that drives the same field to compare with, or None.
-        folder: Where runs and figures are saved.
+        start: The initial Scenario, by default the paper's.
+        against: Estimator that drives the same field for comparison, or None.
+        folder: Folder of saved runs and figures.
 
     Raises:
         ValueError: If start is not a Scenario.
@@ -127,33 +127,33 @@ class Explorer(widgets.VBox):
         self.runs = ()
         self.pinned = ()
         self.compiling = None
-        self.held = False
+        self.is_paused = False
         self.loaded = set()  # structures whose compiled loop is in memory
-        # A kernel may answer a page's messages in its main thread and in a subshell's.
-        self.one_at_a_time = threading.RLock()
+        # A kernel may process messages in its main thread and in the thread of a subshell.
+        self.lock = threading.RLock()
         self._make_inputs(against)
         self._make_outputs(folder)
-        super().__init__(self._arranged())
+        super().__init__(self._layout())
         self.add_class("rhec")
-        self._watch()
+        self._connect_callbacks()
         self._refresh()
 
-    # What is on the screen
+    # Widgets
 
     def _make_inputs(self, against):
         values = controls.values_of(self.start)
         estimators = [(name, key) for key, name in controls.ESTIMATORS.items()]
         if not isinstance(self.start.estimator, str):
-            estimators.append(("own", self.start.estimator))
+            estimators.append(("custom", self.start.estimator))
         self.inputs = {key: _input(one, values[key]) for key, one in controls.CONTROLS.items()}
         patch = self.patches[-1] if self.patches else controls.NEW_PATCH
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
         self.estimator = _list(estimators, self.start.estimator, "run", 142)
         self.against = _list([("nothing", None), *estimators], against, "against", 160)
-        about = "process noise W of the estimators; “own W” is set in the tab Estimator"
+        about = "process noise W of the estimators; the tab Estimator sets a custom W"
         noise = values["process_noise"]
         self.process_noise = _list(controls.PROCESS_NOISES, noise, "W", 122, about)
-        look = _look("seed", "fixes soil and noise together", "112px", "36px")
+        look = _look("seed", "determines soil and noise", "112px", "36px")
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
         self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", 66)
@@ -164,11 +164,11 @@ class Explorer(widgets.VBox):
             _button(name, "the paper’s weights"): q
             for name, q in (("Q¹", paper.Q1), ("Q²", paper.Q2), ("Q³", paper.Q3))
         }
-        self.pin = _button("pin", "keep these runs to compare with")
-        self.unpin = _button("unpin", "forget the pinned runs")
-        self.reset = _button("reset", "back to the first scenario")
-        self.add_patch = _button("add a wet patch", "a disc of sudden change")
-        self.remove_patch = _button("remove the last", "remove the wet patch that was added last")
+        self.pin = _button("pin", "keep these runs for comparison")
+        self.unpin = _button("unpin", "remove the pinned runs")
+        self.reset = _button("reset", "return to the initial scenario")
+        self.add_patch = _button("add a wet patch", "add a disc with other traction")
+        self.remove_patch = _button("remove the last", "remove the last wet patch")
 
     def _make_outputs(self, folder):
         self.screen = Screen()
@@ -185,11 +185,11 @@ class Explorer(widgets.VBox):
         self.link = widgets.jslink((self.play, "value"), (self.sample, "value"))
         self.time = widgets.HBox([self.play, self.sample], layout={"display": "none"})
 
-    def _arranged(self):
-        what = [self.estimator, self.against, self.process_noise, self.seed]
-        how = [self.pin, self.unpin, self.reset, self.zoom, self.soil, self.view]
+    def _layout(self):
+        choices = [self.estimator, self.against, self.process_noise, self.seed]
+        views = [self.pin, self.unpin, self.reset, self.zoom, self.soil, self.view]
         row = {"flex_flow": "row wrap", "align_items": "center"}
-        bar = widgets.HBox([*what, *how], layout=row)
+        bar = widgets.HBox([*choices, *views], layout=row)
         groups = {
             name: [self.inputs[control.key] for control in group]
             for name, group in controls.GROUPS.items()
@@ -203,18 +203,18 @@ class Explorer(widgets.VBox):
         size = {"width": width, "flex": f"0 0 {width}"}
         tabs = widgets.Tab(boxes, titles=[*groups], layout=size)
         size = {"flex": "1 1 480px", "min_width": "0"}
-        shown = widgets.VBox([self.screen, self.time], layout=size)
-        return [bar, widgets.HBox([tabs, shown], layout={"flex_flow": "row wrap"})]
+        right = widgets.VBox([self.screen, self.time], layout=size)
+        return [bar, widgets.HBox([tabs, right], layout={"flex_flow": "row wrap"})]
 
-    # What happens when
+    # Callbacks
 
-    def _watch(self):
+    def _connect_callbacks(self):
         choices = (self.estimator, self.against, self.process_noise, self.seed)
         drawn = (self.zoom, self.soil, self.view, self.sample)
         changed = ((*choices, *self.inputs.values()), self._refresh)
-        for those, action in (changed, (self.patch, self._change_patch), (drawn, self._draw)):
-            for widget in those:
-                widget.observe(self._answer(action), "value")
+        for group, action in (changed, (self.patch, self._change_patch), (drawn, self._draw)):
+            for widget in group:
+                widget.observe(self._callback(action), "value")
         clicked = {
             self.pin: lambda: self._pin(self.runs),
             self.unpin: lambda: self._pin(()),
@@ -226,40 +226,40 @@ class Explorer(widgets.VBox):
         for button, q in self.weights.items():
             clicked[button] = functools.partial(self._set_weights, q)
         for button, action in clicked.items():
-            button.on_click(self._answer(action))
+            button.on_click(self._callback(action))
 
-    def _answer(self, action):
-        """The action as a widget's callback; an error becomes a sentence in the status line."""
+    def _callback(self, action):
+        """A callback of a widget for an action; the status line reports errors."""
 
         def callback(_):
-            # hold_sync: everything that the action changes is sent in one message.
-            with self.one_at_a_time, self.screen.hold_sync():
-                if self.held:
+            # hold_sync: all changes are sent in one message.
+            with self.lock, self.screen.hold_sync():
+                if self.is_paused:
                     return
                 try:
                     action()
                 except Exception as error:
-                    self._show_status(_sentence(error), "bad")
+                    self._show_status(_message(error), "bad")
 
         return callback
 
     @contextmanager
-    def _together(self):
-        """Change several controls, then run once."""
-        self.held = True
+    def _single_refresh(self):
+        """A context for changes of several controls, followed by one run."""
+        self.is_paused = True
         try:
             yield
         finally:
-            self.held = False
+            self.is_paused = False
         self._refresh()
 
     def _set_weights(self, q):
-        with self._together():
+        with self._single_refresh():
             for place, weight in enumerate(q):
                 self.inputs["q", place].value = weight
 
     def _reset(self):
-        with self._together():
+        with self._single_refresh():
             values = controls.values_of(self.start)
             self.patches = self.start.patches
             for key, widget in self.inputs.items():
@@ -270,7 +270,7 @@ class Explorer(widgets.VBox):
 
     def _set_patches(self, patches):
         """Replace the wet patches; the sliders show the last one."""
-        with self._together():
+        with self._single_refresh():
             self.patches = patches
             for widget, value in zip(self.patch, patches[-1] if patches else controls.NEW_PATCH):
                 widget.value = value
@@ -290,7 +290,7 @@ class Explorer(widgets.VBox):
 
     @property
     def scenarios(self):
-        """The scenarios of the controls: one, or two with the same seed."""
+        """The scenarios of the controls: one, or two with the same seed for comparison."""
         values = controls.values_of(self.start)
         for key, widget in self.inputs.items():
             values[key] = controls.tidy(controls.CONTROLS[key], widget.value, values[key])
@@ -304,7 +304,7 @@ class Explorer(widgets.VBox):
         ]
 
     def _refresh(self):
-        """Run the scenarios of the controls and show them, or first compile them elsewhere."""
+        """Run the scenarios of the controls and draw them, or first compile them."""
         started = time.perf_counter()
         scenarios = self.scenarios
         setups = [closed_loop.set_up(scenario) for scenario in scenarios]
@@ -313,7 +313,7 @@ class Explorer(widgets.VBox):
             for structure in {setup.structure for setup in setups} - self.loaded
             if not compiled.is_compiled(closed_loop.build_sample, *structure)
         ]
-        # The first runs are waited for: without them there is nothing to see.
+        # The first runs are compiled in this process, because there is no earlier picture to show.
         if missing and self.runs and _running_loop():
             self._compile(missing)
             return
@@ -327,40 +327,39 @@ class Explorer(widgets.VBox):
         )
 
     def _compile(self, structures):
-        """Compile elsewhere, then run the newest state of the controls."""
+        """Compile in another process, then run the current state of the controls."""
         horizons = {
             f"{structure.estimator.estimation_horizon} and {structure.prediction_horizon} intervals"
             for structure in structures
         }
-        which = f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time"
-        self._show_status(f"{which}: a few seconds; the picture is the one before", "wait")
+        status = f"compiling window and horizon of {', '.join(sorted(horizons))} for the first time"
+        self._show_status(f"{status}: a few seconds, until then the last picture stays", "wait")
         if not self.compiling:
             self.compiling = _running_loop().create_task(self._compiled(structures))
 
     async def _compiled(self, structures):
         try:
-            await asyncio.to_thread(compile_apart, structures)
+            await asyncio.to_thread(compile_in_process, structures)
         except Exception as error:
-            self._show_status(_sentence(error), "bad")
+            self._show_status(_message(error), "bad")
             return
         finally:
             self.compiling = None
-        self._answer(self._refresh)(None)
+        self._callback(self._refresh)(None)
 
     def _draw(self):
-        """Show the chosen view of the runs, their metrics, and the scenario as a line."""
-        field = self.view.value == "Field run"
-        self.time.layout.display = "none" if field else "flex"
+        """Draw the selected view of the runs, their metrics, and the scenario as a line."""
+        is_field_run = self.view.value == "Field run"
+        self.time.layout.display = "none" if is_field_run else "flex"
         self.unpin.disabled = not self.pinned
         self._show_process_noise()
         self.remove_patch.disabled = not self.patches
         for widget in self.patch:
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
-        if field:
-            picture = field_run.picture_of(
-                self.runs, self.pinned, zoom=self.zoom.value, soil=self.soil.value
-            )
+        if is_field_run:
+            zoom, soil = self.zoom.value, self.soil.value
+            picture = field_run.picture_of(self.runs, self.pinned, zoom, soil)
         else:
             run = self.runs[0]
             k = self.sample.value
@@ -371,19 +370,19 @@ class Explorer(widgets.VBox):
         self.screen.line = controls.line_of(self.runs[0].scenario)
 
     def _show_process_noise(self):
-        """Show the W in use on the sliders of σ_W; they can be moved where W is "own"."""
+        """Set the sliders of σ_W to the W in use; a custom W enables them."""
         noise = self.process_noise.value
         for place in range(6):
             slider = self.inputs["sigma_w", place]
-            slider.disabled = noise != "own"
+            slider.disabled = noise != "custom"
             if slider.disabled:
-                self.held = True  # this moves sliders, but no run follows
+                self.is_paused = True  # no run follows this change
                 slider.value = tuning.SIGMA_W["rhe"][noise][place]
-                self.held = False
+                self.is_paused = False
 
-    def _show_status(self, sentence, how=""):
-        self.screen.status = sentence
-        self.screen.how = how
+    def _show_status(self, message, kind=""):
+        self.screen.status = message
+        self.screen.status_kind = kind
 
     # Figures, files and texts
 
@@ -397,8 +396,8 @@ class Explorer(widgets.VBox):
         return "\n  ".join(["Explorer", *errors, controls.line_of(self.runs[0].scenario)])
 
     def figure(self) -> Figure:
-        """The field run as a matplotlib figure, as it is saved."""
-        with self.one_at_a_time:
+        """The field run as a matplotlib figure."""
+        with self.lock:
             return field_run.field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
 
     def _save(self):
@@ -419,14 +418,14 @@ class Explorer(widgets.VBox):
         """Add picture and table as HTML, for pages without widgets."""
         self.figure().savefig(file := io.BytesIO(), format="png")
         picture = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
-        shown = f'<img alt="field run" src="{picture}">{self.screen.table}'
-        shown = f'<style>\n{CSS}</style><div class="rhec">{shown}</div>'
-        return super()._repr_mimebundle_(**formats) | {"text/html": shown}
+        html = f'<img alt="field run" src="{picture}">{self.screen.table}'
+        html = f'<style>\n{CSS}</style><div class="rhec">{html}</div>'
+        return super()._repr_mimebundle_(**formats) | {"text/html": html}
 
 
 def _input(control, value):
-    """The widget of a control; its range is widened to include its first value."""
-    look = _look(control.label, control.about, "98%", "126px")
+    """The widget of a control, with a range that includes its initial value."""
+    look = _look(control.label, control.tooltip, "98%", "126px")
     if isinstance(control, controls.Selection):
         options = control.options
         if not any(value == option for _, option in options):
@@ -443,7 +442,7 @@ def _input(control, value):
         readout = "d"
     else:
         readout = f".{max(1, -math.floor(math.log10(control.step) + 1e-9))}f"
-    # A front end rounds to whole steps above the lowest value: the first value must be one.
+    # A front end rounds to whole steps from the lowest value, so the initial value must be one.
     low = round(place - control.step * math.ceil((place - control.low) / control.step - 1e-9), 12)
     return kind(
         value,
@@ -451,29 +450,29 @@ def _input(control, value):
         max=max(control.high, place),
         step=control.step,
         readout_format=readout,
-        continuous_update=control.kind != "whole",  # whose first use compiles
+        continuous_update=control.kind != "whole",  # a new integer may need compilation
         **look,
     )
 
 
-def _look(label, about, width, label_width="initial"):
+def _look(label, tooltip, width, label_width="initial"):
     """A widget's label, tooltip and widths."""
     layout = {"width": width}
     style = {"description_width": label_width}
-    return {"description": label, "tooltip": about, "layout": layout, "style": style}
+    return {"description": label, "tooltip": tooltip, "layout": layout, "style": style}
 
 
-def _list(options, value, label, width_px, about=""):
-    look = _look(label, about, f"{width_px}px")
+def _list(options, value, label, width_px, tooltip=""):
+    look = _look(label, tooltip, f"{width_px}px")
     return widgets.Dropdown(options=options, value=value, **look)
 
 
-def _button(text, about):
-    return widgets.Button(description=text, tooltip=about, layout={"width": "auto"})
+def _button(text, tooltip):
+    return widgets.Button(description=text, tooltip=tooltip, layout={"width": "auto"})
 
 
-def _sentence(error):
-    """An error in one line; a ValueError of this package needs no name of its type."""
+def _message(error):
+    """An error in one line, without the name of its type for a ValueError."""
     text = " ".join(str(error).split())
     return text if isinstance(error, ValueError) and text else f"{type(error).__name__}: {text}"
 

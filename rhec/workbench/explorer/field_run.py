@@ -1,6 +1,4 @@
-"""One field run in six panels: the trajectory on the slip map, errors, traction, yaw rate and KKT
-tolerance; up to two runs and two pinned ones.
-"""
+"""One or two field runs in six panels: trajectory, error, μ, κ, yaw rate and KKT tolerance."""
 
 import numpy as np
 
@@ -14,12 +12,11 @@ DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
 FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
 
 _COLOURS = COLOURS | {"traction oracle": PURPLE, "dual": ORANGE}
-# Two columns: map over error, and four pictures over each other.
+# Names of the panels in the rows and columns of the picture.
 _LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
-_MOST_POINTS = 300  # of soil, along one side
+_MOST_POINTS = 300  # largest number of points of the soil along one side
 
-# What is drawn of a run: panel, columns along x and y, and how: all but "truth" in the estimator's
-# colour.
+# Lines of a run: panel, columns along x and y, and look.
 _SERIES = (
     ("map", "x_m", "y_m", "bold"),
     ("error", "t_s", "error_m", "faint"),
@@ -48,18 +45,19 @@ _TITLES = {
 
 
 def name_of(scenario):
-    """The estimator's name in legends; "own" for an estimator of the user."""
-    own = not isinstance(scenario.estimator, str)
-    return "own" if own else ESTIMATORS.get(scenario.estimator, scenario.estimator)
+    """The name of the estimator in legends."""
+    if not isinstance(scenario.estimator, str):
+        return "custom"
+    return ESTIMATORS.get(scenario.estimator, scenario.estimator)
 
 
 def colour_of(scenario):
-    """The estimator's colour."""
+    """The colour of the estimator."""
     return _COLOURS.get(name_of(scenario), GREY)
 
 
 def places_beside(poses, across_m):
-    """Places (n, 2) this far to the left of poses (n, 3) [m]."""
+    """Points (n, 2) at a distance to the left of poses (n, 3) [m]."""
     return poses[:, :2] + across_m * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
 
 
@@ -79,35 +77,35 @@ def level(xlim, y, **look):
     return Mark("line", np.array(xlim), np.array([y, y]), **look)
 
 
-# Limits that stay while the data changes a little, so that a picture does not jump
+# Limits in coarse steps, which do not change with small changes of the data
 
 
 def round_up_to(value, steps=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
-    """The lowest step not below the value; the highest one for what is higher, or not a number."""
+    """The smallest step not below the value; the largest step for larger values and NaN."""
     return next((step for step in steps if value <= step), steps[-1])
 
 
 def _finite(columns, *names):
-    """All finite values of these columns of several runs, one after another."""
+    """All finite values of these columns of several runs."""
     values = np.concatenate([run[name] for run in columns for name in names])
     return values[np.isfinite(values)]
 
 
 def _error_limits(columns):
-    """From 0 to what nearly all true errors stay below: a start beside the path may be cut off."""
+    """Limits for nearly all true errors; the error of an offset start may be cut off."""
     values = _finite(columns, "error_true_m")
     return 0.0, round_up_to(1.3 * np.quantile(values, 0.95) if len(values) else np.inf)
 
 
 def _traction_limits(columns, name):
-    """(μ or κ) up to 1, down to a round number below nearly all of it."""
+    """Limits for μ or κ: a round number below nearly all values, and 1."""
     values = _finite(columns, name, f"{name}_hat")
     low = np.quantile(values, 0.01) if len(values) else 0.0
     return next((floor for floor in (0.6, 0.4, 0.2) if low > floor), 0.0) - 0.01, 1.02
 
 
 def _kkt_limits(columns):
-    """Whole powers of ten around nearly all of both tolerances."""
+    """Powers of ten around nearly all of both tolerances."""
     values = _finite(columns, "kkt_rhe", "kkt_rhc")
     values = np.log10(values[values > 0])
     low, high = np.quantile(values, [0.02, 0.995]) if len(values) else (-9, 0)
@@ -115,7 +113,7 @@ def _kkt_limits(columns):
 
 
 def _worst_place(run):
-    """The place (x, y) [m] of the largest true error after settling."""
+    """The position (x, y) [m] of the largest true error after settling."""
     c = run.columns
     settled_s = run.metrics["settling_time_s"]
     error = np.where(c["t_s"] >= (0 if np.isnan(settled_s) else settled_s), c["error_true_m"], -1.0)
@@ -152,10 +150,9 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     """The Picture of field runs.
 
     Args:
-        runs: one or two runs.
-        pinned: one or two runs to compare with, dashed.
-        zoom: one of ZOOMS.
-        soil: the slip field on the map, "mu" or "kappa".
+        runs, pinned: Up to two runs each; pinned runs are dashed.
+        zoom: One of ZOOMS.
+        soil: Slip field on the map, "mu" or "kappa".
     """
     first = runs[0]
     columns = [run.columns for run in (*runs, *pinned)]
@@ -183,21 +180,21 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     stretched = "" if scale else "; y is stretched"
     title = f"trajectory [m] on {dict(mu='μ', kappa='κ')[soil]} (brown: slips){stretched}"
     panels = dict(map=Panel(title, x, y, marks["map"], scale))
-    for name, of in _TITLES.items():
+    for name, title in _TITLES.items():
         scale = "log" if name == "kkt" else ""
-        panels[name] = Panel(of, time, limits[name], marks[name], scale)
+        panels[name] = Panel(title, time, limits[name], marks[name], scale)
     return Picture(_LAYOUT, panels)
 
 
 def _curves(run, ylim):
-    """The times in the path's curved parts, as grey areas."""
+    """Grey areas for the times in curved parts of the path."""
     edges = np.flatnonzero(np.diff(~run.columns["on_straight"], prepend=False, append=False))
     times = np.append(run.columns["t_s"], run.columns["t_s"][-1] + paper.DT_S)[edges]
     return [rectangle(span, ylim, alpha=0.07) for span in times.reshape(-1, 2)]
 
 
 def _ground(run, soil):
-    """The soil, and the path with its tolerance."""
+    """Marks of the soil and of the path with its tolerance."""
     terrain = run.terrain
     field = getattr(run.terrain, soil)
     every = -(-max(field.shape) // _MOST_POINTS)
@@ -212,7 +209,7 @@ def _ground(run, soil):
 
 
 def _series(kind, run, place):
-    """(panel, Mark) of each line that is drawn of a run."""
+    """Yield (panel, Mark) for each line of a run."""
     for panel, x, y, look in _SERIES:
         style = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
         if kind and look != "bold":
@@ -228,5 +225,5 @@ def _series(kind, run, place):
 
 
 def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
-    """The matplotlib Figure of field runs in six panels; arguments as for `picture_of`."""
+    """The matplotlib Figure of field runs; arguments as in `picture_of`."""
     return figure_of(picture_of(runs, pinned, zoom, soil))

@@ -1,5 +1,6 @@
-"""Pictures as data: panels, and the marks in them. Matplotlib draws them as a figure; a page draws
-them from a list of marks and one buffer with all their numbers.
+"""Pictures as data: panels and their marks.
+
+Matplotlib draws them as a figure; a page draws them from a list of marks and a buffer of numbers.
 """
 
 from typing import NamedTuple
@@ -11,17 +12,17 @@ from matplotlib.lines import Line2D
 
 from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, styled
 
-_PX = 4 / 3  # a point [px]
-# in a page, black is the page's own ink, and blue too dark for a dark one
+_PX = 4 / 3  # one point [px]
+# CSS variables that adapt to dark pages.
 _PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}
 _WET = LinearSegmentedColormap.from_list("wet", [(0.47, 0.27, 0.08, 1), (0.47, 0.27, 0.08, 0)])
 
 
 class Mark(NamedTuple):
-    """A "line", the "area" inside of one, "dots", or "soil": traction (n_x, n_y) over a grid.
+    """A "line", the "area" inside a line, "dots", or "soil": traction (n_x, n_y) over a grid.
 
-    width: of a line, or a dot's diameter [pt]; dash: of dashes and gaps [pt]; full: a dot that is
-    no ring; label: in the legend. What is not a number leaves a gap.
+    width: line width or diameter of dots [pt]; dash: lengths of dashes and gaps [pt]; full: False
+    for rings; label: text in the legend. NaN leaves a gap.
     """
 
     kind: str
@@ -37,7 +38,7 @@ class Mark(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """A pair of axes. scale: "equal", one scale for both; "log", along y; or ""."""
+    """A pair of axes. scale: "equal" for equal scales, "log" for a logarithmic y axis, or ""."""
 
     title: str
     xlim: tuple
@@ -47,14 +48,14 @@ class Panel(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Panels by name. A row of `layout` names those that stand in it, as CSS has grid areas."""
+    """Panels by name. A row of `layout` has the names of its panels, as in CSS grid areas."""
 
     layout: tuple
     panels: dict
 
     @property
     def legend(self):
-        """The marks that have a label, what is on top first."""
+        """The marks with a label, starting with the topmost one."""
         marks = [mark for panel in self.panels.values() for mark in reversed(panel.marks)]
         return [mark for mark in marks if mark.label]
 
@@ -80,7 +81,7 @@ def figure_of(picture):
 
 
 def _draw(axes, mark, height):
-    """Put a mark above those of a lower height."""
+    """Draw a mark above those with a lower height."""
     if mark.kind == "soil":
         half = (mark.x[1] - mark.x[0]) / 2
         extent = (mark.x[0] - half, mark.x[-1] + half, mark.y[0] - half, mark.y[-1] + half)
@@ -94,7 +95,7 @@ def _draw(axes, mark, height):
 
 
 def _line(mark, x, y, **more):
-    """A mark of lines or dots as Matplotlib has it; in a legend, any mark."""
+    """The Line2D of a mark with a line or dots, or of any mark in a legend."""
     look = dict(color=mark.colour, alpha=mark.alpha, linewidth=mark.width)
     if mark.dash:  # Matplotlib counts dashes in line widths
         look |= dict(linestyle=(0, tuple(length / mark.width for length in mark.dash)))
@@ -105,9 +106,9 @@ def _line(mark, x, y, **more):
 
 
 def packed(picture):
-    """A Picture for a page: what is drawn as JSON has it, and all numbers in bytes (float32).
+    """A Picture for a page: a description for JSON, and the bytes of all numbers (float32).
 
-    An array is given as (index of its first number, how many numbers it has).
+    The description of an array is (index of its first number, length).
     """
     places = {}
     arrays = []
@@ -115,7 +116,7 @@ def packed(picture):
 
     def place(array):
         nonlocal end
-        if id(array) not in places:  # one array of times stands in many lines
+        if id(array) not in places:  # many lines share the array of times
             places[id(array)] = end, array.size
             arrays.append(array.ravel())
             end += array.size

@@ -49,7 +49,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
       pen = there;
     }
   }
-  line(n, x, y, name, look = {}) { // in pieces: what crosses itself often takes long to fill
+  line(n, x, y, name, look = {}) { // in pieces, because long self-intersecting paths are slow
     const c = this.use(name, look), most = look.dash?.length ? n : 32;
     for (let k = 0; k < n; k += most) this.path(Math.min(k + most + 1, n), x, y, k), c.stroke();
   }

@@ -17,24 +17,24 @@ _NODES = dict(width=2.2)
 
 
 def seen_from(pose, xy):
-    """Places or poses (n, 2 or 3) in the frame of a pose (x, y, θ): ahead and to the left [m]."""
-    return (xy[:, :2] - pose[:2]) @ _turned(-pose[2])
+    """Points or poses (n, 2 or 3) in the frame of a pose (x, y, θ): ahead and left [m]."""
+    return (xy[:, :2] - pose[:2]) @ _rotation(-pose[2])
 
 
 def _distance_left(path, xy):
-    """How far places or poses (n, 2 or 3) are to the left of the path [m]."""
+    """Distance of points or poses (n, 2 or 3) to the left of the path [m]."""
     poses, _ = path.poses(path.project(xy[:, :2])[1])
     across = xy[:, :2] - poses[:, :2]
     return across[:, 1] * np.cos(poses[:, 2]) - across[:, 0] * np.sin(poses[:, 2])
 
 
-def _turned(theta):
-    """Row vectors times this are turned by theta."""
+def _rotation(theta):
+    """Matrix that rotates row vectors by theta."""
     return np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
 
 
 def _held(t_s, values):
-    """A line through values that are held until the next time."""
+    """Coordinates of a line through values that are held until the next time."""
     return np.repeat(t_s, 2)[1:], np.repeat(values, 2)[:-1]
 
 
@@ -69,10 +69,10 @@ def picture_of(run, k, snapshot):
         Mark("line", *_held(plan_s, planned), **_PLAN),
     ]
     title = f"from above [m], ahead is right, at {t_s[k]:.1f} s"
-    seen = _from_above(run, snapshot, driven, reach_m, mine)
+    view = _from_above(run, snapshot, driven, reach_m, mine)
     beside = "beside the path, to the left [m], over time from now [s]"
     panels = {
-        "above": Panel(title, (-reach_m, reach_m), (-0.1, 0.1), seen, "equal"),
+        "above": Panel(title, (-reach_m, reach_m), (-0.1, 0.1), view, "equal"),
         "across": Panel(beside, time, (-across_m, across_m), beneath + across),
         "yaw_rate": Panel("yaw rate [rad/s]: commanded, planned", time, rates, turning),
     }
@@ -84,7 +84,7 @@ def _now(ylim):
 
 
 def _from_above(run, snapshot, driven, reach_m, mine):
-    """What is drawn in the robot's frame."""
+    """Marks in the frame of the robot."""
 
     def mark(kind, xy, **look):
         return Mark(kind, *seen_from(snapshot.truth, xy).T, **look)
@@ -103,7 +103,7 @@ def _from_above(run, snapshot, driven, reach_m, mine):
     window = snapshot.window[:, :2]
     measured = snapshot.measured
     residuals = np.stack([measured, window, np.full(window.shape, np.nan)], axis=1)
-    outline = _FOOTPRINT @ _turned(snapshot.estimate[2]) + snapshot.estimate[:2]
+    outline = _FOOTPRINT @ _rotation(snapshot.estimate[2]) + snapshot.estimate[:2]
     return [
         mark("line", plants, colour=GREEN, width=5, alpha=0.35, label="plants"),
         mark("area", field_run.tolerance_band(poses), colour=COLOURS["tolerance"], alpha=0.4),
@@ -122,7 +122,7 @@ def _from_above(run, snapshot, driven, reach_m, mine):
 
 
 def _across(path, snapshot, driven, ago_s, mine):
-    """What is drawn over the time from now: distances to the left of the path."""
+    """Marks over time from now: distances to the left of the path."""
 
     def mark(kind, xy, t_s, **look):
         return Mark(kind, t_s, _distance_left(path, xy), **look)

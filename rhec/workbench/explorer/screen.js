@@ -1,7 +1,7 @@
-// The explorer's screen: words, pictures and metrics, as the kernel sends them.
+// The explorer's screen: status, pictures and metrics from the kernel.
 const THEMES = ["data-jp-theme-name", "data-vscode-theme-kind"]; // of the page's body
 
-function entry({ kind, colour, dash, full, label }) { // of the legend
+function entry({ kind, colour, dash, full, label }) { // an entry of the legend
   const [all, sample] = [0, 1].map(() => document.createElement("span"));
   sample.textContent = kind === "dots" ? full ? "●" : "○" : dash.length ? "╍" : "━";
   sample.style.color = colour.startsWith("--") ? `var(${colour})` : colour;
@@ -20,9 +20,9 @@ function render({ model, el }) {
   status.role = "status", line.title = "click to copy";
   line.onclick = () => navigator.clipboard?.writeText(line.innerText);
 
-  const changes = (node, to) => node.of !== to && (node.of = to, true); // what stays costs nothing
-  const say = () => {
-    status.textContent = model.get("status"), status.dataset.how = model.get("how");
+  const changes = (node, to) => node.of !== to && (node.of = to, true); // unchanged content is not drawn again
+  const write = () => {
+    status.textContent = model.get("status"), status.dataset.how = model.get("status_kind");
     if (changes(line, model.get("line"))) line.textContent = line.of;
     if (changes(table, model.get("table"))) table.innerHTML = table.of;
   };
@@ -41,7 +41,7 @@ function render({ model, el }) {
   };
   const draw = () => {
     const { panels } = model.get("picture"), bytes = model.get("numbers");
-    const end = bytes.byteOffset + bytes.byteLength; // a float's place is a multiple of four
+    const end = bytes.byteOffset + bytes.byteLength; // slice() aligns the floats
     const numbers = new Float32Array(bytes.buffer.slice(bytes.byteOffset, end));
     const column = ([first, n]) => numbers.subarray(first, first + n);
     for (const [name, { xlim, ylim, scale, marks }] of Object.entries(panels)) {
@@ -56,10 +56,10 @@ function render({ model, el }) {
     }
     pictures.dispatchEvent(new Event("drawn", { bubbles: true }));
   };
-  const show = () => { say(), arrange(model.get("picture")), draw(); };
+  const show = () => { write(), arrange(model.get("picture")), draw(); };
   show();
   model.on("change", show);
-  const resized = new ResizeObserver(draw); // while its theme changes, the page has no size
+  const resized = new ResizeObserver(draw); // also reports the end of a theme change
   const dressed = new MutationObserver(() => requestAnimationFrame(draw));
   resized.observe(pictures), dressed.observe(document.body, { attributeFilter: THEMES });
   return () => { model.off("change", show), resized.disconnect(), dressed.disconnect(); };

@@ -1,4 +1,4 @@
-"""What the explorer shows, as one widget: the kernel sends pictures as data, the browser draws."""
+"""The screen of the explorer as a widget: the kernel sends pictures as data, the browser draws."""
 
 from pathlib import Path
 
@@ -16,10 +16,10 @@ CSS = _text("explorer/explorer.css")
 
 
 class Screen(anywidget.AnyWidget):
-    """Words, pictures and metrics of the runs; `picture` and `numbers` are of `panels.packed`."""
+    """Status, pictures and metrics; `picture` and `numbers` are the results of `panels.packed`."""
 
     _esm = _text("explorer/plot.js", "explorer/screen.js")
     _css = CSS
-    status, how, line, table = (traitlets.Unicode().tag(sync=True) for _ in range(4))
+    status, status_kind, line, table = (traitlets.Unicode().tag(sync=True) for _ in range(4))
     picture = traitlets.Dict().tag(sync=True)
     numbers = traitlets.Bytes().tag(sync=True)

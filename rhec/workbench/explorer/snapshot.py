@@ -1,4 +1,4 @@
-"""Estimation window and predicted trajectory at one sample of a run, by scanning up to it."""
+"""Estimation window and predicted trajectory at one sample of a run."""
 
 from typing import NamedTuple
 
@@ -11,22 +11,22 @@ from rhec.simulation.columns import COLUMNS, ESTIMATE, POSE
 
 
 class Snapshot(NamedTuple):
-    """Estimation window and plan at sample k.
+    """Estimation window and plan at a sample.
 
-    Poses are (x, y, θ) [m, m, rad] of the field; nodes run from the oldest to the newest.
+    Poses are (x, y, θ) [m, m, rad] in the plane; nodes are ordered from the oldest to the newest.
     """
 
-    truth: np.ndarray  # (3,) the robot's pose
+    truth: np.ndarray  # (3,) pose of the robot
     estimate: np.ndarray  # (6,) (x, y, θ, ν, μ, κ)
-    window: np.ndarray  # (n, 3) poses of the RHE's trajectory; no rows for other estimators
-    measured: np.ndarray  # (n, 2) the GNSS positions it is fitted to [m]
-    desired: np.ndarray  # (N + 1, 3) poses of the path that the RHC was asked for; the first is now
-    plan: np.ndarray  # (N + 1, 3) poses that the RHC predicts
-    omega_radps: np.ndarray  # (N,) yaw rates that it plans
+    window: np.ndarray  # (n, 3) poses in the window of an RHE; otherwise (0, 3)
+    measured: np.ndarray  # (n, 2) GNSS positions in the window [m]
+    desired: np.ndarray  # (N + 1, 3) reference poses of the RHC, starting now
+    plan: np.ndarray  # (N + 1, 3) poses predicted by the RHC
+    omega_radps: np.ndarray  # (N,) planned yaw rates
 
 
 def snapshot_at(scenario, k):
-    """The Snapshot of a scenario's run at sample k, from 0."""
+    """The Snapshot at sample k ≥ 0 of a scenario's run, which is simulated until then."""
     setup = closed_loop.set_up(scenario)
     functions = compiled.load(closed_loop.build_sample, *setup.structure)
     inputs = closed_loop.noise_and_faults(scenario.seed, scenario.faults, k + 1)
@@ -39,8 +39,8 @@ def snapshot_at(scenario, k):
     planned = parts["controller"]
     window = np.empty((0, 3))
     measured = np.empty((0, 2))
-    if {"s", "z", "age"} <= past.keys():  # an RHE's
-        # a window that is not full yet has its oldest nodes at its first sample
+    if {"s", "z", "age"} <= past.keys():  # the memory of an RHE
+        # Until the window is full, its oldest nodes are unused.
         nodes = int(past["age"].item()) + 1
         window = past["s"].T[-nodes:, :3]
         measured = past["z"].T[-nodes:, :2]

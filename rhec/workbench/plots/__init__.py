@@ -1,7 +1,6 @@
-"""Drawings of the paper's figures and of the studies, one function each.
+"""The figures of the paper and of the studies, one function for each figure.
 
-Each takes finished runs or tables and returns a matplotlib Figure, whose axes name the units;
-`rhec.workbench.plots.style` gives all of them one look and saves them. A notebook imports the
-modules whose figures it shows and no others, so that make runs it again only when one of those has
-changed.
+A figure function takes finished runs or tables and returns a matplotlib Figure with units on its
+axes. `rhec.workbench.plots.style` provides the common style and saves figures. A notebook imports
+only the modules of its figures, so that make repeats it only if one of these has changed.
 """

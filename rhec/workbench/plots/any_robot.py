@@ -11,10 +11,10 @@ _BOUND = dict(color=VERMILLION, linestyle=":")
 
 @styled
 def positions(tracks):
-    """Positions in the plane; measured ones are dots.
+    """Draw positions in the plane, with dots for measured ones.
 
     Args:
-        tracks: Name of each track, "reference", "truth", "measured" or "RHE": (n, 2) positions [m].
+        tracks: {"reference", "truth", "measured" or "RHE": (n, 2) positions [m]}.
     """
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 1.9))
     looks = dict(measured=dict(linestyle="none", marker=".", markersize=2, zorder=1))
@@ -28,15 +28,14 @@ def positions(tracks):
 
 @styled
 def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
-    """Estimated parameters over time with two standard deviations, the truth, and the bounds, at
-    which the band ends; one axes a parameter.
+    """Draw estimated parameters with two standard deviations within the bounds, and the truth.
 
     Args:
         time_s: (n,) times [s].
         estimates: (n, n_p) estimates.
-        sigmas: (n, n_p) their standard deviations, bounds left aside.
+        sigmas: (n, n_p) standard deviations without bounds.
         truth: (n, n_p) true values.
-        bounds: Name of each parameter: (lowest, highest), or None; as in `rhec.Model`.
+        bounds: {name of a parameter: (lowest, highest), or None}, as in `rhec.Model`.
     """
     figure, panels = panels_beside(len(bounds), 2.2)
     columns = (np.transpose(values) for values in (estimates, sigmas, truth))
@@ -50,7 +49,7 @@ def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
             axes.axhline(limit, label="bounds", **_BOUND)
         axes.set(xlabel="time [s]", title=name)
     panels[0].set_ylabel("parameter [-]")
-    # The two bounds share one entry.
+    # The two bounds share one legend entry.
     handles, labels = panels[0].get_legend_handles_labels()
     unique = dict(zip(labels, handles))
     figure.legend(unique.values(), unique.keys(), loc="outside right center")
@@ -59,12 +58,12 @@ def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
 
 @styled
 def commands_and_bounds(time_s, commands, bounds):
-    """Commands over time between their bounds, one axes a command.
+    """Draw commands over time and their bounds.
 
     Args:
         time_s: (n,) times [s].
         commands: (n, n_u) commands.
-        bounds: Name of each command: (lowest, highest); as in `rhec.RHC`.
+        bounds: {name of a command: (lowest, highest)}, as in `rhec.RHC`.
     """
     figure, panels = panels_beside(len(bounds), 1.8)
     for axes, name, command in zip(panels, bounds, np.transpose(commands)):
@@ -78,12 +77,12 @@ def commands_and_bounds(time_s, commands, bounds):
 
 @styled
 def solver_tolerances(time_s, tolerances, iterated):
-    """KKT tolerances on logarithmic axes: over time, and over iterations of one problem.
+    """Draw KKT tolerances on logarithmic axes: over time, and over iterations of one problem.
 
     Args:
         time_s: (n,) times [s].
-        tolerances: Name of each solver: (n,) KKT tolerances.
-        iterated: Name of each solver: its KKT tolerances, iteration by iteration.
+        tolerances: {name of a solver: (n,) KKT tolerances}.
+        iterated: {name of a solver: KKT tolerances of the iterations}.
     """
     figure, (left, right) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2), width_ratios=(2, 1))
     for name, colour in zip(tolerances, (BLUE, VERMILLION)):

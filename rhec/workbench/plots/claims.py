@@ -1,4 +1,4 @@
-"""The claims ledger as files and as one picture: numbers beside their bounds, verdicts by sign."""
+"""The claims ledger as CSV, LaTeX and Markdown, and as a figure."""
 
 from pathlib import Path
 
@@ -18,17 +18,17 @@ _LOOKS = {
     ONE_WAY: ("0.45", "="),
     UNTESTABLE: (style.GREY, "–"),
 }
-_MEANINGS = {ONE_WAY: "one outcome", UNTESTABLE: "untestable"}
-# The printed table has these columns; the CSV has all of them.
+_LABELS = {ONE_WAY: "one outcome", UNTESTABLE: "untestable"}
+# Columns of the printed table; the CSV has all columns.
 _PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict"]
 _RULES = ["id", "test", "bound", "conditions", "reached", "p_adjusted"]
-# Places across the figure [% of its width]: sign, bound, end of the intervals, paper's numbers.
+# Horizontal places in the figure [% of its width]: sign, bound, end of intervals, paper's numbers.
 _SIGN = 40.5
 _BOUND = 49.0
 _END = 55.5
 _PAPER = 63.0
 _ROW_IN = 0.128  # height of a row [in]
-_WIDTH_IN = 7.2  # the longest claim, its interval and its condition fit side by side
+_WIDTH_IN = 7.2  # fits the longest claim, its interval and its condition
 
 
 def _kind(kind):
@@ -36,7 +36,7 @@ def _kind(kind):
 
 
 def _number(value):
-    """A number in three digits, words as they are, nothing for what is missing."""
+    """A number with three digits; a string unchanged; an empty string for a missing value."""
     if isinstance(value, str):
         return value
     return "" if np.isnan(value) else f"{value:.3g}"
@@ -46,28 +46,28 @@ def save_ledger(table, name="claims", folder=style.FOLDER):
     """Write the ledger as CSV (all columns), LaTeX (a longtable) and Markdown.
 
     Args:
-        table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
-        name: of the files, without a suffix.
-        folder: as for `rhec.workbench.plots.style.save`.
+        table: Table of `rhec.workbench.studies.claims.ledger.ledger`.
+        name: Name of the files, without a suffix.
+        folder: As in `rhec.workbench.plots.style.save`.
 
     Returns:
-        The CSV's path. The LaTeX needs the packages booktabs and longtable.
+        The path of the CSV. The LaTeX needs the packages booktabs and longtable.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     about = style.provenance(name, None)
     csv = Path(folder) / f"{name}.csv"
     table.to_csv(csv, index=False)
     numbers = ("paper", "value", "low", "high")
-    words = table[_PRINTED].assign(**{column: table[column].map(_number) for column in numbers})
+    printed = table[_PRINTED].assign(**{column: table[column].map(_number) for column in numbers})
     look = dict(index=False, longtable=True, escape=True, label=f"tab:{name}")
     look["caption"] = (
         "The paper's claims, what the runs say with 95\\,\\% intervals, and the verdicts"
     )
     look["column_format"] = "lp{0.34\\linewidth}llllllp{0.14\\linewidth}"
-    latex = words.to_latex(**look)
+    latex = printed.to_latex(**look)
     csv.with_suffix(".tex").write_text(style.as_comments(about) + latex, encoding="utf-8")
     rules = table[_RULES].assign(p_adjusted=table["p_adjusted"].map(_number))
-    pages = [f"<!-- {about['Creator']} -->", _markdown(words), _markdown(rules)]
+    pages = [f"<!-- {about['Creator']} -->", _markdown(printed), _markdown(rules)]
     csv.with_suffix(".md").write_text("\n".join(pages), encoding="utf-8")
     return csv
 
@@ -79,12 +79,13 @@ def _markdown(frame):
 
 
 def _relative_to_bound(value, low, high, above, below, verdict):
-    """(value, low, high) from the bound, positive where the claim wants them, the farthest 1; None
-    where there is no side to be on: a number that the paper reports is met or not.
+    """(value, low, high) relative to the bound, scaled to 1, positive on the side of the claim.
+
+    None if the claim has no side, such as a number that must be met.
     """
     if np.isnan(value) or (np.isinf(above) and np.isinf(below)) or above == below:
         return None
-    # All cases, or none: the share is exact, so the interval does not matter.
+    # If all cases or none agree, the share is exact and has no interval.
     if value == above:
         return np.ones(3) * (1 if verdict == HOLDS else -1)
     bound = above if abs(value - above) <= abs(value - below) else below
@@ -101,7 +102,7 @@ def _draw_sign(axes, x, y, kind):
 
 
 def _draw_intervals(axes, place, row, colour):
-    """One line for each condition; the marker of the condition that the text states is filled."""
+    """Draw a line for each condition, with a filled marker for the condition in the text."""
     columns = ("value", "low", "high", "above", "below")
     verdict = HOLDS if row.verdict.startswith(HOLDS) else row.verdict
     findings = [((*(getattr(row, name) for name in columns), verdict), colour)]
@@ -121,13 +122,13 @@ def _draw_intervals(axes, place, row, colour):
 
 @style.styled
 def verdicts(table):
-    """The ledger at a glance: verdicts, the paper's numbers, ours, and intervals against bounds.
+    """Draw the ledger: verdicts, the paper's numbers, ours, and intervals relative to bounds.
 
     A claim holds to the right of the line and fails to the left. Each row is scaled to its farthest
-    end. A number of the paper that has to be met has no side, so its row has no interval.
+    end. A claim that a number of the paper is met has no interval.
 
     Args:
-        table: as `rhec.workbench.studies.claims.ledger.ledger` returns it.
+        table: Table of `rhec.workbench.studies.claims.ledger.ledger`.
     """
     rows = len(table)
     centred = dict(va="center_baseline")
@@ -155,7 +156,7 @@ def verdicts(table):
     kinds = table["kind"].map(_kind)
     for x, kind in zip((1.0, 11.0, 42.5, 60.0, 74.5, 89.0), _LOOKS):
         _draw_sign(axes, x, -3.4, kind)
-        count = f"{_MEANINGS.get(kind, kind)}: {(kinds == kind).sum()}"
+        count = f"{_LABELS.get(kind, kind)}: {(kinds == kind).sum()}"
         axes.text(x + 1.5, -3.4, count, fontsize=7, **centred)
     return figure
 

@@ -1,6 +1,6 @@
-"""Consistency of estimators: NEES over time, and RMS errors in units of the stated deviations.
+"""Consistency of estimators: NEES over time, and RMS errors over stated standard deviations.
 
-`measured` is {estimator: Consistency}. Estimators that have no colour of their own are grey.
+`measured` is {estimator: Consistency}. Estimators without an assigned colour are grey.
 """
 
 import matplotlib.pyplot as plt
@@ -16,20 +16,20 @@ _SYMBOLS = {"θ": r"$\theta$", "ν": r"$\nu$", "μ": r"$\mu$", "κ": r"$\kappa$"
 
 @styled
 def nees_over_time(measured):
-    """Mean NEES over runs by its degrees of freedom, over time; shaded: 95 % χ² bounds."""
+    """Draw the mean NEES of runs over its degrees of freedom, with 95 % χ² bounds, over time."""
     rows = -(-len(measured) // 2)
     size = (DOUBLE_IN, 0.3 + 0.95 * rows)
     figure, panels = plt.subplots(rows, 2, figsize=size, sharex=True, sharey=True, squeeze=False)
-    for axes, (name, of_one) in zip(panels.flat, measured.items()):
-        degrees = len(of_one.states)
-        runs = len(of_one.nees)
+    for axes, (name, result) in zip(panels.flat, measured.items()):
+        degrees = len(result.states)
+        runs = len(result.nees)
         bounds = consistency.bounds(runs, degrees)
         axes.axhspan(*bounds, color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
         colour = next((colour for kind, colour in _COLOURS.items() if kind in name), GREY)
-        axes.semilogy(of_one.t_s, of_one.nees.mean(axis=0) / degrees, color=colour, linewidth=0.6)
-        (_, values, _), *_ = consistency.normalised(of_one)
+        axes.semilogy(result.t_s, result.nees.mean(axis=0) / degrees, color=colour, linewidth=0.6)
+        (_, values, _), *_ = consistency.normalised(result)
         inside = consistency.share_inside(values, degrees)
-        axes.set(title=f"{name}: {100 * inside:.0f} % inside", xlim=(0, of_one.t_s[-1]))
+        axes.set(title=f"{name}: {100 * inside:.0f} % inside", xlim=(0, result.t_s[-1]))
         log_axis(axes.yaxis)
     for axes in panels.flat[len(measured) :]:
         axes.set_visible(False)
@@ -41,12 +41,12 @@ def nees_over_time(measured):
 
 @styled
 def errors_over_sigma(measured):
-    """RMS error over standard deviation for each state: 1 is consistent, above is overconfident."""
+    """Draw RMS error over standard deviation: 1 is consistent, larger is overconfident."""
     figure, axes = plt.subplots(figsize=(COLUMN_IN, 0.32 * len(measured) + 0.7))
     states = consistency.STATES
     ratios = np.full((len(measured), len(states)), np.nan)
-    for row, of_one in zip(ratios, measured.values()):
-        row[: len(of_one.states)] = np.sqrt(consistency.mean_square_errors(of_one).mean(axis=0))
+    for row, result in zip(ratios, measured.values()):
+        row[: len(result.states)] = np.sqrt(consistency.mean_square_errors(result).mean(axis=0))
     axes.imshow(np.log2(ratios), cmap="PuOr_r", vmin=-2.5, vmax=2.5, aspect="auto")
     for (row, column), ratio in np.ndenumerate(ratios):
         text = "–" if np.isnan(ratio) else f"{ratio:.2f}"

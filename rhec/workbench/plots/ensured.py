@@ -1,4 +1,4 @@
-"""The share of fields on which the robot stays in its corridor, over its mean speed."""
+"""The share of fields on which the robot stays within the tolerance, over its mean speed."""
 
 import matplotlib.pyplot as plt
 
@@ -12,20 +12,20 @@ _COLOURS = {"dual": style.VERMILLION, "full oracle": style.COLOURS["oracle"]}
 
 @style.styled
 def fronts(table, target):
-    """Shares with 95 % intervals over the mean speed, one panel for each promise.
+    """Draw shares with 95 % intervals over the mean speed, one panel for each promise.
 
-    Dotted lines join constant speeds, diamonds are cautious drives, and a dashed corner is the
-    target.
+    Dotted lines join drives at constant speeds, diamonds are cautious drives, and the dashed corner
+    is the target.
 
     Args:
-        table: As `rhec.workbench.studies.ensured.front` returns it.
-        target: (share, speed [m/s]) that are to be reached together.
+        table: Table of `rhec.workbench.studies.ensured.front`.
+        target: (share, speed [m/s]) to reach simultaneously.
     """
     promises = table["promise"].unique()
     figure, panels = plt.subplots(1, len(promises), figsize=(style.DOUBLE_IN, 2.7), sharey=True)
     for axes, promise in zip(panels, promises):
-        shown = table[table["promise"] == promise]
-        for (estimator, mode), rows in shown.groupby(["estimator", "mode"], sort=False):
+        by_promise = table[table["promise"] == promise]
+        for (estimator, mode), rows in by_promise.groupby(["estimator", "mode"], sort=False):
             careful = mode == CAUTIOUS
             error = [rows["share"] - rows["low"], rows["high"] - rows["share"]]
             look = dict(color=_COLOURS.get(estimator, style.COLOURS["RHE"]), capsize=1.5)
@@ -50,10 +50,10 @@ def fronts(table, target):
 
 @style.styled
 def where_it_slows(runs):
-    """Speed, true error and κ along the path, of drives on one field.
+    """Draw speed, true error and κ along the path, for drives on one field.
 
     Args:
-        runs: {name: Run}, the first at a constant speed.
+        runs: {name: Run}; the first has a constant speed.
     """
     figure, panels = plt.subplots(3, figsize=(style.DOUBLE_IN, 3.9), sharex=True)
     speeds, errors, soil = panels

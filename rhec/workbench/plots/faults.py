@@ -1,7 +1,7 @@
-"""Sensor faults: all cases in numbers, and true errors over time.
+"""Sensor faults: an overview of all cases, and true errors over time.
 
-Robust handling "off" is the paper's estimator; "on" gates and weighs innovations. Over time, "off"
-is a broad line and "on" a narrow one above it, so that equal results show as equal.
+Robust handling "off" is the paper's estimator; "on" gates and weights innovations. In plots over
+time a narrow line ("on") lies on a broad one ("off"), so that equal results are visible.
 """
 
 import matplotlib.pyplot as plt
@@ -14,15 +14,15 @@ from rhec.workbench.studies.robustness import FAMILIES
 
 _COLOURS = {"off": VERMILLION, "on": BLUE}
 _WIDTHS = {"off": 2.0, "on": 0.8}
-# Limits of the error axis, outside which nothing is of interest.
+# Limits of the error axis.
 _LEAST_M = 0.01
 _MOST_M = 100.0
-_PANELS = 4  # in a row
+_PANELS = 4  # panels in a row
 
 
 def _draw_errors(axes, error, handling, before_s):
-    """Median over seeds, and the largest dotted. Returns the times [s] since the fault began."""
-    # Runs begin at different times before their fault; the shortest of them decides.
+    """Draw median and largest error over seeds; return the times since the fault began [s]."""
+    # The time before the fault differs between runs; the axis begins where one run has data.
     first = np.flatnonzero(~np.isnan(error).any(axis=0))[0]
     error = error[:, first:]
     look = dict(color=_COLOURS[handling], linewidth=_WIDTHS[handling])
@@ -34,31 +34,30 @@ def _draw_errors(axes, error, handling, before_s):
 
 @styled
 def fault_courses(keys, table, errors, before_s):
-    """True error since the fault began, a panel a case: median and largest of all seeds.
+    """Draw the true error since the fault began, median and largest over seeds, a panel per case.
 
-    Yellow: while the fault lasts (the median, if that differs by seed). The title says how many
-    seeds recovered, and when the last of them did.
+    The fault lasts in the yellow area; its duration is the median over seeds. The title has the
+    number of seeds that recovered and the longest recovery time.
 
     Args:
         keys: (family, case) of each panel.
-        table: of `rhec.workbench.studies.robustness.study`.
-        errors: likewise.
-        before_s: how long before the fault the errors begin [s].
+        table, errors: Results of `rhec.workbench.studies.robustness.study`.
+        before_s: Time between the first errors and the fault [s].
     """
     rows = -(-len(keys) // _PANELS)
     columns = min(len(keys), _PANELS)
     look = dict(figsize=(DOUBLE_IN, 0.8 + 1.7 * rows), sharey=True, squeeze=False)
     figure, grid = plt.subplots(rows, columns, **look)
     for axes, (family, case) in zip(grid.flat, keys):
-        of_case = table[(table["family"] == family) & (table["case"] == case)]
+        runs_of_case = table[(table["family"] == family) & (table["case"] == case)]
         lines = [_label(FAMILIES[family], case)]
-        for handling, runs in of_case.groupby("handling", sort=False):
+        for handling, runs in runs_of_case.groupby("handling", sort=False):
             back = runs["recovery_s"].count()
             last_s = runs["recovery_s"].max()
             when = f", last in {last_s:.0f} s" if back else ""
             lines.append(f"{handling}: {back} of {len(runs)} recover{when}")
             t_s = _draw_errors(axes, errors[family, case, handling], handling, before_s)
-        duration_s = np.median(of_case["end_s"] - of_case["begin_s"])
+        duration_s = np.median(runs_of_case["end_s"] - runs_of_case["begin_s"])
         axes.axvspan(0, max(duration_s, paper.DT_S), **TOLERANCE, label="while it lasts")
         axes.axhline(paper.TOLERANCE_M, **BOUND, label=f"{paper.TOLERANCE_M} m")
         axes.set_title("\n".join(lines), fontsize=6.5)
@@ -79,14 +78,14 @@ def fault_courses(keys, table, errors, before_s):
 
 @styled
 def fault_overview(table, n):
-    """All cases: the largest true error from the end of the trouble on, and the time until the
-    robot is back; means over seeds with their intervals, and the worst seed as a ring.
+    """Draw the largest true error after the fault and the recovery time for all cases.
 
-    At the right how many of the n seeds came back, off and on.
+    Means over seeds have 95 % intervals; a ring marks the worst seed. At the right are the numbers
+    of seeds that recovered, without and with robust handling.
 
     Args:
-        table: rows of `rhec.workbench.studies.robustness.fault_table`, handling "off" and "on".
-        n: seeds of each.
+        table: Rows of `rhec.workbench.studies.robustness.fault_table`, handling "off" and "on".
+        n: Number of seeds per case.
     """
     cases = list(table.groupby(["family", "case"], sort=False))
     size = dict(figsize=(DOUBLE_IN, 1.1 + 0.135 * len(cases)), sharey=True)

@@ -1,8 +1,7 @@
-"""The audit of interpretations: why the printed W loses the EKF's yaw and makes κ chatter, how the
-calibrated W was found, and how far each interpretation moves the results.
+"""Effects of the interpretations: the printed and the calibrated W, and changes of the results.
 
-`sweep` and `runs` are as `rhec.workbench.studies.interpretations.swept` returns them, `printed` and
-`calibrated` the two values of the standard deviation that is swept.
+`sweep` and `runs` are the results of `rhec.workbench.studies.interpretations.swept`; `printed` and
+`calibrated` are two values of the swept standard deviation.
 """
 
 import matplotlib.pyplot as plt
@@ -13,21 +12,21 @@ from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY
 from rhec.workbench.studies import statistics
 from rhec.workbench.studies.interpretations import QUANTITIES
 
-_CHATTER_S = (40, 100)  # what is shown of the time: before and in the first turn
+_CHATTER_S = (40, 100)  # times before and in the first turn
 _COLOURS = (SKY, ORANGE, VERMILLION)
 _SIGMA_UNIFORM = 1 / np.sqrt(12)  # standard deviation of a uniform distribution on [0, 1]
-_MOST_DEVIANCE = 2.0  # drawn: by then a value is out of the question
+_MOST_DEVIANCE = 2.0  # upper limit of the axis; such values are very unlikely
 _SMALL_LEGEND = dict(ncols=3, fontsize=6, loc="upper center", columnspacing=0.8, handlelength=1.2)
 
 
 def _mark(axes, **values):
-    """Vertical lines at the printed and the calibrated value of what the x axis shows."""
+    """Draw vertical lines at the printed and the calibrated value."""
     for (name, value), style in zip(values.items(), ((0, (1, 1)), (0, (4, 2)))):
         axes.axvline(value, color=GREY, linewidth=0.8, linestyle=style, label=name, zorder=1)
 
 
 def _swept(axes, label, **values):
-    """The axis of the swept standard deviation: printed and calibrated value, and a legend."""
+    """Label the axis of the swept standard deviation, with printed and calibrated value."""
     _mark(axes, **values)
     axes.set_xlabel(label)
     axes.minorticks_off()
@@ -35,30 +34,26 @@ def _swept(axes, label, **values):
 
 
 def _means(axes, sweep, column, label, colour, marker):
-    """Means over seeds with their intervals, against the swept standard deviation."""
-    found = {sigma: statistics.mean(rows[column]) for sigma, rows in sweep.groupby("sigma")}
-    value, low, high = np.array([each[:3] for each in found.values()]).T
+    """Draw means over seeds with 95 % intervals over the swept standard deviation."""
+    means = {sigma: statistics.mean(rows[column]) for sigma, rows in sweep.groupby("sigma")}
+    value, low, high = np.array([mean[:3] for mean in means.values()]).T
     look = dict(fmt=marker, markersize=3, color=colour, capsize=1.5, elinewidth=0.8, label=label)
-    axes.errorbar(list(found), value, [value - low, high - value], **look)
+    axes.errorbar(list(means), value, [value - low, high - value], **look)
 
 
 @styled
 def ekf_yaw(analysis, sweep, runs, printed, calibrated):
-    """Why the EKF loses its yaw: gains, uncertainty and error, by the position's process noise σ_x.
+    """Draw gains, uncertainty and error of the EKF's yaw over the process noise σ_x.
 
     Args:
-        analysis: As `rhec.workbench.studies.interpretations.ekf_on_a_straight` returns it.
-        sweep: Metrics of runs, one row each, with `sigma`, the swept standard deviation.
-        runs: {value of σ_x: Run}, to show over time.
-        printed: Value of σ_x in the paper's W.
-        calibrated: Its value in the calibrated W.
+        analysis: Table of `rhec.workbench.studies.interpretations.ekf_on_a_straight`.
     """
     figure, (gains, yaw, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     sigma_x_m = analysis["sigma_x_m"]
     for axes, column, colour, label in [
         (gains, "gain_position", BLACK, "position [-]"),
         (gains, "gain_yaw_radpm", VERMILLION, "yaw [rad/m]"),
-        (yaw, "sigma_yaw_rad", VERMILLION, "filter's own, steady"),
+        (yaw, "sigma_yaw_rad", VERMILLION, "by the filter, steady"),
     ]:
         axes.loglog(sigma_x_m, analysis[column], color=colour, label=label)
     _means(yaw, sweep, "rms_yaw_rad", "RMS error, simulated", BLACK, "o")
@@ -78,23 +73,18 @@ def ekf_yaw(analysis, sweep, runs, printed, calibrated):
 
 @styled
 def rhe_kappa(analysis, sweep, runs, printed, calibrated):
-    """Why κ chatters: how well the RHE's window determines κ on straights and in curves, and κ over
-    time, by the process noise σ_κ.
+    """Draw the uncertainty and error of the RHE's κ over the process noise σ_κ, and κ over time.
 
     Args:
-        analysis: DataFrame with sigma_kappa, straight, curve: the RHE's own standard deviations.
-        sweep: Metrics of runs, one row each, with `sigma`, the swept standard deviation.
-        runs: {value of σ_κ: Run}, to show over time.
-        printed: Value of σ_κ in the paper's W.
-        calibrated: Its value in the calibrated W.
+        analysis: DataFrame with sigma_kappa, straight, curve: standard deviations by the RHE.
     """
-    figure, (known, found, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
+    figure, (stated, simulated, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     for part, colour in (("straight", VERMILLION), ("curve", BLUE)):
-        known.loglog(analysis["sigma_kappa"], analysis[part], color=colour, label=part)
-    _means(found, sweep, "rms_kappa_straights", "straights", VERMILLION, "s")
-    _means(found, sweep, "rms_kappa_curves", "curves", BLUE, "o")
-    found.set(xscale="log", ylim=0)
-    for axes in (known, found):
+        stated.loglog(analysis["sigma_kappa"], analysis[part], color=colour, label=part)
+    _means(simulated, sweep, "rms_kappa_straights", "straights", VERMILLION, "s")
+    _means(simulated, sweep, "rms_kappa_curves", "curves", BLUE, "o")
+    simulated.set(xscale="log", ylim=0)
+    for axes in (stated, simulated):
         axes.axhline(_SIGMA_UNIFORM, label="anything in [0, 1]", **BOUND)
         _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, calibrated=calibrated)
     for (value, run), colour in zip(sorted(runs.items(), reverse=True), _COLOURS):
@@ -105,9 +95,9 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
     shade(time, c["t_s"], ~c["on_straight"])
     time.set_xlim(*_CHATTER_S)
     time.legend(**_SMALL_LEGEND)
-    known.set(ylabel=r"standard deviation of $\hat\kappa$", title="by the RHE's own window")
+    stated.set(ylabel=r"standard deviation of $\hat\kappa$", title="by the RHE's covariance")
     title = f"simulated, {sweep['seed'].nunique()} seeds"
-    found.set(ylabel=r"RMS error of $\hat\kappa$", title=title)
+    simulated.set(ylabel=r"RMS error of $\hat\kappa$", title=title)
     time.set(
         xlabel="time [s]  (shaded: curves)",
         ylabel=r"$\hat\kappa$ [-]",
@@ -119,13 +109,11 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
 
 @styled
 def likelihood(profiles):
-    """How the calibrated W was found: -2 log likelihood a sample above its least, along one
-    standard deviation of W at a time.
+    """Draw -2 log likelihood per sample above its minimum, over each standard deviation of W.
 
     Args:
-        profiles: {title: (table of
-            `rhec.workbench.studies.interpretations.likelihood_profile`, printed value, calibrated
-            value)}.
+        profiles: {title: (table, printed value, calibrated value)}, with tables of
+            `rhec.workbench.studies.interpretations.likelihood_profile`.
     """
     figure, panels = plt.subplots(1, len(profiles), figsize=(DOUBLE_IN, 2.0))
     for axes, (title, (table, printed, calibrated)) in zip(panels, profiles.items()):
@@ -145,14 +133,14 @@ def likelihood(profiles):
 
 @styled
 def forest(table, baseline):
-    """Differences of each interpretation from the baseline, with 95 % intervals, by quantity.
+    """Draw differences of interpretations from the baseline, with 95 % intervals, by quantity.
 
-    Coloured where the interval excludes 0: more in vermillion, less in blue. What is off the scale
-    is an arrow at its edge, with its number.
+    Intervals that exclude 0 are vermillion for an increase and blue for a decrease. Arrows at the
+    edge mark values outside the axis.
 
     Args:
-        table: as `rhec.workbench.studies.interpretations.one_at_a_time` returns it.
-        baseline: process noise of the baseline, "printed" or "calibrated".
+        table: Table of `rhec.workbench.studies.interpretations.one_at_a_time`.
+        baseline: Process noise of the baseline, "printed" or "calibrated".
     """
     others = table[table["interpretation"] != "baseline"].drop_duplicates("interpretation")
     names = others["interpretation"]
@@ -195,7 +183,7 @@ def forest(table, baseline):
 
 
 def _scale(changes):
-    """The end of an axis on which three of four changes can be told apart: one digit."""
+    """1.5 times the upper quartile of the changes, rounded up to one digit."""
     size = np.quantile(np.abs(changes), 0.75) or 1.0
     digit = 10 ** np.floor(np.log10(size))
     return float(np.ceil(1.5 * size / digit) * digit)

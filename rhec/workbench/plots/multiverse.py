@@ -1,4 +1,4 @@
-"""The multiverse: the share of worlds in which each claim holds, and the unknowns it depends on."""
+"""The multiverse: the share of worlds in which a claim holds, and the unknowns that matter."""
 
 import matplotlib.pyplot as plt
 from matplotlib.colors import LinearSegmentedColormap
@@ -27,15 +27,13 @@ _LABELS = {
 
 @styled
 def multiverse_map(table, correlations, discovered):
-    """Left, the share of worlds where each claim holds, is undecided, or does not hold; right, its
-    rank correlation with each unknown.
+    """Draw the shares of worlds by verdict, and the claims' rank correlations with the unknowns.
 
-    Numbers stand where a correlation is a discovery; blue: more of the unknown helps the claim.
+    Significant correlations have numbers. Blue means that larger values support the claim.
 
     Args:
-        table: as `rhec.workbench.studies.multiverse.summary` returns it.
-        correlations: as `rhec.workbench.studies.multiverse.correlations` returns them.
-        discovered: likewise, where a correlation is significant.
+        table: Table of `rhec.workbench.studies.multiverse.summary`.
+        correlations, discovered: Tables of `rhec.workbench.studies.multiverse.correlations`.
     """
     size = (DOUBLE_IN, 0.9 + 0.2 * len(table))
     widths = (1, 2.4)
@@ -59,7 +57,7 @@ def multiverse_map(table, correlations, discovered):
 
 
 def _draw_shares(axes, table):
-    """A stacked bar a claim, with the interval of the share where it holds."""
+    """Draw a stacked bar per claim, with the interval of the share in which it holds."""
     places = range(len(table))
     left = 0
     for column, verdict, colour, hatch in [

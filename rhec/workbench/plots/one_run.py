@@ -1,4 +1,4 @@
-"""One run at a glance: what `Run.plot` shows and a notebook prints of a run."""
+"""Overview of one run, as shown by `Run.plot`."""
 
 import warnings
 
@@ -14,13 +14,13 @@ from rhec.workbench.plots.style import COLOURS, DOUBLE_IN, SKY, styled
 
 @styled
 def overview(run, with_band=True):
-    """Path and robot, errors over time, and the traction with two standard deviations.
+    """Draw path and robot, errors over time, and the traction with two standard deviations.
 
     Args:
         run: A Run.
-        with_band: Whether to run the estimator again for its standard deviations, which no log
-            holds; the first time that compiles it. They are left out for an estimator that does
-            not estimate (x, y, θ, ν, μ, κ).
+        with_band: Whether to run the estimator again for its standard deviations, which are not in
+            the log. The estimator is compiled if necessary. Estimators of other quantities than
+            (x, y, θ, ν, μ, κ) have no band.
     """
     ratios = dict(height_ratios=(3, 2, 1.5, 1.5))
     figure, panels = plt.subplots(4, figsize=(DOUBLE_IN, 7), gridspec_kw=ratios)
@@ -49,7 +49,7 @@ def _draw_errors(axes, run):
     axes.plot(t_s, run.columns["error_m"], color=COLOURS["measured"], label="by GNSS")
     axes.plot(t_s, run.columns["error_true_m"], color=COLOURS["truth"], label="true")
     axes.axhline(paper.TOLERANCE_M, color=COLOURS["tolerance"], label="tolerance")
-    # The way from the start to the path would hide the rest.
+    # The large error at the start would hide the rest.
     axes.set(ylabel="error [m]", ylim=(0, 3 * paper.TOLERANCE_M))
     axes.legend(ncols=3)
 
@@ -68,8 +68,8 @@ def _draw_traction(axes, run, name, sigma):
 
 
 def _sigma_of_traction(run):
-    """{"mu", "kappa": standard deviations (n,)}, as far as the estimator has them."""
-    # Studies bring campaigns with them, which a first look at a run need not wait for.
+    """{"mu", "kappa": standard deviations (n,)}; empty if the estimator has none."""
+    # Imported here, because studies import campaigns, which would delay every other figure.
     from rhec.workbench.studies.consistency import stated
 
     choice = Choice.of(run.scenario)
@@ -77,7 +77,7 @@ def _sigma_of_traction(run):
     if tuple(states) != tuple(QUANTITIES):
         return {}
     with warnings.catch_warnings():
-        # Of a short run no sample is settled; the share of settled samples is not shown here.
+        # A short run has no settled samples, so that their share, which is unused here, is NaN.
         warnings.simplefilter("ignore", RuntimeWarning)
         errors = stated(run)
     return {name: errors[name][1] for name in ("mu", "kappa")}

@@ -1,4 +1,4 @@
-"""Parts that several figures share: panels, bounds, seeds with their interval, legends, axes."""
+"""Shared parts of figures: panels, bounds, intervals, legends, axes."""
 
 import matplotlib.pyplot as plt
 from matplotlib.ticker import LogLocator
@@ -7,33 +7,31 @@ from rhec.workbench.plots.style import BLACK, COLOURS, DOUBLE_IN
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
-DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # a dot a seed
+DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # one dot per seed
 
 
 def panels_beside(n, height_in, width_in=DOUBLE_IN):
-    """A figure of n panels beside one another, with one y axis."""
+    """A figure with n panels side by side and a common y axis."""
     size = (width_in, height_in)
     figure, panels = plt.subplots(1, n, figsize=size, sharey=True, squeeze=False)
     return figure, panels[0]
 
 
 def seed_range(sweep):
-    """How many seeds a sweep has, and which, for a title."""
+    """The number and the range of the seeds of a sweep, for a title."""
     seeds = sorted(sweep["seed"].unique())
     return f"{len(seeds)} seeds, {seeds[0]} to {seeds[-1]}"
 
 
 def band(axes, x, low_middle_high, label, **look):
-    """The middle 90 % of many drives as a band, their median as a line."""
+    """Draw the middle 90 % of drives as a band and the median as a line."""
     low, middle, high = low_middle_high
     axes.fill_between(x, low, high, alpha=0.25, linewidth=0, **look)
     axes.plot(x, middle, label=label, linewidth=0.8, **look)
 
 
 def interval_row(axes, place, row, colour):
-    """A row of a table: mean with its 95 % interval, the middle 90 % of drives as a thin line, and
-    the numbers at the right edge.
-    """
+    """Draw mean, 95 % interval (thick), middle 90 % of drives (thin), and the numbers."""
     axes.hlines(place, row.p5, row.p95, linewidth=0.8, color=colour)
     axes.hlines(place, row.low, row.high, linewidth=3, color=colour, alpha=0.6)
     axes.plot(row.mean, place, "o", color=colour, markersize=3.5)
@@ -42,26 +40,26 @@ def interval_row(axes, place, row, colour):
 
 
 def rows_axis(axes, labels, quantity):
-    """Labelled rows, the first on top, of a quantity that is at least 0."""
+    """Label rows from the top down, over a quantity that is at least 0."""
     axes.set_yticks(range(len(labels)), labels)
     axes.set(ylim=(len(labels) - 0.5, -0.5), xlim=(0, None), xlabel=quantity)
     axes.grid(axis="y", visible=False)
 
 
 def note(axes, text, xy, offset=(0, 0), **look):
-    """Small text at an offset [points] from a point."""
+    """Write small text at an offset [points] from a point."""
     look = dict(textcoords="offset points", fontsize=7, va="center") | look
     axes.annotate(text, xy, offset, **look)
 
 
 def shade(axes, t_s, where):
-    """Shade the times at which a condition holds."""
+    """Shade the times at which `where` is true."""
     look = dict(color="0.93", linewidth=0, zorder=0)
     axes.fill_between(t_s, 0, 1, where=where, transform=axes.get_xaxis_transform(), **look)
 
 
 def time_axis(panels, t_s, where, shaded):
-    """Time along the last of the panels; shade in all of them where a condition holds."""
+    """Label the time axis of the last panel, and shade times in all panels."""
     for axes in panels:
         shade(axes, t_s, where)
         axes.grid(axis="x", visible=False)
@@ -69,20 +67,20 @@ def time_axis(panels, t_s, where, shaded):
 
 
 def legend_above(axes, handles_of=None, **look):
-    """A legend in one line above the axes, to the right; of other axes' entries, if given."""
+    """Add a legend in one line above the axes, at the right, for these or for other axes."""
     entries = (handles_of or axes).get_legend_handles_labels()
     place = dict(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
     axes.legend(*entries, **place | dict(ncols=len(entries[0])) | look)
 
 
 def legend_outside(figure, axes, place, ncols):
-    """A legend of these axes' entries at an edge of the figure."""
+    """Add a legend of the entries of the axes at an edge of the figure."""
     entries = axes.get_legend_handles_labels()
     figure.legend(*entries, loc=f"outside {place}", ncols=ncols)
 
 
 def log_axis(axis):
-    """A logarithmic axis with 1, 2 and 5 written out."""
+    """Make an axis logarithmic, with labels at 1, 2 and 5."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.set_major_formatter("{x:g}")

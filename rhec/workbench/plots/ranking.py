@@ -1,4 +1,4 @@
-"""Estimators ranked by how the robot drives with them, and the proposal's pose noise."""
+"""Estimators ranked by the tracking error, and the pose noise of the proposal."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -8,26 +8,26 @@ from rhec.workbench.plots.parts import DOTS, legend_above, log_axis, note, seed_
 from rhec.workbench.studies import ranking
 from rhec.workbench.studies.statistics import over_seeds
 
-_FAMILIES = {  # colours by the beginning of an estimator's name; all others are grey
+_FAMILIES = {  # {beginning of an estimator's name: colour}; all others are grey
     "dual": style.VERMILLION,
     "RHE": style.COLOURS["RHE"],
     "traction oracle": style.COLOURS["oracle"],
     "full oracle": style.BLACK,
 }
-_OFF_SCALE = 1.8  # times the paper's RHE; a larger mean is drawn as an arrow at the edge
+_OFF_SCALE = 1.8  # upper limit of the axes as a multiple of the paper's RHE
 _ERROR = ranking.QUANTITIES["mean_error_true_m"]
 _RATIO = f"true error, ratio to {ranking.PAPERS}"
 
 
 @style.styled
 def ranked(sweep):
-    """True error of every estimator, and its ratio to the paper's RHE at equal seeds.
+    """Draw the true error of every estimator, and its ratio to the paper's RHE at equal seeds.
 
-    Dots are seeds. Where seeds are off the scale, their number stands at its edge; an arrow is a
-    mean that is off the scale. The dashed and the dotted line are the targets of the proposal.
+    Dots are seeds. A number at the edge counts seeds outside the axis; an arrow is a mean outside
+    the axis. The dashed and the dotted line are the targets of the proposal.
 
     Args:
-        sweep: as in `rhec.workbench.studies.ranking.ranking_table`.
+        sweep: As in `rhec.workbench.studies.ranking.ranking_table`.
     """
     table = ranking.ranking_table(sweep)
     names = list(dict.fromkeys(table["contestant"]))
@@ -64,7 +64,7 @@ def _colour_of(name):
 
 
 def _draw_seeds(axes, place, errors, largest, colour):
-    """A dot for each seed, and the number of seeds beyond the scale."""
+    """Draw a dot for each seed, and the number of seeds outside the axis."""
     spread = np.linspace(0.3, -0.3, len(errors))
     inside = errors < largest
     dots = dict(color=colour, markersize=1.5, alpha=0.3)
@@ -77,7 +77,7 @@ def _draw_seeds(axes, place, errors, largest, colour):
 
 
 def _draw_mean(axes, place, estimate, most, digits, colour):
-    """A mean with its 95 % interval, or an arrow at the edge, and its number to the right."""
+    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right."""
     mean, low, high = estimate
     if mean < most:
         look = dict(fmt="D", markeredgecolor="w", markeredgewidth=0.5, markersize=4, capsize=2)
@@ -90,7 +90,7 @@ def _draw_mean(axes, place, estimate, most, digits, colour):
 
 
 def _draw_targets(errors, ratios, estimates, names):
-    """Vertical lines at the gain over the paper's RHE and the distance to the traction oracle."""
+    """Draw vertical lines at the targets relative to the paper's RHE and the traction oracle."""
     target = dict(color=style.BLACK, linewidth=0.7)
     gain = f"target: {100 * ranking.LEAST_GAIN:.0f} % below the paper's RHE"
     ratios.axvline(1 - ranking.LEAST_GAIN, **target, linestyle="--", label=gain)
@@ -103,13 +103,13 @@ def _draw_targets(errors, ratios, estimates, names):
 
 @style.styled
 def pose_noise(rows):
-    """True errors and RMS error of the yaw over the process noise σ_θ of the proposal's filter.
+    """Draw true errors and RMS yaw error over the process noise σ_θ of the proposal's filter.
 
-    A ring marks the minimum of each curve and the dotted line the proposal's σ_θ. Bands are 95 %
+    A ring marks the minimum of each curve, the dotted line the σ_θ of the proposal. Bands are 95 %
     intervals over seeds.
 
     Args:
-        rows: as `rhec.workbench.studies.ranking.by_pose_noise` returns them.
+        rows: Table of `rhec.workbench.studies.ranking.by_pose_noise`.
     """
     figure, (errors, yaw) = plt.subplots(2, figsize=(style.COLUMN_IN, 3.6), sharex=True)
     by_sigma = rows.groupby("sigma_theta_rad")
@@ -120,7 +120,9 @@ def pose_noise(rows):
         (errors, "all_m", "whole drive", style.BLACK),
         (yaw, "rms_yaw_rad", "estimated yaw", style.PURPLE),
     ]:
-        mean, low, high = np.array([over_seeds(np.mean, of[column])[:3] for _, of in by_sigma]).T
+        mean, low, high = np.array(
+            [over_seeds(np.mean, seeds[column])[:3] for _, seeds in by_sigma]
+        ).T
         axes.plot(sigmas, mean, color=colour, label=label)
         axes.fill_between(sigmas, low, high, color=colour, alpha=0.2, linewidth=0)
         ring = dict(color="w", markeredgecolor=colour, markersize=5)

@@ -1,7 +1,7 @@
 """Figures of a replayed log.
 
-`replays` is {estimator: samples}, as `rhec.logs.scores.perturbed_replay` returns them; what a log
-does not contain (for example its true pose) is left out of the figure.
+`replays` is {estimator: samples of `rhec.logs.scores.perturbed_replay`}. Figures leave out what a
+log does not contain, such as the true pose.
 """
 
 import re
@@ -32,9 +32,7 @@ _SMOOTH = 11
 
 
 def replay_folder(file):
-    """The folder for a log's pictures: FOLDER for the one in data/, else build/replay/ and its
-    name.
-    """
+    """The folder of a log's figures: FOLDER for the log in data/, else build/replay/NAME."""
     file = Path(file).resolve()
     if file.parent == ROOT / "data":
         return FOLDER
@@ -43,14 +41,14 @@ def replay_folder(file):
 
 
 def _rows(n, height_in, sharey):
-    """A figure of n panels below one another."""
+    """A figure with n panels one below the other."""
     size = (DOUBLE_IN, 0.4 + height_in * n)
     figure, panels = plt.subplots(n, figsize=size, sharex=True, sharey=sharey, squeeze=False)
     return figure, panels[:, 0]
 
 
 def _broken(samples, *columns):
-    """Columns as arrays with a gap after each segment, so that lines do not cross it."""
+    """Columns as arrays with a NaN after each segment, which interrupts lines."""
     gap = np.full((1, len(columns)), np.nan)
     columns = list(columns)
     segments = [part[columns].to_numpy(dtype=float) for _, part in samples.groupby("segment")]
@@ -58,7 +56,7 @@ def _broken(samples, *columns):
 
 
 def _time_axis(axes, samples):
-    """Time along the last of the axes; straight driving and standing shaded in all."""
+    """Label the time axis, and shade straight driving and standing."""
     turning = samples["omega_meas_radps"].abs().rolling(_SMOOTH, center=True, min_periods=1)
     straight = (turning.median() < _STRAIGHT_RADPS) & (samples["segment"].diff(-1) == 0)
     shaded = f"straight or standing, the tracks turn by less than {_STRAIGHT_RADPS} rad/s"
@@ -67,11 +65,11 @@ def _time_axis(axes, samples):
 
 @styled
 def replay_log(samples, title):
-    """The recorded log: positions in the plane, and speed and yaw rate by the encoders over time.
+    """Draw a recorded log: positions in the plane, and the encoder measurements over time.
 
     Args:
-        samples: of one replay.
-        title: of the figure, plain text.
+        samples: Samples of one replay.
+        title: Title of the figure, plain text.
     """
     mosaic = [["plane", "speed"], ["plane", "yaw rate"]]
     size = (DOUBLE_IN, 2.6)
@@ -104,11 +102,11 @@ def replay_log(samples, title):
 
 @styled
 def replay_path(estimates, title):
-    """The estimated path over the measured one, dark where the estimate is lost.
+    """Draw the measured and the estimated path, which is black where the estimate is lost.
 
     Args:
-        estimates: what `rhec.replay` returned.
-        title: of the figure, plain text.
+        estimates: Table of `rhec.replay`.
+        title: Title of the figure, plain text.
     """
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 3.6))
     x = "x_hat_m"
@@ -130,25 +128,24 @@ def replay_path(estimates, title):
 
 @styled
 def replay_yaw(replays):
-    """Error of the estimated yaw with its own two standard deviations, all rows on one scale, which
-    is cut where none of the errors is; without truth, the yaw.
-    """
+    """Draw the yaw error with two standard deviations, or the yaw if the log has no truth."""
     figure, panels = _rows(len(replays), 1.2, sharey=True)
-    errors = [scores.yaw_error(each) for each in replays.values() if "theta_rad" in each]
+    with_truth = [samples for samples in replays.values() if "theta_rad" in samples]
+    errors = [scores.yaw_error(samples) for samples in with_truth]
     for axes, (name, samples) in zip(panels, replays.items()):
-        known = "theta_rad" in samples
-        value = scores.yaw_error(samples) if known else samples["theta_hat_rad"]
+        has_truth = "theta_rad" in samples
+        value = scores.yaw_error(samples) if has_truth else samples["theta_hat_rad"]
         t, value, sigma = _broken(samples.assign(value=value), "t_s", "value", "sigma_theta_rad")
         value[np.abs(np.diff(value, prepend=np.nan)) > np.pi] = np.nan  # no line from π to -π
         axes.plot(t, value, color=_COLOURS.get(name), linewidth=0.7, label="error")
         title = name
-        if known:
-            look = dict(color=SKY, alpha=0.45, linewidth=0, label="± 2 σ, its own")
+        if has_truth:
+            look = dict(color=SKY, alpha=0.45, linewidth=0, label="± 2 σ of the estimator")
             axes.fill_between(t, -2 * sigma, 2 * sigma, **look)
             score = scores.score(samples)
             rms = f"RMS {score['yaw_rms_rad']:.3f} rad after {scores.FROM_M:.0f} m"
             title += f": {rms}, {score['inside_95']:.0%} within 1.96 σ"
-        axes.set(ylabel="yaw error [rad]" if known else "yaw [rad]", title=title)
+        axes.set(ylabel="yaw error [rad]" if has_truth else "yaw [rad]", title=title)
     if errors:
         extent = np.clip(1.1 * np.nanmax(np.abs(errors)), 0.1, np.pi)
         panels[0].set_ylim(-extent, extent)
@@ -159,16 +156,18 @@ def replay_yaw(replays):
 
 @styled
 def replay_traction(replays, first):
-    """Estimates of μ and κ over time, and where there is truth the regressions of true motion on
-    encoder measurements, over a sliding window and over the whole log (dashed).
+    """Draw estimates of μ and κ over time.
+
+    If the log has the truth, regressions of the true motion on the encoder measurements are added,
+    over a sliding window (dots) and over the whole log (dashed).
 
     Args:
-        replays: {estimator: what `rhec.replay` returns}.
-        first: the estimator whose band of two standard deviations is shown.
+        replays: {estimator: samples}.
+        first: Estimator whose band of two standard deviations is drawn.
     """
     figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.6), sharex=True)
     samples = replays[first]
-    known = {truth for _, truth in scores.REGRESSIONS} <= set(samples)
+    has_truth = {truth for _, truth in scores.REGRESSIONS} <= set(samples)
     for place, (axes, name) in enumerate(zip(panels, ("mu", "kappa"))):
         t, value, sigma = _broken(samples, "t_s", f"{name}_hat", f"sigma_{name}")
         band = np.clip([value - 2 * sigma, value + 2 * sigma], 0, 1)
@@ -177,8 +176,8 @@ def replay_traction(replays, first):
         for estimator, estimates in replays.items():
             look = dict(color=_COLOURS.get(estimator), linewidth=0.9 if estimator == first else 0.5)
             axes.plot(*_broken(estimates, "t_s", f"{name}_hat"), **look, label=estimator)
-        shown = [samples.loc[scores.distance_driven(samples) >= scores.FROM_M, f"{name}_hat"]]
-        if known:
+        drawn = [samples.loc[scores.distance_driven(samples) >= scores.FROM_M, f"{name}_hat"]]
+        if has_truth:
             sliding = scores.sliding_regression(samples)[:, place]
             label = "regression over"
             look = dict(color=ORANGE, markersize=1.5, label=f"{label} {scores.WINDOW_S:.0f} s")
@@ -187,8 +186,8 @@ def replay_traction(replays, first):
                 color=COLOURS["truth"], linestyle="--", linewidth=0.8, label="regression, whole log"
             )
             axes.axhline(scores.regression(samples)[place], **look)
-            shown.append(sliding)
-        least = max(np.floor(10 * np.nanmin(np.concatenate(shown))) / 10 - 0.1, 0)
+            drawn.append(sliding)
+        least = max(np.floor(10 * np.nanmin(np.concatenate(drawn))) / 10 - 0.1, 0)
         cut = f", cut at {least:.1f}" if least else ""
         axes.set(ylim=(least - 0.02, 1.05), ylabel=rf"$\{name}$ [-]{cut}")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
@@ -198,7 +197,7 @@ def replay_traction(replays, first):
 
 @styled
 def replay_innovations(replays):
-    """Distance of each measured position from the predicted one over time, a row an estimator."""
+    """Draw the distances of measured from predicted positions over time, a panel per estimator."""
     figure, panels = _rows(len(replays), 1.0, sharey=True)
     for axes, (name, samples) in zip(panels, replays.items()):
         length = np.hypot(samples["innovation_x_m"], samples["innovation_y_m"])
@@ -212,12 +211,12 @@ def replay_innovations(replays):
 
 @styled
 def replay_trials(trials, table, title):
-    """RMS error of the yaw of each estimator: every noise seed a dot, mean and 95 % interval.
+    """Draw the RMS error of the yaw of each estimator: a dot per noise seed, mean, 95 % interval.
 
     Args:
         trials: {estimator: rows of `rhec.logs.scores.perturbed_scores`}.
-        table: `rhec.workbench.studies.replay_study.replay_table` of them.
-        title: which log it is, plain text.
+        table: Their `rhec.workbench.studies.replay_study.replay_table`.
+        title: Name of the log, plain text.
     """
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.7 + 0.28 * len(trials)))
     means = table[table["quantity"] == "RMS error of yaw [rad]"].set_index("estimator")
@@ -242,11 +241,12 @@ def replay_trials(trials, table, title):
 
 @styled
 def replay_faults(table):
-    """Largest error of the position and of the yaw from the beginning of each fault on, with and
-    without robust handling; each noise seed is a dot, their mean a bar.
+    """Draw the largest position and yaw errors after each fault began, with and without handling.
+
+    Dots are noise seeds, bars their means.
 
     Args:
-        table: rows of `rhec.logs.scores.fault_scores`.
+        table: Rows of `rhec.logs.scores.fault_scores`.
     """
     names = table["fault"].unique()
     figure, panels = panels_beside(2, 0.6 + 0.26 * len(names))

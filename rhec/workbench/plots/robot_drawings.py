@@ -1,8 +1,7 @@
-"""The paper's Figures 1 to 4, whose pictures are not published with its text, drawn from the
-numbers it gives.
+"""The paper's Figures 1 to 4, which are not published with its text, drawn from its numbers.
 
-Lengths that the paper gives are to scale, in metres; heights and the places of parts, which it does
-not give, are only plausible. Texts and arrow heads are sized in points.
+Lengths that the paper states are to scale, in metres. Heights and positions of parts, which it does
+not state, are plausible values. Sizes of texts and arrow heads are in points.
 """
 
 import matplotlib.pyplot as plt
@@ -37,7 +36,7 @@ _RIGHT = 2.60
 
 
 def _canvas(xlim, ylim):
-    """A column-wide figure that is one frameless drawing with equal scales."""
+    """A column-wide figure without frame and with equal scales."""
     height_in = COLUMN_IN * np.ptp(ylim) / np.ptp(xlim)
     figure = plt.figure(figsize=(COLUMN_IN, height_in), layout="none")
     axes = figure.add_axes((0, 0, 1, 1), xlim=xlim, ylim=ylim, aspect="equal")
@@ -46,7 +45,7 @@ def _canvas(xlim, ylim):
 
 
 def _box(axes, x, y, width, height, corner=0.0, colour=_DECK, **look):
-    """A rectangle about (x, y) with rounded corners."""
+    """Draw a rectangle with centre (x, y) and rounded corners."""
     look = dict(facecolor=colour, edgecolor=BLACK, linewidth=0.6) | look
     look["boxstyle"] = f"round,pad=0,rounding_size={corner}"
     corner = x - width / 2, y - height / 2
@@ -59,14 +58,14 @@ def _oval(axes, x, y, width, height, colour=_METAL):
 
 
 def _arrow(axes, *ends, style="-|>", **look):
-    """An arrow from a point to a point, or along a Path."""
+    """Draw an arrow between two points or along a Path."""
     where = {"path": ends[0]} if isinstance(ends[0], Path) else {"posA": ends[0], "posB": ends[1]}
     look = dict(color=BLACK, linewidth=0.8, mutation_scale=6, shrinkA=0, shrinkB=0) | look
     axes.add_patch(patches.FancyArrowPatch(**where, arrowstyle=style, **look))
 
 
 def _beside(axes, text, point, side, **look):
-    """Small text at a point, its side right (1, 0), left (-1, 0), above (0, 1), below (0, -1)."""
+    """Write small text right (1, 0), left (-1, 0), above (0, 1) or below (0, -1) a point."""
     look |= {"ha": ("center", "left", "right")[side[0]], "va": ("center", "bottom", "top")[side[1]]}
     gap = (2.5 * side[0], 2 * side[1])
     look |= dict(textcoords="offset points", fontsize=7, linespacing=1.05)
@@ -74,21 +73,21 @@ def _beside(axes, text, point, side, **look):
 
 
 def _dimension(axes, start, end, text, side=(0, 1)):
-    """A dimension line, its text beside the middle."""
+    """Draw a dimension line with text at its middle."""
     _arrow(axes, start, end, style="<|-|>", linewidth=0.5, mutation_scale=4.5)
     _beside(axes, text, np.mean([start, end], axis=0), side)
 
 
 def _leader(axes, text, at, side, part):
-    """A text beside `at`, and from there a hairline to a dot on the part that it names."""
-    halo = [withStroke(linewidth=1.4, foreground="w")]  # to be seen on the tracks, too
+    """Write a text at a point, with a hairline to a dot on the part that it names."""
+    halo = [withStroke(linewidth=1.4, foreground="w")]  # visible on the dark tracks
     axes.plot(*zip(at, part, strict=True), color=BLACK, linewidth=0.5, path_effects=halo)
     axes.plot(*part, "o", markersize=3, color=BLACK, markeredgecolor="w", markeredgewidth=0.5)
     _beside(axes, text, at, side)
 
 
 def _sorghum(axes, x, height, stem_width):
-    """One plant on its row's centre line x: leaves drooping to either side, stem, panicle."""
+    """Draw a plant with leaves, stem and panicle at x."""
     shares = (0.42, 0.50, 0.66, 0.74, 0.90, 0.97)
     reaches = (0.17, -0.17, 0.19, -0.19, 0.15, -0.13)
     drops = (0.08, 0.06, 0.03, 0.02, -0.02, -0.03)
@@ -111,7 +110,7 @@ def _sorghum(axes, x, height, stem_width):
 
 
 def _rear_view(axes):
-    """The robot from behind, standing on y = 0: tracks, body, deck, mast, sensors, antenna."""
+    """Draw the robot from behind on y = 0: tracks, body, deck, mast, sensors, antenna."""
     for x in (-_TRACK / 2, _TRACK / 2):
         _box(axes, x, 0.12, _TREAD, 0.24, 0.02, _RUBBER)
         lugs = np.arange(0.03, 0.23, 0.03)
@@ -125,7 +124,7 @@ def _rear_view(axes):
 
 
 def _beside_a_row(axes, row):
-    """What a row at x = `row` takes of the robot's space, widened in a strip below the drawing."""
+    """Draw the space that a row takes from the robot, enlarged in a strip below."""
     stem = row - paper.STEM_WIDTH_M / 2
     effective = stem - paper.GNSS_ACCURACY_M / 2
     left = effective - 0.02
@@ -152,11 +151,12 @@ def _beside_a_row(axes, row):
 
 @styled
 def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
-    """Figure 1 and Sec. Introduction: the robot between two rows, and its 0.12 m on either side, of
-    which half a stem and half the GNSS accuracy are taken. Widths are to scale.
+    """Draw Figure 1: the robot between two rows, with the tolerance of 0.12 m on either side.
+
+    The tolerance leaves out half a stem and half the GNSS accuracy. Widths are to scale.
 
     Args:
-        row_spacing_m: between the rows' centre lines.
+        row_spacing_m: Distance between the centre lines of the rows [m].
     """
     row = row_spacing_m / 2
     edge = _WIDTH / 2
@@ -188,7 +188,7 @@ def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
 
 
 def _side_view(axes):
-    """The robot from its right, standing on y = 0: deck, track, mast, sensors, antenna."""
+    """Draw the robot from the right on y = 0: deck, track, mast, sensors, antenna."""
     _box(axes, 0, 0.235, _LENGTH - 0.12, 0.15, 0.02)
     _box(axes, 0, 0.12, _LENGTH, 0.24, 0.12, _RUBBER)
     lugs = dict(edgecolor=_METAL, linewidth=1, linestyle=(0, (0.6, 1.6)))
@@ -205,7 +205,7 @@ def _side_view(axes):
 
 
 def _top_view(axes, y):
-    """The robot from above, its deck open, about (0, y) and heading right."""
+    """Draw the robot from above without its deck, centred at (0, y) and heading right."""
     _box(axes, 0, y, _LENGTH - 0.12, _TRACK - _TREAD, 0.02)
     for side in (-1, 1):
         track = y + side * _TRACK / 2
@@ -223,7 +223,7 @@ def _top_view(axes, y):
 
 @styled
 def robot_parts():
-    """Figure 2 and Sec. System Description: the robot and its parts, from the side and above."""
+    """Draw Figure 2: the robot and its parts, from the side and from above."""
     figure, axes = _canvas((-0.72, 0.72), (-0.99, 0.76))
     axes.axhline(0, color=_SOIL, linewidth=1.5, zorder=0)
     _side_view(axes)
@@ -268,7 +268,7 @@ def robot_parts():
 
 
 def _link(axes, start, end, text):
-    """A signal from a block to the next, by their middles, one above or beside the other."""
+    """Draw a signal between two blocks, from their centres."""
     start = np.array(start)
     end = np.array(end)
     half = np.sign(end - start) * _BLOCK / 2
@@ -303,7 +303,7 @@ _SIGNALS = [  # from, to, what is sent
 
 @styled
 def hardware_blocks():
-    """Figure 3 and Sec. System Description: from sensors through RHE and RHC to the tracks."""
+    """Draw Figure 3: the hardware, from sensors through RHE and RHC to the tracks."""
     figure, axes = _canvas((0, COLUMN_IN), (0, 3.8))
     _box(axes, 1.7, 2.60, 3.28, 0.68, 0.06, "0.96", edgecolor=GREY, linestyle="--")
     computer = f"on-board computer: Raspberry Pi 3, {paper.GNSS_RATE_HZ:.0f} Hz"
@@ -325,7 +325,7 @@ def hardware_blocks():
     return figure
 
 
-# Figure 4: the drawn pose, its traction, and speeds as lengths of arrows [m].
+# Figure 4: pose, traction, and speeds as lengths of arrows [m].
 _X = 0.86
 _Y = 0.80
 _THETA = np.radians(35)
@@ -339,14 +339,14 @@ _THIN = {"color": GREY, "linewidth": 0.5, "linestyle": ":"}
 
 
 def _in_robot_frame(along, across):
-    """A point of the robot's frame in the plane."""
+    """Coordinates in the plane of a point in the robot's frame."""
     cos = np.cos(_THETA)
     sin = np.sin(_THETA)
     return _X + along * cos - across * sin, _Y + along * sin + across * cos
 
 
 def _on_circle(radius, angle):
-    """Points at angles [rad] on a circle about the robot's middle."""
+    """Points at angles [rad] on a circle around the robot."""
     return np.transpose([_X + radius * np.cos(angle), _Y + radius * np.sin(angle)])
 
 
@@ -355,7 +355,7 @@ def _write(axes, text, at, **look):
 
 
 def _draw_axes(axes):
-    """The axes of the plane, and the robot's coordinates on them."""
+    """Draw the axes of the plane and the coordinates of the robot."""
     for tip, foot, name, below in [
         ((1.80, 0), (_X, 0), "$x$", (_X, -0.10)),
         ((0, 1.72), (0, _Y), "$y$", (-0.10, _Y)),
@@ -366,7 +366,7 @@ def _draw_axes(axes):
 
 
 def _draw_tracks(axes):
-    """Body and tracks with the track speeds, and the distance b between them."""
+    """Draw body, tracks, track speeds, and the distance b of the tracks."""
     track = _TRACK / 2
     rear = -_LENGTH / 2
     robot = Affine2D().rotate(_THETA).translate(_X, _Y) + axes.transData
@@ -382,7 +382,7 @@ def _draw_tracks(axes):
 
 
 def _draw_velocities(axes):
-    """Yaw, speed and yaw rate, each without slip (dashed) and with it."""
+    """Draw yaw, speed and yaw rate without slip (dashed) and with slip."""
     axes.plot([_X, _X + 0.5], [_Y, _Y], **_THIN)
     axes.add_patch(patches.Arc((_X, _Y), 0.56, 0.56, theta2=np.degrees(_THETA), linewidth=0.6))
     _write(axes, r"$\theta$", _in_robot_frame(0.33, -0.10))
@@ -401,10 +401,7 @@ def _draw_velocities(axes):
 
 @styled
 def schematic():
-    """Figure 4 and Sec. System Model: the robot's pose and eq. (2).
-
-    Velocities are drawn without slip and, in a hard turn, with μ = 0.75 and κ = 0.65.
-    """
+    """Draw Figure 4: the pose and eq. (2), without slip and with μ = 0.75 and κ = 0.65."""
     figure, axes = _canvas((-0.20, 2.98), (-0.20, 1.78))
     _draw_axes(axes)
     _draw_tracks(axes)

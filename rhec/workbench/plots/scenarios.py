@@ -1,9 +1,8 @@
 """The paper's Figures 6 to 13, drawn from finished runs.
 
-`run` is a Run as `rhec.simulate` returns it, `drives` are Runs that differ by their seeds, `table`
-is of `rhec.workbench.studies.scenario_tables`. Bands and thin lines hold the middle 90 % of the
-drives, thick lines are 95 % intervals of their mean. Where the paper reports a number, it is shown
-beside ours.
+`run` is a Run of `rhec.simulate`, `drives` are Runs with different seeds, `table` is a table of
+`rhec.workbench.studies.scenario_tables`. Bands and thin lines are the middle 90 % of the drives,
+thick lines are 95 % intervals of the mean. Numbers that the paper reports are included.
 """
 
 import matplotlib.pyplot as plt
@@ -35,30 +34,30 @@ _LINES = {
 }
 
 
-def _about(run):
-    """The run's process noise and seed, for a title."""
+def _title(run):
+    """Process noise and seed of a run, for a title."""
     return f"{run.scenario.process_noise} process noise, seed {run.scenario.seed}"
 
 
 def _fields(drives):
-    """How many fields, for a title."""
+    """The number of fields and their seeds, for a title."""
     seeds = [run.scenario.seed for run in drives]
     return f"{len(seeds)} fields (seeds {min(seeds)} to {max(seeds)})"
 
 
 def _over(drives):
-    """What a line and its band are, for a title."""
+    """Description of a line and its band, for a title."""
     noise = drives[0].scenario.process_noise
     return f"{noise} process noise: median, middle 90 % of {_fields(drives)}"
 
 
 def _time_axis(axes, log):
-    """Time along the last of the axes, the curved parts of the path shaded in all."""
+    """Label the time axis, and shade the curved parts of the path."""
     parts.time_axis(axes, log["t_s"], ~log["on_straight"], "curved parts of the path")
 
 
 def _field(axes, terrain, values):
-    """A slip field as a map, in the same colours in every figure. Returns the image."""
+    """Draw a slip field as a map, with the same colours in all figures; return the image."""
     left, bottom = np.subtract(terrain.origin_m, terrain.cell_m / 2)
     width, height = np.array(values.shape) * terrain.cell_m
     extent = (left, left + width, bottom, bottom + height)
@@ -69,13 +68,13 @@ def _field(axes, terrain, values):
 
 
 def _reference(axes, path, up_to_m=None):
-    """The reference trajectory from the start of the path to an arc length [m], else to its end."""
+    """Draw the reference trajectory up to an arc length [m], by default the whole path."""
     poses, _ = path.poses(np.arange(0, (up_to_m or path.length_m) + 0.05, 0.1))
     axes.plot(*poses[:, :2].T, **parts.BOUND | dict(linewidth=0.8, label="reference"))
 
 
 def _corridor(axes, path):
-    """The tolerance to the left and right of the path, as two thin lines."""
+    """Draw the tolerance on both sides of the path as thin lines."""
     poses, _ = path.poses(np.arange(0, path.length_m + 0.05, 0.1))
     x, y, theta = poses.T
     for side_m in (-paper.TOLERANCE_M, paper.TOLERANCE_M):
@@ -84,18 +83,19 @@ def _corridor(axes, path):
 
 
 def _first_row(run):
-    """The log until the robot leaves the path's first straight."""
+    """The log until the robot leaves the first straight of the path."""
     _, s = run.path.project(run.log[["x_m", "y_m"]])
     return run.log[np.minimum.accumulate(run.path.poses(s)[1] == 0)]
 
 
 @styled
 def trajectories_q(runs):
-    """Figure 6: trajectories on the first row from the off-track start, and true errors over time.
+    """Draw Figure 6: trajectories on the first row from an offset start, and true errors over time.
+
+    A dot marks the settling time, after which the true error stays within 0.12 m for 5 s.
 
     Args:
-        runs: {yaw weight: Run}, weights "Q1", "Q2", "Q2, look-ahead" or "Q3". A dot marks the
-            settling time: from there the true error stays within 0.12 m for 5 s.
+        runs: {yaw weight: Run}, weights "Q1", "Q2", "Q2, look-ahead" or "Q3".
     """
     figure, (plane, time) = plt.subplots(2, figsize=(COLUMN_IN, 4.0))
     first = next(iter(runs.values()))
@@ -117,7 +117,7 @@ def trajectories_q(runs):
     parts.note(time, f"{paper.TOLERANCE_M} m", (1, paper.TOLERANCE_M), (0, 2), **place)
     end_s = max(log["t_s"].iloc[-1] for log in rows.values())
     time.set(xlim=(0, end_s), ylim=0, xlabel="time [s]", ylabel="true error [m]")
-    title = f"First row: {_about(first)}"
+    title = f"First row: {_title(first)}"
     plane.set(xlabel="$x$ [m]", ylabel="$y$ [m], stretched", title=title)
     plane.legend()
     time.legend(title="settling time (dots)", title_fontsize=7)
@@ -126,33 +126,33 @@ def trajectories_q(runs):
 
 @styled
 def weight_sweep(table, process_noise):
-    """The numbers behind Figure 6: settling time and overshoot for each yaw weight, over fields.
+    """Draw settling time and overshoot over fields for each yaw weight of Figure 6.
 
     Args:
-        table: as `rhec.workbench.studies.scenario_tables.scenario_a_table` returns it.
-        process_noise: of the drives, "printed" or "calibrated".
+        table: Table of `rhec.workbench.studies.scenario_tables.scenario_a_table`.
+        process_noise: Process noise of the drives, "printed" or "calibrated".
     """
     figure, panels = parts.panels_beside(2, 1.5)
     for axes, quantity in zip(panels, ("settling time [s]", "overshoot [m]")):
-        rows = table[(table["quantity"] == quantity)]
+        rows = table[table["quantity"] == quantity]
         for place, row in enumerate(rows.itertuples()):
             parts.interval_row(axes, place, row, _LINES[row.weight]["color"])
         parts.rows_axis(axes, [_LINES[name]["label"] for name in rows["weight"]], quantity)
     settled = table.loc[table["quantity"] == "settling time [s]", ["n", "weight"]].to_numpy()
     counts = ", ".join(f"{n} with {_LINES[name]['label']}" for n, name in settled)
-    panels[0].set_title(f"{process_noise} process noise, {table['n'].max()} fields, a seed each")
+    panels[0].set_title(f"{process_noise} process noise, {table['n'].max()} fields")
     figure.supxlabel(f"{_DOT_AND_LINES}; settled: {counts}", fontsize=7)
     return figure
 
 
 @styled
 def slip_fields(terrain, path, title):
-    """The slip fields μ and κ [-] as maps, side by side, and the path on them.
+    """Draw the slip fields μ and κ [-] as maps with the path.
 
     Args:
-        terrain: a rhec.Terrain.
-        path: a rhec.Path.
-        title: which fields they are.
+        terrain: The rhec.Terrain.
+        path: The rhec.Path.
+        title: Name of the fields.
     """
     figure, both = parts.panels_beside(2, 2.0)
     for axes, values, name in zip(both, (terrain.mu, terrain.kappa), (r"$\mu$", r"$\kappa$")):
@@ -167,10 +167,10 @@ def slip_fields(terrain, path, title):
 
 @styled
 def trajectories(runs):
-    """Figure 7: reference and trajectories on the map of κ.
+    """Draw Figure 7: reference and trajectories on the map of κ.
 
-    Above, the whole drive; below, the start and the place of the largest true error after settling,
-    both with the 0.12 m on either side of the path in yellow.
+    The upper map shows the whole drive. The lower maps show the start and the largest true error
+    after settling, with the tolerance of 0.12 m in yellow.
 
     Args:
         runs: {"RHE": Run, "EKF": Run} on the same terrain.
@@ -192,7 +192,7 @@ def trajectories(runs):
     largest = worst.metrics["max_error_true_m"]
     place = worst.log[worst.log["error_true_m"] == largest]
     for name, log, margin_m, title in [
-        ("all", everything, 2, _about(first)),
+        ("all", everything, 2, _title(first)),
         ("start", everything[everything["t_s"] < 25], 0.2, "start, $y$ stretched"),
         ("worst", place, 2.5 * largest, f"largest error {largest:.2f} m"),
     ]:
@@ -215,12 +215,11 @@ def trajectories(runs):
 
 @styled
 def errors(drives, table):
-    """Figure 8: Euclidean errors from raw GNSS to the path over time, and the share of fields on
-    which they are above 0.12 m.
+    """Draw Figure 8: Euclidean errors by raw GNSS, and the share of fields with more than 0.12 m.
 
     Args:
         drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
-        table: as `rhec.workbench.studies.scenario_tables.scenario_b_table` returns it.
+        table: Table of `rhec.workbench.studies.scenario_tables.scenario_b_table`.
     """
     size = (DOUBLE_IN, 3.6)
     heights = (2, 1)
@@ -258,11 +257,10 @@ def errors(drives, table):
 
 @styled
 def violations(table):
-    """Figure 9: samples on straight lines with an error above 0.12 m in a drive, by raw GNSS and in
-    truth; a panel for each process noise.
+    """Draw Figure 9: samples per drive on straights with more than 0.12 m, by raw GNSS and truth.
 
     Args:
-        table: as `rhec.workbench.studies.scenario_tables.scenario_b_table` returns it.
+        table: Table of `rhec.workbench.studies.scenario_tables.scenario_b_table`.
     """
     counts = table[table["quantity"].str.startswith("violations") & table["p5"].notna()]
     noises = list(counts.groupby("process_noise", sort=False))
@@ -287,9 +285,9 @@ def violations(table):
 
 @styled
 def estimates(runs):
-    """Figure 10: the RHE's yaw error, and its traction parameters with the truth and eq. (14).
+    """Draw Figure 10: the RHE's yaw error, and traction parameters with the bounds of eq. (14).
 
-    Bands are two standard deviations by the RHE's own covariance.
+    Bands are two standard deviations by the covariance of the RHE.
 
     Args:
         runs: {process noise: Run}, a column for each.
@@ -312,7 +310,7 @@ def estimates(runs):
             axes.set_title(f"{symbol}: within ± 2 σ in {100 * inside:.0f} % of the samples")
         for axes in panels[1:]:
             axes.hlines([0, 1], *t_s.iloc[[0, -1]], label="constraints", **parts.BOUND)
-        panels[0].set_title(f"{_about(run)}\n{panels[0].get_title(loc='left')}")
+        panels[0].set_title(f"{_title(run)}\n{panels[0].get_title(loc='left')}")
         _time_axis(panels, log)
     labels = ("yaw error [rad],\ncut at ± 0.3", "$\\mu$ [-],\ncut at 0.5", r"$\kappa$ [-]")
     limits = ((-0.3, 0.3), (0.5, 1.1), (-0.06, 1.1))
@@ -324,12 +322,12 @@ def estimates(runs):
 
 @styled
 def speed(drives):
-    """Figure 11: measured, estimated and true speed of the tracks ν over time."""
+    """Draw Figure 11: measured, estimated and true speed of the tracks ν over time."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.2))
     for column, name in [("nu_meas_mps", "measured"), ("nu_mps", "truth"), ("nu_hat_mps", "RHE")]:
-        of_drives = over_fields(drives, column, _POOLED)
-        t_s = drives[0].log["t_s"][: of_drives.shape[1] * _POOLED : _POOLED]
-        parts.band(axes, t_s, of_drives, name, color=COLOURS[name])
+        quantiles = over_fields(drives, column, _POOLED)
+        t_s = drives[0].log["t_s"][: quantiles.shape[1] * _POOLED : _POOLED]
+        parts.band(axes, t_s, quantiles, name, color=COLOURS[name])
     axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
     axes.set(ylabel=r"speed $\nu$ [m/s]", title=_over(drives))
     parts.legend_above(axes, **_TIGHT)
@@ -339,7 +337,7 @@ def speed(drives):
 
 @styled
 def yaw_rate(run):
-    """Figure 12: the yaw rate that the RHC commands, its bounds, and the tracks' actual one ω."""
+    """Draw Figure 12: the yaw rate commanded by the RHC, its bounds, and the actual one ω."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
     t_s, actual, commanded = (run.log[name] for name in ("t_s", "omega_radps", "omega_cmd_radps"))
     axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual")
@@ -350,7 +348,7 @@ def yaw_rate(run):
     parts.legend_above(axes, **_TIGHT)
     # A command is held until the next sample, so it belongs to the yaw rate one row later.
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
-    title = f"{_about(run)}: actual - reference, RMS {rms:.3f} rad/s"
+    title = f"{_title(run)}: actual - reference, RMS {rms:.3f} rad/s"
     axes.set(ylabel=r"yaw rate $\omega$ [rad/s]", title=title)
     _time_axis([axes], run.log)
     return figure
@@ -358,7 +356,7 @@ def yaw_rate(run):
 
 @styled
 def kkt(drives):
-    """Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration.
+    """Draw Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration.
 
     Time is logarithmic, because the transient ends after two or three samples.
     """
@@ -374,7 +372,7 @@ def kkt(drives):
         axes.set(xscale="log", yscale="log", title=title, xlim=(t_s[0], t_s[-1]))
         axes.set_xlabel("time [s], logarithmic; the first sample is at 0.2 s")
         axes.minorticks_off()
-    # The RHC's tolerance vanishes where every command is at its bound, hence the cut.
+    # The axis has a lower limit, because the RHC's tolerance is 0 if all commands are at a bound.
     panels[0].set(ylabel=f"KKT tolerance [-], cut at {_LEAST_KKT:g}", ylim=_LEAST_KKT)
     figure.suptitle(_over(drives), fontsize=8)
     return figure

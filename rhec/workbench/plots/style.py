@@ -1,8 +1,8 @@
-"""One look for every figure and table, and files that say where they came from.
+"""The style of all figures and tables, and files with their provenance.
 
 A figure function takes data, returns a matplotlib Figure and is decorated with `styled`. Files
-carry the version, the scenario and the notebook that made them; all but PNGs carry a digest of the
-source, too. A PNG has none, so that pictures kept in git change only with what they show.
+contain the version, the scenario and the notebook. All except PNGs also contain a digest of the
+source; without it, the PNGs in git change only if the pictures change.
 """
 
 import contextlib
@@ -22,13 +22,13 @@ from rhec.simulation.run import Run
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "figures"
-ROWS = ROOT / "build/campaign/notebooks"  # of campaigns: what one notebook drove serves another
+ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
 
-# widths of the paper's figures [in]
+# Widths of the paper's figures [in]
 COLUMN_IN = 3.4
 DOUBLE_IN = 6.5
 
-# Okabe and Ito's palette, told apart by colour-blind readers: one colour a role in every figure
+# Okabe and Ito's palette for colour-blind readers. A colour has the same role in all figures.
 BLACK = "#000000"
 GREY = "#7f7f7f"
 ORANGE = "#E69F00"
@@ -48,7 +48,7 @@ COLOURS = {
     "tolerance": _YELLOW,
     "Q1": ORANGE,
     "Q2": PURPLE,
-    "Q3": BLUE,  # Q3 is the RHE's controller everywhere else, so it keeps the RHE's colour
+    "Q3": BLUE,  # all other figures of the RHE use Q3
 }
 
 RC = {
@@ -79,37 +79,37 @@ RC = {
     "xtick.major.size": 2.5,
     "ytick.major.size": 2.5,
     "savefig.dpi": 300,
-    "pdf.fonttype": 42,  # text stays text
+    "pdf.fonttype": 42,  # TrueType, so that text can be selected
 }
 
 
 def styled(draw):
-    """Decorate a figure function: it draws in this style, whatever the caller's rcParams are."""
+    """Decorate a figure function to draw in this style, independently of the caller's rcParams."""
 
     @functools.wraps(draw)
     def drawn(*args, **kwargs):
-        # a notebook's backend sets rcParams when first used: not inside the context
+        # The first use of a notebook's backend sets rcParams, so it must be outside the context.
         plt.draw_if_interactive()
         with mpl.rc_context(RC):
             figure = draw(*args, **kwargs)
-            # Ticks take their style when first asked for; how many they are follows the size that
-            # their labels are told to have, each time they are drawn.
-            shown = (axes for axes in figure.axes if axes.axison)
-            for axis in (each for axes in shown for each in (axes.xaxis, axes.yaxis)):
+            # Matplotlib creates ticks when they are first used and derives their number from the
+            # label size. Both must happen inside the context.
+            visible = (axes for axes in figure.axes if axes.axison)
+            for axis in (axis for axes in visible for axis in (axes.xaxis, axes.yaxis)):
                 sizes = {label.get_fontsize() for label in axis.get_ticklabels()}
                 if len(sizes) == 1:
                     axis.set_tick_params(labelsize=sizes.pop())
             figure.draw_without_rendering()
-        plt.close(figure)  # else pyplot keeps it, and a notebook shows it twice
+        plt.close(figure)  # otherwise a notebook shows it twice
         return figure
 
     return drawn
 
 
 def source(root=ROOT):
-    """Digest of what figures are made of: modules, the standard fields and notebooks.
+    """Digest of the sources of figures: modules, the standard fields and notebooks.
 
-    The commit's name is no such digest: making the figures again in a fresh clone would change it.
+    Unlike the name of a commit, it does not change when only figures are committed.
     """
     patterns = ("rhec/**/*.py", "data/*.npz", "notebooks/*.ipynb")
     files = sorted(file for pattern in patterns for file in root.glob(pattern) if file.is_file())
@@ -160,22 +160,22 @@ def source_of(png):
 
 
 def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
-    """Write a figure as PNG and PDF, byte for byte the same if made again.
+    """Write a figure as PNG and PDF, with reproducible bytes.
 
     Args:
-        figure: a matplotlib Figure.
-        name: of the files, without a suffix.
-        scenario: a Scenario or a Run, or any nest of dicts and lists with what made the figure.
-        folder: where the files go; made if it is not there.
-        notebook: what made it; by default the notebook that runs.
+        figure: The matplotlib Figure.
+        name: Name of the files, without a suffix.
+        scenario: A Scenario or a Run, or nested dicts and lists that describe the runs.
+        folder: Folder of the files, which is created if needed.
+        notebook: Name of the notebook; by default the one that runs.
 
     Returns:
-        The PNG's path.
+        The path of the PNG.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     png = Path(folder) / f"{name}.png"
     about = provenance(name, scenario, notebook)
-    # savefig gives a figure without a layout the default one, which must be none here
+    # savefig applies the default layout to figures without one, so the default must be none here.
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
         with _replacing(png) as unfinished:
             creator = {"Creator": f"rhec {__version__}"}
@@ -198,18 +198,16 @@ def _replacing(file):
 
 
 def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=None):
-    """Write the columns of a DataFrame, not its index, as CSV in full and as LaTeX in four digits.
+    """Write a DataFrame without index as CSV with all digits and as LaTeX with four digits.
 
     Args:
-        dataframe: the table.
-        name: of the files, without a suffix.
-        caption: in LaTeX; the table needs the package booktabs.
-        folder: as for `save`.
-        scenario: likewise.
-        notebook: likewise.
+        dataframe: The table.
+        name: Name of the files, without a suffix.
+        caption: Caption in LaTeX; the table needs the package booktabs.
+        folder, scenario, notebook: As in `save`.
 
     Returns:
-        The CSV's path.
+        The path of the CSV.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     csv = Path(folder) / f"{name}.csv"

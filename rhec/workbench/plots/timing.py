@@ -1,6 +1,4 @@
-"""The paper's Figure 5: which phase runs when, and how long each takes, here and in the paper; the
-same times for the exported C.
-"""
+"""The paper's Figure 5, the order and the times of the phases, and the times of the exported C."""
 
 import matplotlib.pyplot as plt
 
@@ -25,14 +23,12 @@ _COLOURS = {
     ("RHC", "feedback"): ORANGE,
 }
 _FEEDBACK = [("RHE", "feedback"), ("RHC", "feedback")]
-# Where each phase begins and ends in a drawn period; the drawing is not to scale.
+# Begin and end of each phase in a period; the drawing is not to scale.
 _PLACES = dict(zip(_COLOURS, ((0.52, 0.76), (0.76, 1.0), (0.0, 0.17), (0.17, 0.3))))
 
 
 def _cycle(axes):
-    """Two periods: feedback between the measurement and the command, preparation before the next
-    measurement.
-    """
+    """Draw two periods: feedback before the command, preparation before the next measurement."""
     for k, instant in enumerate(("$t_{k-1}$", "$t_k$", "$t_{k+1}$")):
         axes.axvline(k, **BOUND)
         note(axes, instant, (k, 1), (0, 5), ha="center", xycoords=("data", "axes fraction"))
@@ -63,13 +59,12 @@ def _cycle(axes):
 
 @styled
 def phases(times, machine):
-    """Figure 5: the order of the phases in two sampling periods, and their times here and in the
-    paper, each with its machine.
+    """Draw Figure 5: the phases in two sampling periods, and their times here and in the paper.
 
     Args:
-        times: rows with problem ("RHE", "RHC"), phase ("preparation", "feedback"), minimum_us,
+        times: Rows with problem ("RHE", "RHC"), phase ("preparation", "feedback"), minimum_us,
             average_us, maximum_us.
-        machine: on which they were taken.
+        machine: Name of the machine of these times.
     """
     size = dict(figsize=(DOUBLE_IN, 3.6), height_ratios=(1, 1.3))
     figure, (cycle, axes) = plt.subplots(2, **size)
@@ -102,16 +97,15 @@ def phases(times, machine):
 
 @styled
 def embedded_times(times):
-    """Times of the exported C beside other sources: from measurement to command, and of a whole
-    step, on one logarithmic axis for all machines.
+    """Draw times of the exported C and of other sources: feedback, and a whole step.
 
     Args:
-        times: rows with machine, who, problem, phase as for `phases`, and mean_ms.
+        times: Rows with machine, who, problem and phase as in `phases`, and mean_ms.
     """
     sources = list(times.groupby(["machine", "who"], sort=False))
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.9 + 0.3 * len(sources)))
-    for place, (_, given) in enumerate(sources):
-        mean_us = 1000 * given.set_index(["problem", "phase"])["mean_ms"]
+    for place, (_, rows) in enumerate(sources):
+        mean_us = 1000 * rows.set_index(["problem", "phase"])["mean_ms"]
         command_us = mean_us[_FEEDBACK].sum()
         step_us = mean_us.sum()
         axes.plot([command_us, step_us], [place, place], color=GREY, linewidth=0.8, zorder=1)
