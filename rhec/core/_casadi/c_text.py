@@ -13,7 +13,6 @@ import casadi as ca
 _COPY = """  if (y && x) memcpy(y, x, n*sizeof(casadi_real));
   else if (y) memset(y, 0, n*sizeof(casadi_real));"""
 
-
 # A call in the code: the lines that say which results the caller takes, and the called Function.
 _CALL = re.compile(r"(?m)^((?: *res1\[.*\n)*).*\b(casadi_f\d+)\(arg1, res1,")
 

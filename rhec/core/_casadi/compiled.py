@@ -107,9 +107,7 @@ def library_name(build, structure, *more):
 
 def _key(part):
     """A structure in which each Model is replaced by the key of all that decides its C."""
-    if isinstance(part, tuple):
-        return tuple(map(_key, part))
-    return getattr(part, "key", part)
+    return tuple(map(_key, part)) if isinstance(part, tuple) else getattr(part, "key", part)
 
 
 def is_compiled(build, *structure):

@@ -28,7 +28,6 @@ NotNegatives = Annotated[tuple[NotNegative, ...], _listed]
 Whole = Annotated[int, Field(strict=True), _plain]
 Steps = Annotated[Whole, Field(ge=0, le=1_000_000)]
 Flag = Annotated[bool, Field(strict=True)]
-
 Intervals = Annotated[Whole, Field(ge=2, le=240)]
 
 

@@ -26,17 +26,14 @@ from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
 
 
 class Horizon(NamedTuple):
-    """The structure of an RHC, which decides the shapes of its Functions.
-
-    `qp` is None for the QP by its stages, or an object such as
-    `rhec.core.solver.condensed.Condensed`, whose `build(horizon)` returns a solver with the methods
-    of StagewiseQP.
-    """
+    """The structure of an RHC, which decides the shapes of its Functions."""
 
     model: Model
     command: tuple[int, ...]  # places of the commanded inputs in `model.inputs`
     dt_s: float  # length of an interval [s]
     N: int  # intervals of the prediction
+    # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
+    # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
     qp: Any = None
 
     @property
@@ -255,11 +252,9 @@ def _build_gradient(horizon, roll_out):
             g[i], adjoint = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
             weight = Q
         u = _row_of_commands(plan, horizon)
-        return dict(
-            g=ca.vertcat(*g).T,
-            least=_for_all_samples(lower, horizon) - u,
-            most=_for_all_samples(upper, horizon) - u,
-        )
+        least = _for_all_samples(lower, horizon) - u
+        most = _for_all_samples(upper, horizon) - u
+        return dict(g=ca.vertcat(*g).T, least=least, most=most)
 
     return gradient
 
@@ -458,10 +453,8 @@ def _check_command(model, command, bounds):
     """Refuse names that are no inputs, and bounds in the wrong order."""
     if not command:
         raise ValueError(f"command was (); it should name some of {model.inputs}")
-    for field, names, allowed in (
-        ("command", command, model.inputs),
-        ("bounds", tuple(bounds), command),
-    ):
+    choices = (("command", command, model.inputs), ("bounds", tuple(bounds), command))
+    for field, names, allowed in choices:
         if not set(names) <= set(allowed) or len(set(names)) < len(names):
             valid.refuse(f"{field} was", names, f"it should name some of {allowed}, each once")
     for name, (lowest, highest) in bounds.items():

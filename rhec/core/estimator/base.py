@@ -70,12 +70,11 @@ def joint_guess(model, guess, sigma):
 def joint_estimate(model, values, covariance):
     """The Estimate from (x, u, p) in one array and the joint state's covariance."""
     n_x = len(model.states)
-    n_s = model.n_s
     n_p = len(model.parameters)
-    first_p = len(values) - n_p
     if model.holds_inputs:
-        places = [*range(n_x), *range(n_s - n_p, n_s)]
+        places = [*range(n_x), *range(model.n_s - n_p, model.n_s)]
         covariance = covariance[places][:, places]
+    first_p = len(values) - n_p
     estimate = Estimate(values[:n_x], values[n_x:first_p], values[first_p:], covariance)
     estimate.names = model.names
     return estimate

@@ -36,13 +36,11 @@ def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
 
 
 def build(model, dt_s):
-    """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}.
-
-    Its memory: m (n_s,), P (n_s, n_s), v (n_v,) the last inputs, started.
-    """
+    """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}."""
     interval = base.interval(model)
     n_z = len(model.outputs)
     n_s = interval.n_s
+    # v holds the last inputs.
     memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(interval.n_v, 1), started=(1, 1))
     noise = dict(V=(n_z, 1))
     if model.motion_noise:
@@ -55,9 +53,8 @@ def build(model, dt_s):
         A = interval.A_0 + D
         Q = symmetric(B @ ca.diag(R_v) @ B.T)
         Q += ca.diag(interval.process_noise(v, W, dt_s, noise.get("c")))
-        m, P, deviance = predict_and_correct(
-            m, P, F, A, Q, started, z_N, noise["V"], interval.outputs
-        )
+        V = noise["V"]
+        m, P, deviance = predict_and_correct(m, P, F, A, Q, started, z_N, V, interval.outputs)
         values = dict(zip(model.inputs, ca.vertsplit(v)))
         values |= dict(zip(model.joint_names, ca.vertsplit(m)))
         estimate = ca.vertcat(*(values[name] for name in model.names))

@@ -87,8 +87,7 @@ class Window(NamedTuple):
         """Shapes of the Memory, by name."""
         s, P, v, z, *_ = self.shapes
         N = self.N
-        window = dict(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1))
-        return window | dict(age=(1, 1), m=s, P=P)
+        return dict(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1), age=(1, 1), m=s, P=P)
 
     @property
     def noise(self):
@@ -162,7 +161,6 @@ def _arrival(window, memory, W, noises):
 
 def _build_shift(window):
     N = window.N
-    n_z = len(window.model.outputs)
     memory = Memory(**window.memory)
 
     @casadi_function("rhe_shift")
@@ -175,7 +173,7 @@ def _build_shift(window):
         return Memory(
             s=s,
             v=v,
-            z=ca.horzcat(memory.z[:, 1:], ca.SX.nan(n_z)),
+            z=ca.horzcat(memory.z[:, 1:], ca.SX.nan(memory.z.size1())),
             age=ca.fmin(memory.age + 1, N),
             m=ca.if_else(memory.age >= N, m_next, memory.m),
             P=ca.if_else(memory.age >= N, P_next, memory.P),
@@ -284,13 +282,10 @@ def _build_condition(window, quantities):
             v = ca.if_else(ok * is_plausible(v_new), v_new, v)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
+        estimate = ca.vertcat(*(values[name] for name in quantities or window.model.names))
         unknown = MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
-        return dict(
-            estimate=ca.vertcat(*(values[name] for name in quantities or window.model.names)),
-            multipliers=multipliers,
-            covariance=ca.if_else(ok, covariance, unknown),
-            ok=ok,
-        )
+        covariance = ca.if_else(ok, covariance, unknown)
+        return dict(estimate=estimate, multipliers=multipliers, covariance=covariance, ok=ok)
 
     return condition
 
@@ -387,9 +382,7 @@ def _build_accepted(window):
     interval = window.interval
     N = window.N
     memory = Memory(**window.memory)
-    n_z = len(window.model.outputs)
-    limits = [limit for _, limit in interval.input_outputs.values()]
-    max_input = min(limits, default=np.inf)
+    max_input = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
 
     @short_cut("good")
     @casadi_function("rhe_accepted")
@@ -401,7 +394,7 @@ def _build_accepted(window):
         """
         s = ca.if_else(is_plausible(memory.s[:, N]), memory.s, 0)
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
-        restarted = Memory(s, v, ca.SX.nan(n_z, N + 1), age=0, m=s[:, N], P=ca.diag(P_0))
+        restarted = Memory(s, v, ca.SX.nan(*memory.z.shape), age=0, m=s[:, N], P=ca.diag(P_0))
         solved = memory._replace(s=s_new, v=v_new)
         return Memory(*(ca.if_else(good, *pieces) for pieces in zip(solved, restarted)))
 
@@ -459,8 +452,7 @@ def _build_expand(window, linearise, feedback, loops):
     ):
         """All other unknowns of the window, and the KKT tolerance of the linearisation point."""
         memory = memory._replace(z=ca.horzcat(memory.z[:, :N], z_N))
-        s = ca.horzsplit(memory.s)
-        v = ca.horzsplit(memory.v)
+        s, v = map(ca.horzsplit, (memory.s, memory.v))
         measured, updates, intervals = _split(window, memory.z, noises, filtered, solved)
         adjoint = ca.densify(C.T @ solved.multipliers)
         v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, updates)
@@ -571,12 +563,11 @@ class RHE(RealTimeLoop):
             raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
-        settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
+        self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
         self.window = Window(model, dt, horizon, arrival_mean)
-        self.settings = settings
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
-        self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **settings)
+        self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
         self._inputs = dict(z=self.iteration.arrays["z_N"])
 
     def __repr__(self) -> str:

@@ -55,13 +55,9 @@ def box_lq(N, A_0, D, B, loops):
             solutions.append(solution)
         u, multipliers, proposed, first_exchange = (ca.vertcat(*c).T for c in zip(*solutions))
         finite = every(ca.fabs(u) < ca.inf)  # also 0 where u is not a number
-        return dict(
-            x=u,
-            multipliers=multipliers,
-            corrected=proposed,
-            first_corrected=first_exchange,
-            wrong=ca.if_else(finite, n_infeasible, -1),
-        )
+        wrong = ca.if_else(finite, n_infeasible, -1)
+        corrected = dict(corrected=proposed, first_corrected=first_exchange)
+        return dict(x=u, multipliers=multipliers, **corrected, wrong=wrong)
 
     return search_active_set("box_lq", N * m, solve, problem)
 
@@ -125,13 +121,8 @@ def _build_forward(A_0, D_i, B_i):
         proposed, first_exchange, n_infeasible = correct_guess(
             active, u, multiplier, lower, upper, wrong
         )
-        return dict(
-            x_after=x,
-            u=u,
-            multiplier=multiplier,
-            right=proposed,
-            first=ca.vertcat(*first_exchange),
-            wrong_after=n_infeasible,
-        )
+        solution = dict(x_after=x, u=u, multiplier=multiplier)
+        first = ca.vertcat(*first_exchange)
+        return solution | dict(right=proposed, first=first, wrong_after=n_infeasible)
 
     return forward

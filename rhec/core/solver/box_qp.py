@@ -62,13 +62,10 @@ def _box_qp_by_pivoting(n):
         x = ca.ldl_solve(-free.T * (g.T + H @ fixed.T), *ca.ldl(among_free, False)).T + fixed
         multipliers = -(x @ H + g) * (1 - free)
         proposed, first_exchange, n_infeasible = correct_guess(active, x, multipliers, lb, ub)
-        return dict(
-            x=x,
-            multipliers=multipliers,
-            corrected=proposed,
-            first_corrected=ca.horzcat(*first_exchange),
-            wrong=ca.if_else(every(ca.fabs(x) < ca.inf), n_infeasible, -1),
-        )
+        finite = every(ca.fabs(x) < ca.inf)  # also 0 where x is not a number
+        wrong = ca.if_else(finite, n_infeasible, -1)
+        corrected = dict(corrected=proposed, first_corrected=ca.horzcat(*first_exchange))
+        return dict(x=x, multipliers=multipliers, **corrected, wrong=wrong)
 
     search = search_active_set("qp", n, solve, dict(H=matrix, g=row, lb=row, ub=row))
 

@@ -29,10 +29,7 @@ PHASES = ("shift", "linearise", "feedback", "expand")
 
 
 def run_phases(phases, values):
-    """Run all phases {name: Function} of one sample on expressions; each adds its results by name.
-
-    The phases share `values` as RealTimeIteration's share arrays.
-    """
+    """Run all phases {name: Function} of one sample; each adds its results to `values`, by name."""
     for name in PHASES:
         values |= phases[name](**select_inputs(phases[name], values))
     return values
