@@ -1,12 +1,23 @@
+# What a person sets is data: make never expands it again, and the shell gets it quoted.
+GIVEN := LOG WHAT SAMPLES RUNS HOST PYTHON PYTHON_CPU_COUNT
+from_outside = $(filter environment command,$(firstword $(origin $1)))
+$(foreach name,$(GIVEN),$(if $(call from_outside,$(name)),\
+  $(eval override $(name) := $$(value $(name)))))
 PYTHON ?= python3
+SAMPLES ?= 10000000
+RUNS ?= 100000
+export LOG WHAT SAMPLES RUNS HOST PYTHON
 
 # The paper's figures and tables, and what goes beyond them, in the order of the report.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
-STUDIES := 01_tutorial 02_equations 06_claims multiverse 07_interpretations 08_beyond ensured \
-  09_faults 10_replay 11_your_robot embedded
+STUDIES := 01_tutorial 02_equations 06_claims 07_interpretations 08_beyond \
+  09_faults 10_replay 11_your_robot
 
 PY := .venv/bin/python
 READY := .venv/ready
+# Python with the arguments in WHAT as well, quoted as in a shell but executed by none.
+PY_WHAT := $(PY) -c 'import os, shlex, sys; sys.argv[0] = sys.executable; \
+  os.execv(sys.executable, sys.argv + shlex.split(os.environ.get("WHAT", "")))'
 PIP := $(PY) -m pip --disable-pip-version-check install -q
 executed = $(1:%=build/notebooks/%.ipynb)
 EXECUTED := $(call executed,$(FIGURES) $(STUDIES))
@@ -17,7 +28,13 @@ clean-campaigns := build/campaign
 clean-replays := build/replay build/notebooks/10_replay-custom.*
 clean-explored := figures/explored
 clean-embedded := build/embedded
-clean-benchmarks := figures/bench_*
+benchmarks := agreement any_robot any_robot_agreement campaign campaign_kinds horizon start step \
+  tails
+clean-benchmarks := $(foreach suffix,csv tex png pdf,$(benchmarks:%=figures/bench_%.$(suffix)))
+
+# These are added to below, and are not what the environment may call so.
+MADE :=
+made :=
 
 # Two notebooks at a time, each on half of the cores; other goals stay in the order given.
 ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
@@ -48,36 +65,34 @@ report: build/report/index.html ## all of it and the reference as one site, buil
 # No news, no updates, no extensions from the network. What it logs are errors and its address,
 # which one opens where there is no display.
 lab: $(READY) ## open the notebooks in JupyterLab
-	@JUPYTER_CONFIG_PATH="$(CURDIR)/.jupyter:$$JUPYTER_CONFIG_PATH" $(PY) -m jupyter lab \
+	@JUPYTER_CONFIG_PATH="$$PWD/.jupyter:$$JUPYTER_CONFIG_PATH" $(PY) -m jupyter lab \
 	  --LabApp.default_url=/lab/tree/notebooks/00_start.ipynb --Application.log_level=ERROR \
 	  --LabApp.extension_manager=readonly --LabApp.news_url=None \
 	  --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
 	  $(if $(DISPLAY)$(WAYLAND_DISPLAY)$(filter Darwin,$(shell uname)),,--no-browser) \
 	  $(if $(filter 0,$(shell id -u)),--allow-root)
 
-# The file's name reaches the shell as data, never as part of a command.
-replay calibrate: export REPLAY_LOG = $(value LOG)
-log_given = test -n "$$REPLAY_LOG" || { echo 'LOG was not given; it must be a recorded log:' \
+log_given = test -n "$$LOG" || { echo 'LOG was not given; it must be a recorded log:' \
   'make $@ LOG=file.csv' >&2; exit 2; }
 replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=file.csv
 	@$(log_given)
-	@$(PY) -m rhec.workbench.notebook notebooks/10_replay.ipynb -p log "$$REPLAY_LOG" $(WHAT)
+	@$(PY_WHAT) -m rhec.workbench.notebook notebooks/10_replay.ipynb -p log "$$LOG"
 
 recordings: $(READY) ## fetch the recordings of real robots that data/recordings.toml names
-	@$(PY) data/fetch_recordings.py $(HOST)
+	@$(PY) data/fetch_recordings.py $${HOST:+"$$HOST"}
 
 replay-table: $(READY) ## the table of real robots, each left out once: after make recordings
 	@$(PY) -m rhec.workbench.studies.transfer
 
 calibrate: $(READY) ## find a recorded log's noise and lever arm: make calibrate LOG=file.csv
 	@$(log_given)
-	@$(PY) -m rhec.logs.calibration "$$REPLAY_LOG"
+	@$(PY) -m rhec.logs.calibration "$$LOG"
 
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
-	@$(PY) -m rhec.simulation.campaigns $(WHAT)
+	@$(PY_WHAT) -m rhec.simulation.campaigns
 
 embedded: $(READY) ## the default scenario's estimator and controller as C, in build/embedded
-	@$(PY) -m notebooks.embedded_measurements
+	@$(PY) -m rhec.workbench.studies.embedded
 
 ##@ Check
 test: $(READY) ## run the tests
@@ -97,10 +112,10 @@ bench: .venv/peers .venv/acados ## compare computation times with other tools, i
 	@cd tests && ../$(PY) -m benchmark
 
 soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
-	@$(PY) tests/soak.py --samples $(or $(SAMPLES),10000000)
+	@$(PY) tests/soak.py --samples "$$SAMPLES"
 
 storm: $(READY) ## a campaign of RUNS runs, 100000, whose workers are killed all the time (20 minutes)
-	@$(PY) tests/storm.py --runs $(or $(RUNS),100000)
+	@$(PY) tests/storm.py --runs "$$RUNS"
 
 ##@ Keep
 lock: ## pin what pyproject.toml names in environment.txt; old pins stay (needs uv)
@@ -116,6 +131,7 @@ lock upgrade:
 clean: ## remove the executed notebooks, their figures and tables, and the report
 	@rm -f $(filter-out $(shell sed -n 's/^!//p' .gitignore),$(MADE)) $(EXECUTED:.ipynb=.d) \
 	  $(EXECUTED) $(wildcard build/notebooks/*.unfinished)
+	@rm -rf build/report/live build/report/live.html
 	@find build figures -type d -empty -delete 2>/dev/null || true
 
 # What took long or came from a person goes by its name alone.
@@ -123,16 +139,16 @@ clean-campaigns: ## remove the rows of campaigns (build/campaign)
 clean-replays: ## remove pictures of logs of your own (build/replay)
 clean-explored: ## remove pictures saved in the explorer (figures/explored)
 clean-embedded: ## remove the exported C (build/embedded)
-clean-benchmarks: ## remove the tables and pictures of make bench (figures/bench_*)
+clean-benchmarks: ## remove the tables and pictures of make bench (figures/bench_…)
 $(KEPT:%=clean-%):
 	@rm -rf $($@)
 
 $(READY): environment.txt pyproject.toml
-	@$(PYTHON) -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' \
-	  2>/dev/null || { echo "PYTHON was $(PYTHON) ($$($(PYTHON) --version 2>&1 | head -1));" \
+	@"$$PYTHON" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' \
+	  2>/dev/null || { echo "PYTHON was $$PYTHON ($$("$$PYTHON" --version 2>&1 | head -1));" \
 	  "it must be Python 3.11 or newer with its venv module: make PYTHON=..." >&2; exit 1; }
-	@echo "Setting up .venv with $$($(PYTHON) --version) (a minute or two the first time)"
-	@$(PYTHON) -m venv .venv
+	@echo "Setting up .venv with $$("$$PYTHON" --version) (a minute or two the first time)"
+	@"$$PYTHON" -m venv .venv
 	@$(PIP) --require-hashes -r environment.txt
 	@$(PIP) --no-deps --no-build-isolation -e . && touch $@
 
@@ -162,18 +178,17 @@ $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d envi
 	$(eval made += $@)
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
-TIMED := $(call executed,05_computation_times embedded)
+TIMED := $(call executed,05_computation_times 11_your_robot)
 $(call executed,05_computation_times): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
-$(call executed,embedded): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
+$(call executed,11_your_robot): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
 ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
 $(call executed,$(STUDIES)): | $(call executed,05_computation_times)
 endif
 
-build/report/index.html: $(EXECUTED) rhec/workbench/report.py \
-  $(wildcard docs/*.md rhec/workbench/live/* rhec/workbench/templates/* \
-  rhec/workbench/templates/*/*) | .venv/wasm
+build/report/index.html: $(EXECUTED) rhec/workbench/report.py README.md $(wildcard docs/*.md \
+  docs/conf.py docs/_static/* docs/_templates/*/* rhec/workbench/live/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
-	@$(PY) -m rhec.workbench.report $(EXECUTED) \
+	@$(PY) -m rhec.workbench.report $(EXECUTED) --also $(wildcard $(clean-benchmarks)) \
 	  $$($(PY) -c 'import ziglang' 2>/dev/null && echo --live)
 	@$(PY) -m rhec.workbench.live.page
 

@@ -13,13 +13,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi import scan
-from rhec.core._casadi.build import (
-    pack_array,
-    packed_size,
-    select_inputs,
-    unpack,
-    with_packed_memory,
-)
+from rhec.core._casadi.build import packed_size, select_inputs, unpack, with_packed_memory
+from rhec.core._casadi.packing import pack_array
 from rhec.simulation.columns import RECORDED_TRUTH, TRACKS
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot.terrain import Terrain, flat, lookup

@@ -10,27 +10,28 @@ A recorded log   logs.read, calibrate, replay        Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
 """
 
+from functools import partial as _partial
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rhec import logs
-    from rhec.core.controller.rhc import RHC
-    from rhec.core.estimator.ekf import EKF
-    from rhec.core.estimator.rhe import RHE
-    from rhec.core.model.base import Model
-    from rhec.embedded import export
-    from rhec.logs.calibration import calibrate
-    from rhec.logs.replay import replay
-    from rhec.simulation.campaigns.campaign import campaign
-    from rhec.simulation.closed_loop import Run
-    from rhec.simulation.faults import Fault
-    from rhec.simulation.scenario import Scenario
-    from rhec.simulation.simulate import simulate
-    from rhec.tracked_robot.path import Path
-    from rhec.tracked_robot.references import PathTracker
-    from rhec.tracked_robot.terrain import Terrain
-    from rhec.workbench.explorer.explorer import Explorer
+    from rhec import logs as logs
+    from rhec.core.controller.rhc import RHC as RHC
+    from rhec.core.estimator.ekf import EKF as EKF
+    from rhec.core.estimator.rhe import RHE as RHE
+    from rhec.core.model.base import Model as Model
+    from rhec.embedded import export as export
+    from rhec.logs.calibration import calibrate as calibrate
+    from rhec.logs.replay import replay as replay
+    from rhec.simulation.campaigns.campaign import campaign as campaign
+    from rhec.simulation.closed_loop import simulate as simulate
+    from rhec.simulation.faults import Fault as Fault
+    from rhec.simulation.run import Run as Run
+    from rhec.simulation.scenario import Scenario as Scenario
+    from rhec.tracked_robot.path import Path as Path
+    from rhec.tracked_robot.references import PathTracker as PathTracker
+    from rhec.tracked_robot.terrain import Terrain as Terrain
+    from rhec.workbench.explorer.explorer import Explorer as Explorer
 
 __version__ = "0.2.0"
 
@@ -44,7 +45,7 @@ _HOME = {
     "PathTracker": "tracked_robot.references",
     "RHC": "core.controller.rhc",
     "RHE": "core.estimator.rhe",
-    "Run": "simulation.closed_loop",
+    "Run": "simulation.run",
     "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",
     "calibrate": "logs.calibration",
@@ -52,27 +53,9 @@ _HOME = {
     "export": "embedded",
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
-    "simulate": "simulation.simulate",
+    "simulate": "simulation.closed_loop",
 }
-__all__ = [
-    "EKF",
-    "Explorer",
-    "Fault",
-    "Model",
-    "Path",
-    "PathTracker",
-    "RHC",
-    "RHE",
-    "Run",
-    "Scenario",
-    "Terrain",
-    "calibrate",
-    "campaign",
-    "export",
-    "logs",
-    "replay",
-    "simulate",
-]
+__all__ = sorted(_HOME)
 
 
 def _draw_run(run, with_band):
@@ -89,10 +72,10 @@ def __getattr__(name):
         return home
     if name in ("Run", "Scenario", "simulate"):
         # The simulation draws nothing; the workbench's picture of a run is attached here.
-        _import_module("rhec.simulation.run").Run.draw = staticmethod(_draw_run)
+        _import_module("rhec.simulation.run").Run._draw = staticmethod(_draw_run)
     value = getattr(home, name)
-    if name in _PAPER_CLASS:
-        value.paper_class = _PAPER_CLASS[name]
+    if name in ("RHC", "RHE"):
+        value.paper_class = _partial(_paper_class, name)
     return value
 
 
@@ -100,21 +83,8 @@ def __dir__():
     return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
 
 
-# What RHE and RHC are without a model: the paper's. They are imported only when they are needed.
+def _paper_class(name):
+    """The paper's RHE or RHC, which stands in where no model is passed."""
+    from rhec.tracked_robot.live import PaperRHC, PaperRHE
 
-
-def _paper_rhe() -> type:
-    """Return the RHE of the paper's robot."""
-    from rhec.tracked_robot.live import PaperRHE
-
-    return PaperRHE
-
-
-def _paper_rhc() -> type:
-    """Return the RHC of the paper's robot."""
-    from rhec.tracked_robot.live import PaperRHC
-
-    return PaperRHC
-
-
-_PAPER_CLASS = {"RHC": _paper_rhc, "RHE": _paper_rhe}
+    return {"RHC": PaperRHC, "RHE": PaperRHE}[name]

@@ -1,19 +1,7 @@
-import contextlib
-
 import pytest
+from helpers import no_compiler
 
 import rhec
-from rhec.core._casadi import compiled
-
-
-@contextlib.contextmanager
-def no_compiler():
-    """As on a machine without a C compiler."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "compiler", lambda: None)
-        compiled.load.cache_clear()
-        yield
-    compiled.load.cache_clear()
 
 
 @pytest.fixture(scope="module")

@@ -201,6 +201,8 @@ def main():
         help="a file to resume from, if it is there, and to save the last state in",
     )
     options = parser.parse_args()
+    if options.samples < 1:
+        parser.error(f"--samples was {options.samples}; it should be at least 1")
     base = Scenario(robust=options.robust)
     resumed = options.state and options.state.exists()
     state = load(options.state, base) if resumed else init(base, options.seed)

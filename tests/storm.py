@@ -110,6 +110,8 @@ def main():
     parser.add_argument("--kill-every-s", type=float, default=60.0)
     parser.add_argument("--folder", type=Path, default=ROOT / "build/storm")
     options = parser.parse_args()
+    if options.runs < 1:
+        parser.error(f"--runs was {options.runs}; it should be at least 1")
     disk = on_a_small_disk(options.folder)
     if not disk:
         print("the disk is not filled: that takes a disk of its own, which only root may mount")

@@ -1,9 +1,10 @@
 """Export: an estimator and a controller as self-contained C99 (`make embedded`).
 
-`phases` names the CasADi Functions that the C is made of; `c_writer` writes the files that depend
-on them. The folder `c` holds the files that do not: for every export the interface rhec.h, rhec.c,
-and for a Scenario alone the programs replay.c, times.c, fuzz.c.
-`notebooks.embedded_measurements` compiles and runs an export, here or, emulated, on 64-bit Arm.
+`phases` selects the CasADi Functions that become C; `c_writer` writes the generated files. The
+folder `c` contains the files that are the same in all exports: the interface rhec.h and rhec.c, and
+the programs replay.c, times.c, fuzz.c, which only the export of a Scenario receives.
+`rhec.workbench.studies.embedded` compiles and runs an export on this machine and, emulated, on
+64-bit Arm.
 """
 
 import dataclasses
@@ -32,31 +33,31 @@ __all__ = ["FOLDER", "LOG", "export"]
 FOLDER = Path("build", "embedded")
 LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
 _LOG_S = 60.0  # length of the example log, at most
-_PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # their C needs no library
+_PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions without a library in C
 _EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
 _PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
+_UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave
 
 
 def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
     """Write an estimator and a controller as self-contained C99.
 
-    The folder gets a header, a CMake file and a README.txt that says how to call it; that of a
-    Scenario also programs that replay a log, take times and fuzz, and an example log with Python's
-    answers.
+    The folder contains a header, a CMake file, and a README.txt that describes the calls. The
+    export of a Scenario also has programs for replay, timing and fuzzing, and an example log with
+    Python's results.
 
     Args:
-        scenario: rhec.Scenario. Its estimator must be one that a robot can run: not an oracle; a
-            CasADi Function of one's own if it is made of expressions alone. Its qp must be
-            "structured". Or, of a rhec.Model, its rhec.RHE, its rhec.RHC, or a tuple of both.
-        folder: Where to write: a new or empty folder, or an earlier export, whose files are
-            replaced.
+        scenario: rhec.Scenario with qp "structured" and an estimator that needs no truth; a CasADi
+            Function must consist of expressions. Or the rhec.RHE, the rhec.RHC, or a tuple of both,
+            of a rhec.Model.
+        folder: A new or empty folder, or an earlier export, whose files are replaced.
 
     Returns:
-        The folder's Path.
+        The Path of the folder.
 
     Raises:
-        ValueError: For what cannot be exported, or a folder that holds other files.
+        ValueError: If the scenario cannot be exported, or if the folder contains other files.
     """
     if not isinstance(folder, str | Path):
         raise ValueError(f"folder was {shown(folder)}; it should be a path")
@@ -69,9 +70,11 @@ def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
         _check(scenario)
         _check_folder(folder)
         texts = _of_scenario(scenario)
+    _refuse_folders(folder, texts)
     folder.mkdir(parents=True, exist_ok=True)
-    # All is written before anything is replaced.
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".unfinished-") as unfinished:
+    # All files are written before the first one is replaced. This happens inside the folder,
+    # because it may be the root of another file system, across which nothing can be renamed.
+    with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as unfinished:
         for name, text in texts.items():
             Path(unfinished, name).write_text(text, encoding="utf-8")
         for name in texts:
@@ -81,56 +84,57 @@ def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
 
 def _of_model(parts):
     """{file: text} of the export of a Model's RHE, RHC or both."""
-    own = {
+    by_name = {
         kind.__name__.lower(): part for kind in (RHE, RHC) for part in parts if type(part) is kind
     }
-    if len(own) < len(parts):
+    if len(by_name) < len(parts):
         raise ValueError(
-            f"scenario was {shown(parts)}; of one Model it should be a RHE, a RHC or one of each, "
-            "of the paper's robot a Scenario"
+            f"scenario was {shown(parts)}; for a Model it should be a RHE, a RHC or one of each, "
+            "for the paper's robot a Scenario"
         )
-    if len(own) == 2:
-        rhe = own["rhe"].window
-        rhc = own["rhc"].problem
+    if len(by_name) == 2:
+        rhe = by_name["rhe"].window
+        rhc = by_name["rhc"].problem
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
-    made = phases.export_model(**own)
+    export = phases.export_model(**by_name)
     texts = _common_files()
-    readme = c_writer.readme(made, texts["README.txt"])
+    readme = c_writer.readme(export, texts["README.txt"])
     for program in _PROGRAMS:
         del texts[program]
-    return texts | _generated(made) | {"README.txt": readme}
+    return texts | _generated(export) | {"README.txt": readme}
 
 
 def _of_scenario(scenario):
     """{file: text} of the export of a Scenario."""
-    made = phases.export(scenario)
+    export = phases.export(scenario)
     texts = _common_files()
     shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
     log = simulate(shorter).log[LOG]
-    readme = c_writer.readme(made, texts["README.txt"], samples=len(log), **SIGMA_START)
-    own = {"scenario.json": _as_json(scenario), "log.csv": log.to_csv(index=False)}
-    return texts | _generated(made) | own | {"README.txt": readme}
+    readme = c_writer.readme(export, texts["README.txt"], samples=len(log), **SIGMA_START)
+    example = {"scenario.json": _as_json(scenario), "log.csv": log.to_csv(index=False)}
+    return texts | _generated(export) | example | {"README.txt": readme}
 
 
 def _common_files():
-    """Return {file: text} of the files that do not depend on what is exported."""
+    """{file: text} of the files that are the same in all exports."""
     files = sorted(Path(__file__).with_name("c").iterdir())
-    # The mark comes first, so that an interrupted export is still known as one.
+    # The mark comes first, so that an interrupted export is still recognised as an export.
     return {_MARK: ""} | {file.name: file.read_text(encoding="utf-8") for file in files}
 
 
-def _generated(made):
+def _generated(export):
+    """{file: text} of the generated files."""
     return {
-        _MARK: c_writer.memory_header(made),
-        "rhec_phases.h": c_writer.phases_header(made),
-        "rhec_functions.h": c_writer.functions_header(made),
-        "rhec_scenario.c": c_writer.scenario_source(made),
+        _MARK: c_writer.memory_header(export),
+        "rhec_phases.h": c_writer.phases_header(export),
+        "rhec_functions.h": c_writer.functions_header(export),
+        "rhec_scenario.c": c_writer.scenario_source(export),
     }
 
 
 def _check(scenario):
-    """Refuse, in one sentence, a scenario that cannot be exported."""
+    """Raise a ValueError for a scenario that cannot be exported."""
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     estimator = scenario.estimator
@@ -138,15 +142,15 @@ def _check(scenario):
     if traction_input not in _EXPORTED:
         names = [repr(name) for name in NAMES if estimator_of(name).traction_input in _EXPORTED]
         raise ValueError(
-            f"estimator was {estimator!r}, which is given the {traction_input.value}; to export, "
-            f"it should be one of {', '.join(names)} or a Function of your own"
+            f"estimator was {estimator!r}, which needs the {traction_input.value}; to export, "
+            f"it should be one of {', '.join(names)} or a CasADi Function"
         )
     if isinstance(estimator, ca.Function):
         for called in estimator.find_functions():
             if called.class_name() not in _PLAIN:
                 raise ValueError(
                     f"estimator was {shown(estimator)}, which calls {called.name()!r} "
-                    f"({called.class_name()}); to export, it should be made of expressions alone"
+                    f"({called.class_name()}); to export, it should consist of expressions"
                 )
     if scenario.qp != "structured":
         raise ValueError(
@@ -155,12 +159,12 @@ def _check(scenario):
 
 
 def _check_folder(folder):
-    """Refuse, in one sentence, a folder with other files."""
+    """Raise a ValueError for a folder with other files."""
     reason = None
     if folder.exists() and not folder.is_dir():
         reason = "is a file"
-    elif folder.exists() and any(folder.iterdir()) and not (folder / _MARK).exists():
-        reason = "holds other files"
+    elif folder.exists() and not (folder / _MARK).exists() and _has_other_files(folder):
+        reason = "contains other files"
     if reason:
         raise ValueError(
             f"folder was {str(folder)!r}, which {reason}; it should be a new or empty folder or an "
@@ -168,8 +172,21 @@ def _check_folder(folder):
         )
 
 
+def _has_other_files(folder):
+    # The root of a file system may have a folder for what its repair finds.
+    names = {file.name for file in folder.iterdir()} - {"lost+found"}
+    return any(not name.startswith(_UNFINISHED) for name in names)
+
+
+def _refuse_folders(folder, names):
+    """Refuse, before anything is replaced, a folder in which a file's name is that of a folder."""
+    for name in names:
+        if (folder / name).is_dir():
+            raise ValueError(f"folder was {str(folder)!r}, in which {name} is a folder, not a file")
+
+
 def _as_json(scenario):
-    """Every field of the scenario, as JSON."""
+    """All fields of the scenario as JSON."""
 
     def plain(value):
         if dataclasses.is_dataclass(value):

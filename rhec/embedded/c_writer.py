@@ -1,6 +1,6 @@
-"""The generated C of an export, as text: memory, phases bound to it, settings, README.txt.
+"""The generated C of an export as text: memory, phases, settings, README.txt.
 
-Files that are the same in all exports are in the folder `c`.
+The folder `c` contains the files that are the same in all exports.
 """
 
 import casadi as ca
@@ -8,33 +8,32 @@ import casadi as ca
 from rhec.core._casadi.c_text import generate_c
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
-__all__ = ["functions_header", "memory_header", "phases_header", "readme", "scenario_source"]
-
-# Comments of the settings, in C. Those of a Model have no units, which only its author knows.
+# Comments of the settings in C. Units of a Model are unknown.
 _MEANING = {
     "V": "variances of the measurement noise, in the order of the outputs",
-    "W": "variances of the process noise, a sample",
+    "W": "variances of the process noise per sample",
     "Q": "weights of the states",
-    "QN": "the same at the end of the horizon",
+    "QN": "weights of the states at the end of the horizon",
     "R": "weights of the commanded inputs",
-    "lower": "bounds of the commanded inputs",
-    "upper": "the same",
-    "c": "of noise that grows with the motion",
+    "lower": "lower bounds of the commanded inputs",
+    "upper": "upper bounds of the commanded inputs",
+    "c": "constants of noise that grows with the motion",
 }
 _MEANING_ON_A_PATH = _MEANING | {
     "V": "variances of measured x, y [m^2], nu [m^2/s^2], omega [rad^2/s^2]",
-    "segments": "of the path, in order: s, x, y [m], theta [rad], curvature [1/m] at its beginning",
+    "segments": "of the path, in order: s, x, y [m], theta [rad], curvature [1/m] at the beginning",
     "period_m": "arc length after which the path repeats itself",
     "length_m": "arc length of the path",
-    "look_ahead_m": "where the desired points begin",
-    "backwards": "lambda: 1 drives backwards",
+    "look_ahead_m": "arc length from the robot to the first desired point",
+    "backwards": "lambda: 1 for driving backwards",
     "Q": "weights of x, y, theta",
     "R": "weight of omega",
-    "lower": "bounds of the command omega [rad/s]",
+    "lower": "lower bound of the command omega [rad/s]",
+    "upper": "upper bound of the command omega [rad/s]",
     "P_0": "variances of a restart",
-    "speed_mps": "set speed, negative backwards: the largest that is commanded",
-    "caution": "standard deviations that are set aside",
-    "traction": "mu, kappa that the estimator is given",
+    "speed_mps": "set speed, negative backwards: the largest commanded speed",
+    "caution": "number of standard deviations kept as a margin",
+    "traction": "constant mu, kappa of the estimator",
 }
 # The parts of README.txt that differ.
 _README_ON_A_PATH = dict(
@@ -44,16 +43,16 @@ _README_ON_A_PATH = dict(
     files="""\
     scenario.json                   all of the scenario
     replay.c, log.csv               example: replays a log, here {samples} samples of a run of
-                                    the scenario with Python's answers
-    times.c                         how long each phase takes on your machine (POSIX)
-    fuzz.c                          feeds invalid sensor values, corrupts memory, checks the answers
+                                    the scenario with Python's results
+    times.c                         measures the time of each phase on your machine (POSIX)
+    fuzz.c                          feeds invalid sensor values, corrupts memory, checks the results
 """,
     more="""\
-Answers agree with Python's to 1e-9 on x86-64 and 64-bit Arm; `replay log.csv` says whether they do
-on your machine. Weights, variances and a path of as many segments can be changed without a new
-export: copy rhec_scenario, change the copy, pass it to rhec_init. The guess has the standard
-deviations {x_m:g} m in x and y, {theta_rad:g} rad in yaw, {nu_mps:g} m/s, {mu:g} in mu and
-{kappa:g} in kappa, unless you export your own estimator.
+Results agree with Python's to 1e-9 on x86-64 and 64-bit Arm; `replay log.csv` checks this on your
+machine. Weights, variances and a path with the same number of segments can be changed without a new
+export: copy rhec_scenario, change the copy, and pass it to rhec_init. The standard deviations of
+the guess are {x_m:g} m in x and y, {theta_rad:g} rad in yaw, {nu_mps:g} m/s, {mu:g} in mu and
+{kappa:g} in kappa, except for a user-defined estimator.
 """,
 )
 _README_OF_A_MODEL = dict(
@@ -63,18 +62,18 @@ _README_OF_A_MODEL = dict(
     files="",
     more="""\
 Weights, variances and bounds of the commands can be changed without a new export: copy
-rhec_scenario, change the copy, pass it to rhec_init.
+rhec_scenario, change the copy, and pass it to rhec_init.
 """,
 )
 _SPEED = """
 
-The speed is a second command: after rhec_control, r.nu[0] [m/s], negative backwards. It begins at
+The speed is a second command: r.nu[0] [m/s] after rhec_control, negative backwards. It starts at
 the speed of the guess and never exceeds the set speed, settings->speed_mps.
 """
-_ALWAYS = "r->settings != 0"  # always true; it uses the argument, which avoids a warning
+_ALWAYS = "r->settings != 0"  # always true; avoids the warning about an unused argument
 _DOUBLE_BYTES = 8
-_HEAD = "/* Generated by rhec; do not edit. */\n"
-# All of CasADi's Functions have the same parameters and the same helpers, needed or not.
+_HEAD = "/* Generated by rhec; do not edit. SPDX-License-Identifier: MIT */\n"
+# CasADi's Functions have parameters and helpers that some of them do not use.
 _FOR_ONE_FILE = """#define CASADI_SYMBOL_EXPORT static
 #ifdef __GNUC__
 #pragma GCC diagnostic push
@@ -85,7 +84,7 @@ _FOR_ONE_FILE = """#define CASADI_SYMBOL_EXPORT static
 
 
 def memory_header(export):
-    """rhec_memory.h: sizes, the structs of settings and of all memory."""
+    """rhec_memory.h: sizes, and the structs of the settings and of the memory."""
     parts = [
         _HEAD + "#ifndef RHEC_MEMORY_H\n#define RHEC_MEMORY_H\n",
         *_size_macros(export),
@@ -102,12 +101,13 @@ def memory_header(export):
 
 
 def _size_macros(export):
-    """Lines that define the sizes, and what the export has."""
+    """Lines that define the sizes and the components of the export."""
     macros = [
         f"#define RHEC_{name} {value!r} /* {note} */"
         for name, (value, note) in export.macros.items()
     ]
-    largest = f"#define RHEC_MAX_PLAUSIBLE {MAX_PLAUSIBLE_STATE:g} /* of a number in memory */"
+    note = "largest plausible number in memory"
+    largest = f"#define RHEC_MAX_PLAUSIBLE {MAX_PLAUSIBLE_STATE:g} /* {note} */"
     return [*macros, largest]
 
 
@@ -145,12 +145,12 @@ def _memory_struct(export):
 
 
 def _owners(export):
-    """Whose memory there is: estimator, controller, path."""
+    """The owners of memory: estimator, controller, path."""
     return list(dict.fromkeys(place.split(".")[0] for place in export.memory if "." in place))
 
 
 def _below(memory, owner):
-    """{name: size} of an owner's places."""
+    """{name: size} of the places of an owner."""
     inside = (place for place in memory if place.startswith(f"{owner}."))
     return {place.removeprefix(f"{owner}."): memory[place] for place in inside}
 
@@ -161,7 +161,7 @@ def _arrays(sizes, depth):
 
 
 def _work(export):
-    """Lengths of the doubles and the integers that CasADi's Functions compute with."""
+    """Lengths of the real and the integer work space of CasADi's Functions."""
     functions = [phase.function for phase in export.phases.values()]
     return max(1, *(f.sz_w() for f in functions)), max(1, *(f.sz_iw() for f in functions))
 
@@ -169,7 +169,7 @@ def _work(export):
 def _bytes_of_memory(export):
     """sizeof(struct rhec) where pointers have 8 bytes."""
     w, iw = _work(export)
-    doubles = w + 1  # the pointer to the settings is as long as a double
+    doubles = w + 1  # the pointer to the settings has the size of a double
     for place, size in export.memory.items():
         if ".previous." in place:
             doubles += 2 * size  # `previous` and `current` are the same struct
@@ -183,7 +183,7 @@ def phases_header(export):
     """rhec_phases.h: a C function for each phase, and checks of its results."""
     parts = [_HEAD + '#include "rhec_functions.h"\n']
     for name, (f, reads, writes) in export.phases.items():
-        # CasADi takes a null pointer for what is empty.
+        # CasADi expects a null pointer for an empty argument or result.
         arguments = [f"r->{reads[arg]}" if f.nnz_in(arg) else "0" for arg in reads]
         results = [f"r->{writes[res]}" if f.nnz_out(res) else "0" for res in writes]
         parts.append(
@@ -211,9 +211,7 @@ def phases_header(export):
 
 
 def _always_numbers(export, owner):
-    """Places of an owner's memory that begin as numbers and must stay so; a window of measurements
-    may have gaps.
-    """
+    """Places of an owner's memory that are never NaN, unlike a window of measurements."""
     start = export.phases[f"{owner}_start"]
     values = start.function.call([ca.DM.zeros(start.function.size_in(0))])
     return [place for place, value in zip(start.writes.values(), values) if value.is_regular()]
@@ -234,7 +232,7 @@ def scenario_source(export):
 
 
 def functions_header(export):
-    """rhec_functions.h: the Functions, written by CasADi's code generator, for rhec.c alone."""
+    """rhec_functions.h: the Functions by CasADi's code generator, included only by rhec.c."""
     functions = [phase.function for phase in export.phases.values()]
     text = generate_c(functions, "rhec_functions.c", casadi_int="int")
     end = "#ifdef __GNUC__\n#pragma GCC diagnostic pop\n#endif\n"
@@ -242,7 +240,7 @@ def functions_header(export):
 
 
 def readme(export, template, **values):
-    """README.txt: the template with call order, sizes and files filled in."""
+    """README.txt: the template, filled in."""
     n_constants = sum(value.size for value in export.settings.values()) + export.guess.size
     dt_s, _ = export.macros["DT_S"]
     sizes = dict(

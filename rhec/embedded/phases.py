@@ -1,9 +1,8 @@
-"""The Functions of an export, and where in the C's memory their arguments and results are.
+"""The Functions of an export, and the places of their arguments and results in the C memory.
 
-They are the phases of estimator and controller (see `solver.rti`), unchanged, and a few small ones
-around them: the first memory, made from a guess; the closest point of the whole path; the
-references. An estimator that is one step, such as the EKF, is all feedback: its preparation does
-nothing but carry its memory over.
+They are the unchanged phases of estimator and controller (`solver.rti`) and three small Functions:
+the initial memory from a guess, the closest point of the whole path, and the references. An
+estimator with a single step, such as the EKF, is a feedback phase; its shift only copies memory.
 """
 
 from collections.abc import Callable
@@ -12,7 +11,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, pack_array, select_inputs, unpack
+from rhec.core._casadi.build import casadi_function, select_inputs, unpack
+from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import build_phases as build_controller
 from rhec.core.controller.rhc import init as plan_init
 from rhec.core.estimator.rhe import build_phases as build_estimator
@@ -28,12 +28,10 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 
-__all__ = ["Export", "closest", "export", "export_model"]
-
 MEASURED = "x", "y", "nu", "omega"  # the entries of a measurement z of the paper's robot
 
 # Places in `struct rhec` that phases of different owners share, by the names of arguments and
-# results. Whatever else a phase passes on belongs to its owner: estimator, controller or path.
+# results. All other places belong to one owner: estimator, controller or path.
 _SHARED = dict(
     z_N="z",
     accepted="estimator.accepted",
@@ -52,44 +50,29 @@ _PHASES = "start", "expand", "shift", "linearise", "feedback"  # in the order of
 
 
 class _Phase(NamedTuple):
-    """A Function, and the places in the C's memory of its arguments and results.
-
-    reads   argument: place, in the order of the arguments
-    writes  result: place, in the order of the results
-    """
+    """A Function, and the places of its arguments and results in the C memory, in order."""
 
     function: ca.Function
-    reads: dict
-    writes: dict
+    reads: dict  # {argument: place}
+    writes: dict  # {result: place}
 
 
 class _Start(NamedTuple):
-    """How an owner's first memory is made.
+    """The initial memory of an owner."""
 
-    init  of an array (n,): {name: array}
-    name  of that array among the arguments, and n, its length
-    """
-
-    init: Callable
-    name: str
+    init: Callable  # function of an array (n,) that returns {name: array}
+    name: str  # name of that array among the arguments
     n: int
 
 
 class Export(NamedTuple):
-    """All that the C is written from.
+    """The content of the generated C."""
 
-    phases    name in C: _Phase
-    memory    place in struct rhec: number of doubles
-    settings  name: matrix
-    guess     the estimator's first; of a scenario (x, y, θ, ν, μ, κ)
-    macros    name in C: (value, comment)
-    """
-
-    phases: dict
-    memory: dict
-    settings: dict
-    guess: np.ndarray
-    macros: dict
+    phases: dict  # {name in C: _Phase}
+    memory: dict  # {place in struct rhec: number of doubles}
+    settings: dict  # {name: matrix}
+    guess: np.ndarray  # initial guess of the estimator; (x, y, θ, ν, μ, κ) for a scenario
+    macros: dict  # {name in C: (value, comment)}
 
 
 def export(scenario):
@@ -97,7 +80,7 @@ def export(scenario):
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
-    # An EKF is given what the closed loop gives it.
+    # An EKF receives the same traction as in the closed loop.
     traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
     settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
     horizon = horizon_of(scenario.prediction_horizon, scenario.qp)
@@ -143,14 +126,17 @@ def _macros_on_a_path(scenario, dt_s):
     names = "x, y, theta, nu, mu, kappa"
     return dict(
         DT_S=(dt_s, "time between samples [s]"),
-        ESTIMATOR=(1, "there is one"),
-        CONTROLLER=(1, "there is one"),
-        PATH=(1, "there is one, of a tracked robot"),
+        ESTIMATOR=(1, "the export has an estimator"),
+        CONTROLLER=(1, "the export has a controller"),
+        PATH=(1, "a tracked robot follows a path"),
         OUTPUTS=(len(MEASURED), ", ".join(MEASURED)),
         ESTIMATE=(n, names),
         GUESS=(n, names),
-        PATIENCE=(scenario.estimation_horizon + 1, "most predicted estimates in a row"),
-        MOST_GUESSES=(MAX_SWEEPS, "of the active bounds, for one plan"),
+        PATIENCE=(
+            scenario.estimation_horizon + 1,
+            "largest number of predicted estimates in succession",
+        ),
+        MOST_GUESSES=(MAX_SWEEPS, "largest number of guesses of the active bounds for one plan"),
     )
 
 
@@ -173,7 +159,7 @@ def export_model(rhe=None, rhc=None):
         )
         estimate = build_estimator(rhe.window)
         phases |= _bind_all("estimator", start, estimate, settings, _SHARED_BY_MODEL)
-        macros["ESTIMATOR"] = 1, "there is one"
+        macros["ESTIMATOR"] = 1, "the export has an estimator"
         macros["ESTIMATE"] = len(model.names), ", ".join(model.names)
     if rhc:
         n_x = len(model.states)
@@ -183,14 +169,14 @@ def export_model(rhe=None, rhc=None):
         )
         control = build_controller(rhc.problem)
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
-        macros["CONTROLLER"] = 1, "there is one"
+        macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"
     macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
     return _export(phases, settings, guess, macros)
 
 
 def _export(phases, settings, guess, macros):
-    """Return the Export of bound phases, with just the memory and the settings that they use."""
+    """Return the Export of bound phases, with the memory and the settings that they use."""
     memory = {}
     used = set()
     for function, reads, writes in phases.values():
@@ -206,7 +192,7 @@ def _export(phases, settings, guess, macros):
 
 
 def _bind_all(owner, start, functions, settings, shared):
-    """Return {name in C: _Phase} of an owner's phases, with the one that makes its first memory."""
+    """Return {name in C: _Phase} of the phases of an owner, including its start."""
     shift = functions["shift"]
     memory = {name: shift.size_in(name) for name in shift.name_in() if name in shift.name_out()}
     functions = functions | dict(start=_build_start(f"rhec_{owner}_start", start, memory))
@@ -220,8 +206,8 @@ def _bind_all(owner, start, functions, settings, shared):
 def _bind(function, phase, owner, memory, settings, shared):
     """Return a phase with its places.
 
-    Memory exists twice (see `rti.RealTimeIteration`): `shift` takes it from `previous` to
-    `current`, and all other phases read `current` and write `previous`.
+    Memory exists twice, as in `rti.RealTimeIteration`: `shift` reads `previous` and writes
+    `current`; all other phases read `current` and write `previous`.
     """
 
     def place(name, version):
@@ -243,10 +229,10 @@ def _bind(function, phase, owner, memory, settings, shared):
 
 
 def _build_start(name, start, shapes):
-    """Return the Function of the guess that makes the first memory, pieces of these shapes.
+    """Return the Function that computes the initial memory, {name: shape}, from the guess.
 
-    start.init copies entries of the guess and adds constants, so it is affine: first memory =
-    constant + slopes · guess. Its values for zero and for the unit vectors give both.
+    start.init is affine: memory = constant + slopes · guess. Its values for zero and for the unit
+    vectors determine both.
     """
 
     def first_memory(values):
@@ -289,8 +275,8 @@ def _split_step(step):
 def _with_speed(control, speed, estimate):
     """Return the phases of an RHC with the speed as a second command.
 
-    They do what `cautious.build_step` does. The last speed is memory; whatever that holds, the next
-    one is between 0 and the set speed.
+    They correspond to `cautious.build_step`. The last speed is part of the memory. The next speed
+    is between 0 and the set speed for any content of the memory.
 
     Args:
         control: The phases of the RHC.
@@ -327,10 +313,7 @@ def _inputs_of(function):
 
 
 def closest(n_segments):
-    """Return the Function that finds the point of the whole path closest to the estimate.
-
-    Its result is an arc length [m], as that of `Path.project`.
-    """
+    """Return the Function for the arc length [m] of the path's point closest to the estimate."""
 
     @casadi_function("rhec_closest", estimate=(6, 1), segments=(5, n_segments), length_m=(1, 1))
     def closest(estimate, segments, length_m):
@@ -342,11 +325,11 @@ def closest(n_segments):
         for segment, end in zip(ca.horzsplit(segments), ends):
             s, x_0, y_0, theta, curvature = ca.vertsplit(segment)
             place = _place_on_segment(x - x_0, y - y_0, theta, curvature)
-            # Beyond the end of an arc, its beginning may be closer than its end.
+            # For a point beyond the end of an arc, its beginning may be closer than its end.
             for candidate in (ca.fmin(ca.fmax(place, 0), end - s), 0):
                 nearest_x, nearest_y, _ = path.advance(x_0, y_0, theta, curvature, candidate, ca)
                 distance = ca.hypot(x - nearest_x, y - nearest_y)
-                better = distance < best_distance - 1e-9  # of equal distances, the first
+                better = distance < best_distance - 1e-9  # the first of equal distances wins
                 best_distance = ca.if_else(better, distance, best_distance)
                 best_s = ca.if_else(better, s + candidate, best_s)
         return dict(s=best_s)
@@ -357,9 +340,9 @@ def closest(n_segments):
 def _place_on_segment(dx, dy, theta, curvature):
     """Return the arc length from a segment's beginning to the closest point of its line or circle.
 
-    dx, dy: Of the point, from the beginning.
+    dx, dy: Position of the point relative to that beginning [m].
     """
-    curved = ca.fmax(ca.fabs(curvature), 1e-12)  # a line does not divide by zero
+    curved = ca.fmax(ca.fabs(curvature), 1e-12)  # avoids a division by zero for lines
     along = ca.cos(theta) * dx + ca.sin(theta) * dy
     left = ca.cos(theta) * dy - ca.sin(theta) * dx
     angle = ca.atan2(curved * along, 1 - curvature * left)
@@ -368,10 +351,10 @@ def _place_on_segment(dx, dy, theta, curvature):
 
 
 def _build_follow(references, is_robust):
-    """Return the Function of the references from the last arc length on.
+    """Return the Function of the references, starting at the last arc length.
 
-    They hold the measured yaw rate over the horizon; where that is missing or rejected, the last
-    command. is_robust: Whether the estimator itself says which measurements it accepted.
+    The reference yaw rate is the measured one or, if that is missing or rejected, the last command.
+    is_robust: Whether the estimator reports which measurements it accepted.
     """
     shapes = {name: references.size_in(name) for name in references.name_in()}
     del shapes["omega_measured"]

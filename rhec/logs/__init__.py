@@ -1,4 +1,4 @@
-"""Recorded logs: files of them, and what their replay needs."""
+"""Recorded logs: readers, plausibility checks, replay, calibration and scores."""
 
 from rhec.logs.reader import read
 

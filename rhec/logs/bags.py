@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table; a row is what was measured at one time."""
+"""ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table with one row for each time stamp."""
 
 import re
 from collections.abc import Callable
@@ -8,8 +8,6 @@ import numpy as np
 import pandas as pd
 
 from rhec.simulation.columns import TRACKS
-
-__all__ = ["SUFFIXES", "read_bag"]
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 _POSITION = ["x_m", "y_m"]
@@ -49,13 +47,13 @@ def _wheels(message):
 
 
 class _Source(NamedTuple):
-    """What is read of a type of message: the columns, and the function of a message for them."""
+    """The columns that a type of message fills, and the function that reads their values."""
 
     columns: list
     values: Callable
 
 
-# The types of message for each role, the preferred first: the first one in a bag is read.
+# The message types of each role, in order of preference: the first one in the bag is read.
 _ROLES = {
     "positions": {
         "sensor_msgs/msg/NavSatFix": _Source(["latitude", "longitude", "altitude"], _fix),
@@ -72,7 +70,7 @@ _ROLES = {
 
 
 def _choose(types, topics, role):
-    """The topic for a role, of {topic: type}; among `topics`, if the user named some."""
+    """The topic of {topic: type} that has a role, among `topics` if the user passes some."""
     kinds = [*_ROLES[role]]
     suitable = [name for name in topics or types if types[name] in kinds]
     if not suitable:
@@ -85,12 +83,12 @@ def _choose(types, topics, role):
         raise ValueError(
             f"several topics for {role}, {', '.join(suitable)}; topics should name one"
         )
-    # Of two topics of one type the user names that of the positions first.
+    # If two topics have the same type, the user lists the topic of the positions first.
     return suitable[0 if role == "positions" else -1]
 
 
 def _read(reader, topics, wheel_radius_m):
-    """The table of an open bag, and what was inferred."""
+    """The table of an open bag, and {property: inferred value}."""
     types = {name: topic.msgtype for name, topic in reader.topics.items()}
     unknown = [name for name in topics or () if name not in types]
     if unknown:
@@ -117,10 +115,7 @@ def _read(reader, topics, wheel_radius_m):
 
 
 def _messages(reader, types, chosen):
-    """{role: (time stamps [ns], values)} of the chosen topics {role: topic} of an open bag.
-
-    The stamp is that of the message's header or, where it has none, that of the recorder.
-    """
+    """{role: (time stamps [ns], values)} of the chosen topics {role: topic} of an open bag."""
     messages = {role: ([], []) for role in chosen}
     topics = set(chosen.values())
     connections = [connection for connection in reader.connections if connection.topic in topics]
@@ -130,18 +125,18 @@ def _messages(reader, types, chosen):
         for role, topic in chosen.items():
             if topic == connection.topic:  # an Odometry may have both roles
                 stamps_ns, values = messages[role]
+                # A header without a stamp has zeros; the recorder's time replaces it.
                 stamps_ns.append(stamp.sec * 10**9 + stamp.nanosec or received_ns)
                 values.append(_ROLES[role][types[topic]].values(message))
     return messages
 
 
 def read_bag(file, topics, wheel_radius_m):
-    """A bag's table, and what was inferred.
+    """The table of a bag, and {property: inferred value}.
 
     Args:
         file: Path of the bag.
-        topics: As in `rhec.logs.read`.
-        wheel_radius_m: As in `rhec.logs.read`.
+        topics, wheel_radius_m: As in `rhec.logs.read`.
 
     Raises:
         ValueError: If rosbags is not installed, or if the bag cannot be read.

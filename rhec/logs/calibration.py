@@ -1,12 +1,12 @@
-"""Calibration: noise, side slip and lever arm of a recorded robot, from its log alone.
+"""Calibration: noise, side slip and lever arm of a recorded robot, from its log.
 
-`calibrate` finds the numbers under which the log's positions are likeliest. A Kalman filter of the
-slipping robot predicts each position from those before it and from the encoders. Predicting 0.6 to
-2 s ahead as well found no better numbers on the logs of four robots, and worse ones on one.
+`calibrate` maximises the likelihood of the log's positions. A Kalman filter of the slipping robot
+predicts each position from earlier positions and from the encoders. Predictions over 0.6 to 2 s in
+addition gave no better values for four robots, and worse values for one of them.
 
-What a log does not determine comes from broad priors. The posterior is taken to be normal about
-its maximum (Laplace's approximation). A position that is further off than OUTLIER standard
-deviations counts less (Huber's loss).
+Broad priors supply what a log does not determine. The posterior is approximated by a normal
+distribution at its maximum (Laplace). Positions more than OUTLIER standard deviations away count
+less (Huber's loss).
 """
 
 import sys
@@ -19,7 +19,8 @@ from scipy.optimize import minimize, minimize_scalar
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array, with_packed_memory
+from rhec.core._casadi.build import with_packed_memory
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import kalman, offline
 from rhec.core.model import base
@@ -32,38 +33,36 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import slipping
 from rhec.tracked_robot.estimators import estimator_of
 
-__all__ = ["Calibration", "calibrate"]
-
 OUTLIER = 3.0
-# Errors of recorded positions are correlated, so that each says less than a filter takes from it: a
-# replay takes them to be this much larger.
+# A filter assumes independent errors. Errors of recorded positions are correlated, which a replay
+# compensates by a standard deviation that is larger by this factor.
 _CORRELATED = 1.75
 _MODEL = slipping.SLIPPING.model
 _ARM = _MODEL.joint_names.index("arm_forward_m")
 # Standard deviations before the first sample, of (x, y, θ, l_f, l_l, μ, κ).
 _SIGMA_FIRST = np.array([0.05, 0.05, 0.1, 0.3, 0.3, 0.25, 0.25])
-_SETTLED_M = 3.0  # positions count from here on: by then the filter has found the first yaw
-_N_HEADINGS = 32  # first yaws tried
-_HEADING_M = 15.0  # way over which they are compared
+_SETTLED_M = 3.0  # positions count from this distance on, where the yaw has converged
+_N_HEADINGS = 32  # initial yaws that are tried
+_HEADING_M = 15.0  # distance over which they are compared
 _HESSIAN_STEP = 0.1  # in prior standard deviations
-# The log determines a number if its standard deviation is below this share of the prior's.
+# A log determines a parameter if it reduces the standard deviation below this share of the prior's.
 _DETERMINED = 0.5
-_DETERMINED_ARM_M = 0.05  # the same for the antenna's place
+_DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
 _LEAST_POSITIONS = 50
 
 
 class _Unknown(NamedTuple):
-    """A number to be found, with its prior."""
+    """A parameter to calibrate, with its prior."""
 
     name: str
     unit: str
     middle: float  # mean of the prior
-    deviation: float  # its standard deviation, of the logarithm for a scale
-    is_scale: bool = True  # the logarithm is normally distributed, not the number itself
+    deviation: float  # standard deviation of the prior, of the logarithm if is_scale
+    is_scale: bool = True  # whether the logarithm is normally distributed
     least: float = 0.0  # lower bound
 
     def at(self, x):
-        """Its value x prior standard deviations from the middle."""
+        """The value that is x prior standard deviations from the mean."""
         value = x * self.deviation
         value = self.middle * np.exp(value) if self.is_scale else self.middle + value
         return np.maximum(value, self.least)
@@ -73,8 +72,8 @@ _BROAD = np.log(3.0)
 _NARROW = np.log(2.0)
 _VERY_NARROW = np.log(1.3)  # a log hardly determines how μ and κ walk
 _UNKNOWNS = (
-    # Smoothed or interpolated positions seem better than they are, until the filter attributes
-    # their errors to slip: hence the lower bound.
+    # Smoothed or interpolated positions look more accurate than they are. Without a lower bound the
+    # filter would attribute their errors to slip.
     _Unknown("noise of the position", "m", 0.05, _BROAD, least=0.02),
     _Unknown("noise of ν", "m/s", 0.03, _BROAD),
     _Unknown("noise of ω", "rad/s", 0.012, _BROAD),
@@ -94,24 +93,26 @@ class Calibration(dict):
     They are sigma_v, sigma_w, slip, and lever_arm_m if the log determines it.
 
     Attributes:
-        report: DataFrame, one row for each number: its value, the bounds `low` and `high` of its
-            95 % interval, its unit, and `told`, whether the log determines it. Where the log does
-            not, the value is little more than the prior.
+        report: DataFrame, one row for each parameter: value, bounds `low` and `high` of the 95 %
+            interval, unit, and `determined`, whether the log determines the parameter. Otherwise
+            the value is close to the prior.
     """
 
     report: pd.DataFrame
 
     def __str__(self) -> str:
-        untold = list(self.report.index[~self.report["told"]])
-        summary = f"The log cannot tell: {', '.join(untold)}." if untold else "The log tells all."
+        undetermined = list(self.report.index[~self.report["determined"]])
+        summary = "The log determines all parameters."
+        if undetermined:
+            summary = f"The log does not determine: {', '.join(undetermined)}."
         return f"{self.report.to_string(float_format='%.3g')}\n{summary}"
 
 
 def _build_filter(outlier):
     """The scan of a Kalman filter whose positions may be outliers.
 
-    Its step takes z_N (5,), whose last entry is the age of the position [s], and V, c, W. At each
-    sample it records the mean (x, y, θ, l_f, l_l, μ, κ), its variances and the position's loss,
+    Its step takes z_N (5,), with the age of the position [s] as last entry, and V, c, W. It records
+    the mean of (x, y, θ, l_f, l_l, μ, κ), the variances, and the loss of the position,
     2 ρ(|y|_S) + log det S with Huber's ρ.
     """
     interval = base.interval(_MODEL)
@@ -128,18 +129,18 @@ def _build_filter(outlier):
         A = interval.A_0 + D
         W = interval.process_noise(v, W, paper.DT_S, c)
         P_predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
-        # The robot moved on since its position was measured.
+        # The robot has moved since its position was measured.
         since = started * (F - interval.step(m, v, paper.DT_S - z_N[4]))[:2]
         z = ca.vertcat(z_N[:2] + ca.if_else(z_N[4] > 0, since, 0), z_N[2:])
         m = ca.if_else(started, F, m)
         P = ca.if_else(started, P_predicted, P)
-        # How many times OUTLIER standard deviations the position is off.
+        # Distance of the position from the predicted one, in units of OUTLIER standard deviations.
         y = z[:2] - m[:2]
         S = P[:2, :2] + ca.diag(V[:2])
         is_used = interval.outputs[0].is_valid(z) * interval.outputs[1].is_valid(z)
         far = ca.if_else(is_used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / outlier, 0)
         loss = outlier**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
-        # An outlier's variance grows until its weight is that of Huber's loss.
+        # Huber's loss gives an outlier the weight of a measurement with this larger variance.
         V = V * ca.fmax(far, 1) ** 2
         m, P, _, _, _ = kalman.update(m, P, z, V, interval.outputs, m)
         recorded = dict(estimate=m, variances=ca.diag(P), loss=ca.if_else(is_used, loss, 0))
@@ -149,12 +150,12 @@ def _build_filter(outlier):
 
 
 def _values(x):
-    """The value of each of _UNKNOWNS where the search is at x."""
+    """The values of _UNKNOWNS at the point x of the search."""
     return [float(unknown.at(entry)) for unknown, entry in zip(_UNKNOWNS, x)]
 
 
 def _fields(x):
-    """Fields of a Scenario where the search is at x."""
+    """The fields of a Scenario at the point x of the search."""
     position, speed, yaw_rate, *rest = _values(x)
     return dict(
         sigma_v=(position, position, speed, yaw_rate), sigma_w=tuple(rest[:2]), slip=tuple(rest[2:])
@@ -162,10 +163,7 @@ def _fields(x):
 
 
 def _filtered(z, x, yaw_rad, width_m):
-    """What the filter records for one segment's z (n, 5), as {name: array}.
-
-    x: where the search is; yaw_rad: the first yaw [rad]; width_m: the track width [m].
-    """
+    """Outputs {name: array} of the filter at the point x, for a segment z (n, 5) and first yaw."""
     scenario = Scenario(speed_model="slipping", track_width_m=width_m, **_fields(x))
     settings = estimator_of("rhe").settings(scenario)
     first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
@@ -179,12 +177,12 @@ def _filtered(z, x, yaw_rad, width_m):
 
 
 def _driven(z):
-    """Way that the tracks ran until each sample [m]."""
+    """Distance that the tracks have run until each sample [m]."""
     return paper.DT_S * np.nancumsum(np.abs(z[:, 2]))
 
 
 def _first_yaw(z, x, width_m):
-    """The likeliest yaw at the beginning of a segment [rad]."""
+    """The most likely yaw at the beginning of a segment [rad]."""
     begin = z[: np.searchsorted(_driven(z), _HEADING_M) + 1]
 
     def loss(yaw_rad):
@@ -198,7 +196,7 @@ def _first_yaw(z, x, width_m):
 
 
 def _objective(segments, yaws, width_m):
-    """Function of x: minus the logarithm of the posterior, up to a constant."""
+    """The function of x that is minimised: -log posterior, up to a constant."""
     parts = [(z, yaw, _driven(z) > _SETTLED_M) for z, yaw in zip(segments, yaws)]
 
     def minus_log_posterior(x):
@@ -210,9 +208,9 @@ def _objective(segments, yaws, width_m):
 
 
 def _covariance(objective, x):
-    """Inverse H⁻¹ of the Hessian of the objective at its minimum x, by finite differences.
+    """H⁻¹ of the objective's Hessian H at its minimum x, by finite differences, at most the prior.
 
-    It is never wider than the prior, whose Hessian is the identity.
+    The Hessian of the prior is the identity, so eigenvalues of H below 1 are numerical errors.
     """
     n = len(x)
     h = _HESSIAN_STEP
@@ -237,30 +235,29 @@ def calibrate(
     position_delay_s: Real = 0.0,
     trust_log: Flag = False,
 ) -> Calibration:
-    """Noise, side slip and lever arm of a recorded robot, from its log alone, without truth.
+    """Estimate noise, side slip and lever arm of a recorded robot from its log, without truth.
 
-    `rhec.replay(log, **rhec.calibrate(log))` replays a log with its own numbers. The report lists
-    the noise of positions and encoders, how μ and κ walk, the shares of slip, bumps, side slip, and
-    the antenna's place. That place is relative to the centre of turning: a log cannot tell a longer
-    lever arm from a centre elsewhere.
+    `rhec.replay(log, **rhec.calibrate(log))` replays a log with its calibration. The report lists
+    the noise of positions and encoders, the random walks of μ and κ, the shares of slip, bumps,
+    side slip, and the position of the antenna relative to the centre of turning. A log does not
+    distinguish a longer lever arm from another centre of turning.
 
     Args:
-        log: DataFrame of a recording, as `rhec.replay` takes it. The truth in it is not used.
+        log: DataFrame of a recording, as `rhec.replay` takes it. Its truth is not used.
         track_width_m: Distance of the tracks [m], as in `rhec.replay`.
-        position_delay_s: How much later than the encoder measurements the positions were stamped
-            [s].
-        trust_log: Whether to calibrate by a log that is surely wrong, as in `rhec.replay`.
+        position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
+        trust_log: Whether to skip the plausibility checks, as in `rhec.replay`.
 
     Returns:
-        Calibration, a dict of arguments of `rhec.replay` with a `report`. The last three arguments
-        above are among them where they are not the defaults.
+        Calibration, a dict of arguments of `rhec.replay` with a `report`. It has those of
+        the last three arguments above that differ from their defaults.
 
     Raises:
-        ValueError: If `rhec.replay` refuses the log, or if no segment has 50 positions on a way of
-            some metres.
+        ValueError: If `rhec.replay` refuses the log, or if no segment has 50 positions over a
+            distance of 6 m.
 
     Warns:
-        UserWarning: If the positions come late.
+        UserWarning: If the positions are late.
     """
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
@@ -268,7 +265,7 @@ def calibrate(
     width_m = recording.track_width_m
     segments = _usable_segments(recording)
     x = np.zeros(len(_UNKNOWNS))
-    for _ in range(2):  # the second search has better first yaws
+    for _ in range(2):  # the second search starts from better initial yaws
         yaws = [_first_yaw(z, x, width_m) for z in segments]
         objective = _objective(segments, yaws, width_m)
         bounds = [(-4, 4)] * len(x)
@@ -289,7 +286,7 @@ def calibrate(
 
 
 def _usable_segments(recording):
-    """z and age of the position (n, 5) of each segment by which a robot can be calibrated."""
+    """(z, age of the position) (n, 5) of each segment with enough positions and motion."""
     segments = []
     for _, rows in recording.rows.groupby("segment"):
         part = resample(rows, paper.DT_S, recording.averaged)
@@ -300,15 +297,15 @@ def _usable_segments(recording):
     if not segments:
         raise ValueError(
             f"the log had no segment with {_LEAST_POSITIONS} positions over {2 * _SETTLED_M:g} m; "
-            "a robot that hardly moves tells nothing"
+            "a robot that hardly moves cannot be calibrated"
         )
     return segments
 
 
 def _lever_arm(segments, x, yaws, width_m):
-    """Place of the antenna (ahead, left) [m] and its standard deviations [m].
+    """Position (ahead, left) of the antenna [m] and standard deviations [m].
 
-    Each segment's last estimate has the weight of its inverse variance.
+    The mean over the last estimates of all segments, weighted by their inverse variances.
     """
     arms = []
     variances = []
@@ -322,14 +319,14 @@ def _lever_arm(segments, x, yaws, width_m):
 
 
 def _report(x, deviation, arm, sigma_arm):
-    """The report of a Calibration, from _UNKNOWNS at x and the antenna's place."""
+    """The report of a Calibration."""
     numbers = pd.DataFrame(
         dict(
             value=_values(x),
             low=_values(x - 1.96 * deviation),
             high=_values(x + 1.96 * deviation),
             unit=[unknown.unit for unknown in _UNKNOWNS],
-            told=deviation < _DETERMINED,
+            determined=deviation < _DETERMINED,
         ),
         index=[unknown.name for unknown in _UNKNOWNS],
     )
@@ -339,7 +336,7 @@ def _report(x, deviation, arm, sigma_arm):
             low=arm - 1.96 * sigma_arm,
             high=arm + 1.96 * sigma_arm,
             unit="m",
-            told=sigma_arm < _DETERMINED_ARM_M,
+            determined=sigma_arm < _DETERMINED_ARM_M,
         ),
         index=["antenna ahead", "antenna left"],
     )

@@ -1,12 +1,10 @@
-"""The sentence for a log that lacks columns: what it has, and which of it may be meant."""
+"""The error message for a log that lacks columns, with suggestions from the columns it has."""
 
 import re
 
 from rhec.simulation.columns import RECORDED, TRACKS
 
-__all__ = ["missing_columns"]
-
-# What other loggers call the columns of a recording, without unit and case; the likeliest first.
+# Names that other loggers use, in lower case and without the unit; the most likely name first.
 _OTHER_NAMES = {
     "t_s": ("t", "time", "stamp", "timestamp", "seconds"),
     "x_m": ("x", "east", "easting", "utm_e", "utm_x", "pos_x", "position_x", "px"),
@@ -17,46 +15,46 @@ _OTHER_NAMES = {
     "v_right_mps": ("v_right", "v_r", "vr", "right_speed", "speed_right", "vel_right"),
 }
 _UNIT = re.compile(r"[ _(\[]+(m|s|ms|us|ns|m/s|mps|rad/s|radps|rad_s|deg/s|dps)[)\]]*$")
-_LONGEST = 300  # of a list of columns in a sentence
+_LONGEST = 300  # characters of a list of columns in a message
 
 
-def _plain(column):
+def _plain_name(column):
     """A column's name in lower case and without its unit."""
     return _UNIT.sub("", str(column).strip().lower()).replace(" ", "_")
 
 
 def _suggestions(missing, columns):
-    """{column of a recording: the log's column that may be meant by it}."""
-    by_plain_name = {_plain(column): str(column) for column in reversed(columns)}
+    """{missing column: the column of the log that probably holds the same quantity}."""
+    by_plain_name = {_plain_name(column): str(column) for column in reversed(columns)}
     suggestions = {}
     for name in missing:
-        for other in (_plain(name), *_OTHER_NAMES.get(name, ())):
+        for other in (_plain_name(name), *_OTHER_NAMES.get(name, ())):
             if other in by_plain_name:
                 suggestions[name] = by_plain_name.pop(other)
                 break
     return suggestions
 
 
-def missing_columns(log, wanted):
-    """What is wrong with a log that lacks columns, as a sentence; None if it has them all.
+def missing_columns(log, required):
+    """The message for a log that lacks columns; None if it has all of them.
 
     Args:
         log: DataFrame.
-        wanted: {name in a run's log: column} of the columns that it should have.
+        required: {name in a run's log: column} of the columns that the log needs.
     """
     columns = list(log.columns)
-    missing = [column for column in wanted.values() if column not in log]
+    missing = [column for column in required.values() if column not in log]
     if not missing:
         return None
     listed = ", ".join(map(str, columns))
     if len(listed) > _LONGEST:
         listed = f"{listed[:_LONGEST]} …"
     sentence = (
-        f"the log had no column {', '.join(missing)}; it should have {', '.join(wanted.values())}"
+        f"the log had no column {', '.join(missing)}; it should have {', '.join(required.values())}"
     )
-    if RECORDED.items() <= wanted.items() and set(TRACKS) <= set(columns):
+    if RECORDED.items() <= required.items() and set(TRACKS) <= set(columns):
         sentence += f", or give a track_width_m for {', '.join(TRACKS)}"
     sentence += f"; it has {listed}; columns= of rhec.logs.read renames them"
-    free = [column for column in columns if column not in wanted.values()]
-    meant = [f"{name}={column}" for name, column in _suggestions(missing, free).items()]
-    return sentence + (f": did you mean {', '.join(meant)}?" if meant else "")
+    free = [column for column in columns if column not in required.values()]
+    suggested = [f"{name}={column}" for name, column in _suggestions(missing, free).items()]
+    return sentence + (f": did you mean {', '.join(suggested)}?" if suggested else "")

@@ -1,8 +1,9 @@
-"""Implausible logs: wrong units, signs and axes, and late positions, before anything is estimated.
+"""Checks of a log for wrong units, signs and axes, and for late positions.
 
-The path of the positions is compared with the encoders over intervals of one length. Where the
-tracks drive n and turn w, an antenna moves by d with d² = μ² n² + a w² + b n w + c. Its lever arm
-gives a and b, the noise gives c. The course turns by κ w. This needs no estimator and no yaw.
+The checks compare the path of the positions with the encoders over intervals of one length. While
+the tracks drive a distance n and turn by w, the antenna moves by d, with
+d² = μ² n² + a w² + b n w + c. The lever arm determines a and b; the position noise determines c.
+The course turns by κ w. No estimator and no yaw are needed.
 """
 
 import warnings
@@ -13,32 +14,31 @@ from scipy.integrate import cumulative_trapezoid
 
 from rhec.simulation.columns import MEASUREMENTS
 
-__all__ = ["refuse_implausible"]
-
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
-# Lengths of the intervals; the first one is used in which motion stands out from noise.
+# Lengths of the intervals. The shortest one in which motion exceeds the noise is used.
 _LENGTHS_S = (0.6, 1.2, 2.4)
-_DELAYS_S = np.arange(-10, 11) / 5  # tried first
-_FINER_DELAYS_S = np.arange(-3, 4) / 20  # tried next, about the best of them
-_CLEAR_SHARE = 0.5  # of the squares: less is not explained by the motion
-_LEAST_GAIN = 0.05  # of that share, by a delay that is named
-_LATE_S = 0.25  # a shorter delay is not named
-_AGREE_S = 0.15  # to which both halves of a log have to agree on a delay
+_DELAYS_S = np.arange(-10, 11) / 5  # coarse search
+_FINER_DELAYS_S = np.arange(-3, 4) / 20  # fine search around the best coarse one
+# The motion explains the path if it explains more than this share of the squares.
+_CLEAR_SHARE = 0.5
+_LEAST_GAIN = 0.05  # of that share, for a delay to be reported
+_LATE_S = 0.25  # shorter delays are not reported
+_AGREE_S = 0.15  # largest difference of the delays of the two halves of a log
 _LEAST_ROWS = 50
 _LEAST_INTERVALS = 60
 _STANDING = 0.3  # a robot that drove and turned less than this [m, rad] never moved
-_SIGMA_C = 0.02  # prior standard deviation of c [m²]: of positions good to 0.1 m
-# A slope is outside its range if it is this many standard errors outside; they are too small, since
-# the errors of neighbouring intervals are not independent.
+_SIGMA_C = 0.02  # prior standard deviation of c [m²], for positions accurate to 0.1 m
+# A slope counts as out of range if it is this many standard errors outside. The limit is
+# high because correlated errors of neighbouring intervals make the standard errors too small.
 _STANDARD_ERRORS = 9.0
 
 
 class _Check(NamedTuple):
-    """What a slope may be, and what is wrong with a log whose slope is not."""
+    """The plausible range of a slope, and the causes of slopes outside it."""
 
-    measured: str  # sentence that says what the slope `times` is
-    least_share: float  # of the squares, which the slope has to explain
+    measured: str  # sentence that states the slope `times`
+    least_share: float  # of the squares that the slope must explain to be judged
     causes: dict  # {upper limit of the slope: cause}; None for the range that is plausible
 
 
@@ -89,13 +89,13 @@ _TRUE_YAW = _Check(
 
 
 class _Track(NamedTuple):
-    """The path of one segment, and its ways by the encoders."""
+    """The path of one segment, and the motion by the encoders."""
 
     t: np.ndarray  # (n,) times of the positions [s]
     position: np.ndarray  # (n,) x + iy [m]
     t_encoders: np.ndarray  # (m,) times of the encoder measurements [s]
-    driven: np.ndarray  # (m,) way driven by then [m]
-    turned: np.ndarray  # (m,) angle turned by then [rad]
+    driven: np.ndarray  # (m,) distance driven until then [m]
+    turned: np.ndarray  # (m,) angle turned until then [rad]
 
 
 def _tracks(rows):
@@ -107,20 +107,20 @@ def _tracks(rows):
         if min(len(positions), len(speeds)) >= 3:
             t, x, y = positions.to_numpy().T
             t_encoders = speeds["t_s"].to_numpy()
-            ways = cumulative_trapezoid(speeds[_ENCODERS], t_encoders, axis=0, initial=0)
-            tracks.append(_Track(t, x + 1j * y, t_encoders, *ways.T))
+            motion = cumulative_trapezoid(speeds[_ENCODERS], t_encoders, axis=0, initial=0)
+            tracks.append(_Track(t, x + 1j * y, t_encoders, *motion.T))
     return tracks
 
 
 def _moves(tracks, length_s, delay_s):
-    """What antenna and tracks do in all intervals of this length, (intervals, 6).
+    """Motion of antenna and tracks in intervals of one length, for late positions, (intervals, 6).
 
-    The columns are d, n and w; the turn of the course to the next interval; w in between; and the
-    weight of that turn. Positions are taken to be late by delay_s.
+    The columns are d, n, w, the turn of the course to the next interval, w between the two
+    intervals, and the weight of that turn.
     """
     parts = [np.zeros((0, 6))]
     for track in tracks:
-        # Five instants, half an interval apart, belong to a move: k, …, k + 4.
+        # Each row uses five instants k, …, k + 4 that are half an interval apart.
         at = np.arange(track.t[0], track.t[-1], length_s / 2)
         p = np.interp(at, track.t, track.position)
         n = np.interp(at - delay_s, track.t_encoders, track.driven)
@@ -152,10 +152,7 @@ def _slope(x, y):
 
 
 def _compare(tracks, length_s, delay_s):
-    """The _Slope of the path over the encoders' way, μ, and of its turns over theirs, κ.
-
-    None if there are too few intervals.
-    """
+    """The _Slope of distance by positions over encoders, μ, and of turns, κ; None for few data."""
     moves = _moves(tracks, length_s, delay_s)
     if len(moves) < _LEAST_INTERVALS:
         return None
@@ -164,7 +161,7 @@ def _compare(tracks, length_s, delay_s):
     x = np.stack([n**2, w**2, n * w, 1 + 0 * n], axis=1)
     y = d**2
     residual = np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2)
-    # At a constant speed the intervals do not determine c: a prior does.
+    # At a constant speed the intervals do not determine c, so a prior is added.
     prior = np.sqrt(residual / len(y)) / _SIGMA_C * np.eye(4)[3:]
     mu2, sigma, _ = _slope(np.append(x, prior, axis=0), np.append(y, 0))
     mu = np.sqrt(max(mu2, 1e-14))
@@ -174,10 +171,7 @@ def _compare(tracks, length_s, delay_s):
 
 
 def _best_delay(rows):
-    """How much later than encoder measurements positions come [s], and `_compare` at that delay.
-
-    The delay is 0 where the log does not determine it.
-    """
+    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it."""
     tracks = _tracks(rows)
 
     def explained(delay_s):
@@ -197,9 +191,9 @@ def _best_delay(rows):
 
 
 def _halves_agree(rows, delay_s):
-    """Whether one half of a log shows the delay of all of it, and the other shows no other one.
+    """Whether one half of a log has the delay of the whole log, and the other half no other delay.
 
-    Positions that are only noisy do not.
+    The halves of a log whose positions are only noisy disagree.
     """
     middle = len(rows) // 2
     delays = [_best_delay(half)[0] for half in (rows[:middle], rows[middle:])]
@@ -207,7 +201,7 @@ def _halves_agree(rows, delay_s):
 
 
 def _cause(slope, check):
-    """What is wrong with a log of this _Slope, by a _Check; None if nothing surely is."""
+    """The cause of a _Slope that is significantly out of range; None if it is in range."""
     limits = [-np.inf, *check.causes]
     high = next(limit for limit in check.causes if check.causes[limit] is None)
     low = limits[limits.index(high) - 1]
@@ -218,19 +212,19 @@ def _cause(slope, check):
     return next(check.causes[limit] for limit in check.causes if slope.value <= limit)
 
 
-def _turn_of_the_truth(rows):
-    """The _Slope of the true yaw's turns between rows over those by the encoders."""
+def _slope_of_true_yaw(rows):
+    """The _Slope of the turns of the true yaw between rows over the turns by the encoders."""
     step = rows.groupby("segment")[["t_s", "theta_rad"]].diff()
     step = step.assign(w=rows[_ENCODERS[1]] * step["t_s"]).dropna()
     is_usual = step["t_s"] < 2 * step["t_s"].median()
-    step = step[is_usual & (step["theta_rad"].abs() < 3)]  # without silences and jumps of 2π
+    step = step[is_usual & (step["theta_rad"].abs() < 3)]  # without gaps and jumps of 2π
     return _slope(step[["w"]].to_numpy(), step["theta_rad"].to_numpy())
 
 
 def _refuse_standing(rows, names):
     """Raise a ValueError for a robot that never moves."""
-    ways = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()
-    farthest = (ways.max() - ways.min()).max()
+    motion = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()
+    farthest = (motion.max() - motion.min()).max()
     if len(rows) >= _LEAST_ROWS and farthest < _STANDING:
         raise ValueError(
             f"the log's {names['speed']} and {names['yaw_rate']} should be of a robot that moves: "
@@ -238,17 +232,27 @@ def _refuse_standing(rows, names):
         )
 
 
+def _refuse_frozen(recording, names):
+    """Raise a ValueError for positions that never change although the robot moves."""
+    n_positions = recording.rows[_POSITION[0]].count()
+    n_held = recording.faults["positions_held"]
+    if n_positions <= recording.faults["segments"] and n_held >= _LEAST_ROWS:
+        raise ValueError(
+            f"the log's {names['place']} should be of a robot that moves: they never change"
+        )
+
+
 def refuse_implausible(recording):
-    """Refuse a Recording that cannot be what its columns say.
+    """Refuse a Recording with wrong units, signs or axes, or of a robot that never moves.
 
     Args:
         recording: The Recording.
 
     Raises:
-        ValueError: For a robot that never moves, and for wrong units, signs and axes.
+        ValueError: If the Recording is refused; the message names the probable cause.
 
     Warns:
-        UserWarning: If the positions come late; it names the argument that corrects this.
+        UserWarning: If the positions are late; the message names the argument that corrects this.
     """
     rows = recording.rows
     columns = recording.columns
@@ -259,15 +263,16 @@ def refuse_implausible(recording):
         place=", ".join(columns[name] for name in _POSITION),
     )
     _refuse_standing(rows, names)
+    _refuse_frozen(recording, names)
     delay_s, slopes = _best_delay(rows)
     if slopes is None:
         return
     mu, kappa = slopes
-    truth = _turn_of_the_truth(rows) if "theta_rad" in rows else None
+    truth = _slope_of_true_yaw(rows) if "theta_rad" in rows else None
     for slope, check in ((mu, _MU), (kappa, _KAPPA), (truth, _TRUE_YAW)):
         cause = _cause(slope, check) if slope else None
         if cause and check is _KAPPA and kappa.value < 0 and truth:
-            # The true yaw tells a yaw rate of the wrong sign from swapped axes.
+            # The true yaw distinguishes a yaw rate of the wrong sign from swapped axes.
             cause = _SWAPPED if truth.value > 0 else _YAW_RATE_CLOCKWISE
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
@@ -276,6 +281,6 @@ def refuse_implausible(recording):
         late = f"{abs(delay_s):.2g} s {'later' if delay_s > 0 else 'earlier'}"
         warnings.warn(
             f"the log's {names['place']} come {late} than {names['speed']}, {names['yaw_rate']}; "
-            f"position_delay_s={delay_s:.2f} makes up for that",
+            f"position_delay_s={delay_s:.2f} corrects this",
             stacklevel=3,
         )

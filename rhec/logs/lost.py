@@ -1,10 +1,10 @@
-"""Whether a replay has lost its robot, and what its log does not determine.
+"""Detection of a lost estimate, and remarks on what a log does not determine.
 
-An estimate is lost if its innovations y are large and have the direction of the one before. The
-measure is the median of y_k' S⁻¹ y_{k-1} over SAMPLES in which the robot moves. For an estimate
-that follows the robot it is about 0, even if positions are worse than assumed or some are outliers.
-An estimate is also lost if μ or κ are at their lower bound, which is how a yaw that is half a turn
-wrong ends.
+An estimate is lost if successive innovations y are large and point in the same direction. The
+measure is the median of y_k' S⁻¹ y_{k-1} over SAMPLES samples in which the robot moves. While the
+estimate follows the robot, this median is about 0, even with outliers or noisier positions than
+assumed. An estimate is also lost if μ or κ is at its lower bound; a yaw error of half a turn drives
+it there.
 """
 
 import numpy as np
@@ -13,15 +13,13 @@ import pandas as pd
 from rhec import paper
 from rhec.simulation.columns import INNOVATION, SIGMA
 
-__all__ = ["is_lost", "remarks"]
-
-SAMPLES = 25  # of a median
-FAR = 5.0  # a median above this is lost
-LEAST_TRACTION = 0.02  # and a median of μ or κ below this
-# A robot below both of these stands.
+SAMPLES = 25  # length of the medians
+FAR = 5.0  # an estimate with a larger median is lost
+LEAST_TRACTION = 0.02  # so is one with a smaller median of μ or κ
+# A robot below both limits stands.
 _MOVING_MPS = 0.05
 _TURNING_RADPS = 0.05
-# A robot that drives or turns less determines no μ or no κ.
+# A robot that drives less does not determine μ; one that turns less does not determine κ.
 _LEAST_DRIVEN_M = 1.0
 _LEAST_TURNED_RAD = 0.5
 
@@ -42,9 +40,9 @@ def _persistence(samples, sigma_v):
 
 
 def is_lost(samples, sigma_v):
-    """Whether each of one segment's samples is lost, (n,).
+    """Whether the estimate is lost at each sample of a segment, (n,).
 
-    While the robot stands, the answer stays the same.
+    The answer does not change while the robot stands.
 
     Args:
         samples: DataFrame of one segment's samples.
@@ -59,7 +57,7 @@ def is_lost(samples, sigma_v):
         (-samples["mu_hat"], moves, -LEAST_TRACTION),
         (-samples["kappa_hat"], turns, -LEAST_TRACTION),
     ):
-        # Samples in which the robot stands tell nothing: the medians are over the others.
+        # Samples in which the robot stands carry no information and are left out of the medians.
         counted = value[counts & value.notna()]
         median = counted.rolling(SAMPLES, min_periods=SAMPLES // 2).median()
         lost |= (median > limit).reindex(samples.index).ffill().eq(True)
@@ -67,7 +65,7 @@ def is_lost(samples, sigma_v):
 
 
 def remarks(samples, is_arm_estimated):
-    """What a user should know of a replay, a list of sentences."""
+    """Sentences about a replay: where the estimate is lost, and what the log does not determine."""
     lost = samples["lost"]
     sentences = []
     if lost.any():
@@ -79,14 +77,14 @@ def remarks(samples, is_arm_estimated):
     driven_m = paper.DT_S * samples["nu_meas_mps"].abs().sum()
     turned_rad = paper.DT_S * samples["omega_meas_radps"].abs().sum()
     if driven_m < _LEAST_DRIVEN_M:
-        sentences.append("μ cannot be seen: by its encoders the robot never moves.")
+        sentences.append("μ is not observable: according to its encoders the robot never moves.")
     if turned_rad < _LEAST_TURNED_RAD:
-        sentences.append("κ cannot be seen: by its encoders the robot never turns.")
+        sentences.append("κ is not observable: according to its encoders the robot never turns.")
     if is_arm_estimated and turned_rad < _LEAST_TURNED_RAD:
-        sentences.append("The antenna's place cannot be seen either.")
+        sentences.append("The position of the antenna is not observable either.")
     elif is_arm_estimated:
         sentences.append(
-            "The antenna's place is that from the centre of turning: where in the robot that lies "
-            "cannot be told apart."
+            "The position of the antenna is relative to the centre of turning, whose place in the "
+            "robot the log does not determine."
         )
     return sentences

@@ -1,10 +1,8 @@
-"""Files of a replay: its estimates as tables, its paths for the tool `evo`, its scores as text."""
+"""Files of a replay: tables of the estimates, paths for the tool `evo`, and scores as text."""
 
 import numpy as np
 
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
-
-__all__ = ["write_estimates", "write_scores"]
 
 
 def write_estimates(estimates, folder):
@@ -12,7 +10,7 @@ def write_estimates(estimates, folder):
 
     Args:
         estimates: DataFrame, as `rhec.replay` returns it.
-        folder: Path of the folder, which is made if it is not there.
+        folder: Path of the folder, which is created if needed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     estimates.to_csv(folder / "estimates.csv", index=False)
@@ -24,10 +22,7 @@ def write_estimates(estimates, folder):
 
 
 def _write_path(file, estimates, x, y, yaw_rad):
-    """Write a path with a line `t x y z qx qy qz qw` for each time at which its position is known.
-
-    x, y: columns of the position; yaw_rad: its yaw [rad], as a quaternion (0, 0, qz, qw).
-    """
+    """Write a line `t x y z qx qy qz qw` for each row with a position in the columns x, y."""
     path = estimates[["t_s", x, y]].assign(
         z=0.0, qx=0.0, qy=0.0, qz=np.sin(yaw_rad / 2), qw=np.cos(yaw_rad / 2)
     )

@@ -1,6 +1,6 @@
-"""Files of recorded logs as the columns that `rhec.replay` takes: CSV, Parquet, and ROS bags.
+"""Reads recorded logs (CSV, Parquet, ROS bags) into the columns that `rhec.replay` takes.
 
-A file is data: nothing in it is executed. What the reader inferred is in `log.attrs["found"]`.
+No content of a file is executed. `log.attrs["inferred"]` lists what the reader inferred.
 """
 
 import itertools
@@ -12,13 +12,14 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.core._casadi.validation import Positive, checked
+from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bags import SUFFIXES, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
-__all__ = ["read"]
-
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
+# Larger files are no logs, and would take minutes and gigabytes to read.
+_MOST_VALUES = 50_000_000
+_MOST_COLUMNS = 10_000
 _DECIMALS = {",": "comma", ".": "point"}
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp|date_?time)(?:_(s|ms|us|ns))?", re.IGNORECASE)
@@ -39,32 +40,36 @@ def read(
     topics: tuple[str, ...] | None = None,
     wheel_radius_m: Positive | None = None,
 ) -> pd.DataFrame:
-    """A recorded log from a file, with the columns that `rhec.replay` takes.
+    """Read a recorded log from a file into the columns that `rhec.replay` takes.
 
     Args:
         path: A .csv or .parquet file; or a bag: .bag (ROS 1), or a folder, .db3 or .mcap (ROS 2).
             The reader infers the separator of a .csv (tab, ; | , or space) and its decimal comma.
             The time (column `t_s`, `time`, `timestamp` …) may be in s, ms, us, ns or ISO 8601.
-            `latitude`, `longitude` [deg] may stand in place of `x_m`, `y_m`.
+            `latitude`, `longitude` [deg] may replace `x_m`, `y_m`.
         columns: {column of a recording: name in the file} where the names differ, such as
             {"x_m": "east"}.
-        topics: Topics of a bag with the position and with the encoders' speeds. By default each is
-            the only one of its type: NavSatFix, PoseStamped or Odometry; and JointState,
-            TwistStamped or (its twist) Odometry.
-        wheel_radius_m: Radius of the wheels [m], needed for a JointState's speeds [rad/s].
+        topics: Topics of a bag with the positions and with the encoder speeds. By default each is
+            the only topic of its type: NavSatFix, PoseStamped or Odometry for positions;
+            JointState, TwistStamped or the twist of an Odometry for speeds.
+        wheel_radius_m: Radius of the wheels [m], needed for the speeds [rad/s] of a JointState.
 
     Returns:
-        DataFrame. A bag has one row for each time stamp in it, in order, with what was measured
-        then, so that no row depends on later ones. Its columns are x_m, y_m, and speed_mps,
-        yaw_rate_radps or, of a JointState, v_left_mps, v_right_mps, for which `rhec.replay` takes a
-        track_width_m. Latitude and longitude become metres east and north of the first position, in
-        the plane that touches WGS 84 there; lengths are short by 4 mm in 10 km. `.attrs["found"]`
-        says what was inferred.
+        DataFrame. A bag has one row for each time stamp, in order, with the measurements of that
+        time, so that no row depends on later ones. Its columns are x_m, y_m, speed_mps and
+        yaw_rate_radps. A JointState gives v_left_mps and v_right_mps instead, for which
+        `rhec.replay` takes a track_width_m. Latitude and longitude become metres east and north of
+        the first position, in the plane tangent to WGS 84 there; lengths are 4 mm too short in
+        10 km. `.attrs["inferred"]` lists what was inferred.
 
     Raises:
         ValueError: If the file cannot be read, or if it lacks the topics or columns.
     """
+    if not isinstance(path, str | Path):
+        raise ValueError(f"log was {shown(path)}; it should be a path")
     file = Path(path)
+    if not _is_path(file):
+        raise ValueError(f"log was {shown(path)}; it cannot be a path")
     is_bag = file.suffix in SUFFIXES or (file / "metadata.yaml").is_file()
     if not (is_bag and file.exists() or file.suffix in (".csv", ".parquet") and file.is_file()):
         raise ValueError(
@@ -79,7 +84,7 @@ def read(
         elif file.suffix == ".csv":
             log, inferred = _read_csv(file)
         else:
-            log = pd.read_parquet(file, engine="pyarrow")
+            log = _read_parquet(file)
             inferred = {}
     except Exception as error:  # any error that a reader raises for a broken file
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {error}") from None
@@ -91,19 +96,31 @@ def read(
         log[name] = log[column]
     log = _in_seconds(log, inferred)
     log = _in_metres(log, inferred)
-    log.attrs["found"] = inferred
+    log.attrs["inferred"] = inferred
     return log
 
 
+def _is_path(file):
+    """Whether the system takes this as a path at all: not with a NUL or thousands of letters."""
+    try:
+        file.exists()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
 def _read_csv(file):
-    """The table in a .csv file, and its separators."""
+    """The table in a .csv file, and its separators as {property: inferred value}."""
     with file.open(encoding="utf-8-sig") as lines:
         head = list(itertools.islice(lines, 50))
-    # The space is tried last, since a name may contain one.
+    # The space is tried last, because a column name may contain one.
     names = head[0].strip() if head else ""
     separator = next((mark for mark in _SEPARATORS if mark in names), ",")
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in head[1:])
     decimal = "," if separator != "," and has_commas else "."
+    n_columns = names.count(separator) + 1
+    if n_columns > _MOST_COLUMNS:
+        raise ValueError(f"it has {n_columns} columns, and should have at most {_MOST_COLUMNS}")
     table = pd.read_csv(
         file,
         sep=r"\s+" if separator == " " else separator,
@@ -115,11 +132,22 @@ def _read_csv(file):
     return table, dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
 
 
+def _read_parquet(file):
+    """The table in a .parquet file, unless unpacking it would fill the memory."""
+    import pyarrow.parquet as pq  # only some have it
+
+    metadata = pq.read_metadata(file)
+    n_values = metadata.num_rows * metadata.num_columns
+    if n_values > _MOST_VALUES:
+        raise ValueError(f"it has {n_values} values, and should have at most {_MOST_VALUES}")
+    return pd.read_parquet(file, engine="pyarrow")
+
+
 def _in_seconds(log, inferred):
-    """The log with its time in a column t_s [s]; a time in another unit counts from its first."""
+    """The log with its time in a column t_s [s], which starts at 0 unless it was in seconds."""
     names = [name for name in log if _TIME.fullmatch(str(name))]
     if not names:
-        return log  # a replay says which columns it lacks
+        return log  # `rhec.replay` reports the missing columns
     name = "t_s" if "t_s" in names else names[0]
     time = log[name]
     numbers = pd.to_numeric(time, errors="coerce")
@@ -129,14 +157,14 @@ def _in_seconds(log, inferred):
         unit = "ISO 8601"
     else:
         unit = _unit(name, numbers)
-        # Nanoseconds since 1970 have too many digits for a float; their difference has not.
+        # Nanoseconds since 1970 have too many digits for a float; their difference does not.
         t_s = numbers if unit == "s" else (numbers - numbers.min()) * SECONDS[unit]
     inferred["time"] = f"{unit}, column {name}"
     return log.assign(t_s=t_s)
 
 
 def _unit(name, times):
-    """The unit of a column of times: the one in its name, unless rows would be too far apart."""
+    """The unit in the name of a time column or, if rows would then be too far apart, by values."""
     t = times.to_numpy(dtype=float, na_value=np.nan)
     unit, period = time_unit(t, _MAX_PERIOD_S)
     of_name = (_TIME.fullmatch(name)[1] or "").lower()
@@ -146,18 +174,29 @@ def _unit(name, times):
 
 
 def _degrees(log, names):
-    """The first column of one of these names as an array; None if there is none."""
+    """The first column with one of these names as an array; None if the log has no such column."""
     column = next((column for column in log if str(column).lower() in names), None)
     if column is None:
         return None
     return pd.to_numeric(log[column], errors="coerce").to_numpy(dtype=float)
 
 
+def _refuse_other_angles(angle, largest):
+    """Raise a ValueError for latitudes or longitudes that are not in degrees."""
+    size = np.nanmedian(np.abs(angle)) if np.isfinite(angle).any() else 0.0
+    if size > largest:
+        name = "latitude" if largest == 90 else "longitude"
+        raise ValueError(
+            f"the log's {name} is {size:.7g} (median); it may be in degrees and minutes or in "
+            f"1e-7 degrees and should be in degrees, at most {largest}"
+        )
+
+
 def _in_metres(log, inferred):
     """The log with x_m east and y_m north of the first position, from latitude and longitude.
 
-    Geocentric coordinates are turned into the plane that touches the ellipsoid at the first
-    position. A log that has x_m, or no latitude and longitude, stays as it is.
+    Geocentric coordinates are projected onto the plane tangent to the ellipsoid at the first
+    position. A log with x_m, or without latitude and longitude, is returned unchanged.
     """
     if "x_m" in log:
         return log
@@ -166,6 +205,10 @@ def _in_metres(log, inferred):
     altitude = _degrees(log, _ALTITUDE)
     if latitude is None or longitude is None:
         return log
+    _refuse_other_angles(latitude, 90)
+    _refuse_other_angles(longitude, 180)
+    # A receiver without a fix sends 0, 0.
+    latitude = np.where((latitude == 0) & (longitude == 0), np.nan, latitude)
     first = np.argmax(np.isfinite(latitude + longitude))
     inferred["position"] = (
         f"metres east and north of latitude {latitude[first]:.7f}, longitude {longitude[first]:.7f}"

@@ -1,12 +1,12 @@
-"""Recordings: parse the columns of a log, leave out what cannot be used, resample the rest.
+"""Recordings: parse the columns of a log, drop unusable rows, and resample the others.
 
-`help(rhec.replay)` lists the columns. Faults of sensors and clocks are no errors:
+`help(rhec.replay)` lists the columns. Faults of sensors and clocks do not raise errors:
 
-- A measurement that is no finite number of plausible size is missing.
-- A position equal to the one before to the last digit is an old one that was held: it is missing.
-- A row is left out if its time is no number, is far from those of the rows before it, or is not
-  later than all of them.
-- Where the clock is set back, or the log is silent for ten minutes, a new segment begins.
+- A measurement counts as missing if it is not a finite number of plausible size.
+- A position that equals the previous one to the last digit is a repeated one and counts as missing.
+- A row is dropped if its time is not a number, is far from the times of the rows before it, or is
+  not later than all of them.
+- A new segment begins where the clock is set back, or after ten minutes without rows.
 """
 
 from typing import NamedTuple
@@ -26,67 +26,57 @@ from rhec.simulation.columns import (
 )
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = [
-    "MAX_PERIOD",
-    "SECONDS",
-    "Recording",
-    "measured_since",
-    "prepare",
-    "prepare_for",
-    "resample",
-    "time_unit",
-]
-
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
-_FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # false: these are missing
+_FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
 _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
-# Times in samples of the estimator:
-MAX_PERIOD = 1.25  # between rows, by their median: slower logs are refused
-_TRUTH_GAP = 1.75  # true poses further apart are not interpolated
-_ENCODER_GAP = 3.25  # nor are encoder measurements, and none is held for longer
-_HELD = 15.0  # after a longer silence the robot is taken to stand
-_SEGMENT_GAP = 3000.0  # after a longer silence a new segment begins
-# A time that is further from the median of itself and the two before is wrong; a clock that is set
-# back by more begins a new segment.
+# Times in sampling periods of the estimator:
+MAX_PERIOD = 1.25  # largest median period of a log; slower logs are refused
+_TRUTH_GAP = 1.75  # longer gaps between true poses are not interpolated
+_ENCODER_GAP = 3.25  # largest gap of encoder measurements that is interpolated or held
+_STANDING_GAP = 15.0  # after a longer gap the robot is assumed to stand
+_SEGMENT_GAP = 3000.0  # after a longer gap a new segment begins
+# A time is wrong if it differs by more from the median of itself and the two times before it. A
+# clock that is set back by more begins a new segment.
 _CLOCK = 5.0
-_MOST_FALLING = 0.05  # share of the times of a log in order
+_MOST_FALLING = 0.05  # largest share of falling times in a log that counts as sorted
 _LEAST_ROWS = 5  # of a segment, on average
+_LEAST_USABLE = 0.5  # share of the rows whose times can be used: fewer are no recording of a drive
 SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)  # units of time
-_SHORTEST_S = 0.004  # between rows of a log
-_SAME_S = 1e-3  # times this close are the same
+_SHORTEST_S = 0.004  # shortest median period of a log
+_SAME_S = 1e-3  # times that differ by less are equal
 
 
 class Recording(NamedTuple):
     """A log that is ready to be resampled."""
 
     rows: pd.DataFrame  # its usable rows: segment, t_s, measurements, truth, named as in a run
-    places: np.ndarray  # (rows,) where they are in the log
-    averaged: bool  # whether encoder measurements are means since the row before
-    track_width_m: float  # as passed; else by the log's track speeds; else the paper's
-    faults: dict  # {reason: number of rows or measurements that cannot be used}
-    columns: dict  # {column of `rows`: what the log calls it}
+    places: np.ndarray  # (rows,) their positions in the log
+    averaged: bool  # whether encoder measurements are means since the previous row
+    track_width_m: float  # the argument, else from the log's track speeds, else the paper's
+    faults: dict  # {reason: number of unusable rows or measurements}
+    columns: dict  # {column of `rows`: column of the log}
 
 
 def prepare(log, track_width_m=None, position_delay_s=0.0):
-    """The Recording in a log of the paper's robot.
+    """The Recording of a log of the paper's robot.
 
     Args:
         log: DataFrame, as `rhec.replay` takes it.
         track_width_m: Compute ν and ω from the speeds of tracks this far apart [m].
-        position_delay_s: How late the positions were stamped [s].
+        position_delay_s: Delay of the time stamps of the positions [s].
 
     Returns:
         Recording.
 
     Raises:
-        ValueError: For a log without the columns, numbers or times that a replay needs.
+        ValueError: If the log lacks columns, numbers or times that a replay needs.
     """
     is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     values, columns = _parse_robot(log, is_simulated, track_width_m)
     limits = SPEED_MODELS["parameter"].model.limits
     _drop_implausible(values, columns, dict(zip(MEASUREMENTS, limits)))
-    # Half a position is none.
+    # A position with one coordinate is missing.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
     rows, places = _usable_rows(values, paper.DT_S)
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
@@ -94,7 +84,7 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     rows.loc[is_held, _POSITION] = np.nan
     if position_delay_s:
         positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
-        rows[_POSITION] = positions.apply(_moved_earlier, position_delay_s)
+        rows[_POSITION] = positions.apply(_shift_positions, position_delay_s)
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
@@ -108,7 +98,7 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
 
 
 def prepare_for(model, dt_s, log):
-    """The Recording in a log of a Model: a column for each output, measured inputs as means."""
+    """The Recording of a log of a Model, with a column for each output; inputs are means."""
     columns = {name: name for name in model.outputs}
     values = _parse(log, columns)
     _drop_implausible(values, columns, dict(zip(columns, model.limits)))
@@ -121,7 +111,7 @@ def prepare_for(model, dt_s, log):
 
 
 def _parse_robot(log, is_simulated, track_width_m):
-    """`_parse` of a log of the paper's robot, and {name: what the log calls it}."""
+    """`_parse` of a log of the paper's robot, and {name: column of the log}."""
     measured = RECORDED
     truth = RECORDED_TRUTH
     if is_simulated:
@@ -138,34 +128,33 @@ def _parse_robot(log, is_simulated, track_width_m):
         )
         measured = measured | dict.fromkeys(_ENCODERS, ", ".join(TRACKS))
     if is_simulated and {"mu", "nu_mps", "kappa", "omega_radps"} <= set(log.columns):
-        # Over ground the robot moves with μ ν and κ ω.
+        # Speed and yaw rate over ground are μ ν and κ ω.
         values["v_true_mps"] = values["mu"] * _numbers(log, "nu_mps")
         values["yaw_rate_true_radps"] = values["kappa"] * _numbers(log, "omega_radps")
     return values, truth | measured
 
 
 def _parse(log, measured, optional=None, flags=None):
-    """Columns of a log as floats: t_s, the measured ones, segment, and the optional ones it has.
+    """Columns of a log as floats: t_s, the measurements, segment, and the optional columns present.
 
     Args:
         log: DataFrame.
-        measured: {name: column} of what it must have.
-        optional: {name: column} of what it may have.
-        flags: {column: names} of columns that are false where these are missing.
+        measured: {name: column} of required columns.
+        optional: {name: column} of optional columns.
+        flags: {column: names}; the named measurements are missing where the column is false.
     """
     if not isinstance(log, pd.DataFrame) or not len(log):
         empty = " without rows" if isinstance(log, pd.DataFrame) else ""
         raise ValueError(f"log was {type(log).__name__}{empty}; it should be a DataFrame with rows")
-    wanted = dict(t_s="t_s") | measured
-    sentence = missing_columns(log, wanted)
-    if sentence:
-        raise ValueError(sentence)
-    values = pd.DataFrame({name: _numbers(log, column) for name, column in wanted.items()})
-    for name, column in wanted.items():
+    required = dict(t_s="t_s") | measured
+    message = missing_columns(log, required)
+    if message:
+        raise ValueError(message)
+    values = pd.DataFrame({name: _numbers(log, column) for name, column in required.items()})
+    for name, column in required.items():
         if not np.isfinite(values[name]).any():
             raise ValueError(f"the log's column {column} had no number in it")
-    segment = pd.factorize(log["segment"])[0].astype(float) if "segment" in log else 0.0
-    values = values.assign(segment=segment)
+    values = values.assign(segment=_segments(log))
     for flag, flagged in (flags or {}).items():
         if flag in log:
             values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
@@ -175,19 +164,29 @@ def _parse(log, measured, optional=None, flags=None):
     return values
 
 
+def _segments(log):
+    """The segments, numbered in the order in which they come; 0 without such a column."""
+    if "segment" not in log:
+        return 0.0
+    try:
+        return pd.factorize(log["segment"])[0].astype(float)
+    except (TypeError, ValueError):  # lists, or several columns of this name
+        raise ValueError("the log's segment should be one column of numbers or words") from None
+
+
 def _numbers(log, column):
-    """A column as an array of floats; an entry that is no finite number becomes NaN."""
+    """A column as an array of floats; entries that are not finite numbers become NaN."""
     values = log[column]
     if not isinstance(values, pd.Series):
         raise ValueError(f"the log had several columns {column}; it should have one")
     if not (pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values)):
-        values = pd.to_numeric(values.map(str), errors="coerce")  # bytes are no number either
+        values = pd.to_numeric(values.map(str), errors="coerce")  # str() turns bytes into NaN
     values = values.to_numpy(dtype=float, na_value=np.nan)
     return np.where(np.isfinite(values), values, np.nan)
 
 
 def _recorded_width(log):
-    """Track width b [m]: the median of (ν_r - ν_l)/ω if the log has all three, else the paper's."""
+    """Track width b [m]: the median of (ν_r - ν_l)/ω; the paper's if the log lacks one of them."""
     yaw_rate = RECORDED["omega_meas_radps"]
     if not {*TRACKS, yaw_rate} <= set(log.columns):
         return paper.TRACK_WIDTH_M
@@ -198,7 +197,7 @@ def _recorded_width(log):
 
 
 def _drop_implausible(values, columns, limits):
-    """Make measurements above their limit missing; refuse a column most of which is."""
+    """Set measurements above their limit to NaN; refuse a column if most of it is above."""
     for name, limit in limits.items():
         size = values[name].abs()
         if (size > limit).sum() > size.notna().sum() / 2 > _LEAST_ROWS:
@@ -209,8 +208,8 @@ def _drop_implausible(values, columns, limits):
         values.loc[~(size <= limit), name] = np.nan
 
 
-def _moved_earlier(rows, delay_s):
-    """Positions of a segment that come delay_s late, each in the row nearest to its own time."""
+def _shift_positions(rows, delay_s):
+    """The positions of a segment, each moved to the row nearest to its time minus delay_s."""
     t = rows["t_s"].to_numpy()
     has_position = rows[_POSITION[0]].notna().to_numpy()
     row = np.interp(t[has_position] - delay_s, t, np.arange(len(t)), -1, -1)
@@ -224,15 +223,15 @@ def _moved_earlier(rows, delay_s):
 
 
 def time_unit(t, max_period_s):
-    """The unit of times, by how far rows are apart.
+    """The unit of times, inferred from the median period.
 
     Args:
         t: (n,) times.
-        max_period_s: Rows are at least 4 ms and at most this far apart [s].
+        max_period_s: Longest plausible period [s]; the shortest is 4 ms.
 
     Returns:
-        The first unit of SECONDS that fits, None if there is none; and the median distance of the
-        rows, in that unit.
+        The first unit of SECONDS with a plausible period, or None; and the median period, in the
+        unit of t.
     """
     step = np.abs(np.diff(t[np.isfinite(t)]))
     period = np.median(step[step > 0]) if (step > 0).any() else np.nan
@@ -241,7 +240,7 @@ def time_unit(t, max_period_s):
 
 
 def _refuse_times(values, dt_s):
-    """Raise a ValueError for times out of order or too far apart, and for too many segments."""
+    """Raise a ValueError for unsorted times, times too far apart, and too many segments."""
     rows = len(values)
     segments = values["segment"].nunique()
     falling = int((values.groupby("segment")["t_s"].diff() < 0).sum())
@@ -261,12 +260,12 @@ def _refuse_times(values, dt_s):
         may = f"t_s may be in {unit}, or the" if unit else "the"
         raise ValueError(
             f"the log had rows {period:.3g} s apart (median); {may}y should be at most {dt_s:g} s "
-            "apart, where need be with missing measurements"
+            "apart, if necessary with missing measurements"
         )
 
 
 def _usable_rows(values, dt_s):
-    """The rows whose times can be used, segments numbered from 0, and their places in the log."""
+    """The rows with usable times, with segments numbered from 0, and their places in the log."""
     _refuse_times(values, dt_s)
     places, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
     if not len(places):
@@ -274,11 +273,16 @@ def _usable_rows(values, dt_s):
             "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
             "segment"
         )
+    if len(places) < _LEAST_USABLE * len(values):
+        raise ValueError(
+            f"the log's t_s can be used in {len(places)} of {len(values)} rows; it may be constant "
+            "or rounded and should rise from row to row"
+        )
     return values.iloc[places].assign(segment=segment).reset_index(drop=True), places
 
 
 def _usable_times(t_s, segment, dt_s):
-    """Places of the rows whose times can be used, and their segments, numbered from 0."""
+    """Places of the rows with usable times, and their segments, numbered from 0."""
     places = np.flatnonzero(np.isfinite(t_s))
     stamps = pd.Series(t_s[places]).groupby(segment[places])
     usual = stamps.transform(lambda t: t.rolling(3, min_periods=1).median()).to_numpy()
@@ -296,24 +300,24 @@ def _usable_times(t_s, segment, dt_s):
 
 
 def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
-    """One segment's rows as samples; no measurement in a sample was read after it.
+    """Resample the rows of one segment; a sample contains no later measurement.
 
     Args:
-        rows: DataFrame of one segment's rows of a Recording.
-        dt_s: Distance of the samples [s]; the first is at the first row.
+        rows: Rows of one segment of a Recording.
+        dt_s: Sampling period [s]; the first sample is at the first row.
         averaged: As in Recording.
-        measured: Names of the measurements. In a sample each is the newest since the sample before,
+        measured: Names of the measurements. A sample has the newest one since the previous sample,
             with its age [s] in the column `<name>_age_s`.
-        means: Those of them that are means over the interval that ends at the sample, as a model's
-            inputs are.
+        means: Names of the measurements that are means over the interval that ends at the sample,
+            such as a model's inputs.
 
     Returns:
-        DataFrame with t_s, measurements, and the truth: speeds as means over the interval, the pose
-        at the sample's time.
+        DataFrame with t_s, the measurements, and the truth: speeds as means over the interval, the
+        pose at the time of the sample.
     """
     t = rows["t_s"].to_numpy()
     grid = t[0] + dt_s * np.arange(int((t[-1] - t[0] + _SAME_S) / dt_s) + 1)
-    # A sample is at a row where there is one that close.
+    # A sample takes the exact time of a row that is closer than _SAME_S.
     row = t[np.minimum(np.searchsorted(t, grid - _SAME_S), len(t) - 1)]
     at = np.where(np.abs(row - grid) <= _SAME_S, row, grid)
     before = np.append(at[0] - dt_s, at[:-1])
@@ -328,17 +332,17 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
         else:
             value = _unwrapped(value) if name == "theta_rad" else value
             result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s)
-    is_silent = at - t[np.searchsorted(t, at, side="right") - 1] > _HELD * dt_s
+    is_silent = at - t[np.searchsorted(t, at, side="right") - 1] > _STANDING_GAP * dt_s
     silence_begins = np.diff(is_silent, prepend=False) & is_silent
     if silence_begins.any():
-        # The estimator holds a missing input: from here on at 0, a robot that stands.
+        # The estimator holds missing inputs, so a zero here makes the robot stand from here on.
         for name in _ENCODERS:
             result[name][silence_begins] = 0.0
     return pd.DataFrame(result)
 
 
 def measured_since(rows, begin_s, dt_s, averaged, means=_ENCODERS):
-    """Means of measurements from the times begin_s [s] to each row's own, as a DataFrame."""
+    """Means of measurements from the times begin_s [s] to the time of each row, as a DataFrame."""
     t = rows["t_s"].to_numpy()
     gap_s = _ENCODER_GAP * dt_s
     columns = {
@@ -350,18 +354,18 @@ def measured_since(rows, begin_s, dt_s, averaged, means=_ENCODERS):
 def _unwrapped(angle):
     """An angle [rad] without jumps of 2π; gaps stay gaps."""
     angle = angle.copy()
-    is_known = np.isfinite(angle)
-    angle[is_known] = np.unwrap(angle[is_known])
+    is_finite = np.isfinite(angle)
+    angle[is_finite] = np.unwrap(angle[is_finite])
     return angle
 
 
 def _truth_at(at, t, value, gap_s):
-    """A value at these times, linear between two that are no more than gap_s apart, else NaN."""
-    is_known = np.isfinite(value)
-    if not is_known.any():
+    """Linear interpolation of a value at these times; NaN in gaps longer than gap_s."""
+    is_finite = np.isfinite(value)
+    if not is_finite.any():
         return np.full(len(at), np.nan)
-    t = t[is_known]
-    value = value[is_known]
+    t = t[is_finite]
+    value = value[is_finite]
     after = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
     is_inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
@@ -369,27 +373,27 @@ def _truth_at(at, t, value, gap_s):
 
 
 def _newest_since(begin, end, t, value):
-    """The newest measurement in each (begin, end] and its age at the end; NaN where none is new."""
-    is_known = np.isfinite(value)
-    t = np.append(-np.inf, t[is_known])
-    value = np.append(np.nan, value[is_known])
+    """The newest measurement in each (begin, end] and its age at the end; NaN without one."""
+    is_finite = np.isfinite(value)
+    t = np.append(-np.inf, t[is_finite])
+    value = np.append(np.nan, value[is_finite])
     newest = np.searchsorted(t, end, side="right") - 1
     is_new = t[newest] > begin
     return np.where(is_new, value[newest], np.nan), np.where(is_new, end - t[newest], np.nan)
 
 
 def _means_since(begin, end, t, value, averaged, gap_s):
-    """Mean of a signal over each (begin, end] [s], by its measurements (t, value) until the end.
+    """Mean of a signal over each (begin, end] [s], from its measurements (t, value) until the end.
 
-    The signal is linear between two instants; if `averaged`, a value is its mean since the one
-    before. The first value also counts before it, and the newest one is held. Across gaps longer
-    than gap_s the signal is unknown. The mean is ∫ signal dt / ∫ 1 dt over the time covered, and
-    NaN if less than half of end - begin is.
+    The signal is linear between measurements or, if `averaged`, a value is the mean since the
+    previous one. The first and the newest value are held. In gaps longer than gap_s the signal is
+    unknown. The mean is ∫ signal dt / ∫ 1 dt over the covered time, or NaN if less than half of the
+    interval is covered.
     """
     if not averaged:
-        is_known = np.isfinite(value)
-        t = t[is_known]
-        value = value[is_known]
+        is_finite = np.isfinite(value)
+        t = t[is_finite]
+        value = value[is_finite]
     if not len(t):
         return np.full(len(end), np.nan)
     edges = np.append(min(begin[0], t[0]), t)
@@ -408,8 +412,8 @@ def _means_since(begin, end, t, value, averaged, gap_s):
 def _integrals(begin, end, edges, n_until_end, signal, held):
     """∫ over each of n intervals (begin, end] of a signal that is constant between edges.
 
-    Of the m pieces between the edges, with the values `signal` (m,), n_until_end (n,) are over by
-    `end`; from then on the signal has the value `held` (n,).
+    The signal has the values `signal` (m,) between the edges; n_until_end (n,) of these pieces end
+    before `end`, and after them the signal has the value `held` (n,).
     """
     until_edge = np.append(0, np.cumsum(signal * np.diff(edges)))
     last_edge = edges[n_until_end]

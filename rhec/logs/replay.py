@@ -1,12 +1,13 @@
-"""Replay: a recorded log through an estimator, whose step is scanned over each segment's samples.
+"""Replay: run an estimator on a recorded log.
 
-Samples are DT_S apart. The encoder measurements of a sample are means over the interval that ends
-there (`recording.resample`). A position that was measured between two samples is moved to the
-second one by the motion that the last estimate and the encoders predict.
+The estimator's step is scanned over the samples of each segment, which are DT_S apart. The encoder
+measurements of a sample are means over the interval that ends there (`recording.resample`). A
+position measured between two samples is moved to the second one by the motion predicted from the
+last estimate and the encoders.
 
-Each row of the log then receives the estimate of the last sample before it, predicted to the row's
-own time by the encoder measurements since. Nothing measured after a row changes its estimate. The
-one exception is the track width, a median over the whole log.
+Each row of the log receives the estimate of the last sample before it, predicted to the time of the
+row with the encoder measurements in between. Later measurements do not change the estimate of a
+row, except by the track width, which is a median over the whole log.
 """
 
 import warnings
@@ -18,7 +19,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import casadi_function, pack_array, packed_size, unpack
+from rhec.core._casadi.build import casadi_function, packed_size, unpack
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import offline
 from rhec.core.estimator.ekf import EKF
@@ -38,7 +40,7 @@ from rhec.simulation.columns import (
     MEASUREMENTS,
     SIGMA,
 )
-from rhec.simulation.faults import corrupted
+from rhec.simulation.fault_signals import corrupted
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import slipping
 from rhec.tracked_robot.choice import Choice, TractionInput
@@ -47,12 +49,10 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import window_of
 from rhec.tracked_robot.tuning import sigma_v_of
 
-__all__ = ["InitialGuess", "estimate_samples", "predictor", "replay", "replay_scenario"]
-
 # What a replay estimates, and the columns of the estimates.
 _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)
 _HATS = [*ESTIMATE, *LEVER_ARM]
-# What a replay records at each sample: an output of its scan, and the columns that it fills.
+# The outputs of the scan at each sample, and the columns that they fill.
 _RECORDED = {
     "estimate": _HATS,
     "sigma": SIGMA,
@@ -73,19 +73,19 @@ _ESTIMATOR_FIELDS = (
     "arrival_mean",
     "robust",
 )
-_N_HEADINGS = 8  # directions tried where the first yaw is unknown
-# Standard deviations of the first guess of _QUANTITIES; all but that of the yaw, and those of the
-# antenna's place, equal the paper's W.
+_N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
+# Standard deviations of the initial guess of _QUANTITIES. They equal the paper's W, except for the
+# yaw and the position of the antenna.
 _SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)
-_SIGMA_ARM_M = 0.005  # of an antenna's place that the user passes
+_SIGMA_ARM_M = 0.005  # standard deviation of a lever arm that the user passes
 
 
 class InitialGuess(NamedTuple):
-    """Prior knowledge of a recorded robot before the first sample; None is unknown."""
+    """Prior knowledge of a recorded robot before the first sample; None means unknown."""
 
-    yaw_rad: tuple | None = None  # first yaw of each segment [rad]
+    yaw_rad: tuple | None = None  # initial yaw of each segment [rad]
     sigma_yaw_rad: float = _SIGMA_FIRST[2]  # its standard deviation [rad]
-    lever_arm_m: tuple | None = None  # place of the antenna ahead and left of the centre [m]
+    lever_arm_m: tuple | None = None  # position of the antenna ahead and left of the centre [m]
 
 
 _UNKNOWN = InitialGuess()
@@ -97,8 +97,8 @@ _UNKNOWN = InitialGuess()
 def _build_replay(*choice):
     """The scan of an estimator that records _RECORDED.
 
-    Its memory is the estimator's, then the last estimate of _QUANTITIES. A row of its stream is z,
-    then the age of the position at the sample [s].
+    Its memory is the memory of the estimator followed by the last estimate of _QUANTITIES. A row of
+    its stream is z followed by the age of the position at the sample [s].
     """
     choice = Choice(*choice)
     step = build_step(choice)
@@ -119,20 +119,16 @@ def _build_replay(*choice):
 
 
 def _moved_to_sample(motion, last, z, age_s):
-    """z with its position moved to the sample's time, from when it was measured age_s [s] before.
-
-    motion: a `_motion`, which predicts both positions from the last estimate.
-    """
+    """z with its position, which is age_s [s] old, moved to the time of the sample by `_motion`."""
     _, now = motion(last, z, paper.DT_S)
     _, then = motion(last, z, paper.DT_S - age_s)
     return ca.vertcat(z[:2] + ca.if_else(age_s > 0, now[:2] - then[:2], 0), z[2:])
 
 
 def _recorded(choice, outputs, z):
-    """The entries of _RECORDED from the outputs of an estimator's step.
+    """The entries of _RECORDED from the outputs of an estimator's step, NaN where it has none.
 
-    Numbers that the estimator does not have are NaN. One without flags uses all valid measurements,
-    solves its problem and never restarts.
+    An estimator without flags uses all valid measurements, converges and never restarts.
     """
     nan = ca.DM.nan(1)
     states = estimator_of(choice.estimator, choice.robust).states(choice)
@@ -140,7 +136,7 @@ def _recorded(choice, outputs, z):
     sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
     if set(slipping.LEVER_ARM) <= set(states):
         window = window_of(choice)
-        # A robust estimator's memory has its own pieces behind those of the window.
+        # In the memory of a robust estimator, further entries follow those of the window.
         packed = outputs["memory"][: packed_size(window.memory)]
         newest = ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])
         arm = dict(zip(states, newest))
@@ -162,7 +158,7 @@ def _recorded(choice, outputs, z):
 def _motion(model, names):
     """Function (estimate, z, tau_s) -> (estimate, outputs) that predicts a Model over tau_s [s].
 
-    It drives by the inputs measured in z, or by the estimated ones where z has none.
+    The inputs are those measured in z, or the estimated inputs where z has no measurement.
     """
     estimate = ca.SX.sym("estimate", len(names))
     z = ca.SX.sym("z", len(model.outputs))
@@ -187,11 +183,11 @@ def predictor(model, names=_QUANTITIES):
 
     Args:
         model: The Model.
-        names: What the estimates are of, in order.
+        names: Names of the entries of an estimate, in order.
 
     Returns:
         Function of arrays (estimate (n, names), z (n, n_z), tau_s (n,)) -> [estimate, outputs]. A
-        missing measurement is the one in the row before.
+        missing measurement is replaced by the previous one.
     """
 
     def predict(estimate, z, tau_s):
@@ -203,7 +199,7 @@ def predictor(model, names=_QUANTITIES):
 
 
 def _model_of(choice):
-    """The Model by which a Choice's estimator predicts."""
+    """The Model that the estimator of a Choice uses for predictions."""
     return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
 
 
@@ -213,7 +209,7 @@ def _model_of(choice):
 def _run(functions, scenario, z, age_s, yaw_rad, first):
     """_COLUMNS of the samples of one segment (n, columns); NaN before the first position.
 
-    The samples have the measurements z (n, 4), whose positions are age_s (n,) old [s].
+    z (n, 4): measurements; age_s (n,): ages of the positions [s]; first: the InitialGuess.
     """
     has_position = np.isfinite(z[:, :2]).all(axis=1)
     begin = np.argmax(has_position) if has_position.any() else len(z)
@@ -226,7 +222,7 @@ def _run(functions, scenario, z, age_s, yaw_rad, first):
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
     memory = pack_array(estimator.init(choice, dict(zip(_QUANTITIES, guess)), sigma))
-    # No estimator of a replay knows the traction; one without slip takes it as 1.
+    # The estimators of a replay do not receive the traction, except for the one that assumes 1.
     settings = estimator.settings(scenario) | dict(traction=np.ones(2))
     stream = np.column_stack([z, age_s])
     arrays = offline.run(functions, np.append(memory, guess), stream, settings)
@@ -236,10 +232,10 @@ def _run(functions, scenario, z, age_s, yaw_rad, first):
 
 
 def _innovations(scenario, estimate, z, age_s):
-    """Measured position minus the predicted one at each sample (n, 2) [m]; the first is NaN.
+    """Measured minus predicted position at each sample (n, 2) [m]; the first is NaN.
 
-    The prediction starts from the estimate (n, 8) before the sample. The encoder measurements
-    since then carry it to the time when the position was measured.
+    The prediction starts at the previous estimate (n, 8) and uses the encoder measurements until
+    the time at which the position was measured.
     """
     innovations = np.full((len(z), 2), np.nan)
     model = _model_of(Choice.of(scenario))
@@ -251,9 +247,9 @@ def _innovations(scenario, estimate, z, age_s):
 
 
 def _most_likely_heading(functions, scenario, z, age_s, first):
-    """`_run` where the first yaw is unknown: several directions are tried.
+    """`_run` with an unknown initial yaw: several directions are tried.
 
-    Each row is that of the direction whose squared innovations up to there have the least sum, so
+    A row is taken from the direction with the smallest sum of squared innovations until then, so
     that no row depends on later measurements.
     """
     unsure = first._replace(sigma_yaw_rad=np.pi / _N_HEADINGS)
@@ -271,8 +267,8 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
         recording: The Recording.
         scenario: The Scenario of the estimator, as `replay_scenario` returns it.
         first: The InitialGuess.
-        faults: (rhec.Fault, …) that are put into the measurements, at times of the log.
-        seed: Of the random directions of the faults.
+        faults: (rhec.Fault, …) that corrupt the measurements, at times of the log.
+        seed: Seed of the random directions of the faults.
 
     Returns:
         DataFrame, one row for each sample of the estimator.
@@ -284,7 +280,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
         z = part[MEASUREMENTS].to_numpy()
         age_s = part[AGE[0]].to_numpy()
         if faults:
-            # An infinite measurement of a fault is missing, as it is in a log.
+            # Infinite measurements count as missing, as in a log.
             z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed)
             z = np.where(np.isfinite(z), z, np.nan)
             part[MEASUREMENTS] = z
@@ -305,10 +301,10 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
 
 
 class _Columns(NamedTuple):
-    """Which columns of the samples `_at_rows` predicts, and by what."""
+    """The columns of the samples that `_at_rows` predicts, and the predictor."""
 
     measured: list  # all measurements
-    means: list  # the measurements that are means, those of the inputs
+    means: list  # the measurements of inputs, which are means
     estimated: list
     predict: Any  # the `predictor` of these estimates
 
@@ -316,15 +312,15 @@ class _Columns(NamedTuple):
 def _at_rows(samples, recording, log, dt_s, columns):
     """One row for each row of the log, in its order and with its index.
 
-    A row has the last sample's estimate, predicted to the row's time. A row that cannot be used
-    has the estimate of the row before it.
+    A row has the estimate of the last sample, predicted to the time of the row. An unusable row has
+    the estimate of the previous row.
     """
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
         parts.append(_at_rows_of_segment(part, rows, dt_s, recording.averaged, columns))
     rows = pd.concat(parts, ignore_index=True)
-    # The row of `rows` for each row of the log; -1 where there is none, then the one before.
+    # The row of `rows` for each row of the log; -1 marks unusable rows.
     usable = np.full(len(log), -1)
     usable[recording.places] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(usable, 0))].set_axis(log.index)
@@ -335,7 +331,7 @@ def _at_rows(samples, recording, log, dt_s, columns):
 
 
 def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
-    """`_at_rows` of one segment's samples and usable rows."""
+    """`_at_rows` of the samples and usable rows of one segment."""
     t = rows["t_s"].to_numpy()
     sampled = samples["t_s"].to_numpy()
     last = np.searchsorted(sampled, t, side="right") - 1
@@ -346,7 +342,7 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
     estimate = result[columns.estimated].to_numpy()
     predicted, _ = columns.predict(estimate, z.to_numpy(), tau)
     result.loc[tau != 0, columns.estimated] = predicted[tau != 0]
-    # What happened at a sample stands in the first row after it alone.
+    # Events of a sample are reported only in the first row after it.
     is_between = np.diff(last, prepend=-1) == 0
     ages = [f"{name}_age_s" for name in columns.measured]
     of_sample = result.columns.intersection([*INNOVATION, "deviance", *ages])
@@ -361,12 +357,12 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
 
 
 def _replay_model(log, model, estimator, arguments):
-    """A log through the RHE or EKF of a Model, a new one for each segment."""
+    """Replay a log with the RHE or EKF of a Model, which restarts in each segment."""
     classes = {"rhe": RHE, "ekf": EKF}
     if estimator not in classes:
         raise ValueError(f"estimator was {estimator!r}; for a model it should be 'rhe' or 'ekf'")
     live = classes[estimator]
-    live(model=model, **arguments)  # refuses bad arguments before it looks at the log
+    live(model=model, **arguments)  # validates the arguments before the log is read
     dt_s = arguments["dt"]
     recording = prepare_for(model, dt_s, log)
     means = [model.outputs[row] for row in model.input_outputs.values()]
@@ -385,9 +381,9 @@ def _replay_model(log, model, estimator, arguments):
 
 
 def _run_live(estimator, model, samples, dt_s):
-    """Estimates, standard deviations and `ok` of a segment's samples, (n, columns).
+    """Estimates, standard deviations and `ok` of the samples of a segment, (n, columns).
 
-    A measurement that is older than its sample is moved to it, as by `_moved_to_sample`.
+    Measurements that are older than their sample are moved to it as in `_moved_to_sample`.
     """
     motion = _motion(model, model.names)
     ages = samples.reindex(columns=[f"{name}_age_s" for name in model.outputs]).to_numpy()
@@ -423,46 +419,45 @@ def replay(
     trust_log: Flag = False,
     **fields: Any,
 ) -> pd.DataFrame:
-    """Estimates from a recorded log: of the paper's robot, or of any Model.
+    """Run an estimator on a recorded log of the paper's robot or of any Model.
 
     Args:
-        log: DataFrame of a recording, in SI units, with a row at least every 0.2 s; a missing
-            measurement is NaN. It has
+        log: DataFrame of a recording, in SI units, with a row at least every 0.2 s; missing
+            measurements are NaN. Required columns:
 
             - `t_s`: time [s];
             - `x_m`, `y_m`: measured position of the antenna [m];
             - `speed_mps`, `yaw_rate_radps`: by the encoders, not corrected for slip; or the track
               speeds `v_left_mps`, `v_right_mps`, together with a track_width_m.
 
-            It may have
+            Optional columns:
 
-            - `segment`: the robot is never driven through where this changes;
-            - `pos_ok`, `encoders_ok`: false where that measurement is to be ignored;
+            - `segment`: changes where the robot was moved without driving;
+            - `pos_ok`, `encoders_ok`: false where that measurement is invalid;
             - `x_true_m`, `y_true_m`, `yaw_true_rad`, `v_true_mps`, `yaw_rate_true_radps`: the
-              truth, which no estimator sees.
+              truth, which the estimators do not use.
 
-            Other columns are ignored. The log of a `rhec.simulate` run is taken as well; its column
-            `x_meas_m` tells it from a recording. With a model the log has `t_s`, a column for each
+            Other columns are ignored. The log of a `rhec.simulate` run is accepted as well and
+            recognised by its column `x_meas_m`. With a model the log has `t_s`, a column for each
             of the model's outputs and optionally `segment`, with a row at least every dt; a
-            measured input is the mean since the row before. `rhec.logs.recording` describes how
-            faults of real logs are treated.
+            measured input is the mean since the previous row. `rhec.logs.recording` describes the
+            treatment of faults of real logs.
         estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "dual" or a CasADi
             Function, as in Scenario. With a model "rhe" or "ekf".
-        model: A rhec.Model. All further arguments are then those of rhec.RHE or rhec.EKF: dt,
+        model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
             sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
-        track_width_m: Distance of the tracks [m]. If passed, ν and ω are computed from v_left_mps
-            and v_right_mps, and speed_mps and yaw_rate_radps are not used.
-        lever_arm_m: Place of the antenna (ahead, left) of the robot's centre of turning [m]. By
+        track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
+            and v_right_mps; speed_mps and yaw_rate_radps are not used.
+        lever_arm_m: Position (ahead, left) of the antenna relative to the centre of turning [m]. By
             default it is estimated, within some decimetres. Only the estimator "rhe" with
-            speed_model="slipping" takes it. The estimated position is that of the antenna.
-        first_yaw_rad: First guess of the yaw [rad], one number or one for each segment. By default
-            several directions are tried. Each row then has the estimate with the least innovations
-            so far, which may be a wrong one until the robot has driven some metres.
+            speed_model="slipping" accepts it. The estimated position is that of the antenna.
+        first_yaw_rad: Initial guess of the yaw [rad], one number or one for each segment. By
+            default several directions are tried. Each row then has the estimate with the smallest
+            innovations until then, which may be wrong until the robot has driven some metres.
         sigma_yaw_rad: Standard deviation of that guess [rad]; 0.3 by default.
-        position_delay_s: How much later than the encoder measurements the positions were stamped
-            [s].
-        trust_log: Whether to replay a log whose units, signs or axes are surely wrong, or whose
-            robot never moves. By default such a log is refused.
+        position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
+        trust_log: Whether to skip the plausibility checks. By default a log with wrong units, signs
+            or axes, or of a robot that never moves, is refused.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
             speed_model, slip, arrival_mean, robust. The default speed_model is "slipping": "input"
             (interpretation R13) with noise that grows with the motion. With "slipping" the
@@ -470,20 +465,20 @@ def replay(
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
-        `rhec.simulation.columns` documents the columns. With a model it has the measurements under
+        `rhec.simulation.log_page` documents the columns. With a model it has the measurements under
         the names of the outputs, `<name>_hat` for each state, input and parameter, `<name>_sigma`,
-        the standard deviation, for states and parameters, and `ok`. A row that cannot be used has
-        the estimate before it. Estimates before a segment's first position are NaN.
-        `.attrs["faults"]` counts the rows and measurements that cannot be used.
-        `.attrs["remarks"]`, without a model, says in sentences whether the estimate is lost and
-        what the log does not determine.
+        the standard deviation, for states and parameters, and `ok`. An unusable row has the
+        previous estimate. Estimates before the first position of a segment are NaN.
+        `.attrs["faults"]` counts unusable rows and measurements. `.attrs["remarks"]`, without a
+        model, is a list of sentences: whether the estimate is lost, and what the log does not
+        determine.
 
     Raises:
-        ValueError: If the log lacks columns or usable times, if it cannot be what its columns say,
+        ValueError: If the log lacks columns or usable times, if it fails the plausibility checks,
             or if an argument is invalid.
 
     Warns:
-        UserWarning: If the estimate is lost, or if the positions are half a second late.
+        UserWarning: If the estimate is lost, or if the positions are late.
     """
     if model is not None:
         _refuse_with_model(
@@ -531,7 +526,7 @@ def _refuse_lever_arm(lever_arm_m, scenario):
 
 
 def _yaw_of_each_segment(first_yaw_rad, recording):
-    """First yaw of each segment as a tuple [rad]; None if it is unknown."""
+    """The initial yaw of each segment as a tuple [rad]; None if it is unknown."""
     segments = recording.rows["segment"].nunique()
     if first_yaw_rad is None:
         return None
@@ -546,7 +541,7 @@ def _yaw_of_each_segment(first_yaw_rad, recording):
 
 
 def replay_scenario(estimator, recording, fields):
-    """The Scenario whose estimator a replay runs.
+    """The Scenario with the estimator of a replay.
 
     Args:
         estimator: As in `replay`.
@@ -567,18 +562,18 @@ def replay_scenario(estimator, recording, fields):
         )
     fields = dict(speed_model="slipping") | fields
     if fields["speed_model"] == "slipping":
-        # Not the paper's: with the filtered mean each measurement counts once.
+        # Unlike the paper's smoothed mean, the filtered one counts each measurement once.
         fields = dict(arrival_mean="filtered", robust=estimator == "rhe") | fields
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
     if not _runs_without_truth(scenario.estimator, scenario.robust):
         names = [repr(name) for name in NAMES if _runs_without_truth(name)]
         raise ValueError(
             f"estimator was {estimator!r}; a replay takes {', '.join(names)} or a CasADi Function: "
-            "a recording has no truth to rely on"
+            "the others need the truth"
         )
     return scenario
 
 
 def _runs_without_truth(estimator, robust=False):
-    """Whether an estimator needs neither the traction nor any other truth."""
+    """Whether an estimator needs no truth, such as the traction."""
     return estimator_of(estimator, robust).traction_input is TractionInput.NONE

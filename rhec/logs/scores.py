@@ -1,6 +1,6 @@
-"""Scores of a replay: by the truth where the log has it, else by its innovations.
+"""Scores of a replay: errors if the log has the truth, and innovations.
 
-Harder replays add noise, a wrong first yaw and sensor faults to a log.
+Perturbed replays add noise, a wrong initial yaw and sensor faults to a log.
 """
 
 import itertools
@@ -14,38 +14,20 @@ from rhec.logs.recording import prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
 
-__all__ = [
-    "FROM_M",
-    "REGRESSIONS",
-    "WINDOW_S",
-    "ahead_rms_m",
-    "distance_driven",
-    "fault_scores",
-    "perturbed_replay",
-    "perturbed_scores",
-    "regression",
-    "rms",
-    "score",
-    "sliding_regression",
-    "while_moving",
-    "yaw_error",
-]
-
-# Scores count from here on, driven in each segment: before, a replay is still finding its yaw.
+# Distance driven in a segment from which scores count; before it the yaw has not yet converged.
 FROM_M = 8.0
-WINDOW_S = 5.0  # of the sliding regressions
+WINDOW_S = 5.0  # window of the sliding regressions
 REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
-_FAST_RADPS = 0.8  # there is a score of the yaw without spins that are faster
-_AHEAD_S = 2.0  # how far a prediction by the encoders goes
-_MOVING = 0.05  # [m/s, rad/s] by the encoders
-_LEAST_RMS = 0.1  # of the measurements [m/s, rad/s] in a window whose regression counts
+_FAST_RADPS = 0.8  # yaw_rms_slow_rad leaves out faster spins
+_AHEAD_S = 2.0  # horizon of the predictions by the encoders
+_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
+_LEAST_RMS = 0.1  # smallest RMS [m/s, rad/s] of the measurements in a window with a regression
 
 
 def regression(samples):
-    """Apparent (μ, κ) of the whole log, by least squares through the origin.
+    """Apparent (μ, κ) of the whole log: Σ xy / Σ x², NaN for a robot that never moves.
 
-    The regressions are of true speed and yaw rate over ground on those measured by the encoders:
-    Σ xy / Σ x². They are NaN for a robot that never moves.
+    x: speed or yaw rate by the encoders; y: the true value over ground.
     """
     coefficients = []
     for measured, truth in REGRESSIONS:
@@ -57,10 +39,7 @@ def regression(samples):
 
 
 def sliding_regression(samples):
-    """Apparent (μ, κ) over the WINDOW_S around each sample, (n, 2).
-
-    They are NaN where the measurements are too small.
-    """
+    """Apparent (μ, κ) over WINDOW_S around each sample, (n, 2); NaN at low speeds."""
     columns = []
     for measured, truth in REGRESSIONS:
         xy = samples[measured] * samples[truth]
@@ -83,17 +62,17 @@ def _position_error(samples):
 
 
 def distance_driven(samples):
-    """Way driven in its segment until each sample [m], forwards or backwards, by the encoders."""
+    """Distance driven in the segment until each sample [m], by the encoders."""
     steps = paper.DT_S * samples["nu_meas_mps"].abs().fillna(0)
     return steps.groupby(samples["segment"]).cumsum()
 
 
 def while_moving(samples, from_s, duration_s):
-    """When a robot first moves for most of a duration [s].
+    """The first time [s] at which the robot moves for most of a duration.
 
     Args:
         samples: DataFrame of a replay's samples.
-        from_s: Earliest time [s]; the log's beginning, if the robot does not move after it.
+        from_s: Earliest time [s], ignored if the robot does not move after it.
         duration_s: The duration [s].
     """
     moves = (samples[MEASUREMENTS[2:]].abs() > _MOVING).any(axis=1)
@@ -105,7 +84,7 @@ def while_moving(samples, from_s, duration_s):
 
 
 def rms(*components):
-    """Root mean square of a vector's length, without the vectors that lack a component."""
+    """Root mean square of the lengths of vectors, without those that lack a component."""
     if not len(components[0]):
         return np.nan
     return float(np.sqrt(np.nanmean(sum(np.square(component) for component in components))))
@@ -120,7 +99,7 @@ def score(samples):
     Returns:
         {score: number}. All but outside and not_ok count from FROM_M driven in each segment.
 
-        - samples: how many count;
+        - samples: number of samples that count;
         - innovation_rms_m;
         - mu_median, kappa_median;
         - outside: samples with an estimate of μ or κ outside [0, 1];
@@ -132,9 +111,9 @@ def score(samples):
         - nees_yaw: mean of the squared error over its variance, 1 if the estimator is consistent;
         - inside_95: share of the errors within 1.96 standard deviations.
 
-        With the true position, position_rms_m; with the true speeds, the regressions
-        mu_regression and kappa_regression, and mu_difference and kappa_difference of the medians
-        from them.
+        With the true position, position_rms_m. With the true speeds, the regressions
+        mu_regression and kappa_regression, and mu_difference and kappa_difference, the medians
+        minus the regressions.
     """
     counted = samples[distance_driven(samples) >= FROM_M]
     estimated = samples[samples["theta_hat_rad"].notna()]
@@ -172,16 +151,16 @@ def score(samples):
 
 
 def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
-    """RMS error [m] of positions predicted from estimates and the encoders' later measurements.
+    """RMS error [m] of positions predicted from estimates and later encoder measurements.
 
     Args:
         samples: DataFrame of a replay's samples with the true position.
         predict: A `replay.predictor`, which predicts for _AHEAD_S in steps of one sample.
-        hats: Columns of the estimates that it takes.
-        measured: Columns of the measurements that it takes.
+        hats: Columns of its estimates.
+        measured: Columns of its measurements.
     """
     n = round(_AHEAD_S / paper.DT_S)
-    # All samples of a segment are predicted at once, one step after the other.
+    # Each step predicts all samples of a segment at once.
     errors = []
     for _, part in samples.groupby("segment"):
         estimate = part[hats].to_numpy()[:-n]
@@ -195,17 +174,17 @@ def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
 
 
 def perturbed_replay(log, seed, **arguments):
-    """Samples of a replay with noise, a wrong first yaw and faults on top of the log.
+    """Samples of a replay with noise, a wrong initial yaw and faults added to the log.
 
     Args:
         log: DataFrame of a recording, as `rhec.replay` takes it.
-        seed: Of the noise and the faults.
+        seed: Seed of the noise and the faults.
         **arguments: Those of `rhec.replay`, and
 
-            - noise_m: standard deviation of the white noise on positions [m], by default 0.02. It
-              is added to that of a sigma_v, which is of the log itself;
-            - yaw_error_rad: error of the first yaw in each segment [rad], by default 0.3. In a log
-              without the true yaw the first one is found as `rhec.replay` finds it;
+            - noise_m: standard deviation of the white noise on positions [m], by default 0.02. Its
+              variance is added to that of a sigma_v, which describes the log;
+            - yaw_error_rad: error of the initial yaw in each segment [rad], by default 0.3. Without
+              the true yaw the initial yaw is estimated as in `rhec.replay`;
             - faults: (rhec.Fault, …).
 
     Returns:
@@ -255,9 +234,8 @@ def perturbed_scores(log, seeds, **arguments):
     """Scores of perturbed replays, a DataFrame with one row for each seed.
 
     Args:
-        log: As in `perturbed_replay`.
-        seeds: Of the noise.
-        **arguments: As in `perturbed_replay`.
+        log, **arguments: As in `perturbed_replay`.
+        seeds: Seeds of the noise.
     """
     recording, others = _prepared(log, **arguments)
     replays = (_perturbed(recording, seed, **others) for seed in seeds)
@@ -270,14 +248,14 @@ def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
     Args:
         log: As in `perturbed_replay`, with the true pose.
         cases: {name: rhec.Fault}.
-        seeds: Of the noise.
+        seeds: Seeds of the noise.
         handling: Values of `robust`.
         **arguments: As in `perturbed_replay`.
 
     Returns:
         DataFrame, one row for each fault, handling and seed. worst_position_m and worst_yaw_rad are
-        from the beginning of the fault to the end of its segment, where last_yaw_rad is the error;
-        outside and not_ok are those of `score`.
+        the largest errors from the beginning of the fault to the end of its segment, last_yaw_rad
+        is the error at the end; outside and not_ok are those of `score`.
     """
     recording, others = _prepared(log, **arguments)
     rows = []

@@ -6,14 +6,15 @@ Every tuning parameter is an argument of the Function, so that a change of a wei
 nothing. What changes the shape of the Function is in `_LoopStructure`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi import build, compiled, scan
+from rhec.core._casadi import build, compiled, packing, scan
 from rhec.core._casadi.validation import shown
 from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
@@ -22,26 +23,15 @@ from rhec.simulation.columns import COLUMNS, FLAGS, LOG
 from rhec.simulation.metrics import metrics
 from rhec.simulation.run import Run
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot import cautious, terrain
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import rhc as paper_rhc
+from rhec.tracked_robot import terrain
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.terrain import Terrain
-
-__all__ = [
-    "Run",
-    "Setup",
-    "build_sample",
-    "finish",
-    "noise_and_faults",
-    "set_up",
-    "simulate",
-    "simulate_setup",
-]
 
 
 class _LoopStructure(NamedTuple):
@@ -74,6 +64,9 @@ def _build_parts(structure):
     horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
     control = rhc.build_phases(horizon)["step"]
     if structure.cautious:
+        # Imported here, like all that is not in the paper: a run imports only what it uses.
+        from rhec.tracked_robot import cautious
+
         states = estimator_of(choice.estimator, choice.robust).states(choice)
         control = cautious.build_step(control, states, structure.n_segments, paper.DT_S)
     references = build_references(
@@ -82,12 +75,18 @@ def _build_parts(structure):
     return _Parts(
         slip=terrain.lookup(structure.terrain_shape),
         measure=robot.measure(paper.DT_S),
-        deliver=faults.deliver() if structure.faulty else None,
+        deliver=_build_deliver() if structure.faulty else None,
         estimate=build_step(choice),
         references=references["references"],
         control=control,
         drive=robot.drive(paper.DT_S),
     )
+
+
+def _build_deliver():
+    from rhec.simulation import fault_signals
+
+    return fault_signals.deliver()
 
 
 def _memory_shapes(parts):
@@ -107,42 +106,24 @@ def _memory_shapes(parts):
 def _settings_shapes(parts, n_segments):
     """Shapes of the arguments that stay the same over a run."""
     one = (1, 1)
-    settings = dict(
-        segments=(5, n_segments),
-        period_m=one,
-        look_ahead_m=one,
-        backwards=one,
-        Q=(3, 1),
-        QN=(3, 1),
-        R=one,
-        lower=one,
-        upper=one,
-        caution=one,
-        speed_mps=one,
-        command_delay=one,
-        origin_m=(2, 1),
-        cell_m=one,
-        slip=(parts.slip.numel_in("slip"), 1),
-        mean_traction=(2, 1),
-    )
+    path = dict(segments=(5, n_segments), period_m=one, look_ahead_m=one, backwards=one)
+    weights = dict(Q=(3, 1), QN=(3, 1), R=one)
+    commands = dict.fromkeys(("lower", "upper", "caution", "speed_mps", "command_delay"), one)
+    slip = (parts.slip.numel_in("slip"), 1)
+    soil = dict(origin_m=(2, 1), cell_m=one, slip=slip, mean_traction=(2, 1))
     # The rest are the estimator's, by the names it gives them. Truth and traction are no settings.
     tuning = {
         name: parts.estimate.size_in(name)
         for name in parts.estimate.name_in()[2:]
         if name not in ("truth", "traction")
     }
-    return robot.SENSORS | robot.BODY | settings | tuning
+    return robot.SENSORS | robot.BODY | path | weights | commands | soil | tuning
 
 
 def build_sample(*structure):
-    """The closed loop as a scan.
+    """The closed loop of a _LoopStructure as a scan: {name: Function} of `scan.build_scan`.
 
-    Args:
-        structure: The entries of a _LoopStructure.
-
-    Returns:
-        {name: Function} of `scan.build_scan`: one sample (memory, noise, settings …) -> (memory,
-        row, …) and a block of samples.
+    One sample is (memory, noise, settings …) -> (memory, row, …).
     """
     structure = _LoopStructure(*structure)
     traction_input = estimator_of(structure.estimator.estimator).traction_input
@@ -300,8 +281,8 @@ class Setup:
         """A memory's arrays by name; those of estimator and controller in dicts of their own."""
         nested = {name: shape for name, shape in self.layout.items() if isinstance(shape, dict)}
         sizes = {name: (build.packed_size(shapes), 1) for name, shapes in nested.items()}
-        pieces = build.unpack_array(memory, self.layout | sizes)
-        inner = {name: build.unpack_array(pieces[name], nested[name]) for name in nested}
+        pieces = packing.unpack_array(memory, self.layout | sizes)
+        inner = {name: packing.unpack_array(pieces[name], nested[name]) for name in nested}
         return pieces | inner
 
 
@@ -363,9 +344,9 @@ def _first_memory(scenario, path, estimator, choice, pose, guess):
 def _pack(memory):
     """A memory by name in one vector, and its layout."""
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
-    flat = memory | {name: build.pack_array(piece) for name, piece in nested.items()}
-    inner = {name: build.shapes_of(piece) for name, piece in nested.items()}
-    return build.pack_array(flat), build.shapes_of(flat) | inner
+    flat = memory | {name: packing.pack_array(piece) for name, piece in nested.items()}
+    inner = {name: packing.shapes_of(piece) for name, piece in nested.items()}
+    return packing.pack_array(flat), packing.shapes_of(flat) | inner
 
 
 def _settings(scenario, path):
@@ -401,24 +382,9 @@ def noise_and_faults(seed, scheduled, samples):
     noise = robot.draw_noise(seed, samples)
     if not scheduled:
         return noise
-    return np.hstack([noise, faults.stream(scheduled, samples, paper.DT_S, seed)])
+    from rhec.simulation import fault_signals
 
-
-def simulate(scenario: Scenario) -> Run:
-    """Run a scenario. The first run of a structure compiles it for some seconds, once.
-
-    Args:
-        scenario: What to run.
-
-    Returns:
-        The Run.
-
-    Raises:
-        ValueError: For anything but a Scenario.
-    """
-    if not isinstance(scenario, Scenario):
-        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
-    return simulate_setup(scenario, set_up(scenario))
+    return np.hstack([noise, fault_signals.stream(scheduled, samples, paper.DT_S, seed)])
 
 
 def simulate_setup(scenario, setup):
@@ -445,3 +411,53 @@ def finish(scenario, setup, rows):
     poses, curvatures = setup.path.poses(s[len(true) :])
     columns["on_straight"] = curvatures == 0
     return Run(scenario, metrics(columns, poses), setup.path, setup.terrain, columns)
+
+
+@overload
+def simulate(scenario: Scenario) -> Run: ...
+
+
+@overload
+def simulate(scenario: Iterable[Scenario]) -> list[Run]: ...
+
+
+def simulate(scenario: Scenario | Iterable[Scenario]) -> Run | list[Run]:
+    """Run one scenario, or several.
+
+    The first run of a loop structure compiles that structure, which takes some seconds, once.
+    Several runs are simulated at the same time where that is faster; the results are the same to
+    the last bit.
+
+    Args:
+        scenario: A rhec.Scenario, or an iterable of them.
+
+    Returns:
+        The rhec.Run of one scenario; a list of Runs, in the order given, of several.
+
+    Raises:
+        ValueError: If an argument is no Scenario.
+    """
+    if isinstance(scenario, Scenario):
+        return simulate_setup(scenario, set_up(scenario))
+    if not _is_several(scenario):
+        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
+    # Imported here, because a single run needs neither SIMD lanes nor the code of campaigns.
+    from rhec.simulation.campaigns.batch import simulate_batch
+
+    return simulate_batch(as_list(scenario, "scenario"))
+
+
+def _is_several(scenarios):
+    # Text and dicts are iterable, too, but their entries are no scenarios.
+    return isinstance(scenarios, Iterable) and not isinstance(scenarios, str | dict)
+
+
+def as_list(scenarios, name):
+    """An iterable of scenarios as a list; anything else raises a ValueError with the name."""
+    if not _is_several(scenarios):
+        raise ValueError(f"{name} was {shown(scenarios)}; it should be a list of rhec.Scenario")
+    scenarios = list(scenarios)
+    for i, scenario in enumerate(scenarios):
+        if not isinstance(scenario, Scenario):
+            raise ValueError(f"{name}[{i}] was {shown(scenario)}; it should be a rhec.Scenario")
+    return scenarios

@@ -5,44 +5,15 @@ import numpy as np
 from rhec import paper
 from rhec.tracked_robot.path import ahead_and_left
 
-__all__ = ["METRICS", "SETTLING_SAMPLES", "metrics", "rms", "settled_samples"]
-
 # A robot that stays within the tolerance for so long has settled.
 SETTLING_SAMPLES = round(5 / paper.DT_S)
 
-# Unit and definition of each metric, in the order of `metrics`. "Settled" samples are those from
-# the end of the 5 s that make the robot settled; of a run that never settles, all samples.
-METRICS = {
-    "settling_time_s": ("s", "when the true error begins to stay below 0.12 m for 5 s; or NaN"),
-    "mean_error_m": ("m", "mean of `error_m` where there is a position, as in the paper (R11)"),
-    "mean_error_true_m": ("m", "mean of `error_true_m`"),
-    "max_error_true_m": ("m", "largest `error_true_m`"),
-    # The reference is the corner of a robot that stands in the middle of its row, not turned.
-    "max_corner_error_true_m": ("m", "on straights: how much nearer to the crop a corner is"),
-    "mean_speed_mps": ("m/s", "mean of the tracks' speed, as an absolute value"),
-    "violations": ("samples", "samples on straights with `error_m` above 0.12 m (R14)"),
-    "violations_true": ("samples", "samples on straights with `error_true_m` above 0.12 m"),
-    "rms_mu": ("-", "RMS error of the estimated μ"),
-    "rms_kappa": ("-", "RMS error of the estimated κ"),
-    "rms_yaw_rad": ("rad", "RMS error of the estimated yaw"),
-    "mean_error_from_start_m": ("m", "mean of `error_m` over the whole run (R14)"),
-    "overshoot_m": ("m", "on the first row: the largest distance beyond the path from the start"),
-    "omega_peak_radps": ("rad/s", "largest absolute commanded yaw rate of the whole run"),
-    "kkt_rhe_median": ("", "median of `kkt_rhe` (R12)"),
-    "kkt_rhc_median": ("", "median of `kkt_rhc` (R12)"),
-    "all_ok": ("", "every QP was solved and every other metric but `settling_time_s` is a number"),
-}
-
 
 def metrics(columns, poses):
-    """Metrics of a run; `METRICS` has their units and definitions.
+    """Metrics of a run by name; `log_page.METRICS` has their units and definitions.
 
-    Args:
-        columns: The log's columns by name, arrays (n,).
-        poses: (n, 3) poses of the path at its points closest to the robot [m, m, rad].
-
-    Returns:
-        {name: float, int or bool}.
+    `columns` has the log's columns (n,) by name, `poses` (n, 3) the poses of the path at its points
+    closest to the robot.
     """
     t_s = columns["t_s"]
     settled = settled_samples(columns["error_true_m"])
@@ -116,15 +87,7 @@ def _overshoot(left, on_straight):
 
 
 def settled_samples(error, within=paper.TOLERANCE_M):
-    """Samples from which on the error stays within the tolerance for 5 s.
-
-    Args:
-        error: (n,) errors [m].
-        within: Tolerance [m].
-
-    Returns:
-        Their numbers, rising.
-    """
+    """Numbers of the samples from which on errors (n,) [m] stay within the tolerance for 5 s."""
     if len(error) <= SETTLING_SAMPLES:
         return np.array([], dtype=int)
     inside = np.convolve(error < within, np.ones(SETTLING_SAMPLES), "valid")

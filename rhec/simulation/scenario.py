@@ -1,127 +1,39 @@
-"""A scenario: every choice behind one closed-loop run, validated (docs/interpretations.md)."""
+"""A scenario: every choice behind one closed-loop run, validated (docs/interpretations.md).
 
-import re
-import textwrap
-from types import NoneType
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
+`scenario_fields` says what each field means."""
+
+from typing import Annotated, Literal
 
 import casadi as ca
 from pydantic import Field as Limits
 from pydantic import SkipValidation
-from pydantic.fields import FieldInfo
 
 from rhec import paper
 from rhec.core._casadi import validation as valid
+from rhec.core.estimator.rhe import ArrivalMean
 from rhec.simulation.faults import Fault, as_python
+from rhec.simulation.validated import validated
+from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, estimator_of
+from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
-__all__ = ["FIELDS", "Field", "Scenario"]
 
-# Spelled out, so that an editor completes them; a test holds them against the registry.
-EstimatorName = Literal[
-    "rhe",
-    "rhe_fixed_traction",
-    "rhe_no_slip",
-    "ekf",
-    "augmented_ekf",
-    "bounded_ekf",
-    "fixed_traction",
-    "dual",
-    "oracle",
-    "traction_oracle",
-]
-
-# The meaning of each field, with its unit in brackets; what values it takes, its annotation says.
-# Scenario's docstring and FIELDS are made of both. Empty lines separate the groups.
-_GROUPS = ("the estimator", "the controller", "the drive", "the field", "the sensors")
-_TEXTS = """
-estimator: The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true pose and traction);
-    "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
-    "traction_oracle" (an EKF with the true traction), "fixed_traction" (an EKF with the mean
-    traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE
-    with μ = κ = 1); "dual" (the RHE estimates the traction, an EKF with that traction the pose).
-    Or a CasADi Function (memory, z) -> (memory, estimate), whose memory starts as the first guess
-    (x, y, θ, ν, μ, κ) followed by zeros.
-process_noise: W by name. "printed" is the paper's; "calibrated" is the likeliest for training seeds
-    (R1, R2); "consistent" makes the covariance of the RHE match its errors, and sets sigma_v and
-    arrival_mean, too, where these are None.
-sigma_w: Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
-    where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model
-    "slipping"; for "dual" those of the RHE, then those of the EKF.
-sigma_v: Measurement noise that the estimator assumes, standard deviations of (x, y, ν, ω)
-    [m, m, m/s, rad/s].
-estimation_horizon: Intervals of the estimation window. N intervals have N + 1 nodes, so 14 gives
-    the paper's sum of N = 15 terms (R5).
-speed_model: How the RHE models ν. "parameter": one ν over the window, as in the paper; "input": one
-    ν an interval, from the encoders (R6, R13); "slipping": the same, with process noise that grows
-    with the distance of the tracks, also sideways, which is not in the paper.
-slip: Constants of the speed model "slipping", in the order of `tuning.SLIP`.
-arrival_mean: Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as
-    in the paper; "filtered": from the EKF update (R7); None: the one that fits process_noise.
-robust: Whether measurements that contradict others get less weight; for "rhe" and "dual".
-
-q: Diagonal of the weight Q_k, eq. (22), of (x, y, θ).
-r: Weight R of the yaw rate, eq. (22).
-qn_factor: Weight of the last node over the others, Q_N = qn_factor · Q_k.
-omega_max_radps: Bound on the commanded yaw rate, eq. (16) [rad/s].
-prediction_horizon: Intervals of the prediction.
-look_ahead_m: How far beyond the closest point of the path the desired points begin [m].
-input_reference: Desired yaw rate. "measured": the measured one over the horizon, as in the paper;
-    "curvature": the one that the path's curvature asks for (R8).
-command_delay: 0: the command computed at t_k is applied at once; 1: one sample later (R10).
-qp: Solver of the controller. "structured": Riccati recursion, the fastest at every horizon; "daqp"
-    or "qpoases" (the paper's): the condensed QP, on CasADi's virtual machine.
-cautious: Whether the robot slows down where its estimate is uncertain, and before curves that ask
-    for more yaw rate than the soil gives (`rhec.tracked_robot.cautious`).
-caution: Number of standard deviations of the estimate that `cautious` sets aside.
-
-speed_mps: Set speed [m/s].
-duration_s: Length of the run [s].
-backwards: Whether the robot drives in reverse, λ = 1 in eq. (18) (R9).
-path: Path to follow. None: two rows that half circles join on the headlands.
-row_length_m: Length of each of these two rows [m].
-headland_radius_m: Radius of these half circles [m].
-start_offset_m: Where the robot starts, to the left of the path's beginning (R3) [m].
-start_yaw_rad: Yaw at the start relative to the path [rad].
-guess_yaw_rad: Error of the estimator's first guess of the yaw [rad].
-
-terrain: Traction of the soil. None: random fields with the following statistics.
-mu_mean: Mean of μ.
-mu_deviation: Standard deviation of μ over the field.
-kappa_mean: Mean of κ.
-kappa_deviation: Standard deviation of κ over the field.
-correlation_length_m: Correlation length of the traction [m].
-patches: Discs of sudden change, ((x, y, radius, μ, κ), …) [m, m, m, -, -].
-
-gnss_sigma_m: Standard deviation of the GNSS position's error [m].
-gnss_slow_share: Share of the variance of that error that varies slowly (R4).
-gnss_slow_time_s: Time constant of the slow part (R4) [s].
-encoder_sigma_mps: Standard deviation of one track's encoder at 50 Hz [m/s].
-speed_sigma_mps: Standard deviation of the error of the measured speed that both tracks share [m/s].
-bump_sigma_radps: Standard deviation of the yaw rate that a bump adds for one sample [rad/s].
-track_width_m: Distance b between the tracks [m].
-faults: Sensor faults, (rhec.Fault, …).
-seed: Fixes the soil and all noise.
-"""
-
-
-@valid.validated
-class Scenario:
+@validated
+class Scenario:  # noqa: D101 - its docstring is made from FIELDS
     # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
     estimator: Annotated[EstimatorName | ca.Function, SkipValidation] = "rhe"
-    process_noise: valid.ProcessNoise = "printed"
+    process_noise: options.ProcessNoise = "printed"
     sigma_w: tuple[valid.NotNegative, ...] | None = None
-    sigma_v: valid.SigmaV | None = None
+    sigma_v: options.SigmaV | None = None
     estimation_horizon: valid.Intervals = paper.HORIZON
-    speed_model: valid.SpeedModel = "parameter"
-    slip: valid.Slip | None = None
-    arrival_mean: valid.ArrivalMean | None = None
+    speed_model: options.SpeedModel = "parameter"
+    slip: options.Slip | None = None
+    arrival_mean: ArrivalMean | None = None
     robust: valid.Flag = False
 
-    q: valid.Weights = paper.Q3
+    q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
     qn_factor: valid.NotNegative = paper.QN_FACTOR
     omega_max_radps: valid.Positive = paper.OMEGA_MAX_RADPS
@@ -129,10 +41,11 @@ class Scenario:
     look_ahead_m: valid.NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
-    qp: valid.Solver = "structured"
+    qp: options.Solver = "structured"
     cautious: valid.Flag = False
     caution: valid.NotNegative = 0.25
 
+    # A track saturates at 1.5 m/s, and the outer one is faster in a curve.
     speed_mps: Annotated[valid.Positive, Limits(le=1.4)] = paper.SPEED_MPS
     duration_s: Annotated[valid.Positive, Limits(ge=paper.DT_S, le=1e6)] = 240.0
     backwards: valid.Flag = False
@@ -144,10 +57,11 @@ class Scenario:
     guess_yaw_rad: valid.Real = 0.0
 
     terrain: Annotated[Terrain | None, SkipValidation] = None
-    mu_mean: valid.Traction = 0.9
+    mu_mean: options.Traction = 0.9
     mu_deviation: valid.NotNegative = 0.04
-    kappa_mean: valid.Traction = 0.8
+    kappa_mean: options.Traction = 0.8
     kappa_deviation: valid.NotNegative = 0.08
+    # Shorter ones than the grid's cells, 0.5 m, cannot be seen.
     correlation_length_m: Annotated[valid.Positive, Limits(ge=0.5)] = 4.0
     patches: tuple[Patch, ...] = ()
 
@@ -202,6 +116,7 @@ def _check_deviation(scenario, name):
 def _check_fits_estimator(scenario):
     """Refuse `robust` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
+    # A user's Function has no name; any name that is not in NAMES stands for it.
     name = "own" if _is_users_own(estimator) else estimator
     if scenario.robust and name not in ROBUST_NAMES:
         expected = f"for the estimator {valid.shown(estimator)} it should be False"
@@ -212,108 +127,13 @@ def _check_fits_estimator(scenario):
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
 
 
-class Field(NamedTuple):
-    """What one field of Scenario is.
+class _FieldsAsDocstring:
+    """Scenario's docstring, made when it is read, because no run needs the texts of the fields."""
 
-    Attributes:
-        group: The group of fields that it belongs to.
-        text: What it means, without unit and range.
-        unit: Its unit, "" where it has none.
-        lowest: Least value of it, or of each of its entries; None where there is none.
-        highest: Largest value, likewise.
-        choices: The values of a field that is a choice of a few, else ().
-        above_lowest: Whether it must be above `lowest`.
-    """
+    def __get__(self, scenario, kind):
+        from rhec.simulation.scenario_fields import docstring
 
-    group: str
-    text: str
-    unit: str
-    lowest: float | None
-    highest: float | None
-    choices: tuple
-    above_lowest: bool
+        return docstring()
 
 
-def _fields():
-    """{name: Field}, from the texts and from the limits that pydantic checks."""
-    fields = {}
-    for group, texts in zip(_GROUPS, _TEXTS.split("\n\n"), strict=True):
-        for name, text in re.findall(r"^(\w+): (.*(?:\n    .*)*)", texts, re.MULTILINE):
-            # A field without a text fails in a test, a text without a field here.
-            info = Scenario.__pydantic_fields__[name]
-            text = " ".join(text.split())
-            unit = re.search(r" \[(.*?)\]", text)
-            text = text.replace(unit[0], "") if unit else text
-            fields[name] = Field(group, text, unit[1] if unit else "", *_values_of(info))
-    return fields
-
-
-def _values_of(info):
-    """(lowest, highest, choices, above_lowest) of a pydantic FieldInfo."""
-    kind = _entry(info.annotation)
-    limits = [*_flat(getattr(kind, "__metadata__", ())), *info.metadata]
-    # Limits of ±1e100 only keep squares finite (`validation.Real`).
-    above = max((limit.gt for limit in limits if hasattr(limit, "gt")), default=None)
-    lowest = max((x.ge for x in limits if hasattr(x, "ge") and x.ge > -1e100), default=None)
-    highest = min((x.le for x in limits if hasattr(x, "le") and x.le < 1e100), default=None)
-    choices = get_args(kind) if get_origin(kind) is Literal else ()
-    if kind is bool:
-        choices = (False, True)
-    if lowest is None:
-        return above, highest, choices, above is not None
-    return lowest, highest, choices, False
-
-
-def _entry(kind):
-    """What one entry of a tuple is; of alternatives the first; else the annotation itself."""
-    parts = [part for part in get_args(kind) if part not in (NoneType, Ellipsis)]
-    if get_origin(kind) is tuple:
-        return parts[0] if all(part is parts[0] for part in parts) else Any
-    # What has parts and is neither of these is a union, by either of Python's two spellings.
-    if parts and get_origin(kind) not in (Literal, Annotated):
-        return _entry(parts[0])
-    return kind
-
-
-def _flat(metadata):
-    """Limits one by one, out of the pydantic Fields that hold them."""
-    for item in metadata:
-        yield from item.metadata if isinstance(item, FieldInfo) else (item,)
-
-
-def _described(name, field):
-    """A field's entry in the docstring: unit and range follow the first sentence of its text."""
-    # "eq. (22)" does not end a sentence.
-    first, *rest = re.split(r"(?<!eq)\. ", field.text, maxsplit=1)
-    unit = f" [{field.unit}]" if field.unit else ""
-    limits = ""
-    if field.lowest is not None and field.highest is not None:
-        limits = f", {field.lowest:g} to {field.highest:g}"
-    elif field.lowest is not None:
-        limits = f", {'above' if field.above_lowest else 'at least'} {field.lowest:g}"
-    sentences = [f"{name}: {first.removesuffix('.')}{unit}{limits}.", *rest]
-    indents = dict(initial_indent=" " * 4, subsequent_indent=" " * 8)
-    return textwrap.fill(" ".join(sentences), 92, break_on_hyphens=False, **indents)
-
-
-def _docstring():
-    groups = (
-        "\n".join(_described(*item) for item in FIELDS.items() if item[1].group == group)
-        for group in _GROUPS
-    )
-    return f"""One closed-loop run. SI units; angles in radians.
-
-The groups of fields below are {", ".join(_GROUPS[:-1])} and {_GROUPS[-1]}.
-R1 to R14 are the interpretations of the paper in docs/interpretations.md. `dataclasses.replace`
-returns a Scenario that differs in some fields.
-
-Args:
-{(2 * chr(10)).join(groups)}
-
-Raises:
-    ValueError: If a field is unknown or invalid; the message is one sentence.
-"""
-
-
-FIELDS: dict[str, Field] = _fields()
-Scenario.__doc__ = _docstring()
+Scenario.__doc__ = _FieldsAsDocstring()

@@ -1,3 +1,1 @@
 """The paper's tracked robot: its Model, estimators and controller, its path, and its simulation."""
-
-__all__ = []

@@ -24,15 +24,6 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.path import OPEN
 from rhec.tracked_robot.references import pose_at
 
-__all__ = [
-    "ACCELERATION_MPS2",
-    "NOSE_M",
-    "SLOWEST_MPS",
-    "build_speed",
-    "build_step",
-    "plan_with_speed",
-]
-
 # By campaigns on training seeds from 6000 on.
 BAND_M = 0.04
 ACCELERATION_MPS2 = 0.5
@@ -43,17 +34,10 @@ _IN_A_ROW_M = paper.ROW_SPACING_M / 2
 
 
 def build_speed(states, n_segments, dt_s):
-    """The next speed to command, as a Function of the last one and an estimate.
+    """The next speed to command [m/s], as a Function of the last one and an estimate.
 
-    Args:
-        states: Names of what the estimator's covariance (n, n) covers; others count as certain.
-        n_segments: Number of the path's segments M.
-        dt_s: Length of a sample [s].
-
-    Returns:
-        A Function of speed (the last one, above 0 [m/s]), s (the closest point [m]), estimate (6,),
-        covariance (n, n), upper (ω_max), segments (5, M), period_m, speed_mps (the set speed) and
-        caution (z); its result is the speed, above 0 [m/s].
+    `states` names what the estimator's covariance (n, n) covers; others count as certain. The
+    speeds are above 0; `upper` is ω_max, `speed_mps` the set speed and `caution` z.
     """
     one = (1, 1)
     selection = _selection(states)
@@ -137,16 +121,9 @@ def _curves(s, segments, period_m, in_reach, set_speed):
 
 
 def plan_with_speed(control, speed, signals, last_speed):
-    """Plan the yaw rate by an RHC and the speed by `build_speed`, on the same signals.
+    """The results of the RHC by name, and the next speed of `build_speed`, on the same signals.
 
-    Args:
-        control: Function of the RHC.
-        speed: Function of `build_speed`.
-        signals: Expressions by the names of the inputs of both, but for the last speed.
-        last_speed: The last speed, above 0 [m/s].
-
-    Returns:
-        The results of the RHC by name, and the next speed, above 0 [m/s].
+    `signals` has the inputs of both by name, but for the last speed, which is above 0 [m/s].
     """
     planned = control(**select_inputs(control, signals))
     newest = speed(**select_inputs(speed, signals | dict(speed=last_speed)))["speed"]
@@ -156,14 +133,8 @@ def plan_with_speed(control, speed, signals, last_speed):
 def build_step(control, states, n_segments, dt_s):
     """The step of an RHC with the speed as a second command.
 
-    Args:
-        control: Step (memory, weights, references) -> (memory, kkt, command, ok) of the RHC.
-        states: As for `build_speed`.
-        n_segments: As for `build_speed`.
-        dt_s: As for `build_speed` [s].
-
-    Returns:
-        A step whose memory has the last speed at its end, and whose results have `speed_mps`, too.
+    The arguments are those of `build_speed`, after the step `control` of the RHC. Its memory has
+    the last speed at its end, and its results have `speed_mps`, too.
     """
     speed = build_speed(states, n_segments, dt_s)
     shapes = {name: f.size_in(name) for f in (control, speed) for name in f.name_in()}

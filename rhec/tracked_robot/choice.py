@@ -10,8 +10,6 @@ import numpy as np
 from rhec import paper
 from rhec.tracked_robot import tuning
 
-__all__ = ["Choice", "Estimator", "TractionInput"]
-
 
 class TractionInput(Enum):
     """What an estimator is passed of the true traction coefficients (μ, κ)."""
@@ -22,14 +20,9 @@ class TractionInput(Enum):
     FULL_STATE = "truth"  # pose and speed, too
 
     def select_traction(self, field_mean, true):
-        """Select the traction (μ, κ) that is passed to the estimator.
+        """The traction (μ, κ) that the estimator is passed: the field's mean or the true one.
 
-        Args:
-            field_mean: (2,) mean of the field's (μ, κ).
-            true: (2,) or (n, 2) the true (μ, κ) at the robot.
-
-        Returns:
-            One of them; (1, 1), no slip, for an estimator that is passed neither.
+        An estimator that is passed neither gets (1, 1), no slip.
         """
         passed = {TractionInput.FIELD_MEAN: field_mean, TractionInput.TRUE: true}
         return passed.get(self, np.ones(2))

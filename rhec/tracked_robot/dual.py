@@ -10,14 +10,12 @@ step would put its yaw half a sample's turn ahead.
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import robust, tuning
 from rhec.tracked_robot.choice import Estimator
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.rhe import ESTIMATORS, SIGMA_START
-
-__all__ = ["DUAL"]
 
 
 def _rhe_of(choice):

@@ -12,18 +12,16 @@ import numpy as np
 
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core.estimator.ekf import predict_and_correct
-from rhec.core.model import base
+from rhec.core.model.base import Model, interval, rk4
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.rhe import SIGMA_START
 
-__all__ = ["ESTIMATORS", "build_step", "init", "runge_kutta"]
-
 _ROBOT = SPEED_MODELS["parameter"].model
-_POSE_AND_SPEED = base.Model(
+_POSE_AND_SPEED = Model(
     states=QUANTITIES[:4],
     inputs=("omega_radps", *QUANTITIES[4:]),
     parameters={},
@@ -49,27 +47,17 @@ def runge_kutta(m, omega, traction, dt_s):
 
 
 def _filter(model, move, m, P, omega, started, z, V, W):
-    """One sample: m⁻ = f(m, ω), P⁻ = APA' + W, eq. (24)-(26), then the update with z.
+    """One sample: m⁻ = f(m, ω), P⁻ = APA' + W, eq. (24)-(26), then the update with z (4,).
 
-    Args:
-        model: The Model, for its outputs.
-        move: (m, ω) -> m⁻.
-        m: (n, 1) mean.
-        P: (n, n) covariance.
-        omega: The last valid yaw rate [rad/s].
-        started: 0 before the first sample, which only corrects.
-        z: (4, 1) measurement; its yaw rate is that of the interval that ends now.
-        V: (4, 1) variances of z.
-        W: (n, 1) variances of the process noise.
-
-    Returns:
-        The memory after the sample, with covariance and deviance.
+    `move` is (m, ω) -> m⁻ and omega the last valid yaw rate; before the first sample, where
+    `started` is 0, there is only the update. V and W are variances. The result is the memory after
+    the sample, with covariance and deviance.
     """
     # While the encoders are silent, the last yaw rate is held.
     omega = ca.if_else(is_valid_measurement(z[3], model.limits[3]), z[3], omega)
     predicted = move(m, omega)
     A = ca.jacobian(predicted, m)
-    outputs = base.interval(model).outputs
+    outputs = interval(model).outputs
     m, P, deviance = predict_and_correct(m, P, predicted, A, ca.diag(W), started, z, V, outputs)
     return dict(covariance=P, deviance=deviance, m=m, P=P, omega=omega, started=1)
 
@@ -79,17 +67,10 @@ def _memory(n):
 
 
 def build_step(dt_s, integrate=_euler):
-    """Build the EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
+    """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
 
     Its memory is that of `_filter`, and the traction (2,) of the last sample: the robot drove on it
-    during the interval that ends now.
-
-    Args:
-        dt_s: Length of a sample [s].
-        integrate: `_euler`, as in the paper, or `runge_kutta`.
-
-    Returns:
-        The Function.
+    during the interval that ends now. `integrate` is `_euler`, as in the paper, or `runge_kutta`.
     """
     memory = _memory(4) | dict(last_traction=(2, 1))
 
@@ -104,10 +85,6 @@ def build_step(dt_s, integrate=_euler):
     return step
 
 
-def _build_rival(dt_s):
-    return build_step(dt_s, runge_kutta)
-
-
 def _build_augmented_step(dt_s, bounded=False):
     """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
 
@@ -119,14 +96,10 @@ def _build_augmented_step(dt_s, bounded=False):
     def step(m, P, omega, started, z_N, V, W):
         after = _filter(_ROBOT, move, m, P, omega, started, z_N, V, W)
         if bounded:
-            after["m"] = _within_bounds(base.interval(_ROBOT).bounds, after["m"], after["P"])
+            after["m"] = _within_bounds(interval(_ROBOT).bounds, after["m"], after["P"])
         return dict(estimate=after["m"]) | after
 
     return step
-
-
-def _build_bounded_step(dt_s):
-    return _build_augmented_step(dt_s, bounded=True)
 
 
 def _within_bounds(bounds, m, P):
@@ -146,16 +119,7 @@ def _within_bounds(bounds, m, P):
 
 
 def init(n, guess, sigma=SIGMA_START):
-    """Make the memory before the first sample.
-
-    Args:
-        n: 4 or 6, how many of QUANTITIES are states.
-        guess: {quantity: value}.
-        sigma: {quantity: standard deviation}.
-
-    Returns:
-        {name: array}.
-    """
+    """The memory before the first sample, {name: array}, for the first n (4 or 6) of QUANTITIES."""
     names = QUANTITIES[:n]
     memory = dict(
         m=np.array([guess[name] for name in names]),
@@ -167,13 +131,12 @@ def init(n, guess, sigma=SIGMA_START):
     return memory if n == 6 else memory | dict(last_traction=np.ones(2))
 
 
-def _estimator(name, build, n=4, traction_input=TractionInput.NONE):
+def _estimator(name, build, n=4, traction_input=TractionInput.NONE, **options):
+    """The Estimator with the first n of QUANTITIES as states; `options` are those of `build`."""
     return Estimator(
-        build_step=lambda choice: build(choice.dt_s),
+        build_step=lambda choice: build(choice.dt_s, **options),
         init=lambda choice, guess, sigma=SIGMA_START: init(n, guess, sigma),
-        settings=lambda scenario: dict(
-            V=np.square(tuning.sigma_v_of(scenario)), W=np.square(tuning.sigma_w_of(name, scenario))
-        ),
+        settings=lambda scenario: tuning.variances_of(name, scenario),
         states=lambda choice: QUANTITIES[:n],
         n_sigma_w=lambda choice: n,
         traction_input=traction_input,
@@ -183,7 +146,12 @@ def _estimator(name, build, n=4, traction_input=TractionInput.NONE):
 ESTIMATORS = {
     "ekf": _estimator("ekf", build_step),
     "augmented_ekf": _estimator("augmented_ekf", _build_augmented_step, 6),
-    "bounded_ekf": _estimator("bounded_ekf", _build_bounded_step, 6),
-    "fixed_traction": _estimator("fixed_traction", _build_rival, 4, TractionInput.FIELD_MEAN),
-    "traction_oracle": _estimator("traction_oracle", _build_rival, 4, TractionInput.TRUE),
+    "bounded_ekf": _estimator("bounded_ekf", _build_augmented_step, 6, bounded=True),
+    # They show what knowing the traction is worth, so their model is otherwise the better one.
+    "fixed_traction": _estimator(
+        "fixed_traction", build_step, 4, TractionInput.FIELD_MEAN, integrate=runge_kutta
+    ),
+    "traction_oracle": _estimator(
+        "traction_oracle", build_step, 4, TractionInput.TRUE, integrate=runge_kutta
+    ),
 }

@@ -1,13 +1,29 @@
 """The registry of the tracked robot's estimators, by the name that a Scenario gives them."""
 
+from typing import Literal, get_args
+
 import casadi as ca
 import numpy as np
 
-from rhec.tracked_robot import dual, ekf, rhe, robust, tuning
+from rhec.tracked_robot import ekf, rhe, tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES
 
-__all__ = ["NAMES", "ROBUST_NAMES", "build_phases", "build_step", "estimator_of"]
+# In the order of menus and messages.
+EstimatorName = Literal[
+    "rhe",
+    "rhe_fixed_traction",
+    "rhe_no_slip",
+    "ekf",
+    "augmented_ekf",
+    "bounded_ekf",
+    "fixed_traction",
+    "dual",
+    "oracle",
+    "traction_oracle",
+]
+NAMES = get_args(EstimatorName)
+ROBUST_NAMES = ("rhe", "dual")
 
 
 def _build_oracle(choice):
@@ -42,37 +58,24 @@ _USER_FUNCTION = Estimator(
     settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.zeros(1)),
 )
 
-# The paper's two come first in menus and messages.
-_ESTIMATORS = {
-    "rhe": rhe.ESTIMATORS["rhe"],
-    "rhe_fixed_traction": rhe.ESTIMATORS["rhe_fixed_traction"],
-    "rhe_no_slip": rhe.ESTIMATORS["rhe_no_slip"],
-    "ekf": ekf.ESTIMATORS["ekf"],
-    "augmented_ekf": ekf.ESTIMATORS["augmented_ekf"],
-    "bounded_ekf": ekf.ESTIMATORS["bounded_ekf"],
-    "fixed_traction": ekf.ESTIMATORS["fixed_traction"],
-    "dual": dual.DUAL,
-    "oracle": _ORACLE,
-    "traction_oracle": ekf.ESTIMATORS["traction_oracle"],
-}
-_ROBUST = {"rhe": robust.ROBUST_RHE, "dual": dual.DUAL}
-NAMES = tuple(_ESTIMATORS)
-ROBUST_NAMES = tuple(_ROBUST)
+_ESTIMATORS = rhe.ESTIMATORS | ekf.ESTIMATORS | {"oracle": _ORACLE}
 
 
 def estimator_of(name, robust=False):
-    """Look up an Estimator.
+    """The Estimator of a name; any name that is not in NAMES stands for a user's Function.
 
-    Args:
-        name: One of NAMES; anything else stands for a user's Function.
-        robust: Whether measurements are checked first (`rhec.tracked_robot.robust`).
-
-    Returns:
-        The Estimator.
+    `robust`: whether measurements are checked first (`rhec.tracked_robot.robust`).
     """
-    if name not in NAMES:
-        return _USER_FUNCTION
-    return _ROBUST[name] if robust else _ESTIMATORS[name]
+    # Both are imported here, because they are not in the paper: most runs do without them.
+    if name == "dual":
+        from rhec.tracked_robot.dual import DUAL
+
+        return DUAL
+    if robust and name == "rhe":
+        from rhec.tracked_robot.robust import ROBUST_RHE
+
+        return ROBUST_RHE
+    return _ESTIMATORS.get(name, _USER_FUNCTION)
 
 
 def build_step(choice):

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from rhec.core.model.base import Model, rk4
-
-__all__ = ["QUANTITIES", "SPEED_MODELS", "SpeedModel", "f", "h", "rk4"]
+from rhec.core.model.base import Model
+from rhec.core.model.base import rk4 as rk4  # eq. (3)
 
 # The estimate of every estimator, in this order: pose ξ and parameters p.
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
@@ -36,16 +35,7 @@ def f(xi, u, p):
 
 
 def h(xi, u, p):
-    """Eq. (4): z = h(ξ, u, p) = (x, y, ν, ω).
-
-    Args:
-        xi: (3,) pose (x, y, θ) [m, m, rad].
-        u: Yaw rate ω of the tracks [rad/s].
-        p: (3,) speed ν of the tracks [m/s], traction coefficients μ and κ.
-
-    Returns:
-        (4,) GNSS position and the encoders' speed and yaw rate.
-    """
+    """Eq. (4): z = h(ξ, u, p) = (x, y, ν, ω), by GNSS and the encoders; arguments as for `f`."""
     return ca.vertcat(xi[0], xi[1], p[0], u)
 
 

@@ -10,14 +10,12 @@ from rhec.core._casadi import validation as valid
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.solver.rti import RealTimeIteration
-from rhec.tracked_robot import estimators, tuning
+from rhec.tracked_robot import estimators, options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.rhc import horizon_of
 from rhec.tracked_robot.rhe import SIGMA_START, settings_of, window_of
 from rhec.tracked_robot.speed_models import speed_model_of
-
-__all__ = ["PaperEstimate", "PaperRHC", "PaperRHE"]
 
 
 class PaperEstimate(NamedTuple):
@@ -92,12 +90,12 @@ class PaperRHE(rhe.RHE):
         *,
         dt: valid.Positive = paper.DT_S,
         horizon: valid.Intervals = paper.HORIZON,
-        process_noise: valid.ProcessNoise = "printed",
+        process_noise: options.ProcessNoise = "printed",
         sigma_w: valid.NotNegatives | None = None,
-        sigma_v: valid.SigmaV | None = None,
-        speed_model: valid.SpeedModel = "parameter",
-        slip: valid.Slip | None = None,
-        arrival_mean: valid.ArrivalMean | None = None,
+        sigma_v: options.SigmaV | None = None,
+        speed_model: options.SpeedModel = "parameter",
+        slip: options.Slip | None = None,
+        arrival_mean: rhe.ArrivalMean | None = None,
         robust: valid.Flag = False,
         track_width_m: valid.Positive = paper.TRACK_WIDTH_M,
         guess: tuple[valid.Real, valid.Real, valid.Real, valid.Real, valid.Real, valid.Real]
@@ -120,6 +118,7 @@ class PaperRHE(rhe.RHE):
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = self._estimator.init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
+        self._inputs = dict(z=self.iteration.arrays["z_N"])
 
     def __repr__(self):
         sigmas = {name: np.array2string(np.sqrt(self.settings[name])) for name in "VW"}
@@ -133,7 +132,8 @@ class PaperRHE(rhe.RHE):
             f"  measurements: sigma of ({', '.join(self.model.outputs)}) {sigmas['V']}"
         )
 
-    def _start(self, z):
+    def _start(self):
+        z = self._inputs["z"]
         plausible = np.abs(z) <= self.model.limits
         guess = self._guess
         sigma = SIGMA_START
@@ -174,13 +174,13 @@ class PaperRHC(rhc.RHC):
     def __init__(
         self,
         *,
-        q: valid.Weights = paper.Q3,
+        q: options.Weights = paper.Q3,
         r: valid.Positive = paper.R,
         qn_factor: valid.NotNegative = paper.QN_FACTOR,
         omega_max: valid.Positive = paper.OMEGA_MAX_RADPS,
         dt: valid.Positive = paper.DT_S,
         horizon: valid.Intervals = paper.HORIZON,
-        qp: valid.Solver = "structured",
+        qp: options.Solver = "structured",
     ):
         problem = horizon_of(horizon, qp, dt)
         self._compile(problem, q, (r,), qn_factor, (-omega_max,), (omega_max,))

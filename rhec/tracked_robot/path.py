@@ -11,9 +11,8 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers, shown
-
-__all__ = ["OPEN", "Path", "advance", "ahead_and_left"]
+from rhec.core._casadi.validation import Flag, Positive, Real, checked, shown
+from rhec.tracked_robot.options import numbers
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # the random field around a longer path would not fit into memory
@@ -22,18 +21,10 @@ _SAME_M = 1e-9  # of two points whose distances differ by less, the first one co
 
 
 def advance(x, y, theta, curvature, length, lib):
-    """The pose after a length on a line or arc.
+    """The pose (x, y, θ) after a length l [m] on a line or an arc of curvature c [1/m].
 
-    The chord has the length l · sin(cl/2) / (cl/2) and the direction θ + cl/2.
-
-    Args:
-        x, y, theta: Pose (x, y, θ) at the beginning [m, m, rad].
-        curvature: c [1/m].
-        length: l [m].
-        lib: numpy or casadi, by what the others are.
-
-    Returns:
-        The pose (x, y, θ).
+    The chord has the length l · sin(cl/2) / (cl/2) and the direction θ + cl/2. `lib` is numpy or
+    casadi, by what the others are.
     """
     half = curvature * length / 2
     if lib is np:
@@ -44,16 +35,7 @@ def advance(x, y, theta, curvature, length, lib):
 
 
 def ahead_and_left(dx, dy, theta, lib):
-    """The offset (dx, dy), seen by who looks along θ: how far ahead, how far to the left.
-
-    Args:
-        dx, dy: Offset in the field [m].
-        theta: Direction [rad].
-        lib: numpy or casadi, by what the others are.
-
-    Returns:
-        cos θ · dx + sin θ · dy and cos θ · dy - sin θ · dx [m].
-    """
+    """(dx, dy) seen along θ: ahead cos θ · dx + sin θ · dy, to the left cos θ · dy - sin θ · dx."""
     cos = lib.cos(theta)
     sin = lib.sin(theta)
     return cos * dx + sin * dy, cos * dy - sin * dx
@@ -137,7 +119,12 @@ class Path:
 
         Returns:
             The Path.
+
+        Raises:
+            ValueError: If a length is not above 0, or the radius too small for its curvature.
         """
+        if 1 / radius_m > 1e100:  # the largest Real
+            raise ValueError(f"radius_m was {radius_m}; it must be at least 1e-100")
         return _racetrack(row_length_m, radius_m)
 
     @property
@@ -211,12 +198,7 @@ def _racetrack(row_length_m, radius_m):
 
 
 def _on_line(ahead, left, length):
-    """The closest point on a line, as [(distance, place)] [m].
-
-    Args:
-        ahead, left: (n,) the point's offset from the line's beginning, seen along the line [m].
-        length: Of the line [m].
-    """
+    """The closest point on a line from offsets (n,) seen along it, as [(distance, place)] [m]."""
     place = np.fmin(np.fmax(ahead, 0), length)
     return [(np.sqrt((ahead - place) ** 2 + left**2), place)]
 

@@ -11,20 +11,8 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.build import casadi_function, packed_size
 from rhec.core._casadi.sines import sines_by_addition
-from rhec.tracked_robot.kinematics import f, rk4
-
-__all__ = [
-    "BODY",
-    "MEMORY",
-    "NOISE",
-    "SENSORS",
-    "SUBSTEPS",
-    "body_speeds",
-    "draw_noise",
-    "drive",
-    "init",
-    "measure",
-]
+from rhec.core.model.base import rk4
+from rhec.tracked_robot.kinematics import f
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 _MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed
@@ -48,17 +36,10 @@ _STREAM_OF_SPEED = 4
 
 
 def draw_noise(seed, samples):
-    """Standard normal noise of a seed.
+    """Standard normal noise of a seed, (samples, n), each row NOISE packed.
 
-    The noise of the speed comes last and from a separate stream, so that all else is the same with
-    and without it.
-
-    Args:
-        seed: Fixes all of it.
-        samples: Number of rows; the first rows are those of fewer samples.
-
-    Returns:
-        (samples, n) noise, each row NOISE packed.
+    The first rows are those of fewer samples. The noise of the speed comes last and from a separate
+    stream, so that all else is the same with and without it.
     """
     n_speed = packed_size({"speed": NOISE["speed"]})
     n_others = packed_size(NOISE) - n_speed

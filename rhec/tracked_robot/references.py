@@ -15,23 +15,16 @@ from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.validation import Intervals, NotNegative, Positive, checked
 from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
-__all__ = ["PathTracker", "build_references", "pose_at"]
-
 # Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.
 _LEAST_SLOPE = 0.2
 _LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not ask for any yaw rate
 
 
 def pose_at(s, segments, period_m):
-    """Pose and curvature of a path at an arc length, as CasADi expressions.
+    """Pose (3,) and curvature [1/m] of a path at the arc length s [m], as CasADi expressions.
 
-    Args:
-        s: Arc length [m]; beyond the ends of an open path its last and first segment go on.
-        segments: (5, M) columns (s, x, y, θ, c) of a Path.
-        period_m: Path.period_m [m].
-
-    Returns:
-        Pose (3,) [m, m, rad] and curvature [1/m].
+    `segments` (5, M) has columns (s, x, y, θ, c). Beyond the ends of an open path its last and
+    first segment go on.
     """
     # Before an open path's beginning is not after its end.
     s = ca.if_else(period_m < OPEN, s - period_m * ca.floor(s / period_m), s)
@@ -57,23 +50,16 @@ def _closest(xy, s, segments, period_m, iterations=2):
 
 
 def build_references(dt_s, horizon, n_segments, input_reference="measured"):
-    """The references as a Function of the last arc length and the estimate.
+    """{"references": Function} of the last arc length and the estimate.
 
     The desired points begin `look_ahead_m` beyond the closest one. They lie one sample of the
     robot's estimated speed over ground, |μ̂ν̂| Δt, apart, so that the path leads and not a clock,
     eq. (17). The desired yaw is that of the path plus λπ, eq. (18), with λ = `backwards`, in the
     turn nearest to the estimate (interpretation R9). The desired yaw rate is the measured one over
-    the whole horizon, as in the paper, or c |μ̂ν̂| / κ̂ for the path's curvature c (R8).
+    the whole horizon, as in the paper, or with `input_reference` "curvature" c |μ̂ν̂| / κ̂ for the
+    path's curvature c (R8).
 
-    Args:
-        dt_s: Length of a sample [s].
-        horizon: Number of intervals N.
-        n_segments: Number of the path's segments M.
-        input_reference: "measured" or "curvature".
-
-    Returns:
-        {"references": Function} with the results s [m], xi_ref (3, N+1), omega_ref (1, N) and
-        curvature at s.
+    The results are s [m], xi_ref (3, N+1), omega_ref (1, N) and the curvature at s.
     """
     one = (1, 1)
 

@@ -11,8 +11,6 @@ from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.speed_models import speed_model_of
 
-__all__ = ["ESTIMATORS", "SIGMA_START", "init", "settings_of", "window_of"]
-
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
 _SIGMA_KNOWN = 1e-3
@@ -39,15 +37,9 @@ def window_of(choice):
 
 
 def init(window, guess, sigma=SIGMA_START):
-    """Make the memory before the first sample.
+    """The memory before the first sample, {name: array}; quantities without a guess begin at 0.
 
-    Args:
-        window: The Window.
-        guess: {quantity: value}; quantities without one begin at 0.
-        sigma: {quantity: standard deviation}.
-
-    Returns:
-        {name: array}.
+    `guess` and `sigma` are {quantity: value} and {quantity: standard deviation}.
     """
     names = window.model.joint_names
     return rhe.init(
@@ -59,18 +51,10 @@ def init(window, guess, sigma=SIGMA_START):
 
 
 def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants):
-    """Compute the settings of the RHE, eq. (9), (15).
+    """The settings of the RHE, eq. (9), (15): variances V, W and P_0, and the noise's constants c.
 
-    Args:
-        speed_model: Name of the speed model.
-        process_noise: Name of the tuned process noise.
-        sigma_w: Standard deviations of the process noise, or None for the tuned ones.
-        sigma_v: (4,) standard deviations of the measurements.
-        slip: Values of the first constants of the motion noise, as in `tuning.SLIP`, or None.
-        constants: Other constants of the motion noise, by name.
-
-    Returns:
-        {name: array}: variances V, W and P_0, and the constants c if the model has motion noise.
+    Standard deviations `sigma_w` are by default those tuned for `process_noise`. `slip` has the
+    first constants of the motion noise, as in `tuning.SLIP`; `constants` has others by name.
     """
     kind = speed_model_of(speed_model)
     names = kind.model.joint_names
@@ -130,9 +114,8 @@ def _held(name, traction_input):
         build_step=_build_held_step,
         init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
         settings=lambda scenario: dict(
-            V=np.square(tuning.sigma_v_of(scenario)),
-            W=np.square(tuning.sigma_w_of(name, scenario)),
-            P_0=np.square([SIGMA_START[name] for name in _HELD.joint_names]),
+            **tuning.variances_of(name, scenario),
+            P_0=np.square([SIGMA_START[state] for state in _HELD.joint_names]),
         ),
         states=lambda choice: _HELD.joint_names,
         n_sigma_w=lambda choice: 4,

@@ -23,14 +23,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, pack_array, packed_size, select_inputs, unpack
+from rhec.core._casadi.build import casadi_function, packed_size, select_inputs, unpack
 from rhec.core._casadi.compiled import loop_symbols
+from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.slipping import LEVER_ARM
-
-__all__ = ["ROBUST_RHE", "gated"]
 
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
 PAST = 10  # samples from which the noise of positions is estimated
@@ -171,9 +170,8 @@ def _dead_reckoned(past, arm, kappa, dt_s):
 def _registration(q, e):
     """Turn and scale the path e (2, n) for the best fit with the positions q (2, n), both centred.
 
-    Returns:
-        The angle of the turn [rad], the mean square distance that is left, and the mean squares of
-        q and e, all [m²].
+    The results are the angle of the turn [rad], the mean square distance that is left, and the mean
+    squares of q and e, all [m²].
     """
     q, e = (path - ca.repmat(ca.sum2(path) / path.size2(), 1, path.size2()) for path in (q, e))
     dot = ca.sum2(ca.sum1(q * e))
@@ -214,22 +212,13 @@ def _is_probable(y, yaw, P, V, nu, drift):
 
 
 def _check(z, limits, memory, predict, V, names, first, dt_s):
-    """Check one measurement.
+    """Check one measurement z (4,) against `limits` (4,), earlier ones and the prediction.
 
-    Args:
-        z: (4,) measurement.
-        limits: (4,) largest plausible measurements.
-        memory: The pieces of _MEMORY.
-        predict: (z, V) -> mean (n,) and covariance (n, n) of the joint state, by the encoders in z.
-        V: (4,) variances of the sensors.
-        names: Names of the joint state.
-        first: 1 before any measurement.
-        dt_s: Length of a sample [s].
-
-    Returns:
-        {name: expression}: which measurements are `accepted`; `z_used` and `V_used`; whether to
-        `restart` and at which `pose`; whether to `replace` inconsistent measurements in the window,
-        and what they are `replaced` by; the memory after, `gate_after`.
+    `predict` is (z, V) -> mean (n,) and covariance (n, n) of the joint state `names`, by the
+    encoders in z; `first` is 1 before any measurement. The results by name: which measurements are
+    `accepted`; `z_used` and `V_used`; whether to `restart` and at which `pose`; whether to
+    `replace` inconsistent measurements in the window, and what they are `replaced` by; the memory
+    after, `gate_after`.
     """
     past, last, since, contradicted, doubt = memory.values()
     may_reject = since * dt_s < MAX_REJECTION_S
@@ -256,13 +245,11 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     follows = ca.logic_or(agreement.contradict, (since[0] == 0) * positions.newest_is_smooth)
     position = sample.has_position * ca.logic_or(first, ca.logic_or(probable, follows))
 
-    contradicted, restart, yaw = _check_estimate(
-        agreement, contradicted, m[2], position, may_reject[0]
-    )
+    judged = _check_estimate(agreement, contradicted, m[2], position, may_reject[0])
+    contradicted, restart, yaw = judged
     accepted = ca.logic_or(position, restart)
     trusted = ca.logic_or(position * positions.are_smooth, restart)
     last, since = _remember(z, last, since, sample.has_gnss, trusted, encoders)
-    contradicted = ca.if_else(restart, 0, contradicted)
     return dict(
         accepted=ca.vertcat(accepted, accepted, encoders, encoders),
         z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds),
@@ -285,9 +272,8 @@ def _remember(z, last, since, has_gnss, position, encoders):
 def _check_estimate(agreement, contradicted, yaw, position, may_reject):
     """Where the sensors agree and the estimate contradicts them, restart.
 
-    Returns:
-        How often in a row the course has contradicted the yaw, whether to restart, and with which
-        yaw [rad].
+    The results are how often in a row the course has contradicted the yaw, whether to restart, and
+    with which yaw [rad].
     """
     is_apart = ca.cos(agreement.yaw - yaw) < MIN_HEADING_COSINE
     mismatch = agreement.agree * agreement.has_course * is_apart
@@ -299,20 +285,15 @@ def _check_estimate(agreement, contradicted, yaw, position, may_reject):
     # The yaw is not wrapped: choose the full turns that are nearest to the estimate.
     turns = ca.floor((agreement.yaw - yaw) / (2 * ca.pi) + 0.5)
     nearest = agreement.yaw - 2 * ca.pi * turns
-    return contradicted, restart, ca.if_else(agreement.has_course, nearest, yaw)
+    yaw = ca.if_else(agreement.has_course, nearest, yaw)
+    return ca.if_else(restart, 0, contradicted), restart, yaw
 
 
 def gated(window, phases):
-    """Wrap the phases of an RHE of the tracked robot, so that each measurement is checked.
+    """Wrap the phases {name: Function} of a weighted RHE, so that each measurement is checked.
 
-    Args:
-        window: Its rhe.Window, weighted.
-        phases: {name: Function}, from rhe.build_phases.
-
-    Returns:
-        {name: Function}, with the same names. The memory has two more pieces, `V_window` (4, N + 1)
-        and `gate`. Feedback also returns which measurements are `accepted` (4,), as 1 or 0, and
-        whether the window is to `restart`.
+    The memory has two more pieces, `V_window` (4, N + 1) and `gate`. Feedback also returns which
+    measurements are `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
     """
     memory = dict(V_window=(4, window.N + 1), gate=(packed_size(_MEMORY), 1))
     shift, linearise = _wrap_preparation(phases, memory)

@@ -13,8 +13,6 @@ from rhec.core.model.base import Model, MotionNoise
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
 
-__all__ = ["LEVER_ARM", "SLIPPING", "f"]
-
 _EXACT = 1e-12  # variance of the tracks' speeds: errors of the encoders count as slip
 LEVER_ARM = ("arm_forward_m", "arm_left_m")
 
@@ -55,15 +53,10 @@ def _abs_track_speeds(nu, omega, b):
 
 
 def _input_noise(v, R, c):
-    """Mean and variances of the inputs: slip in proportion to the motion, turning by bumps.
+    """Mean and variances (5,) of the inputs: slip in proportion to the motion, turning by bumps.
 
-    Args:
-        v: (5,) measured ν and ω; slip is not measured.
-        R: (5,) variances of the measured inputs.
-        c: (7,) constants, see `tuning.SLIP`, then track width [m] and length of a sample [s].
-
-    Returns:
-        (5,) mean, (5,) variances.
+    v (5,) has the measured ν and ω, and R their variances; slip is not measured. c (7,) are the
+    constants of `tuning.SLIP`, then the track width [m] and the length of a sample [s].
     """
     share_nu, share_omega, share_side, sigma_bumps, side_slip_s, b, dt_s = ca.vertsplit(c)
     nu = v[0]

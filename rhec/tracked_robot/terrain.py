@@ -20,16 +20,8 @@ import numpy as np
 from pydantic import Field
 from scipy.special import betaincinv, ndtr
 
-from rhec.core._casadi.validation import (
-    NotNegative,
-    Positive,
-    Real,
-    Traction,
-    Whole,
-    checked,
-    numbers,
-    shown,
-)
+from rhec.core._casadi.validation import NotNegative, Positive, Real, Whole, checked, shown
+from rhec.tracked_robot.options import Traction, numbers
 
 # In a checkout data/ stands beside the package, in a wheel inside it.
 _ROOTS = File(__file__).parents[1:3]
@@ -38,16 +30,6 @@ STANDARD_FIELDS = next(
     None,
 )
 
-__all__ = [
-    "CELLS_PER_LENGTH",
-    "STANDARD_FIELDS",
-    "Terrain",
-    "common_shape",
-    "flat",
-    "lookup",
-    "random_for",
-    "settings",
-]
 CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 _LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _QUANTILES = np.linspace(-5, 5, 257)  # of the standard normal distribution
@@ -251,13 +233,9 @@ def _cached_random(*arguments):
 
 
 def lookup(shape):
-    """The traction at a place as a CasADi Function, bilinear and constant beyond the edges.
+    """The traction at a place as a Function (xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ).
 
-    Args:
-        shape: Of the grid.
-
-    Returns:
-        A Function (xy, origin_m, cell_m, slip) -> traction (2,) = (μ, κ); slip: see `flat`.
+    It is bilinear on a grid of this shape and constant beyond its edges. slip: see `flat`.
     """
     xy = ca.MX.sym("xy", 2)
     origin_m = ca.MX.sym("origin_m", 2)
@@ -277,14 +255,9 @@ def lookup(shape):
 
 
 def flat(terrain, shape=None):
-    """Both fields in the order in which `lookup` reads them.
+    """Both fields (2 · rows · columns,) in the order in which `lookup` reads them.
 
-    Args:
-        terrain: The Terrain.
-        shape: A larger grid, to which the fields are continued as they are beyond their edges.
-
-    Returns:
-        (2 · rows · columns,) values.
+    On a larger grid of the given shape the fields are continued as they are beyond their edges.
     """
     rows, columns = terrain.mu.shape
     fields = np.empty((2, *(shape or terrain.mu.shape)), order="F")
@@ -354,15 +327,9 @@ def _window(field, period, n_i, n_j, step, draw):
 
 
 def _bilinear(field, rows, columns):
-    """A field that repeats itself, interpolated at the crossings of rows and columns.
+    """A field that repeats itself, interpolated at the crossings of rows (m,) and columns (n,).
 
-    Args:
-        field: (period, period) values at the corners of square cells.
-        rows: (m,) places in [0, period), in cells.
-        columns: (n,) places likewise.
-
-    Returns:
-        (m, n) values.
+    The rows and columns are places in [0, period), in cells; the result is (m, n).
     """
     i = rows.astype(int)
     j = columns.astype(int)

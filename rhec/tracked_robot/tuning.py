@@ -7,20 +7,9 @@
   on training seeds (`rhec.workbench.studies.consistency`).
 """
 
-from rhec import paper
+import numpy as np
 
-__all__ = [
-    "ARRIVAL_MEAN",
-    "SIGMA_SIDE_SLIP_AT_REST",
-    "SIGMA_V",
-    "SIGMA_W",
-    "SIGMA_W_FILTERED",
-    "SIGMA_W_SLIPPING",
-    "SIGMA_W_TRACKING",
-    "SLIP",
-    "sigma_v_of",
-    "sigma_w_of",
-]
+from rhec import paper
 
 
 def _not_the_papers(calibrated):
@@ -100,8 +89,9 @@ def sigma_v_of(scenario):
     return scenario.sigma_v or SIGMA_V[scenario.process_noise]
 
 
-def sigma_w_of(name, scenario):
-    """Standard deviations of the process noise of a Scenario's estimator, by its name."""
-    if scenario.sigma_w is None:
-        return SIGMA_W[name][scenario.process_noise]
-    return scenario.sigma_w
+def variances_of(name, scenario):
+    """The settings V and W of a Scenario's estimator, by its name."""
+    sigma_w = scenario.sigma_w
+    if sigma_w is None:
+        sigma_w = SIGMA_W[name][scenario.process_noise]
+    return dict(V=np.square(sigma_v_of(scenario)), W=np.square(sigma_w))

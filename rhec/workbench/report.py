@@ -1,18 +1,16 @@
-"""The report: executed notebooks, figures, tables, claims, documentation, the reference of the
-public face and where all of it came from, as one site that needs no network.
+"""The report: a site made by Sphinx from the executed notebooks, the figures and tables that they
+left, the documentation, and the reference of the public face. It needs no network.
 
     python -m rhec.workbench.report build/notebooks/03_scenario_a.ipynb …
 
-nbconvert turns the notebooks' cells into HTML and pdoc the docstrings, Jinja puts every page into
-one frame, matplotlib typesets the formulas (as SVG, in the figures' fonts), so that no page needs a
-script. The templates stand in `templates/`.
+`docs/conf.py` configures Sphinx, `docs/index.md` orders the pages. Here the sources are laid out in
+a folder as they are in the repository, so that links between them hold, and the pages "figures",
+"tables", "claims" and "provenance" are written beside them as Markdown.
 """
 
 import argparse
-import base64
-import contextlib
 import importlib.metadata
-import itertools
+import io
 import os
 import platform
 import re
@@ -20,380 +18,400 @@ import shutil
 import subprocess
 import tempfile
 import tomllib
-from collections import Counter
+from base64 import b64decode, b64encode
 from datetime import datetime
 from html import escape
 from pathlib import Path
 
-import jinja2
 import nbformat
 import pandas as pd
-from bs4 import BeautifulSoup
-from markupsafe import Markup
-from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import TextPath, text_to_path
-from nbconvert import HTMLExporter
-from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from PIL import Image
-from pygments.formatters import HtmlFormatter
+from sphinx.application import Sphinx
 
 from rhec import __version__
-from rhec.workbench import reference
+from rhec.workbench import results
 from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
+from rhec.workbench.studies.claims.summary import ONE_WAY, verdict_counts
 
-__all__ = ["Cells", "build", "formula", "tone"]
+__all__ = ["build", "made_by"]
 
 ROOT = Path(__file__).resolve().parents[2]
-TEMPLATES = Path(__file__).parent / "templates"
 REPORT = ROOT / "build/report"
-LONG = 40  # characters: a text in a table that wants room
-SCENES = Path(__file__).parent / "live/scenes.toml"  # of the live page, which comes afterwards
-LIVE = '<p class="live">Sliders: run <code>make lab</code> and open this notebook.</p>'
-# A notebook may be called claims, too.
-RESULTS = [f"results-{name}" for name in ("claims", "figures", "tables", "provenance")]
-LETTERS = {1: "M", 2: "L", 3: "Q", 4: "C", 79: "Z"}  # of SVG for matplotlib's path codes
-FONT = FontProperties(math_fontfamily="stix", size=100)  # a hundredth of it is an em
+# The live page comes after the report and imports nothing of it; its scenes name notebooks.
+_SCENES = Path(__file__).parent / "live/scenes.toml"
+THUMBNAIL = (640, 640)  # pixels, at most
+LONG = 30  # characters: a longer text in a table is broken into lines
+_WIDGET = "application/vnd.jupyter.widget-view+json"
+_COPIED = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
+_RULES = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and *does not
+hold* if none of it does; otherwise it is undecided. The rules are stated in the table. Some of them
+were changed after the verdicts of the previous ledger were known:
+[which, and why](docs/claims.md). A verdict with an asterisk (*) was not tested: no simulated world
+gave the other one. Where the verdict names a condition, the text as printed gives the other."""
+_WIDE = "---\nhide-toc: true\n---\n\n"  # the contents at the right give their place to the page
 
 
-def formula(tex, display=False):
-    """The SVG of a formula, as high as the text around it (1 em), in the text's colour.
+def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=None):
+    """Write the site; it replaces the old one only when it is whole.
 
     Args:
-        tex: TeX, without the dollar signs.
-        display: whether it stands on a line of its own.
+        notebooks: paths of executed notebooks.
+        figures: folder of the figures and tables that they left.
+        report: folder of the site.
+        live: whether to link the live page, which `python -m rhec.workbench.live.page` adds.
+        published: names of the files in `figures` that the report may read; by default all. Other
+            files are a person's own, and may be anything.
 
     Raises:
-        ValueError: if mathtext does not know what is in it.
+        sphinx.errors.SphinxError: if a page cannot be made; the old site is left as it was.
     """
-    text = f"${' '.join(tex.split())}$"
-    # mathtext has \geq, \leq and \neq by their long names alone
-    text = re.sub(r"\\([gln]e)\b", r"\\\1q", text)
-    try:
-        width, height, depth = text_to_path.get_text_width_height_descent(text, FONT, ismath=True)
-        outline = TextPath((0, 0), text, prop=FONT)
-    except ValueError as error:
-        said = f"it must be TeX that matplotlib's mathtext knows: {str(error).splitlines()[-1]}"
-        raise ValueError(f"formula was {tex!r}; {said}") from None
-    curves = ""
-    for vertices, code in outline.iter_segments(simplify=False, curves=True):
-        points = [] if code == 79 else vertices.reshape(-1, 2)
-        curves += LETTERS[code] + " ".join(f"{x:.1f},{-y:.1f}" for x, y in points)
-    size = f"width: {width / 100:.3f}em; height: {height / 100:.3f}em"
-    svg = (
-        f'<svg class="formula" role="img" aria-label="{escape(tex.strip())}" '
-        f'viewBox="0 {depth - height:.1f} {width:.1f} {height:.1f}" '
-        f'style="{size}; vertical-align: {-depth / 100:.3f}em">'
-        f'<path fill="currentColor" d="{curves}"/></svg>'
-    )
-    return f'<span class="display">{svg}</span>' if display else svg
+    report.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
+        source = Path(folder) / "source"
+        site = Path(folder) / report.name
+        site.mkdir()
+        _lay_out(source, notebooks, figures, live, published)
+        _run_sphinx(source, site, ["live"] if live else [])
+        (site / "report.d").touch()  # for `make clean`
+        made = [f"build/report/{file.relative_to(site)}" for file in site.rglob("*.*")]
+        (site / "report.d").write_text(f"MADE += {' '.join(made)}\n")
+        shutil.rmtree(report, ignore_errors=True)
+        site.rename(report)
 
 
-class _Renderer(IPythonRenderer):
-    """Markdown as in nbconvert, with its formulas typeset."""
-
-    def inline_math(self, body):
-        return formula(body)
-
-    def block_math(self, body):
-        return formula(body, display=True)
-
-
-class Cells(HTMLExporter):
-    """A notebook's cells as HTML, without the page around them."""
-
-    def __init__(self):
-        super().__init__(template_name="cells", extra_template_basedirs=[str(TEMPLATES)])
-
-    @jinja2.pass_context
-    def markdown2html(self, context, source):
-        return _markdown(source)
+def _run_sphinx(source, site, tags):
+    """Make the site of its sources; what Sphinx warns of is printed."""
+    cache = site.parent / "doctrees"
+    app = Sphinx(source, ROOT / "docs", site, cache, "html", status=None, tags=tags)
+    app.build()
+    for left in (".buildinfo", "objects.inv", "_sphinx_design_static"):
+        (site / left).unlink(missing_ok=True)
 
 
-def _markdown(source):
-    """Markdown as HTML."""
-    return MarkdownWithMath(renderer=_Renderer(escape=False, anchor_link_text="#")).render(source)
+def made_by(notebooks, figures=style.FOLDER):
+    """Names of the files in a folder that these notebooks made, by the lists beside them."""
+    names = set()
+    for rules in (Path(notebook).with_suffix(".d") for notebook in notebooks):
+        text = rules.read_text(encoding="utf-8") if rules.exists() else ""
+        files = (
+            ROOT / file for line in re.findall(r"(?m)^MADE \+=(.*)$", text) for file in line.split()
+        )
+        names |= {file.name for file in files if file.parent == figures}
+    return names
 
 
-def _notebook_page(file, pages):
-    """An executed notebook as `_page`, with its first picture (PNG) and its run (times)."""
-    notebook = nbformat.read(file, as_version=4)
-    _prepare_outputs(notebook)
-    try:
-        body, _ = Cells().from_notebook_node(notebook)
-    except ValueError as error:
-        raise ValueError(f"{file.name}: {error}") from None
-    run = dict(picture=_first_picture(notebook), run=_run_of(notebook))
-    return _page(file.stem, body, pages) | run
+def _copy_figures(figures, folder, published):
+    folder.mkdir()
+    for file in figures.iterdir():
+        if file.is_file() and (published is None or file.name in published):
+            shutil.copy(file, folder)
 
 
-def _page(name, body, pages):
-    """What a page shows: name, title, lead, contents, body (HTML).
-
-    Links to the notebooks and documents named in `pages` become links to their pages.
-    """
-    soup = BeautifulSoup(body, "html.parser")
-    for link in soup.select("a[href$='.ipynb'], a[href$='.md']"):
-        kind = "docs-" if link["href"].endswith(".md") else ""
-        target = kind + Path(link["href"]).stem
-        if target in pages:
-            link["href"] = f"{target}.html"
-    for table in soup.select("table"):
-        table.attrs.pop("border", None)
-        table.wrap(soup.new_tag("div", attrs={"class": "scroll"}))
-    for cell in soup.select("td"):
-        if len(cell.get_text()) > LONG:
-            cell["class"] = "long"
-    for old in soup.select("style"):  # pandas' own, for each table
-        old.decompose()
-    heading = soup.select_one("h1")
-    lead = soup.select_one(".markdown p")
-    contents = [(h2["id"], _text(h2)) for h2 in soup.select("h2[id]")]
-    title = _text(heading) if heading else name
-    lead = _text(lead) if lead else ""
-    return dict(name=name, title=title, lead=lead, contents=contents, body=Markup(soup))
-
-
-def _text(tag):
-    """The text of an element without its anchor, its formulas in letters."""
-    copy = BeautifulSoup(str(tag), "html.parser")
-    for extra in copy.select(".anchor-link"):
-        extra.decompose()
-    for picture in copy.select("svg"):
-        tex = re.sub(r"\\mathrm|[{}]", "", picture.get("aria-label", ""))
-        picture.replace_with(re.sub(r"\^(\d)", lambda power: "⁰¹²³⁴⁵⁶⁷⁸⁹"[int(power[1])], tex))
-    return " ".join(copy.get_text().split())
+def _lay_out(source, notebooks, figures, live, published):
+    """All that the pages are made of, in a new folder."""
+    shutil.copytree(ROOT / "docs", source / "docs", ignore=shutil.ignore_patterns("index.md"))
+    shutil.copy(ROOT / "docs/index.md", source)
+    for name in _COPIED:
+        shutil.copy(ROOT / name, source)
+    _copy_figures(figures, source / "figures", published)
+    figures = source / "figures"
+    (source / "notebooks").mkdir()
+    stories = {file.stem: nbformat.read(file, as_version=4) for file in notebooks}
+    scenes = tomllib.loads(_SCENES.read_text(encoding="utf-8"))
+    scene_of = {scene["notebook"]: name for name, scene in scenes.items()}
+    captions = {}
+    for name, notebook in stories.items():
+        captions |= {figure: (name, text) for figure, text in _captions(notebook, figures).items()}
+        _prepare(notebook, scene_of.get(name), live)
+        nbformat.write(notebook, source / f"notebooks/{name}.ipynb")
+    pages = {
+        "figures": _figures_page(stories, captions, figures),
+        "tables": _tables_page(figures),
+        "claims": _claims_page(figures / "claims.csv"),
+        "provenance": _provenance_page(stories, figures),
+    }
+    for name, text in pages.items():
+        (source / f"{name}.md").write_text(text, encoding="utf-8")
 
 
-def _prepare_outputs(notebook):
-    """Describe pictures by the text above them, drop progress bars, say where widgets live."""
-    above = ""
+# ---------------------------------------------------------------- notebooks
+
+
+def _captions(notebook, figures):
+    """The figures that a notebook saves, {name: the paragraph above}; each gets an anchor there."""
+    captions = {}
+    above = notebook.cells[0]
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
-            above = re.sub(r"[*#`$]", "", cell.source.strip().split("\n\n")[-1])
-        if cell.cell_type != "code":
+            above = cell
             continue
-        outputs = [(output, output.get("data", {})) for output in cell.outputs]
-        bars = [re.search(r"\d%\|", data.get("text/plain", "")) for _, data in outputs]
-        cell.outputs = [output for output, bar in zip(cell.outputs, bars) if not bar]
-        for output, data in outputs:
-            if "image/png" in data:
-                output.metadata["alt"] = " ".join(above.split())[:200]
-            if "application/vnd.jupyter.widget-view+json" in data:
-                output.data = nbformat.from_dict({"text/html": LIVE})
+        if not _pictures(cell):
+            continue
+        named = [name for name in re.findall(r'"(\w+)"', cell.source) if name not in captions]
+        saved = [name for name in named if (figures / f"{name}.png").exists()]
+        captions |= dict.fromkeys(saved, _last_paragraph(above))
+        above.source += "".join(f'\n\n<a id="{name}"></a>' for name in saved)
+    return captions
 
 
-def _first_picture(notebook):
-    """The first PNG among a notebook's outputs, or None."""
-    outputs = (output for cell in notebook.cells for output in cell.get("outputs", []))
-    pngs = (output.get("data", {}).get("image/png") for output in outputs)
-    first = next(filter(None, pngs), None)
-    return first and base64.b64decode(first)
+def _prepare(notebook, scene, live):
+    """Describe a notebook's pictures, fold its code, and leave out what only a kernel can show.
+
+    Args:
+        notebook: the executed notebook; it is changed.
+        scene: the live page's scene that shows what the notebook does, or None.
+        live: whether there is a live page.
+    """
+    notebook.metadata.pop("widgets", None)  # their state, which nothing here can show
+    unfolded = notebook.metadata.get("rhec", {}).get("code") == "open"
+    above = notebook.cells[0]
+    sliders = [above] if scene and live else []
+    for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            above = cell
+            continue
+        sliders += [above for output in cell.get("outputs", []) if _is_explorer(output)]
+        cell.outputs = [output for output in cell.outputs if _WIDGET not in output.get("data", {})]
+        _prepare_pictures(cell, _last_paragraph(above))
+        if not unfolded or cell.metadata.get("jupyter", {}).get("source_hidden"):
+            cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
+    for cell in sliders:
+        cell.source += _slider_tip(scene, live)
 
 
-def _run_of(notebook):
-    """When and how long a notebook ran, with which parameters, as papermill noted it."""
-    noted = notebook.metadata.get("papermill", {})
-    seconds = [cell.metadata.get("papermill", {}).get("duration") or 0.0 for cell in notebook.cells]
-    run = dict(seconds=noted.get("duration"), slowest_s=max(seconds, default=0.0))
-    run["started"] = noted.get("start_time", "")[:19].replace("T", " ")
-    run["cells"] = sum(cell.cell_type == "code" for cell in notebook.cells)
-    return run | dict(parameters=noted.get("parameters", {}))
+def _is_explorer(output):
+    """Whether an output is a widget other than a progress bar."""
+    data = output.get("data", {})
+    return _WIDGET in data and not re.search(r"\d%\|", data.get("text/plain", ""))
 
 
-def _figures_of(folder):
-    """The PNGs of a folder and what each says of itself, as `plots.save` wrote it."""
-    found = []
-    for file in sorted(folder.glob("*.png")):
-        with Image.open(file) as image:
-            said = image.info
-            (width, height) = image.size
-        about = dict(name=file.stem, notebook=Path(said.get("Subject", "")).stem)
-        about |= dict(source=style.source_of(file), scenario=said.get("Keywords", ""))
-        pdf = file.with_suffix(".pdf").exists()
-        found.append(about | dict(width=width, height=height, pdf=pdf))
-    return found
+def _slider_tip(scene, live):
+    page = f'<a href="../live.html#{scene or ""}">the live page</a> moves them in this browser; '
+    return (
+        "\n\n:::{tip}\n"
+        f"Sliders: {page if live else ''}`make lab` opens this notebook with Python.\n:::\n"
+    )
 
 
-def _tables_of(folder):
-    """The CSV files of a folder, and the notebook that the LaTeX beside each names."""
-    found = []
+def _pictures(cell):
+    return [output for output in cell.outputs if "image/png" in output.get("data", {})]
+
+
+def _prepare_pictures(cell, caption):
+    """Give a cell's pictures a description and a size, and store them in few bytes."""
+    for output in _pictures(cell):
+        output.data["image/png"] = _with_fewer_colours(output.data["image/png"])
+        width = output.metadata.get("image/png", {}).get("width")
+        image = dict(width=f"{width}px") if width else {}
+        cell.metadata["mystnb"] = dict(image=image | dict(alt=_plain(caption)[:250]))
+
+
+def _last_paragraph(cell):
+    """The last paragraph of a cell with prose: what stands above a picture describes it."""
+    prose = re.sub(r"(?m)^<a id=.*$|^#.*$", "", cell.source)
+    pieces = [piece.strip() for piece in prose.split("\n\n") if piece.strip()]
+    return pieces[-1] if pieces else ""
+
+
+def _plain(text):
+    return " ".join(re.sub(r"[*#`$\\]", "", text).split())
+
+
+def _with_fewer_colours(png):
+    """A PNG (base64) in 256 colours: a drawing loses nothing that can be seen."""
+    image = (
+        Image.open(io.BytesIO(b64decode(png)))
+        .convert("RGB")
+        .quantize(256, Image.Quantize.FASTOCTREE, dither=0)
+    )
+    file = io.BytesIO()
+    image.save(file, "PNG", optimize=True)
+    return b64encode(file.getvalue()).decode()
+
+
+# ---------------------------------------------------------------- figures and tables
+
+
+def _figures_page(stories, captions, folder):
+    """The figures of the paper in its order, then those of each study."""
+    drawn = sorted(file.stem for file in folder.glob("*.png"))
+    groups = {"The paper": [name for name in drawn if re.match(r"fig\d", name)]}
+    for story, notebook in stories.items():
+        own = [name for name in captions if captions[name][0] == story]
+        groups[_title(story, notebook)] = [name for name in own if name not in groups["The paper"]]
+    named = [name for names in groups.values() for name in names]
+    groups["Other figures"] = [name for name in drawn if name not in named]
+    (folder / "thumbnails").mkdir()
+    text = f"{_WIDE}# Figures\n\nThe figures of the paper in its order, then those of the studies. "
+    text += "Each file carries the scenario and the notebook that made it.\n"
+    for title, names in groups.items():
+        if names:
+            shown = "\n".join(
+                _figure(name, *captions.get(name, ("", "")), folder) for name in names
+            )
+            text += f"\n## {title}\n\n::::{{container}} gallery\n{shown}\n::::\n"
+    return text
+
+
+def _figure(name, story, caption, folder):
+    """A thumbnail with its caption and links, as Markdown."""
+    with Image.open(folder / f"{name}.png") as image:
+        image.thumbnail(THUMBNAIL)
+        image.convert("RGB").save(folder / f"thumbnails/{name}.webp", quality=80)
+    links = [f"[notebook](notebooks/{story}.ipynb)"] if story else []
+    if (folder / f"{name}.pdf").exists():
+        links.append(f"{{download}}`PDF <figures/{name}.pdf>`")
+    target = f":target: notebooks/{story}.html#{name}\n" if story else ""
+    return (
+        f":::{{figure}} figures/thumbnails/{name}.webp\n:name: {name}\n{target}"
+        f":alt: {_plain(caption)[:250] or name}\n\n{caption or name}\n\n"
+        f"`{name}`: {' · '.join(links)}\n:::"
+    )
+
+
+def _title(story, notebook):
+    heading = re.search(r"(?m)^# (.*)$", notebook.cells[0].source)
+    return heading[1] if heading else story
+
+
+def _tables_page(folder):
+    """Every table, with numbers as a person reads them, and its files."""
+    text = f"{_WIDE}# Tables\n\nThree digits here, all of them in the CSV files.\n"
     for file in sorted(folder.glob("*.csv")):
         tex = file.with_suffix(".tex")
         said = tex.read_text(encoding="utf-8") if tex.exists() else ""
-        subject = re.search(r"^% Subject: (.*)$", said, re.M)
-        notebook = Path(subject[1]).stem if subject else ""
-        about = dict(name=file.stem, notebook=notebook, tex=tex.exists())
-        found.append(about | dict(frame=pd.read_csv(file)))
-    return found
+        caption = re.search(r"\\caption\{(.*?)\}\n", said)
+        caption = re.sub(r"\\,|\\(?=[%_&])", "", caption[1]) if caption else ""
+        files = [f"{{download}}`CSV <figures/{file.name}>`"]
+        files += [f"{{download}}`LaTeX <figures/{tex.name}>`"] if tex.exists() else []
+        table = _as_html(results.readable(pd.read_csv(file)))
+        text += f"\n## {file.stem.replace('_', ' ')}\n\n{caption}. "
+        text += f"{' · '.join(files)}\n\n{table}\n"
+    return text
 
 
-def _ledger_of(tables):
-    """Every table with the columns `claim` and `verdict`: (table, its rows with a claim)."""
-    found = []
-    for table in tables:
-        columns = list(table["frame"])
-        if {"claim", "verdict"} <= set(columns):
-            columns.insert(columns.index("claim") + 1, columns.pop(columns.index("verdict")))
-            rows = table["frame"].dropna(subset=["claim"])[columns]
-            found.append((table, rows.dropna(axis="columns", how="all")))
-    return found
-
-
-def tone(verdict):
-    """Which of four kinds a verdict is of: good, part (of the interpretations), bad or open."""
-    if str(verdict).startswith("holds "):
-        return "part"
-    return {"holds": "good", "does not hold": "bad"}.get(str(verdict), "open")
-
-
-def _as_html(frame):
-    """A table as HTML: numbers in four digits, verdicts in colour, nothing where nothing is."""
+def _as_html(table):
+    """A DataFrame as HTML in a frame that scrolls; numbers in three digits."""
 
     def cell(value):
-        if isinstance(value, float):
-            return "" if pd.isna(value) else f"{value:.4g}"
-        text = escape(str(value))
-        return f'<div class="long">{text}</div>' if len(str(value)) > LONG else text
+        text = results.format_number(value) if isinstance(value, float) else str(value)
+        if text.startswith("<a id="):
+            return text
+        return f'<div class="long">{escape(text)}</div>' if len(text) > LONG else escape(text)
 
-    def verdict(value):
-        return f'<span class="verdict {tone(value)}">{cell(value)}</span>' if cell(value) else ""
+    table = table.rename(columns=lambda name: escape(str(name)).replace("_", " "))
+    html = table.to_html(
+        index=False,
+        border=0,
+        escape=False,
+        classes="docutils",
+        formatters=[cell] * len(table.columns),
+    )
+    return f'```{{raw}} html\n<div class="table-wrapper docutils container">{html}</div>\n```'
 
-    # where a long name may be broken
-    frame = frame.rename(columns=lambda name: escape(str(name)).replace("_", "_<wbr>"))
-    formatters = {column: verdict if column == "verdict" else cell for column in frame}
-    plain = dict(index=False, border=0, escape=False, na_rep="")
-    return Markup(frame.to_html(formatters=formatters, **plain))
+
+# ---------------------------------------------------------------- claims and provenance
 
 
-def _provenance():
-    """What the results came from, as pairs (what, value)."""
-    ours = (ROOT / ".git").exists()  # not that of a repository around this folder
-    describe = ["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
-    commit = ours and subprocess.run(describe, capture_output=True, text=True).stdout.strip()
-    return [
+def _claims_page(file):
+    """The verdict on each claim; `claims.html#B5` is that of B5."""
+    if not file.exists():
+        return "# Verdicts on the paper\n\n`make claims` has not been run.\n"
+    claims = pd.read_csv(file)
+    counts = verdict_counts(claims)
+    text = f"{_WIDE}# Verdicts on the paper\n\n{_RULES}\n\n"
+    text += results.to_markdown(pd.DataFrame(dict(verdict=counts.keys(), claims=counts.values)))
+    shown = pd.DataFrame()
+    shown["id"] = [f'<a id="{name}" href="#{name}">{name}</a>' for name in claims["id"]]
+    shown["the paper's claim"] = claims["claim"]
+    shown["verdict"] = claims["verdict"] + claims["kind"].eq(ONE_WAY).map({True: "*", False: ""})
+    shown["here"] = results.format_intervals(claims, "value").where(claims["n"] > 0, "")
+    shown["unit"] = claims["unit"]
+    shown["the paper's"] = claims["paper"]
+    shown["runs or cases"] = claims["n"]
+    shown["rule"] = claims["test"]
+    shown["why"] = claims["why"]
+    for section, rows in shown.fillna("").groupby(claims["section"], sort=False):
+        text += f"\n\n## {section}\n\n{_as_html(rows)}"
+    return text
+
+
+def _provenance_page(stories, figures):
+    """What the results came from."""
+    made_by = {style.source_of(file) for file in sorted(figures.glob("*.png"))} - {""}
+    facts = [
         ("Project", f"rhec {__version__}"),
         ("Source", f"{style.source()} (digest of rhec/, notebooks/ and the standard fields)"),
-        ("Commit", commit or "no git repository"),
+        ("Commit", _commit()),
+        *(("Figures made by", maker) for maker in sorted(made_by)),
         ("Machine", timing.machine()),
         ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
         ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")),
     ]
+    runs = pd.DataFrame([_run_of(name, notebook) for name, notebook in stories.items()])
+    packages = pd.DataFrame(
+        _packages(), columns=["package", "version", "pinned in environment.txt"]
+    )
+    return "\n\n".join(
+        [
+            "# Provenance",
+            results.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
+            "## Notebooks",
+            results.to_markdown(runs),
+            "## Packages",
+            results.to_markdown(packages),
+        ]
+    )
+
+
+def _commit():
+    """The commit of this folder's own repository, not of one around it."""
+    if not (ROOT / ".git").exists():
+        return "no git repository"
+    describe = ["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    return subprocess.run(describe, capture_output=True, text=True).stdout.strip()
+
+
+def _run_of(name, notebook):
+    """When, how long and with which parameters a notebook ran, as papermill noted it."""
+    noted = notebook.metadata.get("papermill", {})
+    given = ", ".join(f"{key} = {value}" for key, value in noted.get("parameters", {}).items())
+    return {
+        "notebook": f"[{name}](notebooks/{name}.ipynb)",
+        "started (UTC)": noted.get("start_time", "")[:19].replace("T", " "),
+        "duration [s]": results.format_number(noted.get("duration")),
+        "code cells": sum(cell.cell_type == "code" for cell in notebook.cells),
+        "parameters": given or "as in the notebook",
+    }
 
 
 def _packages():
     """The packages in environment.txt that are installed here: (name, version, pinned version)."""
     pins = (ROOT / "environment.txt").read_text(encoding="utf-8")
-    installed = set()
-    for name, pinned in re.findall(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)", pins, re.M):
-        # others are of another system or Python
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            installed.add((name, importlib.metadata.version(name), pinned))
-    return sorted(installed)
-
-
-def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
-    """Write the site; it replaces the old one only when it is whole.
-
-    Args:
-        notebooks: paths of executed notebooks, in the order of the pages.
-        figures: folder of the figures and tables that they left.
-        report: folder of the site.
-        live: whether to link the live page (`python -m rhec.workbench.live.page`).
-
-    Raises:
-        ValueError: if a notebook cannot be shown; the old site is left as it was.
-    """
-    report.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
-        unfinished = Path(folder) / report.name
-        _write_site(notebooks, figures, unfinished, live)
-        (unfinished / "report.d").touch()  # for `make clean`
-        made = [f"build/report/{file.relative_to(unfinished)}" for file in unfinished.rglob("*.*")]
-        (unfinished / "report.d").write_text(f"MADE += {' '.join(made)}\n")
-        shutil.rmtree(report, ignore_errors=True)
-        unfinished.rename(report)
-
-
-def _write_site(notebooks, figures, site, live):
-    """All pages, and what they show, into a new folder."""
-    (site / "notebooks").mkdir(parents=True)
-    shutil.copytree(figures, site / "figures")
-    for file in notebooks:
-        shutil.copy(file, site / "notebooks")
-
-    documents = {f"docs-{file.stem}": file for file in sorted((ROOT / "docs").glob("*.md"))}
-    names = [*documents, *(file.stem for file in notebooks)]
-    stories = [_notebook_page(file, names) for file in notebooks]
-    texts = {name: file.read_text(encoding="utf-8") for name, file in documents.items()}
-    docs = [_page(name, _markdown(text), names) for name, text in texts.items()]
-    drawn = _figures_of(figures)
-    tables = _tables_of(figures)
-    (site / "pictures").mkdir()
-    for story in stories:
-        if story["picture"]:
-            (site / f"pictures/{story['name']}.png").write_bytes(story["picture"])
-    ledger = _ledger_of(tables)
-    # other tables repeat what the ledger says
-    counted = [rows for table, rows in ledger if table["name"] == "claims"]
-    verdicts = [rows["verdict"].map(tone) for rows in counted or [rows for _, rows in ledger]]
-    common = dict(
-        stories=stories,
-        docs=docs,
-        figures=drawn,
-        tables=tables,
-        ledger=ledger,
-        counts=Counter(itertools.chain(*verdicts)),
-        version=__version__,
-        source=style.source(),
-        provenance=_provenance(),
-        packages=_packages(),
-        environment=sorted({figure["source"] for figure in drawn}),
-        live=_scenes() if live else {},
-    )
-    looks = dict(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    loader = jinja2.FileSystemLoader(TEMPLATES)
-    jinja = jinja2.Environment(loader=loader, autoescape=True, **looks)
-    jinja.filters["table"] = _as_html
-    jinja.filters["seconds"] = lambda value: "–" if value is None else f"{value:.1f} s"
-    jinja.filters["nice"] = lambda name: name.replace("_", " ")
-
-    def write(page, template, **more):
-        text = jinja.get_template(f"{template}.html.j2").render(common, page=page, **more)
-        (site / f"{page}.html").write_text(text, encoding="utf-8")
-
-    for page in ["index", *RESULTS]:
-        write(page, page)
-    contents, body = reference.of_the_face()
-    write("reference", "reference", contents=contents, body=Markup(body))
-    for template, pages in {"story": stories, "document": docs}.items():
-        for each in pages:
-            write(each["name"], template, **{template: each})
-    styles = (HtmlFormatter(style=name) for name in ("friendly", "github-dark"))
-    light, dark = (style.get_style_defs(".highlight") for style in styles)
-    ours = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    css = f"{light}\n@media (prefers-color-scheme: dark) {{\n{dark}\n}}\n{ours}"
-    (site / "report.css").write_text(css, encoding="utf-8")
-
-
-def _scenes():
-    """{notebook: the live page's scene about it}."""
-    scenes = tomllib.loads(SCENES.read_text(encoding="utf-8"))
-    return {scene["notebook"]: name for name, scene in scenes.items()}
+    pinned = dict(re.findall(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)", pins, re.M))
+    installed = {each.metadata["Name"]: each.version for each in importlib.metadata.distributions()}
+    both = sorted(pinned.keys() & installed.keys())  # others are of another system or Python
+    return [(name, installed[name], pinned[name]) for name in both]
 
 
 def _main():
-    about = "Make build/report/ from executed notebooks, such as build/notebooks/03_scenario_a.ipynb."
+    about = (
+        "Make build/report/ from executed notebooks, such as build/notebooks/03_scenario_a.ipynb."
+    )
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     parser.add_argument("--live", action="store_true", help="link the live page")
-    arguments = parser.parse_args()
+    also = "a file in figures/ to publish besides those that the notebooks made"
+    parser.add_argument("--also", metavar="FILE", nargs="*", default=[], type=Path, help=also)
+    options = parser.parse_args()
     try:
-        build(arguments.notebooks, live=arguments.live)
+        published = made_by(options.notebooks) | {file.name for file in options.also}
+        build(options.notebooks, live=options.live, published=published)
     except KeyboardInterrupt:
         parser.exit(130, "report: interrupted; an older one is left as it was\n")
-    except ValueError as error:
-        parser.exit(1, f"report: {error}\n")
+    if not options.live:
+        print("report: without the live page, since nothing here compiles C to WebAssembly")
     print(f"report: open {os.path.relpath(REPORT / 'index.html')}")
 
 

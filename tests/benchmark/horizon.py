@@ -7,8 +7,7 @@ from unittest import mock
 
 from benchmark import problems, step
 from rhec.core._casadi import compiled
-from rhec.core.controller.rhc import RHC
-from rhec.core.estimator.rhe import RHE
+from rhec.tracked_robot.live import PaperRHC, PaperRHE
 
 HORIZONS = 15, 30, 60, 120  # intervals; 3 s to 24 s; compiling for 240 takes minutes with clang
 SAMPLES = 50
@@ -26,7 +25,9 @@ def contestants(horizons):
     """
     blocks, compiling = {}, {}
     for N in horizons:
-        compiling[N, "RHE"], compiling[N, "RHC"] = (seconds(make, horizon=N) for make in (RHE, RHC))
+        compiling[N, "RHE"], compiling[N, "RHC"] = (
+            seconds(make, horizon=N) for make in (PaperRHE, PaperRHC)
+        )
         compiling[N, "RHE + RHC"] = compiling[N, "RHE"] + compiling[N, "RHC"]
         run = problems.drive(SAMPLES, N)
         blocks[N] = step.from_python(run, problems.record(run, N, iterations=1))

@@ -30,7 +30,9 @@ def _driver():
 
 def _library(build, structure):
     """The C library of a structure's phases."""
-    found = cache.load_or_build(compiled.library_name(build, (structure,)), None, lambda folder: folder)
+    found = cache.load_or_build(
+        compiled.library_name(build, (structure,)), None, lambda folder: folder
+    )
     return ctypes.CDLL(str(found / "library.so"))
 
 

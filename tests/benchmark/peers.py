@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
+from rhec.core.model import base
 from rhec.tracked_robot import kinematics as model
 
 quiet = functools.partial(warnings.catch_warnings, action="ignore")
@@ -35,7 +36,7 @@ OPTIONS = {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb"
 
 
 def next_pose(xi, omega, p):
-    return model.rk4(model.f, xi, omega, p, paper.DT_S)
+    return base.rk4(model.f, xi, omega, p, paper.DT_S)
 
 
 def squared(error, weight):

@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rhec import paper
-from rhec.core.controller.rhc import RHC
-from rhec.core.estimator.rhe import RHE
 from rhec.simulation.closed_loop import simulate
 from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 
 
@@ -43,9 +42,9 @@ def measured(run):
 def live(run, horizon=paper.HORIZON):
     """rhec's estimator and controller as they begin this run."""
     guess = (*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], run.scenario.speed_mps, 1.0, 1.0)
-    return RHE(process_noise=run.scenario.process_noise, horizon=horizon, guess=guess), RHC(
-        horizon=horizon
-    )
+    noise = run.scenario.process_noise
+    estimator = PaperRHE(process_noise=noise, horizon=horizon, guess=guess)
+    return estimator, PaperRHC(horizon=horizon)
 
 
 def references(run, horizon):

@@ -6,6 +6,7 @@ nothing of the user's is read or written.
 """
 
 import contextlib
+import functools
 import json
 import os
 import secrets
@@ -92,6 +93,12 @@ def watched_page(chromium, width=1366, height=768):
     page.close()
     assert not thrown
     assert not outside
+
+
+@pytest.fixture(scope="session")
+def open_page(chromium):
+    """A function that opens a watched page of the given width and height."""
+    return functools.partial(watched_page, chromium)
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ and what the page then shows.
 
 import numpy as np
 import pytest
-from conftest import watched_page
 
 # From here on the page notes when each picture that follows a change was painted, and when a
 # pointer was last pressed and let go [ms].
@@ -109,8 +108,8 @@ class Explorer:
 
 
 @pytest.fixture(scope="module")
-def opened(lab, chromium):
-    with watched_page(chromium) as page:
+def opened(lab, open_page):
+    with open_page() as page:
         lab.open(page, "00_start.ipynb")
         lab.run(page)
         page.wait_for_selector(".rhec-canvas")
@@ -306,8 +305,8 @@ def test_a_new_horizon_compiles_in_the_background(explorer):
 
 @pytest.mark.parametrize("theme", ["JupyterLab Light", "JupyterLab Dark"])
 @pytest.mark.parametrize("width, height", [(1366, 768), (2560, 1440)])
-def test_it_fits_the_screen_and_is_readable(lab, chromium, theme, width, height):
-    with watched_page(chromium, width, height) as page:
+def test_it_fits_the_screen_and_is_readable(lab, open_page, theme, width, height):
+    with open_page(width, height) as page:
         lab.open(page, "00_start.ipynb", theme)
         lab.run(page)
         page.wait_for_selector(".rhec-canvas")

@@ -9,14 +9,14 @@ import time
 
 import numpy as np
 import pytest
-from test_live import PAGE
-from test_live import pytestmark as pytestmark
+from helpers import LIVE_PAGE, needs_live_page
 
 import rhec
 from rhec.simulation.columns import COLUMNS
 from rhec.workbench.live.page import SCENES
 
 websocket = pytest.importorskip("websocket", reason="websocket-client is not installed")
+pytestmark = needs_live_page
 PATIENCE_S = 180
 
 
@@ -84,7 +84,7 @@ def settled(firefox):
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_scene_follows_a_slider_within_a_millimetre_of_its_lines_of_python(firefox, scene):
     firefox.open("about:blank")  # another fragment alone would not load it anew
-    firefox.open(f"{PAGE.as_uri()}#{scene}")
+    firefox.open(f"{LIVE_PAGE.as_uri()}#{scene}")
     before = settled(firefox)
     firefox.evaluate(
         """(input => (input.value = 0.44, input.dispatchEvent(new Event('input', {bubbles: true})),

@@ -3,11 +3,11 @@
 import base64
 import random
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers import LIVE_PAGE, needs_live_page
 
 import rhec
 from rhec.core._casadi import compiled, scan
@@ -16,10 +16,7 @@ from rhec.simulation.columns import COLUMNS
 from rhec.tracked_robot import tuning
 from rhec.workbench.live.page import FAULTS, SCENES, SEEDS, SOILS
 
-PAGE = Path(__file__).parents[2] / "build/report/live.html"
-pytestmark = pytest.mark.skipif(
-    not PAGE.exists(), reason="build/report has no live page: nothing compiled C to WebAssembly"
-)
+pytestmark = needs_live_page
 
 
 class Live:
@@ -27,7 +24,7 @@ class Live:
 
     def __init__(self, page):
         self.page = page
-        page.goto(PAGE.as_uri())
+        page.goto(LIVE_PAGE.as_uri())
         self.settled()
 
     def settled(self):
@@ -195,9 +192,7 @@ def test_sliders_of_w_show_the_w_in_use(live):
     live.choose(scene="b", noise="printed")
 
     def shown():
-        return live.page.locator(
-            "#sliders input[data-field=sigma_w] + output"
-        ).all_inner_texts()
+        return live.page.locator("#sliders input[data-field=sigma_w] + output").all_inner_texts()
 
     assert shown() == [f"{value:.3g}" for value in tuning.SIGMA_W["rhe"]["printed"]]
     live.page.locator("[name=run-b][value='1']").check()
@@ -330,6 +325,6 @@ def test_the_page_is_light_asks_nothing_of_a_network_and_fits_a_phone(page):
             page.set_viewport_size({"width": width, "height": 844})
             assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
-    sizes = {file.name: file.stat().st_size for file in (PAGE.parent / "live").iterdir()}
+    sizes = {file.name: file.stat().st_size for file in (LIVE_PAGE.parent / "live").iterdir()}
     modules = sum(size for name, size in sizes.items() if not name.startswith("seed_"))
     assert modules < 1.1e6 and sizes["seed_0.js"] < 0.2e6 and sum(sizes.values()) < 2.8e6

@@ -2,13 +2,13 @@
 solve what is written down independently in `oracles`, and bad input gets one sentence.
 """
 
-import functools
 import re
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import controller, estimator, fused_sample, model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import (
@@ -27,7 +27,7 @@ from oracles import (
 from robots import BICYCLE, CART, DT, ROBOTS, SKID_STEERED, VARIANTS, N
 
 import rhec
-from rhec.core._casadi.build import pack_array, select_inputs
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.scan import build_scan, scan
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
@@ -36,20 +36,6 @@ from rhec.core.estimator.base import joint_guess
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 EVERY_ROBOT = [*ROBOTS.values(), *VARIANTS.values()]
 names = {robot: name for name, robot in (ROBOTS | VARIANTS).items()}.get
-
-
-@functools.cache
-def model(robot):
-    return rhec.Model(**robot.model)
-
-
-def estimator(robot, guess, **changes):
-    settings = dict(dt=DT, horizon=N, guess=tuple(guess)) | robot.estimator
-    return rhec.RHE(model=model(robot), **settings | dict(arrival_mean="filtered") | changes)
-
-
-def controller(robot, **changes):
-    return rhec.RHC(model=model(robot), **dict(dt=DT, horizon=N) | robot.controller | changes)
 
 
 def estimates(mhe, z, **iterations):
@@ -217,43 +203,6 @@ def test_without_noise_a_robot_is_tracked_exactly(robot):
 
 
 # One model, three forms
-
-
-def fused_sample(mhe, mpc):
-    """Estimator and controller of one sample as one Function: (memory, (z, x_ref, u_ref)) ->
-    (memory, ((x, u, p), command)).
-    """
-    estimate = rhe.build_phases(mhe.window)["step"]
-    command = rhc.build_phases(mpc.problem)["step"]
-    sizes = [estimate.numel_in("memory"), command.numel_in("memory")]
-    memory = ca.MX.sym("memory", sum(sizes))
-    shapes = [estimate.size_in("z_N"), command.size_in("x_ref"), command.size_in("u_ref")]
-    stream = ca.MX.sym("stream", sum(rows * columns for rows, columns in shapes))
-    ends = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
-    z, x_ref, u_ref = (
-        ca.reshape(stream[begin:end], *shape) for begin, end, shape in zip(ends, ends[1:], shapes)
-    )
-    settings = {name: ca.MX(ca.DM(each)) for name, each in (mhe.settings | mpc.settings).items()}
-    first = estimate(memory=memory[: sizes[0]], z_N=z, **select_inputs(estimate, settings))
-    n_x, n_u = len(mhe.model.states), len(mhe.model.inputs)
-    s_0 = ca.vertcat(first["estimate"][:n_x], first["estimate"][n_x + n_u :])
-    then = command(
-        memory=memory[sizes[0] :],
-        s_0=s_0,
-        x_ref=x_ref,
-        u_ref=u_ref,
-        **select_inputs(command, settings),
-    )
-    return ca.Function(
-        "sample",
-        [memory, stream],
-        [
-            ca.vertcat(first["memory"], then["memory"]),
-            ca.vertcat(first["estimate"], then["command"]),
-        ],
-        ["memory_in", "stream"],
-        ["memory_out", "row"],
-    )
 
 
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from helpers import choice_of, with_noise
 from oracles import DT, V, drive, flat
 from scipy.optimize import lsq_linear
 
-from rhec.core._casadi import build as function
+from rhec.core._casadi import packing
 from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -46,7 +46,7 @@ def textbook(m, P, z, traction, first):
 
 
 def run(z, start, traction):
-    memory, results = function.pack_array(start), []
+    memory, results = packing.pack_array(start), []
     for reading in z:
         result = STEP(memory=memory, z_N=reading, V=V, W=W, traction=traction)
         memory = result["memory"]
@@ -83,7 +83,7 @@ def test_on_a_straight_line_it_is_the_kalman_filter():
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.zeros(n - 1))
     z[:, :3] += rng.normal(size=(n, 3)) * np.sqrt(V[:3])
     sigma, w = np.array([1.0, 1.0, 0.0, 0.3]), np.array([0.02, 0.03, 0.0, 0.05])
-    memory = function.pack_array(init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
+    memory = packing.pack_array(init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
     for reading in z:
         result = STEP(memory=memory, z_N=reading, V=V, W=w**2, traction=(1, 1))
         memory = result["memory"]
@@ -134,18 +134,18 @@ def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
 SIGMA_W = (0.01, 0.01, 0.02, 0.01, 0.02, 0.02)
 
 
-def choice(name):
-    return Choice(name, 5, "parameter", "smoothed", False)
+def sine_of_yaw_rates(samples, size=0.3):
+    return size * np.sin(0.3 * np.arange(samples))
 
 
 def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
     """Estimates (n, 6) and covariances of an estimator by its name in Scenario, told a `traction`,
     one or one a sample.
     """
-    step, of = build_step(choice(name)), estimator_of(name)
+    step, of = build_step(choice_of(name, 5)), estimator_of(name)
     first = [dict(zip(QUANTITIES, values)) for values in (guess, sigma)]
-    memory, rows = function.pack_array(of.init(choice(name), *first)), []
-    n, n_w = len(z), of.n_sigma_w(choice(name))
+    memory, rows = packing.pack_array(of.init(choice_of(name, 5), *first)), []
+    n, n_w = len(z), of.n_sigma_w(choice_of(name, 5))
     given = dict(V=V, W=np.square(SIGMA_W[:n_w]), P_0=np.ones(n_w))
     told = np.broadcast_to((1, 1) if traction is None else traction, (n, 2))
     for reading, p in zip(z, told):
@@ -154,14 +154,6 @@ def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
         memory = result["memory"]
         rows.append((flat(result["estimate"]), np.array(result["covariance"])))
     return [np.array(each) for each in zip(*rows)]
-
-
-def weave(samples, size=0.3):
-    return size * np.sin(0.3 * np.arange(samples))
-
-
-def noisy(z, seed=0):
-    return z + np.random.default_rng(seed).normal(size=z.shape) * np.sqrt(V)
 
 
 def test_in_a_curve_a_runge_kutta_step_is_where_the_robot_is_and_the_papers_euler_step_is_not():
@@ -191,7 +183,7 @@ def test_an_interval_is_predicted_with_the_traction_it_was_driven_on():
 
 def test_where_no_bound_is_violated_the_bounded_ekf_is_the_augmented_one():
     first = (0, 0, 0, 0.5, 0.7, 0.6)
-    z = noisy(drive(first, weave(150))[1])
+    z = with_noise(drive(first, sine_of_yaw_rates(150))[1])
     start = dict(guess=first, sigma=(0.1,) * 4 + (0.02, 0.02))
     augmented, bounded = rival("augmented_ekf", z, **start), rival("bounded_ekf", z, **start)
     assert 0.1 < augmented[0][:, 4:].min() < augmented[0][:, 4:].max() < 0.95
@@ -201,10 +193,10 @@ def test_where_no_bound_is_violated_the_bounded_ekf_is_the_augmented_one():
 
 @pytest.mark.parametrize("traction", [(1.15, 1.3), (0.5, 1.3), (0.02, -0.3)])
 def test_the_bounded_ekf_stays_within_the_bounds_that_the_augmented_one_leaves(traction):
-    _, z = drive((0, 0, 0, 0.5, *traction), weave(150))
+    _, z = drive((0, 0, 0, 0.5, *traction), sine_of_yaw_rates(150))
     start = (0, 0, 0, 0.5, 0.9, 0.9)
-    free, _ = rival("augmented_ekf", noisy(z), start)
-    bounded, _ = rival("bounded_ekf", noisy(z), start)
+    free, _ = rival("augmented_ekf", with_noise(z), start)
+    bounded, _ = rival("bounded_ekf", with_noise(z), start)
     assert ((free[:, 4:] < 0) | (free[:, 4:] > 1)).any()
     assert ((bounded[:, 4:] >= 0) & (bounded[:, 4:] <= 1)).all()
 
@@ -214,7 +206,7 @@ def test_the_bounded_estimate_is_the_likeliest_within_the_bounds():
     rng, active = np.random.default_rng(3), 0
     for _ in range(30):
         guess = (0, 0, 0, 0.5, *rng.normal(0.8, 0.4, 2))
-        z = noisy(drive((0, 0, 0, 0.5, 0.9, 0.9), [0.2])[1][1:], rng.integers(1000))
+        z = with_noise(drive((0, 0, 0, 0.5, 0.9, 0.9), [0.2])[1][1:], rng.integers(1000))
         (free,), (P,) = rival("augmented_ekf", z, guess)
         (bounded,), (same,) = rival("bounded_ekf", z, guess)
         root = np.linalg.inv(np.linalg.cholesky(P))
@@ -229,13 +221,15 @@ def test_the_bounded_estimate_is_the_likeliest_within_the_bounds():
 @pytest.mark.parametrize("name, told", [("rhe_fixed_traction", (0.8, 0.6)), ("rhe_no_slip", None)])
 def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told):
     held = told or (1, 1)
-    z = noisy(drive((0, 0, 0, 0.5, 0.7, 0.7), weave(40, 0.1))[1])
+    z = with_noise(drive((0, 0, 0, 0.5, 0.7, 0.7), sine_of_yaw_rates(40, 0.1))[1])
     guess = (0, 0, 0, 0.5, *held)
     estimates, covariances = rival(name, z, guess, traction=told)
     np.testing.assert_array_equal(estimates[:, 4:], np.broadcast_to(held, (len(z), 2)))
-    step, first = build_step(choice("rhe")), dict(zip(QUANTITIES, guess))
+    step, first = build_step(choice_of("rhe", 5)), dict(zip(QUANTITIES, guess))
     sure = dict(zip(QUANTITIES, (1.0,) * 4 + (1e-7,) * 2))
-    memory = function.pack_array(paper_rhe.init(paper_rhe.window_of(choice("rhe")), first, sure))
+    memory = packing.pack_array(
+        paper_rhe.init(paper_rhe.window_of(choice_of("rhe", 5)), first, sure)
+    )
     W = np.square([*SIGMA_W[:4], 1e-9, 1e-9])
     for reading, estimate, covariance in zip(z, estimates, covariances):
         result = step(memory=memory, z_N=reading, V=V, W=W, P_0=np.ones(6))

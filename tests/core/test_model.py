@@ -67,7 +67,7 @@ def test_the_runge_kutta_step_is_of_fourth_order():
 
     def error(dt):
         return np.linalg.norm(
-            flat(model.rk4(model.f, pose, omega, p, dt)) - arc(pose, *p, omega, dt)
+            flat(base.rk4(model.f, pose, omega, p, dt)) - arc(pose, *p, omega, dt)
         )
 
     ratios = [error(dt) / error(dt / 2) for dt in (1.0, 0.5, 0.25)]
@@ -92,7 +92,7 @@ def test_with_full_traction_it_is_the_traditional_model():
         rtol=1e-15,
     )
     np.testing.assert_allclose(
-        flat(model.rk4(model.f, pose, 0.2, (0.5, 1, 1), 0.2)),
+        flat(base.rk4(model.f, pose, 0.2, (0.5, 1, 1), 0.2)),
         arc(pose, 0.5, 1, 1, 0.2, 0.2),
         atol=1e-9,
     )

@@ -4,6 +4,7 @@ iterated.
 
 import numpy as np
 import pytest
+from helpers import choice_of, weaving_yaw_rates, with_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import (
@@ -26,7 +27,6 @@ from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.condensed import box_qp_by_library
 from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.live import PaperEstimate
 
@@ -36,22 +36,13 @@ ARRIVAL_MEANS = ["smoothed", "filtered"]
 GUESS = (0.0, 0.0, 0.0, 0.5, 0.9, 0.8)
 
 
-def choice(speed_model="parameter", arrival_mean="smoothed"):
-    return Choice("rhe", N, speed_model, arrival_mean, False)
-
-
 def build_phases(*options):
-    return estimators.build_phases(choice(*options))
+    return estimators.build_phases(choice_of("rhe", N, *options))
 
 
 def first_memory(guess, sigma, speed_model="parameter"):
     of = (dict(zip(QUANTITIES, values)) for values in (guess, sigma))
-    return paper_rhe.init(paper_rhe.window_of(choice(speed_model)), *of)
-
-
-def weave(samples):
-    """Yaw rates that never stay the same."""
-    return 0.1 * np.sin(0.7 * np.arange(samples)) + 0.05 * np.cos(0.31 * np.arange(samples))
+    return paper_rhe.init(paper_rhe.window_of(choice_of("rhe", N, speed_model)), *of)
 
 
 def feed(rhe, z, **iterations):
@@ -61,10 +52,6 @@ def feed(rhe, z, **iterations):
         rhe.prepare()
         estimates.append(rhe.solve(reading, **iterations) if iterations else rhe.feedback(reading))
     return estimates
-
-
-def noisy(z, rng):
-    return z + rng.normal(size=z.shape) * np.sqrt(V)
 
 
 # The nonlinear problem
@@ -102,8 +89,8 @@ def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples
     for seed in range(3):
         rng = np.random.default_rng(seed)
         guess = (0.1, -0.1, 0.05, 0.5, 0.95, 0.85)
-        _, z = drive(GUESS[:4] + (0.9, 1.1), weave(samples - 1))
-        z = noisy(z, rng)
+        _, z = drive(GUESS[:4] + (0.9, 1.1), weaving_yaw_rates(samples - 1))
+        z = with_noise(z, rng)
         rhe = rhec.RHE(guess=guess, speed_model=speed_model)
         feed(rhe, z[:-1])
         rhe.prepare()
@@ -217,7 +204,7 @@ def test_without_noise_a_robot_that_weaves_is_tracked_exactly(speed_model):
     """So every reading counts where it belongs: a position at its node, the newest at the last one,
     a yaw rate in the interval that ends there.
     """
-    truth, z = drive(GUESS, weave(3 * N))
+    truth, z = drive(GUESS, weaving_yaw_rates(3 * N))
     estimates = feed(
         rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="calibrated"), z, iterations=8
     )
@@ -228,12 +215,12 @@ def test_traction_is_found_where_the_robot_turns():
     """Errors are of the size that the covariance says (with the filtered mean; the smoothed one
     uses the window's readings twice).
     """
-    truth, z = drive(GUESS, 3 * weave(200))
+    truth, z = drive(GUESS, 3 * weaving_yaw_rates(200))
     for seed in range(5):
         rhe = rhec.RHE(
             guess=(0, 0, 0.2, 0.5, 1, 1), process_noise="calibrated", arrival_mean="filtered"
         )
-        estimates = feed(rhe, noisy(z, np.random.default_rng(seed)))[50:]
+        estimates = feed(rhe, with_noise(z, np.random.default_rng(seed)))[50:]
         errors = np.array(
             [
                 (np.array(estimate[:6]) - true) / np.sqrt(np.diag(estimate.covariance))
@@ -283,7 +270,7 @@ def test_preparation_does_not_see_the_newest_reading(speed_model):
 
 
 def test_feedback_sees_the_newest_reading_at_once():
-    _, z = drive(GUESS, weave(20))
+    _, z = drive(GUESS, weaving_yaw_rates(20))
     for channel, change in enumerate((0.5, 0.5, 0.3, 0.3)):
         one, other = rhec.RHE(guess=GUESS), rhec.RHE(guess=GUESS)
         feed(one, z), feed(other, z)
@@ -317,8 +304,8 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_
     """
     phases, keep = build_phases(speed_model, arrival_mean), places(speed_model)
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])[keep]
-    _, z = drive(GUESS, weave(4 * N))
-    z = noisy(z, np.random.default_rng(7))
+    _, z = drive(GUESS, weaving_yaw_rates(4 * N))
+    z = with_noise(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan
     memory, weights = (first_memory(GUESS, paper.SIGMA_W_RHE, speed_model), dict(V=V, W=sigma**2))
     for k, newest in enumerate(z):
@@ -343,10 +330,10 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 @pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
 def test_the_covariance_stays_symmetric_and_positive_definite(process_noise, speed_model):
-    _, z = drive(GUESS, weave(300))
+    _, z = drive(GUESS, weaving_yaw_rates(300))
     for estimate in feed(
         rhec.RHE(guess=GUESS, process_noise=process_noise, speed_model=speed_model),
-        noisy(z, np.random.default_rng(8)),
+        with_noise(z, np.random.default_rng(8)),
     ):
         scale = np.sqrt(np.diag(estimate.covariance))
         np.testing.assert_array_equal(estimate.covariance, estimate.covariance.T)
@@ -378,8 +365,8 @@ def test_a_missing_reading_is_a_term_left_out(speed_model):
 @pytest.mark.parametrize("reading", [np.inf, -np.inf, 1e12, -1e300])
 @pytest.mark.parametrize("channel", range(4))
 def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
-    _, z = drive(GUESS, weave(3 * N))
-    z = noisy(z, np.random.default_rng(10))
+    _, z = drive(GUESS, weaving_yaw_rates(3 * N))
+    z = with_noise(z, np.random.default_rng(10))
     z[7:35:3, channel] = np.nan
     silent = feed(rhec.RHE(guess=GUESS), z)
     z[7:35:3, channel] = reading
@@ -417,8 +404,8 @@ def test_whatever_the_sensors_say_estimates_stay_finite_and_traction_between_0_a
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_after_ten_seconds_without_gnss_it_finds_back(speed_model):
-    truth, z = drive(GUESS, 3 * weave(150))
-    z = noisy(z, np.random.default_rng(11))
+    truth, z = drive(GUESS, 3 * weaving_yaw_rates(150))
+    z = with_noise(z, np.random.default_rng(11))
     z[60:110, :2] = np.nan
     estimates = feed(rhec.RHE(guess=GUESS, process_noise="calibrated", speed_model=speed_model), z)
     assert estimates[109].covariance[0, 0] > 4 * estimates[-1].covariance[0, 0]

@@ -12,15 +12,15 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import no_compiler
+from helpers import no_compiler
 from oracles import mhe_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
-from notebooks.embedded_measurements import instructions, report, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array, select_inputs
+from rhec.core._casadi.build import select_inputs
+from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.embedded import LOG, phases
 from rhec.simulation import closed_loop
@@ -32,6 +32,7 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 from rhec.workbench.plots.timing import embedded_times
+from rhec.workbench.studies.embedded import instructions, report, toolchain
 from rhec.workbench.studies.timing import PHASES
 
 SECONDS = 20.0
@@ -647,7 +648,7 @@ def test_an_earlier_export_is_replaced_and_other_files_stay(exported, tmp_path):
 def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     for folder, reason in (
-        (tmp_path, "which holds other files"),
+        (tmp_path, "which contains other files"),
         (tmp_path / "thesis.tex", "which is a file"),
     ):
         expected = (
@@ -674,18 +675,18 @@ def solving_estimator():
         ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
         (
             rhec.Scenario(estimator="oracle"),
-            "^estimator was 'oracle', which is given the truth; to export, it should be one of "
+            "^estimator was 'oracle', which needs the truth; to export, it should be one of "
             "'rhe', 'rhe_fixed_traction', 'rhe_no_slip', 'ekf', 'augmented_ekf', 'bounded_ekf', "
-            "'fixed_traction', 'dual' or a Function of your own$",
+            "'fixed_traction', 'dual' or a CasADi Function$",
         ),
         (
             rhec.Scenario(estimator="traction_oracle"),
-            "^estimator was 'traction_oracle', which is given the true traction",
+            "^estimator was 'traction_oracle', which needs the true traction",
         ),
         (
             rhec.Scenario(estimator=solving_estimator()),
-            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should be made of "
-            "expressions alone$",
+            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should consist of "
+            "expressions$",
         ),
         (
             rhec.Scenario(qp="daqp"),

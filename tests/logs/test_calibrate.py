@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_replay import recorded
+from helpers import recorded_log
 
 import rhec
 from rhec.logs.lost import is_lost
@@ -22,7 +22,7 @@ ARM_M = (0.25, -0.1)
 def calibrated():
     """{position noise [m]: (log, its calibration)}, the antenna off the centre."""
     logs = {
-        noise: recorded(5.0, 120.0, noise_m=noise, seed=3, arm_m=ARM_M) for noise in (0.03, 0.1)
+        noise: recorded_log(5.0, 120.0, noise_m=noise, seed=3, arm_m=ARM_M) for noise in (0.03, 0.1)
     }
     return {noise: (log, rhec.calibrate(log)) for noise, log in logs.items()}
 
@@ -31,14 +31,14 @@ def calibrated():
 def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
     _, found = calibrated[noise_m]
     told = found.report.loc["noise of the position"]
-    assert told["told"] and told["low"] < noise_m < told["high"]
+    assert told["determined"] and told["low"] < noise_m < told["high"]
     assert found["sigma_v"][0] == found["sigma_v"][1] > told["value"]
     assert told["value"] == pytest.approx(noise_m, rel=0.2)
 
 
 def test_positions_are_never_taken_to_be_better_than_receivers_are():
     """Positions of a log may have been smoothed; what is wrong with them then is no slip."""
-    found = rhec.calibrate(recorded(5.0, 60.0, arm_m=ARM_M))
+    found = rhec.calibrate(recorded_log(5.0, 60.0, arm_m=ARM_M))
     assert found.report.loc["noise of the position", "value"] == 0.02
     assert found["slip"][0] < 0.1 and found["slip"][2] < 0.06
 
@@ -46,7 +46,7 @@ def test_positions_are_never_taken_to_be_better_than_receivers_are():
 def test_calibration_finds_the_lever_arm(calibrated):
     _, found = calibrated[0.03]
     np.testing.assert_allclose(found["lever_arm_m"], ARM_M, atol=0.03)
-    assert found.report.loc[["antenna ahead", "antenna left"], "told"].all()
+    assert found.report.loc[["antenna ahead", "antenna left"], "determined"].all()
 
 
 def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
@@ -66,7 +66,7 @@ def test_calibration_does_not_look_at_the_truth(calibrated):
 
 
 def test_calibration_says_what_the_log_cannot_tell():
-    log = recorded(5.0, 60.0, noise_m=0.02)
+    log = recorded_log(5.0, 60.0, noise_m=0.02)
     log["yaw_rate_radps"] = 0.0
     log["x_m"], log["y_m"] = 0.9 * np.cumsum(0.2 * log["speed_mps"]), 0.0
     log[["x_m", "y_m"]] += 0.02 * np.random.default_rng(0).standard_normal((len(log), 2))
@@ -74,12 +74,12 @@ def test_calibration_says_what_the_log_cannot_tell():
     assert found["trust_log"] and "position_delay_s" not in found
     untold = set(found.report.index[~found.report["told"]])
     assert {"slip in turning, share of ω", "side slip", "antenna ahead"} <= untold
-    assert "lever_arm_m" not in found and "cannot tell: " in str(found)
-    assert found.report.loc["noise of the position", "told"]
+    assert "lever_arm_m" not in found and "does not determine: " in str(found)
+    assert found.report.loc["noise of the position", "determined"]
 
 
 def test_a_robot_that_stands_cannot_be_calibrated():
-    log = recorded(5.0, 60.0).assign(speed_mps=0.0, yaw_rate_radps=0.0)
+    log = recorded_log(5.0, 60.0).assign(speed_mps=0.0, yaw_rate_radps=0.0)
     with pytest.raises(ValueError, match="hardly moves"):
         rhec.calibrate(log, trust_log=True)
 
@@ -90,7 +90,7 @@ def test_a_robot_that_stands_cannot_be_calibrated():
 @pytest.mark.parametrize("turned", [0.0, np.pi])
 def test_a_replay_says_whether_it_is_lost(turned):
     """A yaw half a turn wrong, held for sure, is lost until it is found; the right one never."""
-    log = recorded(noise_m=0.02)
+    log = recorded_log(noise_m=0.02)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         given = dict(first_yaw_rad=0.4 + turned, sigma_yaw_rad=0.01)
@@ -105,7 +105,7 @@ def test_a_replay_says_whether_it_is_lost(turned):
 
 
 def test_some_outliers_do_not_make_a_replay_lost():
-    log = recorded(noise_m=0.02)
+    log = recorded_log(noise_m=0.02)
     log.loc[200:280:8, ["x_m", "y_m"]] += 2.0
     assert not rhec.replay(log, first_yaw_rad=0.4, robust=True)["lost"].any()
 
@@ -133,7 +133,7 @@ def test_what_makes_it_lost_is_the_innovation_by_its_covariance():
     "still, remark", [("speed_mps", "never moves"), ("yaw_rate_radps", "turns")]
 )
 def test_a_replay_says_what_its_log_cannot_show(still, remark):
-    log = recorded(noise_m=0.02).assign(**{still: 0.0})
+    log = recorded_log(noise_m=0.02).assign(**{still: 0.0})
     assert any(
         remark in said
         for said in rhec.replay(log, first_yaw_rad=0.4, trust_log=True).attrs["remarks"]

@@ -38,8 +38,8 @@ def test_the_separators_of_a_table_are_found_and_told(tmp_path, separator, decim
     log = rhec.logs.read(written(tmp_path, LOG, sep=separator, decimal=decimal))
     pd.testing.assert_frame_equal(log, LOG)
     names = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
-    assert log.attrs["found"]["separator"] == names[separator]
-    assert log.attrs["found"]["decimal"] == {".": "point", ",": "comma"}[decimal]
+    assert log.attrs["inferred"]["separator"] == names[separator]
+    assert log.attrs["inferred"]["decimal"] == {".": "point", ",": "comma"}[decimal]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_the_unit_of_the_time_is_found_and_told(tmp_path, name, of_seconds, told
     other.insert(0, name, of_seconds(T))
     (other.to_csv(file, index=False) if suffix == "csv" else other.to_parquet(file))
     log = rhec.logs.read(file)
-    assert log.attrs["found"]["time"] == f"{told}, column {name}"
+    assert log.attrs["inferred"]["time"] == f"{told}, column {name}"
     np.testing.assert_allclose(log["t_s"] - log["t_s"][0], T, atol=1e-6)
 
 
@@ -81,7 +81,7 @@ def test_a_parquet_file_with_odd_metadata_is_refused_in_a_sentence(tmp_path, met
 
 def test_a_slow_log_in_seconds_is_not_a_fast_one_in_milliseconds(tmp_path):
     log = rhec.logs.read(written(tmp_path, LOG.assign(t_s=10 * T)))
-    assert log.attrs["found"]["time"] == "s, column t_s"
+    assert log.attrs["inferred"]["time"] == "s, column t_s"
 
 
 def test_columns_can_have_other_names(tmp_path):
@@ -108,7 +108,7 @@ def test_latitude_and_longitude_become_metres(tmp_path, latitude):
     degrees = log.drop(columns=["x_m", "y_m"]).assign(**degrees_of(log, latitude), altitude=np.nan)
     read = rhec.logs.read(written(tmp_path, degrees))
     np.testing.assert_allclose(read[["x_m", "y_m"]], log[["x_m", "y_m"]], atol=2e-3)
-    assert f"latitude {latitude:.7f}, longitude 11.0" in read.attrs["found"]["position"]
+    assert f"latitude {latitude:.7f}, longitude 11.0" in read.attrs["inferred"]["position"]
 
 
 @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
         known = log[["t_s", *columns]].dropna()
         np.testing.assert_allclose(known["t_s"], times - first, atol=1e-6)
         np.testing.assert_allclose(known[columns], np.transpose(values), atol=1e-9)
-    told = log.attrs["found"]
+    told = log.attrs["inferred"]
     assert told["positions"].startswith(f"/odom, nav_msgs/msg/Odometry, {len(positions)} ")
     assert "0 out of order" not in told["encoders"]
     table = pd.DataFrame(dict(t_s=positions - first, x_m=x, y_m=y)).merge(

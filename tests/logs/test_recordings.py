@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from convert_recordings import convert
+from helpers import Bomb
 from scipy.integrate import cumulative_trapezoid
 
 import rhec
@@ -58,11 +59,6 @@ def test_a_wrong_digest_is_refused(server, tmp_path):
     with pytest.raises(ValueError, match="hash"):
         fetch_recordings.fetch("small", tmp_path / "here", host, table)
     assert not list((tmp_path / "here").iterdir())
-
-
-class Bomb:
-    def __reduce__(self):
-        return (pytest.fail, ("a pickle was run",))
 
 
 @pytest.mark.parametrize("bad", [Bomb(), pd.DataFrame(dict(a=[Bomb()])), [print], re.compile("a")])

@@ -9,61 +9,16 @@ import make_example_log
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import KAPPA, MU, TRACK_WIDTH_M, Bomb, recorded_log
 
 import rhec
 from rhec.logs import recording, scores
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
 from rhec.workbench.plots import replay as drawings
-from rhec.workbench.studies.replay_table import replay_table
+from rhec.workbench.studies.replay_study import replay_table
 
-MU, KAPPA, B = 0.9, 0.75, 0.5
-
-
-def recorded(rate_hz=10.0, duration_s=60.0, start_rad=0.4, noise_m=0.0, seed=0, arm_m=(0.0, 0.0)):
-    """A log with the documented columns: forwards, standing, backwards, in curves, integrated
-    finely, with white noise of noise_m. arm_m: the antenna's place ahead and left of the centre.
-    """
-    fine = np.arange(round(duration_s * 1000) + 1) / 1000
-    speed = np.interp(fine / duration_s, [0, 0.3, 0.33, 0.4, 0.43, 1], [0.6, 0.7, 0, 0, -0.5, -0.6])
-    yaw_rate = 0.4 * np.sin(0.35 * fine)
-    yaw = start_rad + np.concatenate(
-        [[0], np.cumsum(KAPPA * (yaw_rate[1:] + yaw_rate[:-1]) / 2000)]
-    )
-    x, y = (
-        np.concatenate([[0], np.cumsum((ahead[1:] + ahead[:-1]) / 2000)])
-        for ahead in (MU * speed * np.cos(yaw), MU * speed * np.sin(yaw))
-    )
-    x, y = (
-        x + arm_m[0] * np.cos(yaw) - arm_m[1] * np.sin(yaw),
-        y + arm_m[0] * np.sin(yaw) + arm_m[1] * np.cos(yaw),
-    )
-    at = np.round(np.arange(0, duration_s, 1 / rate_hz) * 1000).astype(int)
-    log = (
-        pd.DataFrame(
-            dict(
-                t_s=fine,
-                x_m=x,
-                y_m=y,
-                speed_mps=speed,
-                yaw_rate_radps=yaw_rate,
-                v_left_mps=speed - B / 2 * yaw_rate,
-                v_right_mps=speed + B / 2 * yaw_rate,
-                yaw_true_rad=yaw,
-                x_true_m=x,
-                y_true_m=y,
-                v_true_mps=MU * speed,
-                yaw_rate_true_radps=KAPPA * yaw_rate,
-            )
-        )
-        .iloc[at]
-        .reset_index(drop=True)
-    )
-    log[["x_m", "y_m"]] += noise_m * np.random.default_rng(seed).standard_normal((len(log), 2))
-    return log
-
-
-LOG = recorded(noise_m=0.02)
+LOG = recorded_log(noise_m=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +50,7 @@ def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
     """Without noise: also between the estimator's samples, and though the log's rate is no multiple
     of theirs.
     """
-    log = recorded(rate_hz)
+    log = recorded_log(rate_hz)
     result = rhec.replay(log, first_yaw_rad=0.4, process_noise="calibrated", speed_model="input")
     late = result["t_s"] > 15
     position, yaw = errors(result[late])
@@ -154,14 +109,14 @@ def test_no_estimate_sees_the_truth(estimates):
 
 @pytest.mark.parametrize("start_rad", [-2.9, -1.2, 0.0, 1.0, 2.6])
 def test_an_unknown_first_yaw_is_found(start_rad):
-    log = recorded(start_rad=start_rad, noise_m=0.02)
+    log = recorded_log(start_rad=start_rad, noise_m=0.02)
     result = rhec.replay(log.drop(columns="yaw_true_rad"), process_noise="calibrated")
     error = (result["theta_hat_rad"] - log["yaw_true_rad"] + np.pi) % (2 * np.pi) - np.pi
     assert error[result["t_s"] > 15].abs().max() < 0.15
 
 
 def test_the_variance_of_kappa_grows_on_a_straight():
-    log = recorded(duration_s=80.0, noise_m=0.02)
+    log = recorded_log(duration_s=80.0, noise_m=0.02)
     straight = log.iloc[[-1] * 300].assign(
         t_s=log["t_s"].iloc[-1] + 0.1 * np.arange(1, 301), speed_mps=0.5, yaw_rate_radps=0.0
     )
@@ -222,7 +177,9 @@ GNSS = ("5 Hz", "5 Hz, out of phase", "4 Hz", "7 Hz", "5 Hz, jittered")
 
 def merged(gnss, encoders_hz=10.0, noise_m=0.0):
     """A log whose positions and encoder measurements come each at times of its own."""
-    fine = recorded(1000.0)[["t_s", "x_m", "y_m", "speed_mps", "yaw_rate_radps", "yaw_true_rad"]]
+    fine = recorded_log(1000.0)[
+        ["t_s", "x_m", "y_m", "speed_mps", "yaw_rate_radps", "yaw_true_rad"]
+    ]
     position, encoders = (
         fine.assign(at=fine["t_s"]).iloc[np.round(1000 * at).astype(int)]
         for at in (stamps(gnss), np.arange(0, 40.0, 1 / encoders_hz))
@@ -317,9 +274,9 @@ def test_noise_arrives_at_the_size_stated(gnss):
 
 @pytest.mark.parametrize("rate_hz", [5.0, 8.0, 50.0])
 def test_encoder_measurements_of_a_sample_are_means_over_the_interval_that_ends_there(rate_hz):
-    log = recorded(rate_hz)
+    log = recorded_log(rate_hz)
     samples = recording.resample(recording.prepare(log).rows, 0.2, averaged=False)
-    fine = recorded(1000.0)
+    fine = recorded_log(1000.0)
     for reading, column in (("nu_meas_mps", "speed_mps"), ("omega_meas_radps", "yaw_rate_radps")):
         expected = fine[column].to_numpy()[1:59_801].reshape(-1, 200).mean(axis=1)
         # the newest is held until the sample, as long as the next one is not there
@@ -334,16 +291,16 @@ def test_encoder_measurements_of_a_run_are_means_already(run):
 
 def test_track_speeds_and_width_replace_speed_and_yaw_rate(estimates):
     tracks = LOG.drop(columns=["speed_mps", "yaw_rate_radps"])
-    same = rhec.replay(tracks, first_yaw_rad=0.4, track_width_m=B)
+    same = rhec.replay(tracks, first_yaw_rad=0.4, track_width_m=TRACK_WIDTH_M)
     np.testing.assert_allclose(same[ESTIMATE], estimates[ESTIMATE], atol=1e-6)
     wider = rhec.replay(
-        tracks, first_yaw_rad=0.4, track_width_m=1.2 * B, process_noise="calibrated"
+        tracks, first_yaw_rad=0.4, track_width_m=1.2 * TRACK_WIDTH_M, process_noise="calibrated"
     )
     assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
 
 
 def test_the_lever_arm_can_be_given_or_estimated():
-    log = recorded(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
+    log = recorded_log(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
     told, wrong, found = (
         rhec.replay(log, first_yaw_rad=0.4, lever_arm_m=arm)
         for arm in ((0.3, -0.2), (0.0, 0.0), None)
@@ -367,7 +324,7 @@ def test_the_lever_arm_can_be_given_or_estimated():
 
 
 def test_segments_are_independent():
-    second = recorded(start_rad=2.0, noise_m=0.02, seed=1)
+    second = recorded_log(start_rad=2.0, noise_m=0.02, seed=1)
     both = pd.concat(
         [LOG.assign(segment="a"), second.assign(segment="b", t_s=second["t_s"] + 60.0)],
         ignore_index=True,
@@ -534,10 +491,6 @@ def test_logs_are_read_from_csv_and_parquet(tmp_path):
 
 
 def test_nothing_in_a_file_is_executed(tmp_path):
-    class Bomb:
-        def __reduce__(self):
-            return (pytest.fail, ("a file was run",))
-
     bomb = pickle.dumps(Bomb())
     for name in ("log.csv", "log.parquet", "log.pkl"):
         (tmp_path / name).write_bytes(bomb)
@@ -595,7 +548,7 @@ def test_speed_as_input_beats_the_papers_constant_speed_on_the_shipped_log(shipp
 
 def test_regression_is_that_of_true_motion_on_measurements():
     samples = recording.resample(
-        recording.prepare(recorded(50.0)).rows, 0.2, averaged=False
+        recording.prepare(recorded_log(50.0)).rows, 0.2, averaged=False
     ).assign(segment=0)
     assert scores.regression(samples) == pytest.approx((MU, KAPPA), abs=1e-4)
     sliding = scores.sliding_regression(samples)

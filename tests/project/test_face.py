@@ -1,21 +1,44 @@
-"""The public face: what each name says of itself, and what it may cost to import it.
+"""The public face: what it lists, how it is documented, what it shows and what it loads.
 
 Who may import whom is import-linter's to check (`make lint`, contracts in pyproject.toml).
 """
 
 import ast
+import dataclasses
 import inspect
 import re
 import subprocess
 import sys
-from dataclasses import is_dataclass
 from pathlib import Path
 
+import casadi as ca
 import pytest
 
 import rhec
 
 ROOT = Path(__file__).parents[2]
+MODEL = rhec.Model(
+    states=("x_m",),
+    inputs=("v_mps",),
+    parameters={"slip": (0, 1), "drift_mps": None},
+    outputs=("x_m", "v_mps"),
+    f=lambda x, u, p: ca.vertcat(u * (1 - p[0]) + p[1]),
+)
+SETTINGS = dict(
+    model=MODEL,
+    dt=0.2,
+    sigma_v=(0.1, 0.1),
+    sigma_w=(0.0, 0.01, 0.01),
+    guess=(0.0, 0.1, 0.0),
+    sigma_guess=(1.0, 0.1, 0.1),
+)
+MODEL_TEXT = """Model
+    states:     x_m
+    inputs:     v_mps
+    parameters: slip in [0, 1], drift_mps
+    outputs:    x_m, v_mps"""
+
+# What it lists and documents
 
 
 def public(name):
@@ -42,6 +65,10 @@ def parameters(function):
     ]
 
 
+def test_dir_is_the_face():
+    assert [name for name in dir(rhec) if not name.startswith("__")] == sorted(rhec.__all__)
+
+
 @pytest.mark.parametrize("name", rhec.__all__)
 def test_a_name_on_the_face_is_documented(name):
     """One sentence comes first; a constructor's parameters are named in the class."""
@@ -50,7 +77,9 @@ def test_a_name_on_the_face_is_documented(name):
     assert re.match(r"[A-Z].*?[.:](\s|$)", text, re.S)
     if inspect.isclass(thing) and thing.__init__ is not object.__init__:
         text += thing.__init__.__doc__ or ""
-        fields = thing.__dataclass_fields__ if is_dataclass(thing) else parameters(thing.__init__)
+        fields = parameters(thing.__init__)
+        if dataclasses.is_dataclass(thing):
+            fields = [field.name for field in dataclasses.fields(thing)]
         assert not [field for field in fields if not re.search(rf"\b{field}\b", text)]
 
 
@@ -76,6 +105,65 @@ def test_a_function_on_the_face_is_annotated(call):
         assert signature.parameters[name].annotation is not signature.empty, name
 
 
+# What it shows
+
+
+@pytest.mark.parametrize("name", sorted(set(rhec.__all__) - {"logs"}))
+def test_signatures_show_plain_types(name):
+    public = getattr(rhec, name)
+    members = vars(public).values() if inspect.isclass(public) else ()
+    functions = [public, *filter(inspect.isfunction, members)]
+    for function in functions:
+        text = str(inspect.signature(function))
+        assert "Annotated" not in text and "FieldInfo" not in text and len(text) <= 2500, text
+
+
+def test_a_signature_names_what_may_be_passed():
+    assert list(inspect.signature(rhec.RHE).parameters) == [*SETTINGS][:2] + ["horizon"] + [
+        *SETTINGS
+    ][2:] + ["arrival_mean"]
+    assert inspect.signature(rhec.EKF).parameters["sigma_v"].annotation == tuple[float, ...]
+    assert inspect.signature(rhec.Scenario).parameters["robust"].annotation is bool
+
+
+def test_objects_show_what_they_are():
+    assert repr(MODEL) == MODEL_TEXT
+    rhe = rhec.RHE(horizon=3, **SETTINGS)
+    assert repr(rhe) == f"RHE, dt 0.2 s, horizon 3, not started\n{MODEL_TEXT}"
+    rhe.feedback((0.0, 0.5))
+    assert "horizon 3, started\n" in repr(rhe)
+    ekf = rhec.EKF(**SETTINGS)
+    assert repr(ekf) == f"EKF, dt 0.2 s\n{MODEL_TEXT}"
+    assert repr(ekf.feedback((0.0, 0.5))).splitlines() == [
+        "Estimate",
+        "    x_m: 0 ± 0.1",
+        "    v_mps: 0.5",
+        "    slip: 0.1 ± 0.1",
+        "    drift_mps: 0 ± 0.1",
+    ]
+
+
+@pytest.mark.parametrize(
+    "call, sentence",
+    [
+        (lambda: rhec.Scenario(q=(1, 1)), "q was (1, 1); it should have 3 entries"),
+        (lambda: rhec.Scenario(q=()), "q was (); it should have 3 entries"),
+        (lambda: rhec.Scenario(q=(1,) * 4), "q was (1, 1, 1, 1); it should have 3 entries"),
+        (lambda: rhec.Scenario(q=(1, 1, -1)), "q[2] was -1; it should be greater than or equal"),
+        (lambda: rhec.Fault(), "kind was not given; Fault needs it"),
+        (lambda: rhec.EKF(model=MODEL), "dt was not given; EKF needs it"),
+        (lambda: rhec.EKF(sigma=1), "EKF has no parameter 'sigma'; did you mean 'sigma_"),
+    ],
+)
+def test_an_error_names_the_parameter_its_value_and_what_it_may_be(call, sentence):
+    with pytest.raises(ValueError) as refused:
+        call()
+    assert str(refused.value).startswith(sentence)
+
+
+# What it loads
+
+
 def modules_after(statement):
     """Names of the modules that are loaded after a statement, in a new process."""
     program = f"import sys, rhec\n{statement}\nprint(*sys.modules)"
@@ -91,12 +179,19 @@ def test_the_core_stands_alone(name):
     loaded = modules_after(f"rhec.{name}")
     rooms = {module.split(".")[1] for module in loaded if module.startswith("rhec.")}
     assert rooms == {"core"}
-    assert loaded.isdisjoint({"pandas", "matplotlib", "dask", "IPython"})
+    assert loaded.isdisjoint({"pandas", "matplotlib", "scipy", "xarray", "dask", "IPython"})
+
+
+def test_without_a_model_the_estimator_is_the_papers():
+    assert "rhec.tracked_robot.rhe" in modules_after("rhec.RHE(horizon=2)")
 
 
 def test_a_run_needs_neither_tables_nor_pictures():
     loaded = modules_after("rhec.simulate(rhec.Scenario(estimator='oracle', duration_s=1.0))")
     assert loaded.isdisjoint({"pandas", "matplotlib", "dask", "IPython", "rhec.workbench"})
+
+
+# How it is written
 
 
 def packed(tree):

@@ -38,7 +38,7 @@ def short(seeds=4, **changes):
     return [dataclasses.replace(SHORT, seed=seed, **changes) for seed in range(seeds)]
 
 
-def same(one, other):
+def assert_equal_rows(one, other):
     """Equal to the last bit; a column with holes may be of another type."""
     pd.testing.assert_frame_equal(
         one.reset_index(drop=True),
@@ -60,7 +60,7 @@ class Lethal(rhec.Path):
         return super().poses(s)
 
 
-def mine(**result):
+def own_estimator(**result):
     """An estimator that believes its measurements; or of another shape, which no loop can take."""
     memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
     estimate = ca.vertcat(z[:2], memory[2] + 0.16 * z[3], z[2], 0.9, 0.8)
@@ -113,8 +113,8 @@ def test_equal_scenarios_run_once(monkeypatch):
 
 def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
     compiler = compiled.compiler()
-    broken = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))
-    other = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(3)))
+    broken = dataclasses.replace(SHORT, estimator=own_estimator(estimate=ca.DM.zeros(2)))
+    other = dataclasses.replace(SHORT, estimator=own_estimator(estimate=ca.DM.zeros(3)))
     table = rhec.campaign([SHORT, broken, other, *short(2)])
     good, metrics = table["error"] == "", set(store.failed_row("")) - {"error"}
     assert list(good) == [True, False, False, True, True]
@@ -125,7 +125,7 @@ def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
     assert table["error"].str.fullmatch(r"|\w+: .*").all() and table["error"].str.len().max() < 400
     assert table.loc[1, "estimator"] is broken.estimator
     assert compiled.compiler() == compiler  # it is not to blame
-    same(table[good], rhec.campaign([SHORT, *short(2)]))
+    assert_equal_rows(table[good], rhec.campaign([SHORT, *short(2)]))
 
 
 def test_nothing_is_shown_where_nobody_looks(capfd):
@@ -136,7 +136,7 @@ def test_nothing_is_shown_where_nobody_looks(capfd):
 @pytest.mark.parametrize(
     "arguments, sentence",
     [
-        (dict(scenarios=SHORT), "scenarios was Scenario"),
+        (dict(scenarios=SHORT), r"scenarios was rhec\.Scenario\(.*; it should be a list of"),
         (dict(scenarios=None), "scenarios was None; it should be a list of rhec.Scenario"),
         (dict(scenarios="rhe"), "scenarios was 'rhe'; "),
         (dict(scenarios=[SHORT, 3]), r"scenarios\[1\] was 3; it should be a rhec.Scenario"),
@@ -170,15 +170,15 @@ def ran(monkeypatch):
 
 def test_what_is_kept_is_not_run_again(tmp_path, ran):
     first = rhec.campaign(short(), tmp_path)
-    same(first, rhec.campaign(short()))
+    assert_equal_rows(first, rhec.campaign(short()))
     ran.clear()
-    same(rhec.campaign(short(), tmp_path), first)
+    assert_equal_rows(rhec.campaign(short(), tmp_path), first)
     assert ran == []
     backwards = rhec.campaign(
-        [*short(6)[::-1], dataclasses.replace(SHORT, estimator=mine())], tmp_path
+        [*short(6)[::-1], dataclasses.replace(SHORT, estimator=own_estimator())], tmp_path
     )
     assert [scenario.seed for scenario in ran] == [5, 4, 0]
-    same(backwards[2:6][::-1], first)
+    assert_equal_rows(backwards[2:6][::-1], first)
 
 
 def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
@@ -201,14 +201,14 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
             table = rhec.campaign(short(8), tmp_path)
             break
         except KeyboardInterrupt as interrupt:
-            assert "of 8 runs; the same call goes on from there" in str(interrupt)
+            assert "of 8 runs; the same call continues from there" in str(interrupt)
     monkeypatch.undo()
     assert interruptions >= 2 and len([scenario for scenario in runs if scenario]) == 8
-    same(table, rhec.campaign(short(8)))
+    assert_equal_rows(table, rhec.campaign(short(8)))
 
 
 def test_a_resumed_campaign_has_the_types_of_a_fresh_one(tmp_path):
-    broken = dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2)))
+    broken = dataclasses.replace(SHORT, estimator=own_estimator(estimate=ca.DM.zeros(2)))
     for scenarios in (short(), [*short(2), broken]):
         fresh = rhec.campaign(scenarios, tmp_path)
         pd.testing.assert_frame_equal(rhec.campaign(scenarios, tmp_path), fresh, check_exact=True)
@@ -304,8 +304,8 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         for more in (
             dict(terrain=other_soil),
             dict(path=other_target),
-            dict(estimator=mine()),
-            dict(estimator=mine(estimate=ca.DM.ones(6))),
+            dict(estimator=own_estimator()),
+            dict(estimator=own_estimator(estimate=ca.DM.ones(6))),
             dict(estimator="rhe", robust=True),
         )
     ]
@@ -349,11 +349,11 @@ def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
     (file,) = tmp_path.glob("*/*.parquet")
     spoil(file)
     ran.clear()
-    with pytest.warns(UserWarning, match="cannot be read .* done again"):
+    with pytest.warns(UserWarning, match="cannot be read .* repeated"):
         again = rhec.campaign(short(), tmp_path)
-    same(again, first)
+    assert_equal_rows(again, first)
     assert ran == short()
-    same(rhec.campaign(short(), tmp_path), first)
+    assert_equal_rows(rhec.campaign(short(), tmp_path), first)
 
 
 def test_no_damaged_row_is_ever_taken(tmp_path):
@@ -376,14 +376,14 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
 
 def test_it_is_the_same_on_any_number_of_workers_and_without():
     scenarios = short(20) + [
-        dataclasses.replace(SHORT, estimator=mine()),
+        dataclasses.replace(SHORT, estimator=own_estimator()),
         dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
         dataclasses.replace(SHORT, duration_s=0.2),
-        dataclasses.replace(SHORT, estimator=mine(estimate=ca.DM.zeros(2))),
+        dataclasses.replace(SHORT, estimator=own_estimator(estimate=ca.DM.zeros(2))),
     ]
     here = rhec.campaign(scenarios)
     for number in (1, 2):
-        same(rhec.campaign(scenarios, workers=number), here)
+        assert_equal_rows(rhec.campaign(scenarios, workers=number), here)
 
 
 def worker_processes():
@@ -413,16 +413,16 @@ def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_i
     assert killed and not killed[0].is_running()
     assert list(table.index[table["error"] != ""]) == [3]
     assert table.loc[3, "error"] == "KilledWorker: every worker that ran it died"
-    same(table.drop(index=3), rhec.campaign(short(3) + short(40)))
-    same(rhec.campaign(short(), workers=2), rhec.campaign(short()))
+    assert_equal_rows(table.drop(index=3), rhec.campaign(short(3) + short(40)))
+    assert_equal_rows(rhec.campaign(short(), workers=2), rhec.campaign(short()))
 
 
 def test_workers_that_die_while_they_are_idle_are_replaced():
     expected = rhec.campaign(short(), workers=1)
-    same(rhec.campaign(short(), workers=2), expected)
+    assert_equal_rows(rhec.campaign(short(), workers=2), expected)
     for process in worker_processes():
         process.kill()
-    same(rhec.campaign(short(), workers=2), expected)
+    assert_equal_rows(rhec.campaign(short(), workers=2), expected)
 
 
 SCRIPT = """
@@ -576,7 +576,7 @@ def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path, mo
     rows = store.load_rows(store.open_folder(tmp_path / "rows"))
     assert set(rows) == set(map(store.scenario_key, short(20)))
     monkeypatch.delenv("DASK_SCHEDULER_ADDRESS")
-    same(table, rhec.campaign(short(20)))
+    assert_equal_rows(table, rhec.campaign(short(20)))
 
 
 def test_workers_with_other_code_are_refused(started, tmp_path, monkeypatch):
@@ -638,7 +638,7 @@ def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
     its_process.kill()
     out, err = process.communicate(timeout=120)
     assert (process.returncode, out) == (1, "")
-    assert err == f"the scheduler at {address} went away\n"
+    assert err == f"the connection to the scheduler at {address} was lost\n"
 
 
 def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
@@ -648,7 +648,9 @@ def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
     worker(started, address, tmp_path)
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
     monkeypatch.setattr(store, "save_rows", lambda *given: its_process.kill())
-    with pytest.raises(ConnectionError, match=f"the scheduler at {address} went away"):
+    with pytest.raises(
+        ConnectionError, match=f"the connection to the scheduler at {address} was lost"
+    ):
         rhec.campaign(short(40), tmp_path / "rows")
 
 
@@ -769,7 +771,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
     interrupted = re.fullmatch(
-        r"interrupted after (\d+) of 3000 runs; the same call goes on from there\n", err
+        r"interrupted after (\d+) of 3000 runs; the same call continues from there\n", err
     )
     assert (process.returncode, out) == (130, "") and interrupted, err
     (rows,) = tmp_path.glob("*/")

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import no_compiler
+from helpers import no_compiler
 from oracles import flat
 
 import rhec
@@ -29,7 +29,7 @@ def simulated(**changes):
     return rhec.simulate(dataclasses.replace(MINUTE, **changes))
 
 
-def same(one, other, atol=0.0):
+def assert_equal_logs(one, other, atol=0.0):
     pd.testing.assert_frame_equal(one, other, rtol=0, atol=atol, check_exact=atol == 0)
 
 
@@ -111,7 +111,7 @@ def test_a_live_loop_is_the_fused_one(changes):
 def test_compiled_code_and_the_virtual_machine_agree(estimator):
     compiled_log = simulated(estimator=estimator).log
     with no_compiler():
-        same(compiled_log, simulated(estimator=estimator).log, atol=1e-9)
+        assert_equal_logs(compiled_log, simulated(estimator=estimator).log, atol=1e-9)
 
 
 def test_a_run_can_be_cut_anywhere(run):
@@ -145,7 +145,7 @@ def test_a_run_can_be_cut_anywhere(run):
 
 def test_the_same_scenario_is_the_same_run(run):
     again = simulated()
-    same(run.log, again.log)
+    assert_equal_logs(run.log, again.log)
     assert str(run.metrics) == str(again.metrics)
 
 
@@ -154,7 +154,7 @@ def test_a_longer_run_begins_like_a_shorter_one(run, duration_s):
     other = simulated(duration_s=duration_s)
     assert len(other.log) == round(duration_s / 0.2)
     rows = min(len(other.log), len(run.log))
-    same(other.log[:rows], run.log[:rows])
+    assert_equal_logs(other.log[:rows], run.log[:rows])
 
 
 def test_a_seed_changes_terrain_and_noise(run):
@@ -182,7 +182,7 @@ def test_the_noise_in_the_log_is_that_of_the_scenario(run):
     ) == pytest.approx(0.03, rel=0.1)
     assert np.std(run.log["nu_meas_mps"] - 0.5) == pytest.approx(0.05, rel=0.1)
     told, heard = (simulated(estimator="oracle", speed_sigma_mps=s).log for s in (0.0, 0.05))
-    same(told.drop(columns="nu_meas_mps"), heard.drop(columns="nu_meas_mps"))
+    assert_equal_logs(told.drop(columns="nu_meas_mps"), heard.drop(columns="nu_meas_mps"))
     silent = dict(gnss_sigma_m=0.0, encoder_sigma_mps=0.0, speed_sigma_mps=0.0)
     quiet = simulated(**silent, bump_sigma_radps=0.0)
     np.testing.assert_array_equal(quiet.log["x_meas_m"], quiet.log["x_m"])
@@ -353,7 +353,7 @@ def test_all_qp_solvers_drive_the_same_run():
     with no_compiler():
         logs = [simulated(qp=qp, duration_s=20.0).log for qp in ("structured", "daqp", "qpoases")]
     for log in logs[1:]:
-        same(logs[0], log, atol=1e-6)
+        assert_equal_logs(logs[0], log, atol=1e-6)
 
 
 # Parts of one's own

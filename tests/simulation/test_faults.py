@@ -12,7 +12,7 @@ from oracles import flat
 
 import rhec
 from rhec import paper
-from rhec.simulation import closed_loop, faults
+from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.faults import Fault
 from rhec.workbench.plots.faults import fault_courses, fault_overview
 from rhec.workbench.studies import robustness
@@ -29,7 +29,9 @@ SHORT = rhec.Scenario(process_noise="calibrated", duration_s=30.0)
 
 def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
     """Z as it arrives with this fault."""
-    return faults.corrupted(Z, [Fault(start_s=start_s, duration_s=duration_s, **fault)], T, B, seed)
+    return fault_signals.corrupted(
+        Z, [Fault(start_s=start_s, duration_s=duration_s, **fault)], T, B, seed
+    )
 
 
 @pytest.mark.parametrize(
@@ -129,7 +131,7 @@ def test_faults_add_up():
         Fault(kind="jump", size_m=1.0, start_s=2.0, duration_s=5.0),
         Fault(kind="stuck", start_s=4.0, duration_s=1.0),
     ]
-    got = faults.corrupted(Z, both, T, B)
+    got = fault_signals.corrupted(Z, both, T, B)
     jump = got[15] - Z[15]
     np.testing.assert_allclose(np.hypot(*jump[:2]), 1.0)
     np.testing.assert_allclose(got[20:25, :2], Z[[19] * 5, :2] + jump[:2])
@@ -165,22 +167,24 @@ a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(a_fault, max_size=4), st.integers(0, 9))
 def test_faults_are_the_same_in_the_closed_loop_and_on_a_recorded_stream(several, seed):
-    deliver, memory, rows = faults.deliver(), faults.init(), []
-    for z, row in zip(Z, faults.stream(several, len(Z), DT, seed)):
+    deliver, memory, rows = fault_signals.deliver(), faults.init(), []
+    for z, row in zip(Z, fault_signals.stream(several, len(Z), DT, seed)):
         columns = np.split(
             row, np.cumsum([rows * columns for rows, columns in faults.STREAM.values()])[:-1]
         )
         result = deliver(z=z, **memory, **dict(zip(faults.STREAM, columns)), track_width_m=B)
         memory = {name: result[name] for name in memory}
         rows.append(flat(result["z"]))
-    np.testing.assert_allclose(rows, faults.corrupted(Z, several, T, B, seed), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        rows, fault_signals.corrupted(Z, several, T, B, seed), rtol=1e-9, atol=1e-9
+    )
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.lists(a_fault, max_size=4), st.integers(1, 100))
 def test_a_longer_stream_begins_like_a_shorter_one(several, n):
     np.testing.assert_array_equal(
-        faults.stream(several, 100, DT, 3)[:n], faults.stream(several, n, DT, 3)
+        fault_signals.stream(several, 100, DT, 3)[:n], fault_signals.stream(several, n, DT, 3)
     )
 
 

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import controller, estimator, fused_sample
 from oracles import flat, mhe_instance, mpc_instance
 from robots import BICYCLE
-from test_any_robot import controller, estimator, fused_sample
 
 import rhec
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.scan import build_scan, scan
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(lanes._compiler() is None, reason="there is no C
 SMALL = rhec.Scenario(estimation_horizon=3, prediction_horizon=3, duration_s=20.0)
 
 
-def mine():
+def own_estimator():
     """An estimator of one's own, with functions that no other has."""
     memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
     moved = z[:2] - memory[:2]
@@ -43,7 +43,7 @@ KINDS = {name: dict(estimator=name) for name in NAMES} | {
 }
 KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
 KINDS["cautious"] = dict(estimator="dual", cautious=True)
-KINDS["own"] = dict(estimator=mine())
+KINDS["own"] = dict(estimator=own_estimator())
 
 
 def unlike(kind):
@@ -183,7 +183,7 @@ def always(monkeypatch):
     monkeypatch.setattr(batch, "_WORTH_LOADING", 0)
 
 
-def same(table, scenarios):
+def assert_rows_of_simulate(table, scenarios):
     for (_, row), scenario in zip(table.iterrows(), scenarios):
         for name, value in rhec.simulate(scenario).metrics.items():
             assert row[name] == value or np.isnan(row[name]) and np.isnan(value), name
@@ -199,7 +199,7 @@ def test_a_campaign_in_lanes_has_the_rows_of_simulate(always, monkeypatch):
     monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
     table = rhec.campaign(scenarios, workers=1)
     assert (table["error"] == "").all()
-    same(table, scenarios)
+    assert_rows_of_simulate(table, scenarios)
 
 
 def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
@@ -212,7 +212,7 @@ def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
     scenarios = [good[0], dataclasses.replace(SMALL, estimator=wrong), good[1]]
     table = rhec.campaign(scenarios, workers=1)
     assert list(table["error"] == "") == [True, False, True] and alone == [scenarios[1]]
-    same(table[::2], good)
+    assert_rows_of_simulate(table[::2], good)
 
 
 def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):
@@ -226,7 +226,7 @@ def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always
     monkeypatch.setattr(closed_loop, "set_up", lambda each: made.append(each) or set_up(each))
     table = rhec.campaign(scenarios, workers=1)
     assert len(made) == len(kinds)
-    same(table, scenarios)
+    assert_rows_of_simulate(table, scenarios)
 
 
 def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
@@ -244,7 +244,7 @@ def test_what_has_no_lanes_runs_one_by_one(always):
     scenarios = [dataclasses.replace(SMALL, qp="daqp", seed=seed) for seed in range(3)]
     table = rhec.campaign(scenarios, workers=1)
     assert (table["error"] == "").all()
-    same(table, scenarios)
+    assert_rows_of_simulate(table, scenarios)
 
 
 def test_without_a_cpp_compiler_the_rows_are_the_same(always, monkeypatch):

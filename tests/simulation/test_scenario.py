@@ -11,10 +11,10 @@ import pytest
 
 import rhec
 from rhec import paper
-from rhec.simulation import scenario as described
+from rhec.simulation import scenario_fields as described
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import NAMES, estimator_of
+from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 OUT_OF_RANGE = [
@@ -197,7 +197,7 @@ def test_the_signature_can_be_read_and_names_the_estimators():
     signature = inspect.signature(rhec.Scenario)
     assert len(str(signature)) <= 2500
     assert all(repr(name) in str(signature) for name in NAMES)
-    assert get_args(described.EstimatorName) == NAMES
+    assert get_args(EstimatorName) == NAMES
 
 
 def test_the_repr_is_python_that_leaves_out_the_defaults():

@@ -18,7 +18,7 @@ from rhec.simulation.columns import COLUMNS
 BASE = rhec.Scenario(robust=True)
 
 
-def same(one, other):
+def assert_equal_states(one, other):
     assert {name: value for name, value in one.items() if name != "memory"} == {
         name: value for name, value in other.items() if name != "memory"
     }
@@ -50,7 +50,7 @@ def test_a_drive_can_be_cut_saved_and_resumed_anywhere(tmp_path):
         cut = soak.drive(cut, BASE, int(samples))
         soak.save(cut, tmp_path / "state.npz")
         cut = soak.load(tmp_path / "state.npz", BASE)
-    same(cut, whole)
+    assert_equal_states(cut, whole)
     assert (
         soak.drive(soak.init(BASE, 1), BASE, 100)["digest"]
         != soak.drive(begun, BASE, 100)["digest"]

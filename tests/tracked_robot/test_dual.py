@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from helpers import choice_of, weaving_yaw_rates, with_noise
 from oracles import V, drive, flat
 
-from rhec.core._casadi.build import pack_array
-from rhec.tracked_robot.choice import Choice
+from rhec.core._casadi.packing import pack_array
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.tuning import SIGMA_W_TRACKING
@@ -23,27 +23,19 @@ def first(guess=TRUTH, robust=False):
     return memory_of("dual", guess, robust)
 
 
-def choice(name, robust=False):
-    return Choice(name, HORIZON, "parameter", "smoothed", robust)
-
-
 def memory_of(name, guess, robust=False):
     init = estimator_of(name, robust).init
-    return pack_array(init(choice(name, robust), dict(zip(QUANTITIES, guess))))
+    return pack_array(init(choice_of(name, HORIZON, robust=robust), dict(zip(QUANTITIES, guess))))
 
 
 @pytest.fixture(scope="module")
 def step():
-    return build_step(choice("dual"))
-
-
-def weave(samples):
-    return 0.1 * np.sin(0.7 * np.arange(samples)) + 0.05 * np.cos(0.31 * np.arange(samples))
+    return build_step(choice_of("dual", HORIZON))
 
 
 def readings(samples=120, noise=1.0, seed=0):
-    truth, z = drive(TRUTH, weave(samples))
-    return truth, z + noise * np.random.default_rng(seed).normal(size=z.shape) * np.sqrt(V)
+    truth, z = drive(TRUTH, weaving_yaw_rates(samples))
+    return truth, with_noise(z, seed, noise)
 
 
 def run(step, memory, z, **given):
@@ -65,7 +57,7 @@ def test_without_noise_on_even_soil_it_stays_on_the_truth(step):
 def test_its_traction_is_the_rhes_to_the_last_bit(step):
     """With the RHE's part of W, whatever the pose filter's part is."""
     _, z = readings()
-    alone = build_step(choice("rhe"))
+    alone = build_step(choice_of("rhe", HORIZON))
     memory, expected = memory_of("rhe", TRUTH), []
     for reading in z:
         result = alone(memory=memory, z_N=reading, V=V, W=np.square(SIGMA_W[:6]), P_0=np.ones(6))
@@ -78,7 +70,7 @@ def test_its_traction_is_the_rhes_to_the_last_bit(step):
 
 def test_traction_stays_within_its_bounds(step):
     """Also on soil on which the robot seems to go faster than its tracks."""
-    _, z = drive((0, 0, 0, 0.5, 1.15, 1.2), weave(80))
+    _, z = drive((0, 0, 0, 0.5, 1.15, 1.2), weaving_yaw_rates(80))
     z = z + np.random.default_rng(1).normal(size=z.shape) * np.sqrt(V)
     estimates, _ = run(step, first((0, 0, 0, 0.5, 1, 1)), z)
     assert ((estimates[:, 4:] >= 0) & (estimates[:, 4:] <= 1)).all() and (
@@ -110,6 +102,6 @@ def test_its_pose_follows_the_readings_the_faster_the_more_noise_it_is_told(step
 def test_screening_changes_little_on_clean_readings(step):
     _, z = readings(60)
     plain, _ = run(step, first(), z)
-    screened, _ = run(build_step(choice("dual", True)), first(robust=True), z)
+    screened, _ = run(build_step(choice_of("dual", HORIZON, robust=True)), first(robust=True), z)
     assert np.abs(screened - plain)[:, :4].max() < 0.05
     assert np.median(np.abs(screened - plain)) < 1e-6

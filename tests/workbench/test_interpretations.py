@@ -8,7 +8,7 @@ import pytest
 
 import rhec
 from rhec import paper
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import QUANTITIES

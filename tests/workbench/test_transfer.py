@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from logs.test_replay import recorded
+from helpers import recorded_log
 
 from rhec.logs import scores
 from rhec.logs.replay import predictor
@@ -50,7 +50,7 @@ def test_the_error_ahead_is_that_of_driving_on_with_the_estimate(wrong):
 
 
 def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
-    log = recorded(noise_m=0.0).assign(speed_mps=lambda log: 3.6 * log["speed_mps"])
+    log = recorded_log(noise_m=0.0).assign(speed_mps=lambda log: 3.6 * log["speed_mps"])
     with pytest.raises(ValueError, match="km/h"):
         scores.perturbed_replay(log, 0)
     scores.perturbed_replay(log, 0, trust_log=True)
@@ -58,7 +58,7 @@ def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
 
 def test_each_robot_is_left_out_once():
     logs = {
-        name: recorded(5.0, 60.0, seed=seed, arm_m=arm)
+        name: recorded_log(5.0, 60.0, seed=seed, arm_m=arm)
         for name, seed, arm in (("one", 1, (0.0, 0.0)), ("other", 2, (0.2, 0.0)))
     }
     rows = transfer.trials(logs, range(2))

@@ -14,6 +14,7 @@ from nbclient import NotebookClient
 import rhec
 from notebooks import tutorial_checks
 from rhec import paper
+from rhec.core.model import base
 from rhec.tracked_robot import kinematics as model
 
 TUTORIAL = Path(__file__).parents[2] / "notebooks/01_tutorial.ipynb"
@@ -80,7 +81,7 @@ def test_each_exercise_is_followed_by_its_solution():
 
 
 def rk4(xi, omega, p):
-    return model.rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
+    return base.rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
 
 
 def midpoint(xi, omega, p):

@@ -1,22 +1,8 @@
 """CasADi Functions from plain Python functions: named expressions in, a dict of named ones out."""
 
 import casadi as ca
-import numpy as np
 
 from rhec.core._casadi.compiled import loop_symbols
-
-__all__ = [
-    "casadi_function",
-    "every",
-    "pack_array",
-    "packed_size",
-    "select_inputs",
-    "shapes_of",
-    "short_cut",
-    "unpack",
-    "unpack_array",
-    "with_packed_memory",
-]
 
 _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 
@@ -24,17 +10,11 @@ _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 def casadi_function(name, kind=ca.SX, /, **shapes):
     """Decorator: the CasADi Function of a Python function whose annotations are its inputs' shapes.
 
-    A shape is (rows, columns) or a CasADi Sparsity. An annotation may also be a dict of shapes by
-    name, or a NamedTuple of shapes: each entry is one input, and the function receives such a dict
-    or NamedTuple of expressions.
-
-    Args:
-        name: Name of the Function.
-        kind: SX for arithmetic (inlined, simplified), MX for functions that call other Functions.
-        shapes: Shapes of the inputs without annotation, in order.
-
-    Returns:
-        A decorator. The decorated function returns its outputs as a dict or NamedTuple.
+    A shape is (rows, columns) or a CasADi Sparsity. An annotation may also be a dict or NamedTuple
+    of shapes: each entry is one input, and the function receives a dict or NamedTuple of
+    expressions. `shapes` are those of inputs without annotation. The function returns its outputs
+    as a dict or NamedTuple. `kind` is SX for arithmetic (inlined, simplified), or MX for functions
+    that call other Functions.
     """
 
     def decorate(body):
@@ -56,12 +36,9 @@ def _argument(name, shape, kind, symbols):
         return type(shape)(**_argument(name, shape._asdict(), kind, symbols))
     if isinstance(shape, dict):
         return {key: _argument(key, entry, kind, symbols) for key, entry in shape.items()}
-    symbols[name] = kind.sym(name, _sparsity(shape))
+    sparsity = shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
+    symbols[name] = kind.sym(name, sparsity)
     return symbols[name]
-
-
-def _sparsity(shape):
-    return shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
 
 
 def short_cut(flag):
@@ -110,34 +87,13 @@ def packed_size(shapes):
     return sum(rows * columns for rows, columns in shapes.values())
 
 
-def pack_array(memory):
-    """The NumPy vector of a memory's arrays {name: array}, each column by column."""
-    pieces = [np.ravel(piece, order="F") for piece in memory.values()]
-    return np.concatenate(pieces).astype(float)
-
-
 def unpack(vector, shapes):
-    """The opposite of `pack_array` for a CasADi vector: matrices by name."""
+    """Matrices by name from the CasADi vector that holds them."""
     offsets = [0]
     for rows, columns in shapes.values():
         offsets.append(offsets[-1] + rows * columns)
     parts = ca.vertsplit(vector, offsets)
     return {name: ca.reshape(part, *shapes[name]) for name, part in zip(shapes, parts)}
-
-
-def unpack_array(vector, shapes):
-    """The opposite of `pack_array`: views of the NumPy vector, by name."""
-    ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
-    parts = np.split(vector, ends[:-1])
-    return {name: part.reshape(shapes[name], order="F") for name, part in zip(shapes, parts)}
-
-
-def shapes_of(memory):
-    """Shapes of a memory's arrays, as `packed_size` and `unpack` take them."""
-    return {
-        name: np.shape(piece) if np.ndim(piece) == 2 else (np.size(piece), 1)
-        for name, piece in memory.items()
-    }
 
 
 def every(conditions):

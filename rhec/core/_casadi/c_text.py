@@ -10,8 +10,6 @@ from collections import defaultdict
 
 import casadi as ca
 
-__all__ = ["generate_c"]
-
 _COPY = """  if (y && x) memcpy(y, x, n*sizeof(casadi_real));
   else if (y) memset(y, 0, n*sizeof(casadi_real));"""
 

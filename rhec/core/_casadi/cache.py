@@ -21,8 +21,6 @@ import platformdirs
 with contextlib.suppress(ImportError):  # on Windows nothing is compiled, see `compiler`
     import fcntl
 
-__all__ = ["UnusableError", "contains", "load_or_build", "warn_once"]
-
 _CONTENT = "content.json"  # {file: its digest}, written last, of all other files in a folder
 
 
@@ -45,18 +43,17 @@ def load_or_build(name, build, load):
     """Return load(folder) of the folder called `name`, filled by build(folder) if it is missing.
 
     The folder is in the user's cache. Where that cannot be used, it is among the temporary files,
-    and one line on stderr says so.
-
-    Raises:
-        UnusableError: If neither can be used.
+    and one line on stderr says so. If neither can be used, UnusableError is raised.
     """
     reasons = []
     for root in _roots():
         try:
-            _make_private(root)
+            root.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not _is_private(root):
+                raise OSError(f"{root} belongs to another user or others can write to it")
             if not _is_whole(root / name):
                 _build(root, name, build)
-            loaded = load(root / name)
+            loaded = _load_or_remove(root, name, load)
         except (OSError, RuntimeError) as error:
             reasons.append(" ".join(str(error).split())[:300])
         else:
@@ -66,18 +63,21 @@ def load_or_build(name, build, load):
     raise UnusableError(reasons[0])
 
 
+def _load_or_remove(root, name, load):
+    """Return load(folder); a folder that cannot be loaded goes, so that it is built again."""
+    try:
+        return load(root / name)
+    except (OSError, RuntimeError):
+        with contextlib.suppress(OSError), _locked(root / f"building-{name}.lock"):
+            shutil.rmtree(root / name)
+        raise
+
+
 def _roots():
     """The private folders that may be used, the preferred one first."""
     cache = os.environ.get("RHEC_CACHE") or platformdirs.user_cache_path("rhec")
     temporary = Path(os.environ.get("TMPDIR") or tempfile.gettempdir())
     return Path(os.path.realpath(cache)), temporary.resolve() / f"rhec-{os.geteuid()}"
-
-
-def _make_private(root):
-    """Make the private folder; refuse one that others own or can write to."""
-    root.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not _is_private(root):
-        raise OSError(f"{root} belongs to another user or others can write to it")
 
 
 def _is_private(root):
@@ -126,16 +126,10 @@ def _locked(path):
     while True:
         with path.open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            if _is_removed(lock, path):  # by its previous holder: such a lock protects nothing
+            if not os.fstat(lock.fileno()).st_nlink:  # its previous holder removed the file
                 continue
             try:
                 yield
             finally:
                 path.unlink(missing_ok=True)
             return
-
-
-def _is_removed(file, path):
-    with contextlib.suppress(FileNotFoundError):
-        return not os.path.samestat(os.fstat(file.fileno()), path.stat())
-    return True

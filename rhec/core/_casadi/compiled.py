@@ -24,22 +24,6 @@ import numpy as np
 from rhec.core._casadi import cache
 from rhec.core._casadi.c_text import generate_c
 
-__all__ = [
-    "BufferedFunction",
-    "FLAGS",
-    "HEADERS",
-    "PROCESSOR",
-    "compiler",
-    "is_compiled",
-    "library_name",
-    "load",
-    "loop_symbols",
-    "run_compiler",
-    "source_digest",
-    "vector_instructions",
-]
-
-
 PROCESSOR = Path("/proc/cpuinfo")
 
 
@@ -65,6 +49,8 @@ _CASADI = Path(ca.__file__).parent
 HEADERS = Path(__file__).parent
 
 _SLOWER = "on CasADi's virtual machine the results are the same, about five times slower"
+_ANSWER_S = 30.0  # in which a compiler has to tell its version
+_COMPILE_S = 1800.0  # in which it has to compile; the largest structures take minutes
 _failed = set()  # compilers that failed in this process
 
 
@@ -80,8 +66,10 @@ def _working_compiler():
     path = shutil.which(named) or shutil.which("cc") or shutil.which("gcc")
     if os.name != "posix":  # the flags and the cache's locks are those of POSIX
         path = None
-    with contextlib.suppress(OSError):  # a file that is no program
-        if path and not subprocess.run([path, "--version"], capture_output=True).returncode:
+    # A file that is no program, or one that hangs.
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        answer = [path, "--version"]
+        if path and not subprocess.run(answer, capture_output=True, timeout=_ANSWER_S).returncode:
             return path
     problem = f"the C compiler {path} fails" if path else "no C compiler found"
     cache.warn_once(f"{problem}: {_SLOWER}")
@@ -99,7 +87,7 @@ def loop_symbols():
 
 _PACKAGE = Path(__file__).parents[2]
 # Folders whose sources make Functions. An edit of figures, studies or logs compiles nothing anew.
-_ROOMS = (".", "core/*", "tracked_robot", "extensions", "simulation", "simulation/lanes")
+_ROOMS = (".", "core/*", "tracked_robot", "simulation", "simulation/lanes")
 
 
 @functools.cache
@@ -112,17 +100,8 @@ def source_digest(*modules):
 
 def library_name(build, structure, *more):
     """The name of the compiled Functions of build(*structure): a digest of all that makes them."""
-    origin = (
-        build.__module__,
-        build.__name__,
-        _key(structure),
-        source_digest(build.__module__),
-        ca.__version__,
-        compiler(),
-        FLAGS,
-        platform.machine(),
-        *more,
-    )
+    code = (build.__module__, build.__name__, _key(structure), source_digest(build.__module__))
+    origin = (*code, ca.__version__, compiler(), FLAGS, platform.machine(), *more)
     return hashlib.sha256(repr(origin).encode()).hexdigest()[:24]
 
 
@@ -142,15 +121,9 @@ def is_compiled(build, *structure):
 def load(build, *structure):
     """Return the Functions of the dict build(*structure), compiled.
 
-    CasADi generates no C for qpOASES: Functions that call it stay on the virtual machine, as all
-    Functions do where nothing can be compiled.
-
-    Args:
-        build: A function of a module, which returns {name: Function}.
-        structure: Its arguments: strings, numbers, Models and tuples of these.
-
-    Returns:
-        {name: Function}.
+    The structure consists of strings, numbers, Models and tuples of these. CasADi generates no C
+    for qpOASES: Functions that call it stay on the virtual machine, as all Functions do where
+    nothing can be compiled.
     """
     if not compiler():
         return build(*structure)
@@ -195,16 +168,12 @@ def _announce(build):
         print(f"rhec: compiling the {what}, once (some seconds)", file=stream, flush=True)
 
 
-def _calls_qpoases(function):
-    return any(inner.class_name() == "QpoasesInterface" for inner in function.find_functions())
-
-
 def _compile_library(folder, functions):
     """Generate C for the Functions and compile it."""
-    names = {
-        key: None if _calls_qpoases(function) else function.name()
-        for key, function in functions.items()
-    }
+    names = {}
+    for key, function in functions.items():
+        calls = {inner.class_name() for inner in function.find_functions()}
+        names[key] = None if "QpoasesInterface" in calls else function.name()
     entries = [functions[key] for key in names if names[key]]
     (folder / "code.c").write_text(generate_c(entries, "code.c"))
     flags = ["-O2", *FLAGS]
@@ -221,7 +190,17 @@ def _compile_library(folder, functions):
 
 def run_compiler(command, folder):
     """Run a compiler in a folder; OSError, with its message, if it fails."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_COMPILE_S,
+        )
+    except subprocess.TimeoutExpired:
+        raise OSError(f"{command[0]} did not end in {_COMPILE_S:g} s") from None
     if done.returncode:
         messages = [line for line in done.stderr.splitlines() if "error" in line] or [""]
         raise OSError(f"{command[0]} ended with {done.returncode} {messages[0]}")
@@ -236,13 +215,13 @@ class BufferedFunction:
 
     def __init__(self, function):
         self.function = function
-        self.arguments = {name: np.zeros(function.nnz_in(name)) for name in function.name_in()}
-        self.results = {name: np.zeros(function.nnz_out(name)) for name in function.name_out()}
         self._buffer, self.call = function.buffer()
-        for i, array in enumerate(self.arguments.values()):
-            self._buffer.set_arg(i, memoryview(array))
-        for i, array in enumerate(self.results.values()):
-            self._buffer.set_res(i, memoryview(array))
+        self.arguments = {}
+        self.results = {}
+        for name in function.name_in():
+            self.read_from(name, np.zeros(function.nnz_in(name)))
+        for name in function.name_out():
+            self.write_to(name, np.zeros(function.nnz_out(name)))
 
     def set(self, **values):
         """Copy in values by name; matrices as (rows, columns)."""

@@ -11,8 +11,6 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
 
-__all__ = ["BLOCK", "build_scan", "scan"]
-
 BLOCK = 48
 
 

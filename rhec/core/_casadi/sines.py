@@ -8,8 +8,6 @@ from collections import Counter
 
 import casadi as ca
 
-__all__ = ["sines_by_addition"]
-
 _COS_SIN = ca.OP_COS, ca.OP_SIN
 
 

@@ -4,43 +4,14 @@ Pydantic does the checking.
 """
 
 import functools
-import importlib
 import re
 from collections.abc import Callable
 from difflib import get_close_matches
 from inspect import signature
-from typing import Annotated, Any, Literal, ParamSpec, TypeVar, dataclass_transform, get_type_hints
+from typing import Annotated, Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
-from pydantic.dataclasses import dataclass
-
-__all__ = [
-    "ArrivalMean",
-    "Flag",
-    "Intervals",
-    "NotNegative",
-    "NotNegatives",
-    "Positive",
-    "Positives",
-    "ProcessNoise",
-    "Real",
-    "Reals",
-    "SigmaV",
-    "Slip",
-    "Solver",
-    "SpeedModel",
-    "Steps",
-    "Traction",
-    "Weights",
-    "Whole",
-    "checked",
-    "numbers",
-    "of_length",
-    "optional",
-    "shown",
-    "validated",
-]
 
 # NumPy's numbers and arrays are accepted where Python's numbers and tuples are.
 _plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
@@ -51,7 +22,6 @@ _listed = BeforeValidator(
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e100, le=1e100), _plain]
 Positive = Annotated[Real, Field(gt=0)]
 NotNegative = Annotated[Real, Field(ge=0)]
-Traction = Annotated[Real, Field(gt=0, le=1)]
 Reals = Annotated[tuple[Real, ...], _listed]
 Positives = Annotated[tuple[Positive, ...], _listed]
 NotNegatives = Annotated[tuple[NotNegative, ...], _listed]
@@ -59,18 +29,10 @@ Whole = Annotated[int, Field(strict=True), _plain]
 Steps = Annotated[Whole, Field(ge=0, le=1_000_000)]
 Flag = Annotated[bool, Field(strict=True)]
 
-# Choices that Scenario, RHE and RHC share; Scenario says what each means.
-Weights = tuple[NotNegative, NotNegative, NotNegative]
 Intervals = Annotated[Whole, Field(ge=2, le=240)]
-Solver = Literal["structured", "daqp", "qpoases"]
-ProcessNoise = Literal["printed", "calibrated", "consistent"]
-SigmaV = tuple[Positive, Positive, Positive, Positive]
-SpeedModel = Literal["parameter", "input", "slipping"]
-Slip = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
-ArrivalMean = Literal["smoothed", "filtered"]
 
 
-def _sentence(name, fields, error):
+def sentence_of(name, fields, error):
     """One of a validation's errors: the parameter, its value, and what it may be."""
     unknown = "unexpected_keyword_argument"
     # A misspelt name first, because it explains why another parameter is missing.
@@ -109,43 +71,27 @@ def shown(value, length=200):
     return text if len(text) <= length else f"{text[:length]} …"
 
 
+def refuse(what, value, expected):
+    """Raise a ValueError of one sentence: what was given, its value, and what it may be."""
+    raise ValueError(f"{what} {shown(value)}; {expected}")
+
+
 def of_length(name, values, wanted, of):
     """Refuse, in one sentence, values that are not as many as wanted, one for each `of`."""
     if len(values) != wanted:
-        entries = f"{wanted} entries, one for each {of}"
-        raise ValueError(f"{name} was {shown(values)}; it should have {entries}")
-
-
-def numbers(name, value):
-    """Return the value as an array of numbers, or say in one sentence why it is none."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} was {shown(value)}; it must be made of numbers") from None
-
-
-def optional(module, purpose):
-    """Import an optional package, or say in one sentence what to install."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise ImportError(
-            f"{purpose} needs {module}, which is not installed: pip install {module}"
-        ) from None
+        refuse(f"{name} was", values, f"it should have {wanted} entries, one for each {of}")
 
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
-def _plain_signature(function, hints):
+def plain_signature(function, hints):
     """The signature with plain types: `float` for an Annotated float with its limits."""
     full = signature(function)
-    parameters = [
-        parameter.replace(annotation=hints.get(parameter.name, parameter.annotation))
-        for parameter in full.parameters.values()
-    ]
-    return full.replace(parameters=parameters)
+    parameters = full.parameters.values()
+    plain = [p.replace(annotation=hints.get(p.name, p.annotation)) for p in parameters]
+    return full.replace(parameters=plain)
 
 
 def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -163,29 +109,8 @@ def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
         try:
             return strict(*arguments, **named)
         except ValidationError as error:
-            raise ValueError(_sentence(called, names, error)) from None
+            raise ValueError(sentence_of(called, names, error)) from None
 
     call.__annotations__ = hints | {"return": returned}
-    call.__signature__ = _plain_signature(function, hints)  # type: ignore[attr-defined]
+    call.__signature__ = plain_signature(function, hints)  # type: ignore[attr-defined]
     return call
-
-
-@dataclass_transform(kw_only_default=True, frozen_default=True)
-def validated(cls: type[_T]) -> type[_T]:
-    """Make a frozen dataclass whose constructor checks every field strictly (a decorator)."""
-    cls = dataclass(
-        frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid")
-    )(cls)
-    construct = cls.__init__
-    names = list(cls.__dataclass_fields__)
-    plain = _plain_signature(cls, get_type_hints(cls))
-
-    def __init__(self, **fields):
-        try:
-            construct(self, **fields)
-        except ValidationError as error:
-            raise ValueError(_sentence(cls.__name__, names, error)) from None
-
-    cls.__init__ = __init__
-    cls.__signature__ = plain
-    return cls

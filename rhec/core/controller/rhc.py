@@ -10,8 +10,7 @@ references enter in the feedback phase only: they move the gradient, through the
 of the joint state s = (x, p).
 """
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,23 +22,21 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
-
-__all__ = ["RHC", "Horizon", "StagewiseQP", "build_phases", "init"]
+from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
 
 
 class Horizon(NamedTuple):
-    """What decides the shape of the Functions: N intervals of dt_s, and the commanded inputs.
+    """The structure of an RHC, which decides the shapes of its Functions.
 
-    `command` holds the places of the commanded inputs in `model.inputs`. `qp` is None for the QP by
-    its stages, or an object such as `rhec.core.solver.condensed.Condensed`, whose `build(horizon)`
-    returns a solver with the methods of StagewiseQP, such as CondensedQP.
+    `qp` is None for the QP by its stages, or an object such as
+    `rhec.core.solver.condensed.Condensed`, whose `build(horizon)` returns a solver with the methods
+    of StagewiseQP.
     """
 
     model: Model
-    command: tuple[int, ...]
-    dt_s: float
-    N: int
+    command: tuple[int, ...]  # places of the commanded inputs in `model.inputs`
+    dt_s: float  # length of an interval [s]
+    N: int  # intervals of the prediction
     qp: Any = None
 
     @property
@@ -74,28 +71,15 @@ class Horizon(NamedTuple):
 
     @property
     def references(self):
-        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs.
-
-        Node 0 of x_ref has no weight.
-        """
+        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs."""
         bound = (len(self.command), 1)
-        return dict(
-            s_0=(self.n_s, 1),
-            x_ref=(self.n_x, self.N + 1),
-            u_ref=(self.n_u, self.N),
-            lower=bound,
-            upper=bound,
-        )
-
-    @property
-    def linearised(self):
-        """Sparsities of one interval's end F, of D (A = A_0 + D) and of B."""
-        return {name: self.interval.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
+        references = dict(s_0=(self.n_s, 1), x_ref=(self.n_x, self.N + 1), u_ref=(self.n_u, self.N))
+        return references | dict(lower=bound, upper=bound)
 
     @property
     def dynamics(self):
         """Sparsities of F, D and B of all intervals, side by side."""
-        return {name: ca.repmat(part, 1, self.N) for name, part in self.linearised.items()}
+        return {name: ca.repmat(part, 1, self.N) for name, part in self.interval.sparsities.items()}
 
     @property
     def loops(self):
@@ -105,43 +89,30 @@ class Horizon(NamedTuple):
 
 
 def build_phases(horizon):
-    """Build the RHC as CasADi Functions: shift, linearise, feedback, expand (see `rti`) and step.
+    """Build the RHC as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
-    Args:
-        horizon: The Horizon.
-
-    Returns:
-        {name: Function}. `step` runs all phases; it maps (memory, weights, references) to
-        (memory, kkt, command, ok).
+    `step` runs all phases; it maps (memory, weights, references) to (memory, kkt, command, ok).
     """
     qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
     roll_out = _build_roll_out(horizon)
     gradient = _build_gradient(horizon, roll_out)
-    linearise = _build_linearise(horizon, qp)
+    shift, linearise = _build_preparation(horizon, qp)
     feedback = _build_feedback(horizon, linearise, gradient, qp)
-    phases = dict(
-        shift=_build_shift(horizon),
-        linearise=linearise,
-        feedback=feedback,
-        expand=_build_expand(horizon, feedback, roll_out),
-    )
+    expand = _build_expand(horizon, feedback, roll_out)
+    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     return phases | dict(step=_build_step(horizon, phases))
 
 
 class StagewiseQP:
-    """The QP in the commanded inputs by a Riccati recursion over its stages (`box_lq`).
-
-    Args:
-        horizon: The Horizon.
-    """
+    """The QP in the commanded inputs by a Riccati recursion over its stages (`box_lq`)."""
 
     def __init__(self, horizon):
         self.horizon = horizon
         self._command = list(horizon.command)
         # The parameters do not move: with x alone the stages are half as large.
         x = list(range(horizon.n_x))
-        D = horizon.linearised["D"].sub(x, x)[0]
-        B = horizon.linearised["B"].sub(x, self._command)[0]
+        D = horizon.interval.sparsities["D"].sub(x, x)[0]
+        B = horizon.interval.sparsities["B"].sub(x, self._command)[0]
         self._solve = box_lq(horizon.N, horizon.interval.A_0[x, x], D, B, horizon.loops)
 
     def prepare(self, D, B, Q, QN, R):
@@ -151,12 +122,9 @@ class StagewiseQP:
     def solve(self, step, inputs):
         """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, where the stages imply H.
 
-        Args:
-            step: {name: row}: gradient `g` and bounds `least`, `most` of the commands' change Δu.
-            inputs: The inputs of the feedback phase, by name.
-
-        Returns:
-            Δu and its multipliers, as rows, and whether they are the solution.
+        `step` holds the gradient g and the bounds least and most of the commands' change Δu, as
+        rows; `inputs` are those of the feedback phase. Returns the rows Δu and its multipliers, and
+        whether they are the solution.
         """
         n_x = self.horizon.n_x
         D = ca.horzsplit(inputs["D"], self.horizon.n_s)
@@ -165,15 +133,13 @@ class StagewiseQP:
         u = _row_of_commands(inputs["u"], self.horizon)
         at_upper = u >= _for_all_samples(inputs["upper"], self.horizon)
         at_lower = u <= _for_all_samples(inputs["lower"], self.horizon)
-        solution = self._solve(
+        stages = dict(
             D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
             B=ca.horzcat(*(part[:n_x, self._command] for part in B)),
             **{name: inputs[name] for name in self.horizon.weights},
-            g=step["g"],
-            lower=step["least"],
-            upper=step["most"],
-            active=at_upper - at_lower,
         )
+        bounds = dict(lower=step["least"], upper=step["most"])
+        solution = self._solve(**stages, g=step["g"], **bounds, active=at_upper - at_lower)
         return solution["x"], solution["multipliers"], solution["ok"]
 
 
@@ -195,20 +161,14 @@ def _planned(horizon, commands, u_ref):
     return ca.vertcat(*rows)
 
 
-def _build_shift(horizon):
-    """The plan moves on by one sample."""
+def _build_preparation(horizon, qp):
+    """The plan moved on by one sample; the dynamics along it, and what the QP can prepare."""
+    N = horizon.N
 
     @casadi_function("rhc_shift", **horizon.memory)
     def shift(s, u):
         s, u = gauss_newton.shift(horizon.interval, s, u, horizon.dt_s)
         return dict(s=s, u=u)
-
-    return shift
-
-
-def _build_linearise(horizon, qp):
-    """The dynamics along the plan, and what the QP can prepare."""
-    N = horizon.N
 
     @casadi_function("rhc_linearise", horizon.loops, **horizon.memory, **horizon.weights)
     def linearise(s, u, Q, QN, R):
@@ -217,7 +177,7 @@ def _build_linearise(horizon, qp):
         F, D, B = horizon.interval.linearised.map(N)(s[:, :N], u, dt_s)
         return dict(F=F, D=D, B=B) | qp.prepare(D, B, Q, QN, R)
 
-    return linearise
+    return shift, linearise
 
 
 def _build_roll_out(horizon):
@@ -228,12 +188,12 @@ def _build_roll_out(horizon):
     """
     n_s = horizon.n_s
     n_u = horizon.n_u
-    state = (n_s, 1)
-    inputs = (n_u, 1)
-    F_i, D_i, B_i = horizon.linearised.values()
+    s_i = (n_s, 1)
+    u_i = (n_u, 1)
+    F_i, D_i, B_i = horizon.interval.sparsities.values()
 
     @casadi_function("rhc_forward")
-    def forward(F: F_i, D: D_i, B: B_i, s: state, u: inputs, s_new: state, u_new: inputs):
+    def forward(F: F_i, D: D_i, B: B_i, s: s_i, u: u_i, s_new: s_i, u_new: u_i):
         A = horizon.interval.A_0 + D
         return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
 
@@ -260,7 +220,7 @@ def _build_backward(horizon):
     x_i = (n_x, 1)
     u_i = (horizon.n_u, 1)
     R_i = horizon.weights["R"]
-    _, D_i, B_i = horizon.linearised.values()
+    _, D_i, B_i = horizon.interval.sparsities.values()
 
     @casadi_function("rhc_backward")
     def backward(
@@ -284,11 +244,9 @@ def _build_gradient(horizon, roll_out):
     def gradient(s, u, F, D, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
         plan = _planned(horizon, [u[place, :] for place in command], u_ref)
         nodes = roll_out(s, u, F, D, B, s_0, plan)
-        ref = ca.horzsplit(x_ref)
         D = ca.horzsplit(D, horizon.n_s)
         B = ca.horzsplit(B, horizon.n_u)
-        u = ca.horzsplit(plan)
-        u_ref = ca.horzsplit(u_ref)
+        ref, u, u_ref = map(ca.horzsplit, (x_ref, plan, u_ref))
         adjoint = ca.DM.zeros(horizon.n_s)  # λ_N
         g = [None] * N
         weight = QN  # of node N; node 0 has none, since no input moves it
@@ -355,8 +313,7 @@ def _build_step(horizon, phases):
 
     @with_packed_memory("rhc_step", memory, ca.MX, **horizon.weights, **horizon.references)
     def step(**values):
-        for name in PHASES:
-            values |= phases[name](**select_inputs(phases[name], values))
+        values = run_phases(phases, values)
         command = values["u_plan"][:, 0]  # eq. (13)
         outputs = dict(kkt=values["kkt"], command=command, ok=values["ok"])
         return outputs | {name: values[name] for name in memory}
@@ -365,16 +322,7 @@ def _build_step(horizon, phases):
 
 
 def init(horizon, x, p):
-    """Make the memory before the first sample: the robot stays at x, nothing is planned.
-
-    Args:
-        horizon: The Horizon.
-        x: (n_x,) state.
-        p: (n_p,) parameters.
-
-    Returns:
-        {name: array}, with shapes as in `Horizon.memory`.
-    """
+    """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
     s = np.tile([*x, *p], (horizon.N + 1, 1)).T
     return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))
 
@@ -397,14 +345,6 @@ class RHC(RealTimeLoop):
     Raises:
         ValueError: if an argument is invalid.
     """
-
-    # Returns the class that stands in where no model is passed; `rhec` sets it.
-    paper_class: ClassVar[Callable[[], type["RHC"]] | None] = None
-
-    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
-        if cls is RHC and model is None and cls.paper_class:
-            cls = cls.paper_class()
-        return super().__new__(cls)
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
 
@@ -435,13 +375,9 @@ class RHC(RealTimeLoop):
         """Load the compiled phases and name views of their input arrays."""
         self.problem = horizon
         self.horizon = horizon.N
-        self.settings = dict(
-            Q=np.array(q),
-            QN=qn_factor * np.array(q),
-            R=np.array(r),
-            lower=np.clip(lower, -MAX_QP_ENTRY, MAX_QP_ENTRY),
-            upper=np.clip(upper, -MAX_QP_ENTRY, MAX_QP_ENTRY),
-        )
+        lower, upper = np.clip((lower, upper), -MAX_QP_ENTRY, MAX_QP_ENTRY)
+        Q = np.array(q)
+        self.settings = dict(Q=Q, QN=qn_factor * Q, R=np.array(r), lower=lower, upper=upper)
         # All of the memory is unknown to the problem: predicted states and planned inputs.
         memory = tuple(horizon.memory)
         functions = compiled.load(build_phases, horizon)
@@ -499,13 +435,10 @@ class RHC(RealTimeLoop):
         self.iteration.solve(iterations)
         return self.u_plan[:, 0]
 
-    def _set_inputs(self, **values):
-        for name, value in values.items():
-            copy_checked(name, value, self._inputs[name])
-        # The first sample has no previous plan: start from a robot that stays where it is.
-        if not self.iteration.started:
-            x, p = list(self._inputs.values())[:2]
-            self.iteration.start(init(self.problem, x, p))
+    def _start(self):
+        # There is no previous plan: start from a robot that stays where it is.
+        x, p = list(self._inputs.values())[:2]
+        self.iteration.start(init(self.problem, x, p))
 
     @property
     def u_plan(self) -> np.ndarray:
@@ -529,11 +462,9 @@ def _check_command(model, command, bounds):
         ("command", command, model.inputs),
         ("bounds", tuple(bounds), command),
     ):
-        for name in names:
-            if name not in allowed or names.count(name) > 1:
-                expected = f"it should name some of {allowed}, each once"
-                raise ValueError(f"{field} was {valid.shown(names)}; {expected}")
+        if not set(names) <= set(allowed) or len(set(names)) < len(names):
+            valid.refuse(f"{field} was", names, f"it should name some of {allowed}, each once")
     for name, (lowest, highest) in bounds.items():
         if not lowest < highest:
-            expected = "the first should be below the second"
-            raise ValueError(f"bounds of {name!r} were ({lowest}, {highest}); {expected}")
+            pair = (lowest, highest)
+            valid.refuse(f"bounds of {name!r} were", pair, "the first should be below the second")

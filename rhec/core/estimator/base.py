@@ -1,23 +1,15 @@
 """What estimators of any Model share: first guess, noise, and the estimate they return."""
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
-from rhec.core._casadi.validation import of_length
+from rhec.core._casadi.validation import of_length, shown
 from rhec.core.model.base import SIGMA_UNMEASURED
-
-__all__ = ["Estimate", "joint_estimate", "joint_guess", "noise_of"]
-
-
-class _Arrays(NamedTuple):
-    x: np.ndarray
-    u: np.ndarray
-    p: np.ndarray
-    covariance: np.ndarray
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
 
-class Estimate(_Arrays):
+class Estimate(namedtuple("Estimate", "x u p covariance")):
     """An estimate of a Model: states x, inputs u of the last interval, parameters p.
 
     `covariance` (n_x + n_p, n_x + n_p) is that of (x, p).
@@ -27,35 +19,32 @@ class Estimate(_Arrays):
 
     def __repr__(self) -> str:
         n_x = len(self.x)
-        variances = np.diag(self.covariance)
-        nothing = [np.nan] * len(self.u)  # inputs have no covariance
-        sigma = [*np.sqrt(variances[:n_x]), *nothing, *np.sqrt(variances[n_x:])]
-        values = [*self.x, *self.u, *self.p]
-        lines = (
-            f"    {name}: {value:.4g}" + ("" if np.isnan(deviation) else f" ± {deviation:.2g}")
-            for name, value, deviation in zip(self.names, values, sigma)
-        )
-        return "\n".join(("Estimate", *lines))
+        sigma = np.sqrt(np.diag(self.covariance))
+        sigma = [*sigma[:n_x], *[np.nan] * len(self.u), *sigma[n_x:]]  # inputs have no covariance
+        text = "Estimate"
+        for name, value, deviation in zip(self.names, [*self.x, *self.u, *self.p], sigma):
+            tolerance = "" if np.isnan(deviation) else f" ± {deviation:.2g}"
+            text += f"\n    {name}: {value:.4g}{tolerance}"
+        return text
+
+
+def _by_name(model, parameter, values):
+    """The values of each state, then of each parameter, by name."""
+    names = (*model.states, *model.parameters)
+    of_length(parameter, values, len(names), "state, then each parameter")
+    return dict(zip(names, values))
 
 
 def noise_of(model, sigma_v, sigma_w):
-    """Settings V, W and c of an estimator.
+    """Variances V (n_z,) and W (n_s,), and constants c of noise by motion, if any, by name.
 
-    Args:
-        model: The Model.
-        sigma_v: (n_z,) standard deviations of the measurements.
-        sigma_w: (n_x + n_p,) standard deviations of the process noise per sample.
-
-    Returns:
-        {name: array}: variances V (n_z,) and W (n_s,), and constants c of noise by motion, if any.
+    sigma_v (n_z,) are standard deviations of the measurements, sigma_w (n_x + n_p,) those of the
+    process noise per sample.
     """
-    n_x = len(model.states)
-    n_p = len(model.parameters)
     of_length("sigma_v", sigma_v, len(model.outputs), "output")
-    of_length("sigma_w", sigma_w, n_x + n_p, "state, then each parameter")
+    sigma_w = _by_name(model, "sigma_w", sigma_w)
     # Each interval replaces the last inputs in the joint state: they have no process noise.
-    inputs = (0.0,) * (model.n_s - n_x - n_p)
-    W = np.square([*sigma_w[:n_x], *inputs, *sigma_w[n_x:]])
+    W = np.square([sigma_w.get(name, 0.0) for name in model.joint_names])
     settings = dict(V=np.square(sigma_v), W=W)
     if model.motion_noise:
         settings["c"] = np.array([*model.motion_noise.constants.values()])
@@ -64,17 +53,18 @@ def noise_of(model, sigma_v, sigma_w):
 
 def joint_guess(model, guess, sigma):
     """First joint state (n_s,) and its standard deviations (n_s,), from those of (x, p)."""
-    n_x = len(model.states)
-    n_p = len(model.parameters)
-    of_length("guess", guess, n_x + n_p, "state, then each parameter")
-    of_length("sigma_guess", sigma, n_x + n_p, "state, then each parameter")
-    for name, value in zip(model.parameters, guess[n_x:]):
-        bounds = model.parameters[name]
-        if bounds and not bounds[0] <= value <= bounds[1]:
-            raise ValueError(f"guess of {name!r} was {value}; it should be within {bounds}")
-    n_inputs = model.n_s - n_x - n_p
-    mean = np.array([*guess[:n_x], *[0.0] * n_inputs, *guess[n_x:]])
-    return mean, np.array([*sigma[:n_x], *[SIGMA_UNMEASURED] * n_inputs, *sigma[n_x:]])
+    guess = _by_name(model, "guess", guess)
+    sigma = _by_name(model, "sigma_guess", sigma)
+    if max(np.square([*sigma.values()])) >= MAX_PLAUSIBLE_STATE:
+        limit = MAX_PLAUSIBLE_STATE**0.5
+        values = tuple(sigma.values())
+        raise ValueError(f"sigma_guess was {shown(values)}; each should be below {limit:g}")
+    for name, bounds in model.parameters.items():
+        if bounds and not bounds[0] <= guess[name] <= bounds[1]:
+            raise ValueError(f"guess of {name!r} was {guess[name]}; it should be within {bounds}")
+    names = model.joint_names
+    mean = np.array([guess.get(name, 0.0) for name in names])
+    return mean, np.array([sigma.get(name, SIGMA_UNMEASURED) for name in names])
 
 
 def joint_estimate(model, values, covariance):

@@ -19,27 +19,15 @@ from rhec.core.model.base import Model
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.core.solver.rti import copy_checked
 
-__all__ = ["EKF", "build", "predict_and_correct"]
-
 
 def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
     """One sample of a Kalman filter, eq. (24)-(26); the first sample only corrects.
 
         m⁻ = predicted,  P⁻ = A P A' + Q,  then `kalman.update` by z.
 
-    Args:
-        m: (n,) mean.
-        P: (n, n) covariance.
-        predicted: (n,) mean after the interval.
-        A: (n, n) transition matrix of the interval.
-        Q: (n, n) covariance of the process noise.
-        started: Whether there was a sample before.
-        z: (n_z,) measurements.
-        V: (n_z,) variances of the measurements.
-        outputs: The Outputs that measure the state.
-
-    Returns:
-        m, P, and the deviance of the measurements.
+    Here m (n,) and P (n, n) are mean and covariance, `predicted` (n,) is the mean after the
+    interval, and A and Q (n, n) are its transition and process noise. Measurements z have the
+    variances V. Returns m, P, and the deviance of the measurements.
     """
     m = ca.if_else(started, predicted, m)
     P = ca.if_else(started, symmetric(A @ P @ A.T) + Q, P)

@@ -4,27 +4,19 @@ RHE and EKF share it. Scalar updates need no matrix inverse, and a missing measu
 rather than replaced.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import casadi as ca
 
 from rhec.core.solver.gauss_newton import symmetric
 
-__all__ = ["Update", "update"]
-
-
-class Update(NamedTuple):
-    """The corrected mean m (n,) and covariance P (n, n), and how they came about."""
-
-    m: Any
-    P: Any
-    K: Any  # (n, n_outputs) gains
-    e: Any  # (n_outputs,) weighted innovations y / S
-    deviance: Any  # -2 log likelihood of z, up to a constant
+# The corrected mean m (n,) and covariance P (n, n), gains K (n, n_outputs), weighted innovations
+# e = y / S (n_outputs,), and the deviance, -2 log likelihood of z up to a constant.
+Update = namedtuple("Update", "m P K e deviance")
 
 
 def update(m, P, z, V, outputs, s_bar):
-    """Correct the mean m and the covariance P by the measurements z of some outputs.
+    """Correct the mean m (n,) and the covariance P (n, n) by the measurements z of some outputs.
 
     For each output h with H = ∂h/∂s and variance V, in turn:
 
@@ -34,16 +26,8 @@ def update(m, P, z, V, outputs, s_bar):
         m⁺ = m + K y
         P⁺ = P - K H P
 
-    Args:
-        m: (n,) mean of the joint state.
-        P: (n, n) covariance of the joint state.
-        z: (n_z,) measurements, NaN where there is none.
-        V: (n_z,) variances of the measurements.
-        outputs: The model's Outputs that measure the joint state.
-        s_bar: (n,) linearisation point of outputs that are not affine.
-
-    Returns:
-        Update, whose deviance is Σ y²/S + log S.
+    The measurements z (n_z,) are NaN where there is none. Outputs that are not affine are
+    linearised at s_bar (n,). The deviance is Σ y²/S + log S.
     """
     gains = []
     weighted = []

@@ -8,8 +8,6 @@ import numpy as np
 
 from rhec.core._casadi import scan
 
-__all__ = ["build", "run"]
-
 
 def build(step, outputs, streamed=()):
     """Scan of an estimator's step over a stream of measurements.

@@ -14,9 +14,8 @@ parameters θ remains. Its multipliers then run backwards through the window and
 unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
-from collections.abc import Callable
-from inspect import signature
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from collections import namedtuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -31,10 +30,9 @@ from rhec.core.model.base import Model
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
-from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, copy_checked
+from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, run_phases
 
-__all__ = ["RHE", "Window", "build_phases", "compose", "init", "predict_input"]
-
+ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
 
 # Records that the phases pass on. Their entries are expressions, or the shapes of these; a name
 # is that of a Function's input, because the phases share arrays by name.
@@ -51,73 +49,22 @@ class Memory(NamedTuple):
     P: Any  # (n_s, n_s) covariance of the arrival cost
 
 
-class Prediction(NamedTuple):
-    """A node before its measurement: mean m, covariance P, last input v, and B = ∂s/∂v."""
+# Intervals s⁺ = F + (A_0 + D) (s - s̄) + B (v - v̄), with gains K and weighted innovations e of the
+# Kalman update of the node before each; one interval, or all of the window side by side.
+Filtered = namedtuple("Filtered", "F D B K e")
 
-    B: Any
-    v: Any
-    m: Any
-    P: Any
-
-
-class Linearised(NamedTuple):
-    """Intervals s⁺ = F + (A_0 + D) (s - s̄) + B (v - v̄), one or all of the window side by side."""
-
-    F: Any
-    D: Any
-    B: Any
-
-
-class Correction(NamedTuple):
-    """Kalman updates, of one node or several side by side: gains K, weighted innovations e."""
-
-    K: Any
-    e: Any
-
-
-class Newest(NamedTuple):
-    """Node N: its linearisation point, the input that led to it, its measurement and update."""
-
-    s_N: Any
-    B_N: Any
-    v_N: Any
-    z_N: Any
-    K_N: Any
-    e_N: Any
-
-
-class Constrained(NamedTuple):
-    """The solution of the QP: the last Kalman update, multipliers of the bounds, and success."""
-
-    K_N: Any
-    e_N: Any
-    multipliers: Any
-    ok: Any
-
-
-class Solution(NamedTuple):
-    """The new trajectory: joint states (n_s, N + 1) and inputs (n_v, N)."""
-
-    s_new: Any
-    v_new: Any
+# The solution of the QP: the last Kalman update, multipliers of the bounds, and success.
+Constrained = namedtuple("Constrained", "K_N e_N multipliers ok")
 
 
 class Window(NamedTuple):
-    """The structure of an RHE, which decides the shapes of its Functions.
+    """The structure of an RHE, which decides the shapes of its Functions."""
 
-    Args:
-        model: The rhec.Model.
-        dt_s: Length of an interval [s].
-        N: Intervals of the window.
-        arrival_mean: "smoothed" or "filtered", interpretation R7; see RHE.
-        weighted: Whether the variances V of the measurements differ from node to node.
-    """
-
-    model: base.Model
-    dt_s: float
-    N: int
-    arrival_mean: str = "smoothed"
-    weighted: bool = False
+    model: Model
+    dt_s: float  # length of an interval [s]
+    N: int  # intervals of the window
+    arrival_mean: ArrivalMean = "smoothed"
+    weighted: bool = False  # whether the variances V of the measurements differ by node
 
     @property
     def interval(self):
@@ -126,12 +73,12 @@ class Window(NamedTuple):
 
     @property
     def shapes(self):
-        """Shapes (rows, columns) of s, of its covariance, of v, z, a node's Correction, and θ."""
+        """Shapes (rows, columns) of s, of its covariance, of v, z, a node's K and e, and θ."""
         n_s = self.interval.n_s
         v = (self.interval.n_v, 1)
         z = (len(self.model.outputs), 1)
         rows = len(self.interval.outputs)
-        correction = Correction(K=(n_s, rows), e=(rows, 1))
+        correction = dict(K=(n_s, rows), e=(rows, 1))
         theta = (len(self.interval.bounds), 1)
         return (n_s, 1), (n_s, n_s), v, z, correction, theta
 
@@ -139,67 +86,48 @@ class Window(NamedTuple):
     def memory(self):
         """Shapes of the Memory, by name."""
         s, P, v, z, *_ = self.shapes
-        window = Memory(
-            s=(s[0], self.N + 1), v=(v[0], self.N), z=(z[0], self.N + 1), age=(1, 1), m=s, P=P
-        )
-        return window._asdict()
+        N = self.N
+        window = dict(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1))
+        return window | dict(age=(1, 1), m=s, P=P)
 
     @property
     def noise(self):
         """Shapes at one node: variances V of measurements, constants c of noise by motion."""
         V = dict(V=(len(self.model.outputs), 1))
-        if not (self.model.motion_noise and self.model.motion_noise.constants):
-            return V
-        return V | dict(c=(len(self.model.motion_noise.constants), 1))
+        motion_noise = self.model.motion_noise
+        return V | dict(c=(len(motion_noise.constants), 1)) if motion_noise else V
 
     @property
     def noises(self):
         """Shapes for the whole window: where it is weighted, V has a column for each node."""
-        if not self.weighted:
-            return self.noise
-        return self.noise | dict(V=(len(self.model.outputs), self.N + 1))
+        columns = self.N + 1 if self.weighted else 1
+        return self.noise | dict(V=(len(self.model.outputs), columns))
 
     def at(self, node, V, **noises):
         """V and c of one node, from those of the whole window."""
         return dict(V=V[:, node] if self.weighted else V, **noises)
 
     @property
-    def linearised(self):
-        """Sparsities of the Linearised of one interval, by name."""
-        linearised = self.interval.linearised
-        return {name: linearised.sparsity_out(i) for i, name in enumerate(Linearised._fields)}
-
-    @property
     def prediction(self):
-        """Shapes of the Prediction of node N, by name."""
+        """Shapes of node N before its measurement: B = ∂s/∂v, last input v, mean and covariance."""
         s, P, v, *_ = self.shapes
-        return dict(B_N=self.linearised["B"], v_N=v, m_N=s, P_N=P)
+        return dict(B_N=self.interval.sparsities["B"], v_N=v, m_N=s, P_N=P)
 
 
 def predict_input(window, B, m, P, v, z, **noise):
-    """A Prediction made with the input v, corrected by what z says about that input.
+    """Correct the mean m and covariance P of a prediction by what z says about its input v.
 
     m + B (v_m - v),  P + B R_v B', where v_m and R_v are the input's mean and variances given z.
-
-    Returns:
-        m (n_s,), P (n_s, n_s).
     """
     v_m, R_v = window.interval.input_noise(z, v, **noise)
     return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
 
 
-def selection_matrix(interval):
-    """The matrix C of zeros and ones that selects the bounded parameters, θ = C s."""
-    n_theta = len(interval.bounds)
-    places = list(interval.bounds)
-    return ca.DM.triplet(range(n_theta), places, ca.DM.ones(n_theta), n_theta, interval.n_s)
-
-
-def _bounds(interval):
-    """Lower and upper bounds of θ."""
-    lower = ca.DM([bound[0] for bound in interval.bounds.values()])
-    upper = ca.DM([bound[1] for bound in interval.bounds.values()])
-    return lower, upper
+def _bounded(interval):
+    """Matrix C of zeros and ones that selects the bounded parameters θ = C s, and their bounds."""
+    C = ca.DM.eye(interval.n_s)[[*interval.bounds], :]
+    lower, upper = (ca.DM([b[side] for b in interval.bounds.values()]) for side in (0, 1))
+    return C, lower, upper
 
 
 # Shift: the window moves on by one sample, and its oldest node becomes the arrival cost.
@@ -259,15 +187,17 @@ def _build_shift(window):
 # Linearise: a Kalman filter from the oldest node to the newest, whose measurement is to come.
 
 
-def _build_filter_step(window):
+def _build_linearise(window, loops):
     interval = window.interval
+    N = window.N
     s, P, v, z, *_ = window.shapes
-    before = dict(B=window.linearised["B"], v_before=v, m=s, P=P)
+    B_0 = interval.sparsities["B"]
+    before = dict(B=B_0, v_before=v, m=s, P=P)
 
     @casadi_function("rhe_filtered")
     def filter_step(before: before, z: z, s: s, v: v, dt_s: (1, 1), noise: window.noise):
         """One node: the input before it, its measurement, then the interval after it."""
-        B, v_before, m, P = Prediction(*before.values())
+        B, v_before, m, P = before.values()
         m, P = predict_input(window, B, m, P, v_before, z, **noise)
         m, P, K, e, _ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
         F, D, B = interval.linearised(s, v, dt_s)
@@ -276,34 +206,21 @@ def _build_filter_step(window):
         P = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
 
-    return filter_step
-
-
-def _build_linearise(window, loops):
-    N = window.N
-    n_v = window.interval.n_v
-    filter_step = _build_filter_step(window)
-
     @casadi_function("rhe_linearise", loops)
     def linearise(memory: Memory(**window.memory), noises: window.noises):
-        """Linearised and Correction of the whole window, Prediction of node N, and s̄_N."""
-        s = ca.horzsplit(memory.s)
-        v = ca.horzsplit(memory.v)
-        z = ca.horzsplit(memory.z)
+        """Filtered of the whole window, the prediction of node N, and s̄_N."""
+        s, v, z = map(ca.horzsplit, (memory.s, memory.v, memory.z))
         nodes = []
         # No input acts before the oldest node.
-        B_before = ca.DM(window.linearised["B"], 0)
-        before = dict(B=B_before, v_before=ca.DM.zeros(n_v), m=memory.m, P=memory.P)
+        before = dict(B=ca.DM(B_0, 0), v_before=ca.DM.zeros(*v[0].shape), m=memory.m, P=memory.P)
         for i in range(N):
             dt_s = window.dt_s * (memory.age >= N - i)
             noise = window.at(i, **noises)
             node = filter_step(**before, z=z[i], s=s[i], v=v[i], dt_s=dt_s, **noise)
             before = dict(B=node["B"], v_before=v[i], m=node["m"], P=node["P"])
             nodes.append(node)
-        stacked = (*Linearised._fields, *Correction._fields)
-        window_wide = {name: ca.horzcat(*(node[name] for node in nodes)) for name in stacked}
-        prediction = dict(zip(window.prediction, before.values()))
-        return window_wide | prediction | dict(s_N=s[N])
+        filtered = {name: ca.horzcat(*(node[name] for node in nodes)) for name in Filtered._fields}
+        return filtered | dict(zip(window.prediction, before.values()), s_N=s[N])
 
     return linearise
 
@@ -314,13 +231,13 @@ def _build_linearise(window, loops):
 def _build_update_newest(window):
     interval = window.interval
     n_theta = len(interval.bounds)
-    C = selection_matrix(interval)
+    C, _, _ = _bounded(interval)
     s, _, _, z, *_ = window.shapes
 
     @casadi_function("rhe_newest")
     def update_newest(prediction: window.prediction, s_N: s, z_N: z, noise: window.noise):
         """Kalman update by z_N, and the QP  min ½ (θ - θ̂)' H (θ - θ̂) with H = (C P C')⁻¹."""
-        B, v, m, P = Prediction(*prediction.values())
+        B, v, m, P = prediction.values()
         m, P = predict_input(window, B, m, P, v, z_N, **noise)
         m, P, K, e, deviance = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
         P_theta = C @ P @ C.T
@@ -334,21 +251,13 @@ def _build_update_newest(window):
     return update_newest
 
 
-def _smoothed_input(window, newest, v, R_v, adjoint, ok):
-    """The last input as estimated, v - R_v B' λ; as measured, v, where that is not finite."""
-    update = Correction(newest.K_N, newest.e_N)
-    adjoint = adjoint_before_update(window, adjoint, update, newest.s_N)
-    v_new = v - R_v * (newest.B_N.T @ adjoint)
-    return ca.if_else(ok * is_plausible(v_new), v_new, v)
-
-
 def _build_condition(window, quantities):
     interval = window.interval
     s, P, v, z, correction, theta = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
-    newest = Newest(s, window.linearised["B"], v, z, *correction)
-    C = selection_matrix(interval)
-    lower, upper = _bounds(interval)
+    newest = dict(s_N=s, B_N=interval.sparsities["B"], v_N=v, z_N=z)
+    newest |= dict(K_N=correction["K"], e_N=correction["e"])
+    C, lower, upper = _bounded(interval)
 
     @casadi_function("rhe_bounded")
     def condition(
@@ -358,16 +267,21 @@ def _build_condition(window, quantities):
 
         Where the solution is not finite, the estimate falls back to the prediction.
         """
+        s_N, B_N, v_N, z_N, K_N, e_N = newest.values()
         multipliers = H @ (C @ m - x)
         conditioned = m - covariance @ C.T @ multipliers
         ok = solved * is_plausible(ca.vertcat(conditioned, ca.vec(covariance), multipliers))
-        s = ca.if_else(ok, conditioned, newest.s_N)
+        s = ca.if_else(ok, conditioned, s_N)
         for i, place in enumerate(interval.bounds):
             # θ exactly as the QP found it: s above may pass a bound by a rounding error.
-            s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(newest.s_N[place], lower[i]), upper[i]))
-        v, R_v = interval.input_noise(newest.z_N, newest.v_N, **noise)
+            s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(s_N[place], lower[i]), upper[i]))
+        v, R_v = interval.input_noise(z_N, v_N, **noise)
         if not quantities:
-            v = _smoothed_input(window, newest, v, R_v, C.T @ multipliers, ok)
+            # The last input as estimated; as measured where that is not finite.
+            adjoint = C.T @ multipliers
+            adjoint = adjoint_before_update(interval.outputs, adjoint, K_N, e_N, s_N)
+            v_new = v - R_v * (B_N.T @ adjoint)
+            v = ca.if_else(ok * is_plausible(v_new), v_new, v)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
         unknown = MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
@@ -383,7 +297,7 @@ def _build_condition(window, quantities):
 
 def _build_feedback(window, quantities, loops):
     n_theta = len(window.interval.bounds)
-    lower, upper = _bounds(window.interval)
+    _, lower, upper = _bounded(window.interval)
     s, _, _, z, *_ = window.shapes
     update_newest = _build_update_newest(window)
     condition = _build_condition(window, quantities)
@@ -405,35 +319,17 @@ def _build_feedback(window, quantities, loops):
     return feedback
 
 
-def adjoint_before_update(window, adjoint, correction, s_bar):
+def adjoint_before_update(outputs, adjoint, K, e, s_bar):
     """The adjoint λ before a node's measurements, from the one after them (Bryson-Frazier).
 
     λ - H' (K' λ + e) for one scalar measurement after the other, the last first.
     """
-    K, e = correction
-    for i, output in reversed(list(enumerate(window.interval.outputs))):
+    for i, output in reversed(list(enumerate(outputs))):
         adjoint = adjoint - output.H(s_bar).T @ (K[:, i].T @ adjoint + e[i])
     return adjoint
 
 
 # Expand: the multipliers run backwards through the window, the new solution forwards.
-
-
-def _build_backward(window):
-    interval = window.interval
-    s, _, v, z, correction, _ = window.shapes
-    _, D, B = window.linearised.values()
-
-    @casadi_function("rhe_backward")
-    def backward(
-        adjoint: s, D: D, B: B, correction: correction, s: s, v: v, z: z, noise: window.noise
-    ):
-        """λ_i = A' λ and the new input v_m - R_v B' λ of one interval, from the node s after it."""
-        adjoint = adjoint_before_update(window, adjoint, correction, s)
-        v_m, R_v = interval.input_noise(z, v, **noise)
-        return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=(interval.A_0 + D).T @ adjoint)
-
-    return backward
 
 
 def _descent(outputs, new, old, s_bar, z, V):
@@ -446,56 +342,58 @@ def _descent(outputs, new, old, s_bar, z, V):
     return total
 
 
-def _build_oldest(window):
-    s, P, _, z, correction, _ = window.shapes
+def _build_passes(window):
+    """One interval backward, the oldest node, and one interval forward, as Functions."""
+    interval = window.interval
+    outputs = interval.outputs
+    noise = window.noise
+    s, P, v, z, update, _ = window.shapes
+    F, D, B = interval.sparsities.values()
+
+    @casadi_function("rhe_backward")
+    def backward(adjoint: s, D: D, B: B, update: update, s: s, v: v, z: z, noise: noise):
+        """λ_i = A' λ and the new input v_m - R_v B' λ of one interval, from the node s after it."""
+        adjoint = adjoint_before_update(outputs, adjoint, *update.values(), s)
+        v_m, R_v = interval.input_noise(z, v, **noise)
+        return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=(interval.A_0 + D).T @ adjoint)
 
     @casadi_function("rhe_oldest")
-    def oldest(adjoint: s, correction: correction, m: s, P: P, s: s, z: z, noise: window.noise):
+    def oldest(adjoint: s, update: update, m: s, P: P, s: s, z: z, noise: noise):
         """The oldest node's new state m - P λ, and its part of ∇J·Δw, the arrival cost's too."""
-        s_new = m - P @ adjoint_before_update(window, adjoint, correction, s)
+        s_new = m - P @ adjoint_before_update(outputs, adjoint, *update.values(), s)
         arrival = ca.dot(ca.ldl_solve(s - m, *ca.ldl(P, False)), s_new - s)  # H_N = P⁻¹
-        measured = _descent(window.interval.outputs, s_new, s, s, z, noise["V"])
-        return dict(s_new=s_new, descent=arrival + measured)
-
-    return oldest
-
-
-def _build_forward(window):
-    interval = window.interval
-    s, _, v, z, *_ = window.shapes
-    end = Linearised(**window.linearised)
-    noise = window.noise
+        return dict(s_new=s_new, descent=arrival + _descent(outputs, s_new, s, s, z, noise["V"]))
 
     @casadi_function("rhe_forward")
-    def forward(new: s, old: s, end: end, s: s, s_after: s, v: v, v_new: v, z: z, noise: noise):
+    def forward(
+        new: s, old: s, F: F, D: D, B: B, s: s, s_after: s, v: v, v_new: v, z: z, noise: noise
+    ):
         """One interval of the new solution, and of the old inputs, with the interval's gap closed.
 
         The step Δw = new - old starts from the old inputs' trajectory without gaps, because the
         linearisation point itself need not satisfy the dynamics.
         """
-        F, D, B = end
         A = interval.A_0 + D
         new = F + A @ (new - s) + B @ (v_new - v)
         old = F + A @ (old - s)
         v_m, R_v = interval.input_noise(z, v, **noise)
-        descent = _descent(interval.outputs, new, old, s_after, z, noise["V"])
+        descent = _descent(outputs, new, old, s_after, z, noise["V"])
         return dict(new=new, old=old, descent=descent + ca.dot((v - v_m) / R_v, v_new - v))
 
-    return forward
+    return backward, oldest, forward
 
 
 def _build_accepted(window):
     interval = window.interval
     N = window.N
     memory = Memory(**window.memory)
-    solution = Solution(memory.s, memory.v)
     n_z = len(window.model.outputs)
     limits = [limit for _, limit in interval.input_outputs.values()]
     max_input = min(limits, default=np.inf)
 
     @short_cut("good")
     @casadi_function("rhe_accepted")
-    def accepted(memory: memory, solution: solution, good: (1, 1), P_0: memory.m):
+    def accepted(memory: memory, s_new: memory.s, v_new: memory.v, good: (1, 1), P_0: memory.m):
         """The memory with the new solution or, if the step failed, of a new start.
 
         A failed window would fail again, as its cause remains in it. It therefore restarts at its
@@ -504,38 +402,30 @@ def _build_accepted(window):
         s = ca.if_else(is_plausible(memory.s[:, N]), memory.s, 0)
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
         restarted = Memory(s, v, ca.SX.nan(n_z, N + 1), age=0, m=s[:, N], P=ca.diag(P_0))
-        solved = memory._replace(s=solution.s_new, v=solution.v_new)
+        solved = memory._replace(s=s_new, v=v_new)
         return Memory(*(ca.if_else(good, *pieces) for pieces in zip(solved, restarted)))
 
     return accepted
 
 
-def _nodes(window, z, noises, correction, constrained):
-    """Of each node of the window: the measurements (z, V, c), and the Correction by them."""
-    rows = len(window.interval.outputs)
-    K = [*ca.horzsplit(correction.K, rows), constrained.K_N]
-    e = [*ca.horzsplit(correction.e), constrained.e_N]
+def _split(window, z, noises, filtered, constrained):
+    """Of each node the measurements (z, V, c) and the update (K, e); of each interval F, D, B."""
+    interval = window.interval
     z = ca.horzsplit(z)
     measured = [(z[i], *window.at(i, **noises).values()) for i in range(window.N + 1)]
-    return measured, list(map(Correction, K, e))
+    widths = (1, interval.n_s, interval.n_v, len(interval.outputs), 1)
+    F, D, B, K, e = map(ca.horzsplit, filtered, widths)
+    updates = list(zip([*K, constrained.K_N], [*e, constrained.e_N]))
+    return measured, updates, list(zip(F, D, B))
 
 
-def _intervals(window, linearised):
-    """The Linearised of each interval of the window."""
-    F = ca.horzsplit(linearised.F)
-    D = ca.horzsplit(linearised.D, window.interval.n_s)
-    B = ca.horzsplit(linearised.B, window.interval.n_v)
-    return list(map(Linearised, F, D, B))
-
-
-def _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections):
+def _sweep_backward(backward, adjoint, intervals, s, v, measured, updates):
     """New inputs of all intervals, and the adjoint after the measurements of node 0."""
     v_new = [None] * len(v)
     for i in reversed(range(len(v))):
         _, D, B = intervals[i]
-        v_new[i], adjoint = backward(
-            adjoint, D, B, *corrections[i + 1], s[i + 1], v[i], *measured[i + 1]
-        )
+        node = (*updates[i + 1], s[i + 1], v[i], *measured[i + 1])
+        v_new[i], adjoint = backward(adjoint, D, B, *node)
     return v_new, adjoint
 
 
@@ -552,66 +442,47 @@ def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
     return s_new, descent
 
 
-def _kkt_tolerance(window, theta, descent, multipliers):
-    """KKT tolerance of a linearisation point with parameters θ, from ∇J·Δw and the multipliers."""
-    lower, upper = _bounds(window.interval)
-    return gauss_newton.kkt_tolerance(descent, multipliers, lower - theta, upper - theta)
-
-
 def _build_expand(window, linearise, feedback, loops):
     N = window.N
-    C = selection_matrix(window.interval)
-    backward = _build_backward(window)
-    oldest = _build_oldest(window)
-    forward = _build_forward(window)
+    C, lower, upper = _bounded(window.interval)
+    backward, oldest, forward = _build_passes(window)
     accepted = _build_accepted(window)
     memory = Memory(**window.memory)
     z_N = (memory.z[0], 1)
-    linearised = Linearised(*map(linearise.sparsity_out, Linearised._fields))
-    correction = Correction(*map(linearise.sparsity_out, Correction._fields))
-    constrained = Constrained(*map(feedback.sparsity_out, Constrained._fields))
+    noises = window.noises
+    filtered = Filtered(*map(linearise.sparsity_out, Filtered._fields))
+    solved = Constrained(*map(feedback.sparsity_out, Constrained._fields))
 
     @casadi_function("rhe_expand", loops)
     def expand(
-        memory: memory,
-        noises: window.noises,
-        P_0: memory.m,
-        linearised: linearised,
-        correction: correction,
-        constrained: constrained,
-        z_N: z_N,
+        memory: memory, noises: noises, P_0: memory.m, filtered: filtered, solved: solved, z_N: z_N
     ):
         """All other unknowns of the window, and the KKT tolerance of the linearisation point."""
         memory = memory._replace(z=ca.horzcat(memory.z[:, :N], z_N))
         s = ca.horzsplit(memory.s)
         v = ca.horzsplit(memory.v)
-        measured, corrections = _nodes(window, memory.z, noises, correction, constrained)
-        intervals = _intervals(window, linearised)
-        multipliers = constrained.multipliers
-        adjoint = ca.densify(C.T @ multipliers)
-        v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, corrections)
-        first, descent = oldest(adjoint, *corrections[0], memory.m, memory.P, s[0], *measured[0])
+        measured, updates, intervals = _split(window, memory.z, noises, filtered, solved)
+        adjoint = ca.densify(C.T @ solved.multipliers)
+        v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, updates)
+        first, descent = oldest(adjoint, *updates[0], memory.m, memory.P, s[0], *measured[0])
         s_new, descent = _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured)
-        kkt = _kkt_tolerance(window, C @ s[N], descent, multipliers)
-        solution = Solution(ca.horzcat(*s_new), ca.horzcat(*v_new))
-        good = constrained.ok * is_plausible(s_new[N])
-        pieces = memory._asdict() | solution._asdict()
+        theta = C @ s[N]
+        kkt = gauss_newton.kkt_tolerance(descent, solved.multipliers, lower - theta, upper - theta)
+        solution = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
+        good = solved.ok * is_plausible(s_new[N])
+        pieces = memory._asdict() | solution
         return accepted(**pieces, good=good, P_0=P_0) | dict(kkt=kkt)
 
     return expand
 
 
 def build_phases(window, quantities=None):
-    """The RHE as CasADi Functions shift, linearise, feedback, expand (see `rti`) and step, all.
+    """The RHE as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
-    Args:
-        window: The Window.
-        quantities: Names of the estimate's entries. Inputs among them are as measured: with noise
-            that is slip, an encoder does not measure the robot's motion. By default states, inputs
-            and parameters, all as estimated.
-
-    Returns:
-        {name: Function}. `step` maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …).
+    `step` runs all phases; it maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …). The
+    estimate's entries are the named `quantities`, in which inputs are as measured: with noise that
+    is slip, an encoder does not measure the robot's motion. By default they are all states, inputs
+    and parameters, as estimated.
     """
     loops = compiled.loop_symbols()
     shift = _build_shift(window)
@@ -624,16 +495,9 @@ def build_phases(window, quantities=None):
 
 
 def compose(name, phases, memory, kind):
-    """All phases of one sample as one Function.
+    """All phases of one sample as one Function (memory, z_N, …) -> (memory, estimate, …).
 
-    Args:
-        name: Name of the Function.
-        phases: {name: Function}, see `build_phases`.
-        memory: {name: shape} of what is packed in the first input and output, a vector.
-        kind: Type of the symbols, SX or MX.
-
-    Returns:
-        Function (memory, z_N, …) -> (memory, estimate, …).
+    `memory` {name: shape} is packed in one vector; `kind` is SX or MX.
     """
     order = [phases[phase] for phase in PHASES]
     computed = {output for phase in order for output in phase.name_out()} | memory.keys()
@@ -645,35 +509,23 @@ def compose(name, phases, memory, kind):
 
     @with_packed_memory(name, memory, kind, **inputs)
     def step(**values):
-        for phase in order:
-            values |= phase(**select_inputs(phase, values))
+        values = run_phases(phases, values)
         return {key: values[key] for key in (*outputs, "kkt", *memory)}
 
     return step
 
 
-def init(window, guess, sigma, inputs=None):
-    """Memory before the first sample.
+def init(window, guess, sigma, inputs=0.0):
+    """Memory before the first sample, by name, with the shapes of `Window.memory`.
 
-    Args:
-        window: The Window.
-        guess: (n_s,) joint state.
-        sigma: (n_s,) its standard deviations.
-        inputs: (n_v,) inputs before the first sample; by default 0.
-
-    Returns:
-        {name: array}, as `Window.memory` gives the shapes.
+    It holds a guess (n_s,) of the joint state, its standard deviations sigma (n_s,), and the inputs
+    (n_v,) before the first sample, by default 0.
     """
-    inputs = np.zeros(window.interval.n_v) if inputs is None else np.asarray(inputs)
-    memory = Memory(
-        s=np.tile(guess, (window.N + 1, 1)).T,
-        v=np.tile(inputs, (window.N, 1)).T,
-        z=np.full((len(window.model.outputs), window.N + 1), np.nan),
-        age=-1.0,
-        m=np.asarray(guess),
-        P=np.diag(np.square(sigma)),
-    )
-    return memory._asdict()
+    N = window.N
+    s = np.full((N + 1, window.interval.n_s), guess).T
+    v = np.full((N, window.interval.n_v), inputs).T
+    z = np.full((len(window.model.outputs), N + 1), np.nan)
+    return dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
 
 
 class RHE(RealTimeLoop):
@@ -698,14 +550,6 @@ class RHE(RealTimeLoop):
         ValueError: If an argument is invalid.
     """
 
-    # Returns the class behind RHE() without a model; the package's face sets it.
-    paper_class: ClassVar[Callable[[], type] | None] = None
-
-    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
-        if cls is RHE and model is None and RHE.paper_class:
-            cls = RHE.paper_class()
-        return super().__new__(cls)
-
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
 
         def __init__(self, *, model: Model | None = None, **options: Any) -> None: ...
@@ -721,8 +565,10 @@ class RHE(RealTimeLoop):
         sigma_w: valid.NotNegatives,
         guess: valid.Reals,
         sigma_guess: valid.Positives,
-        arrival_mean: valid.ArrivalMean = "smoothed",
+        arrival_mean: ArrivalMean = "smoothed",
     ):
+        if not model.inputs:
+            raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
@@ -731,8 +577,7 @@ class RHE(RealTimeLoop):
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **settings)
-
-    __new__.__signature__ = signature(__init__)  # what help() and editors show
+        self._inputs = dict(z=self.iteration.arrays["z_N"])
 
     def __repr__(self) -> str:
         started = "started" if self.iteration.started else "not started"
@@ -748,7 +593,7 @@ class RHE(RealTimeLoop):
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p) without the bounds.
         """
-        self._set_measurement(z)
+        self._set_inputs(z=z)
         self.iteration.feedback()
         return self._estimate()
 
@@ -762,16 +607,11 @@ class RHE(RealTimeLoop):
         Returns:
             Estimate, as `feedback`.
         """
-        self._set_measurement(z)
+        self._set_inputs(z=z)
         self.iteration.solve(iterations)
         return self._estimate()
 
-    def _set_measurement(self, z):
-        copy_checked("z", z, self.iteration.arrays["z_N"])
-        if not self.iteration.started:
-            self._start(self.iteration.arrays["z_N"])
-
-    def _start(self, z):
+    def _start(self):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))
 
     def _estimate(self) -> Estimate:

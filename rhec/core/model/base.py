@@ -7,6 +7,7 @@ which that output is measured: s = (x, u, p).
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -14,10 +15,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from rhec.core._casadi.sines import sines_by_addition
-from rhec.core._casadi.validation import shown
-from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
-
-__all__ = ["SIGMA_UNMEASURED", "Interval", "Model", "MotionNoise", "Output", "interval", "rk4"]
+from rhec.core._casadi.validation import refuse, shown
+from rhec.core.model.limits import MAX_MEASUREMENT, MAX_PLAUSIBLE_STATE, is_valid_measurement
 
 # Standard deviations of inputs, in each input's unit.
 _SIGMA_HELD = 1.0  # a missing input is taken to be the last one
@@ -27,15 +26,12 @@ SIGMA_UNMEASURED = 1e3  # an input without an output of its own is known from ot
 class MotionNoise(NamedTuple):
     """Noise that grows with the motion, as functions of an interval's measured inputs.
 
-    Args:
-        constants: {name: value} of the constants c, in order.
-        inputs: (u, R, c) -> (u, R): mean and variances (n_u,) of the inputs, from the inputs' own
-            measurements u and their variances R.
-        process: (u, W, dt_s, c) -> W: variances (n_s,) of the process noise of an interval of
-            dt_s [s].
+    `inputs` maps (u, R, c) to the mean and variances (n_u,) of the inputs, from their measurements
+    u with variances R. `process` maps (u, W, dt_s, c) to the variances (n_s,) of the process noise
+    of an interval of dt_s [s].
     """
 
-    constants: Mapping[str, float]
+    constants: Mapping[str, float]  # of c, by name, in order
     inputs: Callable
     process: Callable
 
@@ -53,6 +49,7 @@ class Model:
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,).
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
         max_measurement: Largest plausible size of each output; larger values count as missing.
+            By default 1e8 in the output's unit: choose units in which no output is that large.
         motion_noise: Noise that grows with the motion, if any.
 
     Raises:
@@ -74,10 +71,9 @@ class Model:
             problem = f"f was {shown(self.f)}, h {shown(self.h)}"
             raise ValueError(f"{problem}; f and h should be functions of (x, u, p)")
         _check_bounds(self.parameters)
-        limits = self.max_measurement
-        if limits is not None and len(limits) != len(self.outputs):
-            wanted = f"it should have {len(self.outputs)} entries, one for each output"
-            raise ValueError(f"max_measurement was {shown(limits)}; {wanted}")
+        _check_limits(self.max_measurement, len(self.outputs))
+        if not isinstance(self.motion_noise, MotionNoise | None):
+            refuse("motion_noise was", self.motion_noise, "it should be a MotionNoise or None")
         _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
 
     def __repr__(self) -> str:
@@ -85,14 +81,11 @@ class Model:
             f"{name} in [{bounds[0]:g}, {bounds[1]:g}]" if bounds else name
             for name, bounds in self.parameters.items()
         )
-        return "\n".join(
-            (
-                "Model",
-                f"    states:     {', '.join(self.states)}",
-                f"    inputs:     {', '.join(self.inputs) or 'none'}",
-                f"    parameters: {', '.join(parameters) or 'none'}",
-                f"    outputs:    {', '.join(self.outputs)}",
-            )
+        return (
+            f"Model\n    states:     {', '.join(self.states)}"
+            f"\n    inputs:     {', '.join(self.inputs) or 'none'}"
+            f"\n    parameters: {', '.join(parameters) or 'none'}"
+            f"\n    outputs:    {', '.join(self.outputs)}"
         )
 
     @property
@@ -113,18 +106,18 @@ class Model:
     @functools.cached_property
     def measurement(self) -> ca.Function:
         """(x, u, p) -> z."""
-        x, u, p = symbols = _symbols(self)
-        values = dict(zip(self.names, ca.vertsplit(ca.vertcat(x, u, p))))
+        symbols = _symbols(self)
+        values = dict(zip(self.names, ca.vertsplit(ca.vertcat(*symbols))))
         unnamed = [name for name in self.outputs if name not in values]
         if unnamed and self.h is None:
-            wanted = "it should be given, since no state, input or parameter has that name"
-            raise ValueError(f"h was not given for the output {unnamed[0]!r}; {wanted}")
+            expected = "it should be given, since no state, input or parameter has that name"
+            raise ValueError(f"h was not given for the output {unnamed[0]!r}; {expected}")
         if self.h is not None:
             sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
             outputs = ca.vertsplit(_expressions("h", self.h, self, *sizes)(*symbols))
             names = self.outputs if len(outputs) == len(self.outputs) else unnamed
             values |= dict(zip(names, outputs))
-        return ca.Function("h", [x, u, p], [ca.vertcat(*(values[name] for name in self.outputs))])
+        return ca.Function("h", symbols, [ca.vertcat(*(values[name] for name in self.outputs))])
 
     @functools.cached_property
     def key(self) -> str:
@@ -143,8 +136,10 @@ class Model:
     @property
     def bounds(self) -> dict[int, tuple[float, float]]:
         """Bounds of the bounded entries of the joint state, by their place in it."""
-        first = self.n_s - len(self.parameters)
-        return {first + i: b for i, b in enumerate(self.parameters.values()) if b is not None}
+        place = self.joint_names.index
+        return {
+            place(name): bounds for name, bounds in self.parameters.items() if bounds is not None
+        }
 
     @functools.cached_property
     def input_outputs(self) -> dict[int, int]:
@@ -152,10 +147,9 @@ class Model:
         x, u, p = _symbols(self)
         z = self.measurement(x, u, p)
         rows = {}
-        for row in range(z.numel()):
-            for place in range(u.numel()):
-                if ca.is_equal(z[row], u[place], 1) and place not in rows:
-                    rows[place] = row
+        for row, place in itertools.product(range(z.numel()), range(u.numel())):
+            if ca.is_equal(z[row], u[place], 1):
+                rows.setdefault(place, row)
         return rows
 
     @functools.cached_property
@@ -169,8 +163,7 @@ class Model:
     @property
     def n_s(self) -> int:
         """Length of the joint state."""
-        inputs = len(self.inputs) if self.holds_inputs else 0
-        return len(self.states) + inputs + len(self.parameters)
+        return len(self.joint_names)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -180,8 +173,8 @@ class Model:
 
 
 def _symbols(model):
-    sizes = dict(x=len(model.states), u=len(model.inputs), p=len(model.parameters))
-    return tuple(ca.SX.sym(name, size) for name, size in sizes.items())
+    vectors = dict(x=model.states, u=model.inputs, p=model.parameters)
+    return [ca.SX.sym(letter, len(names)) for letter, names in vectors.items()]
 
 
 def _noise_function(model):
@@ -202,8 +195,8 @@ def _expressions(name, function, model, *sizes):
     try:
         value = ca.SX(function(*symbols))
     except Exception as error:
-        wanted = "it should map CasADi expressions (x, u, p) to one expression"
-        raise ValueError(f"{name} was refused ({shown(error)}); {wanted}") from error
+        expected = "it should map CasADi expressions (x, u, p) to one expression"
+        raise ValueError(f"{name} was refused ({shown(error)}); {expected}") from error
     problem = f"{name} was {shown(value)}"
     if value.numel() not in sizes or 1 not in value.shape:
         counts = " or ".join(map(str, sorted(sizes)))
@@ -218,18 +211,14 @@ def _check_names(model):
     for field in ("states", "inputs", "outputs"):
         names = getattr(model, field)
         if not isinstance(names, tuple) or not names and field != "inputs":
-            raise ValueError(f"{field} was {shown(names)}; it should be a tuple of names")
+            refuse(f"{field} was", names, "it should be a tuple of names")
     if not isinstance(model.parameters, Mapping):
-        wanted = "it should be a dict of names to bounds or None"
-        raise ValueError(f"parameters was {shown(model.parameters)}; {wanted}")
-    for field, names in (
-        ("states, inputs, parameters", (*model.states, *model.inputs, *model.parameters)),
-        ("outputs", model.outputs),
-    ):
+        refuse("parameters was", model.parameters, "it should be a dict of names to bounds or None")
+    for field, names in (("states, inputs, parameters", model.names), ("outputs", model.outputs)):
         for name in names:
             if not isinstance(name, str) or not name.isidentifier():
-                wanted = "it should be a word of letters, digits and _, such as 'x_m'"
-                raise ValueError(f"a name in {field} was {shown(name)}; {wanted}")
+                expected = "it should be a word of letters, digits and _, such as 'x_m'"
+                refuse(f"a name in {field} was", name, expected)
             if names.count(name) > 1:
                 raise ValueError(f"{name!r} was twice in {field}; a name should be there once")
 
@@ -238,12 +227,25 @@ def _check_bounds(parameters):
     for name, bounds in parameters.items():
         try:
             lowest, highest = (-1.0, 1.0) if bounds is None else bounds
-            is_valid = bool(lowest < highest) and not isinstance(lowest, str)
-        except (TypeError, ValueError):
+            is_valid = float(lowest) < float(highest) and not isinstance(lowest, str)
+        except Exception:  # CasADi's symbols raise errors of their own
             is_valid = False
         if not is_valid:
-            wanted = "it should be (lowest, highest), the first below the second, or None"
-            raise ValueError(f"the bounds of {name!r} were {shown(bounds)}; {wanted}")
+            expected = "it should be (lowest, highest), the first below the second, or None"
+            refuse(f"the bounds of {name!r} were", bounds, expected)
+
+
+def _check_limits(limits, n_z):
+    if limits is None:
+        return
+    try:
+        is_valid = len(limits) == n_z and all(0 < limit <= MAX_PLAUSIBLE_STATE for limit in limits)
+    except Exception:  # CasADi's symbols raise errors of their own
+        is_valid = False
+    if not is_valid:
+        entries = f"{n_z} entries, one for each output"
+        expected = f"it should have {entries}, each above 0 and at most {MAX_PLAUSIBLE_STATE:g}"
+        refuse("max_measurement was", limits, expected)
 
 
 class Output(NamedTuple):
@@ -274,11 +276,14 @@ class Interval(NamedTuple):
     n_v: int
     outputs: tuple[Output, ...]  # those that measure the joint state
     input_outputs: dict[int, tuple[int, float]]  # place in v: place in z, limit
-    mixing_outputs: dict[
-        int, list[tuple[int, float]]
-    ]  # place in v: other outputs that depend on it
+    mixing_outputs: dict[int, list[tuple[int, float]]]  # the same of all other outputs of it
     bounds: dict[int, tuple[float, float]]  # place in s: (lowest, highest)
     motion_noise: MotionNoise | None
+
+    @property
+    def sparsities(self):
+        """Sparsities of the interval's end F, of D and of B, by name."""
+        return {name: self.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
 
     def input_noise(self, z, v, V, c=None):
         """Mean and variances (n_v,) of the inputs, given the measurements z and the last inputs v.
@@ -295,9 +300,8 @@ class Interval(NamedTuple):
                 variance.append(ca.if_else(is_valid, V[row], _SIGMA_HELD**2))
             else:
                 others = self.mixing_outputs[place]
-                n_valid = sum(
-                    (is_valid_measurement(z[row], limit) for row, limit in others), ca.SX(0)
-                )
+                valid = [is_valid_measurement(z[row], limit) for row, limit in others]
+                n_valid = sum(valid, ca.SX(0))
                 mean.append(v[place])
                 variance.append(ca.if_else(n_valid, SIGMA_UNMEASURED**2, _SIGMA_HELD**2))
         noise = ca.vertcat(*mean), ca.vertcat(*variance)
@@ -312,27 +316,23 @@ class Interval(NamedTuple):
 def interval(model, measured=True):
     """The shooting interval of a Model: one Runge-Kutta step, its derivatives, its outputs.
 
-    Args:
-        model: The Model.
-        measured: True for an estimator. A controller's interval has no outputs and does not hold
-            the last inputs that some outputs need.
+    A controller's interval is not `measured`: it has no outputs, nor the last inputs in s.
     """
     x, u, p = _symbols(model)
     u_last = ca.SX.sym("last", len(model.inputs))
     dt_s = ca.SX.sym("dt_s")
     x_next = ca.cse(rk4(model.dynamics, x, u, p, dt_s))
+    s = ca.vertcat(x, p)
+    s_next = ca.vertcat(x_next, p)
     if measured and model.holds_inputs:
         # An interval before the first sample has no length, and its input is unknown.
         s = ca.vertcat(x, u_last, p)
         s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u, u_last), p)
-    else:
-        s = ca.vertcat(x, p)
-        s_next = ca.vertcat(x_next, p)
     s_next, A_0, D, B = _derivatives(model, s, u, s_next)
     limits = model.limits
     z = model.measurement(x, u_last, p)
-    rows = [row for row in range(z.numel()) if row not in model.input_outputs.values()]
-    rows = rows if measured else []
+    input_rows = model.input_outputs.values()
+    rows = [row for row in range(z.numel()) if measured and row not in input_rows]
     inputs = [s, u, dt_s]
     return Interval(
         step=ca.Function("interval", inputs, [s_next], {"cse": True}),
@@ -378,17 +378,9 @@ def _output(row, limit, z_row, s):
 
 
 def rk4(f, x, u, p, dt_s):
-    """One classical Runge-Kutta step, eq. (3).
+    """One classical Runge-Kutta step, eq. (3): x at the end of an interval dt_s with constant u.
 
-    Args:
-        f: (x, u, p) -> ẋ.
-        x: State at the start of the interval.
-        u: Input, constant over the interval.
-        p: Parameters.
-        dt_s: Length of the interval [s].
-
-    Returns:
-        The state at the end of the interval.
+    x⁺ = x + dt_s/6 (k₁ + 2 k₂ + 2 k₃ + k₄), where f maps (x, u, p) to ẋ.
     """
     k1 = f(x, u, p)
     k2 = f(x + dt_s / 2 * k1, u, p)

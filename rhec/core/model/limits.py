@@ -4,14 +4,6 @@ import casadi as ca
 
 from rhec.core._casadi.build import every
 
-__all__ = [
-    "MAX_MEASUREMENT",
-    "MAX_PLAUSIBLE_STATE",
-    "MAX_QP_ENTRY",
-    "is_plausible",
-    "is_valid_measurement",
-]
-
 MAX_MEASUREMENT = 1e8  # in any unit; a Model may say less
 MAX_PLAUSIBLE_STATE = 1e12  # of an estimate
 MAX_QP_ENTRY = 1e20  # that a solver is given; as a bound: no bound

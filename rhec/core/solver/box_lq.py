@@ -8,32 +8,21 @@ bound, one Riccati recursion solves for the others; `pivoting` corrects the gues
 the active set of the previous solution.
 """
 
-from functools import partial
-
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_active_set
-
-__all__ = ["box_lq"]
+from rhec.core.solver.pivoting import correct_guess, search_active_set
 
 
 def box_lq(N, A_0, D, B, loops):
     """Build the Function (D, B, Q, QN, R, g, lower, upper, active) -> (x, multipliers, ok).
 
-    Args:
-        N: Intervals.
-        A_0: (n, n) constant entries of an interval's transition A = A_0 + D.
-        D: Sparsity of the other entries.
-        B: Sparsity of its (n, m) input matrix.
-        loops: SX or MX, for Functions that repeat an interval.
-
-    Returns:
-        The Function. D and B stand side by side; Q, QN (n,) and R (m,) are diagonals; g, lower,
-        upper and active are rows of N·m entries, interval by interval. active is 1 for an input at
-        its upper bound, -1 at its lower, 0 at none. x holds the inputs; multipliers are positive
-        at an upper bound.
+    An interval's transition is A = A_0 + D, with A_0 (n, n) constant and D of this sparsity, as its
+    input matrix B (n, m); `loops` is SX or MX. The Function takes D and B side by side, and the
+    diagonals Q, QN (n,) and R (m,). Its rows g, lower, upper, active, x and multipliers have N·m
+    entries, interval by interval: `active` is 1 for an input at its upper bound, -1 at its lower, 0
+    at none; x holds the inputs; multipliers are positive at an upper bound.
     """
     n, m = B.shape
     row = (1, N * m)
@@ -46,7 +35,8 @@ def box_lq(N, A_0, D, B, loops):
     def solve(D, B, Q, QN, R, g, lower, upper, active):
         D = ca.horzsplit(D, n)
         B = ca.horzsplit(B, m)
-        g, lower, upper, active = map(partial(_columns, m=m), (g, lower, upper, active))
+        rows = (g, lower, upper, active)
+        g, lower, upper, active = ([part.T for part in ca.horzsplit(row, m)] for row in rows)
         P = [None] * N + [ca.diag(QN)]
         p = [None] * N + [ca.DM.zeros(n)]
         policies = [None] * N
@@ -74,11 +64,6 @@ def box_lq(N, A_0, D, B, loops):
         )
 
     return search_active_set("box_lq", N * m, solve, problem)
-
-
-def _columns(row, m):
-    """The row (1, N·m) as N columns (m, 1)."""
-    return [part.T for part in ca.horzsplit(row, m)]
 
 
 def _build_backward(A_0, D_i, B_i):
@@ -137,8 +122,9 @@ def _build_forward(A_0, D_i, B_i):
         u = K @ x + k
         x = (A_0 + D) @ x + B @ u
         multiplier = -(g + R * u + B.T @ (p + P @ x)) * (active != 0)
-        proposed = proposed_bound(active, u, multiplier, lower, upper)
-        first_exchange, n_infeasible = exchange_first(active, proposed, wrong)
+        proposed, first_exchange, n_infeasible = correct_guess(
+            active, u, multiplier, lower, upper, wrong
+        )
         return dict(
             x_after=x,
             u=u,

@@ -3,21 +3,14 @@
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
-from rhec.core.solver.pivoting import exchange_first, proposed_bound, search_active_set
-
-__all__ = ["box_qp"]
+from rhec.core.solver.pivoting import correct_guess, search_active_set
 
 
 def box_qp(n):
     """Build the Function (H, g, lb, ub) -> (x, ok) that minimises ½ x'Hx + g'x, lb ≤ x ≤ ub.
 
-    One and two variables have a closed form, more are solved by pivoting.
-
-    Args:
-        n: Number of variables.
-
-    Returns:
-        The Function. Where the solution is not finite, ok and x are 0.
+    One and two variables have a closed form, more are solved by pivoting. Where the solution is not
+    finite, ok and x are 0.
     """
     if n > 2:
         return _box_qp_by_pivoting(n)
@@ -42,21 +35,16 @@ def _best_of_two(H, g, lb, ub):
     inside = every(ca.vertcat(best >= lb, best <= ub))
     # No edge is better than an unconstrained optimum inside.
     least = ca.if_else(inside, -ca.inf, ca.inf)
-    for x in _edges(H, g, lb, ub):
-        cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
-        best = ca.if_else(cost < least, x, best)
-        least = ca.fmin(cost, least)
-    return best
-
-
-def _edges(H, g, lb, ub):
-    """The best point of each of the four edges of a box in two variables."""
     for fixed in (0, 1):
         other = 1 - fixed
         for bound in (lb, ub):
             along = -(g[other] + H[other, fixed] * bound[fixed]) / H[other, other]
             along = ca.fmin(ca.fmax(along, lb[other]), ub[other])
-            yield ca.vertcat(bound[0], along) if fixed == 0 else ca.vertcat(along, bound[1])
+            x = ca.vertcat(bound[0], along) if fixed == 0 else ca.vertcat(along, bound[1])
+            cost = ca.bilin(H, x, x) / 2 + ca.dot(g, x)
+            best = ca.if_else(cost < least, x, best)
+            least = ca.fmin(cost, least)
+    return best
 
 
 def _box_qp_by_pivoting(n):
@@ -73,8 +61,7 @@ def _box_qp_by_pivoting(n):
         among_free = ca.diag(free) @ H @ ca.diag(free) + ca.diag(1 - free)
         x = ca.ldl_solve(-free.T * (g.T + H @ fixed.T), *ca.ldl(among_free, False)).T + fixed
         multipliers = -(x @ H + g) * (1 - free)
-        proposed = proposed_bound(active, x, multipliers, lb, ub)
-        first_exchange, n_infeasible = exchange_first(active, proposed, 0)
+        proposed, first_exchange, n_infeasible = correct_guess(active, x, multipliers, lb, ub)
         return dict(
             x=x,
             multipliers=multipliers,

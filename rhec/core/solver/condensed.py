@@ -7,8 +7,6 @@ import casadi as ca
 from rhec.core._casadi.build import casadi_function
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 
-__all__ = ["Condensed", "CondensedQP", "box_qp_by_library"]
-
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {
     "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}},

@@ -8,8 +8,6 @@ with bounds only: in the bounded parameters for the RHE, in the commands for the
 
 import casadi as ca
 
-__all__ = ["kkt_tolerance", "shift", "symmetric"]
-
 
 def shift(interval, s, v, dt_s):
     """Shift a trajectory by one interval, as the warm start of the next sample.
@@ -17,14 +15,7 @@ def shift(interval, s, v, dt_s):
     The last input is repeated and the last node integrated. In the paper's words, the initial value
     "takes on the value of the previous one intelligently".
 
-    Args:
-        interval: The model's Interval.
-        s: (n_s, N+1) nodes s_0 … s_N.
-        v: (n_v, N) inputs v_0 … v_{N-1}.
-        dt_s: Length of the new interval [s].
-
-    Returns:
-        s and v after the shift.
+    The nodes s (n_s, N+1) and the inputs v (n_v, N) get a new last interval of dt_s [s].
     """
     v = ca.horzcat(v[:, 1:], v[:, -1])
     return ca.horzcat(s[:, 1:], interval.step(s[:, -1], v[:, -1], dt_s)), v
@@ -35,14 +26,8 @@ def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
 
     |∇J·Δw| + Σ |λ_i · d_i|, with d_i the distance from the linearisation point to the bound.
 
-    Args:
-        gradient_along_step: ∇J·Δw, the cost's slope along the Gauss-Newton step.
-        multipliers: λ, positive at an upper, negative at a lower bound.
-        lower: Distances to the lower bounds.
-        upper: Distances to the upper bounds.
-
-    Returns:
-        The tolerance, 0 at a solution.
+    Here ∇J·Δw is the cost's slope along the Gauss-Newton step, and λ_i is positive at an upper,
+    negative at a lower bound. `lower` and `upper` are distances. The tolerance is 0 at a solution.
     """
     bound = ca.if_else(multipliers > 0, upper, lower)
     return ca.fabs(gradient_along_step) + ca.sum1(ca.vec(ca.fabs(multipliers * bound)))

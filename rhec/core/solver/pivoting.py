@@ -11,55 +11,35 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
 
-__all__ = ["MAX_SWEEPS", "exchange_first", "proposed_bound", "search_active_set"]
-
 _DOUBLINGS = 8
 MAX_SWEEPS = 2**_DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
 _PATIENCE = 3  # block exchanges that may fail to reduce the number of infeasible variables
 
 
-def proposed_bound(active, x, multiplier, lower, upper):
-    """The bound that each variable's sign condition asks for: 1 upper, -1 lower, 0 none.
+def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
+    """Correct a guess of the active set by the sign conditions of its solution.
 
     A free variable beyond a bound is fixed there; one at a bound stays if its multiplier presses it
-    against that bound.
+    against that bound. Returns the guess with all infeasible variables exchanged, the guess (a
+    list) with the first one exchanged unless one of the earlier stages is infeasible, and how many
+    are infeasible so far.
     """
     violated = (x > upper) - (x < lower)
-    return ca.if_else(active == 0, violated, active * (active * multiplier >= 0))
-
-
-def exchange_first(active, proposed, n_infeasible):
-    """Exchange only the first infeasible variable, and count the infeasible ones.
-
-    Args:
-        active: Guess of the active set.
-        proposed: What `proposed_bound` proposes for it.
-        n_infeasible: How many variables of earlier stages are infeasible.
-
-    Returns:
-        The guess with its first infeasible variable exchanged, as a list, unless an earlier stage
-        has one; the number of infeasible variables so far.
-    """
-    guess = []
+    proposed = ca.if_else(active == 0, violated, active * (active * multiplier >= 0))
+    first_exchange = []
     for i in range(active.numel()):
-        guess.append(ca.if_else(n_infeasible, active[i], proposed[i]))
+        first_exchange.append(ca.if_else(n_infeasible, active[i], proposed[i]))
         n_infeasible = n_infeasible + (proposed[i] != active[i])
-    return guess, n_infeasible
+    return proposed, first_exchange, n_infeasible
 
 
 def search_active_set(name, N, solve, problem):
     """Build a Function (problem …, active) -> (ok, x, multipliers), x and multipliers rows of N.
 
-    Args:
-        name: Prefix of the Functions' names.
-        N: Number of variables.
-        solve: Function (problem …, active) -> (x, multipliers, corrected, first_corrected, wrong):
-            the solution for a guess of the active set; the guess after exchanging all infeasible
-            variables, or the first alone; their number, or -1 where the solution is not finite.
-        problem: Shapes of the problem's data, by name.
-
-    Returns:
-        The Function. If the search gives up, ok, x and multipliers are 0.
+    `problem` {name: shape} is the QP's data. `solve` is a Function (problem …, active) -> (x,
+    multipliers, corrected, first_corrected, wrong): the solution for a guess of the active set; the
+    guess after exchanging all infeasible variables, or the first alone; their number, or -1 where
+    the solution is not finite. If the search gives up, ok, x and multipliers are 0.
     """
     row = (1, N)
     one = (1, 1)

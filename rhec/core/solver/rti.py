@@ -13,14 +13,29 @@ measurement and the command. Iterating linearise, feedback and expand without sh
 solution of the nonlinear problem.
 """
 
+from collections.abc import Callable
+from functools import partial
+from inspect import signature
+from typing import Any, ClassVar, Self
+
 import numpy as np
 
+from rhec.core._casadi.build import select_inputs
 from rhec.core._casadi.compiled import BufferedFunction
 from rhec.core._casadi.validation import Steps, checked, shown
-
-__all__ = ["PHASES", "RealTimeIteration", "RealTimeLoop", "copy_checked"]
+from rhec.core.model.base import Model
 
 PHASES = ("shift", "linearise", "feedback", "expand")
+
+
+def run_phases(phases, values):
+    """Run all phases {name: Function} of one sample on expressions; each adds its results by name.
+
+    The phases share `values` as RealTimeIteration's share arrays.
+    """
+    for name in PHASES:
+        values |= phases[name](**select_inputs(phases[name], values))
+    return values
 
 
 class RealTimeIteration:
@@ -31,11 +46,8 @@ class RealTimeIteration:
     still reads: `expand` writes it to `previous`, and `shift` reads it there and writes `current`,
     where `linearise` and `feedback` read it.
 
-    Args:
-        functions: The compiled phases, by name.
-        memory: Names of the memory's pieces.
-        unknowns: The pieces that an iteration improves.
-        constants: Values of inputs that never change, by name.
+    `memory` names the pieces of the memory, and `unknowns` those that an iteration improves.
+    `constants` are values of inputs that never change.
     """
 
     def __init__(self, functions, memory, unknowns, **constants):
@@ -46,17 +58,13 @@ class RealTimeIteration:
         self.current = {name: array.copy() for name, array in self.previous.items()}
         self.arrays = {}
         for phase, call in self.phases.items():
-            if phase == "shift":
-                read_memory = self.previous
-                written_memory = self.current
-            else:
-                read_memory = self.current
-                written_memory = self.previous
+            memories = [self.current, self.previous]
+            read, written = reversed(memories) if phase == "shift" else memories
             for name, array in call.arguments.items():
-                shared = read_memory if name in memory else self.arrays
+                shared = read if name in memory else self.arrays
                 call.read_from(name, shared.setdefault(name, array))
             for name, array in call.results.items():
-                shared = written_memory if name in memory else self.arrays
+                shared = written if name in memory else self.arrays
                 call.write_to(name, shared.setdefault(name, array))
         # Looking the bound methods up in each sample would take longer.
         calls = (phase.call for phase in self.phases.values())
@@ -114,13 +122,32 @@ class RealTimeIteration:
 
 
 class RealTimeLoop:
-    """What RHE and RHC objects share; subclasses set `iteration`."""
+    """What RHE and RHC objects share; subclasses set `iteration` and `_inputs`, views by name."""
 
     iteration: RealTimeIteration
+    # Returns the class that stands in where no model is passed; `rhec` sets it on RHE and RHC.
+    paper_class: ClassVar[Callable[[], type] | None] = None
+
+    def __new__(cls, *, model: Model | None = None, **options: Any) -> Self:
+        """Without a model, make an object of the class that stands in."""
+        paper_class = vars(cls).get("paper_class")  # not of subclasses, which have their options
+        if model is None and paper_class:
+            cls = paper_class()
+        return super().__new__(cls)
+
+    def __init_subclass__(cls) -> None:
+        cls.__signature__ = signature(partial(cls.__init__, None))  # what help() and editors show
 
     def prepare(self) -> None:
         """Do all work that is possible before the next sample (paper: preparation part)."""
         self.iteration.prepare()
+
+    def _set_inputs(self, **values):
+        """Copy the new data in; the first ones also start the iteration."""
+        for name, value in values.items():
+            copy_checked(name, value, self._inputs[name])
+        if not self.iteration.started:
+            self._start()
 
     @property
     def ok(self) -> bool:
@@ -135,11 +162,7 @@ class RealTimeLoop:
 
 
 def copy_checked(name, value, array):
-    """Copy an argument into its array.
-
-    Raises:
-        ValueError: if its shape does not fit, or if it is not numeric.
-    """
+    """Copy an argument into its array; refuse one of another shape, or one that is not numeric."""
     shape = getattr(value, "shape", None)
     try:
         if shape is None and isinstance(value, tuple) and array.shape == (len(value),):

@@ -1,11 +1,10 @@
 /* Fuzzing: fuzz [steps [seed]]
  *
- * Measurements are NaN, infinite, denormal, huge or ordinary, alone and in storms. At times the
- * memory in struct rhec is overwritten. After every step the estimate must be finite and the
- * command must be within its bounds; otherwise the program says so and returns 1. After each storm
- * the robot drives normally for 20 s. The program reports how many storms leave an estimate that is
- * then still wrong by more than 0.5 m, or a status other than 0, and how often each status was
- * returned. */
+ * Measurements are NaN, infinite, denormal, huge or ordinary, for a sample or for storms of many
+ * samples. Some storms overwrite parts of struct rhec. After every step the estimate must be finite
+ * and the command within its bounds; otherwise the program reports this and returns 1. After each
+ * storm the robot drives normally for 20 s. The program reports after how many storms the estimate
+ * is still wrong by more than 0.5 m or the status is not 0, and how often each status occurred. */
 #include <float.h>
 #include <inttypes.h>
 #include <math.h>
@@ -32,7 +31,7 @@ static double uniform(void)
     return (double)(bits() >> 11) / 9007199254740992.0;
 }
 
-/* A number that no sensor should return. */
+/* An invalid sensor value. */
 static double invalid(void)
 {
     static const double odd[] = {0,       -0.0,   NAN,     INFINITY, -INFINITY, DBL_MAX,
@@ -44,7 +43,7 @@ static double invalid(void)
     case 0:
         return odd[b % (sizeof odd / sizeof *odd)];
     case 1:
-        memcpy(&number, &b, sizeof number); /* any bits as a double */
+        memcpy(&number, &b, sizeof number); /* random bits as a double */
         return number;
     case 2:
         return sign * pow(10, 600 * uniform() - 300);
@@ -53,7 +52,7 @@ static double invalid(void)
     }
 }
 
-/* The robot drives for one sample, by the system model of the paper, with little slip. */
+/* Simulates the robot for one sample with the system model of the paper, mu = 0.9, kappa = 0.8. */
 static void drive(double pose[3], double speed, double omega)
 {
     for (int i = 0; i < 10; i++) {
@@ -64,7 +63,7 @@ static void drive(double pose[3], double speed, double omega)
 }
 
 /* One sample. Each entry of z is invalid with this probability. Returns the status; exits if an
- * answer is not finite or out of bounds. */
+ * result is not finite or out of bounds. */
 static int sample(struct rhec *r, double pose[3], double probability, double error[1])
 {
     double speed = rhec_scenario_guess[3], omega = 0, estimate[6] = {0};

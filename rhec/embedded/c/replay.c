@@ -1,9 +1,9 @@
-/* Replays a log: replay log.csv > answers.csv
+/* Replays a log: replay log.csv > results.csv
  *
- * The first line of the log has the titles. Each further line is a measurement: x, y, nu, omega. An
- * empty field or nan means that there is no measurement. If a line also has Python's answers (x, y,
- * theta, nu, mu, kappa and the command), the largest difference is reported; it is an error above
- * 1e-9. */
+ * The first line of the log has the column names. Each further line has a measurement: x, y, nu,
+ * omega. An empty field or nan marks a missing measurement. If lines also have Python's results (x,
+ * y, theta, nu, mu, kappa and the command), the program reports the largest difference and fails if
+ * it exceeds 1e-9. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,9 +11,9 @@
 
 #include "rhec.h"
 
-enum { GIVEN = RHEC_OUTPUTS, ANSWERED = RHEC_ESTIMATE + 1 };
+enum { MEASURED = RHEC_OUTPUTS, COMPUTED = RHEC_ESTIMATE + 1 };
 
-/* Reads the numbers of a line, NaN where there is none. Returns how many fields there are. */
+/* Reads the numbers of a line, NaN for empty fields. Returns the number of fields. */
 static int parse(char *line, double *numbers, int most)
 {
     int count = 0;
@@ -40,23 +40,23 @@ int main(int argc, char **argv)
     rhec_init(&r, &rhec_scenario, rhec_scenario_guess);
     puts("x_hat_m,y_hat_m,theta_hat_rad,nu_hat_mps,mu_hat,kappa_hat,omega_cmd_radps,status");
     while (fgets(line, sizeof line, log)) {
-        double numbers[GIVEN + ANSWERED], answer[ANSWERED];
-        int count = parse(line, numbers, GIVEN + ANSWERED);
-        for (int i = count; i < GIVEN; i++) {
+        double numbers[MEASURED + COMPUTED], result[COMPUTED];
+        int count = parse(line, numbers, MEASURED + COMPUTED);
+        for (int i = count; i < MEASURED; i++) {
             numbers[i] = NAN;
         }
         rhec_prepare_estimate(&r);
         rhec_prepare_control(&r);
-        int status = rhec_estimate(&r, numbers, answer);
-        status |= rhec_control(&r, &answer[RHEC_ESTIMATE]);
-        for (int i = 0; i < ANSWERED; i++) {
-            printf("%.17g,", answer[i]);
+        int status = rhec_estimate(&r, numbers, result);
+        status |= rhec_control(&r, &result[RHEC_ESTIMATE]);
+        for (int i = 0; i < COMPUTED; i++) {
+            printf("%.17g,", result[i]);
         }
         printf("%d\n", status);
-        if (count == GIVEN + ANSWERED) {
+        if (count == MEASURED + COMPUTED) {
             compared++;
-            for (int i = 0; i < ANSWERED; i++) {
-                double difference = fabs(answer[i] - numbers[GIVEN + i]);
+            for (int i = 0; i < COMPUTED; i++) {
+                double difference = fabs(result[i] - numbers[MEASURED + i]);
                 largest = difference <= largest ? largest : difference; /* NaN counts */
             }
         }

@@ -1,7 +1,7 @@
-/* Calls the generated phases in order, and restarts where numbers leave their range: see rhec.h.
+/* Calls the generated phases in order, and restarts if numbers leave their range; see rhec.h.
  *
- * rhec_memory.h defines what this export has: RHEC_ESTIMATOR, RHEC_CONTROLLER, and RHEC_PATH for
- * the scenario of a tracked robot that follows a path. Without RHEC_PATH it is of a model. */
+ * rhec_memory.h defines the components of this export: RHEC_ESTIMATOR, RHEC_CONTROLLER, and
+ * RHEC_PATH for a tracked robot that follows a path. Without RHEC_PATH, a model was exported. */
 #include "rhec.h"
 
 #include <math.h>
@@ -19,10 +19,10 @@ static int are_plausible(const double *numbers, int count)
 
 #include "rhec_phases.h" /* generated: each phase bound to the memory */
 
-/* How far preparation has got. NO_PLAN: the first plan begins at the first estimate. */
+/* The next step of the preparation. NO_PLAN: the first plan starts at the first estimate. */
 enum { TO_SHIFT, PREPARED, TO_EXPAND, NO_PLAN };
 
-/* Returns whether a component has restarted since the last call, and forgets it. */
+/* Returns whether a component has restarted since the last call, and clears the flag. */
 static int take_restart(struct rhec *r, int component)
 {
     int restarted = r->restarted & component;
@@ -33,8 +33,7 @@ static int take_restart(struct rhec *r, int component)
 #ifdef RHEC_ESTIMATOR
 
 #ifdef RHEC_PATH
-/* Largest x, y, theta, nu, mu, kappa of a robot. Measurements above are ignored, too. A yaw above
- * 1e6 rad has lost its digits. */
+/* Largest plausible x, y, theta, nu, mu, kappa. Above 1e6 rad, a yaw has lost too many digits. */
 static const double largest[RHEC_GUESS] = {1e8, 1e8, 1e6, 100, 10, 10};
 static const double fallback[RHEC_GUESS] = {0, 0, 0, 0, 1, 1};
 #else
@@ -51,7 +50,7 @@ static int is_plausible(int i, double number)
 #endif
 }
 
-/* Where the RHE starts. For a path this is also the estimate that the controller begins with. */
+/* The starting point of the RHE. On a path it is also the first estimate of the controller. */
 static double *start_of(struct rhec *r)
 {
 #ifdef RHEC_PATH
@@ -61,8 +60,8 @@ static double *start_of(struct rhec *r)
 #endif
 }
 
-/* Starts the RHE. Each entry is that of the guess if it is plausible, else that of the other guess,
- * else a fixed number. On a path, the closest point of the whole path is found anew. */
+/* Starts the RHE. Each entry comes from the guess if that is plausible, else from the other guess
+ * if that is plausible, else from the fallback. On a path, the closest point is searched again. */
 static void restart(struct rhec *r, const double guess[], const double other[])
 {
     double *start = start_of(r);
@@ -97,7 +96,7 @@ void rhec_prepare_estimate(struct rhec *r)
     r->estimator_stage = PREPARED;
 }
 
-/* The feedback phase alone. Returns whether the preparation before it had to restart. */
+/* The feedback phase. Returns whether the preparation before it restarted the RHE. */
 static int estimator_step(struct rhec *r, const double z[RHEC_OUTPUTS])
 {
     rhec_prepare_estimate(r);
@@ -109,7 +108,7 @@ static int estimator_step(struct rhec *r, const double z[RHEC_OUTPUTS])
 }
 
 #ifdef RHEC_PATH
-/* Whether the estimate is not plausible, or has been predicted for longer than the window. */
+/* Whether the estimate is implausible or has been predicted for longer than the window. */
 static int is_lost(const struct rhec *r)
 {
     for (int i = 0; i < RHEC_ESTIMATE; i++) {
@@ -124,7 +123,7 @@ int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[
 {
     double last[RHEC_ESTIMATE];
 
-    rhec_prepare_estimate(r); /* may restart and so change the last estimate */
+    rhec_prepare_estimate(r); /* a restart changes the last estimate */
     memcpy(last, r->estimate, sizeof last);
     int status = estimator_step(r, z);
     r->predicted = estimator_ok(r) ? 0 : r->predicted + 1;
@@ -142,7 +141,7 @@ int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[
 {
     int status = 0;
 
-    /* A second time after a restart, which leaves nothing of a window that went wrong. */
+    /* If the estimate is implausible, the second attempt starts with a new window. */
     for (int attempt = 0; attempt < 2; attempt++) {
         status |= estimator_step(r, z);
         if (are_plausible(r->estimate, RHEC_ESTIMATE)) {
@@ -199,7 +198,7 @@ void rhec_prepare_control(struct rhec *r)
     r->controller_stage = PREPARED;
 }
 
-/* The feedback phase alone. Returns whether the command is an old one. */
+/* The feedback phase. Returns whether the command comes from the last plan. */
 static int controller_step(struct rhec *r)
 {
     controller_feedback(r);

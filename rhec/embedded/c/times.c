@@ -1,4 +1,4 @@
-/* Measures how long each phase takes on this machine [ns], for every line of a log:
+/* Measures the time of each phase on this machine [ns] for every line of a log:
  * times log.csv > times.csv. Needs POSIX. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>

@@ -1,4 +1,4 @@
-"""Many runs in one process: several at a time, one in each SIMD lane, where that is faster."""
+"""Many runs in one process: several at a time, one per SIMD lane, if that is faster."""
 
 import contextlib
 import functools
@@ -13,30 +13,19 @@ from rhec.simulation.campaigns.store import PLAIN
 from rhec.simulation.lanes import lanes
 from rhec.tracked_robot import terrain
 
-__all__ = [
-    "compile_lanes",
-    "count_samples",
-    "mean_samples_per_structure",
-    "one_per_structure",
-    "run_in_lanes",
-    "samples_per_task",
-    "simulate_batch",
-    "split_into_tasks",
-]
-
-# Samples of one loop structure that pay for compiling its lanes, which takes some seconds.
+# Compiling lanes takes some seconds and pays from this number of samples per loop structure.
 _WORTH_COMPILING = 400_000
-# Samples of one loop structure that pay for loading lanes that are compiled already.
+# Loading compiled lanes pays from this number of samples per loop structure.
 _WORTH_LOADING = 10_000
-# Samples in one task. A task takes about a second, which is also what an interruption loses.
+# Samples in one task. A task takes about a second, which is the work that an interruption loses.
 _TASK = 40_000
 _TASK_IN_LANES = 400_000
-# Runs of as many seeds as the widest registers have lanes (AVX-512: 8) share fields and noise.
+# Runs of this many seeds share fields and noise: as many as AVX-512 registers have lanes.
 _SEEDS_TOGETHER = 8
-# Samples of all lanes together; longer runs are simulated one by one to bound the memory.
+# Largest number of samples of all lanes; longer runs are simulated one by one to limit the memory.
 _MAX_SAMPLES_IN_MEMORY = 200_000
 
-# The fields that nearly always decide alone which compiled loop a scenario runs.
+# The fields that determine the compiled loop of nearly all scenarios.
 _STRUCTURE = operator.attrgetter(
     "estimator",
     "estimation_horizon",
@@ -51,38 +40,37 @@ _STRUCTURE = operator.attrgetter(
 
 
 def _all_but_seed(scenario):
-    """Return a text that two scenarios share if they differ in their seeds alone.
+    """Return a text that is equal for scenarios that differ only in their seeds.
 
-    Arrays and other objects count as equal only if they are the same object, so the text is valid
-    only as long as the scenarios exist.
+    Arrays and other objects are compared by identity, so the text is valid only while the scenarios
+    exist.
     """
     values = (vars(scenario) | dict(seed=None)).values()
     return repr([value if type(value) in PLAIN else id(value) for value in values])
 
 
 def count_samples(scenario):
-    """Return how many samples a run of the scenario has."""
+    """Return the number of samples of a run of the scenario."""
     return round(scenario.duration_s / paper.DT_S)
 
 
 def mean_samples_per_structure(scenarios):
-    """Return how many samples the scenarios have, on average, for each compiled loop."""
+    """Return the mean number of samples of the scenarios per compiled loop."""
     return sum(map(count_samples, scenarios)) / len({*map(_STRUCTURE, scenarios)})
 
 
 def samples_per_task(mean_samples):
-    """Return how many samples a task should have, by `mean_samples_per_structure`."""
+    """Return the number of samples of a task, from `mean_samples_per_structure`."""
     return _TASK_IN_LANES if mean_samples >= _WORTH_COMPILING else _TASK
 
 
 def split_into_tasks(scenarios, samples):
-    """Yield parts of {key: scenario}, each of about so many samples.
+    """Yield parts of {key: scenario} with about this number of samples.
 
-    The order is chosen so that runs which share work are neighbours: first by groups of seeds,
-    whose runs share fields and noise; then by loop; then by all fields but the seed. Otherwise the
-    scenarios keep their order.
+    Runs that share work become neighbours: they are sorted by groups of seeds, which share fields
+    and noise, then by loop, then by all fields except the seed, and else keep their order.
     """
-    # Each group, loop and so on is numbered in the order in which it occurs first.
+    # Seeds, loops and families are numbered in the order of their first occurrence.
     seeds = {}
     loops = {}
     families = {}
@@ -95,7 +83,7 @@ def split_into_tasks(scenarios, samples):
 
     places = {key: place(scenario) for key, scenario in scenarios.items()}
     ordered = sorted(scenarios, key=places.get)
-    # Task number of a run: the samples of all runs before it, divided by the size of a task.
+    # Task number of a run = number of samples of all runs before it // size of a task.
     lengths = (count_samples(scenarios[key]) for key in ordered)
     n_before = itertools.accumulate(lengths, initial=0)
     numbered = zip(n_before, ordered)
@@ -104,35 +92,35 @@ def split_into_tasks(scenarios, samples):
 
 
 def one_per_structure(scenarios, mean_samples):
-    """Return one scenario for each loop whose lanes are worth compiling."""
+    """Return one scenario for each loop if compiling its lanes pays."""
     if mean_samples < _WORTH_COMPILING:
         return []
     return [*{_STRUCTURE(scenario): scenario for scenario in scenarios}.values()]
 
 
 def compile_lanes(scenario):
-    """Compile the lanes of a scenario's loop. The run itself reports what goes wrong here."""
+    """Compile the lanes of a scenario's loop; errors are left to the run, which reports them."""
     with contextlib.suppress(Exception):
         lanes.load(closed_loop.build_sample, *closed_loop.set_up(scenario).structure)
 
 
 def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics")):
-    """Run those of the scenarios that can run in lanes.
+    """Run the scenarios that can run in lanes.
 
     Args:
         scenarios: {key: scenario}.
         mean_samples: `mean_samples_per_structure` of the whole campaign.
-        result_of: What is kept of a Run.
+        result_of: Function of a Run that returns the result.
 
     Returns:
-        {key: result_of(run)}. A scenario that fails is left out: `closed_loop.simulate` of it
-        raises the reason.
+        {key: result_of(run)}, without scenarios that fail. `closed_loop.simulate` raises their
+        error.
     """
     blocks = {}
     groups = {}
     results = {}
     setups = {}
-    # The cache holds the seeds that are neighbours, not those of a whole task.
+    # The cache needs only the neighbouring seeds, not those of a whole task.
     cached = functools.lru_cache(4 * _SEEDS_TOGETHER)
     noise = cached(closed_loop.noise_and_faults)
     soil_settings = cached(terrain.settings)
@@ -152,7 +140,7 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
             if len(group) == block.lanes:
                 del groups[setup.structure, samples]
                 results |= _run_group(block, samples, group, noise, result_of)
-    # The groups that are left have fewer runs than there are lanes.
+    # The remaining groups have fewer runs than lanes.
     for (structure, samples), group in groups.items():
         with contextlib.suppress(Exception):
             results |= _run_group(blocks[structure], samples, group, noise, result_of)
@@ -162,8 +150,8 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
 def _set_up(scenario, relative, soil_settings):
     """Return `closed_loop.set_up(scenario)`.
 
-    relative: The Setup of a scenario that differs in its seed alone, or None. With it, only the
-    soil is made anew.
+    relative: The Setup of a scenario that differs only in the seed, or None. It is reused except
+    for the soil.
     """
     if relative is None:
         return closed_loop.set_up(scenario)
@@ -173,12 +161,12 @@ def _set_up(scenario, relative, soil_settings):
 
 
 def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
-    """Run scenarios in lanes where that is faster, the others one by one.
+    """Run scenarios in lanes if that is faster, and the others one by one.
 
     Args:
         scenarios: Scenarios, in any order.
-        result_of: What is kept of a Run: something that is true.
-        mean_samples: `mean_samples_per_structure`, if these are a part of a larger batch.
+        result_of: Function of a Run; its result must not be empty or 0.
+        mean_samples: `mean_samples_per_structure` of the batch of which these are a part.
 
     Returns:
         A list of result_of(run), in the order of the scenarios.
@@ -196,10 +184,10 @@ def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
 
 
 def _load_block(structure, mean_samples):
-    """Return the compiled lanes of a structure, or None where they do not pay or do not exist."""
+    """Return the compiled lanes of a structure, or None if they do not pay or do not exist."""
     sample = closed_loop.build_sample, *structure
     if mean_samples < _WORTH_COMPILING:
-        # Even a few runs use lanes that exist if they would have to compile their own loop first.
+        # A few runs use existing lanes only if the scalar loop would have to be compiled.
         few = mean_samples < _WORTH_LOADING and compiled.is_compiled(*sample)
         if few or not lanes.is_compiled(*sample):
             return None

@@ -1,4 +1,4 @@
-"""A campaign: many closed-loop runs, one row each, on this machine or on a Dask cluster."""
+"""A campaign: a table of many closed-loop runs, on this machine or on a Dask cluster."""
 
 import contextlib
 import functools
@@ -23,19 +23,17 @@ from rhec.simulation.campaigns.batch import (
     split_into_tasks,
 )
 from rhec.simulation.campaigns.workers import are_running, map_tasks, open_workers
-from rhec.simulation.closed_loop import simulate
+from rhec.simulation.closed_loop import as_list, simulate
 from rhec.simulation.scenario import Scenario
-from rhec.simulation.simulate import as_list
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["campaign"]
-
-# Samples that take one core longer than worker processes take to start, or to get work if they run.
+# Starting worker processes pays from this number of samples.
 _WORTH_STARTING = 1_000_000
+# Using worker processes that already run pays from this number of samples.
 _WORTH_SPREADING = 200_000
-# A share of the campaign for each worker and this number, so that all end at about the same time.
+# With at least this many tasks per worker, all workers finish at about the same time.
 _TASKS_PER_WORKER = 4
 
 
@@ -45,30 +43,31 @@ def campaign(
     folder: Path | None = None,
     workers: Annotated[Whole, Field(ge=1, le=1024)] | None = None,
 ) -> "pd.DataFrame":
-    """Run scenarios; the result is the same to the last bit wherever they run.
+    """Run scenarios and return a table with one row per run.
 
-    Without `workers`, the runs are spread over the Dask cluster at DASK_SCHEDULER_ADDRESS. If that
-    is not set, a small campaign runs in this process, a large one on one worker process a core.
+    The numbers do not depend, to the last bit, on where the scenarios run. Without `workers`, they
+    run on the Dask cluster at DASK_SCHEDULER_ADDRESS. If that is not set, a small campaign runs in
+    this process, a large one in one worker process per core.
 
     Args:
         scenarios: An iterable of rhec.Scenario. Equal scenarios run once.
-        folder: Where finished runs are kept, as Parquet, so that the same call continues after an
-            interruption. Failed runs, and rows of other code or other versions, run again.
+        folder: Folder of Parquet files with finished runs. With it, the same call continues an
+            interrupted campaign. Failed runs, and rows of other code or versions, run again.
         workers: Number of processes on this machine, 1 to 1024; 1 is this process.
 
     Returns:
-        A DataFrame with one row for each scenario, in the order given: its fields, its metrics
-        (`Run.metrics`), and `error`: "", or the reason in one sentence if the run failed. The
-        metrics of a failed run are NaN; its `all_ok` is False.
+        A DataFrame with one row for each scenario, in their order: its fields, its metrics
+        (`Run.metrics`), and `error`, which is "" or the reason of a failure. The metrics of a
+        failed run are NaN; its `all_ok` is False.
 
     Raises:
         ValueError: If an argument is invalid.
         ImportError: If loky or pyarrow is needed and not installed.
         ConnectionError: If no scheduler or no worker answers.
-        RuntimeError: If workers run other code.
-        KeyboardInterrupt: If interrupted; the message says how many runs were finished.
+        RuntimeError: If the code of a worker differs.
+        KeyboardInterrupt: If interrupted; the message has the number of finished runs.
     """
-    import pandas as pd  # here, because workers do without
+    import pandas as pd  # imported here, because workers do not need it
 
     scenarios = as_list(scenarios, "scenarios")
     compiler = compiled.compiler()
@@ -76,23 +75,23 @@ def campaign(
     rows = store.load_rows(rows_folder) if rows_folder else {}
     keys, unusable = _keys_of(scenarios)
     rows |= unusable
-    wanted = dict(zip(keys, scenarios))
-    missing = {key: scenario for key, scenario in wanted.items() if key not in rows}
+    unique = dict(zip(keys, scenarios))
+    missing = {key: scenario for key, scenario in unique.items() if key not in rows}
     with (
-        _progress_bar(len(wanted), len(wanted) - len(missing)) as progress,
+        _progress_bar(len(unique), len(unique) - len(missing)) as progress,
         contextlib.closing(_run_all(missing, workers)) as results,
     ):
         try:
             for new_rows in results:
                 if compiled.compiler() != compiler:
-                    # The compiler failed. Without it, rows differ in their last bits: start again.
+                    # The compiler failed. Uncompiled rows differ in the last bits, so start again.
                     return campaign(scenarios, folder, workers)
                 rows |= new_rows
                 if rows_folder:
                     store.save_rows(rows_folder, new_rows)
                 progress.update(len(new_rows))
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(_interrupted(rows, wanted, folder)) from None
+            raise KeyboardInterrupt(_interrupted(rows, unique, folder)) from None
     columns = {
         field.name: [getattr(scenario, field.name) for scenario in scenarios]
         for field in fields(Scenario)
@@ -102,7 +101,7 @@ def campaign(
 
 
 def _keys_of(scenarios):
-    """Return the keys of scenarios, and {key: row} of those that cannot be run at all."""
+    """Return the keys of scenarios, and {key: row} of those without a usable key."""
     keys = []
     unusable = {}
     for scenario in scenarios:
@@ -114,15 +113,15 @@ def _keys_of(scenarios):
     return keys, unusable
 
 
-def _interrupted(rows, wanted, folder):
-    """Return the sentence of an interrupted campaign."""
-    n_done = len(rows.keys() & wanted.keys())
-    rest = "the same call goes on from there" if folder else "with a folder it would go on"
-    return f"interrupted after {n_done} of {len(wanted)} runs; {rest}"
+def _interrupted(rows, scenarios, folder):
+    """Return the message of an interrupted campaign."""
+    n_done = len(rows.keys() & scenarios.keys())
+    rest = "the same call continues from there" if folder else "a folder would let it continue"
+    return f"interrupted after {n_done} of {len(scenarios)} runs; {rest}"
 
 
 def _progress_bar(total, done):
-    """Return a bar of runs done and time left, shown on a screen after the first second."""
+    """Return a progress bar of runs, which a terminal shows after the first second."""
     from tqdm.auto import tqdm
 
     # None: disabled unless it is a terminal or a notebook in which somebody waits.
@@ -132,7 +131,7 @@ def _progress_bar(total, done):
 
 
 def _run_all(scenarios, workers):
-    """Yield {key: row} of some of the scenarios {key: scenario} at a time, as they finish."""
+    """Yield {key: row} for parts of {key: scenario} as they finish."""
     if not scenarios:
         return
     samples = sum(map(count_samples, scenarios.values()))
@@ -149,23 +148,23 @@ def _run_all(scenarios, workers):
 
 
 def _run_on_workers(pool, scenarios, mean_samples, size):
-    """Yield {key: row} from workers, some of which may die.
+    """Yield {key: row} from workers, which may die.
 
-    Tasks that were handed out when a worker died run again, one at a time. What kills its worker
-    again is taken apart, so that a run that kills its worker takes no other run with it.
+    Tasks that were pending when a worker died run again, one at a time. The runs of a task that
+    kills its worker again then run one by one, so that only the failing run is lost.
     """
     run_task = functools.partial(_run_task, mean_samples=mean_samples, expected=store.provenance())
-    # Lanes are compiled first, several at a time: else each worker waits for those of the others.
+    # Lanes are compiled first, in parallel; otherwise workers would wait for one another.
     for _ in map_tasks(pool, compile_lanes, one_per_structure(scenarios.values(), mean_samples)):
-        yield {}  # lets the caller look at the compiler
-    suspects = []
+        yield {}  # lets the caller check the compiler
+    retried = []
     for task, rows in map_tasks(pool, run_task, split_into_tasks(scenarios, size)):
         if rows is None:
-            suspects.append(task)
+            retried.append(task)
         else:
             yield rows
     single = []
-    for task, rows in map_tasks(pool, run_task, suspects, at_once=1):
+    for task, rows in map_tasks(pool, run_task, retried, at_once=1):
         if rows is None:
             single += [{key: scenario} for key, scenario in task.items()]
         else:
@@ -184,32 +183,32 @@ def _run_task(scenarios, mean_samples, expected=None):
         expected: `store.provenance` of the caller, if that is another process.
 
     Raises:
-        RuntimeError: If this process would make other rows than the caller.
+        RuntimeError: If the provenance of this process differs.
     """
     _check_provenance(expected)
     in_lanes = run_in_lanes(scenarios, mean_samples)
     rows = {}
     for key, scenario in scenarios.items():
-        rows[key] = in_lanes[key] | dict(error="") if key in in_lanes else _run_alone(scenario)
-    _check_provenance(expected)  # again, because the compiler may have failed on the way
+        rows[key] = in_lanes[key] | dict(error="") if key in in_lanes else _run_one(scenario)
+    _check_provenance(expected)  # again, because the compiler may have failed in between
     return rows
 
 
 def _check_provenance(expected):
-    """Raise RuntimeError where this process differs from the caller in what decides the rows."""
+    """Raise a RuntimeError if the provenance of this process differs from that of the caller."""
     if not expected:
         return
     here = store.provenance()
     for name, value in expected.items():
         if here.get(name) != value:
             raise RuntimeError(
-                f"the worker has {name} {here.get(name)}, where the caller has {value}; "
+                f"the worker has {name} {here.get(name)}, but the caller has {value}; "
                 "they must be the same"
             )
 
 
-def _run_alone(scenario):
-    """Return a run's row: its metrics and no error, or no metrics and the reason."""
+def _run_one(scenario):
+    """Return the row of a run: its metrics, or the reason of its failure."""
     try:
         return simulate(scenario).metrics | dict(error="")
     except Exception as error:  # one failing run must not stop the others

@@ -1,7 +1,7 @@
-"""Rows on disk: Parquet files, keyed by scenario.
+"""Rows of finished runs in Parquet files, keyed by scenario.
 
-Rows are valid only for the code, versions and machine that made them (their provenance). So each
-provenance has a folder of its own, named by a digest.
+Rows are valid only for the code, versions and machine that computed them, their provenance. Each
+provenance therefore has a separate folder, named by a digest.
 """
 
 import functools
@@ -17,26 +17,17 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.validation import optional, shown
+from rhec.core._casadi.validation import shown
 from rhec.simulation import closed_loop
+from rhec.simulation.campaigns.optional import optional
 from rhec.tracked_robot import terrain
 
-__all__ = [
-    "PLAIN",
-    "failed_row",
-    "load_rows",
-    "open_folder",
-    "provenance",
-    "save_rows",
-    "scenario_key",
-]
-
-# Types of nearly all fields of a scenario; their repr gives the value to the last bit.
+# Types of nearly all fields of a scenario; their repr is exact to the last bit.
 PLAIN = {bool, int, float, str, tuple, type(None)}
 
 
 def provenance():
-    """Return {name: value} of all that decides a run's numbers besides its scenario."""
+    """Return {name: value} of everything that affects the numbers of a run except the scenario."""
     return _installed() | {
         "C compiler": bool(compiled.compiler()),
         "machine": platform.machine(),
@@ -55,12 +46,12 @@ def _installed():
 
 
 def scenario_key(scenario):
-    """Return a digest of the scenario, down to the last bit of its terrain."""
+    """Return a digest of the scenario, including every bit of its terrain."""
     return hashlib.sha256(_canonical_text(scenario).encode()).hexdigest()[:32]
 
 
 def _canonical_text(value):
-    """Return a value as a text that no other value has."""
+    """Return a text that is unique for a value."""
     if isinstance(value, ca.Function):
         return value.serialize()
     if isinstance(value, np.ndarray):
@@ -81,7 +72,7 @@ def _field_names(kind):
 
 @functools.cache
 def _example_metrics():
-    """Return the metrics of an empty run, for their names and types."""
+    """Return metrics of a run with one sample of zeros, for their names and types."""
     names = (*closed_loop.COLUMNS, "t_s", "error_m", "error_true_m")
     columns = dict.fromkeys(names, np.zeros(1))
     columns |= dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
@@ -89,7 +80,7 @@ def _example_metrics():
 
 
 def failed_row(error):
-    """Return the row of a run that failed for this reason: each metric is NaN, or False."""
+    """Return the row of a failed run: its metrics are NaN or False."""
     row = {
         name: False if isinstance(value, bool) else np.nan
         for name, value in _example_metrics().items()
@@ -98,7 +89,7 @@ def failed_row(error):
 
 
 def open_folder(folder):
-    """Make and return the folder of this provenance.
+    """Create and return the folder of this provenance.
 
     Raises:
         ValueError: If the path is a file.
@@ -114,7 +105,7 @@ def open_folder(folder):
 
 @functools.cache
 def _schema():
-    """Return the columns of a file: the key, and the metrics with their types."""
+    """Return the schema of a file: the key, and the metrics with their types."""
     import pyarrow as pa
 
     types = {bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
@@ -123,7 +114,7 @@ def _schema():
 
 
 def save_rows(folder, rows):
-    """Write the rows without error as one more file, which is complete or does not exist."""
+    """Write the rows without errors to a new file, which is complete or does not exist."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -132,7 +123,7 @@ def save_rows(folder, rows):
         return
     table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
     name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
-    # The process number keeps two campaigns on one folder from writing the same file.
+    # With the process number, two campaigns in one folder do not write the same file.
     unfinished = folder / f"{name}.{os.getpid()}.unfinished"
     try:
         pq.write_table(table, unfinished, write_page_checksum=True)
@@ -154,7 +145,7 @@ def load_rows(folder):
         except (pa.ArrowException, OSError, KeyError, ValueError) as error:
             reason = f"{type(error).__name__}: {shown(str(error))}"
             warnings.warn(
-                f"{file} cannot be read ({reason}), so its runs are done again", stacklevel=3
+                f"{file} cannot be read ({reason}), so its runs are repeated", stacklevel=3
             )
             continue
         rows |= {row.pop("key"): row | dict(error="") for row in table.to_pylist()}

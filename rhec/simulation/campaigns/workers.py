@@ -1,7 +1,7 @@
-"""Worker processes: on this machine by loky, elsewhere by a Dask cluster that exists already.
+"""Worker processes: on this machine by loky, on other machines by an existing Dask cluster.
 
-loky's processes speak through pipes that only they have, so there is no port that others could
-reach. They need no `if __name__ == "__main__":` in the script that starts them.
+The processes of loky communicate through pipes, so no port is open to other users. The script that
+starts them needs no `if __name__ == "__main__":`.
 """
 
 import concurrent.futures
@@ -14,25 +14,24 @@ import signal
 import tempfile
 from concurrent.futures.process import BrokenProcessPool
 
-from rhec.core._casadi.validation import optional
+from rhec.simulation.campaigns.optional import optional
 
-__all__ = ["are_running", "map_tasks", "open_workers"]
-
-_TASKS_PER_WORKER = 3  # running and waiting, so that no worker waits for its next task
-_IDLE_S = 60.0  # after which a worker process ends, also if its parent was killed
+_TASKS_PER_WORKER = 3  # running and queued, so that no worker is idle
+_IDLE_S = 60.0  # idle time after which a worker process ends, also if its parent was killed
 SCHEDULER_TIMEOUT_S = 10.0
 FIRST_WORKER_TIMEOUT_S = 60.0
-# Each worker is one thread on one core; BLAS would start as many threads as there are cores.
+# Each worker uses one core; by default BLAS would start one thread per core in every worker.
 _ONE_THREAD = dict(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 
 def open_workers(workers, large):
-    """Return a context with the workers of a campaign, or with None for this process itself.
+    """Return a context with the workers of a campaign, or with None for this process.
 
     Args:
         workers: Number of processes on this machine, or None to choose: the cluster at
-            DASK_SCHEDULER_ADDRESS; without that, one process a core for a large campaign.
-        large: Whether the campaign is worth starting processes for.
+            DASK_SCHEDULER_ADDRESS or, if that is not set, one process per core for a large
+            campaign.
+        large: Whether starting processes pays.
     """
     if workers is None and os.environ.get("DASK_SCHEDULER_ADDRESS"):
         return _connect(os.environ["DASK_SCHEDULER_ADDRESS"])
@@ -44,15 +43,15 @@ def open_workers(workers, large):
 
 
 def _count_cores():
-    """Return how many cores to use: PYTHON_CPU_COUNT, as for Python from 3.13 on, or all."""
+    """Return the number of cores to use: PYTHON_CPU_COUNT, as in Python 3.13, or all."""
     import loky
 
-    wanted = os.environ.get("PYTHON_CPU_COUNT", "")
-    return int(wanted) if wanted.isdecimal() and int(wanted) else loky.cpu_count()
+    limit = os.environ.get("PYTHON_CPU_COUNT", "")
+    return int(limit) if limit.isdecimal() and int(limit) else loky.cpu_count()
 
 
 class _LocalWorkers:
-    """Worker processes on this machine, started when the first task comes."""
+    """Worker processes on this machine, started with the first task."""
 
     died = BrokenProcessPool
 
@@ -62,9 +61,9 @@ class _LocalWorkers:
 
     def submit(self, function, task):
         """Return the Future of function(task)."""
-        with _interrupts_for_this_process_alone():
+        with _interrupts_blocked():
             if self.pool is not None:
-                with contextlib.suppress(BrokenProcessPool):  # workers died: take new ones
+                with contextlib.suppress(BrokenProcessPool):  # workers died: start new ones
                     return self.pool.submit(function, task)
             import loky
 
@@ -72,21 +71,21 @@ class _LocalWorkers:
             return self.pool.submit(function, task)
 
     def stop(self):
-        """Kill the processes and what they run."""
+        """Kill the processes and their tasks."""
         if self.pool is not None:
             self.pool.shutdown(kill_workers=True)
         self.pool = None
 
 
 @contextlib.contextmanager
-def _interrupts_for_this_process_alone():
+def _interrupts_blocked():
     """A context in which new processes and threads start with Ctrl-C blocked.
 
-    A terminal sends Ctrl-C to all processes, but only this one may end the workers.
+    A terminal sends Ctrl-C to all processes, but only this process may end the workers.
     """
     from loky.backend import resource_tracker
 
-    resource_tracker.ensure_running()  # before, since starting it would unblock the signal
+    resource_tracker.ensure_running()  # first, because starting it would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -94,16 +93,16 @@ def _interrupts_for_this_process_alone():
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_local = None  # the workers of this process, which stay for the next campaign
+_local = None  # the workers of this process, which the next campaign reuses
 
 
 def are_running():
-    """Return whether workers on this machine were started before."""
+    """Return whether workers run on this machine."""
     return _local is not None and _local.pool is not None
 
 
 def _local_workers(count):
-    """Return so many workers on this machine: those that there are, or new ones."""
+    """Return `count` workers on this machine, existing or new ones."""
     global _local
     optional("loky", f"workers={count}")
     if _local is None or _local.count != count:
@@ -125,7 +124,7 @@ class _ClusterWorkers:
 
     @property
     def count(self):
-        """Return the number of threads of all workers, which may come and go."""
+        """Return the current number of threads of all workers."""
         return max(1, sum(self.client.nthreads().values()))
 
     def submit(self, function, task):
@@ -133,7 +132,7 @@ class _ClusterWorkers:
         return self.executor.submit(function, task)
 
     def stop(self):
-        """Cancel what this client has handed out."""
+        """Cancel the tasks of this client."""
         self.executor.shutdown(wait=False)
 
 
@@ -144,14 +143,16 @@ def _connect(address):
     from dask import config
 
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its errors are raised here
-    # By default Dask may use, and import from, a folder of a fixed name that all users share.
+    # By default Dask may import from a folder with a fixed name that all users share.
     private = tempfile.TemporaryDirectory(prefix="rhec-dask-")
     with private, config.set({"temporary-directory": private.name}):
         client = _client_at(address, distributed)
         try:
             yield _ClusterWorkers(client)
         except (concurrent.futures.CancelledError, distributed.comm.CommClosedError):
-            raise ConnectionError(f"the scheduler at {address} went away") from None
+            raise ConnectionError(
+                f"the connection to the scheduler at {address} was lost"
+            ) from None
         except Exception as error:
             reason = f"{type(error).__name__}: {error}"
             raise RuntimeError(f"a worker of {address} failed ({reason})") from error
@@ -162,13 +163,13 @@ def _connect(address):
 def _client_at(address, distributed):
     """Return a Client that has at least one worker."""
     try:
-        # A bare connection is tried first: a Client that finds no scheduler leaves threads behind.
+        # A plain connection is tried first, because a Client without a scheduler leaves threads.
         distributed.utils.LoopRunner().run_sync(_try_connection, address)
         client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
-    except Exception as error:  # a wrong address may be anything and raise anything
+    except Exception as error:  # a wrong address may raise any error
         limit = f"{SCHEDULER_TIMEOUT_S:g} s"
-        sentence = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {limit}"
-        raise ConnectionError(sentence) from error
+        message = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {limit}"
+        raise ConnectionError(message) from error
     try:
         client.wait_for_workers(1, FIRST_WORKER_TIMEOUT_S)
     except TimeoutError as error:
@@ -190,14 +191,14 @@ async def _try_connection(address):
 def map_tasks(workers, function, tasks, at_once=None):
     """Yield (task, function(task)) in the order in which the workers finish.
 
-    The result is None for tasks that were handed out when a worker process died. For local workers
-    these are all that were handed out: which of them the process died of is unknown.
+    The result is None for tasks that were pending when a worker process died. Local workers do not
+    report which task killed the process, so all their pending tasks have the result None.
 
     Args:
-        workers: As `open_workers` gives them.
+        workers: The workers of `open_workers`.
         function: A function of a task.
         tasks: An iterable of tasks.
-        at_once: How many tasks are handed out at a time; by default three for each worker.
+        at_once: Largest number of pending tasks; by default three per worker.
 
     Raises:
         RuntimeError: If the function raises an error.

@@ -1,7 +1,7 @@
-// A number for each SIMD lane of a register. CasADi's C is compiled as C++ after this header, with
-// casadi_real = lanes, a GCC vector as wide as a register, so that it evaluates a Function LANES
-// times at once. Each operation is the scalar one in each lane, so a lane has the bits of a scalar.
-// Truth is 1 or 0, as in CasADi. There is no conversion to bool: code that would branch on a number
+// One number per SIMD lane of a register. CasADi's C is compiled as C++ after this header, with
+// casadi_real = lanes, a GCC vector of the register width, so that it evaluates a Function LANES
+// times at once. Each lane computes the scalar operation and therefore has the same bits. Truth
+// values are 1 or 0, as in CasADi. Without a conversion to bool, code that branches on a number
 // does not compile.
 #pragma once
 #include <math.h>
@@ -12,7 +12,7 @@
 #define LANES 4
 #else
 #define LANES 2
-#endif  // __BIGGEST_ALIGNMENT__ would not do: Clang leaves it at 16
+#endif  // Clang's __BIGGEST_ALIGNMENT__ is 16 on all processors
 
 struct lanes {
   typedef double reals __attribute__((vector_size(8 * LANES)));
@@ -69,8 +69,8 @@ struct complex { lanes real, imaginary; };
 #define IMAGINARY_PART(pair) (pair).imaginary
 #include "elementary.h"
 
-// Function.if_else. Where lanes disagree, both Functions run and each lane keeps its own results. A
-// search therefore goes on until it has ended in all lanes. lengths: of the results.
+// Function.if_else. If lanes disagree, both Functions run and each lane selects its results. So a
+// search continues until it has ended in all lanes. lengths: lengths of the results.
 typedef int function(const lanes**, lanes**, long long*, lanes*, int);
 template <int... lengths> static int if_else(function yes, function no, const lanes** arg,
                                              lanes** res, long long* iw, lanes* w) {
@@ -89,8 +89,8 @@ template <int... lengths> static int if_else(function yes, function no, const la
   return 0;
 }
 
-// Bilinear interpolation of the slip fields, one field for each lane, as in casadi_interpn: m values
-// at the points 0, 1, 2 … of two dimensions.
+// Bilinear interpolation of the slip fields, one field per lane, as in casadi_interpn: m values at
+// the points 0, 1, 2 … of two dimensions.
 static void slip_fields(lanes* res, int, const lanes*, const long long* offset, const lanes* values,
                         const lanes* x, const long long*, int m, long long*, lanes*) {
   long long n = offset[1] - offset[0], last[] = {n - 1, offset[2] - offset[1] - 1}, at[2];

@@ -1,7 +1,7 @@
-"""Many scans at a time, one in each SIMD lane, with the bits of one after the other.
+"""Several scans at a time, one per SIMD lane, with the same bits as scans one after the other.
 
-CasADi's C of a Function is compiled as C++ whose numbers are vectors (lanes.h). What the platform
-or the Function does not allow (no C++ compiler, a QP solver's C) shows when it is compiled, once.
+CasADi's C of a Function is compiled as C++ with vectors as numbers (lanes.h). If the platform or
+the Function does not allow this (no C++ compiler, a QP solver), the compilation fails once.
 """
 
 import contextlib
@@ -23,11 +23,9 @@ import numpy as np
 from rhec.core._casadi import cache, compiled
 from rhec.simulation.lanes.parts import compile_by_parts
 
-__all__ = ["is_compiled", "load", "scan"]
-
-# Helpers of CasADi's C that branch on a number. Those that a loop may use are in lanes.h.
+# Helpers of CasADi's C that branch on a number. lanes.h replaces those that a loop may use.
 _HELPERS = "low|interpn|interpn_weights|interpn_interpolate|fmin|fmax|fabs"
-# The C of Function.if_else, and an assignment, perhaps of a sine or cosine.
+# The C of Function.if_else, and of an assignment, which may be a sine or cosine.
 _IF_ELSE = re.compile(
     r"->\((?P<outputs>\S*)\) \*/\n(?P<head>.* \{)\n"
     r"  if \(arg\[0\] \? casadi_to_int\(\*arg\[0\]\) : 0\) \{\n"
@@ -38,7 +36,7 @@ _ASSIGNMENT = re.compile(r"  (a\d+)=(?:(sin|cos)\((a\d+)\);$)?")
 
 
 def _vectorise(code):
-    """Return CasADi's C as C++ for lanes: what C++ cannot overload becomes a call."""
+    """Return CasADi's C as C++ for lanes, with calls for operators that C++ cannot overload."""
     code = "\n".join(_join_sines_and_cosines(code.splitlines()))
     code = re.sub(rf"^\w+ casadi_({_HELPERS})\(.*?^}}\n", "", code, flags=re.M | re.S)
     code = re.sub(r"\bcasadi_(fmin|fmax|fabs)\(", r"\1(", code)
@@ -49,9 +47,9 @@ def _vectorise(code):
 
 
 def _join_sines_and_cosines(lines):
-    """Yield lines of C in which sine and cosine of one angle are one call.
+    """Yield lines of C in which sine and cosine of an angle are computed by one call.
 
-    An angle is a variable, so a pair is valid only until its variable changes.
+    A pair is valid until the variable of its angle changes.
     """
     pairs = {}  # {variable: name of the pair of its sine and cosine}
     for number, line in enumerate(lines):
@@ -70,7 +68,7 @@ def _join_sines_and_cosines(lines):
 
 
 def _call_if_else(match):
-    """Return the Function that chooses between two, as a call of lanes.h with output lengths."""
+    """Return Function.if_else as a call of `if_else` in lanes.h with the output lengths."""
     shapes = re.findall(r"o\d+(?:\[(?:[^],]*,)?([^]]*)\])?", match["outputs"])
     lengths = [math.prod(map(int, re.findall(r"\d+", shape))) for shape in shapes]
     functions = f"{match['yes']}, {match['no']}"
@@ -80,7 +78,7 @@ def _call_if_else(match):
 
 @functools.cache
 def _compiler():
-    """Return the C++ compiler and its macros, which name the processor; None without lanes."""
+    """Return the C++ compiler and its macros, which identify the processor; None without lanes."""
     compiler = shutil.which(os.environ.get("CXX", "c++")) or shutil.which("clang++")
     if not (compiler and compiled.compiler()):
         return None
@@ -100,7 +98,7 @@ def is_compiled(build, *structure):
 
 @functools.cache
 def load(build, *structure):
-    """Return the block of build(*structure) for several scans, or None where there are no lanes."""
+    """Return the block of build(*structure) for several scans, or None if lanes are unavailable."""
     if not _compiler():
         return None
 
@@ -123,8 +121,8 @@ def _text(function, name=None):
 
 
 def _compile(place, functions):
-    """Compile the Functions of a scan into a folder; without library.so if that fails."""
-    # -O1 compiles in three quarters of the time of -O3; its code is a twentieth slower.
+    """Compile the Functions of a scan into a folder, which has no library.so if that fails."""
+    # Compared with -O3, -O1 compiles in 3/4 of the time; its code is 5 % slower.
     flags = [*compiled.FLAGS, "-O1", "-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
     compiler, _ = _compiler()
     header = Path(__file__).with_name("lanes.h")
@@ -139,22 +137,22 @@ def _compile(place, functions):
 
 
 class _Block:
-    """The compiled Function of a block of samples, whose every number is one for each lane.
+    """The compiled Function of a block of samples; each of its numbers has one entry per lane.
 
     Attributes:
-        sizes: {argument: length} of its memory, its stream and its settings, in order.
+        sizes: {argument: length} of the memory, the stream and the settings, in order.
         n_rows: Number of outputs of a sample.
         length: Number of samples.
         lanes: Number of lanes.
-        lock: To be held while the block is used: all threads share its arrays.
-        last_settings: {name: what the lanes were given last}.
+        lock: Lock for using the block, because all threads share its arrays.
+        last_settings: {name: list of the last values of the lanes}.
     """
 
     def __init__(self, folder):
         self.sizes, (self.n_rows, self.length) = json.loads((folder / "block.json").read_text())
         self.lock = threading.Lock()
         self.last_settings = {}
-        self._arrays = {}  # those of settings have their names; other names have a space
+        self._arrays = {}  # settings have their own names; all other names contain a space
         self._library = ctypes.CDLL(str(folder / "library.so"))
         self.lanes = self._library.code_casadi_real_size() // 8
         # CasADi's convention: pointers to arguments and results, and integer and real work space.
@@ -167,9 +165,9 @@ class _Block:
         self._reals = ctypes.c_void_p(self.array("work space", n_reals).ctypes.data)
 
     def array(self, name, *shape):
-        """Return the array of this name, (*shape, lanes), which is kept as long as its shape is.
+        """Return the array of this name, (*shape, lanes), which is reused while its shape is equal.
 
-        Its address is a multiple of a register's width, else loading a register would fail.
+        Its address is a multiple of the register width, which loading a register requires.
         """
         if name not in self._arrays or self._arrays[name].shape[:-1] != shape:
             n = math.prod(shape) * self.lanes
@@ -179,7 +177,7 @@ class _Block:
         return self._arrays[name]
 
     def interleave(self, name, values, *shape):
-        """Return the array of this name with one value for each lane; some may be shorter."""
+        """Return the array of this name with one value per lane; values may be shorter than it."""
         array = self.array(name, *shape)
         first = values[0]
         if all(value is first for value in values):
@@ -190,11 +188,11 @@ class _Block:
         return array
 
     def set_argument(self, place, array):
-        """Take an argument from an array of this block."""
+        """Set an argument to an array of this block."""
         self._arguments[place] = array.ctypes.data
 
     def call(self, memory, stream, next_memory, rows):
-        """Evaluate the block. All four are addresses: it reads the first two, writes the others."""
+        """Evaluate the block, from the addresses of memory and stream to those of the results."""
         self._arguments[0] = memory
         self._arguments[1] = stream
         self._results[0] = next_memory
@@ -203,18 +201,18 @@ class _Block:
 
 
 def scan(block, memories, streams, settings):
-    """Scan the block over as many runs as there are lanes, or fewer, as `scan.scan` does for one.
+    """Scan the block over at most as many runs as lanes, as `scan.scan` does for one run.
 
     Args:
-        block: As `load` returns it.
-        memories: First memory of each run, a vector.
-        streams: Inputs of each run, (samples, inputs); the number of samples may differ.
+        block: The block that `load` returned.
+        memories: Initial memory of each run, a vector.
+        streams: Inputs of each run, (samples, inputs); the numbers of samples may differ.
         settings: {name: array} of each run.
 
     Returns:
         The rows of each run, (samples, outputs).
     """
-    # Lanes without a run repeat the last one.
+    # Idle lanes repeat the last run.
     n_idle = block.lanes - len(memories)
     memories = [*memories, *memories[-1:] * n_idle]
     settings = [*settings, *settings[-1:] * n_idle]
@@ -222,22 +220,21 @@ def scan(block, memories, streams, settings):
     with block.lock:
         _set_settings(block, settings)
         rows = _scan(block, memories, padded_streams)
-        # One copy of (samples, outputs, lanes) as (lanes, outputs, samples): columns of a run are
-        # contiguous.
+        # The copy (lanes, outputs, samples) makes the columns of a run contiguous.
         by_lane = np.ascontiguousarray(rows.T)
-    return [of_run[:, : len(stream)].T for of_run, stream in zip(by_lane, streams)]
+    return [lane[:, : len(stream)].T for lane, stream in zip(by_lane, streams)]
 
 
 def _set_settings(block, settings):
-    """Give the block the settings of its lanes, of which many are those of the runs before."""
+    """Set the settings of all lanes; unchanged values are not copied again."""
     _, _, *names = block.sizes
     for place, name in enumerate(names, 2):
-        values = [of_run[name] for of_run in settings]
+        values = [run_settings[name] for run_settings in settings]
         last = block.last_settings.get(name)
         if last is not None and all(map(operator.is_, values, last)):
             continue
         block.last_settings[name] = values
-        # An array that several lanes share is flattened once, so that `interleave` sees it is one.
+        # An array that several lanes share is flattened once, so that `interleave` recognises it.
         flat = {id(value): np.ravel(value, order="F") for value in values}
         flat_values = [flat[id(value)] for value in values]
         block.set_argument(place, block.interleave(name, flat_values, block.sizes[name]))
@@ -253,7 +250,7 @@ def _scan(block, memories, streams):
     stream = block.interleave("all streams", streams, n_samples, streams[0].shape[1])
     next_memory = block.array("next memory", len(memory))
     rows = block.array("all rows", n_samples, block.n_rows)
-    # Plain addresses, because a new array for each block would cost time.
+    # Addresses are faster than a new array for each block.
     memory_at = memory.ctypes.data
     next_memory_at = next_memory.ctypes.data
     for first_sample in range(0, n_samples, block.length):

@@ -1,7 +1,7 @@
-"""Compile a loop by parts, so that parts that loops share are compiled once.
+"""Compile a loop in parts, so that parts that several loops share are compiled once.
 
-Such a part is an estimator's or the controller's step. It is compiled while the rest is. For lanes
-that costs no speed; the loop of a single run would be a twentieth slower.
+A part is the step of an estimator or the controller. It is compiled in parallel with the rest. This
+does not slow down lanes; the loop of a single run would be 5 % slower.
 """
 
 import hashlib
@@ -12,9 +12,7 @@ from functools import partial
 from rhec.core._casadi import cache
 from rhec.core._casadi.compiled import run_compiler
 
-__all__ = ["compile_by_parts"]
-
-_LEAST = 5  # Functions that a part calls; a smaller one is compiled with the rest
+_LEAST = 5  # a Function that calls fewer Functions is compiled with the rest
 _CALL = """  casadi_real unused[{size}];
   for (int i = 0; i < {n_out}; i++) if (!res[i]) res[i] = unused;
   return {name}(arg, res, iw, w, mem);
@@ -27,14 +25,14 @@ def compile_by_parts(place, text, step, text_of, key, command):
     Args:
         place: The folder.
         text: Its C++.
-        step: The Function of one of its samples, whose larger parts are compiled on their own.
-        text_of: Makes such a text of a Function; names in it begin with the Function's.
-        key: All that decides what is made of a text.
+        step: The Function of a sample; its larger parts are compiled separately.
+        text_of: Function that returns the C++ of a Function, with names that begin with its name.
+        key: Everything that affects the compiled text.
         command: The compiler with its flags.
 
     Raises:
-        OSError: With what the compiler said, if it fails.
-        UnusableError: If a part cannot be kept.
+        OSError: If the compiler fails, with its output.
+        UnusableError: If a part cannot be stored in the cache.
     """
     jobs = []
     for function in step.find_functions(0):
@@ -44,7 +42,7 @@ def compile_by_parts(place, text, step, text_of, key, command):
             continue
         digest = hashlib.sha256(repr((function.serialize(), key)).encode()).hexdigest()
         name = f"part_{digest[:24]}"
-        # In the loop's text, the body of the part becomes a call of what is compiled on its own.
+        # In the text of the loop, a call of the separately compiled part replaces its body.
         sizes = [function.nnz_out(i) for i in range(function.n_out())]
         call = _CALL.format(name=name, size=max(sizes), n_out=len(sizes))
         declared = (
@@ -52,7 +50,7 @@ def compile_by_parts(place, text, step, text_of, key, command):
         )
         text = re.sub(rf"(?m)^{head}(?s:.*?)^\}}", rf"\1{declared}\2{call}", text)
         jobs.append(partial(_compile_part, name, function, text_of, command))
-    with ThreadPoolExecutor(1) as pool:  # one part after the other: the cache is not for threads
+    with ThreadPoolExecutor(1) as pool:  # one thread, because the cache is not thread-safe
         parts = [pool.submit(job) for job in jobs]
         _compile(place, _without_unused(text), command)
         objects = [part.result() for part in parts]
@@ -60,7 +58,7 @@ def compile_by_parts(place, text, step, text_of, key, command):
 
 
 def _compile_part(name, function, text_of, command):
-    """Return the object file of a Function, which is compiled under this name, or kept."""
+    """Return the object file of a Function, compiled under this name or from the cache."""
 
     def make(folder):
         _compile(folder, text_of(function), [*command, f"-D{function.name()}={name}"])
@@ -69,13 +67,13 @@ def _compile_part(name, function, text_of, command):
 
 
 def _without_unused(text):
-    """Return the text without the Functions that only parts use."""
+    """Return the text without Functions that only the parts use."""
     functions = re.split(r"(?m)^(?=/\* \w+:\()", text)
     used = set()
-    last = len(functions) - 1  # the entry, which nothing calls
-    for place in reversed(range(1, len(functions))):  # callers stand after what they call
-        own, *called = re.findall(r"\bcasadi_f\d+", functions[place])
-        if own in used or place == last:
+    last = len(functions) - 1  # the entry point
+    for place in reversed(range(1, len(functions))):  # callers come after the Functions they call
+        name, *called = re.findall(r"\bcasadi_f\d+", functions[place])
+        if name in used or place == last:
             used.update(called)
         else:
             functions[place] = ""

@@ -10,14 +10,12 @@ from dataclasses import fields
 from typing import NamedTuple
 
 from rhec.simulation.faults import Fault
-from rhec.simulation.scenario import FIELDS, Scenario
+from rhec.simulation.scenario import Scenario
+from rhec.simulation.scenario_fields import FIELDS
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import ROBUST_NAMES, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
-
-__all__ = ["CONTROLS", "ESTIMATORS", "GROUPS", "NEW_PATCH", "PATCH", "PROCESS_NOISES", "Selection"]
-__all__ += ["Slider", "line_of", "scenario_of", "sigma_w_shown", "tidy", "values_of"]
 
 
 class Slider(NamedTuple):

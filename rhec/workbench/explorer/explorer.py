@@ -34,8 +34,6 @@ from rhec.workbench.explorer.screen import CSS, Screen
 from rhec.workbench.explorer.snapshot import snapshot_at
 from rhec.workbench.plots import style
 
-__all__ = ["METRICS", "Explorer", "change", "compile_apart", "metrics_table"]
-
 # Metrics of a run, the smaller the better: name, two lines of heading, digits.
 METRICS = (
     ("mean_error_m", "mean error", "GNSS [m]", 4),
@@ -360,8 +358,9 @@ class Explorer(widgets.VBox):
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
         if field:
-            zoom, soil = self.zoom.value, self.soil.value
-            picture = field_run.picture_of(self.runs, self.pinned, zoom, soil)
+            picture = field_run.picture_of(
+                self.runs, self.pinned, zoom=self.zoom.value, soil=self.soil.value
+            )
         else:
             run = self.runs[0]
             k = self.sample.value

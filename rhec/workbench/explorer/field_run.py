@@ -9,9 +9,6 @@ from rhec.workbench.explorer.controls import ESTIMATORS
 from rhec.workbench.explorer.panels import Mark, Panel, Picture, figure_of
 from rhec.workbench.plots.style import BLACK, COLOURS, GREY, ORANGE, PURPLE
 
-__all__ = ["DASHED", "FAINT_TOLERANCE", "ZOOMS", "colour_of", "field_run", "level", "name_of"]
-__all__ += ["picture_of", "places_beside", "rectangle", "round_up_to", "tolerance_band"]
-
 ZOOMS = ("whole path", "first row", "worst place")
 DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
 FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
@@ -155,7 +152,8 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     """The Picture of field runs.
 
     Args:
-        runs, pinned: one or two runs each; the pinned ones, dashed, to compare with.
+        runs: one or two runs.
+        pinned: one or two runs to compare with, dashed.
         zoom: one of ZOOMS.
         soil: the slip field on the map, "mu" or "kappa".
     """

@@ -11,8 +11,6 @@ from matplotlib.lines import Line2D
 
 from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, styled
 
-__all__ = ["Mark", "Panel", "Picture", "figure_of", "packed"]
-
 _PX = 4 / 3  # a point [px]
 # in a page, black is the page's own ink, and blue too dark for a dark one
 _PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}

@@ -7,8 +7,6 @@ from rhec.workbench.explorer import field_run
 from rhec.workbench.explorer.panels import Mark, Panel, Picture, figure_of
 from rhec.workbench.plots.style import COLOURS, GREEN, GREY, PURPLE
 
-__all__ = ["picture_of", "robot_view", "seen_from"]
-
 _HALF_M = paper.ROBOT_LENGTH_M / 2, paper.ROBOT_WIDTH_M / 2
 _FOOTPRINT = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * _HALF_M
 _THIN = dict(width=0.7)

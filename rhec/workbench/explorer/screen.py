@@ -5,8 +5,6 @@ from pathlib import Path
 import anywidget
 import traitlets
 
-__all__ = ["CSS", "Screen"]
-
 _WORKBENCH = Path(__file__).parents[1]
 
 
@@ -14,7 +12,7 @@ def _text(*files):
     return "\n".join((_WORKBENCH / file).read_text(encoding="utf-8") for file in files)
 
 
-CSS = _text("templates/explorer.css")
+CSS = _text("explorer/explorer.css")
 
 
 class Screen(anywidget.AnyWidget):

@@ -9,8 +9,6 @@ from rhec.core._casadi import compiled, scan
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE, POSE
 
-__all__ = ["Snapshot", "snapshot_at"]
-
 
 class Snapshot(NamedTuple):
     """Estimation window and plan at sample k.

@@ -243,7 +243,7 @@ function begin(world) {
   new ResizeObserver(() => page.soil && ask(draw)).observe($("pictures"));
   matchMedia("(prefers-color-scheme: dark)").onchange = () => ask(draw);
   const scene = location.hash.slice(1);
-  choose(scene in world.scenes ? scene : "a");
+  choose(Object.hasOwn(world.scenes, scene) ? scene : "a");
 }
 
 load("world").then(data => begin(new World(data))).catch(failed);

@@ -24,7 +24,7 @@ import numpy as np
 
 from rhec import paper
 from rhec.core._casadi.build import packed_size
-from rhec.simulation import closed_loop, faults
+from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.columns import COLUMNS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, tuning
@@ -113,7 +113,7 @@ def seed_data(seed):
         steps = np.round(np.stack([soil.mu, soil.kappa]) / TRACTION_STEP)
         soils[name] = _packed(steps.astype(np.uint16))
     streams = {
-        name: _packed(faults.stream(fault, functions.MAX_SAMPLES, paper.DT_S, seed))
+        name: _packed(fault_signals.stream(fault, functions.MAX_SAMPLES, paper.DT_S, seed))
         for name, fault in FAULTS.items()
     }
     return dict(noise=_packed(np.round(noise).astype(np.int16)), soils=soils, faults=streams)

@@ -6,8 +6,6 @@ import numpy as np
 from rhec.workbench.plots.parts import panels_beside
 from rhec.workbench.plots.style import BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
 
-__all__ = ["commands_and_bounds", "parameters_and_bounds", "positions", "solver_tolerances"]
-
 _BOUND = dict(color=VERMILLION, linestyle=":")
 
 

@@ -6,10 +6,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec.workbench.plots import style
-from rhec.workbench.studies.claims.ledger import ONE_WAY
+from rhec.workbench.studies.claims.summary import ONE_WAY
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
-
-__all__ = ["save_ledger", "verdicts"]
 
 _PARTLY = "holds as printed or with a departure"
 _LOOKS = {

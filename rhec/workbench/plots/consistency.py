@@ -10,8 +10,6 @@ from rhec.workbench.plots.parts import log_axis
 from rhec.workbench.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, ORANGE, styled
 from rhec.workbench.studies import consistency
 
-__all__ = ["errors_over_sigma", "nees_over_time"]
-
 _COLOURS = {kind: COLOURS[kind] for kind in ("EKF", "RHE", "oracle")} | {"dual": ORANGE}
 _SYMBOLS = {"θ": r"$\theta$", "ν": r"$\nu$", "μ": r"$\mu$", "κ": r"$\kappa$"}
 

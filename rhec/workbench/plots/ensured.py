@@ -7,8 +7,6 @@ from rhec.workbench.plots import style
 from rhec.workbench.plots.parts import BOUND, legend_above, legend_outside, shade
 from rhec.workbench.studies.ensured import CAUTIOUS
 
-__all__ = ["fronts", "where_it_slows"]
-
 _COLOURS = {"dual": style.VERMILLION, "full oracle": style.COLOURS["oracle"]}
 
 

@@ -12,8 +12,6 @@ from rhec.workbench.plots.parts import BOUND, TOLERANCE, legend_outside, log_axi
 from rhec.workbench.plots.style import BLUE, DOUBLE_IN, VERMILLION, styled
 from rhec.workbench.studies.robustness import FAMILIES
 
-__all__ = ["fault_courses", "fault_overview"]
-
 _COLOURS = {"off": VERMILLION, "on": BLUE}
 _WIDTHS = {"off": 2.0, "on": 0.8}
 # Limits of the error axis, outside which nothing is of interest.
@@ -43,7 +41,8 @@ def fault_courses(keys, table, errors, before_s):
 
     Args:
         keys: (family, case) of each panel.
-        table, errors: of `rhec.workbench.studies.robustness.study`.
+        table: of `rhec.workbench.studies.robustness.study`.
+        errors: likewise.
         before_s: how long before the fault the errors begin [s].
     """
     rows = -(-len(keys) // _PANELS)

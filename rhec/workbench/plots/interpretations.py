@@ -13,8 +13,6 @@ from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY
 from rhec.workbench.studies import statistics
 from rhec.workbench.studies.interpretations import QUANTITIES
 
-__all__ = ["ekf_yaw", "forest", "likelihood", "rhe_kappa"]
-
 _CHATTER_S = (40, 100)  # what is shown of the time: before and in the first turn
 _COLOURS = (SKY, ORANGE, VERMILLION)
 _SIGMA_UNIFORM = 1 / np.sqrt(12)  # standard deviation of a uniform distribution on [0, 1]
@@ -49,7 +47,11 @@ def ekf_yaw(analysis, sweep, runs, printed, calibrated):
     """Why the EKF loses its yaw: gains, uncertainty and error, by the position's process noise σ_x.
 
     Args:
-        analysis: as `rhec.workbench.studies.interpretations.ekf_on_a_straight` returns it.
+        analysis: As `rhec.workbench.studies.interpretations.ekf_on_a_straight` returns it.
+        sweep: Metrics of runs, one row each, with `sigma`, the swept standard deviation.
+        runs: {value of σ_x: Run}, to show over time.
+        printed: Value of σ_x in the paper's W.
+        calibrated: Its value in the calibrated W.
     """
     figure, (gains, yaw, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     sigma_x_m = analysis["sigma_x_m"]
@@ -81,6 +83,10 @@ def rhe_kappa(analysis, sweep, runs, printed, calibrated):
 
     Args:
         analysis: DataFrame with sigma_kappa, straight, curve: the RHE's own standard deviations.
+        sweep: Metrics of runs, one row each, with `sigma`, the swept standard deviation.
+        runs: {value of σ_κ: Run}, to show over time.
+        printed: Value of σ_κ in the paper's W.
+        calibrated: Its value in the calibrated W.
     """
     figure, (known, found, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
     for part, colour in (("straight", VERMILLION), ("curve", BLUE)):

@@ -6,8 +6,6 @@ from matplotlib.colors import LinearSegmentedColormap
 from rhec.workbench.plots.style import BLUE, DOUBLE_IN, GREEN, ORANGE, VERMILLION, styled
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED
 
-__all__ = ["multiverse_map"]
-
 _SIDES = LinearSegmentedColormap.from_list("sides", [VERMILLION, "white", BLUE])
 _LABELS = {
     "speed_mps": "speed",
@@ -36,7 +34,8 @@ def multiverse_map(table, correlations, discovered):
 
     Args:
         table: as `rhec.workbench.studies.multiverse.summary` returns it.
-        correlations, discovered: as `rhec.workbench.studies.multiverse.correlations` returns them.
+        correlations: as `rhec.workbench.studies.multiverse.correlations` returns them.
+        discovered: likewise, where a correlation is significant.
     """
     size = (DOUBLE_IN, 0.9 + 0.2 * len(table))
     widths = (1, 2.4)

@@ -11,8 +11,6 @@ from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.workbench.plots.style import COLOURS, DOUBLE_IN, SKY, styled
 
-__all__ = ["overview"]
-
 
 @styled
 def overview(run, with_band=True):

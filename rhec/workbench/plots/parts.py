@@ -5,9 +5,6 @@ from matplotlib.ticker import LogLocator
 
 from rhec.workbench.plots.style import BLACK, COLOURS, DOUBLE_IN
 
-__all__ = ["BOUND", "DOTS", "TOLERANCE", "band", "interval_row", "legend_above", "legend_outside"]
-__all__ += ["log_axis", "note", "panels_beside", "rows_axis", "seed_range", "shade", "time_axis"]
-
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
 DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # a dot a seed

@@ -8,8 +8,6 @@ from rhec.workbench.plots.parts import DOTS, legend_above, log_axis, note, seed_
 from rhec.workbench.studies import ranking
 from rhec.workbench.studies.statistics import over_seeds
 
-__all__ = ["pose_noise", "ranked"]
-
 _FAMILIES = {  # colours by the beginning of an estimator's name; all others are grey
     "dual": style.VERMILLION,
     "RHE": style.COLOURS["RHE"],

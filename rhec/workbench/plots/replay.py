@@ -24,9 +24,6 @@ from rhec.workbench.plots.style import (
     styled,
 )
 
-__all__ = ["replay_faults", "replay_folder", "replay_innovations", "replay_log", "replay_traction"]
-__all__ += ["replay_path", "replay_trials", "replay_yaw"]
-
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
 _COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
 # Turning more slowly counts as straight; the median over _SMOOTH samples removes encoder noise.
@@ -166,6 +163,7 @@ def replay_traction(replays, first):
     encoder measurements, over a sliding window and over the whole log (dashed).
 
     Args:
+        replays: {estimator: what `rhec.replay` returns}.
         first: the estimator whose band of two standard deviations is shown.
     """
     figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.6), sharex=True)
@@ -218,7 +216,7 @@ def replay_trials(trials, table, title):
 
     Args:
         trials: {estimator: rows of `rhec.logs.scores.perturbed_scores`}.
-        table: `rhec.workbench.studies.replay_table.replay_table` of them.
+        table: `rhec.workbench.studies.replay_study.replay_table` of them.
         title: which log it is, plain text.
     """
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.7 + 0.28 * len(trials)))

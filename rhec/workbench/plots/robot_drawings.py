@@ -15,8 +15,6 @@ from matplotlib.transforms import Affine2D
 from rhec import paper
 from rhec.workbench.plots.style import BLACK, BLUE, COLOURS, COLUMN_IN, GREY, VERMILLION, styled
 
-__all__ = ["hardware_blocks", "robot_in_row", "robot_parts", "schematic"]
-
 _RUBBER = "#4d4d4d"
 _METAL = "#aab2b9"
 _DECK = "#dfe5ea"

@@ -17,9 +17,6 @@ from rhec.workbench.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY
 from rhec.workbench.studies.consistency import stated
 from rhec.workbench.studies.scenario_tables import REPORTED, over_fields, share_of_fields
 
-__all__ = ["errors", "estimates", "kkt", "slip_fields", "speed", "trajectories", "trajectories_q"]
-__all__ += ["violations", "weight_sweep", "yaw_rate"]
-
 # Dark where the soil slips; grey, so that coloured trajectories stand out.
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)

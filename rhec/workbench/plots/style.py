@@ -5,6 +5,7 @@ carry the version, the scenario and the notebook that made them; all but PNGs ca
 source, too. A PNG has none, so that pictures kept in git change only with what they show.
 """
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -18,10 +19,6 @@ import matplotlib.pyplot as plt
 
 from rhec import __version__
 from rhec.simulation.run import Run
-
-__all__ = ["BLACK", "BLUE", "COLOURS", "COLUMN_IN", "DOUBLE_IN", "FOLDER", "GREEN", "GREY"]
-__all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "ROWS", "SKY", "VERMILLION", "as_comments"]
-__all__ += ["provenance", "save", "save_table", "source", "source_of", "styled"]
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "figures"
@@ -180,10 +177,24 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     about = provenance(name, scenario, notebook)
     # savefig gives a figure without a layout the default one, which must be none here
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
-        figure.savefig(png, metadata=about | {"Creator": f"rhec {__version__}"})
+        with _replacing(png) as unfinished:
+            creator = {"Creator": f"rhec {__version__}"}
+            figure.savefig(unfinished, format="png", metadata=about | creator)
         figure.set_layout_engine(None)  # it stands, and takes as long as to draw
-        figure.savefig(png.with_suffix(".pdf"), metadata=about | {"CreationDate": None})
+        with _replacing(png.with_suffix(".pdf")) as unfinished:
+            figure.savefig(unfinished, format="pdf", metadata=about | {"CreationDate": None})
     return png
+
+
+@contextlib.contextmanager
+def _replacing(file):
+    """A context with the path of an unfinished file, which replaces the file once it is whole."""
+    unfinished = file.with_name(f"{file.name}.unfinished")
+    try:
+        yield unfinished
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=None):
@@ -193,7 +204,9 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
         dataframe: the table.
         name: of the files, without a suffix.
         caption: in LaTeX; the table needs the package booktabs.
-        folder, scenario, notebook: as for `save`.
+        folder: as for `save`.
+        scenario: likewise.
+        notebook: likewise.
 
     Returns:
         The CSV's path.
@@ -202,7 +215,9 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
     csv = Path(folder) / f"{name}.csv"
     label = f"tab:{name}"
     look = dict(index=False, escape=True, float_format="%.4g", caption=caption, label=label)
-    dataframe.to_csv(csv, index=False)
+    with _replacing(csv) as unfinished:
+        dataframe.to_csv(unfinished, index=False)
     about = as_comments(provenance(name, scenario, notebook))
-    csv.with_suffix(".tex").write_text(about + dataframe.to_latex(**look), encoding="utf-8")
+    with _replacing(csv.with_suffix(".tex")) as unfinished:
+        unfinished.write_text(about + dataframe.to_latex(**look), encoding="utf-8")
     return csv

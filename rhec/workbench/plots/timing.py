@@ -18,8 +18,6 @@ from rhec.workbench.plots.style import (
     styled,
 )
 
-__all__ = ["embedded_times", "phases"]
-
 _COLOURS = {
     ("RHE", "preparation"): SKY,
     ("RHC", "preparation"): GREEN,

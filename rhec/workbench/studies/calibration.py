@@ -21,7 +21,7 @@ import contextlib
 import numpy as np
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import offline
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import build_sample, set_up, simulate
@@ -90,7 +90,7 @@ def columns(run, names):
 
 
 def scan_arguments(scenario, run, *outputs):
-    """Arguments of `offline.run` for outputs of a scenario's estimator on the measurements of a run.
+    """Arguments of `offline.run`: outputs of a scenario's estimator on the measurements of a run.
 
     The estimator starts where the robot is.
     """

@@ -23,7 +23,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.workbench.studies import calibration
 from rhec.workbench.studies.calibration import SETTLED_S
-from rhec.workbench.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
+from rhec.workbench.studies.statistics import CONFIDENCE, over_seeds, readable, root_of_mean
 
 __all__ = [
     "ESTIMATORS",
@@ -34,8 +34,10 @@ __all__ = [
     "innovations",
     "mean_square_errors",
     "measure",
+    "measure_all",
     "normalised",
     "normalised_squared",
+    "readable_consistency",
     "share_inside",
     "stated",
     "tune",
@@ -105,6 +107,16 @@ def measure(scenario, runs):
         scaled = error / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         results.append((scaled, nees, nis_position, nis_speed))
     return Consistency(run.columns["t_s"], *(np.array(values) for values in zip(*results)))
+
+
+def measure_all(seeds):
+    """The Consistency of all ESTIMATORS on the same recorded runs: {name: Consistency}.
+
+    Args:
+        seeds: Of the runs, which are driven with the true state in the loop.
+    """
+    runs = calibration.oracle_runs(seeds)
+    return {name: measure(Scenario(**fields), runs) for name, fields in ESTIMATORS.items()}
 
 
 def stated(run):
@@ -257,6 +269,21 @@ def consistency_table(measured):
             interval = over_seeds(root_of_mean, squares)._asdict()
             rows.append(dict(estimator=name, quantity=f"RMS error over sigma, {state}") | interval)
     return pd.DataFrame(rows)
+
+
+def readable_consistency(table):
+    """The table of `consistency_table` for readers: one row a quantity, one column an estimator.
+
+    The share inside the bounds follows in rows of its own.
+    """
+    inside = table.dropna(subset=["inside"])
+    shares = inside.assign(
+        quantity=inside["quantity"].str.replace("mean", "share inside its bounds"),
+        mean=inside["inside"],
+        low=np.nan,
+        high=np.nan,
+    )
+    return readable(pd.concat([table, shares])[["estimator", "quantity", "mean", "low", "high"]])
 
 
 if __name__ == "__main__":

@@ -15,13 +15,31 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.simulation.closed_loop import simulate
 from rhec.simulation.metrics import metrics
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import Path
 from rhec.workbench.studies.claims.run_sets import map_runs
-from rhec.workbench.studies.statistics import over_seeds, share, verdict
+from rhec.workbench.studies.statistics import interval_text, over_seeds, share, verdict
 
-__all__ = ["CAUTIOUS", "CONSTANT", "PROMISES", "SOILS", "drives", "front", "judged", "lap"]
+__all__ = [
+    "CAUTIOUS",
+    "CONSTANT",
+    "LEAST_SHARE",
+    "LEAST_SPEED_MPS",
+    "PROMISES",
+    "SOILS",
+    "by_caution",
+    "by_speed",
+    "drives",
+    "front",
+    "judged",
+    "lap",
+    "on_one_field",
+    "on_worse_soil",
+    "readable_front",
+    "tested",
+]
 
 ESTIMATORS = {
     "dual": dict(estimator="dual"),
@@ -39,6 +57,11 @@ SOILS = {
     "uncertain soil": dict(kappa_mean=0.7, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08),
     "wet patches": dict(patches=_WET),
 }
+# The target, set before the first drive: the whole path in so many fields, at so much speed.
+LEAST_SHARE = 0.95
+LEAST_SPEED_MPS = 0.47
+_DEFAULT, *_WORSE = SOILS
+_MODES = (CONSTANT, CAUTIOUS)
 PROMISES = dict(whole="whole path", rows="rows", corners="corners on rows")
 
 
@@ -128,7 +151,7 @@ def front(drives, seeds):
     return pd.DataFrame(rows)
 
 
-def judged(table, least_share, least_speed_mps):
+def judged(table, least_share=LEAST_SHARE, least_speed_mps=LEAST_SPEED_MPS):
     """The table of `front` with the column `verdict`: HOLDS if share and speed are both above.
 
     The worse of the two margins decides, at either end of their intervals.
@@ -142,3 +165,75 @@ def judged(table, least_share, least_speed_mps):
         for row in table.itertuples()
     ]
     return table.assign(verdict=verdicts)
+
+
+# The parts of the study
+
+
+def on_one_field(seed=15):
+    """Runs of dual estimation on one field, {"constant": Run, "cautious": Run}."""
+    field = Scenario(estimator="dual", seed=seed, duration_s=330.0)
+    return {
+        mode: simulate(dataclasses.replace(field, cautious=mode == CAUTIOUS)) for mode in _MODES
+    }
+
+
+def tested(seeds):
+    """The verdict on the target: dual estimation, cautious, and at a constant 0.4 m/s.
+
+    Args:
+        seeds: Of the fields.
+
+    Returns:
+        DataFrame, as of `judged`.
+    """
+    compared = drives([_DEFAULT], ["dual"], [CAUTIOUS], [0.5])
+    compared |= drives([_DEFAULT], ["dual"], [CONSTANT], [0.4])
+    return judged(front(compared, seeds))
+
+
+def by_speed(seeds):
+    """The `front` of constant and cautious drives at several set speeds."""
+    soil = [_DEFAULT]
+    speeds_mps = [0.4, 0.5, 0.6]
+    compared = drives(soil, ["dual"], [CONSTANT], [0.3, 0.35, 0.4, 0.45, 0.5, 0.6])
+    compared |= drives(soil, ["dual"], [CAUTIOUS], [0.4, 0.45, 0.5, 0.55, 0.6])
+    compared |= drives(soil, ["RHE, consistent"], [CAUTIOUS], speeds_mps)
+    compared |= drives(soil, ["full oracle"], _MODES, speeds_mps)
+    return front(compared, seeds)
+
+
+def by_caution(seeds, cautions=(0.0, 0.25, 0.5, 1.0)):
+    """The `front` of cautious drives that keep a margin of `caution` standard deviations."""
+    compared = {}
+    for caution in cautions:
+        one = drives([_DEFAULT], ["dual"], [CAUTIOUS], [0.5], caution=caution)
+        for (soil, estimator, _, speed_mps), fields in one.items():
+            compared[soil, estimator, f"z = {caution}", speed_mps] = fields
+    return front(compared, seeds)
+
+
+def on_worse_soil(seeds):
+    """The `front` of dual estimation and the full oracle on uncertain and on wet soil."""
+    return front(drives(_WORSE, ["dual", "full oracle"], _MODES, [0.5]), seeds)
+
+
+def readable_front(table, promise=PROMISES["whole"]):
+    """The table of `front` for readers, with the rows of one promise.
+
+    Returns:
+        DataFrame, one row a drive: the share of fields and the speed as "0.993 [0.986, 0.997]",
+        the largest error [m], n, and the verdict if it has one.
+    """
+    rows = table[table["promise"] == promise]
+    shares = zip(rows["share"], rows["low"], rows["high"])
+    speeds = zip(rows["speed_mps"], rows["speed_low"], rows["speed_high"])
+    shown = rows[["soil", "estimator", "mode", "set_mps"]].assign(
+        share=[interval_text(*interval) for interval in shares],
+        speed_mps=[interval_text(*interval) for interval in speeds],
+        worst_m=rows["worst_m"].round(3),
+        n=rows["n"],
+    )
+    if "verdict" in rows:
+        shown["verdict"] = rows["verdict"]
+    return shown.set_index(["soil", "estimator", "mode", "set_mps"])

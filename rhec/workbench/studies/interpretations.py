@@ -14,11 +14,11 @@ import pandas as pd
 from scipy import linalg
 
 from rhec import paper
-from rhec.core.estimator.rhe import RHE
 from rhec.simulation.closed_loop import simulate
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
+from rhec.tracked_robot.live import PaperRHE
 from rhec.workbench.studies import calibration, statistics
 from rhec.workbench.studies.claims import run_sets
 
@@ -33,6 +33,7 @@ __all__ = [
     "readable_changes",
     "rhe_sigma_kappa",
     "sigma_kappa_table",
+    "sweep_of",
     "swept",
 ]
 
@@ -64,6 +65,9 @@ ENTRIES = {
     "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
     "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
 }
+# Values between printed and calibrated σ that are driven, and those whose runs are shown over time.
+_BETWEEN = {"ekf_x": (1.0, 0.1, 0.03), "rhe_kappa": (0.025, 0.0025)}
+_SHOWN = {"ekf_x": slice(0, 3), "rhe_kappa": slice(0, 3, 2)}
 
 
 # Analysis
@@ -131,7 +135,7 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     deviations = []
     for sigma in sigma_kappa:
         sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
-        estimator = RHE(sigma_w=sigma_w, guess=guess)
+        estimator = PaperRHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
             estimate = estimator.feedback(measurement)
@@ -190,6 +194,23 @@ def swept(estimator, process_noise, state, values, seeds):
         row |= dict(rms_kappa_straights=rms(kappa[settled & straight]))
         rows.append(row | dict(rms_kappa_curves=rms(kappa[settled & ~straight])))
     return runs, pd.DataFrame(rows)
+
+
+def sweep_of(name, seeds):
+    """Runs with one entry of the printed W replaced, from its printed to its calibrated value.
+
+    Args:
+        name: Of ENTRIES, "ekf_x" or "rhe_kappa".
+        seeds: How many fields, from seed 0 on.
+
+    Returns:
+        runs: {value: Run} of the first seed, for pictures.
+        table: As of `swept`.
+    """
+    entry = ENTRIES[name]
+    values = (entry.values["printed"], *_BETWEEN[name], entry.values["calibrated"])
+    runs, table = swept(entry.estimator, "printed", entry.state, values, seeds)
+    return {value: runs[value] for value in values[_SHOWN[name]]}, table
 
 
 def likelihood_profile(estimator, state, factors, seeds=3):

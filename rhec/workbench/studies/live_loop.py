@@ -5,8 +5,9 @@ scenario's soil, noise and start.
 import functools
 
 from rhec import paper
-from rhec.core._casadi.build import select_inputs, unpack_array
+from rhec.core._casadi.build import select_inputs
 from rhec.core._casadi.compiled import BufferedFunction
+from rhec.core._casadi.packing import unpack_array
 from rhec.simulation.closed_loop import set_up
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import terrain

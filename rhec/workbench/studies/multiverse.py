@@ -19,7 +19,15 @@ from scipy import stats
 from rhec import paper
 from rhec.simulation.scenario import Scenario
 from rhec.workbench.studies.claims import run_sets
-from rhec.workbench.studies.statistics import CONFIDENCE, FAILS, HOLDS, UNDECIDED, share, verdict
+from rhec.workbench.studies.statistics import (
+    CONFIDENCE,
+    FAILS,
+    HOLDS,
+    UNDECIDED,
+    interval_text,
+    share,
+    verdict,
+)
 
 __all__ = [
     "CLAIMS",
@@ -31,9 +39,11 @@ __all__ = [
     "drive",
     "in_world",
     "judge",
+    "readable_summary",
     "sample_parameters",
     "scenario",
     "summary",
+    "unknowns",
 ]
 
 # name: (least, most, on a logarithmic scale). turn_demand is the share of the yaw rate's bound that
@@ -170,6 +180,11 @@ CLAIMS = {  # ids as in claims.toml, with the process noise (p printed, c calibr
 }
 
 
+def unknowns():
+    """UNKNOWNS as a DataFrame, one row each: least, most, logarithmic."""
+    return pd.DataFrame(UNKNOWNS, ["least", "most", "logarithmic"]).T
+
+
 def sample_parameters(n, seed=0):
     """The first n worlds of the Sobol sequence, one row each, one column an unknown.
 
@@ -290,7 +305,8 @@ def summary(worlds, verdicts, margins):
 
     Args:
         worlds: Of `sample_parameters`.
-        verdicts, margins: Of `judge`.
+        verdicts: Of `judge`.
+        margins: Of `judge`.
 
     Returns:
         DataFrame, one row a claim: the share of worlds where it holds with its interval, those
@@ -310,3 +326,11 @@ def summary(worlds, verdicts, margins):
         row |= dict(decided_by=deciding, direction=direction, rank_correlation=strength)
         rows.append(row)
     return pd.DataFrame(rows)
+
+
+def readable_summary(table):
+    """The table of `summary` for readers: shares of worlds as "0.82 [0.76, 0.87]"."""
+    shares = zip(table["holds"], table["low"], table["high"])
+    shown = table.assign(holds=[interval_text(*interval) for interval in shares])
+    shown = shown.drop(columns=["low", "high"]).set_index("id")
+    return shown.round(2).fillna("")

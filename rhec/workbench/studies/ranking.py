@@ -15,12 +15,13 @@ import numpy as np
 import pandas as pd
 
 from rhec.core._casadi import scan
+from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import simulate
 from rhec.simulation.metrics import SETTLING_SAMPLES, settled_samples
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.workbench.studies import calibration
-from rhec.workbench.studies.statistics import over_seeds, ratio_of_means, verdict
+from rhec.workbench.studies.statistics import over_seeds, ratio_of_means, readable, verdict
 
 __all__ = [
     "CONTESTANTS",
@@ -31,16 +32,21 @@ __all__ = [
     "QUANTITIES",
     "SIGMA_THETA",
     "by_pose_noise",
+    "drive",
+    "overview",
     "ranking_table",
     "scenarios",
     "step_times",
+    "time_table",
 ]
 
 # Aims of the proposal: so much less true error than the paper's RHE, and at most so much more than
 # an oracle's.
 LEAST_GAIN = 0.30
 MOST_ABOVE = 0.10
+_MEANS = ["contestant", "quantity", "mean", "low", "high"]
 SIGMA_THETA = tuning.SIGMA_W_TRACKING["dual"][8]
+_SIGMAS_RAD = SIGMA_THETA * 2.0 ** np.arange(-4, 3)
 QUANTITIES = {
     "mean_error_true_m": "mean true error [m]",
     "mean_error_m": "mean error, raw GNSS [m]",
@@ -102,18 +108,32 @@ _ORACLES = [CONTESTANTS[id_].label for id_ in ("traction_likelihood", "traction_
 _RIVALS = [CONTESTANTS[id_].label for id_ in ("rhe_fixed_tracking", "bounded_tracking")]
 
 
+def drive(seeds, folder=None):
+    """Drive every contestant on every seed.
+
+    Args:
+        seeds: Of the fields.
+        folder: Of the campaign's rows, as in `rhec.campaign`.
+
+    Returns:
+        The campaign's DataFrame with the column contestant.
+    """
+    labels, of_labels = zip(*scenarios(seeds))
+    return campaign(of_labels, folder).assign(contestant=labels)
+
+
 def scenarios(seeds):
     """(label, Scenario) of every contestant on every seed."""
     every = itertools.product(CONTESTANTS.values(), seeds)
     return [(label, Scenario(seed=seed, **fields)) for (label, fields), seed in every]
 
 
-def by_pose_noise(sigmas_rad, seeds):
+def by_pose_noise(seeds, sigmas_rad=_SIGMAS_RAD):
     """The proposal with other process noises of the yaw in its pose filter.
 
     Args:
-        sigmas_rad: Standard deviations of the yaw in W.
         seeds: Of the fields.
+        sigmas_rad: Standard deviations of the yaw in W.
 
     Returns:
         DataFrame, one row a seed and sigma_theta_rad: mean true errors [m] on straights, in curves
@@ -164,6 +184,19 @@ def step_times(ids, rounds=40):
             row[name] = (time.perf_counter_ns() - begin) / 1e3 / len(run.log)
         taken.append(row)
     return pd.DataFrame(taken[1:])  # the first round warms up
+
+
+def time_table(times):
+    """Median and quartiles of the times of `step_times` [µs], and of their ratio round by round."""
+    one, other = times.columns
+    ratios = times[other] / times[one]
+    rows = times.assign(**{f"ratio, {other} / {one}": ratios}).quantile([0.5, 0.25, 0.75]).T
+    return rows.set_axis(["median", "lower quartile", "upper quartile"], axis=1).round(2)
+
+
+def overview(table):
+    """The means of `ranking_table` for readers, one row a contestant, the best first."""
+    return readable(table[table["quantity"].isin(QUANTITIES.values())][_MEANS], transposed=True)
 
 
 def ranking_table(sweep):

@@ -33,6 +33,7 @@ __all__ = [
     "difference",
     "difference_of_means",
     "equal",
+    "interval_text",
     "mean",
     "over_seeds",
     "possible",
@@ -92,8 +93,10 @@ def verdict(low, high, above=-np.inf, below=np.inf):
     """The verdict on an interval.
 
     Args:
-        low, high: The interval; NaN if there is none.
-        above, below: The bounds, themselves not included.
+        low: Lower end of the interval; NaN if there is none.
+        high: Its upper end.
+        above: Lower bound, itself not included.
+        below: Upper bound, itself not included.
 
     Returns:
         HOLDS if all of the interval lies between the bounds, FAILS if none of it does, else
@@ -373,17 +376,20 @@ def _three_digits(value):
     return f"{value:.0f}" if abs(value) >= 99.95 else f"{value:#.3g}"
 
 
+def interval_text(value, low, high):
+    """A number and its interval as people read them: "34.6 [32.3, 37.0]".
+
+    An interval without a width is left out; a missing number is an empty text.
+    """
+    interval = f" [{_three_digits(low)}, {_three_digits(high)}]" if low < high else ""
+    return _three_digits(value) + interval
+
+
 def _cell(row):
     """ "mean [low, high]" of a table's row, and its verdict if it has one."""
-    interval = (
-        f" [{_three_digits(row.low)}, {_three_digits(row.high)}]" if row.low < row.high else ""
-    )
     outcome = getattr(row, "verdict", "")
-    return (
-        _three_digits(row.mean)
-        + interval
-        + (f" ({outcome})" if outcome and outcome == outcome else "")
-    )
+    verdict_in_brackets = f" ({outcome})" if outcome and outcome == outcome else ""  # not NaN
+    return interval_text(row.mean, row.low, row.high) + verdict_in_brackets
 
 
 def _papers(table, labels):

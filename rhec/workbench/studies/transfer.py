@@ -5,8 +5,8 @@ noise seed; the first metres do not count (`rhec.logs.scores`). All estimators a
 truth, with a noise seed that no trial has: on the same log, or on the others, in the geometric mean
 of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped (`tuning.SLIP`).
 Its rivals are an EKF with (μ, κ) as states and one with the five parameters of
-`rhec.workbench.studies.icr`, both with noise in proportion to the inputs. They are tuned by the likelihood
-of their innovations, with the same number of evaluations for each unknown as in
+`rhec.workbench.studies.icr`, both with noise in proportion to the inputs. They are tuned by the
+likelihood of their innovations, with the same number of evaluations for each unknown as in
 `rhec.workbench.studies.calibration`.
 
     python -m rhec.workbench.studies.transfer [FOLDER [SEEDS]]
@@ -25,7 +25,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array
+from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import ekf, offline
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model

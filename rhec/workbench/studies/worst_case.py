@@ -21,8 +21,9 @@ from rhec.simulation.closed_loop import build_sample, finish, set_up
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant as robot
 
-__all__ = ["drive", "search"]
+__all__ = ["compare", "drive", "search"]
 
+LEVELS = (0.1, 0.15, 0.2, 0.5, 1.0)
 _SIGMAS = 2.0  # at level 1
 _ROW_M = paper.ROW_LENGTH_M
 _HEADLAND_M = np.pi * paper.HEADLAND_RADIUS_M
@@ -130,3 +131,21 @@ def search(levels, seed=0, evaluations=100, **fields):
         rows.append(dict(level=level, worst_m=-result.fun, drives=result.nfev, seed=seed))
         rows[-1] |= dict(zip(_RANGES, result.x.tolist()))
     return pd.DataFrame(rows)
+
+
+def compare(evaluations, levels=LEVELS):
+    """Search for the worst drive of the cautious controller, and of that at a constant speed.
+
+    Args:
+        evaluations: Drives a level, about.
+        levels: Of the bounds.
+
+    Returns:
+        The rows of `search` by dual estimation, with the column cautious.
+    """
+    return pd.concat(
+        search(levels, evaluations=evaluations, estimator="dual", cautious=cautious).assign(
+            cautious=cautious
+        )
+        for cautious in (True, False)
+    )

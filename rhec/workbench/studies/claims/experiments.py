@@ -15,11 +15,10 @@ from scipy import optimize
 
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import pack_array, select_inputs, with_packed_memory
+from rhec.core._casadi.build import select_inputs, with_packed_memory
+from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
-from rhec.core.controller.rhc import RHC
 from rhec.core.estimator import offline, rhe
-from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
 from rhec.simulation.closed_loop import set_up, simulate
@@ -31,6 +30,7 @@ from rhec.tracked_robot import path, tuning
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 from rhec.workbench.studies import timing
 from rhec.workbench.studies.calibration import SETTLED_S
@@ -161,8 +161,8 @@ def live(scenario, iterations):
     problems = []
     commands = []
     positions = []
-    estimator = RHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
-    controller = RHC(q=scenario.q, r=scenario.r)
+    estimator = PaperRHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
+    controller = PaperRHC(q=scenario.q, r=scenario.r)
     tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
     for z in robot:
         begin = time.perf_counter()
@@ -191,15 +191,16 @@ def _distances_from_converged(scenario, problems, commands):
 
     Args:
         scenario: The live loop's.
-        problems, commands: Of the live loop, as `live` returns them.
+        problems: Of the live loop, as `live` returns them.
+        commands: The command of each problem [rad/s].
 
     Returns:
         Differences (n,) of the live commands, and of those of a cold RHC, which knows the previous
         estimate but has planned nothing.
     """
     # Two controllers, since each starts from its previous plan.
-    exact = RHC(q=scenario.q, r=scenario.r)
-    unprepared = RHC(q=scenario.q, r=scenario.r)
+    exact = PaperRHC(q=scenario.q, r=scenario.r)
+    unprepared = PaperRHC(q=scenario.q, r=scenario.r)
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
     guess = set_up(scenario).guess
     cold = []
@@ -299,7 +300,7 @@ def kkt_tolerances(n=100):
         row = {}
         for name, q in {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}.items():
             for place, count in {"reported": 1, "after the step": 2}.items():
-                controller = RHC(q=q)
+                controller = PaperRHC(q=q)
                 controller.solve(*problem, count)
                 row[f"{name}_{place}"] = controller.kkt
         rows.append(row)
@@ -317,7 +318,8 @@ def gains(n=100):
     offset_m = 1e-4  # small enough that no input reaches its bound
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
-        rows.append({name: abs(RHC(r=r).solve(*problem)) / offset_m for name, r in weights.items()})
+        commands = {name: PaperRHC(r=r).solve(*problem) for name, r in weights.items()}
+        rows.append({name: abs(command) / offset_m for name, command in commands.items()})
     return pd.DataFrame(rows)
 
 

@@ -267,8 +267,6 @@ def parallel_map(function, arguments):
     return [results[place] for place in range(len(tasks))]
 
 
-
-
 def _apply(task):
     """(place, result) of a task (function, place, argument)."""
     function, place, argument = task

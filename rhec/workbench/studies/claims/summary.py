@@ -2,13 +2,30 @@
 
 import pandas as pd
 
-from rhec.workbench.studies.statistics import AS_PRINTED, FAILS, HOLDS, UNDECIDED, UNTESTABLE
+from rhec.workbench.studies.statistics import (
+    AS_PRINTED,
+    FAILS,
+    HOLDS,
+    UNDECIDED,
+    UNTESTABLE,
+    interval_text,
+)
 
-__all__ = ["DEPARTURE", "ONE_WAY", "PRINTED", "survivors", "verdict_counts"]
+__all__ = [
+    "DEPARTURE",
+    "ONE_WAY",
+    "PRINTED",
+    "depending",
+    "failing",
+    "lost",
+    "readable_ledger",
+    "survivors",
+    "verdict_counts",
+]
 
 ONE_WAY = "only one outcome found, so not tested"
 PRINTED = f"{HOLDS} {AS_PRINTED}"
-DEPARTURE = f"{HOLDS} with a departure from it (W calibrated, …)"
+DEPARTURE = f"{HOLDS}, but not as printed (for example only with W calibrated)"
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
 
 
@@ -54,3 +71,45 @@ def survivors(table):
     at_risk = table[table["p"].notna() & tested]
     lost = at_risk["p_adjusted"] >= _FALSE_DISCOVERY_RATE
     return len(at_risk), list(at_risk.loc[lost, "id"])
+
+
+# Parts of the ledger for readers
+
+_ALL = ["section", "claim", "test", "bound", "paper", "value", "n", "unit", "verdict"]
+_ALL += ["conditions", "reached", "p_adjusted", "why"]
+
+
+def readable_ledger(table, columns=_ALL):
+    """Columns of the ledger for readers, with values as "34.6 [32.3, 37.0]".
+
+    Args:
+        table: The ledger, or some of its rows.
+        columns: Which.
+
+    Returns:
+        DataFrame with the claims' ids as its index.
+    """
+    values = zip(table["value"], table["low"], table["high"])
+    texts = [interval_text(*numbers) for numbers in values]
+    shown = table.assign(value=texts, p_adjusted=table["p_adjusted"].round(4))
+    return shown.set_index("id")[list(columns)].fillna("")
+
+
+def lost(table):
+    """The claims whose verdict does not remain, see `survivors`."""
+    _, ids = survivors(table)
+    rows = table[table["id"].isin(ids)]
+    return readable_ledger(rows, ["claim", "value", "verdict", "p_adjusted"])
+
+
+def failing(table):
+    """The claims that hold under no condition, with the rule and the reason."""
+    rows = table[table["verdict"] == FAILS]
+    columns = ["claim", "test", "paper", "value", "n", "reached", "why"]
+    return readable_ledger(rows, columns)
+
+
+def depending(table):
+    """The claims that hold under some conditions only."""
+    rows = table[table["kind"].str.startswith(f"{HOLDS} ")]
+    return readable_ledger(rows, ["claim", "test", "value", "verdict", "conditions"])

@@ -1,14 +1,18 @@
-"""`make embedded`: the default scenario, robust, as C in build/embedded, its size and times."""
+"""`make embedded`: export the default scenario, with robust handling, to build/embedded.
 
-from notebooks.embedded_measurements import report
-from rhec import Scenario, export
+Prints the size of the code and its estimated times, and fails if its answers differ from Python's.
+"""
+
+from rhec.embedded import export
+from rhec.simulation.scenario import Scenario
+from rhec.workbench.studies.embedded import report
 
 __all__ = ["main"]
 
 
 def main():
-    """Export the default scenario, measure the export, fail if its answers differ."""
-    folder = export(Scenario(robust=True)).resolve()  # the compiler runs elsewhere
+    """Export the default scenario, measure the export, and fail if its answers differ."""
+    folder = export(Scenario(robust=True)).resolve()  # the compiler runs in another folder
     tables = report.measure(folder)
     for name in ("sizes", "nonsense", "counted"):
         tables[name].to_csv(folder / f"{name}.csv", index=False)

@@ -1,10 +1,10 @@
-"""Instructions a step on 64-bit Arm, and estimated times on a Cortex-A53.
+"""Instructions per step on 64-bit Arm, and estimated times on a Cortex-A53.
 
-The emulator writes down each block of instructions that it executes; that does not depend on the
-machine's load. LLVM's model of the Cortex-A53 (llvm-mca: in order, at most two instructions a
-cycle, its latencies) then says how many cycles that very sequence takes, if all of it is in the
-first cache and all branches are predicted. The time to fill that cache is added, on assumptions of
-its own.
+The emulator lists each block of instructions that it executes, which does not depend on the load of
+this machine. LLVM's model of the Cortex-A53 (llvm-mca: in order, at most two instructions a cycle,
+with the latency of each) turns that sequence into cycles. It assumes that all code and data are in
+the first cache and that all branches are predicted. The time to fill that cache is added, on the
+assumptions _SECOND_CACHE_S and _DRAM_S.
 """
 
 import re
@@ -21,15 +21,15 @@ from rhec.workbench.studies.timing import PHASES
 
 __all__ = ["CLOCK_HZ", "counts", "table", "trace"]
 
-# Functions that make the phases, in the order of PHASES, and those that call them in programs
+# The C functions of the phases, in the order of PHASES, and the functions that call them.
 _CALLS = "rhec_prepare_estimate", "rhec_estimate", "rhec_prepare_control", "rhec_control"
 _CALLERS = "main", "sample"
 CLOCK_HZ = 1.2e9  # Raspberry Pi 3 Model B (paper, Sec. System Description)
 _LINE_BYTES = 64
-# assumed: to fetch a line from there
+# Assumed times to fetch one line of the cache.
 _SECOND_CACHE_S = 20 / CLOCK_HZ
 _DRAM_S = 150e-9
-# Samples whose cycles are counted: from all over the run, and those of most instructions
+# Samples whose cycles are counted: some from all over the run, and those of most instructions.
 _SPREAD = 5
 _LONGEST = 5
 
@@ -37,8 +37,9 @@ _LONGEST = 5
 class _Trace(NamedTuple):
     """Executed instructions.
 
-    blocks   [(address, instruction words in hexadecimal), …]
-    samples  of each sample, for each phase, the numbers of its blocks in order of execution
+    Args:
+        blocks: [(address, instruction words in hexadecimal), …].
+        samples: For each sample and phase the numbers of its blocks, in the order of execution.
     """
 
     blocks: list
@@ -46,8 +47,15 @@ class _Trace(NamedTuple):
 
 
 def trace(machine, program, *arguments):
-    """Run a program of an export under the emulator and write down what each call of each sample
-    executes.
+    """Run a program of an export under the emulator.
+
+    Args:
+        machine: An emulated Machine.
+        program: Path of the program.
+        *arguments: Its arguments.
+
+    Returns:
+        The _Trace of what each phase of each sample executes.
     """
     command = [*machine.emulator, "-d", "in_asm,exec,nochain", program, *map(str, arguments)]
     with subprocess.Popen(
@@ -57,7 +65,7 @@ def trace(machine, program, *arguments):
 
 
 def _read(listing):
-    """The _Trace in the emulator's listing."""
+    """The _Trace in the emulator's listing, its lines."""
     blocks = []
     numbers = {}
     samples = []
@@ -67,7 +75,8 @@ def _read(listing):
         if line.startswith("Trace"):
             address = line[line.index("/") + 1 :].split("/", 1)[0]
             function = line.rsplit(None, 1)[-1].split(".")[0]
-            if fresh is not None:  # listed when translated, right before it is first executed
+            # A block is listed when it is translated, right before it is first executed.
+            if fresh is not None:
                 numbers[address] = len(blocks)
                 blocks.append((int(address, 16), fresh))
                 fresh = None
@@ -87,7 +96,7 @@ def _read(listing):
 
 
 def counts(traced):
-    """Instructions (samples, 4), as in PHASES."""
+    """Numbers of instructions (samples, 4), phases as in PHASES."""
     lengths = np.array([len(words) for _, words in traced.blocks])
     return np.array(
         [
@@ -98,8 +107,9 @@ def counts(traced):
 
 
 def _cache_lines(traced, sample, memory_bytes):
-    """Lines of the cache that each phase of a sample fills, (4,): with its code, and with its
-    share, by instructions, of all memory.
+    """Lines of the cache that each phase of a sample fills, (4,).
+
+    They hold the phase's code and a share of all memory in proportion to its instructions.
     """
     code = []
     for phase in traced.samples[sample]:
@@ -137,14 +147,15 @@ def _cycles(traced, sample):
 
 
 def _output(command, text):
-    """Output of a command that is given this text."""
+    """Output of a command whose input is `text`."""
     arguments = command.split()
     return subprocess.run(arguments, input=text, capture_output=True, text=True, check=True).stdout
 
 
 def _as_executed(word):
-    """An instruction of the executed sequence: calls and returns, which llvm-mca charges with 100
-    cycles, are plain branches here.
+    """The instruction word that llvm-mca counts in place of an executed one.
+
+    llvm-mca charges calls and returns with 100 cycles, so they become plain branches.
     """
     code = int(word, 16)
     call = code >> 26 == 0b100101
@@ -153,13 +164,20 @@ def _as_executed(word):
 
 
 def table(traced, memory_bytes):
-    """Instructions a sample, mean and worst, by phase and overall, and estimated times [ms] on a
-    Cortex-A53; the first sample is left out.
+    """Instructions per sample and estimated times on a Cortex-A53; the first sample is left out.
 
-    mean_ms: the mean number of instructions, at the pace of samples spread over the run, and each
-    line of code and memory [bytes] fetched from the second cache once, as the first is smaller.
-    worst_ms: the most cycles among the samples of most instructions, and each line fetched from
-    DRAM, one after the other, as after a pause in which others used the caches.
+    - mean_ms: the mean number of instructions, at the pace of samples spread over the run. Each
+      line of code and memory is fetched from the second cache once, as the first is smaller.
+    - worst_ms: the most cycles among the samples of most instructions. Each line is fetched from
+      DRAM, one after the other, as after a pause in which other programs used the caches.
+
+    Args:
+        traced: Of `trace`.
+        memory_bytes: Memory and stack that a sample uses [bytes].
+
+    Returns:
+        DataFrame with a row for each phase and one for the whole sample, and columns problem,
+        phase, mean_instructions, worst_instructions, mean_ms, worst_ms.
     """
     executed = counts(traced)[1:]
     whole = executed.sum(axis=1)

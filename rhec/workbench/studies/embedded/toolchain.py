@@ -1,6 +1,4 @@
-"""Compile and run an export: on this machine, or on 64-bit Arm with a cross compiler and an
-emulator.
-"""
+"""Compile and run an export on this machine, or on 64-bit Arm under an emulator."""
 
 import functools
 import io
@@ -32,17 +30,21 @@ __all__ = [
     "times",
 ]
 
-# As in codegen/c/CMakeLists.txt
+# As in rhec/embedded/c/CMakeLists.txt
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 LIBRARY = ("rhec.c", "rhec_scenario.c")
 _ARM = "aarch64"
-# As in codegen/c/rhec.h
+# As in rhec/embedded/c/rhec.h
 STATUS = dict(predicted=1, as_planned=2, estimator_restarted=4, controller_restarted=8)
 
 
 class Machine(NamedTuple):
-    """A processor that C can be compiled for and run on: its name, the compiler's path, and the
-    words that a command begins with where it is emulated.
+    """A processor that C can be compiled for and run on.
+
+    Args:
+        name: Of the architecture, as `platform.machine` returns it.
+        compiler: Its path.
+        emulator: Words that a command begins with; none where the processor is real.
     """
 
     name: str
@@ -51,14 +53,17 @@ class Machine(NamedTuple):
 
 
 def this_machine():
-    """This machine, or None without a C compiler; by GCC, which tells how large the stack grows."""
+    """This machine, or None without a C compiler."""
+    # GCC is preferred, since it alone writes how large the stack grows.
     compiler = compiled.compiler() and (shutil.which("gcc") or compiled.compiler())
     return Machine(platform.machine(), compiler, ()) if compiler else None
 
 
 def arm():
-    """64-bit Arm: this machine, or an emulated one, or None where the cross compiler or the
-    emulator (Debian: gcc-aarch64-linux-gnu, qemu-user) is missing.
+    """64-bit Arm: this machine, or an emulated one.
+
+    It is None where the cross compiler or the emulator is missing (Debian: gcc-aarch64-linux-gnu,
+    qemu-user).
     """
     if platform.machine() == _ARM:
         return this_machine()
@@ -68,11 +73,11 @@ def arm():
 
 
 def library(machine, export, folder, flags=FLAGS):
-    """Compile an export's library into `folder`; returns its object files."""
-    export = Path(export).resolve()  # it is compiled in another folder
+    """Compile the library of an export into `folder`; returns its object files."""
+    export = Path(export).resolve()  # the compiler runs in `folder`
     sources = [export / source for source in LIBRARY]
     command = [machine.compiler, *flags, f"-I{export}", "-c", *sources]
-    # GCC alone writes the stack's use
+    # Only GCC knows the option that writes the call graph; others compile without it.
     done = subprocess.run([*command, "-fcallgraph-info=su"], cwd=folder, capture_output=True)
     if done.returncode:
         subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
@@ -80,11 +85,20 @@ def library(machine, export, folder, flags=FLAGS):
 
 
 def program(machine, export, name, objects, flags=FLAGS):
-    """Compile and link a program of an export ("replay", "times", "fuzz") beside its library;
-    returns its path.
+    """Compile and link a program of an export beside its library.
+
+    Args:
+        machine: The Machine.
+        export: Folder of the export.
+        name: "replay", "times" or "fuzz".
+        objects: Of `library`.
+        flags: Of the compiler.
+
+    Returns:
+        The program's path.
     """
     path = objects[0].with_name(name)
-    # an emulator has no shared libraries to load
+    # An emulator has no shared libraries to load.
     flags = [*flags, *(["-static"] if machine.emulator else []), f"-I{export}"]
     command = [machine.compiler, *flags, Path(export, f"{name}.c"), *objects, "-o", path, "-lm"]
     subprocess.run(command, check=True, capture_output=True, text=True)
@@ -92,29 +106,40 @@ def program(machine, export, name, objects, flags=FLAGS):
 
 
 def run(machine, program, *arguments):
-    """Run a program; returns the finished process with its text."""
+    """Run a program; returns the finished process with its output as text."""
     command = [*machine.emulator, program, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True)
 
 
 def replay(machine, program, log):
-    """Answers of `replay` to a log: one row a sample."""
+    """Answers of `replay` to a log: a DataFrame with one row a sample."""
     return pd.read_csv(io.StringIO(run(machine, program, log).stdout))
 
 
 def times(machine, program, log, repetitions=5):
-    """Times [µs] that `times` measures, (samples, 4) as in PHASES: of each sample the least of some
-    runs; the first is left out.
+    """Times [µs] that `times` measures, (samples, 4), phases as in PHASES.
+
+    Each is the least of `repetitions` runs; the first sample is left out.
     """
     printed = (io.StringIO(run(machine, program, log).stdout) for _ in range(repetitions))
     return np.min([np.loadtxt(text, delimiter=",", skiprows=2) for text in printed], axis=0) / 1e3
 
 
 def nonsense(machine, program, samples=50_000, seed=0):
-    """Report of `fuzz`: one row with samples, storms of invalid measurements, those after which the
-    estimate was still lost 20 s later, and samples with each status bit.
+    """Run `fuzz`, which feeds an export with invalid measurements.
 
-    Raises RuntimeError where an estimate was not finite or a command out of bounds.
+    Args:
+        machine: The Machine.
+        program: Path of `fuzz`.
+        samples: How many.
+        seed: Of the measurements.
+
+    Returns:
+        DataFrame with one row: samples, storms of invalid measurements, still_lost (storms after
+        which the estimate was lost 20 s later), and the samples with each status bit.
+
+    Raises:
+        RuntimeError: if an estimate was not finite or a command out of bounds.
     """
     finished = run(machine, program, samples, seed)
     if finished.returncode:
@@ -128,8 +153,11 @@ def nonsense(machine, program, samples=50_000, seed=0):
 
 
 def sizes(machine, objects):
-    """{code_bytes: code and constants of a library, stack_bytes: the deepest chain of calls in
-    GCC's call graph, libm left out; else NaN}.
+    """Bytes of a library.
+
+    Returns:
+        {code_bytes: code and constants; stack_bytes: the deepest chain of calls in GCC's call
+        graph, libm left out, and NaN for other compilers}.
     """
     tool = shutil.which(re.sub(r"(gcc|cc|clang)(-[\d.]+)?$", "size", machine.compiler)) or "size"
     printed = subprocess.run([tool, *objects], check=True, capture_output=True, text=True).stdout

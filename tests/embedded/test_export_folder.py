@@ -1,0 +1,51 @@
+"""Where an export may go."""
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from rhec import embedded
+
+
+@pytest.fixture
+def texts(monkeypatch):
+    """An export takes a moment: only its files matter here."""
+    texts = {embedded._MARK: "mark", "rhec.c": "code", "README.txt": "text"}
+    monkeypatch.setattr(embedded, "_check", lambda scenario: None)
+    monkeypatch.setattr(embedded, "_of_scenario", lambda scenario: texts)
+    return texts
+
+
+def test_nothing_is_written_outside_the_folder(tmp_path, texts, monkeypatch):
+    """The folder may be the root of another file system, and its parent not writable."""
+    folder = tmp_path / "mounted"
+    folder.mkdir()
+    (folder / "lost+found").mkdir()
+    replace = os.replace
+
+    def replace_within(source, target):
+        assert Path(source).is_relative_to(folder)  # else it would cross file systems
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", replace_within)
+    embedded.export(None, folder)
+    assert {file.name for file in folder.iterdir()} == {*texts, "lost+found"}
+
+
+def test_an_interrupted_export_can_be_repeated(tmp_path, texts):
+    (tmp_path / ".unfinished-abc").mkdir()
+    embedded.export(None, tmp_path)
+    assert (tmp_path / "rhec.c").read_text() == "code"
+
+
+def test_a_folder_called_like_a_file_is_refused_before_anything_is_replaced(tmp_path, texts):
+    embedded.export(None, tmp_path)
+    (tmp_path / "README.txt").unlink()
+    (tmp_path / "README.txt").mkdir()
+    texts["rhec.c"] = "newer"
+    sentence = f"folder was {str(tmp_path)!r}, in which README.txt is a folder"
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        embedded.export(None, tmp_path)
+    assert (tmp_path / "rhec.c").read_text() == "code"

@@ -1,0 +1,167 @@
+"""What several files of tests use: robots as live objects, noise, a recorded drive."""
+
+import contextlib
+import functools
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+from oracles import V
+from robots import DT, N
+
+import rhec
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import select_inputs
+from rhec.core.controller import rhc
+from rhec.core.estimator import rhe
+from rhec.tracked_robot.choice import Choice
+
+
+@contextlib.contextmanager
+def no_compiler():
+    """As on a machine without a C compiler."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "compiler", lambda: None)
+        compiled.load.cache_clear()
+        yield
+    compiled.load.cache_clear()
+
+
+# Any robot of `robots`
+
+
+@functools.cache
+def model(robot):
+    return rhec.Model(**robot.model)
+
+
+def estimator(robot, guess, **changes):
+    settings = dict(dt=DT, horizon=N, guess=tuple(guess)) | robot.estimator
+    return rhec.RHE(model=model(robot), **settings | dict(arrival_mean="filtered") | changes)
+
+
+def controller(robot, **changes):
+    return rhec.RHC(model=model(robot), **dict(dt=DT, horizon=N) | robot.controller | changes)
+
+
+def fused_sample(mhe, mpc):
+    """Estimator and controller of one sample as one Function: (memory, (z, x_ref, u_ref)) ->
+    (memory, ((x, u, p), command)).
+    """
+    estimate = rhe.build_phases(mhe.window)["step"]
+    command = rhc.build_phases(mpc.problem)["step"]
+    sizes = [estimate.numel_in("memory"), command.numel_in("memory")]
+    memory = ca.MX.sym("memory", sum(sizes))
+    shapes = [estimate.size_in("z_N"), command.size_in("x_ref"), command.size_in("u_ref")]
+    stream = ca.MX.sym("stream", sum(rows * columns for rows, columns in shapes))
+    ends = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
+    z, x_ref, u_ref = (
+        ca.reshape(stream[begin:end], *shape) for begin, end, shape in zip(ends, ends[1:], shapes)
+    )
+    settings = {name: ca.MX(ca.DM(each)) for name, each in (mhe.settings | mpc.settings).items()}
+    first = estimate(memory=memory[: sizes[0]], z_N=z, **select_inputs(estimate, settings))
+    n_x, n_u = len(mhe.model.states), len(mhe.model.inputs)
+    s_0 = ca.vertcat(first["estimate"][:n_x], first["estimate"][n_x + n_u :])
+    then = command(
+        memory=memory[sizes[0] :],
+        s_0=s_0,
+        x_ref=x_ref,
+        u_ref=u_ref,
+        **select_inputs(command, settings),
+    )
+    return ca.Function(
+        "sample",
+        [memory, stream],
+        [
+            ca.vertcat(first["memory"], then["memory"]),
+            ca.vertcat(first["estimate"], then["command"]),
+        ],
+        ["memory_in", "stream"],
+        ["memory_out", "row"],
+    )
+
+
+# The paper's robot
+
+
+def choice_of(name, horizon, speed_model="parameter", arrival_mean="smoothed", robust=False):
+    """The Choice of an estimator of the paper's robot."""
+    return Choice(name, horizon, speed_model, arrival_mean, robust)
+
+
+def weaving_yaw_rates(samples):
+    """Yaw rates that never stay the same."""
+    return 0.1 * np.sin(0.7 * np.arange(samples)) + 0.05 * np.cos(0.31 * np.arange(samples))
+
+
+def with_noise(z, seed=0, scale=1.0):
+    """Readings z (n, 4) with white noise of the paper's V; seed may be a generator."""
+    return z + scale * np.random.default_rng(seed).normal(size=z.shape) * np.sqrt(V)
+
+
+# Recorded logs
+
+MU, KAPPA, TRACK_WIDTH_M = 0.9, 0.75, 0.5
+
+
+def recorded_log(
+    rate_hz=10.0, duration_s=60.0, start_rad=0.4, noise_m=0.0, seed=0, arm_m=(0.0, 0.0)
+):
+    """A log with the documented columns: forwards, standing, backwards, in curves, integrated
+    finely, with white noise of noise_m. arm_m: the antenna's place ahead and left of the centre.
+    """
+    fine = np.arange(round(duration_s * 1000) + 1) / 1000
+    speed = np.interp(fine / duration_s, [0, 0.3, 0.33, 0.4, 0.43, 1], [0.6, 0.7, 0, 0, -0.5, -0.6])
+    yaw_rate = 0.4 * np.sin(0.35 * fine)
+    yaw = start_rad + np.concatenate(
+        [[0], np.cumsum(KAPPA * (yaw_rate[1:] + yaw_rate[:-1]) / 2000)]
+    )
+    x, y = (
+        np.concatenate([[0], np.cumsum((ahead[1:] + ahead[:-1]) / 2000)])
+        for ahead in (MU * speed * np.cos(yaw), MU * speed * np.sin(yaw))
+    )
+    x, y = (
+        x + arm_m[0] * np.cos(yaw) - arm_m[1] * np.sin(yaw),
+        y + arm_m[0] * np.sin(yaw) + arm_m[1] * np.cos(yaw),
+    )
+    at = np.round(np.arange(0, duration_s, 1 / rate_hz) * 1000).astype(int)
+    log = (
+        pd.DataFrame(
+            dict(
+                t_s=fine,
+                x_m=x,
+                y_m=y,
+                speed_mps=speed,
+                yaw_rate_radps=yaw_rate,
+                v_left_mps=speed - TRACK_WIDTH_M / 2 * yaw_rate,
+                v_right_mps=speed + TRACK_WIDTH_M / 2 * yaw_rate,
+                yaw_true_rad=yaw,
+                x_true_m=x,
+                y_true_m=y,
+                v_true_mps=MU * speed,
+                yaw_rate_true_radps=KAPPA * yaw_rate,
+            )
+        )
+        .iloc[at]
+        .reset_index(drop=True)
+    )
+    log[["x_m", "y_m"]] += noise_m * np.random.default_rng(seed).standard_normal((len(log), 2))
+    return log
+
+
+class Bomb:
+    """To unpickle it fails the test."""
+
+    def __reduce__(self):
+        return (pytest.fail, ("a pickle was run",))
+
+
+# The live page
+
+LIVE_PAGE = Path(__file__).parents[1] / "build/report/live.html"
+needs_live_page = pytest.mark.skipif(
+    not LIVE_PAGE.exists(),
+    reason="build/report has no live page: nothing compiled C to WebAssembly",
+)
