@@ -174,8 +174,8 @@ def run(notebook, values, output):
 
     Raises:
         ParameterError: If it has no such parameter.
-        PapermillExecutionError: If a cell fails. Then only the files that earlier cells made are
-            left, and the list of them.
+        PapermillExecutionError: If a cell fails. Only the files that the cells before it made, and
+            their list, are written then.
     """
     # Not imported above: every notebook imports this module, and none needs it.
     import nbformat
@@ -196,26 +196,6 @@ def run(notebook, values, output):
             raise
         _write_rules(output, listing, started_ns)
     _write(output, nbformat.writes(executed), started_ns)
-
-
-def _write_rules(output, listing, started_ns, only_if_made=False):
-    """Write beside the output, for make, what the notebook used and made."""
-    opened = [line.rstrip("\n").split(" ", 1) for line in listing]
-    written = [path for verb, path in opened if verb == "made"]
-    # A kernel that was killed may leave a file that it had not finished.
-    for path in written:
-        if path.endswith(".unfinished"):
-            Path(path).unlink(missing_ok=True)
-    made = _in_project(written)
-    if only_if_made and not made:
-        return
-    used = _in_project([__file__, ROOT / "rhec/__init__.py", *(path for _, path in opened)]) - made
-    # All are dated to the start, so that whatever is edited during the run counts as newer.
-    for path in made:
-        os.utime(ROOT / path, ns=(started_ns, started_ns))
-    output.parent.mkdir(parents=True, exist_ok=True)
-    rules = output.with_suffix(".d")
-    _write(rules, _rules(output, rules, used, made), started_ns)
 
 
 def _execute(notebook, values, listing):
@@ -245,6 +225,32 @@ def _execute(notebook, values, listing):
             f"__import__('importlib').import_module({this!r}).record({listing!r})",
         ],
     )
+
+
+def _write_rules(output, listing, started_ns, only_if_made=False):
+    """Write beside the output, for make, what the notebook used and made.
+
+    Args:
+        output: Path of the executed notebook.
+        listing: The open file that `record` wrote.
+        started_ns: When the notebook was started [ns].
+        only_if_made: Whether to write nothing if the notebook made nothing.
+    """
+    opened = [line.rstrip("\n").split(" ", 1) for line in listing]
+    written = [path for verb, path in opened if verb == "made"]
+    for path in written:  # by a kernel that was killed on the way
+        if path.endswith(".unfinished"):
+            Path(path).unlink(missing_ok=True)
+    made = _in_project(written)
+    if only_if_made and not made:
+        return
+    used = _in_project([__file__, ROOT / "rhec/__init__.py", *(path for _, path in opened)]) - made
+    # All are dated to the start, so that whatever is edited during the run counts as newer.
+    for path in made:
+        os.utime(ROOT / path, ns=(started_ns, started_ns))
+    output.parent.mkdir(parents=True, exist_ok=True)
+    rules = output.with_suffix(".d")
+    _write(rules, _rules(output, rules, used, made), started_ns)
 
 
 def _rules(output, rules, used, made):
