@@ -1,11 +1,12 @@
-"""The report: a site made by Sphinx from the executed notebooks, the figures and tables that they
-left, the documentation, and the reference of the public face. It needs no network.
+"""The report: a site of the executed notebooks, figures, tables, documents, and the reference.
+
+Sphinx builds it without network.
 
     python -m rhec.workbench.report build/notebooks/03_scenario_a.ipynb …
 
-`docs/conf.py` configures Sphinx, `docs/index.md` orders the pages. Here the sources are laid out in
-a folder as they are in the repository, so that links between them hold, and the pages "figures",
-"tables", "claims" and "provenance" are written beside them as Markdown.
+`docs/conf.py` configures Sphinx, `docs/index.md` orders the pages. This module copies the sources
+to a folder with the structure of the repository, which preserves links, and writes the pages
+"figures", "tables", "claims" and "provenance" as Markdown.
 """
 
 import argparse
@@ -34,14 +35,17 @@ from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
 from rhec.workbench.studies.claims.summary import ONE_WAY, verdict_counts
 
+<<<<<<< HEAD
 __all__ = ["build", "made_by"]
 
+=======
+>>>>>>> words
 ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
-# The live page comes after the report and imports nothing of it; its scenes name notebooks.
+# The scenes of the live page, which name notebooks.
 _SCENES = Path(__file__).parent / "live/scenes.toml"
-THUMBNAIL = (640, 640)  # pixels, at most
-LONG = 30  # characters: a longer text in a table is broken into lines
+THUMBNAIL = (640, 640)  # largest size [px]
+LONG = 30  # longer texts [characters] in a table are broken into lines
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _COPIED = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
 _RULES = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and *does not
@@ -49,9 +53,10 @@ hold* if none of it does; otherwise it is undecided. The rules are stated in the
 were changed after the verdicts of the previous ledger were known:
 [which, and why](docs/claims.md). A verdict with an asterisk (*) was not tested: no simulated world
 gave the other one. Where the verdict names a condition, the text as printed gives the other."""
-_WIDE = "---\nhide-toc: true\n---\n\n"  # the contents at the right give their place to the page
+_WIDE = "---\nhide-toc: true\n---\n\n"  # a page without the table of contents at the right
 
 
+<<<<<<< HEAD
 def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=None):
     """Write the site; it replaces the old one only when it is whole.
 
@@ -62,9 +67,19 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=
         live: whether to link the live page, which `python -m rhec.workbench.live.page` adds.
         published: names of the files in `figures` that the report may read; by default all. Other
             files are a person's own, and may be anything.
+=======
+def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
+    """Write the site, which replaces the old one when it is complete.
+
+    Args:
+        notebooks: Paths of executed notebooks.
+        figures: Folder of their figures and tables.
+        report: Folder of the site.
+        live: Whether to link the live page, which `python -m rhec.workbench.live.page` adds.
+>>>>>>> words
 
     Raises:
-        sphinx.errors.SphinxError: if a page cannot be made; the old site is left as it was.
+        sphinx.errors.SphinxError: If a page cannot be built; the old site stays unchanged.
     """
     report.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
@@ -81,7 +96,7 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=
 
 
 def _run_sphinx(source, site, tags):
-    """Make the site of its sources; what Sphinx warns of is printed."""
+    """Build the site from its sources, and print the warnings of Sphinx."""
     cache = site.parent / "doctrees"
     app = Sphinx(source, ROOT / "docs", site, cache, "html", status=None, tags=tags)
     app.build()
@@ -89,6 +104,7 @@ def _run_sphinx(source, site, tags):
         (site / left).unlink(missing_ok=True)
 
 
+<<<<<<< HEAD
 def made_by(notebooks, figures=style.FOLDER):
     """Names of the files in a folder that these notebooks made, by the lists beside them."""
     names = set()
@@ -110,6 +126,10 @@ def _copy_figures(figures, folder, published):
 
 def _lay_out(source, notebooks, figures, live, published):
     """All that the pages are made of, in a new folder."""
+=======
+def _lay_out(source, notebooks, figures, live):
+    """Copy and write the sources of the pages to a new folder."""
+>>>>>>> words
     shutil.copytree(ROOT / "docs", source / "docs", ignore=shutil.ignore_patterns("index.md"))
     shutil.copy(ROOT / "docs/index.md", source)
     for name in _COPIED:
@@ -139,7 +159,7 @@ def _lay_out(source, notebooks, figures, live, published):
 
 
 def _captions(notebook, figures):
-    """The figures that a notebook saves, {name: the paragraph above}; each gets an anchor there."""
+    """{figure: paragraph above it} for the figures of a notebook; adds an anchor for each."""
     captions = {}
     above = notebook.cells[0]
     for cell in notebook.cells:
@@ -156,14 +176,14 @@ def _captions(notebook, figures):
 
 
 def _prepare(notebook, scene, live):
-    """Describe a notebook's pictures, fold its code, and leave out what only a kernel can show.
+    """Describe the pictures of a notebook, fold its code, and remove widgets.
 
     Args:
-        notebook: the executed notebook; it is changed.
-        scene: the live page's scene that shows what the notebook does, or None.
-        live: whether there is a live page.
+        notebook: The executed notebook, which is modified.
+        scene: The corresponding scene of the live page, or None.
+        live: Whether the report has a live page.
     """
-    notebook.metadata.pop("widgets", None)  # their state, which nothing here can show
+    notebook.metadata.pop("widgets", None)  # their state, which needs a kernel
     unfolded = notebook.metadata.get("rhec", {}).get("code") == "open"
     above = notebook.cells[0]
     sliders = [above] if scene and live else []
@@ -199,7 +219,7 @@ def _pictures(cell):
 
 
 def _prepare_pictures(cell, caption):
-    """Give a cell's pictures a description and a size, and store them in few bytes."""
+    """Add a description and a size to the pictures of a cell, and compress them."""
     for output in _pictures(cell):
         output.data["image/png"] = _with_fewer_colours(output.data["image/png"])
         width = output.metadata.get("image/png", {}).get("width")
@@ -208,7 +228,7 @@ def _prepare_pictures(cell, caption):
 
 
 def _last_paragraph(cell):
-    """The last paragraph of a cell with prose: what stands above a picture describes it."""
+    """The last paragraph of a text cell, which describes the picture below."""
     prose = re.sub(r"(?m)^<a id=.*$|^#.*$", "", cell.source)
     pieces = [piece.strip() for piece in prose.split("\n\n") if piece.strip()]
     return pieces[-1] if pieces else ""
@@ -219,7 +239,7 @@ def _plain(text):
 
 
 def _with_fewer_colours(png):
-    """A PNG (base64) in 256 colours: a drawing loses nothing that can be seen."""
+    """A PNG (base64) with 256 colours, which are enough for drawings."""
     image = (
         Image.open(io.BytesIO(b64decode(png)))
         .convert("RGB")
@@ -276,12 +296,12 @@ def _title(story, notebook):
 
 
 def _tables_page(folder):
-    """Every table, with numbers as a person reads them, and its files."""
+    """All tables with rounded numbers, and links to their files."""
     text = f"{_WIDE}# Tables\n\nThree digits here, all of them in the CSV files.\n"
     for file in sorted(folder.glob("*.csv")):
         tex = file.with_suffix(".tex")
-        said = tex.read_text(encoding="utf-8") if tex.exists() else ""
-        caption = re.search(r"\\caption\{(.*?)\}\n", said)
+        latex = tex.read_text(encoding="utf-8") if tex.exists() else ""
+        caption = re.search(r"\\caption\{(.*?)\}\n", latex)
         caption = re.sub(r"\\,|\\(?=[%_&])", "", caption[1]) if caption else ""
         files = [f"{{download}}`CSV <figures/{file.name}>`"]
         files += [f"{{download}}`LaTeX <figures/{tex.name}>`"] if tex.exists() else []
@@ -292,7 +312,7 @@ def _tables_page(folder):
 
 
 def _as_html(table):
-    """A DataFrame as HTML in a frame that scrolls; numbers in three digits."""
+    """A DataFrame as HTML in a scrollable frame; numbers have three digits."""
 
     def cell(value):
         text = results.format_number(value) if isinstance(value, float) else str(value)
@@ -315,7 +335,7 @@ def _as_html(table):
 
 
 def _claims_page(file):
-    """The verdict on each claim; `claims.html#B5` is that of B5."""
+    """The verdicts on all claims, with an anchor for each, such as `claims.html#B5`."""
     if not file.exists():
         return "# Verdicts on the paper\n\n`make claims` has not been run.\n"
     claims = pd.read_csv(file)
@@ -338,7 +358,7 @@ def _claims_page(file):
 
 
 def _provenance_page(stories, figures):
-    """What the results came from."""
+    """The provenance of the results."""
     made_by = {style.source_of(file) for file in sorted(figures.glob("*.png"))} - {""}
     facts = [
         ("Project", f"rhec {__version__}"),
@@ -366,7 +386,7 @@ def _provenance_page(stories, figures):
 
 
 def _commit():
-    """The commit of this folder's own repository, not of one around it."""
+    """The commit of the repository in this folder, not of an enclosing one."""
     if not (ROOT / ".git").exists():
         return "no git repository"
     describe = ["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
@@ -374,15 +394,16 @@ def _commit():
 
 
 def _run_of(name, notebook):
-    """When, how long and with which parameters a notebook ran, as papermill noted it."""
-    noted = notebook.metadata.get("papermill", {})
-    given = ", ".join(f"{key} = {value}" for key, value in noted.get("parameters", {}).items())
+    """Start, duration and parameters of a notebook, as recorded by papermill."""
+    record = notebook.metadata.get("papermill", {})
+    parameters = record.get("parameters", {})
+    changed = ", ".join(f"{key} = {value}" for key, value in parameters.items())
     return {
         "notebook": f"[{name}](notebooks/{name}.ipynb)",
-        "started (UTC)": noted.get("start_time", "")[:19].replace("T", " "),
-        "duration [s]": results.format_number(noted.get("duration")),
+        "started (UTC)": record.get("start_time", "")[:19].replace("T", " "),
+        "duration [s]": results.format_number(record.get("duration")),
         "code cells": sum(cell.cell_type == "code" for cell in notebook.cells),
-        "parameters": given or "as in the notebook",
+        "parameters": changed or "as in the notebook",
     }
 
 
@@ -390,15 +411,20 @@ def _packages():
     """The packages in environment.txt that are installed here: (name, version, pinned version)."""
     pins = (ROOT / "environment.txt").read_text(encoding="utf-8")
     pinned = dict(re.findall(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)", pins, re.M))
-    installed = {each.metadata["Name"]: each.version for each in importlib.metadata.distributions()}
-    both = sorted(pinned.keys() & installed.keys())  # others are of another system or Python
+    distributions = importlib.metadata.distributions()
+    installed = {package.metadata["Name"]: package.version for package in distributions}
+    both = sorted(pinned.keys() & installed.keys())  # the others are for another system or Python
     return [(name, installed[name], pinned[name]) for name in both]
 
 
 def _main():
+<<<<<<< HEAD
     about = (
         "Make build/report/ from executed notebooks, such as build/notebooks/03_scenario_a.ipynb."
     )
+=======
+    about = "Build the report from executed notebooks, such as build/notebooks/00_start.ipynb."
+>>>>>>> words
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     parser.add_argument("--live", action="store_true", help="link the live page")
@@ -409,9 +435,9 @@ def _main():
         published = made_by(options.notebooks) | {file.name for file in options.also}
         build(options.notebooks, live=options.live, published=published)
     except KeyboardInterrupt:
-        parser.exit(130, "report: interrupted; an older one is left as it was\n")
+        parser.exit(130, "report: interrupted; an older report stays unchanged\n")
     if not options.live:
-        print("report: without the live page, since nothing here compiles C to WebAssembly")
+        print("report: without the live page, because no compiler for WebAssembly is installed")
     print(f"report: open {os.path.relpath(REPORT / 'index.html')}")
 
 

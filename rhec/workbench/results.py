@@ -1,7 +1,7 @@
-"""Write the results in README.md, docs/results.md and docs/claims.md from the tables in figures/.
+"""Update the results in README.md, docs/results.md and docs/claims.md from the tables in figures/.
 
-A result stands between `<!-- results NAME -->` and `<!-- end -->`. If a table that it needs does
-not exist, the text that stands there stays.
+A result is the text between `<!-- results NAME -->` and `<!-- end -->`. It stays unchanged if one
+of its tables does not exist.
 """
 
 import re
@@ -12,53 +12,56 @@ import pandas as pd
 
 from rhec.workbench.studies.claims.summary import ONE_WAY, survivors, verdict_counts
 
-__all__ = ["format_intervals", "format_number", "main", "readable", "rewrite", "to_markdown"]
-
 _ROOT = Path(__file__).resolve().parents[2]
 _PAGES = ("README.md", "docs/results.md", "docs/claims.md")
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 def rewrite(text, tables):
-    """Write the results in a page's text anew.
+    """Update the results in a page.
 
     Args:
-        text: the page, as Markdown.
+        text: The page as Markdown.
         tables: {name: DataFrame}.
 
     Returns:
         The page with its results.
 
     Raises:
-        KeyError: if the page names a result that does not exist.
+        KeyError: If the page names a result that does not exist.
     """
 
     def block(match):
-        needed, result = _RESULTS[match[2]]
-        if not all(name in tables for name in needed):
+        names, result = _RESULTS[match[2]]
+        if not all(name in tables for name in names):
             return match[0]
-        return match[1] + result(*map(tables.get, needed)) + "\n"
+        return match[1] + result(*map(tables.get, names)) + "\n"
 
     return _BLOCK.sub(block, text)
 
 
 def main(root=_ROOT):
+<<<<<<< HEAD
     """Write every page whose results changed, in the project's folder `root`."""
     # Other tables in the folder are a person's own, and may be anything.
     names = {name for needed, _ in _RESULTS.values() for name in needed}
     files = [root / f"figures/{name}.csv" for name in names - {"claims_before"}]
     files += [root / "data/claims_before.csv"]
+=======
+    """Update every page with changed results in the project's folder `root`."""
+    files = [*(root / "figures").glob("*.csv"), root / "data/claims_before.csv"]
+>>>>>>> words
     tables = {path.stem: pd.read_csv(path) for path in files if path.exists()}
     for page in (root / name for name in _PAGES):
         old = page.read_text(encoding="utf-8")
         new = rewrite(old, tables)
         if new != old:
             page.write_text(new, encoding="utf-8")
-            print(f"results: {page.name} written anew")
+            print(f"results: {page.name} updated")
 
 
 def to_markdown(frame):
-    """A DataFrame as a Markdown table, without its index and with nothing for a missing value."""
+    """A DataFrame as a Markdown table without index; missing values are empty."""
     rows = [list(frame), ["---"] * len(frame.columns), *frame.fillna("").to_numpy()]
     # A vertical line would end the cell.
     cells = [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
@@ -66,27 +69,28 @@ def to_markdown(frame):
 
 
 def format_intervals(table, value="mean", low="low", high="high"):
-    """The values of a column with the interval of two others, as "value [low, high]"."""
+    """Strings "value [low, high]" from three columns."""
     low, high, value = (table[name].map(format_number) for name in (low, high, value))
     return (value + " [" + low + ", " + high + "]").where(value != "", "")
 
 
 def format_number(value):
-    """Three digits of a number, large ones to the unit; nothing if it is missing."""
+    """A number with three digits, or as an integer from 100; "" for a missing one."""
     if pd.isna(value):
         return ""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def readable(table):
-    """A table as a person reads it: each interval beside its value, one column for each variant.
+    """Join values with their intervals, and spread quantities over rows and columns.
 
     Args:
-        table: a DataFrame. A column `low` or `..._low` and the next one bound the column before.
+        table: A DataFrame. A column `low` or `..._low` and the next one are the interval of the
+            previous column.
 
     Returns:
-        A DataFrame; if the table has a column `quantity`, its entries become rows or columns,
-        whichever makes the table longer than wide.
+        A DataFrame. The entries of a column `quantity` become rows or columns, so that the table
+        has more rows than columns.
     """
     table = table.dropna(axis="columns", how="all")
     joined = []
@@ -102,7 +106,7 @@ def readable(table):
 
 
 def _spread(table, value):
-    """One row for each variant and one column for each quantity, or the other way round."""
+    """A table with rows for variants and columns for quantities, or the transpose."""
     table = table.fillna("")
     if "paper" in table:
         paper = table["paper"].map(lambda number: f" (paper: {number:.3g})" if number != "" else "")
@@ -119,7 +123,7 @@ def _spread(table, value):
     return wide.rename_axis(columns=None)
 
 
-_ROWS = {  # the README's rows: (estimator or weight, quantity) and what a person calls them
+_ROWS = {  # rows of the README: {(estimator or weight, quantity): label}
     ("RHE", "mean error, raw GNSS [m]"): "Mean error with the RHE [m]",
     ("EKF", "mean error, raw GNSS [m]"): "Mean error with the EKF [m]",
     ("RHE - EKF", "mean error, raw GNSS [m]"): "Error of the RHE minus that of the EKF [m]",
@@ -133,7 +137,7 @@ _ROWS = {  # the README's rows: (estimator or weight, quantity) and what a perso
 
 
 def _summary(a, b):
-    """What the paper reports of Scenarios A and B, and the results under either process noise."""
+    """Results of Scenarios A and B for both process noises, and the numbers of the paper."""
     a = a.assign(process_noise="calibrated", estimator=a["weight"], paper=float("nan"))
     rows = pd.concat([b, a])
     rows["here"] = format_intervals(rows)
@@ -142,23 +146,23 @@ def _summary(a, b):
     for key, label in _ROWS.items():
         if key not in rows.index:
             continue
-        of_key = rows.loc[[key]].set_index("process_noise")
-        here = of_key["here"].reindex(["printed", "calibrated"]).fillna("")
-        # The paper prints no differences; they follow from its numbers.
-        paper = "" if " - " in key[0] else format_number(of_key["paper"].iloc[0])
-        lines.append([label, *here, paper, _judged(of_key)])
+        results = rows.loc[[key]].set_index("process_noise")
+        here = results["here"].reindex(["printed", "calibrated"]).fillna("")
+        # The paper does not print differences.
+        paper = "" if " - " in key[0] else format_number(results["paper"].iloc[0])
+        lines.append([label, *here, paper, _judged(results)])
     heads = ["quantity", "W as printed", "W calibrated", "the paper", "the paper's claim"]
     n = f"Means over {rows['n'].max()} fields, with 95 % intervals:"
     return f"{n}\n\n{to_markdown(pd.DataFrame(lines, columns=heads))}"
 
 
 def _judged(rows):
-    """A claim and its verdict, once if it is the same for either process noise."""
+    """A claim and its verdict, or two verdicts if they differ between process noises."""
     verdicts = rows["verdict"].dropna()
     if verdicts.empty:
         return ""
-    each = "; ".join(f"{noise}: {verdict}" for noise, verdict in verdicts.items())
-    verdict = verdicts.iloc[0] if verdicts.nunique() == 1 else each
+    both = "; ".join(f"{noise}: {verdict}" for noise, verdict in verdicts.items())
+    verdict = verdicts.iloc[0] if verdicts.nunique() == 1 else both
     claim = rows["claim"].dropna() if "claim" in rows else []
     return f"{claim.iloc[0]}: {verdict}" if len(claim) else verdict
 
@@ -176,7 +180,7 @@ def _failed(claims):
 
 
 def _departures(claims):
-    """Claims that the text as printed and departures from it decide differently."""
+    """Claims with different verdicts for the text as printed and for departures from it."""
     some = claims[claims["kind"].str.startswith("holds ")]
     return to_markdown(some[["id", "claim", "verdict"]])
 
@@ -191,7 +195,7 @@ def _multiplicity(claims):
 
 
 def _changes(claims, before):
-    """Claims whose verdict differs from that in the previous ledger, and why."""
+    """Claims with another verdict than in the previous ledger, and the reasons."""
     old = before.set_index("id")
     new = claims.set_index("id")
     both = new.join(old, how="outer").reindex([*dict.fromkeys([*new.index, *old.index])])
@@ -203,13 +207,13 @@ def _changes(claims, before):
 
 def _multiverse(table):
     noise = table["id"].str.extract(r" ([pc])$")[0].map({"p": "printed", "c": "calibrated"})
-    shown = {
+    columns = {
         "id": table["id"].str.replace(r" [pc]$", "", regex=True),
         "W": noise,
         "claim": table["claim"],
         "share of worlds [95 % interval]": format_intervals(table, "holds"),
     }
-    return to_markdown(pd.DataFrame(shown))
+    return to_markdown(pd.DataFrame(columns))
 
 
 def _faults(table):
@@ -221,20 +225,20 @@ def _faults(table):
 
 
 def _means(by, quantity, heading):
-    """A function of a table: the means of a quantity, one row for each entry of the column `by`."""
+    """A function that writes the means of a quantity of a table, one row per entry of `by`."""
 
     def result(table):
         rows = table[table["quantity"] == quantity]
-        shown = pd.DataFrame({by.replace("contestant", "estimator"): rows[by]})
-        shown[f"{heading} [95 % interval]"] = format_intervals(rows)
+        columns = pd.DataFrame({by.replace("contestant", "estimator"): rows[by]})
+        columns[f"{heading} [95 % interval]"] = format_intervals(rows)
         if "verdict" in rows and rows["verdict"].notna().any():
-            shown["claim"] = rows["verdict"]
-        return to_markdown(shown)
+            columns["claim"] = rows["verdict"]
+        return to_markdown(columns)
 
     return result
 
 
-_RESULTS = {  # the tables that a result needs, and the function of them that writes it
+_RESULTS = {  # {result: (its tables, the function that writes it)}
     "summary": (["table_scenario_a", "table_scenario_b"], _summary),
     "settling": (["table_scenario_a"], _means("weight", "settling time [s]", "settling time [s]")),
     "verdicts": (["claims"], _verdicts),

@@ -300,7 +300,7 @@ def test_a_page_is_written_only_when_its_results_changed(tmp_path, capsys):
         folder = "data" if name == "claims_before" else "figures"
         table.to_csv(tmp_path / f"{folder}/{name}.csv", index=False)
     results.main(tmp_path)
-    assert capsys.readouterr().out.count("written anew") == 3
+    assert capsys.readouterr().out.count("updated") == 3
     first = {page: (page.read_text(encoding="utf-8"), page.stat().st_mtime_ns) for page in pages}
     for page, name in pages.items():
         assert first[page][0] == results.rewrite(TEXT[name], fake_tables())
