@@ -35,11 +35,8 @@ from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
 from rhec.workbench.studies.claims.summary import ONE_WAY, verdict_counts
 
-<<<<<<< HEAD
 __all__ = ["build", "made_by"]
 
-=======
->>>>>>> words
 ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
 # The scenes of the live page, which name notebooks.
@@ -56,7 +53,6 @@ gave the other one. Where the verdict names a condition, the text as printed giv
 _WIDE = "---\nhide-toc: true\n---\n\n"  # a page without the table of contents at the right
 
 
-<<<<<<< HEAD
 def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=None):
     """Write the site; it replaces the old one only when it is whole.
 
@@ -67,16 +63,6 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=
         live: whether to link the live page, which `python -m rhec.workbench.live.page` adds.
         published: names of the files in `figures` that the report may read; by default all. Other
             files are a person's own, and may be anything.
-=======
-def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
-    """Write the site, which replaces the old one when it is complete.
-
-    Args:
-        notebooks: Paths of executed notebooks.
-        figures: Folder of their figures and tables.
-        report: Folder of the site.
-        live: Whether to link the live page, which `python -m rhec.workbench.live.page` adds.
->>>>>>> words
 
     Raises:
         sphinx.errors.SphinxError: If a page cannot be built; the old site stays unchanged.
@@ -104,7 +90,6 @@ def _run_sphinx(source, site, tags):
         (site / left).unlink(missing_ok=True)
 
 
-<<<<<<< HEAD
 def made_by(notebooks, figures=style.FOLDER):
     """Names of the files in a folder that these notebooks made, by the lists beside them."""
     names = set()
@@ -126,10 +111,6 @@ def _copy_figures(figures, folder, published):
 
 def _lay_out(source, notebooks, figures, live, published):
     """All that the pages are made of, in a new folder."""
-=======
-def _lay_out(source, notebooks, figures, live):
-    """Copy and write the sources of the pages to a new folder."""
->>>>>>> words
     shutil.copytree(ROOT / "docs", source / "docs", ignore=shutil.ignore_patterns("index.md"))
     shutil.copy(ROOT / "docs/index.md", source)
     for name in _COPIED:
@@ -418,13 +399,9 @@ def _packages():
 
 
 def _main():
-<<<<<<< HEAD
     about = (
         "Make build/report/ from executed notebooks, such as build/notebooks/03_scenario_a.ipynb."
     )
-=======
-    about = "Build the report from executed notebooks, such as build/notebooks/00_start.ipynb."
->>>>>>> words
     parser = argparse.ArgumentParser(prog="python -m rhec.workbench.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     parser.add_argument("--live", action="store_true", help="link the live page")

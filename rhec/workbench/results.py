@@ -41,16 +41,11 @@ def rewrite(text, tables):
 
 
 def main(root=_ROOT):
-<<<<<<< HEAD
     """Write every page whose results changed, in the project's folder `root`."""
     # Other tables in the folder are a person's own, and may be anything.
     names = {name for needed, _ in _RESULTS.values() for name in needed}
     files = [root / f"figures/{name}.csv" for name in names - {"claims_before"}]
     files += [root / "data/claims_before.csv"]
-=======
-    """Update every page with changed results in the project's folder `root`."""
-    files = [*(root / "figures").glob("*.csv"), root / "data/claims_before.csv"]
->>>>>>> words
     tables = {path.stem: pd.read_csv(path) for path in files if path.exists()}
     for page in (root / name for name in _PAGES):
         old = page.read_text(encoding="utf-8")
