@@ -21,7 +21,7 @@ from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 
 @validated
-class Scenario:  # noqa: D101 - its docstring is made from FIELDS
+class Scenario:
     # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
     estimator: Annotated[EstimatorName | ca.Function, SkipValidation] = "rhe"
     process_noise: options.ProcessNoise = "printed"
