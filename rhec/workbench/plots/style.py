@@ -127,18 +127,18 @@ def _as_json(scenario):
 
 def provenance(name, scenario, notebook):
     """Where a file came from, by keys that a PDF allows; its Keywords are the scenario."""
-    about = {
+    metadata = {
         "Title": name,
         "Creator": f"rhec {__version__}, source {source()}",
         "Subject": notebook,
         "Keywords": None if scenario is None else _as_json(scenario),
     }
-    return {key: value for key, value in about.items() if value is not None}
+    return {key: value for key, value in metadata.items() if value is not None}
 
 
-def as_comments(about):
+def as_comments(metadata):
     """A provenance as comments at the beginning of a LaTeX file."""
-    return "".join(f"% {key}: {value}\n" for key, value in about.items())
+    return "".join(f"% {key}: {value}\n" for key, value in metadata.items())
 
 
 def source_of(png):
@@ -163,12 +163,12 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     png = Path(folder) / f"{name}.png"
-    about = provenance(name, scenario, notebook)
+    metadata = provenance(name, scenario, notebook)
     # savefig applies the default layout to figures without one, so the default must be none here.
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
-        figure.savefig(png, metadata=about | {"Creator": f"rhec {__version__}"})
+        figure.savefig(png, metadata=metadata | {"Creator": f"rhec {__version__}"})
         figure.set_layout_engine(None)  # the layout is done and would cost time again
-        figure.savefig(png.with_suffix(".pdf"), metadata=about | {"CreationDate": None})
+        figure.savefig(png.with_suffix(".pdf"), metadata=metadata | {"CreationDate": None})
     return png
 
 
@@ -189,6 +189,6 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
     label = f"tab:{name}"
     look = dict(index=False, escape=True, float_format="%.4g", caption=caption, label=label)
     dataframe.to_csv(csv, index=False)
-    about = as_comments(provenance(name, scenario, notebook))
-    csv.with_suffix(".tex").write_text(about + dataframe.to_latex(**look), encoding="utf-8")
+    comments = as_comments(provenance(name, scenario, notebook))
+    csv.with_suffix(".tex").write_text(comments + dataframe.to_latex(**look), encoding="utf-8")
     return csv
