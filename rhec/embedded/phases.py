@@ -290,7 +290,7 @@ def _with_speed(control, speed, estimate):
     def shift_speed(speed, **plan):
         return shift(**plan) | dict(speed=speed)
 
-    # The speed limit is that of the path at `s_next`; the RHC has an `s` of its own.
+    # The speed limit is that at the arc length `s_next`; `s` names the trajectory of the RHC.
     shapes = _inputs_of(speed) | _inputs_of(feedback) | dict(s_next=(1, 1))
     if "covariance" in estimate.name_out():  # in C, only its nonzeros are passed on
         shapes["covariance"] = estimate.sparsity_out("covariance")

@@ -75,8 +75,8 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=
         _lay_out(source, notebooks, figures, live, published)
         _run_sphinx(source, site, ["live"] if live else [])
         (site / "report.d").touch()  # for `make clean`
-        made = [f"build/report/{file.relative_to(site)}" for file in site.rglob("*.*")]
-        (site / "report.d").write_text(f"MADE += {' '.join(made)}\n")
+        files = [f"build/report/{file.relative_to(site)}" for file in site.rglob("*.*")]
+        (site / "report.d").write_text(f"MADE += {' '.join(files)}\n")
         shutil.rmtree(report, ignore_errors=True)
         site.rename(report)
 
@@ -239,8 +239,10 @@ def _figures_page(stories, captions, folder):
     drawn = sorted(file.stem for file in folder.glob("*.png"))
     groups = {"The paper": [name for name in drawn if re.match(r"fig\d", name)]}
     for story, notebook in stories.items():
-        own = [name for name in captions if captions[name][0] == story]
-        groups[_title(story, notebook)] = [name for name in own if name not in groups["The paper"]]
+        saved = [name for name in captions if captions[name][0] == story]
+        groups[_title(story, notebook)] = [
+            name for name in saved if name not in groups["The paper"]
+        ]
     named = [name for names in groups.values() for name in names]
     groups["Other figures"] = [name for name in drawn if name not in named]
     (folder / "thumbnails").mkdir()
@@ -248,10 +250,10 @@ def _figures_page(stories, captions, folder):
     text += "Each file carries the scenario and the notebook that made it.\n"
     for title, names in groups.items():
         if names:
-            shown = "\n".join(
+            gallery = "\n".join(
                 _figure(name, *captions.get(name, ("", "")), folder) for name in names
             )
-            text += f"\n## {title}\n\n::::{{container}} gallery\n{shown}\n::::\n"
+            text += f"\n## {title}\n\n::::{{container}} gallery\n{gallery}\n::::\n"
     return text
 
 
@@ -323,17 +325,17 @@ def _claims_page(file):
     counts = verdict_counts(claims)
     text = f"{_WIDE}# Verdicts on the paper\n\n{_RULES}\n\n"
     text += results.to_markdown(pd.DataFrame(dict(verdict=counts.keys(), claims=counts.values)))
-    shown = pd.DataFrame()
-    shown["id"] = [f'<a id="{name}" href="#{name}">{name}</a>' for name in claims["id"]]
-    shown["the paper's claim"] = claims["claim"]
-    shown["verdict"] = claims["verdict"] + claims["kind"].eq(ONE_WAY).map({True: "*", False: ""})
-    shown["here"] = results.format_intervals(claims, "value").where(claims["n"] > 0, "")
-    shown["unit"] = claims["unit"]
-    shown["the paper's"] = claims["paper"]
-    shown["runs or cases"] = claims["n"]
-    shown["rule"] = claims["test"]
-    shown["why"] = claims["why"]
-    for section, rows in shown.fillna("").groupby(claims["section"], sort=False):
+    table = pd.DataFrame()
+    table["id"] = [f'<a id="{name}" href="#{name}">{name}</a>' for name in claims["id"]]
+    table["the paper's claim"] = claims["claim"]
+    table["verdict"] = claims["verdict"] + claims["kind"].eq(ONE_WAY).map({True: "*", False: ""})
+    table["here"] = results.format_intervals(claims, "value").where(claims["n"] > 0, "")
+    table["unit"] = claims["unit"]
+    table["the paper's"] = claims["paper"]
+    table["runs or cases"] = claims["n"]
+    table["rule"] = claims["test"]
+    table["why"] = claims["why"]
+    for section, rows in table.fillna("").groupby(claims["section"], sort=False):
         text += f"\n\n## {section}\n\n{_as_html(rows)}"
     return text
 

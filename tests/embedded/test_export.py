@@ -844,7 +844,7 @@ def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tm
         other = rhec.RHC(model=mpc.problem.model, dt=0.1, horizon=8, **ROBOTS["cart"].controller)
         parts, sentence = {
             "twice": ((mhe, mhe), "^scenario was .* it should be a RHE, a RHC or one of each"),
-            "paper": (rhec.RHE(), "of the paper's robot a Scenario$"),
+            "paper": (rhec.RHE(), "for the paper's robot a Scenario$"),
             "ekf": (rhec.EKF(model=mhe.model, **kalman), "^scenario was .*; it should be"),
             "dt": ((mhe, other), "^RHE and RHC differ; both should have the same model and dt$"),
             "nothing": ((), "^scenario was .*; it should be a rhec.Scenario"),

@@ -77,15 +77,15 @@ template <int... lengths> static int if_else(function yes, function no, const la
   lanes otherwise = fabs(*arg[0]) < 1.0;  // as C converts it to an integer
   if (!any(otherwise)) return yes(arg + 1, res, iw, w, 0);
   if (!any(!otherwise)) return no(arg + 1, res, iw, w, 0);
-  lanes of_yes[(lengths + ...)], *kept = of_yes;
+  lanes yes_results[(lengths + ...)], *saved = yes_results;
   const int n_out = sizeof...(lengths), n[] = {lengths...};
   if (yes(arg + 1, res, iw, w, 0)) return 1;
-  for (int k = 0; k < n_out; kept += n[k++])
-    for (int i = 0; res[k] && i < n[k]; i++) kept[i] = res[k][i];
+  for (int k = 0; k < n_out; saved += n[k++])
+    for (int i = 0; res[k] && i < n[k]; i++) saved[i] = res[k][i];
   if (no(arg + 1, res, iw, w, 0)) return 1;
-  kept = of_yes;
-  for (int k = 0; k < n_out; kept += n[k++])
-    for (int i = 0; res[k] && i < n[k]; i++) res[k][i] = select(otherwise, res[k][i], kept[i]);
+  saved = yes_results;
+  for (int k = 0; k < n_out; saved += n[k++])
+    for (int i = 0; res[k] && i < n[k]; i++) res[k][i] = select(otherwise, res[k][i], saved[i]);
   return 0;
 }
 

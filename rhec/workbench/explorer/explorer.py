@@ -150,9 +150,9 @@ class Explorer(widgets.VBox):
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
         self.estimator = _list(estimators, self.start.estimator, "run", 142)
         self.against = _list([("nothing", None), *estimators], against, "against", 160)
-        about = "process noise W of the estimators; the tab Estimator sets a custom W"
+        tooltip = "process noise W of the estimators; the tab Estimator sets a custom W"
         noise = values["process_noise"]
-        self.process_noise = _list(controls.PROCESS_NOISES, noise, "W", 122, about)
+        self.process_noise = _list(controls.PROCESS_NOISES, noise, "W", 122, tooltip)
         look = _look("seed", "determines soil and noise", "112px", "36px")
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
@@ -177,8 +177,8 @@ class Explorer(widgets.VBox):
             widgets.Text(value, continuous_update=False, **_look(label, None, "96%", "50px"))
             for label, value in (("folder", str(folder)), ("name", "run"))
         )
-        about = "CSV and Parquet of each run, the figure as PNG and PDF"
-        self.save = _button("save runs and figure", about)
+        tooltip = "CSV and Parquet of each run, the figure as PNG and PDF"
+        self.save = _button("save runs and figure", tooltip)
         self.play = widgets.Play(100, min=0, max=100, interval=100, show_repeat=False)
         look = _look("sample", None, None, "50px") | {"layout": {"flex": "1 1 auto"}}
         self.sample = widgets.IntSlider(100, 0, 100, **look)

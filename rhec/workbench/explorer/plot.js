@@ -41,7 +41,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     this.c.setLineDash(dash);
     return Object.assign(this.c, { strokeStyle: colour, fillStyle: colour }, look);
   }
-  path(n, x, y, first = 0) { // what is not a number leaves a gap
+  path(n, x, y, first = 0) { // NaN leaves a gap
     this.c.beginPath();
     for (let k = first, pen = false; k < n; k++) {
       const [across, down] = [this.x(x(k)), this.y(y(k))], there = isFinite(across + down);

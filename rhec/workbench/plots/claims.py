@@ -54,7 +54,7 @@ def save_ledger(table, name="claims", folder=style.FOLDER):
         The path of the CSV. The LaTeX needs the packages booktabs and longtable.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
-    about = style.provenance(name, None)
+    metadata = style.provenance(name, None)
     csv = Path(folder) / f"{name}.csv"
     table.to_csv(csv, index=False)
     numbers = ("paper", "value", "low", "high")
@@ -65,9 +65,9 @@ def save_ledger(table, name="claims", folder=style.FOLDER):
     )
     look["column_format"] = "lp{0.34\\linewidth}llllllp{0.14\\linewidth}"
     latex = printed.to_latex(**look)
-    csv.with_suffix(".tex").write_text(style.as_comments(about) + latex, encoding="utf-8")
+    csv.with_suffix(".tex").write_text(style.as_comments(metadata) + latex, encoding="utf-8")
     rules = table[_RULES].assign(p_adjusted=table["p_adjusted"].map(_number))
-    pages = [f"<!-- {about['Creator']} -->", _markdown(printed), _markdown(rules)]
+    pages = [f"<!-- {metadata['Creator']} -->", _markdown(printed), _markdown(rules)]
     csv.with_suffix(".md").write_text("\n".join(pages), encoding="utf-8")
     return csv
 

@@ -176,8 +176,10 @@ def forest(table, baseline):
     labels = [f"{row.words}  {row.interpretation}" for row in others.itertuples()]
     panels[0].set_yticks(range(len(labels)), labels)
     panels[0].set_ylim(len(labels) - 0.5, -0.5)
-    about = f"{baseline} process noise; its mean is in each title"
-    label = f"change from the baseline ({about}), {table['n'].iloc[0]} seeds, 95 % intervals;\n"
+    description = f"{baseline} process noise; its mean is in each title"
+    label = (
+        f"change from the baseline ({description}), {table['n'].iloc[0]} seeds, 95 % intervals;\n"
+    )
     figure.supxlabel(label + "linear axes; arrows: off the scale, with their numbers", fontsize=7)
     return figure
 

@@ -138,18 +138,18 @@ def _running_notebook():
 
 def provenance(name, scenario, notebook=None):
     """Where a file came from, by keys that a PDF allows; its Keywords are the scenario."""
-    about = {
+    metadata = {
         "Title": name,
         "Creator": f"rhec {__version__}, source {source()}",
         "Subject": notebook or _running_notebook(),
         "Keywords": None if scenario is None else _as_json(scenario),
     }
-    return {key: value for key, value in about.items() if value is not None}
+    return {key: value for key, value in metadata.items() if value is not None}
 
 
-def as_comments(about):
+def as_comments(metadata):
     """A provenance as comments at the beginning of a LaTeX file."""
-    return "".join(f"% {key}: {value}\n" for key, value in about.items())
+    return "".join(f"% {key}: {value}\n" for key, value in metadata.items())
 
 
 def source_of(png):
@@ -174,15 +174,15 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     png = Path(folder) / f"{name}.png"
-    about = provenance(name, scenario, notebook)
+    metadata = provenance(name, scenario, notebook)
     # savefig applies the default layout to figures without one, so the default must be none here.
     with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
         with _replacing(png) as unfinished:
             creator = {"Creator": f"rhec {__version__}"}
-            figure.savefig(unfinished, format="png", metadata=about | creator)
+            figure.savefig(unfinished, format="png", metadata=metadata | creator)
         figure.set_layout_engine(None)  # it stands, and takes as long as to draw
         with _replacing(png.with_suffix(".pdf")) as unfinished:
-            figure.savefig(unfinished, format="pdf", metadata=about | {"CreationDate": None})
+            figure.savefig(unfinished, format="pdf", metadata=metadata | {"CreationDate": None})
     return png
 
 
@@ -215,7 +215,7 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
     look = dict(index=False, escape=True, float_format="%.4g", caption=caption, label=label)
     with _replacing(csv) as unfinished:
         dataframe.to_csv(unfinished, index=False)
-    about = as_comments(provenance(name, scenario, notebook))
+    comments = as_comments(provenance(name, scenario, notebook))
     with _replacing(csv.with_suffix(".tex")) as unfinished:
-        unfinished.write_text(about + dataframe.to_latex(**look), encoding="utf-8")
+        unfinished.write_text(comments + dataframe.to_latex(**look), encoding="utf-8")
     return csv
