@@ -104,7 +104,8 @@ def _declared(source):
 def _strict(name, annotation):
     """The type that pydantic checks for a parameter with this annotation."""
     from rhec.core._casadi import validation
-    from rhec.simulation.scenario import FIELDS, Scenario
+    from rhec.simulation.scenario import Scenario
+    from rhec.simulation.scenario_fields import FIELDS
 
     plain = {int: validation.Whole, float: validation.Real, bool: validation.Flag, str: str}
     if annotation not in plain:
