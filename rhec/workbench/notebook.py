@@ -265,6 +265,8 @@ def main():
 
         run(notebook, given, output)
     except KeyboardInterrupt:
+        # Else the kernel's client reports, on several lines, that it was interrupted.
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
     except ParameterError as error:
         parser.exit(2, f"{error}\n")

@@ -23,7 +23,8 @@ __all__ += ["ORANGE", "PURPLE", "RC", "ROOT", "ROWS", "SKY", "VERMILLION", "as_c
 __all__ += ["provenance", "save", "save_table", "source", "source_of", "styled"]
 
 ROOT = Path(__file__).resolve().parents[3]
-FOLDER = ROOT / "figures"
+# Installed from a wheel, there is no project, and nothing is written among the packages.
+FOLDER = (ROOT if (ROOT / "pyproject.toml").exists() else Path.cwd()) / "figures"
 ROWS = ROOT / "build/campaign/notebooks"  # of campaigns: what one notebook drove serves another
 
 # widths of the paper's figures [in]
