@@ -1,7 +1,7 @@
-# What a person sets is data: make never expands it again, and the shell gets it quoted.
-GIVEN := LOG WHAT SAMPLES RUNS HOST PYTHON PYTHON_CPU_COUNT
+# What a user sets is data: make never expands it, and the shell gets it in quotes.
+USER_SET := LOG WHAT SAMPLES RUNS HOST PYTHON PYTHON_CPU_COUNT
 from_outside = $(filter environment command,$(firstword $(origin $1)))
-$(foreach name,$(GIVEN),$(if $(call from_outside,$(name)),\
+$(foreach name,$(USER_SET),$(if $(call from_outside,$(name)),\
   $(eval override $(name) := $$(value $(name)))))
 PYTHON ?= python3
 SAMPLES ?= 10000000
@@ -32,7 +32,7 @@ benchmarks := agreement any_robot any_robot_agreement campaign campaign_kinds ho
   tails
 clean-benchmarks := $(foreach suffix,csv tex png pdf,$(benchmarks:%=figures/bench_%.$(suffix)))
 
-# These are added to below, and are not what the environment may call so.
+# Lines below add to these two. They start empty, whatever the environment holds.
 MADE :=
 made :=
 

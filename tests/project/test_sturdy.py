@@ -211,3 +211,18 @@ def test_the_report_publishes_what_make_made_alone(figures, tmp_path, monkeypatc
     report._lay_out(tmp_path / "source", [story], figures, False, published)
     copied = [file.name for file in (tmp_path / "source/figures").iterdir() if file.is_file()]
     assert sorted(copied) == made
+
+
+def test_an_installed_package_writes_into_the_working_folder(tmp_path):
+    packages = tmp_path / "site-packages"
+    shutil.copytree(ROOT / "rhec", packages / "rhec", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "work").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", "from rhec.workbench.plots import style; print(style.FOLDER)"],
+        cwd=tmp_path / "work",
+        env=os.environ | dict(PYTHONPATH=str(packages)),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == str(tmp_path / "work/figures")
