@@ -340,45 +340,7 @@ def _arguments():
         "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help=value
     )
     parser.add_argument("--output", type=Path, help=output)
-<<<<<<< HEAD
     return parser, parser.parse_args()
-=======
-    args = parser.parse_args()
-
-    places = (args.notebook, ROOT / args.notebook)
-    notebook = next((path.resolve() for path in places if path.is_file()), None)
-    if notebook is None or notebook.suffix != ".ipynb":
-        parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
-    for name, _ in args.p:
-        if not name.isidentifier() or keyword.iskeyword(name):
-            parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
-    given = {name: _value(text) for name, text in args.p}
-    output = args.output or _output(notebook, given)
-
-    started = time.monotonic()
-    try:
-        # takes a second, in which a person may change their mind
-        from papermill.exceptions import PapermillExecutionError
-
-        run(notebook, given, output)
-    except KeyboardInterrupt:
-        # Else the kernel's client reports, on several lines, that it was interrupted.
-        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
-        parser.exit(130, f"{notebook.stem}: interrupted, and nothing half-made left behind\n")
-    except ParameterError as error:
-        parser.exit(2, f"{error}\n")
-    except OSError as error:  # a folder that cannot be written to, a full disk
-        parser.exit(1, f"{notebook.stem}: {error}\n")
-    except PapermillExecutionError as error:
-        if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
-            parser.exit(2, f"{error.evalue}\n")
-        parser.exit(1, str(error))
-    seconds = time.monotonic() - started
-    scores = output.with_name("scores.txt")
-    if "log" in given and scores.exists():
-        print(scores.read_text(encoding="utf-8"), end="")
-    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
->>>>>>> sturdy
 
 
 def _output(notebook, values):

@@ -21,14 +21,9 @@ from rhec import __version__
 from rhec.simulation.run import Run
 
 ROOT = Path(__file__).resolve().parents[3]
-<<<<<<< HEAD
-FOLDER = ROOT / "figures"
-ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
-=======
-# Installed from a wheel, there is no project, and nothing is written among the packages.
+# In an installed wheel there is no project, and nothing is written among the packages.
 FOLDER = (ROOT if (ROOT / "pyproject.toml").exists() else Path.cwd()) / "figures"
-ROWS = ROOT / "build/campaign/notebooks"  # of campaigns: what one notebook drove serves another
->>>>>>> sturdy
+ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
 
 # Widths of the paper's figures [in]
 COLUMN_IN = 3.4
