@@ -1,7 +1,7 @@
 // The explorer's screen: status, pictures and metrics from the kernel.
 const THEMES = ["data-jp-theme-name", "data-vscode-theme-kind"]; // of the page's body
 
-function entry({ kind, colour, dash, full, label }) { // an entry of the legend
+function entry({ kind, colour, dash, full, label }) { // of the legend
   const [all, sample] = [0, 1].map(() => document.createElement("span"));
   sample.textContent = kind === "dots" ? full ? "●" : "○" : dash.length ? "╍" : "━";
   sample.style.color = colour.startsWith("--") ? `var(${colour})` : colour;
@@ -20,7 +20,8 @@ function render({ model, el }) {
   status.role = "status", line.title = "click to copy";
   line.onclick = () => navigator.clipboard?.writeText(line.innerText);
 
-  const changes = (node, to) => node.of !== to && (node.of = to, true); // unchanged content is not drawn again
+  // Unchanged content is not written again.
+  const changes = (node, to) => node.of !== to && (node.of = to, true);
   const write = () => {
     status.textContent = model.get("status"), status.dataset.how = model.get("status_kind");
     if (changes(line, model.get("line"))) line.textContent = line.of;
