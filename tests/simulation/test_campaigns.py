@@ -648,7 +648,9 @@ def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
     worker(started, address, tmp_path)
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
     monkeypatch.setattr(store, "save_rows", lambda *given: its_process.kill())
-    with pytest.raises(ConnectionError, match=f"the connection to the scheduler at {address} was lost"):
+    with pytest.raises(
+        ConnectionError, match=f"the connection to the scheduler at {address} was lost"
+    ):
         rhec.campaign(short(40), tmp_path / "rows")
 
 
