@@ -358,7 +358,8 @@ class Explorer(widgets.VBox):
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
         if is_field_run:
-            zoom, soil = self.zoom.value, self.soil.value
+            zoom = self.zoom.value
+            soil = self.soil.value
             picture = field_run.picture_of(self.runs, self.pinned, zoom, soil)
         else:
             run = self.runs[0]
