@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 ONE_WAY = "only one outcome found, so not tested"
-PRINTED = f"{HOLDS} {AS_PRINTED}"
+PRINTED = f"{HOLDS} only {AS_PRINTED}"
 DEPARTURE = f"{HOLDS}, but not as printed (for example only with W calibrated)"
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
 
