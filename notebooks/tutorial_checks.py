@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot.path import advance
 from rhec.tracked_robot.terrain import Terrain

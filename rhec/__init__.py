@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from rhec.logs.calibration import calibrate as calibrate
     from rhec.logs.replay import replay as replay
     from rhec.simulation.campaigns.campaign import campaign as campaign
-    from rhec.simulation.closed_loop import simulate as simulate
     from rhec.simulation.faults import Fault as Fault
     from rhec.simulation.run import Run as Run
     from rhec.simulation.scenario import Scenario as Scenario
+    from rhec.simulation.simulate import simulate as simulate
     from rhec.tracked_robot.path import Path as Path
     from rhec.tracked_robot.references import PathTracker as PathTracker
     from rhec.tracked_robot.terrain import Terrain as Terrain
@@ -53,7 +53,7 @@ _HOME = {
     "export": "embedded",
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
-    "simulate": "simulation.closed_loop",
+    "simulate": "simulation.simulate",
 }
 __all__ = sorted(_HOME)
 

@@ -21,9 +21,9 @@ from rhec.core._casadi.validation import shown
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
 from rhec.embedded import c_writer, phases
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.choice import TractionInput
 from rhec.tracked_robot.estimators import NAMES, estimator_of
 from rhec.tracked_robot.rhe import SIGMA_START

@@ -6,23 +6,20 @@ Every tuning parameter is an argument of the Function, so that a change of a wei
 nothing. What changes the shape of the Function is in `_LoopStructure`.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from rhec import paper
 from rhec.core._casadi import build, compiled, packing, scan
-from rhec.core._casadi.validation import shown
 from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
 from rhec.simulation.columns import COLUMNS, FLAGS, LOG
 from rhec.simulation.metrics import metrics
 from rhec.simulation.run import Run
-from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import terrain
@@ -411,53 +408,3 @@ def finish(scenario, setup, rows):
     poses, curvatures = setup.path.poses(s[len(true) :])
     columns["on_straight"] = curvatures == 0
     return Run(scenario, metrics(columns, poses), setup.path, setup.terrain, columns)
-
-
-@overload
-def simulate(scenario: Scenario) -> Run: ...
-
-
-@overload
-def simulate(scenario: Iterable[Scenario]) -> list[Run]: ...
-
-
-def simulate(scenario: Scenario | Iterable[Scenario]) -> Run | list[Run]:
-    """Run one scenario, or several.
-
-    The first run of a loop structure compiles that structure, which takes some seconds, once.
-    Several runs are simulated at the same time where that is faster; the results are the same to
-    the last bit.
-
-    Args:
-        scenario: A rhec.Scenario, or an iterable of them.
-
-    Returns:
-        The rhec.Run of one scenario; a list of Runs, in the order given, of several.
-
-    Raises:
-        ValueError: If an argument is no Scenario.
-    """
-    if isinstance(scenario, Scenario):
-        return simulate_setup(scenario, set_up(scenario))
-    if not _is_several(scenario):
-        raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
-    # Imported here, because a single run needs neither SIMD lanes nor the code of campaigns.
-    from rhec.simulation.campaigns.batch import simulate_batch
-
-    return simulate_batch(as_list(scenario, "scenario"))
-
-
-def _is_several(scenarios):
-    # Text and dicts are iterable, too, but their entries are no scenarios.
-    return isinstance(scenarios, Iterable) and not isinstance(scenarios, str | dict)
-
-
-def as_list(scenarios, name):
-    """An iterable of scenarios as a list; anything else raises a ValueError with the name."""
-    if not _is_several(scenarios):
-        raise ValueError(f"{name} was {shown(scenarios)}; it should be a list of rhec.Scenario")
-    scenarios = list(scenarios)
-    for i, scenario in enumerate(scenarios):
-        if not isinstance(scenario, Scenario):
-            raise ValueError(f"{name}[{i}] was {shown(scenario)}; it should be a rhec.Scenario")
-    return scenarios

@@ -50,6 +50,13 @@ hold* if none of it does; otherwise it is undecided. The rules are stated in the
 were changed after the verdicts of the previous ledger were known:
 [which, and why](docs/claims.md). A verdict with an asterisk (*) was not tested: no simulated world
 gave the other one. Where the verdict names a condition, the text as printed gives the other."""
+# README's picture has a width, which Markdown cannot give it; Sphinx copies only its own images.
+_IMG = re.compile(r'<img src="(.+?)" width="(.+?)" align="(.+?)"\s+alt="(.+?)">')
+_IMAGE = r"""```{image} \1
+:width: \2px
+:align: \3
+:alt: \4
+```"""
 _WIDE = "---\nhide-toc: true\n---\n\n"  # a page without the table of contents at the right
 
 
@@ -115,6 +122,8 @@ def _lay_out(source, notebooks, figures, live, published):
     shutil.copy(ROOT / "docs/index.md", source)
     for name in _COPIED:
         shutil.copy(ROOT / name, source)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (source / "README.md").write_text(_IMG.sub(_IMAGE, readme), encoding="utf-8")
     _copy_figures(figures, source / "figures", published)
     figures = source / "figures"
     (source / "notebooks").mkdir()

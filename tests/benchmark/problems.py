@@ -9,8 +9,8 @@ import numpy as np
 from rhec import paper
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.references import PathTracker
 
 

@@ -234,7 +234,7 @@ def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
     alone = [*map(rhec.simulate, scenarios)]
     lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
     monkeypatch.setattr(compiled, "is_compiled", lambda *what: False)
-    monkeypatch.setattr(closed_loop, "simulate", lambda scenario: 1 / 0)
+    monkeypatch.setattr(closed_loop, "simulate_setup", lambda *scenario_and_setup: 1 / 0)
     for run, before in zip(rhec.simulate(scenarios), alone, strict=True):
         pd.testing.assert_frame_equal(run.log, before.log)
 

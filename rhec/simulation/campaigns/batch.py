@@ -113,7 +113,7 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
         result_of: Function of a Run that returns the result.
 
     Returns:
-        {key: result_of(run)}, without scenarios that fail. `closed_loop.simulate` raises their
+        {key: result_of(run)}, without scenarios that fail. `rhec.simulate` raises their
         error.
     """
     blocks = {}
@@ -178,7 +178,8 @@ def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
         mean_samples = mean_samples_per_structure(scenarios)
     in_lanes = run_in_lanes(dict(enumerate(scenarios)), mean_samples, result_of)
     return [
-        in_lanes.get(k) or result_of(closed_loop.simulate(scenario))
+        in_lanes.get(k)
+        or result_of(closed_loop.simulate_setup(scenario, closed_loop.set_up(scenario)))
         for k, scenario in enumerate(scenarios)
     ]
 

@@ -23,8 +23,8 @@ from rhec.simulation.campaigns.batch import (
     split_into_tasks,
 )
 from rhec.simulation.campaigns.workers import are_running, map_tasks, open_workers
-from rhec.simulation.closed_loop import as_list, simulate
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import as_list, simulate
 
 if TYPE_CHECKING:
     import pandas as pd

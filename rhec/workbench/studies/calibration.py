@@ -24,10 +24,11 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import offline
 from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.closed_loop import build_sample, set_up, simulate
+from rhec.simulation.closed_loop import build_sample, set_up
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.simulation.lanes import lanes
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of

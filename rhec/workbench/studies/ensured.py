@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.metrics import metrics
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.path import Path
 from rhec.workbench.studies.claims.run_sets import map_runs
 from rhec.workbench.studies.statistics import interval_text, over_seeds, share, verdict

@@ -14,9 +14,9 @@ import pandas as pd
 from scipy import linalg
 
 from rhec import paper
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.live import PaperRHE
 from rhec.workbench.studies import calibration, statistics

@@ -16,9 +16,9 @@ import pandas as pd
 
 from rhec.core._casadi import scan
 from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.metrics import SETTLING_SAMPLES, settled_samples
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 from rhec.workbench.studies import calibration
 from rhec.workbench.studies.statistics import (

@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.faults import Fault
 from rhec.simulation.metrics import settled_samples
+from rhec.simulation.simulate import simulate
 from rhec.workbench.studies.statistics import always, over_seeds, readable
 
 __all__ = [

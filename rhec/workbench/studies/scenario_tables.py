@@ -9,8 +9,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.workbench.studies.statistics import (
     always,
     difference_of_means,

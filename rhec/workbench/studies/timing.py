@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.closed_loop import simulate
 from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 

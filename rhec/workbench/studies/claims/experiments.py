@@ -21,10 +21,11 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import offline, rhe
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
-from rhec.simulation.closed_loop import set_up, simulate
+from rhec.simulation.closed_loop import set_up
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.simulation.metrics import rms, settled_samples
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot import path, tuning
 from rhec.tracked_robot import rhc as paper_rhc
