@@ -105,7 +105,7 @@ lint: $(READY) ## check style, types of the public interface, imports, and noteb
 	@$(PY) -m ruff check --quiet
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
-	@.venv/bin/lint-imports --no-cache > build/imports || { cat build/imports >&2; exit 1; }
+	@report=$$(.venv/bin/lint-imports --no-cache) || { echo "$$report" >&2; exit 1; }
 	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id
 
 bench: .venv/peers .venv/acados ## compare computation times with other tools, in figures/ (minutes)

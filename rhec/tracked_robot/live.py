@@ -118,7 +118,11 @@ class PaperRHE(rhe.RHE):
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = self._estimator.init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
-        self._inputs = dict(z=self.iteration.arrays["z_N"])
+        arrays = self.iteration.arrays
+        n_s = self.model.n_s
+        self._inputs = dict(z=arrays["z_N"])
+        # Views of the result, made once: reshaping takes longer than the QP of the feedback.
+        self._result = (arrays["estimate"], arrays["covariance"].reshape(n_s, n_s))
 
     def __repr__(self):
         sigmas = {name: np.array2string(np.sqrt(self.settings[name])) for name in "VW"}
@@ -148,10 +152,8 @@ class PaperRHE(rhe.RHE):
         self.iteration.started = self._guess is not None or bool(plausible[:2].all())
 
     def _estimate(self):
-        arrays = self.iteration.arrays
-        n_s = self.model.n_s
-        covariance = arrays["covariance"].reshape(n_s, n_s).copy()
-        return PaperEstimate(*arrays["estimate"].tolist(), covariance)
+        estimate, covariance = self._result
+        return PaperEstimate(*estimate.tolist(), covariance.copy())
 
 
 class PaperRHC(rhc.RHC):

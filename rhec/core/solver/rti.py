@@ -141,8 +141,9 @@ class RealTimeLoop:
 
     def _set_inputs(self, **values):
         """Copy the new data in; the first ones also start the iteration."""
+        inputs = self._inputs
         for name, value in values.items():
-            copy_checked(name, value, self._inputs[name])
+            copy_checked(name, value, inputs[name])
         if not self.iteration.started:
             self._start()
 
