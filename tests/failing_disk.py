@@ -2,8 +2,8 @@
 `tests/project/test_failing_disk.py`, with failing_disk.c preloaded).
 
 For each k, a child process runs the task in a fresh folder on a disk whose k-th operation fails,
-alone or with all later ones: both in turn, of a long task one of them. It reports what was raised and what was left. Then the
-task runs again in the same folder on a disk that works.
+alone or with all later ones: both in turn, of a long task one of them. It reports what was raised
+and what was left. Then the task runs again in the same folder on a disk that works.
 """
 
 import contextlib

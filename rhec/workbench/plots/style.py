@@ -6,10 +6,10 @@ source; without it, the PNGs in git change only if the pictures change.
 """
 
 import contextlib
-import io
 import dataclasses
 import functools
 import hashlib
+import io
 import json
 import os
 import re
