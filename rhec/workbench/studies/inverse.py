@@ -34,13 +34,16 @@ PRIOR_DRIVES = DATA / "prior_drives.parquet"
 POSTERIOR_DRIVES = DATA / "posterior_drives.parquet"
 POSTERIOR_WORLDS = DATA / "posterior_worlds.csv"
 
-WORLDS = 8192
+WORLDS = 6144
 FIELDS = 8  # of each world, and one vector register of lanes
 ROW_FIELDS = 2  # of those, for Q¹ and Q², which need the first row only
 FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 8 k and the next 7
 _BLOCK = 256  # worlds in one file of build/inverse
 KEEP = 2000  # nearest simulations behind a posterior
 DRAWS = 200  # worlds in POSTERIOR_WORLDS
+CENTRE_COPIES = 25  # of the centre in POSTERIOR_DRIVES, FIELDS fields each
+_MOST_WORLDS = 2**17
+_UNUSED_SEED = FIRST_SEED + FIELDS * _MOST_WORLDS  # no world of the prior has these fields
 
 
 class Prior(NamedTuple):
@@ -59,31 +62,32 @@ class Prior(NamedTuple):
     source: str
 
 
-_RTK = "Carballido et al. 2014 (1.4 cm between rows, RTK); paper (0.03 m)"
-_CORRELATION = "Miller et al. 2012 (115 s); Odolinski 2012 (13 to 17 min)"
-_CONE_INDEX = "penetration resistance varies by 16 to 46 %"
-# Unknowns. A deviation is a share of the mean slip, since slip is 0 where the traction is 1.
+_RTK = "Carballido et al. 2014 (1.4 cm between rows, RTK); the paper (0.03 m)"
+_CORRELATION = "Miller et al. 2012 (115 s) to Odolinski 2012 (13 to 17 min)"
+_CONE_INDEX = "resistance to penetration varies by 16 to 46 % (Castro Filho et al., Bragantia)"
+_ROBOTS = "four recorded robots (tuning.SLIP: 0.015), a factor of three to either side"
+# A deviation is a share of the mean slip, 1 - traction, since slip cannot vary where there is none.
 PRIORS = {
-    "speed_mps": Prior(0.25, 0.75, False, "Liu et al. 2025 (0.35, 0.75 m/s, tracked, in a field)"),
-    "mu_mean": Prior(0.75, 0.995, False, "slip of rubber tracks 2 to 4 % at best, 25 % when wet"),
+    "speed_mps": Prior(0.25, 0.75, False, "Liu et al. 2025 (0.35 and 0.75 m/s, tracks, field)"),
+    "mu_slip": Prior(0.01, 0.25, True, "rubber tracks: 2 to 4 % at best; more when wet"),
     "mu_variation": Prior(0.1, 0.6, False, _CONE_INDEX),
-    "kappa_mean": Prior(0.6, 0.995, False, "recorded robots; Martínez et al. 2005"),
+    "kappa_slip": Prior(0.01, 0.4, True, "Martínez et al. 2005; the recorded tracked robot"),
     "kappa_variation": Prior(0.1, 0.6, False, _CONE_INDEX),
     "correlation_length_m": Prior(1.0, 15.0, True, "Bekele et al. 2005 (below 9 m)"),
-    "slip_difference": Prior(-0.03, 0.03, False, "Liu et al. 2025; calibrated tracked robot"),
-    "rotation_centre_m": Prior(-0.25, 0.25, False, "a quarter of the robot's length"),
-    "bump_sigma_radps": Prior(0.0, 0.05, False, "half of the bound on the yaw rate"),
-    "rut_length_m": Prior(0.0, 1.5, False, "up to one and a half lengths of the robot"),
+    "slip_difference": Prior(-0.02, 0.02, False, "judged; no value is published for this robot"),
+    "rotation_centre_m": Prior(-0.25, 0.25, False, "judged: a quarter of the robot's length"),
+    "bump_diffusion_radpsqrtm": Prior(0.005, 0.045, True, _ROBOTS),
+    "rut_length_m": Prior(0.0, 1.0, False, "judged: up to the robot's length"),
     "gnss_sigma_m": Prior(0.008, 0.035, False, _RTK),
-    "gnss_slow_share": Prior(0.0, 0.98, False, "Odolinski 2012"),
+    "gnss_slow_share": Prior(0.0, 0.98, False, _CORRELATION),
     "gnss_slow_time_s": Prior(30.0, 1000.0, True, _CORRELATION),
-    "encoder_sigma_mps": Prior(0.005, 0.035, False, "paper (accuracy 0.035 m/s)"),
-    "speed_sigma_mps": Prior(0.0, 0.05, False, "paper (σ_ν = 0.05 m/s)"),
-    "command_delay": Prior(0, 1, False, "paper, eq. (13), either reading (R10)"),
-    "row_length_m": Prior(15.0, 30.0, False, "field plots; the paper gives none"),
-    "rows": Prior(1.2, 2.2, False, "straight and curved lines; the paper gives no length"),
-    "turn_demand": Prior(0.6, 0.9, False, "the headland must be drivable below the bound"),
-    "start_offset_m": Prior(0.3, 1.5, False, "paper (starts off-track)"),
+    "encoder_sigma_mps": Prior(0.005, 0.035, False, "the paper (accuracy 0.035 m/s)"),
+    "speed_sigma_mps": Prior(0.0, 0.05, False, "the paper (σ_ν = 0.05 m/s)"),
+    "command_delay": Prior(0, 1, False, "the paper, eq. (13), either reading (R10)"),
+    "row_length_m": Prior(15.0, 30.0, False, "judged; the paper gives no length"),
+    "rows": Prior(1.2, 2.2, False, "judged: straight and curved lines, no length given"),
+    "turn_demand": Prior(0.6, 0.9, False, "judged: headlands that the yaw rate's bound allows"),
+    "start_offset_m": Prior(0.3, 1.5, False, "judged: the paper starts off-track"),
 }
 _DISCRETE = ("command_delay",)
 
@@ -164,6 +168,9 @@ def fields_of(world):
     At the pace v = μν the headland's radius is v / (κ ω_max demand). With `rows` = 1.25 the robot
     drives one row, one headland and a quarter of the next row.
 
+    Bumps of the correlation length ℓ and of σ rad/s at the paper's speed ν let the yaw walk at
+    random by D = √(2ℓ) σ/ν in rad/√m; those of one sample have ℓ = ν Δt / 2.
+
     Args:
         world: {name of PRIORS: value}.
 
@@ -172,14 +179,18 @@ def fields_of(world):
     """
     world = {name: float(value) for name, value in world.items()}
     for name in ("mu", "kappa"):
-        slip = 1 - world[f"{name}_mean"]
+        slip = world.pop(f"{name}_slip")
+        world[f"{name}_mean"] = 1 - slip
         world[f"{name}_deviation"] = world.pop(f"{name}_variation") * slip
     pace_mps = world["mu_mean"] * world["speed_mps"]
     radius_m = pace_mps / (world["kappa_mean"] * paper.OMEGA_MAX_RADPS * world.pop("turn_demand"))
     rows = world.pop("rows")
     length_m = rows * world["row_length_m"] + np.floor(rows) * np.pi * radius_m
     drive = dict(headland_radius_m=radius_m, duration_s=round(length_m / pace_mps, 1))
-    return world | drive | dict(command_delay=int(world["command_delay"]), soil_under="tracks")
+    rut_m = max(world["rut_length_m"], paper.SPEED_MPS * paper.DT_S / 2)
+    sigma = world.pop("bump_diffusion_radpsqrtm") * paper.SPEED_MPS / np.sqrt(2 * rut_m)
+    ground = dict(bump_sigma_radps=sigma, soil_under="tracks")
+    return world | drive | ground | dict(command_delay=int(world["command_delay"]))
 
 
 # Drives
@@ -266,8 +277,10 @@ def drive(fields, first_seed, variants=tuple(VARIANTS)):
 
 # Storage
 
+_INDEX = ["world", "field"]
 # Columns of the files are whole numbers of these steps; those of errors are 2 % of the error.
 _STEPS = dict(near=0.01, peak=0.01, settled=0.4, overshoot=2e-3)
+_ON_ROW = ("settled", "overshoot")  # compared with those of Q¹ and Q²
 _MOST = 254  # of one byte; 255 where nothing was driven
 _LEAST_ERROR_M = 5e-3
 _ERROR_STEP = 0.02
@@ -285,6 +298,8 @@ def _packed(table):
     for variant in VARIANTS:
         for name in _KEPT[variant.split("_")[0]]:
             values = table[variant, name]
+            if name in _ON_ROW:
+                values = values.where(table.index.get_level_values("field") < ROW_FIELDS)
             if name.startswith("error"):
                 values = np.log(values / _LEAST_ERROR_M) / _ERROR_STEP
             else:
@@ -306,14 +321,40 @@ def _unpacked(table):
     return table
 
 
+def _indexed(table):
+    """A table whose rows are worlds in order, FIELDS fields each, with that index."""
+    rows = np.arange(len(table))
+    return table.set_index(pd.MultiIndex.from_arrays([rows // FIELDS, rows % FIELDS], names=_INDEX))
+
+
+def _write(packed, file):
+    packed.to_parquet(file, index=False, compression="zstd", compression_level=19)
+
+
 def prior_drives():
     """The drives of the prior's worlds that PRIOR_DRIVES holds, as `drive` returns them."""
-    return _unpacked(pd.read_parquet(PRIOR_DRIVES))
+    return _unpacked(_indexed(pd.read_parquet(PRIOR_DRIVES)))
 
 
 def posterior_drives():
-    """The drives of the posterior's worlds, on fields of their own, as `drive` returns them."""
-    return _unpacked(pd.read_parquet(POSTERIOR_DRIVES))
+    """The drives of the posterior's worlds and of its centre, on fields that no other drive used.
+
+    Returns:
+        As `drive`, for the DRAWS worlds of `posterior_table`, and for CENTRE_COPIES of the centre.
+    """
+    drives = _unpacked(_indexed(pd.read_parquet(POSTERIOR_DRIVES)))
+    rows = DRAWS * FIELDS
+    return drives.iloc[:rows], _indexed(drives.iloc[rows:].reset_index(drop=True))
+
+
+def posterior_table():
+    """Equally likely worlds, given the paper's numbers, with their W.
+
+    Returns:
+        DataFrame of DRAWS fields of Scenario, with process_noise (of the RHE) and
+        process_noise_ekf.
+    """
+    return pd.read_csv(POSTERIOR_WORLDS)
 
 
 def posterior_worlds():
@@ -322,8 +363,7 @@ def posterior_worlds():
     Returns:
         [{field of Scenario: value}, …], DRAWS of them: soil, sensors, speed, delay and drive.
     """
-    table = pd.read_csv(POSTERIOR_WORLDS).drop(columns=["process_noise", "process_noise_ekf"])
-    return table.to_dict("records")
+    return posterior_table().drop(columns=["process_noise", "process_noise_ekf"]).to_dict("records")
 
 
 # Statistics
@@ -428,14 +468,106 @@ def posterior_draws(table, choices, n=DRAWS, seed=0):
         seed: Of the draw.
 
     Returns:
-        DataFrame of n fields of Scenario, with process_noise (of the RHE) and process_noise_ekf;
-        and the `abc_regression.Draws` that they are from.
+        DataFrame of n worlds, by PRIORS; one of their fields of Scenario with process_noise (of the
+        RHE) and process_noise_ekf; and the `abc_regression.Draws` that they are from.
     """
     draws = abc_regression.posterior(table, observed(), KEEP)
     unit, rows = abc_regression.resample(draws, n, np.random.default_rng(seed))
-    worlds = pd.DataFrame(map(fields_of, worlds_at(unit).to_dict("records")))
+    worlds = worlds_at(unit)
+    fields = pd.DataFrame(map(fields_of, worlds.to_dict("records")))
     w_rhe, w_ekf = zip(*(CHOICES[choice] for choice in choices[rows]))
-    return worlds.assign(process_noise=w_rhe, process_noise_ekf=w_ekf), draws
+    return worlds, fields.assign(process_noise=w_rhe, process_noise_ekf=w_ekf), draws
+
+
+def learned(worlds):
+    """What the paper's numbers tell of each unknown.
+
+    Args:
+        worlds: Of `posterior_draws`.
+
+    Returns:
+        DataFrame, one row an unknown: its prior's range, the posterior's median and 90 % interval,
+        `narrowed`, 1 - the 90 % interval's width over the prior's (on the logarithmic scale where
+        the prior is), and the prior's source.
+    """
+    rows = {}
+    for name, prior in PRIORS.items():
+        if name in _DISCRETE:
+            continue
+        low, median, high = np.quantile(worlds[name], [0.05, 0.5, 0.95])
+        scale = np.log if prior.logarithmic else np.asarray
+        width = (scale(high) - scale(low)) / (scale(prior.most) - scale(prior.least)) / 0.9
+        rows[name] = dict(
+            prior=f"{prior.least:g} to {prior.most:g}" + ", log" * prior.logarithmic,
+            median=median,
+            low=low,
+            high=high,
+            narrowed=1 - width,
+            source=prior.source,
+        )
+    return pd.DataFrame(rows).T
+
+
+def centre():
+    """One world in the middle of the posterior: the median of each field, to two digits.
+
+    Returns:
+        {field of Scenario: value} of soil, ground, sensors, speed and delay.
+    """
+    table = posterior_table()
+    medians = {name: float(f"{table[name].median():.2g}") for name in _OF_CENTRE}
+    medians |= {name: round(table[name].median(), 3) for name in ("mu_mean", "kappa_mean")}
+    delay = int(table["command_delay"].mean() > 0.5)
+    return medians | dict(command_delay=delay, soil_under="tracks")
+
+
+_OF_CENTRE = (
+    "speed_mps",
+    "mu_deviation",
+    "kappa_deviation",
+    "correlation_length_m",
+    "slip_difference",
+    "rotation_centre_m",
+    "bump_sigma_radps",
+    "rut_length_m",
+    "gnss_sigma_m",
+    "gnss_slow_share",
+    "gnss_slow_time_s",
+    "encoder_sigma_mps",
+    "speed_sigma_mps",
+)
+
+
+def shares(statistics, seed=0):
+    """How often one drive gives what the paper states.
+
+    Args:
+        statistics: (n, k), the fields of each world next to each other, or (m, n, k) if each world
+            was driven with m choices of W.
+        seed: Of the bootstrap.
+
+    Returns:
+        DataFrame, one row for each of STATEMENTS and one for all of them: the share of drives that
+        meet it with a 95 % interval (bootstrap over worlds), and the share of worlds, with one W
+        each, in which at least one of the FIELDS drives does.
+    """
+    flags = meets(statistics)
+    flags = np.concatenate([flags, flags.all(axis=-1, keepdims=True)], axis=-1)
+    by_world = flags.reshape(-1, flags.shape[-2] // FIELDS, FIELDS, flags.shape[-1])
+    of_drives = by_world.mean(axis=(0, 2))
+    of_worlds = by_world.any(axis=2).mean(axis=0)
+    rng = np.random.default_rng(seed)
+    picks = rng.integers(len(of_drives), size=(_RESAMPLES, len(of_drives)))
+    table = {}
+    for name, values in dict(drives=of_drives, worlds=of_worlds).items():
+        low, high = np.quantile([values[pick].mean(axis=0) for pick in picks], _ENDS, axis=0)
+        table |= {name: values.mean(axis=0), f"{name}_low": low, f"{name}_high": high}
+    texts = [statement.text for statement in STATEMENTS.values()]
+    return pd.DataFrame(table, [*texts, "all of them"])
+
+
+_RESAMPLES = 1000
+_ENDS = (0.025, 0.975)  # of the bootstrap's means
 
 
 def statistics_with_own_w(drives, worlds):
@@ -461,7 +593,8 @@ def drive_prior(n, folder):
     Returns:
         DataFrame of packed rows.
     """
-    design = hashlib.sha256(repr((PRIORS, VARIANTS, _KEPT)).encode()).hexdigest()[:16]
+    ranges = {name: prior[:3] for name, prior in PRIORS.items()}
+    design = hashlib.sha256(repr((ranges, VARIANTS, _KEPT)).encode()).hexdigest()[:16]
     folder = store.open_folder(folder) / design
     folder.mkdir(exist_ok=True)
     blocks = []
@@ -472,8 +605,37 @@ def drive_prior(n, folder):
             fields = [*map(fields_of, worlds_at(unit).to_dict("records"))]
             packed = _packed(drive(fields, FIRST_SEED + FIELDS * first))
             unfinished = file.with_suffix(".unfinished")
-            packed.reset_index().assign(world=lambda t: t["world"] + first).to_parquet(unfinished)
-            unfinished.replace(file)
+            _write(packed, unfinished)
             print(f"worlds {first} to {first + len(unit) - 1}", flush=True)
         blocks.append(pd.read_parquet(file))
-    return pd.concat(blocks).set_index(["world", "field"]).iloc[: n * FIELDS]
+    return _indexed(pd.concat(blocks, ignore_index=True).iloc[: n * FIELDS])
+
+
+def drive_posterior():
+    """Drive the posterior's worlds and copies of its centre; packed rows (`posterior_drives`)."""
+    table = posterior_table().drop(columns=["process_noise", "process_noise_ekf"])
+    medians = table[["row_length_m", "headland_radius_m", "start_offset_m", "duration_s"]].median()
+    middle = medians.round(1).to_dict() | centre()
+    return _packed(drive([*table.to_dict("records"), *[middle] * CENTRE_COPIES], _UNUSED_SEED))
+
+
+def main():
+    """Drive the worlds, find the posterior, drive it, and write all three files."""
+    parser = argparse.ArgumentParser(
+        "python -m rhec.workbench.studies.inverse", description=__doc__
+    )
+    parser.add_argument("--worlds", type=int, default=WORLDS, help=f"of the prior ({WORLDS})")
+    parser.add_argument("--folder", type=Path, default=Path("build/inverse"), help="of the blocks")
+    options = parser.parse_args()
+    if not 1 <= options.worlds <= _MOST_WORLDS:
+        parser.exit(2, f"--worlds was {options.worlds}; it should be 1 to {_MOST_WORLDS}\n")
+    _write(drive_prior(options.worlds, options.folder), PRIOR_DRIVES)
+    table, choices = simulations(prior_drives(), sample_unit(options.worlds))
+    _, fields, draws = posterior_draws(table, choices)
+    fields.to_csv(POSTERIOR_WORLDS, index=False, float_format="%.5g")
+    _write(drive_posterior(), POSTERIOR_DRIVES)
+    print(f"{draws.effective_worlds:.0f} effective worlds; centre: {centre()}")
+
+
+if __name__ == "__main__":
+    main()
