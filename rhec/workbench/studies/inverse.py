@@ -39,7 +39,7 @@ FIELDS = 8  # of each world, and one vector register of lanes
 ROW_FIELDS = 2  # of those, for Q¹ and Q², which need the first row only
 FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 8 k and the next 7
 _BLOCK = 256  # worlds in one file of build/inverse
-KEEP = 2000  # nearest simulations behind a posterior
+KEEP = 1000  # nearest simulations behind a posterior
 DRAWS = 200  # worlds in POSTERIOR_WORLDS
 CENTRE_COPIES = 25  # of the centre in POSTERIOR_DRIVES, FIELDS fields each
 _MOST_WORLDS = 2**17
@@ -369,7 +369,7 @@ def posterior_worlds():
 # Statistics
 
 
-def statistics_of(drives, w_rhe, w_ekf):
+def statistics_of(drives, w_rhe, w_ekf, error="error"):
     """The statistics of STATEMENTS of each drive.
 
     Errors are logarithms and counts square roots, whose spread depends little on their size. What
@@ -381,6 +381,7 @@ def statistics_of(drives, w_rhe, w_ekf):
         drives: Of `drive`.
         w_rhe: Of W_RHE.
         w_ekf: Of W_EKF.
+        error: "error", counted from arrival on, or "error_from_start" (R14).
 
     Returns:
         (n, k) array, one column for each of STATEMENTS.
@@ -394,8 +395,8 @@ def statistics_of(drives, w_rhe, w_ekf):
     overshoot = (np.maximum(runs["overshoot"].to_numpy()[driven], _FLOOR_M) for runs in (rhe, q2))
     return np.column_stack(
         [
-            np.log(rhe["error"]),
-            np.log(ekf["error"]),
+            np.log(rhe[error]),
+            np.log(ekf[error]),
             np.sqrt(rhe["violations"]),
             np.sqrt(ekf["violations"]),
             np.maximum(_NEAR - rhe["near"], 0),
@@ -422,7 +423,7 @@ def meets(statistics):
     return np.abs(statistics - observed()) <= within + 1e-9  # of rounding
 
 
-def simulations(drives, unit):
+def simulations(drives, unit, error="error"):
     """All simulated experiments: each field of each world with each W of RHE and EKF.
 
     The statistics are scaled by the spread of one drive: the standard deviation over the fields of
@@ -431,11 +432,12 @@ def simulations(drives, unit):
     Args:
         drives: Of `drive`.
         unit: (n, d) the worlds' points.
+        error: As in `statistics_of`.
 
     Returns:
         The `abc_regression.Simulations`, and (n,) the number of each one's choice of W in CHOICES.
     """
-    tables = np.stack([statistics_of(drives, *choice) for choice in CHOICES])
+    tables = np.stack([statistics_of(drives, *choice, error) for choice in CHOICES])
     by_world = tables.reshape(len(CHOICES), -1, FIELDS, len(STATEMENTS))
     near = np.all(by_world[..., :2] < np.log(paper.TOLERANCE_M), axis=(2, 3))
     deviations = np.sqrt(by_world[near].var(axis=1, ddof=1).mean(axis=0))
@@ -578,6 +580,62 @@ def statistics_with_own_w(drives, worlds):
         tables[choice][FIELDS * world : FIELDS * (world + 1)] for world, choice in enumerate(own)
     ]
     return np.concatenate(parts)
+
+
+def truths(table, n, rng, near=None):
+    """Simulations to check the method on, each of another world.
+
+    Args:
+        table: Of `simulations`.
+        n: How many, at most.
+        rng: NumPy's random generator.
+        near: `abc_regression.Draws`, of whose simulations the truths are chosen; None: of all.
+
+    Returns:
+        Rows of the table.
+    """
+    rows = rng.permutation(len(table.world) if near is None else near.rows)
+    _, first = np.unique(table.world[rows], return_index=True)
+    return rng.permutation(rows[first])[:n]
+
+
+def by_w(table, choices):
+    """Share of the prior's drives that meet each statement, by W of the RHE and of the EKF.
+
+    Args:
+        table: Of `simulations`.
+        choices: Of `simulations`.
+
+    Returns:
+        DataFrame, one column a choice.
+    """
+    columns = {}
+    for number, (w_rhe, w_ekf) in enumerate(CHOICES):
+        statistics = table.statistics[choices == number]
+        columns[f"RHE {w_rhe}, EKF {w_ekf}"] = shares(statistics)["drives"]
+    return pd.DataFrame(columns)
+
+
+def repeated(worlds):
+    """Drive some worlds of the prior again and compare with PRIOR_DRIVES.
+
+    Args:
+        worlds: Numbers of worlds.
+
+    Returns:
+        DataFrame, one row a world: how many numbers were compared, how many differ, and by how many
+        of their steps at most.
+    """
+    stored = pd.read_parquet(PRIOR_DRIVES)
+    unit = sample_unit()
+    rows = []
+    for world in worlds:
+        fields = fields_of(worlds_at(unit[[world]]).iloc[0])
+        now = _packed(drive([fields], FIRST_SEED + FIELDS * world)).to_numpy(int)
+        then = stored.iloc[FIELDS * world : FIELDS * (world + 1)].to_numpy(int)
+        off = np.abs(now - then)
+        rows.append(dict(numbers=off.size, different=np.sum(off > 0), steps=off.max()))
+    return pd.DataFrame(rows, pd.Index(worlds, name="world"))
 
 
 # Making the files
