@@ -511,33 +511,36 @@ def learned(worlds):
 
 
 def centre():
-    """One world in the middle of the posterior: the median of each field, to two digits.
+    """One world in the middle of the posterior: the median of each field, rounded.
 
     Returns:
-        {field of Scenario: value} of soil, ground, sensors, speed and delay.
+        {field of Scenario: value} of soil, ground, sensors and speed.
     """
-    table = posterior_table()
-    medians = {name: float(f"{table[name].median():.2g}") for name in _OF_CENTRE}
-    medians |= {name: round(table[name].median(), 3) for name in ("mu_mean", "kappa_mean")}
-    delay = int(table["command_delay"].mean() > 0.5)
-    return medians | dict(command_delay=delay, soil_under="tracks")
+    medians = posterior_table()[list(_CENTRE_STEPS)].median()
+    steps = medians.index.map(_CENTRE_STEPS)
+    # Twice: a multiple of a step such as 0.1 has digits beyond it.
+    rounded = ((medians / steps).round() * steps).round(6)
+    return rounded.to_dict() | dict(soil_under="tracks")
 
 
-_OF_CENTRE = (
-    "speed_mps",
-    "mu_deviation",
-    "kappa_deviation",
-    "correlation_length_m",
-    "slip_difference",
-    "rotation_centre_m",
-    "bump_sigma_radps",
-    "rut_length_m",
-    "gnss_sigma_m",
-    "gnss_slow_share",
-    "gnss_slow_time_s",
-    "encoder_sigma_mps",
-    "speed_sigma_mps",
-)
+# What each median is rounded to: finer than the posterior can tell.
+_CENTRE_STEPS = {
+    "speed_mps": 0.05,
+    "mu_mean": 0.005,
+    "mu_deviation": 0.001,
+    "kappa_mean": 0.005,
+    "kappa_deviation": 0.001,
+    "correlation_length_m": 0.5,
+    "slip_difference": 0.001,
+    "rotation_centre_m": 0.1,
+    "bump_sigma_radps": 0.001,
+    "rut_length_m": 0.1,
+    "gnss_sigma_m": 0.001,
+    "gnss_slow_share": 0.05,
+    "gnss_slow_time_s": 10.0,
+    "encoder_sigma_mps": 0.001,
+    "speed_sigma_mps": 0.001,
+}
 
 
 def shares(statistics, seed=0):
