@@ -37,8 +37,8 @@ def test_posterior_is_the_known_one_and_the_priors_where_nothing_is_known(toy):
 
 
 def test_regression_corrects_what_a_wide_tolerance_leaves(toy):
-    """With a fifth of all simulations kept, the plain ones are far too wide."""
-    draws = abc_regression.posterior(toy, np.array([OBSERVED]), 4000)
+    """With two fifths of all simulations kept, the plain ones are far too wide."""
+    draws = abc_regression.posterior(toy, np.array([OBSERVED]), 8000)
     plain = toy.unit[toy.world[draws.rows], 0]
     assert np.sqrt(np.cov(draws.unit[:, 0], aweights=draws.weights)) < 1.1 * SIGMA
     assert plain.std() > 1.15 * SIGMA

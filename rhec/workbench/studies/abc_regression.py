@@ -6,7 +6,7 @@ the observation s_obs is ||(s - s_obs) / scale||. The nearest simulations get th
 Epanechnikov kernel, 1 - (d / d_max)². Among them a weighted linear regression of the parameters θ
 on the statistics s corrects what the tolerance leaves: θ* = θ - (s - s_obs) β. Parameters lie
 between 0 and 1 here and are regressed as logits, so that a corrected one stays in its prior's
-range (Hamilton et al. 2005; the package `abc` of R does the same).
+range (the package `abc` of R can do the same).
 
 Packages for Python (pyABC, ELFI, ABCpy) call the simulator themselves, one draw at a time, and
 bring a database or a scheduler. Here a campaign has driven all worlds beforehand, in SIMD lanes,

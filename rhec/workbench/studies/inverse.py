@@ -64,17 +64,19 @@ class Prior(NamedTuple):
 
 _RTK = "Carballido et al. 2014 (1.4 cm between rows, RTK); the paper (0.03 m)"
 _CORRELATION = "Miller et al. 2012 (115 s) to Odolinski 2012 (13 to 17 min)"
-_CONE_INDEX = "resistance to penetration varies by 16 to 46 % (Castro Filho et al., Bragantia)"
+_CONE_INDEX = "soil's resistance to penetration varies by 16 to 46 % (Bragantia)"
 _ROBOTS = "four recorded robots (tuning.SLIP: 0.015), a factor of three to either side"
 # A deviation is a share of the mean slip, 1 - traction, since slip cannot vary where there is none.
 PRIORS = {
     "speed_mps": Prior(0.25, 0.75, False, "Liu et al. 2025 (0.35 and 0.75 m/s, tracks, field)"),
-    "mu_slip": Prior(0.01, 0.25, True, "rubber tracks: 2 to 4 % at best; more when wet"),
+    "mu_slip": Prior(
+        0.01, 0.25, True, "rubber tracks: 2 to 4 % at best (AG Tire Talk 2022); wet: more"
+    ),
     "mu_variation": Prior(0.1, 0.6, False, _CONE_INDEX),
     "kappa_slip": Prior(0.01, 0.4, True, "Martínez et al. 2005; the recorded tracked robot"),
     "kappa_variation": Prior(0.1, 0.6, False, _CONE_INDEX),
     "correlation_length_m": Prior(1.0, 15.0, True, "Bekele et al. 2005 (below 9 m)"),
-    "slip_difference": Prior(-0.02, 0.02, False, "judged; no value is published for this robot"),
+    "slip_difference": Prior(-0.02, 0.02, False, "judged; none is published for this robot"),
     "rotation_centre_m": Prior(-0.25, 0.25, False, "judged: a quarter of the robot's length"),
     "bump_diffusion_radpsqrtm": Prior(0.005, 0.045, True, _ROBOTS),
     "rut_length_m": Prior(0.0, 1.0, False, "judged: up to the robot's length"),
