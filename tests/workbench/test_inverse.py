@@ -22,7 +22,9 @@ def toy():
     unit = rng.random((20_000, 2))
     statistics = unit[:, :1] + SIGMA * rng.standard_normal((20_000, 1))
     world = np.arange(20_000)
-    return abc_regression.Simulations(unit, world, statistics, np.ones(1), np.zeros(2, bool))
+    model = (statistics[:, 0] > 0.5).astype(int)
+    flags = np.zeros(2, bool)
+    return abc_regression.Simulations(unit, world, model, statistics, np.ones(1), flags)
 
 
 def test_posterior_is_the_known_one_and_the_priors_where_nothing_is_known(toy):
@@ -47,7 +49,10 @@ def test_regression_corrects_what_a_wide_tolerance_leaves(toy):
 def test_ranks_are_uniform_for_right_posteriors_and_not_for_narrow_ones(toy):
     rng = np.random.default_rng(2)
     rows = rng.choice(20_000, 300, replace=False)
-    right = abc_regression.ranks(toy, rows, 1000, 99, rng)
+    right, probabilities = abc_regression.ranks(toy, rows, 1000, 99, rng)
+    assert probabilities.sum(axis=1) == pytest.approx(1)
+    # The model is known but where its boundary lies within the tolerance.
+    assert np.abs(probabilities[:, 1] - toy.model[rows]).mean() < 0.1
     assert stats.kstest((right[:, 0] + 0.5) / 100, "uniform").pvalue > 0.01
     narrow = toy._replace(unit=np.clip(0.5 + 0.5 * (toy.unit - 0.5), 0, 1))
     found = abc_regression.posterior(narrow, np.array([OBSERVED]), 1000)

@@ -101,7 +101,7 @@ def statements(prior, posterior):
         look = dict(fmt="o", color=colour, markersize=3, elinewidth=0.8, label=name)
         axes.errorbar(share, places + shift, xerr=ends, **look)
         for place, value in zip(places, share):
-            text = f"{value:.2g}" if value < 10 else f"{value:.0f}"
+            text = f"{value:.2g}" if value < 10 else f"{value:.3g}"
             at = dict(xycoords=("axes fraction", "data"), color=colour)
             note(axes, f"{text} %", (1, place), (5 + 45 * (shift > 0), 0), **at)
     axes.set_yticks(places, prior.index)
@@ -152,7 +152,7 @@ def calibration(checks, draws):
     """Draw simulation-based calibration: distribution of the truths' ranks minus the uniform one.
 
     Args:
-        checks: {name: (n, d) ranks of `rhec.workbench.studies.abc_regression.ranks`}.
+        checks: {name: (n, d) ranks, of `rhec.workbench.studies.abc_regression.ranks`}.
         draws: How many draws each rank is among.
 
     Returns:

@@ -254,7 +254,7 @@ def drive(fields, first_seed, variants=tuple(VARIANTS)):
     """Drive worlds, each on FIELDS fields.
 
     Args:
-        fields: [fields of Scenario, …], one a world, or one a world and variant: {variant: fields}.
+        fields: [of `fields_of`, …], one a world.
         first_seed: Of the first world's first field.
         variants: Of VARIANTS.
 
@@ -333,9 +333,15 @@ def _write(packed, file):
     packed.to_parquet(file, index=False, compression="zstd", compression_level=19)
 
 
+def _read(file):
+    # Opened by Python, so that make learns that a notebook depends on it.
+    with file.open("rb") as stream:
+        return pd.read_parquet(stream)
+
+
 def prior_drives():
     """The drives of the prior's worlds that PRIOR_DRIVES holds, as `drive` returns them."""
-    return _unpacked(_indexed(pd.read_parquet(PRIOR_DRIVES)))
+    return _unpacked(_indexed(_read(PRIOR_DRIVES)))
 
 
 def posterior_drives():
@@ -344,7 +350,7 @@ def posterior_drives():
     Returns:
         As `drive`, for the DRAWS worlds of `posterior_table`, and for CENTRE_COPIES of the centre.
     """
-    drives = _unpacked(_indexed(pd.read_parquet(POSTERIOR_DRIVES)))
+    drives = _unpacked(_indexed(_read(POSTERIOR_DRIVES)))
     rows = DRAWS * FIELDS
     return drives.iloc[:rows], _indexed(drives.iloc[rows:].reset_index(drop=True))
 
@@ -437,21 +443,21 @@ def simulations(drives, unit, error="error"):
         error: As in `statistics_of`.
 
     Returns:
-        The `abc_regression.Simulations`, and (n,) the number of each one's choice of W in CHOICES.
+        An `abc_regression.Simulations`; its models are CHOICES of W.
     """
     tables = np.stack([statistics_of(drives, *choice, error) for choice in CHOICES])
     by_world = tables.reshape(len(CHOICES), -1, FIELDS, len(STATEMENTS))
     near = np.all(by_world[..., :2] < np.log(paper.TOLERANCE_M), axis=(2, 3))
     deviations = np.sqrt(by_world[near].var(axis=1, ddof=1).mean(axis=0))
     worlds = np.repeat(np.arange(len(unit)), FIELDS)
-    table = abc_regression.Simulations(
+    return abc_regression.Simulations(
         unit,
         np.tile(worlds, len(CHOICES)),
+        np.repeat(np.arange(len(CHOICES)), len(worlds)),
         tables.reshape(-1, len(STATEMENTS)),
         np.maximum(deviations, _LEAST_SCALE),
         np.isin(list(PRIORS), _DISCRETE),
     )
-    return table, np.repeat(np.arange(len(CHOICES)), len(worlds))
 
 
 CHOICES = tuple(itertools.product(W_RHE, W_EKF))
@@ -462,12 +468,11 @@ _LEAST_SCALE = 0.01  # where all drives hold, the spread is 0
 # The posterior
 
 
-def posterior_draws(table, choices, n=DRAWS, seed=0):
+def posterior_draws(table, n=DRAWS, seed=0):
     """Equally likely worlds with their W, given the paper's numbers.
 
     Args:
         table: Of `simulations`.
-        choices: Of `simulations`.
         n: How many.
         seed: Of the draw.
 
@@ -479,7 +484,7 @@ def posterior_draws(table, choices, n=DRAWS, seed=0):
     unit, rows = abc_regression.resample(draws, n, np.random.default_rng(seed))
     worlds = worlds_at(unit)
     fields = pd.DataFrame(map(fields_of, worlds.to_dict("records")))
-    w_rhe, w_ekf = zip(*(CHOICES[choice] for choice in choices[rows]))
+    w_rhe, w_ekf = zip(*(CHOICES[choice] for choice in table.model[rows]))
     return worlds, fields.assign(process_noise=w_rhe, process_noise_ekf=w_ekf), draws
 
 
@@ -563,14 +568,20 @@ def shares(statistics, seed=0):
     by_world = flags.reshape(-1, flags.shape[-2] // FIELDS, FIELDS, flags.shape[-1])
     of_drives = by_world.mean(axis=(0, 2))
     of_worlds = by_world.any(axis=2).mean(axis=0)
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(len(of_drives), size=(_RESAMPLES, len(of_drives)))
+    worlds = len(of_drives)
+    # How often each world comes in each resample.
+    counts = np.random.default_rng(seed).multinomial(
+        worlds, np.full(worlds, 1 / worlds), _RESAMPLES
+    )
     table = {}
     for name, values in dict(drives=of_drives, worlds=of_worlds).items():
-        low, high = np.quantile([values[pick].mean(axis=0) for pick in picks], _ENDS, axis=0)
+        low, high = np.quantile(counts @ values / worlds, _ENDS, axis=0)
         table |= {name: values.mean(axis=0), f"{name}_low": low, f"{name}_high": high}
-    texts = [statement.text for statement in STATEMENTS.values()]
-    return pd.DataFrame(table, [*texts, "all of them"])
+    return pd.DataFrame(table, _statement_texts())
+
+
+def _statement_texts():
+    return [*(statement.text for statement in STATEMENTS.values()), "all of them"]
 
 
 _RESAMPLES = 1000
@@ -604,21 +615,39 @@ def truths(table, n, rng, near=None):
     return rng.permutation(rows[first])[:n]
 
 
-def by_w(table, choices):
+def by_w(table):
     """Share of the prior's drives that meet each statement, by W of the RHE and of the EKF.
 
     Args:
         table: Of `simulations`.
-        choices: Of `simulations`.
 
     Returns:
-        DataFrame, one column a choice.
+        DataFrame, one row for each of STATEMENTS and one for all, one column a choice.
     """
     columns = {}
     for number, (w_rhe, w_ekf) in enumerate(CHOICES):
-        statistics = table.statistics[choices == number]
-        columns[f"RHE {w_rhe}, EKF {w_ekf}"] = shares(statistics)["drives"]
-    return pd.DataFrame(columns)
+        flags = meets(table.statistics[table.model == number])
+        name = f"RHE {w_rhe}, EKF {w_ekf}"
+        columns[name] = [*flags.mean(axis=0), flags.all(axis=1).mean()]
+    return pd.DataFrame(columns, _statement_texts())
+
+
+def model_check(table, rows, probabilities):
+    """Whether the posterior's probabilities of W are right on average.
+
+    Args:
+        table: Of `simulations`.
+        rows: Truths, rows of the table.
+        probabilities: Of `abc_regression.ranks` of these truths.
+
+    Returns:
+        DataFrame, one row for each of CHOICES: the mean probability p, the share of truths, and
+        twice the standard error of their difference if the probabilities are right, √(Σ p(1-p))/n.
+    """
+    shares_of_truths = np.bincount(table.model[rows], minlength=len(CHOICES)) / len(rows)
+    error = 2 * np.sqrt(np.sum(probabilities * (1 - probabilities), axis=0)) / len(rows)
+    columns = dict(probability=probabilities.mean(axis=0), truths=shares_of_truths, error=error)
+    return pd.DataFrame(columns, [f"RHE {rhe}, EKF {ekf}" for rhe, ekf in CHOICES])
 
 
 def repeated(worlds):
@@ -631,7 +660,7 @@ def repeated(worlds):
         DataFrame, one row a world: how many numbers were compared, how many differ, and by how many
         of their steps at most.
     """
-    stored = pd.read_parquet(PRIOR_DRIVES)
+    stored = _read(PRIOR_DRIVES)
     unit = sample_unit()
     rows = []
     for world in worlds:
@@ -693,8 +722,8 @@ def main():
     if not 1 <= options.worlds <= _MOST_WORLDS:
         parser.exit(2, f"--worlds was {options.worlds}; it should be 1 to {_MOST_WORLDS}\n")
     _write(drive_prior(options.worlds, options.folder), PRIOR_DRIVES)
-    table, choices = simulations(prior_drives(), sample_unit(options.worlds))
-    _, fields, draws = posterior_draws(table, choices)
+    table = simulations(prior_drives(), sample_unit(options.worlds))
+    _, fields, draws = posterior_draws(table)
     fields.to_csv(POSTERIOR_WORLDS, index=False, float_format="%.5g")
     _write(drive_posterior(), POSTERIOR_DRIVES)
     print(f"{draws.effective_worlds:.0f} effective worlds; centre: {centre()}")
