@@ -152,7 +152,11 @@ def test_shares_count_drives_and_worlds():
     statistics = np.tile(inverse.observed() + 1.0, (16, 1))
     statistics[:2] = inverse.observed()
     table = inverse.shares(statistics)
-    assert table.loc["all of them", "drives"] == 2 / 16
-    assert table.loc["all of them", "worlds"] == 1 / 2
+    assert table.loc["all statements together", "drives"] == 2 / 16
+    assert table.loc["all statements together", "worlds"] == 1 / 2
+    statistics[0, 4] = 1.0  # its estimates are off the bound, which is none of the four numbers
+    table = inverse.shares(statistics)
+    assert table.loc["the four numbers together", "drives"] == 2 / 16
+    assert table.loc["all statements together", "drives"] == 1 / 16
     assert (table["drives_low"] <= table["drives"]).all()
     assert (table["drives"] <= table["drives_high"]).all()

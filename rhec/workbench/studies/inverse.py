@@ -131,6 +131,7 @@ STATEMENTS = {
     "overshoot_q2": Statement("Q² oscillates about the path", 0.0, 0.0),
     "reaches_bound": Statement("the yaw rate reaches its bounds", 0.0, 0.0),
 }
+_NUMBERS = 4  # the first of STATEMENTS are printed numbers
 _NEAR = 0.95  # share of samples with both estimates at least 0.9 that counts as "consistently"
 
 
@@ -559,12 +560,11 @@ def shares(statistics, seed=0):
         seed: Of the bootstrap.
 
     Returns:
-        DataFrame, one row for each of STATEMENTS and one for all of them: the share of drives that
-        meet it with a 95 % interval (bootstrap over worlds), and the share of worlds, with one W
+        DataFrame, one row for each of STATEMENTS, one for the four numbers together and one for all
+        statements: the share of drives that meet it with a 95 % interval (bootstrap over worlds), and the share of worlds, with one W
         each, in which at least one of the FIELDS drives does.
     """
-    flags = meets(statistics)
-    flags = np.concatenate([flags, flags.all(axis=-1, keepdims=True)], axis=-1)
+    flags = _with_totals(meets(statistics))
     by_world = flags.reshape(-1, flags.shape[-2] // FIELDS, FIELDS, flags.shape[-1])
     of_drives = by_world.mean(axis=(0, 2))
     of_worlds = by_world.any(axis=2).mean(axis=0)
@@ -580,8 +580,15 @@ def shares(statistics, seed=0):
     return pd.DataFrame(table, _statement_texts())
 
 
+def _with_totals(flags):
+    """Flags of STATEMENTS, followed by those of the four numbers together and of all statements."""
+    numbers = flags[..., :_NUMBERS].all(axis=-1, keepdims=True)
+    return np.concatenate([flags, numbers, flags.all(axis=-1, keepdims=True)], axis=-1)
+
+
 def _statement_texts():
-    return [*(statement.text for statement in STATEMENTS.values()), "all of them"]
+    texts = [statement.text for statement in STATEMENTS.values()]
+    return [*texts, "the four numbers together", "all statements together"]
 
 
 _RESAMPLES = 1000
@@ -622,13 +629,12 @@ def by_w(table):
         table: Of `simulations`.
 
     Returns:
-        DataFrame, one row for each of STATEMENTS and one for all, one column a choice.
+        DataFrame, the rows of `shares`, one column a choice.
     """
     columns = {}
     for number, (w_rhe, w_ekf) in enumerate(CHOICES):
-        flags = meets(table.statistics[table.model == number])
-        name = f"RHE {w_rhe}, EKF {w_ekf}"
-        columns[name] = [*flags.mean(axis=0), flags.all(axis=1).mean()]
+        flags = _with_totals(meets(table.statistics[table.model == number]))
+        columns[f"RHE {w_rhe}, EKF {w_ekf}"] = flags.mean(axis=0)
     return pd.DataFrame(columns, _statement_texts())
 
 
