@@ -515,7 +515,7 @@ def learned(worlds):
             narrowed=1 - width,
             source=prior.source,
         )
-    return pd.DataFrame(rows).T
+    return pd.DataFrame(rows).T.rename_axis("unknown")
 
 
 def centre():
@@ -561,8 +561,8 @@ def shares(statistics, seed=0):
 
     Returns:
         DataFrame, one row for each of STATEMENTS, one for the four numbers together and one for all
-        statements: the share of drives that meet it with a 95 % interval (bootstrap over worlds), and the share of worlds, with one W
-        each, in which at least one of the FIELDS drives does.
+        statements: the share of drives that meet it with a 95 % interval (bootstrap over worlds),
+        and the share of worlds, with one W each, in which at least one of the FIELDS drives does.
     """
     flags = _with_totals(meets(statistics))
     by_world = flags.reshape(-1, flags.shape[-2] // FIELDS, FIELDS, flags.shape[-1])
@@ -577,7 +577,7 @@ def shares(statistics, seed=0):
     for name, values in dict(drives=of_drives, worlds=of_worlds).items():
         low, high = np.quantile(counts @ values / worlds, _ENDS, axis=0)
         table |= {name: values.mean(axis=0), f"{name}_low": low, f"{name}_high": high}
-    return pd.DataFrame(table, _statement_texts())
+    return pd.DataFrame(table, _statement_texts()).rename_axis("statement")
 
 
 def _with_totals(flags):
