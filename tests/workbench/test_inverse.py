@@ -160,3 +160,22 @@ def test_shares_count_drives_and_worlds():
     assert table.loc["all statements together", "drives"] == 1 / 16
     assert (table["drives_low"] <= table["drives"]).all()
     assert (table["drives"] <= table["drives_high"]).all()
+
+
+def test_an_interrupted_campaign_goes_on_with_the_blocks_that_it_kept(monkeypatch, tmp_path):
+    drives = inverse.prior_drives()
+    driven = []
+
+    def look_up(fields, first_seed):
+        first = first_seed - inverse.FIRST_SEED
+        driven.append(first // inverse.FIELDS)
+        return drives.iloc[first : first + inverse.FIELDS * len(fields)]
+
+    monkeypatch.setattr(inverse, "drive", look_up)
+    monkeypatch.setattr(inverse, "_BLOCK", 4)
+    few = inverse.drive_prior(3, tmp_path)
+    more = inverse.drive_prior(10, tmp_path)
+    assert driven == [0, 4, 8]
+    assert len(few) == 3 * inverse.FIELDS
+    stored = inverse._packed(drives.iloc[: 10 * inverse.FIELDS])
+    assert np.array_equal(more, stored)

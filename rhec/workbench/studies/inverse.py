@@ -667,7 +667,7 @@ def repeated(worlds):
         of their steps at most.
     """
     stored = _read(PRIOR_DRIVES)
-    unit = sample_unit()
+    unit = sample_unit(len(stored) // FIELDS)
     rows = []
     for world in worlds:
         fields = fields_of(worlds_at(unit[[world]]).iloc[0])
@@ -696,16 +696,19 @@ def drive_prior(n, folder):
     folder = store.open_folder(folder) / design
     folder.mkdir(exist_ok=True)
     blocks = []
+    # Blocks are whole, so that a longer campaign can go on with them.
+    every = sample_unit(-(-n // _BLOCK) * _BLOCK)
     for first in range(0, n, _BLOCK):
         file = folder / f"{first:06d}.parquet"
         if not file.exists():
-            unit = sample_unit()[first : first + _BLOCK]
+            unit = every[first : first + _BLOCK]
             fields = [*map(fields_of, worlds_at(unit).to_dict("records"))]
             packed = _packed(drive(fields, FIRST_SEED + FIELDS * first))
             unfinished = file.with_suffix(".unfinished")
             _write(packed, unfinished)
+            unfinished.replace(file)
             print(f"worlds {first} to {first + len(unit) - 1}", flush=True)
-        blocks.append(pd.read_parquet(file))
+        blocks.append(_read(file))
     return _indexed(pd.concat(blocks, ignore_index=True).iloc[: n * FIELDS])
 
 
