@@ -24,6 +24,8 @@ _SPEED_LIMIT_MPS = 1.5  # of a track: saturation of the motor driver
 # Shapes by name: what one sample hands to the next, and the standard normal noise of one sample.
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
 NOISE = dict(white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS), speed=(1, 1))
+# Where a measured ω belongs to the interval that begins at its sample: it waits for that one's end.
+PAIRED = dict(newest_omega=(1, 1))
 # Settings of the sensors and of the robot's body.
 SENSORS = dict.fromkeys(
     ("gnss_white_m", "gnss_slow_m", "gnss_slow_time_s", "speed_sigma_mps"), (1, 1)
@@ -89,6 +91,21 @@ def measure(dt_s):
         return dict(z=z, drift=keep * drift + ca.sqrt(1 - keep**2) * slow)
 
     return measure
+
+
+def pair_with_next_interval():
+    """Interpretation R16 as a Function (z, newest_omega) -> (z, newest_omega).
+
+    An estimator takes the ω in z for that of the interval that ends at the sample. With the ω of
+    the sample before in its place, the ω measured at t_i belongs to the interval from t_i on, and
+    the newest one, `newest_omega`, is not used yet.
+    """
+
+    @casadi_function("pair", z=(4, 1), **PAIRED)
+    def pair(z, newest_omega):
+        return dict(z=ca.vertcat(z[:3], newest_omega), newest_omega=z[3])
+
+    return pair
 
 
 def drive(dt_s):

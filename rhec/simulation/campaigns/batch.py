@@ -36,6 +36,8 @@ _STRUCTURE = operator.attrgetter(
     "qp",
     "input_reference",
     "cautious",
+    "traction_timing",
+    "yaw_rate_interval",
 )
 
 
