@@ -187,8 +187,8 @@ def slip_fields(terrain, path, title):
 def trajectories(runs):
     """Draw Figure 7: reference and trajectories on the map of κ.
 
-    The upper map shows the whole drive and where it ends. The lower maps show the start and the largest true error
-    after settling, with the tolerance of 0.12 m in yellow.
+    The upper map shows the whole drive and where it ends. The lower maps show the start and the
+    largest true error after settling, with the tolerance of 0.12 m in yellow.
 
     Args:
         runs: {"RHE": Run, "EKF": Run} on the same terrain.
