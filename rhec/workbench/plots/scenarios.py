@@ -429,12 +429,12 @@ def speed(drives):
     figure, (axes, beside) = plt.subplots(1, 2, **panels)
     log = drives[0].log
     settled = drives[0].columns["t_s"] > _START_S
-    least, most = log["nu_meas_mps"].min(), log["nu_meas_mps"].max()
+    limits = log["nu_meas_mps"].agg(["min", "max"])
     deviations = []
     for column, name, label, width in _SPEEDS:
         axes.plot(log["t_s"], log[column], color=COLOURS[name], linewidth=width, label=label)
         values = np.array([run.columns[column] for run in drives])[:, settled]
-        parts.frequencies(beside, values, (least, most), COLOURS[name], bins=100, relative=True)
+        parts.frequencies(beside, values, limits, COLOURS[name], bins=100, relative=True)
         deviations.append(f"{label} {values.std():.3f}")
     axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
     axes.set(ylabel=r"speed $\nu$ [m/s]", title=f"One drive: {_title(drives[0])}")
