@@ -183,7 +183,7 @@ def forest(table, baseline):
     label = (
         f"change from the baseline ({description}), {table['n'].iloc[0]} seeds, 95 % intervals;\n"
     )
-    scale = "vermillion: worse, blue: better; arrows: off the linear scale, with their numbers"
+    scale = "vermillion: worse for the RHE, blue: better; arrows: off the scale, with numbers"
     figure.supxlabel(label + scale, fontsize=7)
     return figure
 
