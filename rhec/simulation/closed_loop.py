@@ -43,6 +43,8 @@ class _LoopStructure(NamedTuple):
     faulty: bool  # whether sensors have faults: without, their code is left out
     cautious: bool
     soil_under: str
+    traction_timing: str
+    yaw_rate_interval: str
 
 
 class _Parts(NamedTuple):
@@ -55,12 +57,15 @@ class _Parts(NamedTuple):
     references: ca.Function
     control: ca.Function
     drive: ca.Function
+    pair: ca.Function | None  # None where ω belongs to the interval that ends at its sample
 
 
 def _build_parts(structure):
     choice = structure.estimator
     horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
     control = rhc.build_phases(horizon)["step"]
+    if structure.traction_timing != "feedback":
+        control = paper_rhc.with_online_traction(control, horizon, structure.traction_timing)
     if structure.cautious:
         # Imported here, like all that is not in the paper: a run imports only what it uses.
         from rhec.tracked_robot import cautious
@@ -78,6 +83,7 @@ def _build_parts(structure):
         references=references["references"],
         control=control,
         drive=robot.drive(paper.DT_S),
+        pair=robot.pair_with_next_interval() if structure.yaw_rate_interval == "after" else None,
     )
 
 
@@ -98,6 +104,7 @@ def _memory_shapes(parts):
             controller=(parts.control.numel_in(0), 1),
         )
         | (faults.MEMORY if parts.deliver else {})
+        | (robot.PAIRED if parts.pair else {})
     )
 
 
@@ -139,7 +146,7 @@ def build_sample(*structure):
         truth, omega = _truth(signals, traction)
         measured = _measured(parts, signals)
         estimated = _estimated(parts, signals, measured["z"], truth, traction_input)
-        target = _target(parts, signals, measured["z"], estimated)
+        target = _target(parts, signals, measured, estimated)
         planned = _planned(parts, signals, estimated, target)
         driven = _driven(parts, signals, planned, traction, yaw_drift)
         row = dict(truth=truth, omega=omega, yaw_drift=yaw_drift, z=measured["z"])
@@ -153,7 +160,8 @@ def build_sample(*structure):
             controller=planned["memory"],
         )
         # Sensors with faults remember earlier measurements.
-        stored = {name: measured[name] for name in memory if name in faults.MEMORY}
+        remembered = faults.MEMORY | robot.PAIRED
+        stored = {name: measured[name] for name in memory if name in remembered}
         return dict(row=ca.vertcat(*(row[name] for name in LOG))) | following | driven | stored
 
     return scan.build_scan(sample)
@@ -175,6 +183,8 @@ def _measured(parts, signals):
     measured = _call(parts.measure, signals)
     if parts.deliver:
         measured |= _call(parts.deliver, signals | measured)
+    if parts.pair:
+        measured |= _call(parts.pair, signals | measured)
     return measured
 
 
@@ -209,10 +219,16 @@ def _call_estimator(step, memory, z, signals):
     return dict(zip(names, step.call([memory, z, *settings])))
 
 
-def _target(parts, signals, z, estimated):
+def _target(parts, signals, measured, estimated):
     """The references ξ_r, ω_r on the path, eq. (17)-(18)."""
+    accepted = estimated["accepted"][3]
+    omega = measured["z"][3]
+    if parts.pair:
+        # The controller's reference is the newest yaw rate, which the estimator gets a sample on.
+        omega = measured["newest_omega"]
+        accepted = is_valid_measurement(omega, SPEED_MODELS["parameter"].model.limits[3])
     # Where the encoders are rejected, the last command stands in for the measured yaw rate.
-    omega_measured = ca.if_else(estimated["accepted"][3], z[3], signals["command"])
+    omega_measured = ca.if_else(accepted, omega, signals["command"])
     estimate = estimated["estimate"]
     return _call(parts.references, signals, estimate=estimate, omega_measured=omega_measured)
 
@@ -301,6 +317,8 @@ def set_up(scenario):
         bool(scenario.faults),
         scenario.cautious,
         scenario.soil_under,
+        scenario.traction_timing,
+        scenario.yaw_rate_interval,
     )
     estimator = estimator_of(choice.estimator, choice.robust)
     pose = _start_pose(scenario, path)
@@ -332,6 +350,7 @@ def _first_memory(scenario, path, estimator, choice, pose, guess):
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
     speed = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
     sensors = faults.init() if scenario.faults else {}
+    sensors |= dict(newest_omega=0.0) if scenario.yaw_rate_interval == "after" else {}
     loop = dict(
         estimator=estimator.init(choice, dict(zip(QUANTITIES, guess))),
         s=path.project(pose[None, :2])[1],

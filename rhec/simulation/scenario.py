@@ -32,6 +32,7 @@ class Scenario:
     slip: options.Slip | None = None
     arrival_mean: ArrivalMean | None = None
     robust: valid.Flag = False
+    yaw_rate_interval: Literal["before", "after"] = "before"
 
     q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
@@ -41,6 +42,7 @@ class Scenario:
     look_ahead_m: valid.NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
+    traction_timing: Literal["feedback", "sample_before", "prepared_anew"] = "feedback"
     qp: options.Solver = "structured"
     cautious: valid.Flag = False
     caution: valid.NotNegative = 0.25

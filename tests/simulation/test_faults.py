@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import flat
+from text_boxes import text_defects
 
 import rhec
 from rhec import paper
@@ -335,6 +336,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
         np.testing.assert_allclose(off, np.nanmedian(of_case[:, known.argmax() :], axis=0))
         assert (largest >= off).all()
     overview = fault_overview(numbers.reset_index(), 2)
+    assert text_defects(figure) == text_defects(overview) == []
     assert len(overview.axes[0].get_yticklabels()) == len(keys)
     words = [text.get_text() for text in overview.axes[1].texts]
     back = numbers.reset_index().groupby(["family", "case"], sort=False)["back"]
