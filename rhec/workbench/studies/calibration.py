@@ -72,9 +72,9 @@ _NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "
 UNKNOWNS |= dict.fromkeys(_NOT_ESTIMATED, _POSE)
 
 
-def oracle_runs(seeds, duration_s=240.0):
-    """Runs of the default scenario with the true state in the loop, one a seed."""
-    fields = dict(estimator="oracle", duration_s=duration_s)
+def oracle_runs(seeds, duration_s=240.0, **world):
+    """Runs with the true state in the loop, one a seed, in the default world or another."""
+    fields = dict(estimator="oracle", duration_s=duration_s) | world
     return [simulate(Scenario(seed=seed, **fields)) for seed in seeds]
 
 
