@@ -288,7 +288,7 @@ def settings(terrain, shape):
     )
 
 
-def common_shape(terrain, step=64):
+def common_shape(terrain, step=128):
     """The next of a few grid shapes, so that another path or start seldom needs compiling."""
     return tuple(-(-points // step) * step for points in terrain.mu.shape)
 
