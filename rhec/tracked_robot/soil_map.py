@@ -310,6 +310,11 @@ def _read(file):
 # What a run's loop is told of the map
 
 
+def map_of(scenario):
+    """The map that a Scenario's estimator is told."""
+    return scenario.soil_map or unknown()
+
+
 def common_shape(soil_map, step=32):
     """The next of a few grid shapes, so that another map seldom needs compiling."""
     points = soil_map.mu.shape
@@ -321,18 +326,17 @@ def settings(soil_map):
     """The map's settings of a run's loop by name, on the grid of `common_shape`."""
     shape = common_shape(soil_map)
     yaw, sigma_yaw = soil_map.constant_yaw
-    variance = {
-        name: np.maximum(getattr(soil_map, f"sigma_{name}"), _LEAST_SIGMA[name]) ** 2
-        for name in ("mu", "kappa")
-    }
-    drift = soil_map.sigma_slope**2 + max(sigma_yaw, _LEAST_SIGMA["yaw"]) ** 2
-    if soil_map is unknown():
-        drift = soil_map.sigma_slope**2 + sigma_yaw**2
+    is_unknown = soil_map is unknown()
+    least = dict.fromkeys(_LEAST_SIGMA, 0.0) if is_unknown else _LEAST_SIGMA
+    variance = [
+        np.maximum(getattr(soil_map, f"sigma_{name}"), least[name]) ** 2 for name in ("mu", "kappa")
+    ]
+    of_yaw = soil_map.sigma_slope**2 + max(sigma_yaw, least["yaw"]) ** 2
     pairs = dict(
         map_traction=(soil_map.mu, soil_map.kappa),
-        map_variance=(variance["mu"], variance["kappa"]),
         map_slope=(soil_map.slope_x, soil_map.slope_y),
-        map_slope_variance=(drift, drift),
+        map_variance=variance,
+        map_yaw_variance=(of_yaw, of_yaw),
     )
     return {name: terrain.flat_pair(*grids, shape) for name, grids in pairs.items()} | dict(
         map_origin_m=np.array(soil_map.origin_m),
