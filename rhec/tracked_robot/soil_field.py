@@ -9,7 +9,7 @@ where n points to the left, a is the share of this in the robot's yaw (1 where e
 soil of its own) and g₀ what always turns it. So (μ, κ, g) at a place are linear functionals of the
 process, and the yaw on a straight row tells how μ changes across it.
 
-The drives' likelihood exp(-½ w'Λw + η'w) of the w on their stretches (`soil_pass`) meets the prior
+The drives' likelihood exp(-½ w'Λw + η'w) of the w at their nodes (`soil_pass`) meets the prior
 w ~ N(m, K). With M = I + ΛK, b = η - Λm and the covariance k of another place with w,
 
     mean = m* + k' M⁻ᵀ b   variance = k** - k' M⁻¹Λ k   2 log likelihood = b'K M⁻ᵀ b - log |M| + …,
@@ -30,7 +30,7 @@ from rhec.tracked_robot.soil_pass import Evidence
 # Before the first drive: mean and standard deviation of the fields' means and of g₀.
 MEAN = dict(mu=0.85, kappa=0.85, g=0.0)
 SIGMA_OF_MEAN = dict(mu=0.2, kappa=0.2, g=0.1)
-# Yaw that neither soil nor g₀ explains, from stretch to stretch [1/m].
+# Yaw that neither soil nor g₀ explains, from node to node [1/m].
 _SIGMA_G = 2e-3
 
 
@@ -86,7 +86,7 @@ def _correlation(one_m, other_m, length_m):
 
 
 def prior(evidence, statistics):
-    """Mean m (3n,) and covariance K (3n, 3n) of the (μ, κ, g) on the stretches of an Evidence."""
+    """Mean m (3n,) and covariance K (3n, 3n) of the (μ, κ, g) at the nodes of an Evidence."""
     sigma_mu, sigma_kappa, length_m, share = statistics
     k, d, c = _correlation(evidence.place_m, evidence.place_m, length_m)
     left = _left(evidence.heading_rad)

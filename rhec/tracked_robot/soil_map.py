@@ -88,7 +88,7 @@ class SoilMap:
 
     def __repr__(self) -> str:
         rows, columns = self.mu.shape
-        known = "" if self.evidence is None else f", from {len(self.evidence.place_m)} stretches"
+        known = "" if self.evidence is None else f", from {len(self.evidence.place_m)} places"
         return f"SoilMap({rows} by {columns} points of {self.cell_m:g} m{known})"
 
     @classmethod

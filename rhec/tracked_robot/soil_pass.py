@@ -1,7 +1,7 @@
 """What one drive tells of the soil under it: a smoother over the whole drive.
 
-The soil is described by stretches of the way, each with its own (μ, κ, g), and the pose ξ = (x, y,
-θ) and the speed ν of every sample are unknown, too. With the tracks' yaw rate ω as measured, and
+The soil has the values (μ, κ, g) at nodes along the way, between which it is linear, and the pose
+ξ = (x, y, θ) and the speed ν of every sample are unknown, too. With the tracks' yaw rate ω as measured, and
 Gaussian noise of the standard deviations behind V and W, the drive obeys
 
     x⁺ = x + Δt μ ν cos θ̄,  y⁺ = y + Δt μ ν sin θ̄,  θ⁺ = θ + Δt (κ ω + g ν),  ν⁺ = ν,
@@ -10,7 +10,7 @@ with θ̄ = θ + Δt (κ ω + g ν) / 2, and the sensors measure x, y and ν. He
 yaw that unlike tracks add to each metre that they run. Gauss-Newton steps find the most likely
 drive; they are what a Rauch-Tung-Striebel smoother would return, iterated. Then poses and speeds
 are eliminated (Schur complement), which leaves what the drive alone says of the soil: its
-likelihood exp(-½ w'Λw + η'w) of w, the μ, then the κ, then the g of all stretches. Where the robot
+likelihood exp(-½ w'Λw + η'w) of w, the μ, then the κ, then the g of all nodes. Where the robot
 drove straight on, it says nothing of κ, and Λ has zeros there. No prior is in it, so that several
 drives are simply added up (`rhec.tracked_robot.soil_field`).
 """
@@ -23,8 +23,8 @@ from scipy.sparse.linalg import spsolve
 
 from rhec.core.model.limits import MAX_MEASUREMENT
 
-STRETCH_M = 1.0  # a quarter of the simulated soil's correlation length
-_ITERATIONS = 3
+NODES_M = 2.0  # half of the simulated soil's correlation length
+_ITERATIONS = 2
 # A weak prior that only the Gauss-Newton steps use, (mean, standard deviation) of (μ, κ, g).
 _WEAK = ((0.9, 0.2), (0.9, 0.3), (0.0, 0.1))
 _RIDGE = 1e-6  # keeps poses that nothing measures from being free
@@ -32,12 +32,12 @@ _POSE = 4  # entries of a sample: x, y, θ, ν
 
 
 class Evidence(NamedTuple):
-    """The likelihood of the soil on the m stretches of one drive, in information form.
+    """The likelihood of the soil at the m nodes of one drive, in information form.
 
     Attributes:
-        place_m: (m, 2) middles of the stretches [m].
+        place_m: (m, 2) places of the nodes [m].
         heading_rad: (m,) headings of the robot there [rad].
-        information: (3m, 3m) Λ, of the μ, the κ and the g [1/m] of all stretches.
+        information: (3m, 3m) Λ, of the μ, the κ and the g [1/m] of all nodes.
         score: (3m,) η.
     """
 
@@ -47,7 +47,19 @@ class Evidence(NamedTuple):
     score: np.ndarray
 
 
-def evidence_of(z, first, sigma_v, sigma_w, dt_s, stretch_m=STRETCH_M):
+class _Nodes(NamedTuple):
+    """Where each of the n samples lies between the m nodes along the way."""
+
+    before: np.ndarray  # (n,) number of the last node
+    share: np.ndarray  # (n,) of the way to the next one
+    count: int  # m
+
+    def at(self, values):
+        """Values (rows, m) at the nodes, interpolated at the samples."""
+        return values[:, self.before] * (1 - self.share) + values[:, self.before + 1] * self.share
+
+
+def evidence_of(z, first, sigma_v, sigma_w, dt_s, nodes_m=NODES_M):
     """The Evidence of one drive.
 
     Args:
@@ -56,30 +68,31 @@ def evidence_of(z, first, sigma_v, sigma_w, dt_s, stretch_m=STRETCH_M):
         sigma_v: Standard deviations of z; that of ω has no effect, because its noise is in θ.
         sigma_w: (4,) standard deviations of the process noise of (x, y, θ, ν) per sample.
         dt_s: Length of a sample [s].
-        stretch_m: Length of a stretch, as the tracks run [m].
+        nodes_m: Distance of the nodes, as the tracks run [m].
 
     Returns:
         The Evidence.
     """
     z = np.where(np.abs(z) <= MAX_MEASUREMENT, z, np.nan)
-    omega = _held(z[:, 3])
-    run_m = np.cumsum(np.abs(_held(z[:, 2]))) * dt_s
-    stretch = np.unique((run_m / stretch_m).astype(int), return_inverse=True)[1]
-    n_w = 3 * (stretch[-1] + 1)
-    mean, sigma = np.repeat(_WEAK, n_w // 3, axis=0).T
+    measured = z[:, :3], _held(z[:, 3])
+    run = np.cumsum(np.abs(_held(z[:, 2]))) * dt_s / nodes_m
+    before = run.astype(int)
+    nodes = _Nodes(before, run - before, before[-1] + 2)
+    mean, sigma = np.repeat(_WEAK, nodes.count, axis=0).T
     poses, soil = np.array(first, dtype=float), mean.copy()
-    measured = z[:, :3], omega
     for _ in range(_ITERATIONS):
-        parts = _linearised(poses, soil, measured, stretch, sigma_v, sigma_w, dt_s)
+        parts = _linearised(poses, soil, measured, nodes, sigma_v, sigma_w, dt_s)
         step = _step(*parts, soil - mean, sigma)
         poses += step[: poses.size].reshape(poses.shape)
         soil += step[poses.size :]
-    parts = _linearised(poses, soil, measured, stretch, sigma_v, sigma_w, dt_s)
+    parts = _linearised(poses, soil, measured, nodes, sigma_v, sigma_w, dt_s)
     information, score = _without_poses(*parts)
-    n = np.bincount(stretch)
-    place_m = np.column_stack([np.bincount(stretch, poses[:, i]) / n for i in range(2)])
-    ahead = [np.bincount(stretch, wave(poses[:, 2])) for wave in (np.sin, np.cos)]
-    return Evidence(place_m, np.arctan2(*ahead), information, score + information @ soil)
+    # The last node lies ahead of the last sample, where the pose is continued.
+    at = np.arange(nodes.count)
+    ahead_m = np.maximum(at - run[-1], 0)[:, None] * nodes_m
+    x, y, theta = (np.interp(at, run, poses[:, i]) for i in range(3))
+    place_m = np.column_stack([x, y]) + ahead_m * np.column_stack([np.cos(theta), np.sin(theta)])
+    return Evidence(place_m, theta, information, score + information @ soil)
 
 
 def _held(values):
@@ -88,12 +101,12 @@ def _held(values):
     return np.nan_to_num(values[np.maximum.accumulate(places)])
 
 
-def _linearised(poses, soil, measured, stretch, sigma_v, sigma_w, dt_s):
+def _linearised(poses, soil, measured, nodes, sigma_v, sigma_w, dt_s):
     """Weighted residuals r (m,) and their derivatives by poses and soil, (m, 4n) and (m, n_w)."""
     z, omega = measured
     seen = np.isfinite(z)
     r_z = (poses[:, [0, 1, 3]] - z)[seen] / np.broadcast_to(sigma_v[:3], z.shape)[seen]
-    r_f, by_first, by_last, by_soil = _motion(poses, soil, omega, stretch, dt_s)
+    r_f, by_first, by_last, by_soil = _motion(poses, soil, omega, nodes, dt_s)
     n = len(poses)
     sample = np.arange(n - 1)
     weights = 1 / np.asarray(sigma_w)
@@ -102,9 +115,12 @@ def _linearised(poses, soil, measured, stretch, sigma_v, sigma_w, dt_s):
                    columns[seen][:, None], _POSE * n)  # fmt: skip
     pairs = np.hstack([_POSE * (sample + i)[:, None] + np.arange(_POSE) for i in (0, 1)])
     of_f = _matrix(np.concatenate([by_first, by_last], 2) * weights[:, None], pairs, _POSE * n)
-    n_stretches = len(soil) // 3
-    triples = stretch[1:, None] + n_stretches * np.arange(3)
-    of_soil = _matrix(by_soil * weights[:, None], triples, len(soil))
+    triples = nodes.before[1:, None] + nodes.count * np.arange(3)
+    share = nodes.share[1:, None, None]
+    of_soil = sum(
+        _matrix(by_soil * weights[:, None] * part, triples + i, len(soil))
+        for i, part in enumerate((1 - share, share))
+    )
     r = np.concatenate([r_z, (r_f * weights).ravel()])
     nothing = sparse.csr_matrix((len(r_z), len(soil)))
     return r, sparse.vstack([of_z, of_f]).tocsc(), sparse.vstack([nothing, of_soil]).tocsc()
@@ -119,12 +135,12 @@ def _matrix(blocks, columns, n_columns):
     return sparse.csr_matrix(entries, (m * rows, n_columns))
 
 
-def _motion(poses, soil, omega, stretch, dt_s):
+def _motion(poses, soil, omega, nodes, dt_s):
     """Residuals (n-1, 4) of the motion, and derivatives by the pose before, after, by (μ, κ, g).
 
     The speed and the yaw rate of an interval are those measured at its end.
     """
-    mu, kappa, g = soil.reshape(3, -1)[:, stretch[1:]]
+    mu, kappa, g = nodes.at(soil.reshape(3, -1))[:, 1:]
     nu = poses[1:, 3]
     turn = dt_s * (kappa * omega[1:] + g * nu)
     middle = poses[:-1, 2] + turn / 2
