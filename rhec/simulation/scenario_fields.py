@@ -22,7 +22,8 @@ estimator: The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true 
     traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE
     with μ = κ = 1); "dual" (the RHE estimates the traction, an EKF with that traction the pose);
     "yaw_drift_ekf" and "yaw_drift_rhe" (a bounded EKF and an RHE that also estimate how much the
-    robot turns for each metre without a yaw rate of its tracks, which the controller cancels).
+    robot turns for each metre without a yaw rate of its tracks, which the controller cancels);
+    "map_ekf" (such an EKF that is told what earlier drives found, `soil_map`).
     Or a CasADi Function (memory, z) -> (memory, estimate), whose memory starts as the first guess
     (x, y, θ, ν, μ, κ) followed by zeros.
 process_noise: W by name. "printed" is the paper's; "calibrated" is the likeliest for training seeds
@@ -42,8 +43,8 @@ speed_model: How the RHE models ν. "parameter": one ν over the window, as in t
 slip: Constants of the speed model "slipping", in the order of `tuning.SLIP`.
 arrival_mean: Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as
     in the paper; "filtered": from the EKF update (R7); None: the one that fits process_noise.
-soil_map: What earlier drives tell of the soil, a rhec.SoilMap, for the estimator "map_ekf". None: it
-    estimates the traction without a map.
+soil_map: What earlier drives tell of the soil, a rhec.SoilMap, for the estimator "map_ekf". None:
+    it estimates the traction without a map.
 robust: Whether measurements that contradict others get less weight; for "rhe" and "dual".
 
 q: Diagonal of the weight Q_k, eq. (22), of (x, y, θ).

@@ -20,6 +20,7 @@ from rhec.core.model.base import interval, rk4
 from rhec.core.model.limits import is_valid_measurement
 from rhec.tracked_robot import ekf, soil_map, terrain, tuning, yaw_drift
 from rhec.tracked_robot.choice import Estimator
+from rhec.tracked_robot.rhe import SIGMA_START
 
 STATES = yaw_drift.STATES
 _N = len(STATES)
@@ -57,9 +58,9 @@ def _build_soil(shape):
 def _build_along():
     """Mean and variance of (μ, κ, δ) along a heading, from the map's fields at a place."""
 
-    @casadi_function("along", theta=_ONE, yaw=_ONE, traction=_PAIR, slope=_PAIR, **{
-        name: _PAIR for name in ("variance", "yaw_variance")
-    })  # fmt: skip
+    pairs = dict.fromkeys(("traction", "slope", "variance", "yaw_variance"), _PAIR)
+
+    @casadi_function("along", theta=_ONE, yaw=_ONE, **pairs)
     def along(theta, yaw, traction, slope, variance, yaw_variance):
         mu = ca.fmax(traction[0], _LEAST_MU)
         g = slope[0] * ca.sin(theta) - slope[1] * ca.cos(theta) + yaw
@@ -91,12 +92,11 @@ def _build_ahead(dt_s):
 def _build_filter(dt_s):
     """One sample of the filter, given the map at its last place and at the next one."""
     moments = dict(mean=(3, 1), next_mean=(3, 1), variance=(3, 1), next_variance=(3, 1))
-    noise = dict(z_N=(4, 1), V=(4, 1), W=(4, 1))
+    noise = dict(V=(4, 1), W=(4, 1))
 
-    @casadi_function("map_filter", **_MEMORY, keep=_ONE, **moments, **noise)
-    def sample(
-        m, P, omega, started, keep, mean, next_mean, variance, next_variance, z_N, V, W
-    ):  # fmt: skip
+    @casadi_function("map_filter", **_MEMORY, keep=_ONE, **moments, z_N=(4, 1), noise=noise)
+    def sample(m, P, omega, started, keep, mean, next_mean, variance, next_variance, z_N, noise):
+        V, W = noise.values()
         moved = ca.vertcat(_move(m, omega, dt_s), m[3], next_mean + keep * (m[4:] - mean))
         Q = ca.diag(ca.vertcat(W, (1 - keep**2) * next_variance))
         A = ca.jacobian(moved, m)
@@ -133,8 +133,10 @@ def _build_step(choice):
     return step
 
 
-def _init(choice, guess, sigma=yaw_drift.SIGMA_START):
-    return ekf.init(STATES, *yaw_drift.start(guess, sigma))
+def _init(choice, guess, sigma=SIGMA_START):
+    # The map stands in for a guess of the yaw drift, too.
+    start = dict(yaw_drift_radpm=0.0)
+    return ekf.init(STATES, start | guess, start | sigma)
 
 
 def _settings(scenario):

@@ -7,16 +7,21 @@ estimator "map_ekf" (`rhec.tracked_robot.map_ekf`) drives with it.
 
 import functools
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path as File
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rhec import paper
 from rhec.core._casadi.validation import refuse, shown
-from rhec.tracked_robot import soil_field, soil_pass, terrain, tuning
+from rhec.tracked_robot import terrain, tuning
 from rhec.tracked_robot.options import numbers
+
+# What learns a map is imported where one is learned: most runs have none, and it loads solvers.
+if TYPE_CHECKING:
+    from rhec.tracked_robot.soil_field import Statistics
+    from rhec.tracked_robot.soil_pass import Evidence
 
 _CELL_M = 1.0  # a quarter of the simulated soil's correlation length
 _MARGIN_M = 5.0  # of a map around the drives that it knows
@@ -70,8 +75,8 @@ class SoilMap:
     slope_y: np.ndarray | None = None
     sigma_slope: np.ndarray | None = None
     constant_yaw: tuple = (0.0, 0.0)
-    statistics: soil_field.Statistics | None = None
-    evidence: soil_pass.Evidence | None = None
+    statistics: "Statistics | None" = None
+    evidence: "Evidence | None" = None
 
     def __post_init__(self):
         for name in _GRIDS:
@@ -113,9 +118,8 @@ class SoilMap:
         Raises:
             ValueError: If an argument is no list of runs with columns of measurements.
         """
-        noise = sigma_v, sigma_w or tuning.SIGMA_W["map_ekf"]["calibrated"]
-        evidences = [_evidence_of(run, *noise) for run in _listed(runs)]
-        return _learned(evidences, soil_field.FIRST) if evidences else unknown()
+        evidences = [_evidence_of(run, sigma_v, sigma_w) for run in _listed(runs)]
+        return _learned(evidences) if evidences else unknown()
 
     def update(
         self,
@@ -136,26 +140,27 @@ class SoilMap:
         Raises:
             ValueError: If `run` has no columns of measurements.
         """
-        noise = sigma_v, sigma_w or tuning.SIGMA_W["map_ekf"]["calibrated"]
         known = [self.evidence] if self.evidence else []
-        return _learned([*known, _evidence_of(run, *noise)], self.statistics or soil_field.FIRST)
+        return _learned([*known, _evidence_of(run, sigma_v, sigma_w)], self.statistics)
 
     @classmethod
-    def of_terrain(cls, soil: terrain.Terrain, track_share: float = 0.0) -> "SoilMap":
+    def of_terrain(
+        cls, soil: terrain.Terrain, track_share: float = 0.0, length_m: float = 4.0
+    ) -> "SoilMap":
         """Make a map that knows a simulated field exactly, the limit for every map.
 
         Args:
             soil: The rhec.Terrain.
             track_share: 1 where each track stands on the soil under it, 0 where none does.
+            length_m: Correlation length of the soil [m].
 
         Returns:
             The SoilMap.
         """
         nothing = np.zeros(soil.mu.shape)
         slopes = track_share * np.array(np.gradient(soil.mu, soil.cell_m))
-        return cls(
-            soil.mu, soil.kappa, nothing, nothing, soil.origin_m, soil.cell_m, 4.0, *slopes, nothing
-        )
+        known = soil.mu, soil.kappa, nothing, nothing, soil.origin_m, soil.cell_m, length_m
+        return cls(*known, *slopes, nothing)
 
     def save(self, file: str | File) -> None:
         """Write the map as .npz: plain arrays, nothing that is executed on loading.
@@ -215,6 +220,9 @@ def _listed(runs):
 
 
 def _evidence_of(run, sigma_v, sigma_w):
+    from rhec.tracked_robot import soil_pass
+
+    sigma_w = sigma_w or tuning.SIGMA_W["map_ekf"]["calibrated"]
     columns = getattr(run, "columns", None)
     if not isinstance(columns, dict) or any(name not in columns for name in _MEASURED + _ESTIMATED):
         refuse("run was", run, "it should be a rhec.Run, with columns of what was measured")
@@ -223,10 +231,12 @@ def _evidence_of(run, sigma_v, sigma_w):
     return soil_pass.evidence_of(z, first, sigma_v, sigma_w, paper.DT_S)
 
 
-def _learned(evidences, first):
-    """The map of what several drives say, whose search of statistics begins at `first`."""
+def _learned(evidences, first=None):
+    """The map of what several drives say; the search of its statistics may begin at `first`."""
+    from rhec.tracked_robot import soil_field
+
     evidence = soil_field.merged(evidences)
-    statistics = soil_field.likeliest(evidence, first)
+    statistics = soil_field.likeliest(evidence, first or soil_field.FIRST)
     return of_evidence(evidence, statistics, *_grid_around(evidence.place_m))
 
 
@@ -238,6 +248,8 @@ def _grid_around(place_m):
 
 def of_evidence(evidence, statistics, origin_m, shape):
     """The SoilMap of an Evidence under the Statistics, on a grid of this origin [m] and shape."""
+    from rhec.tracked_robot import soil_field
+
     i, j = np.indices(shape)
     place_m = np.array(origin_m) + _CELL_M * np.column_stack([i.ravel(), j.ravel()])
     field = soil_field.posterior(evidence, statistics, place_m)
@@ -279,17 +291,6 @@ def unknown():
     )
 
 
-def extended(soil_map, origin_m, shape):
-    """The same knowledge on another grid, of the map's cells, with its values beyond its edges."""
-    cells = np.round((np.array(origin_m) - soil_map.origin_m) / soil_map.cell_m).astype(int)
-    places = [
-        np.clip(np.arange(n) + at, 0, last - 1)
-        for n, at, last in zip(shape, cells, soil_map.mu.shape)
-    ]
-    grids = {name: getattr(soil_map, name)[np.ix_(*places)] for name in _GRIDS}
-    return replace(soil_map, origin_m=tuple(origin_m), **grids)
-
-
 def _read(file):
     """The fields of a map by name from a file, which must not unpack to too much."""
     with np.load(file, allow_pickle=False) as data:
@@ -300,10 +301,11 @@ def _read(file):
         fields |= {name: tuple(data[name].tolist()) for name in ("origin_m", "constant_yaw")}
         fields |= {name: data[name].item() for name in ("cell_m", "length_m")}
         if "statistics" in data:
-            fields["statistics"] = soil_field.Statistics(*data["statistics"].tolist())
-        if "information" in data:
-            parts = [data[name] for name in soil_pass.Evidence._fields]
-            fields["evidence"] = soil_pass.Evidence(*parts)
+            from rhec.tracked_robot.soil_field import Statistics
+            from rhec.tracked_robot.soil_pass import Evidence
+
+            fields["statistics"] = Statistics(*data["statistics"].tolist())
+            fields["evidence"] = Evidence(*(data[name] for name in Evidence._fields))
     return fields
 
 

@@ -1,8 +1,8 @@
 """What one drive tells of the soil under it: a smoother over the whole drive.
 
 The soil has the values (μ, κ, g) at nodes along the way, between which it is linear, and the pose
-ξ = (x, y, θ) and the speed ν of every sample are unknown, too. With the tracks' yaw rate ω as measured, and
-Gaussian noise of the standard deviations behind V and W, the drive obeys
+ξ = (x, y, θ) and the speed ν of every sample are unknown, too. With the tracks' yaw rate ω as it is
+measured, and Gaussian noise of the standard deviations behind V and W, the drive obeys
 
     x⁺ = x + Δt μ ν cos θ̄,  y⁺ = y + Δt μ ν sin θ̄,  θ⁺ = θ + Δt (κ ω + g ν),  ν⁺ = ν,
 

@@ -8,23 +8,24 @@ offset of the instantaneous centre of rotation; Pentzer, Brennan and Reichard, 2
 
 δ is estimated like the traction, as a random walk, but without bounds. The steps have one result
 more than other estimators: `yaw_drift`, by which the controller corrects its command
-(`rhec.tracked_robot.yaw_disturbance`).
+(`rhec.tracked_robot.yaw_disturbance`). An oracle, an EKF of the pose that is passed the true
+(μ, κ, δ), shows what is left to gain.
 """
 
 import casadi as ca
 import numpy as np
 
 from rhec.core.estimator import rhe
-from rhec.core.model.base import Model
+from rhec.core.model.base import Model, rk4
 from rhec.tracked_robot import ekf, tuning
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot.choice import Estimator
+from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, h
 
 _WITHOUT_DRIFT = SPEED_MODELS["parameter"].model
 STATES = (*QUANTITIES, "yaw_drift_radpm")
 # At the start the yaw drift is unknown: 0.05 rad/m are two per cent of slip between the tracks.
-SIGMA_START = paper_rhe.SIGMA_START | dict(yaw_drift_radpm=0.05)
+_SIGMA_START = paper_rhe.SIGMA_START | dict(yaw_drift_radpm=0.05)
 
 
 def _f_with_drift(xi, u, p):
@@ -59,6 +60,22 @@ def _build_ekf_step(choice):
     return _with_drift_apart("yaw_drift_ekf", step)
 
 
+def _move_with_drift(m, omega, traction, dt_s):
+    """The pose and speed m one interval later, on soil of which (μ, κ, δ) are known."""
+    return ca.vertcat(rk4(_f_with_drift, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+
+
+def _build_oracle_step(choice):
+    step = ekf.build_step(choice.dt_s, _move_with_drift, n_traction=3)
+    return _with_drift_apart("drift_oracle", step)
+
+
+def _init_oracle(choice, guess, sigma=_SIGMA_START):
+    memory = ekf.init(QUANTITIES[:4], guess, sigma)
+    # No interval ends at the first sample, so that its traction has no effect.
+    return memory | dict(last_traction=np.array([1.0, 1.0, 0.0]))
+
+
 def _window_of(choice):
     return rhe.Window(MODEL, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
 
@@ -68,23 +85,23 @@ def _build_rhe_step(choice):
     return _with_drift_apart("yaw_drift_rhe", step)
 
 
-def start(guess, sigma):
+def _start(guess, sigma):
     """The first guess and its standard deviations, with those of the yaw drift where they lack."""
-    return dict(yaw_drift_radpm=0.0) | guess, SIGMA_START | sigma
+    return dict(yaw_drift_radpm=0.0) | guess, _SIGMA_START | sigma
 
 
-def _init_ekf(choice, guess, sigma=SIGMA_START):
-    guess, sigma = start(guess, sigma)
+def _init_ekf(choice, guess, sigma=_SIGMA_START):
+    guess, sigma = _start(guess, sigma)
     return ekf.init(STATES, guess, sigma)
 
 
-def _init_rhe(choice, guess, sigma=SIGMA_START):
-    guess, sigma = start(guess, sigma)
+def _init_rhe(choice, guess, sigma=_SIGMA_START):
+    guess, sigma = _start(guess, sigma)
     return paper_rhe.init(_window_of(choice), guess, sigma)
 
 
 def _rhe_settings(scenario):
-    P_0 = np.square([SIGMA_START[name] for name in STATES])
+    P_0 = np.square([_SIGMA_START[name] for name in STATES])
     return tuning.variances_of("yaw_drift_rhe", scenario) | dict(P_0=P_0)
 
 
@@ -95,6 +112,7 @@ ESTIMATORS = {
         settings=lambda scenario: tuning.variances_of("yaw_drift_ekf", scenario),
         states=lambda choice: STATES,
         n_sigma_w=lambda choice: len(STATES),
+        has_yaw_drift=True,
     ),
     "yaw_drift_rhe": Estimator(
         build_step=_build_rhe_step,
@@ -102,5 +120,15 @@ ESTIMATORS = {
         settings=_rhe_settings,
         states=lambda choice: STATES,
         n_sigma_w=lambda choice: len(STATES),
+        has_yaw_drift=True,
+    ),
+    "drift_oracle": Estimator(
+        build_step=_build_oracle_step,
+        init=_init_oracle,
+        settings=lambda scenario: tuning.variances_of("drift_oracle", scenario),
+        states=lambda choice: QUANTITIES[:4],
+        n_sigma_w=lambda choice: 4,
+        traction_input=TractionInput.TRUE_WITH_DRIFT,
+        has_yaw_drift=True,
     ),
 }
