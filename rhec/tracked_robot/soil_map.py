@@ -9,7 +9,7 @@ import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +17,6 @@ from rhec import paper
 from rhec.core._casadi.validation import refuse, shown
 from rhec.tracked_robot import terrain, tuning
 from rhec.tracked_robot.options import numbers
-
-# What learns a map is imported where one is learned: most runs have none, and it loads solvers.
-if TYPE_CHECKING:
-    from rhec.tracked_robot.soil_field import Statistics
-    from rhec.tracked_robot.soil_pass import Evidence
 
 _CELL_M = 1.0  # a quarter of the simulated soil's correlation length
 _MARGIN_M = 5.0  # of a map around the drives that it knows
@@ -60,8 +55,8 @@ class SoilMap:
         slope_y: (m, n) the same by y.
         sigma_slope: (m, n) standard deviation of both slopes [1/m]; None: 0.
         constant_yaw: Mean and standard deviation of the part of g that is alike everywhere [1/m].
-        statistics: Spread, correlation length and share that the drives made likely, or None.
-        evidence: What the drives said, to which `update` adds, or None.
+        statistics: The `soil_field.Statistics` that the drives made likely, or None.
+        evidence: What the drives said, a `soil_pass.Evidence`, to which `update` adds, or None.
     """
 
     mu: np.ndarray
@@ -75,8 +70,8 @@ class SoilMap:
     slope_y: np.ndarray | None = None
     sigma_slope: np.ndarray | None = None
     constant_yaw: tuple = (0.0, 0.0)
-    statistics: "Statistics | None" = None
-    evidence: "Evidence | None" = None
+    statistics: tuple | None = None
+    evidence: tuple | None = None
 
     def __post_init__(self):
         for name in _GRIDS:
@@ -220,6 +215,7 @@ def _listed(runs):
 
 
 def _evidence_of(run, sigma_v, sigma_w):
+    # What learns a map is imported where one is learned: most runs have none, and it loads solvers.
     from rhec.tracked_robot import soil_pass
 
     sigma_w = sigma_w or tuning.SIGMA_W["map_ekf"]["calibrated"]
