@@ -179,7 +179,10 @@ def build_sample(*structure):
         traction, yaw_drift = parts.soil.call([signals[name] for name in parts.soil.name_in()])
         truth, omega = _truth(signals, traction)
         measured = _measured(parts, signals)
-        estimated = _estimated(parts, signals, measured["z"], truth, traction_input)
+        passed = traction_input.select_traction(
+            signals["mean_traction"], truth[4:], ca.vertcat(truth[4:], yaw_drift)
+        )
+        estimated = _estimated(parts, signals | dict(traction=passed), measured["z"], truth)
         disturbed = _disturbed(parts, signals, measured["z"], estimated)
         estimated |= disturbed
         target = _target(parts, signals, measured["z"], estimated)
@@ -223,13 +226,11 @@ def _measured(parts, signals):
     return measured
 
 
-def _estimated(parts, signals, z, truth, traction_input):
+def _estimated(parts, signals, z, truth):
     """The estimator's results, with NaN or a default for those that it does not have."""
     limits = SPEED_MODELS["parameter"].model.limits
     is_valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
-    signals = signals | dict(
-        truth=truth, traction=traction_input.select_traction(signals["mean_traction"], truth[4:])
-    )
+    signals = signals | dict(truth=truth)
     # A user's own estimator has none of these; every log has the same columns.
     nan = ca.DM.nan(1)
     defaults = dict(

@@ -8,17 +8,18 @@ offset of the instantaneous centre of rotation; Pentzer, Brennan and Reichard, 2
 
 δ is estimated like the traction, as a random walk, but without bounds. The steps have one result
 more than other estimators: `yaw_drift`, by which the controller corrects its command
-(`rhec.tracked_robot.yaw_disturbance`).
+(`rhec.tracked_robot.yaw_disturbance`). An oracle, an EKF of the pose that is passed the true
+(μ, κ, δ), shows what is left to gain.
 """
 
 import casadi as ca
 import numpy as np
 
 from rhec.core.estimator import rhe
-from rhec.core.model.base import Model
+from rhec.core.model.base import Model, rk4
 from rhec.tracked_robot import ekf, tuning
 from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot.choice import Estimator
+from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, h
 
 _WITHOUT_DRIFT = SPEED_MODELS["parameter"].model
@@ -57,6 +58,22 @@ def _with_drift_apart(name, step):
 def _build_ekf_step(choice):
     step = ekf.build_joint_step(MODEL, choice.dt_s, bounded=True)
     return _with_drift_apart("yaw_drift_ekf", step)
+
+
+def _move_with_drift(m, omega, traction, dt_s):
+    """The pose and speed m one interval later, on soil of which (μ, κ, δ) are known."""
+    return ca.vertcat(rk4(_f_with_drift, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+
+
+def _build_oracle_step(choice):
+    step = ekf.build_step(choice.dt_s, _move_with_drift, n_traction=3)
+    return _with_drift_apart("drift_oracle", step)
+
+
+def _init_oracle(choice, guess, sigma=_SIGMA_START):
+    memory = ekf.init(QUANTITIES[:4], guess, sigma)
+    # No interval ends at the first sample, so that its traction has no effect.
+    return memory | dict(last_traction=np.array([1.0, 1.0, 0.0]))
 
 
 def _window_of(choice):
@@ -102,5 +119,13 @@ ESTIMATORS = {
         settings=_rhe_settings,
         states=lambda choice: STATES,
         n_sigma_w=lambda choice: len(STATES),
+    ),
+    "drift_oracle": Estimator(
+        build_step=_build_oracle_step,
+        init=_init_oracle,
+        settings=lambda scenario: tuning.variances_of("drift_oracle", scenario),
+        states=lambda choice: QUANTITIES[:4],
+        n_sigma_w=lambda choice: 4,
+        traction_input=TractionInput.TRUE_WITH_DRIFT,
     ),
 }

@@ -30,7 +30,7 @@ from rhec.simulation.lanes import lanes
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.choice import Choice, TractionInput
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -100,9 +100,10 @@ def scan_arguments(scenario, run, *outputs):
     functions = compiled.load(_build_scan, outputs, choice)
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
-    true = columns(run, ["mu", "kappa"])
+    with_drift = estimator.traction_input is TractionInput.TRUE_WITH_DRIFT
+    true = columns(run, ["mu", "kappa"] + ["yaw_drift_radpm"] * with_drift)
     traction = np.broadcast_to(
-        estimator.traction_input.select_traction(run.terrain.mean, true), true.shape
+        estimator.traction_input.select_traction(run.terrain.mean, true, true), true.shape
     )
     stream = np.hstack([columns(run, MEASUREMENTS), traction])
     # The traction is not in the stream of an estimator that takes none.

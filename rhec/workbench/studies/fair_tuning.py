@@ -5,8 +5,8 @@ a controller that the estimate must lead it. So each contestant is tuned as a wh
 rules: EVALUATIONS for each of its unknowns, the mean true error over the same training fields, and
 the same search on logarithms.
 
-1. At most a third of the budget: points of a Sobol sequence over all bounds, after three points with the
-   likeliest W and R = 10 (the paper's), 1 and 0.1.
+1. At most a third of the budget: points of a Sobol sequence over all bounds, after three points
+   with the likeliest W and R = 10 (the paper's), 1 and 0.1.
 2. The rest: Nelder and Mead's method, half each from the two best points.
 
     python -m rhec.workbench.studies.fair_tuning [WORLD] [CONTESTANT …]
@@ -155,6 +155,9 @@ CONTESTANTS = {
     ),
     "traction_oracle": Contestant(
         "traction oracle", dict(estimator="traction_oracle"), _RHC + _pose()
+    ),
+    "drift_oracle": Contestant(
+        "traction and drift oracle", dict(estimator="drift_oracle"), _RHC + _pose()
     ),
     "oracle": Contestant("full oracle", dict(estimator="oracle"), _RHC),
 }
