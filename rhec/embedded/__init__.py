@@ -152,10 +152,25 @@ def _check(scenario):
                     f"estimator was {shown(estimator)}, which calls {called.name()!r} "
                     f"({called.class_name()}); to export, it should consist of expressions"
                 )
+    _check_controller(scenario)
     if scenario.qp != "structured":
         raise ValueError(
             f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
         )
+
+
+def _check_controller(scenario):
+    """Raise a ValueError for a loop that is not estimator, path and RHC, each on its own."""
+    names = ("yaw_drift_ekf", "yaw_drift_rhe")
+    if isinstance(scenario.estimator, str) and scenario.estimator in names:
+        raise ValueError(
+            f"estimator was {scenario.estimator!r}, whose yaw drift the exported controller does not "
+            "cancel; to export, it should be an estimator without, such as 'bounded_ekf'"
+        )
+    for name, exported in (("controller", "rhc"), ("disturbance_observer", False)):
+        value = getattr(scenario, name)
+        if value != exported:
+            raise ValueError(f"{name} was {value!r}; to export, it should be {exported!r}")
 
 
 def _check_folder(folder):

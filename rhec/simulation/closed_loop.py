@@ -182,7 +182,10 @@ def build_sample(*structure):
         passed = traction_input.select_traction(
             signals["mean_traction"], truth[4:], ca.vertcat(truth[4:], yaw_drift)
         )
-        estimated = _estimated(parts, signals | dict(traction=passed), measured["z"], truth)
+        seen = measured["z"]
+        if "observer" in memory:
+            seen = _yaw_disturbance().corrected(seen, signals["observer"])
+        estimated = _estimated(parts, signals | dict(traction=passed), seen, truth)
         disturbed = _disturbed(parts, signals, measured["z"], estimated)
         estimated |= disturbed
         target = _target(parts, signals, measured["z"], estimated)

@@ -262,7 +262,9 @@ def tune(contestant, world, seeds=TRAINING_SEEDS, folder=_FOLDER, evaluations=EV
     starts = kept.best(2)
     each = (budget - len(kept.tried)) // 2
     for start in starts:
-        _nelder_mead(kept, np.array(start), np.c_[lowest, highest], each)
+        # The kept points are rounded, so that one at a bound may be beyond it.
+        start = np.clip(start, lowest, highest)
+        _nelder_mead(kept, start, np.c_[lowest, highest], each)
     (best,) = kept.best()
     return fields_of(best), kept.tried[best]
 
