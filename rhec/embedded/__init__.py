@@ -138,12 +138,12 @@ def _check(scenario):
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     estimator = scenario.estimator
-    traction_input = estimator_of(estimator, scenario.robust).traction_input
-    if traction_input not in _EXPORTED:
-        names = [repr(name) for name in NAMES if estimator_of(name).traction_input in _EXPORTED]
+    obstacle = _obstacle(estimator, scenario.robust)
+    if obstacle:
+        names = [repr(name) for name in NAMES if not _obstacle(name)]
         raise ValueError(
-            f"estimator was {estimator!r}, which needs the {traction_input.value}; to export, "
-            f"it should be one of {', '.join(names)} or a CasADi Function"
+            f"estimator was {estimator!r}, {obstacle}; to export, it should be one of "
+            f"{', '.join(names)} or a CasADi Function"
         )
     if isinstance(estimator, ca.Function):
         for called in estimator.find_functions():
@@ -159,14 +159,18 @@ def _check(scenario):
         )
 
 
+def _obstacle(estimator, robust=False):
+    """Why an estimator cannot be exported; "" if it can."""
+    described = estimator_of(estimator, robust)
+    if described.traction_input not in _EXPORTED:
+        return f"which needs the {described.traction_input.value}"
+    if described.has_yaw_drift:
+        return "whose yaw drift the exported controller does not cancel"
+    return ""
+
+
 def _check_controller(scenario):
-    """Raise a ValueError for a loop that is not estimator, path and RHC, each on its own."""
-    names = ("yaw_drift_ekf", "yaw_drift_rhe")
-    if isinstance(scenario.estimator, str) and scenario.estimator in names:
-        raise ValueError(
-            f"estimator was {scenario.estimator!r}, whose yaw drift the exported controller does not "
-            "cancel; to export, it should be an estimator without, such as 'bounded_ekf'"
-        )
+    """Raise a ValueError for a controller that is not the RHC as it is."""
     for name, exported in (("controller", "rhc"), ("disturbance_observer", False)):
         value = getattr(scenario, name)
         if value != exported:

@@ -62,9 +62,8 @@ class _Parts(NamedTuple):
 
 def _build_parts(structure):
     choice = structure.estimator
-    estimate = build_step(choice)
     control = _build_control(structure)
-    disturb = _build_disturb(structure, estimate)
+    disturb = _build_disturb(structure)
     if disturb:
         control = _yaw_disturbance().compensated(control)
     if structure.cautious:
@@ -80,7 +79,7 @@ def _build_parts(structure):
         soil=robot.soil(structure.terrain_shape, structure.soil_under),
         measure=robot.measure(paper.DT_S),
         deliver=_build_deliver() if structure.faulty else None,
-        estimate=estimate,
+        estimate=build_step(choice),
         disturb=disturb,
         references=references["references"],
         control=control,
@@ -104,11 +103,12 @@ def _yaw_disturbance():
     return yaw_disturbance
 
 
-def _build_disturb(structure, estimate):
+def _build_disturb(structure):
     """The disturbance of the yaw rate by an observer, by the estimated yaw drift, or None."""
     if structure.observer:
         return _yaw_disturbance().build_observer(paper.DT_S)
-    if "yaw_drift" in estimate.name_out():
+    choice = structure.estimator
+    if estimator_of(choice.estimator, choice.robust).has_yaw_drift:
         return _yaw_disturbance().build_from_drift()
     return None
 

@@ -82,3 +82,4 @@ class Estimator(NamedTuple):
     states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
     n_sigma_w: Callable[[Choice], int] = lambda choice: 0
     traction_input: TractionInput = TractionInput.NONE
+    has_yaw_drift: bool = False  # whether its step has a result `yaw_drift`

@@ -112,6 +112,7 @@ ESTIMATORS = {
         settings=lambda scenario: tuning.variances_of("yaw_drift_ekf", scenario),
         states=lambda choice: STATES,
         n_sigma_w=lambda choice: len(STATES),
+        has_yaw_drift=True,
     ),
     "yaw_drift_rhe": Estimator(
         build_step=_build_rhe_step,
@@ -119,6 +120,7 @@ ESTIMATORS = {
         settings=_rhe_settings,
         states=lambda choice: STATES,
         n_sigma_w=lambda choice: len(STATES),
+        has_yaw_drift=True,
     ),
     "drift_oracle": Estimator(
         build_step=_build_oracle_step,
@@ -127,5 +129,6 @@ ESTIMATORS = {
         states=lambda choice: QUANTITIES[:4],
         n_sigma_w=lambda choice: 4,
         traction_input=TractionInput.TRUE_WITH_DRIFT,
+        has_yaw_drift=True,
     ),
 }
