@@ -69,7 +69,9 @@ UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
 UNKNOWNS["dual"] = [*_SOIL, (6, 7), (8,), (9,)]
 DUAL = dict(estimation_horizon=10)
 _NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
-UNKNOWNS |= dict.fromkeys(_NOT_ESTIMATED, _POSE)
+UNKNOWNS |= dict.fromkeys((*_NOT_ESTIMATED, "drift_oracle"), _POSE)
+_DRIFT = [(6,)]
+UNKNOWNS |= dict.fromkeys(("yaw_drift_ekf", "yaw_drift_rhe"), _POSE + _SOIL + _DRIFT)
 
 
 def oracle_runs(seeds, duration_s=240.0):
