@@ -695,7 +695,7 @@ def solving_estimator():
         (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
         (
             rhec.Scenario(estimator="yaw_drift_ekf"),
-            "^estimator was 'yaw_drift_ekf', whose yaw drift the exported controller does not cancel",
+            "^estimator was 'yaw_drift_ekf', whose yaw drift the exported controller does not",
         ),
         (
             rhec.Scenario(controller="ltv_mpc"),
