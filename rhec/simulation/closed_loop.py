@@ -42,9 +42,9 @@ class _LoopStructure(NamedTuple):
     terrain_shape: tuple[int, int]
     faulty: bool  # whether sensors have faults: without, their code is left out
     cautious: bool
-    soil_under: str
     controller: str
     observer: bool  # whether a disturbance observer runs
+    soil_under: str
 
 
 class _Parts(NamedTuple):
@@ -62,9 +62,8 @@ class _Parts(NamedTuple):
 
 def _build_parts(structure):
     choice = structure.estimator
-    estimate = build_step(choice)
     control = _build_control(structure)
-    disturb = _build_disturb(structure, estimate)
+    disturb = _build_disturb(structure)
     if disturb:
         control = _yaw_disturbance().compensated(control)
     if structure.cautious:
@@ -80,7 +79,7 @@ def _build_parts(structure):
         soil=robot.soil(structure.terrain_shape, structure.soil_under),
         measure=robot.measure(paper.DT_S),
         deliver=_build_deliver() if structure.faulty else None,
-        estimate=estimate,
+        estimate=build_step(choice),
         disturb=disturb,
         references=references["references"],
         control=control,
@@ -104,11 +103,12 @@ def _yaw_disturbance():
     return yaw_disturbance
 
 
-def _build_disturb(structure, estimate):
+def _build_disturb(structure):
     """The disturbance of the yaw rate by an observer, by the estimated yaw drift, or None."""
     if structure.observer:
         return _yaw_disturbance().build_observer(paper.DT_S)
-    if "yaw_drift" in estimate.name_out():
+    choice = structure.estimator
+    if estimator_of(choice.estimator, choice.robust).has_yaw_drift:
         return _yaw_disturbance().build_from_drift()
     return None
 
@@ -179,7 +179,13 @@ def build_sample(*structure):
         traction, yaw_drift = parts.soil.call([signals[name] for name in parts.soil.name_in()])
         truth, omega = _truth(signals, traction)
         measured = _measured(parts, signals)
-        estimated = _estimated(parts, signals, measured["z"], truth, traction_input)
+        passed = traction_input.select_traction(
+            signals["mean_traction"], truth[4:], ca.vertcat(truth[4:], yaw_drift)
+        )
+        seen = measured["z"]
+        if "observer" in memory:
+            seen = _yaw_disturbance().corrected(seen, signals["observer"])
+        estimated = _estimated(parts, signals | dict(traction=passed), seen, truth)
         disturbed = _disturbed(parts, signals, measured["z"], estimated)
         estimated |= disturbed
         target = _target(parts, signals, measured["z"], estimated)
@@ -223,13 +229,11 @@ def _measured(parts, signals):
     return measured
 
 
-def _estimated(parts, signals, z, truth, traction_input):
+def _estimated(parts, signals, z, truth):
     """The estimator's results, with NaN or a default for those that it does not have."""
     limits = SPEED_MODELS["parameter"].model.limits
     is_valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
-    signals = signals | dict(
-        truth=truth, traction=traction_input.select_traction(signals["mean_traction"], truth[4:])
-    )
+    signals = signals | dict(truth=truth)
     # A user's own estimator has none of these; every log has the same columns.
     nan = ca.DM.nan(1)
     defaults = dict(
@@ -366,9 +370,9 @@ def set_up(scenario):
         shape,
         bool(scenario.faults),
         scenario.cautious,
-        scenario.soil_under,
         scenario.controller,
         scenario.disturbance_observer,
+        scenario.soil_under,
     )
     estimator = estimator_of(choice.estimator, choice.robust)
     pose = _start_pose(scenario, path)

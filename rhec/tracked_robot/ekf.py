@@ -66,15 +66,17 @@ def _memory(n):
     return dict(m=(n, 1), P=(n, n), omega=(1, 1), started=(1, 1))
 
 
-def build_step(dt_s, integrate=_euler):
+def build_step(dt_s, integrate=_euler, n_traction=2):
     """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
 
     Its memory is that of `_filter`, and the traction (2,) of the last sample: the robot drove on it
-    during the interval that ends now. `integrate` is `_euler`, as in the paper, or `runge_kutta`.
+    during the interval that ends now. `integrate` is `_euler`, as in the paper, or `runge_kutta`,
+    or takes a traction with more than two entries, `n_traction`; they end the estimate.
     """
-    memory = _memory(4) | dict(last_traction=(2, 1))
+    memory = _memory(4) | dict(last_traction=(n_traction, 1))
+    inputs = dict(z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(n_traction, 1))
 
-    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1))
+    @with_packed_memory("ekf_step", memory, ca.SX, **inputs)
     def step(m, P, omega, last_traction, started, z_N, V, W, traction):
         def move(m, omega):
             return integrate(m, omega, last_traction, dt_s)

@@ -24,6 +24,7 @@ EstimatorName = Literal[
     "map_ekf",
     "oracle",
     "traction_oracle",
+    "drift_oracle",
 ]
 NAMES = get_args(EstimatorName)
 ROBUST_NAMES = ("rhe", "dual")
@@ -74,7 +75,7 @@ def estimator_of(name, robust=False):
         from rhec.tracked_robot.dual import DUAL
 
         return DUAL
-    if name in ("yaw_drift_ekf", "yaw_drift_rhe"):
+    if name in ("yaw_drift_ekf", "yaw_drift_rhe", "drift_oracle"):
         from rhec.tracked_robot import yaw_drift
 
         return yaw_drift.ESTIMATORS[name]

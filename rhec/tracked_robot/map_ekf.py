@@ -150,4 +150,5 @@ MAP_EKF = Estimator(
     settings=_settings,
     states=lambda choice: STATES,
     n_sigma_w=lambda choice: 4,
+    has_yaw_drift=True,
 )

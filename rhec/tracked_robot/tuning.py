@@ -41,6 +41,7 @@ SIGMA_W = {
     },
     "fixed_traction": _not_the_papers((0.0073, 0.0073, 0.0052, 0.0019)),
     "traction_oracle": _not_the_papers((0.001, 0.001, 0.0048, 0.001)),
+    "drift_oracle": _not_the_papers((0.001, 0.001, 0.0048, 0.001)),
     # With the yaw drift [rad/m] as one more state; the consistent W of the RHE for its first six.
     "yaw_drift_ekf": _not_the_papers((0.001, 0.001, 0.0051, 0.001, 0.0059, 0.0052, 0.0012)),
     # Of (x, y, θ, ν): the soil's noise is told by the map.

@@ -10,6 +10,9 @@ do not explain of the estimated turning, low-pass filtered with the time constan
 
     d⁺ = d + Δt/T ((θ̂_k - θ̂_{k-1}) / (κ̂ Δt) - ω_measured - d)
 
+The estimator in front of the observer gets ω_measured + d for the yaw rate: without d in its model
+its yaw would be off by as much as it takes to explain the turning by positions alone.
+
 The controller plans ω + d, within bounds moved by d, and commands ω: its own model stays as it is.
 """
 
@@ -59,6 +62,11 @@ def build_observer(dt_s):
         return dict(disturbance=d, d=d, theta=estimate[2], observing=1)
 
     return observe
+
+
+def corrected(z, memory):
+    """The measurement z = (x, y, ν, ω) with the observer's last d added to the yaw rate."""
+    return z + ca.vertcat(0, 0, 0, memory[0])
 
 
 def init_observer():
