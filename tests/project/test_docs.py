@@ -58,6 +58,7 @@ def test_pages_are_these():
         "reference",
         "results",
         "shared_computers",
+        "threat_model",
         "your_log",
     ]
     assert [page.stem for page in DOCS] == expected

@@ -38,6 +38,15 @@ def own_estimator():
     return ca.Function("mine", [memory, z], [estimate, estimate])
 
 
+def soil_map():
+    """A map with slopes and with a spread that changes from place to place."""
+    i, j = np.indices((9, 40))
+    wave = np.sin(i + 0.3 * j)
+    grids = dict(mu=0.8 + 0.1 * wave, kappa=0.8 - 0.1 * wave, sigma_mu=0.03 + 0.02 * wave)
+    grids |= dict(sigma_kappa=0.1 + 0 * wave, slope_x=0.01 * wave, slope_y=0.02 * wave)
+    return rhec.SoilMap(**grids, origin_m=(-5.0, -9.0), cell_m=1.0, length_m=4.0)
+
+
 KINDS = {name: dict(estimator=name) for name in NAMES} | {
     f"{name}, gated, with faults": dict(estimator=name, robust=True) for name in ROBUST_NAMES
 }
@@ -47,6 +56,8 @@ KINDS["observer"] = dict(estimator="bounded_ekf", disturbance_observer=True)
 KINDS["cautious with drift"] = dict(estimator="yaw_drift_ekf", cautious=True)
 KINDS["ltv_mpc"] = dict(controller="ltv_mpc")
 KINDS["pure_pursuit"] = dict(controller="pure_pursuit", look_ahead_m=1.0)
+KINDS["two tracks"] = dict(soil_under="tracks")
+KINDS["with a map"] = dict(estimator="map_ekf", soil_map=soil_map())
 KINDS["own"] = dict(estimator=own_estimator())
 
 
@@ -58,9 +69,11 @@ def unlike(kind):
         yield dataclasses.replace(
             SMALL, **kind, seed=i, process_noise=("printed", "calibrated")[i % 2],
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
-            start_offset_m=i - 4.0, start_yaw_rad=float(i),
+            start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
             encoder_sigma_mps=(0.0, 1.0, 0.02, 1e5)[i // 2], mu_deviation=0.01 * i,
+            slip_difference=0.05 * (i - 4), rotation_centre_m=0.1 * (i - 3),
+            rut_length_m=(0.0, 0.3, 3.0)[i % 3], gnss_slow_share=i / 8,
             faults=faults if "robust" in kind else (),
         )  # fmt: skip
 
