@@ -3,8 +3,10 @@
 On each field a robot drives the lap without a map, then again with the map of what it measured, and
 so on. Every pass has noise of its own. Beside it drive, with the same noise, robots without a map
 and robots that are told the truth: the traction oracle, and a robot with the true map, which knows
-the yaw drift as well. All have the same weight R in a comparison. The map of a pass is made from
-drives with R = `CHAIN_R`; what they measure hardly depends on R.
+the yaw drift as well. All have the same weight R in a comparison, or each its own tuned noise and
+gains (`rhec.tracked_robot.tuned_loops`); a robot with a map has those of the EKF with yaw drift, of
+which the map replaces the noise of the soil. The map of a pass is made from drives with
+R = `CHAIN_R`; what they measure hardly depends on R.
 """
 
 from functools import partial
@@ -19,6 +21,7 @@ from rhec.simulation.simulate import simulate
 from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.soil_map import SoilMap
+from rhec.tracked_robot.tuned_loops import TUNED
 from rhec.workbench.studies.claims.run_sets import parallel_map
 from rhec.workbench.studies.statistics import interval_text, over_seeds, ratio_of_means
 
@@ -32,7 +35,9 @@ __all__ = [
     "SAME",
     "SIDE_BY_SIDE",
     "TRUE_MAP",
+    "TUNED_GAINS",
     "WITHOUT",
+    "best_without",
     "errors",
     "example",
     "lap",
@@ -41,9 +46,10 @@ __all__ = [
     "world",
 ]
 
-GAINS = (10.0, 1.0, 0.1)
+TUNED_GAINS = "tuned"
+GAINS = ("10", "0.1", TUNED_GAINS)  # weights R, as texts
 CHAIN_R = 0.1
-PASSES = (1, 2, 3, 4)
+PASSES = (1, 2, 3)
 SAME = "same rows"
 SIDE_BY_SIDE = "rows side by side"
 MAP = "with the map"
@@ -59,8 +65,8 @@ WITHOUT = {
 AIMS = dict(oracle=1.05, without=0.90)
 # Each pass has noise of its own: that of this number of seeds further on.
 _SEEDS_APART = 10_000
-# Rivals drive with the noise of these passes: they do not learn from pass to pass.
-_RIVALS_AT = (2,)
+# Rivals drive with the noise of this pass: they do not learn from pass to pass.
+_RIVALS_AT = 2
 
 
 class _Drive(NamedTuple):
@@ -68,7 +74,7 @@ class _Drive(NamedTuple):
 
     way: str
     number: int
-    r: float
+    gains: str
     robot: str
     error_m: float
 
@@ -104,17 +110,17 @@ class _Field:
         share = float(fields["soil_under"] == "tracks")
         self.true_map = SoilMap.of_terrain(self.soil, share)
 
-    def drive(self, way, number, r, **robot):
+    def drive(self, way, number, **robot):
         """The Run of one robot on the pass of this number."""
         shift_m = paper.ROW_SPACING_M * (number - 1) * (way == SIDE_BY_SIDE)
         place = dict(terrain=self.soil, path=lap(shift_m), seed=self._seed + _SEEDS_APART * number)
-        return simulate(Scenario(**self._fields, **place, r=r, **robot))
+        return simulate(Scenario(**self._fields, **place, **robot))
 
     def maps(self, way, passes, first):
         """The maps before each of the passes, {number: SoilMap}, from that of the first pass on."""
         found = {2: first}
         for number in passes[2:]:
-            run = self.drive(way, number - 1, CHAIN_R, **_told(found[number - 1]))
+            run = self.drive(way, number - 1, **_told(found[number - 1]), r=CHAIN_R)
             found[number] = found[number - 1].update(run)
         return found
 
@@ -123,39 +129,59 @@ def _told(soil_map):
     return dict(estimator="map_ekf", soil_map=soil_map)
 
 
-def _drives_on(seed, fields, passes, gains):
+def _with_gains(robot, gains, tuned):
+    """A robot's fields of Scenario with an R, or with tuned noise and gains, or None without any.
+
+    `tuned` has fields by estimator. Robots that are told the soil have the noise of the pose and
+    the controller of the EKF with yaw drift.
+    """
+    if gains != TUNED_GAINS:
+        return robot | dict(r=float(gains))
+    estimator = robot["estimator"]
+    if estimator not in ("map_ekf", "traction_oracle"):
+        return tuned.get(estimator)
+    like = tuned.get("yaw_drift_ekf")
+    return like and robot | {name: like[name] for name in ("q", "r")} | dict(
+        sigma_w=tuple(like["sigma_w"][:4])
+    )
+
+
+def _drives_on(seed, fields, passes, gains, tuned):
     """All _Drives on the field of a seed."""
     field = _Field(fields, seed)
-    first = SoilMap.from_runs([field.drive(SAME, 1, CHAIN_R, **WITHOUT["bounded EKF"])])
+    first = field.drive(SAME, 1, **WITHOUT["bounded EKF"], r=CHAIN_R)
+    first = SoilMap.from_runs([first])
     rivals = WITHOUT | {ORACLE: dict(estimator="traction_oracle"), TRUE_MAP: _told(field.true_map)}
+    contestants = [
+        (way, number, MAP, _told(known))
+        for way in (SAME, SIDE_BY_SIDE)
+        for number, known in field.maps(way, passes, first).items()
+    ]
+    contestants += [(SAME, _RIVALS_AT, *rival) for rival in rivals.items()]
     drives = []
-    for way in (SAME, SIDE_BY_SIDE):
-        contestants = [
-            (number, MAP, _told(known)) for number, known in field.maps(way, passes, first).items()
-        ]
-        contestants += [(number, *rival) for number in _RIVALS_AT for rival in rivals.items()]
-        for r in gains:
-            for number, name, robot in contestants:
-                error_m = field.drive(way, number, r, **robot).metrics["mean_error_true_m"]
-                drives.append(_Drive(way, number, r, name, error_m))
+    for way, number, name, robot in contestants:
+        for gain in gains:
+            equipped = _with_gains(robot, gain, tuned)
+            if equipped:
+                error_m = field.drive(way, number, **equipped).metrics["mean_error_true_m"]
+                drives.append(_Drive(way, number, gain, name, error_m))
     return drives
 
 
-def errors(fields, seeds, passes=PASSES, gains=GAINS):
+def errors(name, seeds, passes=PASSES, gains=GAINS):
     """Mean true errors of all robots on the fields of the seeds.
 
     Args:
-        fields: {name: value} of Scenario's fields, a world.
+        name: Of a `world`.
         seeds: Of the fields.
         passes: Numbers of the passes, from 1 on.
-        gains: Weights R.
+        gains: Weights R as texts, or TUNED_GAINS.
 
     Returns:
-        DataFrame with the columns way, number (of the pass), r, robot, seed, error_m.
+        DataFrame with the columns way, number (of the pass), gains, robot, seed, error_m.
     """
-    of_seeds = parallel_map(
-        partial(_drives_on, fields=fields, passes=passes, gains=gains), [*seeds]
-    )
+    about = dict(fields=world(name), passes=passes, gains=gains, tuned=TUNED.get(name, {}))
+    of_seeds = parallel_map(partial(_drives_on, **about), [*seeds])
     rows = [
         drive._asdict() | dict(seed=seed)
         for seed, drives in zip(seeds, of_seeds)
@@ -165,68 +191,68 @@ def errors(fields, seeds, passes=PASSES, gains=GAINS):
 
 
 def best_without(table):
-    """The robot without a map whose mean error is the least, for each R: {r: name}."""
+    """The robot without a map whose mean error is the least, for each choice of gains."""
     of_rivals = table[table["robot"].isin(WITHOUT)]
-    means = of_rivals.groupby(["r", "robot"])["error_m"].mean().unstack()
+    means = of_rivals.groupby(["gains", "robot"])["error_m"].mean().unstack()
     return means.idxmin(axis=1).to_dict()
 
 
 def ratios(table):
     """Errors with the map over those of the rivals, paired by field.
 
-    The noise of a rival is that of another pass where it did not drive in the same one, so the
-    pairs share the soil but not the noise there.
+    A rival drives the same rows with the noise of pass 2; the map's other passes share the soil
+    with it, but not the noise.
 
     Args:
         table: Of `errors`.
 
     Returns:
-        DataFrame with the columns way, number, r, quantity ("error [m]", "over …"), mean, low, high
-        (95 %), n.
+        DataFrame with the columns way, number, gains, quantity, mean, low, high (95 %), n.
     """
     best = best_without(table)
     rows = []
-    for (way, r), part in table.groupby(["way", "r"], sort=False):
-        robots = {
-            name: of_robot.pivot(index="seed", columns="number", values="error_m")
-            for name, of_robot in part.groupby("robot")
+    for gains, part in table.groupby("gains", sort=False):
+        errors_m = {
+            key: of_robot.set_index("seed")["error_m"]
+            for key, of_robot in part.groupby(["robot", "way", "number"], sort=False)
         }
-        others = {f"over {ORACLE}": ORACLE, f"over {TRUE_MAP}": TRUE_MAP}
-        others[f"over the best without a map ({best[r]})"] = best[r]
-        for number, mapped in robots[MAP].items():
-            about = dict(way=way, number=number, r=r)
-            rows.append(about | dict(quantity="error [m]") | over_seeds(np.mean, mapped)._asdict())
-            for quantity, name in others.items():
-                at = min(_RIVALS_AT, key=lambda rival: abs(rival - number))
-                interval = over_seeds(ratio_of_means, mapped, robots[name][at])
-                rows.append(about | dict(quantity=quantity) | interval._asdict())
+        others = [ORACLE, TRUE_MAP, *([best[gains]] if gains in best else [])]
+        for (robot, way, number), own in errors_m.items():
+            if robot != MAP:
+                continue
+            about = dict(way=way, number=number, gains=gains)
+            rows.append(about | dict(quantity="error [m]") | over_seeds(np.mean, own)._asdict())
+            for name in others:
+                other = errors_m[name, SAME, _RIVALS_AT].reindex(own.index)
+                quantity = "over the best without a map" if name in WITHOUT else f"over the {name}"
+                interval = over_seeds(ratio_of_means, own, other)._asdict()
+                rows.append(about | dict(quantity=quantity) | interval)
     return pd.DataFrame(rows)
 
 
 def readable_ratios(table):
-    """The table of `ratios` for readers: a row for each way, R and quantity, a column a pass."""
+    """The table of `ratios` for readers: a row a way, gains and quantity, a column a pass."""
     cells = [interval_text(row.mean, row.low, row.high) for row in table.itertuples()]
     shown = table.assign(cell=cells, number=[f"pass {number}" for number in table["number"]])
-    return shown.pivot_table(
-        "cell", ["way", "r", "quantity"], "number", aggfunc="first", sort=False
-    )
+    order = ["way", "gains", "quantity"]
+    return shown.pivot_table("cell", order, "number", aggfunc="first", sort=False)
 
 
-def example(fields, seed, passes=2):
+def example(name, seed, passes=2):
     """The soil of one field and the robot's map of it after some passes over the same rows.
 
     Args:
-        fields: {name: value} of Scenario's fields, a world.
+        name: Of a `world`.
         seed: Of the field.
         passes: How many.
 
     Returns:
         The Terrain, the SoilMap, and the last Run.
     """
-    field = _Field(fields, seed)
-    run = field.drive(SAME, 1, CHAIN_R, **WITHOUT["bounded EKF"])
+    field = _Field(world(name), seed)
+    run = field.drive(SAME, 1, **WITHOUT["bounded EKF"], r=CHAIN_R)
     known = SoilMap.from_runs([run])
     for number in range(2, passes + 1):
-        run = field.drive(SAME, number, CHAIN_R, **_told(known))
+        run = field.drive(SAME, number, **_told(known), r=CHAIN_R)
         known = known.update(run)
     return field.soil, known, run
