@@ -58,6 +58,7 @@ def test_pages_are_these():
         "reference",
         "results",
         "shared_computers",
+        "soil_map",
         "threat_model",
         "your_log",
     ]

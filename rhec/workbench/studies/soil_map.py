@@ -9,6 +9,7 @@ which the map replaces the noise of the soil. The map of a pass is made from dri
 R = `CHAIN_R`; what they measure hardly depends on R.
 """
 
+import dataclasses
 from functools import partial
 from typing import NamedTuple
 
@@ -65,8 +66,6 @@ WITHOUT = {
 AIMS = dict(oracle=1.05, without=0.90)
 # Each pass has noise of its own: that of this number of seeds further on.
 _SEEDS_APART = 10_000
-# Rivals drive with the noise of this pass: they do not learn from pass to pass.
-_RIVALS_AT = 2
 
 
 class _Drive(NamedTuple):
@@ -108,7 +107,9 @@ class _Field:
         # The soil is that of the seed; the noise is that of a pass.
         self.soil = simulate(Scenario(**fields, seed=seed, duration_s=1.0)).terrain
         share = float(fields["soil_under"] == "tracks")
-        self.true_map = SoilMap.of_terrain(self.soil, share)
+        constant_yaw = fields["slip_difference"] * self.soil.mean[0] / fields["track_width_m"]
+        true_map = SoilMap.of_terrain(self.soil, share)
+        self.true_map = dataclasses.replace(true_map, constant_yaw=(constant_yaw, 0.0))
 
     def drive(self, way, number, **robot):
         """The Run of one robot on the pass of this number."""
@@ -157,7 +158,7 @@ def _drives_on(seed, fields, passes, gains, tuned):
         for way in (SAME, SIDE_BY_SIDE)
         for number, known in field.maps(way, passes, first).items()
     ]
-    contestants += [(SAME, _RIVALS_AT, *rival) for rival in rivals.items()]
+    contestants += [(SAME, number, *rival) for number in passes[1:] for rival in rivals.items()]
     drives = []
     for way, number, name, robot in contestants:
         for gain in gains:
@@ -200,8 +201,8 @@ def best_without(table):
 def ratios(table):
     """Errors with the map over those of the rivals, paired by field.
 
-    A rival drives the same rows with the noise of pass 2; the map's other passes share the soil
-    with it, but not the noise.
+    A rival drives the same rows with the noise of the same pass, also where the map's rows lie
+    beside them.
 
     Args:
         table: Of `errors`.
@@ -223,7 +224,7 @@ def ratios(table):
             about = dict(way=way, number=number, gains=gains)
             rows.append(about | dict(quantity="error [m]") | over_seeds(np.mean, own)._asdict())
             for name in others:
-                other = errors_m[name, SAME, _RIVALS_AT].reindex(own.index)
+                other = errors_m[name, SAME, number].reindex(own.index)
                 quantity = "over the best without a map" if name in WITHOUT else f"over the {name}"
                 interval = over_seeds(ratio_of_means, own, other)._asdict()
                 rows.append(about | dict(quantity=quantity) | interval)
