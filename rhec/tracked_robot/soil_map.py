@@ -238,7 +238,8 @@ def _learned(evidences, first=None):
 
 def _grid_around(place_m):
     """Origin [m] and shape of a grid around places (n, 2) [m]."""
-    low, high = place_m.min(axis=0) - _MARGIN_M, place_m.max(axis=0) + _MARGIN_M
+    low = place_m.min(axis=0) - _MARGIN_M
+    high = place_m.max(axis=0) + _MARGIN_M
     return tuple(low.tolist()), tuple(np.ceil((high - low) / _CELL_M).astype(int) + 1)
 
 

@@ -79,7 +79,8 @@ def evidence_of(z, first, sigma_v, sigma_w, dt_s, nodes_m=NODES_M):
     before = run.astype(int)
     nodes = _Nodes(before, run - before, before[-1] + 2)
     mean, sigma = np.repeat(_WEAK, nodes.count, axis=0).T
-    poses, soil = np.array(first, dtype=float), mean.copy()
+    poses = np.array(first, dtype=float)
+    soil = mean.copy()
     for _ in range(_ITERATIONS):
         parts = _linearised(poses, soil, measured, nodes, sigma_v, sigma_w, dt_s)
         step = _step(*parts, soil - mean, sigma)
