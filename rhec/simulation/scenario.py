@@ -17,6 +17,7 @@ from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.path import Path
+from rhec.tracked_robot.soil_map import SoilMap
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 
@@ -33,6 +34,7 @@ class Scenario:
     arrival_mean: ArrivalMean | None = None
     robust: valid.Flag = False
     yaw_rate_interval: Literal["before", "after"] = "before"
+    soil_map: Annotated[SoilMap | None, SkipValidation] = None
 
     q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
@@ -44,6 +46,9 @@ class Scenario:
     command_delay: Literal[0, 1] = 0
     traction_timing: Literal["feedback", "sample_before", "prepared_anew"] = "feedback"
     qp: options.Solver = "structured"
+    controller: options.Controller = "rhc"
+    disturbance_observer: valid.Flag = False
+    observer_time_s: valid.Positive = 2.0
     cautious: valid.Flag = False
     caution: valid.NotNegative = 0.25
 
@@ -90,16 +95,18 @@ class Scenario:
         _check_kinds(self)
         for name in ("mu", "kappa"):
             _check_deviation(self, name)
+        _check_look_ahead(self)
         _check_fits_estimator(self)
+        _check_fits_controller(self)
 
 
 def _check_kinds(scenario):
-    """Refuse an estimator, path or terrain of another kind."""
+    """Refuse an estimator, path, terrain or map of another kind."""
     estimator = scenario.estimator
     if not _is_users_own(estimator) and not (isinstance(estimator, str) and estimator in NAMES):
         expected = f"it should be one of {NAMES} or a CasADi Function"
         raise ValueError(f"estimator was {valid.shown(estimator)}; {expected}")
-    for name, kind in (("path", Path), ("terrain", Terrain)):
+    for name, kind in (("path", Path), ("terrain", Terrain), ("soil_map", SoilMap)):
         value = getattr(scenario, name)
         if not isinstance(value, kind | None):
             expected = f"it should be a rhec.{kind.__name__} or None"
@@ -122,9 +129,21 @@ def _check_deviation(scenario, name):
         raise ValueError(f"{name}_deviation was {deviation!r}; {expected}, {reason}")
 
 
+def _check_look_ahead(scenario):
+    """Refuse pure pursuit without a goal ahead of the robot."""
+    if scenario.controller == "pure_pursuit" and scenario.look_ahead_m == 0:
+        expected = "for the controller 'pure_pursuit' it should be above 0, such as 1.0"
+        raise ValueError(f"look_ahead_m was {scenario.look_ahead_m!r}; {expected}")
+
+
 def _check_fits_estimator(scenario):
-    """Refuse `robust` and `sigma_w` that do not fit the estimator."""
+    """Refuse `robust`, `soil_map` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
+    if scenario.soil_map is not None and (_is_users_own(estimator) or estimator != "map_ekf"):
+        expected = f"for the estimator {valid.shown(estimator)} it should be None"
+        raise ValueError(
+            f"soil_map was {scenario.soil_map!r}; {expected}, since only 'map_ekf' uses a map"
+        )
     # A user's Function has no name; any name that is not in NAMES stands for it.
     name = "own" if _is_users_own(estimator) else estimator
     if scenario.robust and name not in ROBUST_NAMES:
@@ -134,6 +153,13 @@ def _check_fits_estimator(scenario):
     if scenario.sigma_w is not None and len(scenario.sigma_w) != entries:
         expected = f"for the estimator {valid.shown(estimator)} it should have {entries} entries"
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
+
+
+def _check_fits_controller(scenario):
+    """Refuse `traction_timing` for a controller that is not prepared before the estimate."""
+    if scenario.controller != "rhc" and scenario.traction_timing != "feedback":
+        expected = f"for the controller {scenario.controller!r} it should be 'feedback'"
+        raise ValueError(f"traction_timing was {scenario.traction_timing!r}; {expected}")
 
 
 class _FieldsAsDocstring:

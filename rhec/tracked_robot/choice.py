@@ -17,14 +17,20 @@ class TractionInput(Enum):
     NONE = "nothing"
     FIELD_MEAN = "field mean"
     TRUE = "true traction"
+    TRUE_WITH_DRIFT = "true traction and yaw drift"
     FULL_STATE = "truth"  # pose and speed, too
 
-    def select_traction(self, field_mean, true):
+    def select_traction(self, field_mean, true, true_with_drift=None):
         """The traction (μ, κ) that the estimator is passed: the field's mean or the true one.
 
-        An estimator that is passed neither gets (1, 1), no slip.
+        The true one may have the yaw drift as a third entry. An estimator that is passed neither
+        gets (1, 1), no slip.
         """
-        passed = {TractionInput.FIELD_MEAN: field_mean, TractionInput.TRUE: true}
+        passed = {
+            TractionInput.FIELD_MEAN: field_mean,
+            TractionInput.TRUE: true,
+            TractionInput.TRUE_WITH_DRIFT: true_with_drift,
+        }
         return passed.get(self, np.ones(2))
 
 
@@ -37,6 +43,7 @@ class Choice(NamedTuple):
     arrival_mean: str
     robust: bool
     dt_s: float = paper.DT_S
+    map_shape: tuple[int, int] | None = None  # of the soil map's grid, where the estimator has one
 
     @classmethod
     def of(cls, scenario):
@@ -57,7 +64,18 @@ class Choice(NamedTuple):
             scenario.speed_model,
             scenario.arrival_mean or tuning.ARRIVAL_MEAN[noise],
             scenario.robust,
+            map_shape=_map_shape(scenario),
         )
+
+
+def _map_shape(scenario):
+    """Shape of the grid of the soil's map that a Scenario's estimator is told, or None."""
+    if scenario.estimator != "map_ekf":
+        return None
+    # Imported here, because it is not in the paper.
+    from rhec.tracked_robot import soil_map
+
+    return soil_map.common_shape(soil_map.map_of(scenario))
 
 
 class Estimator(NamedTuple):
@@ -76,3 +94,4 @@ class Estimator(NamedTuple):
     states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
     n_sigma_w: Callable[[Choice], int] = lambda choice: 0
     traction_input: TractionInput = TractionInput.NONE
+    has_yaw_drift: bool = False  # whether its step has a result `yaw_drift`

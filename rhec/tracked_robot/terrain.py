@@ -270,9 +270,14 @@ def flat(terrain, shape=None):
 
     On a larger grid of the given shape the fields are continued as they are beyond their edges.
     """
-    rows, columns = terrain.mu.shape
-    fields = np.empty((2, *(shape or terrain.mu.shape)), order="F")
-    fields[:, :rows, :columns] = terrain.mu, terrain.kappa
+    return flat_pair(terrain.mu, terrain.kappa, shape)
+
+
+def flat_pair(first, second, shape=None):
+    """Two grids of one shape as `flat` returns those of a terrain."""
+    rows, columns = first.shape
+    fields = np.empty((2, *(shape or first.shape)), order="F")
+    fields[:, :rows, :columns] = first, second
     fields[:, rows:, :columns] = fields[:, rows - 1 : rows, :columns]
     fields[:, :, columns:] = fields[:, :, columns - 1 : columns]
     return fields.ravel(order="F")

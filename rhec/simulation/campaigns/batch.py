@@ -39,6 +39,8 @@ _STRUCTURE = operator.attrgetter(
     "soil_under",
     "traction_timing",
     "yaw_rate_interval",
+    "controller",
+    "disturbance_observer",
 )
 
 
