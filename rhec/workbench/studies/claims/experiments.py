@@ -420,41 +420,48 @@ def certainty_equivalence(duration_s=60.0):
 
 
 def convexity(n=1000):
-    """The RHC's cost of eq. (12) as a function of its inputs alone, at n random states.
+    """Whether eq. (12) is convex, at n random states with two random input sequences u and v each.
 
-    At each state there are two random input sequences u and v within the bounds. The cost J is that
-    of `_cost_of_inputs`; a convex one has J((u + v) / 2) <= (J(u) + J(v)) / 2.
+    The feasible pairs of trajectory and inputs are a convex set only if the mean of two of them is
+    feasible, that is, if the trajectory of (u + v) / 2 is the mean of the two trajectories. The
+    cost J as a function of the inputs alone, see `_drive_and_cost`, is convex only if it bends
+    upwards along every direction; here along that of a constant yaw rate e,
+
+        (J(u + h e) - 2 J(u) + J(u - h e)) / h².
 
     Returns:
-        DataFrame, one row a state: above_mean, the left side minus the right.
+        DataFrame, one row a state: off_mean_m, how far the two trajectories lie apart; bending.
     """
     rng = np.random.default_rng(0)
+    h = 1e-3
     rows = []
     for speed, mu, kappa, offset in _draw_states(n):
         state = 0.0, offset, rng.uniform(-np.pi, np.pi)
         shape = (2, paper.HORIZON)
         u, v = rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS, shape)
-        cost = partial(_cost_of_inputs, state, (speed, mu, kappa))
-        rows.append(dict(above_mean=cost((u + v) / 2) - (cost(u) + cost(v)) / 2))
+        drive = partial(_drive_and_cost, state, (speed, mu, kappa))
+        (of_u, cost), (of_v, _), (of_mean, _) = drive(u), drive(v), drive((u + v) / 2)
+        more, less = (drive(u + step)[1] for step in (h, -h))
+        off_mean_m = np.abs(of_mean - (of_u + of_v) / 2).max()
+        rows.append(dict(off_mean_m=off_mean_m, bending=(more - 2 * cost + less) / h**2))
     return pd.DataFrame(rows)
 
 
-def _cost_of_inputs(state, parameters, inputs):
-    """J of eq. (12) for inputs (N,) on a straight path, with Q³, R and Q_N of the paper.
+def _drive_and_cost(state, parameters, inputs):
+    """Poses (N, 3) and J of eq. (12) for inputs (N,) on a straight path, with Q³, R and Q_N.
 
     The motion of each interval is the exact arc of eq. (2), so that nothing of the RHC is used.
     """
     speed, mu, kappa = parameters
     xi_ref, _ = _straight_ahead(speed, mu)
     weights = np.array(paper.Q3)
-    pose = state
-    cost = 0.0
-    for omega, reference in zip(inputs, xi_ref.T[1:]):
+    poses = [state]
+    for omega in inputs:
         curvature = kappa * omega / (mu * speed)
-        pose = path.advance(*pose, curvature, mu * speed * paper.DT_S, np)
-        cost += weights @ np.square(reference - pose) + paper.R * omega**2
-    cost += (paper.QN_FACTOR - 1) * weights @ np.square(reference - pose)
-    return cost / 2
+        poses.append(path.advance(*poses[-1], curvature, mu * speed * paper.DT_S, np))
+    squares = np.square(np.array(poses[1:]) - xi_ref.T[1:]) @ weights
+    squares[-1] *= paper.QN_FACTOR
+    return np.array(poses[1:]), (squares.sum() + paper.R * inputs @ inputs) / 2
 
 
 # All of them
