@@ -33,7 +33,7 @@ from rhec import __version__
 from rhec.workbench import results
 from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
-from rhec.workbench.studies.claims.summary import ONE_WAY, verdict_counts
+from rhec.workbench.studies.claims.summary import verdict_counts
 
 __all__ = ["build", "made_by"]
 
@@ -331,13 +331,13 @@ def _claims_page(file):
     if not file.exists():
         return "# Verdicts on the paper\n\n`make claims` has not been run.\n"
     claims = pd.read_csv(file)
-    counts = verdict_counts(claims)
     text = f"{_WIDE}# Verdicts on the paper\n\n{_RULES}\n\n"
-    text += results.to_markdown(pd.DataFrame(dict(verdict=counts.keys(), claims=counts.values)))
+    text += results.to_markdown(verdict_counts(claims).reset_index())
     table = pd.DataFrame()
     table["id"] = [f'<a id="{name}" href="#{name}">{name}</a>' for name in claims["id"]]
     table["the paper's claim"] = claims["claim"]
-    table["verdict"] = claims["verdict"] + claims["kind"].eq(ONE_WAY).map({True: "*", False: ""})
+    table["verdict"] = claims["verdict"]
+    table["label"] = claims["basis"]
     table["here"] = results.format_intervals(claims, "value").where(claims["n"] > 0, "")
     table["unit"] = claims["unit"]
     table["the paper's"] = claims["paper"]

@@ -119,7 +119,8 @@ def outcomes(findings, judged, fields, claims=CLAIMS, corners=run_sets.WORLDS, f
             places[id_].setdefault(finding.verdict, condition or "everywhere")
     for name, (drawn, verdicts, margins) in judged.items():
         for outcome in (HOLDS, FAILS):
-            missing = {id_: outcome for id_ in _one_sided(claims, places) if outcome not in places[id_]}
+            one_sided = _one_sided(claims, places)
+            missing = {id_: outcome for id_ in one_sided if outcome not in places[id_]}
             told = worlds.confirmed(claims, missing, drawn, verdicts, margins, fields, folder)
             for id_, place in told.items():
                 places[id_].setdefault(outcome, f"{name} world {place}")
@@ -173,13 +174,15 @@ def _basis(claim, verdict, reached):
     """What a verdict rests on: derivation, both outcomes, or one outcome in every world."""
     if verdict == UNTESTABLE:
         return ""
-    if claim.derived or not claim.rule.other_worlds and len(claim.rule.by_condition) == 1:
-        return BY_DERIVATION if claim.derived else SAME
+    if claim.derived:
+        return BY_DERIVATION
     return TESTED if {HOLDS, FAILS} <= {*reached} else SAME
 
 
 def _words_of(split):
     """A Split in words."""
+    if split.field == "printed_w":
+        return "W is not as printed" if split.below else "W is as printed"
     name = _WORDS.get(split.field, split.field)
     return f"{name} is {'below' if split.below else 'above'} {split.threshold:.2g}"
 

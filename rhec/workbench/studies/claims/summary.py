@@ -20,6 +20,7 @@ __all__ = [
     "TESTED",
     "WHERE",
     "by_world",
+    "class_of",
     "depending",
     "failing",
     "lost",

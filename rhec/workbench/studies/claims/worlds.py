@@ -1,6 +1,7 @@
 """The claims in other worlds: in which share of them each holds, and on what that depends.
 
-A world is a dict of Scenario's fields. In each, a few fields are driven, and the rule of a claim is
+A world is a dict of Scenario's fields. It may also say which W the RHE has (process_noise) and which
+the EKF (process_noise_ekf); otherwise both are calibrated. In each, a few fields are driven, and the rule of a claim is
 applied to the value itself: few fields have no useful interval, but the share of worlds has one.
 With μ and v the soil's mean and the speed, a drive lasts for a row, a headland and a quarter of the
 next row at the pace μv, or for the first row alone, as in the multiverse. A world that says how
@@ -15,10 +16,11 @@ import pandas as pd
 
 from rhec import paper
 from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import tuning
 from rhec.workbench.studies.claims import evidence as looks
 from rhec.workbench.studies.claims import experiments, run_sets
 from rhec.workbench.studies.claims.rules import CALIBRATED
-from rhec.workbench.studies.statistics import AS_PRINTED, FAILS, HOLDS, UNDECIDED, share
+from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, share
 
 __all__ = [
     "FIRST_SEED",
@@ -46,12 +48,17 @@ _HALF = 0.5  # … and leaves at most so much of the errors of always saying the
 
 
 def usable(world):
-    """A world's process noise, and its fields without those that a claim decides."""
-    fields = {name: value for name, value in world.items() if value is not None}
-    process_noise = fields.pop("process_noise", "calibrated")
-    for decided in ("sigma_w", "estimator", "seed", "q", "r", "controller"):
-        fields.pop(decided, None)
-    return ("printed" if process_noise == "printed" else "calibrated"), fields
+    """A world's fields of Scenario without those that a claim decides."""
+    decided = {"process_noise", "process_noise_ekf", "sigma_w", "estimator", "seed", "q", "r"}
+    return {name: of for name, of in world.items() if of is not None and name not in decided}
+
+
+def _process_noise(world, estimator):
+    """Which W an estimator has in a world."""
+    if estimator == "ekf":
+        return world.get("process_noise_ekf", "calibrated")
+    named = world.get("process_noise", "calibrated")
+    return named if named in tuning.SIGMA_W.get(estimator, {}) else "calibrated"
 
 
 def _drive_s(fields, on_row):
@@ -66,8 +73,9 @@ def _drive_s(fields, on_row):
 def _scenarios(table, world, seeds, whole):
     """The scenarios of a table (kind, id) in a world."""
     kind, id_ = table
-    process_noise, fields = usable(world)
+    fields = usable(world)
     of_id = (run_sets.RUNS if kind == "runs" else run_sets.LOGS)[id_]
+    process_noise = _process_noise(world, of_id.get("estimator", "rhe"))
     on_row = id_ in run_sets.ON_ROW
     duration_s = fields.pop("duration_s", None)
     if duration_s is None or on_row or not whole:
@@ -86,7 +94,7 @@ def _is_driven(claim):
 
 def _tables_of(claim):
     """The tables (kind, id) of a claim, and whether it is judged on whole drives."""
-    tables = claim.rule.by_condition[AS_PRINTED].tables
+    tables = claim.rule.by_condition[CALIBRATED].tables
     whole = all(kind == "runs" and id_ in _WHOLE_DRIVES for _, kind, id_ in tables)
     return [(kind, id_, whole) for _, kind, id_ in tables]
 
@@ -113,15 +121,14 @@ def _measure(claims, worlds, seeds, folder):
     return found
 
 
-def _in_world(claim, found, place, fields, process_noise):
-    """The Finding of a claim in the world at `place`."""
+def _in_world(claim, found, place, fields):
+    """The Finding of a claim in the world at `place`, where W is the world's."""
     rows = slice(place * fields, (place + 1) * fields)
-    condition = claim.rule.by_condition[AS_PRINTED if process_noise == "printed" else CALIBRATED]
     evidence = {
-        (process_noise, kind, id_): found[kind, id_, whole][rows].reset_index(drop=True)
+        ("calibrated", kind, id_): found[kind, id_, whole][rows].reset_index(drop=True)
         for kind, id_, whole in _tables_of(claim)
     }
-    return condition(evidence)
+    return claim.rule.by_condition[CALIBRATED](evidence)
 
 
 # Verdicts in worlds
@@ -171,10 +178,7 @@ def judge(claims, worlds, fields, folder=None):
     verdicts = {}
     margins = {}
     for id_, claim in claims.items():
-        findings = [
-            _in_world(claim, found, place, fields, usable(world)[0])
-            for place, world in enumerate(worlds)
-        ]
+        findings = [_in_world(claim, found, place, fields) for place, _ in enumerate(worlds)]
         verdicts[id_] = [by_value(finding) for finding in findings]
         margins[id_] = [margin(finding) for finding in findings]
     return pd.DataFrame(verdicts), pd.DataFrame(margins)
@@ -217,9 +221,8 @@ def confirmed(claims, missing, worlds, verdicts, margins, fields, folder=None):
         here = {id_: claims[id_] for id_ in places if places[id_] == place}
         seeds = range(_CONFIRMING_SEED, _CONFIRMING_SEED + fields)
         tables = _measure(here, [worlds[place]], [seeds], folder)
-        process_noise = usable(worlds[place])[0]
         for id_, claim in here.items():
-            if _in_world(claim, tables, 0, fields, process_noise).verdict == missing[id_]:
+            if _in_world(claim, tables, 0, fields).verdict == missing[id_]:
                 found[id_] = place
     return found
 
@@ -249,13 +252,15 @@ def corner(claims, world, seeds, folder=None):
 def columns_of(worlds):
     """The numbers in which worlds differ: DataFrame (worlds, fields).
 
-    A field that a world does not name has its usual value there.
+    A field that a world does not name has its usual value there. `printed_w` is 1 where the RHE has
+    the printed W.
     """
     usual = Scenario()
-    named = dict.fromkeys(name for world in worlds for name in usable(world)[1])
+    named = dict.fromkeys(name for world in worlds for name in usable(world))
     table = pd.DataFrame(
         {name: [world.get(name, getattr(usual, name)) for world in worlds] for name in named}
     )
+    table["printed_w"] = [float(_process_noise(world, "rhe") == "printed") for world in worlds]
     # A bool is a number to pandas, but has no threshold.
     numbers = table.select_dtypes("number").astype(float)
     return numbers.loc[:, numbers.nunique() > 1]
