@@ -10,8 +10,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from rhec.workbench.studies.claims.summary import DEPARTURE, PRINTED, WHERE, class_of
-from rhec.workbench.studies.claims.summary import survivors, verdict_counts
+from rhec.workbench.studies.claims.summary import (
+    DEPARTURE,
+    PRINTED,
+    WHERE,
+    changes,
+    class_of,
+    survivors,
+    verdict_counts,
+)
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PAGES = ("README.md", "docs/results.md", "docs/claims.md")
@@ -202,16 +209,7 @@ def _multiplicity(claims):
 
 def _changes(claims, before):
     """Claims with another verdict than in the previous ledger, and the reasons."""
-    old = before.set_index("id")
-    new = claims.set_index("id")
-    both = new.join(old, how="outer").reindex([*dict.fromkeys([*new.index, *old.index])])
-    both[["before", "verdict"]] = both[["before", "verdict"]].fillna("–")
-    rows = both[both["before"] != both["verdict"]].reset_index()
-    # A verdict that changed without a change of its rule changed with the world.
-    rows["reason"] = rows["reason"].fillna("world")
-    return to_markdown(
-        rows[["id", "before", "verdict", "reason"]].rename(columns={"verdict": "now"})
-    )
+    return to_markdown(changes(claims, before))
 
 
 def _multiverse(table):

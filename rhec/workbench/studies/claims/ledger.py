@@ -17,8 +17,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rhec.workbench.studies.claims import evidence, run_sets, worlds
-from rhec.workbench.studies.claims.rules import CALIBRATED, CLAIMS
+from rhec.workbench.studies.claims import run_sets, worlds
+from rhec.workbench.studies.claims.rules import CLAIMS
 from rhec.workbench.studies.claims.summary import BY_DERIVATION, SAME, TESTED
 from rhec.workbench.studies.statistics import (
     FAILS,
@@ -35,7 +35,7 @@ __all__ = ["CLAIMS", "Judged", "coverages", "in_worlds", "ledger", "outcomes"]
 
 _PAIRS = ("rhe", "ekf"), ("rhe", "no_slip"), ("fixed_traction", "rhe"), ("q3", "q2")
 _COLUMNS = (
-    "id section claim quote test bound paper value low high n unit verdict basis condition "
+    "id section claim quote test bound paper value low high n unit verdict here basis condition "
     "confidence above below p p_adjusted conditions other_condition other_value other_low "
     "other_high other_n other_verdict other_above other_below reached beside where where_accuracy"
 ).split()
@@ -216,7 +216,7 @@ def _row(id_, claim, findings, looks, beside, reached, judged):
         f"{what}: {interval_text(number.value, number.low, number.high)}"
         for what, number in beside.items()
     )
-    row |= _where(id_, judged)
+    row |= _where(id_, judged) | dict(here=verdict)
     # Where the readings of the text agree, and the world decides, the verdict says which worlds.
     if row["where"] and verdict in (HOLDS, FAILS, UNDECIDED):
         verdict = f"{HOLDS} where {row['where']}"
@@ -234,8 +234,9 @@ def ledger(findings, looks, beside, reached, judged, claims=CLAIMS):
 
     Returns:
         DataFrame, one row a claim: id, section, claim, quote, test, bound, paper, the Finding under
-        the condition that decides (value, low, high, n, unit, condition, above, below), the verdict
-        and the confidence of the look that decided; basis, the label; the verdict under each
+        the condition that decides (value, low, high, n, unit, condition, above, below), the
+        verdict, the one of the default world (here), and the confidence of the look that decided;
+        basis, the label; the verdict under each
         condition; the Finding under the first that says otherwise, or else the next
         (other_condition, other_value, …); where either verdict was reached; the numbers beside;
         where, the condition on the world, and the share of held-out worlds that it predicts; for

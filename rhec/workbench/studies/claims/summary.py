@@ -1,5 +1,7 @@
 """The ledger's verdicts in numbers and in words: one count for README, report and pages."""
 
+from pathlib import Path
+
 import pandas as pd
 
 from rhec.workbench.studies.statistics import (
@@ -19,7 +21,9 @@ __all__ = [
     "SAME",
     "TESTED",
     "WHERE",
+    "before",
     "by_world",
+    "changes",
     "class_of",
     "depending",
     "failing",
@@ -37,6 +41,7 @@ PRINTED = f"{HOLDS} only {AS_PRINTED}"
 DEPARTURE = f"{HOLDS}, but not as printed (for example only with W calibrated)"
 WHERE = f"{HOLDS} in some worlds, and the ledger says in which"
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
+_BEFORE = Path(__file__).resolve().parents[4] / "data/claims_before.csv"
 
 
 def class_of(verdict):
@@ -151,3 +156,29 @@ def by_world(table, sets):
     frame = shown[["claim", "verdict"]].assign(**shares, where=shown["where"], predicts=accuracy)
     judged = shown[list(sets)].notna().any(axis=1)
     return frame[judged].fillna("")
+
+
+def before():
+    """The previous ledger's verdicts with the reason where a rule was changed, by claim's id."""
+    return pd.read_csv(_BEFORE, keep_default_na=False)
+
+
+def changes(table, before):
+    """The claims with another verdict than in the previous ledger.
+
+    Args:
+        table: The ledger.
+        before: Of `before`.
+
+    Returns:
+        DataFrame: id, before, now, reason. A verdict that changed without a change of its rule
+        changed with the worlds, reason "world".
+    """
+    old = before.set_index("id")
+    new = table.set_index("id")
+    both = new[["verdict"]].join(old, how="outer")
+    both = both.reindex([*dict.fromkeys([*new.index, *old.index])]).rename_axis("id")
+    both[["before", "verdict"]] = both[["before", "verdict"]].fillna("–")
+    rows = both[both["before"] != both["verdict"]].reset_index()
+    rows["reason"] = rows["reason"].fillna("").replace("", "world")
+    return rows[["id", "before", "verdict", "reason"]].rename(columns={"verdict": "now"})

@@ -1,8 +1,10 @@
 """The claims in other worlds: in which share of them each holds, and on what that depends.
 
-A world is a dict of Scenario's fields. It may also say which W the RHE has (process_noise) and which
-the EKF (process_noise_ekf); otherwise both are calibrated. In each, a few fields are driven, and the rule of a claim is
-applied to the value itself: few fields have no useful interval, but the share of worlds has one.
+A world is a dict of Scenario's fields. It may also say which W the RHE has (process_noise) and
+which the EKF (process_noise_ekf); otherwise both are calibrated. In each, a few fields are driven,
+and the rule of a claim is applied to the value itself: few fields have no useful interval, but the
+share of worlds has one.
+
 With μ and v the soil's mean and the speed, a drive lasts for a row, a headland and a quarter of the
 next row at the pace μv, or for the first row alone, as in the multiverse. A world that says how
 long its drive lasts is taken at its word where the RHE, the EKF and the oracle alone are compared,
