@@ -335,13 +335,17 @@ def reported(values, paper, confidence=CONFIDENCE):
     are judged by intervals: of the mean, and of the share of runs below the number.
 
     Returns:
-        Finding with the interval of single runs, not of their mean; fewer than 40 runs have none.
+        Finding with the interval of single runs, not of their mean. That of fewer than 40 runs is
+        Student's prediction interval, mean ± t s √(1 + 1/n) with their deviation s, and undecided.
     """
     limits = dict(above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
     near = mean(values, **limits, confidence=confidence)
     low = np.nan
     high = np.nan
     outcome = UNDECIDED
+    if 2 <= near.n < _MIN_SINGLE_RUNS:
+        error = np.std(values, ddof=1) * np.sqrt(1 + 1 / near.n)
+        low, high = _interval(near.value, error, near.n - 1)
     if near.n >= _MIN_SINGLE_RUNS:
         tails = (1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2
         low, high = np.quantile(values, tails)

@@ -276,12 +276,14 @@ def _rule_on_tables(entry, expressions, departures):
 
 def _beside(entry, expressions):
     """{what: Condition} of the numbers that are shown beside the verdict."""
-    return {
-        f"{part['what']}, {name}": _condition(part, expressions, process_noise, {})
-        for part in entry.get("beside", [])
-        for process_noise, name in _CONDITIONS.items()
-        if process_noise in part.get("process_noises", _CONDITIONS)
-    }
+    found = {}
+    for part in entry.get("beside", []):
+        # No process noise affects a property.
+        noises = ["printed"] if "property" in part else part.get("process_noises", _CONDITIONS)
+        for process_noise in noises:
+            name = "" if "property" in part else f", {_CONDITIONS[process_noise]}"
+            found[part["what"] + name] = _condition(part, expressions, process_noise, {})
+    return found
 
 
 # The file
@@ -306,6 +308,15 @@ def _check(id_, entry, departures):
         refuse("was derived and had departures", "have one of both")
     if unknown := {*entry.get("departures", [])} - {*departures}:
         refuse(f"had the unknown departure {sorted(unknown)[0]}", f"have {sorted(departures)}")
+    _check_tables(entry, name, refuse)
+    for part in entry.get("beside", []):
+        if missing := {"what", "rule", "of"} - {*part}:
+            refuse(f"had no {sorted(missing)[0]} in what stands beside it", "have one")
+        _check_tables(part, part["rule"].get("name"), refuse)
+
+
+def _check_tables(entry, name, refuse):
+    """Refuse tables that do not fit the rule of this name, or do not exist."""
     kinds = [kind for kind in _KINDS if kind in entry]
     if len(kinds) != (name in _RULES) or ("of" in entry) != (name in _RULES):
         refuse(f"had tables {kinds} for the rule {name}", "have one kind with `of`, or none")

@@ -144,14 +144,13 @@ def by_value(finding):
     value, low, high, above, below = (
         getattr(finding, name) for name in ("value", "low", "high", "above", "below")
     )
-    if np.isnan(value):
+    if not np.isfinite(value):
         return UNDECIDED
     if above == below:
         near = abs(value - above) < 0.25 * abs(above)
         return HOLDS if near and low <= above <= high else FAILS
-    if above == 1:  # every case
-        return HOLDS if value == 1 else FAILS
-    return HOLDS if above < value < below else FAILS
+    # "Every case" is kept at its bound, as an interval's verdict says.
+    return HOLDS if finding.verdict == HOLDS or above < value < below else FAILS
 
 
 def margin(finding):
