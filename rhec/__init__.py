@@ -4,7 +4,7 @@ A workbench around one paper: Kayacan, Young, Peschel, Chowdhary, "High-Precisio
 Field Robots in the Presence of Unknown Traction Coefficients" (2018), and a thin core of moving
 horizon estimation (MHE) and model predictive control (MPC) for any robot.
 
-One run          Scenario, simulate, Run             The world      Path, Terrain, Fault
+One run          Scenario, simulate, Run             The world      Path, Terrain, Fault, WORLDS
 Many runs        campaign                            Any robot      Model, RHE, RHC, EKF
 A recorded log   logs.read, calibrate, replay        Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from rhec.simulation.run import Run as Run
     from rhec.simulation.scenario import Scenario as Scenario
     from rhec.simulation.simulate import simulate as simulate
+    from rhec.simulation.worlds import WORLDS as WORLDS
     from rhec.tracked_robot.path import Path as Path
     from rhec.tracked_robot.references import PathTracker as PathTracker
     from rhec.tracked_robot.terrain import Terrain as Terrain
@@ -48,6 +49,7 @@ _HOME = {
     "Run": "simulation.run",
     "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",
+    "WORLDS": "simulation.worlds",
     "calibrate": "logs.calibration",
     "campaign": "simulation.campaigns.campaign",
     "export": "embedded",

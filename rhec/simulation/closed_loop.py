@@ -42,12 +42,13 @@ class _LoopStructure(NamedTuple):
     terrain_shape: tuple[int, int]
     faulty: bool  # whether sensors have faults: without, their code is left out
     cautious: bool
+    soil_under: str
 
 
 class _Parts(NamedTuple):
     """The Functions that a sample calls, in this order."""
 
-    slip: ca.Function
+    soil: ca.Function
     measure: ca.Function
     deliver: ca.Function | None  # None where sensors have no faults
     estimate: ca.Function
@@ -70,7 +71,7 @@ def _build_parts(structure):
         paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
     )
     return _Parts(
-        slip=terrain.lookup(structure.terrain_shape),
+        soil=robot.soil(structure.terrain_shape, structure.soil_under),
         measure=robot.measure(paper.DT_S),
         deliver=_build_deliver() if structure.faulty else None,
         estimate=build_step(choice),
@@ -106,7 +107,7 @@ def _settings_shapes(parts, n_segments):
     path = dict(segments=(5, n_segments), period_m=one, look_ahead_m=one, backwards=one)
     weights = dict(Q=(3, 1), QN=(3, 1), R=one)
     commands = dict.fromkeys(("lower", "upper", "caution", "speed_mps", "command_delay"), one)
-    slip = (parts.slip.numel_in("slip"), 1)
+    slip = (parts.soil.numel_in("slip"), 1)
     soil = dict(origin_m=(2, 1), cell_m=one, slip=slip, mean_traction=(2, 1))
     # The rest are the estimator's, by the names it gives them. Truth and traction are no settings.
     tuning = {
@@ -134,13 +135,15 @@ def build_sample(*structure):
     def sample(noise, **signals):
         # Memory, noise and settings by name; each part picks its inputs from them.
         signals = signals | build.unpack(noise, stream)
-        truth, omega = _truth(parts, signals)
+        traction, yaw_drift = parts.soil.call([signals[name] for name in parts.soil.name_in()])
+        truth, omega = _truth(signals, traction)
         measured = _measured(parts, signals)
         estimated = _estimated(parts, signals, measured["z"], truth, traction_input)
         target = _target(parts, signals, measured["z"], estimated)
         planned = _planned(parts, signals, estimated, target)
-        driven = _driven(parts, signals, planned, truth)
-        row = dict(truth=truth, omega=omega, z=measured["z"]) | _row(estimated, target, planned)
+        driven = _driven(parts, signals, planned, traction, yaw_drift)
+        row = dict(truth=truth, omega=omega, yaw_drift=yaw_drift, z=measured["z"])
+        row |= _row(estimated, target, planned)
         following = dict(
             drift=measured["drift"],
             s=target["s"],
@@ -161,12 +164,10 @@ def _call(function, signals, **others):
     return function(**build.select_inputs(function, signals | others))
 
 
-def _truth(parts, signals):
+def _truth(signals, traction):
     """The state (x, y, θ, ν, μ, κ) of the robot, and its tracks' yaw rate ω."""
-    pose = signals["pose"]
-    traction = parts.slip(pose[:2], signals["origin_m"], signals["cell_m"], signals["slip"])
     nu, omega = robot.body_speeds(signals["tracks"], signals["track_width_m"])
-    return ca.vertcat(pose, nu, traction), omega
+    return ca.vertcat(signals["pose"], nu, traction), omega
 
 
 def _measured(parts, signals):
@@ -228,11 +229,12 @@ def _planned(parts, signals, estimated, target):
     )
 
 
-def _driven(parts, signals, planned, truth):
+def _driven(parts, signals, planned, traction, yaw_drift):
     """The robot's memory after one sample with the command."""
     # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
     applied = ca.if_else(signals["command_delay"], signals["command"], planned["command"])
-    return _call(parts.drive, signals | planned, traction=truth[4:], omega_radps=applied)
+    soil = dict(traction=traction, yaw_drift_radpm=yaw_drift)
+    return _call(parts.drive, signals | planned, omega_radps=applied, **soil)
 
 
 def _row(estimated, target, planned):
@@ -298,6 +300,7 @@ def set_up(scenario):
         shape,
         bool(scenario.faults),
         scenario.cautious,
+        scenario.soil_under,
     )
     estimator = estimator_of(choice.estimator, choice.robust)
     pose = _start_pose(scenario, path)
@@ -349,16 +352,8 @@ def _pack(memory):
 def _settings(scenario, path):
     """The settings of robot, path and controller."""
     q = np.array(scenario.q)
-    # Shares of a variance: the standard deviations go with their square roots.
-    slow = scenario.gnss_slow_share
-    return dict(
-        gnss_white_m=scenario.gnss_sigma_m * np.sqrt(1 - slow),
-        gnss_slow_m=scenario.gnss_sigma_m * np.sqrt(slow),
-        gnss_slow_time_s=scenario.gnss_slow_time_s,
-        track_width_m=scenario.track_width_m,
-        encoder_sigma_mps=scenario.encoder_sigma_mps,
-        speed_sigma_mps=scenario.speed_sigma_mps,
-        bump_sigma_radps=scenario.bump_sigma_radps,
+    world = {name: getattr(scenario, name) for name in robot.SENSORS | robot.BODY}
+    return world | dict(
         look_ahead_m=scenario.look_ahead_m,
         caution=scenario.caution,
         segments=path.segments.T,

@@ -13,6 +13,7 @@ COMMAND = ["omega_cmd_radps"]
 LOG = dict(
     truth=TRUTH,
     omega=["omega_radps"],
+    yaw_drift=["yaw_drift_radpm"],
     z=MEASUREMENTS,
     estimate=ESTIMATE,
     command=COMMAND,

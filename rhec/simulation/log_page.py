@@ -41,6 +41,12 @@ _TABLE = (
     ("omega_radps", "rad/s", "true yaw rate of the tracks", _RUN),
     ("mu", "-", "true traction: over ground the robot moves at μν", _BOTH),
     ("kappa", "-", "true traction: over ground the robot turns at κω", _BOTH),
+    (
+        "yaw_drift_radpm",
+        "rad/m",
+        "true yaw per metre over ground by unlike slip of the tracks: δ in θ' = κω + μνδ",
+        _RUN,
+    ),
     # The measurements z
     ("x_meas_m y_meas_m", "m", "GNSS position; NaN where there is none", _BOTH),
     ("nu_meas_mps", "m/s", "encoders: mean speed since the last sample", _BOTH),

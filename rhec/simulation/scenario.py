@@ -64,6 +64,8 @@ class Scenario:
     # Shorter ones than the grid's cells, 0.5 m, cannot be seen.
     correlation_length_m: Annotated[valid.Positive, Limits(ge=0.5)] = 4.0
     patches: tuple[Patch, ...] = ()
+    soil_under: Literal["centre", "tracks"] = "centre"
+    slip_difference: Annotated[valid.Real, Limits(ge=-1, le=1)] = 0.0
 
     gnss_sigma_m: valid.NotNegative = paper.SIGMA_V[0]
     gnss_slow_share: Annotated[valid.NotNegative, Limits(le=1)] = 0.0
@@ -71,7 +73,9 @@ class Scenario:
     encoder_sigma_mps: valid.NotNegative = paper.ENCODER_SIGMA_MPS
     speed_sigma_mps: valid.NotNegative = paper.SIGMA_V[2]
     bump_sigma_radps: valid.NotNegative = 0.02
+    rut_length_m: valid.NotNegative = 0.0
     track_width_m: valid.Positive = paper.TRACK_WIDTH_M
+    rotation_centre_m: valid.Real = 0.0
     faults: tuple[Fault, ...] = ()
     seed: Seed = 0
 

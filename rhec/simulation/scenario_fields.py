@@ -73,14 +73,22 @@ kappa_mean: Mean of κ.
 kappa_deviation: Standard deviation of κ over the field.
 correlation_length_m: Correlation length of the traction [m].
 patches: Discs of sudden change, ((x, y, radius, μ, κ), …) [m, m, m, -, -].
+soil_under: Where the soil is looked up. "centre": for both tracks below the robot's middle, as in
+    the paper; "tracks": for each track below its own middle.
+slip_difference: Share by which the left track slips more than the right one, everywhere: d in
+    μ_l = μ (1 - d/2), μ_r = μ (1 + d/2), where the latter is at most 1.
 
 gnss_sigma_m: Standard deviation of the GNSS position's error [m].
 gnss_slow_share: Share of the variance of that error that varies slowly (R4).
 gnss_slow_time_s: Time constant of the slow part (R4) [s].
 encoder_sigma_mps: Standard deviation of one track's encoder at 50 Hz [m/s].
 speed_sigma_mps: Standard deviation of the error of the measured speed that both tracks share [m/s].
-bump_sigma_radps: Standard deviation of the yaw rate that a bump adds for one sample [rad/s].
+bump_sigma_radps: Standard deviation of the yaw rate that bumps add [rad/s].
+rut_length_m: Correlation length of the bumps along the way [m]. 0: one bump a sample; else they
+    turn the robot the faster it drives, and their deviation is that at the paper's speed.
 track_width_m: Distance b between the tracks [m].
+rotation_centre_m: How far the point about which the robot turns lies ahead of its middle, where the
+    antenna of the GNSS is [m].
 faults: Sensor faults, (rhec.Fault, …).
 seed: Fixes the soil and all noise.
 """

@@ -114,7 +114,6 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
       upper: [values.omega_max_radps],
       W: values.sigma_w.map(square),
       V: values.sigma_v.map(square),
-      gnss_white_m: [values.gnss_sigma_m],
     };
     for (const name in settings) if (name in values) settings[name] = [values[name]];
     for (const name in settings) this[`at_${name}`]?.set(settings[name]);

@@ -16,9 +16,9 @@ __all__ = ["LiveRobot"]
 
 
 @functools.cache
-def _functions(shape):
-    """The plant's measurement and motion, and the soil's lookup for a field of this shape."""
-    return robot.measure(paper.DT_S), robot.drive(paper.DT_S), terrain.lookup(shape)
+def _functions(shape, soil_under):
+    """The plant's measurement and motion, and the soil on a grid of this shape."""
+    return robot.measure(paper.DT_S), robot.drive(paper.DT_S), robot.soil(shape, soil_under)
 
 
 class LiveRobot:
@@ -33,8 +33,9 @@ class LiveRobot:
         self.setup = set_up(scenario)
         self._noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
         shape = terrain.common_shape(self.setup.terrain)
-        self._measure, self._drive, self._slip = map(BufferedFunction, _functions(shape))
-        for call in (self._measure, self._drive, self._slip):
+        functions = _functions(shape, scenario.soil_under)
+        self._measure, self._drive, self._soil = map(BufferedFunction, functions)
+        for call in (self._measure, self._drive, self._soil):
             call.set(**select_inputs(call.function, self.setup.settings))
         memory = self.setup.unpack(self.setup.memory)
         self._state = {name: memory[name] for name in robot.MEMORY}
@@ -43,8 +44,8 @@ class LiveRobot:
         for noise in self._noise:
             self._state |= unpack_array(noise, robot.NOISE)
             self.pose = self._state["pose"].ravel()
-            self._slip.set(xy=self.pose[:2])
-            self._slip.call()
+            self._soil.set(pose=self.pose)
+            self._soil.call()
             self._measure.set(**select_inputs(self._measure.function, self._state))
             self._measure.call()
             yield self._measure.results["z"].copy()
@@ -57,9 +58,7 @@ class LiveRobot:
             speed_mps: Commanded speed; the scenario's, by default.
         """
         self._drive.set(**select_inputs(self._drive.function, self._state))
-        self._drive.set(
-            traction=self._slip.results["traction"], omega_radps=omega_radps, **speed_mps
-        )
+        self._drive.set(**self._soil.results, omega_radps=omega_radps, **speed_mps)
         self._drive.call()
         results = self._drive.results | dict(drift=self._measure.results["drift"])
         self._state |= {name: value.copy() for name, value in results.items()}
