@@ -5,6 +5,7 @@ it is judged on is what the log shows.
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy import stats
 
 import rhec
@@ -767,7 +768,7 @@ def test_no_text_of_the_picture_lies_over_another(made_up):
     widest = dict(value=-0.1234, low=-0.1289, high=-0.1199, unit="samples")
     table = table.assign(**widest)
     figure = drawings.verdicts(table, "posterior")
-    renderer = figure.canvas.get_renderer()
+    renderer = FigureCanvasAgg(figure).get_renderer()
     boxes = [text.get_window_extent(renderer) for text in figure.axes[0].texts if text.get_text()]
     edges = np.array([box.extents for box in boxes])
     left, low, right, high = edges.T

@@ -188,7 +188,7 @@ def _draw_heads(axes, table, worlds):
         axes.text(x, -1.2, label, ha=align, **bold)
     axes.text(_BOUND, -2.2, "each row to its own scale", ha="center", **_FONT)
     if worlds:
-        axes.text(sum(_SHARE) / 2, -2.2, f"share of {worlds} worlds", ha="center", **bold)
+        axes.text(_SHARE[1] + 0.5, -2.2, f"share of {worlds} worlds", ha="right", **bold)
         for x, number in zip(_SHARE, "01"):
             axes.text(x, -1.2, number, ha="center", **_FONT)
     kinds = table["verdict"].map(_kind)
