@@ -70,10 +70,7 @@ def collect(claims, first, seeds, folder=None):
         beside: {id: {what: Finding}} of the numbers that decide nothing.
         looks: {id: {condition: confidence of the look that decided}}.
     """
-    every = [judge for claim in claims.values() for judge in _conditions(claim)]
-    # Experiments are the same at both looks, so they are made for all fields at once.
-    fixed = [table for table in tables_of(every) if table[1] == "experiments"]
-    driven = [table for table in tables_of(every) if table[1] != "experiments"]
+    driven, fixed = _driven_and_fixed(claims)
     has_two = first < seeds
     evidence = make(driven, min(first, seeds), folder) | make(fixed, seeds)
     confidence = FIRST_CONFIDENCE if has_two else CONFIDENCE
@@ -99,6 +96,13 @@ def collect(claims, first, seeds, folder=None):
     return evidence, findings, beside, looks
 
 
-def _conditions(claim):
-    """The Conditions of a claim, those beside the verdict, too."""
-    return [*claim.rule.by_condition.values(), *claim.beside.values()]
+def _driven_and_fixed(claims):
+    """The tables of claims that have two looks, and those of experiments, which have one."""
+    every = [
+        judge
+        for claim in claims.values()
+        for judge in (*claim.rule.by_condition.values(), *claim.beside.values())
+    ]
+    tables = tables_of(every)
+    fixed = [table for table in tables if table[1] == "experiments"]
+    return [table for table in tables if table not in fixed], fixed

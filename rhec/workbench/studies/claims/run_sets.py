@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.simulation import worlds
 from rhec.simulation.campaigns.batch import (
     mean_samples_per_structure,
     samples_per_task,
@@ -52,8 +53,8 @@ _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=
 _SLIPPERY |= dict(duration_s=120.0)
 _UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
 _ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
-_CONSTANT = dict(terrain=Terrain.uniform(0.9, 0.8))  # the default soil's means
-_NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps".split()
+_CONSTANT = dict(terrain=Terrain.uniform(Scenario.mu_mean, Scenario.kappa_mean))  # the means
+_NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps slip_difference".split()
 _UNDISTURBED = dict.fromkeys(_NOISES, 0.0)
 _PATH_YAW_RATE = dict(estimator="ekf", input_reference="curvature")
 _ORACLE = dict(estimator="oracle", process_noise="printed")  # it has no W
@@ -147,6 +148,7 @@ LOGS = {
 ON_ROW = {id_ for id_ in RUNS if RUNS[id_].get("duration_s") == _ON_ROW["duration_s"]} | {"q2"}
 # Other worlds, where a claim may come out otherwise; the fields of an id take precedence.
 WORLDS = {
+    "former default": worlds.WORLDS["former"],
     "no noise, constant soil": _CONSTANT | _UNDISTURBED,
     "slow": dict(speed_mps=0.25),
     "rough": dict(kappa_mean=0.6, kappa_deviation=0.2, bump_sigma_radps=0.1, gnss_sigma_m=0.08),
