@@ -7,6 +7,8 @@ et al. (British Journal of Cancer 34, 1976). A verdict is wrong with a probabili
 0.1 % at the first look and 5 % at the second, 5.1 % in all.
 """
 
+import numpy as np
+
 from rhec.workbench.studies.claims import experiments, run_sets
 from rhec.workbench.studies.statistics import CONFIDENCE, UNDECIDED
 
@@ -91,7 +93,8 @@ def collect(claims, first, seeds, folder=None):
     for (id_, name), judge in again.items():
         finding = judge(evidence)
         # What the first look spent of the error rate is part of the second's p.
-        findings[id_][name] = finding._replace(p=min(1.0, finding.p + 1 - FIRST_CONFIDENCE))
+        spent = finding.p + 1 - FIRST_CONFIDENCE
+        findings[id_][name] = finding._replace(p=float(np.minimum(spent, 1.0)))  # NaN stays NaN
         looks[id_][name] = CONFIDENCE
     return evidence, findings, beside, looks
 
