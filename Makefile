@@ -43,7 +43,8 @@ export PYTHON_CPU_COUNT ?= $(shell echo $$((($$(getconf _NPROCESSORS_ONLN) + 1) 
 endif
 
 .PHONY: help figures studies claims report lab replay recordings replay-table calibrate campaign \
-  posterior embedded test test-browser lint bench soak storm lock upgrade clean $(KEPT:%=clean-%)
+  posterior embedded test test-browser lint bench soak storm lock upgrade sbom clean \
+  $(KEPT:%=clean-%)
 
 help: ## list the goals
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
@@ -129,6 +130,11 @@ lock upgrade:
 	  --python-version 3.11 --fork-strategy fewest --all-extras --group dev --generate-hashes \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
 	  --output-file environment.txt pyproject.toml
+
+sbom: $(READY) ## list all installed components and their licences: build/sbom.json (CycloneDX)
+	@mkdir -p build
+	@.venv/bin/cyclonedx-py environment $(PY) --output-format JSON -o build/sbom.json
+	@echo 'sbom: build/sbom.json'
 
 # MADE lists the files that notebooks and report have written; files in git stay.
 clean: ## remove the executed notebooks, their figures and tables, and the report

@@ -56,24 +56,27 @@ class Scenario:
     start_yaw_rad: valid.Real = 0.0
     guess_yaw_rad: valid.Real = 0.0
 
+    # Soil, ground and sensors: the centre of the posterior under the paper's numbers
+    # (`workbench.studies.inverse.centre`, notebook 12_which_worlds). The world that was the default
+    # before is rhec.WORLDS["former"].
     terrain: Annotated[Terrain | None, SkipValidation] = None
-    mu_mean: options.Traction = 0.9
-    mu_deviation: valid.NotNegative = 0.04
-    kappa_mean: options.Traction = 0.8
-    kappa_deviation: valid.NotNegative = 0.08
+    mu_mean: options.Traction = 0.975
+    mu_deviation: valid.NotNegative = 0.008
+    kappa_mean: options.Traction = 0.96
+    kappa_deviation: valid.NotNegative = 0.013
     # Shorter ones than the grid's cells, 0.5 m, cannot be seen.
     correlation_length_m: Annotated[valid.Positive, Limits(ge=0.5)] = 4.0
     patches: tuple[Patch, ...] = ()
-    soil_under: Literal["centre", "tracks"] = "centre"
-    slip_difference: Annotated[valid.Real, Limits(ge=-1, le=1)] = 0.0
+    soil_under: Literal["centre", "tracks"] = "tracks"
+    slip_difference: Annotated[valid.Real, Limits(ge=-1, le=1)] = 0.005
 
-    gnss_sigma_m: valid.NotNegative = paper.SIGMA_V[0]
-    gnss_slow_share: Annotated[valid.NotNegative, Limits(le=1)] = 0.0
-    gnss_slow_time_s: valid.Positive = 60.0
-    encoder_sigma_mps: valid.NotNegative = paper.ENCODER_SIGMA_MPS
-    speed_sigma_mps: valid.NotNegative = paper.SIGMA_V[2]
-    bump_sigma_radps: valid.NotNegative = 0.02
-    rut_length_m: valid.NotNegative = 0.0
+    gnss_sigma_m: valid.NotNegative = 0.018
+    gnss_slow_share: Annotated[valid.NotNegative, Limits(le=1)] = 0.55
+    gnss_slow_time_s: valid.Positive = 170.0
+    encoder_sigma_mps: valid.NotNegative = 0.02
+    speed_sigma_mps: valid.NotNegative = 0.023
+    bump_sigma_radps: valid.NotNegative = 0.007
+    rut_length_m: valid.NotNegative = 0.5
     track_width_m: valid.Positive = paper.TRACK_WIDTH_M
     rotation_centre_m: valid.Real = 0.0
     faults: tuple[Fault, ...] = ()

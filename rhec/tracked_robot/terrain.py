@@ -11,6 +11,7 @@ made once and `data/` holds, so that a run never depends on a library's random s
 """
 
 import functools
+import io
 from dataclasses import dataclass
 from pathlib import Path as File
 from typing import Annotated
@@ -154,9 +155,19 @@ class Terrain:
         Args:
             file: Where to.
         """
-        np.savez_compressed(
-            file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m
-        )
+        arrays = dict(mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m)
+        # Written to memory first: a full disk then leaves an older file as it was.
+        content = io.BytesIO()
+        np.savez_compressed(content, **arrays)
+        file = File(file)
+        if file.suffix != ".npz":
+            file = file.with_name(f"{file.name}.npz")
+        unfinished = file.with_name(f"{file.name}.unfinished")
+        try:
+            unfinished.write_bytes(content.getvalue())
+            unfinished.replace(file)
+        finally:
+            unfinished.unlink(missing_ok=True)
 
     @classmethod
     def load(cls, file: str | File) -> "Terrain":

@@ -22,7 +22,9 @@ def toy():
     unit = rng.random((20_000, 2))
     statistics = unit[:, :1] + SIGMA * rng.standard_normal((20_000, 1))
     world = np.arange(20_000)
-    return abc_regression.Simulations(unit, world, statistics, np.ones(1), np.zeros(2, bool))
+    model = (statistics[:, 0] > 0.5).astype(int)
+    flags = np.zeros(2, bool)
+    return abc_regression.Simulations(unit, world, model, statistics, np.ones(1), flags)
 
 
 def test_posterior_is_the_known_one_and_the_priors_where_nothing_is_known(toy):
@@ -37,8 +39,8 @@ def test_posterior_is_the_known_one_and_the_priors_where_nothing_is_known(toy):
 
 
 def test_regression_corrects_what_a_wide_tolerance_leaves(toy):
-    """With a fifth of all simulations kept, the plain ones are far too wide."""
-    draws = abc_regression.posterior(toy, np.array([OBSERVED]), 4000)
+    """With two fifths of all simulations kept, the plain ones are far too wide."""
+    draws = abc_regression.posterior(toy, np.array([OBSERVED]), 8000)
     plain = toy.unit[toy.world[draws.rows], 0]
     assert np.sqrt(np.cov(draws.unit[:, 0], aweights=draws.weights)) < 1.1 * SIGMA
     assert plain.std() > 1.15 * SIGMA
@@ -47,7 +49,10 @@ def test_regression_corrects_what_a_wide_tolerance_leaves(toy):
 def test_ranks_are_uniform_for_right_posteriors_and_not_for_narrow_ones(toy):
     rng = np.random.default_rng(2)
     rows = rng.choice(20_000, 300, replace=False)
-    right = abc_regression.ranks(toy, rows, 1000, 99, rng)
+    right, probabilities = abc_regression.ranks(toy, rows, 1000, 99, rng)
+    assert probabilities.sum(axis=1) == pytest.approx(1)
+    # The model is known but where its boundary lies within the tolerance.
+    assert np.abs(probabilities[:, 1] - toy.model[rows]).mean() < 0.1
     assert stats.kstest((right[:, 0] + 0.5) / 100, "uniform").pvalue > 0.01
     narrow = toy._replace(unit=np.clip(0.5 + 0.5 * (toy.unit - 0.5), 0, 1))
     found = abc_regression.posterior(narrow, np.array([OBSERVED]), 1000)
@@ -147,7 +152,30 @@ def test_shares_count_drives_and_worlds():
     statistics = np.tile(inverse.observed() + 1.0, (16, 1))
     statistics[:2] = inverse.observed()
     table = inverse.shares(statistics)
-    assert table.loc["all of them", "drives"] == 2 / 16
-    assert table.loc["all of them", "worlds"] == 1 / 2
+    assert table.loc["all statements together", "drives"] == 2 / 16
+    assert table.loc["all statements together", "worlds"] == 1 / 2
+    statistics[0, 4] = 1.0  # its estimates are off the bound, which is none of the four numbers
+    table = inverse.shares(statistics)
+    assert table.loc["the four numbers together", "drives"] == 2 / 16
+    assert table.loc["all statements together", "drives"] == 1 / 16
     assert (table["drives_low"] <= table["drives"]).all()
     assert (table["drives"] <= table["drives_high"]).all()
+
+
+def test_an_interrupted_campaign_goes_on_with_the_blocks_that_it_kept(monkeypatch, tmp_path):
+    drives = inverse.prior_drives()
+    driven = []
+
+    def look_up(fields, first_seed):
+        first = first_seed - inverse.FIRST_SEED
+        driven.append(first // inverse.FIELDS)
+        return drives.iloc[first : first + inverse.FIELDS * len(fields)]
+
+    monkeypatch.setattr(inverse, "drive", look_up)
+    monkeypatch.setattr(inverse, "_BLOCK", 4)
+    few = inverse.drive_prior(3, tmp_path)
+    more = inverse.drive_prior(10, tmp_path)
+    assert driven == [0, 4, 8]
+    assert len(few) == 3 * inverse.FIELDS
+    stored = inverse._packed(drives.iloc[: 10 * inverse.FIELDS])
+    assert np.array_equal(more, stored)

@@ -5,6 +5,7 @@ import numpy as np
 from scipy import stats
 
 from rhec import paper
+from rhec.workbench.plots.parts import log_axis, note
 from rhec.workbench.plots.style import (
     BLACK,
     BLUE,
@@ -55,24 +56,26 @@ def posterior(worlds, table):
         A Figure; unknowns of which the paper's numbers tell little are grey.
     """
     rows = -(-len(table) // _COLUMNS)
-    size = (DOUBLE_IN, 1.05 * rows)
-    figure, panels = plt.subplots(rows, _COLUMNS, figsize=size, sharey=True, squeeze=False)
+    size = (DOUBLE_IN, 1.1 * rows)
+    figure, panels = plt.subplots(rows, _COLUMNS, figsize=size, squeeze=False)
     for axes, (name, row) in zip(panels.flat, table.iterrows()):
         prior = inverse.PRIORS[name]
         space = np.geomspace if prior.logarithmic else np.linspace
         edges = space(prior.least, prior.most, _BINS + 1)
         counts, _ = np.histogram(worlds[name], edges)
         colour = BLUE if row["narrowed"] > _LEARNED else GREY
-        axes.stairs(counts / len(worlds) * _BINS, edges, fill=True, color=colour, alpha=0.6)
+        density = counts / len(worlds) * _BINS
+        axes.stairs(density, edges, fill=True, color=colour, alpha=0.6)
         axes.axhline(1, color=BLACK, linewidth=0.6, linestyle=":")
         axes.axvline(row["median"], color=ORANGE, linewidth=1)
         if prior.logarithmic:
-            axes.set_xscale("log")
-        axes.set_xlabel(_LABELS[name], labelpad=1)
+            log_axis(axes.xaxis)
+        axes.set_ylim(0, max(2.5, 1.1 * density.max()))
+        axes.set_xlabel(_LABELS[name], labelpad=1, fontsize=7)
         axes.set_title(f"narrowed by {max(100 * row['narrowed'], 0):.0f} %", fontsize=7)
     for axes in panels.flat[len(table) :]:
         axes.set_visible(False)
-    figure.supylabel("posterior / prior", fontsize=8)
+    figure.supylabel(f"posterior / prior, {len(worlds)} draws", fontsize=8)
     return figure
 
 
@@ -97,9 +100,10 @@ def statements(prior, posterior):
         ends = 100 * abs(table[["drives_low", "drives_high"]].sub(table["drives"], axis=0)).T
         look = dict(fmt="o", color=colour, markersize=3, elinewidth=0.8, label=name)
         axes.errorbar(share, places + shift, xerr=ends, **look)
-        for place, value in zip(places + shift, share):
-            text = f"{value:.2g}" if value < 10 else f"{value:.0f}"
-            axes.annotate(text, (103, place), va="center", fontsize=6, color=colour)
+        for place, value in zip(places, share):
+            text = f"{value:.2g}" if value < 10 else f"{value:.3g}"
+            at = dict(xycoords=("axes fraction", "data"), color=colour)
+            note(axes, f"{text} %", (1, place), (5 + 45 * (shift > 0), 0), **at)
     axes.set_yticks(places, prior.index)
     axes.set(xlim=(0, 100), ylim=(len(prior) - 0.5, -0.5), xlabel="drives that meet it [%]")
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
@@ -132,10 +136,13 @@ def predictions(prior, posterior):
     paper_look = dict(marker="*", color=VERMILLION, s=60, zorder=5, label="the paper")
     errors.scatter(paper.MEAN_ERROR_RHE_M, paper.MEAN_ERROR_EKF_M, **paper_look)
     counts.scatter(paper.VIOLATIONS_RHE, paper.VIOLATIONS_EKF, **paper_look)
-    errors.set(xscale="log", yscale="log", xlim=(0.01, 0.5), ylim=(0.01, 0.5))
+    errors.set(xlim=(0.01, 0.5), ylim=(0.01, 0.5))
+    log_axis(errors.xaxis)
+    log_axis(errors.yaxis)
     errors.set(xlabel="mean error with the RHE [m]", ylabel="mean error with the EKF [m]")
     counts.set(xlim=(-1, 60), ylim=(-1, 120))
     counts.set(xlabel="violations with the RHE", ylabel="violations with the EKF")
+    errors.set_title(f"{len(prior)} drives of the prior, {len(posterior)} of the posterior")
     errors.legend(loc="lower right", markerscale=1.5)
     return figure
 
@@ -145,7 +152,7 @@ def calibration(checks, draws):
     """Draw simulation-based calibration: distribution of the truths' ranks minus the uniform one.
 
     Args:
-        checks: {name: (n, d) ranks of `rhec.workbench.studies.abc_regression.ranks`}.
+        checks: {name: (n, d) ranks, of `rhec.workbench.studies.abc_regression.ranks`}.
         draws: How many draws each rank is among.
 
     Returns:

@@ -6,7 +6,7 @@ the observation s_obs is ||(s - s_obs) / scale||. The nearest simulations get th
 Epanechnikov kernel, 1 - (d / d_max)². Among them a weighted linear regression of the parameters θ
 on the statistics s corrects what the tolerance leaves: θ* = θ - (s - s_obs) β. Parameters lie
 between 0 and 1 here and are regressed as logits, so that a corrected one stays in its prior's
-range (Hamilton et al. 2005; the package `abc` of R does the same).
+range (the package `abc` of R can do the same).
 
 Packages for Python (pyABC, ELFI, ABCpy) call the simulator themselves, one draw at a time, and
 bring a database or a scheduler. Here a campaign has driven all worlds beforehand, in SIMD lanes,
@@ -29,6 +29,7 @@ class Simulations(NamedTuple):
     Attributes:
         unit: (worlds, d) parameters, each between 0 and 1 and uniform there in the prior.
         world: (n,) the row of `unit` that each simulation drove.
+        model: (n,) number of the model that each was made with, all equally likely in the prior.
         statistics: (n, k) what it gave.
         scales: (k,) by which differences of the statistics are divided.
         discrete: (d,) flags of the parameters that are choices; regression leaves them alone.
@@ -36,6 +37,7 @@ class Simulations(NamedTuple):
 
     unit: np.ndarray
     world: np.ndarray
+    model: np.ndarray
     statistics: np.ndarray
     scales: np.ndarray
     discrete: np.ndarray
@@ -122,15 +124,20 @@ def ranks(simulations, truths, keep, draws, rng):
         rng: NumPy's random generator.
 
     Returns:
-        (truths, d) ranks, 0 to `draws`.
+        (truths, d) ranks, 0 to `draws`; and (truths, models) the posterior's probability of each
+        model. If these are right, their mean is the share of truths with each model.
     """
-    result = []
+    n_models = simulations.model.max() + 1
+    all_ranks = []
+    probabilities = []
     for row in truths:
         world = simulations.world[row]
         found = posterior(simulations, simulations.statistics[row], keep, but_world=world)
         unit, _ = resample(found, draws, rng)
-        result.append(np.sum(unit < simulations.unit[world], axis=0))
-    return np.array(result)
+        all_ranks.append(np.sum(unit < simulations.unit[world], axis=0))
+        models = simulations.model[found.rows]
+        probabilities.append(np.bincount(models, found.weights, n_models))
+    return np.array(all_ranks), np.array(probabilities)
 
 
 def coverage(ranks, draws, shares):

@@ -64,17 +64,19 @@ class Prior(NamedTuple):
 
 _RTK = "Carballido et al. 2014 (1.4 cm between rows, RTK); the paper (0.03 m)"
 _CORRELATION = "Miller et al. 2012 (115 s) to Odolinski 2012 (13 to 17 min)"
-_CONE_INDEX = "resistance to penetration varies by 16 to 46 % (Castro Filho et al., Bragantia)"
+_CONE_INDEX = "soil's resistance to penetration varies by 16 to 46 % (Bragantia)"
 _ROBOTS = "four recorded robots (tuning.SLIP: 0.015), a factor of three to either side"
 # A deviation is a share of the mean slip, 1 - traction, since slip cannot vary where there is none.
 PRIORS = {
     "speed_mps": Prior(0.25, 0.75, False, "Liu et al. 2025 (0.35 and 0.75 m/s, tracks, field)"),
-    "mu_slip": Prior(0.01, 0.25, True, "rubber tracks: 2 to 4 % at best; more when wet"),
+    "mu_slip": Prior(
+        0.01, 0.25, True, "rubber tracks: 2 to 4 % at best (AG Tire Talk 2022); wet: more"
+    ),
     "mu_variation": Prior(0.1, 0.6, False, _CONE_INDEX),
     "kappa_slip": Prior(0.01, 0.4, True, "Martínez et al. 2005; the recorded tracked robot"),
     "kappa_variation": Prior(0.1, 0.6, False, _CONE_INDEX),
     "correlation_length_m": Prior(1.0, 15.0, True, "Bekele et al. 2005 (below 9 m)"),
-    "slip_difference": Prior(-0.02, 0.02, False, "judged; no value is published for this robot"),
+    "slip_difference": Prior(-0.02, 0.02, False, "judged; none is published for this robot"),
     "rotation_centre_m": Prior(-0.25, 0.25, False, "judged: a quarter of the robot's length"),
     "bump_diffusion_radpsqrtm": Prior(0.005, 0.045, True, _ROBOTS),
     "rut_length_m": Prior(0.0, 1.0, False, "judged: up to the robot's length"),
@@ -129,6 +131,7 @@ STATEMENTS = {
     "overshoot_q2": Statement("Q² oscillates about the path", 0.0, 0.0),
     "reaches_bound": Statement("the yaw rate reaches its bounds", 0.0, 0.0),
 }
+_NUMBERS = 4  # the first of STATEMENTS are printed numbers
 _NEAR = 0.95  # share of samples with both estimates at least 0.9 that counts as "consistently"
 
 
@@ -252,7 +255,7 @@ def drive(fields, first_seed, variants=tuple(VARIANTS)):
     """Drive worlds, each on FIELDS fields.
 
     Args:
-        fields: [fields of Scenario, …], one a world, or one a world and variant: {variant: fields}.
+        fields: [of `fields_of`, …], one a world.
         first_seed: Of the first world's first field.
         variants: Of VARIANTS.
 
@@ -331,9 +334,15 @@ def _write(packed, file):
     packed.to_parquet(file, index=False, compression="zstd", compression_level=19)
 
 
+def _read(file):
+    # Opened by Python, so that make learns that a notebook depends on it.
+    with file.open("rb") as stream:
+        return pd.read_parquet(stream)
+
+
 def prior_drives():
     """The drives of the prior's worlds that PRIOR_DRIVES holds, as `drive` returns them."""
-    return _unpacked(_indexed(pd.read_parquet(PRIOR_DRIVES)))
+    return _unpacked(_indexed(_read(PRIOR_DRIVES)))
 
 
 def posterior_drives():
@@ -342,7 +351,7 @@ def posterior_drives():
     Returns:
         As `drive`, for the DRAWS worlds of `posterior_table`, and for CENTRE_COPIES of the centre.
     """
-    drives = _unpacked(_indexed(pd.read_parquet(POSTERIOR_DRIVES)))
+    drives = _unpacked(_indexed(_read(POSTERIOR_DRIVES)))
     rows = DRAWS * FIELDS
     return drives.iloc[:rows], _indexed(drives.iloc[rows:].reset_index(drop=True))
 
@@ -435,21 +444,21 @@ def simulations(drives, unit, error="error"):
         error: As in `statistics_of`.
 
     Returns:
-        The `abc_regression.Simulations`, and (n,) the number of each one's choice of W in CHOICES.
+        An `abc_regression.Simulations`; its models are CHOICES of W.
     """
     tables = np.stack([statistics_of(drives, *choice, error) for choice in CHOICES])
     by_world = tables.reshape(len(CHOICES), -1, FIELDS, len(STATEMENTS))
     near = np.all(by_world[..., :2] < np.log(paper.TOLERANCE_M), axis=(2, 3))
     deviations = np.sqrt(by_world[near].var(axis=1, ddof=1).mean(axis=0))
     worlds = np.repeat(np.arange(len(unit)), FIELDS)
-    table = abc_regression.Simulations(
+    return abc_regression.Simulations(
         unit,
         np.tile(worlds, len(CHOICES)),
+        np.repeat(np.arange(len(CHOICES)), len(worlds)),
         tables.reshape(-1, len(STATEMENTS)),
         np.maximum(deviations, _LEAST_SCALE),
         np.isin(list(PRIORS), _DISCRETE),
     )
-    return table, np.repeat(np.arange(len(CHOICES)), len(worlds))
 
 
 CHOICES = tuple(itertools.product(W_RHE, W_EKF))
@@ -460,12 +469,11 @@ _LEAST_SCALE = 0.01  # where all drives hold, the spread is 0
 # The posterior
 
 
-def posterior_draws(table, choices, n=DRAWS, seed=0):
+def posterior_draws(table, n=DRAWS, seed=0):
     """Equally likely worlds with their W, given the paper's numbers.
 
     Args:
         table: Of `simulations`.
-        choices: Of `simulations`.
         n: How many.
         seed: Of the draw.
 
@@ -477,7 +485,7 @@ def posterior_draws(table, choices, n=DRAWS, seed=0):
     unit, rows = abc_regression.resample(draws, n, np.random.default_rng(seed))
     worlds = worlds_at(unit)
     fields = pd.DataFrame(map(fields_of, worlds.to_dict("records")))
-    w_rhe, w_ekf = zip(*(CHOICES[choice] for choice in choices[rows]))
+    w_rhe, w_ekf = zip(*(CHOICES[choice] for choice in table.model[rows]))
     return worlds, fields.assign(process_noise=w_rhe, process_noise_ekf=w_ekf), draws
 
 
@@ -507,7 +515,7 @@ def learned(worlds):
             narrowed=1 - width,
             source=prior.source,
         )
-    return pd.DataFrame(rows).T
+    return pd.DataFrame(rows).T.rename_axis("unknown")
 
 
 def centre():
@@ -552,23 +560,35 @@ def shares(statistics, seed=0):
         seed: Of the bootstrap.
 
     Returns:
-        DataFrame, one row for each of STATEMENTS and one for all of them: the share of drives that
-        meet it with a 95 % interval (bootstrap over worlds), and the share of worlds, with one W
-        each, in which at least one of the FIELDS drives does.
+        DataFrame, one row for each of STATEMENTS, one for the four numbers together and one for all
+        statements: the share of drives that meet it with a 95 % interval (bootstrap over worlds),
+        and the share of worlds, with one W each, in which at least one of the FIELDS drives does.
     """
-    flags = meets(statistics)
-    flags = np.concatenate([flags, flags.all(axis=-1, keepdims=True)], axis=-1)
+    flags = _with_totals(meets(statistics))
     by_world = flags.reshape(-1, flags.shape[-2] // FIELDS, FIELDS, flags.shape[-1])
     of_drives = by_world.mean(axis=(0, 2))
     of_worlds = by_world.any(axis=2).mean(axis=0)
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(len(of_drives), size=(_RESAMPLES, len(of_drives)))
+    worlds = len(of_drives)
+    # How often each world comes in each resample.
+    counts = np.random.default_rng(seed).multinomial(
+        worlds, np.full(worlds, 1 / worlds), _RESAMPLES
+    )
     table = {}
     for name, values in dict(drives=of_drives, worlds=of_worlds).items():
-        low, high = np.quantile([values[pick].mean(axis=0) for pick in picks], _ENDS, axis=0)
+        low, high = np.quantile(counts @ values / worlds, _ENDS, axis=0)
         table |= {name: values.mean(axis=0), f"{name}_low": low, f"{name}_high": high}
+    return pd.DataFrame(table, _statement_texts()).rename_axis("statement")
+
+
+def _with_totals(flags):
+    """Flags of STATEMENTS, followed by those of the four numbers together and of all statements."""
+    numbers = flags[..., :_NUMBERS].all(axis=-1, keepdims=True)
+    return np.concatenate([flags, numbers, flags.all(axis=-1, keepdims=True)], axis=-1)
+
+
+def _statement_texts():
     texts = [statement.text for statement in STATEMENTS.values()]
-    return pd.DataFrame(table, [*texts, "all of them"])
+    return [*texts, "the four numbers together", "all statements together"]
 
 
 _RESAMPLES = 1000
@@ -602,21 +622,38 @@ def truths(table, n, rng, near=None):
     return rng.permutation(rows[first])[:n]
 
 
-def by_w(table, choices):
+def by_w(table):
     """Share of the prior's drives that meet each statement, by W of the RHE and of the EKF.
 
     Args:
         table: Of `simulations`.
-        choices: Of `simulations`.
 
     Returns:
-        DataFrame, one column a choice.
+        DataFrame, the rows of `shares`, one column a choice.
     """
     columns = {}
     for number, (w_rhe, w_ekf) in enumerate(CHOICES):
-        statistics = table.statistics[choices == number]
-        columns[f"RHE {w_rhe}, EKF {w_ekf}"] = shares(statistics)["drives"]
-    return pd.DataFrame(columns)
+        flags = _with_totals(meets(table.statistics[table.model == number]))
+        columns[f"RHE {w_rhe}, EKF {w_ekf}"] = flags.mean(axis=0)
+    return pd.DataFrame(columns, _statement_texts())
+
+
+def model_check(table, rows, probabilities):
+    """Whether the posterior's probabilities of W are right on average.
+
+    Args:
+        table: Of `simulations`.
+        rows: Truths, rows of the table.
+        probabilities: Of `abc_regression.ranks` of these truths.
+
+    Returns:
+        DataFrame, one row for each of CHOICES: the mean probability p, the share of truths, and
+        twice the standard error of their difference if the probabilities are right, √(Σ p(1-p))/n.
+    """
+    shares_of_truths = np.bincount(table.model[rows], minlength=len(CHOICES)) / len(rows)
+    error = 2 * np.sqrt(np.sum(probabilities * (1 - probabilities), axis=0)) / len(rows)
+    columns = dict(probability=probabilities.mean(axis=0), truths=shares_of_truths, error=error)
+    return pd.DataFrame(columns, [f"RHE {rhe}, EKF {ekf}" for rhe, ekf in CHOICES])
 
 
 def repeated(worlds):
@@ -629,8 +666,8 @@ def repeated(worlds):
         DataFrame, one row a world: how many numbers were compared, how many differ, and by how many
         of their steps at most.
     """
-    stored = pd.read_parquet(PRIOR_DRIVES)
-    unit = sample_unit()
+    stored = _read(PRIOR_DRIVES)
+    unit = sample_unit(len(stored) // FIELDS)
     rows = []
     for world in worlds:
         fields = fields_of(worlds_at(unit[[world]]).iloc[0])
@@ -659,16 +696,19 @@ def drive_prior(n, folder):
     folder = store.open_folder(folder) / design
     folder.mkdir(exist_ok=True)
     blocks = []
+    # Blocks are whole, so that a longer campaign can go on with them.
+    every = sample_unit(-(-n // _BLOCK) * _BLOCK)
     for first in range(0, n, _BLOCK):
         file = folder / f"{first:06d}.parquet"
         if not file.exists():
-            unit = sample_unit()[first : first + _BLOCK]
+            unit = every[first : first + _BLOCK]
             fields = [*map(fields_of, worlds_at(unit).to_dict("records"))]
             packed = _packed(drive(fields, FIRST_SEED + FIELDS * first))
             unfinished = file.with_suffix(".unfinished")
             _write(packed, unfinished)
+            unfinished.replace(file)
             print(f"worlds {first} to {first + len(unit) - 1}", flush=True)
-        blocks.append(pd.read_parquet(file))
+        blocks.append(_read(file))
     return _indexed(pd.concat(blocks, ignore_index=True).iloc[: n * FIELDS])
 
 
@@ -691,8 +731,8 @@ def main():
     if not 1 <= options.worlds <= _MOST_WORLDS:
         parser.exit(2, f"--worlds was {options.worlds}; it should be 1 to {_MOST_WORLDS}\n")
     _write(drive_prior(options.worlds, options.folder), PRIOR_DRIVES)
-    table, choices = simulations(prior_drives(), sample_unit(options.worlds))
-    _, fields, draws = posterior_draws(table, choices)
+    table = simulations(prior_drives(), sample_unit(options.worlds))
+    _, fields, draws = posterior_draws(table)
     fields.to_csv(POSTERIOR_WORLDS, index=False, float_format="%.5g")
     _write(drive_posterior(), POSTERIOR_DRIVES)
     print(f"{draws.effective_worlds:.0f} effective worlds; centre: {centre()}")
