@@ -23,6 +23,8 @@ COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m
     omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m
     curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
 MINUTE = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
+UNLIKE_TRACKS = dict(soil_under="tracks", slip_difference=0.05, rotation_centre_m=-0.2)
+UNLIKE_TRACKS |= dict(rut_length_m=0.5, gnss_slow_share=0.7, gnss_slow_time_s=300.0)
 
 
 def simulated(**changes):
@@ -40,10 +42,10 @@ def live(scenario, samples):
     """The loop in plain Python, from the parts that anyone may use."""
     world, DT = closed_loop.set_up(scenario), paper.DT_S
     given, soil, n_segments = world.settings, world.terrain, len(world.path.segments)
-    measure, drive, slip = (
+    measure, drive, below = (
         robot.measure(DT),
         robot.drive(DT),
-        terrain.lookup(terrain.common_shape(soil)),
+        robot.soil(terrain.common_shape(soil), scenario.soil_under),
     )
     refer = references.build_references(
         DT, scenario.prediction_horizon, n_segments, scenario.input_reference
@@ -62,7 +64,7 @@ def live(scenario, samples):
             for name, value in function.unpack(ca.MX(ca.DM(drawn)), robot.NOISE).items()
         }
         now = given | memory | drawn
-        traction = flat(slip(memory["pose"][:2], given["origin_m"], given["cell_m"], given["slip"]))
+        under = {k: flat(v) for k, v in below(**function.select_inputs(below, now)).items()}
         measured = measure(**function.select_inputs(measure, now))
         z = flat(measured["z"])
         rhe.prepare()
@@ -76,15 +78,17 @@ def live(scenario, samples):
             estimate[:3], estimate[3:6], np.array(target["xi_ref"]), flat(target["omega_ref"])
         )
         applied, previous = (previous if scenario.command_delay else command), command
-        driven = drive(**function.select_inputs(drive, now), traction=traction, omega_radps=applied)
-        rows.append([*memory["pose"], *traction, *z, *estimate[:6], command, s, rhe.kkt, rhc.kkt])
+        driven = drive(**function.select_inputs(drive, now | under), omega_radps=applied)
+        true = *memory["pose"], *under["traction"], *under["yaw_drift_radpm"]
+        rows.append([*true, *z, *estimate[:6], command, s, rhe.kkt, rhc.kkt])
         memory = {
             name: flat(value) for name, value in (driven | dict(drift=measured["drift"])).items()
         }
     return np.array(rows)
 
 
-LIVE = """x_m y_m theta_rad mu kappa x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m
+LIVE = """x_m y_m theta_rad mu kappa yaw_drift_radpm
+    x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m
     y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m kkt_rhe
     kkt_rhc""".split()
 
@@ -96,6 +100,7 @@ LIVE = """x_m y_m theta_rad mu kappa x_meas_m y_meas_m nu_meas_mps omega_meas_ra
         dict(process_noise="printed", q=paper.Q1, command_delay=1),
         dict(r=2.0, omega_max_radps=0.2, start_yaw_rad=0.2),
         dict(guess_yaw_rad=0.3),
+        UNLIKE_TRACKS,
     ],
     ids=str,
 )

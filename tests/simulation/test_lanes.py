@@ -47,6 +47,7 @@ KINDS["observer"] = dict(estimator="bounded_ekf", disturbance_observer=True)
 KINDS["cautious with drift"] = dict(estimator="yaw_drift_ekf", cautious=True)
 KINDS["ltv_mpc"] = dict(controller="ltv_mpc")
 KINDS["pure_pursuit"] = dict(controller="pure_pursuit", look_ahead_m=1.0)
+KINDS["two tracks"] = dict(soil_under="tracks")
 KINDS["own"] = dict(estimator=own_estimator())
 
 
@@ -58,9 +59,11 @@ def unlike(kind):
         yield dataclasses.replace(
             SMALL, **kind, seed=i, process_noise=("printed", "calibrated")[i % 2],
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
-            start_offset_m=i - 4.0, start_yaw_rad=float(i),
+            start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
             encoder_sigma_mps=(0.0, 1.0, 0.02, 1e5)[i // 2], mu_deviation=0.01 * i,
+            slip_difference=0.05 * (i - 4), rotation_centre_m=0.1 * (i - 3),
+            rut_length_m=(0.0, 0.3, 3.0)[i % 3], gnss_slow_share=i / 8,
             faults=faults if "robust" in kind else (),
         )  # fmt: skip
 

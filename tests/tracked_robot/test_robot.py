@@ -6,14 +6,18 @@ from oracles import DT, flat
 
 from rhec.core._casadi import build as function
 from rhec.tracked_robot import plant as robot
+from rhec.tracked_robot import terrain
 
 DRIVE, MEASURE = robot.drive(DT), robot.measure(DT)
 QUIET = dict(
     bump=0,
     encoder=np.zeros((2, robot.SUBSTEPS)),
     track_width_m=0.4,
+    rotation_centre_m=0,
     encoder_sigma_mps=0,
     bump_sigma_radps=0,
+    rut_length_m=0,
+    yaw_drift_radpm=0,
 )
 
 
@@ -98,28 +102,146 @@ def test_encoder_noise_is_that_of_two_tracks_averaged():
 
 
 def test_the_measured_speed_has_an_error_that_leaves_the_yaw_rate_alone():
-    known = dict(pose=np.zeros(3), drift=np.zeros(2), encoders=np.array([0.5, 0.1]))
+    known = dict(pose=np.zeros(3), drift=np.zeros(2), encoders=np.array([0.5, 0.1]), running=0)
     known |= dict(white=np.zeros(2), slow=np.zeros(2))
-    known |= dict(gnss_white_m=0, gnss_slow_m=0, gnss_slow_time_s=1, speed_sigma_mps=0.05)
+    known |= dict(gnss_sigma_m=0, gnss_slow_share=0, gnss_slow_time_s=1, speed_sigma_mps=0.05)
     for speed in (0.0, 1.0, -2.0):
         z = flat(MEASURE(**known, speed=speed)["z"])
         np.testing.assert_allclose(z, [0, 0, 0.5 + 0.05 * speed, 0.1], rtol=0, atol=1e-15)
 
 
+GNSS = dict(speed=1.0, speed_sigma_mps=0.0, pose=[3.0, -2.0, 0.4], encoders=[0.5, 0.1])
+
+
 def test_the_position_error_has_the_deviation_and_correlation_time_asked_for():
     rng, samples, time_s = np.random.default_rng(1), 8_000, 2.0
     drift, errors = np.zeros(2), np.empty((samples, 2))
-    pose, encoders = np.array([3.0, -2.0, 0.4]), np.array([0.5, 0.1])
-    gnss = dict(gnss_white_m=0.03, gnss_slow_m=0.04, gnss_slow_time_s=time_s)
-    gnss |= dict(speed=1.0, speed_sigma_mps=0.0)
+    # 0.05² = 0.03² + 0.04², of which the latter varies slowly.
+    gnss = GNSS | dict(gnss_sigma_m=0.05, gnss_slow_share=0.64, gnss_slow_time_s=time_s)
     for k, (white, slow) in enumerate(rng.normal(size=(samples, 2, 2))):
-        result = MEASURE(pose=pose, drift=drift, encoders=encoders, white=white, slow=slow, **gnss)
+        result = MEASURE(drift=drift, running=k > 0, white=white, slow=slow, **gnss)
         drift, z = flat(result["drift"]), flat(result["z"])
-        errors[k] = z[:2] - pose[:2]
-        np.testing.assert_array_equal(z[2:], encoders)
+        errors[k] = z[:2] - GNSS["pose"][:2]
+        np.testing.assert_array_equal(z[2:], GNSS["encoders"])
     assert np.std(errors) == pytest.approx(0.05, rel=0.04)
     assert np.abs(errors.mean()) < 3 * 0.04 / np.sqrt(samples * DT / time_s)
     for lag in (5, 10, 20):
         covariance = np.mean(errors[lag:] * errors[:-lag])
         assert covariance == pytest.approx(0.04**2 * np.exp(-lag * DT / time_s), abs=0.04**2 * 0.1)
     assert abs(np.mean(errors[:, 0] * errors[:, 1])) < 0.05**2 * 0.08
+
+
+def test_a_slow_position_error_is_there_from_the_first_sample_on():
+    """Else a drive that is short beside the time constant would have hardly any."""
+    gnss = GNSS | dict(gnss_sigma_m=0.02, gnss_slow_share=1.0, gnss_slow_time_s=900.0)
+    for slow in ([1.0, -2.0], [0.5, 3.0]):
+        z = flat(MEASURE(drift=[7.0, 7.0], running=0, white=[9.0, 9.0], slow=slow, **gnss)["z"])
+        np.testing.assert_allclose(z[:2] - GNSS["pose"][:2], 0.02 * np.array(slow), atol=1e-15)
+
+
+# Two tracks, the centre of rotation, ruts
+
+
+def oracle(pose, nu, omega, mu_left, mu_right, kappa, rotation_centre_m, yaw_rate_radps=0.0):
+    """The pose after one sample at constant track speeds, in closed form: an arc.
+
+    The point about which the robot turns moves along its heading at the mean of the tracks' speeds
+    over ground, and the robot turns by what the tracks do differently, by κω and by bumps.
+    """
+    speed = (mu_left * nu + mu_right * nu) / 2
+    rate = kappa * omega + (mu_right * nu - mu_left * nu) / 0.4 + yaw_rate_radps
+    x, y, theta = pose
+    after = theta + rate * DT
+    centre = np.array([x, y]) + rotation_centre_m * np.array([np.cos(theta), np.sin(theta)])
+    if rate == 0:
+        centre += speed * DT * np.array([np.cos(theta), np.sin(theta)])
+    else:
+        turned = np.array([np.sin(after) - np.sin(theta), np.cos(theta) - np.cos(after)])
+        centre += speed / rate * turned
+    return np.array(
+        [*(centre - rotation_centre_m * np.array([np.cos(after), np.sin(after)])), after]
+    )
+
+
+@pytest.mark.parametrize("rotation_centre_m", [0.0, 0.3, -0.2])
+@pytest.mark.parametrize("mu_left, mu_right", [(0.9, 0.9), (0.8, 0.95), (1.0, 0.6)])
+def test_two_tracks_drive_an_arc(mu_left, mu_right, rotation_centre_m):
+    mu, kappa = (mu_left + mu_right) / 2, 0.7
+    given = dict(yaw_drift_radpm=(mu_right - mu_left) / (0.4 * mu), omega_radps=0.1)
+    given |= dict(traction=(mu, kappa), rotation_centre_m=rotation_centre_m)
+    # After five seconds the tracks have their speeds to 1e-8.
+    before, end = driven(26, **given)[-2:]
+    expected = oracle(before["pose"], 0.5, 0.1, mu_left, mu_right, kappa, rotation_centre_m)
+    np.testing.assert_allclose(end["pose"], expected, rtol=0, atol=1e-7)
+
+
+def test_turning_on_the_spot_keeps_the_centre_of_rotation_where_it_is():
+    history = driven(50, speed_mps=0.0, omega_radps=0.5, start_mps=0.0, rotation_centre_m=0.3)
+    poses = np.array([each["pose"] for each in history])
+    assert poses[-1, 2] > 4
+    x, y, theta = poses.T
+    np.testing.assert_allclose(x + 0.3 * np.cos(theta), 0.3, atol=1e-12)
+    np.testing.assert_allclose(y + 0.3 * np.sin(theta), 0.0, atol=1e-12)
+
+
+def soil_at(pose, under, slip_difference, fields):
+    shape = fields.mu.shape
+    found = robot.soil(shape, under)
+    settings = terrain.settings(fields, shape)
+    settings |= dict(slip_difference=slip_difference, track_width_m=0.4)
+    result = found(pose=pose, **function.select_inputs(found, settings))
+    return [*flat(result["traction"]), float(result["yaw_drift_radpm"])]
+
+
+def test_each_track_has_the_soil_below_it():
+    """On a slope of μ and κ, which bilinear interpolation has exactly."""
+    x, y = np.meshgrid(np.arange(20.0) - 10, np.arange(30.0) - 10, indexing="ij")
+    mu, kappa = (lambda x, y: 0.6 + 0.01 * x + 0.006 * y), (lambda x, y: 0.7 - 0.01 * x + 0.002 * y)
+    slope = terrain.Terrain(mu(x, y), kappa(x, y), (-10.0, -10.0), 1.0)
+    for pose in ([1.3, 2.1, 0.0], [-3.2, 0.4, 2.5], [4.0, 7.7, -1.2]):
+        px, py, theta = pose
+        left = px - 0.2 * np.sin(theta), py + 0.2 * np.cos(theta)
+        right = px + 0.2 * np.sin(theta), py - 0.2 * np.cos(theta)
+        for d in (0.0, 0.1, -0.3):
+            low, high = mu(*left) * (1 - d / 2), mu(*right) * (1 + d / 2)
+            mean = (low + high) / 2
+            expected = [mean, (kappa(*left) + kappa(*right)) / 2, (high - low) / (0.4 * mean)]
+            found = soil_at(pose, "tracks", d, slope)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+        centre = soil_at(pose, "centre", 0.0, slope)
+        np.testing.assert_allclose(centre, [mu(px, py), kappa(px, py), 0.0], rtol=0, atol=1e-12)
+
+
+def test_no_track_has_more_grip_than_firm_soil():
+    firm = terrain.Terrain.uniform(1.0, 0.9)
+    expected = [0.95, 0.9, 0.1 / (0.4 * 0.95)]
+    np.testing.assert_allclose(soil_at([0.2, 0.2, 0.1], "centre", 0.2, firm), expected, atol=1e-12)
+
+
+def ruts(samples, speed_mps, length_m):
+    """Yaw that bumps add in each sample [rad], driving straight; and the noise behind it."""
+    drawn = np.random.default_rng(0).normal(size=samples)
+    memory = robot.init((0.0, 0.0, 0.0), speed_mps)
+    yaws = [0.0]
+    given = QUIET | dict(bump_sigma_radps=0.02, rut_length_m=length_m, traction=(0.8, 1.0))
+    given |= dict(speed_mps=speed_mps, omega_radps=0.0)
+    for noise in drawn:
+        step = DRIVE(**function.select_inputs(DRIVE, memory | given | dict(bump=noise)))
+        memory |= {name: np.array(value) for name, value in step.items()}
+        yaws.append(flat(memory["pose"])[2])
+    return np.diff(yaws), drawn
+
+
+def test_ruts_are_correlated_over_their_length():
+    added, noise = ruts(4_000, 0.5, 0.4)
+    keep, expected = np.exp(-0.8 * 0.5 * DT / 0.4), []
+    for w in noise:
+        expected.append(keep * expected[-1] + np.sqrt(1 - keep**2) * w if expected else w)
+    np.testing.assert_allclose(added, 0.02 * DT * np.array(expected), rtol=0, atol=1e-12)
+    assert np.std(added) == pytest.approx(0.02 * DT, rel=0.05)
+
+
+def test_a_robot_that_stands_is_not_turned_by_ruts():
+    assert not ruts(20, 0.0, 0.4)[0].any()
+    # Twice as fast over the same ground: twice the yaw rate.
+    np.testing.assert_allclose(ruts(1, 1.0, 0.4)[0], 2 * ruts(1, 0.5, 0.4)[0])

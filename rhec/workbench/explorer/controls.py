@@ -81,6 +81,7 @@ _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
 _SPEEDS = ("constant over the window", "measured", "slipping tracks")
+_SOIL_UNDER = ("the middle", "each track")
 _FAULTS = (
     ("none", ()),
     ("no GNSS for 5 s", _fault(5.0, kind="missing")),
@@ -126,14 +127,18 @@ GROUPS = {
         _slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01),
         _slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01),
         _slider("correlation_length_m", "correlation length", 0.5, 20, 0.5),
+        _selection("soil_under", "soil below", _SOIL_UNDER),
+        _slider("slip_difference", "left slips more", -0.1, 0.1, 0.002),
     ),
     "Sensors": (
         _slider("gnss_sigma_m", "GNSS noise", 0, 0.2, 0.005),
         _slider("gnss_slow_share", "slow share", 0, 1, 0.05),
-        _slider("gnss_slow_time_s", "slow over", 5, 300, 5),
+        _slider("gnss_slow_time_s", "slow over", 5, 1800, 5),
         _slider("encoder_sigma_mps", "encoder noise", 0, 0.2, 0.0025),
         _slider("speed_sigma_mps", "speed noise", 0, 0.2, 0.005),
         _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
+        _slider("rut_length_m", "ruts over", 0, 3, 0.1),
+        _slider("rotation_centre_m", "turns ahead of middle", -0.5, 0.5, 0.02),
         Selection("faults", "fault", _FAULTS, FIELDS["faults"].text),
         *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),
     ),

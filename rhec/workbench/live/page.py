@@ -61,9 +61,10 @@ STRUCTURES = {
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
 # Fields of Scenario that have sliders; none of them changes the structure of the loop.
-_FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v"}
-_FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "duration_s"}
-_FIELDS |= {"gnss_sigma_m", "encoder_sigma_mps", "speed_sigma_mps", "bump_sigma_radps"}
+_FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
+_FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
+_FIELDS |= {"gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "encoder_sigma_mps"}
+_FIELDS |= {"speed_sigma_mps", "bump_sigma_radps", "rut_length_m", "slip_difference"}
 # Fields of Scenario in which the loop's first memory is affine.
 _START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
 # Settings of the loop that come with the soil.
