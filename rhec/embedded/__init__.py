@@ -138,12 +138,12 @@ def _check(scenario):
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     estimator = scenario.estimator
-    traction_input = estimator_of(estimator, scenario.robust).traction_input
-    if traction_input not in _EXPORTED:
-        names = [repr(name) for name in NAMES if estimator_of(name).traction_input in _EXPORTED]
+    obstacle = _obstacle(estimator, scenario.robust)
+    if obstacle:
+        names = [repr(name) for name in NAMES if not _obstacle(name)]
         raise ValueError(
-            f"estimator was {estimator!r}, which needs the {traction_input.value}; to export, "
-            f"it should be one of {', '.join(names)} or a CasADi Function"
+            f"estimator was {estimator!r}, {obstacle}; to export, it should be one of "
+            f"{', '.join(names)} or a CasADi Function"
         )
     if isinstance(estimator, ca.Function):
         for called in estimator.find_functions():
@@ -152,10 +152,29 @@ def _check(scenario):
                     f"estimator was {shown(estimator)}, which calls {called.name()!r} "
                     f"({called.class_name()}); to export, it should consist of expressions"
                 )
+    _check_controller(scenario)
     if scenario.qp != "structured":
         raise ValueError(
             f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
         )
+
+
+def _obstacle(estimator, robust=False):
+    """Why an estimator cannot be exported; "" if it can."""
+    described = estimator_of(estimator, robust)
+    if described.traction_input not in _EXPORTED:
+        return f"which needs the {described.traction_input.value}"
+    if described.has_yaw_drift:
+        return "whose yaw drift the exported controller does not cancel"
+    return ""
+
+
+def _check_controller(scenario):
+    """Raise a ValueError for a controller that is not the RHC as it is."""
+    for name, exported in (("controller", "rhc"), ("disturbance_observer", False)):
+        value = getattr(scenario, name)
+        if value != exported:
+            raise ValueError(f"{name} was {value!r}; to export, it should be {exported!r}")
 
 
 def _check_folder(folder):

@@ -42,6 +42,8 @@ class _LoopStructure(NamedTuple):
     terrain_shape: tuple[int, int]
     faulty: bool  # whether sensors have faults: without, their code is left out
     cautious: bool
+    controller: str
+    observer: bool  # whether a disturbance observer runs
     soil_under: str
 
 
@@ -52,6 +54,7 @@ class _Parts(NamedTuple):
     measure: ca.Function
     deliver: ca.Function | None  # None where sensors have no faults
     estimate: ca.Function
+    disturb: ca.Function | None  # the yaw rate's disturbance; None where nothing estimates it
     references: ca.Function
     control: ca.Function
     drive: ca.Function
@@ -59,8 +62,10 @@ class _Parts(NamedTuple):
 
 def _build_parts(structure):
     choice = structure.estimator
-    horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
-    control = rhc.build_phases(horizon)["step"]
+    control = _build_control(structure)
+    disturb = _build_disturb(structure)
+    if disturb:
+        control = _yaw_disturbance().compensated(control)
     if structure.cautious:
         # Imported here, like all that is not in the paper: a run imports only what it uses.
         from rhec.tracked_robot import cautious
@@ -75,10 +80,37 @@ def _build_parts(structure):
         measure=robot.measure(paper.DT_S),
         deliver=_build_deliver() if structure.faulty else None,
         estimate=build_step(choice),
+        disturb=disturb,
         references=references["references"],
         control=control,
         drive=robot.drive(paper.DT_S),
     )
+
+
+def _build_control(structure):
+    """The step of the controller, with the interface of the RHC's."""
+    horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
+    if structure.controller == "rhc":
+        return rhc.build_phases(horizon)["step"]
+    from rhec.tracked_robot import rival_controllers
+
+    return rival_controllers.CONTROLLERS[structure.controller](horizon)
+
+
+def _yaw_disturbance():
+    from rhec.tracked_robot import yaw_disturbance
+
+    return yaw_disturbance
+
+
+def _build_disturb(structure):
+    """The disturbance of the yaw rate by an observer, by the estimated yaw drift, or None."""
+    if structure.observer:
+        return _yaw_disturbance().build_observer(paper.DT_S)
+    choice = structure.estimator
+    if estimator_of(choice.estimator, choice.robust).has_yaw_drift:
+        return _yaw_disturbance().build_from_drift()
+    return None
 
 
 def _build_deliver():
@@ -98,7 +130,14 @@ def _memory_shapes(parts):
             controller=(parts.control.numel_in(0), 1),
         )
         | (faults.MEMORY if parts.deliver else {})
+        | _observer_shapes(parts.disturb)
     )
+
+
+def _observer_shapes(disturb):
+    """Shape of the observer's memory, where there is an observer."""
+    has_memory = disturb and "memory" in disturb.name_in()
+    return dict(observer=(disturb.numel_in("memory"), 1)) if has_memory else {}
 
 
 def _settings_shapes(parts, n_segments):
@@ -107,6 +146,8 @@ def _settings_shapes(parts, n_segments):
     path = dict(segments=(5, n_segments), period_m=one, look_ahead_m=one, backwards=one)
     weights = dict(Q=(3, 1), QN=(3, 1), R=one)
     commands = dict.fromkeys(("lower", "upper", "caution", "speed_mps", "command_delay"), one)
+    if "observer_time_s" in (parts.disturb.name_in() if parts.disturb else ()):
+        commands["observer_time_s"] = one
     slip = (parts.soil.numel_in("slip"), 1)
     soil = dict(origin_m=(2, 1), cell_m=one, slip=slip, mean_traction=(2, 1))
     # The rest are the estimator's, by the names it gives them. Truth and traction are no settings.
@@ -138,7 +179,15 @@ def build_sample(*structure):
         traction, yaw_drift = parts.soil.call([signals[name] for name in parts.soil.name_in()])
         truth, omega = _truth(signals, traction)
         measured = _measured(parts, signals)
-        estimated = _estimated(parts, signals, measured["z"], truth, traction_input)
+        passed = traction_input.select_traction(
+            signals["mean_traction"], truth[4:], ca.vertcat(truth[4:], yaw_drift)
+        )
+        seen = measured["z"]
+        if "observer" in memory:
+            seen = _yaw_disturbance().corrected(seen, signals["observer"])
+        estimated = _estimated(parts, signals | dict(traction=passed), seen, truth)
+        disturbed = _disturbed(parts, signals, measured["z"], estimated)
+        estimated |= disturbed
         target = _target(parts, signals, measured["z"], estimated)
         planned = _planned(parts, signals, estimated, target)
         driven = _driven(parts, signals, planned, traction, yaw_drift)
@@ -154,6 +203,8 @@ def build_sample(*structure):
         )
         # Sensors with faults remember earlier measurements.
         stored = {name: measured[name] for name in memory if name in faults.MEMORY}
+        if "observer" in memory:
+            stored["observer"] = disturbed["observer"]
         return dict(row=ca.vertcat(*(row[name] for name in LOG))) | following | driven | stored
 
     return scan.build_scan(sample)
@@ -178,13 +229,11 @@ def _measured(parts, signals):
     return measured
 
 
-def _estimated(parts, signals, z, truth, traction_input):
+def _estimated(parts, signals, z, truth):
     """The estimator's results, with NaN or a default for those that it does not have."""
     limits = SPEED_MODELS["parameter"].model.limits
     is_valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
-    signals = signals | dict(
-        truth=truth, traction=traction_input.select_traction(signals["mean_traction"], truth[4:])
-    )
+    signals = signals | dict(truth=truth)
     # A user's own estimator has none of these; every log has the same columns.
     nan = ca.DM.nan(1)
     defaults = dict(
@@ -209,10 +258,31 @@ def _call_estimator(step, memory, z, signals):
     return dict(zip(names, step.call([memory, z, *settings])))
 
 
+def _omega_measured(signals, z, estimated):
+    """The measured yaw rate; where the encoders are rejected, the last command stands in for it."""
+    return ca.if_else(estimated["accepted"][3], z[3], signals["command"])
+
+
+def _disturbed(parts, signals, z, estimated):
+    """The disturbance of the yaw rate, and the observer's memory; nothing where none is estimated.
+
+    An estimator's own results keep their names, so that the observer's memory has another one.
+    """
+    if not parts.disturb:
+        return {}
+    inputs = dict(memory=signals.get("observer"))
+    inputs["omega_measured"] = _omega_measured(signals, z, estimated)
+    result = _call(parts.disturb, signals | estimated, **inputs)
+    renamed = dict(observer=result.pop("memory")) if "memory" in result else {}
+    return dict(disturbance=result["disturbance"]) | renamed
+
+
 def _target(parts, signals, z, estimated):
     """The references ξ_r, ω_r on the path, eq. (17)-(18)."""
-    # Where the encoders are rejected, the last command stands in for the measured yaw rate.
-    omega_measured = ca.if_else(estimated["accepted"][3], z[3], signals["command"])
+    omega_measured = _omega_measured(signals, z, estimated)
+    if "disturbance" in estimated:
+        # The controller plans ω + d, so that the measured part of it has d, too.
+        omega_measured += estimated["disturbance"]
     estimate = estimated["estimate"]
     return _call(parts.references, signals, estimate=estimate, omega_measured=omega_measured)
 
@@ -300,6 +370,8 @@ def set_up(scenario):
         shape,
         bool(scenario.faults),
         scenario.cautious,
+        scenario.controller,
+        scenario.disturbance_observer,
         scenario.soil_under,
     )
     estimator = estimator_of(choice.estimator, choice.robust)
@@ -331,14 +403,16 @@ def _first_memory(scenario, path, estimator, choice, pose, guess):
     """The memory before the first sample, by name; estimator and controller have dicts."""
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
     speed = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
-    sensors = faults.init() if scenario.faults else {}
+    others = faults.init() if scenario.faults else {}
+    if scenario.disturbance_observer:
+        others |= dict(observer=_yaw_disturbance().init_observer())
     loop = dict(
         estimator=estimator.init(choice, dict(zip(QUANTITIES, guess))),
         s=path.project(pose[None, :2])[1],
         command=0.0,
         controller=rhc.init(horizon, guess[:3], guess[3:]) | speed,
     )
-    return robot.init(pose, _signed_speed(scenario)) | loop | sensors
+    return robot.init(pose, _signed_speed(scenario)) | loop | others
 
 
 def _pack(memory):
@@ -366,6 +440,7 @@ def _settings(scenario, path):
         upper=scenario.omega_max_radps,
         speed_mps=_signed_speed(scenario),
         command_delay=float(scenario.command_delay),
+        observer_time_s=scenario.observer_time_s,
     )
 
 

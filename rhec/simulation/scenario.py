@@ -42,6 +42,9 @@ class Scenario:
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
     qp: options.Solver = "structured"
+    controller: options.Controller = "rhc"
+    disturbance_observer: valid.Flag = False
+    observer_time_s: valid.Positive = 2.0
     cautious: valid.Flag = False
     caution: valid.NotNegative = 0.25
 
@@ -88,6 +91,7 @@ class Scenario:
         _check_kinds(self)
         for name in ("mu", "kappa"):
             _check_deviation(self, name)
+        _check_look_ahead(self)
         _check_fits_estimator(self)
 
 
@@ -118,6 +122,13 @@ def _check_deviation(scenario, name):
         expected = f"with {name}_mean {mean} it should be below {largest:.3g}"
         reason = "the most a quantity between 0 and 1 can vary"
         raise ValueError(f"{name}_deviation was {deviation!r}; {expected}, {reason}")
+
+
+def _check_look_ahead(scenario):
+    """Refuse pure pursuit without a goal ahead of the robot."""
+    if scenario.controller == "pure_pursuit" and scenario.look_ahead_m == 0:
+        expected = "for the controller 'pure_pursuit' it should be above 0, such as 1.0"
+        raise ValueError(f"look_ahead_m was {scenario.look_ahead_m!r}; {expected}")
 
 
 def _check_fits_estimator(scenario):

@@ -20,7 +20,9 @@ estimator: The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true 
     "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
     "traction_oracle" (an EKF with the true traction), "fixed_traction" (an EKF with the mean
     traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE
-    with μ = κ = 1); "dual" (the RHE estimates the traction, an EKF with that traction the pose).
+    with μ = κ = 1); "dual" (the RHE estimates the traction, an EKF with that traction the pose);
+    "yaw_drift_ekf" and "yaw_drift_rhe" (a bounded EKF and an RHE that also estimate how much the
+    robot turns for each metre without a yaw rate of its tracks, which the controller cancels).
     Or a CasADi Function (memory, z) -> (memory, estimate), whose memory starts as the first guess
     (x, y, θ, ν, μ, κ) followed by zeros.
 process_noise: W by name. "printed" is the paper's; "calibrated" is the likeliest for training seeds
@@ -28,7 +30,8 @@ process_noise: W by name. "printed" is the paper's; "calibrated" is the likelies
     arrival_mean, too, where these are None.
 sigma_w: Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
     where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model
-    "slipping"; for "dual" those of the RHE, then those of the EKF.
+    "slipping"; with the yaw drift in rad/m last where that is estimated; for "dual" those of the
+    RHE, then those of the EKF.
 sigma_v: Measurement noise that the estimator assumes, standard deviations of (x, y, ν, ω)
     [m, m, m/s, rad/s].
 estimation_horizon: Intervals of the estimation window. N intervals have N + 1 nodes, so 14 gives
@@ -52,6 +55,11 @@ input_reference: Desired yaw rate. "measured": the measured one over the horizon
 command_delay: 0: the command computed at t_k is applied at once; 1: one sample later (R10).
 qp: Solver of the controller. "structured": Riccati recursion, the fastest at every horizon; "daqp"
     or "qpoases" (the paper's): the condensed QP, on CasADi's virtual machine.
+controller: The paper's "rhc". Not in the paper: "ltv_mpc" (its QP linearised about the path instead
+    of its last plan), "pure_pursuit" (the arc through a goal `look_ahead_m` ahead).
+disturbance_observer: Whether an observer estimates the part of the yaw rate that neither encoders
+    nor traction explain, and the controller cancels it (`rhec.tracked_robot.yaw_disturbance`).
+observer_time_s: Time constant of that observer [s].
 cautious: Whether the robot slows down where its estimate is uncertain, and before curves that ask
     for more yaw rate than the soil gives (`rhec.tracked_robot.cautious`).
 caution: Number of standard deviations of the estimate that `cautious` sets aside.

@@ -17,14 +17,20 @@ class TractionInput(Enum):
     NONE = "nothing"
     FIELD_MEAN = "field mean"
     TRUE = "true traction"
+    TRUE_WITH_DRIFT = "true traction and yaw drift"
     FULL_STATE = "truth"  # pose and speed, too
 
-    def select_traction(self, field_mean, true):
+    def select_traction(self, field_mean, true, true_with_drift=None):
         """The traction (μ, κ) that the estimator is passed: the field's mean or the true one.
 
-        An estimator that is passed neither gets (1, 1), no slip.
+        The true one may have the yaw drift as a third entry. An estimator that is passed neither
+        gets (1, 1), no slip.
         """
-        passed = {TractionInput.FIELD_MEAN: field_mean, TractionInput.TRUE: true}
+        passed = {
+            TractionInput.FIELD_MEAN: field_mean,
+            TractionInput.TRUE: true,
+            TractionInput.TRUE_WITH_DRIFT: true_with_drift,
+        }
         return passed.get(self, np.ones(2))
 
 
@@ -76,3 +82,4 @@ class Estimator(NamedTuple):
     states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
     n_sigma_w: Callable[[Choice], int] = lambda choice: 0
     traction_input: TractionInput = TractionInput.NONE
+    has_yaw_drift: bool = False  # whether its step has a result `yaw_drift`

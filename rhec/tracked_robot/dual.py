@@ -39,7 +39,7 @@ def _build_step(choice):
     if choice.robust:
         # The EKF uses the measurements that the RHE accepts, and restarts with the RHE.
         accepted = ca.if_else(soil_result["accepted"], z, ca.DM.nan(4))
-        fresh = pack_array(paper_ekf.init(4, dict.fromkeys(QUANTITIES, 0.0)))[4:]
+        fresh = pack_array(paper_ekf.init(QUANTITIES[:4], dict.fromkeys(QUANTITIES, 0.0)))[4:]
         fresh = ca.vertcat(soil_result["estimate"][:4], fresh)
         pose_memory = ca.if_else(soil_result["restart"], fresh, pose_memory)
     pose_result = pose(memory=pose_memory, z_N=accepted, V=V, W=W[6:], traction=traction)
@@ -60,7 +60,7 @@ def _build_step(choice):
 
 def _init(choice, guess, sigma=SIGMA_START):
     memory = _rhe_of(choice).init(choice, guess, sigma)
-    pose = paper_ekf.init(4, guess, sigma)
+    pose = paper_ekf.init(QUANTITIES[:4], guess, sigma)
     return memory | {f"pose_{name}": piece for name, piece in pose.items()}
 
 

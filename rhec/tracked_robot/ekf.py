@@ -66,15 +66,17 @@ def _memory(n):
     return dict(m=(n, 1), P=(n, n), omega=(1, 1), started=(1, 1))
 
 
-def build_step(dt_s, integrate=_euler):
+def build_step(dt_s, integrate=_euler, n_traction=2):
     """The EKF as a Function (memory, z_N, V, W, traction) -> (memory, estimate, …).
 
     Its memory is that of `_filter`, and the traction (2,) of the last sample: the robot drove on it
-    during the interval that ends now. `integrate` is `_euler`, as in the paper, or `runge_kutta`.
+    during the interval that ends now. `integrate` is `_euler`, as in the paper, or `runge_kutta`,
+    or takes a traction with more than two entries, `n_traction`; they end the estimate.
     """
-    memory = _memory(4) | dict(last_traction=(2, 1))
+    memory = _memory(4) | dict(last_traction=(n_traction, 1))
+    inputs = dict(z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(n_traction, 1))
 
-    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(4, 1), V=(4, 1), W=(4, 1), traction=(2, 1))
+    @with_packed_memory("ekf_step", memory, ca.SX, **inputs)
     def step(m, P, omega, last_traction, started, z_N, V, W, traction):
         def move(m, omega):
             return integrate(m, omega, last_traction, dt_s)
@@ -85,18 +87,23 @@ def build_step(dt_s, integrate=_euler):
     return step
 
 
-def _build_augmented_step(dt_s, bounded=False):
-    """The augmented EKF as a Function (memory, z_N, V, W) -> (memory, estimate, …)."""
+def build_joint_step(model, dt_s, bounded=False):
+    """An EKF of a robot's joint state as a Function (memory, z_N, V, W) -> (memory, estimate, …).
 
-    # The traction is a random walk: it stays in the mean.
+    `model` has the states (x, y, θ), the input ω, and parameters whose first one is ν. With
+    `bounded` the estimate stays within the model's bounds.
+    """
+    n = model.n_s
+
+    # The parameters are random walks: they stay in the mean.
     def move(m, omega):
-        return ca.vertcat(runge_kutta(m[:4], omega, m[4:], dt_s), m[4:])
+        return ca.vertcat(rk4(model.dynamics, m[:3], omega, m[3:], dt_s), m[3:])
 
-    @with_packed_memory("augmented_ekf_step", _memory(6), ca.SX, z_N=(4, 1), V=(4, 1), W=(6, 1))
+    @with_packed_memory("augmented_ekf_step", _memory(n), ca.SX, z_N=(4, 1), V=(4, 1), W=(n, 1))
     def step(m, P, omega, started, z_N, V, W):
-        after = _filter(_ROBOT, move, m, P, omega, started, z_N, V, W)
+        after = _filter(model, move, m, P, omega, started, z_N, V, W)
         if bounded:
-            after["m"] = _within_bounds(interval(_ROBOT).bounds, after["m"], after["P"])
+            after["m"] = _within_bounds(interval(model).bounds, after["m"], after["P"])
         return dict(estimate=after["m"]) | after
 
     return step
@@ -118,9 +125,8 @@ def _within_bounds(bounds, m, P):
     return m
 
 
-def init(n, guess, sigma=SIGMA_START):
-    """The memory before the first sample, {name: array}, for the first n (4 or 6) of QUANTITIES."""
-    names = QUANTITIES[:n]
+def init(names, guess, sigma=SIGMA_START):
+    """The memory before the first sample, {name: array}, for the states of these names."""
     memory = dict(
         m=np.array([guess[name] for name in names]),
         P=np.diag(np.square([sigma[name] for name in names])),
@@ -128,14 +134,14 @@ def init(n, guess, sigma=SIGMA_START):
         started=0.0,
     )
     # No interval ends at the first sample, so that its traction has no effect.
-    return memory if n == 6 else memory | dict(last_traction=np.ones(2))
+    return memory if len(names) > 4 else memory | dict(last_traction=np.ones(2))
 
 
-def _estimator(name, build, n=4, traction_input=TractionInput.NONE, **options):
-    """The Estimator with the first n of QUANTITIES as states; `options` are those of `build`."""
+def _estimator(name, build, n=4, traction_input=TractionInput.NONE):
+    """The Estimator with the first n of QUANTITIES as states, whose step is build(dt_s)."""
     return Estimator(
-        build_step=lambda choice: build(choice.dt_s, **options),
-        init=lambda choice, guess, sigma=SIGMA_START: init(n, guess, sigma),
+        build_step=lambda choice: build(choice.dt_s),
+        init=lambda choice, guess, sigma=SIGMA_START: init(QUANTITIES[:n], guess, sigma),
         settings=lambda scenario: tuning.variances_of(name, scenario),
         states=lambda choice: QUANTITIES[:n],
         n_sigma_w=lambda choice: n,
@@ -143,15 +149,23 @@ def _estimator(name, build, n=4, traction_input=TractionInput.NONE, **options):
     )
 
 
+def _build_augmented_step(dt_s):
+    return build_joint_step(_ROBOT, dt_s)
+
+
+def _build_bounded_step(dt_s):
+    return build_joint_step(_ROBOT, dt_s, bounded=True)
+
+
+def _build_better_step(dt_s):
+    return build_step(dt_s, runge_kutta)
+
+
 ESTIMATORS = {
     "ekf": _estimator("ekf", build_step),
     "augmented_ekf": _estimator("augmented_ekf", _build_augmented_step, 6),
-    "bounded_ekf": _estimator("bounded_ekf", _build_augmented_step, 6, bounded=True),
+    "bounded_ekf": _estimator("bounded_ekf", _build_bounded_step, 6),
     # They show what knowing the traction is worth, so their model is otherwise the better one.
-    "fixed_traction": _estimator(
-        "fixed_traction", build_step, 4, TractionInput.FIELD_MEAN, integrate=runge_kutta
-    ),
-    "traction_oracle": _estimator(
-        "traction_oracle", build_step, 4, TractionInput.TRUE, integrate=runge_kutta
-    ),
+    "fixed_traction": _estimator("fixed_traction", _build_better_step, 4, TractionInput.FIELD_MEAN),
+    "traction_oracle": _estimator("traction_oracle", _build_better_step, 4, TractionInput.TRUE),
 }

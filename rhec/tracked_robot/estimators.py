@@ -19,8 +19,11 @@ EstimatorName = Literal[
     "bounded_ekf",
     "fixed_traction",
     "dual",
+    "yaw_drift_ekf",
+    "yaw_drift_rhe",
     "oracle",
     "traction_oracle",
+    "drift_oracle",
 ]
 NAMES = get_args(EstimatorName)
 ROBUST_NAMES = ("rhe", "dual")
@@ -66,11 +69,15 @@ def estimator_of(name, robust=False):
 
     `robust`: whether measurements are checked first (`rhec.tracked_robot.robust`).
     """
-    # Both are imported here, because they are not in the paper: most runs do without them.
+    # They are imported here, because they are not in the paper: most runs do without them.
     if name == "dual":
         from rhec.tracked_robot.dual import DUAL
 
         return DUAL
+    if name in ("yaw_drift_ekf", "yaw_drift_rhe", "drift_oracle"):
+        from rhec.tracked_robot import yaw_drift
+
+        return yaw_drift.ESTIMATORS[name]
     if robust and name == "rhe":
         from rhec.tracked_robot.robust import ROBUST_RHE
 

@@ -41,6 +41,10 @@ SIGMA_W = {
     },
     "fixed_traction": _not_the_papers((0.0073, 0.0073, 0.0052, 0.0019)),
     "traction_oracle": _not_the_papers((0.001, 0.001, 0.0048, 0.001)),
+    "drift_oracle": _not_the_papers((0.001, 0.001, 0.0048, 0.001)),
+    # With the yaw drift [rad/m] as one more state; the consistent W of the RHE for its first six.
+    "yaw_drift_ekf": _not_the_papers((0.001, 0.001, 0.0051, 0.001, 0.0059, 0.0052, 0.0012)),
+    "yaw_drift_rhe": _not_the_papers((0.075, 0.075, 0.001, 0.001, 0.017, 0.0079, 0.0012)),
 }
 # Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise
 # only through its inputs, so the consistent σ_ω includes all turning that no encoder measures.

@@ -245,6 +245,34 @@ def _means(by, quantity, heading):
     return result
 
 
+def _by_world(row, heading, quantity=None):
+    """A function that writes intervals, one row per entry of the column `row`, one column a world.
+
+    `quantity` selects rows of the table; None takes all of them.
+    """
+
+    def result(table):
+        rows = table if quantity is None else table[table["quantity"] == quantity]
+        values = rows.assign(value=format_intervals(rows))
+        wide = values.pivot(index=row, columns="world", values="value").reindex(rows[row].unique())
+        worlds = list(rows["world"].unique())
+        wide = wide[worlds].fillna("").reset_index()
+        return to_markdown(
+            wide.set_axis([heading, *(f"{world} world" for world in worlds)], axis=1)
+        )
+
+    return result
+
+
+def _targets(table):
+    rows = table[table["claim"].fillna("") != ""]
+    columns = rows.assign(value=format_intervals(rows))[
+        ["world", "contestant", "quantity", "value", "claim", "verdict"]
+    ]
+    heads = ["world", "contestant", "quantity", "ratio [95 % interval]", "claim", "verdict"]
+    return to_markdown(columns.set_axis(heads, axis=1))
+
+
 _RESULTS = {  # {result: (its tables, the function that writes it)}
     "summary": (["table_scenario_a", "table_scenario_b"], _summary),
     "settling": (["table_scenario_a"], _means("weight", "settling time [s]", "settling time [s]")),
@@ -258,8 +286,10 @@ _RESULTS = {  # {result: (its tables, the function that writes it)}
     "faults": (["table_faults"], _faults),
     "beyond": (
         ["table_beyond"],
-        _means("contestant", "true error, ratio to RHE, W printed", "error over the RHE's"),
+        _by_world("contestant", "mean true error [m]", "mean true error [m]"),
     ),
+    "targets": (["table_beyond"], _targets),
+    "worth": (["table_worth"], _by_world("quantity", "part of the loop")),
     "consistency": (["table_consistency"], _means("estimator", "NEES, mean", "NEES")),
     "replay": (
         ["table_replay"],

@@ -17,7 +17,9 @@ STEP = paper_ekf.build_step(DT)
 
 
 def init(guess, sigma):
-    return paper_ekf.init(4, *(dict(zip(QUANTITIES, values)) for values in (guess, sigma)))
+    return paper_ekf.init(
+        QUANTITIES[:4], *(dict(zip(QUANTITIES, values)) for values in (guess, sigma))
+    )
 
 
 def textbook(m, P, z, traction, first):

@@ -693,6 +693,18 @@ def solving_estimator():
             "^qp was 'daqp', which needs a library; to export, it should be 'structured'$",
         ),
         (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
+        (
+            rhec.Scenario(estimator="yaw_drift_ekf"),
+            "^estimator was 'yaw_drift_ekf', whose yaw drift the exported controller does not",
+        ),
+        (
+            rhec.Scenario(controller="ltv_mpc"),
+            "^controller was 'ltv_mpc'; to export, it should be 'rhc'$",
+        ),
+        (
+            rhec.Scenario(disturbance_observer=True),
+            "^disturbance_observer was True; to export, it should be False$",
+        ),
     ],
 )
 def test_a_scenario_that_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):

@@ -203,7 +203,9 @@ def fake_tables():
     world = dict(id="B5 p", claim="RHE's error is below", holds=0.612, low=0.533, high=0.714)
     faults = dict(handling="on", n=7, back=7, recovery_s_largest=17.3, verdict="holds")
     late = faults | dict(back=6, recovery_s_largest=33.1, verdict="does not hold")
+    error_m = ranking.QUANTITIES["mean_error_true_m"]
     ratio = f"true error, ratio to {ranking.PAPERS}"
+    here = dict(world="default", contestant="observer")
     return {
         name: pd.DataFrame(rows)
         for name, rows in dict(
@@ -213,7 +215,11 @@ def fake_tables():
             claims_before=before,
             multiverse=[world],
             table_faults=[faults, faults, late],
-            table_beyond=[interval(0.683, "holds", contestant="dual", quantity=ratio)],
+            table_beyond=[
+                interval(0.0243, **here, quantity=error_m, claim=""),
+                interval(0.683, "holds", **here, quantity=ratio, claim="at most 0.70"),
+            ],
+            table_worth=[interval(0.873, world="default", quantity="a window")],
             table_consistency=[interval(1.87, estimator="RHE", quantity="NEES, mean")],
             table_replay=[interval(0.0391, estimator="RHE", quantity="RMS error of yaw [rad]")],
         ).items()
@@ -253,7 +259,9 @@ def test_results_are_written_as_the_tables_have_them():
     worlds = "| B5 | printed | RHE's error is below | 0.612 [0.533, 0.714] |\n"
     assert docs["multiverse"].endswith(worlds)
     assert docs["faults"].endswith("| on | 3 | 2 | 2 | 33.1 |\n")
-    assert docs["beyond"].endswith("| dual | 0.683 [0.662, 0.714] | holds |\n")
+    assert docs["beyond"].endswith("| observer | 0.0243 [0.0036, 0.0552] |\n")
+    assert docs["targets"].endswith("| 0.683 [0.662, 0.714] | at most 0.70 | holds |\n")
+    assert docs["worth"].endswith("| a window | 0.873 [0.852, 0.904] |\n")
     assert docs["replay"].endswith("| RHE | 0.0391 [0.0184, 0.07] |\n")
 
 

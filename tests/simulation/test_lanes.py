@@ -43,6 +43,10 @@ KINDS = {name: dict(estimator=name) for name in NAMES} | {
 }
 KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
 KINDS["cautious"] = dict(estimator="dual", cautious=True)
+KINDS["observer"] = dict(estimator="bounded_ekf", disturbance_observer=True)
+KINDS["cautious with drift"] = dict(estimator="yaw_drift_ekf", cautious=True)
+KINDS["ltv_mpc"] = dict(controller="ltv_mpc")
+KINDS["pure_pursuit"] = dict(controller="pure_pursuit", look_ahead_m=1.0)
 KINDS["two tracks"] = dict(soil_under="tracks")
 KINDS["own"] = dict(estimator=own_estimator())
 

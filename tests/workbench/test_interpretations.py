@@ -27,7 +27,9 @@ def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
         paper_ekf.build_step(DT),
         pack_array(
             paper_ekf.init(
-                4, dict(zip(QUANTITIES, (0, 0, 0, 0.45, 1, 1))), dict.fromkeys(QUANTITIES, 1)
+                QUANTITIES[:4],
+                dict(zip(QUANTITIES, (0, 0, 0, 0.45, 1, 1))),
+                dict.fromkeys(QUANTITIES, 1),
             )
         ),
         0.1,

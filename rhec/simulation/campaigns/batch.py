@@ -36,6 +36,8 @@ _STRUCTURE = operator.attrgetter(
     "qp",
     "input_reference",
     "cautious",
+    "controller",
+    "disturbance_observer",
 )
 
 

@@ -5,9 +5,9 @@ import matplotlib.pyplot as plt
 from rhec import paper
 from rhec.workbench.plots import style
 from rhec.workbench.plots.parts import BOUND, legend_above, legend_outside, shade
-from rhec.workbench.studies.ensured import CAUTIOUS
+from rhec.workbench.studies.ensured import CAUTIOUS, PROPOSAL
 
-_COLOURS = {"dual": style.VERMILLION, "full oracle": style.COLOURS["oracle"]}
+_COLOURS = {PROPOSAL: style.VERMILLION, "full oracle": style.COLOURS["oracle"]}
 
 
 @style.styled

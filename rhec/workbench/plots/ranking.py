@@ -1,60 +1,68 @@
-"""Estimators ranked by the tracking error, and the pose noise of the proposal."""
+"""Estimators and controllers ranked by the tracking error, and the error over the weight R."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 
+from rhec import paper
 from rhec.workbench.plots import style
-from rhec.workbench.plots.parts import DOTS, legend_above, log_axis, note, seed_range
+from rhec.workbench.plots.parts import DOTS, legend_above, note, seed_range
 from rhec.workbench.studies import ranking
 from rhec.workbench.studies.statistics import over_seeds
 
-_FAMILIES = {  # {beginning of an estimator's name: colour}; all others are grey
-    "dual": style.VERMILLION,
+_FAMILIES = {  # {beginning of a contestant's name: colour}; all others are grey
+    "yaw-drift": style.VERMILLION,
     "RHE": style.COLOURS["RHE"],
-    "traction oracle": style.COLOURS["oracle"],
+    "EKF": style.COLOURS["EKF"],
+    "bounded EKF": style.BLUE,
+    "traction": style.COLOURS["oracle"],
     "full oracle": style.BLACK,
 }
-_OFF_SCALE = 1.8  # upper limit of the axes as a multiple of the paper's RHE
+_OFF_SCALE = 1.3  # upper limit of the axes as a multiple of the paper's RHE
 _ERROR = ranking.QUANTITIES["mean_error_true_m"]
-_RATIO = f"true error, ratio to {ranking.PAPERS}"
 
 
 @style.styled
 def ranked(sweep):
-    """Draw the true error of every estimator, and its ratio to the paper's RHE at equal seeds.
+    """Draw the true error of every contestant, one panel a world, in the order of the first.
 
     Dots are seeds. A number at the edge counts seeds outside the axis; an arrow is a mean outside
-    the axis. The dashed and the dotted line are the targets of the proposal.
+    the axis. The dashed line is the target of the proposal relative to the paper's RHE, the dotted
+    one that relative to the oracle that knows traction and yaw drift.
 
     Args:
         sweep: As in `rhec.workbench.studies.ranking.ranking_table`.
     """
     table = ranking.ranking_table(sweep)
+    worlds = list(dict.fromkeys(table["world"]))
     names = list(dict.fromkeys(table["contestant"]))
-    estimates = table.set_index(["contestant", "quantity"])[["mean", "low", "high"]]
-    size = (style.DOUBLE_IN, 0.22 * len(names) + 0.8)
-    widths = (3, 2)
-    figure, (errors, ratios) = plt.subplots(1, 2, figsize=size, sharey=True, width_ratios=widths)
-    largest = _OFF_SCALE * estimates.loc[(ranking.PAPERS, _ERROR), "mean"]
-    for place, name in enumerate(names):
-        colour = _colour_of(name)
-        seeds = sweep.loc[sweep["contestant"] == name, "mean_error_true_m"].to_numpy()
-        _draw_seeds(errors, place, seeds, largest, colour)
-        _draw_mean(errors, place, estimates.loc[(name, _ERROR)], largest, ".4f", colour)
-        # The paper's RHE has no ratio to itself.
-        ratio = estimates.loc[(name, _RATIO)] if (name, _RATIO) in estimates.index else (1, 1, 1)
-        _draw_mean(ratios, place, ratio, _OFF_SCALE, ".2f", colour)
-    for axes, most in ((errors, largest), (ratios, _OFF_SCALE)):
-        axes.set_xlim(0, most)
-        axes.grid(axis="y", visible=False)
-    _draw_targets(errors, ratios, estimates, names)
-    figure.legend(loc="outside lower center", ncols=2)
-    errors.set_yticks(range(len(names)), names)
-    errors.get_yticklabels()[names.index(ranking.PROPOSAL)].set_fontweight("bold")
-    errors.set(ylim=(len(names) - 0.4, -0.6), xlabel="mean true error of a drive [m]")
-    errors.set_title(f"{seed_range(sweep)}; mean and 95 % interval")
-    ratios.set_xlabel("ratio to the paper's RHE, both axes cut")
+    estimates = table.set_index(["world", "contestant", "quantity"])[["mean", "low", "high"]]
+    size = (style.DOUBLE_IN, 0.22 * len(names) + 0.9)
+    figure, panels = plt.subplots(1, len(worlds), figsize=size, sharey=True, squeeze=False)
+    for axes, world in zip(panels[0], worlds):
+        _draw_world(axes, world, names, sweep[sweep["world"] == world], estimates)
+    first = panels[0][0]
+    first.legend(loc="lower right", fontsize=5.5)
+    first.set_yticks(range(len(names)), names)
+    first.set_ylim(len(names) - 0.4, -0.6)
+    for label in first.get_yticklabels():
+        label.set_fontweight("bold" if label.get_text() == ranking.PROPOSAL else "normal")
     return figure
+
+
+def _draw_world(axes, world, names, sweep, estimates):
+    """Draw the contestants of one world."""
+    largest = _OFF_SCALE * estimates.loc[(world, ranking.PAPERS, _ERROR), "mean"]
+    for place, name in enumerate(names):
+        seeds = sweep.loc[sweep["contestant"] == name, "mean_error_true_m"].to_numpy()
+        if len(seeds):
+            colour = _colour_of(name)
+            _draw_seeds(axes, place, seeds, largest, colour)
+            _draw_mean(axes, place, estimates.loc[(world, name, _ERROR)], largest, ".4f", colour)
+    _draw_targets(axes, estimates.loc[world])
+    axes.set_xlim(0, largest)
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel("mean true error of a drive [m]")
+    axes.set_title(f"{world} world: {seed_range(sweep)}")
 
 
 def _colour_of(name):
@@ -89,50 +97,42 @@ def _draw_mean(axes, place, estimate, most, digits, colour):
     note(axes, f"{mean:{digits}}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
 
 
-def _draw_targets(errors, ratios, estimates, names):
-    """Draw vertical lines at the targets relative to the paper's RHE and the traction oracle."""
-    target = dict(color=style.BLACK, linewidth=0.7)
-    gain = f"target: {100 * ranking.LEAST_GAIN:.0f} % below the paper's RHE"
-    ratios.axvline(1 - ranking.LEAST_GAIN, **target, linestyle="--", label=gain)
-    oracles = [name for name in names if name.startswith("traction oracle")]
-    if oracles:
-        best = (1 + ranking.MOST_ABOVE) * estimates.loc[(oracles[0], _ERROR), "mean"]
-        above = f"target: {100 * ranking.MOST_ABOVE:.0f} % above {oracles[0]}"
-        errors.axvline(best, **target, linestyle=":", label=above)
+def _draw_targets(axes, estimates):
+    """Draw vertical lines at the targets relative to the paper's RHE and to the oracle."""
+    look = dict(color=style.BLACK, linewidth=0.7)
+    aims = [
+        (ranking.PAPERS, 1 - ranking.LEAST_GAIN, "--", f"{100 * ranking.LEAST_GAIN:.0f} % below"),
+        (ranking.LIMIT, 1 + ranking.MOST_ABOVE, ":", f"{100 * ranking.MOST_ABOVE:.0f} % above"),
+    ]
+    for name, factor, line, words in aims:
+        if (name, _ERROR) in estimates.index:
+            mean = estimates.loc[(name, _ERROR), "mean"]
+            axes.axvline(factor * mean, **look, linestyle=line, label=f"{words} {name}")
 
 
 @style.styled
-def pose_noise(rows):
-    """Draw true errors and RMS yaw error over the process noise σ_θ of the proposal's filter.
+def over_gain(rows):
+    """Draw mean true errors over the controller's weight R. A ring marks each minimum.
 
-    A ring marks the minimum of each curve, the dotted line the σ_θ of the proposal. Bands are 95 %
-    intervals over seeds.
+    Bands are 95 % intervals over seeds, the dotted line the paper's R.
 
     Args:
-        rows: Table of `rhec.workbench.studies.ranking.by_pose_noise`.
+        rows: Table of `rhec.workbench.studies.ranking.by_gain`.
     """
-    figure, (errors, yaw) = plt.subplots(2, figsize=(style.COLUMN_IN, 3.6), sharex=True)
-    by_sigma = rows.groupby("sigma_theta_rad")
-    sigmas = np.sort(rows["sigma_theta_rad"].unique())
-    for axes, column, label, colour in [
-        (errors, "curves_m", "curves", style.BLUE),
-        (errors, "straights_m", "straights", style.ORANGE),
-        (errors, "all_m", "whole drive", style.BLACK),
-        (yaw, "rms_yaw_rad", "estimated yaw", style.PURPLE),
-    ]:
-        mean, low, high = np.array(
-            [over_seeds(np.mean, seeds[column])[:3] for _, seeds in by_sigma]
-        ).T
-        axes.plot(sigmas, mean, color=colour, label=label)
-        axes.fill_between(sigmas, low, high, color=colour, alpha=0.2, linewidth=0)
-        ring = dict(color="w", markeredgecolor=colour, markersize=5)
+    figure, axes = plt.subplots(figsize=(style.COLUMN_IN, 3.4))
+    colours = (style.COLOURS["RHE"], style.ORANGE, style.BLUE, style.GREY)
+    colours += (style.VERMILLION, style.COLOURS["oracle"])
+    for colour, (name, of_name) in zip(colours, rows.groupby("contestant", sort=False)):
+        by_weight = of_name.groupby("r")["mean_error_true_m"]
+        weights = np.array([weight for weight, _ in by_weight])
+        mean, low, high = np.array([over_seeds(np.mean, seeds)[:3] for _, seeds in by_weight]).T
+        axes.plot(weights, mean, color=colour, label=name)
+        axes.fill_between(weights, low, high, color=colour, alpha=0.2, linewidth=0)
         least = mean.argmin()
-        axes.plot(sigmas[least], mean[least], "o", **ring)
-    for axes in (errors, yaw):
-        axes.axvline(ranking.SIGMA_THETA, color=style.GREY, linestyle=":")
-        log_axis(axes.xaxis)
-    legend_above(errors, handlelength=1.5)
-    errors.set_ylabel("mean true error [m]")
-    label = r"process noise $\sigma_\theta$ of the pose filter [rad per sample]"
-    yaw.set(xlabel=label, ylabel="RMS error of estimated yaw [rad]")
+        ring = dict(color="w", markeredgecolor=colour, markersize=5)
+        axes.plot(weights[least], mean[least], "o", **ring)
+    axes.axvline(paper.R, color=style.GREY, linestyle=":")
+    axes.set_xscale("log")
+    axes.set(xlabel="weight R of the yaw rate, eq. (22)", ylabel="mean true error [m]")
+    legend_above(axes, ncols=1, handlelength=1.5)
     return figure

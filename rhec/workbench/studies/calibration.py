@@ -30,7 +30,7 @@ from rhec.simulation.lanes import lanes
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.choice import Choice, TractionInput
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -69,7 +69,9 @@ UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
 UNKNOWNS["dual"] = [*_SOIL, (6, 7), (8,), (9,)]
 DUAL = dict(estimation_horizon=10)
 _NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
-UNKNOWNS |= dict.fromkeys(_NOT_ESTIMATED, _POSE)
+UNKNOWNS |= dict.fromkeys((*_NOT_ESTIMATED, "drift_oracle"), _POSE)
+_DRIFT = [(6,)]
+UNKNOWNS |= dict.fromkeys(("yaw_drift_ekf", "yaw_drift_rhe"), _POSE + _SOIL + _DRIFT)
 
 
 def oracle_runs(seeds, duration_s=240.0):
@@ -100,9 +102,10 @@ def scan_arguments(scenario, run, *outputs):
     functions = compiled.load(_build_scan, outputs, choice)
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
-    true = columns(run, ["mu", "kappa"])
+    with_drift = estimator.traction_input is TractionInput.TRUE_WITH_DRIFT
+    true = columns(run, ["mu", "kappa"] + ["yaw_drift_radpm"] * with_drift)
     traction = np.broadcast_to(
-        estimator.traction_input.select_traction(run.terrain.mean, true), true.shape
+        estimator.traction_input.select_traction(run.terrain.mean, true, true), true.shape
     )
     stream = np.hstack([columns(run, MEASUREMENTS), traction])
     # The traction is not in the stream of an estimator that takes none.

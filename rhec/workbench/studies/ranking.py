@@ -1,10 +1,9 @@
-"""Beyond the paper: estimators compared in the closed loop, from the paper's to one that knows the
-truth, and how the pose filter's noise matters.
+"""Beyond the paper: estimators and controllers compared in the closed loop, each at its own best.
 
-Each estimator appears with the process noise W as printed, by likelihood, and by tracking
-(`rhec.workbench.studies.calibration`: one procedure and one budget for all), where there is one.
-The RHE also appears with a consistent W, whose NEES is close to 1
-(`rhec.workbench.studies.consistency`).
+R = 10, the paper's, leaves so slow a controller that the estimate must lead it. So controller and
+estimator of each contestant are tuned together (`rhec.workbench.studies.fair_tuning`: one search,
+one budget and the same training seeds for all), once for each world. The paper's own stand beside
+them as they are printed.
 """
 
 import itertools
@@ -16,11 +15,12 @@ import pandas as pd
 
 from rhec.core._casadi import scan
 from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.metrics import SETTLING_SAMPLES, settled_samples
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
+from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot import tuning
-from rhec.workbench.studies import calibration
+from rhec.tracked_robot.tuned_loops import TUNED
+from rhec.workbench.studies import calibration, fair_tuning
 from rhec.workbench.studies.statistics import (
     interval_text,
     over_seeds,
@@ -30,30 +30,33 @@ from rhec.workbench.studies.statistics import (
 )
 
 __all__ = [
-    "CONTESTANTS",
+    "GAINS",
+    "LABELS",
     "LEAST_GAIN",
+    "LIMIT",
     "MOST_ABOVE",
     "PAPERS",
     "PROPOSAL",
     "QUANTITIES",
-    "SIGMA_THETA",
-    "by_pose_noise",
+    "WORTH",
+    "by_gain",
+    "contestants",
     "drive",
     "overview",
     "ranking_table",
+    "readable_worth",
     "scenarios",
     "step_times",
     "targets",
     "time_table",
+    "worth_table",
 ]
 
 # Aims of the proposal: so much less true error than the paper's RHE, and at most so much more than
 # an oracle's.
 LEAST_GAIN = 0.30
 MOST_ABOVE = 0.10
-_MEANS = ["contestant", "quantity", "mean", "low", "high"]
-SIGMA_THETA = tuning.SIGMA_W_TRACKING["dual"][8]
-_SIGMAS_RAD = SIGMA_THETA * 2.0 ** np.arange(-4, 3)
+_MEANS = ["world", "contestant", "quantity", "mean", "low", "high"]
 QUANTITIES = {
     "mean_error_true_m": "mean true error [m]",
     "mean_error_m": "mean error, raw GNSS [m]",
@@ -63,125 +66,125 @@ QUANTITIES = {
 
 
 class _Contestant(NamedTuple):
-    """An estimator with its process noise: its label in tables and figures, fields of Scenario."""
+    """A loop: its label in tables and figures, and its fields of Scenario."""
 
     label: str
     fields: dict
 
 
-def _with(label, estimator, **fields):
-    """A contestant by the name of its estimator."""
-    return _Contestant(label, dict(estimator=estimator, **fields))
-
-
-def _tracking(label, estimator, **fields):
-    """A contestant with the W that tracks best."""
-    sigma_w = tuning.SIGMA_W_TRACKING[estimator]
-    return _with(f"{label}, W by tracking", estimator, sigma_w=sigma_w, **fields)
-
-
-_PRINTED = dict(process_noise="printed")
-_LIKELIHOOD = dict(process_noise="calibrated")
-CONTESTANTS = {  # from the paper's own to the truth
-    "ekf_printed": _with("EKF, W printed", "ekf", **_PRINTED),
-    "ekf_likelihood": _with("EKF, W by likelihood", "ekf", **_LIKELIHOOD),
-    "ekf_tracking": _tracking("EKF", "ekf"),
-    "augmented_printed": _with("augmented EKF, W printed", "augmented_ekf", **_PRINTED),
-    "augmented_likelihood": _with("augmented EKF, W by likelihood", "augmented_ekf", **_LIKELIHOOD),
-    "augmented_tracking": _tracking("augmented EKF", "augmented_ekf"),
-    "bounded_likelihood": _with("bounded EKF, W by likelihood", "bounded_ekf", **_LIKELIHOOD),
-    "bounded_tracking": _tracking("bounded EKF", "bounded_ekf"),
-    "rhe_printed": _with("RHE, W printed", "rhe", **_PRINTED),
-    "rhe_likelihood": _with("RHE, W by likelihood", "rhe", **_LIKELIHOOD),
-    "rhe_consistent": _with("RHE, consistent", "rhe", process_noise="consistent"),
-    "rhe_tracking": _tracking("RHE", "rhe"),
-    "rhe_no_slip": _tracking("RHE without slip", "rhe_no_slip"),
-    "rhe_fixed_printed": _with("RHE, fixed traction, W printed", "rhe_fixed_traction", **_PRINTED),
-    "rhe_fixed_likelihood": _with(
-        "RHE, fixed traction, W by likelihood", "rhe_fixed_traction", **_LIKELIHOOD
+_AS_PRINTED = {
+    "ekf_printed": _Contestant("EKF, as printed", dict(estimator="ekf")),
+    "rhe_printed": _Contestant("RHE, as printed", dict(estimator="rhe")),
+    "rhe_consistent": _Contestant(
+        "RHE, consistent, R as printed", dict(process_noise="consistent")
     ),
-    "rhe_fixed_tracking": _tracking("RHE, fixed traction", "rhe_fixed_traction"),
-    "fixed_likelihood": _with("fixed traction, W by likelihood", "fixed_traction"),
-    "fixed_tracking": _tracking("fixed traction", "fixed_traction"),
-    "dual": _tracking("dual", "dual", **calibration.DUAL),
-    "traction_likelihood": _with("traction oracle, W by likelihood", "traction_oracle"),
-    "traction_tracking": _tracking("traction oracle", "traction_oracle"),
-    "oracle": _with("full oracle", "oracle"),
 }
-PROPOSAL = CONTESTANTS["dual"].label
-PAPERS = CONTESTANTS["rhe_printed"].label
-_ORACLES = [CONTESTANTS[id_].label for id_ in ("traction_likelihood", "traction_tracking")]
-# The value of estimating the traction, and of a window: ratios to these two are shown as well.
-_RIVALS = [CONTESTANTS[id_].label for id_ in ("rhe_fixed_tracking", "bounded_tracking")]
+LABELS = {id_: one.label for id_, one in (_AS_PRINTED | fair_tuning.CONTESTANTS).items()}
+PAPERS = LABELS["rhe_printed"]
+PROPOSAL = LABELS["yaw_drift_ekf"]
+LIMIT = LABELS["drift_oracle"]
+_ORACLES = [LABELS[id_] for id_ in ("traction_oracle", "drift_oracle")]
+# What a part of a loop is worth: (what, the loop with it, the loop without it).
+WORTH = [
+    ("the weights R and q_θ, and W: RHE", "rhe", "rhe_printed"),
+    ("estimating the traction: EKF", "bounded_ekf", "fixed_traction"),
+    ("estimating the traction: RHE", "rhe", "rhe_fixed"),
+    ("a window", "rhe", "bounded_ekf"),
+    ("the filter's arrival mean", "rhe", "rhe_smoothed"),
+    ("a pose filter of its own (dual)", "dual", "bounded_ekf"),
+    ("yaw drift as a state: EKF", "yaw_drift_ekf", "bounded_ekf"),
+    ("yaw drift as a state: RHE", "yaw_drift_rhe", "rhe"),
+    ("a disturbance observer", "observer", "bounded_ekf"),
+    ("linear time-varying MPC in place of the RHC", "ltv_mpc", "bounded_ekf"),
+    ("pure pursuit in place of the RHC", "pure_pursuit", "bounded_ekf"),
+    ("the same, with yaw drift", "pure_pursuit_drift", "yaw_drift_ekf"),
+    ("knowing the traction", "traction_oracle", "bounded_ekf"),
+    ("knowing traction and yaw drift", "drift_oracle", "yaw_drift_ekf"),
+]
+# Loops whose error is shown over the controller's weight R, all else fixed.
+GAINS = {
+    "RHE, W printed": dict(),
+    "RHE, consistent": dict(process_noise="consistent"),
+    "bounded EKF, W by likelihood": dict(estimator="bounded_ekf", process_noise="calibrated"),
+    "bounded EKF, W by tracking at R = 10": dict(
+        estimator="bounded_ekf", sigma_w=tuning.SIGMA_W_TRACKING["bounded_ekf"]
+    ),
+    "yaw-drift EKF, W by likelihood": dict(estimator="yaw_drift_ekf"),
+    "traction oracle, W by likelihood": dict(estimator="traction_oracle"),
+}
+_R = 10.0 ** np.arange(-3, 1.5, 0.5)
 
 
-def drive(seeds, folder=None):
+def contestants(world):
+    """{id: _Contestant} of a world of WORLDS: the paper's as printed, and all that are tuned."""
+    tuned = TUNED[world]
+    labels = {id_: one.label for id_, one in fair_tuning.CONTESTANTS.items() if id_ in tuned}
+    return _AS_PRINTED | {id_: _Contestant(labels[id_], tuned[id_]) for id_ in labels}
+
+
+def scenarios(seeds, worlds=tuple(TUNED)):
+    """(world, label, Scenario) of every contestant of every world on every seed."""
+    rows = []
+    for world in worlds:
+        for (label, fields), seed in itertools.product(contestants(world).values(), seeds):
+            rows.append((world, label, Scenario(**WORLDS[world] | fields, seed=seed)))
+    return rows
+
+
+def drive(seeds, folder=None, worlds=tuple(TUNED)):
     """Drive every contestant on every seed.
 
     Args:
         seeds: Of the fields.
         folder: Of the campaign's rows, as in `rhec.campaign`.
+        worlds: Of WORLDS.
 
     Returns:
-        The campaign's DataFrame with the column contestant.
+        The campaign's DataFrame with the columns world and contestant.
     """
-    labels, of_labels = zip(*scenarios(seeds))
-    return campaign(of_labels, folder).assign(contestant=labels)
+    of_worlds, labels, drives = zip(*scenarios(seeds, worlds))
+    return campaign(drives, folder).assign(world=of_worlds, contestant=labels)
 
 
-def scenarios(seeds):
-    """(label, Scenario) of every contestant on every seed."""
-    every = itertools.product(CONTESTANTS.values(), seeds)
-    return [(label, Scenario(seed=seed, **fields)) for (label, fields), seed in every]
-
-
-def by_pose_noise(seeds, sigmas_rad=_SIGMAS_RAD):
-    """The proposal with other process noises of the yaw in its pose filter.
+def by_gain(seeds, world="default", folder=None, weights=_R):
+    """Mean true errors of GAINS over the weight R of the yaw rate.
 
     Args:
         seeds: Of the fields.
-        sigmas_rad: Standard deviations of the yaw in W.
+        world: Of WORLDS.
+        folder: Of the campaign's rows.
+        weights: R.
 
     Returns:
-        DataFrame, one row a seed and sigma_theta_rad: mean true errors [m] on straights, in curves
-        and overall, counted from the arrival, and the RMS error of the estimated yaw [rad].
+        DataFrame with columns contestant, r, seed, mean_error_true_m, one row a drive.
     """
-    tuned = tuning.SIGMA_W_TRACKING["dual"]
-    rows = []
-    for sigma in sigmas_rad:
-        sigma_w = (*tuned[:8], float(sigma), tuned[9])
-        for seed in seeds:
-            fields = CONTESTANTS["dual"].fields | dict(seed=seed, sigma_w=sigma_w)
-            run = simulate(Scenario(**fields))
-            # A robot that never settles is counted from its start.
-            stays = settled_samples(run.columns["error_true_m"])
-            log = run.log[stays[0] + SETTLING_SAMPLES :] if len(stays) else run.log
-            errors = log.groupby("on_straight")["error_true_m"].mean()
-            straights_m = errors.get(True, np.nan)
-            curves_m = errors.get(False, np.nan)
-            row = dict(sigma_theta_rad=sigma, seed=seed, straights_m=straights_m, curves_m=curves_m)
-            row |= dict(all_m=run.metrics["mean_error_true_m"])
-            rows.append(row | dict(rms_yaw_rad=run.metrics["rms_yaw_rad"]))
-    return pd.DataFrame(rows)
+    every = [*itertools.product(GAINS.items(), weights, seeds)]
+    drives = [
+        Scenario(**WORLDS[world] | fields, r=float(r), seed=seed) for (_, fields), r, seed in every
+    ]
+    labels = [label for (label, _), _, _ in every]
+    columns = ["contestant", "r", "seed", "mean_error_true_m"]
+    return campaign(drives, folder).assign(contestant=labels)[columns]
 
 
-def step_times(ids, rounds=40):
+def step_times(ids, rounds=40, world="default"):
     """Time of one estimator step of these contestants on the same measurements.
 
     Contestants take turns in each round, so that a change of the machine's speed hits all alike.
     Compiled code alone is timed.
 
     Args:
-        ids: Of CONTESTANTS.
+        ids: Of `contestants`.
         rounds: How many.
+        world: Of WORLDS.
 
     Returns:
-        DataFrame (rounds, ids) of times [µs], mean over a run of 1200 samples, with their labels.
+        DataFrame of times per step [µs], one row a round, one column a contestant.
     """
-    run = simulate(Scenario(estimator="oracle"))
+    run = simulate(Scenario(**WORLDS[world], estimator="oracle"))
     calls = {}
     taken = []
-    for label, fields in (CONTESTANTS[id_] for id_ in ids):
+    for label, fields in (contestants(world)[id_] for id_ in ids):
         calls[label] = calibration.scan_arguments(Scenario(**fields), run, "estimate")
     for _ in range(rounds + 1):
         row = {}
@@ -205,43 +208,89 @@ def targets(table):
     """The targets in `ranking_table` for readers: value, claim and verdict of each."""
     rows = table[table["claim"] != ""]
     values = [interval_text(*interval) for interval in zip(rows["mean"], rows["low"], rows["high"])]
-    return rows.assign(ratio=values).set_index("quantity")[["ratio", "n", "claim", "verdict"]]
+    shown = rows.assign(ratio=values).set_index(["world", "quantity"])
+    return shown[["ratio", "n", "claim", "verdict"]]
 
 
-def overview(table):
-    """The means of `ranking_table` for readers, one row a contestant, the best first."""
-    return readable(table[table["quantity"].isin(QUANTITIES.values())][_MEANS], transposed=True)
+def overview(table, quantity=QUANTITIES["mean_error_true_m"]):
+    """One quantity of `ranking_table` for readers: a row a contestant, a column a world."""
+    rows = table[table["quantity"] == quantity][_MEANS]
+    values = [interval_text(*interval) for interval in zip(rows["mean"], rows["low"], rows["high"])]
+    order = rows["contestant"].unique()
+    wide = rows.assign(value=values).pivot(index="contestant", columns="world", values="value")
+    return wide.reindex(order)[rows["world"].unique()].rename_axis(None, axis=1)
 
 
 def ranking_table(sweep):
     """Means over seeds of every contestant, and ratios of mean true errors at equal seeds.
 
-    The ratios are to the paper's RHE, both traction oracles, the RHE that estimates no traction and
-    the bounded EKF. The claims are the aims of the proposal.
+    The ratios are to the paper's RHE and to both oracles that estimate their pose. The claims are
+    the aims of the proposal.
 
     Args:
-        sweep: Rows of `rhec.campaign` with the column `contestant`, labels as in CONTESTANTS, the
-            same seeds in the same order for each.
+        sweep: Rows of `drive`, the same seeds in the same order for each contestant.
 
     Returns:
-        DataFrame with columns contestant, quantity, mean, low, high, n, claim, verdict; best first.
+        DataFrame with columns world, contestant, quantity, mean, low, high, n, claim, verdict; the
+        worlds in their order, the best first.
     """
-    runs = dict(list(sweep.groupby("contestant", sort=False)))
-    targets = {PAPERS: 1 - LEAST_GAIN} | {oracle: 1 + MOST_ABOVE for oracle in _ORACLES}
-    targets |= dict.fromkeys(_RIVALS)
-    errors = {name: table["mean_error_true_m"] for name, table in runs.items()}
     rows = []
-    for name in sorted(runs, key=lambda name: errors[name].mean()):
-        for column, quantity in QUANTITIES.items():
-            interval = over_seeds(np.mean, runs[name][column])._asdict()
-            rows.append(dict(contestant=name, quantity=quantity) | interval)
-        for other, most in targets.items():
-            if other in errors and name != other:
-                ratio = over_seeds(ratio_of_means, errors[name], errors[other])
-                row = dict(contestant=name, quantity=f"true error, ratio to {other}")
-                rows.append(row | ratio._asdict())
-                if name == PROPOSAL and most:
-                    judged = verdict(ratio.low, ratio.high, below=most)
-                    rows[-1] |= dict(claim=f"at most {most:.2f}", verdict=judged)
-    columns = "contestant quantity mean low high n claim verdict".split()
+    for world, of_world in sweep.groupby("world", sort=False):
+        runs = dict(list(of_world.groupby("contestant", sort=False)))
+        errors = {name: table["mean_error_true_m"] for name, table in runs.items()}
+        for name in sorted(runs, key=lambda name: errors[name].mean()):
+            about = dict(world=world, contestant=name)
+            rows += [about | row for row in _means_of(runs[name])]
+            rows += [about | row for row in _ratios_of(name, errors)]
+    columns = "world contestant quantity mean low high n claim verdict".split()
     return pd.DataFrame(rows, columns=columns).fillna({"claim": "", "verdict": ""})
+
+
+def _means_of(runs):
+    """Rows of `ranking_table`: the means of a contestant's runs."""
+    return [
+        dict(quantity=quantity) | over_seeds(np.mean, runs[column])._asdict()
+        for column, quantity in QUANTITIES.items()
+    ]
+
+
+def _ratios_of(name, errors):
+    """Rows of `ranking_table`: ratios of a contestant's errors, with the aims of the proposal."""
+    targets = {PAPERS: 1 - LEAST_GAIN} | {oracle: 1 + MOST_ABOVE for oracle in _ORACLES}
+    rows = []
+    for other, most in targets.items():
+        if other not in errors or name == other:
+            continue
+        ratio = over_seeds(ratio_of_means, errors[name], errors[other])
+        row = dict(quantity=f"true error, ratio to {other}") | ratio._asdict()
+        if name == PROPOSAL:
+            judged = verdict(ratio.low, ratio.high, below=most)
+            row |= dict(claim=f"at most {most:.2f}", verdict=judged)
+        rows.append(row)
+    return rows
+
+
+def worth_table(sweep):
+    """What each part of WORTH is worth: the error with it over the error without it.
+
+    Args:
+        sweep: Rows of `drive`.
+
+    Returns:
+        DataFrame with columns world, quantity, mean, low, high (95 %, at equal seeds), n.
+    """
+    rows = []
+    for world, of_world in sweep.groupby("world", sort=False):
+        errors = dict(list(of_world.groupby("contestant")["mean_error_true_m"]))
+        for what, one, other in WORTH:
+            pair = [errors.get(LABELS[id_]) for id_ in (one, other)]
+            if any(part is None for part in pair):
+                continue
+            ratio = over_seeds(ratio_of_means, *pair)
+            rows.append(dict(world=world, quantity=what) | ratio._asdict())
+    return pd.DataFrame(rows, columns=["world", "quantity", "mean", "low", "high", "n"])
+
+
+def readable_worth(table):
+    """The table of `worth_table` for readers: one row a part, one column a world."""
+    return readable(table)

@@ -20,6 +20,7 @@ from rhec.core._casadi.build import packed_size
 from rhec.simulation.closed_loop import build_sample, finish, set_up
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant as robot
+from rhec.workbench.studies import ensured
 
 __all__ = ["compare", "drive", "search"]
 
@@ -143,10 +144,11 @@ def compare(evaluations, levels=LEVELS):
         levels: Of the bounds.
 
     Returns:
-        The rows of `search` by dual estimation, with the column cautious.
+        The rows of `search` by the proposal, with the column cautious.
     """
+    fields = ensured.ESTIMATORS[ensured.PROPOSAL]
     return pd.concat(
-        search(levels, evaluations=evaluations, estimator="dual", cautious=cautious).assign(
+        search(levels, evaluations=evaluations, **fields, cautious=cautious).assign(
             cautious=cautious
         )
         for cautious in (True, False)

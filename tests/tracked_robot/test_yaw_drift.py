@@ -1,0 +1,149 @@
+"""The yaw drift as one more state: a robot that turns on a straight, θ' = κω + μνδ."""
+
+import numpy as np
+import pytest
+from helpers import choice_of, weaving_yaw_rates, with_noise
+from oracles import DT, V, drive, flat
+
+import rhec
+from rhec.core._casadi.packing import pack_array
+from rhec.tracked_robot import yaw_drift
+from rhec.tracked_robot.estimators import build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
+
+HORIZON = 8
+TRUTH = dict(zip(QUANTITIES, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)))
+SIGMA_W = (0.01, 0.01, 0.01, 0.01, 0.003, 0.005, 0.002)
+DRIFTING = ("yaw_drift_ekf", "yaw_drift_rhe")
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
+
+def drifting_drive(omegas, delta):
+    """Truth (n+1, 6) and readings (n+1, 4) of a robot with the yaw drift δ.
+
+    With constant p, the drift acts as the yaw rate μνδ/κ of the tracks that no encoder measures.
+    """
+    nu, mu, kappa = (TRUTH[name] for name in ("nu_mps", "mu", "kappa"))
+    truth, z = drive([*TRUTH.values()], omegas + mu * nu * delta / kappa)
+    z[1:, 3] = omegas
+    return truth, z
+
+
+def estimates(name, z, sigma_w=SIGMA_W, sigma=None, traction=()):
+    """Estimates (n, 6), and yaw drifts (n,) where the estimator has them."""
+    choice = choice_of(name, HORIZON, arrival_mean="filtered")
+    step = build_step(choice)
+    given = () if sigma is None else (sigma,)
+    memory = pack_array(estimator_of(name).init(choice, TRUTH, *given))
+    settings = dict(V=V, W=np.square(sigma_w))
+    if "P_0" in step.name_in():
+        settings["P_0"] = np.ones(len(sigma_w))
+    found, drifts = [], []
+    for reading in z:
+        result = step(memory=memory, z_N=reading, **settings, **dict(traction))
+        memory = result["memory"]
+        found.append(flat(result["estimate"]))
+        drifts.append(float(result.get("yaw_drift", 0.0)))
+    return np.array(found), np.array(drifts)
+
+
+@pytest.mark.parametrize("delta", [0.05, -0.1])
+@pytest.mark.parametrize("name", DRIFTING)
+def test_a_constant_drift_is_found(name, delta):
+    truth, z = drifting_drive(weaving_yaw_rates(300), delta)
+    found, drifts = estimates(name, with_noise(z, 0, 0.1))
+    assert drifts[-50:].mean() == pytest.approx(delta, abs=0.01)
+    assert np.abs(found - truth)[-50:, 2].max() < 0.03
+
+
+@pytest.mark.parametrize("name", DRIFTING)
+def test_without_uncertainty_of_the_drift_it_is_the_estimator_without(name):
+    """A drift known to be 0 changes nothing: to rounding, the bounded EKF and the RHE."""
+    _, z = drifting_drive(weaving_yaw_rates(60), 0.0)
+    z = with_noise(z)
+    known = dict.fromkeys(QUANTITIES, 0.1) | dict(yaw_drift_radpm=1e-9)
+    without = dict(yaw_drift_ekf="bounded_ekf", yaw_drift_rhe="rhe")[name]
+    found, drifts = estimates(name, z, (*SIGMA_W[:6], 0.0), known)
+    expected, _ = estimates(without, z, SIGMA_W[:6], known)
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+    np.testing.assert_allclose(drifts, 0, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", DRIFTING)
+def test_traction_stays_within_its_bounds(name):
+    _, z = drive((0, 0, 0, 0.5, 1.15, 1.2), weaving_yaw_rates(80))
+    found, _ = estimates(name, with_noise(z, 1))
+    assert ((found[:, 4:] >= 0) & (found[:, 4:] <= 1)).all()
+    assert (found[:, 4:] == 1).any()
+
+
+def test_in_a_control_loop_of_ones_own_it_is_the_same_estimator():
+    """`rhec.RHE` with the model, sample by sample, against the step that a closed loop calls."""
+    _, z = drifting_drive(weaving_yaw_rates(40), 0.05)
+    z = with_noise(z)
+    sigma = dict.fromkeys(yaw_drift.STATES, 0.1)
+    expected, drifts = estimates("yaw_drift_rhe", z, sigma=sigma)
+    live = rhec.RHE(
+        model=yaw_drift.MODEL,
+        dt=DT,
+        horizon=HORIZON,
+        arrival_mean="filtered",
+        sigma_v=tuple(np.sqrt(V)),
+        sigma_w=SIGMA_W,
+        guess=(*TRUTH.values(), 0.0),
+        sigma_guess=(0.1,) * 7,
+    )
+    for reading, row, drift in zip(z, expected, drifts):
+        live.prepare()
+        estimate = live.feedback(reading)
+        np.testing.assert_allclose([*estimate.x, *estimate.p], [*row, drift], atol=1e-9)
+
+
+def test_the_oracle_is_passed_the_drift():
+    """Without noise it stays on the truth, and the traction oracle does not."""
+    truth, z = drifting_drive(weaving_yaw_rates(60), 0.1)
+    traction = [TRUTH["mu"], TRUTH["kappa"]]
+    knowing, drifts = estimates(
+        "drift_oracle", z, SIGMA_W[:4], traction=dict(traction=[*traction, 0.1]).items()
+    )
+    other, _ = estimates(
+        "traction_oracle", z, SIGMA_W[:4], traction=dict(traction=traction).items()
+    )
+    np.testing.assert_allclose(knowing, truth, atol=1e-5)
+    assert (drifts == 0.1).all()
+    assert np.abs(other - truth)[-20:, 2].mean() > 0.01
+
+
+# In the closed loop
+
+
+def mean_error_m(**fields):
+    run = rhec.simulate(rhec.Scenario(**SLIPPING_ASIDE | fields))
+    assert run.metrics["all_ok"]
+    return run.metrics["mean_error_true_m"]
+
+
+# Soil that turns the robot by a constant amount; a quiet robot, so that nothing else does.
+SLIPPING_ASIDE = dict(
+    duration_s=60.0,
+    mu_deviation=0.0,
+    kappa_deviation=0.0,
+    soil_under="tracks",
+    slip_difference=0.02,
+    gnss_sigma_m=0.003,
+    bump_sigma_radps=0.0,
+    start_offset_m=0.2,
+    process_noise="calibrated",
+    seed=1,
+)
+
+
+@pytest.mark.parametrize("name", DRIFTING)
+def test_the_controller_cancels_the_drift(name):
+    """A standing offset to the path without it is gone with it."""
+    assert mean_error_m(estimator=name) < 0.25 * mean_error_m(estimator="bounded_ekf")
+
+
+def test_the_observer_cancels_the_drift_too():
+    fields = dict(estimator="bounded_ekf", observer_time_s=2.0)
+    assert mean_error_m(**fields, disturbance_observer=True) < 0.25 * mean_error_m(**fields)
