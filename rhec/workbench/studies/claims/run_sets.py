@@ -115,6 +115,7 @@ RUNS = {
     "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
     "fixed_traction_uncertain": _UNSURE | dict(estimator="rhe_fixed_traction"),
     "oracle_uncertain": _UNSURE | _ORACLE,
+    "ltv_mpc": dict(controller="ltv_mpc"),
     "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
     "oracle_row": _ORACLE | _ON_ROW,
     "q1": dict(q=paper.Q1) | _ON_ROW,
