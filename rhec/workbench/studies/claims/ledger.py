@@ -51,6 +51,8 @@ _WORDS = {  # of fields of a world, in a condition
     "gnss_slow_time_s": "the time of slow GNSS errors [s]",
     "bump_sigma_radps": "σ of the bumps [rad/s]",
     "encoder_sigma_mps": "σ of the encoders [m/s]",
+    "speed_sigma_mps": "σ of the speed common to both encoders [m/s]",
+    "command_delay": "the delay of the command [samples]",
     "rut_length_m": "the length of the ruts [m]",
     "slip_difference": "the slip difference of the tracks",
     "rotation_centre_m": "the offset of the centre of rotation [m]",
