@@ -96,7 +96,7 @@ def _relative_to_bound(value, low, high, above, below, verdict):
 
     None if the claim has no side, such as a number that must be met.
     """
-    if np.isnan(value) or (np.isinf(above) and np.isinf(below)) or above == below:
+    if not np.isfinite(value) or (np.isinf(above) and np.isinf(below)) or above == below:
         return None
     # If all cases or none agree, the share is exact and has no interval.
     if value == above:
