@@ -48,8 +48,9 @@ _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITAT
 _RULES = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and *does not
 hold* if none of it does; otherwise it is undecided. The rules are stated in the table. Some of them
 were changed after the verdicts of the previous ledger were known:
-[which, and why](docs/claims.md). A verdict with an asterisk (*) was not tested: no simulated world
-gave the other one. Where the verdict names a condition, the text as printed gives the other."""
+[which, and why](docs/claims.md). A label says what a verdict rests on: on a derivation, on a test
+that came out both ways somewhere, or on the same outcome in every world tried. Where the verdict
+names a departure, the text as printed gives the other."""
 # README's picture has a width, which Markdown cannot give it; Sphinx copies only its own images.
 _IMG = re.compile(r'<img src="(.+?)" width="(.+?)" align="(.+?)"\s+alt="(.+?)">')
 _IMAGE = r"""```{image} \1

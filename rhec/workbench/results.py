@@ -189,7 +189,7 @@ def _worlds(claims):
     """Claims whose verdict depends on the world: the condition, and in how many worlds it holds."""
     some = claims[claims["verdict"].map(class_of) == WHERE]
     columns = {"id": some["id"], "claim": some["claim"], "verdict": some["verdict"]}
-    columns["predicts"] = some["where_accuracy"].map("{:.2f}".format)
+    columns["predicts"] = some["where_accuracy"].map(format_number)
     for name in ("posterior", "multiverse"):
         if name in some:
             columns[f"share of {name} worlds"] = format_intervals(

@@ -180,7 +180,7 @@ def test_a_claim_says_what_its_verdict_rests_on(pages):
     assert verdicts["B9"] == ["does not hold", BY_DERIVATION]
     assert "fixed before the run" not in pages["claims.html"].get_text()
     assert rows[0][1].get_text() == "error <B5>"
-    assert rows[0][3].get_text() == "0.1 [0.09, 0.11]"
+    assert rows[0][4].get_text() == "0.1 [0.09, 0.11]"
 
 
 def test_formulas_need_no_script(pages):
