@@ -511,6 +511,22 @@ def test_worlds_have_their_own_w_and_drives_of_their_own_length():
     assert lap.duration_s == pytest.approx((25 + np.pi * lap.headland_radius_m) / 0.4)
 
 
+def test_a_field_that_only_tells_the_sets_apart_is_no_condition():
+    rng = np.random.default_rng(6)
+    one = [dict(kappa_mean=kappa, slip_difference=0.005) for kappa in rng.uniform(0.7, 0.9, 60)]
+    other = [
+        dict(kappa_mean=kappa, slip_difference=slip)
+        for kappa, slip in rng.uniform((0.7, 0.0), (0.9, 0.004), (60, 2))
+    ]
+    verdicts = [pd.DataFrame({"B6": [verdict] * 60}) for verdict in (HOLDS, FAILS)]
+    sets = {
+        name: ledger.Judged(part, found, found)
+        for name, part, found in zip(("one", "other"), (one, other), verdicts)
+    }
+    found = ledger._where("B6", sets)
+    assert found["where"] == "" and (found["one"], found["other"]) == (1, 0)
+
+
 # One claim alone
 
 

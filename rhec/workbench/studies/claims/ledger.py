@@ -189,6 +189,16 @@ def _words_of(split):
     return f"{name} is {'below' if split.below else 'above'} {split.threshold:.2g}"
 
 
+def _varied(sets):
+    """The fields that vary within each set of worlds: DataFrame, one row a world of all sets.
+
+    A field that is constant in one set would tell the sets apart, not what a verdict depends on.
+    """
+    every = worlds.columns_of([world for part in sets for world in part])
+    names = [{*worlds.columns_of(part)} for part in sets]
+    return every[[name for name in every if all(name in of_set for of_set in names)]]
+
+
 def _where(id_, judged):
     """Columns on the worlds: the share of each set where a claim holds, and the condition."""
     columns = {"where": "", "where_accuracy": np.nan}
@@ -198,9 +208,8 @@ def _where(id_, judged):
         columns |= {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
         columns |= {f"{name}_n": found.n}
     if here:
-        every = [world for part in here.values() for world in part.worlds]
         holds = np.concatenate([part.verdicts[id_] == HOLDS for part in here.values()])
-        split = worlds.split_of(worlds.columns_of(every), holds)
+        split = worlds.split_of(_varied([part.worlds for part in here.values()]), holds)
         if split:
             columns |= {"where": _words_of(split), "where_accuracy": split.accuracy}
     return columns
