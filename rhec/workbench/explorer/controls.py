@@ -232,6 +232,9 @@ def _sigma_w_for_estimator(settings):
         n = estimator.n_sigma_w(choice)
         names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))
+    # The yaw drift has no slider.
+    tuned = tuning.SIGMA_W["yaw_drift_ekf"]["calibrated"]
+    six |= dict(yaw_drift_radpm=tuned[-1])
     return tuple(six[name] for name in names) or None
 
 
