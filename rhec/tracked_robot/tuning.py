@@ -56,18 +56,11 @@ ARRIVAL_MEAN = dict(printed="smoothed", calibrated="smoothed", consistent="filte
 # The RHE with the arrival mean "filtered": by likelihood, like "calibrated"
 # (`calibrate("rhe", arrival_mean="filtered")`).
 SIGMA_W_FILTERED = (0.001, 0.001, 0.0058, 0.001, 0.0098, 0.0062)
-# Least tracking error of robots that drive training seeds 1000 to 1023 with the estimator in the
-# loop (`rhec.workbench.studies.calibration`). Dual estimation: the RHE's six, then the EKF's four.
+# Least tracking error with the paper's weights, R = 10, of robots that drive training seeds 1000 to
+# 1023 (`rhec.workbench.studies.calibration`). With R free, `tuned_loops` has better ones.
 SIGMA_W_TRACKING = {
     "rhe": (0.017, 0.017, 0.0022, 10.0, 0.001, 0.018),
-    "ekf": (0.001, 0.001, 0.033, 10.0),
-    "rhe_fixed_traction": (10.0, 10.0, 10.0, 10.0),
-    "rhe_no_slip": (10.0, 10.0, 10.0, 10.0),
-    "augmented_ekf": (0.001, 0.001, 0.01, 0.0036, 0.008, 0.011),
     "bounded_ekf": (0.001, 0.001, 0.014, 0.0088, 0.0081, 0.053),
-    "fixed_traction": (0.001, 0.001, 0.031, 0.005),
-    "traction_oracle": (0.001, 0.001, 0.024, 0.005),
-    "dual": (0.001, 0.001, 0.001, 0.001, 0.0037, 0.033, 0.0052, 0.0052, 0.029, 0.0097),
 }
 # The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
 # robots, three wheeled and one tracked. The noise grows with the motion of the tracks.
