@@ -11,7 +11,7 @@ export LOG WHAT SAMPLES RUNS HOST PYTHON
 # Notebooks of the paper's figures and tables, and of further studies, in the order of the report.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
 STUDIES := 01_tutorial 02_equations 06_claims 07_interpretations 08_beyond \
-  09_faults 10_replay 11_your_robot
+  09_faults 10_replay 11_your_robot 12_which_worlds 13_soil_map
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -43,7 +43,8 @@ export PYTHON_CPU_COUNT ?= $(shell echo $$((($$(getconf _NPROCESSORS_ONLN) + 1) 
 endif
 
 .PHONY: help figures studies claims report lab replay recordings replay-table calibrate campaign \
-  embedded test test-browser lint bench soak storm lock upgrade clean $(KEPT:%=clean-%)
+  posterior embedded test test-browser lint bench soak storm lock upgrade sbom clean \
+  $(KEPT:%=clean-%)
 
 help: ## list the goals
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
@@ -91,6 +92,9 @@ calibrate: $(READY) ## estimate noise and lever arm from a recorded log: make ca
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
 	@$(PY_WHAT) -m rhec.simulation.campaigns
 
+posterior: $(READY) ## find the worlds that give the paper's numbers, again (a quarter of an hour)
+	@$(PY) -m rhec.workbench.studies.inverse
+
 embedded: $(READY) ## the default scenario's estimator and controller as C, in build/embedded
 	@$(PY) -m rhec.workbench.studies.embedded
 
@@ -126,6 +130,11 @@ lock upgrade:
 	  --python-version 3.11 --fork-strategy fewest --all-extras --group dev --generate-hashes \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
 	  --output-file environment.txt pyproject.toml
+
+sbom: $(READY) ## list all installed components and their licences: build/sbom.json (CycloneDX)
+	@mkdir -p build
+	@.venv/bin/cyclonedx-py environment $(PY) --output-format JSON -o build/sbom.json
+	@echo 'sbom: build/sbom.json'
 
 # MADE lists the files that notebooks and report have written; files in git stay.
 clean: ## remove the executed notebooks, their figures and tables, and the report

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from rhec.simulation.worlds import WORLDS as WORLDS
     from rhec.tracked_robot.path import Path as Path
     from rhec.tracked_robot.references import PathTracker as PathTracker
+    from rhec.tracked_robot.soil_map import SoilMap as SoilMap
     from rhec.tracked_robot.terrain import Terrain as Terrain
     from rhec.workbench.explorer.explorer import Explorer as Explorer
 
@@ -48,6 +49,7 @@ _HOME = {
     "RHE": "core.estimator.rhe",
     "Run": "simulation.run",
     "Scenario": "simulation.scenario",
+    "SoilMap": "tracked_robot.soil_map",
     "Terrain": "tracked_robot.terrain",
     "WORLDS": "simulation.worlds",
     "calibrate": "logs.calibration",

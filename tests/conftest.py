@@ -15,5 +15,6 @@ def virtual_machine():
 
 @pytest.fixture(scope="session")
 def run():
-    """One minute of the paper's loop, calibrated."""
-    return rhec.simulate(rhec.Scenario(process_noise="calibrated", duration_s=60.0))
+    """One minute of the paper's loop in the former world, calibrated."""
+    former = rhec.WORLDS["former"]
+    return rhec.simulate(rhec.Scenario(**former, process_noise="calibrated", duration_s=60.0))

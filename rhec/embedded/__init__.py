@@ -157,6 +157,10 @@ def _check(scenario):
         raise ValueError(
             f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
         )
+    for name, exported in (("traction_timing", "feedback"), ("yaw_rate_interval", "before")):
+        value = getattr(scenario, name)
+        if value != exported:
+            raise ValueError(f"{name} was {value!r}; to export, it should be {exported!r}")
 
 
 def _obstacle(estimator, robust=False):

@@ -45,6 +45,8 @@ class _LoopStructure(NamedTuple):
     controller: str
     observer: bool  # whether a disturbance observer runs
     soil_under: str
+    traction_timing: str
+    yaw_rate_interval: str
 
 
 class _Parts(NamedTuple):
@@ -58,6 +60,7 @@ class _Parts(NamedTuple):
     references: ca.Function
     control: ca.Function
     drive: ca.Function
+    pair: ca.Function | None  # None where ω belongs to the interval that ends at its sample
 
 
 def _build_parts(structure):
@@ -84,6 +87,7 @@ def _build_parts(structure):
         references=references["references"],
         control=control,
         drive=robot.drive(paper.DT_S),
+        pair=robot.pair_with_next_interval() if structure.yaw_rate_interval == "after" else None,
     )
 
 
@@ -91,7 +95,10 @@ def _build_control(structure):
     """The step of the controller, with the interface of the RHC's."""
     horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
     if structure.controller == "rhc":
-        return rhc.build_phases(horizon)["step"]
+        step = rhc.build_phases(horizon)["step"]
+        if structure.traction_timing == "feedback":
+            return step
+        return paper_rhc.with_online_traction(step, horizon, structure.traction_timing)
     from rhec.tracked_robot import rival_controllers
 
     return rival_controllers.CONTROLLERS[structure.controller](horizon)
@@ -130,6 +137,7 @@ def _memory_shapes(parts):
             controller=(parts.control.numel_in(0), 1),
         )
         | (faults.MEMORY if parts.deliver else {})
+        | (robot.PAIRED if parts.pair else {})
         | _observer_shapes(parts.disturb)
     )
 
@@ -186,9 +194,10 @@ def build_sample(*structure):
         if "observer" in memory:
             seen = _yaw_disturbance().corrected(seen, signals["observer"])
         estimated = _estimated(parts, signals | dict(traction=passed), seen, truth)
-        disturbed = _disturbed(parts, signals, measured["z"], estimated)
+        omega_measured = _omega_measured(parts, signals, measured, estimated)
+        disturbed = _disturbed(parts, signals, omega_measured, estimated)
         estimated |= disturbed
-        target = _target(parts, signals, measured["z"], estimated)
+        target = _target(parts, signals, omega_measured, estimated)
         planned = _planned(parts, signals, estimated, target)
         driven = _driven(parts, signals, planned, traction, yaw_drift)
         row = dict(truth=truth, omega=omega, yaw_drift=yaw_drift, z=measured["z"])
@@ -202,7 +211,8 @@ def build_sample(*structure):
             controller=planned["memory"],
         )
         # Sensors with faults remember earlier measurements.
-        stored = {name: measured[name] for name in memory if name in faults.MEMORY}
+        remembered = faults.MEMORY | robot.PAIRED
+        stored = {name: measured[name] for name in memory if name in remembered}
         if "observer" in memory:
             stored["observer"] = disturbed["observer"]
         return dict(row=ca.vertcat(*(row[name] for name in LOG))) | following | driven | stored
@@ -226,6 +236,8 @@ def _measured(parts, signals):
     measured = _call(parts.measure, signals)
     if parts.deliver:
         measured |= _call(parts.deliver, signals | measured)
+    if parts.pair:
+        measured |= _call(parts.pair, signals | measured)
     return measured
 
 
@@ -258,28 +270,32 @@ def _call_estimator(step, memory, z, signals):
     return dict(zip(names, step.call([memory, z, *settings])))
 
 
-def _omega_measured(signals, z, estimated):
-    """The measured yaw rate; where the encoders are rejected, the last command stands in for it."""
-    return ca.if_else(estimated["accepted"][3], z[3], signals["command"])
+def _omega_measured(parts, signals, measured, estimated):
+    """The newest measured yaw rate; where it is rejected, the last command stands in for it."""
+    accepted = estimated["accepted"][3]
+    omega = measured["z"][3]
+    if parts.pair:
+        # The controller's reference is the newest yaw rate, which the estimator gets a sample on.
+        omega = measured["newest_omega"]
+        accepted = is_valid_measurement(omega, SPEED_MODELS["parameter"].model.limits[3])
+    return ca.if_else(accepted, omega, signals["command"])
 
 
-def _disturbed(parts, signals, z, estimated):
+def _disturbed(parts, signals, omega_measured, estimated):
     """The disturbance of the yaw rate, and the observer's memory; nothing where none is estimated.
 
     An estimator's own results keep their names, so that the observer's memory has another one.
     """
     if not parts.disturb:
         return {}
-    inputs = dict(memory=signals.get("observer"))
-    inputs["omega_measured"] = _omega_measured(signals, z, estimated)
+    inputs = dict(memory=signals.get("observer"), omega_measured=omega_measured)
     result = _call(parts.disturb, signals | estimated, **inputs)
     renamed = dict(observer=result.pop("memory")) if "memory" in result else {}
     return dict(disturbance=result["disturbance"]) | renamed
 
 
-def _target(parts, signals, z, estimated):
+def _target(parts, signals, omega_measured, estimated):
     """The references ξ_r, ω_r on the path, eq. (17)-(18)."""
-    omega_measured = _omega_measured(signals, z, estimated)
     if "disturbance" in estimated:
         # The controller plans ω + d, so that the measured part of it has d, too.
         omega_measured += estimated["disturbance"]
@@ -373,6 +389,8 @@ def set_up(scenario):
         scenario.controller,
         scenario.disturbance_observer,
         scenario.soil_under,
+        scenario.traction_timing,
+        scenario.yaw_rate_interval,
     )
     estimator = estimator_of(choice.estimator, choice.robust)
     pose = _start_pose(scenario, path)
@@ -404,6 +422,7 @@ def _first_memory(scenario, path, estimator, choice, pose, guess):
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
     speed = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
     others = faults.init() if scenario.faults else {}
+    others |= dict(newest_omega=0.0) if scenario.yaw_rate_interval == "after" else {}
     if scenario.disturbance_observer:
         others |= dict(observer=_yaw_disturbance().init_observer())
     loop = dict(

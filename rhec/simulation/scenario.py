@@ -17,6 +17,7 @@ from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.path import Path
+from rhec.tracked_robot.soil_map import SoilMap
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 
@@ -32,6 +33,8 @@ class Scenario:
     slip: options.Slip | None = None
     arrival_mean: ArrivalMean | None = None
     robust: valid.Flag = False
+    yaw_rate_interval: Literal["before", "after"] = "before"
+    soil_map: Annotated[SoilMap | None, SkipValidation] = None
 
     q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
@@ -41,6 +44,7 @@ class Scenario:
     look_ahead_m: valid.NotNegative = 0.0
     input_reference: Literal["measured", "curvature"] = "measured"
     command_delay: Literal[0, 1] = 0
+    traction_timing: Literal["feedback", "sample_before", "prepared_anew"] = "feedback"
     qp: options.Solver = "structured"
     controller: options.Controller = "rhc"
     disturbance_observer: valid.Flag = False
@@ -59,24 +63,27 @@ class Scenario:
     start_yaw_rad: valid.Real = 0.0
     guess_yaw_rad: valid.Real = 0.0
 
+    # Soil, ground and sensors: the centre of the posterior under the paper's numbers
+    # (`workbench.studies.inverse.centre`, notebook 12_which_worlds). The world that was the default
+    # before is rhec.WORLDS["former"].
     terrain: Annotated[Terrain | None, SkipValidation] = None
-    mu_mean: options.Traction = 0.9
-    mu_deviation: valid.NotNegative = 0.04
-    kappa_mean: options.Traction = 0.8
-    kappa_deviation: valid.NotNegative = 0.08
+    mu_mean: options.Traction = 0.975
+    mu_deviation: valid.NotNegative = 0.008
+    kappa_mean: options.Traction = 0.96
+    kappa_deviation: valid.NotNegative = 0.013
     # Shorter ones than the grid's cells, 0.5 m, cannot be seen.
     correlation_length_m: Annotated[valid.Positive, Limits(ge=0.5)] = 4.0
     patches: tuple[Patch, ...] = ()
-    soil_under: Literal["centre", "tracks"] = "centre"
-    slip_difference: Annotated[valid.Real, Limits(ge=-1, le=1)] = 0.0
+    soil_under: Literal["centre", "tracks"] = "tracks"
+    slip_difference: Annotated[valid.Real, Limits(ge=-1, le=1)] = 0.005
 
-    gnss_sigma_m: valid.NotNegative = paper.SIGMA_V[0]
-    gnss_slow_share: Annotated[valid.NotNegative, Limits(le=1)] = 0.0
-    gnss_slow_time_s: valid.Positive = 60.0
-    encoder_sigma_mps: valid.NotNegative = paper.ENCODER_SIGMA_MPS
-    speed_sigma_mps: valid.NotNegative = paper.SIGMA_V[2]
-    bump_sigma_radps: valid.NotNegative = 0.02
-    rut_length_m: valid.NotNegative = 0.0
+    gnss_sigma_m: valid.NotNegative = 0.018
+    gnss_slow_share: Annotated[valid.NotNegative, Limits(le=1)] = 0.55
+    gnss_slow_time_s: valid.Positive = 170.0
+    encoder_sigma_mps: valid.NotNegative = 0.02
+    speed_sigma_mps: valid.NotNegative = 0.023
+    bump_sigma_radps: valid.NotNegative = 0.007
+    rut_length_m: valid.NotNegative = 0.5
     track_width_m: valid.Positive = paper.TRACK_WIDTH_M
     rotation_centre_m: valid.Real = 0.0
     faults: tuple[Fault, ...] = ()
@@ -90,15 +97,16 @@ class Scenario:
             _check_deviation(self, name)
         _check_look_ahead(self)
         _check_fits_estimator(self)
+        _check_fits_controller(self)
 
 
 def _check_kinds(scenario):
-    """Refuse an estimator, path or terrain of another kind."""
+    """Refuse an estimator, path, terrain or map of another kind."""
     estimator = scenario.estimator
     if not _is_users_own(estimator) and not (isinstance(estimator, str) and estimator in NAMES):
         expected = f"it should be one of {NAMES} or a CasADi Function"
         raise ValueError(f"estimator was {valid.shown(estimator)}; {expected}")
-    for name, kind in (("path", Path), ("terrain", Terrain)):
+    for name, kind in (("path", Path), ("terrain", Terrain), ("soil_map", SoilMap)):
         value = getattr(scenario, name)
         if not isinstance(value, kind | None):
             expected = f"it should be a rhec.{kind.__name__} or None"
@@ -129,8 +137,13 @@ def _check_look_ahead(scenario):
 
 
 def _check_fits_estimator(scenario):
-    """Refuse `robust` and `sigma_w` that do not fit the estimator."""
+    """Refuse `robust`, `soil_map` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
+    if scenario.soil_map is not None and (_is_users_own(estimator) or estimator != "map_ekf"):
+        expected = f"for the estimator {valid.shown(estimator)} it should be None"
+        raise ValueError(
+            f"soil_map was {scenario.soil_map!r}; {expected}, since only 'map_ekf' uses a map"
+        )
     # A user's Function has no name; any name that is not in NAMES stands for it.
     name = "own" if _is_users_own(estimator) else estimator
     if scenario.robust and name not in ROBUST_NAMES:
@@ -140,6 +153,13 @@ def _check_fits_estimator(scenario):
     if scenario.sigma_w is not None and len(scenario.sigma_w) != entries:
         expected = f"for the estimator {valid.shown(estimator)} it should have {entries} entries"
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
+
+
+def _check_fits_controller(scenario):
+    """Refuse `traction_timing` for a controller that is not prepared before the estimate."""
+    if scenario.controller != "rhc" and scenario.traction_timing != "feedback":
+        expected = f"for the controller {scenario.controller!r} it should be 'feedback'"
+        raise ValueError(f"traction_timing was {scenario.traction_timing!r}; {expected}")
 
 
 class _FieldsAsDocstring:

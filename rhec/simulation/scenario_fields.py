@@ -22,7 +22,8 @@ estimator: The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true 
     traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE
     with μ = κ = 1); "yaw_drift_ekf" and "yaw_drift_rhe" (a bounded EKF and an RHE that also
     estimate how much the robot turns for each metre without a yaw rate of its tracks, which the
-    controller cancels); "drift_oracle" (an EKF with the true traction and yaw drift).
+    controller cancels); "map_ekf" (such an EKF that is told what earlier drives found, `soil_map`);
+    "drift_oracle" (an EKF with the true traction and yaw drift).
     Or a CasADi Function (memory, z) -> (memory, estimate), whose memory starts as the first guess
     (x, y, θ, ν, μ, κ) followed by zeros.
 process_noise: W by name. "printed" is the paper's; "calibrated" is the likeliest for training seeds
@@ -41,7 +42,12 @@ speed_model: How the RHE models ν. "parameter": one ν over the window, as in t
 slip: Constants of the speed model "slipping", in the order of `tuning.SLIP`.
 arrival_mean: Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as
     in the paper; "filtered": from the EKF update (R7); None: the one that fits process_noise.
+soil_map: What earlier drives tell of the soil, a rhec.SoilMap, for the estimator "map_ekf". None:
+    it estimates the traction without a map.
 robust: Whether measurements that contradict others get less weight; for "rhe".
+yaw_rate_interval: Which interval the measured ω of a sample belongs to. "before": to the one that
+    ends at the sample; "after": to the one that begins there, so that the estimator is passed it,
+    and the log holds it, one sample later (R16).
 
 q: Diagonal of the weight Q_k, eq. (22), of (x, y, θ).
 r: Weight R of the yaw rate, eq. (22).
@@ -52,6 +58,9 @@ look_ahead_m: How far beyond the closest point of the path the desired points be
 input_reference: Desired yaw rate. "measured": the measured one over the horizon, as in the paper;
     "curvature": the one that the path's curvature asks for (R8).
 command_delay: 0: the command computed at t_k is applied at once; 1: one sample later (R10).
+traction_timing: When ν̂, μ̂ and κ̂ reach the controller. "feedback": those of the newest sample act
+    through the linearised model; "sample_before": the preparation uses those of the sample before;
+    "prepared_anew": the preparation waits for those of the newest sample (R15).
 qp: Solver of the controller. "structured": Riccati recursion, the fastest at every horizon; "daqp"
     or "qpoases" (the paper's): the condensed QP, on CasADi's virtual machine.
 controller: The paper's "rhc". Not in the paper: "ltv_mpc" (its QP linearised about the path instead
@@ -194,7 +203,7 @@ def docstring():
     return f"""One closed-loop run. SI units; angles in radians.
 
 The groups of fields below are {", ".join(_GROUPS[:-1])} and {_GROUPS[-1]}.
-R1 to R14 are the interpretations of the paper in docs/interpretations.md. `dataclasses.replace`
+R1 to R16 are the interpretations of the paper in docs/interpretations.md. `dataclasses.replace`
 returns a Scenario that differs in some fields.
 
 Args:

@@ -103,13 +103,13 @@ def build_joint_step(model, dt_s, bounded=False):
     def step(m, P, omega, started, z_N, V, W):
         after = _filter(model, move, m, P, omega, started, z_N, V, W)
         if bounded:
-            after["m"] = _within_bounds(interval(model).bounds, after["m"], after["P"])
+            after["m"] = within_bounds(interval(model).bounds, after["m"], after["P"])
         return dict(estimate=after["m"]) | after
 
     return step
 
 
-def _within_bounds(bounds, m, P):
+def within_bounds(bounds, m, P):
     """The likeliest state within the bounds {place: (lowest, highest)} of a Gaussian (m, P).
 
     With q the bounded states and H = P_qq⁻¹: min ½ (q - m_q)' H (q - m_q) within the bounds; the

@@ -20,6 +20,7 @@ EstimatorName = Literal[
     "fixed_traction",
     "yaw_drift_ekf",
     "yaw_drift_rhe",
+    "map_ekf",
     "oracle",
     "traction_oracle",
     "drift_oracle",
@@ -73,6 +74,10 @@ def estimator_of(name, robust=False):
         from rhec.tracked_robot import yaw_drift
 
         return yaw_drift.ESTIMATORS[name]
+    if name == "map_ekf":
+        from rhec.tracked_robot.map_ekf import MAP_EKF
+
+        return MAP_EKF
     if robust and name == "rhe":
         from rhec.tracked_robot.robust import ROBUST_RHE
 

@@ -29,6 +29,8 @@ _SHORTEST_RUT_M = 1e-9  # instead of 0, by which no distance can be divided
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
 MEMORY |= dict(rut=(1, 1), running=(1, 1))
 NOISE = dict(white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS), speed=(1, 1))
+# Where a measured ω belongs to the interval that begins at its sample: it waits for that one's end.
+PAIRED = dict(newest_omega=(1, 1))
 # Settings of the sensors, of the robot's body and of the ground, by the names of Scenario's fields.
 SENSORS = dict.fromkeys(
     ("gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "speed_sigma_mps"), (1, 1)
@@ -175,6 +177,21 @@ def _build_both_tracks():
         return dict(traction=ca.vertcat(mu, (left[1] + right[1]) / 2), yaw_drift_radpm=yaw_drift)
 
     return both
+
+
+def pair_with_next_interval():
+    """Interpretation R16 as a Function (z, newest_omega) -> (z, newest_omega).
+
+    An estimator takes the ω in z for that of the interval that ends at the sample. With the ω of
+    the sample before in its place, the ω measured at t_i belongs to the interval from t_i on, and
+    the newest one, `newest_omega`, is not used yet.
+    """
+
+    @casadi_function("pair", z=(4, 1), **PAIRED)
+    def pair(z, newest_omega):
+        return dict(z=ca.vertcat(z[:3], newest_omega), newest_omega=z[3])
+
+    return pair
 
 
 def drive(dt_s):

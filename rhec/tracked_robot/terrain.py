@@ -11,6 +11,7 @@ made once and `data/` holds, so that a run never depends on a library's random s
 """
 
 import functools
+import io
 from dataclasses import dataclass
 from pathlib import Path as File
 from typing import Annotated
@@ -154,9 +155,19 @@ class Terrain:
         Args:
             file: Where to.
         """
-        np.savez_compressed(
-            file, mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m
-        )
+        arrays = dict(mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m)
+        # Written to memory first: a full disk then leaves an older file as it was.
+        content = io.BytesIO()
+        np.savez_compressed(content, **arrays)
+        file = File(file)
+        if file.suffix != ".npz":
+            file = file.with_name(f"{file.name}.npz")
+        unfinished = file.with_name(f"{file.name}.unfinished")
+        try:
+            unfinished.write_bytes(content.getvalue())
+            unfinished.replace(file)
+        finally:
+            unfinished.unlink(missing_ok=True)
 
     @classmethod
     def load(cls, file: str | File) -> "Terrain":
@@ -259,9 +270,14 @@ def flat(terrain, shape=None):
 
     On a larger grid of the given shape the fields are continued as they are beyond their edges.
     """
-    rows, columns = terrain.mu.shape
-    fields = np.empty((2, *(shape or terrain.mu.shape)), order="F")
-    fields[:, :rows, :columns] = terrain.mu, terrain.kappa
+    return flat_pair(terrain.mu, terrain.kappa, shape)
+
+
+def flat_pair(first, second, shape=None):
+    """Two grids of one shape as `flat` returns those of a terrain."""
+    rows, columns = first.shape
+    fields = np.empty((2, *(shape or first.shape)), order="F")
+    fields[:, :rows, :columns] = first, second
     fields[:, rows:, :columns] = fields[:, rows - 1 : rows, :columns]
     fields[:, :, columns:] = fields[:, :, columns - 1 : columns]
     return fields.ravel(order="F")
@@ -277,7 +293,7 @@ def settings(terrain, shape):
     )
 
 
-def common_shape(terrain, step=64):
+def common_shape(terrain, step=128):
     """The next of a few grid shapes, so that another path or start seldom needs compiling."""
     return tuple(-(-points // step) * step for points in terrain.mu.shape)
 

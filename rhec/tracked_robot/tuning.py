@@ -46,6 +46,8 @@ SIGMA_W = {
     "drift_oracle": _not_the_papers((0.001, 0.001, 0.0053, 0.001)),
     # With the yaw drift [rad/m] as one more state.
     "yaw_drift_ekf": _not_the_papers((0.001, 0.001, 0.0034, 0.001, 0.001, 0.001, 0.0021)),
+    # Of (x, y, θ, ν): the soil's noise is told by the map.
+    "map_ekf": _not_the_papers((0.001, 0.001, 0.0051, 0.001)),
     "yaw_drift_rhe": _not_the_papers((0.001,) * 7),
 }
 # Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise

@@ -44,7 +44,7 @@ _SCENES = Path(__file__).parent / "live/scenes.toml"
 THUMBNAIL = (640, 640)  # largest size [px]
 LONG = 30  # longer texts [characters] in a table are broken into lines
 _WIDGET = "application/vnd.jupyter.widget-view+json"
-_COPIED = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
+_COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
 _RULES = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and *does not
 hold* if none of it does; otherwise it is undecided. The rules are stated in the table. Some of them
 were changed after the verdicts of the previous ledger were known:

@@ -62,8 +62,7 @@ def test_a_page_shows_all_it_has(offline, name):
         assert page.evaluate("document.documentElement.scrollWidth") <= width, (
             f"wider than {width} pixels"
         )
-    if name != "search.html":  # which has a field in place of a heading
-        assert page.locator("h1").first.bounding_box()["y"] < 200  # on a phone, too
+    assert page.locator("h1").first.bounding_box()["y"] < 200  # on a phone, too
 
 
 def test_all_pages_are_reached_from_the_first_by_links(offline):

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import KAPPA, MU, TRACK_WIDTH_M, Bomb, recorded_log
+from text_boxes import text_defects
 
 import rhec
 from rhec.logs import recording, scores
@@ -622,11 +623,12 @@ def test_figures_of_a_log_with_and_without_truth():
             drawings.replay_traction(replay, "RHE"),
             drawings.replay_innovations(replay),
         ):
-            assert figure.axes
+            assert text_defects(figure) == []
         table = replay_table(trials)
         if "yaw_true_rad" in log:
             figure = drawings.replay_trials(trials, table, "a $ b")
             assert "2 noise seeds" in figure.axes[0]._left_title.get_text()
+            assert text_defects(figure) == []
         assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == (
             "yaw_true_rad" in log
         )

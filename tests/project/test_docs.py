@@ -49,7 +49,7 @@ def test_a_sentence_has_thirty_words_at_most(name):
 
 
 def test_pages_are_these():
-    expected = "architecture claims closer_to_the_limit extending index interpretations live"
+    expected = "acado architecture claims closer_to_the_limit extending index interpretations live"
     expected = [
         *expected.split(),
         "log_columns",
@@ -58,6 +58,9 @@ def test_pages_are_these():
         "reference",
         "results",
         "shared_computers",
+        "soil_map",
+        "threat_model",
+        "world",
         "your_log",
     ]
     assert [page.stem for page in DOCS] == expected
@@ -113,6 +116,14 @@ def test_every_make_target_that_is_named_exists(name):
 def test_every_public_name_exists(name):
     named = set(re.findall(r"`rhec\.([A-Za-z]+)[`(]", TEXT[name]))
     assert named - {"paper"} <= set(rhec.__all__)
+
+
+def test_the_table_of_worlds_has_their_values():
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]*) \| ([^|]*) \|", TEXT["world.md"], re.MULTILINE)
+    for place, world in ((1, "former"), (2, "default")):
+        expected = rhec.WORLDS[world]
+        found = {row[0]: type(expected[row[0]])(row[place].strip('"')) for row in rows}
+        assert found == expected, world
 
 
 def test_every_column_of_a_log_is_explained():

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import flat
+from text_boxes import text_defects
 
 import rhec
 from rhec import paper
@@ -24,7 +25,7 @@ Z = np.column_stack(
     [0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)]
 )  # smooth, and no two samples alike
 DURING = slice(50, 60)  # 10 s ≤ t < 12 s
-SHORT = rhec.Scenario(process_noise="calibrated", duration_s=30.0)
+SHORT = rhec.Scenario(**rhec.WORLDS["former"], process_noise="calibrated", duration_s=30.0)
 
 
 def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
@@ -335,6 +336,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
         np.testing.assert_allclose(off, np.nanmedian(of_case[:, known.argmax() :], axis=0))
         assert (largest >= off).all()
     overview = fault_overview(numbers.reset_index(), 2)
+    assert text_defects(figure) == text_defects(overview) == []
     assert len(overview.axes[0].get_yticklabels()) == len(keys)
     words = [text.get_text() for text in overview.axes[1].texts]
     back = numbers.reset_index().groupby(["family", "case"], sort=False)["back"]

@@ -38,6 +38,15 @@ def own_estimator():
     return ca.Function("mine", [memory, z], [estimate, estimate])
 
 
+def soil_map():
+    """A map with slopes and with a spread that changes from place to place."""
+    i, j = np.indices((9, 40))
+    wave = np.sin(i + 0.3 * j)
+    grids = dict(mu=0.8 + 0.1 * wave, kappa=0.8 - 0.1 * wave, sigma_mu=0.03 + 0.02 * wave)
+    grids |= dict(sigma_kappa=0.1 + 0 * wave, slope_x=0.01 * wave, slope_y=0.02 * wave)
+    return rhec.SoilMap(**grids, origin_m=(-5.0, -9.0), cell_m=1.0, length_m=4.0)
+
+
 KINDS = {name: dict(estimator=name) for name in NAMES} | {
     f"{name}, gated, with faults": dict(estimator=name, robust=True) for name in ROBUST_NAMES
 }
@@ -48,6 +57,7 @@ KINDS["cautious with drift"] = dict(estimator="yaw_drift_ekf", cautious=True)
 KINDS["ltv_mpc"] = dict(controller="ltv_mpc")
 KINDS["pure_pursuit"] = dict(controller="pure_pursuit", look_ahead_m=1.0)
 KINDS["two tracks"] = dict(soil_under="tracks")
+KINDS["with a map"] = dict(estimator="map_ekf", soil_map=soil_map())
 KINDS["own"] = dict(estimator=own_estimator())
 
 

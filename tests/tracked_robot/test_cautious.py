@@ -106,7 +106,9 @@ def test_a_slower_set_speed_is_kept(settled):
 
 # In the loop
 
-DRIVE = rhec.Scenario(process_noise="consistent", cautious=True, duration_s=120.0, seed=1)
+DRIVE = rhec.Scenario(
+    **rhec.WORLDS["former"], process_noise="consistent", cautious=True, duration_s=120.0, seed=1
+)
 
 
 def test_without_caution_asked_for_nothing_changes():

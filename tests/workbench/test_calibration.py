@@ -11,7 +11,7 @@ from rhec.workbench.studies import calibration
 @pytest.fixture(scope="module")
 def runs():
     return [
-        rhec.simulate(rhec.Scenario(estimator="oracle", seed=seed))
+        rhec.simulate(rhec.Scenario(**rhec.WORLDS["former"], estimator="oracle", seed=seed))
         for seed in calibration.TRAINING_SEEDS[:2]
     ]
 

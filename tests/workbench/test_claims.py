@@ -564,6 +564,7 @@ def test_the_search_goes_on_until_an_estimate_below_zero_is_found(virtual_machin
 def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machine):
     log = rhec.simulate(
         rhec.Scenario(
+            **rhec.WORLDS["former"],
             estimator="augmented_ekf",
             process_noise="calibrated",
             terrain=rhec.Terrain.uniform(0.9, 0.8),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rhec import Scenario
+from rhec import WORLDS, Scenario
 from rhec.workbench.studies import calibration, consistency
 
 RUNS, SAMPLES = 40, 60
@@ -70,7 +70,7 @@ def test_bounds_hold_the_mean_as_often_as_they_say():
 
 @pytest.fixture(scope="module")
 def runs():
-    return calibration.oracle_runs(range(3), duration_s=60.0)
+    return calibration.oracle_runs(range(3), **WORLDS["former"], duration_s=60.0)
 
 
 def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(runs):

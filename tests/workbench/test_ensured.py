@@ -77,7 +77,8 @@ CHOSEN = dict(
 
 def test_a_drive_chosen_against_the_robot_keeps_the_bounds():
     unsteered = dict(omega_max_radps=1e-9, encoder_sigma_mps=0.0, duration_s=40.0)
-    level, base = 0.5, rhec.Scenario(estimator="oracle", start_offset_m=0.0, **unsteered)
+    unsteered |= dict(estimator="oracle", start_offset_m=0.0)
+    level, base = 0.5, rhec.Scenario(**rhec.WORLDS["former"] | unsteered)
     run = worst_case.drive(base, level, **CHOSEN)
     log, sigmas = run.log, 2 * level
     assert log["mu"].min() == pytest.approx(0.9 - sigmas * 0.04)

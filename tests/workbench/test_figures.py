@@ -3,18 +3,20 @@ verdicts by the rule.
 """
 
 import dataclasses
-import itertools
 import re
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from text_boxes import text_defects
 
 import rhec
 from rhec import paper
 from rhec.workbench.plots import consistency, scenarios, style
+from rhec.workbench.plots.parts import frequencies
 from rhec.workbench.plots.timing import embedded_times, phases
 from rhec.workbench.studies.consistency import Consistency, stated
 from rhec.workbench.studies.scenario_tables import (
@@ -109,7 +111,7 @@ def drives(runs):
 def drawn(runs, drives, by_weight, sweep_a, sweep_b):
     """Every figure, by its function's name."""
     pair, table = runs["calibrated"], scenario_b_table(sweep_b)
-    by_noise = {noise: by_name["RHE"] for noise, by_name in runs.items()}
+    by_noise = {noise: by_name["RHE"] for noise, by_name in drives.items()}
     return {
         "trajectories_q": scenarios.trajectories_q(
             {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
@@ -156,26 +158,25 @@ def test_figures_say_which_process_noise_and_seeds(drawn):
             assert name == "slip_fields" or noise, name
 
 
-def test_titles_and_legends_are_inside_the_figure_and_apart(drawn):
-    for name, figure in drawn.items():
-        figure.draw_without_rendering()
-        boxes = [
-            (text.get_text(), text.get_window_extent())
-            for axes in figure.axes
-            for text in (axes.title, axes._left_title)
-            if text.get_text()
-        ]
-        for text, box in boxes:
-            assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1, (name, text)
-        for (one, a), (other, b) in itertools.combinations(boxes, 2):
-            assert not a.overlaps(b), (name, one, other)
+def test_texts_are_inside_the_figure_and_apart(drawn):
+    defects = {name: text_defects(figure) for name, figure in drawn.items()}
+    assert not any(defects.values()), defects
+
+
+def test_the_end_of_a_lap_is_marked(drawn):
+    """After 90 s more than half of the lap is left, which is not the end of a lap."""
+    assert "end: 90 s" in words(drawn["trajectories"])
 
 
 def test_the_papers_numbers_stand_beside_ours(drawn, sweep_b):
     errors = words(drawn["errors"])
-    for _, of_one in sweep_b.groupby(["process_noise", "estimator"]):
-        assert f"mean {of_one['mean_error_m'].mean():.4f} m (n = {len(SEEDS)})" in errors
-    assert "paper: 0.0423 m" in errors and "paper: 0.0514 m" in errors
+    for (_, estimator), of_one in sweep_b.groupby(["process_noise", "estimator"]):
+        assert f"{estimator.upper()} {of_one['mean_error_m'].mean():.4f} m" in errors
+    assert f"means over {len(SEEDS)} fields" in errors
+    assert "mean of the RHE: 0.0423 m" in errors and "mean of the EKF: 0.0514 m" in errors
+    for axes in drawn["errors"].axes[:2]:
+        levels = {line.get_ydata()[0] for line in axes.lines if len(set(line.get_ydata())) == 1}
+        assert levels == {0.0423, 0.0514, paper.TOLERANCE_M}
     diamonds = [line for line in drawn["violations"].axes[0].lines if line.get_marker() == "D"]
     assert sorted(line.get_xdata()[0] for line in diamonds) == [0, 17]
     assert "here: a test" in words(drawn["phases"]) and "152 µs" in words(drawn["phases"])
@@ -187,6 +188,32 @@ def test_no_bars_stand_on_a_logarithmic_axis(drawn):
         for axes in figure.axes:
             bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
             assert not bars or {axes.get_xscale(), axes.get_yscale()} == {"linear"}, name
+
+
+def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
+    run, *others = drives["calibrated"]["RHE"]
+    error = drawn["errors"].axes[1]
+    assert any(np.array_equal(line.get_ydata(), run.log["error_m"]) for line in error.lines)
+    yaw, _, _, kappa = drawn["estimates"].axes[2::4]
+    curves = [line.get_ydata() for line in yaw.lines]
+    np.testing.assert_array_equal(curves, [run.log["theta_hat_rad"], run.log["theta_rad"]])
+    assert any(np.array_equal(line.get_ydata(), run.log["kappa"]) for line in kappa.lines)
+    time, beside = drawn["speed"].axes
+    np.testing.assert_array_equal(time.lines[0].get_ydata(), run.log["nu_meas_mps"])
+    settled = np.array([other.columns["nu_meas_mps"][101:] for other in (run, *others)])
+    assert f"measured {settled.std():.3f}" in words(drawn["speed"])
+    assert len(beside.patches) == 3
+
+
+def test_frequencies_are_shares_of_all_values():
+    """Of 8 values, two lie beyond the limits and count at the ends."""
+    values = np.array([[-1.0, 0.1, 0.1, 0.1], [0.9, 0.9, 0.6, 2.0]])
+    figure, (plain, relative) = plt.subplots(1, 2)
+    frequencies(plain, values, (0.0, 1.0), "k", bins=2)
+    frequencies(relative, values, (0.0, 1.0), "k", bins=4, relative=True)
+    plt.close(figure)
+    np.testing.assert_allclose(plain.patches[0].get_data().values, [50, 50])
+    np.testing.assert_allclose(relative.patches[0].get_data().values, [1, 0, 0.25, 0.75])
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):
@@ -233,7 +260,9 @@ def test_times_on_several_machines_share_one_axis_with_a_unit():
         for machine, scale in (("server", 1), ("Pi", 40))
     )
     figure = embedded_times(times)
-    assert "9.5 of 18.5 µs" in words(figure) and "380 of 740 µs" in words(figure)
+    shown = words(figure)
+    assert "9.5 µs, whole step 18.5 µs" in shown and "380 µs, whole step 740 µs" in shown
+    assert text_defects(figure) == []
     (axes,) = figure.axes
     assert "[µs]" in axes.get_xlabel()
     assert [label.get_text() for label in axes.get_yticklabels()] == ["C\nserver", "C\nPi"]
@@ -311,6 +340,7 @@ def test_consistency_of_an_unknown_kind_of_estimator_is_drawn_in_grey():
     measured = Consistency(t_s, rng.normal(size=(5, 200, 4)), squared, squared, squared)
     names = ["RHE, calibrated", "yaw-drift EKF", "particle filter"]
     figure = consistency.nees_over_time(dict.fromkeys(names, measured))
+    assert text_defects(figure) == []
     shown = [axes for axes in figure.axes if axes.get_visible()]
     assert [axes._left_title.get_text().split(":")[0] for axes in shown] == names
     colours = [axes.lines[0].get_color() for axes in shown]

@@ -4,7 +4,6 @@ another.
 
 import dataclasses
 import functools
-import itertools
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -12,6 +11,7 @@ import pandas as pd
 import pytest
 from matplotlib.text import Text
 from PIL import Image
+from text_boxes import text_defects
 
 import rhec
 from rhec import paper
@@ -149,12 +149,7 @@ def test_after_saving_the_layout_stands(tmp_path):
 def test_labels_of_a_drawing_are_whole_and_apart(draw):
     figure = draw()
     assert figure.get_figwidth() == style.COLUMN_IN
-    boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure)]
-    for text, box in boxes:
-        assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1, text
-        assert figure.bbox.y0 <= box.y0 and box.y1 <= figure.bbox.y1, text
-    for (one, a), (other, b) in itertools.combinations(boxes, 2):
-        assert not a.overlaps(b), (one, other)
+    assert text_defects(figure) == []
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ what it says.
 import numpy as np
 import pandas as pd
 import pytest
+from text_boxes import text_defects
 
 import rhec
 from rhec import paper
@@ -159,6 +160,7 @@ def test_the_entries_of_w_are_those_of_the_tuning():
 
 def test_the_forest_has_a_row_for_each_interpretation(moved):
     figure = forest(moved, "calibrated")
+    assert text_defects(figure) == []
     assert len(figure.axes[0].get_yticklabels()) == 5
     assert {axes.get_xscale() for axes in figure.axes} == {"linear"}
 

@@ -104,7 +104,7 @@ def pages(site):
 
 def test_the_pages_are_these(pages):
     own = ("index", "figures", "tables", "claims", "provenance", "search", "README", "CONTRIBUTING")
-    expected = {f"{name}.html" for name in own} | {"CHANGELOG.html"}
+    expected = {f"{name}.html" for name in own} | {"CHANGELOG.html", "SECURITY.html"}
     expected |= {"notebooks/one.html", "notebooks/claims.html"}
     docs = {file.stem for file in (ROOT / "docs").glob("*.md")} - {"index"}
     assert set(pages) == expected | {f"docs/{name}.html" for name in docs}

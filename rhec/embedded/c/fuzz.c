@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Fuzzing: fuzz [steps [seed]]
  *
  * Measurements are NaN, infinite, denormal, huge or ordinary, for a sample or for storms of many

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Replays a log: replay log.csv > results.csv
  *
  * The first line of the log has the column names. Each further line has a measurement: x, y, nu,

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Calls the generated phases in order, and restarts if numbers leave their range; see rhec.h.
  *
  * rhec_memory.h defines the components of this export: RHEC_ESTIMATOR, RHEC_CONTROLLER, and

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Receding horizon estimation (RHE, nonlinear moving horizon estimation) and receding horizon
  * control (RHC, nonlinear model predictive control) of a robot, with one Gauss-Newton iteration per
  * sample.

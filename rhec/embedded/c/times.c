@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: MIT */
 /* Measures the time of each phase on this machine [ns] for every line of a log:
  * times log.csv > times.csv. Needs POSIX. */
 #define _POSIX_C_SOURCE 199309L

@@ -36,6 +36,9 @@ _STRUCTURE = operator.attrgetter(
     "qp",
     "input_reference",
     "cautious",
+    "soil_under",
+    "traction_timing",
+    "yaw_rate_interval",
     "controller",
     "disturbance_observer",
 )

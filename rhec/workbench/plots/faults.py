@@ -113,8 +113,8 @@ def fault_overview(table, n):
     errors.axvline(paper.TOLERANCE_M, **BOUND)
     errors.set_yticks(range(len(cases)), [_label(*key) for key, _ in cases], fontsize=6)
     errors.set(ylim=(len(cases) - 0.4, -0.6))
-    errors.set_xlabel(f"largest true error afterwards [m], dashed: {paper.TOLERANCE_M} m")
-    times.set_xlabel(f"time to recover [s]; right: how many of {n} seeds recovered, off and on")
+    errors.set_xlabel(f"largest true error afterwards [m],\ndashed: {paper.TOLERANCE_M} m")
+    times.set_xlabel(f"time to recover [s]; right: how many\nof {n} seeds recovered, off and on")
     for handling, colour in _COLOURS.items():
         errors.plot([], [], "o-", color=colour, markersize=2.5, label=f"robust handling {handling}")
     ring = dict(color="0.3", markersize=3.5, linestyle="none", markerfacecolor="none")

@@ -135,8 +135,8 @@ def likelihood(profiles):
 def forest(table, baseline):
     """Draw differences of interpretations from the baseline, with 95 % intervals, by quantity.
 
-    Intervals that exclude 0 are vermillion for an increase and blue for a decrease. Arrows at the
-    edge mark values outside the axis.
+    Intervals that exclude 0 are vermillion for an increase and blue for a decrease; an increase of
+    each of the quantities is worse. Arrows at the edge mark values outside the axis.
 
     Args:
         table: Table of `rhec.workbench.studies.interpretations.one_at_a_time`.
@@ -172,6 +172,9 @@ def forest(table, baseline):
         title = f"{words}\n{rows.loc['baseline', 'value']:.3g}{unit}"
         axes.set_title(title, fontsize=7, loc="center")
         axes.tick_params(axis="x", labelsize=5.5)
+        # Labels at the ends stay within their panel, apart from those of its neighbours.
+        for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
+            label.set_horizontalalignment(side)
         axes.grid(axis="y", visible=False)
     labels = [f"{row.words}  {row.interpretation}" for row in others.itertuples()]
     panels[0].set_yticks(range(len(labels)), labels)
@@ -180,7 +183,8 @@ def forest(table, baseline):
     label = (
         f"change from the baseline ({description}), {table['n'].iloc[0]} seeds, 95 % intervals;\n"
     )
-    figure.supxlabel(label + "linear axes; arrows: off the scale, with their numbers", fontsize=7)
+    scale = "vermillion: worse for the RHE, blue: better; arrows: off the scale, with numbers"
+    figure.supxlabel(label + scale, fontsize=7)
     return figure
 
 

@@ -1,6 +1,7 @@
 """Shared parts of figures: panels, bounds, intervals, legends, axes."""
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.ticker import LogLocator
 
 from rhec.workbench.plots.style import BLACK, COLOURS, DOUBLE_IN
@@ -28,6 +29,19 @@ def band(axes, x, low_middle_high, label, **look):
     low, middle, high = low_middle_high
     axes.fill_between(x, low, high, alpha=0.25, linewidth=0, **look)
     axes.plot(x, middle, label=label, linewidth=0.8, **look)
+
+
+def frequencies(axes, values, limits, colour, bins=50, relative=False):
+    """Draw how often values occur as an outline along the vertical axis.
+
+    The outline shows the percentage of the values in each bin, or with `relative` the count divided
+    by that of the fullest bin. Values beyond the limits count in the outermost bins.
+    """
+    edges = np.linspace(*limits, bins + 1)
+    counts, _ = np.histogram(np.clip(values, *limits), edges)
+    shares = counts / counts.max() if relative else 100 * counts / np.size(values)
+    axes.stairs(shares, edges, orientation="horizontal", color=colour)
+    axes.set_xlim(left=0, auto=True)
 
 
 def interval_row(axes, place, row, colour):

@@ -59,7 +59,7 @@ def _time_axis(axes, samples):
     """Label the time axis, and shade straight driving and standing."""
     turning = samples["omega_meas_radps"].abs().rolling(_SMOOTH, center=True, min_periods=1)
     straight = (turning.median() < _STRAIGHT_RADPS) & (samples["segment"].diff(-1) == 0)
-    shaded = f"straight or standing, the tracks turn by less than {_STRAIGHT_RADPS} rad/s"
+    shaded = f"straight or standing, below {_STRAIGHT_RADPS} rad/s"
     time_axis(axes, samples["t_s"], straight, shaded)
 
 

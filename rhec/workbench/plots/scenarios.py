@@ -24,6 +24,15 @@ _KKT = {"RHE": "RHE", "RHC": "oracle"}
 _LEAST_KKT = 1e-5
 _DOT_AND_LINES = "dot and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
 _POOLED = round(1 / paper.DT_S)  # samples of one second
+_MOST_ERROR_M = 0.4  # upper end of the axis of one drive's error
+_START_S = 20.0  # by then each drive that settles at all has left its start behind
+_NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
+_SPEEDS = (  # column, role of its colour, label, width of its line
+    ("nu_meas_mps", "measured", "measured", 0.5),
+    ("nu_hat_mps", "RHE", "estimated (RHE)", 1.2),
+    ("nu_mps", "truth", "true", 0.7),
+)
+_PAPER_LINE = {"RHE": (0, (1, 1)), "EKF": (0, (4, 1, 1, 1))}
 _LINES = {
     "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
     "Q2": dict(color=COLOURS["Q2"], label="$Q^2$"),
@@ -42,6 +51,8 @@ def _title(run):
 def _fields(drives):
     """The number of fields and their seeds, for a title."""
     seeds = [run.scenario.seed for run in drives]
+    if len(seeds) == 1:
+        return f"1 field (seed {seeds[0]})"
     return f"{len(seeds)} fields (seeds {min(seeds)} to {max(seeds)})"
 
 
@@ -79,7 +90,8 @@ def _corridor(axes, path):
     x, y, theta = poses.T
     for side_m in (-paper.TOLERANCE_M, paper.TOLERANCE_M):
         look = dict(color=COLOURS["tolerance"], linewidth=1.2, zorder=1)
-        axes.plot(x - side_m * np.sin(theta), y + side_m * np.cos(theta), **look)
+        label = f"{paper.TOLERANCE_M} m beside it" if side_m > 0 else None
+        axes.plot(x - side_m * np.sin(theta), y + side_m * np.cos(theta), label=label, **look)
 
 
 def _first_row(run):
@@ -97,18 +109,17 @@ def trajectories_q(runs):
     Args:
         runs: {yaw weight: Run}, weights "Q1", "Q2", "Q2, look-ahead" or "Q3".
     """
-    figure, (plane, time) = plt.subplots(2, figsize=(COLUMN_IN, 4.0))
+    figure, (plane, time) = plt.subplots(2, figsize=(COLUMN_IN, 4.4))
     first = next(iter(runs.values()))
     rows = {name: _first_row(run) for name, run in runs.items()}
     ends = [first.path.project(log[["x_m", "y_m"]])[1].max() for log in rows.values()]
     _reference(plane, first.path, max(ends))
     for name, log in rows.items():
         look = _LINES[name]
+        unlabelled = look | dict(label=None)
+        plane.plot(log["x_m"], log["y_m"], **look | dict(label=_how_it_settles(name, runs[name])))
+        time.plot(log["t_s"], log["error_true_m"], **unlabelled)
         settled_s = runs[name].metrics["settling_time_s"]
-        plane.plot(log["x_m"], log["y_m"], **look)
-        words = "never" if np.isnan(settled_s) else f"{settled_s:.1f} s"
-        label = {"label": f"{look['label']}: {words}"}
-        time.plot(log["t_s"], log["error_true_m"], **look | label)
         then_m = np.interp(settled_s, log["t_s"], log["error_true_m"])
         time.plot(settled_s, then_m, "o", markersize=4, color=look["color"], markeredgecolor="w")
     time.axhline(paper.TOLERANCE_M, **parts.BOUND)
@@ -119,9 +130,16 @@ def trajectories_q(runs):
     time.set(xlim=(0, end_s), ylim=0, xlabel="time [s]", ylabel="true error [m]")
     title = f"First row: {_title(first)}"
     plane.set(xlabel="$x$ [m]", ylabel="$y$ [m], stretched", title=title)
-    plane.legend()
-    time.legend(title="settling time (dots)", title_fontsize=7)
+    heading = "settling time (dots); mean true error of the drive from then on"
+    figure.legend(title=heading, title_fontsize=7, loc="outside lower center", ncols=2)
     return figure
+
+
+def _how_it_settles(name, run):
+    """The settling time of a run and its mean true error from then on, for a legend."""
+    settled_s = run.metrics["settling_time_s"]
+    words = "never" if np.isnan(settled_s) else f"{settled_s:.1f} s"
+    return f"{_LINES[name]['label']}: {words}; {run.metrics['mean_error_true_m']:.3f} m"
 
 
 @styled
@@ -169,8 +187,8 @@ def slip_fields(terrain, path, title):
 def trajectories(runs):
     """Draw Figure 7: reference and trajectories on the map of κ.
 
-    The upper map shows the whole drive. The lower maps show the start and the largest true error
-    after settling, with the tolerance of 0.12 m in yellow.
+    The upper map shows the whole drive and where it ends. The lower maps show the start and the
+    largest true error after settling, with the tolerance of 0.12 m in yellow.
 
     Args:
         runs: {"RHE": Run, "EKF": Run} on the same terrain.
@@ -203,56 +221,96 @@ def trajectories(runs):
         _corridor(panels[name], first.path)
     panels["start"].set(aspect="auto", box_aspect=1)
     parts.note(panels["start"], "start", first.log[["x_m", "y_m"]].iloc[0], (5, 3))
+    _end_of_lap(panels["all"], first)
     ahead = first.path.poses(np.array([0.3, 0.45]) * first.scenario.row_length_m)[0][:, :2]
     arrow = dict(arrowstyle="-|>", color=BLACK, linewidth=1)
     for axes in (panels["all"], panels["start"]):
         axes.annotate("", ahead[1] + (0, 1.0), ahead[0] + (0, 1.0), arrowprops=arrow)
     panels["worst"].set_ylabel("")
     figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", **_TRACTION_BAR)
-    parts.legend_outside(figure, panels["all"], "lower center", 3)
+    parts.legend_outside(figure, panels["start"], "lower center", 2)
     return figure
+
+
+def _end_of_lap(axes, run):
+    """Mark where the drive ends, and say how much of the lap is left."""
+    end = run.log.iloc[-1]
+    axes.plot(end["x_m"], end["y_m"], "s", color=BLACK, markersize=3)
+    left_m = run.path.length_m - end["s_m"]
+    words = f"end: {end['t_s'] + paper.DT_S:.0f} s"
+    if 0 < left_m < run.path.length_m / 2:
+        words += f", {left_m:.0f} m of the lap left"
+    line = dict(arrowstyle="-", linewidth=0.5, shrinkA=0)
+    parts.note(axes, words, (end["x_m"], end["y_m"]), (8, 18), ha="left", arrowprops=line)
 
 
 @styled
 def errors(drives, table):
-    """Draw Figure 8: Euclidean errors by raw GNSS, and the share of fields with more than 0.12 m.
+    """Draw Figure 8: Euclidean errors by raw GNSS of one drive, as in the paper, and of many.
+
+    Above is the first drive of each, with the means that the paper reports. In the middle are
+    median and 95th percentile of all drives, below the share of their samples above 0.12 m.
 
     Args:
         drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
         table: Table of `rhec.workbench.studies.scenario_tables.scenario_b_table`.
     """
-    size = (DOUBLE_IN, 3.6)
-    heights = (2, 1)
+    heights = (1.3, 1.3, 0.7)
     grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=heights)
-    figure, (above, below) = plt.subplots(2, len(drives), figsize=size, **grid)
-    means = table[table["quantity"] == "mean error, raw GNSS [m]"]
-    means = means.set_index(["process_noise", "estimator"])
-    for error, share, (noise, by_name) in zip(above, below, drives.items()):
-        lines = []
+    figure, rows = plt.subplots(3, len(drives), figsize=(DOUBLE_IN, 4.9), **grid)
+    for panels, (noise, by_name) in zip(rows.T, drives.items()):
+        one, many, share = panels
         for name in ("EKF", "RHE"):
-            log = by_name[name][0].log
-            look = dict(color=COLOURS[name])
-            t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
-            _, median, p95 = over_fields(by_name[name], "error_m", _POOLED)
-            error.fill_between(t_s, median, p95, alpha=0.25, linewidth=0, **look)
-            error.plot(t_s, median, label=name, **look)
-            beyond = share_of_fields(by_name[name], "error_m", paper.TOLERANCE_M, _POOLED)
-            share.plot(t_s, 100 * beyond, **look)
-            mean = means.loc[(noise, name)]
-            reported = REPORTED[name, "mean_error_m"]
-            lines += [f"{name}: mean {mean['mean']:.4f} m (n = {mean['n']}), paper: {reported} m"]
-        error.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-        error.set_title("\n".join([f"{noise} process noise", *lines[::-1]]))
-        error.set_yscale("log")
-        error.minorticks_off()
-        _time_axis([error, share], log)
-    above[0].set(ylabel="error, raw GNSS [m]", ylim=(0.02, 10))
-    above[0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
-    below[0].set(ylabel=f"samples above\n{paper.TOLERANCE_M} m [%]", ylim=(0, 100))
-    many = f"median (line) to 95th percentile of {_fields(by_name['RHE'])}, means over 1 s"
-    figure.suptitle(many, fontsize=8)
-    parts.legend_outside(figure, above[0], "lower center", 3)
+            _one_error(one, name, by_name[name][0])
+            _many_errors(many, share, name, by_name[name])
+        for axes in (one, many):
+            axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
+        one.set_title(f"One drive: {_title(by_name['RHE'][0])}")
+        many.set_title(f"{_fields(by_name['RHE'])}\n{_means(table, noise)}")
+        _time_axis(panels, by_name["RHE"][0].log)
+    rows[0, 0].set(ylabel=f"error [m],\ncut at {_MOST_ERROR_M} m", ylim=(0, _MOST_ERROR_M))
+    rows[1, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.02, 10))
+    rows[1, 0].minorticks_off()
+    rows[1, 0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
+    rows[2, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
+    parts.legend_outside(figure, rows[0, 0], "lower center", 3)
+    words = "errors by raw GNSS; middle: median (thick) and 95th percentile (thin), means over 1 s"
+    figure.suptitle(words, fontsize=8)
     return figure
+
+
+def _one_error(axes, name, run):
+    """Draw the error of one drive over time, and the mean that the paper reports."""
+    error_m = run.log["error_m"]
+    axes.plot(run.log["t_s"], error_m, label=name, linewidth=0.5, color=COLOURS[name])
+    reported = REPORTED[name, "mean_error_m"]
+    look = dict(color=COLOURS[name], linewidth=1.2, linestyle=_PAPER_LINE[name], zorder=3)
+    axes.axhline(reported, label=f"paper, mean of the {name}: {reported} m", **look)
+    # The start is off the path by design; an error that leaves the axis later is told.
+    largest_m = error_m[run.log["t_s"] > _START_S].max()
+    if largest_m > _MOST_ERROR_M:
+        at = dict(xycoords="axes fraction", color=COLOURS[name], ha="right", va="top")
+        parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, 0.97), **at)
+
+
+def _many_errors(axes, share, name, drives):
+    """Draw median and 95th percentile of the drives' errors, and the share above 0.12 m."""
+    look = dict(color=COLOURS[name])
+    log = drives[0].log
+    t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
+    _, median, p95 = over_fields(drives, "error_m", _POOLED)
+    axes.plot(t_s, median, linewidth=1.2, **look)
+    axes.plot(t_s, p95, linewidth=0.5, **look)
+    beyond = share_of_fields(drives, "error_m", paper.TOLERANCE_M, _POOLED)
+    share.plot(t_s, 100 * beyond, **look)
+
+
+def _means(table, noise):
+    """The mean errors of RHE and EKF by raw GNSS, for a title."""
+    means = table[table["quantity"] == "mean error, raw GNSS [m]"]
+    means = means.set_index(["process_noise", "estimator"]).loc[noise]
+    both = ", ".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
+    return f"means over {means.loc['RHE', 'n']} fields: {both}"
 
 
 @styled
@@ -284,54 +342,107 @@ def violations(table):
 
 
 @styled
-def estimates(runs):
-    """Draw Figure 10: the RHE's yaw error, and traction parameters with the bounds of eq. (14).
+def estimates(drives):
+    """Draw Figure 10: the RHE's yaw, its error, and traction with the bounds of eq. (14).
 
-    Bands are two standard deviations by the covariance of the RHE.
+    Each column shows the first drive over time, with bands of two standard deviations by the
+    covariance of the RHE. Beside it are the frequencies of the same quantities in all drives.
 
     Args:
-        runs: {process noise: Run}, a column for each.
+        drives: {process noise: drives}, a column for each.
     """
-    grid = dict(figsize=(DOUBLE_IN, 4.2), sharex=True, sharey="row", squeeze=False)
-    figure, rows = plt.subplots(3, len(runs), **grid)
-    for panels, run in zip(rows.T, runs.values()):
-        entries = stated(run)
-        t_s = run.log["t_s"]
-        log = run.log
-        for axes, name, symbol in zip(
-            panels, entries, (r"$\hat\theta-\theta$", r"$\mu$", r"$\kappa$")
-        ):
-            value, sigma, truth, inside = entries[name]
-            low = value - 2 * sigma
-            high = value + 2 * sigma
-            axes.fill_between(t_s, low, high, color=SKY, alpha=0.45, linewidth=0, label="± 2 σ")
-            axes.plot(t_s, value, color=COLOURS["RHE"], linewidth=0.8, label="RHE")
-            axes.plot(t_s, truth, color=COLOURS["truth"], linewidth=0.8, label="truth")
-            axes.set_title(f"{symbol}: within ± 2 σ in {100 * inside:.0f} % of the samples")
-        for axes in panels[1:]:
-            axes.hlines([0, 1], *t_s.iloc[[0, -1]], label="constraints", **parts.BOUND)
-        panels[0].set_title(f"{_title(run)}\n{panels[0].get_title(loc='left')}")
-        _time_axis(panels, log)
-    labels = ("yaw error [rad],\ncut at ± 0.3", "$\\mu$ [-],\ncut at 0.5", r"$\kappa$ [-]")
-    limits = ((-0.3, 0.3), (0.5, 1.1), (-0.06, 1.1))
-    for axes, label, limit in zip(rows[:, 0], labels, limits):
+    size = (DOUBLE_IN, 5.6)
+    widths = (5, 1) * len(drives)
+    grid = dict(sharey="row", squeeze=False, width_ratios=widths)
+    figure, rows = plt.subplots(4, 2 * len(drives), figsize=size, **grid)
+    for time, beside, runs in zip(rows.T[::2], rows.T[1::2], drives.values()):
+        _yaw(time[0], runs[0].log)
+        _one_estimate(time[1:], runs[0])
+        _many_estimates(beside, runs)
+        time[0].set_title(f"{_title(runs[0])}\nyaw")
+        for axes in time[:-1]:
+            axes.tick_params(labelbottom=False)
+        for axes in time:
+            axes.set_xlim(0, runs[0].log["t_s"].max())
+        _time_axis(time, runs[0].log)
+        time[-1].set_xlabel("time [s]  (shaded: curves)")
+    labels = (r"$\theta$ [rad]", "yaw error [rad],\ncut at ± 0.3", "$\\mu$ [-],\ncut at 0.5")
+    limits = (None, (-0.3, 0.3), (0.5, 1.1), (-0.06, 1.1))
+    for axes, label, limit in zip(rows[:, 0], (*labels, r"$\kappa$ [-]"), limits):
         axes.set(ylabel=label, ylim=limit)
-    parts.legend_outside(figure, rows[1, 0], "lower center", 4)
+    parts.legend_outside(figure, rows[2, 0], "lower center", 4)
     return figure
+
+
+def _yaw(axes, log):
+    """Draw the estimated and the true yaw θ of a drive over time."""
+    axes.plot(log["t_s"], log["theta_hat_rad"], color=COLOURS["RHE"], linewidth=1.8)
+    axes.plot(log["t_s"], log["theta_rad"], color=COLOURS["truth"], linewidth=0.7)
+
+
+def _one_estimate(panels, run):
+    """Draw yaw error, μ and κ of a drive over time, with ± 2 σ and the truth."""
+    t_s = run.log["t_s"]
+    symbols = (r"$\hat\theta-\theta$", r"$\mu$", r"$\kappa$")
+    for axes, (name, stated_), symbol in zip(panels, stated(run).items(), symbols):
+        value, sigma, truth, inside = stated_
+        look = dict(color=SKY, alpha=0.45, linewidth=0, label="± 2 σ of the RHE")
+        axes.fill_between(t_s, value - 2 * sigma, value + 2 * sigma, **look)
+        axes.plot(t_s, value, color=COLOURS["RHE"], linewidth=0.8, label="estimate")
+        axes.plot(t_s, truth, color=COLOURS["truth"], linewidth=0.8, label="truth")
+        title = f"{symbol}: {100 * inside:.0f} % within ± 2 σ"
+        if name in ("mu", "kappa"):
+            axes.hlines([0, 1], *t_s.iloc[[0, -1]], label="constraints", **parts.BOUND)
+            at_bound = np.mean((value < _NEAR_BOUND) | (value > 1 - _NEAR_BOUND))
+            title += f", {100 * at_bound:.0f} % at a bound"
+        axes.set_title(title)
+
+
+def _many_estimates(panels, runs):
+    """Draw how frequent yaw errors and values of μ and κ are in all drives."""
+    settled = runs[0].columns["t_s"] > _START_S
+    logs = [run.columns for run in runs]
+    error = [log["theta_hat_rad"] - log["theta_rad"] for log in logs]
+    for axes, estimate, truth, limits in [
+        (panels[1], error, None, (-0.3, 0.3)),
+        (panels[2], [log["mu_hat"] for log in logs], "mu", (0.5, 1.0)),
+        (panels[3], [log["kappa_hat"] for log in logs], "kappa", (0.0, 1.0)),
+    ]:
+        parts.frequencies(axes, np.array(estimate)[:, settled], limits, COLOURS["RHE"])
+        if truth:
+            values = np.array([log[truth] for log in logs])[:, settled]
+            parts.frequencies(axes, values, limits, COLOURS["truth"])
+    panels[0].axis("off")
+    fields = _fields(runs).replace(" (", "\n(").replace(" to", "\nto")
+    words = f"{fields}:\nfrequencies"
+    parts.note(panels[0], words, (0.5, 0), ha="center", va="bottom", xycoords="axes fraction")
+    panels[-1].set_xlabel("share [%]")
 
 
 @styled
 def speed(drives):
-    """Draw Figure 11: measured, estimated and true speed of the tracks ν over time."""
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.2))
-    for column, name in [("nu_meas_mps", "measured"), ("nu_mps", "truth"), ("nu_hat_mps", "RHE")]:
-        quantiles = over_fields(drives, column, _POOLED)
-        t_s = drives[0].log["t_s"][: quantiles.shape[1] * _POOLED : _POOLED]
-        parts.band(axes, t_s, quantiles, name, color=COLOURS[name])
+    """Draw Figure 11: measured, estimated and true speed of the tracks ν, of one drive and of many.
+
+    The first drive is drawn over time, as in the paper; beside it are frequencies in all drives.
+    """
+    panels = dict(figsize=(DOUBLE_IN, 2.4), sharey=True, width_ratios=(5, 1))
+    figure, (axes, beside) = plt.subplots(1, 2, **panels)
+    log = drives[0].log
+    settled = drives[0].columns["t_s"] > _START_S
+    limits = log["nu_meas_mps"].agg(["min", "max"])
+    deviations = []
+    for column, name, label, width in _SPEEDS:
+        axes.plot(log["t_s"], log[column], color=COLOURS[name], linewidth=width, label=label)
+        values = np.array([run.columns[column] for run in drives])[:, settled]
+        parts.frequencies(beside, values, limits, COLOURS[name], bins=100, relative=True)
+        deviations.append(f"{label} {values.std():.3f}")
     axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
-    axes.set(ylabel=r"speed $\nu$ [m/s]", title=_over(drives))
-    parts.legend_above(axes, **_TIGHT)
-    _time_axis([axes], drives[0].log)
+    axes.set(ylabel=r"speed $\nu$ [m/s]", title=f"One drive: {_title(drives[0])}")
+    beside.set(title="all drives", xlabel="relative\nfrequency [-]")
+    _time_axis([axes], log)
+    words = f"standard deviations [m/s]: {', '.join(deviations)}"
+    figure.suptitle(f"{_fields(drives)}, {words}", fontsize=8)
+    parts.legend_outside(figure, axes, "lower center", 4)
     return figure
 
 
@@ -340,7 +451,7 @@ def yaw_rate(run):
     """Draw Figure 12: the yaw rate commanded by the RHC, its bounds, and the actual one ω."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
     t_s, actual, commanded = (run.log[name] for name in ("t_s", "omega_radps", "omega_cmd_radps"))
-    axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual")
+    axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual (tracks)")
     look = dict(color=COLOURS["RHE"], linewidth=0.9)
     axes.step(t_s, commanded, where="post", label="reference (RHC)", **look)
     bound = run.scenario.omega_max_radps
@@ -371,6 +482,7 @@ def kkt(drives):
         title = f"{name}: largest median {most:.2g}, at {largest_s:.1f} s"
         axes.set(xscale="log", yscale="log", title=title, xlim=(t_s[0], t_s[-1]))
         axes.set_xlabel("time [s], logarithmic; the first sample is at 0.2 s")
+        axes.set_xticks(ticks := [1, 10, 100], ticks)
         axes.minorticks_off()
     # The axis has a lower limit, because the RHC's tolerance is 0 if all commands are at a bound.
     panels[0].set(ylabel=f"KKT tolerance [-], cut at {_LEAST_KKT:g}", ylim=_LEAST_KKT)

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import io
 import json
 import os
 import re
@@ -182,8 +183,11 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
             creator = {"Creator": f"rhec {__version__}"}
             figure.savefig(unfinished, format="png", metadata=metadata | creator)
         figure.set_layout_engine(None)  # it stands, and takes as long as to draw
+        # To memory first, because Matplotlib's PDF writer hides the error of a full disk.
+        pdf = io.BytesIO()
+        figure.savefig(pdf, format="pdf", metadata=metadata | {"CreationDate": None})
         with _replacing(png.with_suffix(".pdf")) as unfinished:
-            figure.savefig(unfinished, format="pdf", metadata=metadata | {"CreationDate": None})
+            unfinished.write_bytes(pdf.getvalue())
     return png
 
 

@@ -24,7 +24,8 @@ _COLOURS = {
 }
 _FEEDBACK = [("RHE", "feedback"), ("RHC", "feedback")]
 # Begin and end of each phase in a period; the drawing is not to scale.
-_PLACES = dict(zip(_COLOURS, ((0.52, 0.76), (0.76, 1.0), (0.0, 0.17), (0.17, 0.3))))
+_PLACES = dict(zip(_COLOURS, ((0.52, 0.76), (0.76, 1.0), (0.0, 0.17), (0.17, 0.34))))
+_COMMAND = _PLACES["RHC", "feedback"][1]
 
 
 def _cycle(axes):
@@ -36,20 +37,20 @@ def _cycle(axes):
         for which, (begin, end) in _PLACES.items():
             problem, phase = which
             look = dict(color=_COLOURS[which], edgecolor=BLACK, linewidth=0.5)
-            axes.barh(problem == "RHC", end - begin, 0.85, k + begin, **look)
+            axes.barh(problem == "RHC", end - begin, 0.95, k + begin, **look)
             text = f"{problem}\n{'feedback' if phase == 'feedback' else 'shift, prepare'}"
             ink = "w" if _COLOURS[which] in (BLUE, GREEN) else BLACK
-            centre = dict(ha="center", fontsize=6, color=ink)
+            centre = dict(ha="center", fontsize=6, color=ink, linespacing=0.95)
             note(axes, text, (k + (begin + end) / 2, problem == "RHC"), **centre)
         arrow = dict(arrowstyle="-|>", color=VERMILLION, shrinkA=0, shrinkB=0)
         index = ("{k-1}", "k")[k]
         for x, tip, foot, signal in [
-            (k, -0.3, -0.95, f"$z_{index}$"),
-            (k + 0.3, 1.95, 1.3, rf"$\omega_{index}$"),
+            (k, -0.48, -1.25, f"$z_{index}$"),
+            (k + _COMMAND, 2.15, 1.5, rf"$\omega_{index}$"),
         ]:
             axes.annotate("", (x, tip), (x, foot), arrowprops=arrow)
             note(axes, signal, (x, (tip + foot) / 2), (4, 0), color=VERMILLION, fontsize=8)
-    axes.set(xlim=(-0.02, 2.02), ylim=(2.0, -1.0), yticks=[], xticks=[])
+    axes.set(xlim=(-0.02, 2.02), ylim=(2.2, -1.3), yticks=[], xticks=[])
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.set_title(
@@ -115,13 +116,13 @@ def embedded_times(times):
         ]:
             look = dict(color=colour, markersize=4, label=None if place else label)
             axes.plot(value, place, "o", linestyle="none", **look)
-        note(axes, f"{command_us:.3g} of {step_us:.3g} µs", (step_us, place), (6, 0))
+        note(axes, f"{command_us:.3g} µs, whole step {step_us:.3g} µs", (step_us, place), (6, 0))
     axes.set_yticks(range(len(sources)), [f"{who}\n{machine}" for (machine, who), _ in sources])
     axes.tick_params(axis="y", labelsize=6.5)
     axes.set(ylim=(len(sources) - 0.5, -0.5))
     log_axis(axes.xaxis)
     low, high = axes.get_xlim()
-    axes.set(xlim=(low, high * (high / low) ** 0.25), xlabel="mean time [µs], logarithmic")
+    axes.set(xlim=(low, high * (high / low) ** 0.33), xlabel="mean time [µs], logarithmic")
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=2)
     return figure

@@ -70,9 +70,9 @@ _DRIFT = [(6,)]
 UNKNOWNS |= dict.fromkeys(("yaw_drift_ekf", "yaw_drift_rhe"), _POSE + _SOIL + _DRIFT)
 
 
-def oracle_runs(seeds, duration_s=240.0):
-    """Runs of the default scenario with the true state in the loop, one a seed."""
-    fields = dict(estimator="oracle", duration_s=duration_s)
+def oracle_runs(seeds, duration_s=240.0, **world):
+    """Runs with the true state in the loop, one a seed, in the default world or another."""
+    fields = dict(estimator="oracle", duration_s=duration_s) | world
     return [simulate(Scenario(seed=seed, **fields)) for seed in seeds]
 
 

@@ -1,4 +1,4 @@
-"""Audit of the interpretations R1 to R14 (docs/interpretations.md): what each way to read the paper
+"""Audit of the interpretations R1 to R16 (docs/interpretations.md): what each way to read the paper
 does to the estimators, by analysis and by simulation.
 
 Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
@@ -262,6 +262,9 @@ INTERPRETATIONS = {
     "R8": ("path's yaw rate as reference", dict(input_reference="curvature")),
     "R9": ("backwards, λ = 1", dict(backwards=True)),
     "R10": ("command one sample late", dict(command_delay=1)),
+    "R15 a": ("ν, μ, κ of the sample before", dict(traction_timing="sample_before")),
+    "R15 b": ("prepared anew with ν, μ, κ", dict(traction_timing="prepared_anew")),
+    "R16": ("ω of the interval after it", dict(yaw_rate_interval="after")),
 }
 QUANTITIES = {
     "mean_error_m": "mean error, raw GNSS [m]",

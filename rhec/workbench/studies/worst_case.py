@@ -84,6 +84,8 @@ def drive(base, level, **chosen):
     """
     mu, kappa, *patch = _soil(base, level, chosen)
     constant = dict(mu_mean=mu, kappa_mean=kappa, mu_deviation=0.0, kappa_deviation=0.0)
+    # The chosen bumps and position errors act as they are, without a filter.
+    constant |= dict(rut_length_m=0.0, gnss_slow_share=0.0)
     # The patch is placed along the path, which is known once the scenario is set up.
     plain = dataclasses.replace(base, **constant)
     ((x, y, _),), _ = set_up(plain).path.poses([chosen["patch_s_m"]])

@@ -31,7 +31,16 @@ __all__ = [
 ]
 
 # As in rhec/embedded/c/CMakeLists.txt
-FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+FLAGS = (
+    "-std=c99",
+    "-O3",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Werror",
+    "-Wframe-larger-than=8192",
+)
 LIBRARY = ("rhec.c", "rhec_scenario.c")
 _ARM = "aarch64"
 # As in rhec/embedded/c/rhec.h

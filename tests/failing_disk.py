@@ -1,0 +1,189 @@
+"""Make every file operation of a task fail in turn, as SQLite's tests do (run by
+`tests/project/test_failing_disk.py`, with failing_disk.c preloaded).
+
+For each k, a child process runs the task in a fresh folder on a disk whose k-th operation fails,
+alone or with all later ones: both in turn, of a long task one of them. It reports what was raised
+and what was left. Then the task runs again in the same folder on a disk that works.
+"""
+
+import contextlib
+import ctypes
+import functools
+import hashlib
+import io
+import json
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+from unittest import mock
+
+import pandas as pd
+
+import rhec
+from rhec import embedded
+from rhec.core._casadi import cache
+from rhec.simulation.campaigns import __main__ as campaign_command
+from rhec.workbench.plots import style
+
+MOST_OPERATIONS = 400  # a task that never ends without failure would be a loop
+
+SCENARIOS = [rhec.Scenario(duration_s=2.0, seed=seed) for seed in range(3)]
+
+
+def campaign(folder):
+    table = rhec.campaign(SCENARIOS, folder=folder / "rows", workers=1)
+    return table["mean_error_true_m"].tolist()
+
+
+def command(folder):
+    arguments = ["--seeds", "1", "-p", "duration_s", "2", "--folder", str(folder), "--workers", "1"]
+    said = io.StringIO()
+    with (
+        mock.patch.object(sys, "argv", ["campaigns", *arguments]),
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+    ):
+        try:
+            campaign_command.main()
+        except SystemExit as end:
+            raise OSError(said.getvalue()) from end
+    return pd.read_parquet(folder / "campaign.parquet")["mean_error_true_m"].tolist()
+
+
+@functools.cache
+def export_texts():
+    """The files of an export, which takes seconds to generate: here only writing them matters."""
+    return embedded._of_scenario(SCENARIOS[0])
+
+
+def export(folder):
+    with mock.patch.object(embedded, "_of_scenario", lambda scenario: export_texts()):
+        rhec.export(SCENARIOS[0], folder / "c")
+    return sorted((file.name, file.read_text()) for file in (folder / "c").iterdir())
+
+
+def table(folder):
+    style.save_table(pd.DataFrame(dict(a=[1.5, 2.5])), "one", "A caption.", folder=folder)
+    return (folder / "one.csv").read_text()
+
+
+def picture(folder):
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    figure.subplots().plot([0, 1], [0, 1])
+    style.save(figure, "line", folder=folder)
+    return [len((folder / f"line.{kind}").read_bytes()) > 1000 for kind in ("png", "pdf")]
+
+
+def soil(folder):
+    rhec.Terrain.uniform(0.9, 0.8).save(folder / "soil.npz")
+    return rhec.Terrain.load(folder / "soil.npz").mean.tolist()
+
+
+def compiled(folder):
+    def build(place):
+        (place / "library").write_text("code")
+        (place / "names").write_text("{}")
+
+    os.environ["RHEC_CACHE"] = str(folder / "cache")
+    return cache.load_or_build("name", build, lambda place: (place / "library").read_text())
+
+
+TASKS = dict(
+    campaign=campaign,
+    command=command,
+    export=export,
+    table=table,
+    picture=picture,
+    soil=soil,
+    compiled=compiled,
+)
+
+
+def set_disk(disk, folder, fails_at, ever_after):
+    """Let the k-th operation below a folder fail; "" stops all failing and counting."""
+    name = (ctypes.c_char * 4096).in_dll(disk, "folder")
+    name.value = b""
+    ctypes.c_long.in_dll(disk, "calls").value = 0
+    ctypes.c_long.in_dll(disk, "fails_ever_after").value = ever_after
+    ctypes.c_long.in_dll(disk, "fails_at").value = fails_at
+    name.value = str(folder).encode()
+
+
+def attempt(task, folder, disk, fails_at, ever_after):
+    """What a task returned, or the sentence of what it raised, on a disk that fails."""
+    outcome = dict(result=None, error=None)
+    set_disk(disk, folder, fails_at, ever_after)
+    try:
+        outcome["result"] = task(folder)
+    except Exception as error:
+        outcome["error"] = f"{type(error).__name__}: {error}"
+    outcome["calls"] = ctypes.c_long.in_dll(disk, "calls").value
+    set_disk(disk, "", 0, 0)
+    return outcome
+
+
+def in_a_child(function):
+    """The JSON result of a function that runs in a forked process, which may die."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(reading)
+        with os.fdopen(writing, "w") as pipe:
+            json.dump(function(), pipe)
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        text = pipe.read()
+    os.waitpid(child, 0)
+    return json.loads(text) if text else None
+
+
+def digests(folder):
+    """{file: digest of its content}, for the files below a folder."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+        for path in files
+    }
+
+
+def one_point(task, disk, k, ever_after):
+    """What happens if the k-th operation fails, and when the task runs again after that."""
+    folder = Path(tempfile.mkdtemp())
+    try:
+        first = attempt(task, folder, disk, k, ever_after)
+        left = digests(folder)
+        again = attempt(task, folder, disk, 0, 0)
+        point = dict(k=k, ever_after=ever_after, first=first, left=left, again=again)
+        return point | dict(finally_there=digests(folder))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def main():
+    warnings.simplefilter("ignore")
+    name, library = sys.argv[1:]
+    os.environ["RHEC_UNATTENDED"] = "1"
+    task = TASKS[name]
+    disk = ctypes.CDLL(library)
+    warm = Path(tempfile.mkdtemp())
+    task(warm)  # imports and compiles
+    shutil.rmtree(warm)
+    reference = in_a_child(lambda: one_point(task, disk, 0, 0))
+    count = reference["first"]["calls"]
+    assert 0 < count < MOST_OPERATIONS, count
+    points = [
+        in_a_child(lambda k=k, ever=ever: one_point(task, disk, k, ever))
+        for k in range(1, count + 1)
+        for ever in ((0, 1) if count < 100 else (k % 2,))
+    ]
+    print(json.dumps(dict(reference=reference, points=points)))
+
+
+if __name__ == "__main__":
+    main()

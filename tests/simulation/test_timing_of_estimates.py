@@ -1,0 +1,95 @@
+"""Interpretations R15 and R16: when ν̂, μ̂ and κ̂ reach the controller, and which interval a
+measured yaw rate belongs to.
+"""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import rhec
+from rhec.simulation.columns import ESTIMATE
+from rhec.workbench.studies.calibration import run_estimator
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+TIMINGS = ("feedback", "sample_before", "prepared_anew")
+# The commands do not depend on κ̂ by another way than the model of the controller.
+COMMAND = "omega_cmd_radps"
+
+
+def estimator_with(kappa_of):
+    """An estimator of one's own: the measured pose along x, and κ̂ as a function of the sample."""
+    memory = ca.SX.sym("memory", 7)
+    z = ca.SX.sym("z", 4)
+    theta = memory[2] + 0.2 * 0.8 * z[3]
+    estimate = ca.vertcat(z[:2], theta, 0.5, 1.0, kappa_of(memory[6]))
+    following = ca.vertcat(z[:2], theta, memory[3:6], memory[6] + 1)
+    return ca.Function("own", [memory, z], [following, estimate])
+
+
+def kappa_at(k):
+    return 0.7 + 0.2 * ca.sin(k)
+
+
+def log_of(**choice):
+    return rhec.simulate(rhec.Scenario(duration_s=20.0, **choice)).log
+
+
+def test_estimates_that_do_not_change_may_reach_the_controller_at_any_time():
+    estimator = estimator_with(lambda k: 1.0)  # as in the first guess
+    first, *others = (log_of(estimator=estimator, traction_timing=each) for each in TIMINGS)
+    for log in others:
+        np.testing.assert_allclose(log[COMMAND], first[COMMAND], atol=1e-12)
+    assert np.ptp(first[COMMAND]) > 0.05
+
+
+def test_the_sample_before_is_an_estimator_that_tells_them_a_sample_later():
+    prompt = estimator_with(kappa_at)
+    late = estimator_with(lambda k: ca.if_else(k > 0, kappa_at(k - 1), 1.0))
+    before = log_of(estimator=prompt, traction_timing="sample_before")[COMMAND]
+    anew = log_of(estimator=late, traction_timing="prepared_anew")[COMMAND]
+    np.testing.assert_allclose(before, anew, atol=1e-12)
+    for timing in ("feedback", "prepared_anew"):
+        other = log_of(estimator=prompt, traction_timing=timing)[COMMAND]
+        assert np.abs(other - before).max() > 1e-4, timing
+
+
+def test_a_yaw_rate_of_the_next_interval_reaches_the_estimator_a_sample_later():
+    """The oracle needs no measurement, so that both runs are one, but for what is measured."""
+    name = "omega_meas_radps"
+    before, after = (
+        log_of(estimator="oracle", yaw_rate_interval=each) for each in ("before", "after")
+    )
+    assert after[name][0] == 0 and np.array_equal(after[name][1:], before[name][:-1])
+    others = [column for column in before if column != name]
+    np.testing.assert_array_equal(*(log[others].to_numpy(dtype=float) for log in (after, before)))
+
+
+def test_the_estimator_gets_what_the_log_holds():
+    run = rhec.simulate(rhec.Scenario(duration_s=20.0, yaw_rate_interval="after"))
+    estimate = run_estimator(run.scenario, run, "estimate")["estimate"]
+    np.testing.assert_allclose(estimate, run.log[ESTIMATE], atol=1e-9)
+
+
+@pytest.mark.parametrize("choice", [dict(traction_timing="prepared_anew"), dict(robust=True)])
+def test_a_missing_yaw_rate_is_the_last_command(choice):
+    fault = rhec.Fault(kind="missing", start_s=5.0, duration_s=3.0, channel="all")
+    log = log_of(yaw_rate_interval="after", faults=(fault,), **choice)
+    assert np.isfinite(log[[COMMAND, "x_hat_m", "kappa_hat"]]).all(axis=None)
+    assert log["ok"].all()
+
+
+@pytest.mark.parametrize(
+    "wrong, sentence",
+    [
+        (dict(traction_timing="later"), "^traction_timing was 'later'"),
+        (dict(yaw_rate_interval=1), "^yaw_rate_interval was 1"),
+    ],
+)
+def test_other_words_are_refused(wrong, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        rhec.Scenario(**wrong)
+
+
+def test_an_export_refuses_what_it_does_not_do(tmp_path):
+    with pytest.raises(ValueError, match="^yaw_rate_interval was 'after'; to export, it should be"):
+        rhec.export(rhec.Scenario(yaw_rate_interval="after"), tmp_path)
