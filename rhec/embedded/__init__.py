@@ -35,6 +35,12 @@ LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
 _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions without a library in C
 _EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
+_EXPORTED_VALUES = dict(
+    controller="rhc",
+    disturbance_observer=False,
+    traction_timing="feedback",
+    yaw_rate_interval="before",
+)
 _PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 _UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave
@@ -157,10 +163,6 @@ def _check(scenario):
         raise ValueError(
             f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
         )
-    for name, exported in (("traction_timing", "feedback"), ("yaw_rate_interval", "before")):
-        value = getattr(scenario, name)
-        if value != exported:
-            raise ValueError(f"{name} was {value!r}; to export, it should be {exported!r}")
 
 
 def _obstacle(estimator, robust=False):
@@ -175,7 +177,7 @@ def _obstacle(estimator, robust=False):
 
 def _check_controller(scenario):
     """Raise a ValueError for a controller that is not the RHC as it is."""
-    for name, exported in (("controller", "rhc"), ("disturbance_observer", False)):
+    for name, exported in _EXPORTED_VALUES.items():
         value = getattr(scenario, name)
         if value != exported:
             raise ValueError(f"{name} was {value!r}; to export, it should be {exported!r}")

@@ -95,7 +95,6 @@ class Scenario:
         _check_kinds(self)
         for name in ("mu", "kappa"):
             _check_deviation(self, name)
-        _check_look_ahead(self)
         _check_fits_estimator(self)
         _check_fits_controller(self)
 
@@ -129,13 +128,6 @@ def _check_deviation(scenario, name):
         raise ValueError(f"{name}_deviation was {deviation!r}; {expected}, {reason}")
 
 
-def _check_look_ahead(scenario):
-    """Refuse pure pursuit without a goal ahead of the robot."""
-    if scenario.controller == "pure_pursuit" and scenario.look_ahead_m == 0:
-        expected = "for the controller 'pure_pursuit' it should be above 0, such as 1.0"
-        raise ValueError(f"look_ahead_m was {scenario.look_ahead_m!r}; {expected}")
-
-
 def _check_fits_estimator(scenario):
     """Refuse `robust`, `soil_map` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
@@ -156,7 +148,10 @@ def _check_fits_estimator(scenario):
 
 
 def _check_fits_controller(scenario):
-    """Refuse `traction_timing` for a controller that is not prepared before the estimate."""
+    """Refuse pure pursuit without a goal ahead, and `traction_timing` without the RHC."""
+    if scenario.controller == "pure_pursuit" and scenario.look_ahead_m == 0:
+        expected = "for the controller 'pure_pursuit' it should be above 0, such as 1.0"
+        raise ValueError(f"look_ahead_m was {scenario.look_ahead_m!r}; {expected}")
     if scenario.controller != "rhc" and scenario.traction_timing != "feedback":
         expected = f"for the controller {scenario.controller!r} it should be 'feedback'"
         raise ValueError(f"traction_timing was {scenario.traction_timing!r}; {expected}")
