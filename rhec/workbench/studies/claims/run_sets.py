@@ -108,7 +108,7 @@ RUNS = {
     "rhe_tracking": _by_tracking("rhe"),
     "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
     # Slower, so it needs longer.
-    "cautious": dict(estimator="dual", cautious=True, duration_s=270.0),
+    "cautious": dict(estimator="yaw_drift_ekf", cautious=True, duration_s=270.0),
     "rhe_constant": _CONSTANT,
     "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
     "rhe_uncertain": _UNSURE,
