@@ -29,6 +29,7 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.lost import is_lost, remarks
+from rhec.logs.position_noise import position_sigma_m
 from rhec.logs.recording import measured_since, prepare, prepare_for, resample
 from rhec.simulation.columns import (
     AGE,
@@ -564,6 +565,8 @@ def replay_scenario(estimator, recording, fields):
     if fields["speed_model"] == "slipping":
         # Unlike the paper's smoothed mean, the filtered one counts each measurement once.
         fields = dict(arrival_mean="filtered", robust=estimator == "rhe") | fields
+        if fields.get("sigma_v") is None:
+            fields["sigma_v"] = _sigma_v_of_log(recording)
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
     if not _runs_without_truth(scenario.estimator, scenario.robust):
         names = [repr(name) for name in NAMES if _runs_without_truth(name)]
@@ -572,6 +575,12 @@ def replay_scenario(estimator, recording, fields):
             "the others need the truth"
         )
     return scenario
+
+
+def _sigma_v_of_log(recording):
+    """Standard deviations of the measurements, with that of the positions asked of the log."""
+    sigma_m = position_sigma_m(recording.rows)
+    return (sigma_m, sigma_m, *paper.SIGMA_V[2:])
 
 
 def _runs_without_truth(estimator, robust=False):

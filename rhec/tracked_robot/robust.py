@@ -34,7 +34,8 @@ from rhec.tracked_robot.slipping import LEVER_ARM
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
 PAST = 10  # samples from which the noise of positions is estimated
 CHECKED = 6  # samples over which positions and encoders are compared
-MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth
+MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth,
+MAX_BEND_NOISES = 60.0  # and its square over the told variance: 4.5 standard deviations
 DEAD_RECKONING = 0.06  # error of dead reckoning per distance since the last accepted position
 LATE_S = 0.15  # [s] how far positions and encoders may be out of step
 TRACTION = (0.4, 1.1)  # range of the distance by positions over that by encoders
@@ -47,6 +48,9 @@ MIN_COURSE_M = 0.1  # [m] rms size of a path below which it does not determine t
 MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
+MAX_CHECKED_SIGMA_M = 0.045  # [m] noisier positions tell too little about the encoders
+REACH_M = 3.0  # [m] an unchecked position farther off than this, and than
+REACH_MPS = 5.0  # [m/s] this speed explains, is an outlier
 SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
 _SIGMA_RESTART_OTHERS = 0.1
 _NONE = ca.DM.nan(2)  # a pair of measurements that is missing
@@ -57,6 +61,7 @@ _RHE = paper_rhe.ESTIMATORS["rhe"]
 # smooth position was accepted, and since encoders were; how often in a row the course has
 # `contradicted` the yaw; `doubt`, 1 while the encoders are inconsistent.
 _MEMORY = dict(past=(4, PAST), last=(4, 1), since=(2, 1), contradicted=(1, 1), doubt=(1, 1))
+_MEMORY |= dict(unseen=(2, 1))
 
 
 def _is_number(x):
@@ -94,7 +99,8 @@ def _sample(z, limits, past, last):
 class _Positions(NamedTuple):
     """What the positions tell without the encoders."""
 
-    are_smooth: ca.SX  # 1 where none of the checked ones is missing or jumps
+    can_check: ca.SX  # 1 where none of the checked ones is missing, and their noise is low
+    are_smooth: ca.SX  # 1 where they can check the encoders, and do not jump
     newest_is_smooth: ca.SX
     noise: ca.SX  # [m²] variance of x and y together
     V: ca.SX  # (2,) [m²] variances to use
@@ -104,9 +110,12 @@ def _check_positions(past, V):
     bend = past[:2, 2:] - 2 * past[:2, 1:-1] + past[:2, :-2]
     bends = ca.sum1(bend * bend)
     noise = ca.fmax(V[0] + V[1], _noise_of_positions(bends))
+    max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * (V[0] + V[1]))
+    can_check = ca.mmin(_is_number(bends[1 - CHECKED :])) * (noise <= 2 * MAX_CHECKED_SIGMA_M**2)
     return _Positions(
-        are_smooth=ca.mmin(bends[1 - CHECKED :] <= MAX_BEND_M**2),
-        newest_is_smooth=bends[-1] <= MAX_BEND_M**2,
+        can_check=can_check,
+        are_smooth=can_check * ca.mmin(bends[1 - CHECKED :] <= max_bend),
+        newest_is_smooth=bends[-1] <= max_bend,
         noise=noise,
         V=V[:2] * noise / (V[0] + V[1]),
     )
@@ -211,6 +220,20 @@ def _is_probable(y, yaw, P, V, nu, drift):
     return ca.bilin(ca.inv_minor(S), y, y) <= CHI2_GATE
 
 
+def _is_within_reach(y, step, P, V, unseen_s):
+    """Whether a position that nothing checks is where a robot with failed encoders may be.
+
+    Its innovation y, or its step from the last position, is no longer than the way a robot goes
+    since the last accepted position, or since the last one, `unseen_s` (2,) [s], and the noise.
+    """
+    noise = ca.trace(P[:2, :2]) + V[0] + V[1]
+    within = [
+        ca.sumsqr(way) <= (REACH_M + REACH_MPS * time_s) ** 2 + CHI2_GATE * noise
+        for way, time_s in zip((y, step), ca.vertsplit(unseen_s))
+    ]
+    return ca.logic_or(*within)
+
+
 def _check(z, limits, memory, predict, V, names, first, dt_s):
     """Check one measurement z (4,) against `limits` (4,), earlier ones and the prediction.
 
@@ -220,7 +243,7 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     `replace` inconsistent measurements in the window, and what they are `replaced` by; the memory
     after, `gate_after`.
     """
-    past, last, since, contradicted, doubt = memory.values()
+    past, last, since, contradicted, doubt, unseen = memory.values()
     may_reject = since * dt_s < MAX_REJECTION_S
     sample = _sample(z, limits, past, last)
     path = sample.checked
@@ -241,8 +264,11 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     nu = sample.speeds_held[0]
     drift = DEAD_RECKONING * ca.fabs(nu) * dt_s * since[0] * agreement.agree
     probable = _is_probable(z[:2] - m[:2], m[2], P, positions.V, nu, drift)
+    within_reach = _is_within_reach(z[:2] - m[:2], z[:2] - last[:2], P, positions.V, unseen * dt_s)
+    probable = ca.if_else(positions.can_check, probable, ca.logic_or(probable, within_reach))
     # Smooth positions that contradict the encoders are the better ones.
-    follows = ca.logic_or(agreement.contradict, (since[0] == 0) * positions.newest_is_smooth)
+    was_accepted = unseen[0] == unseen[1]
+    follows = ca.logic_or(agreement.contradict, was_accepted * positions.newest_is_smooth)
     position = sample.has_position * ca.logic_or(first, ca.logic_or(probable, follows))
 
     judged = _check_estimate(agreement, contradicted, m[2], position, may_reject[0])
@@ -258,7 +284,14 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
         pose=ca.vertcat(z[:2], yaw),
         replace=agreement.contradict,
         replaced=ca.vertcat(path[:2, 1:], ca.repmat(speeds, 1, CHECKED)),
-        gate_after=ca.veccat(sample.past[:, 1:], last, since, contradicted, doubt),
+        gate_after=ca.veccat(
+            sample.past[:, 1:],
+            last,
+            since,
+            contradicted,
+            doubt,
+            ca.if_else(ca.vertcat(accepted, sample.has_gnss), 1, unseen + 1),
+        ),
     )
 
 
