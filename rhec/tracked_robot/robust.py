@@ -3,7 +3,8 @@
 Each measurement in the window of an RHE has its own variance. It follows from what the sensors
 say of one another, never from the estimate alone:
 
-- *Noise*: the variance of positions is at least that of their second differences.
+- *Noise*: the variance of positions is that of their second differences where this is clearly
+  larger than the one told.
 - *Stuck or improbable positions* are rejected. A receiver is stuck where it repeats its last
   position to the last digit. A position is improbable where its innovation y has
   y' S⁻¹ y > CHI2_GATE (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
@@ -32,10 +33,11 @@ from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.slipping import LEVER_ARM
 
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
-PAST = 10  # samples from which the noise of positions is estimated
+PAST = 10  # samples from which the noise of positions is estimated;
+NOISES_TO_LEARN = 3.0  # an estimate of ten counts if it is this much larger than the told one
 CHECKED = 6  # samples over which positions and encoders are compared
 MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth,
-MAX_BEND_NOISES = 60.0  # and its square over the told variance: 4.5 standard deviations
+MAX_BEND_NOISES = 60.0  # and its square over the noise: 4.5 standard deviations
 DEAD_RECKONING = 0.06  # error of dead reckoning per distance since the last accepted position
 LATE_S = 0.15  # [s] how far positions and encoders may be out of step
 TRACTION = (0.4, 1.1)  # range of the distance by positions over that by encoders
@@ -44,7 +46,9 @@ NOISES_APART = 2.5  # tolerated mean square distance of the two paths, over the 
 SHARE_APART = 0.15  # tolerated rms distance of the two paths, over their size
 SIGMA_BY_POSITIONS = (0.15, 0.4)  # of (ν, ω) [m/s, rad/s] that replace inconsistent encoders
 SIGMA_JUMP = (0.1, 0.3)  # of the change of (ν, ω) [m/s, rad/s] in one sample
+LEAST_WAY_NOISES = 14.0  # square of a way over the noise: once in a thousand of a standing robot
 MIN_COURSE_M = 0.1  # [m] rms size of a path below which it does not determine the yaw
+MIN_COURSE_NOISES = 3.2  # its square over the noise: the course is then known to 0.15 rad
 MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
@@ -100,7 +104,7 @@ class _Positions(NamedTuple):
     """What the positions tell without the encoders."""
 
     can_check: ca.SX  # 1 where none of the checked ones is missing, and their noise is low
-    are_smooth: ca.SX  # 1 where they can check the encoders, and do not jump
+    are_smooth: ca.SX  # 1 where none of the checked ones is missing or jumps
     newest_is_smooth: ca.SX
     noise: ca.SX  # [m²] variance of x and y together
     V: ca.SX  # (2,) [m²] variances to use
@@ -109,15 +113,17 @@ class _Positions(NamedTuple):
 def _check_positions(past, V):
     bend = past[:2, 2:] - 2 * past[:2, 1:-1] + past[:2, :-2]
     bends = ca.sum1(bend * bend)
-    noise = ca.fmax(V[0] + V[1], _noise_of_positions(bends))
-    max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * (V[0] + V[1]))
-    can_check = ca.mmin(_is_number(bends[1 - CHECKED :])) * (noise <= 2 * MAX_CHECKED_SIGMA_M**2)
+    told = V[0] + V[1]
+    noise = _noise_of_positions(bends)
+    noise = ca.if_else(noise > NOISES_TO_LEARN * told, noise, told)
+    max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * noise)
+    are_dense = ca.mmin(_is_number(bends[1 - CHECKED :]))
     return _Positions(
-        can_check=can_check,
-        are_smooth=can_check * ca.mmin(bends[1 - CHECKED :] <= max_bend),
+        can_check=are_dense * (noise <= 2 * MAX_CHECKED_SIGMA_M**2),
+        are_smooth=ca.mmin(bends[1 - CHECKED :] <= max_bend),
         newest_is_smooth=bends[-1] <= max_bend,
         noise=noise,
-        V=V[:2] * noise / (V[0] + V[1]),
+        V=V[:2] * noise / told,
     )
 
 
@@ -155,9 +161,9 @@ def _check_agreement(path, positions, m, names, dt_s):
     fits = apart <= tolerance  # 0 where `apart` is NaN
     return _Agreement(
         agree=positions.are_smooth * fits,
-        contradict=positions.are_smooth * _is_number(apart) * (1 - fits),
+        contradict=positions.can_check * positions.are_smooth * _is_number(apart) * (1 - fits),
         yaw=yaw,
-        has_course=size_driven > MIN_COURSE_M**2,
+        has_course=size_driven > ca.fmax(MIN_COURSE_M**2, MIN_COURSE_NOISES * positions.noise),
     )
 
 
@@ -201,9 +207,13 @@ def _are_encoders_inconsistent(z, last, before, agreement, names, may_reject):
     return ca.logic_or(agreement.contradict, stays)
 
 
-def _speeds_by_positions(path, m, names, dt_s):
-    """(ν, 0) [m/s, rad/s] of the tracks, from the first and the last position of a path."""
+def _speeds_by_positions(path, m, noise, names, dt_s):
+    """(ν, 0) [m/s, rad/s] of the tracks, from the first and the last position of a path.
+
+    A way that is no longer than the `noise` [m²] of the positions is that of a standing robot.
+    """
     way = path[:2, -1] - path[:2, 0]
+    way = ca.if_else(ca.sumsqr(way) > LEAST_WAY_NOISES * noise, way, 0)
     sign = ca.if_else(ca.cos(m[2]) * way[0] + ca.sin(m[2]) * way[1] < 0, -1, 1)
     mu = ca.fmax(m[names.index("mu")], TRACTION[0])
     return ca.vertcat(sign * ca.norm_2(way) / (CHECKED * dt_s * mu), 0)
@@ -254,7 +264,7 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     doubt = _are_encoders_inconsistent(z, last, doubt, agreement, names, may_reject[1])
     encoders = sample.has_encoders * (1 - doubt)
     inconsistent = sample.has_encoders * doubt
-    by_positions = _speeds_by_positions(path, m, names, dt_s)
+    by_positions = _speeds_by_positions(path, m, positions.noise, names, dt_s)
     by_positions = ca.if_else(inconsistent * positions.are_smooth, by_positions, _NONE)
     speeds = ca.if_else(encoders, z[2:], by_positions)
     V_speeds = ca.if_else(inconsistent, ca.DM(SIGMA_BY_POSITIONS) ** 2, V[2:])
