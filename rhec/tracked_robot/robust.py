@@ -53,6 +53,8 @@ MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
 MAX_CHECKED_SIGMA_M = 0.045  # [m] noisier positions tell too little about the encoders
+_MAX_CHECKED_NOISE = 2 * MAX_CHECKED_SIGMA_M**2
+FORGETTING = 0.98  # per sample, of the largest noise of late
 REACH_M = 3.0  # [m] an unchecked position farther off than this, and than
 REACH_MPS = 5.0  # [m/s] this speed explains, is an outlier
 SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
@@ -65,7 +67,7 @@ _RHE = paper_rhe.ESTIMATORS["rhe"]
 # smooth position was accepted, and since encoders were; how often in a row the course has
 # `contradicted` the yaw; `doubt`, 1 while the encoders are inconsistent.
 _MEMORY = dict(past=(4, PAST), last=(4, 1), since=(2, 1), contradicted=(1, 1), doubt=(1, 1))
-_MEMORY |= dict(unseen=(2, 1))
+_MEMORY |= dict(unseen=(2, 1), largest=(1, 1))
 
 
 def _is_number(x):
@@ -107,23 +109,28 @@ class _Positions(NamedTuple):
     are_smooth: ca.SX  # 1 where none of the checked ones is missing or jumps
     newest_is_smooth: ca.SX
     noise: ca.SX  # [m²] variance of x and y together
+    largest: ca.SX  # [m²] the largest one of late
     V: ca.SX  # (2,) [m²] variances to use
 
 
-def _check_positions(past, V):
+def _check_positions(past, V, largest):
     bend = past[:2, 2:] - 2 * past[:2, 1:-1] + past[:2, :-2]
     bends = ca.sum1(bend * bend)
     told = V[0] + V[1]
     noise = _noise_of_positions(bends)
-    noise = ca.if_else(noise > NOISES_TO_LEARN * told, noise, told)
-    max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * noise)
+    # A noise that is known too low would find fault with the encoders: it is forgotten slowly.
+    largest = ca.fmin(ca.fmax(noise, FORGETTING * largest), 4 * _MAX_CHECKED_NOISE)
+    checked = ca.fmax(ca.fmax(told, noise), largest)
+    used = ca.if_else(noise > NOISES_TO_LEARN * told, noise, told)
+    max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * checked)
     are_dense = ca.mmin(_is_number(bends[1 - CHECKED :]))
     return _Positions(
-        can_check=are_dense * (noise <= 2 * MAX_CHECKED_SIGMA_M**2),
+        can_check=are_dense * (checked <= _MAX_CHECKED_NOISE),
         are_smooth=ca.mmin(bends[1 - CHECKED :] <= max_bend),
         newest_is_smooth=bends[-1] <= max_bend,
-        noise=noise,
-        V=V[:2] * noise / told,
+        noise=checked,
+        largest=largest,
+        V=V[:2] * used / told,
     )
 
 
@@ -253,11 +260,11 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     `replace` inconsistent measurements in the window, and what they are `replaced` by; the memory
     after, `gate_after`.
     """
-    past, last, since, contradicted, doubt, unseen = memory.values()
+    past, last, since, contradicted, doubt, unseen, largest = memory.values()
     may_reject = since * dt_s < MAX_REJECTION_S
     sample = _sample(z, limits, past, last)
     path = sample.checked
-    positions = _check_positions(sample.past, V)
+    positions = _check_positions(sample.past, V, largest)
 
     m, _ = predict(ca.vertcat(sample.position, ca.if_else(sample.has_encoders, z[2:], _NONE)), V)
     agreement = _check_agreement(path, positions, m, names, dt_s)
@@ -301,6 +308,7 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
             contradicted,
             doubt,
             ca.if_else(ca.vertcat(accepted, sample.has_gnss), 1, unseen + 1),
+            positions.largest,
         ),
     )
 
