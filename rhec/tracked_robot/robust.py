@@ -33,8 +33,8 @@ from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.slipping import LEVER_ARM
 
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
-PAST = 10  # samples from which the noise of positions is estimated;
-NOISES_TO_LEARN = 3.0  # an estimate of ten counts if it is this much larger than the told one
+PAST = 13  # samples from which the noise of positions is estimated;
+NOISES_TO_LEARN = 3.0  # an estimate of so few counts if it is this much larger than the told one
 CHECKED = 6  # samples over which positions and encoders are compared
 MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth,
 MAX_BEND_NOISES = 60.0  # and its square over the noise: 4.5 standard deviations
@@ -138,14 +138,16 @@ def _noise_of_positions(bends):
     """Variance of positions, x and y together, from their squared second differences.
 
     White noise of variance σ² has second differences of 6σ² (von Neumann, 1941). The result is the
-    smaller one of two halves, so that one outlier is not taken for noise; 0 where data are missing.
+    smallest one of three parts, so that neither an outlier nor a jump, which show in three
+    neighbouring differences, is taken for noise; 0 where data are missing.
     """
-    halves = []
-    for half in ca.horzsplit(bends, [0, bends.numel() // 2, bends.numel()]):
-        n = ca.sum2(_is_number(half))
-        mean = ca.sum2(ca.if_else(_is_number(half), half, 0)) / ca.fmax(n, 1)
-        halves.append(ca.if_else(n >= 3, mean / 6, 0))
-    return ca.fmin(*halves)
+    parts = []
+    third = bends.numel() // 3
+    for part in ca.horzsplit(bends, [0, third, 2 * third, bends.numel()]):
+        n = ca.sum2(_is_number(part))
+        mean = ca.sum2(ca.if_else(_is_number(part), part, 0)) / ca.fmax(n, 1)
+        parts.append(ca.if_else(n >= 3, mean / 6, 0))
+    return ca.fmin(ca.fmin(parts[0], parts[1]), parts[2])
 
 
 class _Agreement(NamedTuple):
