@@ -20,7 +20,9 @@ from rhec.simulation.columns import (
     MEASUREMENTS,
     POSE,
     RECORDED,
+    RECORDED_SENSORS,
     RECORDED_TRUTH,
+    SENSORS,
     TRACKS,
     TRUE_SPEEDS,
 )
@@ -28,6 +30,10 @@ from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
+# What a sample has as its newest measurement, and as a mean over its interval.
+_MEASURED = (*MEASUREMENTS, *SENSORS.values())
+_MEANS = (*_ENCODERS, SENSORS["gyro"])
+_LIMITS_OF_SENSORS = dict(zip(SENSORS.values(), (100.0, 1e8)))
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
 _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 # Times in sampling periods of the estimator:
@@ -57,6 +63,11 @@ class Recording(NamedTuple):
     faults: dict  # {reason: number of unusable rows or measurements}
     columns: dict  # {column of `rows`: column of the log}
 
+    @property
+    def sensors(self):
+        """The sensors besides GNSS and encoders, names of `columns.SENSORS`."""
+        return tuple(name for name, column in SENSORS.items() if column in self.rows)
+
 
 def prepare(log, track_width_m=None, position_delay_s=0.0):
     """The Recording of a log of the paper's robot.
@@ -75,7 +86,9 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     values, columns = _parse_robot(log, is_simulated, track_width_m)
     limits = SPEED_MODELS["parameter"].model.limits
-    _drop_implausible(values, columns, dict(zip(MEASUREMENTS, limits)))
+    limits = dict(zip(MEASUREMENTS, limits)) | _LIMITS_OF_SENSORS
+    present = {name: limit for name, limit in limits.items() if name in values}
+    _drop_implausible(values, columns, present)
     # A position with one coordinate is missing.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
     rows, places = _usable_rows(values, paper.DT_S)
@@ -114,12 +127,17 @@ def _parse_robot(log, is_simulated, track_width_m):
     """`_parse` of a log of the paper's robot, and {name: column of the log}."""
     measured = RECORDED
     truth = RECORDED_TRUTH
+    sensors = RECORDED_SENSORS
     if is_simulated:
         measured = {name: name for name in MEASUREMENTS}
         truth = {name: name for name in (*POSE, "mu", "kappa")}
+        sensors = {name: name for name in RECORDED_SENSORS}
     if track_width_m is not None:
         measured = measured | dict(zip(_ENCODERS, TRACKS))
-    values = _parse(log, measured, truth, _FLAGS)
+    values = _parse(log, measured, truth | sensors, _FLAGS)
+    # A sensor that never measures anything is none.
+    silent = [name for name in sensors if name in values and values[name].isna().all()]
+    values = values.drop(columns=silent)
     if track_width_m is not None:
         left = values[_ENCODERS[0]]
         right = values[_ENCODERS[1]]
@@ -131,7 +149,7 @@ def _parse_robot(log, is_simulated, track_width_m):
         # Speed and yaw rate over ground are μ ν and κ ω.
         values["v_true_mps"] = values["mu"] * _numbers(log, "nu_mps")
         values["yaw_rate_true_radps"] = values["kappa"] * _numbers(log, "omega_radps")
-    return values, truth | measured
+    return values, truth | sensors | measured
 
 
 def _parse(log, measured, optional=None, flags=None):
@@ -299,7 +317,7 @@ def _usable_times(t_s, segment, dt_s):
 # Samples
 
 
-def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
+def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS):
     """Resample the rows of one segment; a sample contains no later measurement.
 
     Args:
@@ -341,7 +359,7 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
     return pd.DataFrame(result)
 
 
-def measured_since(rows, begin_s, dt_s, averaged, means=_ENCODERS):
+def measured_since(rows, begin_s, dt_s, averaged, means):
     """Means of measurements from the times begin_s [s] to the time of each row, as a DataFrame."""
     t = rows["t_s"].to_numpy()
     gap_s = _ENCODER_GAP * dt_s

@@ -48,6 +48,7 @@ MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
 SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
+SIGMA_RESTART |= dict(gyro_bias_radps=0.02, gyro_scale=0.02)
 _SIGMA_RESTART_OTHERS = 0.1
 _NONE = ca.DM.nan(2)  # a pair of measurements that is missing
 _RHE = paper_rhe.ESTIMATORS["rhe"]
@@ -85,7 +86,7 @@ def _sample(z, limits, past, last):
     has_encoders = valid[2] * valid[3]
     has_position = has_gnss * (1 - (z[0] == last[0]) * (z[1] == last[1]))
     previous = ca.if_else(_is_number(past[2:, -1]), past[2:, -1], 0)
-    speeds_held = ca.if_else(has_encoders, z[2:], previous)
+    speeds_held = ca.if_else(has_encoders, z[2:4], previous)
     position = ca.if_else(has_position, z[:2], _NONE)
     past = ca.horzcat(past, ca.vertcat(position, speeds_held))
     return _Sample(has_gnss, has_encoders, has_position, position, speeds_held, past)
@@ -186,7 +187,7 @@ def _registration(q, e):
 def _are_encoders_inconsistent(z, last, before, agreement, names, may_reject):
     """1 from a contradiction, or a jump, until positions and encoders agree again."""
     # Without a last measurement the change is NaN, which is no jump.
-    change = ca.sumsqr((z[2:] - last[2:]) / ca.DM(SIGMA_JUMP))
+    change = ca.sumsqr((z[2:4] - last[2:]) / ca.DM(SIGMA_JUMP))
     jump = change > CHI2_GATE if "nu_mps" in names else 0
     stays = ca.logic_or(jump, before * (1 - agreement.agree)) * may_reject
     return ca.logic_or(agreement.contradict, stays)
@@ -212,7 +213,9 @@ def _is_probable(y, yaw, P, V, nu, drift):
 
 
 def _check(z, limits, memory, predict, V, names, first, dt_s):
-    """Check one measurement z (4,) against `limits` (4,), earlier ones and the prediction.
+    """Check one measurement z (n_z,) against `limits`, earlier ones and the prediction.
+
+    Only its first four entries are checked.
 
     `predict` is (z, V) -> mean (n,) and covariance (n, n) of the joint state `names`, by the
     encoders in z; `first` is 1 before any measurement. The results by name: which measurements are
@@ -226,18 +229,22 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     path = sample.checked
     positions = _check_positions(sample.past, V)
 
-    m, _ = predict(ca.vertcat(sample.position, ca.if_else(sample.has_encoders, z[2:], _NONE)), V)
+    # Gyro and heading are not checked; they are the entries of z after the first four.
+    others = z[4:]
+    V_others = V[4:]
+    encoders = ca.if_else(sample.has_encoders, z[2:4], _NONE)
+    m, _ = predict(ca.vertcat(sample.position, encoders, others), V)
     agreement = _check_agreement(path, positions, m, names, dt_s)
     doubt = _are_encoders_inconsistent(z, last, doubt, agreement, names, may_reject[1])
     encoders = sample.has_encoders * (1 - doubt)
     inconsistent = sample.has_encoders * doubt
     by_positions = _speeds_by_positions(path, m, names, dt_s)
     by_positions = ca.if_else(inconsistent * positions.are_smooth, by_positions, _NONE)
-    speeds = ca.if_else(encoders, z[2:], by_positions)
-    V_speeds = ca.if_else(inconsistent, ca.DM(SIGMA_BY_POSITIONS) ** 2, V[2:])
-    V_used = ca.vertcat(positions.V, V_speeds)
+    speeds = ca.if_else(encoders, z[2:4], by_positions)
+    V_speeds = ca.if_else(inconsistent, ca.DM(SIGMA_BY_POSITIONS) ** 2, V[2:4])
+    V_used = ca.vertcat(positions.V, V_speeds, V_others)
 
-    m, P = predict(ca.vertcat(sample.position, speeds), V_used)
+    m, P = predict(ca.vertcat(sample.position, speeds, others), V_used)
     nu = sample.speeds_held[0]
     drift = DEAD_RECKONING * ca.fabs(nu) * dt_s * since[0] * agreement.agree
     probable = _is_probable(z[:2] - m[:2], m[2], P, positions.V, nu, drift)
@@ -252,7 +259,7 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     last, since = _remember(z, last, since, sample.has_gnss, trusted, encoders)
     return dict(
         accepted=ca.vertcat(accepted, accepted, encoders, encoders),
-        z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds),
+        z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds, others),
         V_used=V_used,
         restart=restart,
         pose=ca.vertcat(z[:2], yaw),
@@ -264,7 +271,8 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
 
 def _remember(z, last, since, has_gnss, position, encoders):
     """The pieces `last` and `since` of the memory after a sample with these accepted."""
-    last = ca.vertcat(ca.if_else(has_gnss, z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:]))
+    speeds = ca.if_else(encoders, z[2:4], last[2:])
+    last = ca.vertcat(ca.if_else(has_gnss, z[:2], last[:2]), speeds)
     since = ca.vertcat(ca.if_else(position, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1))
     return last, since
 
@@ -292,10 +300,11 @@ def _check_estimate(agreement, contradicted, yaw, position, may_reject):
 def gated(window, phases):
     """Wrap the phases {name: Function} of a weighted RHE, so that each measurement is checked.
 
-    The memory has two more pieces, `V_window` (4, N + 1) and `gate`. Feedback also returns which
+    The memory has two more pieces, `V_window` (n_z, N + 1) and `gate`. Feedback also returns which
     measurements are `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
     """
-    memory = dict(V_window=(4, window.N + 1), gate=(packed_size(_MEMORY), 1))
+    n_z = len(window.model.outputs)
+    memory = dict(V_window=(n_z, window.N + 1), gate=(packed_size(_MEMORY), 1))
     shift, linearise = _wrap_preparation(phases, memory)
     wrapped = dict(
         shift=shift,
@@ -315,7 +324,9 @@ def _inputs_of(phase, *without):
 def _wrap_preparation(phases, memory):
     """Shift and linearise with the variances of the window."""
 
-    @casadi_function("gated_shift", **_inputs_of(phases["shift"]), V=(4, 1), **memory)
+    V = (memory["V_window"][0], 1)
+
+    @casadi_function("gated_shift", **_inputs_of(phases["shift"]), V=V, **memory)
     def shift(V, V_window, gate, **inputs):
         V_after = ca.horzcat(V_window[:, 1:], V)
         return phases["shift"](V=V_window, **inputs) | dict(V_window=V_after, gate=gate)
@@ -335,14 +346,16 @@ def _wrap_feedback(window, feedback_of_rhe, memory):
     limits = window.model.limits
     remembered = dict(age=(1, 1), gate=memory["gate"])
 
-    @casadi_function("gate", **window.prediction, z_N=(4, 1), **window.noise, **remembered)
+    z_N = (len(limits), 1)
+
+    @casadi_function("gate", **window.prediction, z_N=z_N, **window.noise, **remembered)
     def gate(B_N, v_N, m_N, P_N, z_N, V, age, gate, **c):
         def predict(z, V):
             return rhe.predict_input(window, B_N, m_N, P_N, v_N, z, V=V, **c)
 
         return _check(z_N, limits, unpack(gate, _MEMORY), predict, V, names, age < 1, window.dt_s)
 
-    shapes = _inputs_of(feedback_of_rhe) | dict(V=(4, 1)) | remembered
+    shapes = _inputs_of(feedback_of_rhe) | dict(V=z_N) | remembered
 
     @casadi_function("gated_feedback", loop_symbols(), **shapes)
     def feedback(**inputs):
@@ -362,14 +375,16 @@ def _build_restarted(window, memory):
     N = window.N
     newest = min(CHECKED, N)
     one = (1, 1)
-    four = (4, 1)
+    n_z = len(window.model.outputs)
+    column = (n_z, 1)
     shapes = dict(restart=one, pose=(3, 1), replace=one, replaced=(4, CHECKED))
-    shapes |= dict(z_used=four, V_used=four) | window.memory
+    shapes |= dict(z_used=column, V_used=column) | window.memory
     P = ca.diag(np.square([SIGMA_RESTART.get(name, _SIGMA_RESTART_OTHERS) for name in names]))
 
     @casadi_function("restarted", **shapes, V_window=memory["V_window"])
     def restarted(restart, pose, replace, replaced, z_used, V_used, **memory):
-        replacements = dict(z=replaced[:, -newest:], V_window=ca.repmat(V_used, 1, newest))
+        z = ca.vertcat(replaced[:, -newest:], memory["z"][4:, -newest:])
+        replacements = dict(z=z, V_window=ca.repmat(V_used, 1, newest))
         for name, latest in replacements.items():
             with_latest = ca.horzcat(memory[name][:, :-newest], latest)
             memory[name] = ca.if_else(replace, with_latest, memory[name])
@@ -379,7 +394,7 @@ def _build_restarted(window, memory):
         fresh = memory | dict(
             s=ca.repmat(s, 1, N + 1),
             v=ca.repmat(memory["v"][:, N - 1], 1, N),
-            z=ca.horzcat(ca.SX.nan(4, N), z_used),
+            z=ca.horzcat(ca.SX.nan(n_z, N), z_used),
             age=0,
             m=s,
             P=P,
@@ -392,9 +407,9 @@ def _build_restarted(window, memory):
 def _wrap_expand(window, expand_of_rhe, memory):
     """Expand with the variances that were used, then replace or restart."""
     one = (1, 1)
-    four = (4, 1)
+    column = (len(window.model.outputs), 1)
     restarted = _build_restarted(window, memory)
-    shapes = _inputs_of(expand_of_rhe, "z_N") | dict(z_used=four, V_used=four, restart=one)
+    shapes = _inputs_of(expand_of_rhe, "z_N") | dict(z_used=column, V_used=column, restart=one)
     shapes |= dict(pose=(3, 1), replace=one, replaced=(4, CHECKED))
     shapes |= dict(V_window=memory["V_window"], gate_after=memory["gate"])
 
@@ -416,7 +431,8 @@ def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
         name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
         for name, shape in _MEMORY.items()
     }
-    V_window = np.ones((4, choice.estimation_horizon + 1))  # of no measurement
+    # The variances of no measurement.
+    V_window = np.ones((len(memory["z"]), choice.estimation_horizon + 1))
     return memory | dict(V_window=V_window, gate=pack_array(gate))
 
 
