@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from rhec.logs.sensor_checks import refuse_implausible_sensors
 from rhec.simulation.columns import MEASUREMENTS
 
 _POSITION = MEASUREMENTS[:2]
@@ -264,6 +265,7 @@ def refuse_implausible(recording):
     )
     _refuse_standing(rows, names)
     _refuse_frozen(recording, names)
+    refuse_implausible_sensors(recording)
     delay_s, slopes = _best_delay(rows)
     if slopes is None:
         return
