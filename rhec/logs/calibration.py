@@ -35,7 +35,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
 from rhec.tracked_robot.estimators import estimator_of
 
-OUTLIER = 3.0
+OUTLIER = 1.5
 # A filter assumes independent errors. Errors of recorded positions are correlated, which a replay
 # compensates by a standard deviation that is larger by this factor. So are slip and the constant
 # error of a gyro, which count where a gyro or a heading makes the yaw that accurate.

@@ -29,6 +29,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.sensors import GYRO, OUTPUTS
 from rhec.tracked_robot.slipping import LEVER_ARM
 
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
@@ -46,6 +47,8 @@ SIGMA_JUMP = (0.1, 0.3)  # of the change of (ν, ω) [m/s, rad/s] in one sample
 MIN_COURSE_M = 0.1  # [m] rms size of a path below which it does not determine the yaw
 MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
+# A gyro or a heading holds the yaw where the robot slips sideways, which the course does not show.
+MISMATCHES_WITH_SENSORS = 25
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
 SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
 SIGMA_RESTART |= dict(gyro_bias_radps=0.02, gyro_scale=0.02)
@@ -90,6 +93,18 @@ def _sample(z, limits, past, last):
     position = ca.if_else(has_position, z[:2], _NONE)
     past = ca.horzcat(past, ca.vertcat(position, speeds_held))
     return _Sample(has_gnss, has_encoders, has_position, position, speeds_held, past)
+
+
+def _turned_by_gyro(sample, gyro, m, names):
+    """The _Sample with yaw rates over ground [rad/s] in place of those of the encoders.
+
+    That is (gyro - β) / s, or κω where the gyro has no measurement.
+    """
+    bias, scale = (m[names.index(name)] for name in GYRO)
+    by_encoders = m[names.index("kappa")] * sample.speeds_held[1]
+    rate = ca.if_else(_is_number(gyro), (gyro - bias) / scale, by_encoders)
+    past = ca.vertcat(sample.past[:3, :], ca.horzcat(sample.past[3, :-1], rate))
+    return sample._replace(past=past)
 
 
 class _Positions(NamedTuple):
@@ -140,6 +155,8 @@ def _check_agreement(path, positions, m, names, dt_s):
     """Register the path by the encoders with the positions, both in `path` (4, CHECKED + 1)."""
     arm = [m[names.index(name)] if name in names else 0 for name in LEVER_ARM]
     kappa = ca.fmin(ca.fmax(m[names.index("kappa")], LEAST_KAPPA), 1)
+    if set(GYRO) <= set(names):
+        kappa = 1  # the path has the yaw rates over ground
     driven = _dead_reckoned(path, arm, kappa, dt_s)
     yaw, apart, size, size_driven = _registration(path[:2, :], driven)
     speed = ca.sumsqr(driven[:, 1:] - driven[:, :-1]) / (CHECKED * dt_s**2)
@@ -226,7 +243,6 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     past, last, since, contradicted, doubt = memory.values()
     may_reject = since * dt_s < MAX_REJECTION_S
     sample = _sample(z, limits, past, last)
-    path = sample.checked
     positions = _check_positions(sample.past, V)
 
     # Gyro and heading are not checked; they are the entries of z after the first four.
@@ -234,6 +250,9 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     V_others = V[4:]
     encoders = ca.if_else(sample.has_encoders, z[2:4], _NONE)
     m, _ = predict(ca.vertcat(sample.position, encoders, others), V)
+    if set(GYRO) <= set(names):
+        sample = _turned_by_gyro(sample, others[[*OUTPUTS].index("gyro")], m, names)
+    path = sample.checked
     agreement = _check_agreement(path, positions, m, names, dt_s)
     doubt = _are_encoders_inconsistent(z, last, doubt, agreement, names, may_reject[1])
     encoders = sample.has_encoders * (1 - doubt)
@@ -252,7 +271,8 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     follows = ca.logic_or(agreement.contradict, (since[0] == 0) * positions.newest_is_smooth)
     position = sample.has_position * ca.logic_or(first, ca.logic_or(probable, follows))
 
-    judged = _check_estimate(agreement, contradicted, m[2], position, may_reject[0])
+    most = MISMATCHES_WITH_SENSORS if others.numel() else HEADING_MISMATCHES_TO_RESTART
+    judged = _check_estimate(agreement, contradicted, most, m[2], position, may_reject[0])
     contradicted, restart, yaw = judged
     accepted = ca.logic_or(position, restart)
     trusted = ca.logic_or(position * positions.are_smooth, restart)
@@ -277,8 +297,8 @@ def _remember(z, last, since, has_gnss, position, encoders):
     return last, since
 
 
-def _check_estimate(agreement, contradicted, yaw, position, may_reject):
-    """Where the sensors agree and the estimate contradicts them, restart.
+def _check_estimate(agreement, contradicted, most, yaw, position, may_reject):
+    """Where the sensors agree and the estimate contradicts them `most` times in a row, restart.
 
     The results are how often in a row the course has contradicted the yaw, whether to restart, and
     with which yaw [rad].
@@ -287,7 +307,7 @@ def _check_estimate(agreement, contradicted, yaw, position, may_reject):
     mismatch = agreement.agree * agreement.has_course * is_apart
     contradicted = ca.if_else(mismatch, contradicted + 1, 0)
     restart = ca.logic_or(
-        contradicted >= HEADING_MISMATCHES_TO_RESTART,
+        contradicted >= most,
         agreement.agree * (1 - position) * (1 - may_reject),
     )
     # The yaw is not wrapped: choose the full turns that are nearest to the estimate.
