@@ -30,6 +30,8 @@ from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
+# How old the position of a row is [s], in recordings with a delay that is made up for.
+POSITION_AGE = "position_age_s"
 # What a sample has as its newest measurement, and as a mean over its interval.
 _MEASURED = (*MEASUREMENTS, *SENSORS.values())
 _MEANS = (*_ENCODERS, SENSORS["gyro"])
@@ -97,7 +99,7 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     rows.loc[is_held, _POSITION] = np.nan
     if position_delay_s:
         positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
-        rows[_POSITION] = positions.apply(_shift_positions, position_delay_s)
+        rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
@@ -227,13 +229,20 @@ def _drop_implausible(values, columns, limits):
 
 
 def _shift_positions(rows, delay_s):
-    """The positions of a segment, each moved to the row nearest to its time minus delay_s."""
+    """The positions of a segment and their ages [s], measured delay_s before their time stamps.
+
+    Each one moves to the first row that is not before its time. Its age there is at most the
+    distance of two rows. Of several positions in one row the newest one stays.
+    """
     t = rows["t_s"].to_numpy()
     has_position = rows[_POSITION[0]].notna().to_numpy()
-    row = np.interp(t[has_position] - delay_s, t, np.arange(len(t)), -1, -1)
-    earlier = rows[_POSITION] * np.nan
-    places = np.rint(row[row >= 0]).astype(int)
-    earlier.iloc[places] = rows[_POSITION][has_position][row >= 0]
+    measured_s = t[has_position] - delay_s
+    row = np.searchsorted(t, measured_s - _SAME_S)
+    is_inside = (row < len(t)) & (measured_s >= t[0] - _SAME_S)
+    age_s = t[row[is_inside]] - measured_s[is_inside]
+    earlier = rows[_POSITION].assign(**{POSITION_AGE: 0.0}) * np.nan
+    earlier.iloc[row[is_inside], :2] = rows[_POSITION][has_position][is_inside]
+    earlier.iloc[row[is_inside], 2] = np.where(age_s > _SAME_S, age_s, 0.0)
     return earlier
 
 
@@ -340,13 +349,16 @@ def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS):
     at = np.where(np.abs(row - grid) <= _SAME_S, row, grid)
     before = np.append(at[0] - dt_s, at[:-1])
     result = dict(t_s=at)
-    for name in rows.columns.drop(["segment", "t_s"]):
+    positions_s = t - np.nan_to_num(rows[POSITION_AGE].to_numpy()) if POSITION_AGE in rows else t
+    for name in rows.columns.difference(["segment", "t_s", POSITION_AGE], sort=False):
         value = rows[name].to_numpy()
         if name in (*means, *TRUE_SPEEDS):
             is_mean = averaged and name in means
             result[name] = _means_since(before, at, t, value, is_mean, _ENCODER_GAP * dt_s)
         elif name in measured:
-            result[name], result[f"{name}_age_s"] = _newest_since(before, at, t, value)
+            measured_s = positions_s if name in _POSITION else t
+            newest = _newest_since(before, at, measured_s, value)
+            result[name], result[f"{name}_age_s"] = newest
         else:
             value = _unwrapped(value) if name == "theta_rad" else value
             result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s)

@@ -29,7 +29,8 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.lost import is_lost, remarks
-from rhec.logs.recording import measured_since, prepare, prepare_for, resample
+from rhec.logs.recording import POSITION_AGE, measured_since, prepare, prepare_for, resample
+from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
     AGE,
     ESTIMATE,
@@ -50,7 +51,7 @@ from rhec.tracked_robot import sensors, slipping
 from rhec.tracked_robot.choice import Choice, TractionInput
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
-from rhec.tracked_robot.rhe import window_of
+from rhec.tracked_robot.rhe import sigma_start, window_of
 from rhec.tracked_robot.tuning import sigma_v_of
 
 # What a replay estimates, and the columns of the estimates.
@@ -111,11 +112,15 @@ def _ages_of(names):
     return [AGE[0], HEADING_AGE] if "heading" in names else AGE[:1]
 
 
+def _sigma_columns(names):
+    """The columns of the standard deviations of these estimates."""
+    return [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
+
+
 def _recorded_columns(names):
     """The columns that _RECORDED fills."""
-    sigma = [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
     others = ["deviance", "kkt_rhe", "ok", "position_accepted", "encoders_accepted", "restarted"]
-    return [*hats_of(names), *sigma, *others]
+    return [*hats_of(names), *_sigma_columns(names), *others]
 
 
 # The estimator's step as a scan
@@ -305,7 +310,46 @@ def _most_likely_heading(functions, scenario, z, age_s, first):
     return runs[best, np.arange(len(z))]
 
 
-def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
+def _counting(rows, names):
+    """The measurements (n, n_z) that the replay accepted; NaN in place of the others."""
+    z = rows[measured_of(names)].copy()
+    z[z.columns[:2]] = z[z.columns[:2]].where(rows["position_accepted"] == 1)
+    z[z.columns[2:4]] = z[z.columns[2:4]].where(rows["encoders_accepted"] == 1)
+    return z.to_numpy()
+
+
+def _smooth(part, scenario, first):
+    """The samples of a segment with smoothed estimates of the joint state."""
+    rows = part[part[ESTIMATE[0]].notna()]
+    if len(rows) < 2:
+        return part
+    choice = Choice.of(scenario)
+    names = scenario.sensors
+    model = window_of(choice).model
+    quantities = quantities_of(names)
+    columns = dict(zip(quantities, hats_of(names))) | dict(omega_radps=MEASUREMENTS[3])
+    # Last inputs that no encoder measures begin at 0.
+    trajectory = rows.reindex(columns=[columns.get(name, "") for name in model.joint_names])
+    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST))
+    sigma["theta_rad"] = np.pi if first.yaw_rad is None else first.sigma_yaw_rad
+    if first.lever_arm_m is not None:
+        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
+    settings = estimator_of("rhe").settings(scenario)
+    age_s = np.nan_to_num(rows[AGE[0]].to_numpy())
+    trajectory = trajectory.fillna(0.0).to_numpy()
+    z = _counting(rows, names)
+    s, sigma = smoothed(choice, settings, sigma_start(model, sigma), trajectory, z, age_s)
+    places = [model.joint_names.index(name) for name in quantities if name in model.joint_names]
+    estimated = [model.joint_names[place] for place in places]
+    sigmas = dict(zip(quantities, _sigma_columns(names)))
+    part = part.copy()
+    part.loc[rows.index, [columns[name] for name in estimated]] = s[:, places]
+    part.loc[rows.index, [sigmas[name] for name in estimated]] = sigma[:, places]
+    part[ESTIMATE[4:]] = part[ESTIMATE[4:]].clip(0, 1)
+    return part
+
+
+def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smooth=False):
     """Estimates of a Recording by a scenario's estimator.
 
     Args:
@@ -314,6 +358,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
         first: The InitialGuess.
         faults: (rhec.Fault, …) that corrupt the measurements, at times of the log.
         seed: Seed of the random directions of the faults.
+        smooth: Whether later measurements count, too (`rhec.logs.smoother`).
 
     Returns:
         DataFrame, one row for each sample of the estimator.
@@ -339,6 +384,8 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
         part[_recorded_columns(scenario.sensors)] = outputs
         part[INNOVATION] = _innovations(scenario, outputs[:, :n], z, age_s)
         part["lost"] = is_lost(part, sigma_v_of(scenario))
+        if smooth:
+            part = _smooth(part, scenario, first)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
@@ -407,7 +454,7 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
     of_sample = result.columns.intersection([*INNOVATION, "deviance", *ages])
     result.loc[is_between, of_sample] = np.nan
     result.loc[is_between, result.columns.intersection(GATE)] = False
-    of_row = rows.columns.drop("segment")
+    of_row = rows.columns.difference(["segment", POSITION_AGE], sort=False)
     result[of_row] = rows[of_row].to_numpy()
     return result
 
@@ -476,6 +523,7 @@ def replay(
     sigma_yaw_rad: Positive | None = None,
     position_delay_s: Real = 0.0,
     trust_log: Flag = False,
+    smooth: Flag = False,
     **fields: Any,
 ) -> pd.DataFrame:
     """Run an estimator on a recorded log of the paper's robot or of any Model.
@@ -492,6 +540,10 @@ def replay(
             Optional columns:
 
             - `segment`: changes where the robot was moved without driving;
+            - `gyro_radps`: yaw rate by a gyro, counter-clockwise [rad/s]. Its bias and scale are
+              estimated;
+            - `heading_rad`: direction of the robot from the x axis, counter-clockwise [rad], as by
+              two GNSS antennas;
             - `pos_ok`, `encoders_ok`: false where that measurement is invalid;
             - `x_true_m`, `y_true_m`, `yaw_true_rad`, `v_true_mps`, `yaw_rate_true_radps`: the
               truth, which the estimators do not use.
@@ -517,8 +569,10 @@ def replay(
         position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
         trust_log: Whether to skip the plausibility checks. By default a log with wrong units, signs
             or axes, or of a robot that never moves, is refused.
+        smooth: Whether each estimate takes later measurements into account, too. Only the
+            estimator "rhe" with speed_model="slipping" or "input" can be smoothed.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
-            speed_model, slip, arrival_mean, robust. The default speed_model is "slipping": "input"
+            speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The default speed_model is "slipping": "input"
             (interpretation R13) with noise that grows with the motion. With "slipping" the
             estimator "rhe" is robust unless robust is False.
 
@@ -547,6 +601,7 @@ def replay(
             sigma_yaw_rad=sigma_yaw_rad,
             position_delay_s=position_delay_s or None,
             trust_log=trust_log or None,
+            smooth=smooth or None,
         )
         return _replay_model(log, model, estimator, fields)
     recording = prepare(log, track_width_m, position_delay_s)
@@ -554,9 +609,10 @@ def replay(
         refuse_implausible(recording)
     scenario = replay_scenario(estimator, recording, fields)
     _refuse_lever_arm(lever_arm_m, scenario)
+    _refuse_smooth(smooth, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m)
-    samples = estimate_samples(recording, scenario, first)
+    samples = estimate_samples(recording, scenario, first, smooth=smooth)
     names = scenario.sensors
     predict = predictor(_model_of(Choice.of(scenario)), quantities_of(names))
     means = [*MEASUREMENTS[2:], *([SENSORS["gyro"]] if "gyro" in names else [])]
@@ -583,6 +639,16 @@ def _refuse_lever_arm(lever_arm_m, scenario):
         raise ValueError(
             f"lever_arm_m was {lever_arm_m!r}; only the estimator 'rhe' with speed_model "
             "'slipping' takes one"
+        )
+
+
+def _refuse_smooth(smooth, scenario):
+    """Raise a ValueError for an estimator that cannot be smoothed."""
+    takes_it = scenario.estimator == "rhe" and scenario.speed_model != "parameter"
+    if smooth and not takes_it:
+        raise ValueError(
+            "smooth was True; only the estimator 'rhe' with speed_model 'slipping' or 'input' can "
+            "be smoothed"
         )
 
 

@@ -211,6 +211,7 @@ def _perturbed(
     *,
     lever_arm_m=None,
     faults=(),
+    smooth=False,
     **fields,
 ):
     """`perturbed_replay` of a Recording."""
@@ -227,7 +228,8 @@ def _perturbed(
         yaws = tuple(first + yaw_error_rad) if first.notna().all() else None
     guess = InitialGuess(yaws, lever_arm_m=lever_arm_m)
     scenario = replay_scenario(estimator, recording, fields)
-    return estimate_samples(recording._replace(rows=rows), scenario, guess, faults, seed)
+    recording = recording._replace(rows=rows)
+    return estimate_samples(recording, scenario, guess, faults, seed, smooth)
 
 
 def perturbed_scores(log, seeds, **arguments):

@@ -101,8 +101,8 @@ def _refuse_degrees(parts, recording):
     if ratio > _DEGREES:
         column = recording.columns[_HEADING]
         raise ValueError(
-            f"the log's {column} may be in degrees and should be in rad: it turns {ratio:.3g} times "
-            f"as far as {recording.columns[_YAW_RATE]} says"
+            f"the log's {column} may be in degrees and should be in rad: it turns {ratio:.3g} "
+            f"times as far as {recording.columns[_YAW_RATE]} says"
         )
 
 

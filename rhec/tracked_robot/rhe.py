@@ -52,12 +52,12 @@ def init(window, guess, sigma=SIGMA_START):
     return rhe.init(
         window,
         np.array([guess.get(name, 0.0) for name in names]),
-        _sigma_start(window.model, sigma),
+        sigma_start(window.model, sigma),
         [guess.get(name, 0.0) for name in window.model.inputs],
     )
 
 
-def _sigma_start(model, sigma=SIGMA_START):
+def sigma_start(model, sigma=SIGMA_START):
     """Standard deviations of the joint state at the start, from those by name."""
     known = dict.fromkeys(model.held_inputs, _SIGMA_INPUT) | _SIGMA_GYRO_START | dict(sigma)
     return np.array([known.get(name, _SIGMA_KNOWN) for name in model.joint_names])
@@ -79,7 +79,7 @@ def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, sensors=(), 
     settings = dict(
         V=np.square(sigma_v),
         W=np.square([*(0.0,) * without_noise, *sigma_w]),
-        P_0=np.square(_sigma_start(kind.model)),
+        P_0=np.square(sigma_start(kind.model)),
     )
     if kind.model.motion_noise:
         defaults = kind.model.motion_noise.constants
@@ -89,14 +89,16 @@ def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, sensors=(), 
 
 
 def _settings(scenario):
+    sensors = scenario.sensors
+    of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     return settings_of(
         scenario.speed_model,
         scenario.process_noise,
         scenario.sigma_w,
-        (*tuning.sigma_v_of(scenario), *tuning.sigma_of_sensors(scenario)),
+        (*tuning.sigma_v_of(scenario), *of_sensors),
         scenario.slip,
-        scenario.sensors,
-        **tuning.gyro_constants(scenario),
+        sensors,
+        **tuning.gyro_constants(sensors, scenario.sigma_gyro),
         track_width_m=scenario.track_width_m,
     )
 

@@ -306,10 +306,7 @@ def _check_estimate(agreement, contradicted, most, yaw, position, may_reject):
     is_apart = ca.cos(agreement.yaw - yaw) < MIN_HEADING_COSINE
     mismatch = agreement.agree * agreement.has_course * is_apart
     contradicted = ca.if_else(mismatch, contradicted + 1, 0)
-    restart = ca.logic_or(
-        contradicted >= most,
-        agreement.agree * (1 - position) * (1 - may_reject),
-    )
+    restart = ca.logic_or(contradicted >= most, agreement.agree * (1 - position) * (1 - may_reject))
     # The yaw is not wrapped: choose the full turns that are nearest to the estimate.
     turns = ca.floor((agreement.yaw - yaw) / (2 * ca.pi) + 0.5)
     nearest = agreement.yaw - 2 * ca.pi * turns

@@ -98,20 +98,17 @@ def sigma_v_of(scenario):
     return scenario.sigma_v or SIGMA_V[scenario.process_noise]
 
 
-def sigma_of_sensors(scenario):
-    """Standard deviations of the Scenario's sensors, in their order as outputs."""
-    sigma = dict(
-        gyro=(scenario.sigma_gyro or (SIGMA_GYRO,))[0],
-        heading=scenario.sigma_heading or SIGMA_HEADING,
-    )
-    return tuple(sigma[name] for name in sigma if name in scenario.sensors)
+def sigma_of_sensors(sensors, sigma_gyro, sigma_heading):
+    """Standard deviations of the sensors' measurements, in their order as outputs."""
+    sigma = dict(gyro=(sigma_gyro or (SIGMA_GYRO,))[0], heading=sigma_heading or SIGMA_HEADING)
+    return tuple(sigma[name] for name in sigma if name in sensors)
 
 
-def gyro_constants(scenario):
-    """The constants of the gyro's noise that a Scenario sets, by name."""
-    if "gyro" not in scenario.sensors or scenario.sigma_gyro is None:
+def gyro_constants(sensors, sigma_gyro):
+    """The constants of the gyro's noise that are not the default ones, by name."""
+    if "gyro" not in sensors or sigma_gyro is None:
         return {}
-    return dict(gyro_share=scenario.sigma_gyro[1])
+    return dict(gyro_share=sigma_gyro[1])
 
 
 def variances_of(name, scenario):

@@ -1,4 +1,4 @@
-"""A gyro and a heading in a recorded log: what they gain, what their faults cost, what is refused."""
+"""Gyro and heading in a recorded log: what they gain, what faults cost, what is refused."""
 
 import numpy as np
 import pandas as pd
@@ -6,6 +6,8 @@ import pytest
 from helpers import recorded_log
 
 import rhec
+from rhec.logs import recording
+from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import ESTIMATE
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
@@ -110,6 +112,22 @@ def test_a_sensor_of_a_wrong_sign_axis_unit_or_zero_is_refused(log, words):
     for function in (rhec.replay, rhec.calibrate):
         with pytest.raises(ValueError, match=words):
             function(log)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_the_live_estimator_agrees(robust):
+    prepared = recording.prepare(with_heading(log=with_gyro()))
+    fields = dict(speed_model="slipping", arrival_mean="filtered", robust=robust)
+    sensors = dict(sensors=prepared.sensors, sigma_gyro=(0.01, 0.02), sigma_heading=0.02)
+    scenario = replay_scenario("rhe", prepared, fields | sensors)
+    samples = estimate_samples(prepared, scenario, InitialGuess((0.7,), 10.0))
+    z = samples[measured_of(prepared.sensors)].to_numpy()
+    live = rhec.RHE(**fields, **sensors, guess=(*z[0, :2], 0.7, z[0, 2], 1.0, 1.0))
+    for k in range(100):
+        live.prepare()
+        estimate = live.feedback(z[k])
+    np.testing.assert_allclose(estimate[2], samples["theta_hat_rad"].iloc[99], atol=5e-3)
+    assert estimate.covariance.shape == (12, 12)
 
 
 @pytest.mark.parametrize(
