@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from rhec.logs.recording import POSITION_AGE
+from rhec.logs.sensor_checks import refuse_implausible_sensors
 from rhec.simulation.columns import MEASUREMENTS
 
 _POSITION = MEASUREMENTS[:2]
@@ -102,7 +104,10 @@ def _tracks(rows):
     """The _Track of each segment that has three positions and three encoder measurements."""
     tracks = []
     for _, part in rows.groupby("segment"):
-        positions = part[["t_s", *_POSITION]].dropna()
+        positions = part[["t_s", *_POSITION]]
+        if POSITION_AGE in part:
+            positions = positions.assign(t_s=part["t_s"] - part[POSITION_AGE])
+        positions = positions.dropna()
         speeds = part[["t_s", *_ENCODERS]].dropna()
         if min(len(positions), len(speeds)) >= 3:
             t, x, y = positions.to_numpy().T
@@ -264,6 +269,7 @@ def refuse_implausible(recording):
     )
     _refuse_standing(rows, names)
     _refuse_frozen(recording, names)
+    refuse_implausible_sensors(recording)
     delay_s, slopes = _best_delay(rows)
     if slopes is None:
         return

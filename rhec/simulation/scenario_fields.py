@@ -40,6 +40,10 @@ slip: Constants of the speed model "slipping", in the order of `tuning.SLIP`.
 arrival_mean: Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as
     in the paper; "filtered": from the EKF update (R7); None: the one that fits process_noise.
 robust: Whether measurements that contradict others get less weight; for "rhe" and "dual".
+sensors: What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe".
+sigma_gyro: Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and
+    as a share of the yaw rate of the tracks.
+sigma_heading: Noise of the heading that the estimator assumes, standard deviation [rad].
 
 q: Diagonal of the weight Q_k, eq. (22), of (x, y, θ).
 r: Weight R of the yaw rate, eq. (22).

@@ -37,6 +37,7 @@ class Choice(NamedTuple):
     arrival_mean: str
     robust: bool
     dt_s: float = paper.DT_S
+    sensors: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scenario):
@@ -57,6 +58,7 @@ class Choice(NamedTuple):
             scenario.speed_model,
             scenario.arrival_mean or tuning.ARRIVAL_MEAN[noise],
             scenario.robust,
+            sensors=scenario.sensors,
         )
 
 

@@ -5,7 +5,7 @@ without robust handling. Robust handling loses a cell where its yaw error (RMS) 
 position error is larger than 1.1 times that of the plain replay, plus 0.01 rad or 0.1 m. The errors
 are means over noise seeds, which both replays share.
 
-    python -m rhec.workbench.studies.robustness_grid LOG… [--seeds 5] [--told]
+    python -m rhec.workbench.studies.robustness_grid LOG… [--seeds 5] [--told] [--without-gyro]
 
 prints the cells that are lost and writes the whole grid to figures/robustness_grid.csv. With
 `--told` both replays are told a noise of 0.03 m, which is wrong in most cells.
@@ -160,10 +160,13 @@ def _main():
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--told", action="store_true")
+    parser.add_argument("--without-gyro", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("figures/robustness_grid.csv"))
     arguments = parser.parse_args()
     logs = {path.stem: read(path) for path in arguments.logs}
     fields = dict(sigma_v=paper.SIGMA_V) if arguments.told else {}
+    if arguments.without_gyro:
+        fields["sensors"] = ()
     table = grid(logs, range(arguments.seeds), **fields)
     cells = lost_cells(table)
     cells.round(4).to_csv(arguments.out)
