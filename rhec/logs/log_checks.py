@@ -175,8 +175,11 @@ def _compare(tracks, length_s, delay_s):
     return _Slope(mu, sigma / (2 * mu), share), _slope((root * w_turn)[:, None], root * turn)
 
 
-def _best_delay(rows):
-    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it."""
+def best_delay(rows, least_gain=_LEAST_GAIN):
+    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it.
+
+    A delay counts if it explains `least_gain` more of the squares than none.
+    """
     tracks = _tracks(rows)
 
     def explained(delay_s):
@@ -191,17 +194,17 @@ def _best_delay(rows):
             break
     best = max(best + _FINER_DELAYS_S, key=explained)
     mu, kappa = _compare(tracks, length_s, best)
-    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + _LEAST_GAIN
+    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + least_gain
     return best if is_clear else 0.0, (mu, kappa)
 
 
-def _halves_agree(rows, delay_s):
+def halves_agree(rows, delay_s, least_gain=_LEAST_GAIN):
     """Whether one half of a log has the delay of the whole log, and the other half no other delay.
 
     The halves of a log whose positions are only noisy disagree.
     """
     middle = len(rows) // 2
-    delays = [_best_delay(half)[0] for half in (rows[:middle], rows[middle:])]
+    delays = [best_delay(half, least_gain)[0] for half in (rows[:middle], rows[middle:])]
     return any(delays) and all(not delay or abs(delay - delay_s) <= _AGREE_S for delay in delays)
 
 
@@ -270,7 +273,7 @@ def refuse_implausible(recording):
     _refuse_standing(rows, names)
     _refuse_frozen(recording, names)
     refuse_implausible_sensors(recording)
-    delay_s, slopes = _best_delay(rows)
+    delay_s, slopes = best_delay(rows)
     if slopes is None:
         return
     mu, kappa = slopes
@@ -283,7 +286,7 @@ def refuse_implausible(recording):
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
             raise ValueError(sentence.format(times=slope.value, **names))
-    if abs(delay_s) >= _LATE_S and _halves_agree(rows, delay_s):
+    if abs(delay_s) >= _LATE_S and halves_agree(rows, delay_s):
         late = f"{abs(delay_s):.2g} s {'later' if delay_s > 0 else 'earlier'}"
         warnings.warn(
             f"the log's {names['place']} come {late} than {names['speed']}, {names['yaw_rate']}; "
