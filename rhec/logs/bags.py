@@ -10,7 +10,9 @@ import pandas as pd
 from rhec.simulation.columns import TRACKS
 
 SUFFIXES = (".bag", ".db3", ".mcap")
-_POSITION = ["x_m", "y_m"]
+_POSITION = ["x_m", "y_m", "position_sigma_m"]
+_UNKNOWN_VARIANCE = 1e4  # [m²] variances as large stand for "unknown"
+_FILTERED = "filtered"  # in the name of a topic: an estimate that has seen the encoders
 _SPEEDS = ["speed_mps", "yaw_rate_radps"]
 # Names of joints on the left and on the right, such as front_left_wheel, rl_wheel or l.
 _LEFT = re.compile(r"left|(^|_)[fmrb]?l(_|$)")
@@ -18,16 +20,30 @@ _RIGHT = re.compile(r"right|(^|_)[fmrb]?r(_|$)")
 
 
 def _fix(message):
-    """Latitude, longitude [deg] and altitude [m] of a NavSatFix; NaN if it has no fix."""
+    """Latitude, longitude [deg], altitude and standard deviation [m] of a NavSatFix.
+
+    All are NaN without a fix; the last is NaN where the receiver does not know it.
+    """
     if message.status.status < 0:
-        return np.nan, np.nan, np.nan
-    return message.latitude, message.longitude, message.altitude
+        return np.nan, np.nan, np.nan, np.nan
+    covariance = message.position_covariance
+    is_known = message.position_covariance_type > 0
+    sigma_m = _sigma(covariance[0], covariance[4]) if is_known else np.nan
+    return message.latitude, message.longitude, message.altitude, sigma_m
 
 
 def _position(message):
-    """Position (x, y) [m] of a pose with or without a covariance."""
+    """Position (x, y) and standard deviation [m] of a pose with or without a covariance."""
     position = getattr(message.pose, "pose", message.pose).position
-    return position.x, position.y
+    covariance = getattr(message.pose, "covariance", None)
+    sigma_m = np.nan if covariance is None else _sigma(covariance[0], covariance[7])
+    return position.x, position.y, sigma_m
+
+
+def _sigma(variance_x, variance_y):
+    """Standard deviation [m] of either coordinate; NaN for variances that no sensor has."""
+    variance = (variance_x + variance_y) / 2
+    return float(np.sqrt(variance)) if 0 < variance < _UNKNOWN_VARIANCE else np.nan
 
 
 def _twist(message):
@@ -56,7 +72,9 @@ class _Source(NamedTuple):
 # The message types of each role, in order of preference: the first one in the bag is read.
 _ROLES = {
     "positions": {
-        "sensor_msgs/msg/NavSatFix": _Source(["latitude", "longitude", "altitude"], _fix),
+        "sensor_msgs/msg/NavSatFix": _Source(
+            ["latitude", "longitude", "altitude", "position_sigma_m"], _fix
+        ),
         "geometry_msgs/msg/PoseStamped": _Source(_POSITION, _position),
         "geometry_msgs/msg/PoseWithCovarianceStamped": _Source(_POSITION, _position),
         "nav_msgs/msg/Odometry": _Source(_POSITION, _position),
@@ -87,6 +105,21 @@ def _choose(types, topics, role):
     return suitable[0 if role == "positions" else -1]
 
 
+def _refuse_own_positions(chosen):
+    """Raise a ValueError for positions that were made of the encoders."""
+    topic = chosen["positions"]
+    if topic == chosen["encoders"]:
+        raise ValueError(
+            f"the bag's only positions are those of {topic}, which are the integral of its own "
+            "speeds; record a receiver, or name topics if these are real positions"
+        )
+    if _FILTERED in topic:
+        raise ValueError(
+            f"the bag's only positions are those of {topic}, an estimate that has seen the "
+            "encoders; record its receiver, or name topics if these are real positions"
+        )
+
+
 def _read(reader, topics, wheel_radius_m):
     """The table of an open bag, and {property: inferred value}."""
     types = {name: topic.msgtype for name, topic in reader.topics.items()}
@@ -94,6 +127,8 @@ def _read(reader, topics, wheel_radius_m):
     if unknown:
         raise ValueError(f"topics named {unknown[0]!r}; the bag has {', '.join(types)}")
     chosen = {role: _choose(types, topics, role) for role in _ROLES}
+    if topics is None:
+        _refuse_own_positions(chosen)
     encoders = chosen["encoders"]
     if types[encoders].endswith("JointState") and wheel_radius_m is None:
         raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
@@ -110,6 +145,8 @@ def _read(reader, topics, wheel_radius_m):
             table *= wheel_radius_m
         tables.append(table[~table.index.duplicated()].sort_index())
     table = tables[0].join(tables[1], how="outer")
+    if table["position_sigma_m"].isna().all():
+        table = table.drop(columns="position_sigma_m")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
     return table.reset_index(drop=True), inferred
 

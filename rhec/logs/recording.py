@@ -29,6 +29,7 @@ from rhec.simulation.columns import (
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 _POSITION = MEASUREMENTS[:2]
+DECLARED = "position_sigma_m"  # standard deviation of a position by its receiver
 _ENCODERS = MEASUREMENTS[2:]
 # How old the position of a row is [s], in recordings with a delay that is made up for.
 POSITION_AGE = "position_age_s"
@@ -136,7 +137,7 @@ def _parse_robot(log, is_simulated, track_width_m):
         sensors = {name: name for name in RECORDED_SENSORS}
     if track_width_m is not None:
         measured = measured | dict(zip(_ENCODERS, TRACKS))
-    values = _parse(log, measured, truth | sensors, _FLAGS)
+    values = _parse(log, measured, truth | sensors | {DECLARED: DECLARED}, _FLAGS)
     # A sensor that never measures anything is none.
     silent = [name for name in sensors if name in values and values[name].isna().all()]
     values = values.drop(columns=silent)

@@ -30,7 +30,14 @@ from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.lost import is_lost, remarks
 from rhec.logs.position_noise import position_sigma_m
-from rhec.logs.recording import POSITION_AGE, measured_since, prepare, prepare_for, resample
+from rhec.logs.recording import (
+    DECLARED,
+    POSITION_AGE,
+    measured_since,
+    prepare,
+    prepare_for,
+    resample,
+)
 from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
     AGE,
@@ -621,7 +628,7 @@ def replay(
     columns = _Columns(measured_of(names), means, hats_of(names), predict)
     result = _at_rows(samples, recording, log, paper.DT_S, columns)
     is_arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
-    result.attrs["remarks"] = remarks(samples, is_arm_estimated)
+    result.attrs["remarks"] = remarks(samples, is_arm_estimated, scenario.slip)
     if samples["lost"].any():
         warnings.warn(result.attrs["remarks"][0], stacklevel=3)
     return result
@@ -709,8 +716,14 @@ def replay_scenario(estimator, recording, fields):
 
 
 def _sigma_v_of_log(recording):
-    """Standard deviations of the measurements, with that of the positions asked of the log."""
+    """Standard deviations of the measurements, with that of the positions asked of the log.
+
+    Errors that wander do not show in the positions themselves, but the receiver may tell them.
+    """
     sigma_m = position_sigma_m(recording.rows)
+    if DECLARED in recording.rows:
+        declared_m = recording.rows[DECLARED].median()
+        sigma_m = max(sigma_m, declared_m) if declared_m > 0 else sigma_m
     return (sigma_m, sigma_m, *paper.SIGMA_V[2:])
 
 
