@@ -149,7 +149,9 @@ class Calibration(dict):
         summary = "The log determines all parameters."
         if undetermined:
             summary = f"The log does not determine: {', '.join(undetermined)}."
-        tables = [table.to_string(float_format="{:.4g}".format) for table in (self.report, self.terms)]
+        tables = [
+            table.to_string(float_format="{:.4g}".format) for table in (self.report, self.terms)
+        ]
         return "\n".join([tables[0], summary, "", tables[1], *self.remarks])
 
 
@@ -387,9 +389,10 @@ def _refuse_straight(recording):
     step_s = rows.groupby("segment")["t_s"].diff().clip(upper=1.0)
     turned = float((rows[MEASUREMENTS[3]].abs() * step_s).sum())
     if turned < _LEAST_TURNED_RAD:
+        column = recording.columns[MEASUREMENTS[3]]
         raise ValueError(
-            f"the log had turns of {turned:.2g} rad in all, by {recording.columns[MEASUREMENTS[3]]};"
-            f" a calibration needs at least {_LEAST_TURNED_RAD:.2g} rad: drive two figures of eight"
+            f"the log had turns of {turned:.2g} rad in all, by {column}; a calibration needs at "
+            f"least {_LEAST_TURNED_RAD:.2g} rad: drive two figures of eight"
         )
 
 
@@ -506,8 +509,8 @@ def _keep_better(result, recording, yaws):
         for name in (*_FIELDS, "lever_arm_m"):
             result.pop(name, None)
         result.remarks.append(
-            f"The defaults are kept: without positions for {_OUTAGE_S:g} s the calibrated replay is "
-            f"{calibrated:.2g} m off in the median, and the default one {shipped:.2g} m."
+            f"The defaults are kept: without positions for {_OUTAGE_S:g} s the calibrated replay "
+            f"is {calibrated:.2g} m off in the median, and the default one {shipped:.2g} m."
         )
 
 

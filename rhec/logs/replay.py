@@ -572,9 +572,10 @@ def replay(
         smooth: Whether each estimate takes later measurements into account, too. Only the
             estimator "rhe" with speed_model="slipping" or "input" can be smoothed.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
-            speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The default speed_model is "slipping": "input"
-            (interpretation R13) with noise that grows with the motion. With "slipping" the
-            estimator "rhe" is robust unless robust is False.
+            speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
+            default speed_model is "slipping": "input" (interpretation R13) with noise that grows
+            with the motion. With "slipping" the estimator "rhe" is robust unless robust is False,
+            and uses the gyro and the heading of the log unless sensors says otherwise.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
