@@ -44,7 +44,7 @@ OUTLIER = 1.5
 # compensates by a standard deviation that is larger by this factor. So are slip and the constant
 # error of a gyro, which count where a gyro or a heading makes the yaw that accurate.
 _CORRELATED = 1.75
-_CORRELATED_WITH_SENSORS = dict(position=2.1, slip=2.0, sensor=2.5)
+_CORRELATED_WITH_SENSORS = dict(position=2.5, slip=2.5, sensor=2.0)
 # First guess and standard deviations before the first sample, by name. What is not named is 0, and
 # a last input, which is unknown.
 _FIRST = dict(mu=1.0, kappa=1.0) | sensors.GYRO_GUESS
