@@ -62,6 +62,13 @@ def _wheels(message):
     return tuple(means)
 
 
+def _imu(message):
+    """Yaw rates [rad/s] and specific forces [m/s²] of an Imu about and along its three axes."""
+    rate = message.angular_velocity
+    force = message.linear_acceleration
+    return rate.x, rate.y, rate.z, force.x, force.y, force.z
+
+
 class _Source(NamedTuple):
     """The columns that a type of message fills, and the function that reads their values."""
 
@@ -84,7 +91,33 @@ _ROLES = {
         "geometry_msgs/msg/TwistStamped": _Source(_SPEEDS, _twist),
         "nav_msgs/msg/Odometry": _Source(_SPEEDS, _twist),
     },
+    "gyro": {"sensor_msgs/msg/Imu": _Source([*"abcdef"], _imu)},
 }
+_OPTIONAL = ("gyro",)
+# The specific force of a body at rest points up, with the size of gravity [m/s²].
+_GRAVITY = (8.0, 11.5)
+
+
+def _optional_topic(types, topics, role):
+    """The only topic of a role that a bag may lack, and a remark where none can be chosen."""
+    suitable = [name for name in topics or types if types[name] in _ROLES[role]]
+    if len(suitable) == 1:
+        return suitable[0], None
+    if suitable:
+        return None, f"none of {', '.join(suitable)}: topics should name one"
+    return None, None
+
+
+def _about_vertical(table):
+    """The yaw rate about the vertical in a table of `_imu`, and how its axis was found."""
+    rate = table.to_numpy()[:, :3]
+    force = np.nanmean(table.to_numpy()[:, 3:], axis=0)
+    size = float(np.linalg.norm(force))
+    if not _GRAVITY[0] < size < _GRAVITY[1]:
+        return rate[:, 2], "about its z axis, because it measures no gravity"
+    up = force / size
+    axis = ", ".join(f"{entry:.2f}" for entry in up)
+    return rate @ up, f"about the vertical by gravity, ({axis}) in its axes"
 
 
 def _choose(types, topics, role):
@@ -126,7 +159,9 @@ def _read(reader, topics, wheel_radius_m):
     unknown = [name for name in topics or () if name not in types]
     if unknown:
         raise ValueError(f"topics named {unknown[0]!r}; the bag has {', '.join(types)}")
-    chosen = {role: _choose(types, topics, role) for role in _ROLES}
+    chosen = {role: _choose(types, topics, role) for role in _ROLES if role not in _OPTIONAL}
+    optional = {role: _optional_topic(types, topics, role) for role in _OPTIONAL}
+    chosen |= {role: topic for role, (topic, _) in optional.items() if topic}
     if topics is None:
         _refuse_own_positions(chosen)
     encoders = chosen["encoders"]
@@ -134,7 +169,7 @@ def _read(reader, topics, wheel_radius_m):
         raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
     messages = _messages(reader, types, chosen)
     tables = []
-    inferred = {}
+    inferred = {role: remark for role, (_, remark) in optional.items() if remark}
     for role, topic in chosen.items():
         source = _ROLES[role][types[topic]]
         stamps_ns, values = messages[role]
@@ -143,8 +178,14 @@ def _read(reader, topics, wheel_radius_m):
         inferred[role] = f"{topic}, {types[topic]}, {len(table)} messages, {disorder} out of order"
         if source.columns is TRACKS:
             table *= wheel_radius_m
+        if role == "gyro":
+            rate, axis = _about_vertical(table)
+            table = pd.DataFrame(dict(gyro_radps=rate), index=table.index)
+            inferred[role] += f", {axis}"
         tables.append(table[~table.index.duplicated()].sort_index())
-    table = tables[0].join(tables[1], how="outer")
+    table = tables[0]
+    for other in tables[1:]:
+        table = table.join(other, how="outer")
     if table["position_sigma_m"].isna().all():
         table = table.drop(columns="position_sigma_m")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
@@ -189,4 +230,12 @@ def read_bag(file, topics, wheel_radius_m):
     except ValueError:
         raise
     except Exception as error:  # any error that a parser raises for a broken file
-        raise ValueError(f"{type(error).__name__}: {error}") from None
+        raise ValueError(f"{type(error).__name__}: {error}{_remedy(file)}") from None
+
+
+def _remedy(file):
+    """What repairs a bag whose recording was cut off, as the end of a sentence."""
+    commands = {".mcap": "mcap recover", ".bag": "rosbag reindex", ".db3": "ros2 bag reindex"}
+    inside = next((path.suffix for path in sorted(file.glob("*.[md]*"))), "")
+    command = commands.get(file.suffix) or commands.get(inside)
+    return f"; if the recording was cut off, {command} may repair it" if command else ""

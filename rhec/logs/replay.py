@@ -583,7 +583,8 @@ def replay(
             speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
             default speed_model is "slipping": "input" (interpretation R13) with noise that grows
             with the motion. With "slipping" the estimator "rhe" is robust unless robust is False,
-            and without a sigma_v the noise of the positions is asked of the log.
+            and uses the gyro and the heading of the log unless sensors says otherwise. Without a
+            sigma_v the noise of the positions is asked of the log.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
