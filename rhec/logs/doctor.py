@@ -300,7 +300,8 @@ def _check_noise(log):
 
 def _check_jumps(log):
     sigma_m = position_sigma_m(log.rows)
-    jumps = positions = 0
+    jumps = 0
+    positions = 0
     moved_m = 0.0
     for _, part in log.rows.groupby("segment"):
         there = part[part[_X].notna()]
@@ -375,7 +376,8 @@ def _check_own_integral(log):
         middle = (theta[1:] + theta[:-1]) / 2
         path = np.append(0, np.cumsum(nu * step_s * np.exp(1j * middle)))[there]
         place = (part[_X] + 1j * part[_Y]).to_numpy()[there]
-        path, place = path - path.mean(), place - place.mean()
+        path -= path.mean()
+        place -= place.mean()
         turn = np.vdot(path, place)
         turn /= max(abs(turn), 1e-12)
         total += np.abs(nu * step_s).sum()
