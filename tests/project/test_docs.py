@@ -13,14 +13,13 @@ from rhec.simulation import columns
 from rhec.workbench import results
 from rhec.workbench.studies import ranking
 from rhec.workbench.studies.claims import summary
-from rhec.workbench.studies.claims.summary import ONE_WAY
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 RESULT = re.compile(r"<!-- results (\w+) -->\n(.*?)<!-- end -->", re.DOTALL)
-OF_CLAIMS = ("verdicts", "failed", "departures", "multiplicity", "changes")
+OF_CLAIMS = ("verdicts", "failed", "departures", "worlds", "multiplicity", "changes")
 MADE = ("figures/", "build/", ".venv")  # by make: not there in a fresh clone
 
 
@@ -189,13 +188,20 @@ def fake_tables():
         interval(31.7, weight="Q1", quantity="settling time [s]", claim=None),
         interval(3.21, "holds", weight="Q1 / Q3", quantity="settling time, ratio", claim="2 times"),
     ]
+    statement = {"statement": "all of them"}
+    for k, when in enumerate(("prior", "posterior")):
+        share = 0.0414 + 0.0301 * k
+        drives = dict(zip(("", "_low", "_high"), (share, share - 0.0107, share + 0.0119)))
+        statement |= {f"{when} drives{end}": value for end, value in drives.items()}
     verdicts = ["holds", "holds", "does not hold", "holds only as printed", "undecided"]
     claims = [
-        dict(id=f"B{i}", claim=f"sentence {i}", verdict=verdict, kind=verdict)
+        dict(id=f"B{i}", claim=f"sentence {i}", verdict=verdict, basis=summary.TESTED)
+        | dict(where_accuracy=0.917, posterior=0.43, posterior_low=0.31, posterior_high=0.56)
         | dict(p=0.01 * (i + 1), p_adjusted=0.03 * (i + 1))
         for i, verdict in enumerate(verdicts)
     ]
-    claims.append(claims[2] | dict(id="B5", claim="sentence 5", kind=ONE_WAY))
+    claims.append(claims[2] | dict(id="B5", claim="sentence 5", basis=summary.BY_DERIVATION))
+    claims.append(claims[0] | dict(id="B6", verdict="holds where the speed is above 0.4"))
     before = [
         dict(id="B0", before="holds", reason=""),
         dict(id="B1", before="undecided", reason="so"),
@@ -211,6 +217,7 @@ def fake_tables():
         for name, rows in dict(
             table_scenario_a=scenario_a,
             table_scenario_b=scenario_b,
+            inverse_statements=[statement],
             claims=claims,
             claims_before=before,
             multiverse=[world],
@@ -240,15 +247,24 @@ def test_results_are_written_as_the_tables_have_them():
         "| Settling time with Q¹ over that with Q³ | | 3.21 [3.19, 3.24] | | 2 times: holds |"
         in (row.replace("| |", "| |") for row in rows)
     )
+    statement = "| all of them | 0.0414 [0.0307, 0.0533] | 0.0715 [0.0608, 0.0834] |\n"
+    assert readme["inverse"].endswith(statement)
     counts = summary.verdict_counts(fake_tables()["claims"])
     cells = [row.strip("| ").split(" | ") for row in readme["verdicts"].splitlines()[2:]]
-    assert {label: int(count) for label, count in cells} == dict(counts) and sum(counts) == 6
-    assert claims["failed"].splitlines()[2:] == ["| B2 | sentence 2 |", "| B5* | sentence 5 |"]
+    assert {row[0]: list(map(int, row[1:])) for row in cells} == counts.T.to_dict("list")
+    assert counts["claims"].sum() == 7
+    assert claims["failed"].splitlines()[2:] == [
+        "| B2 | sentence 2 | tested |",
+        "| B5 | sentence 5 | by derivation |",
+    ]
+    assert claims["worlds"].splitlines()[2:] == [
+        "| B6 | sentence 0 | holds where the speed is above 0.4 | 0.917 | 0.43 [0.31, 0.56] |"
+    ]
     assert claims["departures"].splitlines()[2:] == ["| B3 | sentence 3 | holds only as printed |"]
-    assert "4 verdicts" in claims["multiplicity"] and "1 remain." in claims["multiplicity"]
+    assert "5 verdicts" in claims["multiplicity"] and "2 remain." in claims["multiplicity"]
     assert "B1, B2, B3." in claims["multiplicity"]
     assert "| B1 | undecided | holds | so |" in claims["changes"]
-    assert "| B0 |" not in claims["changes"] and "| B5 | – | does not hold* |" in claims["changes"]
+    assert "| B0 |" not in claims["changes"] and "| B5 | – | does not hold |" in claims["changes"]
     worlds = "| B5 | printed | RHE's error is below | 0.612 [0.533, 0.714] |\n"
     assert docs["multiverse"].endswith(worlds)
     assert docs["faults"].endswith("| on | 3 | 2 | 2 | 33.1 |\n")
