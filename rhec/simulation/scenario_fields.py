@@ -20,10 +20,10 @@ estimator: The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true 
     "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
     "traction_oracle" (an EKF with the true traction), "fixed_traction" (an EKF with the mean
     traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE
-    with μ = κ = 1); "dual" (the RHE estimates the traction, an EKF with that traction the pose);
-    "yaw_drift_ekf" and "yaw_drift_rhe" (a bounded EKF and an RHE that also estimate how much the
-    robot turns for each metre without a yaw rate of its tracks, which the controller cancels);
-    "map_ekf" (such an EKF that is told what earlier drives found, `soil_map`).
+    with μ = κ = 1); "yaw_drift_ekf" and "yaw_drift_rhe" (a bounded EKF and an RHE that also
+    estimate how much the robot turns for each metre without a yaw rate of its tracks, which the
+    controller cancels); "map_ekf" (such an EKF that is told what earlier drives found, `soil_map`);
+    "drift_oracle" (an EKF with the true traction and yaw drift).
     Or a CasADi Function (memory, z) -> (memory, estimate), whose memory starts as the first guess
     (x, y, θ, ν, μ, κ) followed by zeros.
 process_noise: W by name. "printed" is the paper's; "calibrated" is the likeliest for training seeds
@@ -31,8 +31,7 @@ process_noise: W by name. "printed" is the paper's; "calibrated" is the likelies
     arrival_mean, too, where these are None.
 sigma_w: Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
     where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model
-    "slipping"; with the yaw drift in rad/m last where that is estimated; for "dual" those of the
-    RHE, then those of the EKF.
+    "slipping"; with the yaw drift in rad/m last where that is estimated.
 sigma_v: Measurement noise that the estimator assumes, standard deviations of (x, y, ν, ω)
     [m, m, m/s, rad/s].
 estimation_horizon: Intervals of the estimation window. N intervals have N + 1 nodes, so 14 gives
@@ -45,7 +44,7 @@ arrival_mean: Prior mean of the arrival cost. "smoothed": from the previous solu
     in the paper; "filtered": from the EKF update (R7); None: the one that fits process_noise.
 soil_map: What earlier drives tell of the soil, a rhec.SoilMap, for the estimator "map_ekf". None:
     it estimates the traction without a map.
-robust: Whether measurements that contradict others get less weight; for "rhe" and "dual".
+robust: Whether measurements that contradict others get less weight; for "rhe".
 yaw_rate_interval: Which interval the measured ω of a sample belongs to. "before": to the one that
     ends at the sample; "after": to the one that begins there, so that the estimator is passed it,
     and the log holds it, one sample later (R16).

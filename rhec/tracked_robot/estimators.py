@@ -18,7 +18,6 @@ EstimatorName = Literal[
     "augmented_ekf",
     "bounded_ekf",
     "fixed_traction",
-    "dual",
     "yaw_drift_ekf",
     "yaw_drift_rhe",
     "map_ekf",
@@ -27,7 +26,7 @@ EstimatorName = Literal[
     "drift_oracle",
 ]
 NAMES = get_args(EstimatorName)
-ROBUST_NAMES = ("rhe", "dual")
+ROBUST_NAMES = ("rhe",)
 
 
 def _build_oracle(choice):
@@ -71,10 +70,6 @@ def estimator_of(name, robust=False):
     `robust`: whether measurements are checked first (`rhec.tracked_robot.robust`).
     """
     # They are imported here, because they are not in the paper: most runs do without them.
-    if name == "dual":
-        from rhec.tracked_robot.dual import DUAL
-
-        return DUAL
     if name in ("yaw_drift_ekf", "yaw_drift_rhe", "drift_oracle"):
         from rhec.tracked_robot import yaw_drift
 

@@ -79,7 +79,10 @@ def build_pure_pursuit(horizon):
         omega = 2 * mu * nu * left / (ca.fmax(kappa, _LEAST_KAPPA) * distance_squared)
         command = _within(omega, lower, upper)
         u = ca.repmat(command, 1, horizon.N)
-        return dict(u=u, kkt=ca.MX(0), command=command, ok=ca.MX(1))
+        nodes = [s_0]
+        for _ in range(horizon.N):
+            nodes.append(horizon.interval.step(nodes[-1], command, horizon.dt_s))
+        return dict(s=ca.horzcat(*nodes), u=u, kkt=ca.MX(0), command=command, ok=ca.MX(1))
 
     return _with_memory(horizon, "pure_pursuit_step", shapes, plan)
 

@@ -4,7 +4,9 @@
 - "calibrated" maximises the likelihood of the innovations on training seeds 1000 to 1009
   (`rhec.workbench.studies.calibration`).
 - "consistent" has the least true error among RHEs whose covariance matches their errors (NEES ≈ 1),
-  on training seeds (`rhec.workbench.studies.consistency`).
+  on training seeds of the former world (`rhec.workbench.studies.consistency`). In the default world
+  the search finds none whose every state is within its band: slow errors of the position are not in
+  the model. There this W has NEES 1.09 on the training seeds.
 """
 
 import numpy as np
@@ -22,31 +24,31 @@ def _not_the_papers(calibrated):
 SIGMA_W = {
     "rhe": {
         "printed": paper.SIGMA_W_RHE,
-        "calibrated": (0.001, 0.001, 0.001, 0.001, 0.0033, 0.001),
+        "calibrated": (0.001, 0.001, 0.0036, 0.001, 0.001, 0.014),
         "consistent": (0.075, 0.075, 0.001, 0.001, 0.017, 0.0079),
     },
     "rhe_fixed_traction": {
         "printed": paper.SIGMA_W_RHE[:4],
-        "calibrated": (0.001, 0.001, 0.001, 0.0012),
+        "calibrated": (0.001, 0.001, 0.0067, 0.001),
     },
-    "rhe_no_slip": {"printed": paper.SIGMA_W_RHE[:4], "calibrated": (0.001, 0.001, 0.01, 0.001)},
-    "ekf": {"printed": paper.SIGMA_W_EKF, "calibrated": (0.017, 0.017, 0.013, 0.001)},
+    "rhe_no_slip": {"printed": paper.SIGMA_W_RHE[:4], "calibrated": (0.001, 0.001, 0.006, 0.001)},
+    "ekf": {"printed": paper.SIGMA_W_EKF, "calibrated": (0.001, 0.001, 0.0072, 0.001)},
     "augmented_ekf": {
         "printed": paper.SIGMA_W_RHE,
-        "calibrated": (0.001, 0.001, 0.0051, 0.001, 0.0059, 0.0049),
+        "calibrated": (0.001, 0.001, 0.0071, 0.001, 0.001, 0.0027),
     },
     "bounded_ekf": {
         "printed": paper.SIGMA_W_RHE,
-        "calibrated": (0.001, 0.001, 0.0051, 0.001, 0.0059, 0.0052),
+        "calibrated": (0.001, 0.001, 0.007, 0.001, 0.001, 0.001),
     },
-    "fixed_traction": _not_the_papers((0.0073, 0.0073, 0.0052, 0.0019)),
-    "traction_oracle": _not_the_papers((0.001, 0.001, 0.0048, 0.001)),
-    "drift_oracle": _not_the_papers((0.001, 0.001, 0.0048, 0.001)),
-    # With the yaw drift [rad/m] as one more state; the consistent W of the RHE for its first six.
-    "yaw_drift_ekf": _not_the_papers((0.001, 0.001, 0.0051, 0.001, 0.0059, 0.0052, 0.0012)),
+    "fixed_traction": _not_the_papers((0.001, 0.001, 0.0075, 0.001)),
+    "traction_oracle": _not_the_papers((0.001, 0.001, 0.0075, 0.001)),
+    "drift_oracle": _not_the_papers((0.001, 0.001, 0.0053, 0.001)),
+    # With the yaw drift [rad/m] as one more state.
+    "yaw_drift_ekf": _not_the_papers((0.001, 0.001, 0.0034, 0.001, 0.001, 0.001, 0.0021)),
     # Of (x, y, θ, ν): the soil's noise is told by the map.
     "map_ekf": _not_the_papers((0.001, 0.001, 0.0051, 0.001)),
-    "yaw_drift_rhe": _not_the_papers((0.075, 0.075, 0.001, 0.001, 0.017, 0.0079, 0.0012)),
+    "yaw_drift_rhe": _not_the_papers((0.001,) * 7),
 }
 # Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise
 # only through its inputs, so the consistent σ_ω includes all turning that no encoder measures.
@@ -57,19 +59,12 @@ SIGMA_V = dict(
 ARRIVAL_MEAN = dict(printed="smoothed", calibrated="smoothed", consistent="filtered")
 # The RHE with the arrival mean "filtered": by likelihood, like "calibrated"
 # (`calibrate("rhe", arrival_mean="filtered")`).
-SIGMA_W_FILTERED = (0.001, 0.001, 0.0058, 0.001, 0.0098, 0.0062)
-# Least tracking error of robots that drive training seeds 1000 to 1023 with the estimator in the
-# loop (`rhec.workbench.studies.calibration`). Dual estimation: the RHE's six, then the EKF's four.
+SIGMA_W_FILTERED = (0.001, 0.001, 0.015, 0.001, 0.001, 0.001)
+# Least tracking error with the paper's weights, R = 10, of robots that drive training seeds 1000 to
+# 1023 (`rhec.workbench.studies.calibration`). With R free, `tuned_loops` has better ones.
 SIGMA_W_TRACKING = {
-    "rhe": (0.017, 0.017, 0.0022, 10.0, 0.001, 0.018),
-    "ekf": (0.001, 0.001, 0.033, 10.0),
-    "rhe_fixed_traction": (10.0, 10.0, 10.0, 10.0),
-    "rhe_no_slip": (10.0, 10.0, 10.0, 10.0),
-    "augmented_ekf": (0.001, 0.001, 0.01, 0.0036, 0.008, 0.011),
-    "bounded_ekf": (0.001, 0.001, 0.014, 0.0088, 0.0081, 0.053),
-    "fixed_traction": (0.001, 0.001, 0.031, 0.005),
-    "traction_oracle": (0.001, 0.001, 0.024, 0.005),
-    "dual": (0.001, 0.001, 0.001, 0.001, 0.0037, 0.033, 0.0052, 0.0052, 0.029, 0.0097),
+    "rhe": (0.038, 0.038, 0.0012, 6.1, 6.1, 0.049),
+    "bounded_ekf": (0.001, 0.001, 0.27, 0.025, 0.36, 0.078),
 }
 # The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
 # robots, three wheeled and one tracked. The noise grows with the motion of the tracks.

@@ -33,7 +33,7 @@ from rhec import __version__
 from rhec.workbench import results
 from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
-from rhec.workbench.studies.claims.summary import ONE_WAY, verdict_counts
+from rhec.workbench.studies.claims.summary import verdict_counts
 
 __all__ = ["build", "made_by"]
 
@@ -48,8 +48,9 @@ _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITAT
 _RULES = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and *does not
 hold* if none of it does; otherwise it is undecided. The rules are stated in the table. Some of them
 were changed after the verdicts of the previous ledger were known:
-[which, and why](docs/claims.md). A verdict with an asterisk (*) was not tested: no simulated world
-gave the other one. Where the verdict names a condition, the text as printed gives the other."""
+[which, and why](docs/claims.md). A label says what a verdict rests on: on a derivation, on a test
+that came out both ways somewhere, or on the same outcome in every world tried. Where the verdict
+names a departure, the text as printed gives the other."""
 # README's picture has a width, which Markdown cannot give it; Sphinx copies only its own images.
 _IMG = re.compile(r'<img src="(.+?)" width="(.+?)" align="(.+?)"\s+alt="(.+?)">')
 _IMAGE = r"""```{image} \1
@@ -331,13 +332,13 @@ def _claims_page(file):
     if not file.exists():
         return "# Verdicts on the paper\n\n`make claims` has not been run.\n"
     claims = pd.read_csv(file)
-    counts = verdict_counts(claims)
     text = f"{_WIDE}# Verdicts on the paper\n\n{_RULES}\n\n"
-    text += results.to_markdown(pd.DataFrame(dict(verdict=counts.keys(), claims=counts.values)))
+    text += results.to_markdown(verdict_counts(claims).reset_index())
     table = pd.DataFrame()
     table["id"] = [f'<a id="{name}" href="#{name}">{name}</a>' for name in claims["id"]]
     table["the paper's claim"] = claims["claim"]
-    table["verdict"] = claims["verdict"] + claims["kind"].eq(ONE_WAY).map({True: "*", False: ""})
+    table["verdict"] = claims["verdict"]
+    table["label"] = claims["basis"]
     table["here"] = results.format_intervals(claims, "value").where(claims["n"] > 0, "")
     table["unit"] = claims["unit"]
     table["the paper's"] = claims["paper"]

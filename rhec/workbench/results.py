@@ -10,7 +10,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from rhec.workbench.studies.claims.summary import ONE_WAY, survivors, verdict_counts
+from rhec.workbench.studies.claims.summary import (
+    DEPARTURE,
+    PRINTED,
+    WHERE,
+    changes,
+    class_of,
+    survivors,
+    verdict_counts,
+)
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PAGES = ("README.md", "docs/results.md", "docs/claims.md")
@@ -163,21 +171,31 @@ def _judged(rows):
 
 
 def _verdicts(claims):
-    counts = verdict_counts(claims)
-    table = pd.DataFrame(dict(verdict=counts.keys(), claims=list(counts.values)))
-    return to_markdown(table)
+    return to_markdown(verdict_counts(claims).reset_index())
 
 
 def _failed(claims):
     failed = claims[claims["verdict"] == "does not hold"]
-    once = failed["kind"].eq(ONE_WAY).map({True: "*", False: ""})
-    return to_markdown(pd.DataFrame({"id": failed["id"] + once, "claim": failed["claim"]}))
+    return to_markdown(failed[["id", "claim", "basis"]])
 
 
 def _departures(claims):
     """Claims with different verdicts for the text as printed and for departures from it."""
-    some = claims[claims["kind"].str.startswith("holds ")]
+    some = claims[claims["verdict"].map(class_of).isin([PRINTED, DEPARTURE])]
     return to_markdown(some[["id", "claim", "verdict"]])
+
+
+def _worlds(claims):
+    """Claims whose verdict depends on the world: the condition, and in how many worlds it holds."""
+    some = claims[claims["verdict"].map(class_of) == WHERE]
+    columns = {"id": some["id"], "claim": some["claim"], "verdict": some["verdict"]}
+    columns["predicts"] = some["where_accuracy"].map(format_number)
+    for name in ("posterior", "multiverse"):
+        if name in some:
+            columns[f"share of {name} worlds"] = format_intervals(
+                some, name, f"{name}_low", f"{name}_high"
+            )
+    return to_markdown(pd.DataFrame(columns))
 
 
 def _multiplicity(claims):
@@ -191,13 +209,7 @@ def _multiplicity(claims):
 
 def _changes(claims, before):
     """Claims with another verdict than in the previous ledger, and the reasons."""
-    old = before.set_index("id")
-    new = claims.set_index("id")
-    both = new.join(old, how="outer").reindex([*dict.fromkeys([*new.index, *old.index])])
-    both[["before", "verdict", "kind"]] = both[["before", "verdict", "kind"]].fillna("–")
-    rows = both[both["before"] != both["verdict"]].reset_index()
-    rows["now"] = rows["verdict"].mask(rows["kind"] == ONE_WAY, rows["verdict"] + "*")
-    return to_markdown(rows[["id", "before", "now", "reason"]])
+    return to_markdown(changes(claims, before))
 
 
 def _multiverse(table):
@@ -267,6 +279,7 @@ _RESULTS = {  # {result: (its tables, the function that writes it)}
     "verdicts": (["claims"], _verdicts),
     "failed": (["claims"], _failed),
     "departures": (["claims"], _departures),
+    "worlds": (["claims"], _worlds),
     "multiplicity": (["claims"], _multiplicity),
     "changes": (["claims", "claims_before"], _changes),
     "multiverse": (["multiverse"], _multiverse),

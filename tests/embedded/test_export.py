@@ -81,13 +81,12 @@ SCENARIOS = {
         ),
     ),
     "EKF": dict(estimator="ekf", process_noise="calibrated"),
-    "dual": dict(estimator="dual", robust=True),
     "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
     "RHE, fixed traction": dict(estimator="rhe_fixed_traction", mu_mean=0.7, kappa_mean=0.6),
     "bounded EKF": dict(estimator="bounded_ekf", process_noise="calibrated"),
     "own estimator": dict(estimator=own_estimator()),
     "cautious": dict(
-        estimator="dual",
+        estimator="bounded_ekf",
         cautious=True,
         backwards=True,
         path=rhec.Path.from_segments([(2.0, 0.0), (4.0, 0.2), (20.0, 0.0)]),
@@ -677,7 +676,7 @@ def solving_estimator():
             rhec.Scenario(estimator="oracle"),
             "^estimator was 'oracle', which needs the truth; to export, it should be one of "
             "'rhe', 'rhe_fixed_traction', 'rhe_no_slip', 'ekf', 'augmented_ekf', 'bounded_ekf', "
-            "'fixed_traction', 'dual' or a CasADi Function$",
+            "'fixed_traction' or a CasADi Function$",
         ),
         (
             rhec.Scenario(estimator="traction_oracle"),

@@ -135,14 +135,12 @@ def test_the_variance_of_kappa_grows_on_a_straight():
     )
 
 
-@pytest.mark.parametrize("estimator", ["rhe", "dual"])
-def test_what_gating_rejects_is_in_the_replay(estimator):
+def test_what_gating_rejects_is_in_the_replay():
     """True where a position was used, False where it is missing, rejected or another row's."""
     log = LOG.copy()
     log.loc[300:310, ["x_m", "y_m"]] += 5.0
     log.loc[400:410, ["x_m", "y_m"]] = np.nan
-    given = dict(estimator=estimator, first_yaw_rad=0.4, process_noise="calibrated")
-    given |= dict(speed_model="input") if estimator == "rhe" else {}
+    given = dict(first_yaw_rad=0.4, process_noise="calibrated", speed_model="input")
     accepted, there = (
         rhec.replay(log, **given, robust=robust)["position_accepted"] for robust in (True, False)
     )
@@ -678,7 +676,10 @@ def test_a_models_estimates_are_at_each_rows_own_time(rate_hz, estimator):
 @pytest.mark.parametrize(
     "wrong, sentence",
     [
-        (dict(estimator="dual"), "^estimator was 'dual'; for a model it should be 'rhe' or 'ekf'$"),
+        (
+            dict(estimator="bounded_ekf"),
+            "^estimator was 'bounded_ekf'; for a model it should be 'rhe' or 'ekf'$",
+        ),
         (dict(track_width_m=0.4), "^track_width_m was 0.4; a replay with a model does not take it"),
         (dict(guess=(0.0,)), "^guess was"),
         (dict(robust=True), "has no parameter 'robust'"),

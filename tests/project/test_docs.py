@@ -13,14 +13,13 @@ from rhec.simulation import columns
 from rhec.workbench import results
 from rhec.workbench.studies import ranking
 from rhec.workbench.studies.claims import summary
-from rhec.workbench.studies.claims.summary import ONE_WAY
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 RESULT = re.compile(r"<!-- results (\w+) -->\n(.*?)<!-- end -->", re.DOTALL)
-OF_CLAIMS = ("verdicts", "failed", "departures", "multiplicity", "changes")
+OF_CLAIMS = ("verdicts", "failed", "departures", "worlds", "multiplicity", "changes")
 MADE = ("figures/", "build/", ".venv")  # by make: not there in a fresh clone
 
 
@@ -191,11 +190,13 @@ def fake_tables():
     ]
     verdicts = ["holds", "holds", "does not hold", "holds only as printed", "undecided"]
     claims = [
-        dict(id=f"B{i}", claim=f"sentence {i}", verdict=verdict, kind=verdict)
+        dict(id=f"B{i}", claim=f"sentence {i}", verdict=verdict, basis=summary.TESTED)
+        | dict(where_accuracy=0.917, posterior=0.43, posterior_low=0.31, posterior_high=0.56)
         | dict(p=0.01 * (i + 1), p_adjusted=0.03 * (i + 1))
         for i, verdict in enumerate(verdicts)
     ]
-    claims.append(claims[2] | dict(id="B5", claim="sentence 5", kind=ONE_WAY))
+    claims.append(claims[2] | dict(id="B5", claim="sentence 5", basis=summary.BY_DERIVATION))
+    claims.append(claims[0] | dict(id="B6", verdict="holds where the speed is above 0.4"))
     before = [
         dict(id="B0", before="holds", reason=""),
         dict(id="B1", before="undecided", reason="so"),
@@ -242,13 +243,20 @@ def test_results_are_written_as_the_tables_have_them():
     )
     counts = summary.verdict_counts(fake_tables()["claims"])
     cells = [row.strip("| ").split(" | ") for row in readme["verdicts"].splitlines()[2:]]
-    assert {label: int(count) for label, count in cells} == dict(counts) and sum(counts) == 6
-    assert claims["failed"].splitlines()[2:] == ["| B2 | sentence 2 |", "| B5* | sentence 5 |"]
+    assert {row[0]: list(map(int, row[1:])) for row in cells} == counts.T.to_dict("list")
+    assert counts["claims"].sum() == 7
+    assert claims["failed"].splitlines()[2:] == [
+        "| B2 | sentence 2 | tested |",
+        "| B5 | sentence 5 | by derivation |",
+    ]
+    assert claims["worlds"].splitlines()[2:] == [
+        "| B6 | sentence 0 | holds where the speed is above 0.4 | 0.917 | 0.43 [0.31, 0.56] |"
+    ]
     assert claims["departures"].splitlines()[2:] == ["| B3 | sentence 3 | holds only as printed |"]
-    assert "4 verdicts" in claims["multiplicity"] and "1 remain." in claims["multiplicity"]
+    assert "5 verdicts" in claims["multiplicity"] and "2 remain." in claims["multiplicity"]
     assert "B1, B2, B3." in claims["multiplicity"]
     assert "| B1 | undecided | holds | so |" in claims["changes"]
-    assert "| B0 |" not in claims["changes"] and "| B5 | – | does not hold* |" in claims["changes"]
+    assert "| B0 |" not in claims["changes"] and "| B5 | – | does not hold |" in claims["changes"]
     worlds = "| B5 | printed | RHE's error is below | 0.612 [0.533, 0.714] |\n"
     assert docs["multiverse"].endswith(worlds)
     assert docs["faults"].endswith("| on | 3 | 2 | 2 | 33.1 |\n")

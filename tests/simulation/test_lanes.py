@@ -51,7 +51,7 @@ KINDS = {name: dict(estimator=name) for name in NAMES} | {
     f"{name}, gated, with faults": dict(estimator=name, robust=True) for name in ROBUST_NAMES
 }
 KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
-KINDS["cautious"] = dict(estimator="dual", cautious=True)
+KINDS["cautious"] = dict(estimator="bounded_ekf", cautious=True)
 KINDS["observer"] = dict(estimator="bounded_ekf", disturbance_observer=True)
 KINDS["cautious with drift"] = dict(estimator="yaw_drift_ekf", cautious=True)
 KINDS["ltv_mpc"] = dict(controller="ltv_mpc")
@@ -164,10 +164,10 @@ def texts(tmp_path, monkeypatch):
 
 
 def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
-    by_parts = rows_of(tmp_path / "parts", estimator="dual", cautious=True)
+    by_parts = rows_of(tmp_path / "parts", estimator="bounded_ekf", cautious=True)
     assert len(texts) == 3  # the steps of estimator and controller, and the rest
     monkeypatch.setattr(parts, "_LEAST", 1000)
-    whole = rows_of(tmp_path / "whole", estimator="dual", cautious=True)
+    whole = rows_of(tmp_path / "whole", estimator="bounded_ekf", cautious=True)
     assert len(texts) == 4
     np.testing.assert_array_equal(by_parts, whole)
 

@@ -145,7 +145,7 @@ def test_the_live_loop_is_the_fused_one():
 def test_on_a_wet_patch_it_is_slow_and_stays_nearer():
     """κ halves where the row turns; beside it, the same drive at a constant speed."""
     patch = dict(patches=((36.0, 4.0, 3.0, 0.9, 0.35),), duration_s=120.0, seed=1)
-    plain = rhec.Scenario(estimator="dual", **patch)
+    plain = rhec.Scenario(estimator="yaw_drift_ekf", **patch)
     careful = rhec.simulate(dataclasses.replace(plain, cautious=True))
     error = careful.metrics["max_error_true_m"]
     assert error < rhec.simulate(plain).metrics["max_error_true_m"] / 2

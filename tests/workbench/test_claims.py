@@ -5,6 +5,7 @@ it is judged on is what the log shows.
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy import stats
 
 import rhec
@@ -12,7 +13,17 @@ from rhec import paper
 from rhec.tracked_robot import tuning
 from rhec.workbench.plots import claims as drawings
 from rhec.workbench.studies import statistics
-from rhec.workbench.studies.claims import experiments, ledger, rules, run_sets, summary
+from rhec.workbench.studies.claims import (
+    __main__,
+    evidence,
+    experiments,
+    ledger,
+    one,
+    rules,
+    run_sets,
+    summary,
+    worlds,
+)
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 
 RNG = np.random.default_rng(0)
@@ -243,44 +254,38 @@ def made_up(run, virtual_machine):
         )
 
     kinds = ("adaptive", "heavy", "light", "none")
-    arrival = table(
-        {
-            f"{name}_{kind}": name == "lost"
-            for name in ("step", "reached_s", "lost")
-            for kind in kinds
-        }
-        | dict(least=0.0)
-    )
-    iterations = table(
-        dict.fromkeys(
-            "error_one_m error_many_m one_us many_us rms_warm rms_cold max_warm".split(), 0.0
-        )
-    )
-    search = table(dict(lowest=0.0))
-    exact = {
+    names = [f"{name}_{kind}" for name in ("step", "reached_s", "lost") for kind in kinds]
+    arrival = dict.fromkeys(names, 0.0) | {f"lost_{kind}": False for kind in kinds}
+    others = "least sigma_left grown_with_w grown_without_w"
+    iterations = "error_one_m error_many_m one_us many_us rms_warm rms_cold max_warm"
+    made = {
+        "arrival_cost": table(arrival | dict.fromkeys(others.split(), 0.0)),
+        "iterations": table(dict.fromkeys(iterations.split(), 0.0)),
+        "search": table(dict(lowest=0.0)),
         "kkt": experiments.kkt_tolerances(3),
         "gains": experiments.gains(3),
         "models": experiments.models(3),
         "times": experiments.steps_in_time(4.0),
+        "certainty": experiments.certainty_equivalence(4.0),
+        "convexity": experiments.convexity(3),
     }
-    runs = {
-        label: table({**run.metrics, "arrived": True}).assign(duration_s=240.0)
-        for label in run_sets.RUNS
-    }
-    logs = {label: table(log) for label in run_sets.LOGS}
-    return {
-        process_noise: dict(
-            runs=runs,
-            logs=logs,
-            experiments=exact | dict(arrival_cost=arrival, iterations=iterations, search=search),
-        )
-        for process_noise in run_sets.PROCESS_NOISES
-    }
+    metrics = {**run.metrics, "arrived": True, "mu_deviation": 0.04, "kappa_deviation": 0.08}
+    found = {("runs", id_): table(metrics).assign(duration_s=240.0) for id_ in run_sets.RUNS}
+    found |= {("logs", id_): table(log) for id_ in run_sets.LOGS}
+    found |= {("experiments", name): each for name, each in made.items()}
+    return {(noise, *key): each for noise in run_sets.PROCESS_NOISES for key, each in found.items()}
 
 
-def judged(evidence, claims=ledger.CLAIMS, worlds=None):
-    reached = ledger.outcomes(evidence, 2, claims, worlds or {})
-    return ledger.ledger(evidence, reached, claims)
+def judged(tables, claims=ledger.CLAIMS):
+    """The ledger by these tables alone, without worlds."""
+    findings = evidence.findings_of(claims, tables, 0.95)
+    looks = {id_: dict.fromkeys(found, 0.95) for id_, found in findings.items()}
+    beside = {
+        id_: {what: number(tables) for what, number in claim.beside.items()}
+        for id_, claim in claims.items()
+    }
+    reached = ledger.outcomes(findings, {}, 2, claims, {})
+    return ledger.ledger(findings, looks, beside, reached, {}, claims)
 
 
 def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
@@ -290,11 +295,12 @@ def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     words = {f"{HOLDS} {only}with {name}" for name in conditions for only in ("", "only ")}
     words |= {f"{HOLDS} as printed", f"{HOLDS} only as printed"}
     assert set(table["verdict"]) <= {HOLDS, FAILS, UNDECIDED, UNTESTABLE} | words
+    assert (table["quote"].str.len() > 5).all()
     untested = table[table["verdict"] == UNTESTABLE]
     assert (untested["why"] != "").all() and (
         table.drop(untested.index)["test"].str.len() > 10
     ).all()
-    assert summary.verdict_counts(table).sum() == len(table)
+    assert summary.verdict_counts(table)["claims"].sum() == len(table)
 
 
 @pytest.mark.parametrize("smaller, verdict", [("rhe", HOLDS), ("ekf", FAILS)])
@@ -309,9 +315,10 @@ def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
     runs["rhe_filtered"] = runs["rhe"]
     for table in runs.values():
         table["mean_error_from_start_m"] = table["mean_error_m"]
-    evidence = {process_noise: dict(runs=runs) for process_noise in run_sets.PROCESS_NOISES}
-    (row,) = judged(evidence, claims).itertuples()
-    assert row.kind == ledger.ONE_WAY and row.reached.startswith(verdict)
+    noises = run_sets.PROCESS_NOISES
+    tables = {(noise, "runs", id_): table for noise in noises for id_, table in runs.items()}
+    (row,) = judged(tables, claims).itertuples()
+    assert row.basis == summary.SAME and row.reached.startswith(verdict)
     assert row.verdict == verdict and row.n == row.other_n == 60
     assert row.value == pytest.approx(-0.01 if smaller == "rhe" else 0.01, abs=5e-4)
 
@@ -319,55 +326,221 @@ def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
 def test_no_claim_is_judged_on_the_calibrations_seeds():
     from rhec.workbench.studies.calibration import TRAINING_SEEDS
 
-    asked = {scenario.seed for scenario in run_sets.scenarios({}, "printed", 1000)}
-    assert len(asked) == 1000 and asked.isdisjoint(TRAINING_SEEDS)
+    first = {worlds.FIRST_SEED, worlds._CONFIRMING_SEED}
+    assert set(range(1000)).isdisjoint(TRAINING_SEEDS) and min(first) > max(TRAINING_SEEDS)
 
 
 def test_both_process_noises_meet_the_same_seeds():
     fields = run_sets.RUNS["q2"]
-    for one, other in zip(
-        run_sets.scenarios(fields, "printed", 3), run_sets.scenarios(fields, "calibrated", 3)
+    for printed, calibrated in zip(
+        run_sets.scenarios(fields, "printed", range(3)),
+        run_sets.scenarios(fields, "calibrated", range(3)),
     ):
         assert (
-            one.seed == other.seed
-            and one.q == other.q == paper.Q2
-            and (one.process_noise, other.process_noise) == run_sets.PROCESS_NOISES
+            printed.seed == calibrated.seed
+            and printed.q == calibrated.q == paper.Q2
+            and (printed.process_noise, calibrated.process_noise) == run_sets.PROCESS_NOISES
         )
 
 
-def test_a_missing_outcome_is_looked_for_in_other_worlds(made_up, monkeypatch):
-    """Where the RHE is the better in the ledger, and the worse in one world."""
-    low, high = (pd.DataFrame(dict(mean_error_true_m=m + 0.01 * NORMAL)) for m in (1, 2))
-    here = dict(runs=dict(rhe=low, rhe_filtered=low, no_slip=high))
-    there = dict(runs=dict(rhe=high, no_slip=low))
+# Two looks
+
+
+@pytest.fixture
+def errors(monkeypatch):
+    """Runs whose true mean error is drawn: the RHE's, less an advantage that the test sets."""
+    chosen = dict(advantage=0.0, asked=[])
+
+    def measure(kind, scenarios, folder=None):
+        def error(scenario):
+            gain = chosen["advantage"] * (scenario.estimator == "rhe_no_slip")
+            return 1 + gain + 0.1 * np.random.default_rng(scenario.seed).normal()
+
+        chosen["asked"].append(max(map(len, scenarios.values())))
+        return {
+            name: pd.DataFrame(dict(mean_error_true_m=[error(each) for each in part]))
+            + 0.1 * np.random.default_rng(len(str(name))).normal(size=(len(part), 1))
+            for name, part in scenarios.items()
+        }
+
+    monkeypatch.setattr(run_sets, "measure", measure)
+    return chosen
+
+
+B6 = {"B6": ledger.CLAIMS["B6"]}
+
+
+@pytest.mark.parametrize("advantage, expected", [(0.5, [60]), (0.012, [60, 900])])
+def test_only_what_the_first_look_leaves_undecided_is_looked_at_again(errors, advantage, expected):
+    errors["advantage"] = advantage
+    _, findings, _, looks = evidence.collect(B6, 60, 900)
+    assert errors["asked"] == expected
+    found, look = findings["B6"]["as printed"], looks["B6"]["as printed"]
+    assert (found.n, look) == ((60, 0.999) if len(expected) == 1 else (900, 0.95))
+
+
+def test_a_verdict_of_the_first_look_needs_a_wider_interval():
+    values = NORMAL + 0.2  # 2.8 standard errors above 0
+    assert statistics.mean(values, above=0).verdict == HOLDS
+    first = statistics.mean(values, above=0, confidence=evidence.FIRST_CONFIDENCE)
+    assert first.verdict == UNDECIDED
+    assert first[:4] == statistics.mean(values, above=0)[:4]  # the interval shown is the same
+
+
+def test_two_looks_are_wrong_as_seldom_as_they_say():
+    """No effect at all, 2,000 times: how often one of the two looks says that there is one."""
+    rng = np.random.default_rng(3)
+    wrong = 0
+    for _ in range(2000):
+        values = rng.normal(size=200)
+        first = statistics.mean(values[:40], above=0, confidence=evidence.FIRST_CONFIDENCE)
+        last = statistics.mean(values, above=0)
+        wrong += (last if first.verdict == UNDECIDED else first).verdict != UNDECIDED
+    assert 0.03 < wrong / 2000 < evidence.ERROR_RATE + 0.015
+
+
+# Labels
+
+
+def test_a_missing_outcome_is_looked_for_in_corners(monkeypatch):
+    """Where the RHE is the better in the ledger, and the worse in one corner."""
+    found = {"B6": {"as printed": statistics.difference(NORMAL - 9, NORMAL, below=0)}}
     asked = []
 
-    def in_world(wanted, world, seeds):
-        asked.append((wanted, seeds))
-        return dict(calibrated=there if world["speed_mps"] == 1 else here)
+    def corner(claims, world, seeds, folder=None):
+        asked.append((list(claims), seeds))
+        return {"B6": FAILS if world["speed_mps"] == 1 else HOLDS}
 
-    monkeypatch.setattr(ledger, "_in_world", in_world)
-    evidence, claims = dict(printed=here, calibrated=here), {"B6": ledger.CLAIMS["B6"]}
-    worlds = {f"{mps} m/s": dict(speed_mps=mps) for mps in (2, 1, 3)}
-    reached = ledger.outcomes(evidence, 40, claims, worlds)
+    monkeypatch.setattr(worlds, "corner", corner)
+    corners = {f"{mps} m/s": dict(speed_mps=mps) for mps in (2, 1, 3)}
+    reached = ledger.outcomes(found, {}, 40, B6, corners)
     assert reached == {"B6": {HOLDS: "as printed", FAILS: "1 m/s"}}
-    assert asked == [({"runs": ["rhe", "no_slip"]}, 40)] * 2  # and not a third
-    assert ledger.ledger(evidence, reached, claims)["kind"].item() == HOLDS
+    assert asked == [(["B6"], 40)] * 2  # and not a third
 
 
-def test_what_comes_out_one_way_everywhere_is_not_counted_as_tested(made_up):
-    table = judged(made_up, {"S3": ledger.CLAIMS["S3"], "I4": ledger.CLAIMS["I4"]})
-    assert list(table["kind"]) == [ledger.ONE_WAY, UNTESTABLE]
-    assert list(table["verdict"]) == [FAILS, UNTESTABLE]
-    assert summary.verdict_counts(table)[[FAILS, ledger.ONE_WAY, UNTESTABLE]].tolist() == [0, 1, 1]
+def test_a_verdict_by_derivation_is_not_one_that_no_world_changed(made_up):
+    claims = {id_: ledger.CLAIMS[id_] for id_ in ("S3", "I5", "M8")}
+    table = judged(made_up, claims)
+    assert list(table["basis"]) == [summary.BY_DERIVATION, "", summary.SAME]
+    assert list(table["verdict"])[:2] == [FAILS, UNTESTABLE]
+    counts = summary.verdict_counts(table)
+    assert counts.loc[FAILS, summary.BY_DERIVATION] == 1 and counts.loc[UNTESTABLE, "claims"] == 1
 
 
-def test_verdicts_are_counted_by_kind():
-    kinds = [HOLDS, "holds as printed", "holds only as printed", "holds only with W calibrated"]
-    kinds += ["holds with ν as input", FAILS, UNTESTABLE] + [ledger.ONE_WAY] * 2
-    counts = summary.verdict_counts(pd.DataFrame(dict(kind=kinds)))
-    assert counts.tolist() == [1, 2, 2, 1, 0, 2, 1] and counts.sum() == len(kinds)
-    assert list(counts.index)[1:3] == [summary.PRINTED, summary.DEPARTURE]
+def test_what_may_happen_needs_one_condition():
+    found = {"as printed": finding(FAILS), "W calibrated": finding(HOLDS)}
+    assert ledger.CLAIMS["M7"].rule.combined(found) == (HOLDS, "W calibrated")
+    assert ledger.CLAIMS["B6"].rule.combined(found)[0] == "holds only with W calibrated"
+
+
+def test_verdicts_are_counted_by_class_and_by_label():
+    verdicts = [HOLDS, "holds as printed", "holds only as printed", "holds only with W calibrated"]
+    verdicts += ["holds with ν as input", FAILS, UNTESTABLE, f"{HOLDS} where the speed is above 1"]
+    bases = [summary.TESTED] * 5 + [summary.BY_DERIVATION, "", summary.SAME]
+    counts = summary.verdict_counts(pd.DataFrame(dict(verdict=verdicts, basis=bases)))
+    assert counts["claims"].tolist() == [1, 1, 2, 2, 1, 0, 1] and counts["claims"].sum() == 8
+    assert counts.loc[summary.WHERE, summary.SAME] == 1 == counts.loc[FAILS, summary.BY_DERIVATION]
+    assert list(counts.index)[1:4] == [summary.WHERE, summary.PRINTED, summary.DEPARTURE]
+
+
+# Worlds
+
+
+def test_a_world_that_decides_is_found_and_noise_is_not():
+    rng = np.random.default_rng(5)
+    frame = pd.DataFrame(rng.uniform(size=(120, 6)), columns=list("abcdef"))
+    flipped = rng.random(120) < 0.05
+    split = worlds.split_of(frame, (frame["d"] < 0.6) ^ flipped)
+    assert (split.field, split.below) == ("d", True) and split.threshold == pytest.approx(
+        0.6, abs=0.05
+    )
+    assert 0.85 <= split.accuracy <= 1 and split.usual < split.accuracy
+    above = worlds.split_of(frame, frame["b"] > 0.3)
+    assert (above.field, above.below) == ("b", False)
+    assert worlds.split_of(frame, rng.random(120) < 0.5) is None
+    assert worlds.split_of(frame, np.ones(120, bool)) is None
+    # A rare exception that nothing tells is no condition, however often "holds" is right.
+    assert worlds.split_of(frame, np.arange(120) > 4) is None
+
+
+@pytest.mark.parametrize(
+    "found, verdict",
+    [
+        (statistics.mean([1.0, 3.0], above=1), HOLDS),
+        (statistics.mean([0.0, 1.0], above=1), FAILS),
+        (statistics.mean([0.0, 2.0], above=1), FAILS),  # at the bound, which is not included
+        (statistics.share([True] * 6, above=0.95), HOLDS),
+        (statistics.share([True] * 5 + [False], above=0.95), FAILS),
+        (statistics.always([True] * 6), HOLDS),
+        (statistics.always([True, False]), FAILS),
+        (statistics.possible([True, False]), HOLDS),
+        (statistics.possible([False, False]), FAILS),
+        (statistics.reported([15.0, 16.0, 20.0], 17), HOLDS),
+        (statistics.reported([1.0, 2.0, 40.0], 17), HOLDS),
+        (statistics.reported([21.9, 22.0, 22.1], 17), FAILS),
+        (statistics.ratio([1.0], [0.0], above=1), UNDECIDED),
+    ],
+)
+def test_a_rule_is_applied_to_the_value_in_a_world(found, verdict):
+    assert worlds.by_value(found) == verdict
+
+
+def test_a_claim_in_worlds_follows_the_runs(errors):
+    errors["advantage"] = 0.5
+    verdicts, margins = worlds.judge(B6, [dict(speed_mps=0.4), dict(kappa_mean=0.9)], 4)
+    assert verdicts["B6"].tolist() == [HOLDS] * 2 and (margins["B6"] > 0).all()
+    errors["advantage"] = -0.5
+    verdicts, margins = worlds.judge(B6, [dict(speed_mps=0.4)], 4)
+    assert verdicts["B6"].tolist() == [FAILS] and (margins["B6"] < 0).all()
+    missing = {"B6": FAILS}
+    here = worlds.confirmed(B6, missing, [dict(speed_mps=0.4)], verdicts, margins, 20)
+    assert here == {"B6": 0}
+    errors["advantage"] = 0.5  # what came out by chance is not confirmed on other fields
+    assert not worlds.confirmed(B6, missing, [dict(speed_mps=0.4)], verdicts, margins, 20)
+
+
+def test_worlds_have_their_own_w_and_drives_of_their_own_length():
+    world = dict(process_noise="printed", process_noise_ekf="calibrated", duration_s=99.0)
+    world |= dict(row_length_m=20.0, speed_mps=0.5, mu_mean=0.8, estimator="ekf")
+    (rhe,) = worlds._scenarios(("runs", "rhe"), world, [3], True)
+    (ekf,) = worlds._scenarios(("runs", "ekf"), world, [3], True)
+    (row,) = worlds._scenarios(("runs", "q3"), world, [3], False)
+    (lap,) = worlds._scenarios(("runs", "no_slip"), world, [3], False)
+    assert (rhe.process_noise, ekf.process_noise) == ("printed", "calibrated")
+    assert rhe.duration_s == ekf.duration_s == 99 and row.duration_s == pytest.approx(50)
+    assert lap.duration_s == pytest.approx((25 + np.pi * lap.headland_radius_m) / 0.4)
+
+
+def test_a_field_that_only_tells_the_sets_apart_is_no_condition():
+    rng = np.random.default_rng(6)
+    one = [dict(kappa_mean=kappa, slip_difference=0.005) for kappa in rng.uniform(0.7, 0.9, 60)]
+    other = [
+        dict(kappa_mean=kappa, slip_difference=slip)
+        for kappa, slip in rng.uniform((0.7, 0.0), (0.9, 0.004), (60, 2))
+    ]
+    verdicts = [pd.DataFrame({"B6": [verdict] * 60}) for verdict in (HOLDS, FAILS)]
+    sets = {
+        name: ledger.Judged(part, found, found)
+        for name, part, found in zip(("one", "other"), (one, other), verdicts)
+    }
+    found = ledger._where("B6", sets)
+    assert found["where"] == "" and (found["one"], found["other"]) == (1, 0)
+
+
+# One claim alone
+
+
+def test_one_claim_is_told_with_its_words_and_numbers(errors, capsys):
+    errors["advantage"] = 0.5
+    __main__.main(["B6", "--fields", "12"])
+    text = capsys.readouterr().out
+    claim = ledger.CLAIMS["B6"]
+    assert claim.quote in text and claim.section in text and "verdict: holds" in text
+    assert "n = 12: holds" in text and "seeds 0 to 11" in text
+    with pytest.raises(ValueError, match="claim was 'Z9'; it should be one of I1, I2"):
+        one.told("Z9")
+    with pytest.raises(SystemExit):
+        __main__.main(["B6", "--fields", "1"])
 
 
 # The file of claims
@@ -375,6 +548,7 @@ def test_verdicts_are_counted_by_kind():
 GOOD = """
 [Times.X1]
 sentence = "It is fast"
+quote = "is fast"
 test = "times; below 1 s"
 rule = { name = "mean", below = 1 }
 runs = ["ekf"]
@@ -387,8 +561,11 @@ def test_a_claim_is_read_as_it_is_written(tmp_path):
     file.write_text(GOOD, encoding="utf-8")
     ((id_, claim),) = rules.load(file).items()
     assert (id_, claim.section, claim.claim) == ("X1", "Times", "It is fast")
-    assert claim.rule.bound == "< 1" and claim.rule.tables == {"runs": ["ekf"]}
-    assert list(claim.rule.by_condition) == ["as printed", "W calibrated"]
+    assert claim.rule.bound == "< 1" and list(claim.rule.by_condition) == [
+        "as printed",
+        "W calibrated",
+    ]
+    assert claim.rule.by_condition["as printed"].tables == (("printed", "runs", "ekf"),)
 
 
 @pytest.mark.parametrize(
@@ -417,17 +594,20 @@ def test_the_paper_s_values_are_those_of_the_package():
     assert says["B3"] == paper.MEAN_ERROR_RHE_M and says["B4"] == paper.MEAN_ERROR_EKF_M
     assert says["B9"] == paper.VIOLATIONS_EKF and says["I1"] == paper.TOLERANCE_M
     assert (says["T1"], says["T2"]) == (paper.STEP_MEAN_MS, paper.STEP_MAX_MS)
-    stays = ledger.CLAIMS["B1"].rule.by_condition["as printed"].keywords["expressions"]
+    stays = ledger.CLAIMS["B1"].rule.by_condition["as printed"].rule.keywords["expressions"]
+    assert stays == [f"arrived & (max_error_true_m < {paper.ROW_SPACING_M / 2})"]
+    stays = ledger.CLAIMS["I2"].rule.by_condition["as printed"].rule.keywords["expressions"]
     assert stays == [f"arrived & (max_error_true_m < {paper.TOLERANCE_M})"]
 
 
 def test_a_weak_verdict_does_not_survive_among_many():
     def table(p):
-        return pd.DataFrame(dict(id=["A"], p=[p], p_adjusted=[p], kind=[HOLDS]))
+        row = dict(id=["A"], p=[p], p_adjusted=[p], verdict=[HOLDS], basis=[summary.TESTED])
+        return pd.DataFrame(row)
 
     strong, weak = table(1e-4), table(0.2).assign(id="B")
     assert summary.survivors(pd.concat([strong, weak], ignore_index=True)) == (2, ["B"])
-    assert summary.survivors(strong.assign(kind=ledger.ONE_WAY)) == (0, [])
+    assert summary.survivors(strong.assign(basis=summary.BY_DERIVATION)) == (0, [])
 
 
 @pytest.mark.parametrize("n", [0, 3, 45])
@@ -594,4 +774,22 @@ def test_the_picture_names_every_claim_and_counts_the_verdicts(made_up):
     table = judged(made_up)
     texts = [text.get_text() for text in drawings.verdicts(table).axes[0].texts]
     assert set(table["id"]) <= set(texts) and set(table["claim"]) <= set(texts)
-    assert f"undecided: {(table['kind'] == UNDECIDED).sum()}" in texts
+    assert f"undecided: {(table['verdict'] == UNDECIDED).sum()}" in texts
+
+
+def test_no_text_of_the_picture_lies_over_another(made_up):
+    """At the size at which it is printed; the widest number that a row may have, too."""
+    table = judged(made_up).assign(posterior=0.5, posterior_low=0.4, posterior_high=0.6)
+    widest = dict(value=-0.1234, low=-0.1289, high=-0.1199, unit="samples")
+    table = table.assign(**widest)
+    figure = drawings.verdicts(table, "posterior")
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    boxes = [text.get_window_extent(renderer) for text in figure.axes[0].texts if text.get_text()]
+    edges = np.array([box.extents for box in boxes])
+    left, low, right, high = edges.T
+    wide = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
+    tall = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    over = np.triu((wide > 0.5) & (tall > 1.5), 1)
+    texts = [text.get_text() for text in figure.axes[0].texts if text.get_text()]
+    assert not over.any(), [(texts[i], texts[j]) for i, j in zip(*np.nonzero(over))]
+    assert left.min() >= 0 and right.max() <= figure.bbox.width

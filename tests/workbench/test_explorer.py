@@ -111,7 +111,7 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         0.001,
     )
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
-    assert len(controls.scenario_of(values, "dual", SHORT).sigma_w) == 10
+    assert len(controls.scenario_of(values, "yaw_drift_ekf", SHORT).sigma_w) == 7
     assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (
         0.0033,
         0.001,
@@ -121,7 +121,7 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
 def test_robust_applies_to_estimators_with_gating():
     values = controls.values_of(SHORT) | {"robust": True}
     robust = {key for key in controls.ESTIMATORS if controls.scenario_of(values, key, SHORT).robust}
-    assert robust == {"rhe", "dual"}
+    assert robust == {"rhe"}
 
 
 def test_the_explorer_offers_every_estimator_it_can_draw(made):
@@ -481,7 +481,7 @@ def test_what_another_process_compiled_is_found_by_load():
         dict(),
         dict(speed_model="input"),
         dict(estimator="ekf"),
-        dict(estimator="dual"),
+        dict(estimator="yaw_drift_ekf"),
         dict(robust=True, faults=(rhec.Fault(kind="jump", start_s=20.0, size_m=0.5),)),
     ],
 )
@@ -495,7 +495,7 @@ def test_snapshot_equals_the_run(k, changed):
     )
     assert at.omega_radps[0] == row["omega_cmd_radps"]
     np.testing.assert_allclose(at.plan[0], at.estimate[:3], atol=1e-12)
-    if run.scenario.estimator in ("rhe", "dual"):
+    if run.scenario.estimator == "rhe":
         assert len(at.window) == len(at.measured) == min(k, run.scenario.estimation_horizon) + 1
         if run.scenario.estimator == "rhe":
             np.testing.assert_allclose(at.window[-1], at.estimate[:3], atol=1e-9)

@@ -338,7 +338,7 @@ def test_consistency_of_an_unknown_kind_of_estimator_is_drawn_in_grey():
     rng = np.random.default_rng(0)
     t_s, squared = np.arange(0, 40, 0.2), rng.chisquare(1, (5, 200))
     measured = Consistency(t_s, rng.normal(size=(5, 200, 4)), squared, squared, squared)
-    names = ["RHE, calibrated", "dual, W by tracking", "particle filter"]
+    names = ["RHE, calibrated", "yaw-drift EKF", "particle filter"]
     figure = consistency.nees_over_time(dict.fromkeys(names, measured))
     assert text_defects(figure) == []
     shown = [axes for axes in figure.axes if axes.get_visible()]

@@ -68,8 +68,8 @@ def test_worlds_fill_their_ranges_and_are_reproducible(drawn):
     assert np.abs(together).max() < 0.1
 
 
-def test_every_world_can_be_driven_and_compiles_nothing_new(drawn):
-    usual = terrain.common_shape(closed_loop.set_up(rhec.Scenario()).terrain)
+def test_every_world_can_be_driven_and_compiles_little_new(drawn):
+    shapes = {terrain.common_shape(closed_loop.set_up(rhec.Scenario()).terrain)}
     largest = drawn.assign(
         radius=drawn["speed_mps"] * drawn["mu_mean"] / drawn["kappa_mean"] / drawn["turn_demand"]
     ).nlargest(3, "radius")
@@ -83,10 +83,9 @@ def test_every_world_can_be_driven_and_compiles_nothing_new(drawn):
                 / world["kappa_mean"]
                 / scenario.headland_radius_m
             )
-            assert (
-                asked == pytest.approx(0.1 * world["turn_demand"])
-                and terrain.common_shape(made.terrain) == usual
-            )
+            assert asked == pytest.approx(0.1 * world["turn_demand"])
+            shapes.add(terrain.common_shape(made.terrain))
+    assert len(shapes) <= 2  # a loop is compiled for each
 
 
 def test_seeds_are_neither_the_ledger_s_nor_the_calibration_s():

@@ -64,7 +64,7 @@ def test_all_hard_cases_exist():
 
 
 def test_shares_and_speeds_are_shown_with_their_intervals():
-    row = dict(soil="default soil", estimator="dual", mode="cautious", set_mps=0.5)
+    row = dict(soil="default soil", estimator="RHE", mode="cautious", set_mps=0.5)
     row |= dict(speed_mps=0.48, speed_low=0.47, speed_high=0.49, promise="whole path")
     row |= dict(worst_m=0.1234, share=0.9, low=0.8, high=0.95, n=50)
     table = pd.DataFrame([row, row | dict(promise="rows")])

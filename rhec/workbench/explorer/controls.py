@@ -72,7 +72,7 @@ def _fault(duration_s, **settings):
 ESTIMATORS = {
     "rhe": "RHE",
     "ekf": "EKF",
-    "dual": "dual",
+    "yaw_drift_ekf": "yaw-drift EKF",
     "oracle": "oracle",
     "traction_oracle": "traction oracle",
 }
@@ -224,14 +224,14 @@ def scenario_of(values, estimator, start):
 
 def _sigma_w_for_estimator(settings):
     """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
-    if settings["estimator"] == "dual":  # the RHE followed by the EKF
-        names = (*QUANTITIES, *QUANTITIES[:4])
-    else:
-        estimator = estimator_of(settings["estimator"])
-        choice = Choice(*(settings[name] for name in Choice._fields[:5]))
-        n = estimator.n_sigma_w(choice)
-        names = estimator.states(choice)[-n:] if n else ()
+    estimator = estimator_of(settings["estimator"])
+    choice = Choice(*(settings[name] for name in Choice._fields[:5]))
+    n = estimator.n_sigma_w(choice)
+    names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))
+    # The yaw drift has no slider.
+    tuned = tuning.SIGMA_W["yaw_drift_ekf"]["calibrated"]
+    six |= dict(yaw_drift_radpm=tuned[-1])
     return tuple(six[name] for name in names) or None
 
 

@@ -49,5 +49,7 @@ def snapshot_at(scenario, k):
     ahead_m = scenario.look_ahead_m + step_m * np.arange(scenario.prediction_horizon + 1)
     desired, _ = setup.path.poses(row["s_m"] + ahead_m)
     plan = planned["s"].T[:, :3]
-    omega_radps = planned["u"].ravel()
+    # A controller that cancels a disturbance remembers the plan with the disturbance in it.
+    u = planned["u"].ravel()
+    omega_radps = u + (row["omega_cmd_radps"] - u[0])
     return Snapshot(truth, estimate, window, measured, desired, plan, omega_radps)

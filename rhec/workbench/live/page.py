@@ -54,8 +54,8 @@ _ANY_FAULT = next(iter(FAULTS.values()))
 STRUCTURES = {
     "rhe": {},
     "ekf": dict(estimator="ekf"),
-    "dual": dict(estimator="dual"),
-    "dual_cautious": dict(estimator="dual", cautious=True),
+    "yaw_drift": dict(estimator="yaw_drift_ekf"),
+    "yaw_drift_cautious": dict(estimator="yaw_drift_ekf", cautious=True),
     "rhe_faulty": dict(faults=_ANY_FAULT),
     "rhe_robust": dict(faults=_ANY_FAULT, robust=True),
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
@@ -144,9 +144,7 @@ def _module(own):
     choice = Choice.of(scenario)
     memory, directions = affine_memory(own)
     noises = ("printed", "calibrated")
-    # The paper prints no W for dual estimation.
-    tracking = dict.fromkeys(noises, tuning.SIGMA_W_TRACKING[scenario.estimator])
-    sigma_w = tuning.SIGMA_W.get(scenario.estimator, tracking)
+    sigma_w = tuning.SIGMA_W[scenario.estimator]
     text = functions.c_text(functions.build_functions(scenario))
     return dict(
         memory=[None if np.isnan(value) else value for value in memory.tolist()],

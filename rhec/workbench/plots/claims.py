@@ -6,33 +6,46 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rhec.workbench.plots import style
-from rhec.workbench.studies.claims.summary import ONE_WAY
+from rhec.workbench.studies.claims.summary import (
+    BY_DERIVATION,
+    DEPARTURE,
+    PRINTED,
+    SAME,
+    WHERE,
+    class_of,
+)
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 
 _PARTLY = "holds as printed or with a departure"
 _LOOKS = {
     HOLDS: (style.GREEN, "✓"),
+    WHERE: (style.PURPLE, "◐"),
     _PARTLY: (style.BLUE, "±"),
     FAILS: (style.VERMILLION, "×"),
     UNDECIDED: (style.ORANGE, "?"),
-    ONE_WAY: ("0.45", "="),
     UNTESTABLE: (style.GREY, "–"),
 }
-_LABELS = {ONE_WAY: "one outcome", UNTESTABLE: "untestable"}
+_LABELS = {WHERE: "in some worlds", _PARTLY: "by reading", UNTESTABLE: "untestable"}
+_BASES = {BY_DERIVATION: "d", SAME: "="}  # beside the sign
 # Columns of the printed table; the CSV has all columns.
-_PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict"]
-_RULES = ["id", "test", "bound", "conditions", "reached", "p_adjusted"]
-# Horizontal places in the figure [% of its width]: sign, bound, end of intervals, paper's numbers.
-_SIGN = 40.5
-_BOUND = 49.0
-_END = 55.5
-_PAPER = 63.0
-_ROW_IN = 0.128  # height of a row [in]
-_WIDTH_IN = 7.2  # fits the longest claim, its interval and its condition
+_PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict", "basis"]
+_RULES = ["id", "section", "quote", "test", "bound", "conditions", "reached", "beside"]
+_RULES += ["where", "p_adjusted"]
+# Horizontal places in the figure [% of its width]: sign, bound, end of intervals, paper's numbers,
+# and the two ends of the scale of shares.
+_SIGN = 46.0
+_BOUND = 55.0
+_END = 60.0
+_PAPER = 67.0
+_SHARE = 87.5, 99.0
+_ROW_IN = 0.15  # height of a row [in]
+_WIDTH_IN = 7.2  # fits the longest claim, its interval and its share of worlds
+_FONT = dict(fontsize=6.5, va="center_baseline")
 
 
-def _kind(kind):
-    return _PARTLY if kind.startswith(f"{HOLDS} ") else kind
+def _kind(verdict):
+    found = class_of(verdict)
+    return _PARTLY if found in (PRINTED, DEPARTURE) else found
 
 
 def _number(value):
@@ -83,7 +96,7 @@ def _relative_to_bound(value, low, high, above, below, verdict):
 
     None if the claim has no side, such as a number that must be met.
     """
-    if np.isnan(value) or (np.isinf(above) and np.isinf(below)) or above == below:
+    if not np.isfinite(value) or (np.isinf(above) and np.isinf(below)) or above == below:
         return None
     # If all cases or none agree, the share is exact and has no interval.
     if value == above:
@@ -94,18 +107,29 @@ def _relative_to_bound(value, low, high, above, below, verdict):
     return places / (np.nanmax(np.abs(places)) or 1)
 
 
-def _draw_sign(axes, x, y, kind):
+def _draw_sign(axes, x, y, kind, basis=""):
+    """A verdict's sign, and the letter of what it rests on to its right."""
     colour, sign = _LOOKS[kind]
     box = dict(boxstyle="round,pad=0.08", facecolor=colour, edgecolor="none")
     look = dict(fontsize=6.5, color="white", weight="bold", family="DejaVu Sans", bbox=box)
     axes.text(x, y, sign, ha="center", va="center", **look)
+    axes.text(x + 1.6, y, _BASES.get(basis, ""), color="0.35", **_FONT)
+
+
+def _draw_share(axes, place, share, low, high):
+    """The share of worlds on a scale from 0 to 1, with its interval."""
+    least, most = _SHARE
+    axes.plot(_SHARE, [place] * 2, color="0.85", linewidth=0.5)
+    at, *ends = least + (most - least) * np.array([share, low, high])
+    axes.plot(ends, [place] * 2, color=style.PURPLE, linewidth=1.0, solid_capstyle="butt")
+    axes.plot(at, place, "o", color=style.PURPLE, markersize=2.4)
 
 
 def _draw_intervals(axes, place, row, colour):
     """Draw a line for each condition, with a filled marker for the condition in the text."""
     columns = ("value", "low", "high", "above", "below")
-    verdict = HOLDS if row.verdict.startswith(HOLDS) else row.verdict
-    findings = [((*(getattr(row, name) for name in columns), verdict), colour)]
+    decided = HOLDS if row.here.startswith(HOLDS) else row.here
+    findings = [((*(getattr(row, name) for name in columns), decided), colour)]
     if row.other_condition:
         other = (getattr(row, f"other_{name}") for name in (*columns, "verdict"))
         findings.append((tuple(other), "white"))
@@ -121,18 +145,18 @@ def _draw_intervals(axes, place, row, colour):
 
 
 @style.styled
-def verdicts(table):
-    """Draw the ledger: verdicts, the paper's numbers, ours, and intervals relative to bounds.
+def verdicts(table, worlds=""):
+    """Draw the ledger: verdicts, intervals relative to bounds, numbers, and shares of worlds.
 
     A claim holds to the right of the line and fails to the left. Each row is scaled to its farthest
     end. A claim that a number of the paper is met has no interval.
 
     Args:
         table: Table of `rhec.workbench.studies.claims.ledger.ledger`.
+        worlds: Name of the set of worlds whose shares are drawn; none by default.
     """
     rows = len(table)
-    centred = dict(va="center_baseline")
-    height_in = 0.75 + _ROW_IN * rows
+    height_in = 0.9 + _ROW_IN * rows
     figure = plt.figure(figsize=(_WIDTH_IN, height_in), layout="none")
     axes = figure.add_axes((0.003, 0.002, 0.994, 0.996))
     axes.set(xlim=(0, 100), ylim=(rows - 0.4, rows - 0.4 - height_in / _ROW_IN))
@@ -144,35 +168,47 @@ def verdicts(table):
             section = row.section
             axes.axhline(place - 0.5, color="0.6", linewidth=0.4)
         _draw_row(axes, place, row)
+        if worlds and not np.isnan(getattr(row, worlds)):
+            ends = (getattr(row, f"{worlds}_{end}") for end in ("low", "high"))
+            _draw_share(axes, place, getattr(row, worlds), *ends)
+    _draw_heads(axes, table, worlds)
+    return figure
+
+
+def _draw_heads(axes, table, worlds):
+    """The columns' heads, and the signs with the number of claims that each has."""
+    bold = _FONT | dict(weight="bold")
     for x, label, align in [
-        (4.0, "claim", "left"),
+        (4.0, "claim  (d: by derivation, =: the same in every world tried)", "left"),
         (_BOUND - 0.7, "fails", "right"),
         (_BOUND + 0.7, "holds", "left"),
         (_PAPER, "paper", "right"),
         (_PAPER + 1, "ours [95 %]", "left"),
-        (100, "under which condition", "right"),
     ]:
-        axes.text(x, -1.2, label, fontsize=6.5, ha=align, weight="bold", **centred)
-    kinds = table["kind"].map(_kind)
-    for x, kind in zip((1.0, 11.0, 42.5, 60.0, 74.5, 89.0), _LOOKS):
-        _draw_sign(axes, x, -3.4, kind)
+        axes.text(x, -1.2, label, ha=align, **bold)
+    axes.text(_BOUND, -2.2, "each row to its own scale", ha="center", **_FONT)
+    if worlds:
+        axes.text(_SHARE[1] + 0.5, -2.2, f"share of {worlds} worlds", ha="right", **bold)
+        for x, number in zip(_SHARE, "01"):
+            axes.text(x, -1.2, number, ha="center", **_FONT)
+    kinds = table["verdict"].map(_kind)
+    for x, kind in zip((1.0, 13.0, 32.0, 48.0, 68.0, 84.0), _LOOKS):
+        _draw_sign(axes, x, -3.8, kind)
         count = f"{_LABELS.get(kind, kind)}: {(kinds == kind).sum()}"
-        axes.text(x + 1.5, -3.4, count, fontsize=7, **centred)
-    return figure
+        axes.text(x + 1.5, -3.8, count, **_FONT)
 
 
 def _draw_row(axes, place, row):
-    kind = _kind(row.kind)
-    text = dict(fontsize=5.4, va="center_baseline")
+    kind = _kind(row.verdict)
     colour, _ = _LOOKS[kind]
-    axes.text(0, place, row.id, **text, weight="bold")
-    axes.text(4.0, place, row.claim, **text)
-    _draw_sign(axes, _SIGN, place, kind)
+    axes.text(0, place, row.id, weight="bold", **_FONT)
+    axes.text(4.0, place, row.claim, **_FONT)
+    _draw_sign(axes, _SIGN, place, kind, row.basis)
     _draw_intervals(axes, place, row, colour)
-    axes.text(_PAPER, place, _number(row.paper), **text, ha="right")
+    axes.text(_PAPER, place, _number(row.paper), ha="right", **_FONT)
     exact = np.isnan(row.low) or row.low == row.high
     interval = "" if exact else f" [{_number(row.low)}, {_number(row.high)}]"
-    unit = row.unit.removeprefix("share ").strip("-") if _number(row.value) else ""
-    axes.text(_PAPER + 1, place, f"{_number(row.value)}{interval} {unit}", **text)
-    if kind == _PARTLY:
-        axes.text(100, place, row.condition, **text, ha="right", color=colour)
+    # Shares and ratios need no unit.
+    has_unit = _number(row.value) and not row.unit.startswith(("share", "ratio", "-"))
+    unit = f" {row.unit}" if has_unit else ""
+    axes.text(_PAPER + 1, place, f"{_number(row.value)}{interval}{unit}", **_FONT)

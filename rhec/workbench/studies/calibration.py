@@ -35,7 +35,6 @@ from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 __all__ = [
-    "DUAL",
     "EVALUATIONS",
     "LEAST",
     "MOST",
@@ -65,9 +64,6 @@ EVALUATIONS = 40  # for each unknown
 _POSE = [(0, 1), (2,), (3,)]
 _SOIL = [(4,), (5,)]
 UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
-# Its RHE has no process noise of the pose, and a shorter window because it takes more time.
-UNKNOWNS["dual"] = [*_SOIL, (6, 7), (8,), (9,)]
-DUAL = dict(estimation_horizon=10)
 _NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
 UNKNOWNS |= dict.fromkeys((*_NOT_ESTIMATED, "drift_oracle"), _POSE)
 _DRIFT = [(6,)]
@@ -204,7 +200,6 @@ def tune_for_tracking(estimator, **fields):
 
 if __name__ == "__main__":
     for name in UNKNOWNS:
-        if name in tuning.SIGMA_W:
-            print("by likelihood", name, *calibrate(name))
-        fields = DUAL if name == "dual" else {}
-        print("by tracking", name, *tune_for_tracking(name, **fields))
+        print("by likelihood", name, *calibrate(name))
+    for name in tuning.SIGMA_W_TRACKING:
+        print("by tracking", name, *tune_for_tracking(name))

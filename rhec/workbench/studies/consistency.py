@@ -56,6 +56,7 @@ ESTIMATORS = {  # fields of Scenario; W is printed, by likelihood, or consistent
     "RHE, consistent": dict(process_noise="consistent"),
     "augmented EKF, calibrated": dict(estimator="augmented_ekf", process_noise="calibrated"),
     "bounded EKF, calibrated": dict(estimator="bounded_ekf", process_noise="calibrated"),
+    "yaw-drift EKF, calibrated": dict(estimator="yaw_drift_ekf"),
     "traction oracle": dict(estimator="traction_oracle"),
 }
 
@@ -96,7 +97,9 @@ def measure(scenario, runs):
         estimate = recorded["estimate"]
         P = recorded["covariance"]
         # An EKF without traction states has n_x = 4; the estimate has six entries all the same.
-        n_x = P.shape[1]
+        # The yaw drift, where it is a seventh state, is not tested.
+        n_x = min(P.shape[1], len(STATES))
+        P = P[:, :n_x, :n_x]
         error = estimate[:, :n_x] - calibration.columns(run, TRUTH[:n_x])
         residuals = calibration.columns(run, MEASUREMENTS[:3]) - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)

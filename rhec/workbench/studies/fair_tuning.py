@@ -89,75 +89,65 @@ def _sigma(name, *places, least=1e-3, most=10.0):
     return Unknown(f"sigma_{name}", least, most, places)
 
 
-def _pose(first=0):
-    names = (("xy", (0, 1)), ("theta", (2,)), ("nu", (3,)))
-    return tuple(_sigma(name, *(first + place for place in places)) for name, places in names)
-
-
+_POSE = (_sigma("xy", 0, 1), _sigma("theta", 2), _sigma("nu", 3))
 _RHC = (_R, _Q_THETA)
 _SOIL = (_sigma("mu", 4), _sigma("kappa", 5))
 _DRIFT = (_sigma("drift", 6, least=1e-5, most=0.1),)
 _BOUNDED = dict(estimator="bounded_ekf")
 CONTESTANTS = {
-    "ekf": Contestant("EKF", dict(estimator="ekf"), _RHC + _pose()),
+    "ekf": Contestant("EKF", dict(estimator="ekf"), _RHC + _POSE),
     "fixed_traction": Contestant(
-        "EKF, traction two constants", dict(estimator="fixed_traction"), _RHC + _pose()
+        "EKF, traction two constants", dict(estimator="fixed_traction"), _RHC + _POSE
     ),
-    "bounded_ekf": Contestant("bounded EKF", _BOUNDED, _RHC + _pose() + _SOIL),
+    "bounded_ekf": Contestant("bounded EKF", _BOUNDED, _RHC + _POSE + _SOIL),
     "rhe_smoothed": Contestant(
         "RHE, smoothed arrival",
         dict(estimator="rhe", arrival_mean="smoothed"),
-        _RHC + _pose() + _SOIL + (_SIGMA_OMEGA,),
+        _RHC + _POSE + _SOIL + (_SIGMA_OMEGA,),
     ),
     "rhe": Contestant(
         "RHE, filtered arrival",
         dict(estimator="rhe", arrival_mean="filtered"),
-        _RHC + _pose() + _SOIL + (_SIGMA_OMEGA,),
+        _RHC + _POSE + _SOIL + (_SIGMA_OMEGA,),
     ),
     "rhe_fixed": Contestant(
         "RHE, traction two constants",
         dict(estimator="rhe_fixed_traction", arrival_mean="filtered"),
-        _RHC + _pose() + (_SIGMA_OMEGA,),
-    ),
-    "dual": Contestant(
-        "dual",
-        dict(estimator="dual", estimation_horizon=10),
-        # Its RHE has no process noise of the pose.
-        (*_RHC, *_SOIL, *_pose(6)),
+        _RHC + _POSE + (_SIGMA_OMEGA,),
     ),
     "observer": Contestant(
         "bounded EKF, disturbance observer",
         _BOUNDED | dict(disturbance_observer=True),
-        (*_RHC, *_pose(), *_SOIL, _OBSERVER),
+        (*_RHC, *_POSE, *_SOIL, _OBSERVER),
     ),
     "yaw_drift_ekf": Contestant(
-        "yaw-drift EKF", dict(estimator="yaw_drift_ekf"), _RHC + _pose() + _SOIL + _DRIFT
+        "yaw-drift EKF", dict(estimator="yaw_drift_ekf"), _RHC + _POSE + _SOIL + _DRIFT
     ),
     "yaw_drift_rhe": Contestant(
         "yaw-drift RHE",
         dict(estimator="yaw_drift_rhe", arrival_mean="filtered"),
-        _RHC + _pose() + _SOIL + _DRIFT + (_SIGMA_OMEGA,),
+        _RHC + _POSE + _SOIL + _DRIFT + (_SIGMA_OMEGA,),
     ),
     "ltv_mpc": Contestant(
         "bounded EKF, linear time-varying MPC",
         _BOUNDED | dict(controller="ltv_mpc"),
-        _RHC + _pose() + _SOIL,
+        _RHC + _POSE + _SOIL,
     ),
     "pure_pursuit": Contestant(
         "bounded EKF, pure pursuit",
         _BOUNDED | dict(controller="pure_pursuit"),
-        (_LOOK_AHEAD, *_pose(), *_SOIL),
+        (_LOOK_AHEAD, *_POSE, *_SOIL),
     ),
     "pure_pursuit_drift": Contestant(
         "yaw-drift EKF, pure pursuit",
         dict(estimator="yaw_drift_ekf", controller="pure_pursuit"),
-        (_LOOK_AHEAD, *_pose(), *_SOIL, *_DRIFT),
+        (_LOOK_AHEAD, *_POSE, *_SOIL, *_DRIFT),
     ),
     "traction_oracle": Contestant(
-        "traction oracle", dict(estimator="traction_oracle"), _RHC + _pose()
+        "traction oracle", dict(estimator="traction_oracle"), _RHC + _POSE
     ),
     "drift_oracle": Contestant(
-        "traction and drift oracle", dict(estimator="drift_oracle"), _RHC + _pose()
+        "traction and drift oracle", dict(estimator="drift_oracle"), _RHC + _POSE
     ),
     "oracle": Contestant("full oracle", dict(estimator="oracle"), _RHC),
 }

@@ -91,7 +91,6 @@ WORTH = [
     ("estimating the traction: RHE", "rhe", "rhe_fixed"),
     ("a window", "rhe", "bounded_ekf"),
     ("the filter's arrival mean", "rhe", "rhe_smoothed"),
-    ("a pose filter of its own (dual)", "dual", "bounded_ekf"),
     ("yaw drift as a state: EKF", "yaw_drift_ekf", "bounded_ekf"),
     ("yaw drift as a state: RHE", "yaw_drift_rhe", "rhe"),
     ("a disturbance observer", "observer", "bounded_ekf"),

@@ -27,8 +27,10 @@ __all__ = [
     "Finding",
     "Interval",
     "always",
+    "always_relative_to_oracle",
     "relative_to_oracle",
     "combined",
+    "combined_possible",
     "coverage",
     "difference",
     "difference_of_means",
@@ -145,11 +147,14 @@ def _estimate(statistic, samples):
     return value, float(np.sqrt(n - 1) * np.std(values_without)), n - 1
 
 
-def _interval(value, error, freedom):
-    """(low, high) = value ± t error, t the 97.5 % quantile of Student's t; NaN without an error."""
+def _interval(value, error, freedom, confidence=CONFIDENCE):
+    """(low, high) = value ± t error, t the quantile (1 + confidence) / 2 of Student's t.
+
+    At 95 % that is the 97.5 % quantile. Without an error both ends are NaN.
+    """
     if np.isnan(error):
         return np.nan, np.nan
-    half = float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2)) * error if error else 0.0
+    half = float(special.stdtrit(freedom, (1 + confidence) / 2)) * error if error else 0.0
     return value - half, value + half
 
 
@@ -218,13 +223,17 @@ def root_of_mean(squares, axis):
 # Rules
 
 
-def _judged(statistic, samples, above, below):
+# Each rule has a `confidence`: the verdict needs an interval of that confidence on one side of the
+# bound. The interval that a Finding shows is always the one of 95 %.
+
+
+def _judged(statistic, samples, above, below, confidence):
     """The Finding of a statistic of paired samples; p by Student's t at the nearer bound."""
     value, error, freedom = _estimate(statistic, samples)
     low, high = _interval(value, error, freedom)
     off = min(abs(value - above), abs(value - below))
     p = 2 * special.stdtr(freedom, -off / error) if error else np.nan
-    outcome = verdict(low, high, above, below)
+    outcome = verdict(*_interval(value, error, freedom, confidence), above, below)
     return Finding(value, low, high, freedom + 1, outcome, above, below, float(p))
 
 
@@ -239,27 +248,28 @@ def _checked(*samples):
     return samples
 
 
-def mean(values, above=-np.inf, below=np.inf):
+def mean(values, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     """Judge that a mean lies between the bounds."""
-    return _judged(np.mean, _checked(values), above, below)
+    return _judged(np.mean, _checked(values), above, below, confidence)
 
 
-def difference(one, other, above=-np.inf, below=np.inf):
+def difference(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     """Judge that the mean of one - other, paired by their order, lies between the bounds."""
     one, other = _checked(one, other)
-    return _judged(np.mean, [one - other], above, below)
+    return _judged(np.mean, [one - other], above, below, confidence)
 
 
-def ratio(one, other, above=-np.inf, below=np.inf):
+def ratio(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     """Judge that the ratio of two paired samples' means lies between the bounds."""
-    return _judged(ratio_of_means, _checked(one, other), above, below)
+    return _judged(ratio_of_means, _checked(one, other), above, below, confidence)
 
 
-def share(flags, above=-np.inf, below=np.inf):
+def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     """Judge that the share k / n of true flags lies between the bounds.
 
     Clopper and Pearson's interval reaches to the shares under which k, or what is further off,
-    comes out with a probability of 2.5 %: with B_q(a, b) the quantiles of the beta distribution,
+    comes out with a probability of 2.5 % at 95 % confidence: with B_q(a, b) the quantiles of the
+    beta distribution,
 
         low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
 
@@ -270,6 +280,7 @@ def share(flags, above=-np.inf, below=np.inf):
     value = np.nan
     low = np.nan
     high = np.nan
+    ends = np.nan, np.nan
     p = np.nan
     if n:
         from scipy import stats  # it takes half a second to load, and most studies need no share
@@ -277,55 +288,77 @@ def share(flags, above=-np.inf, below=np.inf):
         value = flags.mean()
         k = int(flags.sum())
         low, high = stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="exact")
+        ends = stats.binomtest(k, n).proportion_ci(confidence, method="exact")
         bound = above if abs(value - above) <= abs(value - below) else below
         if 0 < bound < 1:
             tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
             p = min(1.0, 2 * min(tails))
-    outcome = verdict(low, high, above, below)
+    outcome = verdict(*ends, above, below)
     return Finding(float(value), float(low), float(high), n, outcome, above, below, float(p))
 
 
-def relative_to_oracle(flags, oracle, above):
+def relative_to_oracle(flags, oracle, above, confidence=CONFIDENCE):
     """Judge a share of flags relative to the oracle: fields where the oracle fails are left out."""
     flags, oracle = _checked(flags, oracle)
-    return share(flags[oracle > 0], above)
+    return share(flags[oracle > 0], above, confidence=confidence)
 
 
-def always(flags):
+def always_relative_to_oracle(flags, oracle, confidence=CONFIDENCE):
+    """Judge that flags are true wherever the oracle's are. One exception refutes it."""
+    flags, oracle = _checked(flags, oracle)
+    return always(flags[oracle > 0], confidence)
+
+
+def always(flags, confidence=CONFIDENCE):
     """Judge an exact property, true in every case. One exception refutes it."""
     outcome = share(flags)
     exact = UNDECIDED if outcome.n == 0 else HOLDS if outcome.value == 1 else FAILS
     return outcome._replace(verdict=exact, above=1.0)
 
 
-def possible(flags):
+def possible(flags, confidence=CONFIDENCE):
     """Judge that what "may" happen does happen.
 
     It holds if one flag is true. If none is, it does not hold once the interval of its share ends
     below 1 %.
     """
-    outcome = share(flags)
-    seen = HOLDS if outcome.value > 0 else FAILS if outcome.high < _RARE else UNDECIDED
-    return outcome._replace(verdict=seen, above=0.0)
+    outcome = share(flags, below=_RARE, confidence=confidence)
+    seen = HOLDS if outcome.value > 0 else FAILS if outcome.verdict == HOLDS else UNDECIDED
+    return outcome._replace(verdict=seen, above=0.0, below=np.inf, p=np.nan)
 
 
-def reported(values, paper):
+def reported(values, paper, confidence=CONFIDENCE):
     """Judge that a number which the paper reports, of one drive or few, is usual here.
 
     It holds if the number lies in the middle 95 % of single runs and the mean is within a quarter
-    of it. Without the second condition, more numbers would be usual the more the runs differ.
+    of it. Without the second condition, more numbers would be usual the more the runs differ. Both
+    are judged by intervals: of the mean, and of the share of runs below the number.
 
     Returns:
-        Finding with the interval of single runs, not of their mean; fewer than 40 runs have none.
+        Finding with the interval of single runs, not of their mean. That of fewer than 40 runs is
+        Student's prediction interval, mean ± t s √(1 + 1/n) with their deviation s, and undecided.
     """
-    near = mean(values, above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
+    limits = dict(above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
+    near = mean(values, **limits, confidence=confidence)
     low = np.nan
     high = np.nan
     outcome = UNDECIDED
+    if 2 <= near.n < _MIN_SINGLE_RUNS:
+        error = np.std(values, ddof=1) * np.sqrt(1 + 1 / near.n)
+        low, high = _interval(near.value, error, near.n - 1)
     if near.n >= _MIN_SINGLE_RUNS:
-        low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-        outcome = near.verdict if low <= paper <= high else FAILS
+        tails = (1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2
+        low, high = np.quantile(values, tails)
+        usual = share(np.asarray(values) < paper, *tails, confidence=confidence)
+        outcome = _both(near.verdict, usual.verdict)
     return Finding(near.value, float(low), float(high), near.n, outcome, paper, paper)
+
+
+def _both(one, other):
+    """The verdict on two conditions that must both hold."""
+    if FAILS in (one, other):
+        return FAILS
+    return HOLDS if one == other == HOLDS else UNDECIDED
 
 
 def equal(value, expected, tolerance):
@@ -362,6 +395,14 @@ def combined(findings):
         return f"{HOLDS} {only}with {holding[0]}", holding[0]
     undecided = [condition for condition, outcome in verdicts.items() if outcome == UNDECIDED]
     return (UNDECIDED, undecided[0]) if undecided else (verdicts[first], first)
+
+
+def combined_possible(findings):
+    """As `combined`, of what "may" happen: it holds if it happens under one condition."""
+    for condition, finding in findings.items():
+        if finding.verdict == HOLDS:
+            return HOLDS, condition
+    return combined(findings)
 
 
 # Tables for readers

@@ -22,7 +22,7 @@ from rhec.core.estimator import offline, rhe
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
 from rhec.simulation.closed_loop import set_up
-from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, POSE
 from rhec.simulation.metrics import rms, settled_samples
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
@@ -31,22 +31,25 @@ from rhec.tracked_robot import path, tuning
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.live import PaperRHC, PaperRHE
+from rhec.tracked_robot.live import PaperEstimate, PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 from rhec.workbench.studies import timing
 from rhec.workbench.studies.calibration import SETTLED_S
-from rhec.workbench.studies.claims.run_sets import PROCESS_NOISES, parallel_map
+from rhec.workbench.studies.claims.run_sets import parallel_map
 from rhec.workbench.studies.live_loop import LiveRobot
 
 __all__ = [
-    "all_of",
+    "EXACT",
+    "OF_NOISE",
     "build_with_given_arrival",
     "gains",
     "kkt_tolerances",
+    "certainty_equivalence",
+    "convexity",
     "live",
     "lowest_traction",
+    "make",
     "models",
-    "of_estimators",
     "reached_s",
     "run_with_given_arrival",
     "steps_in_time",
@@ -84,7 +87,7 @@ def build_with_given_arrival():
     return offline.build(step, ["estimate", "arrival_covariance"])
 
 
-def run_with_given_arrival(functions, log, process_noise, P_given=None):
+def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=None):
     """Run the RHE over the measurements of a log.
 
     Args:
@@ -92,11 +95,12 @@ def run_with_given_arrival(functions, log, process_noise, P_given=None):
         log: Of a Run.
         process_noise: "printed" or "calibrated".
         P_given: Covariance (6, 6) of the arrival cost at all times; the RHE's, by default.
+        sigma_w: Standard deviations (6,) of W; those of the process noise, by default.
 
     Returns:
         Estimates (n, 6) and arrival covariances (n, 6, 6).
     """
-    scenario = Scenario(process_noise=process_noise)
+    scenario = Scenario(process_noise=process_noise, sigma_w=sigma_w)
     settings = paper_rhe.ESTIMATORS["rhe"].settings(scenario) | dict(
         P_given=np.eye(6) if P_given is None else P_given, constant=float(P_given is not None)
     )
@@ -115,7 +119,8 @@ def _arrival_cost(process_noise, world, seed):
     Returns:
         One row: for each arrival cost the RMS change of κ̂ from sample to sample, the time until
         |κ̂ - κ| first stays below 0.1 for 5 s, and whether the yaw was ever more than 0.5 rad off;
-        and `least`, the least eigenvalue of P - W over all samples in units of W.
+        `least`, the least eigenvalue of P - W over all samples in units of W; `sigma_left`, see
+        `_sigma_left`; and `grown_with_w` and `grown_without_w`, see `_growth`.
     """
     steps = compiled.load(build_with_given_arrival)
     sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
@@ -124,6 +129,9 @@ def _arrival_cost(process_noise, world, seed):
     # W^-1/2 (P - W) W^-1/2: the states have different units, and W makes them comparable.
     half = 1 / np.sqrt(sigma**2)
     row = dict(least=np.linalg.eigvalsh(half[:, None] * (P - np.diag(sigma**2)) * half).min())
+    row |= dict(sigma_left=_sigma_left(P), grown_with_w=_growth(P))
+    _, P_without_w = run_with_given_arrival(steps, log, process_noise, sigma_w=(0.0,) * 6)
+    row |= dict(grown_without_w=_growth(P_without_w))
     typical = P[paper.HORIZON + 1 :].mean(axis=0)  # from the first full window on
     for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
         if factor is not None:
@@ -133,6 +141,30 @@ def _arrival_cost(process_noise, world, seed):
         row[f"step_{name}"] = rms(np.diff(estimates[:, 5]))
         row |= {f"reached_s_{name}": reached_s(error), f"lost_{name}": np.abs(yaw).max() > 0.5}
     return row
+
+
+def _sigma_left(P):
+    """The share of its first standard deviation that μ or κ keeps, the larger of the two.
+
+    σ(t) is by the arrival cost's covariance P (n, 6, 6); the share is the mean of σ over the second
+    half of the run, over σ at the start.
+    """
+    sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2)[:, 4:])
+    return (sigma[len(P) // 2 :].mean(axis=0) / sigma[0]).max()
+
+
+def _growth(P):
+    """How much the largest eigenvalue of H_N = P⁻¹ grows over the second half of a run.
+
+    The states are in units of their first standard deviations. A weight that sums up all past
+    measurements without forgetting doubles; one that forgets stays as it is.
+    """
+    unit = np.sqrt(np.diag(P[0]))
+    halfway, last = (
+        np.linalg.eigvalsh(np.linalg.inv(P[place] / np.outer(unit, unit))).max()
+        for place in (len(P) // 2, -1)
+    )
+    return last / halfway
 
 
 def reached_s(error):
@@ -348,39 +380,133 @@ def models(n=100):
 
 
 def steps_in_time(duration_s=60.0):
-    """Whether the whole step takes less than a sample, at every sample, on this machine."""
+    """Times of every sample of a run on this machine.
+
+    Returns:
+        DataFrame: in_time, whether the whole step takes less than a sample; whole_us, and
+        feedback_us, the part of it after the measurement.
+    """
     taken = timing.phases(Scenario(process_noise="calibrated", duration_s=duration_s), "daqp")
-    return pd.DataFrame(dict(in_time=taken.sum(axis=1) < 1e6 * paper.DT_S))
+    whole_us = taken.sum(axis=1)
+    is_feedback = [phase == "feedback" for _, phase in timing.PHASES]
+    return pd.DataFrame(
+        dict(
+            in_time=whole_us < 1e6 * paper.DT_S,
+            whole_us=whole_us,
+            feedback_us=taken[:, is_feedback].sum(axis=1),
+        )
+    )
+
+
+def certainty_equivalence(duration_s=60.0):
+    """Commands of the closed loop against those of a robot in the state that it estimates.
+
+    The RHC gets the logged estimates as if they were the truth, sample by sample.
+
+    Returns:
+        DataFrame, one row a sample: off_radps, the difference of the two commands [rad/s].
+    """
+    (run,) = simulate([Scenario(process_noise="calibrated", duration_s=duration_s)])
+    controller = PaperRHC(q=run.scenario.q, r=run.scenario.r)
+    tracker = PathTracker(run.path, run.scenario.prediction_horizon)
+    rows = []
+    for sample in run.log.to_dict("records"):
+        state = PaperEstimate(*(sample[name] for name in ESTIMATE), covariance=None)
+        controller.prepare()
+        references = tracker.references(state, sample["omega_meas_radps"])
+        command = controller.feedback(state.pose, state.p, *references)
+        rows.append(dict(off_radps=abs(command - sample["omega_cmd_radps"])))
+    return pd.DataFrame(rows)
+
+
+def convexity(n=1000):
+    """Whether eq. (12) is convex, at n random states with two random input sequences u and v each.
+
+    The feasible pairs of trajectory and inputs are a convex set only if the mean of two of them is
+    feasible, that is, if the trajectory of (u + v) / 2 is the mean of the two trajectories. The
+    cost J as a function of the inputs alone, see `_drive_and_cost`, is convex only if it bends
+    upwards along every direction; here along that of a constant yaw rate e,
+
+        (J(u + h e) - 2 J(u) + J(u - h e)) / h².
+
+    Returns:
+        DataFrame, one row a state: off_mean_m, how far the two trajectories lie apart; bending.
+    """
+    rng = np.random.default_rng(0)
+    h = 1e-3
+    rows = []
+    for speed, mu, kappa, offset in _draw_states(n):
+        state = 0.0, offset, rng.uniform(-np.pi, np.pi)
+        shape = (2, paper.HORIZON)
+        u, v = rng.uniform(-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS, shape)
+        drive = partial(_drive_and_cost, state, (speed, mu, kappa))
+        (of_u, cost), (of_v, _), (of_mean, _) = drive(u), drive(v), drive((u + v) / 2)
+        more, less = (drive(u + step)[1] for step in (h, -h))
+        off_mean_m = np.abs(of_mean - (of_u + of_v) / 2).max()
+        rows.append(dict(off_mean_m=off_mean_m, bending=(more - 2 * cost + less) / h**2))
+    return pd.DataFrame(rows)
+
+
+def _drive_and_cost(state, parameters, inputs):
+    """Poses (N, 3) and J of eq. (12) for inputs (N,) on a straight path, with Q³, R and Q_N.
+
+    The motion of each interval is the exact arc of eq. (2), so that nothing of the RHC is used.
+    """
+    speed, mu, kappa = parameters
+    xi_ref, _ = _straight_ahead(speed, mu)
+    weights = np.array(paper.Q3)
+    poses = [state]
+    for omega in inputs:
+        curvature = kappa * omega / (mu * speed)
+        poses.append(path.advance(*poses[-1], curvature, mu * speed * paper.DT_S, np))
+    squares = np.square(np.array(poses[1:]) - xi_ref.T[1:]) @ weights
+    squares[-1] *= paper.QN_FACTOR
+    return np.array(poses[1:]), (squares.sum() + paper.R * inputs @ inputs) / 2
 
 
 # All of them
 
+EXACT = {  # experiments that no process noise affects
+    "kkt": kkt_tolerances,
+    "gains": gains,
+    "models": models,
+    "times": steps_in_time,
+    "certainty": certainty_equivalence,
+    "convexity": convexity,
+}
+OF_NOISE = ("arrival_cost", "iterations", "search")
 
-def of_estimators(seeds, process_noise, world=None):
-    """The experiments that a process noise affects, {name: table}, in a world of WORLDS."""
-    counts = {
+
+def _tasks(process_noise, name, seeds, world):
+    """The calls that make an experiment, one after the other."""
+    if name in EXACT:
+        return [EXACT[name]]
+    if name == "search":
+        return [partial(lowest_traction, process_noise)]
+    row, n = {
         "arrival_cost": (_arrival_cost, seeds // 10),
         "iterations": (_iterations, seeds // 25),
-    }
-    return {
-        name: pd.DataFrame(parallel_map(partial(row, process_noise, world or {}), range(max(2, n))))
-        for name, (row, n) in counts.items()
-    }
+    }[name]
+    return [partial(row, process_noise, world, seed) for seed in range(max(2, n))]
 
 
-def all_of(seeds):
-    """Every experiment, {process noise: {name: table}}.
-
-    Experiments that no process noise affects are listed under both.
+def make(tables, seeds, world=None):
+    """Make experiments.
 
     Args:
-        seeds: The largest number of fields of a campaign.
+        tables: (process noise, name) of each.
+        seeds: The largest number of fields of a campaign; an experiment takes a part of them.
+        world: Fields of Scenario.
+
+    Returns:
+        {(process noise, name): DataFrame}.
     """
-    exact = dict(kkt=kkt_tolerances, gains=gains, models=models, times=steps_in_time)
-    searches = [partial(lowest_traction, noise) for noise in PROCESS_NOISES]
-    tables = parallel_map(operator.call, [*searches, *exact.values()])
-    independent = dict(zip(exact, tables[len(searches) :]))
-    return {
-        noise: independent | of_estimators(seeds, noise) | dict(search=search)
-        for noise, search in zip(PROCESS_NOISES, tables)
-    }
+    # One that no process noise affects is made once.
+    names = {table: (None if table[1] in EXACT else table[0], table[1]) for table in tables}
+    tasks = {key: _tasks(*key, seeds, world or {}) for key in dict.fromkeys(names.values())}
+    found = iter(parallel_map(operator.call, [task for part in tasks.values() for task in part]))
+    made = {}
+    for key, part in tasks.items():
+        results = [next(found) for _ in part]
+        made[key] = results[0] if isinstance(results[0], pd.DataFrame) else pd.DataFrame(results)
+    return {table: made[key] for table, key in names.items()}

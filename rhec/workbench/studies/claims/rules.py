@@ -1,8 +1,8 @@
 """The claims of claims.toml as rules: functions of the evidence, one for each condition.
 
 claims.toml holds each sentence of the paper and how it is judged; its first lines say what each
-entry means. Evidence is {process noise: {"runs", "logs", "experiments"}}, and each of the three is
-{id: DataFrame}. Rules that are arithmetic on the paper's own numbers need no evidence; they are
+entry means. Evidence is {(process noise, kind, id): DataFrame}, where kind is "runs", "logs" or
+"experiments". Rules that are arithmetic on the paper's own numbers need no evidence; they are
 functions here.
 """
 
@@ -17,84 +17,115 @@ import numpy as np
 from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 from rhec.workbench.studies import statistics, timing
-from rhec.workbench.studies.claims import run_sets
-from rhec.workbench.studies.statistics import AS_PRINTED, UNTESTABLE, Finding
+from rhec.workbench.studies.claims import experiments, run_sets
+from rhec.workbench.studies.statistics import AS_PRINTED, CONFIDENCE, UNTESTABLE, Finding
 
-__all__ = ["CALIBRATED", "CLAIMS", "load"]
+__all__ = ["CALIBRATED", "CLAIMS", "Claim", "Condition", "Rule", "load"]
 
 CALIBRATED = "W calibrated"
 _FILE = Path(__file__).with_name("claims.toml")
 _CONDITIONS = {"printed": AS_PRINTED, "calibrated": CALIBRATED}  # of each process noise
 
 
-class _Rule(NamedTuple):
+class Condition(NamedTuple):
+    """A rule under one way to read the paper, called with the evidence and the confidence.
+
+    Args:
+        rule: Function of evidence and confidence that returns a Finding.
+        tables: (process noise, kind, id) of the tables that it reads.
+    """
+
+    rule: Callable
+    tables: tuple = ()
+
+    def __call__(self, evidence, confidence=CONFIDENCE):
+        """The Finding on this evidence."""
+        return self.rule(evidence, confidence)
+
+
+class Rule(NamedTuple):
     """How a claim is judged.
 
     Args:
-        by_condition: {condition: function of the evidence that returns a Finding}, the paper's
-            text first, then departures from it.
+        by_condition: {condition: Condition}, the paper's text first, then departures from it.
         unit: Of the Finding's numbers.
         paper: The paper's number, or its word for it.
         bound: In words, the bound beyond which the verdict changes.
-        tables: {kind: ids}, the tables to make again in another world; None if no world matters.
+        combined: Function of {condition: Finding} that returns the claim's verdict and condition.
+        other_worlds: Whether another world may change the verdict.
     """
 
-    by_condition: dict[str, Callable]
+    by_condition: dict[str, Condition]
     unit: str = ""
     paper: object = ""
     bound: str = ""
-    tables: dict[str, list] | None = None
+    combined: Callable = statistics.combined
+    other_worlds: bool = False
 
 
-class _Claim(NamedTuple):
-    """A sentence of the paper: its section, its test in words, its rule, the verdict's reason."""
+class Claim(NamedTuple):
+    """A sentence of the paper and how it is judged.
+
+    Args:
+        section: The paper's section.
+        claim: The sentence, shortened.
+        quote: The paper's own words.
+        test: What is measured, in words.
+        rule: Its Rule.
+        derived: Whether the verdict follows from equations or from the paper's own numbers.
+        beside: {what: Condition}, numbers shown beside the verdict that do not decide it.
+        why: The reason for the verdict, where it is known.
+    """
 
     section: str
     claim: str
+    quote: str
     test: str
-    rule: _Rule
+    rule: Rule
+    derived: bool
+    beside: dict[str, Condition]
     why: str
 
 
 # Rules on the paper's own numbers: functions of the evidence, which most of them do not need.
 
 
-def _untestable(evidence):
+def _untestable(evidence, confidence):
     """No run here can decide."""
     return Finding(np.nan, np.nan, np.nan, 0, UNTESTABLE)
 
 
-def _yaw_rate_error(evidence):
+def _yaw_rate_error(evidence, confidence):
     """Not testable: the speed loops are this project's. Shows how far ω is from its command."""
-    errors = evidence["printed"]["logs"]["rhe"]["rms_yaw_rate_radps"]
+    errors = evidence["printed", "logs", "rhe"]["rms_yaw_rate_radps"]
     return Finding(*statistics.mean(errors)[:4], UNTESTABLE)
 
 
-def _row_clearance(evidence):
+def _row_clearance(evidence, confidence):
     """(row spacing - stem - GNSS - robot width) / 2 is the tolerance, to the nearest cm."""
     taken = paper.STEM_WIDTH_M + paper.GNSS_ACCURACY_M + paper.ROBOT_WIDTH_M
     return statistics.equal((paper.ROW_SPACING_M - taken) / 2, paper.TOLERANCE_M, 0.005)
 
 
-def _sampling_time(evidence):
+def _sampling_time(evidence, confidence):
     """The sampling time is in the range of milliseconds."""
     return statistics.always([paper.DT_S < 0.1])
 
 
-def _process_noise_sizes(evidence):
+def _process_noise_sizes(evidence, confidence):
     """Every entry of W of a measured quantity exceeds every entry of one that is not measured."""
     measured = np.take(paper.SIGMA_W_RHE, [0, 1, 3])  # x, y, ν
     unmeasured = np.take(paper.SIGMA_W_RHE, [2, 4, 5])  # θ, μ, κ
     return statistics.always([min(measured) > max(unmeasured)])
 
 
-def _table_sums(evidence):
+def _table_sums(evidence, confidence):
     """The averages of the four phases add up to that of the whole step."""
     phases_ms = sum(paper.TABLE_1_MS[phase][1] for phase in timing.PHASES)
     return statistics.equal(phases_ms, paper.STEP_MEAN_MS, 0.01)
 
 
-def _table_extremes(evidence):
+def _table_extremes(evidence, confidence):
     """Overall minimum and maximum of RHE and RHC are not the sums of the two phases' extremes.
 
     A sample reaches the sum of two maxima only if both phases are worst at that sample.
@@ -107,22 +138,22 @@ def _table_extremes(evidence):
     return statistics.always(np.abs(differences) > 2e-4)
 
 
-def _parameters_of_p(speed_model, evidence):
+def _parameters_of_p(speed_model, evidence, confidence):
     """Eq. (6) has the two parameters that the paper counts."""
     return statistics.equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
 
 
-_EXACT_RULES = {  # name: {condition: function of the evidence}
-    "untestable": {"": _untestable},
-    "yaw_rate_error": {"": _yaw_rate_error},
-    "row_clearance": {"": _row_clearance},
-    "sampling_time": {"": _sampling_time},
-    "process_noise_sizes": {"": _process_noise_sizes},
-    "table_sums": {"": _table_sums},
-    "table_extremes": {"": _table_extremes},
+_EXACT_RULES = {  # name: {condition: Condition}
+    "untestable": {"": Condition(_untestable)},
+    "yaw_rate_error": {"": Condition(_yaw_rate_error, (("printed", "logs", "rhe"),))},
+    "row_clearance": {"": Condition(_row_clearance)},
+    "sampling_time": {"": Condition(_sampling_time)},
+    "process_noise_sizes": {"": Condition(_process_noise_sizes)},
+    "table_sums": {"": Condition(_table_sums)},
+    "table_extremes": {"": Condition(_table_extremes)},
     "parameters_of_p": {
-        AS_PRINTED: partial(_parameters_of_p, "parameter"),
-        "ν as input": partial(_parameters_of_p, "input"),
+        AS_PRINTED: Condition(partial(_parameters_of_p, "parameter")),
+        "ν as input": Condition(partial(_parameters_of_p, "input")),
     },
 }
 
@@ -137,6 +168,7 @@ def _share_twice(one, other, **bounds):
 
 _RULES = {
     "always": statistics.always,
+    "always_relative_to_oracle": statistics.always_relative_to_oracle,
     "difference": statistics.difference,
     "mean": statistics.mean,
     "possible": statistics.possible,
@@ -146,30 +178,55 @@ _RULES = {
     "share": statistics.share,
     "share_twice": _share_twice,
 }
-_BOUNDS = {"always": "every case", "possible": "one case", "reported": "usual"}
+_EVERY_CASE = "every case"
+_BOUNDS = dict(always=_EVERY_CASE, always_relative_to_oracle=_EVERY_CASE)
+_BOUNDS |= dict(possible="one case", reported="usual")
 _PAPERS = {"always": "all", "possible": "may"}
 _KINDS = {"runs": "runs", "logs": "logs", "experiment": "experiments", "property": "experiments"}
 _IDS = {
     "runs": run_sets.RUNS,
     "logs": run_sets.LOGS,
-    "experiment": ("arrival_cost", "iterations", "search"),
-    "property": ("gains", "kkt", "models", "times"),
+    "experiment": experiments.OF_NOISE,
+    "property": experiments.EXACT,
 }
-_REQUIRED = {"sentence", "rule"}
-_OPTIONAL = {"test", "of", "departures", "paper", "other_worlds", "why", *_KINDS}
+_REQUIRED = {"sentence", "quote", "rule"}
+_OPTIONAL = {"test", "of", "departures", "paper", "other_worlds", "why", "derived", "beside"}
+_OPTIONAL |= {*_KINDS}
 
 
-def _judge(evidence, rule, bounds, kind, ids, expressions, process_noise, instead):
-    """The Finding of a rule on expressions of tables, under one process noise and departure.
+def _judge(evidence, confidence, rule, bounds, tables, expressions):
+    """The Finding of a rule on expressions of tables.
 
-    A name in `instead` is replaced, be it a table's id or an expression. Tables of unequal length
-    are compared on the seeds that both have.
+    Tables of unequal length are compared on the seeds that both have.
     """
-    tables = [evidence[process_noise][kind][instead.get(id_, id_)] for id_ in ids]
-    n = min(map(len, tables))
-    columns = [instead.get(expression, expression) for expression in expressions]
-    values = [table[:n].eval(column, engine="python") for table in tables for column in columns]
-    return rule(*values, **bounds)
+    found = [evidence[table] for table in tables]
+    n = min(map(len, found))
+    values = [
+        table[:n].eval(expression, engine="python") for table in found for expression in expressions
+    ]
+    return rule(*values, **bounds, confidence=confidence)
+
+
+def _condition(entry, expressions, process_noise, instead):
+    """The Condition of an entry under one process noise and departure.
+
+    A name in `instead` is replaced, be it a table's id or an expression.
+    """
+    (kind,) = (kind for kind in _KINDS if kind in entry)
+    settings = entry["rule"]
+    bounds = {side: settings[side] for side in ("above", "below") if side in settings}
+    if settings["name"] == "reported":
+        bounds["paper"] = entry["paper"]
+    tables = tuple((process_noise, _KINDS[kind], instead.get(id_, id_)) for id_ in entry[kind])
+    columns = [expressions.get(each, each) for each in entry["of"]]
+    judge = partial(
+        _judge,
+        rule=_RULES[settings["name"]],
+        bounds=bounds,
+        tables=tables,
+        expressions=[instead.get(column, column) for column in columns],
+    )
+    return Condition(judge, tables)
 
 
 def _departures_of(entry, departures):
@@ -181,44 +238,52 @@ def _departures_of(entry, departures):
     return [departures[name] for name in names]
 
 
-def _by_condition(judge, departures):
-    """{condition: rule}: the process noises as the paper has it, then so with each departure."""
+def _by_condition(entry, expressions, departures):
+    """{condition: Condition}: the process noises as the paper has it, then with each departure."""
     conditions = {
-        condition: partial(judge, process_noise=process_noise, instead={})
-        for process_noise, condition in _CONDITIONS.items()
+        name: _condition(entry, expressions, process_noise, {})
+        for process_noise, name in _CONDITIONS.items()
     }
     for departure in departures:
         fixed = departure.get("process_noises")  # where the departure sets W itself
         for process_noise in fixed or _CONDITIONS:
             both = process_noise == "calibrated"
             name = f"{CALIBRATED}, {departure['name']}" if both else departure["name"]
-            instead = departure["instead"]
-            conditions[name] = partial(judge, process_noise=process_noise, instead=instead)
+            conditions[name] = _condition(entry, expressions, process_noise, departure["instead"])
     return conditions
 
 
-def _rule_on_tables(entry, kind, bounds, expressions, departures):
-    """The Rule of an entry that is judged on tables of this kind."""
-    name = entry["rule"]["name"]
-    paper_says = entry.get("paper", _PAPERS.get(name, ""))
-    sides = {">": bounds.get("above"), "<": bounds.get("below")}
+def _rule_on_tables(entry, expressions, departures):
+    """The Rule of an entry that is judged on tables."""
+    settings = entry["rule"]
+    name = settings["name"]
+    sides = {">": settings.get("above"), "<": settings.get("below")}
     words = " and ".join(f"{sign} {bound:g}" for sign, bound in sides.items() if bound is not None)
-    judge = partial(
-        _judge,
-        rule=_RULES[name],
-        bounds=bounds | ({"paper": paper_says} if name == "reported" else {}),
-        kind=_KINDS[kind],
-        ids=entry[kind],
-        expressions=[expressions.get(each, each) for each in entry["of"]],
-    )
-    conditions = _by_condition(judge, _departures_of(entry, departures))
-    tables = {_KINDS[kind]: entry[kind]} if entry.get("other_worlds", True) else None
+    conditions = _by_condition(entry, expressions, _departures_of(entry, departures))
     # Neither process noise nor world affects a property, so it has one condition without a name.
-    if kind == "property":
+    if "property" in entry:
         conditions = {"": conditions[AS_PRINTED]}
-        tables = None
-    unit = entry["rule"].get("unit", "-")
-    return _Rule(conditions, unit, paper_says, _BOUNDS.get(name, words), tables)
+    changes = "property" not in entry and not entry.get("derived", False)
+    return Rule(
+        conditions,
+        settings.get("unit", "-"),
+        entry.get("paper", _PAPERS.get(name, "")),
+        _BOUNDS.get(name, words),
+        statistics.combined_possible if name == "possible" else statistics.combined,
+        changes and entry.get("other_worlds", True),
+    )
+
+
+def _beside(entry, expressions):
+    """{what: Condition} of the numbers that are shown beside the verdict."""
+    found = {}
+    for part in entry.get("beside", []):
+        # No process noise affects a property.
+        noises = ["printed"] if "property" in part else part.get("process_noises", _CONDITIONS)
+        for process_noise in noises:
+            name = "" if "property" in part else f", {_CONDITIONS[process_noise]}"
+            found[part["what"] + name] = _condition(part, expressions, process_noise, {})
+    return found
 
 
 # The file
@@ -239,8 +304,19 @@ def _check(id_, entry, departures):
         refuse(f"had the unknown rule {name!r}", f"have one of {sorted(_RULES | _EXACT_RULES)}")
     if unknown := {*entry["rule"]} - {"name", "above", "below", "unit"}:
         refuse(f"had {sorted(unknown)[0]} in its rule", "have name, above, below or unit")
+    if entry.get("derived") and entry.get("departures"):
+        refuse("was derived and had departures", "have one of both")
     if unknown := {*entry.get("departures", [])} - {*departures}:
         refuse(f"had the unknown departure {sorted(unknown)[0]}", f"have {sorted(departures)}")
+    _check_tables(entry, name, refuse)
+    for part in entry.get("beside", []):
+        if missing := {"what", "rule", "of"} - {*part}:
+            refuse(f"had no {sorted(missing)[0]} in what stands beside it", "have one")
+        _check_tables(part, part["rule"].get("name"), refuse)
+
+
+def _check_tables(entry, name, refuse):
+    """Refuse tables that do not fit the rule of this name, or do not exist."""
     kinds = [kind for kind in _KINDS if kind in entry]
     if len(kinds) != (name in _RULES) or ("of" in entry) != (name in _RULES):
         refuse(f"had tables {kinds} for the rule {name}", "have one kind with `of`, or none")
@@ -252,14 +328,21 @@ def _check(id_, entry, departures):
 def _claim(section, entry, expressions, departures):
     """The Claim of a checked entry."""
     settings = entry["rule"]
-    kinds = [kind for kind in _KINDS if kind in entry]
-    if kinds:
-        bounds = {side: settings[side] for side in ("above", "below") if side in settings}
-        rule = _rule_on_tables(entry, kinds[0], bounds, expressions, departures)
+    if settings["name"] in _RULES:
+        rule = _rule_on_tables(entry, expressions, departures)
     else:
         conditions = _EXACT_RULES[settings["name"]]
-        rule = _Rule(conditions, settings.get("unit", ""), entry.get("paper", ""))
-    return _Claim(section, entry["sentence"], entry.get("test", "-"), rule, entry.get("why", ""))
+        rule = Rule(conditions, settings.get("unit", ""), entry.get("paper", ""))
+    return Claim(
+        section,
+        entry["sentence"],
+        entry["quote"],
+        entry.get("test", "-"),
+        rule,
+        entry.get("derived", False),
+        _beside(entry, expressions),
+        entry.get("why", ""),
+    )
 
 
 def load(file=_FILE):

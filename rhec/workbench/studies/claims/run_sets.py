@@ -1,8 +1,8 @@
 """The simulated drives that the claims are judged on, and what is measured of them.
 
-Seeds start at 0; those of the calibration are never used. Every id is run under both process noises
-at the same seeds, so that row k of any two tables of one length is the same field and the same
-noise. RUNS need their metrics alone and run as one campaign; LOGS need what only each sample shows.
+Seeds start at 0; those of the calibration are never used. Every id is run at the same seeds, under
+whichever process noise, so that row k of any two tables is the same field and the same noise. RUNS
+need their metrics alone and run as one campaign; LOGS need what only each sample shows.
 """
 
 import itertools
@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.simulation import worlds
 from rhec.simulation.campaigns.batch import (
     mean_samples_per_structure,
     samples_per_task,
@@ -30,31 +31,32 @@ from rhec.tracked_robot.terrain import Terrain
 __all__ = [
     "LOGS",
     "LOOK_AHEAD_M",
+    "ON_ROW",
     "PROCESS_NOISES",
     "RUNS",
     "WORLDS",
     "complete",
     "drive",
+    "fields_of",
     "lag_s",
-    "logs",
     "map_runs",
+    "measure",
     "measured",
     "parallel_map",
-    "runs",
     "scenarios",
 ]
 
 PROCESS_NOISES = ("printed", "calibrated")
 LOOK_AHEAD_M = 0.5
 _SWING_M = 0.05  # an offset to one side and then to the other counts as a swing from here on
-_LOGS_SHARE = 0.2  # of the fields
 _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
 _SLIPPERY |= dict(duration_s=120.0)
 _UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
 _ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
-_CONSTANT = dict(terrain=Terrain.uniform(0.9, 0.8))  # the default soil's means
-_NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps".split()
+_CONSTANT = dict(terrain=Terrain.uniform(Scenario.mu_mean, Scenario.kappa_mean))  # the means
+_NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps slip_difference".split()
 _UNDISTURBED = dict.fromkeys(_NOISES, 0.0)
+_PATH_YAW_RATE = dict(estimator="ekf", input_reference="curvature")
 _ORACLE = dict(estimator="oracle", process_noise="printed")  # it has no W
 
 
@@ -105,14 +107,15 @@ RUNS = {
     "bounded_ekf": dict(estimator="bounded_ekf"),
     "rhe_tracking": _by_tracking("rhe"),
     "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
-    "cautious": dict(
-        estimator="dual", cautious=True, duration_s=270.0
-    ),  # slower, so it needs longer
+    # Slower, so it needs longer.
+    "cautious": dict(estimator="yaw_drift_ekf", cautious=True, duration_s=270.0),
     "rhe_constant": _CONSTANT,
     "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
     "rhe_uncertain": _UNSURE,
     "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
+    "fixed_traction_uncertain": _UNSURE | dict(estimator="rhe_fixed_traction"),
     "oracle_uncertain": _UNSURE | _ORACLE,
+    "ltv_mpc": dict(controller="ltv_mpc"),
     "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
     "oracle_row": _ORACLE | _ON_ROW,
     "q1": dict(q=paper.Q1) | _ON_ROW,
@@ -131,16 +134,22 @@ LOGS = {
     "rhe_poor_start": dict(guess_yaw_rad=1.0),
     "rhe_undisturbed": _CONSTANT | _UNDISTURBED,
     "ekf": dict(estimator="ekf"),
-    "ekf_path_yaw_rate": dict(estimator="ekf", input_reference="curvature"),
+    "ekf_path_yaw_rate": _PATH_YAW_RATE,
+    "ekf_path_yaw_rate_undisturbed": _CONSTANT | _UNDISTURBED | _PATH_YAW_RATE,
+    "ekf_undisturbed": _CONSTANT | _UNDISTURBED | dict(estimator="ekf"),
     "augmented_ekf": dict(estimator="augmented_ekf"),
+    "bounded_ekf": dict(estimator="bounded_ekf"),
     "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
     "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
     "q2": dict(q=paper.Q2) | _ON_ROW,
     "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
     "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),
 }
+# Drives along the first row alone; LOGS of another speed bring their own time.
+ON_ROW = {id_ for id_ in RUNS if RUNS[id_].get("duration_s") == _ON_ROW["duration_s"]} | {"q2"}
 # Other worlds, where a claim may come out otherwise; the fields of an id take precedence.
 WORLDS = {
+    "former default": worlds.WORLDS["former"],
     "no noise, constant soil": _CONSTANT | _UNDISTURBED,
     "slow": dict(speed_mps=0.25),
     "rough": dict(kappa_mean=0.6, kappa_deviation=0.2, bump_sigma_radps=0.1, gnss_sigma_m=0.08),
@@ -155,51 +164,39 @@ WORLDS = {
 # Runs
 
 
+def fields_of(fields, process_noise):
+    """Fields of RUNS or LOGS under a process noise: those that depend on it get their values."""
+    return {name: of(process_noise) if callable(of) else of for name, of in fields.items()}
+
+
 def scenarios(fields, process_noise, seeds, world=None):
-    """The scenarios of an id under a process noise, one a seed, at least two.
+    """The scenarios of an id under a process noise, one a seed.
 
     Args:
-        fields: Of RUNS or LOGS.
+        fields: Of RUNS or LOGS; they take precedence over those of the world.
         process_noise: "printed" or "calibrated".
-        seeds: How many fields, from seed 0 on.
-        world: Of WORLDS.
+        seeds: Seeds of the fields.
+        world: Fields of Scenario, for example of WORLDS.
     """
-    fields = {name: of(process_noise) if callable(of) else of for name, of in fields.items()}
-    fields = (world or {}) | dict(process_noise=process_noise) | fields
-    return [Scenario(seed=seed, **fields) for seed in range(max(2, round(seeds)))]
+    every = (world or {}) | dict(process_noise=process_noise) | fields_of(fields, process_noise)
+    return [Scenario(seed=seed, **every) for seed in seeds]
 
 
-def _every_scenario(sets, ids, seeds, process_noises, world):
-    """{(process noise, id): scenarios} of these ids of RUNS or LOGS."""
-    return {
-        (process_noise, id_): scenarios(sets[id_], process_noise, seeds, world)
-        for process_noise in process_noises
-        for id_ in ids
-    }
-
-
-def _by_noise(results):
-    """{process noise: {id: table}} of {(process noise, id): table}."""
-    tables = {process_noise: {} for process_noise, _ in results}
-    for (process_noise, id_), table in results.items():
-        tables[process_noise][id_] = table
-    return tables
-
-
-def runs(seeds, ids=tuple(RUNS), process_noises=PROCESS_NOISES, world=None, folder=None):
-    """Metrics of RUNS.
+def measure(kind, scenarios, folder=None):
+    """The tables of RUNS or LOGS for the scenarios of each name.
 
     Args:
-        seeds: How many fields, from seed 0 on.
-        ids: Of RUNS.
-        process_noises: "printed", "calibrated", or both.
-        world: Of WORLDS.
-        folder: Where the campaign keeps its rows.
+        kind: "runs" for metrics alone; "logs" for what is `measured` of the logs, too.
+        scenarios: {name: scenarios}.
+        folder: Where the campaign of "runs" keeps its rows.
 
     Returns:
-        {process noise: {id: DataFrame, one row a seed}}.
+        {name: DataFrame, one row a scenario}.
     """
-    return _by_noise(drive(_every_scenario(RUNS, ids, seeds, process_noises, world), folder))
+    if kind == "runs":
+        return drive(scenarios, folder)
+    rows = iter(map_runs(measured, list(itertools.chain(*scenarios.values()))))
+    return {name: pd.DataFrame([next(rows) for _ in part]) for name, part in scenarios.items()}
 
 
 def drive(scenarios, folder=None):
@@ -226,15 +223,6 @@ def complete(table):
         raise RuntimeError(f"{len(failed)} of {len(table)} runs failed, the first with: {first}")
     used_up = settling.fillna(table["duration_s"])
     return table.assign(arrived=settling.notna(), settling_time_s=used_up)
-
-
-def logs(seeds, ids=tuple(LOGS), process_noises=PROCESS_NOISES, world=None, part=_LOGS_SHARE):
-    """Metrics of LOGS and what is `measured` of their logs, on a part of the fields, as `runs`."""
-    every = _every_scenario(LOGS, ids, part * seeds, process_noises, world)
-    rows = iter(map_runs(measured, list(itertools.chain(*every.values()))))
-    return _by_noise(
-        {name: pd.DataFrame([next(rows) for _ in of_name]) for name, of_name in every.items()}
-    )
 
 
 def map_runs(function, scenarios):
