@@ -18,6 +18,7 @@ from rhec.workbench.studies.scenario_tables import REPORTED, over_fields, share_
 
 # Dark where the soil slips; grey, so that coloured trajectories stand out.
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
+_TRACTION_STEP = 0.05
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _KKT = {"RHE": "RHE", "RHC": "oracle"}
@@ -68,14 +69,20 @@ def _time_axis(axes, log):
 
 
 def _field(axes, terrain, values):
-    """Draw a slip field as a map, with the same colours in all figures; return the image."""
+    """Draw a slip field as a map, with the same colours for μ and κ; return the image."""
     left, bottom = np.subtract(terrain.origin_m, terrain.cell_m / 2)
     width, height = np.array(values.shape) * terrain.cell_m
     extent = (left, left + width, bottom, bottom + height)
     axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
     axes.grid(visible=False)
-    look = dict(origin="lower", interpolation="bilinear", cmap=_TRACTION, vmin=0.5, vmax=1)
-    return axes.imshow(values.T, extent=extent, **look)
+    look = dict(origin="lower", interpolation="bilinear", cmap=_TRACTION, vmax=1)
+    return axes.imshow(values.T, extent=extent, vmin=_darkest(terrain), **look)
+
+
+def _darkest(terrain):
+    """The traction at the dark end of the maps: nearly all of the soil is lighter."""
+    least = np.quantile([terrain.mu, terrain.kappa], 0.01)
+    return np.floor(least / _TRACTION_STEP) * _TRACTION_STEP
 
 
 def _reference(axes, path, up_to_m=None):
