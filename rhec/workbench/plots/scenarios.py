@@ -362,10 +362,11 @@ def estimates(drives):
     widths = (5, 1) * len(drives)
     grid = dict(sharey="row", squeeze=False, width_ratios=widths)
     figure, rows = plt.subplots(4, 2 * len(drives), figsize=size, **grid)
+    least = _least_mu(drives)
     for time, beside, runs in zip(rows.T[::2], rows.T[1::2], drives.values()):
         _yaw(time[0], runs[0].log)
         _one_estimate(time[1:], runs[0])
-        _many_estimates(beside, runs)
+        _many_estimates(beside, runs, least)
         time[0].set_title(f"{_title(runs[0])}\nyaw")
         for axes in time[:-1]:
             axes.tick_params(labelbottom=False)
@@ -373,8 +374,8 @@ def estimates(drives):
             axes.set_xlim(0, runs[0].log["t_s"].max())
         _time_axis(time, runs[0].log)
         time[-1].set_xlabel("time [s]  (shaded: curves)")
-    labels = (r"$\theta$ [rad]", "yaw error [rad],\ncut at ± 0.3", "$\\mu$ [-],\ncut at 0.5")
-    limits = (None, (-0.3, 0.3), (0.5, 1.1), (-0.06, 1.1))
+    labels = (r"$\theta$ [rad]", "yaw error [rad],\ncut at ± 0.3", f"$\\mu$ [-],\ncut at {least:g}")
+    limits = (None, (-0.3, 0.3), (least, 1 + (1 - least) / 5), (-0.06, 1.1))
     for axes, label, limit in zip(rows[:, 0], (*labels, r"$\kappa$ [-]"), limits):
         axes.set(ylabel=label, ylim=limit)
     parts.legend_outside(figure, rows[2, 0], "lower center", 4)
@@ -405,14 +406,21 @@ def _one_estimate(panels, run):
         axes.set_title(title)
 
 
-def _many_estimates(panels, runs):
+def _least_mu(drives):
+    """A tenth below nearly all values of μ and of its estimates."""
+    runs = [run.columns for several in drives.values() for run in several]
+    values = np.concatenate([run[name] for run in runs for name in ("mu", "mu_hat")])
+    return np.floor(10 * np.quantile(values, 0.001)) / 10
+
+
+def _many_estimates(panels, runs, least_mu):
     """Draw how frequent yaw errors and values of μ and κ are in all drives."""
     settled = runs[0].columns["t_s"] > _START_S
     logs = [run.columns for run in runs]
     error = [log["theta_hat_rad"] - log["theta_rad"] for log in logs]
     for axes, estimate, truth, limits in [
         (panels[1], error, None, (-0.3, 0.3)),
-        (panels[2], [log["mu_hat"] for log in logs], "mu", (0.5, 1.0)),
+        (panels[2], [log["mu_hat"] for log in logs], "mu", (least_mu, 1.0)),
         (panels[3], [log["kappa_hat"] for log in logs], "kappa", (0.0, 1.0)),
     ]:
         parts.frequencies(axes, np.array(estimate)[:, settled], limits, COLOURS["RHE"])
