@@ -6,7 +6,7 @@ horizon estimation (MHE) and model predictive control (MPC) for any robot.
 
 One run          Scenario, simulate, Run             The world      Path, Terrain, Fault, WORLDS
 Many runs        campaign                            Any robot      Model, RHE, RHC, EKF
-A recorded log   logs.read, calibrate, replay        Its path       PathTracker
+A recorded log   logs.read, doctor, calibrate, …  Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
 """
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rhec.core.model.base import Model as Model
     from rhec.embedded import export as export
     from rhec.logs.calibration import calibrate as calibrate
+    from rhec.logs.doctor import doctor as doctor
     from rhec.logs.replay import replay as replay
     from rhec.simulation.campaigns.campaign import campaign as campaign
     from rhec.simulation.faults import Fault as Fault
@@ -54,6 +55,7 @@ _HOME = {
     "WORLDS": "simulation.worlds",
     "calibrate": "logs.calibration",
     "campaign": "simulation.campaigns.campaign",
+    "doctor": "logs.doctor",
     "export": "embedded",
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",

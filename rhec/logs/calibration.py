@@ -9,7 +9,10 @@ distribution at its maximum (Laplace). Positions more than OUTLIER standard devi
 less (Huber's loss).
 """
 
+import argparse
+import itertools
 import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -25,22 +28,29 @@ from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import kalman, offline
 from rhec.core.model import base
 from rhec.core.solver.gauss_newton import symmetric
+from rhec.logs import terms
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.reader import read
 from rhec.logs.recording import prepare, resample
+from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import AGE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot import slipping
+from rhec.tracked_robot import sensors, tuning
 from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.slipping import LEVER_ARM
 
-OUTLIER = 3.0
+OUTLIER = 1.5
 # A filter assumes independent errors. Errors of recorded positions are correlated, which a replay
-# compensates by a standard deviation that is larger by this factor.
+# compensates by a standard deviation that is larger by this factor. So are slip and the constant
+# error of a gyro, which count where a gyro or a heading makes the yaw that accurate.
 _CORRELATED = 1.75
-_MODEL = slipping.SLIPPING.model
-_ARM = _MODEL.joint_names.index("arm_forward_m")
-# Standard deviations before the first sample, of (x, y, θ, l_f, l_l, μ, κ).
-_SIGMA_FIRST = np.array([0.05, 0.05, 0.1, 0.3, 0.3, 0.25, 0.25])
+_CORRELATED_WITH_SENSORS = dict(position=2.5, slip=2.5, sensor=2.0)
+# First guess and standard deviations before the first sample, by name. What is not named is 0, and
+# a last input, which is unknown.
+_FIRST = dict(mu=1.0, kappa=1.0) | sensors.GYRO_GUESS
+_SIGMA_FIRST = dict(x_m=0.05, y_m=0.05, theta_rad=0.1, arm_forward_m=0.3, arm_left_m=0.3)
+_SIGMA_FIRST |= dict(mu=0.25, kappa=0.25, gyro_bias_radps=0.05, gyro_scale=0.03)
+_SIGMA_INPUT = 10.0
 _SETTLED_M = 3.0  # positions count from this distance on, where the yaw has converged
 _N_HEADINGS = 32  # initial yaws that are tried
 _HEADING_M = 15.0  # distance over which they are compared
@@ -49,6 +59,16 @@ _HESSIAN_STEP = 0.1  # in prior standard deviations
 _DETERMINED = 0.5
 _DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
 _LEAST_POSITIONS = 50
+_LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
+_LARGEST_DELAY_S = 0.6  # of the positions, that is searched
+_DELAY_STEP_S = 0.05
+# The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
+_FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
+# Held out to compare a calibration with the defaults: positions of _OUTAGE_S in every _EVERY_S.
+_OUTAGE_S = 10.0
+_EVERY_S = 30.0
+_LEAST_OUTAGES = 3
+_WORSE = 1.05
 
 
 class _Unknown(NamedTuple):
@@ -85,6 +105,22 @@ _UNKNOWNS = (
     _Unknown("bumps", "rad/√m", 0.02, _NARROW),
     _Unknown("side slip", "s", 0.05, 0.05, is_scale=False),
 )
+_UNKNOWNS_OF_SENSORS = dict(
+    gyro=(
+        _Unknown("noise of the gyro", "rad/s", 0.02, _BROAD),
+        _Unknown("noise of the gyro, share of ω", "-", 0.05, _BROAD),
+    ),
+    heading=(_Unknown("noise of the heading", "rad", 0.03, _BROAD),),
+)
+
+
+def _unknowns(names):
+    """What is calibrated of a robot with these sensors."""
+    return (*_UNKNOWNS, *(unknown for name in names for unknown in _UNKNOWNS_OF_SENSORS[name]))
+
+
+def _model_of(names):
+    return sensors.with_sensors("slipping", names).model
 
 
 class Calibration(dict):
@@ -96,31 +132,45 @@ class Calibration(dict):
         report: DataFrame, one row for each parameter: value, bounds `low` and `high` of the 95 %
             interval, unit, and `determined`, whether the log determines the parameter. Otherwise
             the value is close to the prior.
+        terms: DataFrame, the same in the terms of ROS: multipliers of wheel separation and radius,
+            effective track width, bias and scale of the gyro, place of the antenna, delay and noise
+            of the positions, each with its 95 % interval (`rhec.logs.terms`).
+        yaml: These for diff_drive_controller and robot_localization.
+        remarks: Sentences, such as that the defaults of `rhec.replay` are kept.
     """
 
     report: pd.DataFrame
+    terms: pd.DataFrame
+    yaml: str
+    remarks: list[str]
 
     def __str__(self) -> str:
         undetermined = list(self.report.index[~self.report["determined"]])
         summary = "The log determines all parameters."
         if undetermined:
             summary = f"The log does not determine: {', '.join(undetermined)}."
-        return f"{self.report.to_string(float_format='%.3g')}\n{summary}"
+        tables = [
+            table.to_string(float_format="{:.4g}".format) for table in (self.report, self.terms)
+        ]
+        return "\n".join([tables[0], summary, "", tables[1], *self.remarks])
 
 
-def _build_filter(outlier):
-    """The scan of a Kalman filter whose positions may be outliers.
+def _build_filter(outlier, names):
+    """The scan of a Kalman filter whose positions may be outliers, of a robot with these sensors.
 
-    Its step takes z_N (5,), with the age of the position [s] as last entry, and V, c, W. It records
-    the mean of (x, y, θ, l_f, l_l, μ, κ), the variances, and the loss of the position,
-    2 ρ(|y|_S) + log det S with Huber's ρ.
+    Its step takes z_N (n_z + 1,), with the age of the position [s] as last entry, and V, c, W. It
+    records the mean of the joint state, the variances, and the loss of the measurements: that of
+    the position, 2 ρ(|y|_S) + log det S with Huber's ρ, and the deviance of the sensors.
     """
-    interval = base.interval(_MODEL)
-    constants = _MODEL.motion_noise.constants
+    model = _model_of(names)
+    interval = base.interval(model)
+    constants = model.motion_noise.constants
+    n_z = len(model.outputs)
+    place, others = interval.outputs[:2], interval.outputs[2:]
     n_s = interval.n_s
     n_v = interval.n_v
     shapes = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
-    settings = dict(z_N=(5, 1), V=(4, 1), c=(len(constants), 1), W=(n_s, 1))
+    settings = dict(z_N=(n_z + 1, 1), V=(n_z, 1), c=(len(constants), 1), W=(n_s, 1))
 
     @with_packed_memory("calibrated", shapes, ca.SX, **settings)
     def step(m, P, v, started, z_N, V, c, W):
@@ -130,50 +180,74 @@ def _build_filter(outlier):
         W = interval.process_noise(v, W, paper.DT_S, c)
         P_predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
         # The robot has moved since its position was measured.
-        since = started * (F - interval.step(m, v, paper.DT_S - z_N[4]))[:2]
-        z = ca.vertcat(z_N[:2] + ca.if_else(z_N[4] > 0, since, 0), z_N[2:])
+        age_s = z_N[n_z]
+        since = started * (F - interval.step(m, v, paper.DT_S - age_s))[:2]
+        z = ca.vertcat(z_N[:2] + ca.if_else(age_s > 0, since, 0), z_N[2:n_z])
         m = ca.if_else(started, F, m)
         P = ca.if_else(started, P_predicted, P)
+        m, P, _, _, deviance = kalman.update(m, P, z, V, others, m)
         # Distance of the position from the predicted one, in units of OUTLIER standard deviations.
         y = z[:2] - m[:2]
         S = P[:2, :2] + ca.diag(V[:2])
-        is_used = interval.outputs[0].is_valid(z) * interval.outputs[1].is_valid(z)
+        is_used = place[0].is_valid(z) * place[1].is_valid(z)
         far = ca.if_else(is_used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / outlier, 0)
         loss = outlier**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
         # Huber's loss gives an outlier the weight of a measurement with this larger variance.
         V = V * ca.fmax(far, 1) ** 2
-        m, P, _, _, _ = kalman.update(m, P, z, V, interval.outputs, m)
-        recorded = dict(estimate=m, variances=ca.diag(P), loss=ca.if_else(is_used, loss, 0))
+        m, P, _, _, _ = kalman.update(m, P, z, V, place, m)
+        loss = ca.if_else(is_used, loss, 0) + deviance
+        recorded = dict(estimate=m, variances=ca.diag(P), loss=loss)
         return recorded | dict(m=m, P=P, v=v, started=1)
 
     return offline.build(step, ["estimate", "variances", "loss"])
 
 
-def _values(x):
-    """The values of _UNKNOWNS at the point x of the search."""
-    return [float(unknown.at(entry)) for unknown, entry in zip(_UNKNOWNS, x)]
+def _values(x, names):
+    """The values of `_unknowns` at the point x of the search."""
+    return [float(unknown.at(entry)) for unknown, entry in zip(_unknowns(names), x)]
 
 
-def _fields(x):
+def _fields(x, names):
     """The fields of a Scenario at the point x of the search."""
-    position, speed, yaw_rate, *rest = _values(x)
-    return dict(
-        sigma_v=(position, position, speed, yaw_rate), sigma_w=tuple(rest[:2]), slip=tuple(rest[2:])
+    values = iter(_values(x, names))
+    position, speed, yaw_rate = itertools.islice(values, 3)
+    fields = dict(
+        sigma_v=(position, position, speed, yaw_rate),
+        sigma_w=tuple(itertools.islice(values, 2)),
+        slip=tuple(itertools.islice(values, len(tuning.SLIP))),
     )
+    if "gyro" in names:
+        fields["sigma_gyro"] = tuple(itertools.islice(values, 2))
+    if "heading" in names:
+        fields["sigma_heading"] = next(values)
+    return fields
 
 
-def _filtered(z, x, yaw_rad, width_m):
-    """Outputs {name: array} of the filter at the point x, for a segment z (n, 5) and first yaw."""
-    scenario = Scenario(speed_model="slipping", track_width_m=width_m, **_fields(x))
-    settings = estimator_of("rhe").settings(scenario)
-    first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
+class _Robot(NamedTuple):
+    """What is known of a robot beforehand."""
+
+    width_m: float  # track width
+    sensors: tuple  # names of its sensors besides GNSS and encoders
+
+
+def _filtered(z, x, yaw_rad, robot):
+    """Outputs {name: array} of the filter at the point x, for a segment z (n, n_z + 1)."""
+    fields = _fields(x, robot.sensors)
+    scenario = Scenario(
+        speed_model="slipping", track_width_m=robot.width_m, sensors=robot.sensors, **fields
+    )
+    model = _model_of(robot.sensors)
+    x_m, y_m = z[np.isfinite(z[:, :2]).all(axis=1)][0, :2]
+    guess = _FIRST | dict(x_m=x_m, y_m=y_m, theta_rad=yaw_rad)
     memory = dict(
-        m=np.array([*first[:2], yaw_rad, 0.0, 0.0, 1.0, 1.0]),
-        P=np.diag(_SIGMA_FIRST**2),
-        v=np.zeros(len(_MODEL.inputs)),
+        m=np.array([guess.get(name, 0.0) for name in model.joint_names]),
+        P=np.diag([_SIGMA_FIRST.get(name, _SIGMA_INPUT) ** 2 for name in model.joint_names]),
+        v=np.zeros(len(model.inputs)),
         started=0.0,
     )
-    return offline.run(compiled.load(_build_filter, OUTLIER), pack_array(memory), z, settings)
+    functions = compiled.load(_build_filter, OUTLIER, robot.sensors)
+    settings = estimator_of("rhe").settings(scenario)
+    return offline.run(functions, pack_array(memory), z, settings)
 
 
 def _driven(z):
@@ -181,12 +255,12 @@ def _driven(z):
     return paper.DT_S * np.nancumsum(np.abs(z[:, 2]))
 
 
-def _first_yaw(z, x, width_m):
+def _first_yaw(z, x, robot):
     """The most likely yaw at the beginning of a segment [rad]."""
     begin = z[: np.searchsorted(_driven(z), _HEADING_M) + 1]
 
     def loss(yaw_rad):
-        return np.nan_to_num(_filtered(begin, x, yaw_rad, width_m)["loss"].sum(), nan=np.inf)
+        return np.nan_to_num(_filtered(begin, x, yaw_rad, robot)["loss"].sum(), nan=np.inf)
 
     step = 2 * np.pi / _N_HEADINGS
     nearest = min(step * np.arange(_N_HEADINGS), key=loss)
@@ -195,12 +269,12 @@ def _first_yaw(z, x, width_m):
     return float(minimize_scalar(loss, bounds=bounds, method="bounded", options=options).x)
 
 
-def _objective(segments, yaws, width_m):
+def _objective(segments, yaws, robot):
     """The function of x that is minimised: -log posterior, up to a constant."""
     parts = [(z, yaw, _driven(z) > _SETTLED_M) for z, yaw in zip(segments, yaws)]
 
     def minus_log_posterior(x):
-        losses = (_filtered(z, x, yaw, width_m)["loss"][counts].sum() for z, yaw, counts in parts)
+        losses = (_filtered(z, x, yaw, robot)["loss"][counts].sum() for z, yaw, counts in parts)
         value = sum(losses) / 2 + x @ x / 2
         return value if np.isfinite(value) else 1e12
 
@@ -262,73 +336,196 @@ def calibrate(
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
         refuse_implausible(recording)
-    width_m = recording.track_width_m
-    segments = _usable_segments(recording)
-    x = np.zeros(len(_UNKNOWNS))
+    _refuse_straight(recording)
+    robot = _Robot(recording.track_width_m, recording.sensors)
+    recording = _usable(recording)
+    segments = _streams(recording)
+    x = np.zeros(len(_unknowns(robot.sensors)))
     for _ in range(2):  # the second search starts from better initial yaws
-        yaws = [_first_yaw(z, x, width_m) for z in segments]
-        objective = _objective(segments, yaws, width_m)
+        yaws = [_first_yaw(z, x, robot) for z in segments]
+        objective = _objective(segments, yaws, robot)
         bounds = [(-4, 4)] * len(x)
         x = minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=dict(maxiter=50)).x
     deviation = np.sqrt(np.diag(_covariance(objective, x)))
-    arm, sigma_arm = _lever_arm(segments, x, yaws, width_m)
-    result = Calibration(_fields(x))
-    sigma_x, sigma_y, *encoders = result["sigma_v"]
-    result["sigma_v"] = (_CORRELATED * sigma_x, _CORRELATED * sigma_y, *encoders)
+    last = _last_estimates(segments, x, yaws, robot)
+    arm, sigma_arm = np.transpose([last[name] for name in LEVER_ARM])
+    result = Calibration(_fields(x, robot.sensors))
+    _widen(result, robot.sensors)
     if (sigma_arm < _DETERMINED_ARM_M).all():
         result["lever_arm_m"] = tuple(arm.tolist())
     arguments = dict(
         track_width_m=track_width_m, position_delay_s=position_delay_s, trust_log=trust_log
     )
     result.update({name: value for name, value in arguments.items() if value})
-    result.report = _report(x, deviation, arm, sigma_arm)
+    result.report = _report(x, deviation, arm, sigma_arm, robot.sensors)
+    delay = _delay(log, track_width_m, position_delay_s, (x, yaws, robot))
+    result.terms = _terms(result, recording, yaws, last, delay)
+    result.yaml = terms.as_yaml(result.terms, robot.width_m, result["sigma_v"])
+    result.remarks = []
+    _keep_better(result, recording, yaws)
     return result
 
 
-def _usable_segments(recording):
-    """(z, age of the position) (n, 5) of each segment with enough positions and motion."""
-    segments = []
-    for _, rows in recording.rows.groupby("segment"):
+def _widen(result, names):
+    """Multiply the standard deviations of correlated errors in a Calibration."""
+    factor = _CORRELATED_WITH_SENSORS if names else dict(position=_CORRELATED)
+    sigma_x, sigma_y, *encoders = result["sigma_v"]
+    result["sigma_v"] = (factor["position"] * sigma_x, factor["position"] * sigma_y, *encoders)
+    if names:
+        slip = dict(zip(tuning.SLIP, result["slip"]))
+        for name in ("share_omega", "share_side"):
+            slip[name] *= factor["slip"]
+        result["slip"] = tuple(slip.values())
+    if "gyro" in names:
+        sigma, share = result["sigma_gyro"]
+        result["sigma_gyro"] = (factor["sensor"] * sigma, share)
+    if "heading" in names:
+        result["sigma_heading"] *= factor["sensor"]
+
+
+def _refuse_straight(recording):
+    """Raise a ValueError for a log without turns, which determines no κ."""
+    rows = recording.rows
+    step_s = rows.groupby("segment")["t_s"].diff().clip(upper=1.0)
+    turned = float((rows[MEASUREMENTS[3]].abs() * step_s).sum())
+    if turned < _LEAST_TURNED_RAD:
+        column = recording.columns[MEASUREMENTS[3]]
+        raise ValueError(
+            f"the log had turns of {turned:.2g} rad in all, by {column}; a calibration needs at "
+            f"least {_LEAST_TURNED_RAD:.2g} rad: drive two figures of eight"
+        )
+
+
+def _usable(recording):
+    """The Recording with only those segments that have enough positions and motion."""
+
+    def is_usable(rows):
         part = resample(rows, paper.DT_S, recording.averaged)
-        z = part[[*MEASUREMENTS, AGE[0]]].to_numpy()
-        positions = np.isfinite(z[:, :2]).all(axis=1).sum()
-        if positions >= _LEAST_POSITIONS and _driven(z)[-1] > 2 * _SETTLED_M:
-            segments.append(z)
-    if not segments:
+        positions = part[MEASUREMENTS[:2]].notna().all(axis=1).sum()
+        driven_m = paper.DT_S * part[MEASUREMENTS[2]].abs().sum()
+        return positions >= _LEAST_POSITIONS and driven_m > 2 * _SETTLED_M
+
+    usable = [number for number, rows in recording.rows.groupby("segment") if is_usable(rows)]
+    if not usable:
         raise ValueError(
             f"the log had no segment with {_LEAST_POSITIONS} positions over {2 * _SETTLED_M:g} m; "
             "a robot that hardly moves cannot be calibrated"
         )
-    return segments
+    rows = recording.rows
+    return recording._replace(rows=rows[rows["segment"].isin(usable)].reset_index(drop=True))
 
 
-def _lever_arm(segments, x, yaws, width_m):
-    """Position (ahead, left) of the antenna [m] and standard deviations [m].
+def _streams(recording):
+    """(z, age of the position) (n, n_z + 1) of each segment."""
+    columns = [*measured_of(recording.sensors), AGE[0]]
+    groups = recording.rows.groupby("segment")
+    return [
+        resample(rows, paper.DT_S, recording.averaged)[columns].to_numpy() for _, rows in groups
+    ]
+
+
+def _last_estimates(segments, x, yaws, robot):
+    """{parameter: (mean, standard deviation)} of the constants that the filter estimates.
 
     The mean over the last estimates of all segments, weighted by their inverse variances.
     """
-    arms = []
-    variances = []
-    for z, yaw_rad in zip(segments, yaws):
-        recorded = _filtered(z, x, yaw_rad, width_m)
-        arms.append(recorded["estimate"][-1, _ARM : _ARM + 2])
-        variances.append(recorded["variances"][-1, _ARM : _ARM + 2])
-    weights = 1 / np.array(variances)
-    variance = 1 / weights.sum(axis=0)
-    return variance * (np.array(arms) / np.array(variances)).sum(axis=0), np.sqrt(variance)
+    names = _model_of(robot.sensors).joint_names
+    last = [_filtered(z, x, yaw_rad, robot) for z, yaw_rad in zip(segments, yaws)]
+    means = np.array([recorded["estimate"][-1] for recorded in last])
+    variances = np.array([recorded["variances"][-1] for recorded in last])
+    variance = 1 / (1 / variances).sum(axis=0)
+    mean = variance * (means / variances).sum(axis=0)
+    return dict(zip(names, zip(mean, np.sqrt(variance))))
 
 
-def _report(x, deviation, arm, sigma_arm):
+def _delay(log, track_width_m, position_delay_s, fitted):
+    """Delay of the positions [s] and its standard deviation, from the likelihood of the log."""
+    x, yaws, robot = fitted
+
+    def loss(delay_s):
+        recording = _usable(prepare(log, track_width_m, position_delay_s + delay_s))
+        segments = _streams(recording)
+        if len(segments) != len(yaws):
+            return 1e12
+        return _objective(segments, yaws, robot)(x)
+
+    options = dict(xatol=0.01, maxiter=15)
+    bounds = (-_LARGEST_DELAY_S, _LARGEST_DELAY_S)
+    best = minimize_scalar(loss, bounds=bounds, method="bounded", options=options)
+    step = _DELAY_STEP_S
+    curvature = (loss(best.x - step) - 2 * best.fun + loss(best.x + step)) / step**2
+    sigma = _CORRELATED / np.sqrt(max(curvature, 1.0))
+    return position_delay_s + float(best.x), float(sigma)
+
+
+def _replayed(recording, arguments, yaws, smooth=False):
+    """Samples of a replay of a Recording with arguments of `rhec.replay`."""
+    fields = {name: arguments[name] for name in _FIELDS if name in arguments}
+    scenario = replay_scenario("rhe", recording, fields)
+    first = InitialGuess(tuple(yaws), lever_arm_m=arguments.get("lever_arm_m"))
+    return estimate_samples(recording, scenario, first, smooth=smooth)
+
+
+def _terms(result, recording, yaws, last, delay):
+    """The terms of a Calibration."""
+    samples = _replayed(recording, result, yaws, smooth=True)
+    noise = result.report.loc["noise of the position"]
+    others = {
+        "antenna ahead": (*last["arm_forward_m"], "m"),
+        "antenna left": (*last["arm_left_m"], "m"),
+        "GNSS noise": (noise["value"], (noise["high"] - noise["low"]) / (2 * 1.96), "m"),
+        "delay of the positions": (*delay, "s"),
+    }
+    if "gyro" in recording.sensors:
+        others["gyro bias"] = (*last["gyro_bias_radps"], "rad/s")
+        others["gyro scale"] = (*last["gyro_scale"], "-")
+    return terms.table(*terms.slopes(samples), recording.track_width_m, others)
+
+
+def _outage_error(recording, arguments, yaws):
+    """Median error of positions [m] that are hidden for _OUTAGE_S in every _EVERY_S."""
+    rows = recording.rows
+    since_s = rows["t_s"] - rows.groupby("segment")["t_s"].transform("first")
+    hidden = since_s % _EVERY_S > _EVERY_S - _OUTAGE_S
+    masked = rows.copy()
+    masked.loc[hidden, MEASUREMENTS[:2]] = np.nan
+    samples = _replayed(recording._replace(rows=masked), arguments, yaws)
+    shown = pd.concat(
+        resample(part, paper.DT_S, recording.averaged) for _, part in rows.groupby("segment")
+    ).reset_index(drop=True)
+    at_end = (since_s % _EVERY_S > _EVERY_S - paper.DT_S) & hidden
+    ends_s = set(np.round(rows.loc[at_end, "t_s"], 1))
+    counts = samples["t_s"].round(1).isin(ends_s).to_numpy()
+    error = np.hypot(
+        samples["x_hat_m"] - shown[MEASUREMENTS[0]], samples["y_hat_m"] - shown[MEASUREMENTS[1]]
+    )[counts].dropna()
+    return float(error.median()) if len(error) >= _LEAST_OUTAGES else np.nan
+
+
+def _keep_better(result, recording, yaws):
+    """Keep the defaults of `rhec.replay` where the calibrated values predict worse than they do."""
+    calibrated, shipped = (_outage_error(recording, how, yaws) for how in (result, {}))
+    if calibrated > _WORSE * shipped:
+        for name in (*_FIELDS, "lever_arm_m"):
+            result.pop(name, None)
+        result.remarks.append(
+            f"The defaults are kept: without positions for {_OUTAGE_S:g} s the calibrated replay "
+            f"is {calibrated:.2g} m off in the median, and the default one {shipped:.2g} m."
+        )
+
+
+def _report(x, deviation, arm, sigma_arm, names):
     """The report of a Calibration."""
+    unknowns = _unknowns(names)
     numbers = pd.DataFrame(
         dict(
-            value=_values(x),
-            low=_values(x - 1.96 * deviation),
-            high=_values(x + 1.96 * deviation),
-            unit=[unknown.unit for unknown in _UNKNOWNS],
+            value=_values(x, names),
+            low=_values(x - 1.96 * deviation, names),
+            high=_values(x + 1.96 * deviation, names),
+            unit=[unknown.unit for unknown in unknowns],
             determined=deviation < _DETERMINED,
         ),
-        index=[unknown.name for unknown in _UNKNOWNS],
+        index=[unknown.name for unknown in unknowns],
     )
     antenna = pd.DataFrame(
         dict(
@@ -343,9 +540,43 @@ def _report(x, deviation, arm, sigma_arm):
     return pd.concat([numbers, antenna])
 
 
+def _arguments(words):
+    """The command line: a log, and what `make replay` takes with it."""
+    parser = argparse.ArgumentParser(prog="make calibrate", description="LOG is a recorded log.")
+    parser.add_argument("log")
+    parser.add_argument("--columns", nargs="+", default=(), metavar="OURS=THEIRS")
+    parser.add_argument("--topics", nargs="+", default=None)
+    parser.add_argument("--wheel-radius-m", type=float)
+    parser.add_argument("--track-width-m", type=float)
+    parser.add_argument("--position-delay-s", type=float, default=0.0)
+    parser.add_argument("--trust-log", action="store_true")
+    return parser.parse_args(words)
+
+
+def _main(words):
+    """Calibrate the log of a command line, print the result and write it as YAML."""
+    given = _arguments(words)
+    names = dict(pair.partition("=")[::2] for pair in given.columns)
+    topics = tuple(given.topics) if given.topics else None
+    log = read(given.log, columns=names or None, topics=topics, wheel_radius_m=given.wheel_radius_m)
+    for name, inferred in log.attrs["inferred"].items():
+        print(f"found {name}: {inferred}")
+    found = calibrate(
+        log,
+        track_width_m=given.track_width_m,
+        position_delay_s=given.position_delay_s,
+        trust_log=given.trust_log,
+    )
+    file = _FOLDER / Path(given.log).stem / "calibration.yaml"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(found.yaml, encoding="utf-8")
+    print(found, f"rhec.replay(log, **{dict(found)})", f"written: {file}", sep="\n")
+
+
+_FOLDER = Path("build", "replay")
+
 if __name__ == "__main__":
     try:
-        calibration = calibrate(read(sys.argv[1]))
+        _main(sys.argv[1:])
     except (ValueError, ImportError) as error:
         sys.exit(str(error))
-    print(calibration, f"rhec.replay(log, **{dict(calibration)})", sep="\n")

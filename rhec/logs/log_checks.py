@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from rhec.logs.recording import POSITION_AGE
+from rhec.logs.sensor_checks import refuse_implausible_sensors
 from rhec.simulation.columns import MEASUREMENTS
 
 _POSITION = MEASUREMENTS[:2]
@@ -102,7 +104,10 @@ def _tracks(rows):
     """The _Track of each segment that has three positions and three encoder measurements."""
     tracks = []
     for _, part in rows.groupby("segment"):
-        positions = part[["t_s", *_POSITION]].dropna()
+        positions = part[["t_s", *_POSITION]]
+        if POSITION_AGE in part:
+            positions = positions.assign(t_s=part["t_s"] - part[POSITION_AGE])
+        positions = positions.dropna()
         speeds = part[["t_s", *_ENCODERS]].dropna()
         if min(len(positions), len(speeds)) >= 3:
             t, x, y = positions.to_numpy().T
@@ -170,8 +175,11 @@ def _compare(tracks, length_s, delay_s):
     return _Slope(mu, sigma / (2 * mu), share), _slope((root * w_turn)[:, None], root * turn)
 
 
-def _best_delay(rows):
-    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it."""
+def best_delay(rows, least_gain=_LEAST_GAIN):
+    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it.
+
+    A delay counts if it explains `least_gain` more of the squares than none.
+    """
     tracks = _tracks(rows)
 
     def explained(delay_s):
@@ -186,17 +194,17 @@ def _best_delay(rows):
             break
     best = max(best + _FINER_DELAYS_S, key=explained)
     mu, kappa = _compare(tracks, length_s, best)
-    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + _LEAST_GAIN
+    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + least_gain
     return best if is_clear else 0.0, (mu, kappa)
 
 
-def _halves_agree(rows, delay_s):
+def halves_agree(rows, delay_s, least_gain=_LEAST_GAIN):
     """Whether one half of a log has the delay of the whole log, and the other half no other delay.
 
     The halves of a log whose positions are only noisy disagree.
     """
     middle = len(rows) // 2
-    delays = [_best_delay(half)[0] for half in (rows[:middle], rows[middle:])]
+    delays = [best_delay(half, least_gain)[0] for half in (rows[:middle], rows[middle:])]
     return any(delays) and all(not delay or abs(delay - delay_s) <= _AGREE_S for delay in delays)
 
 
@@ -264,7 +272,8 @@ def refuse_implausible(recording):
     )
     _refuse_standing(rows, names)
     _refuse_frozen(recording, names)
-    delay_s, slopes = _best_delay(rows)
+    refuse_implausible_sensors(recording)
+    delay_s, slopes = best_delay(rows)
     if slopes is None:
         return
     mu, kappa = slopes
@@ -277,7 +286,7 @@ def refuse_implausible(recording):
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
             raise ValueError(sentence.format(times=slope.value, **names))
-    if abs(delay_s) >= _LATE_S and _halves_agree(rows, delay_s):
+    if abs(delay_s) >= _LATE_S and halves_agree(rows, delay_s):
         late = f"{abs(delay_s):.2g} s {'later' if delay_s > 0 else 'earlier'}"
         warnings.warn(
             f"the log's {names['place']} come {late} than {names['speed']}, {names['yaw_rate']}; "

@@ -46,12 +46,14 @@ def read(
         path: A .csv or .parquet file; or a bag: .bag (ROS 1), or a folder, .db3 or .mcap (ROS 2).
             The reader infers the separator of a .csv (tab, ; | , or space) and its decimal comma.
             The time (column `t_s`, `time`, `timestamp` …) may be in s, ms, us, ns or ISO 8601.
-            `latitude`, `longitude` [deg] may replace `x_m`, `y_m`.
+            `latitude`, `longitude` [deg] may replace `x_m`, `y_m`, and `sec`, `nanosec` the time.
+            Without a line of names, as of `ros2 topic echo --csv`, they are "0", "1", "2" …
         columns: {column of a recording: name in the file} where the names differ, such as
             {"x_m": "east"}.
         topics: Topics of a bag with the positions and with the encoder speeds. By default each is
             the only topic of its type: NavSatFix, PoseStamped or Odometry for positions;
-            JointState, TwistStamped or the twist of an Odometry for speeds.
+            JointState, TwistStamped or the twist of an Odometry for speeds. A third one, of type
+            Imu, gives `gyro_radps`, about the vertical as gravity shows it.
         wheel_radius_m: Radius of the wheels [m], needed for the speeds [rad/s] of a JointState.
 
     Returns:
@@ -118,6 +120,7 @@ def _read_csv(file):
     separator = next((mark for mark in _SEPARATORS if mark in names), ",")
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in head[1:])
     decimal = "," if separator != "," and has_commas else "."
+    has_header = not all(_is_number(name) for name in names.split(separator))
     n_columns = names.count(separator) + 1
     if n_columns > _MOST_COLUMNS:
         raise ValueError(f"it has {n_columns} columns, and should have at most {_MOST_COLUMNS}")
@@ -127,9 +130,21 @@ def _read_csv(file):
         decimal=decimal,
         encoding="utf-8-sig",
         skipinitialspace=True,
+        header=0 if has_header else None,
     )
     table.columns = [str(name).strip() for name in table]
-    return table, dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
+    inferred = dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
+    if not has_header:
+        inferred["header"] = "none, the names of the columns are 0, 1, 2 …"
+    return table, inferred
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_parquet(file):
@@ -147,7 +162,7 @@ def _in_seconds(log, inferred):
     """The log with its time in a column t_s [s], which starts at 0 unless it was in seconds."""
     names = [name for name in log if _TIME.fullmatch(str(name))]
     if not names:
-        return log  # `rhec.replay` reports the missing columns
+        return _from_sec_and_nanosec(log, inferred)
     name = "t_s" if "t_s" in names else names[0]
     time = log[name]
     numbers = pd.to_numeric(time, errors="coerce")
@@ -161,6 +176,19 @@ def _in_seconds(log, inferred):
         t_s = numbers if unit == "s" else (numbers - numbers.min()) * SECONDS[unit]
     inferred["time"] = f"{unit}, column {name}"
     return log.assign(t_s=t_s)
+
+
+def _from_sec_and_nanosec(log, inferred):
+    """The log with t_s from the two columns of a ROS stamp; unchanged if it lacks them."""
+    pairs = [
+        (name, f"{str(name)[:-3]}nanosec") for name in log if re.search(r"(^|\W|_)sec$", str(name))
+    ]
+    pair = next((pair for pair in pairs if pair[1] in log), None)
+    if pair is None:
+        return log  # `rhec.replay` reports the missing columns
+    sec, nanosec = (pd.to_numeric(log[name], errors="coerce") for name in pair)
+    inferred["time"] = f"columns {pair[0]}, {pair[1]}"
+    return log.assign(t_s=sec - sec.min() + 1e-9 * nanosec)
 
 
 def _unit(name, times):

@@ -20,14 +20,23 @@ from rhec.simulation.columns import (
     MEASUREMENTS,
     POSE,
     RECORDED,
+    RECORDED_SENSORS,
     RECORDED_TRUTH,
+    SENSORS,
     TRACKS,
     TRUE_SPEEDS,
 )
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 _POSITION = MEASUREMENTS[:2]
+DECLARED = "position_sigma_m"  # standard deviation of a position by its receiver
 _ENCODERS = MEASUREMENTS[2:]
+# How old the position of a row is [s], in recordings with a delay that is made up for.
+POSITION_AGE = "position_age_s"
+# What a sample has as its newest measurement, and as a mean over its interval.
+_MEASURED = (*MEASUREMENTS, *SENSORS.values())
+_MEANS = (*_ENCODERS, SENSORS["gyro"])
+_LIMITS_OF_SENSORS = dict(zip(SENSORS.values(), (100.0, 1e8)))
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
 _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 # Times in sampling periods of the estimator:
@@ -57,6 +66,11 @@ class Recording(NamedTuple):
     faults: dict  # {reason: number of unusable rows or measurements}
     columns: dict  # {column of `rows`: column of the log}
 
+    @property
+    def sensors(self):
+        """The sensors besides GNSS and encoders, names of `columns.SENSORS`."""
+        return tuple(name for name, column in SENSORS.items() if column in self.rows)
+
 
 def prepare(log, track_width_m=None, position_delay_s=0.0):
     """The Recording of a log of the paper's robot.
@@ -75,7 +89,9 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     values, columns = _parse_robot(log, is_simulated, track_width_m)
     limits = SPEED_MODELS["parameter"].model.limits
-    _drop_implausible(values, columns, dict(zip(MEASUREMENTS, limits)))
+    limits = dict(zip(MEASUREMENTS, limits)) | _LIMITS_OF_SENSORS
+    present = {name: limit for name, limit in limits.items() if name in values}
+    _drop_implausible(values, columns, present)
     # A position with one coordinate is missing.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
     rows, places = _usable_rows(values, paper.DT_S)
@@ -84,7 +100,7 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     rows.loc[is_held, _POSITION] = np.nan
     if position_delay_s:
         positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
-        rows[_POSITION] = positions.apply(_shift_positions, position_delay_s)
+        rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
@@ -114,12 +130,17 @@ def _parse_robot(log, is_simulated, track_width_m):
     """`_parse` of a log of the paper's robot, and {name: column of the log}."""
     measured = RECORDED
     truth = RECORDED_TRUTH
+    sensors = RECORDED_SENSORS
     if is_simulated:
         measured = {name: name for name in MEASUREMENTS}
         truth = {name: name for name in (*POSE, "mu", "kappa")}
+        sensors = {name: name for name in RECORDED_SENSORS}
     if track_width_m is not None:
         measured = measured | dict(zip(_ENCODERS, TRACKS))
-    values = _parse(log, measured, truth, _FLAGS)
+    values = _parse(log, measured, truth | sensors | {DECLARED: DECLARED}, _FLAGS)
+    # A sensor that never measures anything is none.
+    silent = [name for name in sensors if name in values and values[name].isna().all()]
+    values = values.drop(columns=silent)
     if track_width_m is not None:
         left = values[_ENCODERS[0]]
         right = values[_ENCODERS[1]]
@@ -131,7 +152,7 @@ def _parse_robot(log, is_simulated, track_width_m):
         # Speed and yaw rate over ground are μ ν and κ ω.
         values["v_true_mps"] = values["mu"] * _numbers(log, "nu_mps")
         values["yaw_rate_true_radps"] = values["kappa"] * _numbers(log, "omega_radps")
-    return values, truth | measured
+    return values, truth | sensors | measured
 
 
 def _parse(log, measured, optional=None, flags=None):
@@ -209,13 +230,20 @@ def _drop_implausible(values, columns, limits):
 
 
 def _shift_positions(rows, delay_s):
-    """The positions of a segment, each moved to the row nearest to its time minus delay_s."""
+    """The positions of a segment and their ages [s], measured delay_s before their time stamps.
+
+    Each one moves to the first row that is not before its time. Its age there is at most the
+    distance of two rows. Of several positions in one row the newest one stays.
+    """
     t = rows["t_s"].to_numpy()
     has_position = rows[_POSITION[0]].notna().to_numpy()
-    row = np.interp(t[has_position] - delay_s, t, np.arange(len(t)), -1, -1)
-    earlier = rows[_POSITION] * np.nan
-    places = np.rint(row[row >= 0]).astype(int)
-    earlier.iloc[places] = rows[_POSITION][has_position][row >= 0]
+    measured_s = t[has_position] - delay_s
+    row = np.searchsorted(t, measured_s - _SAME_S)
+    is_inside = (row < len(t)) & (measured_s >= t[0] - _SAME_S)
+    age_s = t[row[is_inside]] - measured_s[is_inside]
+    earlier = rows[_POSITION].assign(**{POSITION_AGE: 0.0}) * np.nan
+    earlier.iloc[row[is_inside], :2] = rows[_POSITION][has_position][is_inside]
+    earlier.iloc[row[is_inside], 2] = np.where(age_s > _SAME_S, age_s, 0.0)
     return earlier
 
 
@@ -299,7 +327,7 @@ def _usable_times(t_s, segment, dt_s):
 # Samples
 
 
-def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
+def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS):
     """Resample the rows of one segment; a sample contains no later measurement.
 
     Args:
@@ -322,13 +350,16 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
     at = np.where(np.abs(row - grid) <= _SAME_S, row, grid)
     before = np.append(at[0] - dt_s, at[:-1])
     result = dict(t_s=at)
-    for name in rows.columns.drop(["segment", "t_s"]):
+    positions_s = t - np.nan_to_num(rows[POSITION_AGE].to_numpy()) if POSITION_AGE in rows else t
+    for name in rows.columns.difference(["segment", "t_s", POSITION_AGE], sort=False):
         value = rows[name].to_numpy()
         if name in (*means, *TRUE_SPEEDS):
             is_mean = averaged and name in means
             result[name] = _means_since(before, at, t, value, is_mean, _ENCODER_GAP * dt_s)
         elif name in measured:
-            result[name], result[f"{name}_age_s"] = _newest_since(before, at, t, value)
+            measured_s = positions_s if name in _POSITION else t
+            newest = _newest_since(before, at, measured_s, value)
+            result[name], result[f"{name}_age_s"] = newest
         else:
             value = _unwrapped(value) if name == "theta_rad" else value
             result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s)
@@ -341,7 +372,7 @@ def resample(rows, dt_s, averaged, measured=MEASUREMENTS, means=_ENCODERS):
     return pd.DataFrame(result)
 
 
-def measured_since(rows, begin_s, dt_s, averaged, means=_ENCODERS):
+def measured_since(rows, begin_s, dt_s, averaged, means):
     """Means of measurements from the times begin_s [s] to the time of each row, as a DataFrame."""
     t = rows["t_s"].to_numpy()
     gap_s = _ENCODER_GAP * dt_s

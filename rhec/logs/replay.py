@@ -29,40 +29,43 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.lost import is_lost, remarks
-from rhec.logs.recording import measured_since, prepare, prepare_for, resample
+from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.recording import (
+    DECLARED,
+    POSITION_AGE,
+    measured_since,
+    prepare,
+    prepare_for,
+    resample,
+)
+from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
     AGE,
     ESTIMATE,
     FLAGS,
     GATE,
+    GYRO,
+    HEADING_AGE,
     INNOVATION,
     LEVER_ARM,
     MEASUREMENTS,
+    SENSORS,
     SIGMA,
+    SIGMA_GYRO,
 )
 from rhec.simulation.fault_signals import corrupted
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot import slipping
+from rhec.tracked_robot import sensors, slipping
 from rhec.tracked_robot.choice import Choice, TractionInput
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
-from rhec.tracked_robot.rhe import window_of
+from rhec.tracked_robot.rhe import sigma_start, window_of
 from rhec.tracked_robot.tuning import sigma_v_of
 
 # What a replay estimates, and the columns of the estimates.
 _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)
-_HATS = [*ESTIMATE, *LEVER_ARM]
-# The outputs of the scan at each sample, and the columns that they fill.
-_RECORDED = {
-    "estimate": _HATS,
-    "sigma": SIGMA,
-    "deviance": ["deviance"],
-    "kkt": ["kkt_rhe"],
-    "ok": ["ok"],
-    "accepted": ["position_accepted", "encoders_accepted"],
-    "restart": ["restarted"],
-}
-_COLUMNS = [column for columns in _RECORDED.values() for column in columns]
+# The outputs of the scan at each sample.
+_RECORDED = ("estimate", "sigma", "deviance", "kkt", "ok", "accepted", "restart")
 _ESTIMATOR_FIELDS = (
     "process_noise",
     "sigma_w",
@@ -72,6 +75,9 @@ _ESTIMATOR_FIELDS = (
     "slip",
     "arrival_mean",
     "robust",
+    "sensors",
+    "sigma_gyro",
+    "sigma_heading",
 )
 _N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
 # Standard deviations of the initial guess of _QUANTITIES. They equal the paper's W, except for the
@@ -91,25 +97,62 @@ class InitialGuess(NamedTuple):
 _UNKNOWN = InitialGuess()
 
 
+def quantities_of(names=()):
+    """What a replay with these sensors estimates."""
+    return (*_QUANTITIES, *(sensors.GYRO if "gyro" in names else ()))
+
+
+def hats_of(names=()):
+    """The columns of these estimates."""
+    return [*ESTIMATE, *LEVER_ARM, *(GYRO if "gyro" in names else ())]
+
+
+def measured_of(names=()):
+    """The columns of the measurements of a robot with these sensors, in the order of z."""
+    return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
+
+
+def _ages_of(names):
+    """The columns of the ages in the stream: of the position, and of the heading if there is one.
+
+    The other measurements are means until the sample.
+    """
+    return [AGE[0], HEADING_AGE] if "heading" in names else AGE[:1]
+
+
+def _sigma_columns(names):
+    """The columns of the standard deviations of these estimates."""
+    return [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
+
+
+def _recorded_columns(names):
+    """The columns that _RECORDED fills."""
+    others = ["deviance", "kkt_rhe", "ok", "position_accepted", "encoders_accepted", "restarted"]
+    return [*hats_of(names), *_sigma_columns(names), *others]
+
+
 # The estimator's step as a scan
 
 
 def _build_replay(*choice):
     """The scan of an estimator that records _RECORDED.
 
-    Its memory is the memory of the estimator followed by the last estimate of _QUANTITIES. A row of
-    its stream is z followed by the age of the position at the sample [s].
+    Its memory is the memory of the estimator followed by the last estimate of `quantities_of`. A
+    row of its stream is z followed by the ages of `_ages_of` at the sample [s].
     """
     choice = Choice(*choice)
     step = build_step(choice)
-    motion = _motion(_model_of(choice), _QUANTITIES)
+    quantities = quantities_of(choice.sensors)
+    motion = _motion(_model_of(choice), quantities)
     n = step.numel_in(0)
-    shapes = dict(memory=(n + len(_QUANTITIES), 1), z_and_age=(len(MEASUREMENTS) + 1, 1))
+    n_z = len(measured_of(choice.sensors))
+    n_ages = len(_ages_of(choice.sensors))
+    shapes = dict(memory=(n + len(quantities), 1), z_and_age=(n_z + n_ages, 1))
     shapes |= {name: step.sparsity_in(name) for name in step.name_in()[2:]}
 
     @casadi_function("replay", ca.MX, **shapes)
     def replay_step(memory, z_and_age, **settings):
-        z = _moved_to_sample(motion, memory[n:], z_and_age[:-1], z_and_age[-1])
+        z = _moved_to_sample(motion, memory[n:], z_and_age[:n_z], z_and_age[n_z:])
         results = step.call([memory[:n], z, *settings.values()])
         outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], results))
         recorded = _recorded(choice, outputs, z)
@@ -118,11 +161,19 @@ def _build_replay(*choice):
     return offline.build(replay_step, _RECORDED)
 
 
-def _moved_to_sample(motion, last, z, age_s):
-    """z with its position, which is age_s [s] old, moved to the time of the sample by `_motion`."""
+def _moved_to_sample(motion, last, z, ages_s):
+    """z with its position and its heading, if any, moved to the time of the sample by `_motion`.
+
+    ages_s has their ages [s]; the heading is the last entry of z.
+    """
     _, now = motion(last, z, paper.DT_S)
-    _, then = motion(last, z, paper.DT_S - age_s)
-    return ca.vertcat(z[:2] + ca.if_else(age_s > 0, now[:2] - then[:2], 0), z[2:])
+    _, then = motion(last, z, paper.DT_S - ages_s[0])
+    position = z[:2] + ca.if_else(ages_s[0] > 0, now[:2] - then[:2], 0)
+    if ages_s.numel() == 1:
+        return ca.vertcat(position, z[2:])
+    _, then = motion(last, z, paper.DT_S - ages_s[1])
+    heading = z[-1] + ca.if_else(ages_s[1] > 0, now[-1] - then[-1], 0)
+    return ca.vertcat(position, z[2:-1], heading)
 
 
 def _recorded(choice, outputs, z):
@@ -134,19 +185,21 @@ def _recorded(choice, outputs, z):
     states = estimator_of(choice.estimator, choice.robust).states(choice)
     estimate = dict(zip(QUANTITIES, ca.vertsplit(outputs["estimate"])))
     sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
-    if set(slipping.LEVER_ARM) <= set(states):
+    quantities = quantities_of(choice.sensors)
+    others = set(quantities[len(QUANTITIES) :]) & set(states)
+    if others:
         window = window_of(choice)
         # In the memory of a robust estimator, further entries follow those of the window.
         packed = outputs["memory"][: packed_size(window.memory)]
         newest = ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])
-        arm = dict(zip(states, newest))
-        estimate |= {name: arm[name] for name in slipping.LEVER_ARM}
+        values = dict(zip(states, newest))
+        estimate |= {name: values[name] for name in others}
     limits = SPEED_MODELS["parameter"].model.limits
     valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
     accepted = outputs.get("accepted", ca.vertcat(*valid))
     return dict(
-        estimate=ca.vertcat(*(estimate.get(name, nan) for name in _QUANTITIES)),
-        sigma=ca.vertcat(*(sigma.get(name, nan) for name in _QUANTITIES)),
+        estimate=ca.vertcat(*(estimate.get(name, nan) for name in quantities)),
+        sigma=ca.vertcat(*(sigma.get(name, nan) for name in quantities)),
         deviance=outputs.get("deviance", nan),
         kkt=outputs.get("kkt", nan),
         ok=outputs.get("ok", ca.MX(1)),
@@ -207,21 +260,24 @@ def _model_of(choice):
 
 
 def _run(functions, scenario, z, age_s, yaw_rad, first):
-    """_COLUMNS of the samples of one segment (n, columns); NaN before the first position.
+    """`_recorded_columns` of the samples of one segment; NaN before the first position.
 
-    z (n, 4): measurements; age_s (n,): ages of the positions [s]; first: the InitialGuess.
+    z (n, n_z): measurements; age_s (n, ages): as in the stream [s]; first: the InitialGuess.
     """
     has_position = np.isfinite(z[:, :2]).all(axis=1)
     begin = np.argmax(has_position) if has_position.any() else len(z)
     x, y = z[begin, :2] if has_position.any() else (0.0, 0.0)
     nu = np.nan_to_num(z[0, 2])
     guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or (0.0, 0.0)))
+    if "gyro" in scenario.sensors:
+        guess += (*sensors.GYRO_GUESS.values(),)
     sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
     if first.lever_arm_m is not None:
         sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator, choice.robust)
-    memory = pack_array(estimator.init(choice, dict(zip(_QUANTITIES, guess)), sigma))
+    named = dict(zip(quantities_of(scenario.sensors), guess))
+    memory = pack_array(estimator.init(choice, named, sigma))
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
     settings = estimator.settings(scenario) | dict(traction=np.ones(2))
     stream = np.column_stack([z, age_s])
@@ -234,14 +290,15 @@ def _run(functions, scenario, z, age_s, yaw_rad, first):
 def _innovations(scenario, estimate, z, age_s):
     """Measured minus predicted position at each sample (n, 2) [m]; the first is NaN.
 
-    The prediction starts at the previous estimate (n, 8) and uses the encoder measurements until
-    the time at which the position was measured.
+    The prediction starts at the previous estimate (n, quantities) and uses the encoder measurements
+    until the time at which the position was measured.
     """
     innovations = np.full((len(z), 2), np.nan)
     model = _model_of(Choice.of(scenario))
     if len(z) > 1:
-        tau_s = paper.DT_S - np.nan_to_num(age_s[1:])
-        _, predicted = predictor(model)(estimate[:-1], z[1:], tau_s)
+        tau_s = paper.DT_S - np.nan_to_num(age_s[1:, 0])
+        predict = predictor(model, quantities_of(scenario.sensors))
+        _, predicted = predict(estimate[:-1], z[1:], tau_s)
         innovations[1:] = z[1:, :2] - predicted[:, :2]
     return innovations
 
@@ -255,12 +312,52 @@ def _most_likely_heading(functions, scenario, z, age_s, first):
     unsure = first._replace(sigma_yaw_rad=np.pi / _N_HEADINGS)
     yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
     runs = np.stack([_run(functions, scenario, z, age_s, yaw, unsure) for yaw in yaws])
-    squares = [np.square(_innovations(scenario, run[:, :8], z, age_s)) for run in runs]
+    n = len(quantities_of(scenario.sensors))
+    squares = [np.square(_innovations(scenario, run[:, :n], z, age_s)) for run in runs]
     best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
     return runs[best, np.arange(len(z))]
 
 
-def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
+def _counting(rows, names):
+    """The measurements (n, n_z) that the replay accepted; NaN in place of the others."""
+    z = rows[measured_of(names)].copy()
+    z[z.columns[:2]] = z[z.columns[:2]].where(rows["position_accepted"] == 1)
+    z[z.columns[2:4]] = z[z.columns[2:4]].where(rows["encoders_accepted"] == 1)
+    return z.to_numpy()
+
+
+def _smooth(part, scenario, first):
+    """The samples of a segment with smoothed estimates of the joint state."""
+    rows = part[part[ESTIMATE[0]].notna()]
+    if len(rows) < 2:
+        return part
+    choice = Choice.of(scenario)
+    names = scenario.sensors
+    model = window_of(choice).model
+    quantities = quantities_of(names)
+    columns = dict(zip(quantities, hats_of(names))) | dict(omega_radps=MEASUREMENTS[3])
+    # Last inputs that no encoder measures begin at 0.
+    trajectory = rows.reindex(columns=[columns.get(name, "") for name in model.joint_names])
+    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST))
+    sigma["theta_rad"] = np.pi if first.yaw_rad is None else first.sigma_yaw_rad
+    if first.lever_arm_m is not None:
+        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
+    settings = estimator_of("rhe").settings(scenario)
+    age_s = np.nan_to_num(rows[AGE[0]].to_numpy())
+    trajectory = trajectory.fillna(0.0).to_numpy()
+    z = _counting(rows, names)
+    s, sigma = smoothed(choice, settings, sigma_start(model, sigma), trajectory, z, age_s)
+    places = [model.joint_names.index(name) for name in quantities if name in model.joint_names]
+    estimated = [model.joint_names[place] for place in places]
+    sigmas = dict(zip(quantities, _sigma_columns(names)))
+    part = part.copy()
+    part.loc[rows.index, [columns[name] for name in estimated]] = s[:, places]
+    part.loc[rows.index, [sigmas[name] for name in estimated]] = sigma[:, places]
+    part[ESTIMATE[4:]] = part[ESTIMATE[4:]].clip(0, 1)
+    return part
+
+
+def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smooth=False):
     """Estimates of a Recording by a scenario's estimator.
 
     Args:
@@ -269,32 +366,49 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0):
         first: The InitialGuess.
         faults: (rhec.Fault, …) that corrupt the measurements, at times of the log.
         seed: Seed of the random directions of the faults.
+        smooth: Whether later measurements count, too (`rhec.logs.smoother`).
 
     Returns:
         DataFrame, one row for each sample of the estimator.
     """
     functions = compiled.load(_build_replay, *Choice.of(scenario))
+    measured = measured_of(scenario.sensors)
+    n = len(quantities_of(scenario.sensors))
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = resample(rows, paper.DT_S, recording.averaged)
-        z = part[MEASUREMENTS].to_numpy()
-        age_s = part[AGE[0]].to_numpy()
         if faults:
             # Infinite measurements count as missing, as in a log.
+            z = part[MEASUREMENTS].to_numpy()
             z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed)
-            z = np.where(np.isfinite(z), z, np.nan)
-            part[MEASUREMENTS] = z
-        if first.yaw_rad is None:
+            part[MEASUREMENTS] = np.where(np.isfinite(z), z, np.nan)
+        z = part[measured].to_numpy()
+        age_s = part[_ages_of(scenario.sensors)].to_numpy()
+        yaw_rad = _first_yaw(first, number, part)
+        if yaw_rad is None:
             outputs = _most_likely_heading(functions, scenario, z, age_s, first)
         else:
-            outputs = _run(functions, scenario, z, age_s, first.yaw_rad[number], first)
-        part[_COLUMNS] = outputs
-        part[INNOVATION] = _innovations(scenario, outputs[:, :8], z, age_s)
+            outputs = _run(functions, scenario, z, age_s, yaw_rad, first)
+        part[_recorded_columns(scenario.sensors)] = outputs
+        part[INNOVATION] = _innovations(scenario, outputs[:, :n], z, age_s)
         part["lost"] = is_lost(part, sigma_v_of(scenario))
+        if smooth:
+            part = _smooth(part, scenario, first)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
+
+
+def _first_yaw(first, number, samples):
+    """The initial yaw [rad] of a segment, passed or measured at its first position; else None."""
+    if first.yaw_rad is not None:
+        return first.yaw_rad[number]
+    if SENSORS["heading"] not in samples:
+        return None
+    with_position = samples[samples[MEASUREMENTS[:2]].notna().all(axis=1)]
+    heading_rad = with_position[SENSORS["heading"]].head(1)
+    return float(heading_rad.iloc[0]) if heading_rad.notna().any() else None
 
 
 # Rows of the log
@@ -348,7 +462,7 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
     of_sample = result.columns.intersection([*INNOVATION, "deviance", *ages])
     result.loc[is_between, of_sample] = np.nan
     result.loc[is_between, result.columns.intersection(GATE)] = False
-    of_row = rows.columns.drop("segment")
+    of_row = rows.columns.difference(["segment", POSITION_AGE], sort=False)
     result[of_row] = rows[of_row].to_numpy()
     return result
 
@@ -417,6 +531,7 @@ def replay(
     sigma_yaw_rad: Positive | None = None,
     position_delay_s: Real = 0.0,
     trust_log: Flag = False,
+    smooth: Flag = False,
     **fields: Any,
 ) -> pd.DataFrame:
     """Run an estimator on a recorded log of the paper's robot or of any Model.
@@ -433,6 +548,10 @@ def replay(
             Optional columns:
 
             - `segment`: changes where the robot was moved without driving;
+            - `gyro_radps`: yaw rate by a gyro, counter-clockwise [rad/s]. Its bias and scale are
+              estimated;
+            - `heading_rad`: direction of the robot from the x axis, counter-clockwise [rad], as by
+              two GNSS antennas;
             - `pos_ok`, `encoders_ok`: false where that measurement is invalid;
             - `x_true_m`, `y_true_m`, `yaw_true_rad`, `v_true_mps`, `yaw_rate_true_radps`: the
               truth, which the estimators do not use.
@@ -458,10 +577,14 @@ def replay(
         position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
         trust_log: Whether to skip the plausibility checks. By default a log with wrong units, signs
             or axes, or of a robot that never moves, is refused.
+        smooth: Whether each estimate takes later measurements into account, too. Only the
+            estimator "rhe" with speed_model="slipping" or "input" can be smoothed.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
-            speed_model, slip, arrival_mean, robust. The default speed_model is "slipping": "input"
-            (interpretation R13) with noise that grows with the motion. With "slipping" the
-            estimator "rhe" is robust unless robust is False.
+            speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
+            default speed_model is "slipping": "input" (interpretation R13) with noise that grows
+            with the motion. With "slipping" the estimator "rhe" is robust unless robust is False,
+            and uses the gyro and the heading of the log unless sensors says otherwise. Without a
+            sigma_v the noise of the positions is asked of the log.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
@@ -488,6 +611,7 @@ def replay(
             sigma_yaw_rad=sigma_yaw_rad,
             position_delay_s=position_delay_s or None,
             trust_log=trust_log or None,
+            smooth=smooth or None,
         )
         return _replay_model(log, model, estimator, fields)
     recording = prepare(log, track_width_m, position_delay_s)
@@ -495,14 +619,17 @@ def replay(
         refuse_implausible(recording)
     scenario = replay_scenario(estimator, recording, fields)
     _refuse_lever_arm(lever_arm_m, scenario)
+    _refuse_smooth(smooth, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m)
-    samples = estimate_samples(recording, scenario, first)
-    predict = predictor(_model_of(Choice.of(scenario)))
-    columns = _Columns(MEASUREMENTS, MEASUREMENTS[2:], _HATS, predict)
+    samples = estimate_samples(recording, scenario, first, smooth=smooth)
+    names = scenario.sensors
+    predict = predictor(_model_of(Choice.of(scenario)), quantities_of(names))
+    means = [*MEASUREMENTS[2:], *([SENSORS["gyro"]] if "gyro" in names else [])]
+    columns = _Columns(measured_of(names), means, hats_of(names), predict)
     result = _at_rows(samples, recording, log, paper.DT_S, columns)
     is_arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
-    result.attrs["remarks"] = remarks(samples, is_arm_estimated)
+    result.attrs["remarks"] = remarks(samples, is_arm_estimated, scenario.slip)
     if samples["lost"].any():
         warnings.warn(result.attrs["remarks"][0], stacklevel=3)
     return result
@@ -522,6 +649,16 @@ def _refuse_lever_arm(lever_arm_m, scenario):
         raise ValueError(
             f"lever_arm_m was {lever_arm_m!r}; only the estimator 'rhe' with speed_model "
             "'slipping' takes one"
+        )
+
+
+def _refuse_smooth(smooth, scenario):
+    """Raise a ValueError for an estimator that cannot be smoothed."""
+    takes_it = scenario.estimator == "rhe" and scenario.speed_model != "parameter"
+    if smooth and not takes_it:
+        raise ValueError(
+            "smooth was True; only the estimator 'rhe' with speed_model 'slipping' or 'input' can "
+            "be smoothed"
         )
 
 
@@ -563,7 +700,12 @@ def replay_scenario(estimator, recording, fields):
     fields = dict(speed_model="slipping") | fields
     if fields["speed_model"] == "slipping":
         # Unlike the paper's smoothed mean, the filtered one counts each measurement once.
-        fields = dict(arrival_mean="filtered", robust=estimator == "rhe") | fields
+        is_rhe = estimator == "rhe"
+        present = recording.sensors if is_rhe else ()
+        fields = dict(arrival_mean="filtered", robust=is_rhe, sensors=present) | fields
+        if fields.get("sigma_v") is None:
+            fields["sigma_v"] = _sigma_v_of_log(recording)
+    _refuse_missing_sensors(fields.get("sensors", ()), recording)
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
     if not _runs_without_truth(scenario.estimator, scenario.robust):
         names = [repr(name) for name in NAMES if _runs_without_truth(name)]
@@ -572,6 +714,29 @@ def replay_scenario(estimator, recording, fields):
             "the others need the truth"
         )
     return scenario
+
+
+def _sigma_v_of_log(recording):
+    """Standard deviations of the measurements, with that of the positions asked of the log.
+
+    Errors that wander do not show in the positions themselves, but the receiver may tell them.
+    """
+    sigma_m = position_sigma_m(recording.rows)
+    if DECLARED in recording.rows:
+        declared_m = recording.rows[DECLARED].median()
+        sigma_m = max(sigma_m, declared_m) if declared_m > 0 else sigma_m
+    return (sigma_m, sigma_m, *paper.SIGMA_V[2:])
+
+
+def _refuse_missing_sensors(names, recording):
+    """Raise a ValueError for a sensor that the recording does not have."""
+    for name in names:
+        if name in SENSORS and name not in recording.sensors:
+            column = recording.columns[SENSORS[name]]
+            raise ValueError(
+                f"sensors was {names!r}; the log has no numbers in a column {column}: sensors may "
+                f"have the names {recording.sensors!r}"
+            )
 
 
 def _runs_without_truth(estimator, robust=False):

@@ -211,6 +211,7 @@ def _perturbed(
     *,
     lever_arm_m=None,
     faults=(),
+    smooth=False,
     **fields,
 ):
     """`perturbed_replay` of a Recording."""
@@ -226,8 +227,9 @@ def _perturbed(
         first = rows.groupby("segment")["theta_rad"].first()
         yaws = tuple(first + yaw_error_rad) if first.notna().all() else None
     guess = InitialGuess(yaws, lever_arm_m=lever_arm_m)
+    recording = recording._replace(rows=rows)
     scenario = replay_scenario(estimator, recording, fields)
-    return estimate_samples(recording._replace(rows=rows), scenario, guess, faults, seed)
+    return estimate_samples(recording, scenario, guess, faults, seed, smooth)
 
 
 def perturbed_scores(log, seeds, **arguments):

@@ -372,7 +372,16 @@ class Setup:
 
 
 def set_up(scenario):
-    """The Setup of a scenario: path, soil, starting point and settings."""
+    """The Setup of a scenario: path, soil, starting point and settings.
+
+    Raises:
+        ValueError: If the scenario has sensors that the simulated robot does not have.
+    """
+    if scenario.sensors:
+        raise ValueError(
+            f"sensors was {scenario.sensors!r}; the simulated robot has GNSS and encoders alone, "
+            "so it should be (): gyro and heading are for rhec.replay and rhec.RHE"
+        )
     path = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
     soil = scenario.terrain or terrain.random_for(scenario, path)
     shape = terrain.common_shape(soil)

@@ -44,11 +44,17 @@ SIGMA = [
     "sigma_arm_left_m",
 ]
 AGE = ["x_meas_m_age_s", "y_meas_m_age_s"]
+# Sensors besides GNSS and encoders: the columns of their measurements, and of a gyro's estimates.
+SENSORS = dict(gyro="gyro_meas_radps", heading="heading_meas_rad")
+HEADING_AGE = "heading_meas_rad_age_s"
+GYRO = ["gyro_bias_hat_radps", "gyro_scale_hat"]
+SIGMA_GYRO = ["sigma_gyro_bias_radps", "sigma_gyro_scale"]
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
 
 # Columns of a recording, by their names in a run or a replay.
 TRACKS = ["v_left_mps", "v_right_mps"]
 RECORDED = dict(zip(MEASUREMENTS, ("x_m", "y_m", "speed_mps", "yaw_rate_radps")))
+RECORDED_SENSORS = dict(zip(SENSORS.values(), ("gyro_radps", "heading_rad")))
 RECORDED_TRUTH = dict(zip(POSE, ("x_true_m", "y_true_m", "yaw_true_rad"))) | {
     name: name for name in TRUE_SPEEDS
 }

@@ -35,6 +35,9 @@ class Scenario:
     robust: valid.Flag = False
     yaw_rate_interval: Literal["before", "after"] = "before"
     soil_map: Annotated[SoilMap | None, SkipValidation] = None
+    sensors: options.Sensors = ()
+    sigma_gyro: options.SigmaGyro | None = None
+    sigma_heading: valid.Positive | None = None
 
     q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
@@ -141,6 +144,9 @@ def _check_fits_estimator(scenario):
     if scenario.robust and name not in ROBUST_NAMES:
         expected = f"for the estimator {valid.shown(estimator)} it should be False"
         raise ValueError(f"robust was True; {expected}")
+    if scenario.sensors and name != "rhe":
+        expected = f"for the estimator {valid.shown(estimator)} it should be ()"
+        raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
     entries = estimator_of(name).n_sigma_w(Choice.of(scenario))
     if scenario.sigma_w is not None and len(scenario.sigma_w) != entries:
         expected = f"for the estimator {valid.shown(estimator)} it should have {entries} entries"

@@ -48,6 +48,10 @@ robust: Whether measurements that contradict others get less weight; for "rhe".
 yaw_rate_interval: Which interval the measured ω of a sample belongs to. "before": to the one that
     ends at the sample; "after": to the one that begins there, so that the estimator is passed it,
     and the log holds it, one sample later (R16).
+sensors: What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe".
+sigma_gyro: Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and
+    as a share of the yaw rate of the tracks.
+sigma_heading: Noise of the heading that the estimator assumes, standard deviation [rad].
 
 q: Diagonal of the weight Q_k, eq. (22), of (x, y, θ).
 r: Weight R of the yaw rate, eq. (22).

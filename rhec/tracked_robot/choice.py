@@ -44,6 +44,7 @@ class Choice(NamedTuple):
     robust: bool
     dt_s: float = paper.DT_S
     map_shape: tuple[int, int] | None = None  # of the soil map's grid, where the estimator has one
+    sensors: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scenario):
@@ -65,6 +66,7 @@ class Choice(NamedTuple):
             scenario.arrival_mean or tuning.ARRIVAL_MEAN[noise],
             scenario.robust,
             map_shape=_map_shape(scenario),
+            sensors=scenario.sensors,
         )
 
 

@@ -15,6 +15,7 @@ from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.rhc import horizon_of
 from rhec.tracked_robot.rhe import SIGMA_START, settings_of, window_of
+from rhec.tracked_robot.sensors import OUTPUTS
 from rhec.tracked_robot.speed_models import speed_model_of
 
 
@@ -64,7 +65,8 @@ class PaperEstimate(NamedTuple):
 class PaperRHE(rhe.RHE):
     """The paper's estimator for a user's control loop: `prepare()`, then `feedback(z)`, eq. (10).
 
-    A measurement is z = (x, y, ν, ω) [m, m, m/s, rad/s], eq. (8).
+    A measurement is z = (x, y, ν, ω) [m, m, m/s, rad/s], eq. (8), then those of the sensors: the
+    yaw rate of the gyro, as a mean over the sample [rad/s], and the heading [rad].
 
     Args:
         dt: Length of a sample [s].
@@ -76,6 +78,9 @@ class PaperRHE(rhe.RHE):
         slip: How tracks slip, for the speed model "slipping", see Scenario.
         arrival_mean: "smoothed" or "filtered"; None: that of `process_noise`.
         robust: Whether contradictory measurements count less, see Scenario.
+        sensors: What the robot has besides GNSS and encoders: ("gyro",), ("heading",) or both.
+        sigma_gyro: Noise of the gyro: constant [rad/s], and as a share of ω, see Scenario.
+        sigma_heading: Standard deviation of the heading [rad].
         track_width_m: b [m].
         guess: First (x, y, θ, ν, μ, κ). By default the first measurement's position and speed, yaw
             0 and no slip, with a standard deviation of the yaw of a right angle.
@@ -97,6 +102,9 @@ class PaperRHE(rhe.RHE):
         slip: options.Slip | None = None,
         arrival_mean: rhe.ArrivalMean | None = None,
         robust: valid.Flag = False,
+        sensors: options.Sensors = (),
+        sigma_gyro: options.SigmaGyro | None = None,
+        sigma_heading: valid.Positive | None = None,
         track_width_m: valid.Positive = paper.TRACK_WIDTH_M,
         guess: tuple[valid.Real, valid.Real, valid.Real, valid.Real, valid.Real, valid.Real]
         | None = None,
@@ -107,14 +115,18 @@ class PaperRHE(rhe.RHE):
             raise ValueError(f"sigma_w was {sigma_w!r}; {expected}")
         arrival_mean = arrival_mean or tuning.ARRIVAL_MEAN[process_noise]
         sigma_v = sigma_v or tuning.SIGMA_V[process_noise]
-        self._choice = Choice("rhe", horizon, speed_model, arrival_mean, robust, dt)
+        sensors = tuple(name for name in OUTPUTS if name in sensors)
+        self._choice = Choice("rhe", horizon, speed_model, arrival_mean, robust, dt, sensors)
         self._estimator = estimators.estimator_of("rhe", robust)
         self._guess = guess
         self._tuning = process_noise
         self.window = window_of(self._choice)
         self.model = self.window.model
         constants = dict(track_width_m=track_width_m, dt_s=dt)
-        self.settings = settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants)
+        constants |= tuning.gyro_constants(sensors, sigma_gyro)
+        sigma_v = (*sigma_v, *tuning.sigma_of_sensors(sensors, sigma_gyro, sigma_heading))
+        noise = (process_noise, sigma_w, sigma_v, slip, sensors)
+        self.settings = settings_of(speed_model, *noise, **constants)
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = self._estimator.init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
@@ -142,9 +154,10 @@ class PaperRHE(rhe.RHE):
         guess = self._guess
         sigma = SIGMA_START
         if guess is None:
-            x, y, nu, _ = np.where(plausible, z, 0.0)
-            guess = (x, y, 0.0, nu, 1.0, 1.0)
-            # One measurement says nothing of the yaw.
+            x, y, nu = np.where(plausible, z, 0.0)[:3]
+            heading = z[-1] if "heading" in self._choice.sensors and plausible[-1] else 0.0
+            guess = (x, y, heading, nu, 1.0, 1.0)
+            # One measurement says nothing of the yaw, unless it is a heading, which follows.
             sigma = sigma | dict(theta_rad=np.pi / 2)
         memory = self._estimator.init(self._choice, dict(zip(QUANTITIES, guess)), sigma)
         self.iteration.start(memory | dict(age=0.0))

@@ -14,6 +14,9 @@ Solver = Literal["structured", "daqp", "qpoases"]
 # Standard deviations of (x, y, ν, ω), constants of slip, weights of (x, y, θ), and μ or κ.
 SigmaV = tuple[Positive, Positive, Positive, Positive]
 Slip = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
+# Sensors besides GNSS and encoders, the noise of a gyro: constant [rad/s], and as a share of ω.
+Sensors = tuple[Literal["gyro", "heading"], ...]
+SigmaGyro = tuple[Positive, NotNegative]
 Weights = tuple[NotNegative, NotNegative, NotNegative]
 Traction = Annotated[Real, Field(gt=0, le=1)]
 

@@ -9,11 +9,15 @@ from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
+from rhec.tracked_robot.sensors import GYRO_GUESS, with_sensors
 from rhec.tracked_robot.speed_models import speed_model_of
 
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
 _SIGMA_KNOWN = 1e-3
+# A gyro's bias and scale; and the last inputs of a model that holds them.
+_SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
+_SIGMA_INPUT = 10.0
 
 # The RHE with the traction held, which shows what estimating it is worth: (μ, κ) are inputs,
 # measured almost exactly.
@@ -30,7 +34,9 @@ _HELD = Model(
 
 def window_of(choice):
     """The Window of a Choice; the RHE within other estimators has the paper's speed model."""
-    model = speed_model_of(choice.speed_model if choice.estimator == "rhe" else "parameter").model
+    model = speed_model_of("parameter").model
+    if choice.estimator == "rhe":
+        model = with_sensors(choice.speed_model, choice.sensors).model
     return rhe.Window(
         model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, choice.robust
     )
@@ -42,21 +48,29 @@ def init(window, guess, sigma=SIGMA_START):
     `guess` and `sigma` are {quantity: value} and {quantity: standard deviation}.
     """
     names = window.model.joint_names
+    guess = GYRO_GUESS | guess
     return rhe.init(
         window,
         np.array([guess.get(name, 0.0) for name in names]),
-        np.array([sigma.get(name, _SIGMA_KNOWN) for name in names]),
+        sigma_start(window.model, sigma),
         [guess.get(name, 0.0) for name in window.model.inputs],
     )
 
 
-def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants):
+def sigma_start(model, sigma=SIGMA_START):
+    """Standard deviations of the joint state at the start, from those by name."""
+    known = dict.fromkeys(model.held_inputs, _SIGMA_INPUT) | _SIGMA_GYRO_START | dict(sigma)
+    return np.array([known.get(name, _SIGMA_KNOWN) for name in model.joint_names])
+
+
+def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, sensors=(), **constants):
     """The settings of the RHE, eq. (9), (15): variances V, W and P_0, and the noise's constants c.
 
     Standard deviations `sigma_w` are by default those tuned for `process_noise`. `slip` has the
     first constants of the motion noise, as in `tuning.SLIP`; `constants` has others by name.
+    `sigma_v` covers the `sensors`, too.
     """
-    kind = speed_model_of(speed_model)
+    kind = with_sensors(speed_model, sensors)
     names = kind.model.joint_names
     if sigma_w is None:
         tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][process_noise]))
@@ -65,7 +79,7 @@ def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants)
     settings = dict(
         V=np.square(sigma_v),
         W=np.square([*(0.0,) * without_noise, *sigma_w]),
-        P_0=np.square([SIGMA_START.get(name, _SIGMA_KNOWN) for name in names]),
+        P_0=np.square(sigma_start(kind.model)),
     )
     if kind.model.motion_noise:
         defaults = kind.model.motion_noise.constants
@@ -75,12 +89,16 @@ def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, **constants)
 
 
 def _settings(scenario):
+    sensors = scenario.sensors
+    of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     return settings_of(
         scenario.speed_model,
         scenario.process_noise,
         scenario.sigma_w,
-        tuning.sigma_v_of(scenario),
+        (*tuning.sigma_v_of(scenario), *of_sensors),
         scenario.slip,
+        sensors,
+        **tuning.gyro_constants(sensors, scenario.sigma_gyro),
         track_width_m=scenario.track_width_m,
     )
 

@@ -3,7 +3,8 @@
 Each measurement in the window of an RHE has its own variance. It follows from what the sensors
 say of one another, never from the estimate alone:
 
-- *Noise*: the variance of positions is at least that of their second differences.
+- *Noise*: the variance of positions is that of their second differences where this is clearly
+  larger than the one told.
 - *Stuck or improbable positions* are rejected. A receiver is stuck where it repeats its last
   position to the last digit. A position is improbable where its innovation y has
   y' S⁻¹ y > CHI2_GATE (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
@@ -29,12 +30,15 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.sensors import GYRO, OUTPUTS
 from rhec.tracked_robot.slipping import LEVER_ARM
 
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
-PAST = 10  # samples from which the noise of positions is estimated
+PAST = 13  # samples from which the noise of positions is estimated;
+NOISES_TO_LEARN = 3.0  # an estimate of so few counts if it is this much larger than the told one
 CHECKED = 6  # samples over which positions and encoders are compared
-MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth
+MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth,
+MAX_BEND_NOISES = 60.0  # and its square over the noise: 4.5 standard deviations
 DEAD_RECKONING = 0.06  # error of dead reckoning per distance since the last accepted position
 LATE_S = 0.15  # [s] how far positions and encoders may be out of step
 TRACTION = (0.4, 1.1)  # range of the distance by positions over that by encoders
@@ -43,20 +47,40 @@ NOISES_APART = 2.5  # tolerated mean square distance of the two paths, over the 
 SHARE_APART = 0.15  # tolerated rms distance of the two paths, over their size
 SIGMA_BY_POSITIONS = (0.15, 0.4)  # of (ν, ω) [m/s, rad/s] that replace inconsistent encoders
 SIGMA_JUMP = (0.1, 0.3)  # of the change of (ν, ω) [m/s, rad/s] in one sample
+LEAST_WAY_NOISES = 14.0  # square of a way over the noise: once in a thousand of a standing robot
 MIN_COURSE_M = 0.1  # [m] rms size of a path below which it does not determine the yaw
+MIN_COURSE_NOISES = 3.2  # its square over the noise: the course is then known to 0.15 rad
 MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
+# A gyro or a heading holds the yaw where the robot slips sideways, which the course does not show.
+MISMATCHES_WITH_SENSORS = 25
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
+MAX_CHECKED_SIGMA_M = 0.045  # [m] noisier positions tell too little about the encoders
+_MAX_CHECKED_NOISE = 2 * MAX_CHECKED_SIGMA_M**2
+FORGETTING = 0.98  # per sample, of the largest noise of late
+REACH_M = 3.0  # [m] an unchecked position farther off than this, and than
+REACH_MPS = 5.0  # [m/s] this speed explains, is an outlier
 SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
+SIGMA_RESTART |= dict(gyro_bias_radps=0.02, gyro_scale=0.02)
 _SIGMA_RESTART_OTHERS = 0.1
 _NONE = ca.DM.nan(2)  # a pair of measurements that is missing
 _RHE = paper_rhe.ESTIMATORS["rhe"]
 
-# The memory of the checks: `past` positions, NaN where missing, with the encoder measurements of
-# these samples; the `last` position and the encoder measurements last accepted; samples `since` a
-# smooth position was accepted, and since encoders were; how often in a row the course has
-# `contradicted` the yaw; `doubt`, 1 while the encoders are inconsistent.
-_MEMORY = dict(past=(4, PAST), last=(4, 1), since=(2, 1), contradicted=(1, 1), doubt=(1, 1))
+
+class _Before(NamedTuple):
+    """The memory of the checks."""
+
+    past: ca.SX  # (4, PAST) positions, NaN where missing, with the encoders' of these samples
+    last: ca.SX  # (4,) the last position, and the encoder measurements last accepted
+    since: ca.SX  # (2,) samples since a smooth position was accepted, and since encoders were
+    contradicted: ca.SX  # how often in a row the course has contradicted the yaw
+    doubt: ca.SX  # 1 while the encoders are inconsistent
+    unseen: ca.SX  # (2,) samples since a position was accepted, and since one arrived
+    largest: ca.SX  # [m²] the largest noise of late
+
+
+_SHAPES = ((4, PAST), (4, 1), (2, 1), (1, 1), (1, 1), (2, 1), (1, 1))
+_MEMORY = dict(zip(_Before._fields, _SHAPES))
 
 
 def _is_number(x):
@@ -85,30 +109,53 @@ def _sample(z, limits, past, last):
     has_encoders = valid[2] * valid[3]
     has_position = has_gnss * (1 - (z[0] == last[0]) * (z[1] == last[1]))
     previous = ca.if_else(_is_number(past[2:, -1]), past[2:, -1], 0)
-    speeds_held = ca.if_else(has_encoders, z[2:], previous)
+    speeds_held = ca.if_else(has_encoders, z[2:4], previous)
     position = ca.if_else(has_position, z[:2], _NONE)
     past = ca.horzcat(past, ca.vertcat(position, speeds_held))
     return _Sample(has_gnss, has_encoders, has_position, position, speeds_held, past)
 
 
+def _turned_by_gyro(sample, gyro, m, names):
+    """The _Sample with yaw rates over ground [rad/s] in place of those of the encoders.
+
+    That is (gyro - β) / s, or κω where the gyro has no measurement.
+    """
+    bias, scale = (m[names.index(name)] for name in GYRO)
+    by_encoders = m[names.index("kappa")] * sample.speeds_held[1]
+    rate = ca.if_else(_is_number(gyro), (gyro - bias) / scale, by_encoders)
+    past = ca.vertcat(sample.past[:3, :], ca.horzcat(sample.past[3, :-1], rate))
+    return sample._replace(past=past)
+
+
 class _Positions(NamedTuple):
     """What the positions tell without the encoders."""
 
+    can_check: ca.SX  # 1 where none of the checked ones is missing, and their noise is low
     are_smooth: ca.SX  # 1 where none of the checked ones is missing or jumps
     newest_is_smooth: ca.SX
     noise: ca.SX  # [m²] variance of x and y together
+    largest: ca.SX  # [m²] the largest one of late
     V: ca.SX  # (2,) [m²] variances to use
 
 
-def _check_positions(past, V):
+def _check_positions(past, V, largest):
     bend = past[:2, 2:] - 2 * past[:2, 1:-1] + past[:2, :-2]
     bends = ca.sum1(bend * bend)
-    noise = ca.fmax(V[0] + V[1], _noise_of_positions(bends))
+    told = V[0] + V[1]
+    noise = _noise_of_positions(bends)
+    # A noise that is known too low would find fault with the encoders: it is forgotten slowly.
+    largest = ca.fmin(ca.fmax(noise, FORGETTING * largest), 4 * _MAX_CHECKED_NOISE)
+    checked = ca.fmax(ca.fmax(told, noise), largest)
+    used = ca.if_else(noise > NOISES_TO_LEARN * told, noise, told)
+    max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * checked)
+    are_dense = ca.mmin(_is_number(bends[1 - CHECKED :]))
     return _Positions(
-        are_smooth=ca.mmin(bends[1 - CHECKED :] <= MAX_BEND_M**2),
-        newest_is_smooth=bends[-1] <= MAX_BEND_M**2,
-        noise=noise,
-        V=V[:2] * noise / (V[0] + V[1]),
+        can_check=are_dense * (checked <= _MAX_CHECKED_NOISE),
+        are_smooth=ca.mmin(bends[1 - CHECKED :] <= max_bend),
+        newest_is_smooth=bends[-1] <= max_bend,
+        noise=checked,
+        largest=largest,
+        V=V[:2] * used / told,
     )
 
 
@@ -116,14 +163,16 @@ def _noise_of_positions(bends):
     """Variance of positions, x and y together, from their squared second differences.
 
     White noise of variance σ² has second differences of 6σ² (von Neumann, 1941). The result is the
-    smaller one of two halves, so that one outlier is not taken for noise; 0 where data are missing.
+    smallest one of three parts, so that neither an outlier nor a jump, which show in three
+    neighbouring differences, is taken for noise; 0 where data are missing.
     """
-    halves = []
-    for half in ca.horzsplit(bends, [0, bends.numel() // 2, bends.numel()]):
-        n = ca.sum2(_is_number(half))
-        mean = ca.sum2(ca.if_else(_is_number(half), half, 0)) / ca.fmax(n, 1)
-        halves.append(ca.if_else(n >= 3, mean / 6, 0))
-    return ca.fmin(*halves)
+    parts = []
+    third = bends.numel() // 3
+    for part in ca.horzsplit(bends, [0, third, 2 * third, bends.numel()]):
+        n = ca.sum2(_is_number(part))
+        mean = ca.sum2(ca.if_else(_is_number(part), part, 0)) / ca.fmax(n, 1)
+        parts.append(ca.if_else(n >= 3, mean / 6, 0))
+    return ca.fmin(ca.fmin(parts[0], parts[1]), parts[2])
 
 
 class _Agreement(NamedTuple):
@@ -139,6 +188,8 @@ def _check_agreement(path, positions, m, names, dt_s):
     """Register the path by the encoders with the positions, both in `path` (4, CHECKED + 1)."""
     arm = [m[names.index(name)] if name in names else 0 for name in LEVER_ARM]
     kappa = ca.fmin(ca.fmax(m[names.index("kappa")], LEAST_KAPPA), 1)
+    if set(GYRO) <= set(names):
+        kappa = 1  # the path has the yaw rates over ground
     driven = _dead_reckoned(path, arm, kappa, dt_s)
     yaw, apart, size, size_driven = _registration(path[:2, :], driven)
     speed = ca.sumsqr(driven[:, 1:] - driven[:, :-1]) / (CHECKED * dt_s**2)
@@ -146,9 +197,9 @@ def _check_agreement(path, positions, m, names, dt_s):
     fits = apart <= tolerance  # 0 where `apart` is NaN
     return _Agreement(
         agree=positions.are_smooth * fits,
-        contradict=positions.are_smooth * _is_number(apart) * (1 - fits),
+        contradict=positions.can_check * positions.are_smooth * _is_number(apart) * (1 - fits),
         yaw=yaw,
-        has_course=size_driven > MIN_COURSE_M**2,
+        has_course=size_driven > ca.fmax(MIN_COURSE_M**2, MIN_COURSE_NOISES * positions.noise),
     )
 
 
@@ -183,18 +234,22 @@ def _registration(q, e):
     return ca.atan2(cross, dot), *(square / q.size2() for square in (apart, *sizes))
 
 
-def _are_encoders_inconsistent(z, last, before, agreement, names, may_reject):
+def _are_encoders_inconsistent(z, before, agreement, names, may_reject):
     """1 from a contradiction, or a jump, until positions and encoders agree again."""
     # Without a last measurement the change is NaN, which is no jump.
-    change = ca.sumsqr((z[2:] - last[2:]) / ca.DM(SIGMA_JUMP))
+    change = ca.sumsqr((z[2:4] - before.last[2:]) / ca.DM(SIGMA_JUMP))
     jump = change > CHI2_GATE if "nu_mps" in names else 0
-    stays = ca.logic_or(jump, before * (1 - agreement.agree)) * may_reject
+    stays = ca.logic_or(jump, before.doubt * (1 - agreement.agree)) * may_reject
     return ca.logic_or(agreement.contradict, stays)
 
 
-def _speeds_by_positions(path, m, names, dt_s):
-    """(ν, 0) [m/s, rad/s] of the tracks, from the first and the last position of a path."""
+def _speeds_by_positions(path, m, noise, names, dt_s):
+    """(ν, 0) [m/s, rad/s] of the tracks, from the first and the last position of a path.
+
+    A way that is no longer than the `noise` [m²] of the positions is that of a standing robot.
+    """
     way = path[:2, -1] - path[:2, 0]
+    way = ca.if_else(ca.sumsqr(way) > LEAST_WAY_NOISES * noise, way, 0)
     sign = ca.if_else(ca.cos(m[2]) * way[0] + ca.sin(m[2]) * way[1] < 0, -1, 1)
     mu = ca.fmax(m[names.index("mu")], TRACTION[0])
     return ca.vertcat(sign * ca.norm_2(way) / (CHECKED * dt_s * mu), 0)
@@ -211,8 +266,24 @@ def _is_probable(y, yaw, P, V, nu, drift):
     return ca.bilin(ca.inv_minor(S), y, y) <= CHI2_GATE
 
 
+def _is_within_reach(y, step, P, V, unseen_s):
+    """Whether a position that nothing checks is where a robot with failed encoders may be.
+
+    Its innovation y, or its step from the last position, is no longer than the way a robot goes
+    since the last accepted position, or since the last one, `unseen_s` (2,) [s], and the noise.
+    """
+    noise = ca.trace(P[:2, :2]) + V[0] + V[1]
+    within = [
+        ca.sumsqr(way) <= (REACH_M + REACH_MPS * time_s) ** 2 + CHI2_GATE * noise
+        for way, time_s in zip((y, step), ca.vertsplit(unseen_s))
+    ]
+    return ca.logic_or(*within)
+
+
 def _check(z, limits, memory, predict, V, names, first, dt_s):
-    """Check one measurement z (4,) against `limits` (4,), earlier ones and the prediction.
+    """Check one measurement z (n_z,) against `limits`, earlier ones and the prediction.
+
+    Only its first four entries are checked.
 
     `predict` is (z, V) -> mean (n,) and covariance (n, n) of the joint state `names`, by the
     encoders in z; `first` is 1 before any measurement. The results by name: which measurements are
@@ -220,57 +291,88 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     `replace` inconsistent measurements in the window, and what they are `replaced` by; the memory
     after, `gate_after`.
     """
-    past, last, since, contradicted, doubt = memory.values()
-    may_reject = since * dt_s < MAX_REJECTION_S
-    sample = _sample(z, limits, past, last)
-    path = sample.checked
-    positions = _check_positions(sample.past, V)
+    before = _Before(*memory.values())
+    may_reject = before.since * dt_s < MAX_REJECTION_S
+    sample = _sample(z, limits, before.past, before.last)
+    positions = _check_positions(sample.past, V, before.largest)
 
-    m, _ = predict(ca.vertcat(sample.position, ca.if_else(sample.has_encoders, z[2:], _NONE)), V)
-    agreement = _check_agreement(path, positions, m, names, dt_s)
-    doubt = _are_encoders_inconsistent(z, last, doubt, agreement, names, may_reject[1])
-    encoders = sample.has_encoders * (1 - doubt)
-    inconsistent = sample.has_encoders * doubt
-    by_positions = _speeds_by_positions(path, m, names, dt_s)
-    by_positions = ca.if_else(inconsistent * positions.are_smooth, by_positions, _NONE)
-    speeds = ca.if_else(encoders, z[2:], by_positions)
-    V_speeds = ca.if_else(inconsistent, ca.DM(SIGMA_BY_POSITIONS) ** 2, V[2:])
-    V_used = ca.vertcat(positions.V, V_speeds)
+    # Gyro and heading are not checked; they are the entries of z after the first four.
+    others = z[4:]
+    encoders = ca.if_else(sample.has_encoders, z[2:4], _NONE)
+    m, _ = predict(ca.vertcat(sample.position, encoders, others), V)
+    if set(GYRO) <= set(names):
+        sample = _turned_by_gyro(sample, others[[*OUTPUTS].index("gyro")], m, names)
+    agreement = _check_agreement(sample.checked, positions, m, names, dt_s)
+    inconsistent = _are_encoders_inconsistent(z, before, agreement, names, may_reject[1])
+    speeds, V_speeds = _speeds(z, V, sample, positions, inconsistent, m, names, dt_s)
+    V_used = ca.vertcat(positions.V, V_speeds, V[4:])
 
-    m, P = predict(ca.vertcat(sample.position, speeds), V_used)
-    nu = sample.speeds_held[0]
-    drift = DEAD_RECKONING * ca.fabs(nu) * dt_s * since[0] * agreement.agree
-    probable = _is_probable(z[:2] - m[:2], m[2], P, positions.V, nu, drift)
-    # Smooth positions that contradict the encoders are the better ones.
-    follows = ca.logic_or(agreement.contradict, (since[0] == 0) * positions.newest_is_smooth)
-    position = sample.has_position * ca.logic_or(first, ca.logic_or(probable, follows))
-
-    judged = _check_estimate(agreement, contradicted, m[2], position, may_reject[0])
+    m, P = predict(ca.vertcat(sample.position, speeds, others), V_used)
+    is_usable = _is_usable(z, sample, positions, agreement, before, m, P, dt_s)
+    position = sample.has_position * ca.logic_or(first, is_usable)
+    most = MISMATCHES_WITH_SENSORS if others.numel() else HEADING_MISMATCHES_TO_RESTART
+    judged = _check_estimate(agreement, before.contradicted, most, m[2], position, may_reject[0])
     contradicted, restart, yaw = judged
+    encoders = sample.has_encoders * (1 - inconsistent)
     accepted = ca.logic_or(position, restart)
-    trusted = ca.logic_or(position * positions.are_smooth, restart)
-    last, since = _remember(z, last, since, sample.has_gnss, trusted, encoders)
+    after = _remember(z, sample, positions, before, accepted, restart, encoders)
+    after = after._replace(contradicted=contradicted, doubt=inconsistent)
     return dict(
         accepted=ca.vertcat(accepted, accepted, encoders, encoders),
-        z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds),
+        z_used=ca.vertcat(ca.if_else(accepted, z[:2], _NONE), speeds, others),
         V_used=V_used,
         restart=restart,
         pose=ca.vertcat(z[:2], yaw),
         replace=agreement.contradict,
-        replaced=ca.vertcat(path[:2, 1:], ca.repmat(speeds, 1, CHECKED)),
-        gate_after=ca.veccat(sample.past[:, 1:], last, since, contradicted, doubt),
+        replaced=ca.vertcat(sample.checked[:2, 1:], ca.repmat(speeds, 1, CHECKED)),
+        gate_after=ca.veccat(*after),
     )
 
 
-def _remember(z, last, since, has_gnss, position, encoders):
-    """The pieces `last` and `since` of the memory after a sample with these accepted."""
-    last = ca.vertcat(ca.if_else(has_gnss, z[:2], last[:2]), ca.if_else(encoders, z[2:], last[2:]))
-    since = ca.vertcat(ca.if_else(position, 0, since[0] + 1), ca.if_else(encoders, 0, since[1] + 1))
-    return last, since
+def _speeds(z, V, sample, positions, inconsistent, m, names, dt_s):
+    """(ν, ω) to use and their variances: the encoders', or while inconsistent the positions'."""
+    by_positions = _speeds_by_positions(sample.checked, m, positions.noise, names, dt_s)
+    by_positions = ca.if_else(inconsistent * positions.are_smooth, by_positions, _NONE)
+    is_replaced = sample.has_encoders * inconsistent
+    is_used = sample.has_encoders * (1 - inconsistent)
+    by_positions = ca.if_else(is_replaced, by_positions, _NONE)
+    V_speeds = ca.if_else(is_replaced, ca.DM(SIGMA_BY_POSITIONS) ** 2, V[2:4])
+    return ca.if_else(is_used, z[2:4], by_positions), V_speeds
 
 
-def _check_estimate(agreement, contradicted, yaw, position, may_reject):
-    """Where the sensors agree and the estimate contradicts them, restart.
+def _is_usable(z, sample, positions, agreement, before, m, P, dt_s):
+    """Whether a position follows smoothly on an accepted one, is probable, or within reach."""
+    y = z[:2] - m[:2]
+    nu = sample.speeds_held[0]
+    drift = DEAD_RECKONING * ca.fabs(nu) * dt_s * before.since[0] * agreement.agree
+    probable = _is_probable(y, m[2], P, positions.V, nu, drift)
+    step = z[:2] - before.last[:2]
+    within_reach = _is_within_reach(y, step, P, positions.V, before.unseen * dt_s)
+    probable = ca.if_else(positions.can_check, probable, ca.logic_or(probable, within_reach))
+    was_accepted = before.unseen[0] == before.unseen[1]
+    # Smooth positions that contradict the encoders are the better ones.
+    follows = ca.logic_or(agreement.contradict, was_accepted * positions.newest_is_smooth)
+    return ca.logic_or(probable, follows)
+
+
+def _remember(z, sample, positions, before, accepted, restart, encoders):
+    """The memory after a sample with this position and these encoders accepted."""
+    trusted = ca.logic_or(accepted * positions.are_smooth, restart)
+    last = ca.vertcat(
+        ca.if_else(sample.has_gnss, z[:2], before.last[:2]),
+        ca.if_else(encoders, z[2:4], before.last[2:]),
+    )
+    return before._replace(
+        past=sample.past[:, 1:],
+        last=last,
+        since=ca.if_else(ca.vertcat(trusted, encoders), 0, before.since + 1),
+        unseen=ca.if_else(ca.vertcat(accepted, sample.has_gnss), 1, before.unseen + 1),
+        largest=positions.largest,
+    )
+
+
+def _check_estimate(agreement, contradicted, most, yaw, position, may_reject):
+    """Where the sensors agree and the estimate contradicts them `most` times in a row, restart.
 
     The results are how often in a row the course has contradicted the yaw, whether to restart, and
     with which yaw [rad].
@@ -278,10 +380,7 @@ def _check_estimate(agreement, contradicted, yaw, position, may_reject):
     is_apart = ca.cos(agreement.yaw - yaw) < MIN_HEADING_COSINE
     mismatch = agreement.agree * agreement.has_course * is_apart
     contradicted = ca.if_else(mismatch, contradicted + 1, 0)
-    restart = ca.logic_or(
-        contradicted >= HEADING_MISMATCHES_TO_RESTART,
-        agreement.agree * (1 - position) * (1 - may_reject),
-    )
+    restart = ca.logic_or(contradicted >= most, agreement.agree * (1 - position) * (1 - may_reject))
     # The yaw is not wrapped: choose the full turns that are nearest to the estimate.
     turns = ca.floor((agreement.yaw - yaw) / (2 * ca.pi) + 0.5)
     nearest = agreement.yaw - 2 * ca.pi * turns
@@ -292,10 +391,11 @@ def _check_estimate(agreement, contradicted, yaw, position, may_reject):
 def gated(window, phases):
     """Wrap the phases {name: Function} of a weighted RHE, so that each measurement is checked.
 
-    The memory has two more pieces, `V_window` (4, N + 1) and `gate`. Feedback also returns which
+    The memory has two more pieces, `V_window` (n_z, N + 1) and `gate`. Feedback also returns which
     measurements are `accepted` (4,), as 1 or 0, and whether the window is to `restart`.
     """
-    memory = dict(V_window=(4, window.N + 1), gate=(packed_size(_MEMORY), 1))
+    n_z = len(window.model.outputs)
+    memory = dict(V_window=(n_z, window.N + 1), gate=(packed_size(_MEMORY), 1))
     shift, linearise = _wrap_preparation(phases, memory)
     wrapped = dict(
         shift=shift,
@@ -315,7 +415,9 @@ def _inputs_of(phase, *without):
 def _wrap_preparation(phases, memory):
     """Shift and linearise with the variances of the window."""
 
-    @casadi_function("gated_shift", **_inputs_of(phases["shift"]), V=(4, 1), **memory)
+    V = (memory["V_window"][0], 1)
+
+    @casadi_function("gated_shift", **_inputs_of(phases["shift"]), V=V, **memory)
     def shift(V, V_window, gate, **inputs):
         V_after = ca.horzcat(V_window[:, 1:], V)
         return phases["shift"](V=V_window, **inputs) | dict(V_window=V_after, gate=gate)
@@ -335,14 +437,16 @@ def _wrap_feedback(window, feedback_of_rhe, memory):
     limits = window.model.limits
     remembered = dict(age=(1, 1), gate=memory["gate"])
 
-    @casadi_function("gate", **window.prediction, z_N=(4, 1), **window.noise, **remembered)
+    z_N = (len(limits), 1)
+
+    @casadi_function("gate", **window.prediction, z_N=z_N, **window.noise, **remembered)
     def gate(B_N, v_N, m_N, P_N, z_N, V, age, gate, **c):
         def predict(z, V):
             return rhe.predict_input(window, B_N, m_N, P_N, v_N, z, V=V, **c)
 
         return _check(z_N, limits, unpack(gate, _MEMORY), predict, V, names, age < 1, window.dt_s)
 
-    shapes = _inputs_of(feedback_of_rhe) | dict(V=(4, 1)) | remembered
+    shapes = _inputs_of(feedback_of_rhe) | dict(V=z_N) | remembered
 
     @casadi_function("gated_feedback", loop_symbols(), **shapes)
     def feedback(**inputs):
@@ -362,14 +466,16 @@ def _build_restarted(window, memory):
     N = window.N
     newest = min(CHECKED, N)
     one = (1, 1)
-    four = (4, 1)
+    n_z = len(window.model.outputs)
+    column = (n_z, 1)
     shapes = dict(restart=one, pose=(3, 1), replace=one, replaced=(4, CHECKED))
-    shapes |= dict(z_used=four, V_used=four) | window.memory
+    shapes |= dict(z_used=column, V_used=column) | window.memory
     P = ca.diag(np.square([SIGMA_RESTART.get(name, _SIGMA_RESTART_OTHERS) for name in names]))
 
     @casadi_function("restarted", **shapes, V_window=memory["V_window"])
     def restarted(restart, pose, replace, replaced, z_used, V_used, **memory):
-        replacements = dict(z=replaced[:, -newest:], V_window=ca.repmat(V_used, 1, newest))
+        z = ca.vertcat(replaced[:, -newest:], memory["z"][4:, -newest:])
+        replacements = dict(z=z, V_window=ca.repmat(V_used, 1, newest))
         for name, latest in replacements.items():
             with_latest = ca.horzcat(memory[name][:, :-newest], latest)
             memory[name] = ca.if_else(replace, with_latest, memory[name])
@@ -379,7 +485,7 @@ def _build_restarted(window, memory):
         fresh = memory | dict(
             s=ca.repmat(s, 1, N + 1),
             v=ca.repmat(memory["v"][:, N - 1], 1, N),
-            z=ca.horzcat(ca.SX.nan(4, N), z_used),
+            z=ca.horzcat(ca.SX.nan(n_z, N), z_used),
             age=0,
             m=s,
             P=P,
@@ -392,9 +498,9 @@ def _build_restarted(window, memory):
 def _wrap_expand(window, expand_of_rhe, memory):
     """Expand with the variances that were used, then replace or restart."""
     one = (1, 1)
-    four = (4, 1)
+    column = (len(window.model.outputs), 1)
     restarted = _build_restarted(window, memory)
-    shapes = _inputs_of(expand_of_rhe, "z_N") | dict(z_used=four, V_used=four, restart=one)
+    shapes = _inputs_of(expand_of_rhe, "z_N") | dict(z_used=column, V_used=column, restart=one)
     shapes |= dict(pose=(3, 1), replace=one, replaced=(4, CHECKED))
     shapes |= dict(V_window=memory["V_window"], gate_after=memory["gate"])
 
@@ -416,7 +522,8 @@ def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
         name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
         for name, shape in _MEMORY.items()
     }
-    V_window = np.ones((4, choice.estimation_horizon + 1))  # of no measurement
+    # The variances of no measurement.
+    V_window = np.ones((len(memory["z"]), choice.estimation_horizon + 1))
     return memory | dict(V_window=V_window, gate=pack_array(gate))
 
 

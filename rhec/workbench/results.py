@@ -223,6 +223,15 @@ def _multiverse(table):
     return to_markdown(pd.DataFrame(columns))
 
 
+def _inverse(table):
+    """Shares of single drives that meet what the paper states, before and after it is known."""
+    columns = {"what the paper states": table["statement"]}
+    for when, heading in (("prior", "share of the prior"), ("posterior", "share of the posterior")):
+        names = [f"{when} drives{end}" for end in ("", "_low", "_high")]
+        columns[heading] = format_intervals(table, *names)
+    return to_markdown(pd.DataFrame(columns))
+
+
 def _faults(table):
     table = table.assign(aim=table["verdict"] == "holds", back=table["back"] == table["n"])
     reported = {"n": "size", "aim": "sum", "back": "sum", "recovery_s_largest": "max"}
@@ -275,6 +284,7 @@ def _targets(table):
 
 _RESULTS = {  # {result: (its tables, the function that writes it)}
     "summary": (["table_scenario_a", "table_scenario_b"], _summary),
+    "inverse": (["inverse_statements"], _inverse),
     "settling": (["table_scenario_a"], _means("weight", "settling time [s]", "settling time [s]")),
     "verdicts": (["claims"], _verdicts),
     "failed": (["claims"], _failed),

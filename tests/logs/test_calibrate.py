@@ -120,6 +120,7 @@ def test_what_makes_it_lost_is_the_innovation_by_its_covariance():
                 innovation_x_m=y * np.sqrt(P + V), innovation_y_m=0.0, position_accepted=True,
                 sigma_x_m=np.sqrt(P * V / (P + V)), sigma_y_m=np.sqrt(P * V / (P + V)),
                 nu_meas_mps=1.0, omega_meas_radps=0.0, mu_hat=0.9, kappa_hat=0.8,
+                sigma_theta_rad=0.1,
             ),
             index=range(n),
         )  # fmt: skip

@@ -58,7 +58,9 @@ def shown():
 @pytest.fixture
 def nothing_estimated(monkeypatch):
     """A replay stops where its estimator would begin."""
-    monkeypatch.setattr(module, "estimate_samples", lambda *_: (_ for _ in ()).throw(StopIteration))
+    monkeypatch.setattr(
+        module, "estimate_samples", lambda *_, **__: (_ for _ in ()).throw(StopIteration)
+    )
 
 
 @pytest.mark.parametrize("what", CASES)

@@ -253,6 +253,54 @@ def fix(latitude, longitude, status=0):
     return message
 
 
+def imu(rate, force):
+    """An Imu with these yaw rates and specific forces in its own axes."""
+
+    def message(store, stamp):
+        turn = of(store, "geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        covariances = (
+            "orientation_covariance",
+            "angular_velocity_covariance",
+            "linear_acceleration_covariance",
+        )
+        return of(
+            store,
+            "sensor_msgs/Imu",
+            header=header(store, stamp),
+            orientation=turn,
+            angular_velocity=xyz(store, "Vector3", *rate),
+            linear_acceleration=xyz(store, "Vector3", *force),
+            **{name: np.zeros(9) for name in covariances},
+        )
+
+    return message
+
+
+@pytest.mark.parametrize("up, named", [((0, 1, 0), "gravity"), ((0, 0, -1), "gravity")])
+def test_an_imu_gives_the_yaw_rate_about_the_vertical(tmp_path, up, named):
+    """Also where it is mounted on its side or upside down."""
+    times = START_NS + np.arange(20) * 10**8
+    rates = 0.1 * np.arange(20)
+    messages = []
+    for stamp, rate in zip(times.tolist(), rates):
+        messages.append(("/odom", "nav_msgs/msg/Odometry", stamp, odometry(0, 0, 0.5, 0.1)))
+        tilted = imu(np.multiply(rate, up), np.multiply(9.81, up))
+        messages.append(("/imu", "sensor_msgs/msg/Imu", stamp, tilted))
+    log = rhec.logs.read(write_bag(tmp_path, "mcap", messages))
+    np.testing.assert_allclose(log["gyro_radps"], rates, atol=1e-9)
+    assert named in log.attrs["inferred"]["gyro"]
+
+
+def test_columns_without_names_are_numbered(tmp_path):
+    """As `ros2 topic echo --csv` writes them, with the two numbers of a stamp."""
+    file = tmp_path / "echo.csv"
+    lines = [f"{100 + row // 5},{row % 5 * 200_000_000},{0.1 * row},0.0" for row in range(10)]
+    file.write_text("\n".join(lines), encoding="utf-8")
+    log = rhec.logs.read(file, columns={"sec": "0", "nanosec": "1", "x_m": "2", "y_m": "3"})
+    np.testing.assert_allclose(log["t_s"], 0.2 * np.arange(10))
+    assert len(log) == 10 and log["x_m"].iloc[-1] == 0.9
+
+
 def pose_stamped(x, y):
     return lambda store, stamp: of(
         store, "geometry_msgs/PoseStamped", header=header(store, stamp), pose=pose(store, x, y)

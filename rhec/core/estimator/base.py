@@ -71,7 +71,7 @@ def joint_estimate(model, values, covariance):
     """The Estimate from (x, u, p) in one array and the joint state's covariance."""
     n_x = len(model.states)
     n_p = len(model.parameters)
-    if model.holds_inputs:
+    if model.held_inputs:
         places = [*range(n_x), *range(model.n_s - n_p, model.n_s)]
         covariance = covariance[places][:, places]
     first_p = len(values) - n_p

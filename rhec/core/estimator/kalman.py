@@ -20,7 +20,7 @@ def update(m, P, z, V, outputs, s_bar):
 
     For each output h with H = ∂h/∂s and variance V, in turn:
 
-        y = z - h(m)          innovation
+        y = z - h(m)          innovation, of an angle within ±π
         S = H P H' + V        its variance
         K = P H' / S          gain
         m⁺ = m + K y
@@ -35,7 +35,7 @@ def update(m, P, z, V, outputs, s_bar):
     for output in outputs:
         used = output.is_valid(z)
         H = output.H(s_bar)
-        y = ca.if_else(used, z[output.row] - output.predicted(m, s_bar), 0)
+        y = ca.if_else(used, output.residual(z, m, s_bar), 0)
         PH = P @ H.T
         S = H @ PH + V[output.row]
         weight = used / S  # 1/S, and 0 without a measurement, which makes K and e zero

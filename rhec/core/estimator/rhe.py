@@ -331,9 +331,9 @@ def _descent(outputs, new, old, s_bar, z, V):
     """A node's part of ∇J·Δw by its measurements: each weighted residual times its change."""
     total = 0
     for output in outputs:
-        residual = (output.predicted(old, s_bar) - z[output.row]) / V[output.row]
+        residual = output.residual(z, old, s_bar) / V[output.row]
         change = output.H(s_bar) @ (new - old)
-        total += ca.if_else(output.is_valid(z), residual * change, 0)
+        total -= ca.if_else(output.is_valid(z), residual * change, 0)
     return total
 
 

@@ -2,8 +2,8 @@
 
 States x change; inputs u act over an interval; parameters p are constant over a horizon. Estimators
 and controllers work on the joint state s = (x, p), in which the parameters are constant states. If
-an output depends on inputs and anything else, the joint state also holds the last inputs, through
-which that output is measured: s = (x, u, p).
+an output depends on inputs and anything else, the joint state also holds these last inputs, through
+which that output is measured: s = (x, held inputs, p).
 """
 
 import functools
@@ -55,6 +55,7 @@ class Model:
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
         max_measurement: Largest plausible size of each output; larger values count as missing.
             By default 1e8 in the output's unit: choose units in which no output is that large.
+        angles: Names of the outputs that are angles [rad], which are measured up to full turns.
         motion_noise: Noise that grows with the motion, if any.
 
     Raises:
@@ -68,6 +69,7 @@ class Model:
     f: Callable[[Any, Any, Any], Any]
     h: Callable[[Any, Any, Any], Any] | None = None
     max_measurement: tuple[float, ...] | None = None
+    angles: tuple[str, ...] = ()
     motion_noise: MotionNoise | None = None
 
     def __post_init__(self) -> None:
@@ -77,6 +79,8 @@ class Model:
             raise ValueError(f"{problem}; f and h should be functions of (x, u, p)")
         _check_bounds(self.parameters)
         _check_limits(self.max_measurement, len(self.outputs))
+        if not isinstance(self.angles, tuple) or not set(self.angles) <= set(self.outputs):
+            refuse("angles was", self.angles, "it should be a tuple of names of outputs")
         if not isinstance(self.motion_noise, MotionNoise | None):
             refuse("motion_noise was", self.motion_noise, "it should be a MotionNoise or None")
         _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
@@ -130,7 +134,8 @@ class Model:
         functions = [self.dynamics, self.measurement]
         if self.motion_noise:
             functions.append(_noise_function(self))
-        return repr((self.names, self.limits, self.bounds, [f.serialize() for f in functions]))
+        serialized = [function.serialize() for function in functions]
+        return repr((self.names, self.limits, self.angles, self.bounds, serialized))
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -161,12 +166,13 @@ class Model:
         return rows
 
     @functools.cached_property
-    def holds_inputs(self) -> bool:
-        """Whether the joint state holds the last inputs, because an output mixes them."""
+    def held_inputs(self) -> tuple[str, ...]:
+        """Names of the last inputs that the joint state holds, because an output mixes them."""
         x, u, p = _symbols(self)
         z = self.measurement(x, u, p)
         others = set(range(z.numel())) - set(self.input_outputs.values())
-        return any(ca.depends_on(z[row], u) for row in others)
+        mixing = ca.vertcat(ca.SX(0, 1), *(z[row] for row in sorted(others)))
+        return tuple(name for i, name in enumerate(self.inputs) if ca.depends_on(mixing, u[i]))
 
     @property
     def n_s(self) -> int:
@@ -176,8 +182,7 @@ class Model:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint state's entries."""
-        inputs = self.inputs if self.holds_inputs else ()
-        return (*self.states, *inputs, *self.parameters)
+        return (*self.states, *self.held_inputs, *self.parameters)
 
 
 def _symbols(model):
@@ -264,10 +269,18 @@ class Output(NamedTuple):
     h: ca.Function  # s -> ()
     H: ca.Function  # s -> (1, n_s)
     affine: bool
+    is_angle: bool = False  # whether it is measured up to full turns
 
     def predicted(self, s, s_bar):
         """The output at s, linearised at s_bar where it is not affine."""
         return self.h(s) if self.affine else self.h(s_bar) + self.H(s_bar) @ (s - s_bar)
+
+    def residual(self, z, s, s_bar):
+        """The measurement in z minus the output at s; of an angle within ±π."""
+        difference = z[self.row] - self.predicted(s, s_bar)
+        if not self.is_angle:
+            return difference
+        return difference - 2 * ca.pi * ca.floor(difference / (2 * ca.pi) + 0.5)
 
     def is_valid(self, z):
         """1 where z holds a measurement of this output."""
@@ -332,10 +345,11 @@ def interval(model, measured=True):
     x_next = ca.cse(rk4(model.dynamics, x, u, p, dt_s))
     s = ca.vertcat(x, p)
     s_next = ca.vertcat(x_next, p)
-    if measured and model.holds_inputs:
+    held = [model.inputs.index(name) for name in model.held_inputs]
+    if measured and held:
         # An interval before the first sample has no length, and its input is unknown.
-        s = ca.vertcat(x, u_last, p)
-        s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u, u_last), p)
+        s = ca.vertcat(x, u_last[held], p)
+        s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u[held], u_last[held]), p)
     s_next, A_0, D, B = _derivatives(model, s, u, s_next)
     limits = model.limits
     z = model.measurement(x, u_last, p)
@@ -348,7 +362,9 @@ def interval(model, measured=True):
         A_0=A_0,
         n_s=s.numel(),
         n_v=u.numel(),
-        outputs=tuple(_output(row, limits[row], z[row], s) for row in rows),
+        outputs=tuple(
+            _output(row, limits[row], z[row], s, model.outputs[row] in model.angles) for row in rows
+        ),
         input_outputs={place: (row, limits[row]) for place, row in model.input_outputs.items()},
         mixing_outputs={
             place: [(row, limits[row]) for row in rows if ca.depends_on(z[row], u_last[place])]
@@ -377,12 +393,12 @@ def _derivatives(model, s, u, s_next):
     return s_next, A_0, D, B
 
 
-def _output(row, limit, z_row, s):
+def _output(row, limit, z_row, s, is_angle):
     """The Output whose value is the expression z_row of the joint state s."""
     H = ca.jacobian(z_row, s)
     h = ca.Function("h", [s], [z_row])
     slope = ca.Function("H", [s], [ca.sparsify(H)])
-    return Output(row, limit, h, slope, not ca.depends_on(H, s))
+    return Output(row, limit, h, slope, not ca.depends_on(H, s), is_angle)
 
 
 def rk4(f, x, u, p, dt_s):

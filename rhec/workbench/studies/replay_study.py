@@ -189,10 +189,10 @@ class ReplayStudy:
 
     @functools.cached_property
     def estimates(self):
-        """What `rhec.replay` makes of the log as it is, a row for each of its rows."""
+        """What a smoothed `rhec.replay` makes of the log as it is, a row for each of its rows."""
         yaws = tuple(self.first_yaw_rad)
         guess = yaws if len(yaws) > 1 else yaws[0] if yaws else None
-        return replay(self.log, first_yaw_rad=guess, **self.rhe)
+        return replay(self.log, first_yaw_rad=guess, smooth=True, **self.rhe)
 
     @functools.cached_property
     def replays(self):

@@ -33,7 +33,14 @@ from rhec.logs import scores
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare, resample
 from rhec.logs.replay import predictor
-from rhec.simulation.columns import ESTIMATE, INNOVATION, LEVER_ARM, MEASUREMENTS, SIGMA
+from rhec.simulation.columns import (
+    ESTIMATE,
+    INNOVATION,
+    LEVER_ARM,
+    MEASUREMENTS,
+    RECORDED_SENSORS,
+    SIGMA,
+)
 from rhec.tracked_robot import slipping
 from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
 from rhec.workbench.studies.calibration import search
@@ -45,6 +52,7 @@ __all__ = ["table", "trials"]
 _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it
+_SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
 _UNUSABLE = 1e12  # the objective where a filter diverges
 _SLIPPING = slipping.SLIPPING.model
 _SCORES = dict(
@@ -246,6 +254,7 @@ def trials(logs, seeds):
     Returns:
         DataFrame, one row for each log, estimator, way of tuning and noise seed.
     """
+    logs = {name: log.drop(columns=_SENSORS, errors="ignore") for name, log in logs.items()}
     training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
     numbers = {name: dict(calibrate(log)) for name, log in training.items()}
     sigmas = {

@@ -1,0 +1,93 @@
+"""A gyro and a heading as further outputs of a speed model's Model. Not in the paper.
+
+The gyro measures s θ̇ + β with a scale s and a bias β, two bounded parameters that are estimated.
+Its noise has a constant part, and with the speed model "slipping" one in proportion to the yaw
+rate, for errors of its axis and its timing. The heading, as of two GNSS antennas, measures θ up to
+full turns. A Model without sensors is returned as it is.
+"""
+
+import functools
+
+import casadi as ca
+
+from rhec.core.model.base import Model, MotionNoise
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.kinematics import SpeedModel
+from rhec.tracked_robot.speed_models import speed_model_of
+
+# The outputs of the sensors, in the order in which they follow (x, y, ν, ω).
+OUTPUTS = {"gyro": "gyro_radps", "heading": "heading_rad"}
+_LIMITS = {"gyro": 100.0, "heading": 1e8}
+# Parameters of the gyro with their bounds.
+GYRO = {"gyro_bias_radps": (-0.2, 0.2), "gyro_scale": (0.8, 1.25)}
+GYRO_GUESS = {"gyro_bias_radps": 0.0, "gyro_scale": 1.0}
+_ERROR = "gyro_error_radps"
+
+
+@functools.cache
+def with_sensors(name, sensors):
+    """The SpeedModel of a Scenario's `speed_model` with sensors, a tuple of names of OUTPUTS."""
+    kind = speed_model_of(name)
+    if not sensors:
+        return kind
+    base = kind.model
+    has_gyro = "gyro" in sensors
+    n_u = len(base.inputs)
+    n_fixed = len(base.parameters) - 2  # all but μ and κ, which stay the last ones
+    names = [*base.parameters]
+    bounds = {name: base.parameters[name] for name in names[:n_fixed]}
+    bounds |= GYRO if has_gyro else {}
+    bounds |= {name: base.parameters[name] for name in names[n_fixed:]}
+    has_error = has_gyro and base.motion_noise is not None
+
+    def own(p):
+        """The parameters of the Model without sensors."""
+        return ca.vertcat(p[:n_fixed], p[-2:])
+
+    def f(x, u, p):
+        return base.dynamics(x, u[:n_u], own(p))
+
+    def h(x, u, p):
+        outputs = [base.measurement(x, u[:n_u], own(p))]
+        if has_gyro:
+            error = u[n_u] if has_error else 0
+            outputs.append(p[n_fixed + 1] * f(x, u, p)[2] + p[n_fixed] + error)
+        if "heading" in sensors:
+            outputs.append(x[2])
+        return ca.vertcat(*outputs)
+
+    model = Model(
+        states=base.states,
+        inputs=(*base.inputs, _ERROR) if has_error else base.inputs,
+        parameters=bounds,
+        outputs=(*base.outputs, *(OUTPUTS[sensor] for sensor in OUTPUTS if sensor in sensors)),
+        f=f,
+        h=h,
+        max_measurement=(*base.limits, *(_LIMITS[name] for name in OUTPUTS if name in sensors)),
+        angles=(OUTPUTS["heading"],) if "heading" in sensors else (),
+        motion_noise=_with_gyro_noise(base) if has_error else base.motion_noise,
+    )
+    return SpeedModel(model, kind.n_sigma_w, kind.sigma_w)
+
+
+def _with_gyro_noise(base):
+    """The MotionNoise of a Model, and that of its gyro: share · ω, and a walk of the bias."""
+    of_base = base.motion_noise
+    n_c = len(of_base.constants)
+    n_u = len(base.inputs)
+    omega = base.inputs.index("omega_radps")
+
+    def inputs(u, R, c):
+        mean, variances = of_base.inputs(u[:n_u], R[:n_u], c[:n_c])
+        return ca.vertcat(mean, 0), ca.vertcat(variances, (c[n_c] * u[omega]) ** 2 + _LEAST)
+
+    def process(u, W, dt_s, c):
+        noise = of_base.process(u[:n_u], W, dt_s, c[:n_c])
+        bias = W.numel() - len(GYRO) - 2
+        walk = c[n_c + 1] ** 2 * dt_s
+        return ca.vertcat(noise[:bias], walk, noise[bias + 1 :])
+
+    return MotionNoise(of_base.constants | tuning.GYRO, inputs, process)
+
+
+_LEAST = 1e-12  # variance of the gyro's error of a robot that does not turn, besides σ²

@@ -1,0 +1,153 @@
+"""Gyro and heading in a recorded log: what they gain, what faults cost, what is refused."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import recorded_log
+
+import rhec
+from rhec.logs import recording
+from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
+from rhec.simulation.columns import ESTIMATE
+
+LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
+START = dict(first_yaw_rad=0.7)  # 0.3 rad wrong
+
+
+def with_gyro(scale=1.0, bias=0.0, sigma=0.01, log=LOG):
+    noise = sigma * np.random.default_rng(2).standard_normal(len(log))
+    return log.assign(gyro_radps=scale * log["yaw_rate_true_radps"] + bias + noise)
+
+
+def with_heading(offset=0.0, sign=1.0, log=LOG):
+    noise = 0.02 * np.random.default_rng(3).standard_normal(len(log))
+    heading = sign * log["yaw_true_rad"] + offset + noise
+    return log.assign(heading_rad=(heading + np.pi) % (2 * np.pi) - np.pi)
+
+
+def yaw_rms(log, **arguments):
+    result = rhec.replay(log, **START | arguments)
+    error = (result["theta_hat_rad"] - result["theta_rad"])[result["t_s"] > 20]
+    return np.sqrt(np.mean(error**2))
+
+
+@pytest.fixture(scope="module")
+def without():
+    return yaw_rms(LOG)
+
+
+def test_a_sensor_without_measurements_changes_nothing():
+    """Not one bit, nor does one that the user switches off."""
+    plain = rhec.replay(LOG, **START)
+    silent = rhec.replay(LOG.assign(gyro_radps=np.nan, heading_rad=np.inf), **START)
+    pd.testing.assert_frame_equal(silent, plain)
+    off = rhec.replay(with_gyro(), sensors=(), **START)
+    np.testing.assert_array_equal(off[ESTIMATE], plain[ESTIMATE])
+
+
+def test_a_gyro_makes_the_yaw_better(without):
+    assert yaw_rms(with_gyro()) < 0.7 * without
+
+
+@pytest.mark.parametrize("scale, bias", [(1.0, 0.05), (1.05, 0.0), (0.95, -0.05)])
+def test_bias_and_scale_of_a_gyro_are_estimated(scale, bias):
+    result = rhec.replay(with_gyro(scale, bias), **START)
+    last = result.iloc[-1]
+    for name, truth in (("gyro_bias_hat_radps", bias), ("gyro_scale_hat", scale)):
+        sigma = last[name.replace("hat_", "").replace("_hat", "").replace("gyro", "sigma_gyro")]
+        assert abs(last[name] - truth) < 3 * sigma
+    assert last["gyro_bias_hat_radps"] == pytest.approx(bias, abs=0.005)
+    assert yaw_rms(with_gyro(scale, bias)) < 1.1 * yaw_rms(with_gyro())
+
+
+def test_a_gyro_that_falls_silent_leaves_the_encoders(without):
+    log = with_gyro()
+    log.loc[log["t_s"].between(30, 90), "gyro_radps"] = np.nan
+    assert yaw_rms(with_gyro()) < yaw_rms(log) < 1.2 * without
+
+
+def test_a_gyro_carries_the_yaw_where_positions_are_missing():
+    log = with_gyro()
+    log.loc[log["t_s"].between(60, 80), ["x_m", "y_m"]] = np.nan
+    results = [rhec.replay(log, **START | more) for more in ({}, dict(sensors=()))]
+    errors = [
+        np.hypot(result["x_hat_m"] - result["x_m"], result["y_hat_m"] - result["y_m"])
+        for result in results
+    ]
+    gap = LOG["t_s"].between(75, 80)
+    assert errors[0][gap].mean() < errors[1][gap].mean()
+
+
+@pytest.mark.parametrize("start_rad", [-3.0, 0.4, 3.0])
+def test_a_heading_gives_the_yaw_from_the_first_sample(start_rad):
+    """Also where it jumps by full turns, and without a guess of the first yaw."""
+    log = with_heading(log=recorded_log(5.0, 60.0, start_rad=start_rad, noise_m=0.05))
+    result = rhec.replay(log)
+    error = (result["theta_hat_rad"] - result["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
+    assert error.abs().max() < 0.1 and np.sqrt(np.mean(error**2)) < 0.02
+    assert result["theta_hat_rad"].diff().abs().max() < 0.5
+
+
+def test_gyro_and_heading_together(without):
+    both = with_heading(log=with_gyro(bias=0.03))
+    assert yaw_rms(both) < yaw_rms(with_gyro(bias=0.03))
+
+
+@pytest.mark.parametrize(
+    "log, words",
+    [
+        (with_gyro(scale=-1.0), "gyro_radps may be counted clockwise"),
+        (with_gyro(scale=180 / np.pi), "gyro_radps may be in degrees"),
+        (with_gyro(scale=0.0, sigma=0.1), "gyro_radps may be of another axis"),
+        (with_gyro(scale=5e3), "gyro_radps is .* it may be in another unit"),
+        (with_heading(sign=-1.0), "heading_rad may be counted clockwise"),
+        (with_heading(offset=np.pi / 2), "heading_rad is .* may be counted from north"),
+        (
+            with_heading().pipe(lambda log: log.assign(heading_rad=np.rad2deg(log["heading_rad"]))),
+            "heading_rad may be in degrees",
+        ),
+    ],
+)
+def test_a_sensor_of_a_wrong_sign_axis_unit_or_zero_is_refused(log, words):
+    for function in (rhec.replay, rhec.calibrate):
+        with pytest.raises(ValueError, match=words):
+            function(log)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_the_live_estimator_agrees(robust):
+    prepared = recording.prepare(with_heading(log=with_gyro()))
+    fields = dict(speed_model="slipping", arrival_mean="filtered", robust=robust)
+    sensors = dict(sensors=prepared.sensors, sigma_gyro=(0.01, 0.02), sigma_heading=0.02)
+    scenario = replay_scenario("rhe", prepared, fields | sensors)
+    samples = estimate_samples(prepared, scenario, InitialGuess((0.7,), 10.0))
+    z = samples[measured_of(prepared.sensors)].to_numpy()
+    live = rhec.RHE(**fields, **sensors, guess=(*z[0, :2], 0.7, z[0, 2], 1.0, 1.0))
+    for k in range(100):
+        live.prepare()
+        estimate = live.feedback(z[k])
+    np.testing.assert_allclose(estimate[2], samples["theta_hat_rad"].iloc[99], atol=5e-3)
+    assert estimate.covariance.shape == (12, 12)
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (dict(sensors=("gyro",)), "no numbers in a column gyro_radps"),
+        (dict(sensors=("compass",)), "sensors"),
+        (dict(sensors=("heading",), estimator="ekf"), "sensors was"),
+        (dict(sigma_gyro=(0.0, 0.1)), "sigma_gyro"),
+    ],
+)
+def test_sensors_that_a_replay_cannot_use_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words) as refusal:
+        rhec.replay(LOG, **arguments)
+    assert "\n" not in str(refusal.value)
+
+
+def test_calibration_finds_the_noise_of_a_gyro():
+    found = rhec.calibrate(with_gyro(sigma=0.03, log=recorded_log(5.0, 120.0, noise_m=0.03)))
+    told = found.report.loc["noise of the gyro"]
+    # At 5 Hz a sample's mean is that of two readings.
+    assert told["determined"] and told["value"] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
+    assert rhec.replay(with_gyro(), **START, **found)["theta_hat_rad"].notna().all()

@@ -1,0 +1,126 @@
+"""The smoother of a replay, delays of positions, and a calibration in the terms of ROS."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import KAPPA, MU, TRACK_WIDTH_M, recorded_log
+
+import rhec
+from rhec.logs.calibration import _arguments
+from rhec.logs.scores import yaw_error
+from rhec.simulation.columns import ESTIMATE
+
+LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
+START = dict(first_yaw_rad=0.7)  # 0.3 rad wrong
+
+
+def errors(result):
+    """RMS errors of yaw [rad] and position [m]."""
+    position = np.hypot(result["x_hat_m"] - result["x_m"], result["y_hat_m"] - result["y_m"])
+    return np.sqrt(np.mean(yaw_error(result) ** 2)), np.sqrt(np.mean(position**2))
+
+
+@pytest.fixture(scope="module")
+def smoothed():
+    return rhec.replay(LOG, smooth=True, **START)
+
+
+def test_later_measurements_make_an_estimate_better(smoothed):
+    filtered = errors(rhec.replay(LOG, **START))
+    assert np.all(np.array(errors(smoothed)) < 0.85 * np.array(filtered))
+
+
+def test_the_covariance_of_the_smoother_is_consistent(smoothed):
+    error = yaw_error(smoothed)
+    sigma = smoothed["sigma_theta_rad"]
+    assert 0.2 < np.mean(error**2 / sigma**2) < 1.5
+    assert (error.abs() < 1.96 * sigma).mean() > 0.9
+
+
+def test_the_smoother_needs_no_first_yaw(smoothed):
+    unknown = rhec.replay(LOG, smooth=True)
+    difference = unknown["theta_hat_rad"] - smoothed["theta_hat_rad"]
+    assert np.abs((difference + np.pi) % (2 * np.pi) - np.pi).max() < 0.03
+
+
+def test_a_smoothed_estimate_depends_on_later_measurements(smoothed):
+    """And the first ones do not depend on the last ones, beyond what the robot forgets."""
+    changed = LOG.copy()
+    changed.loc[LOG["t_s"] > 100, "y_m"] += 0.2
+    later = rhec.replay(changed, smooth=True, **START)
+    difference = (later[ESTIMATE[1]] - smoothed[ESTIMATE[1]]).abs()
+    assert difference[LOG["t_s"].between(98, 100)].max() > 0.005
+    assert difference[LOG["t_s"] < 60].max() < 0.005
+
+
+@pytest.mark.parametrize("arguments", [dict(speed_model="parameter"), dict(estimator="ekf")])
+def test_other_estimators_cannot_be_smoothed(arguments):
+    with pytest.raises(ValueError, match="smooth was True; only the estimator 'rhe'"):
+        rhec.replay(LOG, smooth=True, **arguments)
+
+
+def delayed_replay(delay_s, told_s):
+    """Rows 0.2 s apart whose positions are late: RMS error [m], and positions that are used."""
+    log = recorded_log(100.0, 60.0)
+    at = np.arange(100, 5900, 20)
+    late = log.iloc[at].reset_index(drop=True)
+    late[["x_m", "y_m"]] = log.iloc[at - round(delay_s * 100)][["x_m", "y_m"]].to_numpy()
+    result = rhec.replay(late, position_delay_s=told_s, first_yaw_rad=late["yaw_true_rad"][0])
+    return errors(result[result["t_s"] > 20])[1], result["x_meas_m"].notna().sum()
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 0.25, -0.1])
+def test_a_delay_of_a_fraction_of_a_row_is_made_up_for(delay_s):
+    error, positions = delayed_replay(delay_s, delay_s)
+    without, all_positions = delayed_replay(0.0, 0.0)
+    assert error < 1.3 * without + 0.002 < delayed_replay(delay_s, 0.0)[0]
+    assert positions >= all_positions - 2
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    log = recorded_log(5.0, 150.0, noise_m=0.03, seed=3, arm_m=(0.25, -0.1))
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(log))
+    return rhec.calibrate(log.assign(gyro_radps=1.02 * log["yaw_rate_true_radps"] + 0.03 + noise))
+
+
+def test_a_calibration_speaks_of_multipliers(calibrated):
+    terms = calibrated.terms
+    truth = {
+        "wheel_separation_multiplier (1/κ)": 1 / KAPPA,
+        "effective track width": TRACK_WIDTH_M / KAPPA,
+        "wheel_radius_multiplier (μ)": MU,
+        "wheel_separation_multiplier with it (μ/κ)": MU / KAPPA,
+        "gyro bias": 0.03,
+        "gyro scale": 1.02,
+        "antenna ahead": 0.25,
+        "antenna left": -0.1,
+    }
+    for name, value in truth.items():
+        row = terms.loc[name]
+        assert row["low"] < row["value"] < row["high"]
+        assert row["value"] == pytest.approx(value, rel=0.03, abs=0.02), name
+    assert abs(terms.loc["delay of the positions", "value"]) < 0.05
+
+
+def test_its_yaml_has_the_parameters_of_the_driver(calibrated):
+    for line in ("wheel_separation_multiplier: 1.", "left_wheel_radius_multiplier: 0.", "x: 0.2"):
+        assert line in calibrated.yaml
+    assert all(
+        "  # 95 %" in line for line in calibrated.yaml.splitlines() if "multiplier: " in line
+    )
+
+
+def test_a_log_without_turns_is_refused():
+    t = np.arange(0, 60, 0.2)
+    noise = 0.02 * np.random.default_rng(0).standard_normal((2, len(t)))
+    straight = pd.DataFrame(
+        dict(t_s=t, x_m=0.45 * t + noise[0], y_m=noise[1], speed_mps=0.5, yaw_rate_radps=0.001)
+    )
+    with pytest.raises(ValueError, match="turns of 0.06 rad in all.* drive two figures of eight"):
+        rhec.calibrate(straight)
+
+
+def test_the_command_takes_what_a_replay_takes():
+    given = _arguments(["log.bag", "--topics", "/fix", "/joints", "--wheel-radius-m", "0.1"])
+    assert given.topics == ["/fix", "/joints"] and given.wheel_radius_m == 0.1
