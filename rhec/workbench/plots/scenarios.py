@@ -183,7 +183,7 @@ def slip_fields(terrain, path, title):
     for axes, values, name in zip(both, (terrain.mu, terrain.kappa), (r"$\mu$", r"$\kappa$")):
         image = _field(axes, terrain, values)
         _reference(axes, path)
-        axes.set_title(f"{name}: mean {values.mean():.2f}, deviation {values.std():.2f}")
+        axes.set_title(f"{name}: mean {values.mean():.3f}, deviation {values.std():.3f}")
     both[1].set_ylabel("")
     figure.colorbar(image, ax=both, label=r"traction $\mu$, $\kappa$ [-]", **_TRACTION_BAR)
     figure.suptitle(title, fontsize=8)
