@@ -254,15 +254,21 @@ def _means(by, quantity, heading):
     return result
 
 
-def _by_world(row, heading, quantity=None):
+def _format_ratios(table):
+    """Strings "value [low, high]" with three decimals: ratios near 1 differ in the third."""
+    rows = zip(table["mean"], table["low"], table["high"])
+    return [f"{mean:.3f} [{low:.3f}, {high:.3f}]" for mean, low, high in rows]
+
+
+def _by_world(row, heading, quantity=None, texts=format_intervals):
     """A function that writes intervals, one row per entry of the column `row`, one column a world.
 
-    `quantity` selects rows of the table; None takes all of them.
+    `quantity` selects rows of the table; None takes all of them. `texts` writes the intervals.
     """
 
     def result(table):
         rows = table if quantity is None else table[table["quantity"] == quantity]
-        values = rows.assign(value=format_intervals(rows))
+        values = rows.assign(value=texts(rows))
         wide = values.pivot(index=row, columns="world", values="value").reindex(rows[row].unique())
         worlds = list(rows["world"].unique())
         wide = wide[worlds].fillna("").reset_index()
@@ -275,7 +281,7 @@ def _by_world(row, heading, quantity=None):
 
 def _targets(table):
     rows = table[table["claim"].fillna("") != ""]
-    columns = rows.assign(value=format_intervals(rows))[
+    columns = rows.assign(value=_format_ratios(rows))[
         ["world", "contestant", "quantity", "value", "claim", "verdict"]
     ]
     heads = ["world", "contestant", "quantity", "ratio [95 % interval]", "claim", "verdict"]
@@ -299,7 +305,7 @@ _RESULTS = {  # {result: (its tables, the function that writes it)}
         _by_world("contestant", "mean true error [m]", "mean true error [m]"),
     ),
     "targets": (["table_beyond"], _targets),
-    "worth": (["table_worth"], _by_world("quantity", "part of the loop")),
+    "worth": (["table_worth"], _by_world("quantity", "part of the loop", texts=_format_ratios)),
     "consistency": (["table_consistency"], _means("estimator", "NEES, mean", "NEES")),
     "replay": (
         ["table_replay"],
