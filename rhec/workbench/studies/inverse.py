@@ -98,8 +98,7 @@ W_EKF = ("printed", "calibrated")
 # The likeliest W of the former world. The one of the default world is no choice here, because that
 # world is itself the posterior's centre.
 _CALIBRATED = dict(
-    rhe=(0.001, 0.001, 0.001, 0.001, 0.0033, 0.001),
-    ekf=(0.017, 0.017, 0.013, 0.001),
+    rhe=(0.001, 0.001, 0.001, 0.001, 0.0033, 0.001), ekf=(0.017, 0.017, 0.013, 0.001)
 )
 
 
