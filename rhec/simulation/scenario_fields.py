@@ -42,12 +42,12 @@ speed_model: How the RHE models ν. "parameter": one ν over the window, as in t
 slip: Constants of the speed model "slipping", in the order of `tuning.SLIP`.
 arrival_mean: Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as
     in the paper; "filtered": from the EKF update (R7); None: the one that fits process_noise.
-soil_map: What earlier drives tell of the soil, a rhec.SoilMap, for the estimator "map_ekf". None:
-    it estimates the traction without a map.
 robust: Whether measurements that contradict others get less weight; for "rhe".
 yaw_rate_interval: Which interval the measured ω of a sample belongs to. "before": to the one that
     ends at the sample; "after": to the one that begins there, so that the estimator is passed it,
     and the log holds it, one sample later (R16).
+soil_map: What earlier drives tell of the soil, a rhec.SoilMap, for the estimator "map_ekf". None:
+    it estimates the traction without a map.
 sensors: What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe".
 sigma_gyro: Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and
     as a share of the yaw rate of the tracks.

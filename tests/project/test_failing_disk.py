@@ -27,36 +27,45 @@ def disk(tmp_path_factory):
     return library
 
 
-@pytest.fixture(scope="module", params=TASKS)
-def outcome(request, disk):
+def outcome_of(task, disk):
+    """What `failing_disk.py` says of a task: a reference without failure, and all points."""
     environment = os.environ | dict(LD_PRELOAD=str(disk), PYTHONPATH=str(HERE))
-    command = [sys.executable, str(HERE / "failing_disk.py"), request.param, str(disk)]
+    command = [sys.executable, str(HERE / "failing_disk.py"), task, str(disk)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
-def test_a_failing_disk_is_one_sentence(outcome):
+# One test per task: pytest-xdist would run the task again for each test on another worker.
+@pytest.mark.parametrize("task", TASKS)
+def test_a_failing_disk_loses_nothing_and_is_one_sentence(task, disk):
+    outcome = outcome_of(task, disk)
     assert all(outcome["points"]), "a process died"
-    errors = [point["first"]["error"] for point in outcome["points"]]
+    check_errors_are_one_sentence(**outcome)
+    check_nothing_is_half_made(**outcome)
+    check_the_same_call_goes_on(**outcome)
+
+
+def check_errors_are_one_sentence(reference, points):
+    errors = [point["first"]["error"] for point in points]
     for error in filter(None, errors):
         assert error.startswith("OSError: "), error
         assert "Traceback" not in error
     # Whoever says nothing has done all of it.
-    for point in outcome["points"]:
+    for point in points:
         if point["first"]["error"] is None:
-            assert point["first"]["result"] == outcome["reference"]["first"]["result"]
+            assert point["first"]["result"] == reference["first"]["result"]
 
 
-def test_a_failing_disk_leaves_nothing_half_made(outcome):
-    whole = outcome["reference"]["left"]
-    for point in outcome["points"]:
+def check_nothing_is_half_made(reference, points):
+    whole = reference["left"]
+    for point in points:
         for file, digest in point["left"].items():
             assert whole.get(file) == digest, (point["k"], file)
 
 
-def test_after_a_failing_disk_the_same_call_goes_on(outcome):
-    for point in outcome["points"]:
+def check_the_same_call_goes_on(reference, points):
+    for point in points:
         assert point["again"]["error"] is None
-        assert point["again"]["result"] == outcome["reference"]["again"]["result"]
-        assert set(point["finally_there"]) == set(outcome["reference"]["finally_there"])
+        assert point["again"]["result"] == reference["again"]["result"]
+        assert set(point["finally_there"]) == set(reference["finally_there"])

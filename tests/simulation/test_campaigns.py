@@ -278,8 +278,13 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         speed_model="input",
         slip=(0.2, 0.1, 0.1, 0.02, 0.05),
         arrival_mean="filtered",
+        yaw_rate_interval="after",
         input_reference="curvature",
         command_delay=1,
+        traction_timing="sample_before",
+        controller="ltv_mpc",
+        disturbance_observer=True,
+        soil_under="centre",
         qp="daqp",
         backwards=True,
         cautious=True,
@@ -288,8 +293,11 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
         faults=(rhec.Fault(kind="stuck"),),
     )
+    # Of some estimators alone.
+    others = ("robust", "soil_map", "sensors", "sigma_gyro", "sigma_heading")
+    sensing = dict(estimator="rhe", sensors=("gyro", "heading"))
     for field in dataclasses.fields(SHORT):
-        if field.name not in changes and field.name != "robust":
+        if field.name not in changes and field.name not in others:
             old = getattr(SHORT, field.name)
             changes[field.name] = (
                 old + 1
@@ -307,10 +315,15 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
             dict(estimator=own_estimator()),
             dict(estimator=own_estimator(estimate=ca.DM.ones(6))),
             dict(estimator="rhe", robust=True),
+            dict(estimator="map_ekf"),
+            dict(estimator="map_ekf", soil_map=rhec.SoilMap.from_runs([])),
+            sensing,
+            sensing | dict(sigma_gyro=(0.03, 0.1)),
+            sensing | dict(sigma_heading=0.05),
         )
     ]
     keys = [store.scenario_key(scenario) for scenario in [SHORT, *changed]]
-    assert len(set(keys)) == len(keys) == len(changes) + 6
+    assert len(set(keys)) == len(keys) == len(changes) + 11
     assert keys == [
         store.scenario_key(dataclasses.replace(scenario)) for scenario in [SHORT, *changed]
     ]

@@ -423,7 +423,8 @@ def test_an_open_path_is_followed_from_its_first_sample_whatever_the_noise():
 # What a run shows of itself
 
 
-def test_a_run_says_in_five_lines_what_it_was(run):
+def test_a_run_says_in_five_lines_what_it_was():
+    run = rhec.simulate(rhec.Scenario(process_noise="calibrated", duration_s=60.0))
     lines = repr(run).splitlines()
     assert len(lines) <= 5 and max(map(len, lines)) <= 200
     assert repr(run.scenario) in lines[0]

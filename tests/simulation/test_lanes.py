@@ -164,10 +164,10 @@ def texts(tmp_path, monkeypatch):
 
 
 def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
-    by_parts = rows_of(tmp_path / "parts", estimator="bounded_ekf", cautious=True)
+    by_parts = rows_of(tmp_path / "parts", estimator="rhe", disturbance_observer=True)
     assert len(texts) == 3  # the steps of estimator and controller, and the rest
     monkeypatch.setattr(parts, "_LEAST", 1000)
-    whole = rows_of(tmp_path / "whole", estimator="bounded_ekf", cautious=True)
+    whole = rows_of(tmp_path / "whole", estimator="rhe", disturbance_observer=True)
     assert len(texts) == 4
     np.testing.assert_array_equal(by_parts, whole)
 
