@@ -1,8 +1,7 @@
 """Controller and estimator tuned together, {world: {contestant: fields of Scenario}}.
 
 Source: `python -m rhec.workbench.studies.fair_tuning WORLD`, with 40 evaluations for each unknown
-on the training seeds 1000 to 1023, drives of 240 s. The comment is the mean true error on them. In
-the former world only those are tuned that differ there.
+on the training seeds 1000 to 1023, drives of 240 s. The comment is the mean true error on them.
 """
 
 TUNED: dict[str, dict[str, dict]] = {
@@ -183,6 +182,12 @@ TUNED: dict[str, dict[str, dict]] = {
             controller="pure_pursuit",
             sigma_w=(0.00125, 0.00125, 0.00383, 0.00323, 0.0182, 0.0015),
             look_ahead_m=0.395,
+        ),
+        "pure_pursuit_drift": dict(  # 0.02079 m
+            estimator="yaw_drift_ekf",
+            controller="pure_pursuit",
+            sigma_w=(0.001, 0.001, 0.00422, 0.0011, 0.00773, 0.00152, 0.000157),
+            look_ahead_m=0.426,
         ),
         "traction_oracle": dict(  # 0.01707 m
             estimator="traction_oracle",
