@@ -223,6 +223,15 @@ def _multiverse(table):
     return to_markdown(pd.DataFrame(columns))
 
 
+def _inverse(table):
+    """Shares of single drives that meet what the paper states, before and after it is known."""
+    columns = {"what the paper states": table["statement"]}
+    for when, heading in (("prior", "share of the prior"), ("posterior", "share of the posterior")):
+        names = [f"{when} drives{end}" for end in ("", "_low", "_high")]
+        columns[heading] = format_intervals(table, *names)
+    return to_markdown(pd.DataFrame(columns))
+
+
 def _faults(table):
     table = table.assign(aim=table["verdict"] == "holds", back=table["back"] == table["n"])
     reported = {"n": "size", "aim": "sum", "back": "sum", "recovery_s_largest": "max"}
@@ -245,15 +254,21 @@ def _means(by, quantity, heading):
     return result
 
 
-def _by_world(row, heading, quantity=None):
+def _format_ratios(table):
+    """Strings "value [low, high]" with three decimals: ratios near 1 differ in the third."""
+    rows = zip(table["mean"], table["low"], table["high"])
+    return [f"{mean:.3f} [{low:.3f}, {high:.3f}]" for mean, low, high in rows]
+
+
+def _by_world(row, heading, quantity=None, texts=format_intervals):
     """A function that writes intervals, one row per entry of the column `row`, one column a world.
 
-    `quantity` selects rows of the table; None takes all of them.
+    `quantity` selects rows of the table; None takes all of them. `texts` writes the intervals.
     """
 
     def result(table):
         rows = table if quantity is None else table[table["quantity"] == quantity]
-        values = rows.assign(value=format_intervals(rows))
+        values = rows.assign(value=texts(rows))
         wide = values.pivot(index=row, columns="world", values="value").reindex(rows[row].unique())
         worlds = list(rows["world"].unique())
         wide = wide[worlds].fillna("").reset_index()
@@ -266,7 +281,7 @@ def _by_world(row, heading, quantity=None):
 
 def _targets(table):
     rows = table[table["claim"].fillna("") != ""]
-    columns = rows.assign(value=format_intervals(rows))[
+    columns = rows.assign(value=_format_ratios(rows))[
         ["world", "contestant", "quantity", "value", "claim", "verdict"]
     ]
     heads = ["world", "contestant", "quantity", "ratio [95 % interval]", "claim", "verdict"]
@@ -275,6 +290,7 @@ def _targets(table):
 
 _RESULTS = {  # {result: (its tables, the function that writes it)}
     "summary": (["table_scenario_a", "table_scenario_b"], _summary),
+    "inverse": (["inverse_statements"], _inverse),
     "settling": (["table_scenario_a"], _means("weight", "settling time [s]", "settling time [s]")),
     "verdicts": (["claims"], _verdicts),
     "failed": (["claims"], _failed),
@@ -289,7 +305,7 @@ _RESULTS = {  # {result: (its tables, the function that writes it)}
         _by_world("contestant", "mean true error [m]", "mean true error [m]"),
     ),
     "targets": (["table_beyond"], _targets),
-    "worth": (["table_worth"], _by_world("quantity", "part of the loop")),
+    "worth": (["table_worth"], _by_world("quantity", "part of the loop", texts=_format_ratios)),
     "consistency": (["table_consistency"], _means("estimator", "NEES, mean", "NEES")),
     "replay": (
         ["table_replay"],

@@ -188,6 +188,11 @@ def fake_tables():
         interval(31.7, weight="Q1", quantity="settling time [s]", claim=None),
         interval(3.21, "holds", weight="Q1 / Q3", quantity="settling time, ratio", claim="2 times"),
     ]
+    statement = {"statement": "all of them"}
+    for k, when in enumerate(("prior", "posterior")):
+        share = 0.0414 + 0.0301 * k
+        drives = dict(zip(("", "_low", "_high"), (share, share - 0.0107, share + 0.0119)))
+        statement |= {f"{when} drives{end}": value for end, value in drives.items()}
     verdicts = ["holds", "holds", "does not hold", "holds only as printed", "undecided"]
     claims = [
         dict(id=f"B{i}", claim=f"sentence {i}", verdict=verdict, basis=summary.TESTED)
@@ -212,6 +217,7 @@ def fake_tables():
         for name, rows in dict(
             table_scenario_a=scenario_a,
             table_scenario_b=scenario_b,
+            inverse_statements=[statement],
             claims=claims,
             claims_before=before,
             multiverse=[world],
@@ -241,6 +247,8 @@ def test_results_are_written_as_the_tables_have_them():
         "| Settling time with Q¹ over that with Q³ | | 3.21 [3.19, 3.24] | | 2 times: holds |"
         in (row.replace("| |", "| |") for row in rows)
     )
+    statement = "| all of them | 0.0414 [0.0307, 0.0533] | 0.0715 [0.0608, 0.0834] |\n"
+    assert readme["inverse"].endswith(statement)
     counts = summary.verdict_counts(fake_tables()["claims"])
     cells = [row.strip("| ").split(" | ") for row in readme["verdicts"].splitlines()[2:]]
     assert {row[0]: list(map(int, row[1:])) for row in cells} == counts.T.to_dict("list")

@@ -94,27 +94,21 @@ def test_the_line_of_python_gives_the_scenario(start):
 
 def test_own_process_noise_has_the_size_each_estimator_takes():
     values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}
+    likeliest = tuning.SIGMA_W["rhe"]["calibrated"]
     assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
-        0.001,
-        0.001,
-        0.001,
+        *likeliest[:3],
         0.5,
-        0.0033,
-        0.001,
+        *likeliest[4:],
     )
-    assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (0.001, 0.001, 0.001, 0.5)
+    assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (*likeliest[:3], 0.5)
     assert controls.scenario_of(values | {"speed_model": "input"}, "rhe", SHORT).sigma_w == (
-        0.001,
-        0.001,
-        0.001,
-        0.0033,
-        0.001,
+        *likeliest[:3],
+        *likeliest[4:],
     )
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
     assert len(controls.scenario_of(values, "yaw_drift_ekf", SHORT).sigma_w) == 7
     assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (
-        0.0033,
-        0.001,
+        *likeliest[4:],
     )
 
 

@@ -10,7 +10,7 @@ from rhec.workbench.plots.parts import log_axis
 from rhec.workbench.plots.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, GREY, ORANGE, styled
 from rhec.workbench.studies import consistency
 
-_COLOURS = {kind: COLOURS[kind] for kind in ("EKF", "RHE", "oracle")} | {"yaw-drift": ORANGE}
+_COLOURS = {"yaw-drift": ORANGE} | {kind: COLOURS[kind] for kind in ("EKF", "RHE", "oracle")}
 _SYMBOLS = {"θ": r"$\theta$", "ν": r"$\nu$", "μ": r"$\mu$", "κ": r"$\kappa$"}
 
 

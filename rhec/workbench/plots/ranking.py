@@ -5,15 +5,14 @@ import numpy as np
 
 from rhec import paper
 from rhec.workbench.plots import style
-from rhec.workbench.plots.parts import DOTS, legend_above, note, seed_range
+from rhec.workbench.plots.parts import DOTS, legend_above, legend_outside, note, seed_range
 from rhec.workbench.studies import ranking
 from rhec.workbench.studies.statistics import over_seeds
 
 _FAMILIES = {  # {beginning of a contestant's name: colour}; all others are grey
-    "yaw-drift": style.VERMILLION,
+    "yaw-drift": style.PURPLE,
     "RHE": style.COLOURS["RHE"],
     "EKF": style.COLOURS["EKF"],
-    "bounded EKF": style.BLUE,
     "traction": style.COLOURS["oracle"],
     "full oracle": style.BLACK,
 }
@@ -41,7 +40,7 @@ def ranked(sweep):
     for axes, world in zip(panels[0], worlds):
         _draw_world(axes, world, names, sweep[sweep["world"] == world], estimates)
     first = panels[0][0]
-    first.legend(loc="lower right", fontsize=5.5)
+    legend_outside(figure, first, "lower center", 2)
     first.set_yticks(range(len(names)), names)
     first.set_ylim(len(names) - 0.4, -0.6)
     for label in first.get_yticklabels():
@@ -120,7 +119,7 @@ def over_gain(rows):
         rows: Table of `rhec.workbench.studies.ranking.by_gain`.
     """
     figure, axes = plt.subplots(figsize=(style.COLUMN_IN, 3.4))
-    colours = (style.COLOURS["RHE"], style.ORANGE, style.BLUE, style.GREY)
+    colours = (style.COLOURS["RHE"], style.ORANGE, style.PURPLE, style.GREY)
     colours += (style.VERMILLION, style.COLOURS["oracle"])
     for colour, (name, of_name) in zip(colours, rows.groupby("contestant", sort=False)):
         by_weight = of_name.groupby("r")["mean_error_true_m"]
