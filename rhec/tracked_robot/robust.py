@@ -36,7 +36,7 @@ from rhec.tracked_robot.slipping import LEVER_ARM
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
 PAST = 13  # samples from which the noise of positions is estimated;
 NOISES_TO_LEARN = 3.0  # an estimate of so few counts if it is this much larger than the told one
-LARGEST_LEARNED_M = 0.3  # [m] of x and of y; more than this are outliers, or a wrong yaw
+LARGEST_LEARNED_M = 0.1  # [m] of x and of y; more than this are outliers, or a wrong yaw
 CHECKED = 6  # samples over which positions and encoders are compared
 MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth,
 MAX_BEND_NOISES = 60.0  # and its square over the noise: 4.5 standard deviations
