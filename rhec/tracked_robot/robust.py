@@ -158,7 +158,7 @@ def _check_positions(past, V, largest):
         newest_is_smooth=bends[-1] <= max_bend,
         noise=checked,
         largest=largest,
-        V=V[:2] * used / told,
+        V=V[:2] * (used / told),  # the same bits where nothing is learned
     )
 
 
@@ -247,7 +247,9 @@ def _are_encoders_inconsistent(z, before, agreement, names, may_reject):
     # Without a last measurement the change is NaN, which is no jump.
     change = ca.sumsqr((z[2:4] - before.last[2:]) / ca.DM(SIGMA_JUMP))
     jump = change > CHI2_GATE if "nu_mps" in names else 0
-    stays = ca.logic_or(jump, before.doubt * (1 - agreement.agree)) * may_reject
+    # A path of dead encoders may fit, at another scale than that of the estimated traction.
+    cleared = agreement.agree * (1 - agreement.has_other_scale)
+    stays = ca.logic_or(jump, before.doubt * (1 - cleared)) * may_reject
     return ca.logic_or(agreement.contradict, stays)
 
 
