@@ -9,8 +9,9 @@ Sec. 5.7). One Gauss-Newton step from an outlier can end at a yaw and parameters
 later step returns. Beyond the limit, therefore, all outputs of the sample count as missing, and the
 estimate is the prediction. Measured inputs are kept where they are as before.
 
-After N such samples in succession it is the estimate that is wrong. The window then restarts at its
-newest node with the variances of the first guess, and takes the next sample as it is.
+After many such samples in succession (`patience`) it is the estimate that is wrong. The window then
+restarts at its newest node with the variances of the first guess, and takes the next sample as it
+is.
 
 All of it wraps the RHE's phases from outside, as `rhec.tracked_robot.robust` does.
 """
@@ -25,12 +26,19 @@ from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 # Probability that the innovation of a good sample exceeds the limit.
 SAFEGUARD = 1e-9  # of an estimator that is not robust: outliers that would lose it, and no others
 ROBUST = 1e-3
+WINDOWS_OF_PATIENCE = 3  # a restart amid bad samples starts from one of them
+LEAST_PATIENCE = 30
 OPEN = -1.0  # in place of the number of samples rejected in succession: the next one is taken
 
 
 def limit_of(window):
     """The largest d of a sample that is used."""
     return float(chi2.isf(window.gate, max(len(window.interval.outputs), 1)))
+
+
+def patience(window):
+    """Number of samples rejected in succession after which the window restarts."""
+    return max(LEAST_PATIENCE, WINDOWS_OF_PATIENCE * window.N)
 
 
 def _build_gate(window, predict_input):
@@ -42,7 +50,12 @@ def _build_gate(window, predict_input):
     one = (1, 1)
 
     @casadi_function(
-        "gate", ca.SX, **window.prediction, **window.noise, s_N=(interval.n_s, 1), z_N=z_N,
+        "gate",
+        ca.SX,
+        **window.prediction,
+        **window.noise,
+        s_N=(interval.n_s, 1),
+        z_N=z_N,
         rejected=one,
     )
     def gate(B_N, v_N, m_N, P_N, s_N, z_N, rejected, **noise):
@@ -84,11 +97,9 @@ def _wrap_expand(window, expand_of_rhe, kind):
     z_used = (len(window.model.outputs), 1)
     one = (1, 1)
 
-    @casadi_function(
-        "gated_expand", kind, **shapes, z_used=z_used, solved=one, rejected_after=one
-    )
+    @casadi_function("gated_expand", kind, **shapes, z_used=z_used, solved=one, rejected_after=one)
     def expand(z_used, solved, rejected_after, **inputs):
-        keeps = solved * (rejected_after < window.N)
+        keeps = solved * (rejected_after < patience(window))
         values = inputs | dict(z_N=z_used, ok=keeps)
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         rejected = ca.if_else(keeps, rejected_after, OPEN)

@@ -545,8 +545,8 @@ class RHE(RealTimeLoop):
             "filtered", from the EKF update. On a linear model the latter is the Kalman filter.
         robust: Whether a sample that lies outside its prediction as one in a thousand good ones
             does counts as missing (innovation gating). Otherwise only one in a billion does, and
-            the estimator is least squares for all others. In both cases `ok` is False then, and N
-            of them in succession restart the window.
+            the estimator is least squares for all others. In both cases `ok` is False then, and 30
+            of them in succession, or three windows, restart the window.
 
     Raises:
         ValueError: If an argument is invalid.
