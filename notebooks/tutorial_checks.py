@@ -20,8 +20,8 @@ from rhec.tracked_robot.path import advance
 from rhec.tracked_robot.terrain import Terrain
 
 SEEDS = range(100, 110)  # neither the tutorial nor calibration uses these
-SETTLED_S = 15.0
-OVERSHOOT_M = 0.1
+SETTLED_S = 13.0
+OVERSHOOT_M = 0.08
 DRY = (0.9, 0.8)
 WET = (0.6, 0.5)
 STRIP_M = (20.0, 25.0)  # the wet strip of the terrain exercise: from x to x

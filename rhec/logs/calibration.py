@@ -185,7 +185,7 @@ def _build_filter(outlier, names):
         z = ca.vertcat(z_N[:2] + ca.if_else(age_s > 0, since, 0), z_N[2:n_z])
         m = ca.if_else(started, F, m)
         P = ca.if_else(started, P_predicted, P)
-        m, P, _, _, deviance = kalman.update(m, P, z, V, others, m)
+        m, P, _, _, deviance, _ = kalman.update(m, P, z, V, others, m)
         # Distance of the position from the predicted one, in units of OUTLIER standard deviations.
         y = z[:2] - m[:2]
         S = P[:2, :2] + ca.diag(V[:2])
@@ -194,7 +194,7 @@ def _build_filter(outlier, names):
         loss = outlier**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
         # Huber's loss gives an outlier the weight of a measurement with this larger variance.
         V = V * ca.fmax(far, 1) ** 2
-        m, P, _, _, _ = kalman.update(m, P, z, V, place, m)
+        m, P, *_ = kalman.update(m, P, z, V, place, m)
         loss = ca.if_else(is_used, loss, 0) + deviance
         recorded = dict(estimate=m, variances=ca.diag(P), loss=loss)
         return recorded | dict(m=m, P=P, v=v, started=1)

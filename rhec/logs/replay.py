@@ -562,7 +562,8 @@ def replay(
             measured input is the mean since the previous row. `rhec.logs.recording` describes the
             treatment of faults of real logs.
         estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf",
-            "yaw_drift_rhe" or a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
+            "yaw_drift_rhe", "map_ekf" (without a map) or a CasADi Function, as in Scenario. With a
+            model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
             sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
@@ -582,8 +583,8 @@ def replay(
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
             speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
             default speed_model is "slipping": "input" (interpretation R13) with noise that grows
-            with the motion. With "slipping" the estimator "rhe" is robust unless robust is False,
-            and uses the gyro and the heading of the log unless sensors says otherwise. Without a
+            with the motion. With "slipping" the estimator "rhe"
+            uses the gyro and the heading of the log unless sensors says otherwise. Without a
             sigma_v the noise of the positions is asked of the log.
 
     Returns:
@@ -702,7 +703,7 @@ def replay_scenario(estimator, recording, fields):
         # Unlike the paper's smoothed mean, the filtered one counts each measurement once.
         is_rhe = estimator == "rhe"
         present = recording.sensors if is_rhe else ()
-        fields = dict(arrival_mean="filtered", robust=is_rhe, sensors=present) | fields
+        fields = dict(arrival_mean="filtered", sensors=present) | fields
         if fields.get("sigma_v") is None:
             fields["sigma_v"] = _sigma_v_of_log(recording)
     _refuse_missing_sensors(fields.get("sensors", ()), recording)

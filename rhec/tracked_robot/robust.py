@@ -36,16 +36,18 @@ from rhec.tracked_robot.slipping import LEVER_ARM
 CHI2_GATE = 13.8  # two degrees of freedom: exceeded once in a thousand good innovations
 PAST = 13  # samples from which the noise of positions is estimated;
 NOISES_TO_LEARN = 3.0  # an estimate of so few counts if it is this much larger than the told one
+LARGEST_LEARNED_M = 0.1  # [m] of x and of y; more than this are outliers, or a wrong yaw
 CHECKED = 6  # samples over which positions and encoders are compared
 MAX_BEND_M = 0.25  # [m] second difference of positions beyond which they are not smooth,
 MAX_BEND_NOISES = 60.0  # and its square over the noise: 4.5 standard deviations
 DEAD_RECKONING = 0.06  # error of dead reckoning per distance since the last accepted position
 LATE_S = 0.15  # [s] how far positions and encoders may be out of step
 TRACTION = (0.4, 1.1)  # range of the distance by positions over that by encoders
+MAX_OTHER_SCALE = 0.2  # between that ratio and the estimated traction
 LEAST_KAPPA = 0.3
 NOISES_APART = 2.5  # tolerated mean square distance of the two paths, over the noise's
 SHARE_APART = 0.15  # tolerated rms distance of the two paths, over their size
-SIGMA_BY_POSITIONS = (0.15, 0.4)  # of (ν, ω) [m/s, rad/s] that replace inconsistent encoders
+SIGMA_BY_POSITIONS = (0.15, 1.0)  # of (ν, ω) [m/s, rad/s] that replace inconsistent encoders
 SIGMA_JUMP = (0.1, 0.3)  # of the change of (ν, ω) [m/s, rad/s] in one sample
 LEAST_WAY_NOISES = 14.0  # square of a way over the noise: once in a thousand of a standing robot
 MIN_COURSE_M = 0.1  # [m] rms size of a path below which it does not determine the yaw
@@ -146,7 +148,8 @@ def _check_positions(past, V, largest):
     # A noise that is known too low would find fault with the encoders: it is forgotten slowly.
     largest = ca.fmin(ca.fmax(noise, FORGETTING * largest), 4 * _MAX_CHECKED_NOISE)
     checked = ca.fmax(ca.fmax(told, noise), largest)
-    used = ca.if_else(noise > NOISES_TO_LEARN * told, noise, told)
+    learned = ca.fmax(ca.fmin(noise, 2 * LARGEST_LEARNED_M**2), told)
+    used = ca.if_else(noise > NOISES_TO_LEARN * told, learned, told)
     max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * checked)
     are_dense = ca.mmin(_is_number(bends[1 - CHECKED :]))
     return _Positions(
@@ -155,7 +158,7 @@ def _check_positions(past, V, largest):
         newest_is_smooth=bends[-1] <= max_bend,
         noise=checked,
         largest=largest,
-        V=V[:2] * used / told,
+        V=V[:2] * (used / told),  # the same bits where nothing is learned
     )
 
 
@@ -180,6 +183,7 @@ class _Agreement(NamedTuple):
 
     agree: ca.SX  # 1 where it does; never where the positions are not smooth
     contradict: ca.SX  # 1 where it does not, though the positions are smooth
+    has_other_scale: ca.SX  # 1 where they agree with another traction than the estimated one
     yaw: ca.SX  # [rad] by which the path is turned: the yaw that the positions show
     has_course: ca.SX  # 1 where the path is long enough to determine the yaw
 
@@ -191,15 +195,19 @@ def _check_agreement(path, positions, m, names, dt_s):
     if set(GYRO) <= set(names):
         kappa = 1  # the path has the yaw rates over ground
     driven = _dead_reckoned(path, arm, kappa, dt_s)
-    yaw, apart, size, size_driven = _registration(path[:2, :], driven)
+    yaw, mu, apart, size, size_driven = _registration(path[:2, :], driven)
     speed = ca.sumsqr(driven[:, 1:] - driven[:, :-1]) / (CHECKED * dt_s**2)
     tolerance = NOISES_APART * positions.noise + SHARE_APART**2 * size + (2 * LATE_S) ** 2 * speed
     fits = apart <= tolerance  # 0 where `apart` is NaN
+    agree = positions.are_smooth * fits
+    has_course = size_driven > ca.fmax(MIN_COURSE_M**2, MIN_COURSE_NOISES * positions.noise)
+    is_apart = ca.fabs(mu - m[names.index("mu")]) > MAX_OTHER_SCALE
     return _Agreement(
-        agree=positions.are_smooth * fits,
+        agree=agree,
         contradict=positions.can_check * positions.are_smooth * _is_number(apart) * (1 - fits),
+        has_other_scale=agree * has_course * positions.can_check * is_apart,
         yaw=yaw,
-        has_course=size_driven > ca.fmax(MIN_COURSE_M**2, MIN_COURSE_NOISES * positions.noise),
+        has_course=has_course,
     )
 
 
@@ -221,8 +229,8 @@ def _dead_reckoned(past, arm, kappa, dt_s):
 def _registration(q, e):
     """Turn and scale the path e (2, n) for the best fit with the positions q (2, n), both centred.
 
-    The results are the angle of the turn [rad], the mean square distance that is left, and the mean
-    squares of q and e, all [m²].
+    The results are the angle of the turn [rad], the scale, the mean square distance that is left,
+    and the mean squares of q and e, all [m²].
     """
     q, e = (path - ca.repmat(ca.sum2(path) / path.size2(), 1, path.size2()) for path in (q, e))
     dot = ca.sum2(ca.sum1(q * e))
@@ -231,7 +239,7 @@ def _registration(q, e):
     sizes = (ca.sumsqr(q), ca.sumsqr(e))
     mu = ca.fmin(ca.fmax(fit / ca.fmax(sizes[1], 1e-9), TRACTION[0]), TRACTION[1])
     apart = sizes[0] - 2 * mu * fit + mu**2 * sizes[1]
-    return ca.atan2(cross, dot), *(square / q.size2() for square in (apart, *sizes))
+    return ca.atan2(cross, dot), mu, *(square / q.size2() for square in (apart, *sizes))
 
 
 def _are_encoders_inconsistent(z, before, agreement, names, may_reject):
@@ -239,7 +247,9 @@ def _are_encoders_inconsistent(z, before, agreement, names, may_reject):
     # Without a last measurement the change is NaN, which is no jump.
     change = ca.sumsqr((z[2:4] - before.last[2:]) / ca.DM(SIGMA_JUMP))
     jump = change > CHI2_GATE if "nu_mps" in names else 0
-    stays = ca.logic_or(jump, before.doubt * (1 - agreement.agree)) * may_reject
+    # A path of dead encoders may fit, at another scale than that of the estimated traction.
+    cleared = agreement.agree * (1 - agreement.has_other_scale)
+    stays = ca.logic_or(jump, before.doubt * (1 - cleared)) * may_reject
     return ca.logic_or(agreement.contradict, stays)
 
 
@@ -350,8 +360,9 @@ def _is_usable(z, sample, positions, agreement, before, m, P, dt_s):
     within_reach = _is_within_reach(y, step, P, positions.V, before.unseen * dt_s)
     probable = ca.if_else(positions.can_check, probable, ca.logic_or(probable, within_reach))
     was_accepted = before.unseen[0] == before.unseen[1]
-    # Smooth positions that contradict the encoders are the better ones.
-    follows = ca.logic_or(agreement.contradict, was_accepted * positions.newest_is_smooth)
+    # Smooth positions that contradict the encoders, or their scale, are the better ones.
+    better = ca.logic_or(agreement.contradict, agreement.has_other_scale)
+    follows = ca.logic_or(better, was_accepted * positions.newest_is_smooth)
     return ca.logic_or(probable, follows)
 
 

@@ -54,7 +54,7 @@ FIRST = Statistics(0.06, 0.06, 5.0, 0.5)
 # By choice: two thirds of all soils have an s and an ℓ within a factor of 2 of the first ones.
 _SIGMA_LOG = np.log(2)
 # Lowest and highest values of the search.
-_RANGES = ((3e-3, 0.3), (3e-3, 0.3), (1.0, 30.0), (0.0, 1.5))
+_RANGES = ((3e-3, 0.3), (3e-3, 0.3), (1.0, 30.0), (0.0, 1.0))
 
 
 def merged(evidences):

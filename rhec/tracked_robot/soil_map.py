@@ -30,7 +30,7 @@ _OTHERS = ("origin_m", "cell_m", "length_m", "constant_yaw", "statistics")
 _LEAST_SIGMA = dict(mu=0.005, kappa=0.01, yaw=0.002)
 # A robot without a map. With so long a correlation the traction is a random walk; per sample it has
 # the noise that is the likeliest for the bounded EKF (`tuning`), and (last) for its drift in yaw.
-# The length is such that even the smallest noise there, 0.001, allows any traction: σ > 0.3.
+# The length lets even the smallest noise there, 0.001, reach traction of any value: σ > 0.3.
 _UNKNOWN_LENGTH_M = 20_000.0
 _WALK = (*tuning.SIGMA_W["bounded_ekf"]["calibrated"][4:], 1e-4)
 

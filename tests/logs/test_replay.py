@@ -588,7 +588,7 @@ def test_faults_reach_the_measurements_and_gating_bounds_the_error():
     outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
     clean, off, on = (
         scores.perturbed_replay(LOG, 0, **arguments)
-        for arguments in ({}, dict(faults=outliers, robust=False), dict(faults=outliers))
+        for arguments in ({}, dict(faults=outliers), dict(faults=outliers, robust=True))
     )
     hit = clean["t_s"].between(30.0, 32.9)
     np.testing.assert_allclose(

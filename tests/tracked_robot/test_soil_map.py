@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import optimize, stats
 
@@ -340,3 +341,13 @@ def test_what_is_no_run_or_no_map_is_refused(known):
         rhec.Scenario(estimator="map_ekf", soil_map=GRID)
     with pytest.raises(ValueError, match="only 'map_ekf' uses a map"):
         rhec.Scenario(soil_map=known)
+
+
+def test_a_map_is_neither_exported_nor_replayed(tmp_path, drive, known):
+    """The exported controller does not cancel its yaw drift, and a replay takes no map."""
+    with pytest.raises(ValueError, match="estimator was 'map_ekf', whose yaw drift"):
+        rhec.export(rhec.Scenario(estimator="map_ekf", soil_map=known), tmp_path / "robot")
+    log = pd.DataFrame(drive.columns)
+    with pytest.raises(ValueError, match="replay has no parameter 'soil_map'"):
+        rhec.replay(log, estimator="map_ekf", soil_map=known)
+    assert rhec.replay(log, estimator="map_ekf")["x_hat_m"].notna().any()

@@ -126,8 +126,8 @@ def test_any_right_interval_is_accepted():
 @pytest.mark.parametrize(
     "q, said",
     [
-        (paper.Q1, "too slow"),
-        (paper.Q2, "too"),
+        (paper.Q1, "never settles"),
+        (paper.Q2, "too far"),
         (paper.Q3, "too slow"),
         ((0.0, 0.0, 1.0), "never settles"),
         ((1.0, 1.0), "raised ValueError"),

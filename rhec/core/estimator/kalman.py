@@ -11,8 +11,8 @@ import casadi as ca
 from rhec.core.solver.gauss_newton import symmetric
 
 # The corrected mean m (n,) and covariance P (n, n), gains K (n, n_outputs), weighted innovations
-# e = y / S (n_outputs,), and the deviance, -2 log likelihood of z up to a constant.
-Update = namedtuple("Update", "m P K e deviance")
+# e = y / S (n_outputs,), the deviance, -2 log likelihood of z up to a constant, and its part y²/S.
+Update = namedtuple("Update", "m P K e deviance distance")
 
 
 def update(m, P, z, V, outputs, s_bar):
@@ -27,11 +27,13 @@ def update(m, P, z, V, outputs, s_bar):
         P⁺ = P - K H P
 
     The measurements z (n_z,) are NaN where there is none. Outputs that are not affine are
-    linearised at s_bar (n,). The deviance is Σ y²/S + log S.
+    linearised at s_bar (n,). The deviance is Σ y²/S + log S, the
+    distance Σ y²/S.
     """
     gains = []
     weighted = []
     deviance = 0
+    distance = ca.SX(0)
     for output in outputs:
         used = output.is_valid(z)
         H = output.H(s_bar)
@@ -45,4 +47,5 @@ def update(m, P, z, V, outputs, s_bar):
         gains.append(K)
         weighted.append(y * weight)
         deviance += ca.if_else(used, y**2 / S + ca.log(S), 0)
-    return Update(m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance)
+        distance += y**2 * weight
+    return Update(m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance, distance)

@@ -23,7 +23,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
-from rhec.core.estimator import kalman
+from rhec.core.estimator import innovation_gate, kalman
 from rhec.core.estimator.base import Estimate, joint_estimate, joint_guess, noise_of
 from rhec.core.model import base
 from rhec.core.model.base import Model
@@ -65,6 +65,7 @@ class Window(NamedTuple):
     N: int  # intervals of the window
     arrival_mean: ArrivalMean = "smoothed"
     weighted: bool = False  # whether the variances V of the measurements differ by node
+    gate: float | None = None  # share of good samples to reject (`innovation_gate`); None: no gate
 
     @property
     def interval(self):
@@ -87,7 +88,8 @@ class Window(NamedTuple):
         """Shapes of the Memory, by name."""
         s, P, v, z, *_ = self.shapes
         N = self.N
-        return dict(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1), age=(1, 1), m=s, P=P)
+        memory = dict(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1), age=(1, 1), m=s, P=P)
+        return memory | dict(rejected=(1, 1)) if self.gate else memory
 
     @property
     def noise(self):
@@ -197,7 +199,7 @@ def _build_linearise(window, loops):
         """One node: the input before it, its measurement, then the interval after it."""
         B, v_before, m, P = before.values()
         m, P = predict_input(window, B, m, P, v_before, z, **noise)
-        m, P, K, e, _ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
+        m, P, K, e, *_ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
         F, D, B = interval.linearised(s, v, dt_s)
         A = interval.A_0 + D
         # The input of the interval is uncertain, too; `predict_input` of the next node adds that.
@@ -237,7 +239,7 @@ def _build_update_newest(window):
         """Kalman update by z_N, and the QP  min ½ (θ - θ̂)' H (θ - θ̂) with H = (C P C')⁻¹."""
         B, v, m, P = prediction.values()
         m, P = predict_input(window, B, m, P, v, z_N, **noise)
-        m, P, K, e, deviance = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
+        m, P, K, e, deviance, _ = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
         P_theta = C @ P @ C.T
         if n_theta == 2:
             H = ca.inv_minor(P_theta)
@@ -477,12 +479,15 @@ def build_phases(window, quantities=None):
     and parameters, as estimated.
     """
     loops = compiled.loop_symbols()
-    shift = _build_shift(window)
-    linearise = _build_linearise(window, loops)
-    feedback = _build_feedback(window, quantities, loops)
-    expand = _build_expand(window, linearise, feedback, loops)
-    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     kind = loops if len(window.interval.bounds) <= 2 else ca.MX
+    plain = window._replace(gate=None)
+    shift = _build_shift(plain)
+    linearise = _build_linearise(plain, loops)
+    feedback = _build_feedback(plain, quantities, loops)
+    expand = _build_expand(plain, linearise, feedback, loops)
+    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+    if window.gate:
+        phases = innovation_gate.gated(window, phases, predict_input, kind)
     return phases | dict(step=compose("rhe_step", phases, window.memory, kind))
 
 
@@ -517,7 +522,8 @@ def init(window, guess, sigma, inputs=0.0):
     s = np.full((N + 1, window.interval.n_s), guess).T
     v = np.full((N, window.interval.n_v), inputs).T
     z = np.full((len(window.model.outputs), N + 1), np.nan)
-    return dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
+    memory = dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
+    return memory | dict(rejected=innovation_gate.OPEN) if window.gate else memory
 
 
 class RHE(RealTimeLoop):
@@ -537,6 +543,10 @@ class RHE(RealTimeLoop):
         sigma_guess: Standard deviations of the guess.
         arrival_mean: Prior mean of the oldest node: "smoothed", from the previous solution, or
             "filtered", from the EKF update. On a linear model the latter is the Kalman filter.
+        robust: Whether a sample that lies outside its prediction as one in a thousand good ones
+            does counts as missing (innovation gating). Otherwise only one in a billion does, and
+            the estimator is least squares for all others. In both cases `ok` is False then, and 30
+            of them in succession, or three windows, restart the window.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -558,13 +568,15 @@ class RHE(RealTimeLoop):
         guess: valid.Reals,
         sigma_guess: valid.Positives,
         arrival_mean: ArrivalMean = "smoothed",
+        robust: valid.Flag = False,
     ):
         if not model.inputs:
             raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
-        self.window = Window(model, dt, horizon, arrival_mean)
+        gate = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
+        self.window = Window(model, dt, horizon, arrival_mean, gate=gate)
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
         self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)

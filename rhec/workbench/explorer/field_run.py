@@ -101,7 +101,7 @@ def _traction_limits(columns, name):
     """Limits for μ or κ: a round number below nearly all values, and 1."""
     values = _finite(columns, name, f"{name}_hat")
     low = np.quantile(values, 0.01) if len(values) else 0.0
-    return next((floor for floor in (0.6, 0.4, 0.2) if low > floor), 0.0) - 0.01, 1.02
+    return next((floor for floor in (0.8, 0.6, 0.4, 0.2) if low > floor), 0.0) - 0.01, 1.02
 
 
 def _kkt_limits(columns):

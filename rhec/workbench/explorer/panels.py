@@ -15,7 +15,7 @@ from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, styled
 _PX = 4 / 3  # one point [px]
 # CSS variables that adapt to dark pages.
 _PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}
-_WET = LinearSegmentedColormap.from_list("wet", [(0.47, 0.27, 0.08, 1), (0.47, 0.27, 0.08, 0)])
+_WET = LinearSegmentedColormap.from_list("wet", [(0.47, 0.27, 0.08, 0), (0.47, 0.27, 0.08, 1)])
 
 
 class Mark(NamedTuple):
@@ -85,8 +85,9 @@ def _draw(axes, mark, height):
     if mark.kind == "soil":
         half = (mark.x[1] - mark.x[0]) / 2
         extent = (mark.x[0] - half, mark.x[-1] + half, mark.y[0] - half, mark.y[-1] + half)
-        look = dict(origin="lower", interpolation="bilinear", cmap=_WET, vmin=0.36, vmax=1)
-        axes.imshow(mark.traction.T, extent=extent, zorder=height, **look)
+        look = dict(origin="lower", interpolation="bilinear", cmap=_WET, vmin=0, vmax=0.91)
+        # As in plot.js: the root shows small differences on firm soil, too.
+        axes.imshow(np.sqrt(1 - mark.traction.T), extent=extent, zorder=height, **look)
     elif mark.kind == "area":
         look = dict(color=mark.colour, alpha=mark.alpha, linewidth=0)
         axes.fill(mark.x, mark.y, zorder=height, **look)

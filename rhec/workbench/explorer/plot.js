@@ -63,10 +63,11 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     for (let k = 0; k < n; k++)
       c.beginPath(), c.arc(this.x(x(k)), this.y(y(k)), radius, 0, 7), full ? c.fill() : c.stroke();
   }
-  soil([wide, high], [x, y], cell_m, traction) { // brown where it slips, a dot a cell
+  // Brown where it slips, a dot a cell. The root shows small differences on firm soil, too.
+  soil([wide, high], [x, y], cell_m, traction) {
     const wet = this.colour("--wet").split(",").map(Number), image = new ImageData(wide, high);
     for (let j = high - 1, at = 0; j >= 0; j--) for (let i = 0; i < wide; i++, at += 4)
-      image.data.set(wet, at), image.data[at + 3] = 400 * (1 - traction(i, j));
+      image.data.set(wet, at), image.data[at + 3] = 280 * Math.sqrt(1 - traction(i, j));
     const picture = new OffscreenCanvas(wide, high);
     picture.getContext("2d").putImageData(image, 0, 0);
     const [left, right] = [-0.5, wide - 0.5].map(i => this.x(x + i * cell_m));

@@ -14,8 +14,9 @@ const failed = error => {
 // The process noise W of an estimator: printed, calibrated, or the sliders'.
 function sigma_w_of({ sigma_w }) {
   const own = page.values.sigma_w; // of (x, y, θ, ν, μ, κ)
-  // Dual estimation has ten: the RHE's six, then the EKF's four.
-  return sigma_w[$("noise").value] ?? [...own, ...own.slice(0, 4)].slice(0, sigma_w.printed.length);
+  // The yaw drift has no slider.
+  const all = [...own, ...sigma_w.calibrated.slice(own.length)];
+  return sigma_w[$("noise").value] ?? all.slice(0, sigma_w.printed.length);
 }
 
 async function drive() {

@@ -18,6 +18,7 @@ from rhec.workbench.studies.scenario_tables import REPORTED, over_fields, share_
 
 # Dark where the soil slips; grey, so that coloured trajectories stand out.
 _TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
+_TRACTION_STEP = 0.05
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _KKT = {"RHE": "RHE", "RHC": "oracle"}
@@ -68,14 +69,20 @@ def _time_axis(axes, log):
 
 
 def _field(axes, terrain, values):
-    """Draw a slip field as a map, with the same colours in all figures; return the image."""
+    """Draw a slip field as a map, with the same colours for μ and κ; return the image."""
     left, bottom = np.subtract(terrain.origin_m, terrain.cell_m / 2)
     width, height = np.array(values.shape) * terrain.cell_m
     extent = (left, left + width, bottom, bottom + height)
     axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
     axes.grid(visible=False)
-    look = dict(origin="lower", interpolation="bilinear", cmap=_TRACTION, vmin=0.5, vmax=1)
-    return axes.imshow(values.T, extent=extent, **look)
+    look = dict(origin="lower", interpolation="bilinear", cmap=_TRACTION, vmax=1)
+    return axes.imshow(values.T, extent=extent, vmin=_darkest(terrain), **look)
+
+
+def _darkest(terrain):
+    """The traction at the dark end of the maps: nearly all of the soil is lighter."""
+    least = np.quantile([terrain.mu, terrain.kappa], 0.01)
+    return np.floor(least / _TRACTION_STEP) * _TRACTION_STEP
 
 
 def _reference(axes, path, up_to_m=None):
@@ -176,7 +183,7 @@ def slip_fields(terrain, path, title):
     for axes, values, name in zip(both, (terrain.mu, terrain.kappa), (r"$\mu$", r"$\kappa$")):
         image = _field(axes, terrain, values)
         _reference(axes, path)
-        axes.set_title(f"{name}: mean {values.mean():.2f}, deviation {values.std():.2f}")
+        axes.set_title(f"{name}: mean {values.mean():.3f}, deviation {values.std():.3f}")
     both[1].set_ylabel("")
     figure.colorbar(image, ax=both, label=r"traction $\mu$, $\kappa$ [-]", **_TRACTION_BAR)
     figure.suptitle(title, fontsize=8)
@@ -355,10 +362,11 @@ def estimates(drives):
     widths = (5, 1) * len(drives)
     grid = dict(sharey="row", squeeze=False, width_ratios=widths)
     figure, rows = plt.subplots(4, 2 * len(drives), figsize=size, **grid)
+    least = _least_mu(drives)
     for time, beside, runs in zip(rows.T[::2], rows.T[1::2], drives.values()):
         _yaw(time[0], runs[0].log)
         _one_estimate(time[1:], runs[0])
-        _many_estimates(beside, runs)
+        _many_estimates(beside, runs, least)
         time[0].set_title(f"{_title(runs[0])}\nyaw")
         for axes in time[:-1]:
             axes.tick_params(labelbottom=False)
@@ -366,8 +374,8 @@ def estimates(drives):
             axes.set_xlim(0, runs[0].log["t_s"].max())
         _time_axis(time, runs[0].log)
         time[-1].set_xlabel("time [s]  (shaded: curves)")
-    labels = (r"$\theta$ [rad]", "yaw error [rad],\ncut at ± 0.3", "$\\mu$ [-],\ncut at 0.5")
-    limits = (None, (-0.3, 0.3), (0.5, 1.1), (-0.06, 1.1))
+    labels = (r"$\theta$ [rad]", "yaw error [rad],\ncut at ± 0.3", f"$\\mu$ [-],\ncut at {least:g}")
+    limits = (None, (-0.3, 0.3), (least, 1 + (1 - least) / 5), (-0.06, 1.1))
     for axes, label, limit in zip(rows[:, 0], (*labels, r"$\kappa$ [-]"), limits):
         axes.set(ylabel=label, ylim=limit)
     parts.legend_outside(figure, rows[2, 0], "lower center", 4)
@@ -398,14 +406,21 @@ def _one_estimate(panels, run):
         axes.set_title(title)
 
 
-def _many_estimates(panels, runs):
+def _least_mu(drives):
+    """A tenth below nearly all values of μ and of its estimates."""
+    runs = [run.columns for several in drives.values() for run in several]
+    values = np.concatenate([run[name] for run in runs for name in ("mu", "mu_hat")])
+    return np.floor(10 * np.quantile(values, 0.001)) / 10
+
+
+def _many_estimates(panels, runs, least_mu):
     """Draw how frequent yaw errors and values of μ and κ are in all drives."""
     settled = runs[0].columns["t_s"] > _START_S
     logs = [run.columns for run in runs]
     error = [log["theta_hat_rad"] - log["theta_rad"] for log in logs]
     for axes, estimate, truth, limits in [
         (panels[1], error, None, (-0.3, 0.3)),
-        (panels[2], [log["mu_hat"] for log in logs], "mu", (0.5, 1.0)),
+        (panels[2], [log["mu_hat"] for log in logs], "mu", (least_mu, 1.0)),
         (panels[3], [log["kappa_hat"] for log in logs], "kappa", (0.0, 1.0)),
     ]:
         parts.frequencies(axes, np.array(estimate)[:, settled], limits, COLOURS["RHE"])

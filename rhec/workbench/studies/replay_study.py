@@ -114,7 +114,7 @@ class ReplayStudy:
     calibrated: bool = False
     lever_arm_m: tuple = ()
     sigma_v: tuple = ()
-    robust: bool = True
+    robust: bool = False
     first_yaw_rad: tuple = ()
     noise_m: float = 0.02
     yaw_error_rad: float = 0.3

@@ -7,7 +7,7 @@ are means over noise seeds, which both replays share.
 
     python -m rhec.workbench.studies.robustness_grid LOG… [--seeds 5] [--told] [--without-gyro]
 
-prints the cells that are lost and writes the whole grid to figures/robustness_grid.csv. With
+prints the cells that are lost and writes the means of all cells to data/robustness_grid.csv. With
 `--told` both replays are told a noise of 0.03 m, which is wrong in most cells.
 """
 
@@ -161,7 +161,7 @@ def _main():
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--told", action="store_true")
     parser.add_argument("--without-gyro", action="store_true")
-    parser.add_argument("--out", type=Path, default=Path("figures/robustness_grid.csv"))
+    parser.add_argument("--out", type=Path, default=Path("data/robustness_grid.csv"))
     arguments = parser.parse_args()
     logs = {path.stem: read(path) for path in arguments.logs}
     fields = dict(sigma_v=paper.SIGMA_V) if arguments.told else {}
