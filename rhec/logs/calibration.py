@@ -166,7 +166,8 @@ def _build_filter(outlier, names):
     interval = base.interval(model)
     constants = model.motion_noise.constants
     n_z = len(model.outputs)
-    place, others = interval.outputs[:2], interval.outputs[2:]
+    place = interval.outputs[:2]
+    others = interval.outputs[2:]
     n_s = interval.n_s
     n_v = interval.n_v
     shapes = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))

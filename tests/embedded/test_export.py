@@ -904,7 +904,10 @@ def test_the_figure_shows_each_time():
         ]
     )
     (axes,) = embedded_times(times).axes
-    assert [text.get_text() for text in axes.texts] == ["152 of 880 µs", "1.8 of 6.8 µs"]
+    assert [text.get_text() for text in axes.texts] == [
+        "152 µs, whole step 880 µs",
+        "1.8 µs, whole step 6.8 µs",
+    ]
     assert "[µs]" in axes.get_xlabel() and axes.get_xscale() == "log"
     drawn = sorted(float(line.get_xdata()[0]) for line in axes.lines if line.get_marker() == "o")
     assert drawn == pytest.approx([1.8, 6.8, 152, 880], rel=0.01)
