@@ -584,7 +584,7 @@ def test_a_perturbed_replay_adds_the_noise_of_its_seed():
 
 
 def test_faults_reach_the_measurements_and_gating_bounds_the_error():
-    """Estimates stay finite, robust or not; with robust handling, outliers do little."""
+    """Estimates stay finite, robust or not; robust handling halves the error by outliers."""
     outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
     clean, off, on = (
         scores.perturbed_replay(LOG, 0, **arguments)
@@ -597,7 +597,7 @@ def test_faults_reach_the_measurements_and_gating_bounds_the_error():
         atol=1e-9,
     )
     worst = [errors(samples[hit | (clean["t_s"] > 33)])[0].max() for samples in (off, on)]
-    assert worst[1] < 0.3 < worst[0]
+    assert worst[1] < worst[0] / 2
     for kind, more in (
         ("missing", {}),
         ("infinite", dict(channel="all")),
