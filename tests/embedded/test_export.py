@@ -39,7 +39,8 @@ SECONDS = 20.0
 TOLERANCE = 1e-9
 ANSWERS = [name for name in LOG if name not in MEASUREMENTS]
 RESTARTED = toolchain.STATUS["estimator_restarted"], toolchain.STATUS["controller_restarted"]
-QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS]
+# Without optimising, frames are larger than the limit, which is for an export as it is meant to be.
+QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS if "frame" not in flag]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 needs_valgrind = pytest.mark.skipif(not shutil.which("valgrind"), reason="there is no valgrind")
 ON = {"this machine": toolchain.this_machine, "Arm": toolchain.arm}
