@@ -116,7 +116,9 @@ class PaperRHE(rhe.RHE):
         arrival_mean = arrival_mean or tuning.ARRIVAL_MEAN[process_noise]
         sigma_v = sigma_v or tuning.SIGMA_V[process_noise]
         sensors = tuple(name for name in OUTPUTS if name in sensors)
-        self._choice = Choice("rhe", horizon, speed_model, arrival_mean, robust, dt, sensors)
+        self._choice = Choice(
+            "rhe", horizon, speed_model, arrival_mean, robust, dt, sensors=sensors
+        )
         self._estimator = estimators.estimator_of("rhe", robust)
         self._guess = guess
         self._tuning = process_noise

@@ -690,7 +690,7 @@ def test_a_models_estimates_are_at_each_rows_own_time(rate_hz, estimator):
         ),
         (dict(track_width_m=0.4), "^track_width_m was 0.4; a replay with a model does not take it"),
         (dict(guess=(0.0,)), "^guess was"),
-        (dict(robust=True), "has no parameter 'robust'"),
+        (dict(speed_model="input"), "has no parameter 'speed_model'|^speed_model was"),
         (dict(log=circle(2.0).drop(columns="speed_mps")), "^the log had no column speed_mps"),
         (dict(log=circle(1.0)), "^the log had rows 1 s apart .*at most 0.5 s"),
         (dict(model="unicycle"), "^model was 'unicycle'"),

@@ -17,7 +17,6 @@ All of it wraps the RHE's phases from outside, as `rhec.tracked_robot.robust` do
 """
 
 import casadi as ca
-from scipy.stats import chi2
 
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.estimator import kalman
@@ -33,6 +32,8 @@ OPEN = -1.0  # in place of the number of samples rejected in succession: the nex
 
 def limit_of(window):
     """The largest d of a sample that is used."""
+    from scipy.stats import chi2  # takes long to load, and importing the core should not
+
     return float(chi2.isf(window.gate, max(len(window.interval.outputs), 1)))
 
 
