@@ -118,7 +118,7 @@ def _spread(table, value):
         table[value] += table["verdict"].map(lambda verdict: f": {verdict}" if verdict else "")
     variant = [*table.columns[: table.columns.get_loc("quantity")]]
     name = ", ".join(variant)
-    table[name] = table[variant].agg(", ".join, axis=1)
+    table[name] = table[variant].astype(str).agg(", ".join, axis=1)
     order = {key: table[key].unique() for key in (name, "quantity")}
     rows, columns = sorted(order, key=lambda key: -len(order[key]))
     wide = table.pivot(index=rows, columns=columns, values=value)
