@@ -50,6 +50,13 @@ SIGMA_W = {
     "map_ekf": _not_the_papers((0.001, 0.001, 0.0051, 0.001)),
     "yaw_drift_rhe": _not_the_papers((0.001,) * 7),
 }
+# Likewise by likelihood, but on soil that slips more, that of the former world
+# (`rhec.simulation.worlds`). For recorded robots, whose soil slips as much.
+SIGMA_W_FORMER = {
+    "rhe": (0.001, 0.001, 0.001, 0.001, 0.0033, 0.001),
+    "ekf": (0.017, 0.017, 0.013, 0.001),
+    "augmented_ekf": (0.001, 0.001, 0.0051, 0.001, 0.0059, 0.0049),
+}
 # Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise
 # only through its inputs, so the consistent σ_ω includes all turning that no encoder measures.
 SIGMA_V = dict(

@@ -26,6 +26,7 @@ from scipy import stats
 from rhec import paper
 from rhec.simulation.campaigns import store
 from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import tuning
 from rhec.workbench.studies import abc_regression
 from rhec.workbench.studies.claims import run_sets
 
@@ -95,11 +96,6 @@ _DISCRETE = ("command_delay",)
 
 W_RHE = ("printed", "calibrated", "consistent")
 W_EKF = ("printed", "calibrated")
-# The likeliest W of the former world. The one of the default world is no choice here, because that
-# world is itself the posterior's centre.
-_CALIBRATED = dict(
-    rhe=(0.001, 0.001, 0.001, 0.001, 0.0033, 0.001), ekf=(0.017, 0.017, 0.013, 0.001)
-)
 
 
 class Statement(NamedTuple):
@@ -202,9 +198,13 @@ def fields_of(world):
 
 
 def _with_w(estimator, w):
-    """The fields of Scenario that give an estimator one of its process noises W."""
+    """The fields of Scenario that give an estimator one of its process noises W.
+
+    "calibrated" is the one of the former world. That of the default world is no choice here,
+    because that world is itself the posterior's centre.
+    """
     if w == "calibrated":
-        return dict(estimator=estimator, sigma_w=_CALIBRATED[estimator])
+        return dict(estimator=estimator, sigma_w=tuning.SIGMA_W_FORMER[estimator])
     return dict(estimator=estimator, process_noise=w)
 
 
