@@ -284,6 +284,7 @@ def test_an_imu_gives_the_yaw_rate_about_the_vertical(tmp_path, up, named):
     messages = []
     for stamp, rate in zip(times.tolist(), rates):
         messages.append(("/odom", "nav_msgs/msg/Odometry", stamp, odometry(0, 0, 0.5, 0.1)))
+        messages.append(("/pose", "geometry_msgs/msg/PoseStamped", stamp, pose_stamped(0, 0)))
         tilted = imu(np.multiply(rate, up), np.multiply(9.81, up))
         messages.append(("/imu", "sensor_msgs/msg/Imu", stamp, tilted))
     log = rhec.logs.read(write_bag(tmp_path, "mcap", messages))

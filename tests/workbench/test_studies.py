@@ -21,8 +21,10 @@ def study():
 
 
 def test_a_study_replays_its_log_as_the_public_function_does(study):
-    assert study.rhe == dict(robust=True, track_width_m=None, position_delay_s=0.0, trust_log=False)
-    expected = rhec.replay(rhec.logs.read(LOG), first_yaw_rad=0.1, robust=True)
+    assert study.rhe == dict(
+        robust=False, track_width_m=None, position_delay_s=0.0, trust_log=False
+    )
+    expected = rhec.replay(rhec.logs.read(LOG), first_yaw_rad=0.1, smooth=True)
     pd.testing.assert_frame_equal(study.estimates, expected)
 
 
@@ -80,6 +82,7 @@ def test_the_ledger_is_shown_in_parts():
     row = dict(id="A1", claim="…", test="…", paper=1.0, value=2.0, low=1.5, high=2.5, n=9)
     row |= dict(section="…", bound="> 1", unit="m", conditions="…", reached="…", why="…")
     row |= dict(verdict="holds", kind="holds", p=0.01, p_adjusted=0.02)
+    row |= dict(quote="…", basis=summary.TESTED, beside="…")
     fails = row | dict(id="A2", verdict="does not hold", kind="does not hold")
     partly = row | dict(id="A3", verdict="holds as printed", kind="holds as printed")
     table = pd.DataFrame([row, fails, partly])
