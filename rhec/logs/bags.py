@@ -144,7 +144,7 @@ def _refuse_own_positions(chosen):
     if topic == chosen["encoders"]:
         raise ValueError(
             f"the bag's only positions are those of {topic}, which are the integral of its own "
-            "speeds; record a receiver, or name topics if these are real positions"
+            f"speeds; record a receiver, or topics=({topic!r},) reads them as real positions"
         )
     if _FILTERED in topic:
         raise ValueError(

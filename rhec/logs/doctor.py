@@ -14,6 +14,7 @@ import json
 import sys
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,14 +108,20 @@ def doctor(
     """Find what is wrong with a recorded log.
 
     Args:
-        log: DataFrame, as `rhec.replay` takes it.
+        log: DataFrame, as `rhec.replay` takes it; or the path of a file, as `rhec.logs.read` takes
+            it.
         sigma_m: Declared standard deviation of the positions [m], to be compared with the log. By
             default the median of the log's column position_sigma_m, if it has one.
         track_width_m: As in `rhec.replay` [m].
 
     Returns:
         Diagnosis.
+
+    Raises:
+        ValueError: If there is a path, and its file cannot be read.
     """
+    if isinstance(log, str | Path):
+        log = read(log)
     try:
         recording = prepare(log, track_width_m)
     except ValueError as error:
@@ -429,7 +436,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
     try:
-        diagnosis = doctor(read(given.file), sigma_m=given.sigma_m)
+        diagnosis = doctor(given.file, sigma_m=given.sigma_m)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2

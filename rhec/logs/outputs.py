@@ -1,12 +1,21 @@
 """Files of a replay: tables of the estimates, paths for the tool `evo`, and scores as text."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 
-from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
+from rhec.logs.reader import degrees_at
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
+
+_TRACTION = ["t_s", *ESTIMATE[:2], *ESTIMATE[4:], *SIGMA[:2], *SIGMA[4:6]]
 
 
 def write_estimates(estimates, folder):
-    """Write estimates.csv, estimates.parquet, estimated.tum and measured.tum.
+    """Write estimates.csv, estimates.parquet, estimated.tum, measured.tum, and traction labels.
+
+    The labels are in traction.csv and traction.parquet, and in traction.geojson if the log had
+    latitude and longitude.
 
     Args:
         estimates: DataFrame, as `rhec.replay` returns it.
@@ -19,6 +28,54 @@ def write_estimates(estimates, folder):
     _write_path(folder / "estimated.tum", estimates, x, y, estimates[yaw])
     x, y = MEASUREMENTS[:2]
     _write_path(folder / "measured.tum", estimates, x, y, 0.0)  # no sensor measures a direction
+    suffixes = (".csv", ".parquet", ".geojson")[: 3 if "origin" in estimates.attrs else 2]
+    for suffix in suffixes:
+        write_traction(estimates, folder / f"traction{suffix}")
+
+
+def write_traction(estimates, file):
+    """Write the traction at each place, as labels for a map or for a learning method.
+
+    The columns are t_s, x_hat_m, y_hat_m, mu_hat, kappa_hat, sigma_x_m, sigma_y_m, sigma_mu and
+    sigma_kappa, in rows with numbers for t_s, place, mu_hat and kappa_hat.
+
+    Args:
+        estimates: DataFrame, as `rhec.replay` returns it.
+        file: Path that ends in .csv, .parquet or .geojson. GeoJSON (RFC 7946) has a Point
+            (longitude, latitude) [deg] for each row, with the other columns as properties.
+
+    Raises:
+        ValueError: For another ending, or for GeoJSON of a log without latitude and longitude.
+    """
+    file = Path(file)
+    labels = estimates[_TRACTION].dropna(subset=_TRACTION[:5])
+    labels.attrs = {}  # the remarks and faults are those of the replay
+    if file.suffix == ".csv":
+        labels.to_csv(file, index=False)
+    elif file.suffix == ".parquet":
+        labels.to_parquet(file, index=False)
+    elif file.suffix == ".geojson":
+        file.write_text(_geojson(labels, estimates.attrs.get("origin")), encoding="utf-8")
+    else:
+        raise ValueError(f"file was {str(file)!r}; it should end in .csv, .parquet or .geojson")
+
+
+def _geojson(labels, origin):
+    """Labels as the text of a FeatureCollection; what is not finite becomes null."""
+    if origin is None:
+        raise ValueError(
+            "estimates had no origin, which .geojson needs; the log should have latitude and "
+            "longitude and be read by rhec.logs.read, or file should end in .csv or .parquet"
+        )
+    x, y = labels[_TRACTION[1:3]].to_numpy().T
+    places = np.column_stack(degrees_at(x, y, origin)).tolist()
+    properties = labels.drop(columns=_TRACTION[1:3]).astype(object)
+    properties = properties.where(np.isfinite(properties.astype(float)), None)
+    features = [
+        dict(type="Feature", geometry=dict(type="Point", coordinates=place), properties=row)
+        for place, row in zip(places, properties.to_dict("records"))
+    ]
+    return json.dumps(dict(type="FeatureCollection", features=features), allow_nan=False)
 
 
 def _write_path(file, estimates, x, y, yaw_rad):

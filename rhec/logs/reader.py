@@ -62,7 +62,8 @@ def read(
         yaw_rate_radps. A JointState gives v_left_mps and v_right_mps instead, for which
         `rhec.replay` takes a track_width_m. Latitude and longitude become metres east and north of
         the first position, in the plane tangent to WGS 84 there; lengths are 4 mm too short in
-        10 km. `.attrs["inferred"]` lists what was inferred.
+        10 km. `.attrs["inferred"]` lists what was inferred. `.attrs["origin"]` has the latitude,
+        longitude [deg] and altitude [m] of the first position, if the log has them.
 
     Raises:
         ValueError: If the file cannot be read, or if it lacks the topics or columns.
@@ -226,6 +227,7 @@ def _in_metres(log, inferred):
     Geocentric coordinates are projected onto the plane tangent to the ellipsoid at the first
     position. A log with x_m, or without latitude and longitude, is returned unchanged.
     """
+    log.attrs.pop("origin", None)  # a .parquet file may bring one of its own
     if "x_m" in log:
         return log
     latitude = _degrees(log, _LATITUDE)
@@ -238,6 +240,9 @@ def _in_metres(log, inferred):
     # A receiver without a fix sends 0, 0.
     latitude = np.where((latitude == 0) & (longitude == 0), np.nan, latitude)
     first = np.argmax(np.isfinite(latitude + longitude))
+    if np.isfinite(latitude[first] + longitude[first]):
+        height_m = 0.0 if altitude is None else np.nan_to_num(altitude[first])
+        log.attrs["origin"] = (float(latitude[first]), float(longitude[first]), float(height_m))
     inferred["position"] = (
         f"metres east and north of latitude {latitude[first]:.7f}, longitude {longitude[first]:.7f}"
     )
@@ -252,3 +257,33 @@ def _in_metres(log, inferred):
     up = above_equator - above_equator[first]
     north = up * np.cos(phi[first]) - out * np.sin(phi[first])
     return log.assign(x_m=from_axis * np.sin(turned), y_m=north)
+
+
+def degrees_at(x_m, y_m, origin):
+    """Longitudes and latitudes of places at the height of the origin: the inverse of `_in_metres`.
+
+    With N = a / √(1 - e² sin² φ) at the origin and Bowring's formula for the way back,
+    tan φ = (Z + e² / (1 - e²) b sin³ β) / (p - e² a cos³ β), tan β = Z a / (p b).
+
+    Args:
+        x_m, y_m: Places east and north of the origin [m], arrays (n,).
+        origin: Latitude, longitude [deg] and altitude [m], as in `log.attrs["origin"]`.
+
+    Returns:
+        Longitudes and latitudes [deg], two arrays (n,).
+    """
+    latitude, longitude, height = origin
+    phi = np.deg2rad(latitude)
+    normal = _AXIS_M / np.sqrt(1 - _ECCENTRICITY_2 * np.sin(phi) ** 2)
+    # In the meridian of the origin, away from the earth's axis.
+    out = (normal + height) * np.cos(phi) - y_m * np.sin(phi)
+    above_equator = (normal * (1 - _ECCENTRICITY_2) + height) * np.sin(phi) + y_m * np.cos(phi)
+    from_axis = np.hypot(out, x_m)
+    short_axis = _AXIS_M * np.sqrt(1 - _ECCENTRICITY_2)
+    beta = np.arctan2(above_equator * _AXIS_M, from_axis * short_axis)
+    share = _ECCENTRICITY_2 / (1 - _ECCENTRICITY_2)
+    phi = np.arctan2(
+        above_equator + share * short_axis * np.sin(beta) ** 3,
+        from_axis - _ECCENTRICITY_2 * _AXIS_M * np.cos(beta) ** 3,
+    )
+    return longitude + np.rad2deg(np.arctan2(x_m, out)), np.rad2deg(phi)

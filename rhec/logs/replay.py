@@ -595,7 +595,7 @@ def replay(
         previous estimate. Estimates before the first position of a segment are NaN.
         `.attrs["faults"]` counts unusable rows and measurements. `.attrs["remarks"]`, without a
         model, is a list of sentences: whether the estimate is lost, and what the log does not
-        determine.
+        determine. `.attrs["origin"]` is that of the log, if it has one (`rhec.logs.read`).
 
     Raises:
         ValueError: If the log lacks columns or usable times, if it fails the plausibility checks,
@@ -630,6 +630,8 @@ def replay(
     columns = _Columns(measured_of(names), means, hats_of(names), predict)
     result = _at_rows(samples, recording, log, paper.DT_S, columns)
     is_arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
+    if "origin" in log.attrs:
+        result.attrs["origin"] = log.attrs["origin"]
     result.attrs["remarks"] = remarks(samples, is_arm_estimated, scenario.slip)
     if samples["lost"].any():
         warnings.warn(result.attrs["remarks"][0], stacklevel=3)

@@ -134,6 +134,16 @@ def test_recorded_logs_are_healthy(file):
     assert rhec.doctor(rhec.logs.read(file)).ok
 
 
+def test_a_path_is_diagnosed_as_its_log_and_a_missing_file_is_refused(tmp_path):
+    file = tmp_path / "log.csv"
+    change(FAULTY, x_m=np.nan, y_m=np.nan).to_csv(file, index=False)
+    diagnosis = rhec.doctor(file)
+    assert not diagnosis.ok
+    assert str(diagnosis) == str(rhec.doctor(str(file))) == str(rhec.doctor(rhec.logs.read(file)))
+    with pytest.raises(ValueError, match="^log was .*none.csv'; it should be an existing .csv"):
+        rhec.doctor(tmp_path / "none.csv")
+
+
 def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):
     for name, log, code in (("good", LOG, 0), ("bad", dead(0, 1), 1)):
         log.to_csv(tmp_path / f"{name}.csv", index=False)

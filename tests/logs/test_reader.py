@@ -434,6 +434,19 @@ def test_topics_that_cannot_be_told_are_named(many, topics, sentence):
         rhec.logs.read(many[-1], topics=topics)
 
 
+def test_positions_made_of_the_encoders_are_refused_with_the_remedy(tmp_path):
+    odom = [
+        ("/odom", "nav_msgs/msg/Odometry", START_NS + k * 10**8, odometry(k, 0, 9.9, 0))
+        for k in range(5)
+    ]
+    file = write_bag(tmp_path, "mcap", odom)
+    with pytest.raises(
+        ValueError, match=r"those of /odom.*record a receiver, or topics=\('/odom',"
+    ):
+        rhec.logs.read(file)
+    assert rhec.logs.read(file, topics=("/odom",))["x_m"].tolist() == [0, 1, 2, 3, 4]
+
+
 def test_a_table_has_no_topics_and_wheels_need_a_radius(tmp_path):
     with pytest.raises(ValueError, match="^topics was .*; only a bag has topics"):
         rhec.logs.read(written(tmp_path, LOG), topics=("/odom",))

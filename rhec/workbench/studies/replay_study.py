@@ -134,6 +134,11 @@ class ReplayStudy:
         )
 
     @property
+    def found(self):
+        """What the reader inferred, such as topics, unit of time and origin, as lines of text."""
+        return [f"found {name}: {value}" for name, value in self.log.attrs["inferred"].items()]
+
+    @property
     def _of_log(self):
         """Arguments of a replay and of a calibration that belong to the log."""
         return dict(
