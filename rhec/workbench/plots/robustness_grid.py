@@ -2,7 +2,7 @@
 
     python -m rhec.workbench.plots.robustness_grid
 
-draws figures/robustness_grid.png from data/robustness_grid.csv.
+draws docs/robustness_grid.png from data/robustness_grid.csv.
 """
 
 import matplotlib.pyplot as plt
@@ -45,4 +45,4 @@ def robust_over_plain(cells):
 
 
 if __name__ == "__main__":
-    robust_over_plain(pd.read_csv(CELLS)).savefig(style.FOLDER / "robustness_grid.png", dpi=150)
+    robust_over_plain(pd.read_csv(CELLS)).savefig(style.ROOT / "docs/robustness_grid.png", dpi=150)
