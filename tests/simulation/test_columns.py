@@ -9,13 +9,19 @@ from rhec.simulation import columns, log_page
 LISTS = [name for name in vars(columns) if name.isupper() and name != "LOG"]
 
 
+def _columns_of(group):
+    """Names in a constant of `columns`: one name, several, or the values of a dict."""
+    if isinstance(group, str):
+        return {group}
+    return {*(group.values() if isinstance(group, dict) else group)}
+
+
 def _documented(name):
     return re.search(rf"(?<!\w){name}(?!\w)", log_page.__doc__)
 
 
 def test_each_column_is_documented(run):
-    named = [getattr(columns, name) for name in LISTS]
-    names = {column for group in named for column in group} | set(run.log.columns)
+    names = set(run.log.columns).union(*(_columns_of(getattr(columns, name)) for name in LISTS))
     names |= {*columns.RECORDED.values(), *columns.RECORDED_TRUTH.values()}
     names |= set(rhec.replay(run.log[:50], robust=True, first_yaw_rad=0.0).columns)
     assert not [name for name in names if not _documented(name)]
