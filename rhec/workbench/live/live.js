@@ -164,7 +164,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     const from = this.get("s_m")(k) + look_ahead_m;
     return this.piece("plan", k).map((_, i) => {
       const place = (from + i * pace) / path_step_m;
-      const [a, b] = [0, 1].map(next => path[(Math.floor(place) + next) % path.length]);
+      const [a, b] = [0, 1].map(next => path.at((Math.floor(place) + next) % path.length));
       return a.map((value, axis) => value + (place % 1) * (b[axis] - value));
     });
   }
