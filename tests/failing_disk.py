@@ -88,6 +88,11 @@ def soil(folder):
     return rhec.Terrain.load(folder / "soil.npz").mean.tolist()
 
 
+def soil_map(folder):
+    rhec.SoilMap.of_terrain(rhec.Terrain.uniform(0.9, 0.8)).save(folder / "map.npz")
+    return rhec.SoilMap.load(folder / "map.npz").mu.tolist()
+
+
 def compiled(folder):
     def build(place):
         (place / "library").write_text("code")
@@ -104,6 +109,7 @@ TASKS = dict(
     table=table,
     picture=picture,
     soil=soil,
+    soil_map=soil_map,
     compiled=compiled,
 )
 

@@ -33,6 +33,7 @@ from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.reader import read
 from rhec.logs.recording import prepare, resample
 from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
+from rhec.logs.smoother import moved_to_sample
 from rhec.simulation.columns import AGE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
@@ -185,10 +186,7 @@ def _build_filter(outlier, names):
         A = interval.A_0 + D
         W = interval.process_noise(v, W, paper.DT_S, c)
         P_predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
-        # The robot has moved since its position was measured.
-        age_s = z_N[n_z]
-        since = started * (F - interval.step(m, v, paper.DT_S - age_s))[:2]
-        z = ca.vertcat(z_N[:2] + ca.if_else(age_s > 0, since, 0), z_N[2:n_z])
+        z = moved_to_sample(interval, F, m, v, started, z_N)
         m = ca.if_else(started, F, m)
         P = ca.if_else(started, P_predicted, P)
         m, P, _, _, deviance, _ = kalman.update(m, P, z, V, others, m)

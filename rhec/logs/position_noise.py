@@ -1,4 +1,4 @@
-"""The white noise of a log's positions, asked of the log itself.
+"""The white noise of a log's positions, estimated from the log itself.
 
 Two estimates are made, each of which motion can only increase; the smaller one counts:
 

@@ -25,6 +25,23 @@ _CORRELATED = 1.4
 _LEAST_VARIANCE = 1e-14  # of predicted states, so that their covariance has an inverse
 
 
+def moved_to_sample(interval, F, s, v, started, z_and_age):
+    """The measurements z with the position moved by what the robot drove since it was measured.
+
+    Args:
+        interval: The model's shooting interval.
+        F: The joint state at the sample, predicted from s.
+        s: The joint state one interval earlier.
+        v: The inputs of the interval.
+        started: 0 before the first sample, else 1.
+        z_and_age: z, followed by the age of its position [s].
+    """
+    z = z_and_age[:-1]
+    age_s = z_and_age[-1]
+    since = started * (F - interval.step(s, v, paper.DT_S - age_s))[:2]
+    return ca.vertcat(z[:2] + ca.if_else(age_s > 0, since, 0), z[2:])
+
+
 def _build_filter(speed_model, names):
     """The scan of a Kalman filter that is linearised at a given trajectory.
 
@@ -52,10 +69,7 @@ def _build_filter(speed_model, names):
         P_predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
         m_predicted = ca.if_else(started, m_predicted, m)
         P_predicted = ca.if_else(started, P_predicted, P)
-        # The robot has moved since its position was measured.
-        age_s = z_N[n_z]
-        since = started * (F - interval.step(s_before, v, paper.DT_S - age_s))[:2]
-        z = ca.vertcat(z_N[:2] + ca.if_else(age_s > 0, since, 0), z_N[2:n_z])
+        z = moved_to_sample(interval, F, s_before, v, started, z_N)
         updated = kalman.update(m_predicted, P_predicted, z, noise["V"], interval.outputs, s_now)
         recorded = dict(m_predicted=m_predicted, P_predicted=P_predicted, A=A)
         following = dict(m=updated.m, P=updated.P, v=v, started=1)

@@ -34,6 +34,23 @@ def f(xi, u, p):
     return ca.vertcat(mu * nu * ca.cos(theta), mu * nu * ca.sin(theta), kappa * u)
 
 
+def f_with_drift(xi, u, p):
+    """Eq. (2) with the yaw drift δ [rad/m], which is not in the paper: θ̇ = κω + μνδ.
+
+    Args:
+        xi: (3,) pose (x, y, θ) [m, m, rad].
+        u: Yaw rate ω of the tracks [rad/s].
+        p: (4,) speed ν of the tracks [m/s], traction coefficients μ and κ, yaw drift δ [rad/m].
+
+    Returns:
+        (3,) dξ/dt.
+    """
+    nu = p[0]
+    mu = p[1]
+    delta = p[3]
+    return f(xi, u, p) + ca.vertcat(0, 0, mu * nu * delta)
+
+
 def h(xi, u, p):
     """Eq. (4): z = h(ξ, u, p) = (x, y, ν, ω), by GNSS and the encoders; arguments as for `f`."""
     return ca.vertcat(xi[0], xi[1], p[0], u)

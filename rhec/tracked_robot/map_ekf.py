@@ -1,14 +1,14 @@
 """A bounded EKF that knows the soil of earlier drives. Not in the paper.
 
 Its states are (x, y, θ, ν, μ, κ, δ), δ the yaw drift (`rhec.tracked_robot.yaw_drift`). Of the last
-three, q = (μ, κ, δ), the map tells a mean m(x, y) and a variance σ²(x, y) at the estimated place.
-What it does not tell, q - m, is an Ornstein-Uhlenbeck process of the distance d that the robot goes
+three, q = (μ, κ, δ), the map gives a mean m(x, y) and a variance σ²(x, y) at the estimated place.
+The rest, q - m, is an Ornstein-Uhlenbeck process of the distance d that the robot goes
 over ground, with the correlation length ℓ of the soil:
 
     q⁺ = m(x⁺, y⁺) + e^{-d/ℓ} (q - m(x, y)) + w,  w ~ N(0, (1 - e^{-2d/ℓ}) σ²(x⁺, y⁺)).
 
 So the estimate is the map's where the map is sure, follows the measurements where it is not, and
-finds back to the map after a place where the map was wrong. Without a map σ and ℓ are so large that
+returns to the map after a place where the map was wrong. Without a map σ and ℓ are so large that
 q is a random walk. The slope of the map is small and left out of the filter's covariance.
 """
 

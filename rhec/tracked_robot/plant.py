@@ -15,7 +15,7 @@ from rhec.core._casadi.build import casadi_function, packed_size
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core.model.base import rk4
 from rhec.tracked_robot import terrain
-from rhec.tracked_robot.kinematics import f
+from rhec.tracked_robot.kinematics import f_with_drift
 
 SUBSTEPS = round(paper.SPEED_LOOP_RATE_HZ / paper.GNSS_RATE_HZ)
 _MOTOR_LAG_S = 0.1  # first-order lag from motor command to track speed
@@ -249,7 +249,7 @@ def drive(dt_s):
             measured.append(tracks + encoder_sigma_mps * encoder[:, i])
             limited, integral = _speed_loop(target, measured[-1], integral, h)
             nu, omega = body_speeds(tracks, track_width_m)
-            pose = rk4(_f_with_drift, pose, omega, ca.vertcat(nu, traction, yaw_drift_radpm), h)
+            pose = rk4(f_with_drift, pose, omega, ca.vertcat(nu, traction, yaw_drift_radpm), h)
             pose = pose + ca.vertcat(0, 0, h * bump_sigma_radps * bumps)
             tracks = tracks + h / _MOTOR_LAG_S * (limited - tracks)
         around_m = rotation_centre_m * (heading - _heading(pose))
@@ -260,12 +260,6 @@ def drive(dt_s):
         return driven | dict(rut=rut, running=1)
 
     return drive
-
-
-def _f_with_drift(xi, u, p):
-    """Eq. (2) and the yaw drift: θ' = κω + μνδ, p = (ν, μ, κ, δ)."""
-    nu, mu, _, yaw_drift = (p[i] for i in range(4))
-    return f(xi, u, p[:3]) + ca.vertcat(0, 0, mu * nu * yaw_drift)
 
 
 def _heading(pose):

@@ -17,7 +17,7 @@ from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
 # Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.
 _LEAST_SLOPE = 0.2
-_LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not ask for any yaw rate
+LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not ask for any yaw rate
 
 
 def pose_at(s, segments, period_m):
@@ -86,7 +86,7 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
         if input_reference == "measured":
             omega_ref = ca.repmat(omega_measured, 1, horizon)
         else:
-            turning = ca.fmax(kappa, _LEAST_KAPPA)
+            turning = ca.fmax(kappa, LEAST_KAPPA)
             omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / turning
         return dict(s=s, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature)
 

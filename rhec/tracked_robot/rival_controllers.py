@@ -8,8 +8,8 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, packed_size, select_inputs, unpack
 from rhec.core.controller import rhc
+from rhec.tracked_robot.references import LEAST_KAPPA
 
-_LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not ask for any yaw rate
 _LEAST_DISTANCE_M = 0.05  # to the goal of pure pursuit, of which the square is a divisor
 
 
@@ -43,7 +43,7 @@ def build_ltv_mpc(horizon):
     def plan(**signals):
         x_ref = signals["x_ref"]
         parameters = signals["s_0"][horizon.n_x :]
-        kappa = ca.fmax(parameters[2], _LEAST_KAPPA)
+        kappa = ca.fmax(parameters[2], LEAST_KAPPA)
         omega = (x_ref[2, 1:] - x_ref[2, :-1]) / (kappa * horizon.dt_s)
         u = _within(omega, signals["lower"], signals["upper"])
         s = ca.vertcat(x_ref, ca.repmat(parameters, 1, horizon.N + 1))
@@ -76,7 +76,7 @@ def build_pure_pursuit(horizon):
         beside = x_ref[1, 0] - y
         left = beside * ca.cos(theta) - ahead * ca.sin(theta)
         distance_squared = ca.fmax(ahead**2 + beside**2, _LEAST_DISTANCE_M**2)
-        omega = 2 * mu * nu * left / (ca.fmax(kappa, _LEAST_KAPPA) * distance_squared)
+        omega = 2 * mu * nu * left / (ca.fmax(kappa, LEAST_KAPPA) * distance_squared)
         command = _within(omega, lower, upper)
         u = ca.repmat(command, 1, horizon.N)
         nodes = [s_0]

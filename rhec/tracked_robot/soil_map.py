@@ -169,7 +169,7 @@ class SoilMap:
             del arrays["statistics"]
         if self.evidence is not None:
             arrays |= self.evidence._asdict()
-        np.savez_compressed(file, **arrays)
+        terrain.save_arrays(file, arrays)
 
     @classmethod
     def load(cls, file: str | File) -> "SoilMap":

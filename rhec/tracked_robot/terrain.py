@@ -156,18 +156,7 @@ class Terrain:
             file: Where to.
         """
         arrays = dict(mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m)
-        # Written to memory first: a full disk then leaves an older file as it was.
-        content = io.BytesIO()
-        np.savez_compressed(content, **arrays)
-        file = File(file)
-        if file.suffix != ".npz":
-            file = file.with_name(f"{file.name}.npz")
-        unfinished = file.with_name(f"{file.name}.unfinished")
-        try:
-            unfinished.write_bytes(content.getvalue())
-            unfinished.replace(file)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        save_arrays(file, arrays)
 
     @classmethod
     def load(cls, file: str | File) -> "Terrain":
@@ -193,6 +182,21 @@ class Terrain:
                 f"({shown(error)})"
             ) from None
         return cls(*arrays)
+
+
+def save_arrays(file, arrays):
+    """Write {name: array} as .npz, or leave an older file as it was if writing fails."""
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)
+    file = File(file)
+    if file.suffix != ".npz":
+        file = file.with_name(f"{file.name}.npz")
+    unfinished = file.with_name(f"{file.name}.unfinished")
+    try:
+        unfinished.write_bytes(content.getvalue())
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def _checked_field(name, values):

@@ -20,8 +20,8 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
+from rhec.tracked_robot.references import LEAST_KAPPA
 
-_LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not make a disturbance of any size
 _MOST = 0.5  # share of the bound ω_max that a disturbance may take: the rest is left for steering
 
 
@@ -37,7 +37,7 @@ def build_from_drift():
     @casadi_function("disturbance_from_drift", estimate=(6, 1), yaw_drift=one, upper=one)
     def disturbance(estimate, yaw_drift, upper):
         _, _, _, nu, mu, kappa = ca.vertsplit(estimate)
-        d = mu * nu * yaw_drift / ca.fmax(kappa, _LEAST_KAPPA)
+        d = mu * nu * yaw_drift / ca.fmax(kappa, LEAST_KAPPA)
         return dict(disturbance=_bounded(d, upper))
 
     return disturbance
@@ -55,7 +55,7 @@ def build_observer(dt_s):
     @with_packed_memory("disturbance_observer", memory, ca.SX, **inputs)
     def observe(d, theta, observing, estimate, omega_measured, observer_time_s, upper):
         turned = estimate[2] - theta
-        kappa = ca.fmax(estimate[5], _LEAST_KAPPA)
+        kappa = ca.fmax(estimate[5], LEAST_KAPPA)
         unexplained = turned / (kappa * dt_s) - omega_measured
         share = ca.fmin(dt_s / observer_time_s, 1) * observing
         d = _bounded(d + share * (unexplained - d), upper)

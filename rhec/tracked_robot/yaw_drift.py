@@ -20,7 +20,7 @@ from rhec.core.model.base import Model, rk4
 from rhec.tracked_robot import ekf, tuning
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.choice import Estimator, TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, h
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f_with_drift, h
 
 _WITHOUT_DRIFT = SPEED_MODELS["parameter"].model
 STATES = (*QUANTITIES, "yaw_drift_radpm")
@@ -28,18 +28,12 @@ STATES = (*QUANTITIES, "yaw_drift_radpm")
 _SIGMA_START = paper_rhe.SIGMA_START | dict(yaw_drift_radpm=0.05)
 
 
-def _f_with_drift(xi, u, p):
-    """Eq. (2) with the yaw drift: θ̇ = κω + μνδ, for p = (ν, μ, κ, δ)."""
-    nu, mu, _, delta = (p[i] for i in range(4))
-    return f(xi, u, p) + ca.vertcat(0, 0, mu * nu * delta)
-
-
 MODEL = Model(
     states=_WITHOUT_DRIFT.states,
     inputs=_WITHOUT_DRIFT.inputs,
     parameters=_WITHOUT_DRIFT.parameters | dict(yaw_drift_radpm=None),
     outputs=_WITHOUT_DRIFT.outputs,
-    f=_f_with_drift,
+    f=f_with_drift,
     h=h,
     max_measurement=_WITHOUT_DRIFT.limits,
 )
@@ -62,7 +56,7 @@ def _build_ekf_step(choice):
 
 def _move_with_drift(m, omega, traction, dt_s):
     """The pose and speed m one interval later, on soil of which (μ, κ, δ) are known."""
-    return ca.vertcat(rk4(_f_with_drift, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
+    return ca.vertcat(rk4(f_with_drift, m[:3], omega, ca.vertcat(m[3], traction), dt_s), m[3])
 
 
 def _build_oracle_step(choice):
@@ -86,7 +80,7 @@ def _build_rhe_step(choice):
 
 
 def _start(guess, sigma):
-    """The first guess and its standard deviations, with those of the yaw drift where they lack."""
+    """The first guess and its standard deviations, with defaults for the yaw drift."""
     return dict(yaw_drift_radpm=0.0) | guess, _SIGMA_START | sigma
 
 

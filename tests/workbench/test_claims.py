@@ -538,7 +538,7 @@ def test_one_claim_is_told_with_its_words_and_numbers(errors, capsys):
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
     with pytest.raises(ValueError, match="claim was 'Z9'; it should be one of I1, I2"):
-        one.told("Z9")
+        one.report_lines("Z9")
     with pytest.raises(SystemExit):
         __main__.main(["B6", "--fields", "1"])
 

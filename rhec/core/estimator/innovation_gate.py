@@ -113,8 +113,8 @@ def _wrap_expand(window, expand_of_rhe, kind):
 def gated(window, phases, predict_input, kind):
     """The phases {shift, linearise, feedback, expand} of an RHE, with a gate before feedback.
 
-    The feedback's `ok` is 0 where the sample does not agree with its prediction, or the covariance
-    has a variance that is none. `kkt` is NaN there.
+    The feedback's `ok` is 0 where the sample does not agree with its prediction, and where the
+    covariance has a variance that is not positive or too large. `kkt` is NaN there.
 
     Args:
         window: The rhe.Window, with a gate.

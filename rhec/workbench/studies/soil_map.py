@@ -121,12 +121,12 @@ class _Field:
         """The maps before each of the passes, {number: SoilMap}, from that of the first pass on."""
         found = {2: first}
         for number in passes[2:]:
-            run = self.drive(way, number - 1, **_told(found[number - 1]), r=CHAIN_R)
+            run = self.drive(way, number - 1, **_with_map(found[number - 1]), r=CHAIN_R)
             found[number] = found[number - 1].update(run)
         return found
 
 
-def _told(soil_map):
+def _with_map(soil_map):
     return dict(estimator="map_ekf", soil_map=soil_map)
 
 
@@ -152,9 +152,12 @@ def _drives_on(seed, fields, passes, gains, tuned):
     field = _Field(fields, seed)
     first = field.drive(SAME, 1, **WITHOUT["bounded EKF"], r=CHAIN_R)
     first = SoilMap.from_runs([first])
-    rivals = WITHOUT | {ORACLE: dict(estimator="traction_oracle"), TRUE_MAP: _told(field.true_map)}
+    rivals = WITHOUT | {
+        ORACLE: dict(estimator="traction_oracle"),
+        TRUE_MAP: _with_map(field.true_map),
+    }
     contestants = [
-        (way, number, MAP, _told(known))
+        (way, number, MAP, _with_map(known))
         for way in (SAME, SIDE_BY_SIDE)
         for number, known in field.maps(way, passes, first).items()
     ]
@@ -254,6 +257,6 @@ def example(name, seed, passes=2):
     run = field.drive(SAME, 1, **WITHOUT["bounded EKF"], r=CHAIN_R)
     known = SoilMap.from_runs([run])
     for number in range(2, passes + 1):
-        run = field.drive(SAME, number, **_told(known), r=CHAIN_R)
+        run = field.drive(SAME, number, **_with_map(known), r=CHAIN_R)
         known = known.update(run)
     return field.soil, known, run

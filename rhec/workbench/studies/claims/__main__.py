@@ -18,7 +18,7 @@ def main(arguments=None):
     if chosen.fields < 2:
         parser.error(f"--fields was {chosen.fields}; it should be 2 or more")
     try:
-        lines = one.told(chosen.id, chosen.fields)
+        lines = one.report_lines(chosen.id, chosen.fields)
     except ValueError as error:
         parser.error(str(error))
     print("\n".join(lines))

@@ -4,12 +4,12 @@ from rhec.workbench.studies.claims import evidence
 from rhec.workbench.studies.claims.rules import CLAIMS
 from rhec.workbench.studies.statistics import CONFIDENCE, interval_text
 
-__all__ = ["FIELDS", "told"]
+__all__ = ["FIELDS", "report_lines"]
 
 FIELDS = 40  # of one claim alone: enough for most verdicts at 99.9 %
 
 
-def told(id_, fields=FIELDS, folder=None, claims=CLAIMS):
+def report_lines(id_, fields=FIELDS, folder=None, claims=CLAIMS):
     """Judge one claim on a few fields and say what came out.
 
     Args:
