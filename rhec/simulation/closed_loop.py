@@ -493,16 +493,64 @@ def simulate_setup(scenario, setup):
 
 def finish(scenario, setup, rows):
     """The Run whose loop yielded these rows (n, LOG): its columns and metrics."""
+    (run,) = finish_all([scenario], [setup], [rows])
+    return run
+
+
+def finish_all(scenarios, setups, logs):
+    """The Runs whose loops yielded these logs: each has the bits that it has alone.
+
+    Runs on one path are projected on it at once: NumPy spends most of a short array's time in
+    calls.
+
+    Args:
+        scenarios: Of the runs.
+        setups: Their Setups.
+        logs: Their rows (n, LOG), of any lengths.
+
+    Returns:
+        A list of Runs, in their order.
+    """
+    columns = [_columns_of(rows) for rows in logs]
+    on_path = {}
+    for place, setup in enumerate(setups):
+        on_path.setdefault(id(setup.path), []).append(place)
+    poses = {}
+    for places in on_path.values():
+        poses |= zip(places, _add_errors(setups[places[0]].path, [columns[k] for k in places]))
+    return [
+        Run(scenario, metrics(columns[k], poses[k]), setup.path, setup.terrain, columns[k])
+        for k, (scenario, setup) in enumerate(zip(scenarios, setups))
+    ]
+
+
+def _columns_of(rows):
+    """The columns by name of a log's rows (n, LOG), without those that need the path."""
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
     columns |= dict(zip(COLUMNS, np.ascontiguousarray(rows.T)))
-    columns |= {name: columns[name] == 1 for name in FLAGS}
-    measured = np.column_stack([columns["x_meas_m"], columns["y_meas_m"]])
+    return columns | {name: columns[name] == 1 for name in FLAGS}
+
+
+def _add_errors(path, runs):
+    """Add the distances to the path to the columns of runs.
+
+    Returns:
+        The poses of the path (n, 3) at the points closest to each robot.
+    """
+    lengths = [len(columns["t_s"]) for columns in runs]
+    measured, true = (
+        np.column_stack([np.concatenate([columns[name] for columns in runs]) for name in names])
+        for names in (("x_meas_m", "y_meas_m"), ("x_m", "y_m"))
+    )
     # A position of which one coordinate is missing or infinite is none.
     measured[~np.isfinite(measured).all(axis=1)] = np.nan
-    true = np.column_stack([columns["x_m"], columns["y_m"]])
-    # One call for both: a short run spends most of its time in calls.
-    distance, s = setup.path.project(np.concatenate([measured, true]))
-    columns["error_m"], columns["error_true_m"] = np.split(distance, 2)
-    poses, curvatures = setup.path.poses(s[len(true) :])
-    columns["on_straight"] = curvatures == 0
-    return Run(scenario, metrics(columns, poses), setup.path, setup.terrain, columns)
+    distance, s = path.project(np.concatenate([measured, true]))
+    poses, curvatures = path.poses(s[len(true) :])
+    errors, true_errors = np.split(distance, 2)
+    ends = np.cumsum(lengths)[:-1]
+    parts = (np.split(values, ends) for values in (errors, true_errors, curvatures == 0, poses))
+    found = []
+    for columns, error, true_error, on_straight, pose in zip(runs, *parts):
+        columns |= dict(error_m=error, error_true_m=true_error, on_straight=on_straight)
+        found.append(pose)
+    return found

@@ -207,5 +207,5 @@ def _run_group(block, samples, group, noise, result_of):
     memories = [setup.memory for setup in setups]
     settings = [setup.settings for setup in setups]
     rows = lanes.scan(block, memories, streams, settings)
-    runs = map(closed_loop.finish, scenarios, setups, rows)
+    runs = closed_loop.finish_all(scenarios, setups, rows)
     return {key: result_of(run) for key, run in zip(group, runs)}
