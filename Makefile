@@ -6,7 +6,7 @@ $(foreach name,$(USER_SET),$(if $(call from_outside,$(name)),\
 PYTHON ?= python3
 SAMPLES ?= 10000000
 RUNS ?= 100000
-export LOG WHAT SAMPLES RUNS HOST PYTHON
+export LOG WHAT SAMPLES RUNS HOST PYTHON PYTHON_CPU_COUNT
 
 # Notebooks of the paper's figures and tables, and of further studies, in the order of the report.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
@@ -36,10 +36,10 @@ clean-benchmarks := $(foreach suffix,csv tex png pdf,$(benchmarks:%=figures/benc
 MADE :=
 made :=
 
-# Two notebooks run at a time, each on half of the cores. Other goals run in their order.
+# Two notebooks run at a time. Each may use all cores: one that waits, or works in a single process,
+# leaves them to the other. Other goals run in their order.
 ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
 MAKEFLAGS += -j2
-export PYTHON_CPU_COUNT ?= $(shell echo $$((($$(getconf _NPROCESSORS_ONLN) + 1) / 2)))
 endif
 
 .PHONY: help figures studies claims report lab replay recordings replay-table calibrate campaign \
@@ -183,7 +183,7 @@ why = $(strip $(if $(changed),$(changed) changed) $(if $(gone),$(if $(changed),a
 $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d environment.txt \
   | $(READY)
 	@echo '$*: $(if $(wildcard $@),made again because $(why),made for the first time)'
-	@$(if $(filter $@,$(TIMED)),PYTHON_CPU_COUNT=default) $(PY) -m rhec.workbench.notebook $<
+	@$(PY) -m rhec.workbench.notebook $<
 	$(eval made += $@)
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
