@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi import build, compiled, packing, scan
+from rhec.core._casadi import build, early, packing, scan
 from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
@@ -484,7 +484,7 @@ def noise_and_faults(seed, scheduled, samples):
 
 def simulate_setup(scenario, setup):
     """The Run of a scenario that is set up."""
-    functions = compiled.load(build_sample, *setup.structure)
+    functions = early.load(build_sample, *setup.structure)
     samples = round(scenario.duration_s / paper.DT_S)
     stream = noise_and_faults(scenario.seed, scenario.faults, samples)
     _, rows = scan.scan(functions, setup.memory, stream, setup.settings)

@@ -130,11 +130,11 @@ def load(build, *structure):
     functions = None if cache.contains(name) else build(*structure)
 
     def compile_library(folder):
-        _announce(build)
-        _compile_library(folder, functions or build(*structure))
+        announce(build)
+        compile_text(folder, *library_text(functions or build(*structure)))
 
     try:
-        names, compiled = cache.load_or_build(name, compile_library, _open)
+        names, compiled = cache.load_or_build(name, compile_library, open_library)
     except cache.UnusableError as error:
         _failed.add(compiler())
         cache.warn_once(f"nothing more is compiled, since {error}; {_SLOWER}")
@@ -142,7 +142,7 @@ def load(build, *structure):
     return (build(*structure) if None in names.values() else {}) | compiled
 
 
-def _open(folder):
+def open_library(folder):
     """The Functions' names in a library, and the Functions."""
     for daqp in _CASADI.glob("libdaqp.*[!a]"):  # once loaded, a library finds it by its name
         ctypes.CDLL(str(daqp))
@@ -151,7 +151,7 @@ def _open(folder):
     return names, {key: ca.external(name, library) for key, name in names.items() if name}
 
 
-def _announce(build):
+def announce(build):
     """Say what is compiled to whoever waits: in a terminal, or in an interactive notebook.
 
     Notebooks show stderr as an error, so there it goes to stdout. Workers and executed notebooks
@@ -166,19 +166,27 @@ def _announce(build):
         print(f"rhec: compiling the {what}, once (some seconds)", file=stream, flush=True)
 
 
-def _compile_library(folder, functions):
-    """Generate C for the Functions and compile it."""
+def library_text(functions):
+    """The C of Functions.
+
+    Returns:
+        {key: the Function's name in the library}, None for one without C, and the C.
+    """
     names = {}
     for key, function in functions.items():
         calls = {inner.class_name() for inner in function.find_functions()}
         names[key] = None if "QpoasesInterface" in calls else function.name()
-    entries = [functions[key] for key in names if names[key]]
-    (folder / "code.c").write_text(generate_c(entries, "code.c"))
-    flags = ["-O2", *FLAGS]
+    return names, generate_c([functions[key] for key in names if names[key]], "code.c")
+
+
+def compile_text(folder, names, text, optimised=True):
+    """Compile the C of `library_text` into a folder; the optimised library has the same bits."""
+    (folder / "code.c").write_text(text)
+    flags = ["-O2" if optimised else "-O0", *FLAGS]
     # Without vectorising, Clang compiles a loop in two thirds of the time, and the loop is as fast.
     # A step alone would be slower.
-    if "block" in functions and "clang" in Path(compiler()).name:
-        flags = ["-O2", "-fno-vectorize", "-fno-slp-vectorize", *FLAGS]
+    if "block" in names and "clang" in Path(compiler()).name:
+        flags += ["-fno-vectorize", "-fno-slp-vectorize"]
     flags += [f"-I{_CASADI / 'include'}", "-include", HEADERS / "elementary.h"]
     # The library does not record the path of DAQP, as that environment may be gone some day.
     files = ["code.c", "-o", "library.so", f"-L{_CASADI}", "-ldaqp", "-lm"]

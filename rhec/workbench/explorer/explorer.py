@@ -23,7 +23,7 @@ import ipywidgets as widgets
 from matplotlib.figure import Figure
 
 from rhec import paper
-from rhec.core._casadi import compiled
+from rhec.core._casadi import compiled, early
 from rhec.simulation import closed_loop
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
@@ -317,6 +317,7 @@ class Explorer(widgets.VBox):
         if missing and self.runs and _running_loop():
             self._compile(missing)
             return
+        early.load_all(closed_loop.build_sample, [setup.structure for setup in setups])
         self.runs = tuple(map(closed_loop.simulate_setup, scenarios, setups))
         self.loaded |= {setup.structure for setup in setups}
         ran = time.perf_counter()

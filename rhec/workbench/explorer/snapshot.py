@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi import compiled, scan
+from rhec.core._casadi import early, scan
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE, POSE
 
@@ -28,7 +28,7 @@ class Snapshot(NamedTuple):
 def snapshot_at(scenario, k):
     """The Snapshot at sample k ≥ 0 of a scenario's run, which is simulated until then."""
     setup = closed_loop.set_up(scenario)
-    functions = compiled.load(closed_loop.build_sample, *setup.structure)
+    functions = early.load(closed_loop.build_sample, *setup.structure)
     inputs = closed_loop.noise_and_faults(scenario.seed, scenario.faults, k + 1)
     memory, rows = scan.scan(functions, setup.memory, inputs, setup.settings)
     row = dict(zip(COLUMNS, rows[-1]))

@@ -1,0 +1,113 @@
+"""Loops that are compiled early: the same bits, replaced when they are run often, both at once."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import rhec
+from rhec.core._casadi import compiled, early, scan
+
+pytestmark = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
+STREAM = np.random.default_rng(0).normal(size=(100, 2))
+
+
+def build_pendulum(n):
+    """A scan with sine, square root and quotient, which a compiler might be tempted to reorder."""
+    memory, push = ca.MX.sym("memory", 2), ca.MX.sym("push", 2)
+    angle, rate = memory[0], memory[1]
+    for _ in range(n):
+        rate = rate - 0.1 * ca.sin(angle) + 0.1 * push[0] / (1 + ca.sqrt(ca.fabs(rate * push[1])))
+        angle = angle + 0.1 * rate
+    after = ca.vertcat(angle, rate)
+    names = ["memory", "push"], ["next", "row"]
+    return scan.build_scan(ca.Function("step", [memory, push], [after, after * 1.1], *names))
+
+
+def rows_of(functions):
+    return scan.scan(functions, np.zeros(2), STREAM, {})[1]
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    yield tmp_path / "cache"
+    compiled.load.cache_clear()
+    early._early.clear()
+    early._optimised.clear()
+
+
+def n_libraries(folder):
+    return len([*folder.glob("*/library.so")])
+
+
+def test_a_structure_that_is_loaded_often_is_replaced_with_the_same_bits(cache):
+    first = early.load(build_pendulum, 3)
+    rows = rows_of(first)
+    assert n_libraries(cache) == 1
+    for _ in range(early.WORTH_OPTIMISING - 1):
+        assert early.load(build_pendulum, 3) is first
+    (waiting,) = early._early.values()
+    waiting.thread.join()
+    optimised = early.load(build_pendulum, 3)
+    assert optimised is not first
+    assert n_libraries(cache) == 2
+    assert compiled.is_compiled(build_pendulum, 3)
+    np.testing.assert_array_equal(rows_of(optimised), rows)
+    assert early.load(build_pendulum, 3) is optimised
+
+
+def test_a_structure_that_is_compiled_is_used_as_it_is(cache):
+    optimised = compiled.load(build_pendulum, 2)
+    assert early.load(build_pendulum, 2) is optimised
+    assert n_libraries(cache) == 1
+
+
+def test_structures_compile_at_the_same_time(cache, tmp_path, monkeypatch):
+    """Each compiler waits until the other one has begun; alone it would wait for ever."""
+    begun = tmp_path / "begun"
+    begun.mkdir()
+    compiler = tmp_path / "cc"
+    compiler.write_text(
+        "#!/bin/sh\n"
+        f'touch "{begun}/$$"\n'
+        f'for i in $(seq 600); do [ "$(ls {begun} | wc -l)" = 2 ] && break; sleep 0.1; done\n'
+        f'[ "$(ls {begun} | wc -l)" = 2 ] && exec {compiled.compiler()} "$@"\n'
+    )
+    compiler.chmod(0o755)
+    monkeypatch.setattr(compiled, "_working_compiler", lambda: str(compiler))
+    one, other = early.load_all(build_pendulum, [(4,), (5,)])
+    assert n_libraries(cache) == 2
+    assert not np.array_equal(rows_of(one), rows_of(other))
+
+
+def test_where_optimising_fails_the_first_library_stays(tmp_path):
+    compiler = tmp_path / "cc"
+    compiler.write_text(
+        f'#!/bin/sh\ncase "$*" in *-O2*) exit 1;; esac\nexec {shutil.which("cc")} "$@"\n'
+    )
+    compiler.chmod(0o755)
+    text = """
+import rhec, time
+from rhec.core._casadi import early
+scenario = rhec.Scenario(duration_s=2.0, estimation_horizon=2, prediction_horizon=2)
+errors = {rhec.simulate(scenario).metrics["mean_error_m"] for _ in range(early.WORTH_OPTIMISING)}
+for waiting in early._early.values():
+    waiting.thread.join()
+errors.add(rhec.simulate(scenario).metrics["mean_error_m"])
+print(len(errors), len(early._early))
+"""
+    environment = dict(CC=str(compiler), RHEC_CACHE=str(tmp_path / "cache"))
+    done = subprocess.run(
+        [sys.executable, "-c", text],
+        env=os.environ | environment,
+        cwd=Path(rhec.__file__).parents[1],
+        capture_output=True,
+        text=True,
+    )
+    assert (done.stdout.split(), done.stderr) == (["1", "1"], "")
