@@ -423,10 +423,12 @@ def read_bag(
     except ModuleNotFoundError:
         raise ValueError("a bag needs the package rosbags: pip install 'rhec[bags]'") from None
     files = files_of(file)
-    whole = files[0] if len(files) == 1 and not (file / "metadata.yaml").is_file() else file
+    # A folder of .bag files is one recording in parts, and so is one without its metadata.
+    is_described = (file / "metadata.yaml").is_file()
+    whole = [file] if is_described else files
     default = get_typestore(Stores.LATEST)
     try:
-        with AnyReader([whole], default_typestore=default) as reader:
+        with AnyReader(whole, default_typestore=default) as reader:
             return _read(Bag(reader), topics, columns, wheel_radius_m)
     except Exception as error:  # any error that a parser raises for a broken file
         if type(error) is ValueError:

@@ -92,6 +92,7 @@ class InitialGuess(NamedTuple):
     yaw_rad: tuple | None = None  # initial yaw of each segment [rad]
     sigma_yaw_rad: float = _SIGMA_FIRST[2]  # its standard deviation [rad]
     lever_arm_m: tuple | None = None  # position of the antenna ahead and left of the centre [m]
+    about_arm_m: tuple = (0.0, 0.0)  # where the antenna is about, if lever_arm_m is unknown [m]
 
 
 _UNKNOWN = InitialGuess()
@@ -268,7 +269,7 @@ def _run(functions, scenario, z, age_s, yaw_rad, first):
     begin = np.argmax(has_position) if has_position.any() else len(z)
     x, y = z[begin, :2] if has_position.any() else (0.0, 0.0)
     nu = np.nan_to_num(z[0, 2])
-    guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or (0.0, 0.0)))
+    guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or first.about_arm_m))
     if "gyro" in scenario.sensors:
         guess += (*sensors.GYRO_GUESS.values(),)
     sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
@@ -569,7 +570,8 @@ def replay(
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
             and v_right_mps; speed_mps and yaw_rate_radps are not used.
         lever_arm_m: Position (ahead, left) of the antenna relative to the centre of turning [m]. By
-            default it is estimated, within some decimetres. Only the estimator "rhe" with
+            default it is estimated, within some decimetres of `log.attrs["lever_arm_m"]`, which a
+            bag with /tf_static has, or else of the centre. Only the estimator "rhe" with
             speed_model="slipping" accepts it. The estimated position is that of the antenna.
         first_yaw_rad: Initial guess of the yaw [rad], one number or one for each segment. By
             default several directions are tried. Each row then has the estimate with the smallest
@@ -622,7 +624,8 @@ def replay(
     _refuse_lever_arm(lever_arm_m, scenario)
     _refuse_smooth(smooth, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
-    first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m)
+    about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
+    first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
     samples = estimate_samples(recording, scenario, first, smooth=smooth)
     names = scenario.sensors
     predict = predictor(_model_of(Choice.of(scenario)), quantities_of(names))
