@@ -110,12 +110,15 @@ def read_frame(file):
 
 
 def main(host=_HOST, folder=FOLDER, recordings=RECORDINGS):
-    """Fetch and convert every recording; the arguments are those of `fetch`.
+    """Fetch and convert every recording but those with not_run; the arguments are `fetch`'s.
 
     Raises:
         SystemExit: With a sentence, if a recording cannot be fetched or converted.
     """
     for name, source in recordings.items():
+        if "not_run" in source:
+            print(f"{name}: not fetched, {source['not_run']}")
+            continue
         try:
             file = fetch(name, folder, host, recordings)
             log = convert(read_frame(file), source)

@@ -1,12 +1,16 @@
 """ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table with one row for each time stamp."""
 
 import re
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from rhec.logs import bag_frames
+from rhec.logs.bag_fields import fields_of, listed
+from rhec.logs.cut_bags import CutBag
 from rhec.simulation.columns import TRACKS
 
 SUFFIXES = (".bag", ".db3", ".mcap")
@@ -94,8 +98,46 @@ _ROLES = {
     "gyro": {"sensor_msgs/msg/Imu": _Source([*"abcdef"], _imu)},
 }
 _OPTIONAL = ("gyro",)
+# The columns of which any pair, given as fields, fills a role.
+_FILLED_BY = {
+    "positions": (_POSITION[:2], ["latitude", "longitude"]),
+    "encoders": (_SPEEDS, TRACKS),
+    "gyro": (["gyro_radps"],),
+}
 # The specific force of a body at rest points up, with the size of gravity [m/s²].
 _GRAVITY = (8.0, 11.5)
+_SAME_AXIS = np.cos(np.deg2rad(30.0))  # of an axis by /tf_static and of one by gravity
+_FIELDS_HELP = "columns={'x_m': '/topic.field', …} reads fields of any type"
+
+
+class _Reading(NamedTuple):
+    """What is read from the messages of a topic."""
+
+    name: str  # a role, or the columns that fields fill
+    topic: str
+    msgtype: str
+    columns: list
+    values: Callable  # message -> the values of the columns
+
+
+# How its topics are chosen
+
+
+def _topic_for(types, topics, role):
+    """The topic of {topic: type} that has a role, among `topics` if the user passes some."""
+    kinds = [*_ROLES[role]]
+    suitable = [name for name in topics or types if types[name] in kinds]
+    if not suitable:
+        readable = ", ".join(kind.rsplit("/", 1)[1] for kind in kinds)
+        raise ValueError(f"no topic for {role} ({readable}) among {listed(types)}; {_FIELDS_HELP}")
+    best = min((types[name] for name in suitable), key=kinds.index)
+    suitable = [name for name in suitable if types[name] == best]
+    if topics is None and len(suitable) > 1:
+        raise ValueError(
+            f"several topics for {role}, {', '.join(suitable)}; topics should name one"
+        )
+    # If two topics have the same type, the user lists the topic of the positions first.
+    return suitable[0 if role == "positions" else -1]
 
 
 def _optional_topic(types, topics, role):
@@ -108,40 +150,10 @@ def _optional_topic(types, topics, role):
     return None, None
 
 
-def _about_vertical(table):
-    """The yaw rate about the vertical in a table of `_imu`, and how its axis was found."""
-    rate = table.to_numpy()[:, :3]
-    force = np.nanmean(table.to_numpy()[:, 3:], axis=0)
-    size = float(np.linalg.norm(force))
-    if not _GRAVITY[0] < size < _GRAVITY[1]:
-        return rate[:, 2], "about its z axis, because it measures no gravity"
-    up = force / size
-    axis = ", ".join(f"{entry:.2f}" for entry in up)
-    return rate @ up, f"about the vertical by gravity, ({axis}) in its axes"
-
-
-def _choose(types, topics, role):
-    """The topic of {topic: type} that has a role, among `topics` if the user passes some."""
-    kinds = [*_ROLES[role]]
-    suitable = [name for name in topics or types if types[name] in kinds]
-    if not suitable:
-        present = ", ".join(f"{name} ({kind})" for name, kind in types.items())
-        readable = ", ".join(kind.rsplit("/", 1)[1] for kind in kinds)
-        raise ValueError(f"no topic for {role} ({readable}) among {present or 'none'}")
-    best = min((types[name] for name in suitable), key=kinds.index)
-    suitable = [name for name in suitable if types[name] == best]
-    if topics is None and len(suitable) > 1:
-        raise ValueError(
-            f"several topics for {role}, {', '.join(suitable)}; topics should name one"
-        )
-    # If two topics have the same type, the user lists the topic of the positions first.
-    return suitable[0 if role == "positions" else -1]
-
-
 def _refuse_own_positions(chosen):
     """Raise a ValueError for positions that were made of the encoders."""
-    topic = chosen["positions"]
-    if topic == chosen["encoders"]:
+    topic = chosen.get("positions", "")
+    if topic and topic == chosen.get("encoders"):
         raise ValueError(
             f"the bag's only positions are those of {topic}, which are the integral of its own "
             f"speeds; record a receiver, or topics=({topic!r},) reads them as real positions"
@@ -153,68 +165,254 @@ def _refuse_own_positions(chosen):
         )
 
 
-def _read(reader, topics, wheel_radius_m):
-    """The table of an open bag, and {property: inferred value}."""
-    types = {name: topic.msgtype for name, topic in reader.topics.items()}
+def _refuse_without_radius(types, chosen, wheel_radius_m):
+    encoders = chosen.get("encoders")
+    if encoders and types[encoders].endswith("JointState") and wheel_radius_m is None:
+        raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
+
+
+def _choose(types, topics, fields, wheel_radius_m):
+    """{role: topic}, and {role: remark} where no topic has a role.
+
+    Where a user names fields, these may be all that is wanted: what else cannot be chosen is left
+    out then.
+    """
     unknown = [name for name in topics or () if name not in types]
     if unknown:
         raise ValueError(f"topics named {unknown[0]!r}; the bag has {', '.join(types)}")
-    chosen = {role: _choose(types, topics, role) for role in _ROLES if role not in _OPTIONAL}
-    optional = {role: _optional_topic(types, topics, role) for role in _OPTIONAL}
-    chosen |= {role: topic for role, (topic, _) in optional.items() if topic}
-    if topics is None:
-        _refuse_own_positions(chosen)
-    encoders = chosen["encoders"]
-    if types[encoders].endswith("JointState") and wheel_radius_m is None:
-        raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
-    messages = _messages(reader, types, chosen)
-    tables = []
-    inferred = {role: remark for role, (_, remark) in optional.items() if remark}
+    given = {field.column for field in fields}
+    chosen = {}
+    remarks = {}
+    for role, filling in _FILLED_BY.items():
+        if any(given.issuperset(columns) for columns in filling):
+            continue
+        if role in _OPTIONAL:
+            topic, remark = _optional_topic(types, topics, role)
+            chosen |= {role: topic} if topic else {}
+            remarks |= {role: remark} if remark else {}
+            continue
+        try:
+            chosen[role] = _topic_for(types, topics, role)
+            if topics is None:
+                _refuse_own_positions(chosen)
+            _refuse_without_radius(types, chosen, wheel_radius_m)
+        except ValueError as refused:
+            if not fields:
+                raise
+            chosen.pop(role, None)
+            remarks[role] = f"none: {refused}"
+    return chosen, remarks
+
+
+def _readings(types, chosen, fields):
+    """The _Readings of {role: topic} and of the fields."""
+    readings = []
     for role, topic in chosen.items():
         source = _ROLES[role][types[topic]]
-        stamps_ns, values = messages[role]
-        table = pd.DataFrame(values, index=stamps_ns, columns=source.columns, dtype=float)
-        disorder = int((np.diff(table.index) < 0).sum())
-        inferred[role] = f"{topic}, {types[topic]}, {len(table)} messages, {disorder} out of order"
-        if source.columns is TRACKS:
-            table *= wheel_radius_m
-        if role == "gyro":
-            rate, axis = _about_vertical(table)
-            table = pd.DataFrame(dict(gyro_radps=rate), index=table.index)
-            inferred[role] += f", {axis}"
+        readings.append(_Reading(role, topic, types[topic], source.columns, source.values))
+    for topic in dict.fromkeys(field.topic for field in fields):
+        of_topic = [field for field in fields if field.topic == topic]
+        columns = [field.column for field in of_topic]
+        values = _values_of(of_topic)
+        readings.append(_Reading(", ".join(columns), topic, types[topic], columns, values))
+    return readings
+
+
+def _values_of(fields):
+    """The function message -> values of these fields."""
+    return lambda message: [field.value(message) for field in fields]
+
+
+# How its messages are read
+
+
+class _Messages(NamedTuple):
+    """The messages of a bag."""
+
+    stamps_ns: dict  # {name of a reading: [time stamps]}
+    values: dict  # {name of a reading: [values]}
+    sensor_frames: dict  # {name of a reading: frame of its first message}
+    frames: bag_frames.Frames
+
+
+def _stamp_ns(message, received_ns):
+    """The time in a message's header [ns].
+
+    A header without a stamp has zeros; the recorder's time replaces it.
+    """
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return stamp.sec * 10**9 + stamp.nanosec or received_ns if stamp else received_ns
+
+
+def _frame(message):
+    """The frame in which a sensor measures; of a pose it is that of the body."""
+    header = getattr(message, "header", None)
+    if hasattr(message, "pose"):
+        return getattr(message, "child_frame_id", "")
+    return getattr(header, "frame_id", "")
+
+
+def _messages(bag, readings):
+    """The _Messages of the readings, from an open bag."""
+    names = [reading.name for reading in readings]
+    messages = _Messages(
+        {name: [] for name in names}, {name: [] for name in names}, {}, bag_frames.Frames()
+    )
+    static = {name for name, kind in bag.types.items() if kind == bag_frames.TYPE}
+    static = {name for name in static if name.endswith("static")}
+    topics = {reading.topic for reading in readings}
+    for topic, received_ns, message in bag.messages(topics | static):
+        if topic in static:
+            messages.frames.add(message)
+            continue
+        for reading in readings:
+            if reading.topic == topic:  # an Odometry may have several roles
+                messages.stamps_ns[reading.name].append(_stamp_ns(message, received_ns))
+                messages.values[reading.name].append(reading.values(message))
+                messages.sensor_frames.setdefault(reading.name, _frame(message))
+    return messages
+
+
+def _read(bag, topics, columns, wheel_radius_m):
+    """The table of an open bag, with the columns of fields in its attrs, and what was inferred."""
+    fields = fields_of(columns, bag.types)
+    chosen, inferred = _choose(bag.types, topics, fields, wheel_radius_m)
+    readings = _readings(bag.types, chosen, fields)
+    messages = _messages(bag, readings)
+    tables = []
+    for reading in readings:
+        table, told = _table(reading, messages, wheel_radius_m)
+        inferred[reading.name] = f"{reading.topic}, {reading.msgtype}, {told}"
         tables.append(table[~table.index.duplicated()].sort_index())
     table = tables[0]
     for other in tables[1:]:
         table = table.join(other, how="outer")
-    if table["position_sigma_m"].isna().all():
+    if not len(table):
+        raise ValueError(f"no message on {', '.join(each.topic for each in readings)}")
+    if "position_sigma_m" in table and table["position_sigma_m"].isna().all():
         table = table.drop(columns="position_sigma_m")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
-    return table.reset_index(drop=True), inferred
+    table = table.reset_index(drop=True)
+    _add_lever_arm(table, messages, inferred)
+    table.attrs["fields"] = [field.column for field in fields]
+    unread = {name: kind for name, kind in bag.types.items() if name not in _topics_of(readings)}
+    if unread:
+        inferred["other topics"] = listed(unread)
+    return table, inferred
 
 
-def _messages(reader, types, chosen):
-    """{role: (time stamps [ns], values)} of the chosen topics {role: topic} of an open bag."""
-    messages = {role: ([], []) for role in chosen}
-    topics = set(chosen.values())
-    connections = [connection for connection in reader.connections if connection.topic in topics]
-    for connection, received_ns, raw in reader.messages(connections):
-        message = reader.deserialize(raw, connection.msgtype)
-        stamp = message.header.stamp
-        for role, topic in chosen.items():
-            if topic == connection.topic:  # an Odometry may have both roles
-                stamps_ns, values = messages[role]
-                # A header without a stamp has zeros; the recorder's time replaces it.
-                stamps_ns.append(stamp.sec * 10**9 + stamp.nanosec or received_ns)
-                values.append(_ROLES[role][types[topic]].values(message))
-    return messages
+def _topics_of(readings):
+    return {reading.topic for reading in readings}
 
 
-def read_bag(file, topics, wheel_radius_m):
+def _table(reading, messages, wheel_radius_m):
+    """The table of a reading, indexed by time [ns], and what it consists of, as text."""
+    stamps_ns = messages.stamps_ns[reading.name]
+    values = messages.values[reading.name]
+    table = pd.DataFrame(values, index=stamps_ns, columns=reading.columns, dtype=float)
+    disorder = int((np.diff(table.index) < 0).sum())
+    told = f"{len(table)} messages, {disorder} out of order"
+    if wheel_radius_m is not None:
+        tracks = [name for name in TRACKS if name in table]
+        table[tracks] *= wheel_radius_m
+    if reading.name == "gyro":
+        rate, axis = _about_vertical(table, messages)
+        table = pd.DataFrame(dict(gyro_radps=rate), index=table.index)
+        told += f", {axis}"
+    return table, told
+
+
+# Where its sensors are
+
+
+def _about_vertical(table, messages):
+    """The yaw rate about the vertical in a table of `_imu`, and how its axis was found."""
+    rate = table.to_numpy()[:, :3]
+    force = np.nanmean(table.to_numpy()[:, 3:], axis=0)
+    size = float(np.linalg.norm(force))
+    measures_gravity = _GRAVITY[0] < size < _GRAVITY[1]
+    pose = messages.frames.pose(messages.sensor_frames["gyro"])
+    if pose is not None:
+        up = pose[0][2]
+        if not measures_gravity or abs(up @ force) >= _SAME_AXIS * size:
+            return rate @ up, f"about the z axis of {messages.frames.base} by /tf_static"
+    if not measures_gravity:
+        return rate[:, 2], "about its z axis, because it measures no gravity"
+    up = force / size
+    axis = ", ".join(f"{entry:.2f}" for entry in up)
+    against = "" if pose is None else ", which contradicts /tf_static"
+    return rate @ up, f"about the vertical by gravity, ({axis}) in its axes{against}"
+
+
+def _add_lever_arm(table, messages, inferred):
+    """Note the place of the antenna in the robot's frame, if the bag has transforms to it."""
+    pose = messages.frames.pose(messages.sensor_frames.get("positions", ""))
+    if pose is None:
+        return
+    ahead, left = map(float, pose[1][:2])
+    table.attrs["lever_arm_m"] = (ahead, left)
+    base = messages.frames.base
+    inferred["lever arm"] = f"{ahead:.3f} m ahead, {left:.3f} m left of {base}, by /tf_static"
+
+
+# Files
+
+
+class Bag:
+    """A bag that rosbags can open.
+
+    Args:
+        reader: The rosbags AnyReader, opened.
+
+    Attributes:
+        types: {topic: type of its messages}.
+    """
+
+    def __init__(self, reader: Any) -> None:
+        self._reader = reader
+        self.types = {name: topic.msgtype or "" for name, topic in reader.topics.items()}
+
+    def messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
+        """(topic, time of reception [ns], message) of each message of these topics.
+
+        Raises:
+            ValueError: For a type whose definition is not in the bag.
+        """
+        chosen = [each for each in self._reader.connections if each.topic in topics]
+        known = self._reader.typestore.fielddefs
+        for each in chosen:
+            if each.msgtype not in known:
+                raise ValueError(
+                    f"{each.topic} has messages of type {each.msgtype}, whose definition is not in "
+                    "the bag; an .mcap, or a bag by ROS 2 Iron or later, has the definitions"
+                )
+        # No topics would be all topics.
+        for connection, received_ns, raw in self._reader.messages(chosen) if chosen else ():
+            yield connection.topic, received_ns, self._reader.deserialize(raw, connection.msgtype)
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files with the messages of a bag, which is a file or a folder."""
+    if path.is_dir():
+        return sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
+    return [path]
+
+
+def read_bag(
+    file: Path,
+    topics: tuple[str, ...] | None,
+    wheel_radius_m: float | None,
+    columns: dict[str, str],
+) -> tuple[pd.DataFrame, dict[str, str]]:
     """The table of a bag, and {property: inferred value}.
+
+    A bag that was cut off is read until there. `.attrs["fields"]` of the table lists the columns
+    that are fields of messages.
 
     Args:
         file: Path of the bag.
-        topics, wheel_radius_m: As in `rhec.logs.read`.
+        topics, wheel_radius_m, columns: As in `rhec.logs.read`. Columns that are no fields of
+            messages are not looked at.
 
     Raises:
         ValueError: If rosbags is not installed, or if the bag cannot be read.
@@ -224,18 +422,29 @@ def read_bag(file, topics, wheel_radius_m):
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
         raise ValueError("a bag needs the package rosbags: pip install 'rhec[bags]'") from None
+    files = files_of(file)
+    # A folder of .bag files is one recording in parts, and so is one without its metadata.
+    is_described = (file / "metadata.yaml").is_file()
+    whole = [file] if is_described else files
+    default = get_typestore(Stores.LATEST)
     try:
-        with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            return _read(reader, topics, wheel_radius_m)
-    except ValueError:
-        raise
+        with AnyReader(whole, default_typestore=default) as reader:
+            return _read(Bag(reader), topics, columns, wheel_radius_m)
     except Exception as error:  # any error that a parser raises for a broken file
-        raise ValueError(f"{type(error).__name__}: {error}{_remedy(file)}") from None
+        if type(error) is ValueError:
+            raise
+        problem = f"{type(error).__name__}: {error}"
+    bag = CutBag(files, default)
+    if not bag.count:
+        raise ValueError(f"{problem}{_remedy(files)}")
+    table, inferred = _read(bag, topics, columns, wheel_radius_m)
+    inferred["file"] = f"{bag.count} messages until it was cut off ({problem}){_remedy(files)}"
+    return table, inferred
 
 
-def _remedy(file):
+def _remedy(files):
     """What repairs a bag whose recording was cut off, as the end of a sentence."""
     commands = {".mcap": "mcap recover", ".bag": "rosbag reindex", ".db3": "ros2 bag reindex"}
-    inside = next((path.suffix for path in sorted(file.glob("*.[md]*"))), "")
-    command = commands.get(file.suffix) or commands.get(inside)
+    commands_of = {file.suffix: commands[file.suffix] for file in files}
+    command = next(iter(commands_of.values()), None)
     return f"; if the recording was cut off, {command} may repair it" if command else ""

@@ -29,8 +29,8 @@ from rhec.core.estimator import kalman, offline
 from rhec.core.model import base
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.logs import terms
+from rhec.logs.command_line import add_reading, found_lines, parsed, read_given
 from rhec.logs.log_checks import refuse_implausible
-from rhec.logs.reader import read
 from rhec.logs.recording import prepare, resample
 from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.logs.smoother import moved_to_sample
@@ -232,6 +232,7 @@ class _Robot(NamedTuple):
 
     width_m: float  # track width
     sensors: tuple  # names of its sensors besides GNSS and encoders
+    about_arm_m: tuple = (0.0, 0.0)  # first guess of the antenna, ahead and left [m]
 
 
 def _filtered(z, x, yaw_rad, robot):
@@ -243,6 +244,7 @@ def _filtered(z, x, yaw_rad, robot):
     model = _model_of(robot.sensors)
     x_m, y_m = z[np.isfinite(z[:, :2]).all(axis=1)][0, :2]
     guess = _FIRST | dict(x_m=x_m, y_m=y_m, theta_rad=yaw_rad)
+    guess |= dict(zip(LEVER_ARM, robot.about_arm_m))
     memory = dict(
         m=np.array([guess.get(name, 0.0) for name in model.joint_names]),
         P=np.diag([_SIGMA_FIRST.get(name, _SIGMA_INPUT) ** 2 for name in model.joint_names]),
@@ -340,7 +342,8 @@ def calibrate(
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
         refuse_implausible(recording)
-    robot = _Robot(recording.track_width_m, recording.sensors)
+    about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
+    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m)
     recording = _usable(recording)
     _refuse_straight(recording)
     segments = _streams(recording)
@@ -550,25 +553,18 @@ def _report(x, deviation, arm, sigma_arm, names):
 
 def _arguments(words):
     """The command line: a log, and what `make replay` takes with it."""
-    parser = argparse.ArgumentParser(prog="make calibrate", description="LOG is a recorded log.")
-    parser.add_argument("log")
-    parser.add_argument("--columns", nargs="+", default=(), metavar="OURS=THEIRS")
-    parser.add_argument("--topics", nargs="+", default=None)
-    parser.add_argument("--wheel-radius-m", type=float)
-    parser.add_argument("--track-width-m", type=float)
+    parser = argparse.ArgumentParser(prog="make calibrate", description="Calibrate by a log.")
+    add_reading(parser)
     parser.add_argument("--position-delay-s", type=float, default=0.0)
     parser.add_argument("--trust-log", action="store_true")
-    return parser.parse_args(words)
+    return parsed(parser, words)
 
 
 def _main(words):
     """Calibrate the log of a command line, print the result and write it as YAML."""
     given = _arguments(words)
-    names = dict(pair.partition("=")[::2] for pair in given.columns)
-    topics = tuple(given.topics) if given.topics else None
-    log = read(given.log, columns=names or None, topics=topics, wheel_radius_m=given.wheel_radius_m)
-    for name, inferred in log.attrs["inferred"].items():
-        print(f"found {name}: {inferred}")
+    log = read_given(given)
+    print(*found_lines(log), sep="\n")
     found = calibrate(
         log,
         track_width_m=given.track_width_m,

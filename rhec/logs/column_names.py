@@ -55,6 +55,9 @@ def missing_columns(log, required):
     if RECORDED.items() <= required.items() and set(TRACKS) <= set(columns):
         sentence += f", or give a track_width_m for {', '.join(TRACKS)}"
     sentence += f"; it has {listed}; columns= of rhec.logs.read renames them"
+    inferred = log.attrs.get("inferred", {})
+    left_out = [f"{role}: {told}" for role, told in inferred.items() if told.startswith("none")]
+    sentence += f" ({'; '.join(left_out)})" if left_out else ""
     free = [column for column in columns if column not in required.values()]
     suggested = [f"{name}={column}" for name, column in _suggestions(missing, free).items()]
     return sentence + (f": did you mean {', '.join(suggested)}?" if suggested else "")

@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from rhec.core._casadi.validation import Positive, checked
+from rhec.logs.command_line import add_reading, found_lines, parsed, read_given
 from rhec.logs.log_checks import best_delay, halves_agree, refuse_implausible
 from rhec.logs.position_noise import position_sigma_m
 from rhec.logs.reader import read
@@ -431,16 +432,20 @@ _CHECKS: tuple[Callable, ...] = (
 def main(arguments: list[str] | None = None) -> int:
     """The command line; the result is the exit code."""
     parser = argparse.ArgumentParser(prog="rhec doctor", description=__doc__.partition("\n")[0])
-    parser.add_argument("file")
+    add_reading(parser)
     parser.add_argument("--sigma-m", type=float)
     parser.add_argument("--json", action="store_true")
-    given = parser.parse_args(arguments)
+    given = parsed(parser, arguments)
     try:
-        diagnosis = doctor(given.file, sigma_m=given.sigma_m)
+        log = read_given(given)
+        diagnosis = doctor(log, sigma_m=given.sigma_m, track_width_m=given.track_width_m)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    print(diagnosis.to_json() if given.json else diagnosis)
+    if given.json:
+        print(diagnosis.to_json())
+    else:
+        print(*found_lines(log), diagnosis, sep="\n")
     return 0 if diagnosis.ok else 1
 
 

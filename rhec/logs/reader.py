@@ -6,6 +6,7 @@ No content of a file is executed. `log.attrs["inferred"]` lists what the reader 
 import itertools
 import re
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,14 @@ import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi.validation import Positive, checked, shown
-from rhec.logs.bags import SUFFIXES, read_bag
+from rhec.logs.bags import SUFFIXES, files_of, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
 # Larger files are no logs, and would take minutes and gigabytes to read.
 _MOST_VALUES = 50_000_000
 _MOST_COLUMNS = 10_000
+_LONGEST_PROBLEM = 1000  # characters of an error message of another library
 _DECIMALS = {",": "comma", ".": "point"}
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp|date_?time)(?:_(s|ms|us|ns))?", re.IGNORECASE)
@@ -49,12 +51,16 @@ def read(
             `latitude`, `longitude` [deg] may replace `x_m`, `y_m`, and `sec`, `nanosec` the time.
             Without a line of names, as of `ros2 topic echo --csv`, they are "0", "1", "2" …
         columns: {column of a recording: name in the file} where the names differ, such as
-            {"x_m": "east"}.
+            {"x_m": "east"}. In a bag a name may be the path of a field of any message whose type
+            is defined there: the topic, then fields and places in arrays, such as
+            {"x_m": "/odom.pose.pose.position.x", "v_left_mps": "/wheels.velocity[0]"}. A time
+            becomes seconds, and a quaternion its yaw [rad]. What such columns fill needs no topic.
         topics: Topics of a bag with the positions and with the encoder speeds. By default each is
             the only topic of its type: NavSatFix, PoseStamped or Odometry for positions;
             JointState, TwistStamped or the twist of an Odometry for speeds. A third one, of type
-            Imu, gives `gyro_radps`, about the vertical as gravity shows it.
-        wheel_radius_m: Radius of the wheels [m], needed for the speeds [rad/s] of a JointState.
+            Imu, gives `gyro_radps`, about the vertical by /tf_static or as gravity shows it.
+        wheel_radius_m: Radius of the wheels [m], needed for the speeds [rad/s] of a JointState. It
+            also multiplies v_left_mps and v_right_mps where these are fields.
 
     Returns:
         DataFrame. A bag has one row for each time stamp, in order, with the measurements of that
@@ -64,6 +70,8 @@ def read(
         the first position, in the plane tangent to WGS 84 there; lengths are 4 mm too short in
         10 km. `.attrs["inferred"]` lists what was inferred. `.attrs["origin"]` has the latitude,
         longitude [deg] and altitude [m] of the first position, if the log has them.
+        `.attrs["lever_arm_m"]` has the place of the antenna ahead and left of base_link [m], if
+        /tf_static in the bag tells it. A bag that was cut off is read until there.
 
     Raises:
         ValueError: If the file cannot be read, or if it lacks the topics or columns.
@@ -73,7 +81,7 @@ def read(
     file = Path(path)
     if not _is_path(file):
         raise ValueError(f"log was {shown(path)}; it cannot be a path")
-    is_bag = file.suffix in SUFFIXES or (file / "metadata.yaml").is_file()
+    is_bag = file.suffix in SUFFIXES or file.is_dir() and bool(files_of(file))
     if not (is_bag and file.exists() or file.suffix in (".csv", ".parquet") and file.is_file()):
         raise ValueError(
             f"log was {str(file)!r}; it should be an existing .csv, .parquet, "
@@ -83,15 +91,20 @@ def read(
         raise ValueError(f"topics was {topics!r}; only a bag has topics, and log was {str(file)!r}")
     try:
         if is_bag:
-            log, inferred = read_bag(file, topics, wheel_radius_m)
+            log, inferred = read_bag(file, topics, wheel_radius_m, columns or {})
         elif file.suffix == ".csv":
             log, inferred = _read_csv(file)
         else:
             log = _read_parquet(file)
+            log.attrs.pop("lever_arm_m", None)  # of a replay, which the file may bring along
             inferred = {}
     except Exception as error:  # any error that a reader raises for a broken file
-        raise ValueError(f"log was {str(file)!r}, which cannot be read: {error}") from None
+        problem = shorten(str(error), _LONGEST_PROBLEM, placeholder=" …")  # in one line
+        raise ValueError(f"log was {str(file)!r}, which cannot be read: {problem}") from None
+    read = log.attrs.pop("fields", []) if is_bag else []
     for name, column in (columns or {}).items():
+        if name in read:
+            continue
         if column not in log:
             raise ValueError(
                 f"columns[{name!r}] was {column!r}; the log has {', '.join(map(str, log))}"
@@ -133,7 +146,8 @@ def _read_csv(file):
         skipinitialspace=True,
         header=0 if has_header else None,
     )
-    table.columns = [str(name).strip() for name in table]
+    # `rostopic echo -p` begins the line of names with %, other loggers begin it with #.
+    table.columns = [str(name).strip().lstrip("%# ") for name in table]
     inferred = dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
     if not has_header:
         inferred["header"] = "none, the names of the columns are 0, 1, 2 …"

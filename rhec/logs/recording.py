@@ -43,6 +43,7 @@ _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 MAX_PERIOD = 1.25  # largest median period of a log; slower logs are refused
 _TRUTH_GAP = 1.75  # longer gaps between true poses are not interpolated
 _ENCODER_GAP = 3.25  # largest gap of encoder measurements that is interpolated or held
+_OWN_PERIODS = 1.75  # in periods of an input that is measured less often: the same gap
 _STANDING_GAP = 15.0  # after a longer gap the robot is assumed to stand
 _SEGMENT_GAP = 3000.0  # after a longer gap a new segment begins
 # A time is wrong if it differs by more from the median of itself and the two times before it. A
@@ -56,6 +57,13 @@ _SHORTEST_S = 0.004  # shortest median period of a log
 _SAME_S = 1e-3  # times that differ by less are equal
 
 
+class Timing(NamedTuple):
+    """When the columns of a log were measured, each at a rate and with a delay of its own."""
+
+    delays_s: dict  # {column: delay of its time stamps [s]}
+    gaps_s: dict  # {mean: longest time over which a measurement is held or interpolated [s]}
+
+
 class Recording(NamedTuple):
     """A log that is ready to be resampled."""
 
@@ -65,6 +73,7 @@ class Recording(NamedTuple):
     track_width_m: float  # the argument, else from the log's track speeds, else the paper's
     faults: dict  # {reason: number of unusable rows or measurements}
     columns: dict  # {column of `rows`: column of the log}
+    timing: Timing | None = None  # of a Model's log
 
     @property
     def sensors(self):
@@ -113,14 +122,43 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     return Recording(rows, places, is_simulated, width_m, faults, columns)
 
 
-def prepare_for(model, dt_s, log):
-    """The Recording of a log of a Model, with a column for each output; inputs are means."""
+def prepare_for(model, dt_s, log, delays_s=None):
+    """The Recording of a log of a Model, with a column for each output; inputs are means.
+
+    Args:
+        model: The rhec.Model.
+        dt_s: Length of a sample [s].
+        log: DataFrame, as `rhec.replay` takes it.
+        delays_s: {output: delay of its time stamps [s]}.
+
+    Raises:
+        ValueError: If the log lacks columns, numbers or times, or if a delay is of no output.
+    """
+    delays_s = delays_s or {}
+    unknown = [name for name in delays_s if name not in model.outputs]
+    if unknown:
+        raise ValueError(
+            f"delays_s named {unknown[0]!r}; the model has the outputs {', '.join(model.outputs)}"
+        )
     columns = {name: name for name in model.outputs}
     values = _parse(log, columns)
     _drop_implausible(values, columns, dict(zip(columns, model.limits)))
     rows, places = _usable_rows(values, dt_s)
     faults = dict(rows=len(log), unusable_times=len(log) - len(places))
-    return Recording(rows, places, True, np.nan, faults, columns)
+    inputs = [model.outputs[row] for row in model.input_outputs.values()]
+    periods_s = {name: _period_s(rows, name) for name in inputs}
+    gaps_s = {
+        name: max(_ENCODER_GAP * dt_s, _OWN_PERIODS * period) for name, period in periods_s.items()
+    }
+    timing = Timing(dict(delays_s), gaps_s)
+    return Recording(rows, places, True, np.nan, faults, columns, timing)
+
+
+def _period_s(rows, name):
+    """Median time between the measurements of a column [s]; 0 with fewer than two."""
+    there = rows[rows[name].notna()]
+    step_s = there.groupby("segment")["t_s"].diff()
+    return float(step_s.median()) if step_s.notna().any() else 0.0
 
 
 # Columns
@@ -327,7 +365,7 @@ def _usable_times(t_s, segment, dt_s):
 # Samples
 
 
-def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS):
+def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS, timing=None):
     """Resample the rows of one segment; a sample contains no later measurement.
 
     Args:
@@ -338,6 +376,7 @@ def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS):
             with its age [s] in the column `<name>_age_s`.
         means: Names of the measurements that are means over the interval that ends at the sample,
             such as a model's inputs.
+        timing: The Timing of these columns, if they have rates and delays of their own.
 
     Returns:
         DataFrame with t_s, the measurements, and the truth: speeds as means over the interval, the
@@ -355,9 +394,12 @@ def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS):
         value = rows[name].to_numpy()
         if name in (*means, *TRUE_SPEEDS):
             is_mean = averaged and name in means
-            result[name] = _means_since(before, at, t, value, is_mean, _ENCODER_GAP * dt_s)
+            times_s, value, gap_s = _timed(name, t, value, timing, _ENCODER_GAP * dt_s)
+            result[name] = _means_since(before, at, times_s, value, is_mean, gap_s)
         elif name in measured:
             measured_s = positions_s if name in _POSITION else t
+            if timing:
+                measured_s = t - timing.delays_s.get(name, 0.0)
             newest = _newest_since(before, at, measured_s, value)
             result[name], result[f"{name}_age_s"] = newest
         else:
@@ -367,18 +409,31 @@ def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS):
     silence_begins = np.diff(is_silent, prepend=False) & is_silent
     if silence_begins.any():
         # The estimator holds missing inputs, so a zero here makes the robot stand from here on.
-        for name in _ENCODERS:
+        for name in set(_ENCODERS) & set(result):
             result[name][silence_begins] = 0.0
     return pd.DataFrame(result)
 
 
-def measured_since(rows, begin_s, dt_s, averaged, means):
+def _timed(name, t, value, timing, gap_s):
+    """Times and values of a column's measurements, and the longest time over which they hold [s].
+
+    Without a Timing a missing value means that the interval since the row before is not covered.
+    With one, it means that this column was not measured in this row.
+    """
+    if timing is None:
+        return t, value, gap_s
+    there = np.isfinite(value)
+    return t[there] - timing.delays_s.get(name, 0.0), value[there], timing.gaps_s.get(name, gap_s)
+
+
+def measured_since(rows, begin_s, dt_s, averaged, means, timing=None):
     """Means of measurements from the times begin_s [s] to the time of each row, as a DataFrame."""
     t = rows["t_s"].to_numpy()
     gap_s = _ENCODER_GAP * dt_s
-    columns = {
-        name: _means_since(begin_s, t, t, rows[name].to_numpy(), averaged, gap_s) for name in means
-    }
+    columns = {}
+    for name in means:
+        times_s, value, longest_s = _timed(name, t, rows[name].to_numpy(), timing, gap_s)
+        columns[name] = _means_since(begin_s, t, times_s, value, averaged, longest_s)
     return pd.DataFrame(columns)
 
 

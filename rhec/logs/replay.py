@@ -92,6 +92,7 @@ class InitialGuess(NamedTuple):
     yaw_rad: tuple | None = None  # initial yaw of each segment [rad]
     sigma_yaw_rad: float = _SIGMA_FIRST[2]  # its standard deviation [rad]
     lever_arm_m: tuple | None = None  # position of the antenna ahead and left of the centre [m]
+    about_arm_m: tuple = (0.0, 0.0)  # where the antenna is about, if lever_arm_m is unknown [m]
 
 
 _UNKNOWN = InitialGuess()
@@ -268,7 +269,7 @@ def _run(functions, scenario, z, age_s, yaw_rad, first):
     begin = np.argmax(has_position) if has_position.any() else len(z)
     x, y = z[begin, :2] if has_position.any() else (0.0, 0.0)
     nu = np.nan_to_num(z[0, 2])
-    guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or (0.0, 0.0)))
+    guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or first.about_arm_m))
     if "gyro" in scenario.sensors:
         guess += (*sensors.GYRO_GUESS.values(),)
     sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
@@ -421,6 +422,7 @@ class _Columns(NamedTuple):
     means: list  # the measurements of inputs, which are means
     estimated: list
     predict: Any  # the `predictor` of these estimates
+    timing: Any = None  # the Timing of a Model's measurements
 
 
 def _at_rows(samples, recording, log, dt_s, columns):
@@ -451,7 +453,9 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
     last = np.searchsorted(sampled, t, side="right") - 1
     tau = t - sampled[last]
     z = samples[columns.measured].iloc[last].reset_index(drop=True)
-    z[columns.means] = measured_since(rows, sampled[last], dt_s, averaged, columns.means)
+    z[columns.means] = measured_since(
+        rows, sampled[last], dt_s, averaged, columns.means, columns.timing
+    )
     result = samples.iloc[last].reset_index(drop=True)
     estimate = result[columns.estimated].to_numpy()
     predicted, _ = columns.predict(estimate, z.to_numpy(), tau)
@@ -470,7 +474,7 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
 # Any Model
 
 
-def _replay_model(log, model, estimator, arguments):
+def _replay_model(log, model, estimator, delays_s, arguments):
     """Replay a log with the RHE or EKF of a Model, which restarts in each segment."""
     classes = {"rhe": RHE, "ekf": EKF}
     if estimator not in classes:
@@ -478,33 +482,37 @@ def _replay_model(log, model, estimator, arguments):
     live = classes[estimator]
     live(model=model, **arguments)  # validates the arguments before the log is read
     dt_s = arguments["dt"]
-    recording = prepare_for(model, dt_s, log)
+    recording = prepare_for(model, dt_s, log, delays_s)
     means = [model.outputs[row] for row in model.input_outputs.values()]
     hats = [f"{name}_hat" for name in model.names]
     sigmas = [f"{name}_sigma" for name in (*model.states, *model.parameters)]
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, dt_s, True, model.outputs, means)
+        part = resample(rows, dt_s, True, model.outputs, means, recording.timing)
         part[[*hats, *sigmas, "ok"]] = _run_live(live(model=model, **arguments), model, part, dt_s)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     samples["ok"] = samples["ok"] == 1
-    columns = _Columns([*model.outputs], means, hats, predictor(model, model.names))
+    predict = predictor(model, model.names)
+    columns = _Columns([*model.outputs], means, hats, predict, recording.timing)
     return _at_rows(samples, recording, log, dt_s, columns)
 
 
 def _run_live(estimator, model, samples, dt_s):
     """Estimates, standard deviations and `ok` of the samples of a segment, (n, columns).
 
-    Measurements that are older than their sample are moved to it as in `_moved_to_sample`.
+    Measurements that are older than their sample are moved to it as in `_moved_to_sample`, or left
+    out of the first sample, before which no motion is known.
     """
     motion = _motion(model, model.names)
     ages = samples.reindex(columns=[f"{name}_age_s" for name in model.outputs]).to_numpy()
     rows = []
     last = None
     for z, age_s in zip(samples[[*model.outputs]].to_numpy(copy=True), ages):
-        for row in np.flatnonzero(age_s > 0):
+        if last is None:
+            z[age_s > 0] = np.nan
+        for row in np.flatnonzero((age_s > 0) & np.isfinite(z)):
             _, now = motion(last, z, dt_s)
             _, then = motion(last, z, dt_s - age_s[row])
             z[row] += float(now[row] - then[row])
@@ -530,6 +538,7 @@ def replay(
     first_yaw_rad: Real | tuple[Real, ...] | None = None,
     sigma_yaw_rad: Positive | None = None,
     position_delay_s: Real = 0.0,
+    delays_s: dict[str, Real] | None = None,
     trust_log: Flag = False,
     smooth: Flag = False,
     **fields: Any,
@@ -558,24 +567,27 @@ def replay(
 
             Other columns are ignored. The log of a `rhec.simulate` run is accepted as well and
             recognised by its column `x_meas_m`. With a model the log has `t_s`, a column for each
-            of the model's outputs and optionally `segment`, with a row at least every dt; a
-            measured input is the mean since the previous row. `rhec.logs.recording` describes the
+            of the model's outputs and optionally `segment`, with a row at least every dt. Outputs
+            may be measured in different rows and at different rates; a measured input is the mean
+            since its previous measurement. `rhec.logs.recording` describes the
             treatment of faults of real logs.
         estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf",
             "yaw_drift_rhe", "map_ekf" (without a map) or a CasADi Function, as in Scenario. With a
             model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
-            sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
+            sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean, robust.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
             and v_right_mps; speed_mps and yaw_rate_radps are not used.
         lever_arm_m: Position (ahead, left) of the antenna relative to the centre of turning [m]. By
-            default it is estimated, within some decimetres. Only the estimator "rhe" with
+            default it is estimated, within some decimetres of `log.attrs["lever_arm_m"]`, which a
+            bag with /tf_static has, or else of the centre. Only the estimator "rhe" with
             speed_model="slipping" accepts it. The estimated position is that of the antenna.
         first_yaw_rad: Initial guess of the yaw [rad], one number or one for each segment. By
             default several directions are tried. Each row then has the estimate with the smallest
             innovations until then, which may be wrong until the robot has driven some metres.
         sigma_yaw_rad: Standard deviation of that guess [rad]; 0.3 by default.
         position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
+        delays_s: With a model, {output: delay of its time stamps [s]}.
         trust_log: Whether to skip the plausibility checks. By default a log with wrong units, signs
             or axes, or of a robot that never moves, is refused.
         smooth: Whether each estimate takes later measurements into account, too. Only the
@@ -614,7 +626,12 @@ def replay(
             trust_log=trust_log or None,
             smooth=smooth or None,
         )
-        return _replay_model(log, model, estimator, fields)
+        return _replay_model(log, model, estimator, delays_s, fields)
+    if delays_s is not None:
+        raise ValueError(
+            f"delays_s was {delays_s!r}; it is of a model's outputs, and this replay has no model: "
+            "position_delay_s is that of the positions"
+        )
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
         refuse_implausible(recording)
@@ -622,7 +639,8 @@ def replay(
     _refuse_lever_arm(lever_arm_m, scenario)
     _refuse_smooth(smooth, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
-    first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m)
+    about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
+    first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
     samples = estimate_samples(recording, scenario, first, smooth=smooth)
     names = scenario.sensors
     predict = predictor(_model_of(Choice.of(scenario)), quantities_of(names))

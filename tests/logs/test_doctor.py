@@ -149,5 +149,9 @@ def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):
         log.to_csv(tmp_path / f"{name}.csv", index=False)
         assert doctor.main([str(tmp_path / f"{name}.csv"), "--json"]) == code
         assert json.loads(capsys.readouterr().out)["ok"] == (code == 0)
+    LOG.rename(columns=dict(x_m="east")).to_csv(tmp_path / "east.csv", index=False)
+    assert doctor.main([str(tmp_path / "east.csv"), "--columns", "x_m=east"]) == 0
+    assert doctor.main([str(tmp_path / "east.csv"), "-p", "columns", '["x_m=east"]']) == 0
+    assert "found separator: comma" in capsys.readouterr().out
     assert doctor.main([str(tmp_path / "none.csv")]) == 2
     assert "none.csv" in capsys.readouterr().err

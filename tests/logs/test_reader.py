@@ -6,10 +6,16 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from written_bags import (
+    START_NS,
+    fix,
+    imu,
+    joint_state,
+    odometry,
+    pose_stamped,
+    twist_stamped,
+    write_bag,
+)
 
 import rhec
 from rhec.simulation.columns import ESTIMATE
@@ -18,7 +24,6 @@ T = np.arange(0, 20, 0.1).round(3)
 LOG = pd.DataFrame(
     dict(t_s=T, x_m=0.5 * T, y_m=np.sin(T), speed_mps=0.5, yaw_rate_radps=0.1 * np.cos(T))
 )
-START_NS = 1_722_264_375_000_000_000
 
 
 def written(tmp_path, log, **how):
@@ -147,135 +152,6 @@ def curve(t):
     return x, y, np.full(len(t), 0.8), 0.16 * np.cos(0.4 * t) / 0.75, yaw
 
 
-def write_bag(folder, kind, messages):
-    """A bag of (topic, type, stamp [ns], message) in this order, received a second later each."""
-    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.LATEST)
-    types = {topic: name for topic, name, *_ in messages}
-    if kind == "bag":
-        file, writer = folder / "log.bag", Writer1(folder / "log.bag")
-    else:
-        file = folder / f"log_{kind}"
-        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-        writer = Writer2(file, version=9, storage_plugin=plugin)
-    serialize = store.serialize_ros1 if kind == "bag" else store.serialize_cdr
-    with writer:
-        lines = {
-            topic: writer.add_connection(topic, name, typestore=store)
-            for topic, name in types.items()
-        }
-        for row, (topic, name, stamp, message) in enumerate(messages):
-            writer.write(
-                lines[topic], START_NS + row * 10**6, serialize(message(store, stamp), name)
-            )
-    return next(file.glob("*.mcap")) if kind == "mcap" else file
-
-
-def header(store, stamp, name="map"):
-    time = store.types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
-    made = store.types["std_msgs/msg/Header"]
-    return made(0, time, name) if "seq" in made.__annotations__ else made(time, name)
-
-
-def of(store, kind, /, **fields):
-    return store.types[kind.replace("/", "/msg/")](**fields)
-
-
-def xyz(store, name, x=0.0, y=0.0, z=0.0):
-    return of(store, f"geometry_msgs/{name}", x=float(x), y=float(y), z=float(z))
-
-
-def pose(store, x, y):
-    turn = of(store, "geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    return of(store, "geometry_msgs/Pose", position=xyz(store, "Point", x, y), orientation=turn)
-
-
-def twist(store, speed, yaw_rate):
-    linear, angular = xyz(store, "Vector3", speed), xyz(store, "Vector3", z=yaw_rate)
-    return of(store, "geometry_msgs/Twist", linear=linear, angular=angular)
-
-
-def odometry(x, y, speed, yaw_rate):
-    def message(store, stamp):
-        nothing = np.zeros(36)
-        place = of(
-            store, "geometry_msgs/PoseWithCovariance", pose=pose(store, x, y), covariance=nothing
-        )
-        motion = of(
-            store,
-            "geometry_msgs/TwistWithCovariance",
-            twist=twist(store, speed, yaw_rate),
-            covariance=nothing,
-        )
-        return of(
-            store,
-            "nav_msgs/Odometry",
-            header=header(store, stamp),
-            child_frame_id="base",
-            pose=place,
-            twist=motion,
-        )
-
-    return message
-
-
-def joint_state(left, right):
-    def message(store, stamp):
-        names = ["front_left_wheel", "front_right_wheel", "rl_wheel", "rr_wheel", "mast"]
-        speeds = np.array([left, right, left, right, 7.0])
-        return of(
-            store,
-            "sensor_msgs/JointState",
-            header=header(store, stamp),
-            name=names,
-            position=np.zeros(5),
-            velocity=speeds,
-            effort=np.zeros(5),
-        )
-
-    return message
-
-
-def fix(latitude, longitude, status=0):
-    def message(store, stamp):
-        known = of(store, "sensor_msgs/NavSatStatus", status=status, service=1)
-        return of(
-            store,
-            "sensor_msgs/NavSatFix",
-            header=header(store, stamp),
-            status=known,
-            latitude=latitude,
-            longitude=longitude,
-            altitude=100.0,
-            position_covariance=np.zeros(9),
-            position_covariance_type=0,
-        )
-
-    return message
-
-
-def imu(rate, force):
-    """An Imu with these yaw rates and specific forces in its own axes."""
-
-    def message(store, stamp):
-        turn = of(store, "geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-        covariances = (
-            "orientation_covariance",
-            "angular_velocity_covariance",
-            "linear_acceleration_covariance",
-        )
-        return of(
-            store,
-            "sensor_msgs/Imu",
-            header=header(store, stamp),
-            orientation=turn,
-            angular_velocity=xyz(store, "Vector3", *rate),
-            linear_acceleration=xyz(store, "Vector3", *force),
-            **{name: np.zeros(9) for name in covariances},
-        )
-
-    return message
-
-
 @pytest.mark.parametrize("up, named", [((0, 1, 0), "gravity"), ((0, 0, -1), "gravity")])
 def test_an_imu_gives_the_yaw_rate_about_the_vertical(tmp_path, up, named):
     """Also where it is mounted on its side or upside down."""
@@ -300,21 +176,6 @@ def test_columns_without_names_are_numbered(tmp_path):
     log = rhec.logs.read(file, columns={"sec": "0", "nanosec": "1", "x_m": "2", "y_m": "3"})
     np.testing.assert_allclose(log["t_s"], 0.2 * np.arange(10))
     assert len(log) == 10 and log["x_m"].iloc[-1] == 0.9
-
-
-def pose_stamped(x, y):
-    return lambda store, stamp: of(
-        store, "geometry_msgs/PoseStamped", header=header(store, stamp), pose=pose(store, x, y)
-    )
-
-
-def twist_stamped(speed, yaw_rate):
-    return lambda store, stamp: of(
-        store,
-        "geometry_msgs/TwistStamped",
-        header=header(store, stamp),
-        twist=twist(store, speed, yaw_rate),
-    )
 
 
 def stamps(rate_hz, duration_s, seed):

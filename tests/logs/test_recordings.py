@@ -15,6 +15,7 @@ import pytest
 from convert_recordings import convert
 from helpers import Bomb
 from scipy.integrate import cumulative_trapezoid
+from written_bags import START_NS, odometry, write_bag
 
 import rhec
 
@@ -77,9 +78,40 @@ def test_a_pickle_of_something_else_is_refused(tmp_path):
 def test_each_source_is_whole():
     wanted = {"repository", "commit", "path", "sha256", "licence", "citation", "robot"}
     for source in fetch_recordings.RECORDINGS.values():
-        assert wanted < set(source)
         assert re.fullmatch("[0-9a-f]{40}", source["commit"])
+        if "not_run" in source:
+            assert wanted - {"sha256"} < set(source)
+            continue
+        assert wanted < set(source)
         assert re.fullmatch("[0-9a-f]{64}", source["sha256"])
+
+
+def test_what_is_not_run_is_not_fetched(tmp_path, capsys):
+    table = dict(far=dict(not_run="too large"))
+    fetch_recordings.main("http://127.0.0.1:1", tmp_path, table)
+    assert capsys.readouterr().out == "far: not fetched, too large\n"
+
+
+def test_the_columns_of_a_recording_that_is_not_run_fit_its_documented_topics(tmp_path):
+    """CitrusFarm's two files of a sequence in one folder, as documented, become a log."""
+    source = fetch_recordings.RECORDINGS["citrusfarm"]
+    assert len(source["sequences"]) == 7
+    for topic, name, row in zip(source["topics"], ("gt", "odom"), ((1, 2, 0, 0), (9, 9, 0.5, 0.1))):
+        kind = source["topics"][topic]
+        messages = [(topic, kind, START_NS + k * 10**8, odometry(*row)) for k in range(5)]
+        (tmp_path / name).mkdir()
+        file = write_bag(tmp_path / name, "bag", messages)
+        file.rename(tmp_path / f"{name}.bag")
+        (tmp_path / name).rmdir()
+    log = rhec.logs.read(tmp_path, columns=source["columns"])
+    columns = ["x_m", "y_m", "speed_mps", "yaw_rate_radps"]
+    np.testing.assert_array_equal(log[columns], [[1, 2, 0.5, 0.1]] * 5)
+
+
+def test_columns_that_are_not_run_name_documented_topics():
+    for source in fetch_recordings.RECORDINGS.values():
+        for path in source.get("columns", {}).values():
+            assert path.partition(".")[0] in source["topics"]
 
 
 # Conversion: a robot whose speed and yaw rate swing, its poses 0.3 s late, its encoders 0.1 s

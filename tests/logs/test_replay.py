@@ -324,6 +324,17 @@ def test_the_lever_arm_can_be_given_or_estimated():
     )
 
 
+def test_the_lever_arm_of_a_bag_is_where_the_estimate_of_it_begins():
+    log = recorded_log(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=40.0)
+    without = rhec.replay(log, first_yaw_rad=0.4)
+    log.attrs["lever_arm_m"] = (0.3, -0.2)
+    begun = rhec.replay(log, first_yaw_rad=0.4)
+    arm = ["arm_forward_hat_m", "arm_left_hat_m"]
+    np.testing.assert_allclose(begun[arm].iloc[0], (0.3, -0.2), atol=1e-3)
+    off = [np.abs(each[arm] - np.array((0.3, -0.2))).mean().max() for each in (begun, without)]
+    assert off[0] < 0.5 * off[1]
+
+
 def test_segments_are_independent():
     second = recorded_log(start_rad=2.0, noise_m=0.02, seed=1)
     both = pd.concat(
@@ -474,6 +485,7 @@ def test_a_log_with_other_names_is_told_how_to_rename_them(log, sentence):
         (dict(lever_arm_m=(0.1,)), "^lever_arm_m"),
         (dict(track_width_m=-0.5), "^track_width_m was -0.5"),
         (dict(sigma_yaw_rad=0.0), "^sigma_yaw_rad was 0.0"),
+        (dict(delays_s=dict(x_m=0.1)), "^delays_s was .*no model: position_delay_s is that"),
     ],
 )
 def test_bad_parameters_are_named(given, sentence):
@@ -683,9 +695,73 @@ def test_a_models_estimates_are_at_each_rows_own_time(rate_hz, estimator):
     assert result["ok"].all() and (result["theta_rad_sigma"][4:] < 0.2).all()
 
 
+def rms_of_replay(log, truth, **given):
+    """RMS error of the estimated position, after 5 s."""
+    result = rhec.replay(log, **OF_UNICYCLE | given)
+    late = truth["t_s"].to_numpy() > 5
+    x, y = (np.interp(log["t_s"], truth["t_s"], truth[name]) for name in ("x_m", "y_m"))
+    late = log["t_s"].to_numpy() > 5
+    return np.sqrt(np.mean((result["x_m_hat"] - x)[late] ** 2 + (result["y_m_hat"] - y)[late] ** 2))
+
+
+@pytest.mark.parametrize("delays_s", [dict(x_m=0.7, y_m=0.7), dict(speed_mps=1.2), dict(y_m=-0.3)])
+def test_each_output_of_a_model_has_a_delay_of_its_own(delays_s):
+    """Stamped late, at times between the samples: with the delay told, the estimates are right."""
+    truth = circle(20.0)
+    truth["speed_mps"] = 0.5 + 0.3 * np.sin(0.8 * truth["t_s"])
+    truth["x_m"], truth["y_m"] = (
+        np.cumsum(0.05 * truth["speed_mps"] * each(truth["yaw"] - 0.0025))
+        for each in (np.cos, np.sin)
+    )
+    late = truth.copy()
+    for name, delay_s in delays_s.items():
+        late[name] = np.interp(truth["t_s"] - delay_s, truth["t_s"], truth[name])
+    told, not_told = (rms_of_replay(late, truth, delays_s=each) for each in (delays_s, None))
+    assert told < 0.02 and told < 0.2 * not_told
+
+
+def test_outputs_of_a_model_may_have_rates_of_their_own():
+    """Speed at 1 Hz, yaw rate at 7 Hz and positions at 3 Hz, in rows of their own."""
+    truth = circle(42.0)
+    rates = dict(speed_mps=42, yaw_rate_radps=6, x_m=14, y_m=14)
+    log = truth.copy()
+    for shift, (name, every) in enumerate(rates.items()):
+        log[name] = truth[name].where((np.arange(len(truth)) + shift // 3) % every == 0)
+    log = log.dropna(subset=[*rates], how="all")
+    assert rms_of_replay(log, truth) < 0.005
+
+
+def test_a_pause_in_a_models_log_is_no_error():
+    log = circle(5.0)
+    result = rhec.replay(log[(log["t_s"] < 6) | (log["t_s"] > 15)], **OF_UNICYCLE)
+    assert result["x_m_hat"].notna().all()
+
+
+@pytest.mark.parametrize("horizon, robust", [(6, False), (6, True)])
+def test_an_outlier_of_five_metres_moves_a_models_replay_by_five_centimetres_at_most(
+    horizon, robust
+):
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        log = circle(2.0)
+        log[["x_m", "y_m"]] += 0.02 * random.standard_normal((len(log), 2))
+        struck = log.copy()
+        turn = random.uniform(0, 2 * np.pi)
+        struck.loc[random.integers(12, 38), ["x_m", "y_m"]] += 5 * np.array(
+            [np.cos(turn), np.sin(turn)]
+        )
+        given = OF_UNICYCLE | dict(horizon=horizon, robust=robust)
+        place, moved = (
+            rhec.replay(each, **given)[["x_m_hat", "y_m_hat"]] for each in (log, struck)
+        )
+        assert np.hypot(*(moved - place).to_numpy().T).max() <= 0.05
+
+
 @pytest.mark.parametrize(
     "wrong, sentence",
     [
+        (dict(delays_s=dict(x=0.1)), "^delays_s named 'x'; the model has the outputs x_m, y_m, sp"),
+        (dict(delays_s=dict(x_m="late")), "^delays_s"),
         (
             dict(estimator="bounded_ekf"),
             "^estimator was 'bounded_ekf'; for a model it should be 'rhe' or 'ekf'$",

@@ -124,3 +124,6 @@ def test_a_log_without_turns_is_refused():
 def test_the_command_takes_what_a_replay_takes():
     given = _arguments(["log.bag", "--topics", "/fix", "/joints", "--wheel-radius-m", "0.1"])
     assert given.topics == ["/fix", "/joints"] and given.wheel_radius_m == 0.1
+    words = ["log.bag", "-p", "topics", '["/fix", "/joints"]', "-p", "wheel_radius_m", "0.1"]
+    same = _arguments(words)
+    assert same.topics == given.topics and same.wheel_radius_m == given.wheel_radius_m

@@ -14,6 +14,7 @@ import pandas as pd
 
 from rhec.logs import recording, scores
 from rhec.logs.calibration import calibrate
+from rhec.logs.command_line import found_lines
 from rhec.logs.reader import read
 from rhec.logs.replay import replay
 from rhec.simulation.faults import Fault
@@ -136,7 +137,7 @@ class ReplayStudy:
     @property
     def found(self):
         """What the reader inferred, such as topics, unit of time and origin, as lines of text."""
-        return [f"found {name}: {value}" for name, value in self.log.attrs["inferred"].items()]
+        return found_lines(self.log)
 
     @property
     def _of_log(self):

@@ -1,0 +1,239 @@
+"""Bags: fields of any message, places of sensors by /tf_static, recordings that were cut off."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+from written_bags import (
+    DRIVE,
+    START_NS,
+    TF,
+    drive,
+    fix,
+    imu,
+    joint_state,
+    odometry,
+    pose_stamped,
+    transform,
+    write_bag,
+)
+
+import rhec
+
+KINDS = ["bag", "folder", "mcap"]
+N = 40
+ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+
+
+def at(row):
+    return START_NS + row * 10**8
+
+
+def driven():
+    """Messages of a type of one's own, and of an odometry."""
+    messages = []
+    for row in range(N):
+        messages.append(("/drive", DRIVE, at(row), drive([row, 2, 3, 4 + row], 0.5 * row)))
+        messages.append(("/odom", ODOMETRY, at(row), odometry(row, -row, 9.0, 9.0)))
+    return messages
+
+
+# Fields
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_fields_of_any_type_become_columns(tmp_path, kind):
+    columns = {
+        "x_m": "/odom.pose.pose.position.x",
+        "y_m": "/odom.pose.pose.position.y",
+        "v_left_mps": "/drive.speeds[0]",
+        "v_right_mps": "/drive.speeds[-1]",
+        "gyro_radps": "/drive.yaw_rate",
+        "heading_rad": "/odom.pose.pose.orientation",
+        "sent_s": "/odom.header.stamp",
+    }
+    log = rhec.logs.read(write_bag(tmp_path, kind, driven()), columns=columns)
+    rows = np.arange(N)
+    expected = dict(t_s=0.1 * rows, x_m=rows, y_m=-rows, v_left_mps=rows, v_right_mps=4 + rows)
+    expected |= dict(gyro_radps=0.5 * rows, heading_rad=0, sent_s=1e-9 * START_NS + 0.1 * rows)
+    assert {*log} == {"t_s", *columns}
+    for name, values in expected.items():
+        np.testing.assert_allclose(log[name], values, atol=1e-6)
+    assert log.attrs["inferred"]["x_m, y_m, heading_rad, sent_s"].startswith("/odom, nav_msgs")
+
+
+def test_fields_leave_the_other_roles_to_the_topics(tmp_path):
+    """A wheel radius makes speeds of wheels, in rad/s, speeds of tracks."""
+    messages = [each for each in driven() if each[0] == "/drive"]
+    messages += [("/pose", POSE, at(row), pose_stamped(row, 2 * row)) for row in range(N)]
+    columns = {"v_left_mps": "/drive.speeds[0]", "v_right_mps": "/drive.speeds[1]"}
+    file = write_bag(tmp_path, "mcap", messages)
+    log = rhec.logs.read(file, columns=columns, wheel_radius_m=0.5)
+    np.testing.assert_array_equal(log["y_m"], 2 * np.arange(N))
+    np.testing.assert_array_equal(log["v_left_mps"], 0.5 * np.arange(N))
+    assert (log["v_right_mps"] == 1.0).all()
+
+
+def test_a_bag_without_the_usual_topics_is_read_by_fields_alone(tmp_path):
+    messages = [each for each in driven() if each[0] == "/drive"]
+    file = write_bag(tmp_path, "mcap", messages)
+    log = rhec.logs.read(file, columns={"wheel": "/drive.speeds[0]"})
+    assert [*log] == ["t_s", "wheel"]
+    assert log.attrs["inferred"]["positions"].startswith("none: no topic for positions")
+    with pytest.raises(ValueError, match="no column x_m.*it has t_s, wheel;.*positions: none: no"):
+        rhec.replay(log)
+
+
+@pytest.mark.parametrize(
+    "path, sentence",
+    [
+        ("/odm.pose.pose", r"begin with a topic and a point, and the bag has /drive \(fpn_msgs"),
+        (
+            "/odom.pose.position.x",
+            "a nav_msgs/msg/Odometry has no 'position' there: it has pose, c",
+        ),
+        ("/odom.pose.pose.position", "is no number: it has x, y, z"),
+        ("/odom.child_frame_id", "is no number: it is a str"),
+        ("/odom.pose.covariance", r"is no number: an array of 36, of which \[0\] is the first"),
+        ("/odom[0]", "has no array there: it has header, child_frame_id, pose, twist"),
+        ("/odom.pose..x", "after the topic it should have fields and places in arrays"),
+        ("north", "^columns.*was 'north'; the log has t_s, "),
+    ],
+)
+def test_a_field_that_is_not_there_is_refused_with_what_is_there(tmp_path, path, sentence):
+    file = write_bag(tmp_path, "mcap", driven())
+    with pytest.raises(ValueError, match=sentence):
+        rhec.logs.read(file, columns={"x_m": path}, topics=("/odom",))
+
+
+def test_a_place_beyond_an_array_is_missing(tmp_path):
+    file = write_bag(tmp_path, "mcap", driven())
+    log = rhec.logs.read(file, columns={"wheel": "/drive.speeds[7]"})
+    assert log["wheel"].isna().all()
+
+
+def test_a_bag_without_topics_for_a_role_names_those_it_has(tmp_path):
+    messages = [each for each in driven() if each[0] == "/drive"]
+    with pytest.raises(ValueError, match=r"among /drive \(fpn_msgs.*'/topic.field'") as refused:
+        rhec.logs.read(write_bag(tmp_path, "mcap", messages))
+    assert "no topic for positions" in str(refused.value)
+
+
+# Places of sensors
+
+SIDEWAYS = (0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4))  # a quarter turn to the left
+ON_ITS_SIDE = (np.sin(np.pi / 4), 0.0, 0.0, np.cos(np.pi / 4))  # a quarter turn about x: y is up
+
+
+def mounted(transforms, rate, force):
+    messages = [("/tf_static", TF, at(0), each) for each in transforms]
+    for row in range(N):
+        place = fix(46.78, 11.0 + 1e-6 * row, frame="gps")
+        messages += [
+            ("/fix", "sensor_msgs/msg/NavSatFix", at(row), place),
+            ("/odom", ODOMETRY, at(row), odometry(0, 0, 0.5, 0.1)),
+            ("/imu", "sensor_msgs/msg/Imu", at(row), imu(rate, force)),
+        ]
+    return messages
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_lever_arm_is_that_of_the_static_transforms(tmp_path, kind):
+    """By a mast that is turned, in a tree whose root is not the base."""
+    transforms = [
+        transform("base_footprint", "base_link", (0.1, 0.2, 0.3)),
+        transform("base_footprint", "/mast", (0.6, 0.2, 0.0), SIDEWAYS),
+        transform("mast", "gps", (0.25, 0.0, 1.0)),
+    ]
+    file = write_bag(tmp_path, kind, mounted(transforms, (0, 0, 0.1), (0, 0, 9.81)))
+    log = rhec.logs.read(file, topics=("/fix", "/odom", "/imu"))
+    np.testing.assert_allclose(log.attrs["lever_arm_m"], (0.5, 0.25), atol=1e-12)
+    told = "0.500 m ahead, 0.250 m left of base_link, by /tf_static"
+    assert log.attrs["inferred"]["lever arm"] == told
+
+
+@pytest.mark.parametrize(
+    "turn, rate, force, yaw_rate, told",
+    [
+        (ON_ITS_SIDE, (0, 0.3, 0), (0, 0, 0), 0.3, "z axis of base_link by /tf_static"),
+        (ON_ITS_SIDE, (0, 0.3, 0), (0, 9.81, 0), 0.3, "z axis of base_link by /tf_static"),
+        ((0, 0, 0, 1), (0, 0.3, 0), (0, 9.81, 0), 0.3, "by gravity, .*which contradicts /tf_st"),
+        (None, (0, 0.3, 0.1), (0, 9.81, 0), 0.3, r"by gravity, \(0.00, 1.00, 0.00\) in its axes$"),
+        (None, (0, 0.3, 0.1), (0, 0, 0), 0.1, "about its z axis"),
+    ],
+)
+def test_the_axis_of_an_imu_is_known(tmp_path, turn, rate, force, yaw_rate, told):
+    transforms = [transform("base_link", "imu", (0, 0, 0), turn)] if turn else []
+    log = rhec.logs.read(write_bag(tmp_path, "mcap", mounted(transforms, rate, force)))
+    np.testing.assert_allclose(log["gyro_radps"], yaw_rate, atol=1e-9)
+    assert re.search(told, log.attrs["inferred"]["gyro"])
+
+
+# Recordings that were cut off
+
+
+def recorded(tmp_path, kind, rows=3000):
+    """A bag of more than a megabyte, which has several chunks or pages, and its file."""
+    messages = []
+    for row in range(rows):
+        messages += [
+            ("/pose", POSE, at(row), pose_stamped(row, -row)),
+            ("/joints", "sensor_msgs/msg/JointState", at(row), joint_state(row, 2 * row)),
+        ]
+    bag = write_bag(tmp_path, kind, messages)
+    return bag, next(bag.glob("*.db3")) if bag.is_dir() else bag
+
+
+REMEDIES = dict(bag="rosbag reindex", folder="ros2 bag reindex", mcap="mcap recover")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_a_bag_that_was_cut_off_is_read_until_there(tmp_path, kind, share):
+    bag, file = recorded(tmp_path, kind)
+    whole = rhec.logs.read(bag, wheel_radius_m=0.5)
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    cut = rhec.logs.read(bag, wheel_radius_m=0.5)
+    complete = cut.dropna()
+    np.testing.assert_array_equal(complete, whole[: len(complete)])
+    assert len(complete) > 0.8 * share * len(whole)
+    assert "until it was cut off" in cut.attrs["inferred"]["file"]
+    assert REMEDIES[kind] in cut.attrs["inferred"]["file"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_that_was_cut_off_before_its_first_message_is_refused_with_a_remedy(tmp_path, kind):
+    bag, file = recorded(tmp_path, kind, rows=10)
+    for size in (0, 20):
+        file.write_bytes(file.read_bytes()[:size])
+        with pytest.raises(ValueError, match=f"if the recording was cut off, {REMEDIES[kind]}"):
+            rhec.logs.read(bag, wheel_radius_m=0.5)
+
+
+def test_noise_in_a_bag_ends_in_a_sentence(tmp_path):
+    """Whatever the bytes are: a log, or one sentence."""
+    random = np.random.default_rng(0)
+    for kind in ("bag", "mcap"):
+        (tmp_path / kind).mkdir()
+        bag, file = recorded(tmp_path / kind, kind, rows=30)
+        content = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+        for _ in range(10):
+            broken = content[: random.integers(20, len(content))].copy()
+            broken[random.integers(8, len(broken), 5)] = random.integers(0, 256, 5)
+            file.write_bytes(broken.tobytes())
+            try:
+                rhec.logs.read(bag, wheel_radius_m=0.5)
+            except ValueError as refused:
+                assert "\n" not in str(refused)
+
+
+def test_a_folder_without_its_metadata_is_read(tmp_path):
+    bag, file = recorded(tmp_path, "folder", rows=20)
+    whole = rhec.logs.read(bag, wheel_radius_m=0.5)
+    (bag / "metadata.yaml").unlink()
+    np.testing.assert_array_equal(rhec.logs.read(bag, wheel_radius_m=0.5), whole)
+    shutil.copy(file, bag / "log_1.db3")  # the second file of a bag that was split
+    twice = rhec.logs.read(bag, wheel_radius_m=0.5)
+    np.testing.assert_array_equal(twice, whole)  # equal stamps are the same messages
