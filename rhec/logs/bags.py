@@ -223,7 +223,7 @@ def read_bag(file, topics, wheel_radius_m):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
-        raise ValueError("a bag needs the package rosbags: pip install 'rhec[bags]'") from None
+        raise ValueError("a bag needs the package rosbags: pip install 'rhec[logs]'") from None
     try:
         with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as reader:
             return _read(reader, topics, wheel_radius_m)
