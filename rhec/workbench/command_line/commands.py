@@ -1,6 +1,8 @@
 """The commands of `rhec`: for each its options and what it does."""
 
+import importlib.util
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -233,15 +235,49 @@ def _refuse_without_checkout(command):
 
 def _lab(_):
     _refuse_without_checkout("lab")
-    # The same settings as in `make lab`: no news, no updates, no extensions from the network.
+    # No news, no updates, no extensions from the network. What it logs are errors and its address,
+    # which one opens where there is no display.
     options = [
+        "--Application.log_level=ERROR",
         "--LabApp.default_url=/lab/tree/notebooks/00_start.ipynb",
         "--LabApp.extension_manager=readonly",
         "--LabApp.news_url=None",
         "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
     ]
-    jupyter = [sys.executable, "-m", "jupyter", "lab", *options]
-    return subprocess.run(jupyter, cwd=_PROJECT).returncode
+    has_display = sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & {
+        *os.environ
+    }
+    options += [] if has_display else ["--no-browser"]
+    is_root = hasattr(os, "getuid") and os.getuid() == 0
+    options += ["--allow-root"] if is_root else []
+    folders = [str(_PROJECT / ".jupyter"), os.environ.get("JUPYTER_CONFIG_PATH", "")]
+    os.environ["JUPYTER_CONFIG_PATH"] = os.pathsep.join(folders)
+    os.chdir(_PROJECT)
+    try:
+        from jupyterlab.labapp import main
+    except ImportError:
+        raise ImportError("JupyterLab is not installed: pip install 'rhec[lab]'") from None
+    return main(options)
+
+
+def _report(_):
+    """Run the notebooks that have not been run yet, one by one, then build the site."""
+    _refuse_without_checkout("report")
+    executed = []
+    for notebook in sorted((_PROJECT / "notebooks").glob("[0-9]*.ipynb")):
+        executed.append(_PROJECT / "build/notebooks" / notebook.name)
+        if not executed[-1].exists():
+            _run_module("rhec.workbench.notebook", notebook)
+    _run_module("rhec.workbench.results")
+    live = ["--live"] if importlib.util.find_spec("ziglang") else []
+    _run_module("rhec.workbench.report", *executed, *live)
+    _run_module("rhec.workbench.live.page")
+
+
+def _run_module(name, *words):
+    """Run a module of the project as a program; raise a RuntimeError if it fails."""
+    if subprocess.run([sys.executable, "-m", name, *map(str, words)], cwd=_PROJECT).returncode:
+        raise RuntimeError(f"{name} failed: see above")
 
 
 def _no_options(_):
@@ -281,6 +317,13 @@ COMMANDS = {
         _export,
     ),
     "claim": Command("Judge one claim of the paper.", "ID [--fields N]", _claim_options, _claim),
+    "report": Command(
+        "Run the notebooks that have not been run, and build the report. `make report` runs two "
+        "at a time, and again what changed.",
+        "",
+        _no_options,
+        _report,
+    ),
     "lab": Command("Open the notebooks in JupyterLab.", "", _no_options, _lab),
     "completion": Command(
         "Print the completion script of a shell.", "{bash,zsh}", _completion_options, _no_options
