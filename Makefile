@@ -42,7 +42,7 @@ ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures studies claims report lab replay recordings replay-table calibrate campaign \
+.PHONY: help figures studies check-figures claims report lab replay recordings replay-table calibrate campaign \
   posterior embedded test test-browser lint bench soak storm lock upgrade sbom clean \
   $(KEPT:%=clean-%)
 
@@ -54,8 +54,11 @@ help: ## list the goals
 figures: $(call executed,04_scenario_b $(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
 studies: $(call executed,06_claims $(STUDIES)) ## further studies: claims, faults, replay … (minutes)
 figures studies:
-	@$(if $(filter $^,$(made)),$(PY) -m rhec.workbench.results)
+	@$(if $(filter $^,$(made)),$(PY) -m rhec.workbench.results && $(PY) -m rhec.workbench.certificate)
 	@echo '$@: $(if $(filter $^,$(made)),made,everything is up to date)'
+
+check-figures: $(READY) ## compare your tables in figures/ with those that this commit made
+	@$(PY) -m rhec.workbench.certificate --check
 
 claims: $(call executed,06_claims) ## only the claims ledger: figures/claims.csv, .tex, .md, .png
 
@@ -63,15 +66,8 @@ report: build/report/index.html ## all notebooks, documents and the reference as
 	@echo 'report: open build/report/index.html'
 
 ##@ Work
-# No news, no updates, no extensions from the network. What it logs are errors and its address,
-# which one opens where there is no display.
 lab: $(READY) ## open the notebooks in JupyterLab
-	@JUPYTER_CONFIG_PATH="$$PWD/.jupyter:$$JUPYTER_CONFIG_PATH" $(PY) -m jupyter lab \
-	  --LabApp.default_url=/lab/tree/notebooks/00_start.ipynb --Application.log_level=ERROR \
-	  --LabApp.extension_manager=readonly --LabApp.news_url=None \
-	  --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate \
-	  $(if $(DISPLAY)$(WAYLAND_DISPLAY)$(filter Darwin,$(shell uname)),,--no-browser) \
-	  $(if $(filter 0,$(shell id -u)),--allow-root)
+	@$(PY) -m rhec lab
 
 log_given = test -n "$$LOG" || { echo 'LOG was not given; it must be a recorded log:' \
   'make $@ LOG=file.csv' >&2; exit 2; }
@@ -90,7 +86,7 @@ calibrate: $(READY) ## estimate noise and lever arm from a recorded log: make ca
 	@$(PY_WHAT) -m rhec.logs.calibration "$$LOG"
 
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
-	@$(PY_WHAT) -m rhec.simulation.campaigns
+	@$(PY_WHAT) -m rhec campaign
 
 posterior: $(READY) ## find the worlds that give the paper's numbers, again (a quarter of an hour)
 	@$(PY) -m rhec.workbench.studies.inverse
@@ -140,7 +136,7 @@ sbom: $(READY) ## list all installed components and their licences: build/sbom.j
 clean: ## remove the executed notebooks, their figures and tables, and the report
 	@rm -f $(filter-out $(shell sed -n 's/^!//p' .gitignore),$(MADE)) $(EXECUTED:.ipynb=.d) \
 	  $(EXECUTED) $(wildcard build/notebooks/*.unfinished)
-	@rm -rf build/report/live build/report/live.html
+	@rm -rf build/report/live build/report/live.html figures/manifest.csv
 	@find build figures -type d -empty -delete 2>/dev/null || true
 
 # Results that took long or that a user saved are removed only by name.

@@ -72,7 +72,7 @@ def fill(file):
 
 def attempt(options, rows, log, disk):
     """The command, once; its return code and what it said."""
-    command = [sys.executable, "-m", "rhec.simulation.campaigns", "--seeds", str(options.runs)]
+    command = [sys.executable, "-m", "rhec", "campaign", "--seeds", str(options.runs)]
     command += ["-p", "duration_s", str(BASE.duration_s)]
     command += ["--workers", str(options.workers), "--folder", str(options.folder)]
     files = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)

@@ -421,7 +421,7 @@ def read_bag(
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
-        raise ValueError("a bag needs the package rosbags: pip install 'rhec[bags]'") from None
+        raise ValueError("a bag needs the package rosbags: pip install 'rhec[logs]'") from None
     files = files_of(file)
     # A folder of .bag files is one recording in parts, and so is one without its metadata.
     is_described = (file / "metadata.yaml").is_file()

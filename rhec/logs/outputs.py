@@ -8,6 +8,16 @@ import numpy as np
 from rhec.logs.reader import degrees_at
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
 
+# What write_estimates may write.
+FILES = (
+    "estimates.csv",
+    "estimates.parquet",
+    "estimated.tum",
+    "measured.tum",
+    "traction.csv",
+    "traction.parquet",
+    "traction.geojson",
+)
 _TRACTION = ["t_s", *ESTIMATE[:2], *ESTIMATE[4:], *SIGMA[:2], *SIGMA[4:6]]
 
 

@@ -66,7 +66,7 @@ from rhec.tracked_robot.tuning import sigma_v_of
 _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)
 # The outputs of the scan at each sample.
 _RECORDED = ("estimate", "sigma", "deviance", "kkt", "ok", "accepted", "restart")
-_ESTIMATOR_FIELDS = (
+ESTIMATOR_FIELDS = (
     "process_noise",
     "sigma_w",
     "sigma_v",
@@ -712,11 +712,11 @@ def replay_scenario(estimator, recording, fields):
     Raises:
         ValueError: For a field that a replay does not take, or an estimator that needs the truth.
     """
-    unknown = [name for name in fields if name not in _ESTIMATOR_FIELDS]
+    unknown = [name for name in fields if name not in ESTIMATOR_FIELDS]
     if unknown:
         raise ValueError(
             f"replay has no parameter {unknown[0]!r}; of Scenario's fields it takes "
-            f"{', '.join(_ESTIMATOR_FIELDS)}"
+            f"{', '.join(ESTIMATOR_FIELDS)}"
         )
     fields = dict(speed_model="slipping") | fields
     if fields["speed_model"] == "slipping":

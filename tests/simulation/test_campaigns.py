@@ -638,7 +638,7 @@ def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
     worker(started, address, tmp_path)
     drives = ["-p", "estimator", "ekf", "-p", "duration_s", "60", "--seeds", "3000"]
     process = subprocess.Popen(
-        [*command(tmp_path)[:3], *drives, "--folder", str(tmp_path / "rows")],
+        [*command(tmp_path)[:4], *drives, "--folder", str(tmp_path / "rows")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -651,7 +651,7 @@ def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
     its_process.kill()
     out, err = process.communicate(timeout=120)
     assert (process.returncode, out) == (1, "")
-    assert err == f"the connection to the scheduler at {address} was lost\n"
+    assert err == f"rhec: the connection to the scheduler at {address} was lost\n"
 
 
 def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
@@ -708,7 +708,8 @@ def command(folder, *arguments):
     return [
         sys.executable,
         "-m",
-        "rhec.simulation.campaigns",
+        "rhec",
+        "campaign",
         "-p",
         "estimator",
         "ekf",
@@ -753,7 +754,7 @@ def test_the_command_refuses_in_a_sentence(tmp_path):
         done = subprocess.run(
             command(tmp_path, *arguments), capture_output=True, text=True, timeout=60, cwd=ROOT
         )
-        assert (done.returncode, done.stdout, done.stderr) == (2, "", sentence)
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"rhec: {sentence}")
 
 
 def left_of_group(group):
@@ -770,7 +771,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     """The terminal sends the signal to the workers, too."""
     arguments = ["-p", "estimator", "ekf", "-p", "duration_s", "240", "--seeds", "3000"]
     process = subprocess.Popen(
-        [*command(tmp_path)[:3], *arguments, "--workers", "2", "--folder", str(tmp_path)],
+        [*command(tmp_path)[:4], *arguments, "--workers", "2", "--folder", str(tmp_path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -784,7 +785,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
     interrupted = re.fullmatch(
-        r"interrupted after (\d+) of 3000 runs; the same call continues from there\n", err
+        r"rhec: interrupted after (\d+) of 3000 runs; the same call continues from there\n", err
     )
     assert (process.returncode, out) == (130, "") and interrupted, err
     (rows,) = tmp_path.glob("*/")
@@ -796,7 +797,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     assert not left_of_group(process.pid)
     kept = store.load_rows(rows)
     again = subprocess.run(
-        [*command(tmp_path)[:3], *arguments[:-1], "5", "--workers", "2", "--folder", str(tmp_path)],
+        [*command(tmp_path)[:4], *arguments[:-1], "5", "--workers", "2", "--folder", str(tmp_path)],
         capture_output=True,
         text=True,
         check=True,
