@@ -496,7 +496,7 @@ def test_a_bad_controller_is_refused_in_one_sentence(where, bad):
     refuses(where, lambda: controller(SKID_STEERED, **bad))
 
 
-@pytest.mark.parametrize("z", [(0.0,) * 3, 0.0, np.zeros((4, 1)), ("a", 0, 0, 0)])
+@pytest.mark.parametrize("z", [(0.0,) * 3, 0.0, np.zeros((1, 4)), ("a", 0, 0, 0)])
 def test_a_measurement_that_does_not_fit_is_refused_in_one_sentence(z):
     mhe = estimator(SKID_STEERED, (0.0,) * 5)
     mhe.prepare()

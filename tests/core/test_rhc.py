@@ -212,7 +212,7 @@ def test_a_value_that_is_no_number_does_no_lasting_harm(name):
         ("xi_ref", np.zeros((3, N))),
         ("xi_ref", np.zeros((3, 1))),
         ("omega_ref", np.zeros(N + 1)),
-        ("omega_ref", np.zeros((N, 1))),
+        ("omega_ref", np.zeros((1, N))),
         ("omega_ref", 0.0),
     ],
 )

@@ -415,7 +415,7 @@ def test_after_ten_seconds_without_gnss_it_finds_back(speed_model):
 # What one can get wrong
 
 
-@pytest.mark.parametrize("z", [(0, 0, 0), np.zeros((4, 1)), 0.0])
+@pytest.mark.parametrize("z", [(0, 0, 0), np.zeros((1, 4)), 0.0])
 def test_a_wrong_shape_is_named(z):
     rhe = rhec.RHE()
     rhe.prepare()

@@ -19,6 +19,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.core.model.base import Model, interval
+from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
@@ -295,6 +296,7 @@ def _build_expand(horizon, feedback, roll_out):
         before = _planned(horizon, [u[place, :] for place in command], u_ref)
         change = _row_of_commands(u_plan - before, horizon).T
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
+        kkt = ca.if_else(ok, kkt, ca.DM.nan())
         predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
         # A step that failed leaves the shifted inputs. Its states may be the cause, and would
         # stay: the next linearisation starts from the estimate, if that is plausible.
@@ -435,6 +437,8 @@ class RHC(RealTimeLoop):
     def _start(self):
         # There is no previous plan: start from a robot that stays where it is.
         x, p = list(self._inputs.values())[:2]
+        u = self.iteration.arrays["u_ref"][: self.problem.n_u]
+        refuse_unstable_step(self.problem.model, x, u, p, self.problem.dt_s)
         self.iteration.start(init(self.problem, x, p))
 
     @property

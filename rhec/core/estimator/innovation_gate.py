@@ -20,7 +20,7 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.estimator import kalman
-from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 
 # Probability that the innovation of a good sample exceeds the limit.
 SAFEGUARD = 1e-9  # of an estimator that is not robust: outliers that would lose it, and no others
@@ -75,6 +75,21 @@ def _build_gate(window, predict_input):
     return gate
 
 
+def _build_hold(window):
+    """Function that keeps the last node where the newest interval leads to no plausible state.
+
+    The newest node is the estimate where a step fails.
+    """
+    nodes = (window.interval.n_s, window.N + 1)
+
+    @casadi_function("hold")
+    def hold(s: nodes):
+        last = ca.if_else(is_plausible(s[:, -1]), s[:, -1], s[:, -2])
+        return dict(s=ca.horzcat(s[:, :-1], last))
+
+    return hold
+
+
 def _wrap_feedback(window, feedback_of_rhe, predict_input, kind):
     gate = _build_gate(window, predict_input)
     shapes = {name: feedback_of_rhe.sparsity_in(name) for name in feedback_of_rhe.name_in()}
@@ -124,9 +139,12 @@ def gated(window, phases, predict_input, kind):
     """
     shapes = {name: phases["shift"].sparsity_in(name) for name in phases["shift"].name_in()}
 
+    hold = _build_hold(window)
+
     @casadi_function("gated_shift", kind, **shapes, rejected=(1, 1))
     def shift(rejected, **inputs):
-        return phases["shift"](**inputs) | dict(rejected=rejected)
+        shifted = phases["shift"](**inputs)
+        return shifted | dict(s=hold(shifted["s"]), rejected=rejected)
 
     return dict(
         shift=shift,

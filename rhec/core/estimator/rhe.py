@@ -27,6 +27,7 @@ from rhec.core.estimator import innovation_gate, kalman
 from rhec.core.estimator.base import Estimate, joint_estimate, joint_guess, noise_of
 from rhec.core.model import base
 from rhec.core.model.base import Model
+from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
@@ -437,7 +438,7 @@ def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
     return s_new, descent
 
 
-def _build_expand(window, linearise, feedback, loops):
+def _build_expand(window, linearise, feedback, loops, whole_window):
     N = window.N
     C, lower, upper = _bounded(window.interval)
     backward, oldest, forward = _build_passes(window)
@@ -464,6 +465,9 @@ def _build_expand(window, linearise, feedback, loops):
         kkt = gauss_newton.kkt_tolerance(descent, solved.multipliers, lower - theta, upper - theta)
         solution = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
         good = solved.ok * is_plausible(s_new[N])
+        if whole_window:  # no other node may stay implausible either: it would remain for long
+            used = (*s_new, *v_new, memory.m, memory.P)
+            good = good * is_plausible(ca.veccat(*used))
         pieces = memory._asdict() | solution
         return accepted(**pieces, good=good, P_0=P_0) | dict(kkt=kkt)
 
@@ -484,7 +488,7 @@ def build_phases(window, quantities=None):
     shift = _build_shift(plain)
     linearise = _build_linearise(plain, loops)
     feedback = _build_feedback(plain, quantities, loops)
-    expand = _build_expand(plain, linearise, feedback, loops)
+    expand = _build_expand(plain, linearise, feedback, loops, bool(window.gate))
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     if window.gate:
         phases = innovation_gate.gated(window, phases, predict_input, kind)
@@ -574,6 +578,8 @@ class RHE(RealTimeLoop):
             raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
+        n_x = len(model.states)
+        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
         gate = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
         self.window = Window(model, dt, horizon, arrival_mean, gate=gate)

@@ -16,6 +16,8 @@ import casadi as ca
 
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import refuse, shown
+from rhec.core.model.integration import RULES, Rule, integrate
+from rhec.core.model.integration import rk4 as rk4
 from rhec.core.model.limits import (
     MAX_MEASUREMENT,
     MAX_PLAUSIBLE_STATE,
@@ -51,12 +53,18 @@ class Model:
         parameters: {name: (lowest, highest)} of the parameters p; {name: None} without bounds.
         outputs: Names of the outputs z. An output named like a state, input or parameter measures
             just that.
-        f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,).
+        f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,), as one
+            column or as a list. An argument can be unpacked: `a, b = x`.
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
         max_measurement: Largest plausible size of each output; larger values count as missing.
             By default 1e8 in the output's unit: choose units in which no output is that large.
         angles: Names of the outputs that are angles [rad], which are measured up to full turns.
         motion_noise: Noise that grows with the motion, if any.
+        steps: Substeps of an interval, for a model that moves fast within one.
+        rule: How a substep is integrated: "rk4", the explicit classical Runge-Kutta rule; or for a
+            stiff model an implicit one, "radau3" or "radau5", Radau IIA of that order. A stiff
+            model has modes that die out much faster than an interval.
+        discrete: Whether f gives the next state, one sample later, instead of ẋ.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -71,12 +79,16 @@ class Model:
     max_measurement: tuple[float, ...] | None = None
     angles: tuple[str, ...] = ()
     motion_noise: MotionNoise | None = None
+    steps: int = 1
+    rule: Rule = "rk4"
+    discrete: bool = False
 
     def __post_init__(self) -> None:
         _check_names(self)
         if not callable(self.f) or not callable(self.h or self.f):
             problem = f"f was {shown(self.f)}, h {shown(self.h)}"
             raise ValueError(f"{problem}; f and h should be functions of (x, u, p)")
+        _check_integration(self)
         _check_bounds(self.parameters)
         _check_limits(self.max_measurement, len(self.outputs))
         if not isinstance(self.angles, tuple) or not set(self.angles) <= set(self.outputs):
@@ -109,8 +121,15 @@ class Model:
 
     @functools.cached_property
     def dynamics(self) -> ca.Function:
-        """(x, u, p) -> ẋ."""
+        """(x, u, p) -> ẋ, or the next state of a discrete Model."""
         return _expressions("f", self.f, self, len(self.states))
+
+    @functools.cached_property
+    def slopes(self) -> ca.Function:
+        """(x, u, p) -> ∂f/∂x."""
+        symbols = _symbols(self)
+        by_x = ca.jacobian(self.dynamics(*symbols), symbols[0])
+        return ca.Function("slopes", symbols, [ca.densify(by_x)])
 
     @functools.cached_property
     def measurement(self) -> ca.Function:
@@ -135,7 +154,8 @@ class Model:
         if self.motion_noise:
             functions.append(_noise_function(self))
         serialized = [function.serialize() for function in functions]
-        return repr((self.names, self.limits, self.angles, self.bounds, serialized))
+        integration = (self.steps, self.rule, self.discrete)
+        return repr((self.names, self.limits, self.angles, self.bounds, integration, serialized))
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -202,13 +222,21 @@ def _noise_function(model):
     return ca.Function("noise", [u, R, W, dt_s, c], [mean, variances, process])
 
 
+class _Column(ca.SX):
+    """A column of expressions that can also be unpacked, as in `a, b = x`."""
+
+    def __iter__(self):
+        return iter(ca.vertsplit(self))
+
+
 def _expressions(name, function, model, *sizes):
     """A user's f or h as a Function of (x, u, p), refused unless its length is one of the sizes."""
     symbols = _symbols(model)
     try:
-        value = ca.SX(function(*symbols))
+        value = function(*map(_Column, symbols))
+        value = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
     except Exception as error:
-        expected = "it should map CasADi expressions (x, u, p) to one expression"
+        expected = "it should map CasADi expressions (x, u, p) to one expression or a list of them"
         raise ValueError(f"{name} was refused ({shown(error)}); {expected}") from error
     problem = f"{name} was {shown(value)}"
     if value.numel() not in sizes or 1 not in value.shape:
@@ -234,6 +262,18 @@ def _check_names(model):
                 refuse(f"a name in {field} was", name, expected)
             if names.count(name) > 1:
                 raise ValueError(f"{name!r} was twice in {field}; a name should be there once")
+
+
+def _check_integration(model):
+    if isinstance(model.steps, bool) or not isinstance(model.steps, int) or model.steps < 1:
+        refuse("steps was", model.steps, "it should be a whole number, 1 or more")
+    if model.rule not in RULES:
+        refuse("rule was", model.rule, f"it should be one of {RULES}")
+    if not isinstance(model.discrete, bool):
+        refuse("discrete was", model.discrete, "it should be True or False")
+    if model.discrete and (model.steps, model.rule) != (1, "rk4"):
+        given = f"steps was {model.steps} and rule {model.rule!r} for a discrete Model"
+        raise ValueError(f"{given}; its f is the whole step, so they should not be given")
 
 
 def _check_bounds(parameters):
@@ -335,14 +375,15 @@ class Interval(NamedTuple):
 
 @functools.cache
 def interval(model, measured=True):
-    """The shooting interval of a Model: one Runge-Kutta step, its derivatives, its outputs.
+    """The shooting interval of a Model: its step in time, the step's derivatives, its outputs.
 
     A controller's interval is not `measured`: it has no outputs, nor the last inputs in s.
     """
     x, u, p = _symbols(model)
     u_last = ca.SX.sym("last", len(model.inputs))
     dt_s = ca.SX.sym("dt_s")
-    x_next = ca.cse(rk4(model.dynamics, x, u, p, dt_s))
+    end = integrate(model, x, u, p, dt_s)
+    x_next = ca.cse(end.x)
     s = ca.vertcat(x, p)
     s_next = ca.vertcat(x_next, p)
     held = [model.inputs.index(name) for name in model.held_inputs]
@@ -350,7 +391,8 @@ def interval(model, measured=True):
         # An interval before the first sample has no length, and its input is unknown.
         s = ca.vertcat(x, u_last[held], p)
         s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u[held], u_last[held]), p)
-    s_next, A_0, D, B = _derivatives(model, s, u, s_next)
+    J = _derivatives_by(s, u, s_next, end.jacobian, (x, p))
+    s_next, A_0, D, B = _split_derivatives(model, s, u, s_next, J)
     limits = model.limits
     z = model.measurement(x, u_last, p)
     input_rows = model.input_outputs.values()
@@ -375,10 +417,22 @@ def interval(model, measured=True):
     )
 
 
-def _derivatives(model, s, u, s_next):
-    """s⁺ and its derivatives ∂s⁺/∂s = A_0 + D and B = ∂s⁺/∂u, with A_0 constant."""
+def _derivatives_by(s, u, s_next, jacobian, x_and_p):
+    """∂s⁺/∂(s, u); that of the states may be given, by (x, u, p)."""
+    n_x, n_p = (part.numel() for part in x_and_p)
+    n_u = u.numel()
     # In reverse mode, sums over the Runge-Kutta stages appear once for all derivatives.
-    J = ca.jacobian(s_next, ca.vertcat(s, u), {"helper_options": {"ad_weight": 1}})
+    reverse = {"helper_options": {"ad_weight": 1}}
+    if jacobian is None:
+        return ca.jacobian(s_next, ca.vertcat(s, u), reverse)
+    held = ca.SX(n_x, s.numel() - n_x - n_p)
+    by_x, by_u, by_p = ca.horzsplit(jacobian, [0, n_x, n_x + n_u, n_x + n_u + n_p])
+    others = ca.jacobian(s_next[n_x:], ca.vertcat(s, u), reverse)
+    return ca.vertcat(ca.horzcat(by_x, held, by_p, by_u), others)
+
+
+def _split_derivatives(model, s, u, s_next, J):
+    """s⁺ and its derivatives ∂s⁺/∂s = A_0 + D and B = ∂s⁺/∂u, with A_0 constant."""
     A = ca.sparsify(J[:, : s.numel()])
     B = J[:, s.numel() :]
     constants = [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()]
@@ -399,21 +453,3 @@ def _output(row, limit, z_row, s, is_angle):
     h = ca.Function("h", [s], [z_row])
     slope = ca.Function("H", [s], [ca.sparsify(H)])
     return Output(row, limit, h, slope, not ca.depends_on(H, s), is_angle)
-
-
-def rk4(f, x, u, p, dt_s):
-    """One classical Runge-Kutta step, eq. (3): x at the end of an interval dt_s with constant u.
-
-    x⁺ = x + dt_s/6 (k₁ + 2 k₂ + 2 k₃ + k₄), where f maps (x, u, p) to ẋ.
-    """
-    k1 = f(x, u, p)
-    k2 = f(x + dt_s / 2 * k1, u, p)
-    k3 = f(x + dt_s / 2 * k2, u, p)
-    x_4 = x + dt_s / 2 * k3 + dt_s / 2 * k3
-    k4 = f(x_4, u, p)
-    mean = x + dt_s * (1 / 6) * (k1 + 2 * k2 + 2 * k3 + k4)
-    # A state with a constant slope, such as a yaw angle, ends where stage 4 is evaluated. That
-    # expression avoids a second sum of the same value inside later sines.
-    slopes = zip(ca.vertsplit(k1), ca.vertsplit(k4))
-    is_constant = [ca.is_equal(first, last, 9) for first, last in slopes]
-    return ca.vertcat(*(x_4[i] if same else mean[i] for i, same in enumerate(is_constant)))

@@ -162,6 +162,9 @@ class RealTimeLoop:
 def copy_checked(name, value, array):
     """Copy an argument into its array; refuse one of another shape, or one that is not numeric."""
     shape = getattr(value, "shape", None)
+    if shape == (array.size, 1) and array.ndim == 1:  # a column, such as CasADi's DM
+        value = np.asarray(value).ravel()
+        shape = array.shape
     try:
         if shape is None and isinstance(value, tuple) and array.shape == (len(value),):
             for i, number in enumerate(value):  # faster than via an array for a few numbers

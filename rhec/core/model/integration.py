@@ -1,0 +1,189 @@
+"""From ẋ = f(x, u, p) to the state at the end of an interval: Runge-Kutta rules, with substeps.
+
+A rule multiplies a mode of the model, λ, by R(h λ) in a step h. The classical explicit rule "rk4"
+has |R| <= 1 only where |h λ| is below about 2.8, and grows without limit beyond. The implicit
+Radau IIA rules have |R| < 1 wherever Re λ < 0, and R = 0 at infinity: they are for stiff models
+(Hairer, Wanner, "Solving Ordinary Differential Equations II", 1996, Sec. IV.5).
+"""
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+Rule = Literal["rk4", "radau3", "radau5"]
+RULES = ("rk4", "radau3", "radau5")
+STAGES = {"radau3": 2, "radau5": 3}  # of the implicit rules; the order is twice that, minus one
+NEWTON_STEPS = 4  # for the stages of a nonlinear model; a linear one needs a single step
+MAX_GROWTH = 1.1  # in an interval, of what the model itself does not let grow
+_MOST_STEPS = 1000  # that a refusal proposes
+
+
+class Step(NamedTuple):
+    """A state at the end of a step, and its derivatives if the rule supplies them."""
+
+    x: Any  # (n_x,)
+    jacobian: Any = None  # (n_x, n_x + n_u + n_p) by (x, u, p); None: to be differentiated
+
+
+def integrate(model, x, u, p, dt_s):
+    """The Step over an interval of dt_s [s] with constant u, as the Model's rule computes it.
+
+    A discrete Model takes one step f of its own, and none in an interval of no length.
+    """
+    f = model.dynamics
+    if model.discrete:
+        return Step(ca.if_else(dt_s > 0, f(x, u, p), x))
+    if model.rule == "rk4":
+        for _ in range(model.steps):
+            x = rk4(f, x, u, p, dt_s / model.steps if model.steps > 1 else dt_s)
+        return Step(x)
+    return _integrate_implicitly(model, x, u, p, dt_s / model.steps)
+
+
+def rk4(f, x, u, p, dt_s):
+    """One classical Runge-Kutta step, eq. (3): x at the end of an interval dt_s with constant u.
+
+    x⁺ = x + dt_s/6 (k₁ + 2 k₂ + 2 k₃ + k₄), where f maps (x, u, p) to ẋ.
+    """
+    k1 = f(x, u, p)
+    k2 = f(x + dt_s / 2 * k1, u, p)
+    k3 = f(x + dt_s / 2 * k2, u, p)
+    x_4 = x + dt_s / 2 * k3 + dt_s / 2 * k3
+    k4 = f(x_4, u, p)
+    mean = x + dt_s * (1 / 6) * (k1 + 2 * k2 + 2 * k3 + k4)
+    # A state with a constant slope, such as a yaw angle, ends where stage 4 is evaluated. That
+    # expression avoids a second sum of the same value inside later sines.
+    slopes = zip(ca.vertsplit(k1), ca.vertsplit(k4))
+    is_constant = [ca.is_equal(first, last, 9) for first, last in slopes]
+    return ca.vertcat(*(x_4[i] if same else mean[i] for i, same in enumerate(is_constant)))
+
+
+def butcher(n_stages):
+    """Coefficients A (n, n) and weights b (n,) of the Radau IIA rule of n stages.
+
+    Its stages are where the Radau polynomial is zero, and its last one is the step's end: the last
+    row of A is b.
+    """
+    points = ca.collocation_points(n_stages, "radau")
+    powers = np.arange(1, n_stages + 1)
+    # Exact for polynomials: Σ_j a_ij c_j^(k-1) = c_i^k / k.
+    values = np.power.outer(points, powers - 1)
+    integrals = np.power.outer(points, powers) / powers
+    A = np.linalg.solve(values.T, integrals.T).T
+    return A, A[-1]
+
+
+def _integrate_implicitly(model, x_0, u_0, p_0, h):
+    """The Step by `steps` steps of a Radau rule, its Jacobian by the chain rule."""
+    step = _radau_step(model)
+    x = x_0
+    widths = [part.numel() for part in (x_0, u_0, p_0)]
+    jacobian = ca.horzcat(ca.SX.eye(widths[0]), ca.SX(widths[0], sum(widths[1:])))
+    for _ in range(model.steps):
+        x, by_all = step(x, u_0, p_0, h)
+        by_x = by_all[:, : widths[0]]
+        unmoved = ca.horzcat(ca.SX(widths[0], widths[0]), by_all[:, widths[0] :])
+        jacobian = by_x @ jacobian + unmoved
+    return Step(x, jacobian)
+
+
+def _radau_step(model):
+    """Function (x, u, p, h) -> (x⁺, ∂x⁺/∂(x, u, p)) of one Radau IIA step h [s].
+
+    The slopes k of the stages solve G(k) = 0, with
+
+        G_i(k) = k_i - f(x + h Σ_j a_ij k_j, u, p),   x⁺ = x + h Σ_i b_i k_i,
+
+    by a fixed number of Newton steps from stages that stay at x. The derivatives follow from
+    ∂k/∂w = -(∂G/∂k)⁻¹ ∂G/∂w, with the factorisation of the last Newton step.
+    """
+    f = model.dynamics
+    A, b = butcher(STAGES[model.rule])
+    x, u, p = symbols = f.sx_in()
+    h = ca.SX.sym("h")
+    n_x = x.numel()
+    k = ca.SX.sym("k", n_x, len(b))
+    states = (x + h * (k @ A[i]) for i in range(len(b)))
+    residual = ca.vertcat(*(k[:, i] - f(state, u, p) for i, state in enumerate(states)))
+    by_k = ca.jacobian(residual, ca.vec(k))
+    by_all = ca.jacobian(residual, ca.vertcat(*symbols))
+    newton = ca.Function("newton", [ca.vec(k), *symbols, h], [residual, by_k, by_all])
+    is_linear = not ca.depends_on(ca.jacobian(f(*symbols), x), x)
+    slopes = ca.SX.zeros(n_x * len(b))
+    for _ in range(1 if is_linear else NEWTON_STEPS):
+        G, G_k, G_w = newton(slopes, *symbols, h)
+        solved = _solve_by_states(G_k, ca.horzcat(G, G_w), n_x)
+        slopes = slopes - solved[:, 0]
+    weights = h * ca.kron(ca.DM(b).T, ca.DM.eye(n_x))
+    unmoved = ca.horzcat(ca.SX.eye(n_x), ca.SX(n_x, u.numel() + p.numel()))
+    outputs = [x + weights @ slopes, unmoved - weights @ solved[:, 1:]]
+    return ca.Function("radau", [*symbols, h], outputs, {"cse": True})
+
+
+def _solve_by_states(matrix, right, n_x):
+    """The solution of matrix · y = right, whose rows and unknowns are those of stages of n_x.
+
+    Elimination state by state, with a block of all stages as pivot and without exchanges, keeps
+    the model's sparsity. For a single state, a Radau rule's block is never singular.
+    """
+    states = [list(range(i, matrix.size1(), n_x)) for i in range(n_x)]
+    blocks = {}
+    for i, rows in enumerate(states):
+        for j, columns in enumerate(states):
+            block = ca.sparsify(matrix[rows, columns])
+            if block.nnz():
+                blocks[i, j] = block
+    rest = [right[rows, :] for rows in states]
+    inverse = [None] * n_x
+    for i in range(n_x):
+        inverse[i] = ca.inv_minor(ca.densify(blocks[i, i]))
+        after = [j for j in range(i + 1, n_x) if (i, j) in blocks]
+        for row in (row for row in range(i + 1, n_x) if (row, i) in blocks):
+            factor = blocks[row, i] @ inverse[i]
+            for j in after:
+                blocks[row, j] = blocks.get((row, j), 0) - factor @ blocks[i, j]
+            rest[row] = rest[row] - factor @ rest[i]
+    for i in reversed(range(n_x)):
+        for j in (j for j in range(i + 1, n_x) if (i, j) in blocks):
+            rest[i] = rest[i] - blocks[i, j] @ rest[j]
+        rest[i] = inverse[i] @ rest[i]
+    order = [place for rows in states for place in rows]
+    return ca.vertcat(*rest)[list(np.argsort(order)), :]
+
+
+def refuse_unstable_step(model, x, u, p, dt_s):
+    """Refuse a Model whose rule lets grow, at this point, what the model itself does not.
+
+    The modes λ are the eigenvalues of ∂f/∂x at (x, u, p). A classical Runge-Kutta interval of k
+    substeps multiplies them by R(λ dt_s/k)^k, the model by e^(λ dt_s). The implicit rules and
+    discrete Models have nothing to refuse, nor has a point where f has no finite derivatives.
+
+    Raises:
+        ValueError: If the largest |R^k| is above MAX_GROWTH, and as much above |e^(λ dt_s)|.
+    """
+    if model.discrete or model.rule != "rk4":
+        return
+    by_x = np.array(model.slopes(x, u, p))
+    if not np.all(np.isfinite(by_x)):
+        return
+    modes = np.linalg.eigvals(by_x) * dt_s
+    allowed = MAX_GROWTH * max(1.0, math.exp(min(max(modes.real), 700.0)))
+    growth = _growth(modes, model.steps)
+    if growth <= allowed:
+        return
+    enough = next((k for k in range(1, _MOST_STEPS) if _growth(modes, k) <= allowed), None)
+    more = f"steps={enough} or " if enough else ""
+    raise ValueError(
+        f"dt was {dt_s:g}; in that time Runge-Kutta with steps={model.steps} multiplies an error of"
+        f" the state by {growth:.3g} at the first guess, where the model damps it: a Model with"
+        f" {more}the implicit rule='radau3' would help"
+    )
+
+
+def _growth(modes, steps):
+    """The largest |R(λ h)|^steps over the modes λ·dt_s, where h = dt_s/steps."""
+    z = modes / steps
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.max(np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24) ** steps))

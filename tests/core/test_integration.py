@@ -1,0 +1,192 @@
+"""Substeps, implicit rules for stiff models, discrete models, and what is refused."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from oracles import flat
+from scipy.integrate import solve_ivp
+
+import rhec
+from rhec.core.model import base
+
+MU = 50.0
+X_0 = np.array([2.0, 0.0])
+INTERVAL_S = 0.5
+
+
+def van_der_pol(**options):
+    """A stiff oscillator: one Runge-Kutta step over half a second is off by 4e5."""
+
+    def f(x, u, p):
+        a, b = x
+        return [b, p[0] * (1 - a**2) * b - a + u[0]]
+
+    names = dict(states=("a", "b"), inputs=("w",), parameters={"mu": None}, outputs=("a",))
+    return rhec.Model(**names, f=f, **options)
+
+
+def slope(_, x):
+    return [x[1], MU * (1 - x[0] ** 2) * x[1] - x[0] + 0.3]
+
+
+def end_of(model, x=X_0, dt_s=INTERVAL_S):
+    return flat(base.interval(model).step([*x, MU], [0.3], dt_s))[:2]
+
+
+@pytest.mark.parametrize("rule, order", [("rk4", 4), ("radau3", 3), ("radau5", 5)])
+def test_a_rule_has_its_order_where_the_model_is_smooth(rule, order):
+    """Twice the substeps divide the error of an interval by 2^order, or more."""
+    exact = solve_ivp(slope, (0, 0.04), X_0, method="Radau", rtol=1e-12, atol=1e-13).y[:, -1]
+    few = 2 if rule == "radau5" else 8
+    errors = [
+        np.linalg.norm(end_of(van_der_pol(rule=rule, steps=k), dt_s=0.04) - exact)
+        for k in (few, 2 * few)
+    ]
+    assert errors[0] / errors[1] > 0.8 * 2**order
+    assert errors[1] > 1e-12  # not yet rounding
+
+
+@pytest.mark.parametrize("rule", ["radau3", "radau5"])
+def test_an_implicit_rule_takes_a_stiff_interval_in_one_step(rule):
+    exact = solve_ivp(slope, (0, INTERVAL_S), X_0, method="Radau", rtol=1e-11, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(end_of(van_der_pol(rule=rule)), exact, atol=5e-4)
+    assert np.linalg.norm(end_of(van_der_pol()) - exact) > 1e3
+
+
+@pytest.mark.parametrize(
+    "options", [dict(steps=3), dict(rule="radau3", steps=2), dict(rule="radau5")]
+)
+def test_derivatives_are_the_finite_differences(options):
+    interval = base.interval(van_der_pol(**options))
+    s, v, h = np.array([*X_0, MU]), np.array([0.3]), 1e-5
+    dt_s = 0.05
+
+    def step(w):
+        return flat(interval.step(w[:3], w[3:], dt_s))
+
+    w = np.array([*s, *v])
+    differences = np.array([(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(4)]).T
+    _, D, B = (np.array(each) for each in interval.linearised(s, v, dt_s))
+    np.testing.assert_allclose(np.hstack([interval.A_0 + D, B]), differences, atol=1e-6)
+
+
+def test_radau_is_exact_for_a_linear_model_to_its_rational_function():
+    """R(z) = (1 + z/3)/(1 - 2z/3 + z²/6), also for modes a thousand times faster than dt."""
+    fast = ca.DM([[-1e4, 1.0], [0.0, -0.5]])
+    names = dict(states=("a", "b"), inputs=("w",), parameters={}, outputs=("a",))
+    model = rhec.Model(**names, f=lambda x, u, p: fast @ x, rule="radau3")
+    z = np.array(fast) * 0.1
+    expected = np.linalg.solve(np.eye(2) - 2 / 3 * z + z @ z / 6, (np.eye(2) + z / 3) @ [1.0, 2.0])
+    reached = flat(base.interval(model).step([1.0, 2.0], [0.0], 0.1))
+    np.testing.assert_allclose(reached, expected, rtol=1e-12)
+
+
+def test_a_discrete_model_steps_as_its_f_says_and_rests_in_an_interval_of_no_length():
+    names = dict(states=("a",), inputs=("w",), parameters={"gain": None}, outputs=("a",))
+    model = rhec.Model(**names, f=lambda x, u, p: p[0] * x + u, discrete=True)
+    step = base.interval(model).step
+    assert flat(step([3.0, 0.5], [1.0], 0.2)).tolist() == [2.5, 0.5]
+    assert flat(step([3.0, 0.5], [1.0], 0.0)).tolist() == [3.0, 0.5]
+
+
+def test_an_estimator_of_a_discrete_model_is_the_kalman_filter(virtual_machine):
+    """Linear and unbounded, with the filtered arrival mean: equal to a filter written apart."""
+    names = dict(states=("a", "b"), inputs=("w",), parameters={}, outputs=("a", "w"))
+    A, B, H = np.array([[1.0, 0.3], [-0.1, 0.9]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
+    model = rhec.Model(**names, f=lambda x, u, p: ca.DM(A) @ x + ca.DM(B) * u, discrete=True)
+    noise = dict(
+        sigma_v=(0.1, 0.05), sigma_w=(0.02, 0.03), guess=(0.0, 0.0), sigma_guess=(1.0, 2.0)
+    )
+    rhe = rhec.RHE(model=model, dt=1.0, horizon=4, arrival_mean="filtered", **noise)
+    rng = np.random.default_rng(0)
+    m, P = np.zeros(2), np.diag([1.0, 4.0])
+    for k in range(4):
+        z = rng.normal(size=2) * 0.3
+        rhe.prepare()
+        estimate = rhe.feedback(z)
+        if k:  # without process noise inside the window, all of which is still filling
+            m, P = A @ m + B * z[1], A @ P @ A.T + np.outer(B, B) * 0.05**2
+        gain = P @ H / (H @ P @ H + 0.01)
+        m, P = m + gain * (z[0] - H @ m), P - np.outer(gain, H @ P)
+        np.testing.assert_allclose(estimate.x, m, rtol=1e-9)
+
+
+def test_f_may_be_a_list_a_column_or_unpacked():
+    names = dict(states=("a", "b"), inputs=("w",), parameters={"k": None}, outputs=("a",))
+
+    def unpacked(x, u, p):
+        a, b = x
+        (w,) = u
+        return b, p[0] * a + w
+
+    ends = {
+        tuple(flat(base.interval(rhec.Model(**names, f=f)).step([1.0, 2.0, 3.0], [0.5], 0.1)))
+        for f in (
+            unpacked,
+            lambda x, u, p: [x[1], p[0] * x[0] + u[0]],
+            lambda x, u, p: ca.vertcat(x[1], p * x[0] + u),
+        )
+    }
+    assert len(ends) == 1
+
+
+@pytest.mark.parametrize(
+    "changed, sentence",
+    [
+        (dict(steps=0), "steps was 0; it should be a whole number"),
+        (dict(steps=True), "steps was True"),
+        (dict(steps=2.0), "steps was 2.0"),
+        (dict(rule="euler"), "rule was 'euler'; it should be one of"),
+        (dict(rule=["rk4"]), "rule was"),
+        (dict(discrete=1), "discrete was 1"),
+        (dict(discrete=True, steps=2), "steps was 2 and rule 'rk4' for a discrete Model"),
+    ],
+)
+def test_bad_rules_are_refused_in_a_sentence(changed, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        van_der_pol(**changed)
+
+
+def motor(**options):
+    """A motor that follows its set point within 10 ms."""
+    names = dict(states=("angle",), inputs=("set",), parameters={}, outputs=("angle", "set"))
+    return rhec.Model(**names, f=lambda x, u, p: 100 * (u - x), **options)
+
+
+NOISE = dict(sigma_v=(0.1, 0.1), sigma_w=(0.1,), guess=(0.0,), sigma_guess=(1.0,))
+
+
+def test_what_the_rule_amplifies_is_refused_and_the_sentence_helps(virtual_machine):
+    """R(-10) = 291; four substeps, as the sentence proposes, and the implicit rule are taken."""
+    proposed = r"multiplies an error of the state by 291 .* steps=4 or .* rule='radau3'"
+    with pytest.raises(ValueError, match=proposed):
+        rhec.RHE(model=motor(), dt=0.1, horizon=5, **NOISE)
+    with pytest.raises(ValueError, match=proposed):
+        rhec.EKF(model=motor(), dt=0.1, **NOISE)
+    for accepted in (motor(steps=4), motor(rule="radau3")):
+        rhec.RHE(model=accepted, dt=0.1, horizon=5, **NOISE)
+    rhec.RHE(model=motor(), dt=0.02, horizon=5, **NOISE)
+
+
+def test_a_controller_refuses_at_its_first_sample(virtual_machine):
+    rhc = rhec.RHC(model=motor(), command=("set",), q=(1.0,), r=(1.0,), dt=0.1, horizon=4)
+    problem = dict(x=[0.0], p=[], x_ref=np.zeros((1, 5)), u_ref=np.zeros((1, 4)))
+    with pytest.raises(ValueError, match="multiplies an error of the state by 291"):
+        rhc.feedback(**problem)
+
+
+def test_an_unstable_model_is_not_refused(virtual_machine):
+    """A pendulum that stands falls: it grows, and so does the rule; nothing is wrong with that."""
+    names = dict(states=("angle", "rate"), inputs=("torque",), parameters={}, outputs=("angle",))
+    model = rhec.Model(**names, f=lambda x, u, p: [x[1], 40 * ca.sin(x[0]) + u[0]])
+    noise = dict(sigma_v=(0.1,), sigma_w=(0.1, 0.1), guess=(0.0, 0.0), sigma_guess=(1.0, 1.0))
+    rhec.RHE(model=model, dt=0.3, horizon=5, **noise)
+
+
+def test_a_column_of_casadi_is_a_measurement(virtual_machine):
+    estimates = []
+    for z in ([0.3, 0.5], np.array([[0.3], [0.5]]), ca.DM([0.3, 0.5])):
+        rhe = rhec.RHE(model=motor(steps=4), dt=0.1, horizon=5, **NOISE)
+        rhe.prepare()
+        estimates.append(rhe.feedback(z).x[0])
+    assert len(set(estimates)) == 1
