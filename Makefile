@@ -42,7 +42,8 @@ ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures studies check-figures claims report lab replay recordings replay-table calibrate campaign \
+.PHONY: help figures studies check-figures claims report article lab replay recordings \
+  replay-table calibrate campaign \
   posterior embedded test test-browser lint bench soak storm lock upgrade sbom clean \
   $(KEPT:%=clean-%)
 
@@ -64,6 +65,9 @@ claims: $(call executed,06_claims) ## only the claims ledger: figures/claims.csv
 
 report: build/report/index.html ## all notebooks, documents and the reference as a site in build/report/
 	@echo 'report: open build/report/index.html'
+
+article: $(READY) ## the article "[Re] …" as build/article.pdf, after make figures studies
+	@$(PY) -m rhec.workbench.article
 
 ##@ Work
 lab: $(READY) ## open the notebooks in JupyterLab

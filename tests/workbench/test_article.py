@@ -1,0 +1,65 @@
+"""The article: every number is a cell of a result or a number of the paper, and bytes repeat."""
+
+import re
+import shutil
+
+import pytest
+
+from rhec.workbench import article
+
+SOURCE = (article.ROOT / "docs/article/article.typ").read_text(encoding="utf-8")
+PROSE = SOURCE[SOURCE.index("#align(center)") :]
+# Digits that are no results: the confidence, names of claims, and units of layout.
+ALLOWED = re.compile(
+    r"95 %|`[^`]*`|\$[^$]*\$|@\w+|#picture\([^)]*\)|widths?: \([^)]*\)|widths?: \d+%|size: \d+pt"
+    r'|#(?:cell|paper)\((?:"[^"]*"(?:,\s*)?)+\)|#result\("\w+"|inset: \([^)]*\)'
+)
+
+
+def test_no_number_of_the_prose_is_written_by_hand():
+    left = ALLOWED.sub("", PROSE)
+    assert not re.findall(r"[^\n]*\d[^\n]*", left)
+
+
+def test_every_number_exists():
+    results = {}
+    for page in ("README.md", "docs/results.md", "docs/claims.md"):
+        results |= article.results_of((article.ROOT / page).read_text(encoding="utf-8"))
+    cells = re.findall(r'#cell\("([^"]*)",\s*"([^"]*)",\s*"([^"]*)"\)', SOURCE)
+    assert cells
+    for block, row, column in cells:
+        assert results[block]["rows"][row][column], (block, row, column)
+    for name in re.findall(r'#result\("(\w+)"', SOURCE):
+        assert len(results[name]["table"]) > 1
+
+
+def test_a_table_of_markdown():
+    text = "<!-- results a -->\nNote:\n\n| x | y |\n| --- | --- |\n| p \\| q | 1 |\n<!-- end -->"
+    assert article.results_of(text)["a"] == dict(
+        table=[["x", "y"], ["p | q", "1"]], rows={"p | q": {"x": "p | q", "y": "1"}}
+    )
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A project with pictures that stand for all figures."""
+    for name in ("README.md", "docs/results.md", "docs/claims.md"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(article.ROOT / name, tmp_path / name)
+    shutil.copytree(article.ROOT / "docs/article", tmp_path / "docs/article")
+    (tmp_path / "figures").mkdir()
+    return tmp_path
+
+
+def test_the_same_inputs_give_the_same_bytes(project):
+    from matplotlib.figure import Figure
+
+    for name in re.findall(r'#picture\("(\w+)"', SOURCE):
+        Figure(figsize=(2, 1)).savefig(project / f"figures/{name}.pdf")
+    first = article.write(project).read_bytes()
+    assert first.startswith(b"%PDF") and article.write(project).read_bytes() == first
+
+
+def test_a_missing_figure_is_named(project):
+    with pytest.raises(FileNotFoundError, match="figures/fig01_robot_in_row.pdf is missing"):
+        article.write(project)
