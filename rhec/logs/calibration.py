@@ -27,12 +27,19 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import kalman, offline
 from rhec.core.model import base
+from rhec.core.model.base import Model
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.logs import terms
 from rhec.logs.command_line import add_reading, found_lines, parsed, read_given
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.recording import prepare, resample
-from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
+from rhec.logs.replay import (
+    InitialGuess,
+    estimate_samples,
+    measured_of,
+    refuse_with_model,
+    replay_scenario,
+)
 from rhec.logs.smoother import moved_to_sample
 from rhec.simulation.columns import AGE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
@@ -155,10 +162,11 @@ class Calibration(dict):
         summary = "The log determines all parameters."
         if undetermined:
             summary = f"The log does not determine: {', '.join(undetermined)}."
-        tables = [
-            table.to_string(float_format="{:.4g}".format) for table in (self.report, self.terms)
-        ]
-        return "\n".join([tables[0], summary, "", tables[1], *self.remarks])
+        report, in_terms = (
+            table.to_string(float_format="{:.4g}".format) if len(table) else ""
+            for table in (self.report, self.terms)
+        )
+        return "\n".join([report, summary, "", in_terms, *self.remarks]).rstrip("\n")
 
 
 def _build_filter(outlier, names):
@@ -287,7 +295,7 @@ def _objective(segments, yaws, robot):
     return minus_log_posterior
 
 
-def _covariance(objective, x):
+def posterior_covariance(objective, x):
     """H⁻¹ of the objective's Hessian H at its minimum x, by finite differences, at most the prior.
 
     The Hessian of the prior is the identity, so eigenvalues of H below 1 are numerical errors.
@@ -307,13 +315,21 @@ def _covariance(objective, x):
     return vectors / np.clip(values, 1.0, None) @ vectors.T
 
 
+def is_determined(deviation):
+    """Whether a log determines parameters with these deviations, in units of the prior's."""
+    return deviation < _DETERMINED
+
+
 @checked
 def calibrate(
     log: Any,
     *,
+    model: Model | None = None,
     track_width_m: Positive | None = None,
     position_delay_s: Real = 0.0,
+    delays_s: dict[str, Real] | None = None,
     trust_log: Flag = False,
+    **arguments: Any,
 ) -> Calibration:
     """Estimate noise, side slip and lever arm of a recorded robot from its log, without truth.
 
@@ -324,13 +340,19 @@ def calibrate(
 
     Args:
         log: DataFrame of a recording, as `rhec.replay` takes it. Its truth is not used.
+        model: A rhec.Model, whose noise is calibrated instead (`rhec.logs.model_calibration`).
         track_width_m: Distance of the tracks [m], as in `rhec.replay`.
         position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
+        delays_s: With a model, {output: delay of its time stamps [s]}.
         trust_log: Whether to skip the plausibility checks, as in `rhec.replay`.
+        **arguments: With a model, those of `rhec.replay`: dt, sigma_v, sigma_w, guess, sigma_guess,
+            horizon, arrival_mean, robust. Each sigma_v and sigma_w is the middle of its prior, by a
+            factor of 3; where it is 0 it remains 0.
 
     Returns:
         Calibration, a dict of arguments of `rhec.replay` with a `report`. It has those of
-        the last three arguments above that differ from their defaults.
+        the arguments above that differ from their defaults. With a model it has all of them, with
+        the calibrated sigma_v and sigma_w, and the report also lists the model's parameters.
 
     Raises:
         ValueError: If `rhec.replay` refuses the log, or if no segment has 50 positions over a
@@ -339,6 +361,16 @@ def calibrate(
     Warns:
         UserWarning: If the positions are late.
     """
+    if model is not None:
+        from rhec.logs.model_calibration import calibrate_model  # it needs this module
+
+        refuse_with_model(
+            track_width_m=track_width_m,
+            position_delay_s=position_delay_s or None,
+            trust_log=trust_log or None,
+        )
+        return calibrate_model(log, model, delays_s, arguments)
+    _refuse_without_model(arguments | (dict(delays_s=delays_s) if delays_s else {}))
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
         refuse_implausible(recording)
@@ -353,7 +385,7 @@ def calibrate(
         objective = _objective(segments, yaws, robot)
         bounds = [(-4, 4)] * len(x)
         x = minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=dict(maxiter=50)).x
-    deviation = np.sqrt(np.diag(_covariance(objective, x)))
+    deviation = np.sqrt(np.diag(posterior_covariance(objective, x)))
     last = _last_estimates(segments, x, yaws, robot)
     arm, sigma_arm = np.transpose([last[name] for name in LEVER_ARM])
     result = Calibration(_fields(x, robot.sensors))
@@ -371,6 +403,16 @@ def calibrate(
     result.remarks = []
     _keep_better(result, recording, yaws)
     return result
+
+
+def _refuse_without_model(arguments):
+    """Raise a ValueError for arguments of a calibration with a model."""
+    if arguments:
+        name = next(iter(arguments))
+        raise ValueError(
+            f"calibrate has no parameter {name!r} without a model; it takes track_width_m, "
+            "position_delay_s, trust_log"
+        )
 
 
 def _widen(result, names):

@@ -617,7 +617,7 @@ def replay(
         UserWarning: If the estimate is lost, or if the positions are late.
     """
     if model is not None:
-        _refuse_with_model(
+        refuse_with_model(
             track_width_m=track_width_m,
             lever_arm_m=lever_arm_m,
             first_yaw_rad=first_yaw_rad,
@@ -656,7 +656,7 @@ def replay(
     return result
 
 
-def _refuse_with_model(**arguments):
+def refuse_with_model(**arguments: Any) -> None:
     """Raise a ValueError for the first argument that is not None."""
     for name, value in arguments.items():
         if value is not None:
