@@ -75,6 +75,8 @@ lab: $(READY) ## open the notebooks in JupyterLab
 
 log_given = test -n "$$LOG" || { echo 'LOG was not given; it must be a recorded log:' \
   'make $@ LOG=file.csv' >&2; exit 2; }
+# Where `make replay` leaves what it made of this log.
+log_folder = file=$${LOG%/}; file=$${file\#\#*/}; folder="build/replay/$${file%.*}"
 replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=file.csv
 	@$(log_given)
 	@$(PY_WHAT) -m rhec.workbench.notebook notebooks/10_replay.ipynb -p log "$$LOG"
@@ -87,7 +89,8 @@ replay-table: $(READY) ## compute the table of docs/recorded_robots.md (after ma
 
 calibrate: $(READY) ## estimate noise and lever arm from a recorded log: make calibrate LOG=file.csv
 	@$(log_given)
-	@$(PY_WHAT) -m rhec.logs.calibration "$$LOG"
+	@$(log_folder); mkdir -p "$$folder"; \
+	  $(PY_WHAT) -m rhec calibrate "$$LOG" --yaml "$$folder/calibration.yaml" --overwrite
 
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
 	@$(PY_WHAT) -m rhec campaign

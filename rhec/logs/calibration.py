@@ -9,10 +9,7 @@ distribution at its maximum (Laplace). Positions more than OUTLIER standard devi
 less (Huber's loss).
 """
 
-import argparse
 import itertools
-import sys
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -30,7 +27,6 @@ from rhec.core.model import base
 from rhec.core.model.base import Model
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.logs import terms
-from rhec.logs.command_line import add_reading, found_lines, parsed, read_given
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.recording import prepare, resample
 from rhec.logs.replay import (
@@ -591,38 +587,3 @@ def _report(x, deviation, arm, sigma_arm, names):
         index=["antenna ahead", "antenna left"],
     )
     return pd.concat([numbers, antenna])
-
-
-def _arguments(words):
-    """The command line: a log, and what `make replay` takes with it."""
-    parser = argparse.ArgumentParser(prog="make calibrate", description="Calibrate by a log.")
-    add_reading(parser)
-    parser.add_argument("--position-delay-s", type=float, default=0.0)
-    parser.add_argument("--trust-log", action="store_true")
-    return parsed(parser, words)
-
-
-def _main(words):
-    """Calibrate the log of a command line, print the result and write it as YAML."""
-    given = _arguments(words)
-    log = read_given(given)
-    print(*found_lines(log), sep="\n")
-    found = calibrate(
-        log,
-        track_width_m=given.track_width_m,
-        position_delay_s=given.position_delay_s,
-        trust_log=given.trust_log,
-    )
-    file = _FOLDER / Path(given.log).stem / "calibration.yaml"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(found.yaml, encoding="utf-8")
-    print(found, f"rhec.replay(log, **{dict(found)})", f"written: {file}", sep="\n")
-
-
-_FOLDER = Path("build", "replay")
-
-if __name__ == "__main__":
-    try:
-        _main(sys.argv[1:])
-    except (ValueError, ImportError) as error:
-        sys.exit(str(error))

@@ -4,14 +4,12 @@
 rates, dropouts, clock, units, signs and scale of the encoders, bias, noise as declared and as
 measured, and what the robot would have to drive for the rest to be known.
 
-    python -m rhec.logs.doctor FILE [--sigma-m 0.02] [--json]
+    rhec doctor FILE [--sigma-m 0.02] [--json]
 
 ends with exit code 0 if there are no findings, 1 if there are, 2 if the file cannot be read.
 """
 
-import argparse
 import json
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +19,6 @@ import numpy as np
 import pandas as pd
 
 from rhec.core._casadi.validation import Positive, checked
-from rhec.logs.command_line import add_reading, found_lines, parsed, read_given
 from rhec.logs.log_checks import best_delay, halves_agree, refuse_implausible
 from rhec.logs.position_noise import position_sigma_m
 from rhec.logs.reader import read
@@ -427,27 +424,3 @@ _CHECKS: tuple[Callable, ...] = (
     _check_own_integral,
     _check_manoeuvres,
 )
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command line; the result is the exit code."""
-    parser = argparse.ArgumentParser(prog="rhec doctor", description=__doc__.partition("\n")[0])
-    add_reading(parser)
-    parser.add_argument("--sigma-m", type=float)
-    parser.add_argument("--json", action="store_true")
-    given = parsed(parser, arguments)
-    try:
-        log = read_given(given)
-        diagnosis = doctor(log, sigma_m=given.sigma_m, track_width_m=given.track_width_m)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    if given.json:
-        print(diagnosis.to_json())
-    else:
-        print(*found_lines(log), diagnosis, sep="\n")
-    return 0 if diagnosis.ok else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

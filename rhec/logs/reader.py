@@ -301,3 +301,8 @@ def degrees_at(x_m, y_m, origin):
         from_axis - _ECCENTRICITY_2 * _AXIS_M * np.cos(beta) ** 3,
     )
     return longitude + np.rad2deg(np.arctan2(x_m, out)), np.rad2deg(phi)
+
+
+def found_lines(log: pd.DataFrame) -> list[str]:
+    """What `read` inferred, such as topics, unit of time and origin, as lines of text."""
+    return [f"found {name}: {value}" for name, value in log.attrs.get("inferred", {}).items()]

@@ -146,7 +146,7 @@ def test_a_replay_says_what_its_log_cannot_show(still, remark):
 
 
 def test_the_command_refuses_in_a_sentence(tmp_path):
-    command = [sys.executable, "-m", "rhec.logs.calibration", tmp_path / "missing.csv"]
+    command = [sys.executable, "-m", "rhec", "calibrate", tmp_path / "missing.csv"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
-    assert done.stderr.startswith(f"log was '{tmp_path / 'missing.csv'}'; it should be")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith(f"rhec: log was '{tmp_path / 'missing.csv'}'; it should be")

@@ -6,7 +6,6 @@ import pytest
 from helpers import KAPPA, MU, TRACK_WIDTH_M, recorded_log
 
 import rhec
-from rhec.logs.calibration import _arguments
 from rhec.logs.scores import yaw_error
 from rhec.simulation.columns import ESTIMATE
 
@@ -119,11 +118,3 @@ def test_a_log_without_turns_is_refused():
     )
     with pytest.raises(ValueError, match="turns of 0.06 rad in all.* drive two figures of eight"):
         rhec.calibrate(straight)
-
-
-def test_the_command_takes_what_a_replay_takes():
-    given = _arguments(["log.bag", "--topics", "/fix", "/joints", "--wheel-radius-m", "0.1"])
-    assert given.topics == ["/fix", "/joints"] and given.wheel_radius_m == 0.1
-    words = ["log.bag", "-p", "topics", '["/fix", "/joints"]', "-p", "wheel_radius_m", "0.1"]
-    same = _arguments(words)
-    assert same.topics == given.topics and same.wheel_radius_m == given.wheel_radius_m

@@ -104,7 +104,7 @@ def _log_options(parser):
 
 def _read(given):
     """The log of the command line; what the reader found in it is printed."""
-    from rhec.logs.reader import read
+    from rhec.logs.reader import found_lines, read
 
     wrong = [pair for pair in given.columns if "=" not in pair]
     if wrong:
@@ -113,8 +113,8 @@ def _read(given):
     others = keywords(given, read, skipped=("columns", "topics"))
     topics = tuple(given.topics) or None
     log = read(given.file, columns=columns or None, topics=topics, **others)
-    for name, inferred in log.attrs["inferred"].items():
-        print(f"found {name}: {inferred}", file=sys.stderr)
+    # Not to the standard output, which --json keeps for programs.
+    print(*found_lines(log), sep="\n", file=sys.stderr)
     return log
 
 
@@ -159,7 +159,8 @@ def _calibrate_options(parser):
     parser.add_argument("--yaml", type=Path, metavar="FILE", help="write what ROS takes")
     parser.add_argument("--json", action="store_true", help="print arguments of rhec.replay only")
     _add_overwrite(parser)
-    add_keywords(parser.add_argument_group("the robot"), calibrate)
+    robot = parser.add_argument_group("the robot")
+    add_keywords(robot, calibrate, skipped=("model", "delays_s"))
 
 
 def _calibrate(given):

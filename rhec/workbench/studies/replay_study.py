@@ -14,8 +14,7 @@ import pandas as pd
 
 from rhec.logs import recording, scores
 from rhec.logs.calibration import calibrate
-from rhec.logs.command_line import found_lines
-from rhec.logs.reader import read
+from rhec.logs.reader import found_lines, read
 from rhec.logs.replay import replay
 from rhec.simulation.faults import Fault
 from rhec.tracked_robot import tuning
