@@ -198,7 +198,8 @@ $(call executed,$(STUDIES)): | $(call executed,05_computation_times)
 endif
 
 build/report/index.html: $(EXECUTED) rhec/workbench/report.py README.md $(wildcard docs/*.md \
-  docs/conf.py docs/_static/* docs/_templates/*/* rhec/workbench/live/*) | .venv/wasm
+  docs/conf.py docs/_static/* docs/_templates/*/* rhec/workbench/live/* \
+  rhec/workbench/live/freestanding/*) | .venv/wasm
 	@$(PY) -m rhec.workbench.results
 	@$(PY) -m rhec.workbench.report $(EXECUTED) --also $(wildcard $(clean-benchmarks)) \
 	  $$($(PY) -c 'import ziglang' 2>/dev/null && echo --live)

@@ -127,7 +127,9 @@ def main():
             break
     seconds = time.monotonic() - began
 
-    kept = store.load_rows(store.open_folder(options.folder))
+    kept = {}
+    for rows in store.load_rows(store.open_folder(options.folder)):
+        kept |= rows
     wanted = [dataclasses.replace(BASE, seed=seed) for seed in range(options.runs)]
     keys = list(map(store.scenario_key, wanted))
     again = np.random.default_rng(0).choice(options.runs, min(CHECKED, options.runs), replace=False)

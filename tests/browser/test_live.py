@@ -133,10 +133,7 @@ def live(page):
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_given_its_noise_and_soil_a_run_equals_python(live, scene):
-    """Five scenarios of each scene, with all that can be moved at random.
-
-    Ruts take an exponential in each step, whose last digit differs between C libraries.
-    """
+    """Five scenarios of each scene, with all that can be moved at random."""
     live.choose(scene=scene)
     chance = random.Random(scene)
     for _ in range(5):
@@ -144,17 +141,12 @@ def test_given_its_noise_and_soil_a_run_equals_python(live, scene):
         for run in live.runs():
             native = same_run_in_python(run)
             expected = np.column_stack([native.columns[name] for name in COLUMNS]).astype(float)
-            # KKT tolerances and estimates at their bounds carry that digit on, and so does a robot
-            # that is lost, after a while.
-            first_minute = slice(0, 300)
-            for name in ("x_m", "y_m", "theta_rad", "x_meas_m", "y_meas_m"):
-                column = COLUMNS.index(name)
-                np.testing.assert_allclose(
-                    run["rows"][first_minute, column],
-                    expected[first_minute, column],
-                    atol=1e-3,
-                    err_msg=run["line"],
-                )
+            np.testing.assert_allclose(
+                run["rows"], expected, rtol=1e-9, atol=1e-9, err_msg=run["line"]
+            )
+            for name, value in run["metrics"].items():
+                value = float(value)
+                np.testing.assert_allclose(value, native.metrics[name], rtol=1e-9, err_msg=name)
 
 
 @pytest.mark.parametrize("scene", SCENES)

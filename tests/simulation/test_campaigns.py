@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 import time
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -32,6 +33,11 @@ from rhec.simulation.campaigns import campaign as campaigns
 
 SHORT = rhec.Scenario(estimator="ekf", duration_s=6.0)
 ROOT = Path(rhec.__file__).parents[1]
+
+
+def load_rows(folder):
+    """{key: row} of all files in a campaign's folder."""
+    return {key: row for rows in store.load_rows(folder) for key, row in rows.items()}
 
 
 def short(seeds=4, **changes):
@@ -243,7 +249,7 @@ def test_a_compiler_that_fails_on_the_way_mixes_no_rows(tmp_path, ran, monkeypat
     monkeypatch.setattr(compiled, "compiler", lambda: None if len(ran) > 1 else real)
     rhec.campaign(short(), tmp_path)
     assert ran[2:] == short() or not real
-    assert len(store.load_rows(store.open_folder(tmp_path))) == 4
+    assert len(load_rows(store.open_folder(tmp_path))) == 4
 
 
 def test_failures_are_tried_again(tmp_path, ran, monkeypatch):
@@ -373,12 +379,12 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
     """One bit anywhere in the file: either it does not matter, or the file is left aside."""
     rhec.campaign(short(3), tmp_path)
     (file,) = tmp_path.glob("*/*.parquet")
-    content, rows, left_aside = file.read_bytes(), store.load_rows(file.parent), 0
+    content, rows, left_aside = file.read_bytes(), load_rows(file.parent), 0
     for place in np.random.default_rng(0).integers(len(content), size=300):
         file.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            got = store.load_rows(file.parent)
+            got = load_rows(file.parent)
         assert (repr(got), len(caught)) in ((repr(rows), 0), ("{}", 1)), place
         left_aside += len(caught)
     assert left_aside > 100
@@ -586,7 +592,7 @@ def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path, mo
     assert list((tmp_path / "cache").glob("*/library.so"))
     assert all(process.poll() is None for process in processes)
     assert list((tmp_path / "shared").iterdir()) == [] and sys.path == path
-    rows = store.load_rows(store.open_folder(tmp_path / "rows"))
+    rows = load_rows(store.open_folder(tmp_path / "rows"))
     assert set(rows) == set(map(store.scenario_key, short(20)))
     monkeypatch.delenv("DASK_SCHEDULER_ADDRESS")
     assert_equal_rows(table, rhec.campaign(short(20)))
@@ -789,13 +795,13 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     )
     assert (process.returncode, out) == (130, "") and interrupted, err
     (rows,) = tmp_path.glob("*/")
-    assert 0 < int(interrupted[1]) == len(store.load_rows(rows)) < 3000
+    assert 0 < int(interrupted[1]) == len(load_rows(rows)) < 3000
     # loky's tracker of resources ends a moment after the campaign.
     deadline = time.monotonic() + 10
     while left_of_group(process.pid) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not left_of_group(process.pid)
-    kept = store.load_rows(rows)
+    kept = load_rows(rows)
     again = subprocess.run(
         [*command(tmp_path)[:4], *arguments[:-1], "5", "--workers", "2", "--folder", str(tmp_path)],
         capture_output=True,
@@ -806,7 +812,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
     )
     drives = [rhec.Scenario(estimator="ekf", duration_s=240.0, seed=seed) for seed in range(5)]
     keys = kept.keys() | set(map(store.scenario_key, drives))
-    assert "5 runs, 0 failed" in again.stdout and store.load_rows(rows).keys() == keys
+    assert "5 runs, 0 failed" in again.stdout and load_rows(rows).keys() == keys
     assert sum(pq.read_metadata(file).num_rows for file in rows.glob("*.parquet")) == len(keys)
 
 
@@ -854,3 +860,32 @@ def test_one_run_loads_neither_campaigns_nor_lanes():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout == "[]\n", done.stderr
+
+
+# Memory
+
+
+def test_rows_of_runs_take_little_memory_and_come_back_as_they_were():
+    rng = np.random.default_rng(0)
+    metrics = {name: type(value) for name, value in store._example_metrics().items()}
+
+    def row_of(k):
+        if k % 7 == 3:
+            return store.failed_row(f"ValueError: {k}")
+        return {name: kind(rng.integers(0, 2, endpoint=True)) for name, kind in metrics.items()} | {
+            "error": ""
+        }
+
+    expected = {f"{k:032x}": row_of(k) for k in range(4000)}
+    tracemalloc.start()
+    rows = store.Rows()
+    rows.add(expected)
+    taken, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert taken < 500 * len(expected)
+    again = {"0" * 31 + "3": expected["0" * 31 + "4"]}  # a failed run that was repeated
+    rows.add(again)
+    for chosen in ([*expected], [key for key, row in expected.items() if not row["error"]]):
+        columns = pd.DataFrame(rows.columns(chosen))
+        table = pd.DataFrame([(expected | again)[key] for key in chosen])
+        pd.testing.assert_frame_equal(columns, table)

@@ -181,16 +181,19 @@ def library_text(functions):
 
 def compile_text(folder, names, text, optimised=True):
     """Compile the C of `library_text` into a folder; the optimised library has the same bits."""
+    path = compiler()
+    if path is None:  # it failed meanwhile, in another thread
+        raise OSError("there is no C compiler any more")
     (folder / "code.c").write_text(text)
     flags = ["-O2" if optimised else "-O0", *FLAGS]
     # Without vectorising, Clang compiles a loop in two thirds of the time, and the loop is as fast.
     # A step alone would be slower.
-    if "block" in names and "clang" in Path(compiler()).name:
+    if "block" in names and "clang" in Path(path).name:
         flags += ["-fno-vectorize", "-fno-slp-vectorize"]
     flags += [f"-I{_CASADI / 'include'}", "-include", HEADERS / "elementary.h"]
     # The library does not record the path of DAQP, as that environment may be gone some day.
     files = ["code.c", "-o", "library.so", f"-L{_CASADI}", "-ldaqp", "-lm"]
-    run_compiler([compiler(), *flags, *files], folder)
+    run_compiler([path, *flags, *files], folder)
     (folder / "functions.json").write_text(json.dumps(names))
 
 

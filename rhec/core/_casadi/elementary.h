@@ -66,6 +66,35 @@ static REAL own_atan2(REAL y, REAL x) {
   return ANY(strange) ? SELECT(strange, atan2(y, x), angle) : angle;
 }
 
+/* 2^k for a whole k within 600: the product of the powers that the binary digits of |k| name. */
+static inline REAL power_of_two(REAL k) {
+  static const double powers[] = {0x1p512, 0x1p256, 0x1p128, 0x1p64, 0x1p32,
+                                  0x1p16,  0x1p8,   0x1p4,   0x1p2,  0x1p1};
+  REAL left = own_fabs(k), product = 1.0;
+  for (int place = 0; place < 10; place++) {
+    double digit = 512 >> place;
+    REAL has = left >= digit;
+    product = SELECT(has, product * powers[place], product);
+    left = SELECT(has, left - digit, left);
+  }
+  return SELECT(k < 0.0, 1.0 / product, product);
+}
+
+/* e^x within one unit in the last place; 0 and infinity where no number is near. x = k ln 2 + r
+   with ln 2 in two parts and r within ln 2 / 2, where Taylor's series is good to the last digit. */
+static REAL own_exp(REAL x) {
+  REAL inside = own_fmax(own_fmin(x, 710.0), -750.0);
+  REAL k = WHOLE(inside * 0x1.71547652b82fep+0), half = WHOLE(k * 0.5);
+  REAL first = inside - k * 0x1.62e42feep-1, second = k * 0x1.a39ef35793c76p-33;
+  REAL r = first - second, rest = (first - r) - second, series = 0.0;
+  static const double inverse_factorials[] = {
+      1. / 6227020800, 1. / 479001600, 1. / 39916800, 1. / 3628800, 1. / 362880, 1. / 40320,
+      1. / 5040,       1. / 720,       1. / 120,      1. / 24,      1. / 6,      1. / 2};
+  for (int n = 0; n < 12; n++) series = inverse_factorials[n] + r * series;
+  REAL power = (1.0 + (r + (rest + r * r * series))) * power_of_two(half) * power_of_two(k - half);
+  return SELECT(x != x, x, power);
+}
+
 #define sin own_sin
 #define cos own_cos
 #define atan2 own_atan2
@@ -73,3 +102,4 @@ static REAL own_atan2(REAL y, REAL x) {
 #define fmax own_fmax
 #define fabs own_fabs
 #define floor own_floor
+#define exp own_exp

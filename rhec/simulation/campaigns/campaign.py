@@ -72,9 +72,11 @@ def campaign(
     scenarios = as_list(scenarios, "scenarios")
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
-    rows = store.load_rows(rows_folder) if rows_folder else {}
+    rows = store.Rows()
+    for kept in store.load_rows(rows_folder) if rows_folder else ():
+        rows.add(kept)
     keys, unusable = _keys_of(scenarios)
-    rows |= unusable
+    rows.add(unusable)
     unique = dict(zip(keys, scenarios))
     missing = {key: scenario for key, scenario in unique.items() if key not in rows}
     with (
@@ -86,18 +88,18 @@ def campaign(
                 if compiled.compiler() != compiler:
                     # The compiler failed. Uncompiled rows differ in the last bits, so start again.
                     return campaign(scenarios, folder, workers)
-                rows |= new_rows
+                rows.add(new_rows)
                 if rows_folder:
                     store.save_rows(rows_folder, new_rows)
                 progress.update(len(new_rows))
         except KeyboardInterrupt:
             raise KeyboardInterrupt(_interrupted(rows, unique, folder)) from None
+    # Column by column and without a copy: a list of each field would take as much as the table.
     columns = {
-        field.name: [getattr(scenario, field.name) for scenario in scenarios]
+        field.name: pd.Series([getattr(scenario, field.name) for scenario in scenarios])
         for field in fields(Scenario)
     }
-    columns |= {name: [rows[key][name] for key in keys] for name in store.failed_row("")}
-    return pd.DataFrame(columns)
+    return pd.DataFrame(columns | rows.columns(keys), copy=False)
 
 
 def _keys_of(scenarios):
@@ -115,7 +117,7 @@ def _keys_of(scenarios):
 
 def _interrupted(rows, scenarios, folder):
     """Return the message of an interrupted campaign."""
-    n_done = len(rows.keys() & scenarios.keys())
+    n_done = sum(key in rows for key in scenarios)
     rest = "the same call continues from there" if folder else "a folder would let it continue"
     return f"interrupted after {n_done} of {len(scenarios)} runs; {rest}"
 

@@ -87,14 +87,9 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     const data = await load(name);
     data.module ??= unpack(data.wasm).then(WebAssembly.compile);
     const module = await data.module;
-    const unused = {}; // a C library may import what is never called
-    for (const { module: from, name: of } of WebAssembly.Module.imports(module)) {
-      unused[from] ??= {};
-      unused[from][of] = () => 0;
-    }
     const loop = new Loop();
     Object.assign(loop, { name, data, world });
-    loop.wasm = (await WebAssembly.instantiate(module, unused)).exports;
+    loop.wasm = (await WebAssembly.instantiate(module, { Math })).exports;
     for (const array of Object.keys(loop.wasm).filter(each => each.startsWith("at_"))) {
       const from = loop.wasm[array].value; // each reaches to the memory's end
       loop[array] = new Float64Array(loop.wasm.memory.buffer, from);

@@ -1,4 +1,4 @@
-"""Compile C to WebAssembly with Zig's Clang and musl, from the `ziglang` wheel."""
+"""Compile C to WebAssembly with Zig's Clang (wheel `ziglang`), without a C library to build."""
 
 import hashlib
 import re
@@ -12,14 +12,17 @@ from rhec.core._casadi import cache, compiled
 __all__ = ["can_compile", "module_of"]
 
 _SINES = compiled.HEADERS / "elementary.h"  # the sine of all compiled code
+_HEADERS = Path(__file__).with_name("freestanding")
 _COMMAND = [sys.executable, "-m", "ziglang", "cc", "-include", str(_SINES), "code.c"]
 _FLAGS = [
-    "--target=wasm32-wasi",
+    "--target=wasm32-freestanding",
+    "-nostdlib",
+    f"-isystem{_HEADERS}",
+    "-fno-math-errno",  # a square root is an instruction
     "-O2",
     # A fused multiply-add rounds once where Python's run rounds twice.
     "-ffp-contract=off",
     "-mbulk-memory",
-    "-nostartfiles",
     "-w",
     "-Wl,--no-entry,--strip-all,--export=run",
     # Functions may return several values: sine and cosine of an angle then cost one call instead
@@ -54,6 +57,7 @@ def module_of(text):
             module = folder / "code.wasm"
             compiled.run_compiler([*_COMMAND, *_FLAGS, *exports, "-o", str(module)], sources)
 
-    key = repr((text, _SINES.read_bytes(), _FLAGS, find_spec("ziglang").origin))
+    headers = [file.read_bytes() for file in (_SINES, *sorted(_HEADERS.iterdir()))]
+    key = repr((text, headers, _FLAGS, find_spec("ziglang").origin))
     name = hashlib.sha256(key.encode()).hexdigest()[:24]
     return cache.load_or_build(name, make, lambda folder: (folder / "code.wasm").read_bytes())

@@ -6,6 +6,7 @@ entry means. Evidence is {(process noise, kind, id): DataFrame}, where kind is "
 functions here.
 """
 
+import re
 import tomllib
 from collections.abc import Callable
 from functools import partial
@@ -201,10 +202,19 @@ def _judge(evidence, confidence, rule, bounds, tables, expressions):
     """
     found = [evidence[table] for table in tables]
     n = min(map(len, found))
-    values = [
-        table[:n].eval(expression, engine="python") for table in found for expression in expressions
-    ]
+    values = [_value(table[:n], expression) for table in found for expression in expressions]
     return rule(*values, **bounds, confidence=confidence)
+
+
+def _value(table, expression):
+    """An expression of a table's columns.
+
+    pandas prepares each column of a table for an expression, which takes ten times as long as the
+    expression itself: it gets only those that are named.
+    """
+    words = set(re.findall(r"\w+", expression))
+    named = [name for name in table.columns if name in words]
+    return table[named].eval(expression, engine="python")
 
 
 def _condition(entry, expressions, process_noise, instead):
