@@ -66,6 +66,7 @@ _DETERMINED = 0.5
 _DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
 _LEAST_POSITIONS = 50
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
+_TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
 _LARGEST_DELAY_S = 0.6  # of the positions, that is searched
 _DELAY_STEP_S = 0.05
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
@@ -391,7 +392,8 @@ def _refuse_straight(recording):
     """Raise a ValueError for a log without turns, which determines no κ."""
     rows = recording.rows
     step_s = rows.groupby("segment")["t_s"].diff().clip(upper=1.0)
-    turned = float((rows[MEASUREMENTS[3]].abs() * step_s).sum())
+    turns = rows[MEASUREMENTS[3]] * step_s
+    turned = float(turns.groupby([rows["segment"], rows["t_s"] // _TURNING_S]).sum().abs().sum())
     if turned < _LEAST_TURNED_RAD:
         column = recording.columns[MEASUREMENTS[3]]
         raise ValueError(
