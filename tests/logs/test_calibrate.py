@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
+from scipy.signal import lfilter
 
 import rhec
 from rhec.logs import calibration
@@ -63,6 +64,47 @@ def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
         for result in (rhec.replay(log, first_yaw_rad=0.4, **how) for how in ({}, found))
     ]
     assert errors[1] < errors[0]
+
+
+def wandering(log, sigma_m=0.3, tau_s=5.0, seed=0):
+    """A log whose positions are off by a Gauss-Markov process."""
+    a = np.exp(-0.2 / tau_s)
+    steps = sigma_m * np.sqrt(1 - a**2) * np.random.default_rng(seed).normal(size=(len(log), 2))
+    return log.assign(
+        **dict(
+            zip(
+                ["x_m", "y_m"],
+                (log[["x_m", "y_m"]] + lfilter([1], [1, -a], steps, axis=0)).to_numpy().T,
+            )
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def wandered():
+    log = wandering(recorded_log(5.0, 300.0, noise_m=0.02, seed=3))
+    return log, rhec.calibrate(log, trust_log=True)
+
+
+def test_encoders_are_not_blamed_for_positions_that_wander(wandered):
+    """The log's encoders are exact; wandering positions are noisy ones, if far apart."""
+    log, found = wandered
+    assert any("wander" in remark for remark in found.remarks)
+    value = found.report["value"]
+    assert value["noise of the position"] > 0.15
+    assert value["noise of ω"] < 0.1 and value["slip in turning, share of ω"] < 0.2
+    replays = [
+        rhec.replay(log, first_yaw_rad=0.4, **how)[len(log) // 4 :]
+        for how in ({"trust_log": True}, found)
+    ]
+    errors = [np.sqrt(((r["theta_hat_rad"] - r["theta_rad"]) ** 2).mean()) for r in replays]
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_what_the_receiver_declares_is_the_least_noise(wandered):
+    log, _ = wandered
+    found = rhec.calibrate(log.assign(position_sigma_m=0.8), trust_log=True)
+    assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
 
 
 def test_calibration_does_not_look_at_the_truth(calibrated):
