@@ -28,7 +28,7 @@ from rhec.core.model.base import Model
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.logs import terms
 from rhec.logs.log_checks import refuse_implausible
-from rhec.logs.recording import prepare, resample
+from rhec.logs.recording import DECLARED, prepare, resample
 from rhec.logs.replay import (
     InitialGuess,
     estimate_samples,
@@ -69,6 +69,11 @@ _DETERMINED = 0.5
 _DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
 _LEAST_POSITIONS = 50
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
+_TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
+# Errors of positions that wander are taken for slip and noise of the encoders. Positions so far
+# apart show the wander as noise; fewer than these do not determine the other noise.
+_APART_S = 4.0
+_LEAST_APART = 40
 _LARGEST_DELAY_S = 0.6  # of the positions, that is searched
 _DELAY_STEP_S = 0.05
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
@@ -76,8 +81,10 @@ _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
 # Held out to compare a calibration with the defaults: positions of _OUTAGE_S in every _EVERY_S.
 _OUTAGE_S = 10.0
 _EVERY_S = 30.0
-_LEAST_OUTAGES = 3
+_LEAST_OUTAGES = 6
 _WORSE = 1.05
+_LEAST_ERROR_M = 0.01  # smaller errors are those of the positions themselves
+_ONE_SIDED = 1.645  # 95 % quantile of the normal distribution
 
 
 class _Unknown(NamedTuple):
@@ -215,10 +222,12 @@ def _values(x, names):
     return [float(unknown.at(entry)) for unknown, entry in zip(_unknowns(names), x)]
 
 
-def _fields(x, names):
+def _fields(x, robot):
     """The fields of a Scenario at the point x of the search."""
+    names = robot.sensors
     values = iter(_values(x, names))
     position, speed, yaw_rate = itertools.islice(values, 3)
+    position = max(position, robot.least_m)
     fields = dict(
         sigma_v=(position, position, speed, yaw_rate),
         sigma_w=tuple(itertools.islice(values, 2)),
@@ -237,11 +246,12 @@ class _Robot(NamedTuple):
     width_m: float  # track width
     sensors: tuple  # names of its sensors besides GNSS and encoders
     about_arm_m: tuple = (0.0, 0.0)  # first guess of the antenna, ahead and left [m]
+    least_m: float = 0.0  # smallest noise of the positions that the receiver leaves possible [m]
 
 
 def _filtered(z, x, yaw_rad, robot):
     """Outputs {name: array} of the filter at the point x, for a segment z (n, n_z + 1)."""
-    fields = _fields(x, robot.sensors)
+    fields = _fields(x, robot)
     scenario = Scenario(
         speed_model="slipping", track_width_m=robot.width_m, sensors=robot.sensors, **fields
     )
@@ -279,16 +289,66 @@ def _first_yaw(z, x, robot):
     return float(minimize_scalar(loss, bounds=bounds, method="bounded", options=options).x)
 
 
-def _objective(segments, yaws, robot):
-    """The function of x that is minimised: -log posterior, up to a constant."""
+def _likelihood(segments, yaws, robot):
+    """The function of x that is -log likelihood of the segments, up to a constant."""
     parts = [(z, yaw, _driven(z) > _SETTLED_M) for z, yaw in zip(segments, yaws)]
 
-    def minus_log_posterior(x):
+    def minus_log_likelihood(x):
         losses = (_filtered(z, x, yaw, robot)["loss"][counts].sum() for z, yaw, counts in parts)
-        value = sum(losses) / 2 + x @ x / 2
+        value = sum(losses) / 2
         return value if np.isfinite(value) else 1e12
 
-    return minus_log_posterior
+    return minus_log_likelihood
+
+
+def _objective(segments, yaws, robot):
+    """The function of x that is minimised: -log posterior, up to a constant."""
+    minus_log_likelihood = _likelihood(segments, yaws, robot)
+    return lambda x: minus_log_likelihood(x) + x @ x / 2
+
+
+def _most_likely(segments, robot, x, yaws=None):
+    """The x and the initial yaws that make these segments likeliest, searched from x."""
+    for _ in range(1 if yaws else 2):  # the second search starts from better initial yaws
+        yaws = yaws or [_first_yaw(z, x, robot) for z in segments]
+        bounds = [(-4, 4)] * len(x)
+        options = dict(maxiter=50)
+        objective = _objective(segments, yaws, robot)
+        x = minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=options).x
+        found, yaws = yaws, None
+    return x, found
+
+
+def _apart(segments, first):
+    """Segments with only those positions that are _APART_S apart, counted from sample `first`."""
+    every = round(_APART_S / paper.DT_S)
+    parts = []
+    for z in segments:
+        part = z.copy()
+        is_kept = np.arange(len(z)) % every == first
+        part[~is_kept, :2] = np.nan
+        parts.append(part)
+    return parts
+
+
+def _search(segments, robot):
+    """Find the likeliest x, from all positions or, where their errors wander, from some.
+
+    Both fits are compared on positions _APART_S apart. Only the fit of all positions has seen
+    these, so that the other one is likelier only where errors are correlated over that time.
+
+    Returns:
+        x, the initial yaws, the segments that were used, and whether the errors wander.
+    """
+    x, yaws = _most_likely(segments, robot, np.zeros(len(_unknowns(robot.sensors))))
+    some = _apart(segments, 0)
+    if sum(np.isfinite(z[:, 0]).sum() for z in some) < _LEAST_APART:
+        return x, yaws, segments, False
+    x_of_some, yaws = _most_likely(some, robot, np.zeros(len(x)), yaws)
+    held_out = _likelihood(_apart(segments, round(_APART_S / paper.DT_S / 2)), yaws, robot)
+    if held_out(x_of_some) < held_out(x):
+        return x_of_some, yaws, some, True
+    return x, yaws, segments, False
 
 
 def posterior_covariance(objective, x):
@@ -371,20 +431,17 @@ def calibrate(
     if not trust_log:
         refuse_implausible(recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
-    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m)
+    declared_m = _declared_m(recording)
+    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m, declared_m)
     recording = _usable(recording)
     _refuse_straight(recording)
     segments = _streams(recording)
-    x = np.zeros(len(_unknowns(robot.sensors)))
-    for _ in range(2):  # the second search starts from better initial yaws
-        yaws = [_first_yaw(z, x, robot) for z in segments]
-        objective = _objective(segments, yaws, robot)
-        bounds = [(-4, 4)] * len(x)
-        x = minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=dict(maxiter=50)).x
+    x, yaws, segments, wanders = _search(segments, robot)
+    objective = _objective(segments, yaws, robot)
     deviation = np.sqrt(np.diag(posterior_covariance(objective, x)))
     last = _last_estimates(segments, x, yaws, robot)
     arm, sigma_arm = np.transpose([last[name] for name in LEVER_ARM])
-    result = Calibration(_fields(x, robot.sensors))
+    result = Calibration(_fields(x, robot))
     _widen(result, robot.sensors)
     if (sigma_arm < _DETERMINED_ARM_M).all():
         result["lever_arm_m"] = tuple(arm.tolist())
@@ -397,6 +454,11 @@ def calibrate(
     result.terms = _terms(result, recording, yaws, last, delay)
     result.yaml = terms.as_yaml(result.terms, robot.width_m, result["sigma_v"])
     result.remarks = []
+    if wanders:
+        result.remarks.append(
+            f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s "
+            "apart."
+        )
     _keep_better(result, recording, yaws)
     return result
 
@@ -409,6 +471,17 @@ def _refuse_without_model(arguments):
             f"calibrate has no parameter {name!r} without a model; it takes track_width_m, "
             "position_delay_s, trust_log"
         )
+
+
+def _declared_m(recording):
+    """Least noise of the positions [m], so that widened it is the one that the receiver declares.
+
+    Errors that wander for minutes do not show in the positions themselves.
+    """
+    if DECLARED not in recording.rows:
+        return 0.0
+    declared_m = recording.rows[DECLARED].median()
+    return float(declared_m) / _CORRELATED if declared_m > 0 else 0.0
 
 
 def _widen(result, names):
@@ -432,7 +505,8 @@ def _refuse_straight(recording):
     """Raise a ValueError for a log without turns, which determines no κ."""
     rows = recording.rows
     step_s = rows.groupby("segment")["t_s"].diff().clip(upper=1.0)
-    turned = float((rows[MEASUREMENTS[3]].abs() * step_s).sum())
+    turns = rows[MEASUREMENTS[3]] * step_s
+    turned = float(turns.groupby([rows["segment"], rows["t_s"] // _TURNING_S]).sum().abs().sum())
     if turned < _LEAST_TURNED_RAD:
         column = recording.columns[MEASUREMENTS[3]]
         raise ValueError(
@@ -527,35 +601,49 @@ def _terms(result, recording, yaws, last, delay):
     return terms.table(*terms.slopes(samples), recording.track_width_m, others)
 
 
-def _outage_error(recording, arguments, yaws):
-    """Median error of positions [m] that are hidden for _OUTAGE_S in every _EVERY_S."""
+def _outage_errors(recording, arguments, yaws):
+    """Errors [m] at the end of outages: of positions hidden for _OUTAGE_S in every _EVERY_S.
+
+    The log is replayed for each part of _EVERY_S that may be hidden, so that all positions of a
+    segment but its first ones are hidden once.
+    """
     rows = recording.rows
     since_s = rows["t_s"] - rows.groupby("segment")["t_s"].transform("first")
-    hidden = since_s % _EVERY_S > _EVERY_S - _OUTAGE_S
-    masked = rows.copy()
-    masked.loc[hidden, MEASUREMENTS[:2]] = np.nan
-    samples = _replayed(recording._replace(rows=masked), arguments, yaws)
     shown = pd.concat(
         resample(part, paper.DT_S, recording.averaged) for _, part in rows.groupby("segment")
     ).reset_index(drop=True)
-    at_end = (since_s % _EVERY_S > _EVERY_S - paper.DT_S) & hidden
-    ends_s = set(np.round(rows.loc[at_end, "t_s"], 1))
-    counts = samples["t_s"].round(1).isin(ends_s).to_numpy()
-    error = np.hypot(
-        samples["x_hat_m"] - shown[MEASUREMENTS[0]], samples["y_hat_m"] - shown[MEASUREMENTS[1]]
-    )[counts].dropna()
-    return float(error.median()) if len(error) >= _LEAST_OUTAGES else np.nan
+    errors = []
+    for begin_s in np.arange(0.0, _EVERY_S, _OUTAGE_S):
+        hidden_s = (since_s - begin_s) % _EVERY_S
+        hidden = (hidden_s < _OUTAGE_S) & (since_s >= _OUTAGE_S)
+        masked = rows.copy()
+        masked.loc[hidden, MEASUREMENTS[:2]] = np.nan
+        samples = _replayed(recording._replace(rows=masked), arguments, yaws)
+        at_end = hidden & (hidden_s > _OUTAGE_S - paper.DT_S)
+        counts = samples["t_s"].round(1).isin(set(rows.loc[at_end, "t_s"].round(1))).to_numpy()
+        x, y = (samples[f"{name}_hat_m"] - shown[f"{name}_meas_m"] for name in "xy")
+        errors.append(np.hypot(x, y)[counts])
+    return np.concatenate(errors)
 
 
 def _keep_better(result, recording, yaws):
-    """Keep the defaults of `rhec.replay` where the calibrated values predict worse than they do."""
-    calibrated, shipped = (_outage_error(recording, how, yaws) for how in (result, {}))
-    if calibrated > _WORSE * shipped:
+    """Keep the defaults of `rhec.replay` where the calibrated values predict worse than they do.
+
+    They do if the geometric mean of the ratios of both errors is significantly above _WORSE.
+    """
+    calibrated, shipped = (_outage_errors(recording, how, yaws) for how in (result, {}))
+    ratios = np.log((calibrated + _LEAST_ERROR_M) / (shipped + _LEAST_ERROR_M))
+    ratios = ratios[np.isfinite(ratios)]
+    if len(ratios) < _LEAST_OUTAGES:
+        return
+    deviation = ratios.std(ddof=1) / np.sqrt(len(ratios))
+    if ratios.mean() - _ONE_SIDED * deviation > np.log(_WORSE):
         for name in (*_FIELDS, "lever_arm_m"):
             result.pop(name, None)
         result.remarks.append(
-            f"The defaults are kept: without positions for {_OUTAGE_S:g} s the calibrated replay "
-            f"is {calibrated:.2g} m off in the median, and the default one {shipped:.2g} m."
+            f"The defaults are kept: after {_OUTAGE_S:g} s without positions the errors of the "
+            f"calibrated replay are {np.exp(ratios.mean()):.2f} times as large as those of the "
+            f"default one (geometric mean of {len(ratios)})."
         )
 
 

@@ -4,7 +4,8 @@ Each measurement in the window of an RHE has its own variance. It follows from w
 say of one another, never from the estimate alone:
 
 - *Noise*: the variance of positions is that of their second differences where this is clearly
-  larger than the one told.
+  larger than the one told. Positions more scattered than noise can be count the less the farther
+  they are from the prediction.
 - *Stuck or improbable positions* are rejected. A receiver is stuck where it repeats its last
   position to the last digit. A position is improbable where its innovation y has
   y' S⁻¹ y > CHI2_GATE (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
@@ -59,6 +60,12 @@ MISMATCHES_WITH_SENSORS = 25
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
 MAX_CHECKED_SIGMA_M = 0.045  # [m] noisier positions tell too little about the encoders
 _MAX_CHECKED_NOISE = 2 * MAX_CHECKED_SIGMA_M**2
+LEAST_APART_M = 0.05  # [m] tolerated rms distance of the two paths, such as after a spin
+# Scattered positions, noisier than can be learned, get a variance that grows with their distance
+# from the prediction: at once from the gate on, and after so long from so many times it on. By then
+# dead reckoning may be that far off, too.
+STORM_S = 6.0
+FAR_IN_LONG_STORM = 20.0
 FORGETTING = 0.98  # per sample, of the largest noise of late
 REACH_M = 3.0  # [m] an unchecked position farther off than this, and than
 REACH_MPS = 5.0  # [m/s] this speed explains, is an outlier
@@ -79,9 +86,10 @@ class _Before(NamedTuple):
     doubt: ca.SX  # 1 while the encoders are inconsistent
     unseen: ca.SX  # (2,) samples since a position was accepted, and since one arrived
     largest: ca.SX  # [m²] the largest noise of late
+    storm: ca.SX  # samples in a row in which positions have been too scattered for noise
 
 
-_SHAPES = ((4, PAST), (4, 1), (2, 1), (1, 1), (1, 1), (2, 1), (1, 1))
+_SHAPES = ((4, PAST), (4, 1), (2, 1), (1, 1), (1, 1), (2, 1), (1, 1), (1, 1))
 _MEMORY = dict(zip(_Before._fields, _SHAPES))
 
 
@@ -137,6 +145,7 @@ class _Positions(NamedTuple):
     newest_is_smooth: ca.SX
     noise: ca.SX  # [m²] variance of x and y together
     largest: ca.SX  # [m²] the largest one of late
+    scatter: ca.SX  # [m²] the noise, where it is more than can be learned, else 0
     V: ca.SX  # (2,) [m²] variances to use
 
 
@@ -148,7 +157,8 @@ def _check_positions(past, V, largest):
     # A noise that is known too low would find fault with the encoders: it is forgotten slowly.
     largest = ca.fmin(ca.fmax(noise, FORGETTING * largest), 4 * _MAX_CHECKED_NOISE)
     checked = ca.fmax(ca.fmax(told, noise), largest)
-    learned = ca.fmax(ca.fmin(noise, 2 * LARGEST_LEARNED_M**2), told)
+    largest_learned = 2 * LARGEST_LEARNED_M**2
+    learned = ca.fmax(ca.fmin(noise, largest_learned), told)
     used = ca.if_else(noise > NOISES_TO_LEARN * told, learned, told)
     max_bend = ca.fmax(MAX_BEND_M**2, MAX_BEND_NOISES * checked)
     are_dense = ca.mmin(_is_number(bends[1 - CHECKED :]))
@@ -158,6 +168,7 @@ def _check_positions(past, V, largest):
         newest_is_smooth=bends[-1] <= max_bend,
         noise=checked,
         largest=largest,
+        scatter=ca.if_else(noise > NOISES_TO_LEARN * ca.fmax(told, largest_learned), noise, 0),
         V=V[:2] * (used / told),  # the same bits where nothing is learned
     )
 
@@ -198,6 +209,7 @@ def _check_agreement(path, positions, m, names, dt_s):
     yaw, mu, apart, size, size_driven = _registration(path[:2, :], driven)
     speed = ca.sumsqr(driven[:, 1:] - driven[:, :-1]) / (CHECKED * dt_s**2)
     tolerance = NOISES_APART * positions.noise + SHARE_APART**2 * size + (2 * LATE_S) ** 2 * speed
+    tolerance += LEAST_APART_M**2
     fits = apart <= tolerance  # 0 where `apart` is NaN
     agree = positions.are_smooth * fits
     has_course = size_driven > ca.fmax(MIN_COURSE_M**2, MIN_COURSE_NOISES * positions.noise)
@@ -265,15 +277,31 @@ def _speeds_by_positions(path, m, noise, names, dt_s):
     return ca.vertcat(sign * ca.norm_2(way) / (CHECKED * dt_s * mu), 0)
 
 
-def _is_probable(y, yaw, P, V, nu, drift):
-    """Innovation gating: y' S⁻¹ y ≤ CHI2_GATE.
+def _distance(y, yaw, P, V, nu, drift):
+    """Squared distance y' S⁻¹ y of the innovation gating, over CHI2_GATE.
 
     S is the covariance of the innovation y (2,): that of prediction P and measurement V, of being
     out of step at speed ν, and of the drift [m] of dead reckoning.
     """
     late = LATE_S * ca.fabs(nu) * ca.vertcat(ca.cos(yaw), ca.sin(yaw))
     S = P[:2, :2] + ca.diag(V) + late @ late.T + drift**2 * ca.SX.eye(2)
-    return ca.bilin(ca.inv_minor(S), y, y) <= CHI2_GATE
+    return ca.bilin(ca.inv_minor(S), y, y) / CHI2_GATE
+
+
+def _doubt(far, positions, storm_s):
+    """Factor of the variance of a position `far` from its prediction.
+
+    It is that of Cauchy's weights, but no larger than what the scatter of the positions shows. Thus
+    smooth positions keep their weight where dead encoders have led the prediction astray.
+    """
+    far = far / ca.if_else(storm_s < STORM_S, 1, FAR_IN_LONG_STORM)
+    scatter = positions.scatter / ca.sum1(positions.V)
+    return ca.fmax(ca.fmin(far, scatter), 1)
+
+
+def _are_positions_better(agreement):
+    """Whether smooth positions contradict the encoders, or their scale."""
+    return ca.logic_or(agreement.contradict, agreement.has_other_scale)
 
 
 def _is_within_reach(y, step, P, V, unseen_s):
@@ -318,7 +346,9 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     V_used = ca.vertcat(positions.V, V_speeds, V[4:])
 
     m, P = predict(ca.vertcat(sample.position, speeds, others), V_used)
-    is_usable = _is_usable(z, sample, positions, agreement, before, m, P, dt_s)
+    is_usable, far = _is_usable(z, sample, positions, agreement, before, m, P, dt_s)
+    is_doubted = (1 - first) * (1 - _are_positions_better(agreement))
+    V_used[:2] *= ca.if_else(is_doubted, _doubt(far, positions, before.storm * dt_s), 1)
     position = sample.has_position * ca.logic_or(first, is_usable)
     most = MISMATCHES_WITH_SENSORS if others.numel() else HEADING_MISMATCHES_TO_RESTART
     judged = _check_estimate(agreement, before.contradicted, most, m[2], position, may_reject[0])
@@ -351,19 +381,22 @@ def _speeds(z, V, sample, positions, inconsistent, m, names, dt_s):
 
 
 def _is_usable(z, sample, positions, agreement, before, m, P, dt_s):
-    """Whether a position follows smoothly on an accepted one, is probable, or within reach."""
+    """Whether a position follows smoothly on an accepted one, is probable, or within reach.
+
+    The second result is its distance from the prediction, as by `_distance`.
+    """
     y = z[:2] - m[:2]
     nu = sample.speeds_held[0]
     drift = DEAD_RECKONING * ca.fabs(nu) * dt_s * before.since[0] * agreement.agree
-    probable = _is_probable(y, m[2], P, positions.V, nu, drift)
+    far = _distance(y, m[2], P, positions.V, nu, drift)
+    probable = far <= 1
     step = z[:2] - before.last[:2]
     within_reach = _is_within_reach(y, step, P, positions.V, before.unseen * dt_s)
     probable = ca.if_else(positions.can_check, probable, ca.logic_or(probable, within_reach))
     was_accepted = before.unseen[0] == before.unseen[1]
-    # Smooth positions that contradict the encoders, or their scale, are the better ones.
-    better = ca.logic_or(agreement.contradict, agreement.has_other_scale)
+    better = _are_positions_better(agreement)
     follows = ca.logic_or(better, was_accepted * positions.newest_is_smooth)
-    return ca.logic_or(probable, follows)
+    return ca.logic_or(probable, follows), far
 
 
 def _remember(z, sample, positions, before, accepted, restart, encoders):
@@ -379,6 +412,7 @@ def _remember(z, sample, positions, before, accepted, restart, encoders):
         since=ca.if_else(ca.vertcat(trusted, encoders), 0, before.since + 1),
         unseen=ca.if_else(ca.vertcat(accepted, sample.has_gnss), 1, before.unseen + 1),
         largest=positions.largest,
+        storm=ca.if_else(positions.scatter > 0, before.storm + 1, 0),
     )
 
 

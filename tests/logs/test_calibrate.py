@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
+from scipy.signal import lfilter
 
 import rhec
 from rhec.logs import calibration
@@ -65,6 +66,47 @@ def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
     assert errors[1] < errors[0]
 
 
+def wandering(log, sigma_m=0.3, tau_s=5.0, seed=0):
+    """A log whose positions are off by a Gauss-Markov process."""
+    a = np.exp(-0.2 / tau_s)
+    steps = sigma_m * np.sqrt(1 - a**2) * np.random.default_rng(seed).normal(size=(len(log), 2))
+    return log.assign(
+        **dict(
+            zip(
+                ["x_m", "y_m"],
+                (log[["x_m", "y_m"]] + lfilter([1], [1, -a], steps, axis=0)).to_numpy().T,
+            )
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def wandered():
+    log = wandering(recorded_log(5.0, 300.0, noise_m=0.02, seed=3))
+    return log, rhec.calibrate(log, trust_log=True)
+
+
+def test_encoders_are_not_blamed_for_positions_that_wander(wandered):
+    """The log's encoders are exact; wandering positions are noisy ones, if far apart."""
+    log, found = wandered
+    assert any("wander" in remark for remark in found.remarks)
+    value = found.report["value"]
+    assert value["noise of the position"] > 0.15
+    assert value["noise of ω"] < 0.1 and value["slip in turning, share of ω"] < 0.2
+    replays = [
+        rhec.replay(log, first_yaw_rad=0.4, **how)[len(log) // 4 :]
+        for how in ({"trust_log": True}, found)
+    ]
+    errors = [np.sqrt(((r["theta_hat_rad"] - r["theta_rad"]) ** 2).mean()) for r in replays]
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_what_the_receiver_declares_is_the_least_noise(wandered):
+    log, _ = wandered
+    found = rhec.calibrate(log.assign(position_sigma_m=0.8), trust_log=True)
+    assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
+
+
 def test_calibration_does_not_look_at_the_truth(calibrated):
     log, found = calibrated[0.03]
     truth = log.columns[log.columns.str.contains("true")]
@@ -79,6 +121,18 @@ def test_a_log_without_turns_cannot_be_calibrated():
     log["x_m"], log["y_m"] = 0.9 * np.cumsum(0.2 * log["speed_mps"]), 0.0
     log[["x_m", "y_m"]] += 0.02 * np.random.default_rng(0).standard_normal((len(log), 2))
     with pytest.raises(ValueError, match="turns of 0 rad .* figures of eight"):
+        rhec.calibrate(log, trust_log=True)
+
+
+def test_noise_of_the_encoders_is_no_turn():
+    """Ten minutes straight on, with encoders that shake by 0.05 rad/s: their noise cancels."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 600, 0.2)
+    log = pd.DataFrame(dict(t_s=t, x_m=0.45 * t, y_m=0.0, speed_mps=0.5))
+    log["yaw_rate_radps"] = 0.05 * rng.standard_normal(len(t))
+    log[["x_m", "y_m"]] += 0.02 * rng.standard_normal((len(t), 2))
+    assert 0.2 * log["yaw_rate_radps"].abs().sum() > 20
+    with pytest.raises(ValueError, match="figures of eight"):
         rhec.calibrate(log, trust_log=True)
 
 
