@@ -10,7 +10,7 @@ references enter in the feedback phase only: they move the gradient, through the
 of the joint state s = (x, p).
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -18,73 +18,19 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
-from rhec.core.model.base import Model, interval
+from rhec.core.controller.horizon import (
+    Horizon,
+    build_roll_out,
+    for_all_samples,
+    init,
+    planned,
+    row_of_commands,
+)
+from rhec.core.model.base import Model
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
-
-
-class Horizon(NamedTuple):
-    """The structure of an RHC, which decides the shapes of its Functions."""
-
-    model: Model
-    command: tuple[int, ...]  # places of the commanded inputs in `model.inputs`
-    dt_s: float  # length of an interval [s]
-    N: int  # intervals of the prediction
-    # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
-    # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
-    qp: Any = None
-
-    @property
-    def n_x(self):
-        """Length of the state x."""
-        return len(self.model.states)
-
-    @property
-    def n_u(self):
-        """Length of the input u, whether commanded or not."""
-        return len(self.model.inputs)
-
-    @property
-    def n_s(self):
-        """Length of the joint state s = (x, p)."""
-        return self.n_x + len(self.model.parameters)
-
-    @property
-    def interval(self):
-        """The model's shooting interval."""
-        return interval(self.model, measured=False)
-
-    @property
-    def memory(self):
-        """Shapes of the predicted joint states s and of the planned inputs u."""
-        return dict(s=(self.n_s, self.N + 1), u=(self.n_u, self.N))
-
-    @property
-    def weights(self):
-        """Shapes of the diagonals of Q and QN (states) and of R (commanded inputs)."""
-        return dict(Q=(self.n_x, 1), QN=(self.n_x, 1), R=(len(self.command), 1))
-
-    @property
-    def references(self):
-        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs."""
-        bound = (len(self.command), 1)
-        references = dict(s_0=(self.n_s, 1), x_ref=(self.n_x, self.N + 1), u_ref=(self.n_u, self.N))
-        return references | dict(lower=bound, upper=bound)
-
-    @property
-    def dynamics(self):
-        """Sparsities of F, D and B of all intervals, side by side."""
-        return {name: ca.repmat(part, 1, self.N) for name, part in self.interval.sparsities.items()}
-
-    @property
-    def loops(self):
-        """SX or MX, for Functions that repeat an interval."""
-        # In one piece, a step takes two thirds of the time, and a long horizon 7 s to compile. The
-        # paper's horizon has 15 intervals, one command and six joint states.
-        is_long = self.N > 15 or self.N * len(self.command) * self.n_s > 100
-        return compiled.loop_symbols() if self.qp is None and is_long else ca.SX
 
 
 def build_phases(horizon):
@@ -93,7 +39,7 @@ def build_phases(horizon):
     `step` runs all phases; it maps (memory, weights, references) to (memory, kkt, command, ok).
     """
     qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
-    roll_out = _build_roll_out(horizon)
+    roll_out = build_roll_out(horizon)
     gradient = _build_gradient(horizon, roll_out)
     shift, linearise = _build_preparation(horizon, qp)
     feedback = _build_feedback(horizon, linearise, gradient, qp)
@@ -129,9 +75,9 @@ class StagewiseQP:
         D = ca.horzsplit(inputs["D"], self.horizon.n_s)
         B = ca.horzsplit(inputs["B"], self.horizon.n_u)
         # The active set is first guessed to be the bounds at which the previous plan was.
-        u = _row_of_commands(inputs["u"], self.horizon)
-        at_upper = u >= _for_all_samples(inputs["upper"], self.horizon)
-        at_lower = u <= _for_all_samples(inputs["lower"], self.horizon)
+        u = row_of_commands(inputs["u"], self.horizon)
+        at_upper = u >= for_all_samples(inputs["upper"], self.horizon)
+        at_lower = u <= for_all_samples(inputs["lower"], self.horizon)
         stages = dict(
             D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
             B=ca.horzcat(*(part[:n_x, self._command] for part in B)),
@@ -140,24 +86,6 @@ class StagewiseQP:
         bounds = dict(lower=step["least"], upper=step["most"])
         solution = self._solve(**stages, g=step["g"], **bounds, active=at_upper - at_lower)
         return solution["x"], solution["multipliers"], solution["ok"]
-
-
-def _row_of_commands(u, horizon):
-    """The commanded rows of inputs (n_u, N) as one row, sample by sample: (1, N·n_c)."""
-    return ca.vec(u[list(horizon.command), :]).T
-
-
-def _for_all_samples(bound, horizon):
-    """Repeat the bounds (n_c, 1) of one sample for all: (1, N·n_c)."""
-    return ca.repmat(bound, horizon.N, 1).T
-
-
-def _planned(horizon, commands, u_ref):
-    """The plan (n_u, N) from the rows of its commanded inputs; the others follow u_ref."""
-    rows = ca.vertsplit(u_ref)
-    for place, row in zip(horizon.command, commands):
-        rows[place] = row
-    return ca.vertcat(*rows)
 
 
 def _build_preparation(horizon, qp):
@@ -177,33 +105,6 @@ def _build_preparation(horizon, qp):
         return dict(F=F, D=D, B=B) | qp.prepare(D, B, Q, QN, R)
 
     return shift, linearise
-
-
-def _build_roll_out(horizon):
-    """A function that rolls the linearised dynamics out from s_0 under new inputs.
-
-    s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i), with (s̄, ū) from the previous plan. The gaps
-    that multiple shooting leaves between the intervals close here.
-    """
-    n_s = horizon.n_s
-    n_u = horizon.n_u
-    s_i = (n_s, 1)
-    u_i = (n_u, 1)
-    F_i, D_i, B_i = horizon.interval.sparsities.values()
-
-    @casadi_function("rhc_forward")
-    def forward(F: F_i, D: D_i, B: B_i, s: s_i, u: u_i, s_new: s_i, u_new: u_i):
-        A = horizon.interval.A_0 + D
-        return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
-
-    def roll_out(s, u, F, D, B, s_0, u_new):
-        nodes = [s_0]
-        intervals = map(ca.horzsplit, (F, D, B, s, u, u_new), (1, n_s, n_u, 1, 1, 1))
-        for *previous, u_new_i in zip(*intervals):
-            nodes.append(forward(*previous, nodes[-1], u_new_i))
-        return nodes
-
-    return roll_out
 
 
 def _build_backward(horizon):
@@ -241,7 +142,7 @@ def _build_gradient(horizon, roll_out):
 
     @casadi_function("rhc_gradient", horizon.loops, **shapes)
     def gradient(s, u, F, D, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
-        plan = _planned(horizon, [u[place, :] for place in command], u_ref)
+        plan = planned(horizon, [u[place, :] for place in command], u_ref)
         nodes = roll_out(s, u, F, D, B, s_0, plan)
         D = ca.horzsplit(D, horizon.n_s)
         B = ca.horzsplit(B, horizon.n_u)
@@ -253,9 +154,9 @@ def _build_gradient(horizon, roll_out):
             end = nodes[i + 1], ref[i + 1]
             g[i], adjoint = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
             weight = Q
-        u = _row_of_commands(plan, horizon)
-        least = _for_all_samples(lower, horizon) - u
-        most = _for_all_samples(upper, horizon) - u
+        u = row_of_commands(plan, horizon)
+        least = for_all_samples(lower, horizon) - u
+        most = for_all_samples(upper, horizon) - u
         return dict(g=ca.vertcat(*g).T, least=least, most=most)
 
     return gradient
@@ -270,12 +171,12 @@ def _build_feedback(horizon, linearise, gradient, qp):
     def feedback(**inputs):
         step = gradient(**select_inputs(gradient, inputs))
         change, multipliers, ok = qp.solve(step, inputs)
-        u = _row_of_commands(inputs["u"], horizon) + change
+        u = row_of_commands(inputs["u"], horizon) + change
         # Rounding may take u + (upper - u) past the bound, which is a hard one.
-        u = ca.fmax(u, _for_all_samples(inputs["lower"], horizon))
-        u = ca.fmin(u, _for_all_samples(inputs["upper"], horizon))
+        u = ca.fmax(u, for_all_samples(inputs["lower"], horizon))
+        u = ca.fmin(u, for_all_samples(inputs["upper"], horizon))
         commands = ca.vertsplit(ca.reshape(u, len(horizon.command), horizon.N))
-        u_plan = _planned(horizon, commands, inputs["u_ref"])
+        u_plan = planned(horizon, commands, inputs["u_ref"])
         return dict(u_plan=u_plan, multipliers=multipliers, ok=ok, **step)
 
     return feedback
@@ -292,8 +193,8 @@ def _build_expand(horizon, feedback, roll_out):
     @short_cut("ok")
     @casadi_function("rhc_expand", horizon.loops, **shapes)
     def expand(s, u, F, D, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
-        before = _planned(horizon, [u[place, :] for place in command], u_ref)
-        change = _row_of_commands(u_plan - before, horizon).T
+        before = planned(horizon, [u[place, :] for place in command], u_ref)
+        change = row_of_commands(u_plan - before, horizon).T
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
         predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
         # A step that failed leaves the shifted inputs. Its states may be the cause, and would
@@ -316,12 +217,6 @@ def _build_step(horizon, phases):
         return outputs | {name: values[name] for name in memory}
 
     return step
-
-
-def init(horizon, x, p):
-    """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
-    s = np.tile([*x, *p], (horizon.N + 1, 1)).T
-    return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))
 
 
 class RHC(RealTimeLoop):
