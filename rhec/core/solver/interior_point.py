@@ -133,7 +133,8 @@ def interior_point(shape, loops):
     """Build the Function (D, B, H, g, G, lower, upper, linear, quadratic) -> (z, ok, …).
 
     It takes D, B, H, g, G, lower and upper of the nodes 0 … N side by side, and the prices
-    (n_soft,) of the soft rows; a bound of ±1e20 is none. Where the QP is not solved, ok and z are 0.
+    (n_soft,) of the soft rows; a bound of ±1e20 is none. Where the QP is not solved, ok and z
+    are 0.
 
     Args:
         shape: The Shape of the QP.
