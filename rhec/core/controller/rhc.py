@@ -416,7 +416,9 @@ class RHC(RealTimeLoop):
             (n_u,) inputs of the first interval.
         """
         self._set_problem(x, p, x_ref, u_ref, y_ref)
-        self.iteration.solve(iterations)
+        is_plain = self._build is build_phases
+        iterate = self.iteration.solve if is_plain else self.iteration.solve_relaxed
+        iterate(iterations)
         return self.u_plan[:, 0]
 
     def _set_problem(self, x, p, x_ref, u_ref, y_ref):
