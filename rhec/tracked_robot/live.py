@@ -8,6 +8,7 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core.controller import rhc
+from rhec.core.controller.options import Problem
 from rhec.core.estimator import rhe
 from rhec.core.solver.rti import RealTimeIteration
 from rhec.tracked_robot import estimators, options, tuning
@@ -200,7 +201,10 @@ class PaperRHC(rhc.RHC):
         qp: options.Solver = "structured",
     ):
         problem = horizon_of(horizon, qp, dt)
-        self._compile(problem, q, (r,), qn_factor, (-omega_max,), (omega_max,))
+        Q = np.array(q)
+        settings = dict(Q=Q, QN=qn_factor * Q, R=np.array([r]))
+        settings |= dict(lower=np.array([-omega_max]), upper=np.array([omega_max]))
+        self._compile(Problem(problem, problem, settings))
         pose, p, xi_ref, (omega_ref,) = self._inputs.values()
         self._inputs = dict(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)
         # A memoryview returns a float faster than an array does.

@@ -4,7 +4,7 @@ import casadi as ca
 
 from rhec import paper
 from rhec.core._casadi.build import unpack, with_packed_memory
-from rhec.core.controller import rhc
+from rhec.core.controller.horizon import Horizon
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 
@@ -19,7 +19,7 @@ def horizon_of(N, qp="structured", dt_s=paper.DT_S):
         from rhec.core.solver.condensed import Condensed
 
         solver = Condensed(qp)
-    return rhc.Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N, solver)
+    return Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N, solver)
 
 
 def with_online_traction(step, horizon, timing):

@@ -10,82 +10,38 @@ references enter in the feedback phase only: they move the gradient, through the
 of the joint state s = (x, p).
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
+from pydantic import SkipValidation
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
-from rhec.core.model.base import Model, interval
+from rhec.core.controller import constrained
+from rhec.core.controller.bounds import Bound
+from rhec.core.controller.horizon import (
+    build_roll_out,
+    for_all_samples,
+    init,
+    planned,
+    row_of_commands,
+)
+from rhec.core.controller.options import Options, problem_of
+from rhec.core.model.base import Model
 from rhec.core.model.integration import refuse_unstable_step
-from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
+from rhec.core.model.limits import is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
 
-
-class Horizon(NamedTuple):
-    """The structure of an RHC, which decides the shapes of its Functions."""
-
-    model: Model
-    command: tuple[int, ...]  # places of the commanded inputs in `model.inputs`
-    dt_s: float  # length of an interval [s]
-    N: int  # intervals of the prediction
-    # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
-    # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
-    qp: Any = None
-
-    @property
-    def n_x(self):
-        """Length of the state x."""
-        return len(self.model.states)
-
-    @property
-    def n_u(self):
-        """Length of the input u, whether commanded or not."""
-        return len(self.model.inputs)
-
-    @property
-    def n_s(self):
-        """Length of the joint state s = (x, p)."""
-        return self.n_x + len(self.model.parameters)
-
-    @property
-    def interval(self):
-        """The model's shooting interval."""
-        return interval(self.model, measured=False)
-
-    @property
-    def memory(self):
-        """Shapes of the predicted joint states s and of the planned inputs u."""
-        return dict(s=(self.n_s, self.N + 1), u=(self.n_u, self.N))
-
-    @property
-    def weights(self):
-        """Shapes of the diagonals of Q and QN (states) and of R (commanded inputs)."""
-        return dict(Q=(self.n_x, 1), QN=(self.n_x, 1), R=(len(self.command), 1))
-
-    @property
-    def references(self):
-        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs."""
-        bound = (len(self.command), 1)
-        references = dict(s_0=(self.n_s, 1), x_ref=(self.n_x, self.N + 1), u_ref=(self.n_u, self.N))
-        return references | dict(lower=bound, upper=bound)
-
-    @property
-    def dynamics(self):
-        """Sparsities of F, D and B of all intervals, side by side."""
-        return {name: ca.repmat(part, 1, self.N) for name, part in self.interval.sparsities.items()}
-
-    @property
-    def loops(self):
-        """SX or MX, for Functions that repeat an interval."""
-        # In one piece, a step takes two thirds of the time, and a long horizon 7 s to compile. The
-        # paper's horizon has 15 intervals, one command and six joint states.
-        is_long = self.N > 15 or self.N * len(self.command) * self.n_s > 100
-        return compiled.loop_symbols() if self.qp is None and is_long else ca.SX
+# `options` checks these.
+Weights = SkipValidation[tuple[float, ...] | np.ndarray]
+OptionalWeights = SkipValidation[tuple[float, ...] | np.ndarray | None]
+Bounds = SkipValidation[dict[str, tuple[float, float] | Bound] | None]
+OutputsByName = SkipValidation[tuple[str, ...] | dict[str, Callable] | None]
 
 
 def build_phases(horizon):
@@ -94,7 +50,7 @@ def build_phases(horizon):
     `step` runs all phases; it maps (memory, weights, references) to (memory, kkt, command, ok).
     """
     qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
-    roll_out = _build_roll_out(horizon)
+    roll_out = build_roll_out(horizon)
     gradient = _build_gradient(horizon, roll_out)
     shift, linearise = _build_preparation(horizon, qp)
     feedback = _build_feedback(horizon, linearise, gradient, qp)
@@ -130,9 +86,9 @@ class StagewiseQP:
         D = ca.horzsplit(inputs["D"], self.horizon.n_s)
         B = ca.horzsplit(inputs["B"], self.horizon.n_u)
         # The active set is first guessed to be the bounds at which the previous plan was.
-        u = _row_of_commands(inputs["u"], self.horizon)
-        at_upper = u >= _for_all_samples(inputs["upper"], self.horizon)
-        at_lower = u <= _for_all_samples(inputs["lower"], self.horizon)
+        u = row_of_commands(inputs["u"], self.horizon)
+        at_upper = u >= for_all_samples(inputs["upper"], self.horizon)
+        at_lower = u <= for_all_samples(inputs["lower"], self.horizon)
         stages = dict(
             D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
             B=ca.horzcat(*(part[:n_x, self._command] for part in B)),
@@ -141,24 +97,6 @@ class StagewiseQP:
         bounds = dict(lower=step["least"], upper=step["most"])
         solution = self._solve(**stages, g=step["g"], **bounds, active=at_upper - at_lower)
         return solution["x"], solution["multipliers"], solution["ok"]
-
-
-def _row_of_commands(u, horizon):
-    """The commanded rows of inputs (n_u, N) as one row, sample by sample: (1, N·n_c)."""
-    return ca.vec(u[list(horizon.command), :]).T
-
-
-def _for_all_samples(bound, horizon):
-    """Repeat the bounds (n_c, 1) of one sample for all: (1, N·n_c)."""
-    return ca.repmat(bound, horizon.N, 1).T
-
-
-def _planned(horizon, commands, u_ref):
-    """The plan (n_u, N) from the rows of its commanded inputs; the others follow u_ref."""
-    rows = ca.vertsplit(u_ref)
-    for place, row in zip(horizon.command, commands):
-        rows[place] = row
-    return ca.vertcat(*rows)
 
 
 def _build_preparation(horizon, qp):
@@ -178,33 +116,6 @@ def _build_preparation(horizon, qp):
         return dict(F=F, D=D, B=B) | qp.prepare(D, B, Q, QN, R)
 
     return shift, linearise
-
-
-def _build_roll_out(horizon):
-    """A function that rolls the linearised dynamics out from s_0 under new inputs.
-
-    s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i), with (s̄, ū) from the previous plan. The gaps
-    that multiple shooting leaves between the intervals close here.
-    """
-    n_s = horizon.n_s
-    n_u = horizon.n_u
-    s_i = (n_s, 1)
-    u_i = (n_u, 1)
-    F_i, D_i, B_i = horizon.interval.sparsities.values()
-
-    @casadi_function("rhc_forward")
-    def forward(F: F_i, D: D_i, B: B_i, s: s_i, u: u_i, s_new: s_i, u_new: u_i):
-        A = horizon.interval.A_0 + D
-        return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
-
-    def roll_out(s, u, F, D, B, s_0, u_new):
-        nodes = [s_0]
-        intervals = map(ca.horzsplit, (F, D, B, s, u, u_new), (1, n_s, n_u, 1, 1, 1))
-        for *previous, u_new_i in zip(*intervals):
-            nodes.append(forward(*previous, nodes[-1], u_new_i))
-        return nodes
-
-    return roll_out
 
 
 def _build_backward(horizon):
@@ -242,7 +153,7 @@ def _build_gradient(horizon, roll_out):
 
     @casadi_function("rhc_gradient", horizon.loops, **shapes)
     def gradient(s, u, F, D, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
-        plan = _planned(horizon, [u[place, :] for place in command], u_ref)
+        plan = planned(horizon, [u[place, :] for place in command], u_ref)
         nodes = roll_out(s, u, F, D, B, s_0, plan)
         D = ca.horzsplit(D, horizon.n_s)
         B = ca.horzsplit(B, horizon.n_u)
@@ -254,9 +165,9 @@ def _build_gradient(horizon, roll_out):
             end = nodes[i + 1], ref[i + 1]
             g[i], adjoint = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
             weight = Q
-        u = _row_of_commands(plan, horizon)
-        least = _for_all_samples(lower, horizon) - u
-        most = _for_all_samples(upper, horizon) - u
+        u = row_of_commands(plan, horizon)
+        least = for_all_samples(lower, horizon) - u
+        most = for_all_samples(upper, horizon) - u
         return dict(g=ca.vertcat(*g).T, least=least, most=most)
 
     return gradient
@@ -271,12 +182,12 @@ def _build_feedback(horizon, linearise, gradient, qp):
     def feedback(**inputs):
         step = gradient(**select_inputs(gradient, inputs))
         change, multipliers, ok = qp.solve(step, inputs)
-        u = _row_of_commands(inputs["u"], horizon) + change
+        u = row_of_commands(inputs["u"], horizon) + change
         # Rounding may take u + (upper - u) past the bound, which is a hard one.
-        u = ca.fmax(u, _for_all_samples(inputs["lower"], horizon))
-        u = ca.fmin(u, _for_all_samples(inputs["upper"], horizon))
+        u = ca.fmax(u, for_all_samples(inputs["lower"], horizon))
+        u = ca.fmin(u, for_all_samples(inputs["upper"], horizon))
         commands = ca.vertsplit(ca.reshape(u, len(horizon.command), horizon.N))
-        u_plan = _planned(horizon, commands, inputs["u_ref"])
+        u_plan = planned(horizon, commands, inputs["u_ref"])
         return dict(u_plan=u_plan, multipliers=multipliers, ok=ok, **step)
 
     return feedback
@@ -293,8 +204,8 @@ def _build_expand(horizon, feedback, roll_out):
     @short_cut("ok")
     @casadi_function("rhc_expand", horizon.loops, **shapes)
     def expand(s, u, F, D, B, s_0, u_ref, u_plan, g, least, most, multipliers, ok):
-        before = _planned(horizon, [u[place, :] for place in command], u_ref)
-        change = _row_of_commands(u_plan - before, horizon).T
+        before = planned(horizon, [u[place, :] for place in command], u_ref)
+        change = row_of_commands(u_plan - before, horizon).T
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
         kkt = ca.if_else(ok, kkt, ca.DM.nan())
         predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
@@ -320,12 +231,6 @@ def _build_step(horizon, phases):
     return step
 
 
-def init(horizon, x, p):
-    """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
-    s = np.tile([*x, *p], (horizon.N + 1, 1)).T
-    return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))
-
-
 class RHC(RealTimeLoop):
     """Model predictive control for a user's control loop: `prepare()`, then `feedback(…)`.
 
@@ -334,12 +239,23 @@ class RHC(RealTimeLoop):
     Args:
         model: The robot, a rhec.Model.
         command: Names of the inputs that are commanded; the others follow their reference.
-        bounds: (lowest, highest) of commanded inputs, by name; inputs without an entry are free.
-        q: Weights Q_k of the states.
-        r: Weights R of the commanded inputs, in the order of `command`.
-        qn_factor: Q_N = qn_factor · Q_k.
+        q: Weights Q of the states, or the matrix Q (n_x, n_x).
+        r: Weights R of the commanded inputs, in the order of `command`, or the matrix R. 0 is
+            allowed where other weights decide the command.
         dt: Length of a sample [s].
-        horizon: Intervals of the prediction.
+        horizon: Intervals N of the prediction.
+        bounds: (lowest, highest) or a rhec.Bound of commanded inputs, states and outputs, by name;
+            what has no entry is free. States are bounded from the next sample on.
+        qn_factor: Q_N = qn_factor · Q, for states and outputs.
+        qn: Weights Q_N of the states at the end of the horizon, instead of qn_factor · Q.
+        outputs: Quantities that are weighed or bounded: names of the model's outputs, or a dict
+            {name: function of (x, u, p)} with a CasADi expression as its result.
+        q_y: Weights of the outputs, or a matrix. By default 0.
+        qn_y: Weights of the outputs at the end of the horizon, instead of qn_factor · q_y.
+        r_delta: Weights of the changes u_i - u_{i-1} of the commanded inputs, or a matrix. Before
+            the first sample the commands were 0, or the nearest number within their bounds.
+        delta_bounds: Bounds of the changes, by the name of the commanded input.
+        terminal_bounds: Bounds of states and outputs at the horizon's end, instead of `bounds`.
 
     Raises:
         ValueError: if an argument is invalid.
@@ -355,91 +271,177 @@ class RHC(RealTimeLoop):
         *,
         model: Model,
         command: tuple[str, ...],
-        q: valid.NotNegatives,
-        r: valid.Positives,
+        q: Weights,
+        r: Weights,
         dt: valid.Positive,
         horizon: valid.Intervals,
-        bounds: dict[str, tuple[float, float]] | None = None,
+        bounds: Bounds = None,
         qn_factor: valid.NotNegative = 10.0,
+        qn: OptionalWeights = None,
+        outputs: OutputsByName = None,
+        q_y: OptionalWeights = None,
+        qn_y: OptionalWeights = None,
+        r_delta: OptionalWeights = None,
+        delta_bounds: Bounds = None,
+        terminal_bounds: Bounds = None,
     ):
-        bounds = bounds or {}
-        _check_command(model, command, bounds)
-        valid.of_length("q", q, len(model.states), "state")
-        valid.of_length("r", r, len(command), "commanded input")
-        places = tuple(model.inputs.index(name) for name in command)
-        lower, upper = zip(*(bounds.get(name, (-np.inf, np.inf)) for name in command))
-        self._compile(Horizon(model, places, dt, horizon), q, r, qn_factor, lower, upper)
+        weights = dict(q=q, r=r, qn_factor=qn_factor, qn=qn, q_y=q_y, qn_y=qn_y, r_delta=r_delta)
+        limits = dict(bounds=bounds, delta_bounds=delta_bounds, terminal_bounds=terminal_bounds)
+        given = dict(model=model, command=command, dt=dt, horizon=horizon, outputs=outputs)
+        self._options = Options(**given, **weights, **limits)
+        self._compile(problem_of(self._options))
 
-    def _compile(self, horizon, q, r, qn_factor, lower, upper):
+    def _compile(self, problem):
         """Load the compiled phases and name views of their input arrays."""
-        self.problem = horizon
-        self.horizon = horizon.N
-        lower, upper = np.clip((lower, upper), -MAX_QP_ENTRY, MAX_QP_ENTRY)
-        Q = np.array(q)
-        self.settings = dict(Q=Q, QN=qn_factor * Q, R=np.array(r), lower=lower, upper=upper)
-        # All of the memory is unknown to the problem: predicted states and planned inputs.
-        memory = tuple(horizon.memory)
-        functions = compiled.load(build_phases, horizon)
-        self.iteration = RealTimeIteration(functions, memory, memory, **self.settings)
+        self.problem = problem.plain
+        self.horizon = problem.plain.N
+        self.structure = problem.structure
+        self.settings = problem.settings
+        # All that a step improves is unknown: predicted states and planned inputs.
+        unknowns = tuple(problem.plain.memory)
+        memory = tuple(problem.structure.memory)
+        self._build = build_phases if problem.is_plain else constrained.build_phases
+        functions = compiled.load(self._build, problem.structure)
+        self.iteration = RealTimeIteration(functions, memory, unknowns, **self.settings)
         arrays = self.iteration.arrays
-        n_x = horizon.n_x
+        n_x = problem.plain.n_x
         self._inputs = dict(
             x=arrays["s_0"][:n_x],
             p=arrays["s_0"][n_x:],
             x_ref=arrays["x_ref"].reshape((n_x, -1), order="F"),
-            u_ref=arrays["u_ref"].reshape((horizon.n_u, -1), order="F"),
+            u_ref=arrays["u_ref"].reshape((problem.plain.n_u, -1), order="F"),
         )
+        if "y_ref" in arrays:
+            n_y = len(problem.structure.outputs.names)
+            columns = (n_y, problem.plain.N + 1)
+            self._inputs["y_ref"] = arrays["y_ref"].reshape(columns, order="F")
+
+    def build(self) -> dict:
+        """The phases of a sample as CasADi Functions, by name, not compiled."""
+        return self._build(self.structure)
+
+    def first_memory(self, x: Any, p: Any) -> dict:
+        """The memory before the first sample: the robot stays at x, and nothing is planned.
+
+        Args:
+            x: (n_x,) state.
+            p: (n_p,) parameters.
+
+        Returns:
+            The memory's arrays by name.
+        """
+        if self._build is build_phases:
+            return init(self.structure, x, p)
+        n_c = len(self.problem.command)
+        before = np.clip(0.0, self.settings["lower"][:n_c], self.settings["upper"][:n_c])
+        return constrained.init(self.structure, x, p, before)
+
+    def update(self, **changes: Any) -> None:
+        """Change weights, bounds or prices from the next feedback on; nothing is compiled.
+
+        Args:
+            changes: Parameters of rhec.RHC with their new values, such as `q` or `bounds`. What has
+                a bound or a price has to keep one, and what has none can get none; a bound of inf
+                is none.
+
+        Raises:
+            ValueError: If a value is invalid, or if it needs another controller.
+        """
+        unknown = [name for name in changes if name not in self._options._fields]
+        if unknown:
+            valid.refuse("update had", unknown[0], f"it may have {self._options._fields}")
+        options = self._options._replace(**changes)
+        problem = self._problem_of(options)
+        if problem.structure != self.structure:
+            raise ValueError(
+                f"update had {', '.join(changes)}, which changes what is weighed or bounded; that "
+                "needs a new rhec.RHC"
+            )
+        self._options = options
+        self.settings = problem.settings
+        self.iteration.set(self.iteration.arrays, self.settings)
+
+    @staticmethod
+    def _problem_of(options):
+        """The Problem of these options."""
+        return problem_of(options)
 
     def __repr__(self):
         problem = self.problem
+        commands = ", ".join(problem.model.inputs[place] for place in problem.command)
+        qp = problem.qp or ("by stages" if self._build is build_phases else "by interior point")
+        head = f"{type(self).__name__}: {problem.N} intervals of {problem.dt_s:g} s, QP {qp}"
+        states = f"  states   {', '.join(problem.model.states)}"
+        if self._build is not build_phases:
+            outputs = ", ".join(self.structure.outputs.names) or "none"
+            return f"{head}\n{states}\n  outputs  {outputs}\n  commands {commands}"
         numbers = {name: np.array2string(value) for name, value in self.settings.items()}
         return (
-            f"{type(self).__name__}: {problem.N} intervals of {problem.dt_s:g} s, "
-            f"QP {problem.qp or 'by stages'}\n"
-            f"  states   {', '.join(problem.model.states)}: Q {numbers['Q']}, QN {numbers['QN']}\n"
-            f"  commands {', '.join(problem.model.inputs[place] for place in problem.command)}: "
+            f"{head}\n{states}: Q {numbers['Q']}, QN {numbers['QN']}\n"
+            f"  commands {commands}: "
             f"R {numbers['R']}, bounds {numbers['lower']} to {numbers['upper']}"
         )
 
-    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any) -> Any:
+    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any, y_ref: Any = None) -> Any:
         """Inputs to apply now, by one Gauss-Newton step, eq. (13).
 
         Args:
             x: (n_x,) estimated state.
             p: (n_p,) estimated parameters.
-            x_ref: (n_x, N+1) desired states; node 0 is now and has no weight.
-            u_ref: (n_u, N) desired inputs.
+            x_ref: (n_x, N+1) desired states; node 0 is now and has no weight. Or (n_x,), if they
+                are the same at all nodes.
+            u_ref: (n_u, N) or (n_u,) desired inputs. Inputs that are not commanded are expected to
+                follow it, such as known signals.
+            y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
 
         Returns:
             (n_u,) inputs of the first interval.
         """
-        self._set_inputs(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
+        self._set_problem(x, p, x_ref, u_ref, y_ref)
         self.iteration.feedback()
         return self.u_plan[:, 0]
 
-    def solve(self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: int = 20) -> Any:
+    def solve(
+        self, x: Any, p: Any, x_ref: Any, u_ref: Any, y_ref: Any = None, iterations: int = 20
+    ) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
         Args:
             x: (n_x,) estimated state.
             p: (n_p,) estimated parameters.
-            x_ref: (n_x, N+1) desired states.
-            u_ref: (n_u, N) desired inputs.
+            x_ref: (n_x, N+1) or (n_x,) desired states.
+            u_ref: (n_u, N) or (n_u,) desired inputs.
+            y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
             iterations: Gauss-Newton steps.
 
         Returns:
             (n_u,) inputs of the first interval.
         """
-        self._set_inputs(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
-        self.iteration.solve(iterations)
+        self._set_problem(x, p, x_ref, u_ref, y_ref)
+        is_plain = self._build is build_phases
+        iterate = self.iteration.solve if is_plain else self.iteration.solve_relaxed
+        iterate(iterations)
         return self.u_plan[:, 0]
+
+    def _set_problem(self, x, p, x_ref, u_ref, y_ref):
+        """Copy the new data in; references that are constant are repeated along the horizon."""
+        given = dict(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
+        if y_ref is not None:
+            if "y_ref" not in self._inputs:
+                valid.refuse("y_ref was", y_ref, "it should be None, since there are no outputs")
+            given["y_ref"] = y_ref
+        for name, value in given.items():
+            array = self._inputs[name]
+            if array.ndim == 2 and np.shape(value) == array.shape[:1]:
+                given[name] = np.repeat(np.reshape(value, (-1, 1)), array.shape[1], axis=1)
+        self._set_inputs(**given)
 
     def _start(self):
         # There is no previous plan: start from a robot that stays where it is.
         x, p = list(self._inputs.values())[:2]
         u = self.iteration.arrays["u_ref"][: self.problem.n_u]
         refuse_unstable_step(self.problem.model, x, u, p, self.problem.dt_s)
-        self.iteration.start(init(self.problem, x, p))
+        self.iteration.start(self.first_memory(x, p))
 
     @property
     def u_plan(self) -> np.ndarray:
@@ -453,17 +455,3 @@ class RHC(RealTimeLoop):
         self.iteration.expand()
         s = self.iteration.previous["s"].reshape((self.problem.n_s, -1), order="F")
         return s[: self.problem.n_x].copy()
-
-
-def _check_command(model, command, bounds):
-    """Refuse names that are no inputs, and bounds in the wrong order."""
-    if not command:
-        raise ValueError(f"command was (); it should name some of {model.inputs}")
-    choices = (("command", command, model.inputs), ("bounds", tuple(bounds), command))
-    for field, names, allowed in choices:
-        if not set(names) <= set(allowed) or len(set(names)) < len(names):
-            valid.refuse(f"{field} was", names, f"it should name some of {allowed}, each once")
-    for name, (lowest, highest) in bounds.items():
-        if not lowest < highest:
-            pair = (lowest, highest)
-            valid.refuse(f"bounds of {name!r} were", pair, "the first should be below the second")

@@ -1,0 +1,444 @@
+"""Receding horizon control with outputs, weights of changes, and bounds on more than commands.
+
+    min  ½ Σ_{i=1..N-1} ‖x_r,i - x_i‖²_Q + ½ ‖x_r,N - x_N‖²_{Q_N}
+         + ½ Σ_{i=0..N-1} (‖u_r,i - u_i‖²_R + ‖u_i - u_{i-1}‖²_{R_Δ} + ‖y_r,i - y_i‖²_{Q_y})
+         + ½ ‖y_r,N - y_N‖²_{Q_N,y} + Σ price(t)
+    s.t. x_0 = x̂, x_{i+1} = F(x_i, u_i, p̂), y_i = h(x_i, u_i, p̂),
+         lower - t ≤ row ≤ upper + t of commands, states, outputs and changes u_i - u_{i-1}
+
+As in `rhc`, one Gauss-Newton step a sample, with all weights as full matrices. Its QP is solved by
+`interior_point`, in changes of (x, u) from the plan rolled out from the new estimate. With weights
+or bounds of changes, the last commands are states, too. u_{-1} is the command of the sample before.
+
+A state is bounded from node 1 on, because no command moves node 0. An output that depends on a
+command is bounded and weighed at the nodes 0 … N-1, any other one at the nodes 1 … N.
+"""
+
+import enum
+import functools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
+from rhec.core.controller.horizon import Horizon, build_roll_out, planned
+from rhec.core.controller.horizon import init as plan_init
+from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
+from rhec.core.solver import gauss_newton
+from rhec.core.solver.interior_point import Shape, interior_point
+from rhec.core.solver.rti import run_phases
+
+
+class Kind(enum.Enum):
+    """What a row bounds."""
+
+    COMMAND = enum.auto()
+    STATE = enum.auto()
+    OUTPUT = enum.auto()
+    CHANGE = enum.auto()  # of a command, from the sample before
+
+
+class Row(NamedTuple):
+    """One bounded quantity; `place` is its place among the commands, states or outputs."""
+
+    kind: Kind
+    place: int
+    soft: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """Named outputs y = h(x, u, p) of a controller; equal if they compute the same."""
+
+    names: tuple[str, ...]
+    function: ca.Function
+
+    @functools.cached_property
+    def key(self):
+        """Everything that decides what is compiled for these outputs, as text."""
+        return repr((self.names, self.function.serialize()))
+
+    def __hash__(self):
+        return hash(self.key)
+
+    def __eq__(self, other):
+        return isinstance(other, Outputs) and self.key == other.key
+
+
+class ConstrainedHorizon(NamedTuple):
+    """The structure of an RHC with bounds on more than commands."""
+
+    plain: Horizon
+    outputs: Outputs
+    rows: tuple[Row, ...]  # the hard ones first
+    has_changes: bool  # whether changes of commands have weights or bounds
+
+    @property
+    def n_c(self):
+        """Number of commands."""
+        return len(self.plain.command)
+
+    @property
+    def n_y(self):
+        """Number of outputs."""
+        return len(self.outputs.names)
+
+    @property
+    def n(self):
+        """Number of the QP's states: x and, if changes count, the last commands."""
+        return self.plain.n_x + self.has_changes * self.n_c
+
+    @property
+    def n_soft(self):
+        """Number of soft rows."""
+        return sum(row.soft for row in self.rows)
+
+    @property
+    def memory(self):
+        """Shapes of the predicted joint states, the planned inputs, and the commands before."""
+        return self.plain.memory | dict(before=(self.n_c, 1))
+
+    @property
+    def weights(self):
+        """Shapes of the weight matrices."""
+        x, y, c = ((n, n) for n in (self.plain.n_x, self.n_y, self.n_c))
+        return dict(Q=x, QN=x, R=c, Q_y=y, QN_y=y, R_delta=c)
+
+    @property
+    def references(self):
+        """Shapes of the estimate s_0 and of the references."""
+        plain = self.plain.references
+        references = {name: plain[name] for name in ("s_0", "x_ref", "u_ref")}
+        return references | dict(y_ref=(self.n_y, self.plain.N + 1))
+
+    @property
+    def bounds(self):
+        """Shapes of the rows' bounds along the horizon and at its end, and of the soft prices."""
+        names = ("lower", "upper", "lower_N", "upper_N")
+        bounds = dict.fromkeys(names, (len(self.rows), 1))
+        return bounds | dict.fromkeys(("linear", "quadratic"), (self.n_soft, 1))
+
+
+def build_phases(horizon):
+    """Build the RHC as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
+
+    `step` runs all phases; it maps (memory, weights, references, bounds) to (memory, kkt, command,
+    ok, iterations).
+    """
+    roll_out = build_roll_out(horizon.plain)
+    shift = _build_shift(horizon)
+    linearise, shape = _build_linearise(horizon)
+    feedback = _build_feedback(horizon, linearise, shape, roll_out)
+    expand = _build_expand(horizon, feedback, roll_out)
+    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+    return phases | dict(step=_build_step(horizon, phases))
+
+
+def init(horizon, x, p, before):
+    """Memory before the first sample, where the commands were `before`."""
+    return plan_init(horizon.plain, x, p) | dict(before=before)
+
+
+def _build_shift(horizon):
+    plain = horizon.plain
+
+    @casadi_function("rhc_shift", **horizon.memory)
+    def shift(s, u, before):
+        commanded = u[list(plain.command), 0]
+        s, u = gauss_newton.shift(plain.interval, s, u, plain.dt_s)
+        return dict(s=s, u=u, before=commanded)
+
+    return shift
+
+
+def linearised_outputs(horizon):
+    """The Function (s, u) -> (y, C = ∂y/∂s, E = ∂y/∂u)."""
+    plain = horizon.plain
+    s = ca.SX.sym("s", plain.n_s)
+    u = ca.SX.sym("u", plain.n_u)
+    y = ca.SX(0, 1)
+    if horizon.n_y:
+        y = horizon.outputs.function(s[: plain.n_x], u, s[plain.n_x :])
+    results = [y, ca.jacobian(y, s), ca.jacobian(y, u)]
+    return ca.Function("rhc_outputs", [s, u], results, ["s", "u"], ["Y", "C", "E"], {"cse": True})
+
+
+def feeds_through(horizon):
+    """1 for each output that depends on a command, else 0, as a list."""
+    E = linearised_outputs(horizon).sparsity_out("E")
+    return [
+        int(any(E.has_nz(row, place) for place in horizon.plain.command))
+        for row in range(horizon.n_y)
+    ]
+
+
+def _rows_of_stage(horizon, C, E):
+    """The rows G of a stage, in its states (x and, if changes count, c) and commands."""
+    n_c = horizon.n_c
+    n = horizon.n
+    unit = ca.DM.eye(n + n_c)
+    of_output = ca.horzcat(
+        C[:, : horizon.plain.n_x],
+        ca.SX(horizon.n_y, n - horizon.plain.n_x),
+        E[:, list(horizon.plain.command)],
+    )
+    choices = {
+        Kind.COMMAND: lambda place: unit[n + place, :],
+        Kind.STATE: lambda place: unit[place, :],
+        Kind.OUTPUT: lambda place: of_output[place, :],
+        Kind.CHANGE: lambda place: unit[n + place, :] - unit[n - n_c + place, :],
+    }
+    return ca.vertcat(*(ca.SX(choices[row.kind](row.place)) for row in horizon.rows))
+
+
+def _hessian(horizon, C, E, Q, R, Q_y, R_delta):
+    """The Hessian of a stage's cost in its states and commands."""
+    n_x = horizon.plain.n_x
+    n_c = horizon.n_c
+    H = ca.SX(horizon.n + n_c, horizon.n + n_c)
+    x = slice(0, n_x)
+    u = slice(horizon.n, horizon.n + n_c)
+    C = C[:, :n_x]
+    E = E[:, list(horizon.plain.command)]
+    H[x, x] = Q + C.T @ Q_y @ C
+    H[u, x] = E.T @ Q_y @ C
+    H[u, u] = R + E.T @ Q_y @ E
+    if horizon.has_changes:
+        before = slice(n_x, horizon.n)
+        H[u, u] += R_delta
+        H[u, before] = -R_delta
+        H[before, u] = -R_delta
+        H[before, before] = R_delta
+    H[x, u] = H[u, x].T
+    return ca.densify(H)
+
+
+def _ends_with(horizon):
+    """Diagonal matrices: 1 for what counts at node N, of the outputs and of the rows."""
+    at_end = [1 - each for each in feeds_through(horizon)]
+    rows = [
+        at_end[row.place] if row.kind is Kind.OUTPUT else row.kind is Kind.STATE
+        for row in horizon.rows
+    ]
+    return ca.diag(ca.DM(at_end)), ca.diag(ca.DM(rows))
+
+
+def _build_stages(horizon):
+    """Two Functions: a stage of the QP, and that of node N, whose commands change nothing."""
+    plain = horizon.plain
+    outputs = linearised_outputs(horizon)
+    parts = dict(D=plain.interval.sparsities["D"], B=plain.interval.sparsities["B"])
+    parts |= {name: outputs.sparsity_out(name) for name in "CE"}
+    weights = horizon.weights
+    x = list(range(plain.n_x))
+    added = ca.SX(horizon.n - plain.n_x, horizon.n - plain.n_x)
+
+    @casadi_function(
+        "rhc_stage", **parts, **{name: weights[name] for name in ("Q", "R", "Q_y", "R_delta")}
+    )
+    def stage(D, B, C, E, Q, R, Q_y, R_delta):
+        B = B[x, list(plain.command)]
+        if horizon.has_changes:
+            B = ca.vertcat(B, ca.SX.eye(horizon.n_c))
+        return dict(
+            qp_D=ca.diagcat(D[x, x], added),
+            qp_B=B,
+            H=_hessian(horizon, C, E, Q, R, Q_y, R_delta),
+            G=_rows_of_stage(horizon, C, E),
+        )
+
+    @casadi_function(
+        "rhc_last_stage", C=parts["C"], E=parts["E"], QN=weights["QN"], QN_y=weights["QN_y"]
+    )
+    def last_stage(C, E, QN, QN_y):
+        of_outputs, of_rows = _ends_with(horizon)
+        counted = of_outputs @ QN_y @ of_outputs
+        unit = ca.DM.eye(horizon.n_c)
+        nothing = ca.SX(*E.shape)
+        H = _hessian(horizon, C, nothing, QN, unit, counted, 0 * unit)
+        G = of_rows @ _rows_of_stage(horizon, C, nothing)
+        return dict(H=H, G=G)
+
+    return stage, last_stage
+
+
+def _build_linearise(horizon):
+    """Dynamics and outputs along the plan, and the stages of the QP; and the Shape of the QP."""
+    plain = horizon.plain
+    N = plain.N
+    outputs = linearised_outputs(horizon)
+    stage, last_stage = _build_stages(horizon)
+    loops = compiled.loop_symbols()
+
+    @casadi_function("rhc_linearise", loops, **horizon.memory, **horizon.weights)
+    def linearise(s, u, before, Q, QN, R, Q_y, QN_y, R_delta):
+        F, D, B = plain.interval.linearised.map(N)(s[:, :N], u, ca.repmat(ca.DM(plain.dt_s), 1, N))
+        # Inputs that are not commanded stay, after the horizon, what they are in its last interval.
+        Y, C, E = outputs.map(N + 1)(s, ca.horzcat(u, u[:, -1]))
+        widths = (plain.n_s, plain.n_u, plain.n_s, plain.n_u)
+        parts = zip(*map(ca.horzsplit, (D, B, C, E), widths))
+        stages = [stage(*part, Q, R, Q_y, R_delta) for part in parts]
+        qp_D, qp_B, H, G = (list(each) for each in zip(*stages))
+        last = last_stage(C[:, -plain.n_s :], E[:, -plain.n_u :], QN, QN_y)
+        sides = dict(qp_D=[*qp_D, qp_D[-1]], qp_B=[*qp_B, qp_B[-1]], H=[*H, last[0]])
+        sides |= dict(G=[*G, _with_sparsity(last[1], stage.sparsity_out("G"))])
+        matrices = {name: ca.horzcat(*each) for name, each in sides.items()}
+        return dict(F=F, D=D, B=B, Y=Y, C=C, E=E) | matrices
+
+    x = list(range(plain.n_x))
+    A_0 = ca.diagcat(plain.interval.A_0[x, x], ca.DM(horizon.n - plain.n_x, horizon.n - plain.n_x))
+    D, B, G = (stage.sparsity_out(name) for name in ("qp_D", "qp_B", "G"))
+    return linearise, Shape(N, A_0, D, B, G, horizon.n_soft)
+
+
+def _with_sparsity(matrix, sparsity):
+    """The matrix with this sparsity, which contains its own."""
+    return ca.project(matrix, sparsity)
+
+
+def _build_node(horizon):
+    """The gradient of a node's cost, and the values of its rows, at the plan rolled out."""
+    plain = horizon.plain
+    n_x = plain.n_x
+    command = list(plain.command)
+    outputs = linearised_outputs(horizon)
+    C_i, E_i = (outputs.sparsity_out(name) for name in "CE")
+    s_i = (plain.n_s, 1)
+    u_i = (plain.n_u, 1)
+    y_i = (horizon.n_y, 1)
+    c_i = (horizon.n_c, 1)
+    Q_i, _, R_i, Q_yi, _, R_di = horizon.weights.values()
+
+    @casadi_function("rhc_node")
+    def node(
+        s_old: s_i, s: s_i, u_old: u_i, u: u_i, before: c_i, Y: y_i, C: C_i, E: E_i,
+        x_ref: (n_x, 1), u_ref: u_i, y_ref: y_i,
+        Q: Q_i, R: R_i, Q_y: Q_yi, R_delta: R_di,
+    ):  # fmt: skip
+        y = Y + C @ (s - s_old) + E @ (u - u_old)
+        of_y = Q_y @ (y - y_ref)
+        change = u[command] - before
+        g_x = Q @ (s[:n_x] - x_ref) + C[:, :n_x].T @ of_y
+        g_u = R @ (u - u_ref)[command] + E[:, command].T @ of_y + R_delta @ change
+        g = [g_x, -R_delta @ change, g_u] if horizon.has_changes else [g_x, g_u]
+        values = {Kind.COMMAND: u[command], Kind.STATE: s, Kind.OUTPUT: y, Kind.CHANGE: change}
+        rows = ca.vertcat(*(values[row.kind][row.place] for row in horizon.rows))
+        return dict(g=ca.densify(ca.vertcat(*g)), rows=ca.densify(rows))
+
+    return node
+
+
+def _build_condition(horizon, linearise, roll_out):
+    """The gradient g and the values of the rows, at the previous plan from the new estimate."""
+    plain = horizon.plain
+    command = list(plain.command)
+    node = _build_node(horizon)
+    parts = ("F", "D", "B", "Y", "C", "E")
+    shapes = {name: linearise.sparsity_out(name) for name in parts}
+    shapes |= horizon.memory | horizon.weights | horizon.references
+
+    @casadi_function("rhc_condition", compiled.loop_symbols(), **shapes)
+    def condition(F, D, B, Y, C, E, s, u, before, Q, QN, R, Q_y, QN_y, R_delta, **references):
+        s_0, x_ref, u_ref, y_ref = (references[name] for name in horizon.references)
+        plan = planned(plain, [u[place, :] for place in command], u_ref)
+        nodes = roll_out(s, u, F, D, B, s_0, plan)
+        widths = (1, 1, plain.n_s, plain.n_u, 1, 1)
+        columns = map(ca.horzsplit, (s, Y, C, E, x_ref, y_ref), widths)
+        u_old, u_new, u_refs = (
+            (lambda each: [*each, each[-1]])(ca.horzsplit(each)) for each in (u, plan, u_ref)
+        )
+        of_outputs, _ = _ends_with(horizon)
+        nothing = ca.DM.zeros(horizon.n_c, horizon.n_c)
+        weights = [(Q, R, Q_y, R_delta)] * plain.N
+        weights += [(QN, nothing, of_outputs @ QN_y @ of_outputs, nothing)]
+        g = []
+        rows = []
+        for i, (s_i, Y_i, C_i, E_i, x_ref_i, y_ref_i) in enumerate(zip(*columns)):
+            last = before if i == 0 else u_new[i - 1][command]
+            at_plan = (s_i, nodes[i], u_old[i], u_new[i], last, Y_i, C_i, E_i)
+            g_i, rows_i = node(*at_plan, x_ref_i, u_refs[i], y_ref_i, *weights[i])
+            g.append(g_i)
+            rows.append(rows_i)
+        return dict(g=ca.horzcat(*g), rows=ca.horzcat(*rows))
+
+    return condition
+
+
+def _bounds_of_nodes(horizon, path, end, none):
+    """The bounds (n_rows, N+1) of all nodes: `none` where a row does not count."""
+    N = horizon.plain.N
+    _, at_end = _ends_with(horizon)
+    at_end = ca.diag(at_end)
+    # What counts at the end does not depend on a command, and so does not count at the beginning.
+    at_begin = 1 - at_end
+    first = ca.if_else(at_begin, path, none)
+    last = ca.if_else(at_end, end, none)
+    return ca.horzcat(first, ca.repmat(path, 1, N - 1), last)
+
+
+def _build_feedback(horizon, linearise, shape, roll_out):
+    """The estimate and the references move gradient and rows; the QP then gives the new plan."""
+    plain = horizon.plain
+    command = list(plain.command)
+    condition = _build_condition(horizon, linearise, roll_out)
+    solve = interior_point(shape, compiled.loop_symbols())
+    shapes = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
+    shapes |= horizon.memory | horizon.weights | horizon.references | horizon.bounds
+
+    @casadi_function("rhc_feedback", ca.MX, **shapes)
+    def feedback(**inputs):
+        at_plan = condition(**select_inputs(condition, inputs))
+        lower, upper = inputs["lower"], inputs["upper"]
+        ends = _bounds_of_nodes(horizon, lower, inputs["lower_N"], -MAX_QP_ENTRY)
+        tops = _bounds_of_nodes(horizon, upper, inputs["upper_N"], MAX_QP_ENTRY)
+        qp = {name: inputs[name] for name in ("H", "G", "linear", "quadratic")}
+        qp |= dict(D=inputs["qp_D"], B=inputs["qp_B"], g=at_plan["g"])
+        rows = at_plan["rows"]
+        solution = solve(**qp, lower=ends - rows, upper=tops - rows)
+        z = solution["z"]
+        ok = solution["ok"]
+        # Rounding may take a command past its bound, which is a hard one.
+        u = inputs["u"][command, :] + z[shape.n :, : plain.N]
+        u = ca.fmax(u, ca.repmat(lower[: horizon.n_c], 1, plain.N))
+        u = ca.fmin(u, ca.repmat(upper[: horizon.n_c], 1, plain.N))
+        u_plan = planned(plain, ca.vertsplit(u), inputs["u_ref"])
+        kkt = ca.fabs(ca.dot(at_plan["g"], z)) + solution["complementarity"]
+        kkt = ca.if_else(ok, kkt, np.nan)
+        return dict(u_plan=u_plan, kkt=kkt, ok=ok, iterations=solution["iterations"])
+
+    return feedback
+
+
+def _build_expand(horizon, feedback, roll_out):
+    """The predicted states of the new plan, for the next linearisation."""
+    plain = horizon.plain
+    shapes = horizon.memory | plain.dynamics | dict(s_0=(plain.n_s, 1))
+    shapes |= {name: feedback.sparsity_out(name) for name in ("u_plan", "ok")}
+
+    @casadi_function("rhc_expand", plain.loops, **shapes)
+    def expand(s, u, before, F, D, B, s_0, u_plan, ok):
+        predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
+        # As in `rhc`: after a step that failed, the next linearisation starts from the estimate.
+        restarted = ca.if_else(is_plausible(s_0), ca.repmat(s_0, 1, plain.N + 1), s)
+        return dict(s=ca.if_else(ok, predicted, restarted), u=u_plan, before=before)
+
+    return expand
+
+
+def _build_step(horizon, phases):
+    """All phases of one sample as one Function, as a closed loop calls it."""
+    memory = horizon.memory
+    shapes = horizon.weights | horizon.references | horizon.bounds
+
+    @with_packed_memory("rhc_step", memory, ca.MX, **shapes)
+    def step(**values):
+        values = run_phases(phases, values)
+        command = values["u_plan"][:, 0]
+        outputs = dict(kkt=values["kkt"], command=command, ok=values["ok"])
+        outputs |= dict(iterations=values["iterations"])
+        return outputs | {name: values[name] for name in memory}
+
+    return step

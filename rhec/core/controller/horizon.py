@@ -1,0 +1,123 @@
+"""The horizon of an RHC: its structure, and what all its QPs have in common."""
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import casadi_function
+from rhec.core.model.base import Model, interval
+
+
+class Horizon(NamedTuple):
+    """The structure of an RHC, which decides the shapes of its Functions."""
+
+    model: Model
+    command: tuple[int, ...]  # places of the commanded inputs in `model.inputs`
+    dt_s: float  # length of an interval [s]
+    N: int  # intervals of the prediction
+    # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
+    # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
+    qp: Any = None
+
+    @property
+    def n_x(self):
+        """Length of the state x."""
+        return len(self.model.states)
+
+    @property
+    def n_u(self):
+        """Length of the input u, whether commanded or not."""
+        return len(self.model.inputs)
+
+    @property
+    def n_s(self):
+        """Length of the joint state s = (x, p)."""
+        return self.n_x + len(self.model.parameters)
+
+    @property
+    def interval(self):
+        """The model's shooting interval."""
+        return interval(self.model, measured=False)
+
+    @property
+    def memory(self):
+        """Shapes of the predicted joint states s and of the planned inputs u."""
+        return dict(s=(self.n_s, self.N + 1), u=(self.n_u, self.N))
+
+    @property
+    def weights(self):
+        """Shapes of the diagonals of Q and QN (states) and of R (commanded inputs)."""
+        return dict(Q=(self.n_x, 1), QN=(self.n_x, 1), R=(len(self.command), 1))
+
+    @property
+    def references(self):
+        """Shapes of the estimate s_0, the references, and the bounds of the commanded inputs."""
+        bound = (len(self.command), 1)
+        references = dict(s_0=(self.n_s, 1), x_ref=(self.n_x, self.N + 1), u_ref=(self.n_u, self.N))
+        return references | dict(lower=bound, upper=bound)
+
+    @property
+    def dynamics(self):
+        """Sparsities of F, D and B of all intervals, side by side."""
+        return {name: ca.repmat(part, 1, self.N) for name, part in self.interval.sparsities.items()}
+
+    @property
+    def loops(self):
+        """SX or MX, for Functions that repeat an interval."""
+        # In one piece, a step takes two thirds of the time, and a long horizon 7 s to compile. The
+        # paper's horizon has 15 intervals, one command and six joint states.
+        is_long = self.N > 15 or self.N * len(self.command) * self.n_s > 100
+        return compiled.loop_symbols() if self.qp is None and is_long else ca.SX
+
+
+def row_of_commands(u, horizon):
+    """The commanded rows of inputs (n_u, N) as one row, sample by sample: (1, N·n_c)."""
+    return ca.vec(u[list(horizon.command), :]).T
+
+
+def for_all_samples(bound, horizon):
+    """Repeat the bounds (n_c, 1) of one sample for all: (1, N·n_c)."""
+    return ca.repmat(bound, horizon.N, 1).T
+
+
+def planned(horizon, commands, u_ref):
+    """The plan (n_u, N) from the rows of its commanded inputs; the others follow u_ref."""
+    rows = ca.vertsplit(u_ref)
+    for place, row in zip(horizon.command, commands):
+        rows[place] = row
+    return ca.vertcat(*rows)
+
+
+def build_roll_out(horizon):
+    """A function that rolls the linearised dynamics out from s_0 under new inputs.
+
+    s_{i+1} = F_i + A_i (s_i - s̄_i) + B_i (u_i - ū_i), with (s̄, ū) from the previous plan. The gaps
+    that multiple shooting leaves between the intervals close here.
+    """
+    n_s = horizon.n_s
+    n_u = horizon.n_u
+    s_i = (n_s, 1)
+    u_i = (n_u, 1)
+    F_i, D_i, B_i = horizon.interval.sparsities.values()
+
+    @casadi_function("rhc_forward")
+    def forward(F: F_i, D: D_i, B: B_i, s: s_i, u: u_i, s_new: s_i, u_new: u_i):
+        A = horizon.interval.A_0 + D
+        return dict(s_after=F + A @ (s_new - s) + B @ (u_new - u))
+
+    def roll_out(s, u, F, D, B, s_0, u_new):
+        nodes = [s_0]
+        intervals = map(ca.horzsplit, (F, D, B, s, u, u_new), (1, n_s, n_u, 1, 1, 1))
+        for *previous, u_new_i in zip(*intervals):
+            nodes.append(forward(*previous, nodes[-1], u_new_i))
+        return nodes
+
+    return roll_out
+
+
+def init(horizon, x, p):
+    """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
+    s = np.tile([*x, *p], (horizon.N + 1, 1)).T
+    return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))

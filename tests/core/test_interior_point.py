@@ -1,0 +1,126 @@
+"""The interior point: solutions of random QPs are those of qpOASES, which sees dense matrices."""
+
+import functools
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from rhec.core.solver.interior_point import MAX_ITERATIONS, Shape, interior_point
+
+# (intervals, states, inputs, rows, of these soft)
+SIZES = [(6, 3, 2, 3, 1), (8, 4, 1, 4, 0), (6, 2, 2, 3, 3)]
+
+
+@functools.cache
+def solver(N, n, m, rows, soft):
+    D, B, G = (ca.Sparsity.dense(*shape) for shape in ((n, n), (n, m), (rows, n + m)))
+    return interior_point(Shape(N, ca.DM(n, n), D, B, G, soft), ca.SX)
+
+
+def random_qp(rng, N, n, m, rows, soft):
+    """A strictly convex QP in which a fifth of the lower bounds is missing: lists by node."""
+    A = np.eye(n) + 0.2 * rng.normal(size=(n, n))
+    B = rng.normal(size=(n, m))
+    qp = dict(D=[A] * (N + 1), B=[B] * (N + 1), H=[], g=[], G=[], lower=[], upper=[])
+    for k in range(N + 1):
+        root = rng.normal(size=(n + m, n + m))
+        H, g = 0.3 * root @ root.T + 0.1 * np.eye(n + m), 3 * rng.normal(size=(n + m, 1))
+        G, low = rng.normal(size=(rows, n + m)), -rng.uniform(0.1, 2, (rows, 1))
+        if k == N:
+            H[n:], H[:, n:], H[n:, n:], g[n:], G[:, n:] = 0, 0, np.eye(m), 0, 0
+        low[rng.random(low.shape) < 0.2] = -1e20
+        high = rng.uniform(0.1, 2, (rows, 1))
+        for name, value in dict(H=H, g=g, G=G, lower=low, upper=high).items():
+            qp[name].append(value)
+    prices = {name: 10 ** rng.uniform(-2, 2, soft) for name in ("linear", "quadratic")}
+    return qp, prices
+
+
+def by_qpoases(qp, prices):
+    """The solution z (n + m, N+1) of the dense QP, in which each soft side has its own excess t."""
+    nodes, (rows, n_z), n = len(qp["H"]), qp["G"][0].shape, len(qp["D"][0])
+    soft = len(prices["linear"])
+    n_t = nodes * soft
+    dynamics = np.eye(nodes * n, nodes * n_z) * 0
+    for k in range(nodes):
+        dynamics[k * n : (k + 1) * n, k * n_z : k * n_z + n] = -np.eye(n)
+        if k:
+            before = np.hstack([qp["D"][k - 1], qp["B"][k - 1]])
+            dynamics[k * n : (k + 1) * n, (k - 1) * n_z : k * n_z] = before
+    G = block_diag(*qp["G"])
+    places = [k * rows + i for k in range(nodes) for i in range(rows - soft, rows)]
+    excess = np.eye(nodes * rows)[:, places]
+    none = np.zeros((nodes * n, 2 * n_t))
+    A = np.vstack(
+        [
+            np.hstack([dynamics, none]),
+            np.hstack([G, -excess, 0 * excess]),
+            np.hstack([G, 0 * excess, excess]),
+        ]
+    )
+    low, high = np.vstack(qp["lower"])[:, 0], np.vstack(qp["upper"])[:, 0]
+    linear, quadratic = (np.tile(prices[name], 2 * nodes) for name in ("linear", "quadratic"))
+    inf = np.full(len(low), 1e20)
+    given = dict(
+        h=block_diag(*qp["H"], np.diag(quadratic)),
+        g=np.concatenate([np.vstack(qp["g"])[:, 0], linear]),
+        a=A,
+        lba=np.concatenate([np.zeros(nodes * n), -inf, low]),
+        uba=np.concatenate([np.zeros(nodes * n), high, inf]),
+        lbx=np.concatenate([np.full(nodes * n_z, -np.inf), np.zeros(2 * n_t)]),
+    )
+    shapes = {name: ca.Sparsity.dense(*given[name].shape) for name in "ha"}
+    options = dict(printLevel="none", error_on_fail=False, nWSR=5000)
+    solve = ca.conic("qp", "qpoases", shapes, options)
+    x = np.array(solve(**given)["x"])[:, 0]
+    return solve.stats()["success"], x[: nodes * n_z].reshape(nodes, n_z).T
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_solutions_of_random_qps_are_those_of_qpoases(size):
+    """On 10 QPs, if they can be solved at all."""
+    rng, solve, iterations = np.random.default_rng(0), solver(*size), []
+    for _ in range(10):
+        qp, prices = random_qp(rng, *size)
+        feasible, expected = by_qpoases(qp, prices)
+        solution = solve(**{name: np.hstack(parts) for name, parts in qp.items()}, **prices)
+        assert solution["ok"] == feasible
+        if feasible:
+            z = np.array(solution["z"])
+            np.testing.assert_allclose(z, expected, rtol=0, atol=1e-6 * max(1, np.abs(z).max()))
+            iterations.append(float(solution["iterations"]))
+    assert len(iterations) >= 8 and max(iterations) <= 20 < MAX_ITERATIONS
+
+
+def test_what_cannot_be_kept_is_not_ok():
+    """Two hard rows that contradict each other: z is 0, and ok as well, within all iterations."""
+    rng, size = np.random.default_rng(1), (8, 2, 1, 2, 0)
+    qp, prices = random_qp(rng, *size)
+    qp["G"] = [np.array([[0.0, 0.0, 1.0]] * 2)] * 9
+    qp["lower"] = [np.array([[1.0], [-1e20]])] * 9
+    qp["upper"] = [np.array([[1e20], [0.5]])] * 9
+    solution = solver(*size)(**{name: np.hstack(parts) for name, parts in qp.items()}, **prices)
+    assert solution["ok"] == 0 and solution["iterations"] <= MAX_ITERATIONS
+    assert np.all(np.array(solution["z"]) == 0)
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1e8])
+def test_units_do_not_matter(scale):
+    """Costs in another unit, or rows in another unit, give the same solution."""
+    rng, size = np.random.default_rng(2), SIZES[0]
+    qp, prices = random_qp(rng, *size)
+    join = {name: np.hstack(parts) for name, parts in qp.items()}
+    solve = solver(*size)
+    z = np.array(solve(**join, **prices)["z"])
+    dearer = join | {name: scale * join[name] for name in "Hg"}
+    dearer |= {name: scale * price for name, price in prices.items()}
+    np.testing.assert_allclose(np.array(solve(**dearer)["z"]), z, rtol=0, atol=1e-7)
+    longer = join | dict(G=join["G"] * scale)
+    longer |= {
+        name: np.where(np.abs(join[name]) < 1e19, join[name] * scale, join[name])
+        for name in ("lower", "upper")
+    }
+    longer |= dict(linear=prices["linear"] / scale, quadratic=prices["quadratic"] / scale**2)
+    np.testing.assert_allclose(np.array(solve(**longer)["z"]), z, rtol=0, atol=1e-7)
