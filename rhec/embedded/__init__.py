@@ -21,7 +21,7 @@ from rhec.core._casadi.validation import shown
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
 from rhec.embedded import c_writer, phases
-from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS
+from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.choice import TractionInput
@@ -31,7 +31,7 @@ from rhec.tracked_robot.rhe import SIGMA_START
 __all__ = ["FOLDER", "LOG", "export"]
 
 FOLDER = Path("build", "embedded")
-LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log
+LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log, without sensors
 _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions without a library in C
 _EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
@@ -116,10 +116,16 @@ def _of_scenario(scenario):
     export = phases.export(scenario)
     texts = _common_files()
     shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
-    log = simulate(shorter).log[LOG]
+    log = simulate(shorter).log[log_columns(scenario)]
     readme = c_writer.readme(export, texts["README.txt"], samples=len(log), **SIGMA_START)
     example = {"scenario.json": _as_json(scenario), "log.csv": log.to_csv(index=False)}
     return texts | _generated(export) | example | {"README.txt": readme}
+
+
+def log_columns(scenario):
+    """Columns of the example log of a scenario: LOG, with its sensors after the encoders."""
+    of_sensors = [SENSORS[name] for name in SENSORS if name in scenario.sensors]
+    return [*MEASUREMENTS, *of_sensors, *ESTIMATE, *COMMAND]
 
 
 def _common_files():

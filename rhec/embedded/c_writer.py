@@ -20,7 +20,7 @@ _MEANING = {
     "c": "constants of noise that grows with the motion",
 }
 _MEANING_ON_A_PATH = _MEANING | {
-    "V": "variances of measured x, y [m^2], nu [m^2/s^2], omega [rad^2/s^2]",
+    "V": "variances of measured x, y [m^2], nu [m^2/s^2], omega [rad^2/s^2], then of sensors",
     "segments": "of the path, in order: s, x, y [m], theta [rad], curvature [1/m] at the beginning",
     "period_m": "arc length after which the path repeats itself",
     "length_m": "arc length of the path",

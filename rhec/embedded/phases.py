@@ -27,8 +27,10 @@ from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
+from rhec.tracked_robot.sensors import OUTPUTS
 
-MEASURED = "x", "y", "nu", "omega"  # the entries of a measurement z of the paper's robot
+# The entries of a measurement z of the paper's robot; those of other sensors follow.
+MEASURED = "x", "y", "nu", "omega"
 
 # Places in `struct rhec` that phases of different owners share, by the names of arguments and
 # results. All other places belong to one owner: estimator, controller or path.
@@ -96,9 +98,9 @@ def export(scenario):
         control = _with_speed(control, speed, estimate["feedback"])
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
     is_robust = "accepted" in estimate["feedback"].name_out()
-    path_phases = dict(
-        closest=closest(n_segments), follow=_build_follow(references["references"], is_robust)
-    )
+    n_z = len(_measured(scenario))
+    follow = _build_follow(references["references"], is_robust, n_z)
+    path_phases = dict(closest=closest(n_segments), follow=follow)
 
     def first_estimate(estimate):
         memory = estimator.init(choice, dict(zip(QUANTITIES, estimate)))
@@ -120,16 +122,22 @@ def export(scenario):
     return _export(phases, settings, setup.guess, macros)
 
 
+def _measured(scenario):
+    """Return the names of the entries of z: MEASURED, then those of the sensors."""
+    return (*MEASURED, *(OUTPUTS[name] for name in OUTPUTS if name in scenario.sensors))
+
+
 def _macros_on_a_path(scenario, dt_s):
     """Return the macros of a scenario's export."""
     n = len(QUANTITIES)
+    measured = _measured(scenario)
     names = "x, y, theta, nu, mu, kappa"
     return dict(
         DT_S=(dt_s, "time between samples [s]"),
         ESTIMATOR=(1, "the export has an estimator"),
         CONTROLLER=(1, "the export has a controller"),
         PATH=(1, "a tracked robot follows a path"),
-        OUTPUTS=(len(MEASURED), ", ".join(MEASURED)),
+        OUTPUTS=(len(measured), ", ".join(measured)),
         ESTIMATE=(n, names),
         GUESS=(n, names),
         PATIENCE=(
@@ -348,15 +356,16 @@ def _place_on_segment(dx, dy, theta, curvature):
     return ca.if_else(curvature == 0, along, arc)
 
 
-def _build_follow(references, is_robust):
+def _build_follow(references, is_robust, n_z):
     """Return the Function of the references, starting at the last arc length.
 
     The reference yaw rate is the measured one or, if that is missing or rejected, the last command.
     is_robust: Whether the estimator reports which measurements it accepted.
+    n_z: Length of a measurement.
     """
     shapes = {name: references.size_in(name) for name in references.name_in()}
     del shapes["omega_measured"]
-    shapes |= dict(z_N=(len(MEASURED), 1), command=(1, 1))
+    shapes |= dict(z_N=(n_z, 1), command=(1, 1))
     if is_robust:
         shapes["accepted"] = (len(MEASURED), 1)
     omega = MEASURED.index("omega")

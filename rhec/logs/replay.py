@@ -380,9 +380,10 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
         part = resample(rows, paper.DT_S, recording.averaged)
         if faults:
             # Infinite measurements count as missing, as in a log.
-            z = part[MEASUREMENTS].to_numpy()
-            z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed)
-            part[MEASUREMENTS] = np.where(np.isfinite(z), z, np.nan)
+            z = part[measured].to_numpy()
+            names = tuple(name for name in SENSORS if name in scenario.sensors)
+            z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed, names)
+            part[measured] = np.where(np.isfinite(z), z, np.nan)
         z = part[measured].to_numpy()
         age_s = part[_ages_of(scenario.sensors)].to_numpy()
         yaw_rad = _first_yaw(first, number, part)

@@ -5,6 +5,7 @@ direction. Both are rough, so that only errors that no robot explains are refuse
 """
 
 import numpy as np
+import pandas as pd
 
 from rhec import paper
 from rhec.logs.recording import resample
@@ -14,6 +15,7 @@ _GYRO = SENSORS["gyro"]
 _HEADING = SENSORS["heading"]
 _X, _Y, _SPEED, _YAW_RATE = MEASUREMENTS
 _LEAST_SAMPLES = 50
+_WINDOW = 10  # samples over which the turns of a heading are added up
 _LEAST_TURNED_RAD = 3.0  # a robot that turns less does not show a sign
 _TURNING_RAD = 0.02  # in one sample
 _LEAST_SHARE = 0.25  # of the squares that the encoders' turns must explain
@@ -54,10 +56,14 @@ def _segments(recording):
 
 
 def _turns_of_heading(part):
-    """Turns of encoders and heading from sample to sample [rad], (n - 1, 2)."""
+    """Turns of encoders and heading [rad] over _WINDOW samples, (n - 1, 2); NaN at the beginning.
+
+    From sample to sample the noise of a heading is larger than the turns of a slow robot.
+    """
     turn = np.diff(part[_HEADING].to_numpy())
     turn = (turn + np.pi) % (2 * np.pi) - np.pi
-    return np.stack([paper.DT_S * part[_YAW_RATE].to_numpy()[1:], turn], axis=1)
+    turns = np.stack([paper.DT_S * part[_YAW_RATE].to_numpy()[1:], turn], axis=1)
+    return pd.DataFrame(turns).rolling(_WINDOW).sum().to_numpy()
 
 
 def _refuse_turns(turns, recording, sensor, unit):

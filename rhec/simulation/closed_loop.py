@@ -17,10 +17,11 @@ from rhec.core._casadi import build, early, packing, scan
 from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
-from rhec.simulation.columns import COLUMNS, FLAGS, LOG
+from rhec.simulation.columns import COLUMNS, FLAGS, LOG, SENSORS
 from rhec.simulation.metrics import metrics
 from rhec.simulation.run import Run
 from rhec.tracked_robot import plant as robot
+from rhec.tracked_robot import plant_options as robot_options
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import terrain
 from rhec.tracked_robot.choice import Choice
@@ -47,6 +48,7 @@ class _LoopStructure(NamedTuple):
     soil_under: str
     traction_timing: str
     yaw_rate_interval: str
+    options: tuple[str, ...]  # of the robot (`plant_options`)
 
 
 class _Parts(NamedTuple):
@@ -54,12 +56,14 @@ class _Parts(NamedTuple):
 
     soil: ca.Function
     measure: ca.Function
+    sense: ca.Function | None  # gyro and heading; None without them
     deliver: ca.Function | None  # None where sensors have no faults
     estimate: ca.Function
     disturb: ca.Function | None  # the yaw rate's disturbance; None where nothing estimates it
     references: ca.Function
     control: ca.Function
     drive: ca.Function
+    slip: ca.Function | None  # side slip that lasts; None without it
     pair: ca.Function | None  # None where ω belongs to the interval that ends at its sample
 
 
@@ -81,14 +85,27 @@ def _build_parts(structure):
     return _Parts(
         soil=robot.soil(structure.terrain_shape, structure.soil_under),
         measure=robot.measure(paper.DT_S),
-        deliver=_build_deliver() if structure.faulty else None,
+        sense=robot_options.sense(structure.options, paper.DT_S),
+        deliver=_build_deliver(choice.sensors) if structure.faulty else None,
         estimate=build_step(choice),
         disturb=disturb,
         references=references["references"],
         control=control,
         drive=robot.drive(paper.DT_S),
-        pair=robot.pair_with_next_interval() if structure.yaw_rate_interval == "after" else None,
+        slip=_build_slip(structure),
+        pair=_build_pair(structure),
     )
+
+
+def _build_slip(structure):
+    is_slipping = "side_slip" in structure.options
+    return robot_options.slip_sideways(paper.DT_S) if is_slipping else None
+
+
+def _build_pair(structure):
+    if structure.yaw_rate_interval != "after":
+        return None
+    return robot.pair_with_next_interval(4 + len(structure.estimator.sensors))
 
 
 def _build_control(structure):
@@ -120,13 +137,13 @@ def _build_disturb(structure):
     return None
 
 
-def _build_deliver():
+def _build_deliver(sensors):
     from rhec.simulation import fault_signals
 
-    return fault_signals.deliver()
+    return fault_signals.deliver(len(sensors))
 
 
-def _memory_shapes(parts):
+def _memory_shapes(parts, structure):
     """Shapes of what one sample hands to the next."""
     return (
         robot.MEMORY
@@ -136,10 +153,15 @@ def _memory_shapes(parts):
             command=(1, 1),
             controller=(parts.control.numel_in(0), 1),
         )
-        | (faults.MEMORY if parts.deliver else {})
+        | (_faulty_memory(structure) if parts.deliver else {})
+        | robot_options.memory_of(structure.options)
         | (robot.PAIRED if parts.pair else {})
         | _observer_shapes(parts.disturb)
     )
+
+
+def _faulty_memory(structure):
+    return faults.memory_shapes(len(structure.estimator.sensors))
 
 
 def _observer_shapes(disturb):
@@ -148,10 +170,10 @@ def _observer_shapes(disturb):
     return dict(observer=(disturb.numel_in("memory"), 1)) if has_memory else {}
 
 
-def _settings_shapes(parts, n_segments):
+def _settings_shapes(parts, structure):
     """Shapes of the arguments that stay the same over a run."""
     one = (1, 1)
-    path = dict(segments=(5, n_segments), period_m=one, look_ahead_m=one, backwards=one)
+    path = dict(segments=(5, structure.n_segments), period_m=one, look_ahead_m=one, backwards=one)
     weights = dict(Q=(3, 1), QN=(3, 1), R=one)
     commands = dict.fromkeys(("lower", "upper", "caution", "speed_mps", "command_delay"), one)
     if "observer_time_s" in (parts.disturb.name_in() if parts.disturb else ()):
@@ -164,7 +186,8 @@ def _settings_shapes(parts, n_segments):
         for name in parts.estimate.name_in()[2:]
         if name not in ("truth", "traction")
     }
-    return robot.SENSORS | robot.BODY | path | weights | commands | soil | tuning
+    world = robot.SENSORS | robot.BODY | robot_options.settings_of(structure.options)
+    return world | path | weights | commands | soil | tuning
 
 
 def build_sample(*structure):
@@ -175,9 +198,9 @@ def build_sample(*structure):
     structure = _LoopStructure(*structure)
     traction_input = estimator_of(structure.estimator.estimator).traction_input
     parts = _build_parts(structure)
-    memory = _memory_shapes(parts)
-    settings = _settings_shapes(parts, structure.n_segments)
-    stream = robot.NOISE | (faults.STREAM if structure.faulty else {})
+    memory = _memory_shapes(parts, structure)
+    settings = _settings_shapes(parts, structure)
+    stream = _stream_shapes(structure)
     shapes = dict(noise=(build.packed_size(stream), 1)) | settings
 
     @build.with_packed_memory("sample", memory, ca.MX, **shapes)
@@ -186,7 +209,7 @@ def build_sample(*structure):
         signals = signals | build.unpack(noise, stream)
         traction, yaw_drift = parts.soil.call([signals[name] for name in parts.soil.name_in()])
         truth, omega = _truth(signals, traction)
-        measured = _measured(parts, signals)
+        measured = _measured(parts, signals, structure.options)
         passed = traction_input.select_traction(
             signals["mean_traction"], truth[4:], ca.vertcat(truth[4:], yaw_drift)
         )
@@ -200,7 +223,8 @@ def build_sample(*structure):
         target = _target(parts, signals, omega_measured, estimated)
         planned = _planned(parts, signals, estimated, target)
         driven = _driven(parts, signals, planned, traction, yaw_drift)
-        row = dict(truth=truth, omega=omega, yaw_drift=yaw_drift, z=measured["z"])
+        of_sensors = measured["z"][4:]
+        row = dict(truth=truth, omega=omega, yaw_drift=yaw_drift, z=measured["z"][:4])
         row |= _row(estimated, target, planned)
         following = dict(
             drift=measured["drift"],
@@ -211,13 +235,22 @@ def build_sample(*structure):
             controller=planned["memory"],
         )
         # Sensors with faults remember earlier measurements.
-        remembered = faults.MEMORY | robot.PAIRED
+        remembered = faults.MEMORY | robot.PAIRED | dict.fromkeys(["last_yaw"])
         stored = {name: measured[name] for name in memory if name in remembered}
         if "observer" in memory:
             stored["observer"] = disturbed["observer"]
-        return dict(row=ca.vertcat(*(row[name] for name in LOG))) | following | driven | stored
+        row = ca.vertcat(*(row[name] for name in LOG), of_sensors)
+        return dict(row=row) | following | driven | stored
 
     return scan.build_scan(sample)
+
+
+def _stream_shapes(structure):
+    """Shapes of what a sample takes from the stream: noise, and faults where there are any."""
+    stream = robot.noise_shapes(structure.options)
+    if structure.faulty:
+        stream |= faults.stream_shapes(len(structure.estimator.sensors))
+    return stream
 
 
 def _call(function, signals, **others):
@@ -231,11 +264,14 @@ def _truth(signals, traction):
     return ca.vertcat(signals["pose"], nu, traction), omega
 
 
-def _measured(parts, signals):
+def _measured(parts, signals, options):
     """The measurement z that arrives, and what the sensors hand to the next sample."""
     measured = _call(parts.measure, signals)
+    if parts.sense:
+        measured |= _call(parts.sense, signals | measured)
     if parts.deliver:
         measured |= _call(parts.deliver, signals | measured)
+    measured["z"] = robot_options.wrapped(measured["z"], options)
     if parts.pair:
         measured |= _call(parts.pair, signals | measured)
     return measured
@@ -320,7 +356,10 @@ def _driven(parts, signals, planned, traction, yaw_drift):
     # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
     applied = ca.if_else(signals["command_delay"], signals["command"], planned["command"])
     soil = dict(traction=traction, yaw_drift_radpm=yaw_drift)
-    return _call(parts.drive, signals | planned, omega_radps=applied, **soil)
+    driven = _call(parts.drive, signals | planned, omega_radps=applied, **soil)
+    if parts.slip:
+        driven |= _call(parts.slip, signals, driven=driven["pose"])
+    return driven
 
 
 def _row(estimated, target, planned):
@@ -372,16 +411,7 @@ class Setup:
 
 
 def set_up(scenario):
-    """The Setup of a scenario: path, soil, starting point and settings.
-
-    Raises:
-        ValueError: If the scenario has sensors that the simulated robot does not have.
-    """
-    if scenario.sensors:
-        raise ValueError(
-            f"sensors was {scenario.sensors!r}; the simulated robot has GNSS and encoders alone, "
-            "so it should be (): gyro and heading are for rhec.replay and rhec.RHE"
-        )
+    """The Setup of a scenario: path, soil, starting point and settings."""
     path = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
     soil = scenario.terrain or terrain.random_for(scenario, path)
     shape = terrain.common_shape(soil)
@@ -400,6 +430,7 @@ def set_up(scenario):
         scenario.soil_under,
         scenario.traction_timing,
         scenario.yaw_rate_interval,
+        options_of(scenario),
     )
     estimator = estimator_of(choice.estimator, choice.robust)
     pose = _start_pose(scenario, path)
@@ -410,6 +441,16 @@ def set_up(scenario):
         _settings(scenario, path) | terrain.settings(soil, shape) | estimator.settings(scenario)
     )
     return Setup(structure, memory, layout, settings, path, soil, guess)
+
+
+def options_of(scenario):
+    """The options of a scenario's robot (`plant_options`)."""
+    return robot_options.options_of(scenario.sensors, scenario.side_slip_rad)
+
+
+def columns_of(scenario):
+    """The columns that a run's loop yields, in order."""
+    return [*COLUMNS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
 
 
 def _signed_speed(scenario):
@@ -430,7 +471,8 @@ def _first_memory(scenario, path, estimator, choice, pose, guess):
     """The memory before the first sample, by name; estimator and controller have dicts."""
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
     speed = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
-    others = faults.init() if scenario.faults else {}
+    others = faults.init(len(scenario.sensors)) if scenario.faults else {}
+    others |= robot_options.init(options_of(scenario), pose)
     others |= dict(newest_omega=0.0) if scenario.yaw_rate_interval == "after" else {}
     if scenario.disturbance_observer:
         others |= dict(observer=_yaw_disturbance().init_observer())
@@ -454,7 +496,8 @@ def _pack(memory):
 def _settings(scenario, path):
     """The settings of robot, path and controller."""
     q = np.array(scenario.q)
-    world = {name: getattr(scenario, name) for name in robot.SENSORS | robot.BODY}
+    of_options = robot_options.settings_of(options_of(scenario))
+    world = {name: getattr(scenario, name) for name in robot.SENSORS | robot.BODY | of_options}
     return world | dict(
         look_ahead_m=scenario.look_ahead_m,
         caution=scenario.caution,
@@ -472,21 +515,26 @@ def _settings(scenario, path):
     )
 
 
-def noise_and_faults(seed, scheduled, samples):
-    """The stream that a run is scanned over: noise and the scheduled Faults, one row a sample."""
-    noise = robot.draw_noise(seed, samples)
+def noise_and_faults(seed, scheduled, samples, options=()):
+    """The stream that a run is scanned over: noise and the scheduled Faults, one row a sample.
+
+    `options` are those of the robot.
+    """
+    noise = robot.draw_noise(seed, samples, options)
     if not scheduled:
         return noise
     from rhec.simulation import fault_signals
 
-    return np.hstack([noise, fault_signals.stream(scheduled, samples, paper.DT_S, seed)])
+    sensors = tuple(name for name in options if name in SENSORS)
+    stream = fault_signals.stream(scheduled, samples, paper.DT_S, seed, sensors)
+    return np.hstack([noise, stream])
 
 
 def simulate_setup(scenario, setup):
     """The Run of a scenario that is set up."""
     functions = early.load(build_sample, *setup.structure)
     samples = round(scenario.duration_s / paper.DT_S)
-    stream = noise_and_faults(scenario.seed, scenario.faults, samples)
+    stream = noise_and_faults(scenario.seed, scenario.faults, samples, options_of(scenario))
     _, rows = scan.scan(functions, setup.memory, stream, setup.settings)
     return finish(scenario, setup, rows)
 
@@ -511,7 +559,7 @@ def finish_all(scenarios, setups, logs):
     Returns:
         A list of Runs, in their order.
     """
-    columns = [_columns_of(rows) for rows in logs]
+    columns = [_columns_of(scenario, rows) for scenario, rows in zip(scenarios, logs)]
     on_path = {}
     for place, setup in enumerate(setups):
         on_path.setdefault(id(setup.path), []).append(place)
@@ -524,10 +572,10 @@ def finish_all(scenarios, setups, logs):
     ]
 
 
-def _columns_of(rows):
-    """The columns by name of a log's rows (n, LOG), without those that need the path."""
+def _columns_of(scenario, rows):
+    """The columns by name of a log's rows (n, columns), without those that need the path."""
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
-    columns |= dict(zip(COLUMNS, np.ascontiguousarray(rows.T)))
+    columns |= dict(zip(columns_of(scenario), np.ascontiguousarray(rows.T)))
     return columns | {name: columns[name] == 1 for name in FLAGS}
 
 

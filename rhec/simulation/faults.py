@@ -11,9 +11,21 @@ from rhec.simulation.validated import validated
 
 DELAY_MAX_S = 1.0
 PAST = 5  # earlier measurements that the closed loop stores
-# Shapes by name: what faulty sensors remember, and what happens to one sample.
-MEMORY = dict(past=(4, PAST), held=(4, 1))
-STREAM = dict(age=(2, 1), hold=(2, 1), dead=(2, 1), added=(4, 1))
+
+
+def memory_shapes(n_sensors=0):
+    """Shapes of what faulty sensors remember, by name; with `n_sensors` of SENSOR_CHANNELS."""
+    return dict(past=(4 + n_sensors, PAST), held=(4 + n_sensors, 1))
+
+
+def stream_shapes(n_sensors=0):
+    """Shapes of what happens to one sample, by name."""
+    n = 2 + n_sensors
+    return dict(age=(n, 1), hold=(n, 1), dead=(n, 1), added=(4 + n_sensors, 1))
+
+
+MEMORY = memory_shapes()
+STREAM = stream_shapes()
 KINDS = (
     "missing",
     "infinite",
@@ -30,6 +42,8 @@ KINDS = (
 SIZES = {"jump": "size_m", "outliers": "size_m", "latency": "delay_s", "rate": "rate_hz"}
 # Columns of source_s that a channel stands for: 0 is the position, 1 are the track speeds.
 CHANNELS = {"gnss": (0,), "encoders": (1,), "all": (0, 1)}
+# Channels of sensors that not every robot has; they follow those, and are part of "all", too.
+SENSOR_CHANNELS = ("gyro", "heading")
 # Channels of the kinds that cannot be on each of these
 OWN_CHANNELS = {"outliers": ("gnss",), "jump": ("gnss",), "dead": ("left", "right", "encoders")}
 
@@ -69,9 +83,9 @@ class Fault:
             "disorder": time runs backwards every other sample: 2, 1, 4, 3, …;
             "latency": measurements arrive late by delay_s;
             "rate": only rate_hz measurements a second arrive;
-            "dead": the encoder of a track measures 0.
-        channel: "gnss", "encoders" or "all"; for "dead" "left", "right" or "encoders"; for
-            "outliers" and "jump" "gnss".
+            "dead": the encoder of a track, the gyro or the heading measures 0.
+        channel: "gnss", "encoders", "gyro", "heading" or "all"; for "dead" "left", "right",
+            "encoders", "gyro" or "heading"; for "outliers" and "jump" "gnss".
         start_s: When it begins [s].
         duration_s: How long it lasts [s].
         size_m: Size of outliers and jumps [m].
@@ -83,7 +97,7 @@ class Fault:
     """
 
     kind: Literal[KINDS]
-    channel: Literal["gnss", "encoders", "all", "left", "right"] = "gnss"
+    channel: Literal["gnss", "encoders", "all", "left", "right", "gyro", "heading"] = "gnss"
     start_s: Real = 0.0
     duration_s: NotNegative = 1e9
     size_m: NotNegative | None = None
@@ -94,6 +108,8 @@ class Fault:
 
     def __post_init__(self):
         allowed = OWN_CHANNELS.get(self.kind, tuple(CHANNELS))
+        if "encoders" in allowed:
+            allowed = (*allowed, *SENSOR_CHANNELS)
         if self.channel not in allowed:
             raise ValueError(
                 f"channel was {self.channel!r}; for the kind {self.kind!r} it should be one of "
@@ -114,6 +130,6 @@ class Fault:
         return self.start_s + self.duration_s
 
 
-def init():
+def init(n_sensors=0):
     """Memory before the first sample. Ages do not reach beyond it, so it is never delivered."""
-    return {name: np.zeros(shape) for name, shape in MEMORY.items()}
+    return {name: np.zeros(shape) for name, shape in memory_shapes(n_sensors).items()}

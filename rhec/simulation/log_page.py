@@ -51,6 +51,8 @@ _TABLE = (
     ("x_meas_m y_meas_m", "m", "GNSS position; NaN where there is none", _BOTH),
     ("nu_meas_mps", "m/s", "encoders: mean speed since the last sample", _BOTH),
     ("omega_meas_radps", "rad/s", "encoders: mean yaw rate since the last sample", _BOTH),
+    ("gyro_meas_radps", "rad/s", "with a gyro: its mean since the last sample", _BOTH),
+    ("heading_meas_rad", "rad", "with a heading: its measurement, within ±π", _BOTH),
     # The estimate
     ("x_hat_m y_hat_m", "m", "estimated position", _BOTH),
     ("theta_hat_rad", "rad", "estimated yaw", _BOTH),
@@ -96,8 +98,6 @@ _TABLE = (
     ("sigma_nu_mps", "m/s", "standard deviation of the estimated speed", _REPLAY),
     ("sigma_mu sigma_kappa", "-", "standard deviation of the estimated traction", _REPLAY),
     ("sigma_arm_forward_m sigma_arm_left_m", "m", "standard deviation of that place", _REPLAY),
-    ("gyro_meas_radps", "rad/s", "with a gyro: its mean since the last sample", _REPLAY),
-    ("heading_meas_rad", "rad", "with a heading: its measurement", _REPLAY),
     ("heading_meas_rad_age_s", "s", "its age when the estimator used it", _REPLAY),
     ("gyro_bias_hat_radps", "rad/s", "estimated bias of the gyro", _REPLAY),
     ("gyro_scale_hat", "-", "estimated scale of the gyro", _REPLAY),

@@ -11,7 +11,7 @@ from pydantic import SkipValidation
 from rhec import paper
 from rhec.core._casadi import validation as valid
 from rhec.core.estimator.rhe import ArrivalMean
-from rhec.simulation.faults import Fault, as_python
+from rhec.simulation.faults import SENSOR_CHANNELS, Fault, as_python
 from rhec.simulation.validated import validated
 from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
@@ -89,6 +89,12 @@ class Scenario:
     rut_length_m: valid.NotNegative = 0.5
     track_width_m: valid.Positive = paper.TRACK_WIDTH_M
     rotation_centre_m: valid.Real = 0.0
+    side_slip_rad: valid.NotNegative = 0.0
+    side_slip_time_s: valid.Positive = 1.5
+    gyro_sigma_radps: valid.NotNegative = 0.01
+    gyro_bias_radps: valid.Real = 0.01
+    gyro_scale: valid.Positive = 1.01
+    heading_sigma_rad: valid.NotNegative = 0.02
     faults: tuple[Fault, ...] = ()
     seed: Seed = 0
 
@@ -147,6 +153,12 @@ def _check_fits_estimator(scenario):
     if scenario.sensors and name != "rhe":
         expected = f"for the estimator {valid.shown(estimator)} it should be ()"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
+    for fault in scenario.faults:
+        if fault.channel in SENSOR_CHANNELS and fault.channel not in scenario.sensors:
+            raise ValueError(
+                f"faults was {valid.shown(scenario.faults)}, with a {fault.channel} that fails; "
+                f"sensors should have {fault.channel!r}, too, and was {scenario.sensors!r}"
+            )
     entries = estimator_of(name).n_sigma_w(Choice.of(scenario))
     if scenario.sigma_w is not None and len(scenario.sigma_w) != entries:
         expected = f"for the estimator {valid.shown(estimator)} it should have {entries} entries"

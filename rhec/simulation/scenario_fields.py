@@ -109,6 +109,15 @@ rut_length_m: Correlation length of the bumps along the way [m]. 0: one bump a s
 track_width_m: Distance b between the tracks [m].
 rotation_centre_m: How far the point about which the robot turns lies ahead of its middle, where the
     antenna of the GNSS is [m].
+side_slip_rad: Standard deviation of the angle between course and yaw, as on ice: a side slip that
+    lasts, a Gauss-Markov process of time [rad]. 0: none.
+side_slip_time_s: Time constant of that side slip [s].
+gyro_sigma_radps: Standard deviation of the error of the gyro's mean over a sample, where `sensors`
+    has a gyro [rad/s].
+gyro_bias_radps: Bias of the gyro [rad/s].
+gyro_scale: Scale of the gyro: it measures this multiple of the yaw rate over ground, plus its bias.
+heading_sigma_rad: Standard deviation of the error of the measured heading, where `sensors` has one
+    [rad].
 faults: Sensor faults, (rhec.Fault, …).
 seed: Fixes the soil and all noise.
 """

@@ -50,13 +50,20 @@ BODY = dict.fromkeys(
 # Random streams of a seed; others belong to the faults.
 _STREAM_OF_ALL_BUT_SPEED = 1
 _STREAM_OF_SPEED = 4
+# What not every robot has (`rhec.tracked_robot.plant_options`), by name.
+_STREAMS_OF_OPTIONS = dict(gyro=5, heading=6, side_slip=7)
 
 
-def draw_noise(seed, samples):
-    """Standard normal noise of a seed, (samples, n), each row NOISE packed.
+def noise_shapes(options=()):
+    """NOISE, and one number for each of a robot's `options`, in their order."""
+    return NOISE | {f"{name}_noise": (1, 1) for name in options}
 
-    The first rows are those of fewer samples. The noise of the speed comes last and from a separate
-    stream, so that all else is the same with and without it.
+
+def draw_noise(seed, samples, options=()):
+    """Standard normal noise of a seed, (samples, n), each row `noise_shapes(options)` packed.
+
+    The first rows are those of fewer samples. The noise of the speed, and that of each option,
+    comes last and from a separate stream, so that all else is the same with and without it.
     """
     n_speed = packed_size({"speed": NOISE["speed"]})
     n_others = packed_size(NOISE) - n_speed
@@ -64,6 +71,7 @@ def draw_noise(seed, samples):
         [
             _normal(seed, _STREAM_OF_ALL_BUT_SPEED, samples, n_others),
             _normal(seed, _STREAM_OF_SPEED, samples, n_speed),
+            *(_normal(seed, _STREAMS_OF_OPTIONS[name], samples, 1) for name in options),
         ]
     )
 
@@ -102,7 +110,7 @@ def measure(dt_s):
         gnss_slow_time_s,
         speed_sigma_mps,
     ):
-        drift = _gauss_markov(running * ca.exp(-dt_s / gnss_slow_time_s), drift, slow)
+        drift = gauss_markov(running * ca.exp(-dt_s / gnss_slow_time_s), drift, slow)
         # Shares of a variance: the standard deviations go with their square roots.
         white_m = gnss_sigma_m * ca.sqrt(1 - gnss_slow_share)
         slow_m = gnss_sigma_m * ca.sqrt(gnss_slow_share)
@@ -113,7 +121,7 @@ def measure(dt_s):
     return measure
 
 
-def _gauss_markov(keep, before, w):
+def gauss_markov(keep, before, w):
     """A Gauss-Markov process of standard deviation 1: a⁺ = k a + √(1 - k²) w; w itself for k = 0.
 
     `running` is 0 in the first sample only. With it as a factor of k, the process is stationary
@@ -179,17 +187,18 @@ def _build_both_tracks():
     return both
 
 
-def pair_with_next_interval():
+def pair_with_next_interval(n_z=4):
     """Interpretation R16 as a Function (z, newest_omega) -> (z, newest_omega).
 
     An estimator takes the ω in z for that of the interval that ends at the sample. With the ω of
     the sample before in its place, the ω measured at t_i belongs to the interval from t_i on, and
-    the newest one, `newest_omega`, is not used yet.
+    the newest one, `newest_omega`, is not used yet. The `n_z` - 4 further entries of z, those of
+    other sensors, stay with their sample.
     """
 
-    @casadi_function("pair", z=(4, 1), **PAIRED)
+    @casadi_function("pair", z=(n_z, 1), **PAIRED)
     def pair(z, newest_omega):
-        return dict(z=ca.vertcat(z[:3], newest_omega), newest_omega=z[3])
+        return dict(z=ca.vertcat(z[:3], newest_omega, z[4:]), newest_omega=z[3])
 
     return pair
 
@@ -241,7 +250,7 @@ def drive(dt_s):
         first_mps = ca.fabs(body_speeds(tracks, track_width_m)[0])
         moved_m = dt_s * traction[0] * first_mps
         keep = running * ca.exp(-moved_m / ca.fmax(rut_length_m, _SHORTEST_RUT_M))
-        rut = _gauss_markov(keep, rut, bump)
+        rut = gauss_markov(keep, rut, bump)
         bumps = ca.if_else(rut_length_m > 0, rut * first_mps / paper.SPEED_MPS, bump)
         h = dt_s / SUBSTEPS
         measured = []

@@ -71,14 +71,9 @@ def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, sensors=(), 
     `sigma_v` covers the `sensors`, too.
     """
     kind = with_sensors(speed_model, sensors)
-    names = kind.model.joint_names
-    if sigma_w is None:
-        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][process_noise]))
-        sigma_w = kind.sigma_w or [tuned[name] for name in names]
-    without_noise = len(names) - kind.n_sigma_w
     settings = dict(
         V=np.square(sigma_v),
-        W=np.square([*(0.0,) * without_noise, *sigma_w]),
+        W=np.square(_sigma_w(speed_model, process_noise, sigma_w, kind, constants)),
         P_0=np.square(sigma_start(kind.model)),
     )
     if kind.model.motion_noise:
@@ -86,6 +81,24 @@ def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, sensors=(), 
         constants |= dict(zip(defaults, slip or ()))
         settings["c"] = np.array([*(defaults | constants).values()])
     return settings
+
+
+def _sigma_w(speed_model, process_noise, sigma_w, kind, constants):
+    """Standard deviations of the process noise of the joint state of a model with sensors.
+
+    `sigma_w` covers what the model without sensors estimates. The bias of a gyro wanders; where the
+    model has motion noise, that says how.
+    """
+    if sigma_w is None:
+        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][process_noise]))
+        plain = speed_model_of(speed_model).model
+        sigma_w = kind.sigma_w or [tuned[name] for name in plain.joint_names]
+    noisy = speed_model_of(speed_model).model.joint_names[-kind.n_sigma_w :]
+    sigma = dict(zip(noisy, sigma_w))
+    if not kind.model.motion_noise:
+        dt_s = constants.get("dt_s", paper.DT_S)
+        sigma |= dict(gyro_bias_radps=tuning.GYRO["gyro_bias_walk"] * dt_s**0.5)
+    return [sigma.get(name, 0.0) for name in kind.model.joint_names]
 
 
 def _settings(scenario):

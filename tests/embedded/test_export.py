@@ -81,6 +81,18 @@ SCENARIOS = {
             rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0),
         ),
     ),
+    "gyro and heading": dict(
+        speed_model="input",
+        process_noise="consistent",
+        sensors=("gyro", "heading"),
+        faults=(rhec.Fault(kind="missing", channel="gyro", start_s=8.0, duration_s=3.0),),
+    ),
+    "gyro, robust": dict(
+        speed_model="slipping",
+        robust=True,
+        sensors=("gyro",),
+        faults=(rhec.Fault(kind="dead", channel="gyro", start_s=8.0, duration_s=3.0),),
+    ),
     "EKF": dict(estimator="ekf", process_noise="calibrated"),
     "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
     "RHE, fixed traction": dict(estimator="rhe_fixed_traction", mu_mean=0.7, kappa_mean=0.6),
@@ -265,6 +277,15 @@ def test_answers_to_the_log_of_a_closed_loop_equal_pythons(name, on, exported, b
     np.testing.assert_allclose(answers[ANSWERS], expected[ANSWERS], rtol=0, atol=TOLERANCE)
     assert (answers["status"] == 0).all()
     assert toolchain.run(machine, program, exported(name) / "log.csv").returncode == 0
+
+
+def test_the_header_names_the_entries_of_a_measurement(exported):
+    header = (exported("gyro and heading") / "rhec_memory.h").read_text()
+    assert "#define RHEC_OUTPUTS 6 /* x, y, nu, omega, gyro_radps, heading_rad */" in header
+    assert (
+        "#define RHEC_OUTPUTS 5 /* x, y, nu, omega, gyro_radps */"
+        in (exported("gyro, robust") / "rhec_memory.h").read_text()
+    )
 
 
 def test_an_ekf_with_fixed_traction_is_given_the_fields_mean(exported):

@@ -58,6 +58,11 @@ KINDS["ltv_mpc"] = dict(controller="ltv_mpc")
 KINDS["pure_pursuit"] = dict(controller="pure_pursuit", look_ahead_m=1.0)
 KINDS["two tracks"] = dict(soil_under="tracks")
 KINDS["with a map"] = dict(estimator="map_ekf", soil_map=soil_map())
+_SENSORS = dict(process_noise="consistent", sensors=("heading", "gyro"))
+KINDS |= {
+    f"{name}, gyro, heading": _SENSORS | dict(speed_model=name) for name in ("input", "slipping")
+}
+KINDS["side slip"] = dict(side_slip_rad=0.3, sensors=("gyro",))
 KINDS["own"] = dict(estimator=own_estimator())
 
 
@@ -67,7 +72,7 @@ def unlike(kind):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
-            SMALL, **kind, seed=i, process_noise=("printed", "calibrated")[i % 2],
+            SMALL, seed=i, **dict(process_noise=("printed", "calibrated")[i % 2]) | kind,
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
@@ -93,8 +98,10 @@ def test_every_estimator_has_the_same_bits_in_a_lane(kind):
     scenarios = [*unlike(kind)]
     setups = [*map(closed_loop.set_up, scenarios)]
     assert len({setup.structure for setup in setups}) == 1
+    options = setups[0].structure.options
     streams = [
-        closed_loop.noise_and_faults(scenario.seed, scenario.faults, 100) for scenario in scenarios
+        closed_loop.noise_and_faults(scenario.seed, scenario.faults, 100, options)
+        for scenario in scenarios
     ]
     one_by_one, at_once = one_by_one_and_at_once(
         closed_loop.build_sample, setups[0].structure, [setup.memory for setup in setups], streams,

@@ -68,9 +68,10 @@ static void drive(double pose[3], double speed, double omega)
 static int sample(struct rhec *r, double pose[3], double probability, double error[1])
 {
     double speed = rhec_scenario_guess[3], omega = 0, estimate[6] = {0};
-    double z[4] = {pose[0], pose[1], speed, r->omega[0]};
-    for (int i = 0; i < 4; i++) {
+    double z[RHEC_OUTPUTS] = {pose[0], pose[1], speed, r->omega[0]};
+    for (int i = 0; i < RHEC_OUTPUTS; i++) {
         z[i] += i < 2 ? 0.06 * (uniform() - 0.5) : 0;
+        z[i] = i < 4 ? z[i] : NAN; /* the sensors are silent, or invalid */
         z[i] = uniform() < probability ? invalid() : z[i];
     }
     if (bits() % 2) {

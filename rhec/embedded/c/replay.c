@@ -2,7 +2,7 @@
 /* Replays a log: replay log.csv > results.csv
  *
  * The first line of the log has the column names. Each further line has a measurement: x, y, nu,
- * omega. An empty field or nan marks a missing measurement. If lines also have Python's results (x,
+ * omega and the sensors of the export, as rhec_memory.h names them (RHEC_OUTPUTS). An empty field or nan marks a missing measurement. If lines also have Python's results (x,
  * y, theta, nu, mu, kappa and the command), the program reports the largest difference and fails if
  * it exceeds 1e-9. */
 #include <math.h>

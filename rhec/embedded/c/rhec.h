@@ -72,8 +72,11 @@ void rhec_init(struct rhec *r, const struct rhec_settings *settings,
  * linearisation and condensing. */
 void rhec_prepare_estimate(struct rhec *r);
 
-/* Feedback phase of the RHE. z: measured outputs, (x, y, nu, omega) for a scenario; measured inputs
- * are means since the last sample; NaN marks missing measurements. estimate: (x, y, theta, nu, mu,
+/* Feedback phase of the RHE. z: measured outputs, for a scenario (x, y, nu, omega) and then those of
+ * its sensors: gyro_radps, the yaw rate over ground as a mean since the last sample,
+ * counter-clockwise; heading_rad, the direction from the x axis, counter-clockwise, up to full
+ * turns. rhec_memory.h names the entries (RHEC_OUTPUTS). Measured inputs are means since the last
+ * sample; NaN marks missing measurements. estimate: (x, y, theta, nu, mu,
  * kappa) for a scenario; states, inputs of the last interval and parameters for a model. */
 int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE]);
 #endif

@@ -27,8 +27,19 @@ int main(int argc, char **argv)
     rhec_init(&r, &rhec_scenario, rhec_scenario_guess);
     puts("rhe_preparation_ns,rhe_feedback_ns,rhc_preparation_ns,rhc_feedback_ns");
     while (fgets(line, sizeof line, log)) {
-        double z[4], estimate[6], omega;
-        if (sscanf(line, "%lf,%lf,%lf,%lf", &z[0], &z[1], &z[2], &z[3]) != 4) {
+        double z[RHEC_OUTPUTS], estimate[6], omega;
+        char *field = line;
+        int count = 0;
+        while (count < RHEC_OUTPUTS) {
+            char *end;
+            z[count] = strtod(field, &end);
+            if (end == field) {
+                break;
+            }
+            count++;
+            field = *end == ',' ? end + 1 : end;
+        }
+        if (count < RHEC_OUTPUTS) {
             continue;
         }
         double begin = now_ns();

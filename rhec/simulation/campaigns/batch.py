@@ -41,6 +41,8 @@ _STRUCTURE = operator.attrgetter(
     "yaw_rate_interval",
     "controller",
     "disturbance_observer",
+    "sensors",
+    "side_slip_rad",
 )
 
 
@@ -203,7 +205,10 @@ def _load_block(structure, mean_samples):
 def _run_group(block, samples, group, noise, result_of):
     """Return {key: result_of(run)} of {key: (scenario, setup)} of one structure and length."""
     scenarios, setups = zip(*group.values())
-    streams = [noise(scenario.seed, scenario.faults, samples) for scenario in scenarios]
+    streams = [
+        noise(scenario.seed, scenario.faults, samples, closed_loop.options_of(scenario))
+        for scenario in scenarios
+    ]
     memories = [setup.memory for setup in setups]
     settings = [setup.settings for setup in setups]
     rows = lanes.scan(block, memories, streams, settings)

@@ -29,7 +29,8 @@ def snapshot_at(scenario, k):
     """The Snapshot at sample k ≥ 0 of a scenario's run, which is simulated until then."""
     setup = closed_loop.set_up(scenario)
     functions = early.load(closed_loop.build_sample, *setup.structure)
-    inputs = closed_loop.noise_and_faults(scenario.seed, scenario.faults, k + 1)
+    options = closed_loop.options_of(scenario)
+    inputs = closed_loop.noise_and_faults(scenario.seed, scenario.faults, k + 1, options)
     memory, rows = scan.scan(functions, setup.memory, inputs, setup.settings)
     row = dict(zip(COLUMNS, rows[-1]))
     truth, estimate = (np.array([row[name] for name in names]) for names in (POSE, ESTIMATE))

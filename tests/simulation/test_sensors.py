@@ -1,0 +1,208 @@
+"""Gyro and heading of the simulated robot: what they measure, what faults do, what they gain."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from helpers import no_compiler
+
+import rhec
+from rhec import paper
+from rhec.simulation import closed_loop, fault_signals, faults
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import estimator_of
+
+BOTH = ("gyro", "heading")
+SHORT = rhec.Scenario(
+    duration_s=60.0, process_noise="consistent", speed_model="input", sensors=BOTH, seed=3
+)
+
+
+def changed(**fields):
+    return rhec.simulate(dataclasses.replace(SHORT, **fields))
+
+
+def of_gyro(kind, **fields):
+    return rhec.Fault(kind=kind, channel="gyro", **dict(start_s=20.0, duration_s=20.0) | fields)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return changed()
+
+
+def test_they_measure_the_yaw_and_its_rate_over_ground(measured):
+    """Deviations of 300 samples: their own are known to 4 %."""
+    log, scenario = measured.log, measured.scenario
+    rate = np.diff(log["theta_rad"]) / paper.DT_S
+    rest = log["gyro_meas_radps"][1:] - scenario.gyro_scale * rate - scenario.gyro_bias_radps
+    assert rest.std() == pytest.approx(scenario.gyro_sigma_radps, rel=0.15)
+    assert abs(rest.mean()) < 4 * scenario.gyro_sigma_radps / np.sqrt(len(rest))
+    off = log["heading_meas_rad"] - log["theta_rad"]
+    off = (off + np.pi) % (2 * np.pi) - np.pi
+    assert off.std() == pytest.approx(scenario.heading_sigma_rad, rel=0.15)
+
+
+def test_a_heading_is_measured_up_to_full_turns():
+    path = rhec.Path.from_segments([(90.0, 0.0)], start=(0.0, 0.0, 3.1))
+    run = changed(path=path, start_offset_m=-1.0)
+    log = run.log
+    assert log["heading_meas_rad"].abs().max() <= np.pi < log["theta_rad"].abs().max()
+    assert log["heading_meas_rad"].diff().abs().max() > 6.0
+    assert run.metrics["rms_yaw_rad"] < 0.03
+
+
+def test_other_random_streams_stay_as_they_are():
+    """The robot of an oracle drives the same path, and the noise of a seed begins the same."""
+    plain = closed_loop.noise_and_faults(5, (), 50)
+    for options in ((), ("gyro",), BOTH, ("side_slip",), (*BOTH, "side_slip")):
+        longer = closed_loop.noise_and_faults(5, (), 60, options)
+        np.testing.assert_array_equal(longer[:50, : plain.shape[1]], plain)
+    # A gyro's noise is the same with and without a heading.
+    alone, both = (
+        closed_loop.noise_and_faults(5, (), 50, options)[:, plain.shape[1]]
+        for options in (("gyro",), BOTH)
+    )
+    np.testing.assert_array_equal(alone, both)
+
+
+@pytest.mark.parametrize("speed_model", ["parameter", "input", "slipping"])
+def test_sensors_that_never_deliver_leave_the_estimate_as_it_is(speed_model):
+    """Up to rounding: the equations of a silent sensor have no weight."""
+    silent = tuple(rhec.Fault(kind="missing", channel=name) for name in BOTH)
+    fields = dict(speed_model=speed_model, duration_s=20.0)
+    without = changed(**fields, sensors=())
+    with_both = changed(**fields, faults=silent)
+    assert with_both.log["gyro_meas_radps"].isna().all()
+    for name in ("x_hat_m", "theta_hat_rad", "kappa_hat", "omega_cmd_radps"):
+        np.testing.assert_allclose(with_both.log[name], without.log[name], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "kind, value", [("missing", np.nan), ("infinite", np.inf), ("dead", 0.0), ("stuck", None)]
+)
+def test_a_fault_touches_the_gyro_alone(kind, value, measured):
+    faulty = changed(faults=(of_gyro(kind),))
+    during = slice(100, 200)
+    np.testing.assert_array_equal(faulty.log[:100], measured.log[:100])
+    got = faulty.log["gyro_meas_radps"][during]
+    expected = measured.log["gyro_meas_radps"][99] if value is None else value
+    np.testing.assert_allclose(got, np.full(100, expected))
+    # The next position comes from the same robot.
+    np.testing.assert_array_equal(faulty.log["x_meas_m"][:101], measured.log["x_meas_m"][:101])
+    assert faulty.metrics["all_ok"]
+
+
+def test_faults_of_sensors_are_the_same_on_a_recorded_stream(measured):
+    several = [
+        of_gyro("latency", delay_s=0.3),
+        rhec.Fault(kind="stuck", channel="heading", start_s=5.0, duration_s=3.0),
+        rhec.Fault(kind="rate", channel="all", start_s=30.0, duration_s=9.0, rate_hz=2.0),
+        rhec.Fault(kind="dead", channel="gyro", start_s=50.0, duration_s=1.0),
+    ]
+    names = "x_meas_m y_meas_m nu_meas_mps omega_meas_radps gyro_meas_radps heading_meas_rad"
+    z = measured.log[names.split()].to_numpy(copy=True)
+    z[:, 5] = np.unwrap(z[:, 5])
+    deliver, memory, rows = fault_signals.deliver(2), faults.init(2), []
+    shapes = faults.stream_shapes(2)
+    ends = np.cumsum([n for n, _ in shapes.values()])[:-1]
+    for sample, row in zip(z, fault_signals.stream(several, len(z), paper.DT_S, 0, BOTH)):
+        signals = dict(zip(shapes, np.split(row, ends)))
+        result = deliver(z=sample, **memory, **signals, track_width_m=0.4)
+        memory = {name: result[name] for name in memory}
+        rows.append(np.ravel(result["z"]))
+    expected = fault_signals.corrupted(z, several, measured.log["t_s"], 0.4, 0, BOTH)
+    np.testing.assert_allclose(rows, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_gyro_and_a_heading_make_yaw_and_path_better():
+    """Means of eight training seeds. Measured: yaw 0.57 and 0.40 of that without."""
+    seeds = range(1000, 1008)
+    means = {}
+    for sensors in ((), ("gyro",), BOTH):
+        fields = dict(sensors=sensors, duration_s=120.0)
+        runs = rhec.simulate([dataclasses.replace(SHORT, seed=k, **fields) for k in seeds])
+        means[sensors] = [
+            np.mean([run.metrics[name] for run in runs])
+            for name in ("rms_yaw_rad", "mean_error_true_m")
+        ]
+    assert means["gyro",][0] < 0.75 * means[()][0]
+    assert means[BOTH][0] < 0.6 * means[()][0]
+    assert means[BOTH][1] < 0.85 * means[()][1]
+
+
+@pytest.mark.parametrize("fields", [dict(gyro_bias_radps=0.05), dict(gyro_scale=1.05)], ids=str)
+def test_a_bias_or_a_scale_is_found_out(fields):
+    seeds = range(1000, 1008)
+    errors = [
+        [
+            run.metrics["rms_yaw_rad"]
+            for run in rhec.simulate(
+                [
+                    dataclasses.replace(
+                        SHORT, seed=k, sensors=("gyro",), duration_s=120.0, **changes
+                    )
+                    for k in seeds
+                ]
+            )
+        ]
+        for changes in (dict(gyro_bias_radps=0.0, gyro_scale=1.0), fields)
+    ]
+    assert np.mean(errors[1]) < 1.15 * np.mean(errors[0])
+
+
+def test_a_run_is_a_log_for_replay_and_its_sensors_are_checked_there():
+    log = changed(duration_s=120.0).log
+    estimates = rhec.replay(log, first_yaw_rad=0.0)
+    assert "gyro_bias_hat_radps" in estimates
+    for name, words in (
+        ("gyro_meas_radps", "counted clockwise"),
+        ("heading_meas_rad", "clockwise"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            rhec.replay(log.assign(**{name: -log[name]}))
+
+
+@pytest.mark.parametrize(
+    "fields, words",
+    [
+        (dict(sensors=("gyro",), estimator="ekf"), "sensors was"),
+        (dict(sensors=("heading",), faults=(of_gyro("dead"),)), "with a gyro that fails"),
+        (dict(faults=(of_gyro("dead"),)), "sensors should have 'gyro', too"),
+        (dict(gyro_scale=-1.0), "gyro_scale"),
+        (dict(gyro_sigma_radps=-0.1), "gyro_sigma_radps"),
+        (dict(side_slip_time_s=0.0), "side_slip_time_s"),
+    ],
+)
+def test_what_does_not_fit_is_refused(fields, words):
+    with pytest.raises(ValueError, match=words) as refusal:
+        rhec.Scenario(**fields)
+    assert "\n" not in str(refusal.value)
+
+
+def test_side_slip_turns_the_course_and_not_the_yaw():
+    run = rhec.simulate(
+        rhec.Scenario(estimator="oracle", side_slip_rad=0.3, side_slip_time_s=1.5, duration_s=240.0)
+    )
+    way = np.diff(run.log[["x_m", "y_m"]], axis=0)
+    slip = np.arctan2(*way.T[::-1]) - run.log["theta_rad"][:-1]
+    slip = (slip + np.pi) % (2 * np.pi) - np.pi
+    # 240 s are 80 independent angles or so: their deviation is known to 8 %.
+    assert slip.std() == pytest.approx(0.3, rel=0.25)
+    lag = round(1.5 / paper.DT_S)
+    correlation = np.corrcoef(slip[lag:], slip[:-lag])[0, 1]
+    # e^(-lag Δt/T), with Δt = 0.2 s.
+    assert correlation == pytest.approx(np.exp(-lag * paper.DT_S / 1.5), abs=0.15)
+
+
+def test_without_a_compiler_the_results_are_the_same():
+    fields = dict(duration_s=4.0, speed_model="slipping", robust=True)
+    compiled = changed(**fields).log.astype(float)
+    with no_compiler():
+        slow = changed(**fields).log.astype(float)
+    np.testing.assert_allclose(slow, compiled, rtol=1e-9, atol=1e-9)
+
+
+def test_the_choice_of_an_estimator_counts_its_sensors():
+    choice = Choice.of(SHORT)
+    assert {"gyro_bias_radps", "gyro_scale"} <= {*estimator_of("rhe").states(choice)}
