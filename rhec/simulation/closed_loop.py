@@ -30,7 +30,6 @@ from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.terrain import Terrain
 
-
 _COMMANDS = ("lower", "upper", "caution", "r_speed", "speed_mps", "command_delay")
 
 

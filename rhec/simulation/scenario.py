@@ -41,7 +41,7 @@ class Scenario:
 
     q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
-    r_speed: valid.Positive = 1.0
+    r_speed: valid.Positive = 0.0066
     qn_factor: valid.NotNegative = paper.QN_FACTOR
     omega_max_radps: valid.Positive = paper.OMEGA_MAX_RADPS
     prediction_horizon: valid.Intervals = paper.HORIZON
