@@ -31,6 +31,8 @@ from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.terrain import Terrain
 
+_COMMANDS = ("lower", "upper", "caution", "r_speed", "speed_mps", "command_delay")
+
 
 class _LoopStructure(NamedTuple):
     """What decides the shape of the loop's Function, and so what is compiled."""
@@ -110,6 +112,10 @@ def _build_pair(structure):
 
 def _build_control(structure):
     """The step of the controller, with the interface of the RHC's."""
+    if structure.controller == "speed_rhc":
+        speed_rhc = _speed_rhc()
+        horizon = speed_rhc.horizon_of(structure.prediction_horizon)
+        return speed_rhc.build_step(horizon, structure.n_segments)
     horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
     if structure.controller == "rhc":
         step = rhc.build_phases(horizon)["step"]
@@ -119,6 +125,12 @@ def _build_control(structure):
     from rhec.tracked_robot import rival_controllers
 
     return rival_controllers.CONTROLLERS[structure.controller](horizon)
+
+
+def _speed_rhc():
+    from rhec.tracked_robot import speed_rhc
+
+    return speed_rhc
 
 
 def _yaw_disturbance():
@@ -175,7 +187,7 @@ def _settings_shapes(parts, structure):
     one = (1, 1)
     path = dict(segments=(5, structure.n_segments), period_m=one, look_ahead_m=one, backwards=one)
     weights = dict(Q=(3, 1), QN=(3, 1), R=one)
-    commands = dict.fromkeys(("lower", "upper", "caution", "speed_mps", "command_delay"), one)
+    commands = dict.fromkeys(_COMMANDS, one)
     if "observer_time_s" in (parts.disturb.name_in() if parts.disturb else ()):
         commands["observer_time_s"] = one
     slip = (parts.soil.numel_in("slip"), 1)
@@ -469,8 +481,6 @@ def _start_pose(scenario, path):
 
 def _first_memory(scenario, path, estimator, choice, pose, guess):
     """The memory before the first sample, by name; estimator and controller have dicts."""
-    horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
-    speed = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
     others = faults.init(len(scenario.sensors)) if scenario.faults else {}
     others |= robot_options.init(options_of(scenario), pose)
     others |= dict(newest_omega=0.0) if scenario.yaw_rate_interval == "after" else {}
@@ -480,9 +490,20 @@ def _first_memory(scenario, path, estimator, choice, pose, guess):
         estimator=estimator.init(choice, dict(zip(QUANTITIES, guess))),
         s=path.project(pose[None, :2])[1],
         command=0.0,
-        controller=rhc.init(horizon, guess[:3], guess[3:]) | speed,
+        controller=_first_plan(scenario, guess),
     )
     return robot.init(pose, _signed_speed(scenario)) | loop | others
+
+
+def _first_plan(scenario, guess):
+    """The memory of the controller before the first sample, by name."""
+    if scenario.controller == "speed_rhc":
+        speed_rhc = _speed_rhc()
+        horizon = speed_rhc.horizon_of(scenario.prediction_horizon)
+        return speed_rhc.init(horizon, scenario.speed_mps)
+    horizon = paper_rhc.horizon_of(scenario.prediction_horizon, scenario.qp)
+    speed = dict(speed=np.array([scenario.speed_mps])) if scenario.cautious else {}
+    return rhc.init(horizon, guess[:3], guess[3:]) | speed
 
 
 def _pack(memory):
@@ -507,6 +528,7 @@ def _settings(scenario, path):
         Q=q,
         QN=scenario.qn_factor * q,
         R=scenario.r,
+        r_speed=scenario.r_speed,
         lower=-scenario.omega_max_radps,
         upper=scenario.omega_max_radps,
         speed_mps=_signed_speed(scenario),

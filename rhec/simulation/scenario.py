@@ -41,6 +41,7 @@ class Scenario:
 
     q: options.Weights = paper.Q3
     r: valid.Positive = paper.R
+    r_speed: valid.Positive = 0.0066
     qn_factor: valid.NotNegative = paper.QN_FACTOR
     omega_max_radps: valid.Positive = paper.OMEGA_MAX_RADPS
     prediction_horizon: valid.Intervals = paper.HORIZON
@@ -166,13 +167,19 @@ def _check_fits_estimator(scenario):
 
 
 def _check_fits_controller(scenario):
-    """Refuse pure pursuit without a goal ahead, and `traction_timing` without the RHC."""
+    """Refuse fields that the controller does not have, and pure pursuit without a goal ahead."""
     if scenario.controller == "pure_pursuit" and scenario.look_ahead_m == 0:
         expected = "for the controller 'pure_pursuit' it should be above 0, such as 1.0"
         raise ValueError(f"look_ahead_m was {scenario.look_ahead_m!r}; {expected}")
     if scenario.controller != "rhc" and scenario.traction_timing != "feedback":
         expected = f"for the controller {scenario.controller!r} it should be 'feedback'"
         raise ValueError(f"traction_timing was {scenario.traction_timing!r}; {expected}")
+    if scenario.controller == "speed_rhc" and scenario.cautious:
+        expected = "for the controller 'speed_rhc', which chooses the speed, it should be False"
+        raise ValueError(f"cautious was True; {expected}")
+    if scenario.controller == "speed_rhc" and scenario.qp != "structured":
+        expected = "for the controller 'speed_rhc' it should be 'structured'"
+        raise ValueError(f"qp was {scenario.qp!r}; {expected}")
 
 
 class _FieldsAsDocstring:

@@ -55,6 +55,7 @@ sigma_heading: Noise of the heading that the estimator assumes, standard deviati
 
 q: Diagonal of the weight Q_k, eq. (22), of (x, y, θ).
 r: Weight R of the yaw rate, eq. (22).
+r_speed: Weight of the set speed minus the commanded one, for the controller "speed_rhc".
 qn_factor: Weight of the last node over the others, Q_N = qn_factor · Q_k.
 omega_max_radps: Bound on the commanded yaw rate, eq. (16) [rad/s].
 prediction_horizon: Intervals of the prediction.
@@ -68,7 +69,8 @@ traction_timing: When ν̂, μ̂ and κ̂ reach the controller. "feedback": thos
 qp: Solver of the controller. "structured": Riccati recursion, the fastest at every horizon; "daqp"
     or "qpoases" (the paper's): the condensed QP, on CasADi's virtual machine.
 controller: The paper's "rhc". Not in the paper: "ltv_mpc" (its QP linearised about the path instead
-    of its last plan), "pure_pursuit" (the arc through a goal `look_ahead_m` ahead).
+    of its last plan), "pure_pursuit" (the arc through a goal `look_ahead_m` ahead), "speed_rhc" (an
+    RHC that commands the speed, too, and slows down where the soil gives too little yaw rate).
 disturbance_observer: Whether an observer estimates the part of the yaw rate that neither encoders
     nor traction explain, and the controller cancels it (`rhec.tracked_robot.yaw_disturbance`).
 observer_time_s: Time constant of that observer [s].

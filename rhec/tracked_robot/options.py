@@ -9,7 +9,7 @@ from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
 
 ProcessNoise = Literal["printed", "calibrated", "consistent"]
 SpeedModel = Literal["parameter", "input", "slipping"]
-Controller = Literal["rhc", "ltv_mpc", "pure_pursuit"]
+Controller = Literal["rhc", "ltv_mpc", "pure_pursuit", "speed_rhc"]
 Solver = Literal["structured", "daqp", "qpoases"]
 # Standard deviations of (x, y, ν, ω), constants of slip, weights of (x, y, θ), and μ or κ.
 SigmaV = tuple[Positive, Positive, Positive, Positive]

@@ -82,7 +82,7 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
         poses, curvatures = zip(*(pose_at(point, segments, period_m) for point in points))
         _, curvature = pose_at(s, segments, period_m)
         xy = ca.horzcat(*poses)[:2, :]
-        yaw = ca.horzcat(*(_nearest_turn(pose[2] + backwards * ca.pi, theta) for pose in poses))
+        yaw = ca.horzcat(*(nearest_turn(pose[2] + backwards * ca.pi, theta) for pose in poses))
         if input_reference == "measured":
             omega_ref = ca.repmat(omega_measured, 1, horizon)
         else:
@@ -93,7 +93,7 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
     return dict(references=references)
 
 
-def _nearest_turn(angle, near):
+def nearest_turn(angle, near):
     """The angle, moved by full turns to within π of `near` [rad]."""
     return angle + 2 * ca.pi * ca.floor((near - angle) / (2 * ca.pi) + 0.5)
 

@@ -111,7 +111,8 @@ def _longest_s(scenario):
     """How long a lap may take [s]: 1.2 times as long as at the set speed, cautious 1.5 times."""
     path = scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
     pace_mps = scenario.mu_mean * scenario.speed_mps
-    return (1.5 if scenario.cautious else 1.2) * path.length_m / pace_mps
+    slows = scenario.cautious or scenario.controller == "speed_rhc"
+    return (1.5 if slows else 1.2) * path.length_m / pace_mps
 
 
 def drives(soils, estimators, modes, speeds_mps, **fields):
