@@ -374,7 +374,7 @@ def test_a_compilation_is_announced_on_stdout_in_a_notebook_alone(monkeypatch, c
     else:
         monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
         monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    compiled._announce(compiled.load)
+    compiled.announce(compiled.load)
     printed = capsys.readouterr()
     line = "rhec: compiling the compiled, once (some seconds)\n"
     assert printed == (("", line), (line, ""))[notebook]

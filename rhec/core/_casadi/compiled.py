@@ -87,7 +87,7 @@ def loop_symbols():
 
 _PACKAGE = Path(__file__).parents[2]
 # Folders whose sources make Functions. An edit of figures, studies or logs compiles nothing anew.
-_ROOMS = (".", "core/*", "tracked_robot", "simulation", "simulation/lanes")
+_ROOMS = (".", "core/*", "tracked_robot", "simulation")
 
 
 @functools.cache
@@ -130,7 +130,7 @@ def load(build, *structure):
     functions = None if cache.contains(name) else build(*structure)
 
     def compile_library(folder):
-        _announce(build)
+        announce(build)
         _compile_library(folder, functions or build(*structure))
 
     try:
@@ -151,7 +151,7 @@ def _open(folder):
     return names, {key: ca.external(name, library) for key, name in names.items() if name}
 
 
-def _announce(build):
+def announce(build):
     """Say what is compiled to whoever waits: in a terminal, or in an interactive notebook.
 
     Notebooks show stderr as an error, so there it goes to stdout. Workers and executed notebooks

@@ -22,6 +22,7 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
+from rhec.core.solver.pivoting import DOUBLINGS
 from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
 
 
@@ -35,6 +36,7 @@ class Horizon(NamedTuple):
     # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
     # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
     qp: Any = None
+    doublings: int = DOUBLINGS  # of the QP's search, see `rhec.core.solver.pivoting`
 
     @property
     def n_x(self):
@@ -112,7 +114,8 @@ class StagewiseQP:
         x = list(range(horizon.n_x))
         D = horizon.interval.sparsities["D"].sub(x, x)[0]
         B = horizon.interval.sparsities["B"].sub(x, self._command)[0]
-        self._solve = box_lq(horizon.N, horizon.interval.A_0[x, x], D, B, horizon.loops)
+        shape = (horizon.N, horizon.interval.A_0[x, x], D, B)
+        self._solve = box_lq(*shape, horizon.loops, horizon.doublings)
 
     def prepare(self, D, B, Q, QN, R):
         """Return no outputs: the recursion needs the active set, so there is nothing to prepare."""
