@@ -1,7 +1,7 @@
 """The Functions that a batch evaluates, made of the phases that a single object evaluates.
 
-Each is built as {block: Function}, as `rhec.core.lanes.lanes.load` takes it. All of a run's memory is
-one vector, the first argument and the first result.
+Each is built as {block: Function}, as `rhec.core.lanes.lanes.load` takes it. All of a run's memory
+is one vector, the first argument and the first result.
 """
 
 import casadi as ca

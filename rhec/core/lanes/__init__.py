@@ -6,6 +6,6 @@ simulates about 200 runs of 240 s per second, without lanes 50 (tests/benchmark/
 results are the same to the last bit.
 
 Lanes need a C and a C++ compiler, and some seconds to compile each loop once. `rhec.batch` uses
-them, and `rhec.campaign` and `rhec.simulate` of a list do if that pays. `CXX=false` in the environment disables them.
-Nothing else depends on them.
+them, and so do `rhec.campaign` and `rhec.simulate` of a list if that pays. `CXX=false` in the
+environment disables them. Nothing else depends on them.
 """
