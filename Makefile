@@ -11,7 +11,7 @@ export LOG WHAT SAMPLES RUNS HOST PYTHON PYTHON_CPU_COUNT
 # Notebooks of the paper's figures and tables, and of further studies, in the order of the report.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
 STUDIES := 01_tutorial 02_equations 06_claims 07_interpretations 08_beyond \
-  09_faults 10_replay 11_your_robot 12_which_worlds 13_soil_map
+  09_faults 10_replay 11_your_robot 12_which_worlds 13_soil_map 14_gallery
 
 PY := .venv/bin/python
 READY := .venv/ready

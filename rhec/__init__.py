@@ -5,7 +5,7 @@ Field Robots in the Presence of Unknown Traction Coefficients" (2018), and a thi
 horizon estimation (MHE) and model predictive control (MPC) for any robot.
 
 One run          Scenario, simulate, Run             The world      Path, Terrain, Fault, WORLDS
-Many runs        campaign                            Any robot      Model, RHE, RHC, EKF, Bound
+Many runs        campaign, batch                     Any robot      Model, RHE, RHC, EKF, Bound
 A recorded log   logs.read, doctor, calibrate, …  Its path       PathTracker
 On a robot       export                              In Jupyter     Explorer
 """
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rhec import logs as logs
+    from rhec.core.batch.batch import batch as batch
     from rhec.core.controller.bounds import Bound as Bound
     from rhec.core.controller.rhc import RHC as RHC
     from rhec.core.estimator.ekf import EKF as EKF
@@ -55,6 +56,7 @@ _HOME = {
     "SoilMap": "tracked_robot.soil_map",
     "Terrain": "tracked_robot.terrain",
     "WORLDS": "simulation.worlds",
+    "batch": "core.batch.batch",
     "calibrate": "logs.calibration",
     "campaign": "simulation.campaigns.campaign",
     "doctor": "logs.doctor",

@@ -12,7 +12,8 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
-from rhec.core._casadi.validation import Intervals, NotNegative, Positive, checked
+from rhec.core._casadi.validation import Intervals, NotNegative, Positive, Real, checked, refuse
+from rhec.core.estimator.base import Estimate
 from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
 # Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.
@@ -99,15 +100,24 @@ def nearest_turn(angle, near):
 
 
 class PathTracker:
-    """References on a path for a user-defined control loop, eq. (17)-(18).
+    """References on a path for a control loop of your own, eq. (17)-(18).
 
     It starts each search at the closest point of the last sample, so that a path may cross itself.
+    By default it takes estimates of the paper's robot. For any other Model name its states of
+    position and heading: `PathTracker(path, position=("x_m", "y_m"), heading="theta_rad",
+    speed=0.5)`.
 
     Args:
         path: A rhec.Path.
         horizon: Intervals of the controller's prediction.
         dt: Length of a sample [s].
         look_ahead_m: How far beyond the closest point the desired points begin [m].
+        position: Names of a Model's states x and y [m].
+        heading: Name of its state of yaw, counter-clockwise from the x axis [rad].
+        speed: Desired speed on the path [m/s]; negative: backwards, with the yaw turned by π.
+
+    Raises:
+        ValueError: If an argument is invalid.
     """
 
     @checked
@@ -117,11 +127,26 @@ class PathTracker:
         horizon: Intervals = paper.HORIZON,
         dt: Positive = paper.DT_S,
         look_ahead_m: NotNegative = 0.0,
+        *,
+        position: tuple[str, str] | None = None,
+        heading: str | None = None,
+        speed: Real | None = None,
     ):
-        functions = compiled.load(build_references, dt, horizon, len(path.segments))
+        named = dict(position=position, heading=heading, speed=speed)
+        missing = [name for name, value in named.items() if value is None]
+        if 0 < len(missing) < 3:
+            raise ValueError(
+                f"{missing[0]} was not given; PathTracker needs position, heading and speed for a "
+                "Model, and none of them for the paper's robot"
+            )
+        self._names = () if missing else (*position, heading)
+        self._speed_mps = speed
+        follows = "curvature" if self._names else "measured"
+        functions = compiled.load(build_references, dt, horizon, len(path.segments), follows)
         self._call = compiled.BufferedFunction(functions["references"])
         segments = path.segments.T
         self._call.set(segments=segments, period_m=path.period_m, look_ahead_m=look_ahead_m)
+        self._call.set(backwards=float(bool(self._names) and speed < 0))
         self._xi_ref = self._call.results["xi_ref"].reshape((3, -1), order="F")
 
     @property
@@ -129,19 +154,69 @@ class PathTracker:
         """Arc length of the path's point closest to the last estimate [m]."""
         return self._call.results["s"].item()
 
-    def references(self, estimate: Any, omega_measured: float) -> tuple[np.ndarray, np.ndarray]:
-        """Desired poses and yaw rates for an estimate.
+    def references(
+        self, estimate: Any, omega_measured: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Desired states and yaw rates for an estimate.
 
         Args:
-            estimate: (x, y, θ, ν, μ, κ), such as rhec.RHE estimates.
+            estimate: (x, y, θ, ν, μ, κ), such as rhec.RHE() estimates. With names of states an
+                Estimate of that Model, as its rhec.RHE and rhec.EKF return; while its pose is not
+                finite, the last finite one counts.
             omega_measured: Measured yaw rate [rad/s]; if it is not finite, the last finite one.
+                With names of states it is not taken.
 
         Returns:
-            xi_ref (3, N+1) and omega_ref (N,), valid until the next call.
+            The paper's xi_ref (3, N+1) and omega_ref (N,), valid until the next call. With names
+            of states x_ref (n_x, N+1), in which the other states are 0, and the yaw rates (N,) at
+            which a robot turns that follows the path at `speed`.
+
+        Raises:
+            ValueError: If an argument is invalid.
         """
+        if self._names:
+            return self._references_of_model(estimate, omega_measured)
+        if omega_measured is None:
+            raise ValueError(
+                "omega_measured was not given; references of the paper's robot need it"
+            )
         if np.isfinite(omega_measured):
             self._call.set(omega_measured=omega_measured)
-        self._call.set(estimate=estimate[:6])
+        self._call.set(estimate=_paper_estimate(estimate))
         self._call.call()
         self._call.set(s=self._call.results["s"])
         return self._xi_ref, self._call.results["omega_ref"]
+
+    def _references_of_model(self, estimate, omega_measured):
+        """References from an Estimate of a Model, by the names of its states."""
+        if omega_measured is not None:
+            expected = "PathTracker with names of states takes no measured yaw rate"
+            refuse("omega_measured was", omega_measured, expected)
+        if not isinstance(estimate, Estimate):
+            expected = "it should be an Estimate, as rhec.RHE and rhec.EKF of a Model return"
+            refuse("estimate was", estimate, expected)
+        states = estimate.names[: len(estimate.x)]
+        unknown = [name for name in self._names if name not in states]
+        if unknown:
+            expected = f"this estimate has the states {', '.join(states)}"
+            raise ValueError(f"PathTracker was given the name {unknown[0]!r}; {expected}")
+        places = [states.index(name) for name in self._names]
+        pose = estimate.x[places]
+        if np.isfinite(pose).all():
+            self._call.set(estimate=(*pose, self._speed_mps, 1.0, 1.0))
+        self._call.call()
+        self._call.set(s=self._call.results["s"])
+        x_ref = np.zeros((len(states), self._xi_ref.shape[1]))
+        x_ref[places] = self._xi_ref
+        return x_ref, self._call.results["omega_ref"].copy()
+
+
+def _paper_estimate(estimate):
+    """The first six entries of an estimate of the paper's robot; refuse what has none."""
+    if isinstance(estimate, Estimate) or len(estimate) < 6:
+        expected = (
+            "it should be (x, y, θ, ν, μ, κ); for a Model, PathTracker takes the names of its "
+            "states, as in position=('x_m', 'y_m'), heading='theta_rad', speed=0.5"
+        )
+        refuse("estimate was", estimate, expected)
+    return estimate[:6]

@@ -11,8 +11,8 @@ import pandas as pd
 import psutil
 
 from rhec import campaign
+from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
-from rhec.simulation.lanes import lanes
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.estimators import NAMES
 

@@ -19,10 +19,10 @@ from rhec.core._casadi.scan import build_scan, scan
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import joint_guess
+from rhec.core.lanes import lanes, parts
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
-from rhec.simulation.lanes import lanes, parts
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES
 
 pytestmark = pytest.mark.skipif(lanes._compiler() is None, reason="there is no C++ compiler")

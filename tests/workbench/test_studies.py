@@ -98,4 +98,5 @@ def test_a_robot_of_two_tracks_turns_to_the_slower_side():
     np.testing.assert_allclose(straight, [0.1, 0, 0], atol=1e-12)
     assert robot.move(np.zeros(3), np.array([0.5, 0.5]), (0, 0.5))[2] < 0
     assert robot.slips[0].tolist() == [0, 0] and robot.slips[-1].tolist() == [0, 0.5]
-    assert robot.references(0)["x_ref"].shape == (3, your_robot.HORIZON + 1)
+    last_m = 10.0 * 0.5 + your_robot.HORIZON * your_robot.DT_S * 0.5
+    assert robot.path.length_m > last_m

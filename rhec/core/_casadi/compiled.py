@@ -87,7 +87,7 @@ def loop_symbols():
 
 _PACKAGE = Path(__file__).parents[2]
 # Folders whose sources make Functions. An edit of figures, studies or logs compiles nothing anew.
-_ROOMS = (".", "core/*", "tracked_robot", "simulation", "simulation/lanes")
+_ROOMS = (".", "core/*", "tracked_robot", "simulation")
 
 
 @functools.cache

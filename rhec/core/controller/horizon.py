@@ -8,6 +8,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core.model.base import Model, interval
+from rhec.core.solver.pivoting import DOUBLINGS
 
 
 class Horizon(NamedTuple):
@@ -20,6 +21,7 @@ class Horizon(NamedTuple):
     # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
     # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
     qp: Any = None
+    doublings: int = DOUBLINGS  # of the QP's search, see `rhec.core.solver.pivoting`
 
     @property
     def n_x(self):

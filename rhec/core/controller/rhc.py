@@ -69,7 +69,8 @@ class StagewiseQP:
         x = list(range(horizon.n_x))
         D = horizon.interval.sparsities["D"].sub(x, x)[0]
         B = horizon.interval.sparsities["B"].sub(x, self._command)[0]
-        self._solve = box_lq(horizon.N, horizon.interval.A_0[x, x], D, B, horizon.loops)
+        shape = (horizon.N, horizon.interval.A_0[x, x], D, B)
+        self._solve = box_lq(*shape, horizon.loops, horizon.doublings)
 
     def prepare(self, D, B, Q, QN, R):
         """Return no outputs: the recursion needs the active set, so there is nothing to prepare."""

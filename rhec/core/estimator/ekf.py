@@ -92,17 +92,18 @@ class EKF:
         sigma_guess: Positives,
     ):
         self.model = model
-        self._dt_s = dt
+        self.dt_s = dt
         m, sigma = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
         refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
-        self._call.set(**noise_of(model, sigma_v, sigma_w))
-        memory = [*m, *np.diag(np.square(sigma)).ravel(), *np.zeros(len(model.inputs)), 0.0]
-        self._call.set(memory=memory)
+        self.settings = noise_of(model, sigma_v, sigma_w)
+        P = np.diag(np.square(sigma))
+        self.first_memory = np.array([*m, *P.ravel(), *np.zeros(len(model.inputs)), 0.0])
+        self._call.set(memory=self.first_memory, **self.settings)
 
     def __repr__(self) -> str:
-        return f"EKF, dt {self._dt_s:g} s\n{self.model}"
+        return f"EKF, dt {self.dt_s:g} s\n{self.model}"
 
     def prepare(self) -> None:
         """Do nothing: the filter does all its work in `feedback`."""

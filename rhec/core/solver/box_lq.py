@@ -12,17 +12,18 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.core.solver.pivoting import correct_guess, search_active_set
+from rhec.core.solver.pivoting import DOUBLINGS, correct_guess, search_active_set
 
 
-def box_lq(N, A_0, D, B, loops):
+def box_lq(N, A_0, D, B, loops, doublings=DOUBLINGS):
     """Build the Function (D, B, Q, QN, R, g, lower, upper, active) -> (x, multipliers, ok).
 
     An interval's transition is A = A_0 + D, with A_0 (n, n) constant and D of this sparsity, as its
-    input matrix B (n, m); `loops` is SX or MX. The Function takes D and B side by side, and the
-    diagonals Q, QN (n,) and R (m,). Its rows g, lower, upper, active, x and multipliers have N·m
-    entries, interval by interval: `active` is 1 for an input at its upper bound, -1 at its lower, 0
-    at none; x holds the inputs; multipliers are positive at an upper bound.
+    input matrix B (n, m); `loops` is SX or MX; `doublings` is that of `search_active_set`. The
+    Function takes D and B side by side, and the diagonals Q, QN (n,) and R (m,). Its rows g, lower,
+    upper, active, x and multipliers have N·m entries, interval by interval: `active` is 1 for an
+    input at its upper bound, -1 at its lower, 0 at none; x holds the inputs; multipliers are
+    positive at an upper bound.
     """
     n, m = B.shape
     row = (1, N * m)
@@ -59,7 +60,7 @@ def box_lq(N, A_0, D, B, loops):
         corrected = dict(corrected=proposed, first_corrected=first_exchange)
         return dict(x=u, multipliers=multipliers, **corrected, wrong=wrong)
 
-    return search_active_set("box_lq", N * m, solve, problem)
+    return search_active_set("box_lq", N * m, solve, problem, doublings)
 
 
 def _build_backward(A_0, D_i, B_i):

@@ -11,8 +11,8 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
 
-_DOUBLINGS = 8
-MAX_SWEEPS = 2**_DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
+DOUBLINGS = 8
+MAX_SWEEPS = 2**DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
 _PATIENCE = 3  # block exchanges that may fail to reduce the number of infeasible variables
 
 
@@ -33,13 +33,14 @@ def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
     return proposed, first_exchange, n_infeasible
 
 
-def search_active_set(name, N, solve, problem):
+def search_active_set(name, N, solve, problem, doublings=DOUBLINGS):
     """Build a Function (problem …, active) -> (ok, x, multipliers), x and multipliers rows of N.
 
     `problem` {name: shape} is the QP's data. `solve` is a Function (problem …, active) -> (x,
     multipliers, corrected, first_corrected, wrong): the solution for a guess of the active set; the
     guess after exchanging all infeasible variables, or the first alone; their number, or -1 where
-    the solution is not finite. If the search gives up, ok, x and multipliers are 0.
+    the solution is not finite. If the search gives up, after 2^doublings + 1 guesses, ok, x and
+    multipliers are 0.
     """
     row = (1, N)
     one = (1, 1)
@@ -65,9 +66,9 @@ def search_active_set(name, N, solve, problem):
         return search
 
     # CasADi has no early exit, so the loop is unrolled by doubling: each search runs the one
-    # before it twice, 2⁸ pivots in the end.
+    # before it twice, 2^doublings pivots in the end.
     search = pivot
-    for doubling in range(_DOUBLINGS):
+    for doubling in range(doublings):
         search = repeat_unless_converged(f"{name}_search_{doubling}", search, search)
     search = repeat_unless_converged(f"{name}_search", pivot, search)
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from rhec import paper
 from rhec.core._casadi import compiled
+from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.store import PLAIN
-from rhec.simulation.lanes import lanes
 from rhec.tracked_robot import terrain
 
 # Compiling lanes takes some seconds and pays from this number of samples per loop structure.

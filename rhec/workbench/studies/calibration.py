@@ -23,10 +23,10 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import offline
+from rhec.core.lanes import lanes
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import build_sample, set_up
 from rhec.simulation.columns import MEASUREMENTS, POSE
-from rhec.simulation.lanes import lanes
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning

@@ -27,9 +27,9 @@ from scipy import optimize
 from scipy.stats import qmc
 
 from rhec import paper
+from rhec.core.lanes import lanes
 from rhec.simulation.campaigns.batch import simulate_batch
 from rhec.simulation.closed_loop import build_sample, set_up
-from rhec.simulation.lanes import lanes
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+import rhec
+
 __all__ = [
     "DT_S",
     "HORIZON",
@@ -27,9 +29,8 @@ HORIZON = 15
 SIGMA_V = (0.03, 0.03, 0.02, 0.02)  # of x, y [m] and of both tracks' speeds [m/s]
 START = (0.0, 0.5, 0.0)  # half a metre beside the path
 _STEPS = 40  # of the simulation in a sample, 5 ms each
-_PERIOD_S = 20.0  # of the path's bends
-_SPEED_MPS = 0.5
-_TURNING_MPS = 0.12  # by which each track is slower or faster in a bend
+_SPEED_MPS = 0.5  # desired on the path
+_BEND_M, _BEND_PER_M = 5.0, 0.5  # length and curvature of the path's bends
 
 
 class TwoTracks:
@@ -47,16 +48,9 @@ class TwoTracks:
         self.time_s = DT_S * np.arange(samples)
         halves = np.array([[slip_left[0], slip_right[0]], [slip_left[-1], slip_right[-1]]])
         self.slips = halves[(self.time_s >= duration_s / 2).astype(int)]
-        turning = _TURNING_MPS * np.cos(2 * np.pi * DT_S * np.arange(samples + HORIZON) / _PERIOD_S)
-        self.u_ref = np.column_stack([_SPEED_MPS - turning, _SPEED_MPS + turning])
-        self.x_ref = self._path()
-
-    def _path(self):
-        """What a robot without slip drives under u_ref, poses (n + 1, 3)."""
-        poses = [np.zeros(3)]
-        for u in self.u_ref:
-            poses.append(self.move(poses[-1], u, (0, 0)))
-        return np.array(poses)
+        n_bends = round(samples * DT_S * _SPEED_MPS / _BEND_M) + 1
+        bends = [(_BEND_M, -_BEND_PER_M * (-1) ** k) for k in range(n_bends)]
+        self.path = rhec.Path.from_segments([(_BEND_M / 2, _BEND_PER_M), *bends])
 
     def move(self, x, u, slips):
         """The pose (x, y, θ) after a sample, by Euler's steps of 5 ms."""
@@ -68,10 +62,16 @@ class TwoTracks:
             x = x + DT_S / _STEPS * velocity
         return x
 
-    def references(self, k):
-        """Arguments of `rhec.RHC.feedback` with the path from sample k on."""
-        states = self.x_ref[k : k + HORIZON + 1].T
-        return dict(x_ref=states, u_ref=self.u_ref[k : k + HORIZON].T)
+    def tracker(self):
+        """A PathTracker of the path at the desired speed."""
+        names = dict(position=("x_m", "y_m"), heading="theta_rad")
+        return rhec.PathTracker(self.path, HORIZON, DT_S, speed=_SPEED_MPS, **names)
+
+    def references(self, tracker, estimate):
+        """Arguments of `rhec.RHC.feedback`: desired poses, and track speeds that turn with them."""
+        x_ref, yaw_rates = tracker.references(estimate)
+        turning = yaw_rates * self.track_width_m / 2
+        return dict(x_ref=x_ref, u_ref=np.array([_SPEED_MPS - turning, _SPEED_MPS + turning]))
 
 
 class Drive(NamedTuple):
@@ -85,6 +85,7 @@ class Drive(NamedTuple):
     sigma: np.ndarray  # standard deviations of the estimates (n, 5)
     rhe_kkt: np.ndarray  # KKT tolerances (n,)
     rhc_kkt: np.ndarray
+    references: dict  # of the last sample, {"x_ref": (3, N+1), "u_ref": (2, N)}
 
     @property
     def tolerances(self):
@@ -108,29 +109,33 @@ def drive(rhe, rhc, robot, seed=0):
     x = np.array(START)
     u = np.zeros(2)
     rows = []
-    for k, slips in enumerate(robot.slips):
+    tracker = robot.tracker()
+    for slips in robot.slips:
         z = np.array([*x[:2], *u]) + SIGMA_V * rng.normal(size=4)
         rhe.prepare()
         estimate = rhe.feedback(z)
         rhc.prepare()
-        u = rhc.feedback(x=estimate.x, p=estimate.p, **robot.references(k))
+        references = robot.references(tracker, estimate)
+        u = rhc.feedback(x=estimate.x, p=estimate.p, **references)
         sigma = np.sqrt(np.diag(estimate.covariance))
         rows.append((x, z, u, estimate.x, estimate.p, sigma, rhe.kkt, rhc.kkt))
         x = robot.move(x, u, slips)
-    return Drive(*(np.array(column) for column in zip(*rows)))
+    return Drive(*(np.array(column) for column in zip(*rows)), references)
 
 
 def tracks(log, robot):
     """{name: (n, 2) positions [m]} of a drive: measured, reference, truth and RHE."""
-    poses = dict(measured=log.z, reference=robot.x_ref[: len(log.x)], truth=log.x, RHE=log.x_hat)
+    _, s_m = robot.path.project(log.x[:, :2])
+    reference, _ = robot.path.poses(np.linspace(0, s_m.max(), len(log.x)))
+    poses = dict(measured=log.z, reference=reference, truth=log.x, RHE=log.x_hat)
     return {name: values[:, :2] for name, values in poses.items()}
 
 
-def iterate(rhe, rhc, robot, log, iterations=15):
+def iterate(rhe, rhc, log, iterations=15):
     """KKT tolerances as the last sample's problems are solved step by step.
 
     Args:
-        rhe, rhc, robot: As of `drive`, after it.
+        rhe, rhc: As of `drive`, after it.
         log: Of `drive`.
         iterations: How many steps.
 
@@ -138,11 +143,10 @@ def iterate(rhe, rhc, robot, log, iterations=15):
         {"RHE": tolerances, "RHC": tolerances}.
     """
     tolerances = {"RHE": [], "RHC": []}
-    last = len(log.z) - 1
     for _ in range(iterations):
-        estimate = rhe.solve(log.z[last], iterations=1)
+        estimate = rhe.solve(log.z[-1], iterations=1)
         tolerances["RHE"].append(rhe.kkt)
-        rhc.solve(x=estimate.x, p=estimate.p, **robot.references(last), iterations=1)
+        rhc.solve(x=estimate.x, p=estimate.p, **log.references, iterations=1)
         tolerances["RHC"].append(rhc.kkt)
     return tolerances
 
@@ -160,8 +164,8 @@ def errors(log, robot, v_max_mps):
     """
     samples = len(log.x)
     late = (np.arange(samples) % (samples // 2)) >= samples // 4
-    to_path = log.x[:, None, :2] - robot.x_ref[None, :, :2]
-    distance_m = np.linalg.norm(to_path, axis=2).min(axis=1)
+    left_m, _ = robot.path.project(log.x[:, :2])
+    distance_m = np.abs(left_m)
     slip_error = np.abs(log.p_hat - robot.slips)
     position_error_m = np.linalg.norm((log.x - log.x_hat)[late, :2], axis=1)
     at_bound = np.isin(log.u, [0.0, v_max_mps]).any(axis=1)

@@ -21,10 +21,10 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import cache, compiled
-from rhec.simulation.lanes.parts import compile_by_parts
+from rhec.core.lanes.parts import compile_by_parts
 
 # Helpers of CasADi's C that branch on a number. lanes.h replaces those that a loop may use.
-_HELPERS = "low|interpn|interpn_weights|interpn_interpolate|fmin|fmax|fabs"
+_HELPERS = "low|interpn|interpn_weights|interpn_interpolate|fmin|fmax|fabs|sign"
 # The C of Function.if_else, and of an assignment, which may be a sine or cosine.
 _IF_ELSE = re.compile(
     r"->\((?P<outputs>\S*)\) \*/\n(?P<head>.* \{)\n"
@@ -39,7 +39,7 @@ def _vectorise(code):
     """Return CasADi's C as C++ for lanes, with calls for operators that C++ cannot overload."""
     code = "\n".join(_join_sines_and_cosines(code.splitlines()))
     code = re.sub(rf"^\w+ casadi_({_HELPERS})\(.*?^}}\n", "", code, flags=re.M | re.S)
-    code = re.sub(r"\bcasadi_(fmin|fmax|fabs)\(", r"\1(", code)
+    code = re.sub(r"\bcasadi_(fmin|fmax|fabs|sign)\(", r"\1(", code)
     code = re.sub(r"\((\w+|\(\*cr\+\+\))\?(\w+(?:\[i\])?):0\)", r"select(\1, \2, 0.0)", code)
     slip = r"(/\* slip_fields:\(x\[2\],#c.*?)casadi_interpn\("
     code = re.sub(slip, r"\1slip_fields(", code, flags=re.S)
@@ -98,7 +98,10 @@ def is_compiled(build, *structure):
 
 @functools.cache
 def load(build, *structure):
-    """Return the block of build(*structure) for several scans, or None if lanes are unavailable."""
+    """Return the block of build(*structure) for several runs, or None if lanes are unavailable.
+
+    `build` returns {block, step}: the Function of a call, and that of a sample, if it is another.
+    """
     if not _compiler():
         return None
 
@@ -131,25 +134,36 @@ def _compile(place, functions):
     function = functions["block"]
     text = _text(function, "code")
     with contextlib.suppress(OSError, cache.UnusableError):
-        compile_by_parts(place, text, functions["step"], _text, key, command)
+        compile_by_parts(place, text, functions.get("step", function), _text, key, command)
     sizes = {name: function.nnz_in(name) for name in function.name_in()}
-    (place / "block.json").write_text(json.dumps([sizes, function.size_out(1)]))
+    shapes = {name: function.size_out(name) for name in function.name_out()}
+    (place / "block.json").write_text(json.dumps([sizes, shapes]))
+
+
+def aligned(*shape):
+    """Return zeros of this shape whose address is a multiple of the last dimension's size.
+
+    Loading a register requires that, where the last dimension is that of the lanes.
+    """
+    n = math.prod(shape)
+    raw = np.zeros(n + shape[-1])
+    begin = -raw.ctypes.data // 8 % shape[-1]
+    return raw[begin : begin + n].reshape(shape)
 
 
 class _Block:
-    """The compiled Function of a block of samples; each of its numbers has one entry per lane.
+    """A compiled Function, such as that of a block of samples; each number has one entry per lane.
 
     Attributes:
-        sizes: {argument: length} of the memory, the stream and the settings, in order.
-        n_rows: Number of outputs of a sample.
-        length: Number of samples.
+        sizes: {argument: length}, in order; of a scan the memory, the stream and the settings.
+        shapes: {result: (rows, columns)}, in order; of a scan the memory and the rows.
         lanes: Number of lanes.
         lock: Lock for using the block, because all threads share its arrays.
         last_settings: {name: list of the last values of the lanes}.
     """
 
     def __init__(self, folder):
-        self.sizes, (self.n_rows, self.length) = json.loads((folder / "block.json").read_text())
+        self.sizes, self.shapes = json.loads((folder / "block.json").read_text())
         self.lock = threading.Lock()
         self.last_settings = {}
         self._arrays = {}  # settings have their own names; all other names contain a space
@@ -165,15 +179,9 @@ class _Block:
         self._reals = ctypes.c_void_p(self.array("work space", n_reals).ctypes.data)
 
     def array(self, name, *shape):
-        """Return the array of this name, (*shape, lanes), which is reused while its shape is equal.
-
-        Its address is a multiple of the register width, which loading a register requires.
-        """
+        """Return the array of this name, (*shape, lanes), reused while its shape is equal."""
         if name not in self._arrays or self._arrays[name].shape[:-1] != shape:
-            n = math.prod(shape) * self.lanes
-            raw = np.zeros(n + self.lanes)
-            begin = -raw.ctypes.data // 8 % self.lanes
-            self._arrays[name] = raw[begin : begin + n].reshape(*shape, self.lanes)
+            self._arrays[name] = aligned(*shape, self.lanes)
         return self._arrays[name]
 
     def interleave(self, name, values, *shape):
@@ -198,6 +206,22 @@ class _Block:
         self._results[0] = next_memory
         self._results[1] = rows
         self._library.block(self._arguments, self._results, self._integers, self._reals, 0)
+
+    def call_groups(self, n_groups, arguments, results):
+        """Evaluate the Function for one group of lanes after the other.
+
+        Args:
+            n_groups: Number of groups.
+            arguments: Pairs (address, stride) of the arguments, in order, in bytes from group to
+                group; a stride of 0 is for an argument that all groups share.
+            results: The same of the results.
+        """
+        for group in range(n_groups):
+            for place, (address, stride) in enumerate(arguments):
+                self._arguments[place] = address + group * stride
+            for place, (address, stride) in enumerate(results):
+                self._results[place] = address + group * stride
+            self._library.block(self._arguments, self._results, self._integers, self._reals, 0)
 
 
 def scan(block, memories, streams, settings):
@@ -243,17 +267,18 @@ def _set_settings(block, settings):
 def _scan(block, memories, streams):
     """Return the rows of all lanes, (samples, outputs, lanes), in an array of the block."""
     memory_name, *_ = block.sizes
+    n_rows, length = block.shapes["rows"]
     n_samples = max(map(len, streams))
-    n_blocks = -(-n_samples // block.length)  # rounded up: the last block may be partly unused
-    n_samples = n_blocks * block.length
+    n_blocks = -(-n_samples // length)  # rounded up: the last block may be partly unused
+    n_samples = n_blocks * length
     memory = block.interleave("first memory", memories, block.sizes[memory_name])
     stream = block.interleave("all streams", streams, n_samples, streams[0].shape[1])
     next_memory = block.array("next memory", len(memory))
-    rows = block.array("all rows", n_samples, block.n_rows)
+    rows = block.array("all rows", n_samples, n_rows)
     # Addresses are faster than a new array for each block.
     memory_at = memory.ctypes.data
     next_memory_at = next_memory.ctypes.data
-    for first_sample in range(0, n_samples, block.length):
+    for first_sample in range(0, n_samples, length):
         stream_at = stream.ctypes.data + first_sample * stream.strides[0]
         rows_at = rows.ctypes.data + first_sample * rows.strides[0]
         block.call(memory_at, stream_at, next_memory_at, rows_at)

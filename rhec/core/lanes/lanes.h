@@ -56,8 +56,11 @@ static inline bool any(lanes c) {
 #define OF_ONE(f) static inline lanes f(lanes a) LANE_BY_LANE(::f(a.v[i]))
 #define OF_TWO(f) static inline lanes f(lanes a, lanes b) LANE_BY_LANE(::f(a.v[i], b.v[i]))
 OF_ONE(sin) OF_ONE(cos) OF_ONE(tan) OF_ONE(asin) OF_ONE(acos) OF_ONE(atan) OF_ONE(sqrt)
-OF_ONE(sinh) OF_ONE(cosh) OF_ONE(tanh) OF_ONE(exp) OF_ONE(log)
-OF_TWO(atan2) OF_TWO(pow) OF_TWO(fmod)
+OF_ONE(sinh) OF_ONE(cosh) OF_ONE(tanh) OF_ONE(exp) OF_ONE(log) OF_ONE(expm1) OF_ONE(log1p)
+OF_ONE(asinh) OF_ONE(acosh) OF_ONE(atanh) OF_ONE(erf) OF_ONE(ceil)
+OF_TWO(atan2) OF_TWO(pow) OF_TWO(fmod) OF_TWO(remainder) OF_TWO(hypot) OF_TWO(copysign)
+
+static inline lanes sign(lanes x) { return select(x < 0.0, -1.0, select(x > 0.0, 1.0, x)); }
 
 struct complex { lanes real, imaginary; };
 #define REAL lanes

@@ -1,0 +1,1 @@
+"""Many runs of one estimator or controller of any Model at a time, in SIMD lanes."""

@@ -1,0 +1,398 @@
+"""`rhec.batch`: many runs of an estimator or controller, arrays (n, …) in and out.
+
+Each run has its own memory, as if there were n objects. Its results are those of an object of its
+own to the last bit, because both evaluate the same phases.
+"""
+
+from typing import Annotated, Any, ClassVar, NamedTuple, overload
+
+import numpy as np
+from pydantic import Field
+
+from rhec.core._casadi.packing import pack_array
+from rhec.core._casadi.validation import Steps, Whole, checked, refuse, shown
+from rhec.core.batch import functions
+from rhec.core.batch.rows import Rows, evaluate_some, get_runs, set_runs, shared, to_lanes, zeros
+from rhec.core.controller import rhc
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator import rhe
+from rhec.core.estimator.ekf import EKF
+from rhec.core.estimator.rhe import RHE
+
+Runs = Annotated[Whole, Field(ge=1, le=10_000_000)]
+
+# The QP's guesses are at most 2^doublings + 1. All runs try the first number, and those for which
+# it was too small the next one, among themselves; the last number is the Horizon's own.
+_DOUBLINGS = (2, 4, 6)
+
+
+class Estimates(NamedTuple):
+    """Estimates of n runs: states x, inputs u of the last interval, parameters p.
+
+    `covariance` (n, n_x + n_p, n_x + n_p) is that of each run's (x, p).
+    """
+
+    x: Any
+    u: Any
+    p: Any
+    covariance: Any
+
+    def __repr__(self) -> str:
+        shapes = ", ".join(f"{name} {np.shape(part)}" for name, part in self._asdict().items())
+        return f"Estimates of {len(self.x)} runs: {shapes}"
+
+
+class _Batch:
+    """What the batches of RHC, RHE and EKF share.
+
+    Attributes:
+        n: Number of runs.
+    """
+
+    results: ClassVar[tuple[str, ...]]
+
+    def __init__(self, n, iterations, shift, constants, inputs):
+        """Set up the memory.
+
+        Args:
+            n: Number of runs.
+            iterations: Rows that take in a sample; each but the last may give up where `ok` is 0.
+            shift: Rows that move the memory on by one sample, or None.
+            constants: {name: array} of inputs that all runs share and that never change.
+            inputs: {name: shape of one run} of the other inputs.
+        """
+        self.n = n
+        self._iterations = iterations
+        self._shift = shift
+        self._shapes = inputs
+        self._width = iterations[-1].lanes
+        sizes = iterations[-1].sizes | (shift.sizes if shift else {})
+        self._arguments = {
+            name: shared(np.ravel(constants[name], order="F"), self._width)
+            for name in sizes
+            if name in constants and name not in inputs
+        }
+        self._memory = zeros(n, sizes["memory"], self._width)
+        self._spare = zeros(n, sizes["memory"], self._width)
+        lengths = iterations[-1].lengths
+        self._results = {name: zeros(n, lengths[name], self._width) for name in self.results}
+        self._is_new = np.ones(n, dtype=bool)  # whether a run's next sample is its first
+        self._is_prepared = False
+
+    def __repr__(self) -> str:
+        how = f"{self._width} at a time" if self._width > 1 else "one after the other"
+        return f"{type(self).__name__}: {self.n} runs, {how}"
+
+    def restart(self, runs: Any = slice(None)) -> None:
+        """Let some runs begin anew: their next sample is their first.
+
+        Args:
+            runs: Numbers of the runs, or a mask (n,); by default all.
+        """
+        self._is_new[runs] = True
+
+    def prepare(self) -> None:
+        """Do what is possible before the next sample; `feedback` does it if nobody has."""
+        if self._shift and not self._is_prepared and not self._is_new.all():
+            arguments = self._arguments | dict(memory=self._memory)
+            self._shift.evaluate(arguments, dict(memory=self._spare))
+            self._memory, self._spare = self._spare, self._memory
+        self._is_prepared = True
+
+    def _run(self, values, iterations=1):
+        """Take in one sample: {name: array (n, …), or (…) that is the same for all}."""
+        for name, value in values.items():
+            rows = _checked_input(name, value, self.n, self._shapes[name])
+            is_shared = len(rows) < self.n
+            width = self._width
+            self._arguments[name] = shared(rows[0], width) if is_shared else to_lanes(rows, width)
+        self.prepare()
+        new = np.flatnonzero(self._is_new)
+        if len(new):
+            set_runs(self._memory, new, self._first_memory(new))
+        self._is_new[:] = False
+        self._is_prepared = False
+        for _ in range(iterations):
+            self._iterate()
+
+    def _iterate(self):
+        """Do one iteration of all runs.
+
+        Lanes wait for the slowest of them. So all runs try an iteration with few guesses first, and
+        the runs that need more of them go on among themselves.
+        """
+        arguments = self._arguments | dict(memory=self._memory)
+        results = self._results | dict(memory=self._spare)
+        first, *longer = self._iterations
+        first.evaluate(arguments, results)
+        for rows in longer:
+            unsolved = np.flatnonzero(self._get("ok") != 1)
+            if len(unsolved):
+                evaluate_some(rows, unsolved, arguments, results)
+        self._memory, self._spare = self._spare, self._memory
+
+    def _get(self, name, *shape):
+        """Return a copy of a result, (n, *shape)."""
+        return get_runs(self._results[name], np.arange(self.n)).reshape(self.n, *shape)
+
+    def _first_memory(self, runs):
+        """Return the memory (runs, length), or (length,), of runs that begin."""
+        raise NotImplementedError
+
+
+def _checked_input(name, value, n, shape):
+    """Return an input as (n, length) or (1, length), each run's matrix column by column."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} was {shown(value)}; it should be made of numbers") from None
+    if array.shape == shape:
+        array = array[None]
+    elif array.shape != (n, *shape):
+        expected = f"it should have {(n, *shape)}, or {shape} if it is the same for all runs"
+        raise ValueError(f"{name} had shape {array.shape}; {expected}")
+    return np.swapaxes(array, 1, -1).reshape(len(array), -1)
+
+
+class _IteratedBatch(_Batch):
+    """A batch of the real-time iteration."""
+
+    def __init__(self, n, build, problems, source, inputs):
+        *shorter, problem = problems
+        whole = Rows(build, problem, "iteration")
+        # A run alone waits for no other.
+        shorter = shorter if whole.lanes > 1 else []
+        iterations = [*(Rows(build, each, "iteration") for each in shorter), whole]
+        shift = Rows(build, problem, "shift")
+        super().__init__(n, iterations, shift, source.iteration.arrays, inputs)
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Whether the last step of each run (n,) was solved, as of a single object."""
+        return self._get("ok") == 1
+
+    @property
+    def kkt(self) -> np.ndarray:
+        """KKT tolerances (n,) of the linearisation points of the last step."""
+        return self._get("kkt")
+
+
+class RHCBatch(_IteratedBatch):
+    """Model predictive control of n runs, as by n objects RHC; `rhec.batch` makes it.
+
+    Attributes:
+        n: Number of runs.
+    """
+
+    results = functions.CONTROLLER_RESULTS
+
+    def __init__(self, source: RHC, n: int):
+        problem = self._problem = source.problem
+        inputs = dict(s_0=(problem.n_s,), x_ref=(problem.n_x, problem.N + 1))
+        inputs |= dict(u_ref=(problem.n_u, problem.N))
+        problems = [problem._replace(doublings=doublings) for doublings in _DOUBLINGS]
+        super().__init__(n, functions.build_controller, [*problems, problem], source, inputs)
+
+    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any) -> np.ndarray:
+        """Inputs to apply now, by one Gauss-Newton step, eq. (13).
+
+        An argument that is the same for all runs may have the shape of one.
+
+        Args:
+            x: (n, n_x) estimated states.
+            p: (n, n_p) estimated parameters.
+            x_ref: (n, n_x, N+1) desired states; node 0 is now and has no weight.
+            u_ref: (n, n_u, N) desired inputs.
+
+        Returns:
+            (n, n_u) inputs of the first interval.
+
+        Raises:
+            ValueError: If an argument has another shape.
+        """
+        self._run(dict(s_0=self._joined(x, p), x_ref=x_ref, u_ref=u_ref))
+        return self.u_plan[:, :, 0]
+
+    @checked
+    def solve(self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: Steps = 20) -> Any:
+        """Iterate to convergence on the nonlinear problems.
+
+        Args:
+            x: (n, n_x) estimated states, and the next three as in `feedback`.
+            p: (n, n_p) estimated parameters.
+            x_ref: (n, n_x, N+1) desired states.
+            u_ref: (n, n_u, N) desired inputs.
+            iterations: Gauss-Newton steps, as many for each run.
+
+        Returns:
+            (n, n_u) inputs of the first interval.
+
+        Raises:
+            ValueError: If an argument is invalid.
+        """
+        self._run(dict(s_0=self._joined(x, p), x_ref=x_ref, u_ref=u_ref), iterations)
+        return self.u_plan[:, :, 0]
+
+    @property
+    def u_plan(self) -> np.ndarray:
+        """Planned inputs (n, n_u, N)."""
+        return self._get("u_plan", self._problem.N, self._problem.n_u).swapaxes(1, 2)
+
+    def _joined(self, x, p):
+        """Return the joint states (n, n_s)."""
+        n_x = self._problem.n_x
+        given = (("x", x, n_x), ("p", p, self._problem.n_s - n_x))
+        parts = [_checked_input(name, value, self.n, (size,)) for name, value, size in given]
+        return np.hstack([np.broadcast_to(part, (self.n, part.shape[1])) for part in parts])
+
+    def _first_memory(self, runs):
+        n_x = self._problem.n_x
+        joint = get_runs(self._arguments["s_0"], runs)
+        return np.array([pack_array(rhc.init(self._problem, s[:n_x], s[n_x:])) for s in joint])
+
+
+class _EstimatorBatch(_Batch):
+    """A batch of estimators of a Model."""
+
+    def _estimates(self):
+        """Return the Estimates of the last step."""
+        model = self._model
+        n_x = len(model.states)
+        n_s = model.n_s
+        n_p = len(model.parameters)
+        values = self._get("estimate", len(model.names))
+        covariance = self._get("covariance", n_s, n_s)
+        if model.held_inputs:
+            places = [*range(n_x), *range(n_s - n_p, n_s)]
+            covariance = covariance[:, places][:, :, places]
+        x, u, p = np.split(values, [n_x, len(model.names) - n_p], axis=1)
+        return Estimates(x, u, p, covariance)
+
+    def _first_memory(self, runs):
+        return self._first
+
+
+class RHEBatch(_IteratedBatch, _EstimatorBatch):
+    """Moving horizon estimation of n runs, as by n objects RHE; `rhec.batch` makes it.
+
+    Attributes:
+        n: Number of runs.
+    """
+
+    results = functions.ESTIMATOR_RESULTS
+
+    def __init__(self, source: RHE, n: int):
+        self._model = source.model
+        self._first = pack_array(rhe.init(source.window, *source._guess) | dict(age=0.0))
+        inputs = dict(z_N=(len(source.model.outputs),))
+        super().__init__(n, functions.build_estimator, [source.window], source, inputs)
+
+    def feedback(self, z: Any) -> Estimates:
+        """Estimate from the newest measurements, by one Gauss-Newton step.
+
+        Args:
+            z: (n, n_z) measurements; an entry that is not finite counts as missing.
+
+        Returns:
+            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
+
+        Raises:
+            ValueError: If z has another shape.
+        """
+        self._run(dict(z_N=z))
+        return self._estimates()
+
+    @checked
+    def solve(self, z: Any, iterations: Steps = 20) -> Any:
+        """Iterate to convergence on the nonlinear problems.
+
+        Args:
+            z: (n, n_z) measurements, as in `feedback`.
+            iterations: Gauss-Newton steps, as many for each run.
+
+        Returns:
+            Estimates, as `feedback`.
+
+        Raises:
+            ValueError: If an argument is invalid.
+        """
+        self._run(dict(z_N=z), iterations)
+        return self._estimates()
+
+
+class EKFBatch(_EstimatorBatch):
+    """Extended Kalman filters of n runs, as by n objects EKF; `rhec.batch` makes it.
+
+    Attributes:
+        n: Number of runs.
+    """
+
+    results = functions.FILTER_RESULTS
+
+    def __init__(self, source: EKF, n: int):
+        self._model = source.model
+        self._first = source.first_memory
+        inputs = dict(z_N=(len(source.model.outputs),))
+        rows = Rows(functions.build_filter, source.model, source.dt_s)
+        super().__init__(n, [rows], None, source.settings, inputs)
+
+    def feedback(self, z: Any) -> Estimates:
+        """Estimate from the newest measurements.
+
+        Args:
+            z: (n, n_z) measurements; an entry that is not finite counts as missing.
+
+        Returns:
+            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
+
+        Raises:
+            ValueError: If z has another shape.
+        """
+        self._run(dict(z_N=z))
+        return self._estimates()
+
+
+_KINDS = {RHC: RHCBatch, RHE: RHEBatch, EKF: EKFBatch}
+
+
+@overload
+def batch(source: RHC, n: int) -> RHCBatch: ...
+
+
+@overload
+def batch(source: RHE, n: int) -> RHEBatch: ...
+
+
+@overload
+def batch(source: EKF, n: int) -> EKFBatch: ...
+
+
+@checked
+def batch(source: Any, n: Runs) -> Any:
+    """n runs of an estimator or controller of any Model, several at a time.
+
+    The batch has the methods of a single object, with arrays (n, …) for arguments and results. Each
+    run begins as a new object does, and has the results of an object of its own to the last bit:
+    what one run is given, such as measurements that are not finite, does not affect the others.
+    `restart(runs)` lets runs begin anew.
+
+    The processor computes as many runs at a time as its registers hold numbers, eight with AVX-512,
+    four with AVX. That takes a C++ compiler. Without one the runs are computed one after the other.
+
+    Args:
+        source: A rhec.RHC, rhec.RHE or rhec.EKF with a model. The batch has its settings; its
+            memory is not used and does not change.
+        n: Number of runs.
+
+    Returns:
+        RHCBatch, RHEBatch or EKFBatch.
+
+    Raises:
+        ValueError: If an argument is invalid.
+    """
+    kind = _KINDS.get(type(source))
+    if kind is None:
+        expected = "it should be a rhec.RHC, rhec.RHE or rhec.EKF with a model"
+        paper = isinstance(source, RHC | RHE)
+        refuse("source was", source, expected + ("; for the paper's, use rhec.campaign" * paper))
+    return kind(source, n)

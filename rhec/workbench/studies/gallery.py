@@ -1,0 +1,404 @@
+"""Problems that others published, as models of a few lines, each beside IPOPT or a Kalman filter.
+
+Weights, lengths and noise follow the source that each function names. Where `rhec.Model` cannot say
+what the source does, its docstring tells the difference.
+"""
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+import rhec
+
+__all__ = [
+    "ControlProblem",
+    "Drive",
+    "EstimationProblem",
+    "Record",
+    "drive",
+    "estimate",
+    "furuta",
+    "kalman_filter",
+    "mass_on_a_spring",
+    "masses",
+    "pendulum",
+    "range_bearing",
+    "table_of_controllers",
+    "table_of_estimators",
+    "unicycle",
+]
+
+_IPOPT = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+
+
+class ControlProblem(NamedTuple):
+    """A system to be steered from `start` to `goal`."""
+
+    options: dict  # of rhec.RHC
+    start: tuple
+    goal: tuple
+    samples: int
+
+
+class EstimationProblem(NamedTuple):
+    """A system to be estimated; its estimator has the true standard deviations of the sensors."""
+
+    options: dict  # of rhec.RHE
+    start: tuple
+    p: tuple  # true parameters
+    inputs: np.ndarray  # true inputs (samples, n_u)
+
+
+class Drive(NamedTuple):
+    """A closed loop, and its first problem solved to convergence by RHC and by IPOPT."""
+
+    x: np.ndarray  # (samples + 1, n_x)
+    u: np.ndarray  # (samples, n_u)
+    cost: float  # of the plan by rhec.RHC.solve, cold
+    ipopt: float  # of the plan by IPOPT
+
+
+class Record(NamedTuple):
+    """A run of an estimator, and the last window solved by RHE and by IPOPT."""
+
+    x: np.ndarray  # true states (samples, n_x)
+    z: np.ndarray  # measurements (samples, n_z)
+    x_hat: np.ndarray  # estimates (samples, n_x)
+    p_hat: np.ndarray  # estimated parameters (samples, n_p)
+    iterated: np.ndarray  # (n_x + n_p,) newest estimate of the last window, by rhec.RHE.solve
+    ipopt: np.ndarray  # (n_x + n_p,) the same by IPOPT
+
+
+# Controllers
+
+
+def pendulum():
+    """The swing-up of a pendulum on a cart, after acados' first example (N = 40)."""
+
+    def f(x, u, p):
+        _, theta, v, w = ca.vertsplit(x)
+        sin, cos = ca.sin(theta), ca.cos(theta)
+        mass = 1.1 - 0.1 * cos**2
+        a = (-0.08 * sin * w**2 + 0.981 * cos * sin + u) / mass
+        turn = (-0.08 * cos * sin * w**2 + u * cos + 10.791 * sin) / (0.8 * mass)
+        return ca.vertcat(v, w, a, turn)
+
+    states = ("p_m", "theta_rad", "v_mps", "w_radps")
+    model = rhec.Model(states=states, inputs=("force_N",), parameters={}, outputs=states, f=f)
+    options = dict(model=model, command=("force_N",), bounds={"force_N": (-80.0, 80.0)})
+    options |= dict(q=(2e3, 2e3, 2e-2, 2e-2), r=(2e-2,), qn_factor=1.0, dt=0.025, horizon=40)
+    return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
+
+
+def furuta():
+    """The swing-up of a Furuta pendulum, after acados' example, on a uniform grid of 25 ms."""
+
+    def f(x, u, p):
+        _, theta, v, w = ca.vertsplit(x)
+        arm, rod, factor = 2.6705e-3, 2.5164e-3, 1.8978e-3  # inertias [kg m²]
+        sin, cos, double = -ca.sin(theta), -ca.cos(theta), ca.sin(2 * theta)
+        first = (
+            u - (4e-3 + w * rod * double / 2) * v - (v * rod * double / 2 - factor * sin * w) * w
+        )
+        second = v * rod * double / 2 * v - 0.196 * rod * w - 0.17988 * sin
+        a, b = arm + rod * sin**2, factor * cos
+        area = a * rod - b**2
+        return ca.vertcat(v, w, (rod * first - b * second) / area, (a * second - b * first) / area)
+
+    states = ("arm_rad", "theta_rad", "v_radps", "w_radps")
+    model = rhec.Model(states=states, inputs=("torque_Nm",), parameters={}, outputs=states, f=f)
+    options = dict(model=model, command=("torque_Nm",), bounds={"torque_Nm": (-0.45, 0.45)})
+    options |= dict(q=(50.0, 500.0, 1.0, 1.0), r=(1e3,), qn_factor=1.0, dt=0.025, horizon=20)
+    return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
+
+
+def unicycle():
+    """A unicycle with force and torque that drives to a point, after acados (N = 50)."""
+
+    def f(x, u, p):
+        return ca.vertcat(x[2] * ca.cos(x[3]), x[2] * ca.sin(x[3]), u[0], x[4], u[1])
+
+    states = ("x_m", "y_m", "v_mps", "theta_rad", "w_radps")
+    inputs = ("force_N", "torque_Nm")
+    model = rhec.Model(states=states, inputs=inputs, parameters={}, outputs=states, f=f)
+    options = dict(model=model, command=inputs, bounds={"force_N": (-10.0, 10.0)})
+    options |= dict(q=(2e3, 2e3, 2e-4, 2e-3, 2e-3), r=(1.0, 0.1), qn_factor=1.0)
+    options |= dict(dt=0.04, horizon=50)
+    return ControlProblem(options, (0.0,) * 5, (1.0, 1.0, 0.0, 0.0, 0.0), 100)
+
+
+# Estimators
+
+
+def range_bearing():
+    """A robot that sees one landmark, at the origin, after Mehrez' MHE; without bounds on θ."""
+
+    def f(x, u, p):
+        return ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1])
+
+    def h(x, u, p):
+        return ca.vertcat(ca.hypot(x[0], x[1]), ca.atan2(x[1], x[0]))
+
+    names = ("x_m", "y_m", "theta_rad"), ("v_mps", "w_radps")
+    outputs = ("range_m", "bearing_rad", *names[1])
+    model = rhec.Model(
+        states=names[0], inputs=names[1], parameters={}, outputs=outputs, f=f, h=h,
+        angles=("bearing_rad",),
+    )  # fmt: skip
+    options = dict(model=model, dt=0.2, horizon=10, arrival_mean="filtered")
+    options |= dict(sigma_v=(0.1, 0.035, 0.005, 0.035), sigma_w=(0.0, 0.0, 0.0))
+    options |= dict(guess=(0.1, 0.3, 0.0), sigma_guess=(0.3, 0.3, 0.3))
+    turning = 0.6 * np.sign(np.sin(0.08 * np.arange(120)))
+    inputs = np.column_stack([0.4 + 0.1 * np.cos(0.1 * np.arange(120)), turning])
+    return EstimationProblem(options, (0.2, 0.1, 0.2), (), inputs)
+
+
+def mass_on_a_spring():
+    """A mass on a spring, CasADi's own MHE example, as the Kalman filter that it should be.
+
+    The force is known up to white noise: that is a measured input with this standard deviation.
+    """
+
+    def f(x, u, p):
+        return ca.vertcat(x[1], u - x[0] - 0.5 * x[1])
+
+    states = ("position_m", "velocity_mps")
+    outputs = ("position_m", "force_N")
+    model = rhec.Model(states=states, inputs=("force_N",), parameters={}, outputs=outputs, f=f)
+    options = dict(model=model, dt=0.05, horizon=10, arrival_mean="filtered")
+    options |= dict(sigma_v=(0.005, 0.1), sigma_w=(0.0, 0.0))
+    options |= dict(guess=(1.0, 0.0), sigma_guess=(0.01, 0.01))
+    return EstimationProblem(options, (1.0, 0.0), (), np.cos(0.05 * np.arange(400))[:, None])
+
+
+def masses():
+    """Three masses on springs, one of unknown inertia, after do-mpc's MHE; no motor dynamics."""
+
+    def f(x, u, p):
+        c = 1e-3 * np.array([2.697, 2.66, 3.05, 2.86])
+        turns = ca.vertcat(u[0], x[:3], u[1])
+        torque = c[1:] * (turns[2:] - turns[1:4]) - c[:3] * (turns[1:4] - turns[:3])
+        damping = 1e-5 * ca.vertcat(6.78, 8.01, 8.82) * x[3:]
+        return ca.vertcat(x[3:], (torque - damping) / ca.vertcat(p, 2.25e-4, 2.25e-4))
+
+    angles = tuple(f"phi_{i}_rad" for i in (1, 2, 3))
+    states, motors = (*angles, "w_1", "w_2", "w_3"), ("motor_1_rad", "motor_2_rad")
+    parameters = {"inertia": (1e-5, 1e-3)}
+    outputs = (*angles, *motors)
+    model = rhec.Model(states=states, inputs=motors, parameters=parameters, outputs=outputs, f=f)
+    options = dict(model=model, dt=0.1, horizon=10, sigma_v=(0.01,) * 3 + (1e-3,) * 2)
+    options |= dict(sigma_w=(0.0,) * 7, guess=(0.0,) * 6 + (1e-4,), arrival_mean="filtered")
+    options |= dict(sigma_guess=(1.0,) * 6 + (1e-3,))
+    steps = 2 * np.random.default_rng(0).uniform(-1, 1, (20, 2)).repeat(5, axis=0)
+    return EstimationProblem(options, (1.0, 0.6, 0.1, 0.0, 0.0, 0.0), (2.25e-4,), steps)
+
+
+# Loops
+
+
+def _next(model, dt):
+    """The Function (x, u, p) -> x one sample later, by a step of Runge and Kutta."""
+    x, u, p = (ca.SX.sym(name, len(of)) for name, of in zip("xup", _names(model)))
+    k = [model.dynamics(x, u, p)]
+    for share in (dt / 2, dt / 2, dt):
+        k.append(model.dynamics(x + share * k[-1], u, p))
+    return ca.Function("next", [x, u, p], [x + dt / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])])
+
+
+def _names(model):
+    return model.states, model.inputs, model.parameters
+
+
+def drive(problem):
+    """Solve the first sample's problem, and drive on by one iteration a sample.
+
+    Args:
+        problem: A ControlProblem.
+
+    Returns:
+        Drive.
+    """
+    rhc = rhec.RHC(**problem.options)
+    model = problem.options["model"]
+    N = problem.options["horizon"]
+    step = _next(model, problem.options["dt"])
+    x_ref = np.tile(problem.goal, (N + 1, 1)).T
+    given = dict(p=np.zeros(0), x_ref=x_ref, u_ref=np.zeros((len(model.inputs), N)))
+    xs = [np.array(problem.start)]
+    us = [rhc.solve(xs[0], **given, iterations=100)]
+    plan = _Plan(problem)
+    costs = plan.cost(rhc.u_plan), plan.cost_by_ipopt()
+    for _ in range(problem.samples - 1):
+        xs.append(step(xs[-1], us[-1], []).full().ravel())
+        rhc.prepare()
+        us.append(rhc.feedback(xs[-1], **given))
+    xs.append(step(xs[-1], us[-1], []).full().ravel())
+    return Drive(np.array(xs), np.array(us), *costs)
+
+
+class _Plan:
+    """The first sample's nonlinear problem, written down for IPOPT by multiple shooting."""
+
+    def __init__(self, problem):
+        options = problem.options
+        model, self.N = options["model"], options["horizon"]
+        self.start = np.array(problem.start)
+        self.step = _next(model, options["dt"])
+        self.weights = np.array(options["q"]), options["qn_factor"] * np.array(options["q"])
+        self.r, self.goal = np.array(options["r"]), np.array(problem.goal)
+        limits = [options["bounds"].get(name, (-np.inf, np.inf)) for name in model.inputs]
+        self.lower, self.upper = np.transpose(limits)
+
+    def cost(self, u):
+        """The cost of inputs (n_u, N), rolled out."""
+        x, total = self.start, 0.0
+        for i, u_i in enumerate(u.T):
+            x = self.step(x, u_i, []).full().ravel()
+            weight = self.weights[i == self.N - 1]
+            total += (weight @ (x - self.goal) ** 2 + self.r @ u_i**2) / 2
+        return total
+
+    def cost_by_ipopt(self):
+        """The cost of IPOPT's plan, from the guess that RHC starts with: at rest at the start."""
+        u, x = ca.MX.sym("u", len(self.r), self.N), ca.MX.sym("x", len(self.start), self.N)
+        nodes = ca.horzcat(self.start, x)
+        gaps = x - self.step.map(self.N)(nodes[:, :-1], u, ca.DM(0, 1))
+        off = (x - self.goal) ** 2
+        cost = ca.sum2(ca.repmat(self.r, 1, self.N) * u**2 / 2)
+        cost = ca.sum1(cost) + ca.dot(ca.repmat(self.weights[0], 1, self.N), off) / 2
+        cost += ca.dot(self.weights[1] - self.weights[0], off[:, -1]) / 2
+        problem = dict(x=ca.veccat(u, x), f=cost, g=ca.vec(gaps))
+        solver = ca.nlpsol("plan", "ipopt", problem, _IPOPT)
+        free = np.full(x.numel(), np.inf)
+        found = solver(
+            x0=np.append(np.zeros(u.numel()), np.tile(self.start, self.N)),
+            lbx=np.append(np.tile(self.lower, self.N), -free),
+            ubx=np.append(np.tile(self.upper, self.N), free),
+            lbg=0, ubg=0,
+        )  # fmt: skip
+        return float(found["f"])
+
+
+def estimate(problem, seed=0):
+    """Run an estimator on simulated measurements, one iteration a sample.
+
+    Args:
+        problem: An EstimationProblem.
+        seed: Of the noise.
+
+    Returns:
+        Record.
+    """
+    model = problem.options["model"]
+    rhe = rhec.RHE(**problem.options)
+    step = _next(model, problem.options["dt"])
+    rng = np.random.default_rng(seed)
+    x, rows = np.array(problem.start), []
+    for k, u in enumerate(problem.inputs):
+        if k:  # a measured input belongs to the interval that ends with the sample
+            x = step(x, u, problem.p).full().ravel()
+        z = model.measurement(x, u, problem.p).full().ravel()
+        z = z + rng.normal(size=len(z)) * problem.options["sigma_v"]
+        rhe.prepare()
+        arrival = {name: rhe.iteration.current[name].copy() for name in "mP"}
+        found = rhe.feedback(z)
+        rows.append((x, z, found.x, found.p))
+    columns = [np.array(column) for column in zip(*rows)]
+    found = rhe.solve(rows[-1][1], iterations=30)
+    iterated = np.append(found.x, found.p)
+    return Record(*columns, iterated, _by_ipopt(problem, columns[1], arrival, iterated))
+
+
+def _by_ipopt(problem, z, arrival, guess):
+    """The newest (x, p) of the last window, by IPOPT by single shooting from near the solution.
+
+    The measurements of inputs at the oldest node belong to the interval before the window.
+    """
+    options = problem.options
+    model, N = options["model"], options["horizon"]
+    step = _next(model, options["dt"])
+    x, u, p = ca.MX.sym("x", len(model.states)), ca.MX.sym("u", len(model.inputs), N), None
+    p = ca.MX.sym("p", len(model.parameters))
+    window = z[-N - 1 :]
+    off = ca.vertcat(x, p) - arrival["m"]
+    P = arrival["P"].reshape(len(guess), -1)
+    cost = ca.bilin(np.linalg.inv(P), off, off) / 2
+    node = x
+    for i in range(N + 1):
+        residual = window[i] - model.measurement(node, u[:, max(i - 1, 0)], p)
+        for row, output in enumerate(model.outputs):
+            if output in model.angles:
+                residual[row] = ca.atan2(ca.sin(residual[row]), ca.cos(residual[row]))
+        counts = np.array([i > 0 or name not in model.inputs for name in model.outputs])
+        cost += ca.sumsqr(residual * (counts / options["sigma_v"])) / 2
+        node = step(node, u[:, i], p) if i < N else node
+    unknown = ca.veccat(x, p, u)
+    solver = ca.nlpsol("window", "ipopt", dict(x=unknown, f=cost), _IPOPT)
+    inputs = window[1:, [model.outputs.index(name) for name in model.inputs]]
+    limits = [bounds or (-np.inf, np.inf) for bounds in model.parameters.values()]
+    lower, upper = np.reshape(limits, (-1, 2)).T
+    free = np.full(len(model.states), np.inf), np.full(inputs.size, np.inf)
+    found = solver(
+        x0=np.concatenate([arrival["m"], inputs.ravel()]),
+        lbx=np.concatenate([-free[0], lower, -free[1]]),
+        ubx=np.concatenate([free[0], upper, free[1]]),
+    )["x"]
+    newest = ca.Function("newest", [unknown], [ca.vertcat(node, p)])
+    return newest(found).full().ravel()
+
+
+def kalman_filter(problem, z):
+    """The Kalman filter of `mass_on_a_spring`, apart from rhec: estimates (samples, 2).
+
+    Its prediction takes the measured force of the interval, whose noise is the process noise.
+    """
+    step = _next(problem.options["model"], problem.options["dt"])
+    A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
+    B = step([0, 0], 1, []).full().ravel()
+    sigma_z, sigma_u = problem.options["sigma_v"]
+    x, P = np.array(problem.options["guess"]), np.diag(problem.options["sigma_guess"]) ** 2
+    rows = []
+    for k, (position, force) in enumerate(z):
+        if k:
+            x = A @ x + B * force
+            P = A @ P @ A.T + sigma_u**2 * np.outer(B, B)
+        gain = P[:, 0] / (P[0, 0] + sigma_z**2)
+        x, P = x + gain * (position - x[0]), P - np.outer(gain, P[0])
+        rows.append(x)
+    return np.array(rows)
+
+
+def table_of_controllers(drives):
+    """Table of the first plans beside IPOPT's, and where the drives ended.
+
+    Args:
+        drives: {name: Drive}.
+
+    Returns:
+        DataFrame, a row for each: the plan's cost over IPOPT's, and the largest state at the end.
+    """
+    rows = [
+        dict(problem=name, cost=each.cost, over_ipopt=each.cost / each.ipopt)
+        for name, each in drives.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def table_of_estimators(records):
+    """Table of the last windows beside IPOPT's.
+
+    Args:
+        records: {name: Record}.
+
+    Returns:
+        DataFrame, a row for each: the largest difference of the newest estimate from IPOPT's, and
+        the RMSE of the first state in the second half.
+    """
+    rows = []
+    for name, each in records.items():
+        off = (each.x_hat - each.x)[len(each.x) // 2 :, 0]
+        away = np.abs(each.iterated - each.ipopt).max()
+        rows.append(dict(problem=name, off_ipopt=away, rmse=np.sqrt(np.mean(off**2))))
+    return pd.DataFrame(rows)

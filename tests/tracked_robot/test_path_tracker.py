@@ -1,0 +1,76 @@
+"""References on a path for any Model, by the names of its states."""
+
+import numpy as np
+import pytest
+
+import rhec
+from rhec.core.estimator.base import Estimate
+
+PATH = rhec.Path.from_segments([(5.0, 0.0), (4.0, 0.3), (3.0, -0.5), (9.0, 0.0)], (1.0, 2.0, 0.4))
+NAMES = dict(position=("x_m", "y_m"), heading="yaw_rad")
+
+
+def estimate(**states):
+    found = Estimate(np.array([*states.values()]), np.zeros(1), np.zeros(0), np.eye(len(states)))
+    found.names = (*states, "v_mps")
+    return found
+
+
+def test_points_are_those_of_the_path_by_names_in_any_order():
+    """Oracle: the path's own projection and poses; the estimate moves along the path, beside it."""
+    tracker = rhec.PathTracker(PATH, 8, 0.1, look_ahead_m=0.2, speed=0.7, **NAMES)
+    for s in np.arange(0.0, 12.0, 0.05):
+        (pose,), _ = PATH.poses(np.array([s]))
+        left = 0.1 * np.sin(s)
+        x, y = pose[:2] + left * np.array([-np.sin(pose[2]), np.cos(pose[2])])
+        found = estimate(roll=9.0, yaw_rad=pose[2] + 4 * np.pi, y_m=y, x_m=x)
+        x_ref, yaw_rates = tracker.references(found)
+        _, (closest,) = PATH.project(np.array([[x, y]]))
+        assert abs(tracker.s_m - closest) < 1e-3
+        wanted, curvature = PATH.poses(tracker.s_m + 0.2 + 0.07 * np.arange(9))
+        np.testing.assert_allclose(x_ref[3], wanted[:, 0], atol=1e-9)
+        np.testing.assert_allclose(x_ref[2], wanted[:, 1], atol=1e-9)
+        np.testing.assert_allclose(x_ref[1], wanted[:, 2] + 4 * np.pi, atol=1e-9)
+        assert not x_ref[0].any()
+        np.testing.assert_allclose(yaw_rates, 0.7 * curvature[:-1], atol=1e-12)
+
+
+def test_backwards_the_yaw_is_turned():
+    ahead, back = (rhec.PathTracker(PATH, speed=v, **NAMES) for v in (0.5, -0.5))
+    found = estimate(x_m=1.0, y_m=2.0, yaw_rad=0.4)
+    turned = estimate(x_m=1.0, y_m=2.0, yaw_rad=0.4 + np.pi)
+    for _ in range(2):
+        first, second = ahead.references(found)[0], back.references(turned)[0]
+    np.testing.assert_allclose(second, first + np.array([[0.0], [0.0], [np.pi]]), atol=1e-12)
+
+
+def test_an_estimate_that_is_not_finite_keeps_the_references_of_the_last():
+    tracker, other = (rhec.PathTracker(PATH, speed=0.5, **NAMES) for _ in range(2))
+    good = estimate(x_m=3.0, y_m=3.0, yaw_rad=0.4)
+    for each in (tracker, other):
+        each.references(good)
+    tracker.references(estimate(x_m=np.nan, y_m=3.0, yaw_rad=0.4))
+    other.references(good)
+    np.testing.assert_array_equal(tracker.references(good)[0], other.references(good)[0])
+    assert np.isfinite(tracker.s_m)
+
+
+def test_what_does_not_fit_is_refused_in_one_sentence():
+    named = rhec.PathTracker(PATH, speed=0.5, **NAMES)
+    plain = rhec.PathTracker(PATH)
+    found = estimate(x_m=1.0, y_m=2.0, yaw_rad=0.4)
+    with pytest.raises(ValueError, match="^speed was not given; PathTracker needs position, head"):
+        rhec.PathTracker(PATH, **NAMES)
+    with pytest.raises(ValueError, match=r"the name 'yaw_rad'; this estimate has the states x_m, "):
+        named.references(estimate(x_m=1.0, y_m=2.0, theta=0.4))
+    with pytest.raises(ValueError, match="^estimate was .*; it should be an Estimate"):
+        named.references(np.zeros(6))
+    with pytest.raises(ValueError, match="^omega_measured was 0.1; "):
+        named.references(found, 0.1)
+    for wrong in (found, found.x):
+        with pytest.raises(
+            ValueError, match=r"^estimate was .*; it should be \(x, y, θ, ν, μ, κ\)"
+        ):
+            plain.references(wrong, 0.0)
+    with pytest.raises(ValueError, match="^omega_measured was not given"):
+        plain.references(np.zeros(6))
