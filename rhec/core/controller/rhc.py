@@ -23,7 +23,10 @@ from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
+from rhec.core.solver.line_search import line_search
+from rhec.core.solver.rti import IMPROVE, RealTimeIteration, RealTimeLoop, run_phases
+
+FIRST_ITERATIONS = 100  # at most, on the first sample, for which there is no previous plan
 
 
 class Horizon(NamedTuple):
@@ -36,6 +39,7 @@ class Horizon(NamedTuple):
     # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
     # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
     qp: Any = None
+    damped: bool = False  # whether an iteration with a line search is built, too
 
     @property
     def n_x(self):
@@ -100,6 +104,8 @@ def build_phases(horizon):
     feedback = _build_feedback(horizon, linearise, gradient, qp)
     expand = _build_expand(horizon, feedback, roll_out)
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+    if horizon.damped:
+        phases[IMPROVE] = _build_improve(horizon, phases)
     return phases | dict(step=_build_step(horizon, phases))
 
 
@@ -320,6 +326,49 @@ def _build_step(horizon, phases):
     return step
 
 
+def _build_cost_and_gaps(horizon):
+    """The cost of nodes s and inputs u, eq. (12), and Σ |x̂ - s_0|, |F(s_i, u_i) - s_{i+1}|."""
+    N = horizon.N
+    memory = horizon.memory
+    command = list(horizon.command)
+    data = {name: horizon.references[name] for name in ("s_0", "x_ref", "u_ref")}
+
+    @casadi_function("rhc_cost_and_gaps", ca.MX, **memory, **horizon.weights, **data)
+    def cost_and_gaps(s, u, Q, QN, R, s_0, x_ref, u_ref):
+        weights = ca.horzcat(ca.repmat(Q, 1, N - 1), QN)
+        off = s[: horizon.n_x, 1:] - x_ref[:, 1:]
+        moved = (u - u_ref)[command, :]
+        squares = ca.vertcat(ca.vec(weights * off**2), ca.vec(ca.repmat(R, 1, N) * moved**2))
+        dt_s = ca.repmat(ca.DM(horizon.dt_s), 1, N)
+        ends = horizon.interval.step.map(N)(s[:, :N], u, dt_s)
+        gaps = ca.veccat(s[:, 0] - s_0, ends - s[:, 1:])
+        return dict(cost=ca.sum1(squares) / 2, gaps=ca.norm_1(gaps))
+
+    return cost_and_gaps, horizon.weights | data
+
+
+def _build_improve(horizon, phases):
+    """One iteration without shift: linearise, feedback, expand, and a line search."""
+    search = line_search("rhc_search", horizon.memory, *reversed(_build_cost_and_gaps(horizon)))
+    shapes = horizon.memory | horizon.weights | horizon.references
+
+    @casadi_function("rhc_improve", ca.MX, **shapes, penalty=(1, 1))
+    def improve(penalty, **inputs):
+        values = dict(inputs)
+        for name in ("linearise", "feedback", "expand"):
+            full = phases[name](**select_inputs(phases[name], values))
+            values |= full if name != "expand" else {}
+        steps = {f"{name}_full": full[name] for name in horizon.memory}
+        chosen = search(**select_inputs(search, inputs | steps), penalty=penalty)
+        ok = values["ok"]
+        plan = {name: ca.if_else(ok, chosen[name], full[name]) for name in horizon.memory}
+        outputs = {name: values[name] for name in phases["feedback"].name_out()}
+        outputs |= dict(kkt=full["kkt"], converged=chosen["converged"] * ok)
+        return outputs | plan | dict(u_plan=plan["u"], penalty_after=chosen["penalty_after"])
+
+    return improve
+
+
 def init(horizon, x, p):
     """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
     s = np.tile([*x, *p], (horizon.N + 1, 1)).T
@@ -368,7 +417,8 @@ class RHC(RealTimeLoop):
         valid.of_length("r", r, len(command), "commanded input")
         places = tuple(model.inputs.index(name) for name in command)
         lower, upper = zip(*(bounds.get(name, (-np.inf, np.inf)) for name in command))
-        self._compile(Horizon(model, places, dt, horizon), q, r, qn_factor, lower, upper)
+        structure = Horizon(model, places, dt, horizon, damped=True)
+        self._compile(structure, q, r, qn_factor, lower, upper)
 
     def _compile(self, horizon, q, r, qn_factor, lower, upper):
         """Load the compiled phases and name views of their input arrays."""
@@ -413,19 +463,25 @@ class RHC(RealTimeLoop):
         Returns:
             (n_u,) inputs of the first interval.
         """
+        is_first = not self.iteration.started
         self._set_inputs(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
+        if is_first:
+            self.iteration.improve_first(FIRST_ITERATIONS)
         self.iteration.feedback()
         return self.u_plan[:, 0]
 
     def solve(self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: int = 20) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
+        A Model's steps are shortened by a line search, so that the cost falls, and end once
+        `converged`. The paper's controller takes full steps, all of them.
+
         Args:
             x: (n_x,) estimated state.
             p: (n_p,) estimated parameters.
             x_ref: (n_x, N+1) desired states.
             u_ref: (n_u, N) desired inputs.
-            iterations: Gauss-Newton steps.
+            iterations: Gauss-Newton steps, at most.
 
         Returns:
             (n_u,) inputs of the first interval.
