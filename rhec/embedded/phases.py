@@ -13,12 +13,14 @@ import numpy as np
 
 from rhec.core._casadi.build import casadi_function, select_inputs, unpack
 from rhec.core._casadi.packing import pack_array
+from rhec.core.controller.rhc import FIRST_ITERATIONS
 from rhec.core.controller.rhc import build_phases as build_controller
 from rhec.core.controller.rhc import init as plan_init
 from rhec.core.estimator.rhe import build_phases as build_estimator
 from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.pivoting import MAX_SWEEPS
+from rhec.core.solver.rti import IMPROVE
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path
 from rhec.tracked_robot.cautious import build_speed
@@ -48,7 +50,8 @@ _SHARED = dict(
     u_ref="path.omega_ref",
 )
 _SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
-_PHASES = "start", "expand", "shift", "linearise", "feedback"  # in the order of a sample
+# In the order of a sample; `improve` prepares a controller's first plan.
+_PHASES = "start", "expand", "shift", "linearise", "feedback", "improve"
 
 
 class _Phase(NamedTuple):
@@ -166,6 +169,7 @@ def export_model(rhe=None, rhc=None):
             lambda guess: window_init(rhe.window, guess, sigma_guess), "guess", len(guess)
         )
         estimate = build_estimator(rhe.window)
+        del estimate[IMPROVE]  # C has no `solve`
         phases |= _bind_all("estimator", start, estimate, settings, _SHARED_BY_MODEL)
         macros["ESTIMATOR"] = 1, "the export has an estimator"
         macros["ESTIMATE"] = len(model.names), ", ".join(model.names)
@@ -177,6 +181,7 @@ def export_model(rhe=None, rhc=None):
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
         macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"
+        macros["FIRST_ITERATIONS"] = FIRST_ITERATIONS, "most iterations for the first plan"
     macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
     return _export(phases, settings, guess, macros)
 

@@ -22,6 +22,7 @@ class Horizon(NamedTuple):
     # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
     qp: Any = None
     doublings: int = DOUBLINGS  # of the QP's search, see `rhec.core.solver.pivoting`
+    damped: bool = False  # whether an iteration with a line search is built, too
 
     @property
     def n_x(self):

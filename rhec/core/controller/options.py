@@ -77,7 +77,8 @@ def problem_of(options: Options) -> Problem:
         pairs = [bounds["path"].get(name, NONE) for name in options.command]
         lower, upper = np.clip([(b.lowest, b.highest) for b in pairs], *_LIMITS).T
         settings = {name: weights[name] for name in ("Q", "QN", "R")}
-        return Problem(plain, plain, settings | dict(lower=lower, upper=upper))
+        damped = plain._replace(damped=True)
+        return Problem(damped, damped, settings | dict(lower=lower, upper=upper))
     rows, numbers = _rows_of(options, outputs, bounds)
     structure = ConstrainedHorizon(plain, outputs, rows, has_changes)
     matrices = {

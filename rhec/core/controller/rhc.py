@@ -35,7 +35,10 @@ from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, run_phases
+from rhec.core.solver.line_search import line_search
+from rhec.core.solver.rti import IMPROVE, RealTimeIteration, RealTimeLoop, run_phases
+
+FIRST_ITERATIONS = 100  # at most, on the first sample, for which there is no previous plan
 
 # `options` checks these.
 Weights = SkipValidation[tuple[float, ...] | np.ndarray]
@@ -56,6 +59,8 @@ def build_phases(horizon):
     feedback = _build_feedback(horizon, linearise, gradient, qp)
     expand = _build_expand(horizon, feedback, roll_out)
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+    if horizon.damped:
+        phases[IMPROVE] = _build_improve(horizon, phases)
     return phases | dict(step=_build_step(horizon, phases))
 
 
@@ -232,6 +237,49 @@ def _build_step(horizon, phases):
     return step
 
 
+def _build_cost_and_gaps(horizon):
+    """The cost of nodes s and inputs u, eq. (12), and Σ |x̂ - s_0|, |F(s_i, u_i) - s_{i+1}|."""
+    N = horizon.N
+    memory = horizon.memory
+    command = list(horizon.command)
+    data = {name: horizon.references[name] for name in ("s_0", "x_ref", "u_ref")}
+
+    @casadi_function("rhc_cost_and_gaps", ca.MX, **memory, **horizon.weights, **data)
+    def cost_and_gaps(s, u, Q, QN, R, s_0, x_ref, u_ref):
+        weights = ca.horzcat(ca.repmat(Q, 1, N - 1), QN)
+        off = s[: horizon.n_x, 1:] - x_ref[:, 1:]
+        moved = (u - u_ref)[command, :]
+        squares = ca.vertcat(ca.vec(weights * off**2), ca.vec(ca.repmat(R, 1, N) * moved**2))
+        dt_s = ca.repmat(ca.DM(horizon.dt_s), 1, N)
+        ends = horizon.interval.step.map(N)(s[:, :N], u, dt_s)
+        gaps = ca.veccat(s[:, 0] - s_0, ends - s[:, 1:])
+        return dict(cost=ca.sum1(squares) / 2, gaps=ca.norm_1(gaps))
+
+    return cost_and_gaps, horizon.weights | data
+
+
+def _build_improve(horizon, phases):
+    """One iteration without shift: linearise, feedback, expand, and a line search."""
+    search = line_search("rhc_search", horizon.memory, *reversed(_build_cost_and_gaps(horizon)))
+    shapes = horizon.memory | horizon.weights | horizon.references
+
+    @casadi_function("rhc_improve", ca.MX, **shapes, penalty=(1, 1))
+    def improve(penalty, **inputs):
+        values = dict(inputs)
+        for name in ("linearise", "feedback", "expand"):
+            full = phases[name](**select_inputs(phases[name], values))
+            values |= full if name != "expand" else {}
+        steps = {f"{name}_full": full[name] for name in horizon.memory}
+        chosen = search(**select_inputs(search, inputs | steps), penalty=penalty)
+        ok = values["ok"]
+        plan = {name: ca.if_else(ok, chosen[name], full[name]) for name in horizon.memory}
+        outputs = {name: values[name] for name in phases["feedback"].name_out()}
+        outputs |= dict(kkt=full["kkt"], converged=chosen["converged"] * ok)
+        return outputs | plan | dict(u_plan=plan["u"], penalty_after=chosen["penalty_after"])
+
+    return improve
+
+
 class RHC(RealTimeLoop):
     """Model predictive control for a user's control loop: `prepare()`, then `feedback(…)`.
 
@@ -398,7 +446,10 @@ class RHC(RealTimeLoop):
         Returns:
             (n_u,) inputs of the first interval.
         """
+        is_first = not self.iteration.started
         self._set_problem(x, p, x_ref, u_ref, y_ref)
+        if is_first:
+            self.iteration.improve_first(FIRST_ITERATIONS)
         self.iteration.feedback()
         return self.u_plan[:, 0]
 
@@ -407,13 +458,16 @@ class RHC(RealTimeLoop):
     ) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
+        A Model's steps are shortened by a line search, so that the cost falls, and end once
+        `converged`. The paper's controller takes full steps, all of them.
+
         Args:
             x: (n_x,) estimated state.
             p: (n_p,) estimated parameters.
             x_ref: (n_x, N+1) or (n_x,) desired states.
             u_ref: (n_u, N) or (n_u,) desired inputs.
             y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
-            iterations: Gauss-Newton steps.
+            iterations: Gauss-Newton steps, at most.
 
         Returns:
             (n_u,) inputs of the first interval.

@@ -31,7 +31,8 @@ from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
-from rhec.core.solver.rti import PHASES, RealTimeIteration, RealTimeLoop, run_phases
+from rhec.core.solver.line_search import line_search
+from rhec.core.solver.rti import IMPROVE, PHASES, RealTimeIteration, RealTimeLoop, run_phases
 
 ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
 
@@ -492,7 +493,102 @@ def build_phases(window, quantities=None):
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     if window.gate:
         phases = innovation_gate.gated(window, phases, predict_input, kind)
+        phases[IMPROVE] = _build_improve(window, phases)
     return phases | dict(step=compose("rhe_step", phases, window.memory, kind))
+
+
+# Improve: one iteration without shift, for `solve`.
+
+
+def _build_cost(window):
+    """Parts of the cost, eq. (10): the arrival, the outputs at a node, the inputs of an interval.
+
+    Each is half a sum of weighted squares of residuals; a missing measurement has none.
+    """
+    interval = window.interval
+    s, P, v, z, *_ = window.shapes
+    noise = window.noise
+
+    @casadi_function("rhe_cost_of_arrival")
+    def arrival(s: s, m: s, P: P):
+        return dict(cost=ca.dot(s - m, ca.ldl_solve(s - m, *ca.ldl(P, False))) / 2)
+
+    @casadi_function("rhe_cost_of_node")
+    def node(s: s, z: z, noise: noise):
+        cost = ca.SX(0)
+        for output in interval.outputs:
+            residual = output.residual(z, s, s)
+            square = residual**2 / noise["V"][output.row]
+            cost += ca.if_else(output.is_valid(z), square, 0)
+        return dict(cost=cost / 2)
+
+    @casadi_function("rhe_cost_of_interval")
+    def between(s: s, s_after: s, v: v, v_last: v, z: z, dt_s: (1, 1), noise: noise):
+        v_m, R_v = interval.input_noise(z, v_last, **noise)
+        gap = ca.norm_1(interval.step(s, v, dt_s) - s_after)
+        return dict(cost=ca.sum1((v - v_m) ** 2 / R_v) / 2, gap=gap)
+
+    return arrival, node, between
+
+
+def _build_cost_and_gaps(window):
+    """The window's cost and Σ |F(s_i, v_i) - s_{i+1}| as a Function, and its data, by name."""
+    N = window.N
+    memory = window.memory
+    arrival, node, between = _build_cost(window)
+    data = {name: memory[name] for name in ("z", "age", "m", "P")} | dict(v_last=memory["v"])
+    unknowns = {name: memory[name] for name in ("s", "v")}
+
+    @casadi_function("rhe_cost_and_gaps", ca.MX, **unknowns, **data, noises=window.noises)
+    def cost_and_gaps(s, v, z, age, m, P, v_last, noises):
+        nodes, inputs, last, measured = map(ca.horzsplit, (s, v, v_last, z))
+        cost = arrival(nodes[0], m, P)
+        gaps = 0
+        for i in range(N + 1):
+            at = window.at(i, **noises).values()
+            cost += node(nodes[i], measured[i], *at)
+            if i:
+                dt_s = window.dt_s * (age >= N + 1 - i)
+                ends = nodes[i - 1], nodes[i], inputs[i - 1], last[i - 1], measured[i]
+                more, gap = between(*ends, dt_s, *at)
+                cost += more
+                gaps += gap
+        return dict(cost=cost, gaps=gaps)
+
+    return cost_and_gaps, unknowns, data | window.noises
+
+
+def _build_improve(window, phases):
+    """One iteration without shift: linearise, feedback, expand, and a line search.
+
+    The search starts where a sample was used and solved; otherwise expand's window stays.
+    """
+    cost_and_gaps, unknowns, data = _build_cost_and_gaps(window)
+    search = line_search("rhe_search", unknowns, data, cost_and_gaps)
+    model = window.model
+    places = {name: model.joint_names.index(name) for name in (*model.states, *model.parameters)}
+    shapes = {name: phases["expand"].sparsity_in(name) for name in ("P_0", *window.noises)}
+    shapes |= window.memory | dict(z_N=(len(model.outputs), 1), penalty=(1, 1))
+
+    @casadi_function("rhe_improve", ca.MX, **shapes)
+    def improve(penalty, **inputs):
+        values = dict(inputs)
+        for name in ("linearise", "feedback", "expand"):
+            full = phases[name](**select_inputs(phases[name], values))
+            values |= full if name != "expand" else {}
+        z = ca.horzcat(inputs["z"][:, : window.N], values["z_used"])
+        given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
+        chosen = search(**select_inputs(search, given), penalty=penalty)
+        ok = values["ok"]
+        moved = {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
+        newest = [moved["s"][place, window.N] for place in places.values()]
+        newest[len(model.states) : len(model.states)] = ca.vertsplit(moved["v"][:, -1])
+        estimate = ca.if_else(ok, ca.vertcat(*newest), values["estimate"])
+        outputs = {name: values[name] for name in phases["feedback"].name_out()}
+        outputs |= full | moved | dict(estimate=estimate, converged=chosen["converged"] * ok)
+        return outputs | dict(penalty_after=chosen["penalty_after"])
+
+    return improve
 
 
 def compose(name, phases, memory, kind):
@@ -609,9 +705,12 @@ class RHE(RealTimeLoop):
     def solve(self, z: Any, iterations: int = 20) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
+        A Model's steps are shortened by a line search, so that the cost falls, and end once
+        `converged`. The paper's estimator takes full steps, all of them.
+
         Args:
             z: (n_z,) measurements, as in `feedback`.
-            iterations: Gauss-Newton steps.
+            iterations: Gauss-Newton steps, at most.
 
         Returns:
             Estimate, as `feedback`.

@@ -28,6 +28,7 @@ from rhec.core.model.base import Model
 _LEAST_SHARE = 0.05  # of a step of `solve_relaxed`
 _NO_STEP = 1e-300
 PHASES = ("shift", "linearise", "feedback", "expand")
+IMPROVE = "improve"  # optional: one iteration without shift, shortened by a line search
 
 
 def run_phases(phases, values):
@@ -51,7 +52,8 @@ class RealTimeIteration:
 
     def __init__(self, functions, memory, unknowns, **constants):
         self.unknowns = unknowns
-        self.phases = {name: BufferedFunction(functions[name]) for name in PHASES}
+        present = [name for name in (*PHASES, IMPROVE) if name in functions]
+        self.phases = {name: BufferedFunction(functions[name]) for name in present}
         shifted = self.phases["shift"].arguments
         self.previous = {name: np.zeros(shifted[name].shape) for name in memory}
         self.current = {name: array.copy() for name, array in self.previous.items()}
@@ -67,9 +69,10 @@ class RealTimeIteration:
                 call.write_to(name, shared.setdefault(name, array))
         # Looking the bound methods up in each sample would take longer.
         calls = (phase.call for phase in self.phases.values())
-        self._shift, self._linearise, self._feedback, self._expand = calls
+        self._shift, self._linearise, self._feedback, self._expand, *improve = calls
+        self._improve = improve[0] if improve else None
         self.set(self.arrays, constants)
-        self.started = self.prepared = self.expanded = False
+        self.started = self.prepared = self.expanded = self.converged = False
 
     @staticmethod
     def set(arrays, values):
@@ -97,7 +100,7 @@ class RealTimeIteration:
             raise RuntimeError("prepare() must be called before each feedback()")
         self._feedback()
         # Expanding now would delay the command.
-        self.prepared = self.expanded = False
+        self.prepared = self.expanded = self.converged = False
 
     def expand(self):
         """Compute the remaining unknowns, once a sample."""
@@ -107,17 +110,47 @@ class RealTimeIteration:
 
     @checked
     def solve(self, iterations: Steps):
-        """Iterate Gauss-Newton steps on one problem, without shifting."""
+        """Iterate Gauss-Newton steps on one problem, without shifting.
+
+        Each step is shortened by a line search, and the iteration ends where it has converged, if
+        the functions have a phase for that.
+        """
+        self.converged = False
+        if self._improve:
+            self._improve_repeatedly(iterations)
+        else:
+            self._repeat(iterations)
+        # The memory still belongs to this sample; `prepare` has to shift it.
+        self.prepared = False
+        self.expanded = True
+
+    def improve_first(self, iterations):
+        """Iterate on the first sample before its feedback, because there is no plan to improve."""
+        if self._improve:
+            self._improve_repeatedly(iterations)
+            self._linearise()
+
+    def _repeat(self, iterations):
         for _ in range(iterations):
             self._linearise()
             self._feedback()
             self._expand()
-            # Without a shift the next linearisation is at the same sample's new solution.
-            for name in self.unknowns:
-                self.current[name][:] = self.previous[name]
-        # The memory still belongs to this sample; `prepare` has to shift it.
-        self.prepared = False
-        self.expanded = True
+            self._take_unknowns()
+
+    def _improve_repeatedly(self, iterations):
+        self.arrays["penalty"][:] = 0
+        for _ in range(iterations):
+            self._improve()
+            self._take_unknowns()
+            self.arrays["penalty"][:] = self.arrays["penalty_after"]
+            self.converged = self.arrays["converged"].item() == 1
+            if self.converged:
+                return
+
+    def _take_unknowns(self):
+        # Without a shift the next linearisation is at the same sample's new solution.
+        for name in self.unknowns:
+            self.current[name][:] = self.previous[name]
 
     @checked
     def solve_relaxed(self, iterations: Steps):
@@ -128,6 +161,7 @@ class RealTimeIteration:
         -share d'·(d - d') / ‖d - d'‖² (Aitken's relaxation; Irons and Tuck, 1969). The last
         iteration is a full step.
         """
+        self.converged = False
         share = 1.0
         last = None
         for left in reversed(range(iterations)):
@@ -185,8 +219,16 @@ class RealTimeLoop:
         return self.iteration.arrays["ok"].item() == 1
 
     @property
+    def converged(self) -> bool:
+        """Whether the last `solve` ended at a solution; never after `feedback`, which is one step.
+
+        The next step would then lower the cost by less than a billionth of it.
+        """
+        return self.ok and self.iteration.converged
+
+    @property
     def kkt(self) -> float:
-        """KKT tolerance of the linearisation point of the last feedback."""
+        """KKT tolerance of the linearisation point of the last feedback; NaN without `ok`."""
         self.iteration.expand()
         return self.iteration.arrays["kkt"].item()
 

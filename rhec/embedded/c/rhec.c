@@ -227,6 +227,20 @@ int rhec_control(struct rhec *r, double *omega)
     return status;
 }
 #else
+/* Iterates for the data of the first sample, because there is no plan to improve. */
+static void improve_first_plan(struct rhec *r)
+{
+    r->controller.penalty[0] = 0;
+    for (int i = 0; i < RHEC_FIRST_ITERATIONS; i++) {
+        controller_improve(r);
+        r->controller.current = r->controller.previous;
+        r->controller.penalty[0] = r->controller.penalty_after[0];
+        if (r->controller.converged[0] == 1) {
+            return;
+        }
+    }
+}
+
 int rhec_control(struct rhec *r, const double x[], const double p[], const double x_ref[],
                  const double u_ref[], double u[RHEC_INPUTS])
 {
@@ -240,6 +254,7 @@ int rhec_control(struct rhec *r, const double x[], const double p[], const doubl
     if (r->controller_stage == NO_PLAN) {
         controller_start(r);
         r->controller.current = r->controller.previous;
+        improve_first_plan(r);
         controller_linearise(r);
     }
     status |= controller_step(r);

@@ -92,7 +92,8 @@ void rhec_prepare_control(struct rhec *r);
 int rhec_control(struct rhec *r, double *omega);
 #else
 /* Feedback phase of the RHC. x, p: estimate. x_ref: desired states of the nodes 0 to N; node 0
- * has no weight. u_ref: desired inputs of the N intervals. u: the commanded inputs. */
+ * has no weight. u_ref: desired inputs of the N intervals. u: the commanded inputs. The first call,
+ * and the first after a restart, iterates up to RHEC_FIRST_ITERATIONS times; it takes longer. */
 int rhec_control(struct rhec *r, const double x[], const double p[], const double x_ref[],
                  const double u_ref[], double u[RHEC_INPUTS]);
 #endif

@@ -1,0 +1,76 @@
+"""How far to go along a Gauss-Newton step of a multiple-shooting problem: a line search.
+
+The merit of nodes and inputs w is their cost and what is missing at the ends of the intervals,
+
+    φ(w) = J(w) + μ ‖c(w)‖₁,   c_i = s_{i+1} - F(s_i, v_i)
+
+(Nocedal, Wright, "Numerical Optimization", 2006, Sec. 18.3). Of the lengths 1, 1/2, 1/4, … the
+first is taken at which φ(w + α Δw) <= φ(w) + 1e-4 α D, where D = ∇J·Δw - μ ‖c‖₁ < 0 is the slope.
+The penalty μ only grows, so that D stays below a share of it.
+"""
+
+import casadi as ca
+
+from rhec.core._casadi.build import casadi_function
+
+HALVINGS = 10  # of the step, at most; a solution or a bad linearisation needs more, and stays
+_SUFFICIENT = 1e-4
+_SHARE = 0.5  # of μ ‖c‖₁ by which the merit has to fall along the step
+CONVERGED = 1e-9  # expected relative change of the merit
+
+
+def line_search(name, unknowns, data, cost_and_gaps):
+    """Build the Function that shortens a step.
+
+    Args:
+        name: Of the Function.
+        unknowns: {name: shape} of the unknowns.
+        data: {name: shape} of what cost and gaps depend on besides.
+        cost_and_gaps: Function (unknowns, data) -> (J, ‖c‖₁), by name.
+
+    Returns:
+        The Function (unknowns, unknowns with "_full" after a full step, penalty, data) ->
+        (unknowns, penalty, converged). Its step is zero where no length is good enough.
+    """
+    full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
+
+    @casadi_function(name, ca.MX, **unknowns, **full, penalty=(1, 1), **data)
+    def search(penalty, **values):
+        given = {key: values[key] for key in data}
+        old = {key: values[key] for key in unknowns}
+        step = {key: values[f"{key}_full"] - values[key] for key in unknowns}
+        cost, gaps = _called(cost_and_gaps, old, given)
+        slope = _slope(cost_and_gaps, old, step, given)
+        needed = slope / ((1 - _SHARE) * ca.fmax(gaps, 1e-300))
+        penalty = ca.fmax(penalty, ca.if_else(gaps > 0, needed, 0))
+        merit = cost + penalty * gaps
+        descent = slope - penalty * gaps
+        length = ca.MX(0)
+        for halvings in reversed(range(HALVINGS)):
+            alpha = 0.5**halvings
+            moved = {key: old[key] + alpha * step[key] for key in unknowns}
+            cost, gaps = _called(cost_and_gaps, moved, given)
+            enough = merit + _SUFFICIENT * alpha * descent + 1e-12 * ca.fabs(merit)
+            length = ca.if_else(cost + penalty * gaps <= enough, alpha, length)
+        small = ca.fabs(descent) <= CONVERGED * ca.fmax(ca.fabs(merit), 1e-12)
+        result = {key: old[key] + length * step[key] for key in unknowns}
+        return result | dict(penalty_after=penalty, converged=small)
+
+    return search
+
+
+def _called(cost_and_gaps, unknowns, data):
+    result = cost_and_gaps(**unknowns, **data)
+    return result["cost"], result["gaps"]
+
+
+def _slope(cost_and_gaps, unknowns, step, data):
+    """∇J·Δw by forward differentiation."""
+    symbols = {key: ca.MX.sym(key, value.shape) for key, value in unknowns.items()}
+    inner = {key: ca.MX.sym(key, value.shape) for key, value in data.items()}
+    cost, _ = _called(cost_and_gaps, symbols, inner)
+    w = ca.veccat(*symbols.values())
+    direction = ca.MX.sym("direction", w.numel())
+    along = ca.jtimes(cost, w, direction)
+    function = ca.Function("slope", [*symbols.values(), *inner.values(), direction], [along])
+    return function(*unknowns.values(), *data.values(), ca.veccat(*step.values()))
