@@ -889,8 +889,7 @@ def test_an_exported_controller_with_constraints_answers_as_the_live_object(tmp_
         x[2] += 4.0 * (k % 10 == 5)  # a heading that cannot be brought back
         mpc.prepare()
         expected = mpc.feedback(x, p, x_ref, u_ref)
-        y_ref = np.zeros((1, 9))
-        answer, status = in_c.call("control", x, p, x_ref, u_ref, y_ref, length=2)
+        answer, status = in_c.call("control", x, p, x_ref, u_ref, length=2)
         np.testing.assert_allclose(answer, expected, rtol=0, atol=TOLERANCE)
         assert mpc.ok == (status == 0)
         solved.append(mpc.ok)
