@@ -15,8 +15,15 @@ _MEANING = {
     "Q": "weights of the states",
     "QN": "weights of the states at the end of the horizon",
     "R": "weights of the commanded inputs",
-    "lower": "lower bounds of the commanded inputs",
-    "upper": "upper bounds of the commanded inputs",
+    "Q_y": "weights of the controller's outputs",
+    "QN_y": "weights of the controller's outputs at the end of the horizon",
+    "R_delta": "weights of the changes of the commanded inputs",
+    "lower": "lower bounds: commanded inputs, then what else is bounded, what is soft last",
+    "upper": "upper bounds, in the same order",
+    "lower_N": "lower bounds at the end of the horizon",
+    "upper_N": "upper bounds at the end of the horizon",
+    "linear": "linear prices of soft bounds",
+    "quadratic": "quadratic prices of soft bounds",
     "c": "constants of noise that grows with the motion",
 }
 _MEANING_ON_A_PATH = _MEANING | {
@@ -61,8 +68,9 @@ _README_OF_A_MODEL = dict(
     control="rhec_control(&r, x, p, x_ref, u_ref, u)",
     files="",
     more="""\
-Weights, variances and bounds of the commands can be changed without a new export: copy
-rhec_scenario, change the copy, and pass it to rhec_init.
+Weights, variances, bounds and their prices can be changed without a new export: copy
+rhec_scenario, change the copy, and pass it to rhec_init. If the controller has outputs, their
+desired values are r.controller.y_ref, at first 0.
 """,
 )
 _SPEED = """

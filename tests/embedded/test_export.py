@@ -887,6 +887,36 @@ def test_a_models_export_survives_invalid_numbers(tmp_path):
     assert seen & sum(RESTARTED) == sum(RESTARTED) and status == planned == 0
 
 
+@needs_compiler
+def test_an_exported_controller_with_constraints_answers_as_the_live_object(tmp_path):
+    """Bounds on a state, on an output (soft) and on changes; also where the step is not ok."""
+    robot = ROBOTS["bicycle"]
+    options = robot.controller | dict(
+        bounds=robot.bounds | dict(theta_rad=(-3.2, 3.2), y=rhec.Bound(-0.2, 0.3, linear=5.0)),
+        outputs=dict(y=lambda x, u, p: x[1]),
+        q_y=(0.1,),
+        r_delta=(0.5, 0.5),
+        delta_bounds=dict(speed_mps=(-0.3, 0.3)),
+    )
+    with no_compiler():
+        mpc = rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=8, **options)
+        folder = rhec.export(mpc, tmp_path / "rhec")
+    in_c, rng = RobotInC(folder, tmp_path), np.random.default_rng(6)
+    solved = []
+    for k in range(30):
+        x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
+        x_ref = rng.uniform(*robot.x_range, (9, 3)).T
+        u_ref = rng.uniform(*robot.u_range, (8, 2)).T
+        x[2] += 4.0 * (k % 10 == 5)  # a heading that cannot be brought back
+        mpc.prepare()
+        expected = mpc.feedback(x, p, x_ref, u_ref)
+        answer, status = in_c.call("control", x, p, x_ref, u_ref, length=2)
+        np.testing.assert_allclose(answer, expected, rtol=0, atol=TOLERANCE)
+        assert mpc.ok == (status == 0)
+        solved.append(mpc.ok)
+    assert 20 <= sum(solved) < 30
+
+
 @pytest.mark.parametrize("wrong", ["twice", "paper", "ekf", "dt", "nothing"])
 def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tmp_path):
     with no_compiler():

@@ -222,12 +222,15 @@ def _build_start(shape, loops):
         widest = _largest(ca.fabs(b)) + _TINY
         delta = _PROXIMAL / (curvature + 1e-3 * scale / widest**2)
         nearest = ca.repmat(_NEAREST * widest, 1, shape.N + 1)
-        t = ca.fmax(nearest - b, nearest)[shape.n_hard :, :]
         soft = there[shape.n_hard :, :]
+        near = nearest[shape.n_hard :, :]
+        # If a price is high, λ s = γ t needs a small t, but not where the bound is exceeded.
+        linear, quadratic = (ca.repmat(given[n], 1, shape.N + 1) for n in ("linear", "quadratic"))
+        t = ca.fmax(scale / (linear + quadratic * near + scale / near), -b[shape.n_hard :, :])
+        gam = ca.fmax(scale / t, linear + quadratic * t)
         s = ca.if_else(there, ca.fmax(b + _of_all_sides(shape, t), nearest), 1)
-        t = ca.if_else(soft, t, 1)
         point = dict(z=ca.DM.zeros(shape.n + shape.m, shape.N + 1), s=s, lam=there * scale / s)
-        point |= dict(t=t, gam=ca.if_else(soft, scale / t, 1))
+        point |= dict(t=ca.if_else(soft, t, 1), gam=ca.if_else(soft, gam, 1))
         return point | dict(delta=delta, scale=scale, gap=1, error=1, gain=1, iterations=0)
 
     return start

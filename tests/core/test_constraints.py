@@ -1,0 +1,387 @@
+"""Receding horizon control with bounds on states, outputs and changes: on random instances of three
+problems it finds what IPOPT finds by multiple shooting, written down here once more.
+"""
+
+import functools
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers import no_compiler
+from oracles import IPOPT, SOLVED, flat
+
+import rhec
+
+INF = np.inf
+
+
+def cart(x, u, p):
+    return ca.vertcat(x[1], u[0] - p[0])
+
+
+def unicycle(x, u, p):
+    return ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1])
+
+
+def curvature(s):
+    return 1.5 * ca.sin(2 * s)
+
+
+def car(x, u, p):
+    """The race car of acados' examples, along a track that winds."""
+    s, n, alpha, v, throttle, steering = ca.vertsplit(x)
+    force = (0.28 - 0.05 * v) * throttle - 0.006 * v * v - 0.011 * ca.tanh(5 * v)
+    along = v * ca.cos(alpha + 0.5 * steering) / (1 - curvature(s) * n)
+    return ca.vertcat(
+        along,
+        v * ca.sin(alpha + 0.5 * steering),
+        v * 15.5 * steering - curvature(s) * along,
+        force / 0.043 * ca.cos(0.5 * steering),
+        u[0],
+        u[1],
+    )
+
+
+def distance(x, u, p):
+    return ca.hypot(x[0] - 0.5, x[1] - 0.5)
+
+
+def sideways(x, u, p):
+    """Lateral acceleration [m/s²]."""
+    force = (0.28 - 0.05 * x[3]) * x[4] - 0.006 * x[3] ** 2
+    return 15.5 * x[3] ** 2 * x[5] + force / 0.043 * ca.sin(0.5 * x[5])
+
+
+CART = dict(
+    states=("position_m", "velocity_mps"), commands=("acceleration_mps2",), f=cart,
+    parameters={"bias_mps2": None}, dt=0.2, N=15, q=(1.0, 0.2), r=(0.3,),
+    bounds=dict(acceleration_mps2=(-1, 1), velocity_mps=(-0.5, 0.6)), outputs={},
+)  # fmt: skip
+UNICYCLE = dict(
+    states=("x_m", "y_m", "theta_rad"), commands=("v_mps", "omega_radps"), f=unicycle,
+    parameters={}, dt=0.2, N=14, q=(1.0, 5.0, 0.1), r=(0.5, 0.05), outputs=dict(distance=distance),
+    bounds=dict(
+        v_mps=(-0.6, 0.6), omega_radps=(-0.785, 0.785), x_m=(-2, 2), y_m=(-2, 2),
+        distance=(0.3, INF),
+    ),
+)  # fmt: skip
+CAR = dict(
+    states=("s", "n", "alpha", "v", "throttle", "steering"), commands=("d_throttle", "d_steering"),
+    f=car, parameters={}, dt=0.04, N=15, q=(0.1, 1e-3, 1e-3, 1e-3, 1e-3, 5e-3), r=(1e-3, 5e-3),
+    outputs=dict(sideways=sideways),
+    bounds=dict(
+        d_throttle=(-10, 10), d_steering=(-2, 2), n=(-0.12, 0.12), throttle=(-1, 1),
+        steering=(-0.4, 0.4), sideways=(-4, 4),
+    ),
+)  # fmt: skip
+
+
+def model(problem):
+    return rhec.Model(
+        states=problem["states"],
+        inputs=problem["commands"],
+        parameters=problem["parameters"],
+        outputs=problem["states"][:1],
+        f=problem["f"],
+    )
+
+
+def controller(problem, **options):
+    given = dict(command=problem["commands"], dt=problem["dt"], horizon=problem["N"])
+    given |= {name: problem[name] for name in ("q", "r", "bounds")}
+    given |= dict(outputs=problem["outputs"] or None)
+    with no_compiler():
+        return rhec.RHC(model=model(problem), **given | options)
+
+
+def runge_kutta(f, x, u, p, dt):
+    k1 = f(x, u, p)
+    k2 = f(x + dt / 2 * k1, u, p)
+    k3 = f(x + dt / 2 * k2, u, p)
+    k4 = f(x + dt * k3, u, p)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+class Oracle:
+    """Multiple shooting of a problem for IPOPT: the unknowns are x_0 … x_N, then u_0 … u_{N-1}."""
+
+    def __init__(self, problem, r_delta=0.0, delta=None, price=None):
+        n_x, n_u, N = len(problem["states"]), len(problem["commands"]), problem["N"]
+        X, U = ca.SX.sym("X", n_x, N + 1), ca.SX.sym("U", n_u, N)
+        first, p = ca.SX.sym("first", n_x), ca.SX.sym("p", len(problem["parameters"]))
+        x_ref, q, r = ca.SX.sym("x_ref", n_x), ca.diag(problem["q"]), ca.diag(problem["r"])
+        bounds = problem["bounds"]
+        cost, rows, low, high = 0, [X[:, 0] - first], [0] * n_x, [0] * n_x
+        self.limited = []
+        excess = []
+        for i in range(N):
+            cost += ca.bilin(r, U[:, i], U[:, i]) / 2
+            change = U[:, i] - (U[:, i - 1] if i else 0)
+            cost += r_delta * ca.sumsqr(change) / 2
+            off = X[:, i + 1] - x_ref
+            cost += ca.bilin(q, off, off) / 2 * (10 if i + 1 == N else 1)
+            rows.append(X[:, i + 1] - runge_kutta(problem["f"], X[:, i], U[:, i], p, problem["dt"]))
+            low, high = low + [0] * n_x, high + [0] * n_x
+            bounded = [(bounds[c], U[j, i]) for j, c in enumerate(problem["commands"])]
+            if delta:
+                bounded.append((delta, change[0]))
+            x = X[:, i + 1]
+            named = dict(zip(problem["states"], ca.vertsplit(x)))
+            named |= {name: h(x, U[:, i], p) for name, h in problem["outputs"].items()}
+            for name in named.keys() & bounds.keys():
+                value = named[name]
+                sides = [(bounds[name], value)]
+                if price and name == price[0]:
+                    t = ca.SX.sym("t")
+                    excess.append(t)
+                    cost += price[1] * t + price[2] * t**2 / 2
+                    lowest, highest = bounds[name]
+                    sides = [((-INF, highest), value - t), ((lowest, INF), value + t)]
+                self.limited += range(len(low) + len(bounded), len(low) + len(bounded) + len(sides))
+                bounded += sides
+            for (lowest, highest), value in bounded:
+                rows, low, high = [*rows, value], [*low, lowest], [*high, highest]
+        unknowns = ca.veccat(X, U, *excess)
+        given = ca.veccat(first, p, x_ref)
+        nlp = dict(x=unknowns, f=cost, g=ca.vertcat(*rows), p=given)
+        self.solver = ca.nlpsol("nlp", "ipopt", nlp, IPOPT)
+        free = np.full(unknowns.numel(), INF)
+        least = -free.copy()
+        least[len(free) - len(excess) :] = 0
+        self.given = dict(lbx=least, ubx=free, lbg=low, ubg=high)
+        self.shape = (n_u, N)
+        self.begin = n_x * (N + 1)
+        self.n_t = len(excess)
+
+    def solve(self, x, p, x_ref, guess):
+        """The inputs (n_u, N), and whether a bound of a state or an output is active."""
+        start = np.concatenate([*map(flat, guess), np.zeros(self.n_t)])
+        solution = self.solver(x0=start, p=np.concatenate([x, p, x_ref]), **self.given)
+        assert self.solver.stats()["return_status"] in SOLVED
+        n = self.shape[0] * self.shape[1]
+        u = flat(solution["x"])[self.begin : self.begin + n].reshape(self.shape, order="F")
+        values = flat(solution["g"])[self.limited]
+        low, high = (np.array(self.given[name])[self.limited] for name in ("lbg", "ubg"))
+        return u, bool(np.any(np.minimum(values - low, high - values) < 1e-5))
+
+
+def cart_instance(rng):
+    return dict(x=rng.uniform((-3, -0.4), (3, 0.4)), p=rng.uniform(-0.1, 0.1, 1), x_ref=(0.0, 0.0))
+
+
+def unicycle_instance(rng):
+    """Before the obstacle, with the goal behind it."""
+    x = np.array([*rng.uniform(-0.3, 0.1, 2), rng.uniform(-0.3, 1.2)])
+    return dict(x=x, p=(), x_ref=(1.5, 1.5, 0.0))
+
+
+def car_instance(rng):
+    """On its track at 1 to 2 m/s, with the goal ahead of it."""
+    s, v = rng.uniform(0, 3), rng.uniform(1, 2)
+    x = np.array([s, rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.05), v, 0.3, 0.0])
+    return dict(x=x, p=(), x_ref=np.array([s + 1.3, 0, 0, 0, 0, 0.0]))
+
+
+CASES = dict(
+    cart=(CART, cart_instance, 8),
+    obstacle=(UNICYCLE, unicycle_instance, 60),
+    car=(CAR, car_instance, 40),
+)
+
+
+@functools.cache
+def oracle(case):
+    return Oracle(CASES[case][0])
+
+
+def compare(case, seed, instances):
+    """Errors of the plan relative to IPOPT's, and whether a state or output was at its bound."""
+    problem, draw, iterations = CASES[case]
+    rng, mpc, found = np.random.default_rng(seed), controller(problem), []
+    for _ in range(instances):
+        given = draw(rng)
+        mpc.iteration.started = False
+        mpc.solve(**given, u_ref=np.zeros(len(problem["commands"])), iterations=iterations)
+        u, active = oracle(case).solve(**given, guess=(mpc.x_plan, mpc.u_plan))
+        found.append((np.abs(mpc.u_plan - u).max(), active, mpc.ok, mpc.kkt))
+    return found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(case):
+    """Bounds of states and outputs are active in at least a third of the instances."""
+    found = compare(case, 0, 10)
+    errors, active, ok, _ = zip(*found)
+    assert all(ok) and sum(active) >= 4
+    assert max(errors) < 1e-6
+
+
+def test_changes_have_weights_and_bounds():
+    """As IPOPT finds; the bound of the changes is active, and the changes are counted on from the
+    command of the sample before.
+    """
+    problem, rng = CART, np.random.default_rng(1)
+    reference, active = Oracle(problem, r_delta=0.5, delta=(-0.25, 0.25)), 0
+    options = dict(r_delta=(0.5,), delta_bounds=dict(acceleration_mps2=(-0.25, 0.25)))
+    for _ in range(10):
+        given, mpc = cart_instance(rng), controller(problem, **options)
+        given["x"][1] = 0.0
+        first = mpc.solve(**given, u_ref=(0.0,), iterations=3)
+        u, _ = reference.solve(**given, guess=(mpc.x_plan, mpc.u_plan))
+        np.testing.assert_allclose(mpc.u_plan, u, rtol=0, atol=1e-6)
+        active += np.abs(np.diff(mpc.u_plan[0], prepend=0.0)).max() > 0.2499
+        mpc.prepare()
+        second = mpc.feedback(mpc.x_plan[:, 1], given["p"], given["x_ref"], (0.0,))
+        assert abs(second - first) <= 0.25 + 1e-9
+    assert active >= 4
+
+
+def test_a_soft_bound_that_costs_enough_is_a_hard_one():
+    """With a linear price above its multiplier; below it, the bound is exceeded."""
+    rng, exceeded = np.random.default_rng(2), 0
+    for _ in range(10):
+        given, plans = cart_instance(rng), {}
+        hard = controller(CART)
+        hard.solve(**given, u_ref=(0.0,), iterations=2)
+        for price in (0.02, 1e3):
+            soft = rhec.Bound(-0.5, 0.6, linear=price)
+            mpc = controller(CART, bounds=CART["bounds"] | dict(velocity_mps=soft))
+            mpc.solve(**given, u_ref=(0.0,), iterations=2)
+            plans[price] = mpc.x_plan[1]
+            assert mpc.ok
+        np.testing.assert_allclose(plans[1e3], hard.x_plan[1], rtol=0, atol=1e-7)
+        exceeded += plans[0.02].min() < -0.51 or plans[0.02].max() > 0.61
+    assert exceeded >= 5
+
+
+def test_soft_bounds_cost_what_was_said():
+    """A linear and a quadratic price, as IPOPT finds."""
+    rng, reference = np.random.default_rng(3), Oracle(CART, price=("velocity_mps", 0.1, 3.0))
+    soft = rhec.Bound(-0.5, 0.6, linear=0.1, quadratic=3.0)
+    mpc = controller(CART, bounds=CART["bounds"] | dict(velocity_mps=soft))
+    for _ in range(10):
+        given = cart_instance(rng) | dict(x_ref=(3.0, 0.0))
+        mpc.iteration.started = False
+        mpc.solve(**given, u_ref=(0.0,), iterations=2)
+        u, _ = reference.solve(**given, guess=(mpc.x_plan, mpc.u_plan))
+        np.testing.assert_allclose(mpc.u_plan, u, rtol=0, atol=1e-6)
+    assert mpc.x_plan[1].max() > 0.6
+
+
+def test_a_soft_bound_that_cannot_be_kept_is_exceeded():
+    """The hard one is not `ok`, its kkt is not a number, and its commands stay in their bounds."""
+    given = dict(x=(0.0, 2.0), p=(0.0,), x_ref=(0.0, 0.0), u_ref=(0.0,))
+    hard = controller(CART)
+    assert -1 <= hard.feedback(**given)[0] <= 1
+    assert not hard.ok and np.isnan(hard.kkt)
+    soft = rhec.Bound(-0.5, 0.6, linear=10, quadratic=10)
+    mpc = controller(CART, bounds=CART["bounds"] | dict(velocity_mps=soft))
+    assert mpc.feedback(**given)[0] == pytest.approx(-1)
+    assert mpc.ok and mpc.x_plan[1, -1] < 0.7
+
+
+def test_full_weights_and_outputs_are_the_same_cost_in_other_words():
+    """(x + y)² as a matrix, and as an output; qn and qn_factor; y_ref as x_ref."""
+    given = dict(x=(1.0, 0.2), p=(0.0,), x_ref=(0.0, 0.0), u_ref=(0.0,))
+    matrix = controller(CART, q=np.array([[1.0, 1.0], [1.0, 1.0]]), qn_factor=3.0)
+    matrix.solve(**given, iterations=2)
+    total = dict(total=lambda x, u, p: x[0] + x[1])
+    output = controller(CART, q=(0.0, 0.0), outputs=total, q_y=(1.0,), qn_factor=3.0)
+    output.solve(**given, iterations=2)
+    end = controller(CART, q=np.ones((2, 2)), qn=3 * np.ones((2, 2)))
+    end.solve(**given, iterations=2)
+    for other in (output, end):
+        np.testing.assert_allclose(other.u_plan, matrix.u_plan, rtol=0, atol=1e-7)
+    moved = dict(given, x=(1.3, 0.2), x_ref=(0.3, 0.0))
+    output.iteration.started = False
+    output.solve(**moved, y_ref=(0.3,), iterations=2)
+    np.testing.assert_allclose(output.u_plan, matrix.u_plan, rtol=0, atol=1e-7)
+
+
+def test_without_active_bounds_it_is_the_controller_of_bounded_commands():
+    """The interior point and the active set, whatever the path that leads there."""
+    plain = controller(CART, bounds=dict(acceleration_mps2=(-1, 1)))
+    wide = controller(CART, bounds=dict(acceleration_mps2=(-1, 1), velocity_mps=(-99, 99)))
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        given, plans = cart_instance(rng), []
+        for mpc in (plain, wide):
+            mpc.prepare()
+            mpc.feedback(**given, u_ref=(0.0,))
+            plans.append(mpc.u_plan)
+        np.testing.assert_allclose(plans[1], plans[0], rtol=0, atol=1e-8)
+
+
+def test_terminal_bounds_hold_at_the_end_alone():
+    given = dict(x=(1.0, 0.0), p=(0.0,), x_ref=(0.0, 0.0), u_ref=(0.0,))
+    free = controller(CART)
+    free.solve(**given, iterations=2)
+    end = controller(CART, terminal_bounds=dict(velocity_mps=(-0.01, 0.01), position_m=(0.3, 9)))
+    end.solve(**given, iterations=2)
+    assert end.ok and abs(end.x_plan[1, -1]) <= 0.01 + 1e-9 and end.x_plan[0, -1] >= 0.3 - 1e-9
+    assert end.x_plan[1].min() < -0.1 and free.x_plan[0, -1] < 0.3
+
+
+def test_numbers_change_between_samples_without_a_new_controller():
+    """And afterwards it is the controller that was made with them."""
+    given = dict(x=(2.0, 0.0), p=(0.0,), x_ref=(0.0, 0.0), u_ref=(0.0,))
+    tight = CART["bounds"] | dict(velocity_mps=(-0.3, INF))
+    changed, fresh = controller(CART), controller(CART, bounds=tight, q=(2.0, 0.1), r=(0.1,))
+    phases = changed.iteration.phases
+    changed.update(bounds=tight, q=(2.0, 0.1), r=(0.1,))
+    for mpc in (changed, fresh):
+        mpc.solve(**given, iterations=2)
+    np.testing.assert_array_equal(changed.u_plan, fresh.u_plan)
+    assert changed.iteration.phases is phases
+    plain = controller(CART, bounds=None)
+    plain.update(bounds=dict(acceleration_mps2=(-0.1, 0.1)))
+    assert plain.feedback(**given) == -0.1
+
+
+def test_a_weight_of_zero_is_allowed_where_others_decide():
+    """One command, and a weighed state that it moves: dead beat on the velocity."""
+    mpc = controller(CART, q=(0.0, 1.0), r=(0.0,), bounds=None)
+    mpc.solve((0.0, 0.5), (0.0,), (0.0, 0.0), (0.0,), iterations=2)
+    assert mpc.ok and mpc.x_plan[1, 1] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "where, bad",
+    [
+        ("bounds", dict(bounds=dict(velocity_mps=(1, -1)))),
+        ("bounds", dict(bounds=dict(velocity_mps="fast"))),
+        ("bounds", dict(bounds=dict(speed=(0, 1)))),
+        ("bounds", dict(bounds=dict(acceleration_mps2=rhec.Bound(-1, 1, linear=1)))),
+        ("delta_bounds", dict(delta_bounds=dict(velocity_mps=(-1, 1)))),
+        ("terminal_bounds", dict(terminal_bounds=dict(velocity_mps=rhec.Bound(0, 1, linear=1)))),
+        ("outputs", dict(outputs=("speed",))),
+        ("outputs", dict(outputs=dict(speed=lambda x, u, p: x))),
+        ("outputs", dict(outputs=dict(speed=3))),
+        ("q", dict(q=np.array([[1.0, 0.5], [0.0, 1.0]]))),
+        ("q", dict(q=-np.eye(2))),
+        ("q", dict(q=(1.0, np.nan))),
+        ("q_y", dict(q_y=(1.0,))),
+        ("r", dict(r=(0.0,), q=(0.0, 0.0))),
+        ("r", dict(r="much")),
+    ],
+)
+def test_bad_options_are_refused_in_one_sentence(where, bad):
+    with pytest.raises(ValueError, match=rf"\b{where}\b.*; ") as refusal:
+        controller(CART, **bad)
+    assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 400
+
+
+@pytest.mark.parametrize(
+    "prices", [dict(linear=-1), dict(linear=0), dict(quadratic=np.nan), dict(linear="1")]
+)
+def test_bad_prices_are_refused(prices):
+    with pytest.raises(ValueError, match="(linear|quadratic).* w(as|ere) .*"):
+        rhec.Bound(0, 1, **prices)
+
+
+def test_a_bound_that_was_not_there_needs_another_controller():
+    mpc = controller(CART)
+    with pytest.raises(ValueError, match="needs a new rhec.RHC"):
+        mpc.update(bounds=CART["bounds"] | dict(position_m=(-1, 1)))
+    with pytest.raises(ValueError, match="^update had 'weights'; "):
+        mpc.update(weights=(1, 1))
