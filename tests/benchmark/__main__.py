@@ -5,6 +5,7 @@ import argparse
 from benchmark import (
     acados_peer,
     any_robot,
+    batches,
     drawings,
     growth,
     horizon,
@@ -73,6 +74,14 @@ def measure_any_robot(_):
     )
 
 
+def measure_batches(_):
+    report(
+        batches.measure(),
+        "batches",
+        f"CPU time of a sample in microseconds: {batches.RUNS} runs in a batch, single objects",
+    )
+
+
 def measure_horizon(_):
     report(
         horizon.measure(),
@@ -115,6 +124,7 @@ def measure_campaign(arguments):
 PARTS = dict(
     step=measure_step,
     any_robot=measure_any_robot,
+    batches=measure_batches,
     horizon=measure_horizon,
     tails=measure_tails,
     start=measure_start,

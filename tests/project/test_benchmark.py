@@ -10,6 +10,7 @@ import pytest
 from benchmark import (
     acados_peer,
     any_robot,
+    batches,
     drawings,
     growth,
     horizon,
@@ -223,3 +224,16 @@ def test_growth_of_campaigns_is_measured_and_drawn(monkeypatch):
     costs = growth.by_kind(dict(speed_model=("input", "slipping")), runs=2, rounds=1)
     assert list(costs["value"]) == ["input", "slipping"] and (costs["run_ms"] > 0).all()
     assert len(drawings.campaign(table).axes) == 2 and len(drawings.kinds(costs).axes) == 1
+
+
+def test_a_batch_is_compared_with_single_objects_to_the_bit(monkeypatch):
+    def kinds():
+        estimators, controllers = batches.skid_steered(runs=70, samples=5)
+        return {"RHE": estimators, "RHC": controllers}
+
+    table = batches.measure(rounds=1, kinds=kinds)
+    assert list(table["work"]) == ["RHE", "RHC"] and (table["samples"] == 4).all()
+    assert np.isfinite(table[["single_us", "batch_us", "speedup"]]).all(axis=None)
+    monkeypatch.setattr(batches, "_one_by_one", lambda work: (np.ones(5), np.zeros((5, 64, 3))))
+    with pytest.raises(SystemExit, match="other bits"):
+        batches.measure(rounds=1, kinds=kinds)

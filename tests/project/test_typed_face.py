@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import rhec
+from rhec.core.batch.batch import EKFBatch, RHEBatch
 
 Array = np.typing.NDArray[Any]
 SCENARIO = rhec.Scenario(process_noise="calibrated", duration_s=2.0)
@@ -67,6 +68,9 @@ def test_any_robot() -> None:
     for estimator in (rhe, ekf):
         estimator.prepare()
         assert estimator.feedback((0.0, 0.5)).x.shape == (1,)
+    batch = assert_type(rhec.batch(rhe, 3), RHEBatch)
+    assert batch.feedback(np.zeros((3, 2))).x.shape == (3, 1)
+    assert assert_type(rhec.batch(ekf, 3), EKFBatch).n == 3
 
 
 def test_on_a_robot(tmp_path: Path) -> None:
