@@ -9,6 +9,7 @@ from helpers import no_compiler
 import rhec
 from rhec import paper
 from rhec.simulation import closed_loop, fault_signals, faults
+from rhec.simulation.columns import ESTIMATE
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 
@@ -201,6 +202,23 @@ def test_without_a_compiler_the_results_are_the_same():
     with no_compiler():
         slow = changed(**fields).log.astype(float)
     np.testing.assert_allclose(slow, compiled, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("speed_model", ["parameter", "input", "slipping"])
+def test_the_live_estimator_equals_the_closed_loop(speed_model):
+    run = changed(speed_model=speed_model, duration_s=20.0)
+    names = "x_meas_m y_meas_m nu_meas_mps omega_meas_radps gyro_meas_radps heading_meas_rad"
+    live = rhec.RHE(
+        process_noise="consistent",
+        speed_model=speed_model,
+        sensors=BOTH,
+        guess=tuple(closed_loop.set_up(run.scenario).guess),
+    )
+    estimates = []
+    for z in run.log[names.split()].to_numpy():
+        live.prepare()
+        estimates.append(live.feedback(z)[:6])
+    np.testing.assert_allclose(estimates, run.log[ESTIMATE], rtol=0, atol=1e-9)
 
 
 def test_the_choice_of_an_estimator_counts_its_sensors():

@@ -115,6 +115,14 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
 def test_robust_applies_to_estimators_with_gating():
     values = controls.values_of(SHORT) | {"robust": True}
     robust = {key for key in controls.ESTIMATORS if controls.scenario_of(values, key, SHORT).robust}
+    dead = (rhec.Fault(kind="dead", channel="gyro"),)
+    values |= dict(sensors=("gyro",), faults=dead)
+    for key in controls.ESTIMATORS:
+        scenario = controls.scenario_of(values, key, SHORT)
+        assert (scenario.sensors, scenario.faults) == (
+            (("gyro",), dead) if key == "rhe" else ((), ())
+        )
+    assert controls.scenario_of(values | dict(sensors=()), "rhe", SHORT).faults == ()
     assert robust == {"rhe"}
 
 

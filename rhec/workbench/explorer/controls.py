@@ -8,7 +8,7 @@ import math
 from dataclasses import fields
 from typing import NamedTuple
 
-from rhec.simulation.faults import Fault
+from rhec.simulation.faults import SENSOR_CHANNELS, Fault
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.scenario_fields import FIELDS
 from rhec.tracked_robot import tuning
@@ -90,6 +90,14 @@ _FAULTS = (
     ("a jump of 0.5 m for 20 s", _fault(20.0, kind="jump", size_m=0.5)),
     ("positions 0.6 s late", (Fault(kind="latency", delay_s=0.6),)),
     ("left encoder dead for 20 s", _fault(20.0, kind="dead", channel="left")),
+    ("gyro dead for 20 s", _fault(20.0, kind="dead", channel="gyro")),
+    ("gyro stuck for 20 s", _fault(20.0, kind="stuck", channel="gyro")),
+)
+_SENSORS = (
+    ("none", ()),
+    ("a gyro", ("gyro",)),
+    ("a heading", ("heading",)),
+    ("gyro and heading", ("gyro", "heading")),
 )
 GROUPS = {
     "Estimator": (
@@ -139,6 +147,12 @@ GROUPS = {
         _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
         _slider("rut_length_m", "ruts over", 0, 3, 0.1),
         _slider("rotation_centre_m", "turns ahead of middle", -0.5, 0.5, 0.02),
+        _slider("side_slip_rad", "side slip", 0, 0.5, 0.02),
+        Selection("sensors", "besides (RHE)", _SENSORS, FIELDS["sensors"].text),
+        _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
+        _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
+        _slider("gyro_scale", "gyro scale", 0.85, 1.2, 0.01),
+        _slider("heading_sigma_rad", "heading noise", 0, 0.2, 0.005),
         Selection("faults", "fault", _FAULTS, FIELDS["faults"].text),
         *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),
     ),
@@ -209,6 +223,9 @@ def scenario_of(values, estimator, start):
             settings[key] = value
     settings |= {name: tuple(entry) for name, entry in entries.items()}
     settings["robust"] = settings["robust"] and estimator in ROBUST_NAMES
+    settings["sensors"] = settings["sensors"] if estimator == "rhe" else ()
+    absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
+    settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
     if settings["process_noise"] == "custom":
         is_listed = start.process_noise in dict(PROCESS_NOISES).values()
         settings["process_noise"] = start.process_noise if is_listed else "calibrated"
