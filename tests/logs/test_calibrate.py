@@ -107,6 +107,19 @@ def test_what_the_receiver_declares_is_the_least_noise(wandered):
     assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
 
 
+def test_a_calibration_that_predicts_worse_is_not_kept(calibrated, monkeypatch):
+    """Positions hidden for ten seconds judge it: here one that trusts no encoder."""
+    log, found = calibrated[0.03]
+    assert "sigma_v" in found and not any("kept" in remark for remark in found.remarks)
+
+    def spoil(result, names):
+        result["sigma_v"] = (0.03, 0.03, 5.0, 5.0)
+
+    monkeypatch.setattr(calibration, "_widen", spoil)
+    spoilt = rhec.calibrate(log)
+    assert "sigma_v" not in spoilt and "defaults are kept" in spoilt.remarks[-1]
+
+
 def test_calibration_does_not_look_at_the_truth(calibrated):
     log, found = calibrated[0.03]
     truth = log.columns[log.columns.str.contains("true")]

@@ -5,7 +5,7 @@ without robust handling. Robust handling loses a cell where its yaw error (RMS) 
 position error is larger than 1.1 times that of the plain replay, plus 0.01 rad or 0.1 m. The errors
 are means over noise seeds, which both replays share.
 
-    python -m rhec.workbench.studies.robustness_grid LOG… [--seeds 5] [--told] [--without-gyro]
+    python -m rhec.workbench.studies.robustness_grid LOG… [--seeds 5] [--first-seed 0] [--told] [--without-gyro]
 
 prints the cells that are lost and writes the means of all cells to data/robustness_grid.csv. With
 `--told` both replays are told a noise of 0.03 m, which is wrong in most cells.
@@ -159,6 +159,7 @@ def _main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--told", action="store_true")
     parser.add_argument("--without-gyro", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("data/robustness_grid.csv"))
@@ -167,7 +168,8 @@ def _main():
     fields = dict(sigma_v=paper.SIGMA_V) if arguments.told else {}
     if arguments.without_gyro:
         fields["sensors"] = ()
-    table = grid(logs, range(arguments.seeds), **fields)
+    first = arguments.first_seed
+    table = grid(logs, range(first, first + arguments.seeds), **fields)
     cells = lost_cells(table)
     cells.round(4).to_csv(arguments.out)
     for error in TOLERANCE:
