@@ -41,13 +41,15 @@ class Frames:
 
     def _above(self, frame):
         """{ancestor: (R, t) of the frame in it}, of the frame itself first."""
-        R, t = np.eye(3), np.zeros(3)
+        R = np.eye(3)
+        t = np.zeros(3)
         above = {frame: (R, t)}
         while frame in self._parents:
             frame, R_parent, t_parent = self._parents[frame]
             if frame in above:  # transforms in a circle
                 break
-            R, t = R_parent @ R, R_parent @ t + t_parent
+            R = R_parent @ R
+            t = R_parent @ t + t_parent
             above[frame] = (R, t)
         return above
 

@@ -418,14 +418,8 @@ def calibrate(
         UserWarning: If the positions are late.
     """
     if model is not None:
-        from rhec.logs.model_calibration import calibrate_model  # it needs this module
-
-        refuse_with_model(
-            track_width_m=track_width_m,
-            position_delay_s=position_delay_s or None,
-            trust_log=trust_log or None,
-        )
-        return calibrate_model(log, model, delays_s, arguments)
+        of_robot = (track_width_m, position_delay_s or None, trust_log or None)
+        return _with_model(log, model, delays_s, arguments, of_robot)
     _refuse_without_model(arguments | (dict(delays_s=delays_s) if delays_s else {}))
     recording = prepare(log, track_width_m, position_delay_s)
     if not trust_log:
@@ -461,6 +455,15 @@ def calibrate(
         )
     _keep_better(result, recording, yaws)
     return result
+
+
+def _with_model(log, model, delays_s, arguments, of_robot):
+    """The Calibration of a Model, which takes none of the three arguments of a robot."""
+    from rhec.logs.model_calibration import calibrate_model  # it needs this module
+
+    names = ("track_width_m", "position_delay_s", "trust_log")
+    refuse_with_model(**dict(zip(names, of_robot)))
+    return calibrate_model(log, model, delays_s, arguments)
 
 
 def _refuse_without_model(arguments):

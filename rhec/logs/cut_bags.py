@@ -19,9 +19,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 3, 4, 5, 6  # operations in an .mcap
+_SCHEMA = 3  # these four are operations in an .mcap
+_CHANNEL = 4
+_MESSAGE = 5
+_CHUNK = 6
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
-_BAG_MESSAGE, _BAG_CHUNK, _BAG_CONNECTION = 2, 5, 7  # operations in a .bag
+_BAG_MESSAGE = 2  # these three are operations in a .bag
+_BAG_CHUNK = 5
+_BAG_CONNECTION = 7
 _IDL_LINE = "=" * 80 + "\n"
 
 

@@ -185,7 +185,8 @@ def _report(search, x, deviation):
     for name in model.parameters:
         place = model.joint_names.index(name)
         sigma = float(np.sqrt(variance[place]))
-        low, high = mean[place] - 1.96 * sigma, mean[place] + 1.96 * sigma
+        low = mean[place] - 1.96 * sigma
+        high = mean[place] + 1.96 * sigma
         determined = is_determined(sigma / first[name])
         rows[name] = dict(value=mean[place], low=low, high=high, determined=determined, unit="own")
     report = pd.DataFrame(rows).T[["value", "low", "high", "unit", "determined"]]
