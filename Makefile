@@ -43,8 +43,8 @@ MAKEFLAGS += -j2
 endif
 
 .PHONY: help figures studies check-figures claims report article lab replay recordings \
-  replay-table calibrate campaign \
-  posterior embedded test test-browser lint bench soak storm lock upgrade sbom clean \
+  replay-table calibrate campaign posterior embedded test test-browser lint bench soak fuzz storm \
+  lock upgrade sbom clean \
   $(KEPT:%=clean-%)
 
 help: ## list the goals
@@ -120,6 +120,9 @@ bench: .venv/peers .venv/acados ## compare computation times with other tools, i
 
 soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
 	@$(PY) tests/soak.py --samples "$$SAMPLES"
+
+fuzz: $(READY) ## absurd drives for the exported C under sanitizers; WHAT="--runs N" (minutes)
+	@$(PY_WHAT) tests/fuzz
 
 storm: $(READY) ## a campaign of RUNS runs, 100000, whose workers are killed all the time (20 minutes)
 	@$(PY) tests/storm.py --runs "$$RUNS"
