@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from rhec.simulation.worlds import WORLDS
-from rhec.tracked_robot.tuned_loops import OWN_SPEED, TUNED
+from rhec.tracked_robot.tuned_loops import CAUTIOUS, OWN_SPEED, TUNED
 from rhec.workbench.studies.ensured import SOILS, front
 from rhec.workbench.studies.statistics import interval_text
 
@@ -24,21 +24,11 @@ _OWN_SLIP = dict(
 CHANGES = ("as it is", "own slip of each track", "GNSS x 1.5", "90 % slow GNSS")
 CHANGES += ("all real at once", "uncertain soil", "wet patches")
 _PROPOSAL = TUNED["default"]["yaw_drift_ekf"] | dict(caution=0.0)
-# The best of 56 settings of the cautious controller, among them the estimator and weights of
-# OWN_SPEED, with the same worlds and score on the training seeds 1000 to 1019.
-_CAUTIOUS = dict(
-    estimator="yaw_drift_ekf",
-    cautious=True,
-    caution=0.325,
-    sigma_w=(0.001, 0.001, 0.0106, 0.321, 0.00254, 0.106, 0.000695),
-    q=(1.0, 1.0, 0.407),
-    r=0.0217,
-)
 # {name: fields of Scenario}
 CONTESTANTS = {
     "speed RHC": OWN_SPEED,
     "cautious, as it was": _PROPOSAL | dict(cautious=True),
-    "cautious, tuned here": _CAUTIOUS,
+    "cautious, tuned here": CAUTIOUS,
     "constant 0.3 m/s": _PROPOSAL | dict(speed_mps=0.3),
     "constant 0.5 m/s": _PROPOSAL,
 }
