@@ -10,7 +10,9 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-import rhec
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator.rhe import RHE
+from rhec.core.model.base import Model
 
 __all__ = [
     "ControlProblem",
@@ -87,7 +89,7 @@ def pendulum():
         return ca.vertcat(v, w, a, turn)
 
     states = ("p_m", "theta_rad", "v_mps", "w_radps")
-    model = rhec.Model(states=states, inputs=("force_N",), parameters={}, outputs=states, f=f)
+    model = Model(states=states, inputs=("force_N",), parameters={}, outputs=states, f=f)
     options = dict(model=model, command=("force_N",), bounds={"force_N": (-80.0, 80.0)})
     options |= dict(q=(2e3, 2e3, 2e-2, 2e-2), r=(2e-2,), qn_factor=1.0, dt=0.025, horizon=40)
     return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
@@ -108,7 +110,7 @@ def furuta():
         return ca.vertcat(v, w, ca.solve(inertia, ca.vertcat(first, second)))
 
     states = ("arm_rad", "theta_rad", "v_radps", "w_radps")
-    model = rhec.Model(states=states, inputs=("torque_Nm",), parameters={}, outputs=states, f=f)
+    model = Model(states=states, inputs=("torque_Nm",), parameters={}, outputs=states, f=f)
     options = dict(model=model, command=("torque_Nm",), bounds={"torque_Nm": (-0.45, 0.45)})
     options |= dict(q=(50.0, 500.0, 1.0, 1.0), r=(1e3,), qn_factor=1.0, dt=0.025, horizon=20)
     return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
@@ -122,7 +124,7 @@ def unicycle():
 
     states = ("x_m", "y_m", "v_mps", "theta_rad", "w_radps")
     inputs = ("force_N", "torque_Nm")
-    model = rhec.Model(states=states, inputs=inputs, parameters={}, outputs=states, f=f)
+    model = Model(states=states, inputs=inputs, parameters={}, outputs=states, f=f)
     options = dict(model=model, command=inputs, bounds={"force_N": (-10.0, 10.0)})
     options |= dict(q=(2e3, 2e3, 2e-4, 2e-3, 2e-3), r=(1.0, 0.1), qn_factor=1.0)
     options |= dict(dt=0.04, horizon=50)
@@ -143,7 +145,7 @@ def range_bearing():
 
     names = ("x_m", "y_m", "theta_rad"), ("v_mps", "w_radps")
     outputs = ("range_m", "bearing_rad", *names[1])
-    model = rhec.Model(
+    model = Model(
         states=names[0], inputs=names[1], parameters={}, outputs=outputs, f=f, h=h,
         angles=("bearing_rad",),
     )  # fmt: skip
@@ -166,7 +168,7 @@ def mass_on_a_spring():
 
     states = ("position_m", "velocity_mps")
     outputs = ("position_m", "force_N")
-    model = rhec.Model(states=states, inputs=("force_N",), parameters={}, outputs=outputs, f=f)
+    model = Model(states=states, inputs=("force_N",), parameters={}, outputs=outputs, f=f)
     options = dict(model=model, dt=0.05, horizon=10, arrival_mean="filtered")
     options |= dict(sigma_v=(0.005, 0.1), sigma_w=(0.0, 0.0))
     options |= dict(guess=(1.0, 0.0), sigma_guess=(0.01, 0.01))
@@ -187,7 +189,7 @@ def masses():
     outputs = ("phi_1_rad", "phi_2_rad", "phi_3_rad", *motors)
     states = (*outputs[:3], "w_1", "w_2", "w_3")
     parameters = {"inertia": (1e-5, 1e-3)}
-    model = rhec.Model(states=states, inputs=motors, parameters=parameters, outputs=outputs, f=f)
+    model = Model(states=states, inputs=motors, parameters=parameters, outputs=outputs, f=f)
     options = dict(model=model, dt=0.1, horizon=10, sigma_v=(0.01,) * 3 + (1e-3,) * 2)
     options |= dict(sigma_w=(0.0,) * 7, guess=(0.0,) * 6 + (1e-4,), arrival_mean="filtered")
     options |= dict(sigma_guess=(1.0,) * 6 + (1e-3,))
@@ -220,7 +222,7 @@ def drive(problem):
     Returns:
         Drive.
     """
-    rhc = rhec.RHC(**problem.options)
+    rhc = RHC(**problem.options)
     model = problem.options["model"]
     N = problem.options["horizon"]
     step = _next(model, problem.options["dt"])
@@ -296,7 +298,7 @@ def estimate(problem, seed=0):
         Record.
     """
     model = problem.options["model"]
-    rhe = rhec.RHE(**problem.options)
+    rhe = RHE(**problem.options)
     step = _next(model, problem.options["dt"])
     rng = np.random.default_rng(seed)
     x = np.array(problem.start)

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-import rhec
+from rhec.tracked_robot.path import Path
+from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
     "DT_S",
@@ -51,7 +52,7 @@ class TwoTracks:
         self.slips = halves[(self.time_s >= duration_s / 2).astype(int)]
         n_bends = round(samples * DT_S * _SPEED_MPS / _BEND_M) + 1
         bends = [(_BEND_M, -_BEND_PER_M * (-1) ** k) for k in range(n_bends)]
-        self.path = rhec.Path.from_segments([(_BEND_M / 2, _BEND_PER_M), *bends])
+        self.path = Path.from_segments([(_BEND_M / 2, _BEND_PER_M), *bends])
 
     def move(self, x, u, slips):
         """The pose (x, y, θ) after a sample, by Euler's steps of 5 ms."""
@@ -66,7 +67,7 @@ class TwoTracks:
     def tracker(self):
         """A PathTracker of the path at the desired speed."""
         names = dict(position=("x_m", "y_m"), heading="theta_rad")
-        return rhec.PathTracker(self.path, HORIZON, DT_S, speed=_SPEED_MPS, **names)
+        return PathTracker(self.path, HORIZON, DT_S, speed=_SPEED_MPS, **names)
 
     def references(self, tracker, estimate):
         """Arguments of `rhec.RHC.feedback`: desired poses, and track speeds that turn with them."""
