@@ -369,7 +369,7 @@ def batch(source: EKF, n: int) -> EKFBatch: ...
 
 @checked
 def batch(source: Any, n: Runs) -> Any:
-    """n runs of an estimator or controller of any Model, several at a time.
+    """Make n runs of an estimator or controller of any Model, computed several at a time.
 
     The batch has the methods of a single object, with arrays (n, …) for arguments and results. Each
     run begins as a new object does, and has the results of an object of its own to the last bit:

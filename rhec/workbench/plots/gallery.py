@@ -47,9 +47,12 @@ def estimated(problem, record, state=0):
     above.set(xlabel="time [s]", title=model.states[state])
     above.legend(fontsize="x-small")
     if model.parameters:
-        shown, wanted, (title,) = record.p_hat[:, 0], problem.p[0], model.parameters
+        shown = record.p_hat[:, 0]
+        wanted = problem.p[0]
+        (title,) = model.parameters
     else:
-        shown, wanted = (record.x_hat - record.x)[:, state], 0.0
+        shown = (record.x_hat - record.x)[:, state]
+        wanted = 0.0
         title = f"error of {model.states[state]}"
     below.axhline(wanted, color=COLOURS["truth"], linewidth=0.6)
     below.plot(time_s, shown, color=COLOURS["RHE"])

@@ -81,7 +81,8 @@ def pendulum():
 
     def f(x, u, p):
         _, theta, v, w = ca.vertsplit(x)
-        sin, cos = ca.sin(theta), ca.cos(theta)
+        sin = ca.sin(theta)
+        cos = ca.cos(theta)
         mass = 1.1 - 0.1 * cos**2
         a = (-0.08 * sin * w**2 + 0.981 * cos * sin + u) / mass
         turn = (-0.08 * cos * sin * w**2 + u * cos + 10.791 * sin) / (0.8 * mass)
@@ -99,15 +100,14 @@ def furuta():
 
     def f(x, u, p):
         _, theta, v, w = ca.vertsplit(x)
-        arm, rod, factor = 2.6705e-3, 2.5164e-3, 1.8978e-3  # inertias [kg m²]
-        sin, cos, double = -ca.sin(theta), -ca.cos(theta), ca.sin(2 * theta)
-        first = (
-            u - (4e-3 + w * rod * double / 2) * v - (v * rod * double / 2 - factor * sin * w) * w
-        )
-        second = v * rod * double / 2 * v - 0.196 * rod * w - 0.17988 * sin
-        a, b = arm + rod * sin**2, factor * cos
-        area = a * rod - b**2
-        return ca.vertcat(v, w, (rod * first - b * second) / area, (a * second - b * first) / area)
+        rod = 2.5164e-3  # inertia [kg m²]
+        sin = -ca.sin(theta)
+        coupling = -1.8978e-3 * ca.cos(theta)
+        twist = rod * ca.sin(2 * theta) / 2
+        inertia = ca.blockcat([[2.6705e-3 + rod * sin**2, coupling], [coupling, rod]])
+        first = u - (4e-3 + w * twist) * v - (v * twist - 1.8978e-3 * sin * w) * w
+        second = v**2 * twist - 0.196 * rod * w - 0.17988 * sin
+        return ca.vertcat(v, w, ca.solve(inertia, ca.vertcat(first, second)))
 
     states = ("arm_rad", "theta_rad", "v_radps", "w_radps")
     model = Model(states=states, inputs=("torque_Nm",), parameters={}, outputs=states, f=f)
@@ -185,10 +185,10 @@ def masses():
         damping = 1e-5 * ca.vertcat(6.78, 8.01, 8.82) * x[3:]
         return ca.vertcat(x[3:], (torque - damping) / ca.vertcat(p, 2.25e-4, 2.25e-4))
 
-    angles = tuple(f"phi_{i}_rad" for i in (1, 2, 3))
-    states, motors = (*angles, "w_1", "w_2", "w_3"), ("motor_1_rad", "motor_2_rad")
+    motors = ("motor_1_rad", "motor_2_rad")
+    outputs = ("phi_1_rad", "phi_2_rad", "phi_3_rad", *motors)
+    states = (*outputs[:3], "w_1", "w_2", "w_3")
     parameters = {"inertia": (1e-5, 1e-3)}
-    outputs = (*angles, *motors)
     model = Model(states=states, inputs=motors, parameters=parameters, outputs=outputs, f=f)
     options = dict(model=model, dt=0.1, horizon=10, sigma_v=(0.01,) * 3 + (1e-3,) * 2)
     options |= dict(sigma_w=(0.0,) * 7, guess=(0.0,) * 6 + (1e-4,), arrival_mean="filtered")
@@ -245,17 +245,20 @@ class _Plan:
 
     def __init__(self, problem):
         options = problem.options
-        model, self.N = options["model"], options["horizon"]
+        model = options["model"]
+        self.N = options["horizon"]
         self.start = np.array(problem.start)
         self.step = _next(model, options["dt"])
         self.weights = np.array(options["q"]), options["qn_factor"] * np.array(options["q"])
-        self.r, self.goal = np.array(options["r"]), np.array(problem.goal)
+        self.r = np.array(options["r"])
+        self.goal = np.array(problem.goal)
         limits = [options["bounds"].get(name, (-np.inf, np.inf)) for name in model.inputs]
         self.lower, self.upper = np.transpose(limits)
 
     def cost(self, u):
         """The cost of inputs (n_u, N), rolled out."""
-        x, total = self.start, 0.0
+        x = self.start
+        total = 0.0
         for i, u_i in enumerate(u.T):
             x = self.step(x, u_i, []).full().ravel()
             weight = self.weights[i == self.N - 1]
@@ -264,7 +267,8 @@ class _Plan:
 
     def cost_by_ipopt(self):
         """The cost of IPOPT's plan, from the guess that RHC starts with: at rest at the start."""
-        u, x = ca.MX.sym("u", len(self.r), self.N), ca.MX.sym("x", len(self.start), self.N)
+        u = ca.MX.sym("u", len(self.r), self.N)
+        x = ca.MX.sym("x", len(self.start), self.N)
         nodes = ca.horzcat(self.start, x)
         gaps = x - self.step.map(self.N)(nodes[:, :-1], u, ca.DM(0, 1))
         off = (x - self.goal) ** 2
@@ -297,7 +301,8 @@ def estimate(problem, seed=0):
     rhe = RHE(**problem.options)
     step = _next(model, problem.options["dt"])
     rng = np.random.default_rng(seed)
-    x, rows = np.array(problem.start), []
+    x = np.array(problem.start)
+    rows = []
     for k, u in enumerate(problem.inputs):
         if k:  # a measured input belongs to the interval that ends with the sample
             x = step(x, u, problem.p).full().ravel()
@@ -319,9 +324,11 @@ def _by_ipopt(problem, z, arrival, guess):
     The measurements of inputs at the oldest node belong to the interval before the window.
     """
     options = problem.options
-    model, N = options["model"], options["horizon"]
+    model = options["model"]
+    N = options["horizon"]
     step = _next(model, options["dt"])
-    x, u, p = ca.MX.sym("x", len(model.states)), ca.MX.sym("u", len(model.inputs), N), None
+    x = ca.MX.sym("x", len(model.states))
+    u = ca.MX.sym("u", len(model.inputs), N)
     p = ca.MX.sym("p", len(model.parameters))
     window = z[-N - 1 :]
     off = ca.vertcat(x, p) - arrival["m"]
@@ -360,14 +367,16 @@ def kalman_filter(problem, z):
     A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
     B = step([0, 0], 1, []).full().ravel()
     sigma_z, sigma_u = problem.options["sigma_v"]
-    x, P = np.array(problem.options["guess"]), np.diag(problem.options["sigma_guess"]) ** 2
+    x = np.array(problem.options["guess"])
+    P = np.diag(problem.options["sigma_guess"]) ** 2
     rows = []
     for k, (position, force) in enumerate(z):
         if k:
             x = A @ x + B * force
             P = A @ P @ A.T + sigma_u**2 * np.outer(B, B)
         gain = P[:, 0] / (P[0, 0] + sigma_z**2)
-        x, P = x + gain * (position - x[0]), P - np.outer(gain, P[0])
+        x = x + gain * (position - x[0])
+        P = P - np.outer(gain, P[0])
         rows.append(x)
     return np.array(rows)
 

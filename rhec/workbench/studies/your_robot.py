@@ -31,7 +31,8 @@ SIGMA_V = (0.03, 0.03, 0.02, 0.02)  # of x, y [m] and of both tracks' speeds [m/
 START = (0.0, 0.5, 0.0)  # half a metre beside the path
 _STEPS = 40  # of the simulation in a sample, 5 ms each
 _SPEED_MPS = 0.5  # desired on the path
-_BEND_M, _BEND_PER_M = 5.0, 0.5  # length and curvature of the path's bends
+_BEND_M = 5.0  # length of the path's bends
+_BEND_PER_M = 0.5  # their curvature
 
 
 class TwoTracks:
