@@ -5,7 +5,8 @@ without robust handling. Robust handling loses a cell where its yaw error (RMS) 
 position error is larger than 1.1 times that of the plain replay, plus 0.01 rad or 0.1 m. The errors
 are means over noise seeds, which both replays share.
 
-    python -m rhec.workbench.studies.robustness_grid LOG… [--seeds 5] [--first-seed 0] [--told] [--without-gyro]
+    python -m rhec.workbench.studies.robustness_grid LOG… [--seeds 5] [--first-seed 0] [--told]
+        [--without-gyro]
 
 prints the cells that are lost and writes the means of all cells to data/robustness_grid.csv. With
 `--told` both replays are told a noise of 0.03 m, which is wrong in most cells.
