@@ -35,7 +35,7 @@ from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.line_search import line_search
+from rhec.core.solver.line_search import PENALTY, line_search
 from rhec.core.solver.rti import IMPROVE, RealTimeIteration, RealTimeLoop, run_phases
 
 FIRST_ITERATIONS = 100  # at most, on the first sample, for which there is no previous plan
@@ -263,7 +263,7 @@ def _build_improve(horizon, phases):
     search = line_search("rhc_search", horizon.memory, *reversed(_build_cost_and_gaps(horizon)))
     shapes = horizon.memory | horizon.weights | horizon.references
 
-    @casadi_function("rhc_improve", ca.MX, **shapes, penalty=(1, 1))
+    @casadi_function("rhc_improve", ca.MX, **shapes, penalty=PENALTY)
     def improve(penalty, **inputs):
         values = dict(inputs)
         for name in ("linearise", "feedback", "expand"):

@@ -222,7 +222,7 @@ class RealTimeLoop:
     def converged(self) -> bool:
         """Whether the last `solve` ended at a solution; never after `feedback`, which is one step.
 
-        The next step would then lower the cost by less than a billionth of it.
+        The next step would then lower the cost by less than 1e-10 of it.
         """
         return self.ok and self.iteration.converged
 
