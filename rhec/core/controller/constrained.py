@@ -391,7 +391,8 @@ def _build_feedback(horizon, linearise, shape, roll_out):
     @casadi_function("rhc_feedback", ca.MX, **shapes)
     def feedback(**inputs):
         at_plan = condition(**select_inputs(condition, inputs))
-        lower, upper = inputs["lower"], inputs["upper"]
+        lower = inputs["lower"]
+        upper = inputs["upper"]
         ends = _bounds_of_nodes(horizon, lower, inputs["lower_N"], -MAX_QP_ENTRY)
         tops = _bounds_of_nodes(horizon, upper, inputs["upper_N"], MAX_QP_ENTRY)
         qp = {name: inputs[name] for name in ("H", "G", "linear", "quadratic")}

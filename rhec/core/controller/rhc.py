@@ -310,6 +310,8 @@ class RHC(RealTimeLoop):
         ValueError: if an argument is invalid.
     """
 
+    _options: Options | None = None  # none of the paper's controller
+
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
 
         def __init__(self, *, model: Model | None = None, **options: Any) -> None: ...
@@ -396,11 +398,12 @@ class RHC(RealTimeLoop):
         Raises:
             ValueError: If a value is invalid, or if it needs another controller.
         """
-        unknown = [name for name in changes if name not in self._options._fields]
+        given = self._given_options()
+        unknown = [name for name in changes if name not in given._fields]
         if unknown:
-            valid.refuse("update had", unknown[0], f"it may have {self._options._fields}")
-        options = self._options._replace(**changes)
-        problem = self._problem_of(options)
+            valid.refuse("update had", unknown[0], f"it may have {given._fields}")
+        options = given._replace(**changes)
+        problem = problem_of(options)
         if problem.structure != self.structure:
             raise ValueError(
                 f"update had {', '.join(changes)}, which changes what is weighed or bounded; that "
@@ -410,10 +413,18 @@ class RHC(RealTimeLoop):
         self.settings = problem.settings
         self.iteration.set(self.iteration.arrays, self.settings)
 
-    @staticmethod
-    def _problem_of(options):
-        """The Problem of these options."""
-        return problem_of(options)
+    @property
+    def bounds(self) -> dict:
+        """Bounds by name, as they were given last."""
+        return dict(self._given_options().bounds or {})
+
+    def _given_options(self):
+        """The options of a Model's controller."""
+        if self._options is None:
+            raise ValueError(
+                "the controller was the paper's; bounds and update need a rhec.RHC with a model"
+            )
+        return self._options
 
     def __repr__(self):
         problem = self.problem
