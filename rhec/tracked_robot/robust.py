@@ -14,6 +14,7 @@ say of one another, never from the estimate alone:
   and scaled for the best fit (Kabsch, 1976). Where the positions are smooth and do not fit, the
   encoders are inconsistent until both agree again. Meanwhile the speed between positions replaces
   theirs. With `speed_model="parameter"` a jump of the encoders is inconsistent at once.
+- *Absurd yaw rates* of a gyro, far beyond those of the tracks, are rejected.
 - *Restart*: where both agree, and the estimate has another yaw, or another position for long, the
   estimate is wrong, and its window restarts.
 
@@ -57,6 +58,9 @@ MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
 # A gyro or a heading holds the yaw where the robot slips sideways, which the course does not show.
 MISMATCHES_WITH_SENSORS = 25
+# A gyro beyond this, and this share of the tracks' yaw rate: a fault of the gyro, not of the soil.
+GYRO_MOST_RADPS = 1.0
+GYRO_MOST_SHARE = 2.0
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
 MAX_CHECKED_SIGMA_M = 0.045  # [m] noisier positions tell too little about the encoders
 _MAX_CHECKED_NOISE = 2 * MAX_CHECKED_SIGMA_M**2
@@ -135,6 +139,15 @@ def _turned_by_gyro(sample, gyro, m, names):
     rate = ca.if_else(_is_number(gyro), (gyro - bias) / scale, by_encoders)
     past = ca.vertcat(sample.past[:3, :], ca.horzcat(sample.past[3, :-1], rate))
     return sample._replace(past=past)
+
+
+def _without_absurd_gyro(others, omega, names):
+    """The measurements of gyro and heading, NaN for a gyro that turns far more than the tracks."""
+    if not set(GYRO) <= set(names):
+        return others
+    most = GYRO_MOST_RADPS + GYRO_MOST_SHARE * ca.fabs(omega)
+    gyro = ca.if_else(ca.fabs(others[0]) <= most, others[0], ca.DM.nan(1))
+    return ca.vertcat(gyro, *ca.vertsplit(others)[1:])
 
 
 class _Positions(NamedTuple):
@@ -321,7 +334,8 @@ def _is_within_reach(y, step, P, V, unseen_s):
 def _check(z, limits, memory, predict, V, names, first, dt_s):
     """Check one measurement z (n_z,) against `limits`, earlier ones and the prediction.
 
-    Only its first four entries are checked.
+    Of the entries after the first four, those of gyro and heading, only an absurd yaw rate is
+    rejected.
 
     `predict` is (z, V) -> mean (n,) and covariance (n, n) of the joint state `names`, by the
     encoders in z; `first` is 1 before any measurement. The results by name: which measurements are
@@ -334,8 +348,8 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     sample = _sample(z, limits, before.past, before.last)
     positions = _check_positions(sample.past, V, before.largest)
 
-    # Gyro and heading are not checked; they are the entries of z after the first four.
-    others = z[4:]
+    # Gyro and heading are the entries of z after the first four.
+    others = _without_absurd_gyro(z[4:], sample.speeds_held[1], names)
     encoders = ca.if_else(sample.has_encoders, z[2:4], _NONE)
     m, _ = predict(ca.vertcat(sample.position, encoders, others), V)
     if set(GYRO) <= set(names):

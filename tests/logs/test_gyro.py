@@ -67,6 +67,21 @@ def test_a_gyro_that_falls_silent_leaves_the_encoders(without):
     assert yaw_rms(with_gyro()) < yaw_rms(log) < 1.2 * without
 
 
+@pytest.mark.parametrize("spike_radps", [20.0, -3.0, 1e300, np.inf])
+def test_an_absurd_sample_of_a_gyro_counts_as_missing(spike_radps):
+    fields = dict(speed_model="slipping", arrival_mean="filtered", robust=True, sensors=("gyro",))
+    columns = ["x_m", "y_m", "speed_mps", "yaw_rate_radps", "yaw_rate_true_radps"]
+    samples = LOG[columns].to_numpy()[:40]
+    estimates = []
+    for sample in (spike_radps, np.nan):
+        live = rhec.RHE(**fields, guess=(*samples[0, :2], 0.7, samples[0, 2], 1.0, 1.0))
+        for k, z in enumerate(samples):
+            live.prepare()
+            estimate = live.feedback([*z[:4], sample if k in (20, 30) else z[4]])
+        estimates.append(estimate[:6])
+    np.testing.assert_array_equal(*estimates)
+
+
 def test_a_gyro_carries_the_yaw_where_positions_are_missing():
     """On soil where the tracks turn the robot less than before, which only a gyro tells.
 
