@@ -132,7 +132,7 @@ class PaperRHE(rhe.RHE):
         self.settings = settings_of(speed_model, *noise, **constants)
         functions = compiled.load(estimators.build_phases, self._choice)
         memory = self._estimator.init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
-        self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
+        self.iteration = RealTimeIteration(functions, memory, rhe.UNKNOWNS, **self.settings)
         arrays = self.iteration.arrays
         n_s = self.model.n_s
         self._inputs = dict(z=arrays["z_N"])

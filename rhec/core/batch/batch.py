@@ -18,6 +18,7 @@ from rhec.core.controller.rhc import RHC
 from rhec.core.estimator import rhe
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
+from rhec.core.solver.rti import IMPROVE
 
 Runs = Annotated[Whole, Field(ge=1, le=10_000_000)]
 
@@ -50,6 +51,7 @@ class _Batch:
     """
 
     results: ClassVar[tuple[str, ...]]
+    first_iterations: ClassVar[int] = 0  # before the feedback of a run's first sample
 
     def __init__(self, n, iterations, shift, constants, inputs):
         """Set up the memory.
@@ -99,8 +101,11 @@ class _Batch:
             self._memory, self._spare = self._spare, self._memory
         self._is_prepared = True
 
-    def _run(self, values, iterations=1):
-        """Take in one sample: {name: array (n, …), or (…) that is the same for all}."""
+    def _run(self, values, iterations=None):
+        """Take in one sample: {name: array (n, …), or (…) that is the same for all}.
+
+        Do one full step, or iterations with a line search.
+        """
         for name, value in values.items():
             rows = _checked_input(name, value, self.n, self._shapes[name])
             is_shared = len(rows) < self.n
@@ -112,8 +117,12 @@ class _Batch:
             set_runs(self._memory, new, self._first_memory(new))
         self._is_new[:] = False
         self._is_prepared = False
-        for _ in range(iterations):
-            self._iterate()
+        if iterations is not None:
+            self._memory, self._spare = self._improve(np.arange(self.n), iterations)
+            return
+        if len(new) and self.first_iterations:
+            self._improve(new, self.first_iterations)
+        self._iterate()
 
     def _iterate(self):
         """Do one iteration of all runs.
@@ -130,6 +139,16 @@ class _Batch:
             if len(unsolved):
                 evaluate_some(rows, unsolved, arguments, results)
         self._memory, self._spare = self._spare, self._memory
+
+    def _improve(self, runs, iterations):
+        """Iterate with a line search, each of these runs until it has converged.
+
+        The memory gets the new unknowns.
+
+        Returns:
+            (expanded, memory): the memory that the next sample shifts, and that of this sample.
+        """
+        raise NotImplementedError
 
     def _get(self, name, *shape):
         """Return a copy of a result, (n, *shape)."""
@@ -164,7 +183,26 @@ class _IteratedBatch(_Batch):
         shorter = shorter if whole.lanes > 1 else []
         iterations = [*(Rows(build, each, "iteration") for each in shorter), whole]
         shift = Rows(build, problem, "shift")
+        self._improvement = Rows(build, problem, IMPROVE)
         super().__init__(n, iterations, shift, source.iteration.arrays, inputs)
+        lengths = self._improvement.lengths
+        names = ("converged", "penalty_after")
+        self._improved = {name: zeros(n, lengths[name], self._width) for name in names}
+
+    def _improve(self, runs, iterations):
+        penalty = self._improved["penalty_after"]
+        penalty[:] = 0
+        converged = self._improved["converged"]
+        arguments = self._arguments | dict(memory=self._memory, penalty=penalty)
+        results = self._results | self._improved
+        results |= dict(memory=self._spare, current=self._memory)
+        set_runs(self._spare, runs, get_runs(self._memory, runs))
+        for _ in range(iterations):
+            evaluate_some(self._improvement, runs, arguments, results)
+            runs = runs[get_runs(converged, runs)[:, 0] != 1]
+            if not len(runs):
+                break
+        return self._spare, self._memory
 
     @property
     def ok(self) -> np.ndarray:
@@ -185,8 +223,14 @@ class RHCBatch(_IteratedBatch):
     """
 
     results = functions.CONTROLLER_RESULTS
+    first_iterations = rhc.FIRST_ITERATIONS
 
     def __init__(self, source: RHC, n: int):
+        if source.structure is not source.problem:
+            raise ValueError(
+                "source had bounds or weights of states, outputs or changes; a batch takes a RHC "
+                "with bounds of its commands alone and diagonal weights"
+            )
         problem = self._problem = source.problem
         inputs = dict(s_0=(problem.n_s,), x_ref=(problem.n_x, problem.N + 1))
         inputs |= dict(u_ref=(problem.n_u, problem.N))
@@ -222,7 +266,7 @@ class RHCBatch(_IteratedBatch):
             p: (n, n_p) estimated parameters.
             x_ref: (n, n_x, N+1) desired states.
             u_ref: (n, n_u, N) desired inputs.
-            iterations: Gauss-Newton steps, as many for each run.
+            iterations: Gauss-Newton steps, at most; a run ends once it has converged.
 
         Returns:
             (n, n_u) inputs of the first interval.
@@ -308,7 +352,7 @@ class RHEBatch(_IteratedBatch, _EstimatorBatch):
 
         Args:
             z: (n, n_z) measurements, as in `feedback`.
-            iterations: Gauss-Newton steps, as many for each run.
+            iterations: Gauss-Newton steps, at most; a run ends once it has converged.
 
         Returns:
             Estimates, as `feedback`.

@@ -9,6 +9,7 @@ import casadi as ca
 from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core.controller import rhc
 from rhec.core.estimator import ekf, rhe
+from rhec.core.solver.rti import IMPROVE
 
 # What a sample returns besides the memory.
 CONTROLLER_RESULTS = ("u_plan", "ok", "kkt")
@@ -16,16 +17,23 @@ ESTIMATOR_RESULTS = ("estimate", "covariance", "ok", "kkt")
 FILTER_RESULTS = ("estimate", "covariance")
 
 _ITERATION = ("linearise", "feedback", "expand")
+_IMPROVED = ("converged", "penalty_after")  # besides, by an iteration with a line search
 
 
 def build_controller(horizon, part):
-    """Build a part, "shift" or "iteration", of the RHC of a Horizon."""
-    return _build(rhc.build_phases(horizon), horizon.memory, part, CONTROLLER_RESULTS)
+    """Build a part, "shift", "iteration" or "improve", of the RHC of a Horizon."""
+    phases = rhc.build_phases(horizon)
+    if part == IMPROVE:
+        return _build_improve(phases, horizon.memory, (*horizon.memory,), CONTROLLER_RESULTS)
+    return _build(phases, horizon.memory, part, CONTROLLER_RESULTS)
 
 
 def build_estimator(window, part):
-    """Build a part, "shift" or "iteration", of the RHE of a Window."""
-    return _build(rhe.build_phases(window, None), window.memory, part, ESTIMATOR_RESULTS)
+    """Build a part, "shift", "iteration" or "improve", of the RHE of a Window."""
+    phases = rhe.build_phases(window, None)
+    if part == IMPROVE:
+        return _build_improve(phases, window.memory, rhe.UNKNOWNS, ESTIMATOR_RESULTS)
+    return _build(phases, window.memory, part, ESTIMATOR_RESULTS)
 
 
 def build_filter(model, dt_s):
@@ -55,5 +63,25 @@ def _build(phases, memory, part, results):
         for phase in chain:
             values |= phase(**select_inputs(phase, values))
         return {name: values[name] for name in (*memory, *(() if is_shift else results))}
+
+    return dict(block=block)
+
+
+def _build_improve(phases, memory, unknowns, results):
+    """Build an iteration with a line search.
+
+    It returns two memories: `memory` as expand leaves it, which the next sample shifts, and
+    `current`, in which only the unknowns are new, from which the next iteration goes on.
+    """
+    improve = phases[IMPROVE]
+    inputs = {name: improve.sparsity_in(name) for name in improve.name_in() if name not in memory}
+
+    @with_packed_memory("block", memory, ca.MX, **inputs)
+    def block(**values):
+        after = improve(**select_inputs(improve, values))
+        pieces = values | {name: after[name] for name in unknowns}
+        current = ca.veccat(*(ca.densify(pieces[name]) for name in memory))
+        names = (*memory, *results, *_IMPROVED)
+        return {name: (values | after)[name] for name in names} | dict(current=current)
 
     return dict(block=block)

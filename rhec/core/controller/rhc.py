@@ -253,7 +253,7 @@ def _build_cost_and_gaps(horizon):
         dt_s = ca.repmat(ca.DM(horizon.dt_s), 1, N)
         ends = horizon.interval.step.map(N)(s[:, :N], u, dt_s)
         gaps = ca.veccat(s[:, 0] - s_0, ends - s[:, 1:])
-        return dict(cost=ca.sum1(squares) / 2, gaps=ca.norm_1(gaps))
+        return dict(cost=ca.sum1(squares) / 2, gaps=ca.sum1(ca.fabs(gaps)))
 
     return cost_and_gaps, horizon.weights | data
 

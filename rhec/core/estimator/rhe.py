@@ -35,6 +35,7 @@ from rhec.core.solver.line_search import PENALTY, line_search
 from rhec.core.solver.rti import IMPROVE, PHASES, RealTimeIteration, RealTimeLoop, run_phases
 
 ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
+UNKNOWNS = ("s", "v")  # pieces of the memory that an iteration improves
 
 # Records that the phases pass on. Their entries are expressions, or the shapes of these; a name
 # is that of a Function's input, because the phases share arrays by name.
@@ -525,7 +526,7 @@ def _build_cost(window):
     @casadi_function("rhe_cost_of_interval")
     def between(s: s, s_after: s, v: v, v_last: v, z: z, dt_s: (1, 1), noise: noise):
         v_m, R_v = interval.input_noise(z, v_last, **noise)
-        gap = ca.norm_1(interval.step(s, v, dt_s) - s_after)
+        gap = ca.sum1(ca.fabs(interval.step(s, v, dt_s) - s_after))
         return dict(cost=ca.sum1((v - v_m) ** 2 / R_v) / 2, gap=gap)
 
     return arrival, node, between
@@ -537,7 +538,7 @@ def _build_cost_and_gaps(window):
     memory = window.memory
     arrival, node, between = _build_cost(window)
     data = {name: memory[name] for name in ("z", "age", "m", "P")} | dict(v_last=memory["v"])
-    unknowns = {name: memory[name] for name in ("s", "v")}
+    unknowns = {name: memory[name] for name in UNKNOWNS}
 
     @casadi_function("rhe_cost_and_gaps", ca.MX, **unknowns, **data, noises=window.noises)
     def cost_and_gaps(s, v, z, age, m, P, v_last, noises):
@@ -683,7 +684,7 @@ class RHE(RealTimeLoop):
         self.window = Window(model, dt, horizon, arrival_mean, gate=gate)
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
-        self.iteration = RealTimeIteration(functions, memory, ("s", "v"), **self.settings)
+        self.iteration = RealTimeIteration(functions, memory, UNKNOWNS, **self.settings)
         self._inputs = dict(z=self.iteration.arrays["z_N"])
 
     def __repr__(self) -> str:
