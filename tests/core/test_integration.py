@@ -190,3 +190,62 @@ def test_a_column_of_casadi_is_a_measurement(virtual_machine):
         rhe.prepare()
         estimates.append(rhe.feedback(z).x[0])
     assert len(set(estimates)) == 1
+
+
+def test_a_simulation_is_that_of_the_rule():
+    model = van_der_pol(rule="radau5", steps=4)
+    x = model.simulate(X_0, np.full((3, 1), 0.3), [MU], dt=INTERVAL_S / 4)
+    exact = solve_ivp(slope, (0, 3 * INTERVAL_S / 4), X_0, method="Radau", rtol=1e-11, atol=1e-12)
+    assert x.shape == (4, 2)
+    np.testing.assert_array_equal(x[0], X_0)
+    np.testing.assert_allclose(x[-1], exact.y[:, -1], atol=1e-7)
+    for wrong in (dict(x=[1.0]), dict(u=np.zeros((3, 2))), dict(p=[])):
+        name = next(iter(wrong))
+        with pytest.raises(ValueError, match=f"^{name} had shape"):
+            model.simulate(**(dict(x=X_0, u=np.zeros((3, 1)), p=[MU]) | wrong), dt=0.1)
+
+
+def two_states(**options):
+    """A constant and its integral."""
+    names = dict(states=("rate", "sum"), inputs=("w",), parameters={}, outputs=("sum", "w"))
+    return rhec.Model(**names, f=lambda x, u, p: [u[0], x[0]], **options)
+
+
+def test_an_estimated_state_stays_within_its_bounds(virtual_machine):
+    """Of a linear model: the others are those of the filter, given the bounded one at its bound."""
+    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0.0, 0.0), guess=(0.0, 0.0), sigma_guess=(1.0, 1.0))
+    free, bounded = (
+        rhec.RHE(model=model, dt=0.5, horizon=8, **noise)
+        for model in (two_states(), two_states(state_bounds={"rate": (-0.2, 0.5)}))
+    )
+    active = 0
+    for k in range(8):
+        z = [0.9 * 0.5 * k, 0.0]
+        free.prepare(), bounded.prepare()
+        expected, estimate = free.feedback(z), bounded.feedback(z)
+        P = expected.covariance
+        rate = np.clip(expected.x[0], -0.2, 0.5)
+        active += rate != expected.x[0]
+        after = expected.x[1] + P[1, 0] / P[0, 0] * (rate - expected.x[0])
+        np.testing.assert_allclose(estimate.x, [rate, after], atol=1e-9)
+    assert active > 3
+    assert bounded.x_window[0, -1] == pytest.approx(0.5)
+
+
+def test_the_window_ends_with_the_estimate_and_satisfies_a_linear_model(virtual_machine):
+    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0.1, 0.1), guess=(0.0, 0.0), sigma_guess=(1.0, 1.0))
+    rhe = rhec.RHE(model=two_states(), dt=0.5, horizon=4, **noise)
+    rng = np.random.default_rng(0)
+    for _ in range(9):
+        rhe.prepare()
+        estimate = rhe.feedback(rng.normal(size=2))
+    assert rhe.x_window.shape == (2, 5) and rhe.u_window.shape == (1, 4)
+    np.testing.assert_allclose(rhe.x_window[:, -1], estimate.x, rtol=1e-9)
+    replayed = rhe.model.simulate(rhe.x_window[:, 0], rhe.u_window.T, dt=0.5)
+    np.testing.assert_allclose(replayed.T, rhe.x_window, atol=1e-9)
+
+
+@pytest.mark.parametrize("bounds", [5, {"speed": (0, 1)}, {"a": (1, 0)}, {"a": None}])
+def test_bad_bounds_of_states_are_refused(bounds):
+    with pytest.raises(ValueError, match="state_bounds was|in state_bounds was|bounds of 'a' were"):
+        van_der_pol(state_bounds=bounds)

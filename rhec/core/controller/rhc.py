@@ -23,7 +23,7 @@ from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
-from rhec.core.solver.line_search import line_search
+from rhec.core.solver.line_search import PENALTY, line_search
 from rhec.core.solver.rti import IMPROVE, RealTimeIteration, RealTimeLoop, run_phases
 
 FIRST_ITERATIONS = 100  # at most, on the first sample, for which there is no previous plan
@@ -352,7 +352,7 @@ def _build_improve(horizon, phases):
     search = line_search("rhc_search", horizon.memory, *reversed(_build_cost_and_gaps(horizon)))
     shapes = horizon.memory | horizon.weights | horizon.references
 
-    @casadi_function("rhc_improve", ca.MX, **shapes, penalty=(1, 1))
+    @casadi_function("rhc_improve", ca.MX, **shapes, penalty=PENALTY)
     def improve(penalty, **inputs):
         values = dict(inputs)
         for name in ("linearise", "feedback", "expand"):
@@ -364,6 +364,7 @@ def _build_improve(horizon, phases):
         plan = {name: ca.if_else(ok, chosen[name], full[name]) for name in horizon.memory}
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= dict(kkt=full["kkt"], converged=chosen["converged"] * ok)
+        outputs["done"] = chosen["done"] * ok
         return outputs | plan | dict(u_plan=plan["u"], penalty_after=chosen["penalty_after"])
 
     return improve

@@ -59,7 +59,8 @@ def joint_guess(model, guess, sigma):
         limit = MAX_PLAUSIBLE_STATE**0.5
         values = tuple(sigma.values())
         raise ValueError(f"sigma_guess was {shown(values)}; each should be below {limit:g}")
-    for name, bounds in model.parameters.items():
+    every = (model.state_bounds or {}) | dict(model.parameters)
+    for name, bounds in every.items():
         if bounds and not bounds[0] <= guess[name] <= bounds[1]:
             raise ValueError(f"guess of {name!r} was {guess[name]}; it should be within {bounds}")
     names = model.joint_names

@@ -31,7 +31,7 @@ from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
-from rhec.core.solver.line_search import line_search
+from rhec.core.solver.line_search import PENALTY, line_search
 from rhec.core.solver.rti import IMPROVE, PHASES, RealTimeIteration, RealTimeLoop, run_phases
 
 ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
@@ -568,7 +568,7 @@ def _build_improve(window, phases):
     model = window.model
     places = {name: model.joint_names.index(name) for name in (*model.states, *model.parameters)}
     shapes = {name: phases["expand"].sparsity_in(name) for name in ("P_0", *window.noises)}
-    shapes |= window.memory | dict(z_N=(len(model.outputs), 1), penalty=(1, 1))
+    shapes |= window.memory | dict(z_N=(len(model.outputs), 1), penalty=PENALTY)
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
@@ -583,9 +583,12 @@ def _build_improve(window, phases):
         moved = {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
         newest = [moved["s"][place, window.N] for place in places.values()]
         newest[len(model.states) : len(model.states)] = ca.vertsplit(moved["v"][:, -1])
-        estimate = ca.if_else(ok, ca.vertcat(*newest), values["estimate"])
+        # After a full step that of the feedback, whose parameters are exactly at their bounds.
+        shortened = ok * (1 - chosen["is_full"])
+        estimate = ca.if_else(shortened, ca.vertcat(*newest), values["estimate"])
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= full | moved | dict(estimate=estimate, converged=chosen["converged"] * ok)
+        outputs["done"] = chosen["done"] * ok
         return outputs | dict(penalty_after=chosen["penalty_after"])
 
     return improve
@@ -718,6 +721,25 @@ class RHE(RealTimeLoop):
         self._set_inputs(z=z)
         self.iteration.solve(iterations)
         return self._estimate()
+
+    @property
+    def x_window(self) -> np.ndarray:
+        """States (n_x, N + 1) at the window's nodes, from the oldest to the newest.
+
+        Nodes before the first sample are where the robot was then.
+        """
+        s = self._expanded("s", self.model.n_s)
+        return s[: len(self.model.states)]
+
+    @property
+    def u_window(self) -> np.ndarray:
+        """Inputs (n_u, N) of the window's intervals, as estimated."""
+        return self._expanded("v", len(self.model.inputs))
+
+    def _expanded(self, name, n_rows):
+        # They are not needed for the newest estimate, so feedback leaves them to expand.
+        self.iteration.expand()
+        return self.iteration.previous[name].reshape((n_rows, -1), order="F").copy()
 
     def _start(self):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))

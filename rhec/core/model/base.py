@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import refuse, shown
@@ -65,6 +66,8 @@ class Model:
             stiff model an implicit one, "radau3" or "radau5", Radau IIA of that order. A stiff
             model has modes that die out much faster than an interval.
         discrete: Whether f gives the next state, one sample later, instead of ẋ.
+        state_bounds: {name: (lowest, highest)} of states whose estimate a RHE keeps within these
+            bounds. They hold for the present state, not for earlier ones of the window.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -82,6 +85,7 @@ class Model:
     steps: int = 1
     rule: Rule = "rk4"
     discrete: bool = False
+    state_bounds: Mapping[str, tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         _check_names(self)
@@ -90,6 +94,7 @@ class Model:
             raise ValueError(f"{problem}; f and h should be functions of (x, u, p)")
         _check_integration(self)
         _check_bounds(self.parameters)
+        _check_state_bounds(self)
         _check_limits(self.max_measurement, len(self.outputs))
         if not isinstance(self.angles, tuple) or not set(self.angles) <= set(self.outputs):
             refuse("angles was", self.angles, "it should be a tuple of names of outputs")
@@ -170,9 +175,40 @@ class Model:
         # An infinite bound is a number here, because its product with a multiplier 0 is no number.
         return {
             place(name): (max(bounds[0], -MAX_QP_ENTRY), min(bounds[1], MAX_QP_ENTRY))
-            for name, bounds in self.parameters.items()
+            for name, bounds in ((self.state_bounds or {}) | dict(self.parameters)).items()
             if bounds is not None
         }
+
+    def simulate(self, x: Any, u: Any, p: Any = (), *, dt: float) -> np.ndarray:
+        """Integrate from a state under inputs that are constant over each sample.
+
+        Args:
+            x: (n_x,) state at the beginning.
+            u: (n, n_u) inputs, a row for each sample.
+            p: (n_p,) parameters.
+            dt: Length of a sample [s].
+
+        Returns:
+            (n + 1, n_x) states, the first of them x, by the Model's rule.
+
+        Raises:
+            ValueError: If an argument has another shape.
+        """
+        wanted = dict(x=(len(self.states),), p=(len(self.parameters),))
+        given = dict(x=np.asarray(x, float).ravel(), p=np.asarray(p, float).ravel())
+        for name, shape in wanted.items():
+            if given[name].shape != shape:
+                raise ValueError(f"{name} had shape {given[name].shape}; it should have {shape}")
+        u = np.atleast_2d(np.asarray(u, float))
+        if u.shape[1:] != (len(self.inputs),):
+            raise ValueError(f"u had shape {u.shape}; it should have (n, {len(self.inputs)})")
+        step = interval(self, measured=False).step
+        s = np.concatenate([given["x"], given["p"]])
+        trajectory = [given["x"]]
+        for row in u:
+            s = np.array(step(s, row, dt)).ravel()
+            trajectory.append(s[: len(self.states)])
+        return np.array(trajectory)
 
     @functools.cached_property
     def input_outputs(self) -> dict[int, int]:
@@ -286,6 +322,17 @@ def _check_bounds(parameters):
         if not is_valid:
             expected = "it should be (lowest, highest), the first below the second, or None"
             refuse(f"the bounds of {name!r} were", bounds, expected)
+
+
+def _check_state_bounds(model):
+    if not isinstance(model.state_bounds, Mapping | None):
+        refuse("state_bounds was", model.state_bounds, "it should be a dict of names to bounds")
+    for name in model.state_bounds or {}:
+        if name not in model.states:
+            refuse("a name in state_bounds was", name, f"it should be one of {model.states}")
+        if model.state_bounds[name] is None:
+            refuse(f"the bounds of {name!r} were", None, "it should be (lowest, highest)")
+    _check_bounds(model.state_bounds or {})
 
 
 def _check_limits(limits, n_z):

@@ -6,16 +6,21 @@ The merit of nodes and inputs w is their cost and what is missing at the ends of
 
 (Nocedal, Wright, "Numerical Optimization", 2006, Sec. 18.3). Of the lengths 1, 1/2, 1/4, … the
 first is taken at which φ(w + α Δw) <= φ(w) + 1e-4 α D, where D = ∇J·Δw - μ ‖c‖₁ < 0 is the slope.
-The penalty μ only grows, so that D stays below a share of it.
+The penalty μ only grows, so that D stays below a share of it. A full step is also taken where |D|
+is below a share of the least one so far: full steps that converge would be shortened for nothing
+near a solution (Maratos effect), and no more than a few of them can fail to converge.
 """
 
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
 
+PENALTY = (2, 1)  # μ and the least |D| so far; zeros before the first step
 HALVINGS = 10  # of the step, at most; a solution or a bad linearisation needs more, and stays
 _SUFFICIENT = 1e-4
+_PROGRESS = 0.9  # of the least |D| so far, below which a full step is taken
 _SHARE = 0.5  # of μ ‖c‖₁ by which the merit has to fall along the step
+DONE = 1e-12  # expected relative change of the merit, at which an iteration ends
 CONVERGED = 1e-9  # expected relative change of the merit
 
 
@@ -30,12 +35,14 @@ def line_search(name, unknowns, data, cost_and_gaps):
 
     Returns:
         The Function (unknowns, unknowns with "_full" after a full step, penalty, data) ->
-        (unknowns, penalty, converged). Its step is zero where no length is good enough.
+        (unknowns, penalty_after, converged, done, is_full: whether the step is a full one). The
+        step is zero where no length is good enough.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
 
-    @casadi_function(name, ca.MX, **unknowns, **full, penalty=(1, 1), **data)
+    @casadi_function(name, ca.MX, **unknowns, **full, penalty=PENALTY, **data)
     def search(penalty, **values):
+        penalty, least = ca.vertsplit(penalty)
         given = {key: values[key] for key in data}
         old = {key: values[key] for key in unknowns}
         step = {key: values[f"{key}_full"] - values[key] for key in unknowns}
@@ -52,9 +59,18 @@ def line_search(name, unknowns, data, cost_and_gaps):
             cost, gaps = _called(cost_and_gaps, moved, given)
             enough = merit + _SUFFICIENT * alpha * descent + 1e-12 * ca.fabs(merit)
             length = ca.if_else(cost + penalty * gaps <= enough, alpha, length)
-        small = ca.fabs(descent) <= CONVERGED * ca.fmax(ca.fabs(merit), 1e-12)
-        result = {key: old[key] + length * step[key] for key in unknowns}
-        return result | dict(penalty_after=penalty, converged=small)
+        change = ca.fabs(descent) / ca.fmax(ca.fabs(merit), 1e-12)
+        small = change <= DONE
+        is_progress = ca.logic_or(least == 0, ca.fabs(descent) <= _PROGRESS * least)
+        length = ca.if_else(ca.logic_or(small, is_progress * (least > 0)), 1, length)
+        least = ca.if_else(is_progress, ca.fabs(descent), least)
+        # A full step is taken to the last bit, since it ends exactly at the bounds.
+        result = {
+            key: ca.if_else(length == 1, values[f"{key}_full"], old[key] + length * step[key])
+            for key in unknowns
+        }
+        flags = dict(converged=change <= CONVERGED, done=small, is_full=length == 1)
+        return result | flags | dict(penalty_after=ca.vertcat(penalty, least))
 
     return search
 

@@ -230,12 +230,12 @@ int rhec_control(struct rhec *r, double *omega)
 /* Iterates for the data of the first sample, because there is no plan to improve. */
 static void improve_first_plan(struct rhec *r)
 {
-    r->controller.penalty[0] = 0;
+    memset(r->controller.penalty, 0, sizeof r->controller.penalty);
     for (int i = 0; i < RHEC_FIRST_ITERATIONS; i++) {
         controller_improve(r);
         r->controller.current = r->controller.previous;
-        r->controller.penalty[0] = r->controller.penalty_after[0];
-        if (r->controller.converged[0] == 1) {
+        memcpy(r->controller.penalty, r->controller.penalty_after, sizeof r->controller.penalty);
+        if (r->controller.done[0] == 1) {
             return;
         }
     }
