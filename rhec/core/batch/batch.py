@@ -186,20 +186,19 @@ class _IteratedBatch(_Batch):
         self._improvement = Rows(build, problem, IMPROVE)
         super().__init__(n, iterations, shift, source.iteration.arrays, inputs)
         lengths = self._improvement.lengths
-        names = ("converged", "penalty_after")
+        names = ("converged", "done", "penalty_after")
         self._improved = {name: zeros(n, lengths[name], self._width) for name in names}
 
     def _improve(self, runs, iterations):
         penalty = self._improved["penalty_after"]
         penalty[:] = 0
-        converged = self._improved["converged"]
         arguments = self._arguments | dict(memory=self._memory, penalty=penalty)
         results = self._results | self._improved
         results |= dict(memory=self._spare, current=self._memory)
         set_runs(self._spare, runs, get_runs(self._memory, runs))
         for _ in range(iterations):
             evaluate_some(self._improvement, runs, arguments, results)
-            runs = runs[get_runs(converged, runs)[:, 0] != 1]
+            runs = runs[get_runs(self._improved["done"], runs)[:, 0] != 1]
             if not len(runs):
                 break
         return self._spare, self._memory

@@ -17,7 +17,7 @@ ESTIMATOR_RESULTS = ("estimate", "covariance", "ok", "kkt")
 FILTER_RESULTS = ("estimate", "covariance")
 
 _ITERATION = ("linearise", "feedback", "expand")
-_IMPROVED = ("converged", "penalty_after")  # besides, by an iteration with a line search
+_IMPROVED = ("converged", "done", "penalty_after")  # besides, by an iteration with a line search
 
 
 def build_controller(horizon, part):

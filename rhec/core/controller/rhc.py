@@ -275,6 +275,7 @@ def _build_improve(horizon, phases):
         plan = {name: ca.if_else(ok, chosen[name], full[name]) for name in horizon.memory}
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= dict(kkt=full["kkt"], converged=chosen["converged"] * ok)
+        outputs["done"] = chosen["done"] * ok
         return outputs | plan | dict(u_plan=plan["u"], penalty_after=chosen["penalty_after"])
 
     return improve

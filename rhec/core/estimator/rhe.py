@@ -589,6 +589,7 @@ def _build_improve(window, phases):
         estimate = ca.if_else(shortened, ca.vertcat(*newest), values["estimate"])
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= full | moved | dict(estimate=estimate, converged=chosen["converged"] * ok)
+        outputs["done"] = chosen["done"] * ok
         return outputs | dict(penalty_after=chosen["penalty_after"])
 
     return improve

@@ -20,7 +20,8 @@ HALVINGS = 10  # of the step, at most; a solution or a bad linearisation needs m
 _SUFFICIENT = 1e-4
 _PROGRESS = 0.9  # of the least |D| so far, below which a full step is taken
 _SHARE = 0.5  # of μ ‖c‖₁ by which the merit has to fall along the step
-CONVERGED = 1e-10  # expected relative change of the merit
+DONE = 1e-12  # expected relative change of the merit, at which an iteration ends
+CONVERGED = 1e-9  # expected relative change of the merit
 
 
 def line_search(name, unknowns, data, cost_and_gaps):
@@ -34,8 +35,8 @@ def line_search(name, unknowns, data, cost_and_gaps):
 
     Returns:
         The Function (unknowns, unknowns with "_full" after a full step, penalty, data) ->
-        (unknowns, penalty_after, converged, is_full: whether the step is a full one). The step is
-        zero where no length is good enough.
+        (unknowns, penalty_after, converged, done, is_full: whether the step is a full one). The
+        step is zero where no length is good enough.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
 
@@ -58,7 +59,8 @@ def line_search(name, unknowns, data, cost_and_gaps):
             cost, gaps = _called(cost_and_gaps, moved, given)
             enough = merit + _SUFFICIENT * alpha * descent + 1e-12 * ca.fabs(merit)
             length = ca.if_else(cost + penalty * gaps <= enough, alpha, length)
-        small = ca.fabs(descent) <= CONVERGED * ca.fmax(ca.fabs(merit), 1e-12)
+        change = ca.fabs(descent) / ca.fmax(ca.fabs(merit), 1e-12)
+        small = change <= DONE
         is_progress = ca.logic_or(least == 0, ca.fabs(descent) <= _PROGRESS * least)
         length = ca.if_else(ca.logic_or(small, is_progress * (least > 0)), 1, length)
         least = ca.if_else(is_progress, ca.fabs(descent), least)
@@ -67,7 +69,7 @@ def line_search(name, unknowns, data, cost_and_gaps):
             key: ca.if_else(length == 1, values[f"{key}_full"], old[key] + length * step[key])
             for key in unknowns
         }
-        flags = dict(converged=small, is_full=length == 1)
+        flags = dict(converged=change <= CONVERGED, done=small, is_full=length == 1)
         return result | flags | dict(penalty_after=ca.vertcat(penalty, least))
 
     return search

@@ -144,7 +144,7 @@ class RealTimeIteration:
             self._take_unknowns()
             self.arrays["penalty"][:] = self.arrays["penalty_after"]
             self.converged = self.arrays["converged"].item() == 1
-            if self.converged:
+            if self.arrays["done"].item() == 1:
                 return
 
     def _take_unknowns(self):

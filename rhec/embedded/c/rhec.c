@@ -235,7 +235,7 @@ static void improve_first_plan(struct rhec *r)
         controller_improve(r);
         r->controller.current = r->controller.previous;
         memcpy(r->controller.penalty, r->controller.penalty_after, sizeof r->controller.penalty);
-        if (r->controller.converged[0] == 1) {
+        if (r->controller.done[0] == 1) {
             return;
         }
     }
