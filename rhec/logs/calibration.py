@@ -611,7 +611,8 @@ def _outage_errors(recording, arguments, yaws):
     segment but its first ones are hidden once.
     """
     rows = recording.rows
-    since_s = rows["t_s"] - rows.groupby("segment")["t_s"].transform("first")
+    first_s = rows.groupby("segment")["t_s"].first()
+    since_s = rows["t_s"] - rows["segment"].map(first_s)
     shown = pd.concat(
         resample(part, paper.DT_S, recording.averaged) for _, part in rows.groupby("segment")
     ).reset_index(drop=True)
@@ -622,8 +623,10 @@ def _outage_errors(recording, arguments, yaws):
         masked = rows.copy()
         masked.loc[hidden, MEASUREMENTS[:2]] = np.nan
         samples = _replayed(recording._replace(rows=masked), arguments, yaws)
-        at_end = hidden & (hidden_s > _OUTAGE_S - paper.DT_S)
-        counts = samples["t_s"].round(1).isin(set(rows.loc[at_end, "t_s"].round(1))).to_numpy()
+        sample_s = samples["t_s"] - samples["segment"].map(first_s)
+        end_s = (sample_s - begin_s) % _EVERY_S
+        is_last = (end_s > _OUTAGE_S - 1.5 * paper.DT_S) & (end_s < _OUTAGE_S - 0.5 * paper.DT_S)
+        counts = (is_last & (sample_s > 2 * _OUTAGE_S - 2 * paper.DT_S)).to_numpy()
         x, y = (samples[f"{name}_hat_m"] - shown[f"{name}_meas_m"] for name in "xy")
         errors.append(np.hypot(x, y)[counts])
     return np.concatenate(errors)
