@@ -90,7 +90,7 @@ replay-table: $(READY) ## compute the table of docs/recorded_robots.md (after ma
 calibrate: $(READY) ## estimate noise and lever arm from a recorded log: make calibrate LOG=file.csv
 	@$(log_given)
 	@$(log_folder); mkdir -p "$$folder"; \
-	  $(PY_WHAT) -m rhec calibrate "$$LOG" --yaml "$$folder/calibration.yaml" --overwrite
+	  $(PY_WHAT) -m rhec calibrate --yaml "$$folder/calibration.yaml" --overwrite "$$LOG"
 
 campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
 	@$(PY_WHAT) -m rhec campaign

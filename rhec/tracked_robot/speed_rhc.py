@@ -22,6 +22,7 @@ import casadi as ca
 from rhec import paper
 from rhec.core._casadi.build import casadi_function, packed_size, unpack
 from rhec.core.controller import rhc
+from rhec.core.controller.horizon import Horizon
 from rhec.core.model.base import Model
 from rhec.tracked_robot.path import ahead_and_left
 from rhec.tracked_robot.references import LEAST_KAPPA, nearest_turn, pose_at
@@ -61,7 +62,7 @@ MODEL = Model(
 
 def horizon_of(N, dt_s=paper.DT_S):
     """The Horizon of N intervals of dt_s [s]: yaw rate and speed are commanded."""
-    return rhc.Horizon(MODEL, (0, 1), dt_s, N)
+    return Horizon(MODEL, (0, 1), dt_s, N)
 
 
 def init(horizon, speed_mps):

@@ -94,7 +94,7 @@ def test_nothing_in_a_variable_is_executed(checkout, variable, text):
 @needs_make
 def test_arguments_in_what_are_quoted_as_in_a_shell(checkout):
     arguments = run_make(checkout, "campaign", """WHAT=-p q [1,1,1] '["x_m=east", "y"]'""")
-    assert arguments[2:] == ["-p", "q", "[1,1,1]", '["x_m=east", "y"]']
+    assert arguments[3:] == ["-p", "q", "[1,1,1]", '["x_m=east", "y"]']
 
 
 # Files in figures/

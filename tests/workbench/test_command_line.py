@@ -23,7 +23,7 @@ SHORT = ["--duration-s", "8"]
 def log_file(tmp_path):
     """A simulated drive as a recorded log."""
     file = tmp_path / "drive.csv"
-    run = rhec.simulate(rhec.Scenario(duration_s=150, **rhec.WORLDS["former"]))
+    run = rhec.simulate(rhec.Scenario(duration_s=240, **rhec.WORLDS["former"]))
     run.log.to_csv(file, index=False)
     return file
 
@@ -63,7 +63,7 @@ def test_names_of_columns(capsys, log_file):
     words = ["doctor", str(log_file), "--json", "--columns", *pairs]
     main([*words, "yaw_rate_radps=omega_meas_radps"])
     diagnosis = json.loads(capsys.readouterr().out)
-    assert diagnosis["facts"]["driven_m"] == pytest.approx(75, rel=0.1)
+    assert diagnosis["facts"]["driven_m"] == pytest.approx(120, rel=0.1)
     assert main([*words, "yaw_rate_radps"]) == 2
     assert "OURS=THEIRS" in capsys.readouterr().err
 

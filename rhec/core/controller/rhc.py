@@ -466,7 +466,7 @@ class RHC(RealTimeLoop):
         return self.u_plan[:, 0]
 
     def solve(
-        self, x: Any, p: Any, x_ref: Any, u_ref: Any, y_ref: Any = None, iterations: int = 20
+        self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: int = 20, y_ref: Any = None
     ) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
@@ -478,8 +478,8 @@ class RHC(RealTimeLoop):
             p: (n_p,) estimated parameters.
             x_ref: (n_x, N+1) or (n_x,) desired states.
             u_ref: (n_u, N) or (n_u,) desired inputs.
-            y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
             iterations: Gauss-Newton steps, at most.
+            y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
 
         Returns:
             (n_u,) inputs of the first interval.
