@@ -27,7 +27,7 @@ from pyarrow import parquet
 import rhec
 from rhec import embedded
 from rhec.core._casadi import cache
-from rhec.simulation.campaigns import __main__ as campaign_command
+from rhec.workbench import command_line
 from rhec.workbench.plots import style
 
 MOST_OPERATIONS = 1000  # a task that never ends without failure would be a loop
@@ -43,15 +43,10 @@ def campaign(folder):
 def command(folder):
     arguments = ["--seeds", "1", "-p", "duration_s", "2", "--folder", str(folder), "--workers", "1"]
     said = io.StringIO()
-    with (
-        mock.patch.object(sys, "argv", ["campaigns", *arguments]),
-        contextlib.redirect_stdout(said),
-        contextlib.redirect_stderr(said),
-    ):
-        try:
-            campaign_command.main()
-        except SystemExit as end:
-            raise OSError(said.getvalue()) from end
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        code = command_line.main(["campaign", *arguments])
+    if code:
+        raise OSError(said.getvalue())
     file = folder / "campaign.parquet"
     return parquet.read_table(file, columns=["mean_error_true_m"]).to_pydict()
 

@@ -181,7 +181,8 @@ def export_model(rhe=None, rhc=None):
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
         macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"
-        macros["FIRST_ITERATIONS"] = FIRST_ITERATIONS, "most iterations for the first plan"
+        if IMPROVE in control:
+            macros["FIRST_ITERATIONS"] = FIRST_ITERATIONS, "most iterations for the first plan"
     macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
     return _export(phases, settings, guess, macros)
 

@@ -309,14 +309,15 @@ def _objective(segments, yaws, robot):
 
 def _most_likely(segments, robot, x, yaws=None):
     """The x and the initial yaws that make these segments likeliest, searched from x."""
-    for _ in range(1 if yaws else 2):  # the second search starts from better initial yaws
-        yaws = yaws or [_first_yaw(z, x, robot) for z in segments]
-        bounds = [(-4, 4)] * len(x)
-        options = dict(maxiter=50)
+    bounds = [(-4, 4)] * len(x)
+    options = dict(maxiter=50)
+    are_given = yaws is not None
+    for _ in range(1 if are_given else 2):  # the second search starts from better initial yaws
+        if not are_given:
+            yaws = [_first_yaw(z, x, robot) for z in segments]
         objective = _objective(segments, yaws, robot)
         x = minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=options).x
-        found, yaws = yaws, None
-    return x, found
+    return x, yaws
 
 
 def _apart(segments, first):

@@ -122,7 +122,8 @@ def compare(ours, theirs):
         difference = _difference(ours[name], theirs[name])
         place = int(difference.argmax()) if len(difference) else 0
         if len(difference) and difference[place] > worst[1]:
-            a, b = ours[name].iloc[place], theirs[name].iloc[place]
+            a = ours[name].iloc[place]
+            b = theirs[name].iloc[place]
             worst = (f"{name}, row {place}: {a} here, {b} there", difference[place])
     return worst
 
@@ -132,7 +133,8 @@ def _difference(ours, theirs):
     if not all(pd.api.types.is_numeric_dtype(column) for column in (ours, theirs)):
         same = (ours == theirs) | (ours.isna() & theirs.isna())
         return np.where(same, 0.0, np.inf)
-    a, b = ours.to_numpy(float), theirs.to_numpy(float)
+    a = ours.to_numpy(float)
+    b = theirs.to_numpy(float)
     same = (a == b) | (np.isnan(a) & np.isnan(b))
     with np.errstate(invalid="ignore"):
         relative = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))

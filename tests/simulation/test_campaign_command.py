@@ -1,20 +1,15 @@
 """The campaign's command: what it refuses, and a table that is whole or stays the old one."""
 
-import sys
-
 import pandas as pd
 import pytest
 
-from rhec.simulation.campaigns import __main__ as command
-from rhec.simulation.campaigns import workers
+from rhec.simulation.campaigns import campaign, workers
+from rhec.workbench.command_line import main
 
 
-def run(monkeypatch, *arguments):
+def run(*arguments):
     """The exit code of the command."""
-    monkeypatch.setattr(sys, "argv", ["campaigns", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        command.main()
-    return ended.value.code
+    return main(["campaign", *map(str, arguments)])
 
 
 @pytest.mark.parametrize(
@@ -25,8 +20,8 @@ def run(monkeypatch, *arguments):
         (["-p", "q", "[" * 100_000], "q"),
     ],
 )
-def test_what_gives_no_run_is_refused(monkeypatch, capsys, tmp_path, arguments, sentence):
-    assert run(monkeypatch, "--folder", tmp_path, *arguments) == 2
+def test_what_gives_no_run_is_refused(capsys, tmp_path, arguments, sentence):
+    assert run("--folder", tmp_path, *arguments) == 2
     message = capsys.readouterr().err
     assert sentence in message and message.count("\n") == 1
 
@@ -39,10 +34,10 @@ def test_a_full_disk_leaves_the_old_table(monkeypatch, capsys, tmp_path):
         file.write_text("half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(command, "campaign", lambda *arguments: pd.DataFrame(dict(error=[""])))
+    monkeypatch.setattr(campaign, "campaign", lambda *arguments: pd.DataFrame(dict(error=[""])))
     monkeypatch.setattr(pd.DataFrame, "to_parquet", full)
-    assert run(monkeypatch, "--folder", tmp_path) == 1
-    assert capsys.readouterr().err == "[Errno 28] No space left on device\n"
+    assert run("--folder", tmp_path) == 1
+    assert capsys.readouterr().err == "rhec: [Errno 28] No space left on device\n"
     assert table.read_text() == "the old table"
     assert [file.name for file in tmp_path.iterdir()] == ["campaign.parquet"]
 

@@ -11,10 +11,10 @@ from scipy import stats
 import rhec
 from rhec import paper
 from rhec.tracked_robot import tuning
+from rhec.workbench.command_line import main
 from rhec.workbench.plots import claims as drawings
 from rhec.workbench.studies import statistics
 from rhec.workbench.studies.claims import (
-    __main__,
     evidence,
     experiments,
     ledger,
@@ -532,15 +532,14 @@ def test_a_field_that_only_tells_the_sets_apart_is_no_condition():
 
 def test_one_claim_is_told_with_its_words_and_numbers(errors, capsys):
     errors["advantage"] = 0.5
-    __main__.main(["B6", "--fields", "12"])
+    assert main(["claim", "B6", "--fields", "12"]) == 0
     text = capsys.readouterr().out
     claim = ledger.CLAIMS["B6"]
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
     with pytest.raises(ValueError, match="claim was 'Z9'; it should be one of I1, I2"):
         one.report_lines("Z9")
-    with pytest.raises(SystemExit):
-        __main__.main(["B6", "--fields", "1"])
+    assert main(["claim", "B6", "--fields", "1"]) == 2
 
 
 # The file of claims

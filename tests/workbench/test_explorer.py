@@ -260,7 +260,8 @@ def test_one_change_is_one_message(made, monkeypatch):
     monkeypatch.setattr(made.screen, "send_state", lambda keys: sent.append({*keys}))
     made.inputs["r"].value = 20.0
     (names,) = sent
-    assert {"numbers", "table", "line", "status"} <= names
+    # The status has the milliseconds of the run, which may be the same twice.
+    assert {"numbers", "table", "line"} <= names
 
 
 def test_small_changes_leave_the_limits(made):

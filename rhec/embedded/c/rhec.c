@@ -227,6 +227,7 @@ int rhec_control(struct rhec *r, double *omega)
     return status;
 }
 #else
+#ifdef RHEC_FIRST_ITERATIONS /* of a controller without bounds on states or outputs */
 /* Iterates for the data of the first sample, because there is no plan to improve. */
 static void improve_first_plan(struct rhec *r)
 {
@@ -240,6 +241,7 @@ static void improve_first_plan(struct rhec *r)
         }
     }
 }
+#endif
 
 int rhec_control(struct rhec *r, const double x[], const double p[], const double x_ref[],
                  const double u_ref[], double u[RHEC_INPUTS])
@@ -254,7 +256,9 @@ int rhec_control(struct rhec *r, const double x[], const double p[], const doubl
     if (r->controller_stage == NO_PLAN) {
         controller_start(r);
         r->controller.current = r->controller.previous;
+#ifdef RHEC_FIRST_ITERATIONS
         improve_first_plan(r);
+#endif
         controller_linearise(r);
     }
     status |= controller_step(r);
