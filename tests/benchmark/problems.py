@@ -6,9 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rhec import paper
-from rhec.core.controller.rhc import RHC
-from rhec.core.estimator.rhe import RHE
+from rhec import RHC, RHE, paper
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.references import PathTracker
