@@ -48,7 +48,12 @@ SOILS = {
     "soft": dict(mu_mean=0.8, mu_deviation=0.08, kappa_mean=0.65, kappa_deviation=0.12),
     "even": dict(mu_deviation=0.0, kappa_deviation=0.0),
 }
-FAULTS = {name: fault for name, fault in CONTROLS["faults"].options if fault}
+# The page's robots have GNSS and encoders alone.
+FAULTS = {
+    name: of
+    for name, of in CONTROLS["faults"].options
+    if of and not any(fault.channel in faults.SENSOR_CHANNELS for fault in of)
+}
 _ANY_FAULT = next(iter(FAULTS.values()))
 # The compiled modules: fields of Scenario that decide the structure of the loop.
 STRUCTURES = {
