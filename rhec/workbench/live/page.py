@@ -48,8 +48,7 @@ SOILS = {
     "soft": dict(mu_mean=0.8, mu_deviation=0.08, kappa_mean=0.65, kappa_deviation=0.12),
     "even": dict(mu_deviation=0.0, kappa_deviation=0.0),
 }
-# The page's robots have GNSS and encoders alone.
-FAULTS = {
+FAULTS = {  # the page's robots have GNSS and encoders alone
     name: of
     for name, of in CONTROLS["faults"].options
     if of and not any(fault.channel in faults.SENSOR_CHANNELS for fault in of)
