@@ -10,6 +10,7 @@ import importlib.util
 import itertools
 import logging
 import os
+import queue
 import signal
 import tempfile
 from concurrent.futures.process import BrokenProcessPool
@@ -205,21 +206,23 @@ def map_tasks(workers, function, tasks, at_once=None):
     """
     tasks = iter(tasks)
     pending = {}
+    finished = queue.SimpleQueue()
     try:
         while True:
             room = (at_once or _TASKS_PER_WORKER * workers.count) - len(pending)
             for task in itertools.islice(tasks, max(room, 0)):
-                pending[workers.submit(function, task)] = task
+                future = workers.submit(function, task)
+                pending[future] = task
+                future.add_done_callback(finished.put)
             if not pending:
                 return
-            finished, _ = concurrent.futures.wait(
-                pending, return_when=concurrent.futures.FIRST_COMPLETED
-            )
-            for future in finished:
-                result = None
-                with contextlib.suppress(workers.died):
-                    result = future.result()
-                yield pending.pop(future), result
+            # Not `concurrent.futures.wait`, which Ctrl-C may leave with locks of the futures held;
+            # then the workers could never be stopped.
+            future = finished.get()
+            result = None
+            with contextlib.suppress(workers.died):
+                result = future.result()
+            yield pending.pop(future), result
     finally:
         if pending:  # interrupted, or an error
             workers.stop()
