@@ -297,6 +297,21 @@ class RHCBatch(_IteratedBatch):
 class _EstimatorBatch(_Batch):
     """A batch of estimators of a Model."""
 
+    def feedback(self, z: Any) -> Estimates:
+        """Estimate from the newest measurements, as single objects do.
+
+        Args:
+            z: (n, n_z) measurements; an entry that is not finite counts as missing.
+
+        Returns:
+            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
+
+        Raises:
+            ValueError: If z has another shape.
+        """
+        self._run(dict(z_N=z))
+        return self._estimates()
+
     def _estimates(self):
         """Return the Estimates of the last step."""
         model = self._model
@@ -329,21 +344,6 @@ class RHEBatch(_IteratedBatch, _EstimatorBatch):
         self._first = pack_array(rhe.init(source.window, *source._guess) | dict(age=0.0))
         inputs = dict(z_N=(len(source.model.outputs),))
         super().__init__(n, functions.build_estimator, [source.window], source, inputs)
-
-    def feedback(self, z: Any) -> Estimates:
-        """Estimate from the newest measurements, by one Gauss-Newton step.
-
-        Args:
-            z: (n, n_z) measurements; an entry that is not finite counts as missing.
-
-        Returns:
-            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
-
-        Raises:
-            ValueError: If z has another shape.
-        """
-        self._run(dict(z_N=z))
-        return self._estimates()
 
     @checked
     def solve(self, z: Any, iterations: Steps = 20) -> Any:
@@ -378,21 +378,6 @@ class EKFBatch(_EstimatorBatch):
         inputs = dict(z_N=(len(source.model.outputs),))
         rows = Rows(functions.build_filter, source.model, source.dt_s)
         super().__init__(n, [rows], None, source.settings, inputs)
-
-    def feedback(self, z: Any) -> Estimates:
-        """Estimate from the newest measurements.
-
-        Args:
-            z: (n, n_z) measurements; an entry that is not finite counts as missing.
-
-        Returns:
-            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
-
-        Raises:
-            ValueError: If z has another shape.
-        """
-        self._run(dict(z_N=z))
-        return self._estimates()
 
 
 _KINDS = {RHC: RHCBatch, RHE: RHEBatch, EKF: EKFBatch}

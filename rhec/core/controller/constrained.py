@@ -24,9 +24,9 @@ import numpy as np
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
-from rhec.core.controller.horizon import Horizon, build_roll_out, planned
+from rhec.core.controller.horizon import Horizon, build_roll_out, planned, states_after
 from rhec.core.controller.horizon import init as plan_init
-from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
+from rhec.core.model.limits import MAX_QP_ENTRY
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.interior_point import Shape, interior_point
 from rhec.core.solver.rti import run_phases
@@ -422,9 +422,7 @@ def _build_expand(horizon, feedback, roll_out):
     @casadi_function("rhc_expand", plain.loops, **shapes)
     def expand(s, u, before, F, D, B, s_0, u_plan, ok):
         predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
-        # As in `rhc`: after a step that failed, the next linearisation starts from the estimate.
-        restarted = ca.if_else(is_plausible(s_0), ca.repmat(s_0, 1, plain.N + 1), s)
-        return dict(s=ca.if_else(ok, predicted, restarted), u=u_plan, before=before)
+        return dict(s=states_after(plain, ok, predicted, s, s_0), u=u_plan, before=before)
 
     return expand
 

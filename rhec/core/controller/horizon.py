@@ -8,6 +8,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core.model.base import Model, interval
+from rhec.core.model.limits import is_plausible
 from rhec.core.solver.pivoting import DOUBLINGS
 
 
@@ -124,3 +125,13 @@ def init(horizon, x, p):
     """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
     s = np.tile([*x, *p], (horizon.N + 1, 1)).T
     return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))
+
+
+def states_after(horizon, ok, predicted, s, s_0):
+    """The states for the next linearisation: those predicted or, after a step that failed, others.
+
+    A step that failed leaves the shifted inputs. Its states s may be the cause, and would stay: the
+    next linearisation starts from the estimate s_0, if that is plausible.
+    """
+    restarted = ca.if_else(is_plausible(s_0), ca.repmat(s_0, 1, horizon.N + 1), s)
+    return ca.if_else(ok, predicted, restarted)

@@ -28,11 +28,11 @@ from rhec.core.controller.horizon import (
     init,
     planned,
     row_of_commands,
+    states_after,
 )
 from rhec.core.controller.options import Options, problem_of
 from rhec.core.model.base import Model
 from rhec.core.model.integration import refuse_unstable_step
-from rhec.core.model.limits import is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.line_search import PENALTY, line_search
@@ -215,10 +215,7 @@ def _build_expand(horizon, feedback, roll_out):
         kkt = gauss_newton.kkt_tolerance(ca.dot(g.T, change), multipliers, least, most)
         kkt = ca.if_else(ok, kkt, ca.DM.nan())
         predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
-        # A step that failed leaves the shifted inputs. Its states may be the cause, and would
-        # stay: the next linearisation starts from the estimate, if that is plausible.
-        restarted = ca.if_else(is_plausible(s_0), ca.repmat(s_0, 1, horizon.N + 1), s)
-        return dict(s=ca.if_else(ok, predicted, restarted), u=u_plan, kkt=kkt)
+        return dict(s=states_after(horizon, ok, predicted, s, s_0), u=u_plan, kkt=kkt)
 
     return expand
 
