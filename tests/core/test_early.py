@@ -68,6 +68,15 @@ def test_a_structure_that_is_compiled_is_used_as_it_is(cache):
     assert n_libraries(cache) == 1
 
 
+def test_without_a_compiler_not_even_an_early_library_is_used(cache, monkeypatch):
+    """Else one of two runs that are compared is compiled and the other one is not."""
+    compiled_early = early.load(build_pendulum, 3)
+    monkeypatch.setattr(compiled, "compiler", lambda: None)
+    interpreted = early.load(build_pendulum, 3)
+    assert interpreted["block"].class_name() != compiled_early["block"].class_name()
+    monkeypatch.undo()
+
+
 def test_structures_compile_at_the_same_time(cache, tmp_path, monkeypatch):
     """Each compiler waits until the other one has begun; alone it would wait for ever."""
     begun = tmp_path / "begun"

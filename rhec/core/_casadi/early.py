@@ -107,6 +107,8 @@ def _fail(folder):
 
 
 def _load_one(build, structure):
+    if not compiled.compiler():  # nothing is compiled any more, not even what was compiled before
+        return compiled.load(build, *structure)
     key = build, structure
     early = _early.get(key)
     if early is not None and not early.is_optimised():
