@@ -30,12 +30,14 @@ function box_around(length, width, [ahead, left] = [0, 0]) {
 function first_touches(n, x, y, theta, plants, [length, width]) {
   const first = new Int32Array(plants.length).fill(n);
   const reach = Math.hypot(length, width) / 2;
+  const [tip_x, tip_y] = [0, 1].map(axis => Float64Array.from(plants, plant => plant[axis]));
   for (let k = 0; k < n; k++) {
     const [at_x, at_y] = [x(k), y(k)];
     const [cosine, sine] = [Math.cos(theta(k)), Math.sin(theta(k))];
     for (let i = 0; i < plants.length; i++) {
-      const [dx, dy] = [plants[i][0] - at_x, plants[i][1] - at_y];
-      if (first[i] < n || Math.abs(dx) > reach || Math.abs(dy) > reach) continue;
+      const dx = tip_x[i] - at_x;
+      const dy = tip_y[i] - at_y;
+      if (Math.abs(dx) > reach || Math.abs(dy) > reach || first[i] < n) continue;
       const ahead = Math.abs(cosine * dx + sine * dy);
       const left = Math.abs(cosine * dy - sine * dx);
       if (ahead <= length / 2 && left <= width / 2) first[i] = k;

@@ -9,8 +9,8 @@ const CHALLENGES = {
     scene: "a",
     soil: "soft",
     free: ["r", "look_ahead_m"],
-    task: "On soft soil, bring the followed robot back to its row in less than 15 s without crossing"
-      + " it by 0.1 m, on as many fields as you can. You have Q, R and the look-ahead.",
+    task: "On soft soil, bring the followed robot back to its row in less than 15 s without"
+      + " crossing it by 0.1 m, on as many fields as you can. You have Q, R and the look-ahead.",
     misses: () => $("soil").value === "soft" ? "" : "The soil must be soft.",
     won: (runs, followed) =>
       runs[followed].settling_time_s < 15 && runs[followed].overshoot_m < 0.1,
@@ -29,9 +29,9 @@ const CHALLENGES = {
     scene: "yaw_drift",
     soil: "firm",
     free: ["slip_difference"],
-    task: "Find a soil on which the cautious robot leaves its row: after it has settled, it is more"
-      + " than 0.12 m off on a straight part. You have the kind of soil, “left slips more”, and wet"
-      + " patches.",
+    task: "Find a soil on which the cautious robot leaves its row: after it has settled, it is"
+      + " more than 0.12 m off on a straight part. You have the kind of soil, “left slips more”,"
+      + " and wet patches.",
     misses: () => "",
     won: runs => runs[2].violations_true > 0,
   },

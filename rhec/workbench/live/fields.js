@@ -9,7 +9,8 @@ const fields = { key: "", workers: [], results: [], pairs: [], streams: {}, begu
 
 // In a worker: drive all runs on the fields of these pairs of seeds, of noise and of soil.
 async function drive_fields({ data: { runs, world, streams, soils, pairs, samples } }) {
-  const loops = await Promise.all(runs.map(({ module, data }) => Loop.from(module, { data, world })));
+  const loops = await Promise.all(
+    runs.map(({ module, data }) => Loop.from(module, { data, world })));
   for (const [noise, soil] of pairs) {
     const found = loops.map((loop, i) => {
       loop.run(runs[i].values, streams[runs[i].fault][noise], soils[soil], samples);
@@ -120,8 +121,10 @@ function follow_the_controls() { // a picture was drawn: of other settings than 
   return null;
 }
 
+const violations_of = run => fields.results.map(({ runs }) => runs[run].metrics.violations);
+
 function draw_histogram() { // of the violations by the measured position, as the paper counts them
-  const counts = page.loops.map((_, i) => fields.results.map(({ runs }) => runs[i].metrics.violations));
+  const counts = page.loops.map((_, i) => violations_of(i));
   const most = Math.max(20, ...counts.flat());
   const wide = Math.ceil(most / 24);
   const bins = Math.floor(most / wide) + 1;
@@ -140,18 +143,18 @@ function draw_histogram() { // of the violations by the measured position, as th
   const { paper_violations } = page.world;
   page.runs.forEach(({ name }, i) => {
     const at = page.scene === "b" ? paper_violations[name] : NaN;
-    plot.line(2, () => at + wide / 2, k => k * high, COLOURS[i], { width: 2, dash: [5, 4] });
+    plot.line(2, () => at + 0.5, k => k * high, COLOURS[i], { width: 2, dash: [5, 4] });
   });
 }
 
 function violations_in_words() {
   const number = fields.results.length;
-  const middle = all => all.sort((a, b) => a - b)[Math.floor(all.length / 2)];
+  const middle = all => all.toSorted((a, b) => a - b)[Math.floor(all.length / 2)];
   return page.runs.map(({ name }, i) => {
-    const all = fields.results.map(({ runs }) => runs[i].metrics.violations);
+    const all = violations_of(i);
     const printed = page.scene === "b" ? `; the paper: ${page.world.paper_violations[name]}` : "";
     return `${name}: none on ${all.filter(each => !each).length} of ${number} fields, `
-      + `median ${middle([...all])}, most ${Math.max(...all)}${printed}`;
+      + `median ${middle(all)}, most ${Math.max(...all)}${printed}`;
   });
 }
 
