@@ -5,7 +5,7 @@ import re
 from rhec.simulation.columns import RECORDED, TRACKS
 
 # Names that other loggers use, in lower case and without the unit; the most likely name first.
-_OTHER_NAMES = {
+OTHER_NAMES = {
     "t_s": ("t", "time", "stamp", "timestamp", "seconds"),
     "x_m": ("x", "east", "easting", "utm_e", "utm_x", "pos_x", "position_x", "px"),
     "y_m": ("y", "north", "northing", "utm_n", "utm_y", "pos_y", "position_y", "py"),
@@ -28,7 +28,7 @@ def _suggestions(missing, columns):
     by_plain_name = {_plain_name(column): str(column) for column in reversed(columns)}
     suggestions = {}
     for name in missing:
-        for other in (_plain_name(name), *_OTHER_NAMES.get(name, ())):
+        for other in (_plain_name(name), *OTHER_NAMES.get(name, ())):
             if other in by_plain_name:
                 suggestions[name] = by_plain_name.pop(other)
                 break

@@ -79,7 +79,7 @@ ESTIMATOR_FIELDS = (
     "sigma_gyro",
     "sigma_heading",
 )
-_N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
+N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
 # Standard deviations of the initial guess of _QUANTITIES. They equal the paper's W, except for the
 # yaw and the position of the antenna.
 _SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)
@@ -135,7 +135,7 @@ def _recorded_columns(names):
 # The estimator's step as a scan
 
 
-def _build_replay(*choice):
+def build_replay(*choice):
     """The scan of an estimator that records _RECORDED.
 
     Its memory is the memory of the estimator followed by the last estimate of `quantities_of`. A
@@ -144,7 +144,7 @@ def _build_replay(*choice):
     choice = Choice(*choice)
     step = build_step(choice)
     quantities = quantities_of(choice.sensors)
-    motion = _motion(_model_of(choice), quantities)
+    motion = motion_of(model_of(choice), quantities)
     n = step.numel_in(0)
     n_z = len(measured_of(choice.sensors))
     n_ages = len(_ages_of(choice.sensors))
@@ -163,7 +163,7 @@ def _build_replay(*choice):
 
 
 def _moved_to_sample(motion, last, z, ages_s):
-    """z with its position and its heading, if any, moved to the time of the sample by `_motion`.
+    """z with its position and its heading, if any, moved to the time of the sample by `motion_of`.
 
     ages_s has their ages [s]; the heading is the last entry of z.
     """
@@ -209,7 +209,7 @@ def _recorded(choice, outputs, z):
     )
 
 
-def _motion(model, names):
+def motion_of(model, names):
     """Function (estimate, z, tau_s) -> (estimate, outputs) that predicts a Model over tau_s [s].
 
     The inputs are those measured in z, or the estimated inputs where z has no measurement.
@@ -233,7 +233,7 @@ def _motion(model, names):
 
 
 def predictor(model, names=_QUANTITIES):
-    """A function that predicts many estimates of a Model at once, by `_motion`.
+    """A function that predicts many estimates of a Model at once, by `motion_of`.
 
     Args:
         model: The Model.
@@ -246,18 +246,50 @@ def predictor(model, names=_QUANTITIES):
 
     def predict(estimate, z, tau_s):
         held = pd.DataFrame(z).ffill().to_numpy()
-        motion = _motion(model, names).map(len(estimate))
+        motion = motion_of(model, names).map(len(estimate))
         return [np.array(result).T for result in motion(estimate.T, held.T, tau_s[None, :])]
 
     return predict
 
 
-def _model_of(choice):
+def model_of(choice):
     """The Model that the estimator of a Choice uses for predictions."""
     return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
 
 
 # Samples of the paper's robot
+
+
+def first_memory(scenario, pose, nu, first=_UNKNOWN):
+    """The memory of `build_replay` before the first sample.
+
+    Args:
+        scenario: The Scenario of the estimator.
+        pose: Guess of (x, y, θ) [m, m, rad].
+        nu: Guess of the speed [m/s].
+        first: The InitialGuess.
+
+    Returns:
+        (n,) the estimator's memory, then the guess of `quantities_of`.
+    """
+    guess = (*pose, nu, 1.0, 1.0, *(first.lever_arm_m or first.about_arm_m))
+    if "gyro" in scenario.sensors:
+        guess += (*sensors.GYRO_GUESS.values(),)
+    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
+    if first.lever_arm_m is not None:
+        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
+    choice = Choice.of(scenario)
+    estimator = estimator_of(choice.estimator, choice.robust)
+    named = dict(zip(quantities_of(scenario.sensors), guess))
+    return np.append(pack_array(estimator.init(choice, named, sigma)), guess)
+
+
+def settings_of_replay(scenario):
+    """The settings of `build_replay` by name, and more."""
+    choice = Choice.of(scenario)
+    settings = estimator_of(choice.estimator, choice.robust).settings(scenario)
+    # The estimators of a replay do not receive the traction, except for the one that assumes 1.
+    return settings | dict(traction=np.ones(2))
 
 
 def _run(functions, scenario, z, age_s, yaw_rad, first):
@@ -269,20 +301,9 @@ def _run(functions, scenario, z, age_s, yaw_rad, first):
     begin = np.argmax(has_position) if has_position.any() else len(z)
     x, y = z[begin, :2] if has_position.any() else (0.0, 0.0)
     nu = np.nan_to_num(z[0, 2])
-    guess = (x, y, yaw_rad, nu, 1.0, 1.0, *(first.lever_arm_m or first.about_arm_m))
-    if "gyro" in scenario.sensors:
-        guess += (*sensors.GYRO_GUESS.values(),)
-    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
-    if first.lever_arm_m is not None:
-        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
-    choice = Choice.of(scenario)
-    estimator = estimator_of(choice.estimator, choice.robust)
-    named = dict(zip(quantities_of(scenario.sensors), guess))
-    memory = pack_array(estimator.init(choice, named, sigma))
-    # The estimators of a replay do not receive the traction, except for the one that assumes 1.
-    settings = estimator.settings(scenario) | dict(traction=np.ones(2))
+    memory = first_memory(scenario, (x, y, yaw_rad), nu, first)
     stream = np.column_stack([z, age_s])
-    arrays = offline.run(functions, np.append(memory, guess), stream, settings)
+    arrays = offline.run(functions, memory, stream, settings_of_replay(scenario))
     rows = np.column_stack([arrays[name] for name in _RECORDED])
     rows[:begin] = np.nan
     return rows
@@ -295,7 +316,7 @@ def _innovations(scenario, estimate, z, age_s):
     until the time at which the position was measured.
     """
     innovations = np.full((len(z), 2), np.nan)
-    model = _model_of(Choice.of(scenario))
+    model = model_of(Choice.of(scenario))
     if len(z) > 1:
         tau_s = paper.DT_S - np.nan_to_num(age_s[1:, 0])
         predict = predictor(model, quantities_of(scenario.sensors))
@@ -310,8 +331,8 @@ def _most_likely_heading(functions, scenario, z, age_s, first):
     A row is taken from the direction with the smallest sum of squared innovations until then, so
     that no row depends on later measurements.
     """
-    unsure = first._replace(sigma_yaw_rad=np.pi / _N_HEADINGS)
-    yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
+    unsure = first._replace(sigma_yaw_rad=np.pi / N_HEADINGS)
+    yaws = 2 * np.pi / N_HEADINGS * np.arange(N_HEADINGS)
     runs = np.stack([_run(functions, scenario, z, age_s, yaw, unsure) for yaw in yaws])
     n = len(quantities_of(scenario.sensors))
     squares = [np.square(_innovations(scenario, run[:, :n], z, age_s)) for run in runs]
@@ -372,7 +393,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
     Returns:
         DataFrame, one row for each sample of the estimator.
     """
-    functions = compiled.load(_build_replay, *Choice.of(scenario))
+    functions = compiled.load(build_replay, *Choice.of(scenario))
     measured = measured_of(scenario.sensors)
     n = len(quantities_of(scenario.sensors))
     parts = []
@@ -506,7 +527,7 @@ def _run_live(estimator, model, samples, dt_s):
     Measurements that are older than their sample are moved to it as in `_moved_to_sample`, or left
     out of the first sample, before which no motion is known.
     """
-    motion = _motion(model, model.names)
+    motion = motion_of(model, model.names)
     ages = samples.reindex(columns=[f"{name}_age_s" for name in model.outputs]).to_numpy()
     rows = []
     last = None
@@ -644,7 +665,7 @@ def replay(
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
     samples = estimate_samples(recording, scenario, first, smooth=smooth)
     names = scenario.sensors
-    predict = predictor(_model_of(Choice.of(scenario)), quantities_of(names))
+    predict = predictor(model_of(Choice.of(scenario)), quantities_of(names))
     means = [*MEASUREMENTS[2:], *([SENSORS["gyro"]] if "gyro" in names else [])]
     columns = _Columns(measured_of(names), means, hats_of(names), predict)
     result = _at_rows(samples, recording, log, paper.DT_S, columns)

@@ -3,19 +3,22 @@
 import base64
 import random
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from helpers import LIVE_PAGE, needs_live_page
 
 import rhec
 from rhec import paper
 from rhec.core._casadi import compiled, scan
+from rhec.logs import recording, replay
 from rhec.simulation import closed_loop
-from rhec.simulation.columns import COLUMNS, POSE
+from rhec.simulation.columns import COLUMNS, MEASUREMENTS, POSE
 from rhec.tracked_robot import tuning
-from rhec.workbench.live.page import FAULTS, SCENES, SEEDS, SOILS
+from rhec.workbench.live.page import FAULTS, SCENES, SEEDS, SOILS, own_log_scenario
 
 pytestmark = needs_live_page
 
@@ -181,7 +184,8 @@ def test_every_picture_has_lines_in_every_scene(live, scene):
     live.page.check("#many")
     live.fields()
     inks = live.page.evaluate(
-        """() => [...document.querySelectorAll("canvas")].map(canvas => {
+        """() => [...document.querySelectorAll("canvas")].filter(({clientWidth}) => clientWidth)
+            .map(canvas => {
             const probe = document.createElement("canvas").getContext("2d")
             const colours = ["--run0", "--run1", "--run2"].map(name => {
                 probe.fillStyle = getComputedStyle(canvas).getPropertyValue(name)
@@ -470,3 +474,68 @@ def test_a_challenge_is_scored_by_its_rule_and_refuses_other_means(live, challen
     live.move(page.locator("#sliders input[data-field=gnss_sigma_m]"), 0.9)
     live.settled()
     assert "A slider has moved" in page.inner_text("#score")
+
+
+# A reader's own log
+
+EXAMPLE = Path(__file__).parents[2] / "data/example_log.csv"
+ESTIMATED = """own_log.found.map(({t_s, stream, yaw_rad, rows}) => {
+    const numbers = of => [...of].map(x => isFinite(x) ? x : null)
+    return {t_s: [...t_s], stream: numbers(stream), yaw_rad, rows: numbers(rows)}
+})"""
+
+
+def rough(log):
+    """The log with rows lost, gaps of 1 and 5 s, times that jitter, and numbers that are absurd."""
+    chance = np.random.default_rng(3)
+    log = log.copy()
+    log["t_s"] += chance.uniform(0, 0.05, len(log)).round(4)
+    log.loc[chance.random(len(log)) < 0.05, "speed_mps"] = np.nan
+    log.loc[chance.random(len(log)) < 0.02, "x_m"] = 1e12
+    keep = chance.random(len(log)) > 0.1
+    for begin, long_s in ((20.0, 1.0), (40.0, 5.0)):
+        keep &= ~log["t_s"].between(begin, begin + long_s)
+    return log[keep]
+
+
+def estimated_in_python(log, found):
+    """Samples of `rhec.replay` for each segment, with the page's choice of the first yaw."""
+    yaw_rad = tuple(part["yaw_rad"] for part in found)
+    first = replay.InitialGuess(yaw_rad=yaw_rad, sigma_yaw_rad=np.pi / replay.N_HEADINGS)
+    samples = replay.estimate_samples(recording.prepare(log), own_log_scenario(), first)
+    return [part for _, part in samples.groupby("segment")]
+
+
+@pytest.mark.parametrize("make", [lambda log: log, rough], ids=["example", "rough"])
+def test_an_own_log_is_estimated_as_in_python(live, tmp_path, make):
+    log = make(pd.read_csv(EXAMPLE))
+    log.to_csv(tmp_path / "log.csv", index=False)
+    live.page.set_input_files("#own_file", tmp_path / "log.csv")
+    live.page.wait_for_function("own_log.found.length")
+    found = live.page.evaluate(ESTIMATED)
+    parts = estimated_in_python(pd.read_csv(tmp_path / "log.csv"), found)
+    assert len(parts) == len(found) == 2
+    for part, page in zip(parts, found):
+        n = len(page["t_s"])
+        assert n > 400
+        np.testing.assert_allclose(page["t_s"], part["t_s"])
+        z = np.array(page["stream"], float).reshape(n, 5)[:, :4]
+        np.testing.assert_allclose(z, part[MEASUREMENTS], rtol=1e-9, atol=1e-12)
+        rows = np.array(page["rows"], float).reshape(n, -1)
+        hats = replay.hats_of()
+        np.testing.assert_allclose(rows[:, : len(hats)], part[hats], rtol=1e-6, atol=1e-6)
+        true_yaw = part["theta_rad"].iloc[-1]
+        off = rows[-1, 2] - true_yaw
+        assert abs(np.angle(np.exp(1j * off))) < 0.3
+
+
+def test_columns_of_an_own_log_are_found_or_matched_by_hand(live, tmp_path):
+    names = dict(t_s="Time [s]", x_m="east", y_m="north", speed_mps="speed", yaw_rate_radps="my w")
+    log = pd.read_csv(EXAMPLE)[[*names, "segment", "pos_ok"]].rename(columns=names)
+    log.to_csv(tmp_path / "log.csv", index=False, sep=";")
+    live.page.set_input_files("#own_file", tmp_path / "log.csv")
+    said = "Which column is yaw_rate_radps?"
+    live.page.wait_for_function(f"$('own_said').textContent === '{said}'")
+    live.page.select_option("#own_yaw_rate_radps", "my w")
+    live.page.wait_for_function("own_log.found.length")
+    assert f"{len(log)} rows" in live.page.inner_text("#own_said")

@@ -89,7 +89,9 @@ def _recent(step, memory, inputs, settings):
     """Samples one by one: memories, that before the first one included, rows, covariances."""
     call = compiled.BufferedFunction(step)
     call.set(**build.select_inputs(step, settings))
-    memories, rows, covariances = [memory.copy()], [], []
+    memories = [memory.copy()]
+    rows = []
+    covariances = []
     memory_in, stream_in, *_ = step.name_in()
     memory_out, row_out, *_ = step.name_out()
     for sample in np.ascontiguousarray(inputs, dtype=float):

@@ -13,12 +13,16 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.c_text import generate_c
+from rhec.logs import replay
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS
+from rhec.tracked_robot.choice import Choice
 
-__all__ = ["ERRORS", "MAX_SAMPLES", "build_functions", "c_text"]
+__all__ = ["ERRORS", "MAX_LOG_SAMPLES", "MAX_SAMPLES"]
+__all__ += ["build_functions", "build_replay", "c_text", "c_text_of_replay"]
 
 MAX_SAMPLES = 1200  # of a run: four minutes
+MAX_LOG_SAMPLES = 72_000  # of a reader's own log: four hours
 # Outputs of the Function `errors`, in this order.
 ERRORS = ("error_m", "error_true_m", "left_m", "on_straight")
 # Arrays that hold one entry per sample; all others hold one entry.
@@ -68,16 +72,61 @@ def _build_errors():
     return errors
 
 
-def c_text(functions):
-    """The C text of a run: CasADi's C of the Functions, their arrays and arguments, and loop.c."""
+def build_replay(scenario):
+    """Build the Function of a reader's own log for the estimator of a Scenario.
+
+    Args:
+        scenario: A Scenario as `rhec.logs.replay.replay_scenario` returns it, without sensors.
+
+    Returns:
+        {"replay": Function (memory, stream, settings …) -> (memory, row)}. The memory is that of
+        `rhec.logs.replay.first_memory`, then the last measurements (4,); a sample of the stream is
+        z (4,) and the position's age [s]; a row begins with the estimate and its standard
+        deviations and ends with the innovation of the position (2,).
+    """
+    choice = Choice.of(scenario)
+    names = replay.quantities_of(choice.sensors)
+    step = replay.build_replay(*choice)["step"]
+    motion = replay.motion_of(replay.model_of(choice), names)
+    n = step.numel_in(0)
+    memory = ca.MX.sym("memory", n + 4)
+    stream = ca.MX.sym("stream", step.numel_in(1))
+    z = stream[:4]
+    age_s = ca.if_else(stream[4] >= 0, stream[4], 0)
+    held = ca.if_else(ca.fabs(z) < np.inf, z, memory[n:])
+    _, predicted = motion(memory[n - len(names) : n], held, paper.DT_S - age_s)
+    settings = step.mx_in()[2:]
+    after, row, *_ = step.call([memory[:n], stream, *settings])
+    results = [ca.vertcat(after, held), ca.vertcat(row, z[:2] - predicted[:2])]
+    inputs = ["memory", "stream", *step.name_in()[2:]]
+    options = {"allow_duplicate_io_names": True}
+    return dict(
+        replay=ca.Function(
+            "replay", [memory, stream, *settings], results, inputs, ["memory", "row"], options
+        )
+    )
+
+
+def c_text_of_replay(functions):
+    """The C text that estimates a whole log, of the Function of `build_replay`."""
+    return c_text(functions, ("stream", "row"), MAX_LOG_SAMPLES, _LOOP_C.with_name("own_log.c"))
+
+
+def c_text(functions, logged=_LOGGED, samples=MAX_SAMPLES, loop=_LOOP_C):
+    """The C text of a run: CasADi's C of the Functions, their arrays and arguments, and the loop.
+
+    The arrays whose names are in `logged` hold one entry for each of so many samples.
+    """
     lengths = {}
     for function in functions.values():
         lengths |= {name: function.nnz_in(name) for name in function.name_in()}
         lengths |= {name: function.nnz_out(name) for name in function.name_out()}
-    lines = [f"enum {{ {name.upper()} = {lengths[name]} }};" for name in _LOGGED]
+    lines = [
+        f"enum {{ {name.upper()} = {lengths[name]} }};" for name in sorted({*logged, "memory"})
+    ]
     for name, length in lengths.items():
         # The memory has one entry more than the run has samples: the first.
-        entries = MAX_SAMPLES + 1 if name in _LOGGED else 1
+        entries = samples + 1 if name in logged else 1
         lines.append(f"double at_{name}[{length * entries}];")
     for name, function in functions.items():
         arguments = ", ".join(f"at_{of}" for of in function.name_in())
@@ -89,4 +138,4 @@ def c_text(functions):
     lines.append(f"static long long iw[{n_iw + 1}];")
     lines.append(f"static double w[{n_w + 1}];")
     casadi_c = generate_c([*functions.values()], "code.c")
-    return casadi_c + "\n".join(lines) + "\n" + _LOOP_C.read_text(encoding="utf-8")
+    return casadi_c + "\n".join(lines) + "\n" + loop.read_text(encoding="utf-8")

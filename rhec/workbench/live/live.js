@@ -109,7 +109,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
   }
 
   static async from(module, { name, data, world }) {
-    const loop = new Loop();
+    const loop = new this();
     Object.assign(loop, { name, module, data, world });
     loop.wasm = (await WebAssembly.instantiate(module, { Math })).exports;
     for (const array of Object.keys(loop.wasm).filter(each => each.startsWith("at_"))) {

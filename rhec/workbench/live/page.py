@@ -24,6 +24,8 @@ import numpy as np
 
 from rhec import paper
 from rhec.core._casadi.build import packed_size
+from rhec.logs import replay
+from rhec.logs.column_names import OTHER_NAMES
 from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.columns import COLUMNS
 from rhec.simulation.scenario import Scenario
@@ -36,7 +38,7 @@ from rhec.workbench.explorer.robot_view import plants_of
 from rhec.workbench.live import functions, wasm
 
 __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
-__all__ += ["affine_memory", "seed_data", "write"]
+__all__ += ["affine_memory", "own_log_scenario", "seed_data", "write"]
 
 HERE = Path(__file__).parent
 REPORT = Path(__file__).resolve().parents[3] / "build/report"
@@ -90,7 +92,9 @@ def write(folder=REPORT):
     data = dict(world=world) | {f"seed_{seed}": seed_data(seed) for seed in SEEDS}
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         # Tracing a loop takes seconds; its compiled module is cached.
+        own_log = pool.submit(_own_log)
         data |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
+        data["own_log_module"] = own_log.result()
     for name, content in data.items():
         text = json.dumps(content, allow_nan=True, separators=(",", ":"), ensure_ascii=False)
         (files / f"{name}.js").write_text(f"live.arrived({name!r}, {text})\n", encoding="utf-8")
@@ -98,7 +102,9 @@ def write(folder=REPORT):
         loader=jinja2.FileSystemLoader(HERE), undefined=jinja2.StrictUndefined, autoescape=True
     )
     pages = {file.stem: file.relative_to(folder).as_posix() for file in folder.rglob("*.html")}
-    html = environment.get_template("live.html.j2").render(world=world, pages=pages)
+    html = environment.get_template("live.html.j2").render(
+        world=world, pages=pages, sigma_m=paper.SIGMA_V[0]
+    )
     (folder / "live.html").write_text(html, encoding="utf-8")
 
 
@@ -137,11 +143,16 @@ def affine_memory(own):
     def memory(**start):
         return closed_loop.set_up(Scenario(**own, **(_START | start))).memory
 
+    return _affine(memory, _START)
+
+
+def _affine(memory, start):
+    """m_0 (n,) and {name: direction (n,)} of a memory that is affine in values by name."""
     middle = memory()
-    directions = {name: 2 * (memory(**{name: at + 0.5}) - middle) for name, at in _START.items()}
+    directions = {name: 2 * (memory(**{name: at + 0.5}) - middle) for name, at in start.items()}
     # A gap in the estimator's window is NaN whatever the start.
     directions = {name: np.nan_to_num(slope) for name, slope in directions.items()}
-    return middle - sum(at * directions[name] for name, at in _START.items()), directions
+    return middle - sum(at * directions[name] for name, at in start.items()), directions
 
 
 def _module(own):
@@ -154,19 +165,55 @@ def _module(own):
     sigma_w = tuning.SIGMA_W[scenario.estimator]
     text = functions.c_text(functions.build_functions(scenario))
     return dict(
-        memory=[None if np.isnan(value) else value for value in memory.tolist()],
-        directions={name: slope.tolist() for name, slope in directions.items()},
-        settings={
-            name: np.ravel(value, order="F").astype(float).tolist()
-            for name, value in setup.settings.items()
-            if name not in _OF_THE_SOIL
-        },
+        **_written(memory, directions, setup.settings),
         places=_places(setup),
         states=estimator_of(choice.estimator, choice.robust).states(choice),
         sigma_w={name: sigma_w[name] for name in noises},
         line={name: value for name, value in own.items() if name != "faults"},
         faulty=bool(scenario.faults),
         wasm=_packed(wasm.module_of(text)),
+    )
+
+
+def _written(memory, directions, settings):
+    """The first memory and the settings of a module, for JSON."""
+    return dict(
+        memory=[None if np.isnan(value) else value for value in memory.tolist()],
+        directions={name: slope.tolist() for name, slope in directions.items()},
+        settings={
+            name: np.ravel(value, order="F").astype(float).tolist()
+            for name, value in settings.items()
+            if name not in _OF_THE_SOIL
+        },
+    )
+
+
+def own_log_scenario(sigma_m=paper.SIGMA_V[0]):
+    """The Scenario of the estimator of a reader's own log, with positions of this noise [m]."""
+    sigma_v = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
+    return Scenario(speed_model="slipping", arrival_mean="filtered", sigma_v=sigma_v)
+
+
+def _own_log():
+    """The module for a reader's own log: the RHE of `rhec.replay`, without other sensors."""
+    scenario = own_log_scenario()
+    first = replay.InitialGuess(sigma_yaw_rad=np.pi / replay.N_HEADINGS)
+
+    def memory(x_m=0.0, y_m=0.0, theta_rad=0.0, nu_mps=0.0):
+        of_the_estimator = replay.first_memory(scenario, (x_m, y_m, theta_rad), nu_mps, first)
+        return np.append(of_the_estimator, np.full(4, np.nan))  # the last measurements
+
+    start = dict.fromkeys(("x_m", "y_m", "theta_rad", "nu_mps"), 0.0)
+    built = functions.build_replay(scenario)
+    return dict(
+        **_written(*_affine(memory, start), replay.settings_of_replay(scenario)),
+        row=built["replay"].numel_out(1),
+        names=replay.quantities_of(),
+        other_names=OTHER_NAMES,
+        n_headings=replay.N_HEADINGS,
+        max_samples=functions.MAX_LOG_SAMPLES,
+        sigma_m=paper.SIGMA_V[0],
+        wasm=_packed(wasm.module_of(functions.c_text_of_replay(built))),
     )
 
 
