@@ -201,12 +201,13 @@ async function estimate_own_log() {
   $("own_said").textContent = `${own_log.lines.length - 1} rows, ${samples} samples of 0.2 s, `
     + `estimated in ${took.toFixed(0)} ms. In Python: rhec.replay(log, sigma_v=(${sigma_m}, `
     + `${sigma_m}, 0.05, 0.0175))`;
+  own_log.data = data;
   $("own_pictures").hidden = false;
-  draw_own_log(data);
+  draw_own_log();
 }
 
-function draw_own_log({ names, row }) {
-  const parts = own_log.found;
+function draw_own_log() {
+  const { found: parts, data: { names, row } } = own_log;
   const all = (of, width, i) => parts.flatMap(part =>
     Array.from({ length: part.t_s.length }, (_, k) => part[of][width * k + i]));
   const range = values => values.filter(isFinite).reduce(
@@ -215,7 +216,7 @@ function draw_own_log({ names, row }) {
   const map = new Plot($("own_map"), range(x), range(y), { equal: true });
   map.dots(x.length, k => x[k], k => y[k], "--measured", { radius: 1.5 });
   for (const { rows, t_s } of parts)
-    map.line(t_s.length, k => rows[row * k], k => rows[row * k + 1], "--run0");
+    map.line(t_s.length, k => rows[row * k], k => rows[row * k + 1], "--ink");
   const times = parts.flatMap(({ t_s }) => t_s);
   const over_time = new Plot($("own_traction"), range(times), [0, 1.08]);
   ["mu", "kappa"].forEach((name, i) => {
@@ -242,6 +243,9 @@ async function take(file) {
 
 const refused = error => { $("own_said").textContent = error.message; };
 
+const redraw_own_log = () => own_log.found.length && draw_own_log();
+new ResizeObserver(redraw_own_log).observe($("own_pictures"));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw_own_log);
 $("own_file").onchange = ({ target }) => take(target.files[0]).catch(refused);
 $("own").ondragover = event => event.preventDefault();
 $("own").ondrop = event => {

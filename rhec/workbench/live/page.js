@@ -138,6 +138,7 @@ function show() {
     }
   }
   $("dry").disabled = !page.patches.length;
+  $("window").disabled = !page.runs.some(({ module }) => module === "rhe");
 }
 
 function move(field, value) { // by a pointer on the map, as the slider would

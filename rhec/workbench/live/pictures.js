@@ -49,12 +49,15 @@ function draw_map(now) {
   map.dots(...spread([page.heading]), "--ink", { radius: 4, full: false });
 }
 
-// How many of the run's variances of κ the last TELLING_S have removed, by sample; see `told`.
+// What share of the variance of a run's κ the last TELLING_S removed, by sample; see `told`.
 function telling_of(loop) {
   const sigma = loop.sigma("kappa");
   if (!sigma) return () => 0;
   const W = loop.at_W[loop.data.states.indexOf("kappa")];
-  return k => told(i => sigma(i) ** 2, W, k, Math.round(TELLING_S / page.world.dt_s));
+  const length = Math.round(TELLING_S / page.world.dt_s);
+  const share = (_, k) => told(i => sigma(i) ** 2, W, k, length);
+  loop.telling ??= Float64Array.from({ length: loop.samples }, share);
+  return k => loop.telling[k];
 }
 
 function touches_of(loop) { // first sample at which each plant is touched
