@@ -1,0 +1,178 @@
+"""The still pictures of the story, for a reader without scripts: SVG, drawn from the same runs."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from rhec import paper
+from rhec.core._casadi.build import select_inputs
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import COLUMNS, MEASUREMENTS, POSE
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import plant
+from rhec.workbench.live import functions, window
+
+__all__ = ["draw"]
+
+_SIZE = (640, 300)  # of a picture [px]
+_SAMPLES = 600  # two minutes
+
+
+def draw(soft):
+    """Draw the first picture of each step.
+
+    Args:
+        soft: Fields of Scenario that make its soil soft.
+
+    Returns:
+        {step: SVG}; the colours are properties of the page's style sheet.
+    """
+    sample = functions.build_functions(Scenario())["sample"]
+    rhe = _run(Scenario(), sample)
+    printed = _run(Scenario(process_noise="printed"), sample)
+    of_ekf = Scenario(estimator="ekf", **soft)
+    ekf = _run(of_ekf, functions.build_functions(of_ekf)["sample"])
+    tools = window.build_tools(Scenario())
+    time = paper.DT_S * np.arange(_SAMPLES)
+    sigma_kappa = np.sqrt(rhe.covariance[:, 5, 5])
+    return dict(
+        encoders=_encoders(rhe, tools),
+        filter=_filter(ekf, time),
+        window=_window(rhe, tools, sample=250),
+        kalman=_kalman(rhe, tools, time),
+        row=_svg((0, 120), (0, 0.3), [_line(time, sigma_kappa, "--run0")]),
+        noise=_svg(
+            (0, 120),
+            (0, 1.08),
+            [_line(time, printed.kappa_hat, "--run0"), _line(time, printed.kappa, "--ink")],
+        ),
+    )
+
+
+def _run(scenario, sample):
+    """A run of the closed loop: its log by column, covariances (k, n, n) and memories (k, n)."""
+    setup = closed_loop.set_up(scenario)
+    noise = plant.draw_noise(scenario.seed, _SAMPLES)
+    settings = select_inputs(sample, setup.settings)
+    memory = setup.memory
+    rows, covariances, memories = [], [], []
+    for each in noise:
+        memories.append(memory)
+        found = sample(memory=memory, noise=each, **settings)
+        memory = found["memory"].full().ravel()
+        rows.append(found["row"].full().ravel())
+        covariances.append(found["covariance"].full())
+    n = round(np.sqrt(covariances[0].size))
+    columns = dict(zip(COLUMNS, np.transpose(rows)))
+    return SimpleNamespace(
+        setup=setup,
+        covariance=np.reshape(covariances, (-1, n, n)),
+        memories=memories,
+        z=np.column_stack([columns[name] for name in MEASUREMENTS]),
+        **columns,
+    )
+
+
+def _svg(across, up, marks, equal=False):
+    """An SVG whose marks take the scale (x, y) -> pixels; equal: the same for both axes."""
+    (x0, x1), (y0, y1) = across, up
+    wide, high = _SIZE
+    s_x, s_y = wide / (x1 - x0), high / (y1 - y0)
+    if equal:
+        s_x = s_y = min(s_x, s_y)
+
+    def pixels(x, y):
+        ends = [wide / 2 + s_x * (np.asarray(x) - (x0 + x1) / 2)]
+        ends.append(high / 2 - s_y * (np.asarray(y) - (y0 + y1) / 2))
+        return np.column_stack(ends)
+
+    body = "".join(mark(pixels) for mark in marks)
+    return f'<svg class="still" viewBox="0 0 {wide} {high}" aria-hidden="true">{body}</svg>'
+
+
+def _line(x, y, colour, width=2, dash=""):
+    def mark(pixels):
+        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in pixels(x, y) if np.isfinite(u + v))
+        style = f"fill:none;stroke:var({colour});stroke-width:{width};stroke-dasharray:{dash}"
+        return f'<polyline points="{points}" style="{style}"/>'
+
+    return mark
+
+
+def _area(x, y, colour):
+    def mark(pixels):
+        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in pixels(x, y))
+        return f'<polygon points="{points}" style="fill:var({colour});opacity:0.2"/>'
+
+    return mark
+
+
+def _dots(x, y, colour, radius, full=True):
+    look = f"fill:var({colour})" if full else f"fill:none;stroke:var({colour})"
+
+    def mark(pixels):
+        return "".join(
+            f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius}" style="{look}"/>'
+            for u, v in pixels(x, y)
+            if np.isfinite(u + v)
+        )
+
+    return mark
+
+
+def _encoders(run, tools):
+    """Where the robot is, and where its encoders say it is."""
+    pose = np.array([getattr(run, name)[0] for name in POSE])
+    poses = [pose]
+    for z_N in run.z[1:300]:
+        pose = tools["reckon"](pose=pose, z_N=z_N)["pose"].full().ravel()
+        poses.append(pose)
+    x, y, _ = np.transpose(poses)
+    path = run.setup.path.poses(np.linspace(0, run.setup.path.length_m, 400))[0]
+    marks = [_line(path[:, 0], path[:, 1], "--ink", 1, "5 4")]
+    marks += [_line(run.x_m[:300], run.y_m[:300], "--run0"), _line(x, y, "--run1")]
+    return _svg((-9, 39), (-8, 17.5), marks, equal=True)
+
+
+def _filter(run, time):
+    """The EKF's yaw error within its own band."""
+    error = run.theta_hat_rad - run.theta_rad
+    band = 2 * np.sqrt(run.covariance[:, 2, 2])
+    around = _area(np.append(time, time[::-1]), np.append(band, -band[::-1]), "--run0")
+    return _svg((0, 120), (-0.25, 0.25), [around, _line(time, error, "--run1")])
+
+
+def _window(run, tools, sample):
+    """The window after a sample, in the frame of its middle pose."""
+    memory = run.setup.unpack(run.memories[sample + 1])["estimator"]
+    s, z = memory["s"], memory["z"]
+    x_0, y_0, theta = s[:3, s.shape[1] // 2]
+    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+
+    def seen(x, y):
+        return turn @ np.array([x - x_0, y - y_0])
+
+    fits, fixes = seen(*s[:2]), seen(*z[:2])
+    L = np.linalg.cholesky(memory["P"][:2, :2])
+    circle = np.linspace(0, 2 * np.pi, 41)
+    ellipse = 2 * L @ np.array([np.cos(circle), np.sin(circle)])
+    arrival = seen(*(np.ravel(memory["m"])[:2, None] + ellipse))
+    marks = [_line(*np.transpose([a, b]), "--soft", 1) for a, b in zip(fits.T, fixes.T)]
+    marks += [_dots(*fixes, "--measured", 6, full=False), _dots(*fits, "--run0", 4)]
+    return _svg((-1, 1), (-0.12, 0.12), [*marks, _line(*arrival, "--plan")])
+
+
+def _kalman(run, tools, time):
+    """Distance between the positions of the RHE with one interval and the EKF."""
+    settings = {name: run.setup.settings[name] for name in ("V", "W")}
+    memories = window.first_memories(Scenario(), run.setup.guess)
+    found = {name: [] for name in memories}
+    for z_N in run.z:
+        for name in memories:
+            more = dict(P_0=run.setup.settings["P_0"]) if name == "shortest" else {}
+            step = tools[name](memory=memories[name], z_N=z_N, **settings, **more)
+            memories[name] = step["memory"]
+            found[name].append(step["estimate"].full().ravel()[:2])
+    gap = np.linalg.norm(np.subtract(*found.values()), axis=1)
+    limit = _line([0, 120], [0.001, 0.001], "--ink", 1, "5 4")
+    return _svg((0, 120), (0, 0.02), [_line(time, gap, "--run0"), limit])
