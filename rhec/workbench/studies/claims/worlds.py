@@ -107,9 +107,8 @@ def _measure(claims, worlds, seeds, folder):
     `seeds` has the seeds of each world.
     """
     every = dict.fromkeys(table for claim in claims.values() for table in _tables_of(claim))
-    found = {}
-    for kind in ("runs", "logs"):
-        scenarios = {
+    scenarios = {
+        kind: {
             (kind_, id_, whole): [
                 scenario
                 for world, of_world in zip(worlds, seeds)
@@ -118,9 +117,9 @@ def _measure(claims, worlds, seeds, folder):
             for kind_, id_, whole in every
             if kind_ == kind
         }
-        if scenarios:
-            found |= run_sets.measure(kind, scenarios, folder)
-    return found
+        for kind in ("runs", "logs")
+    }
+    return run_sets.measure(scenarios, folder)
 
 
 def _in_world(claim, found, place, fields):
@@ -232,15 +231,15 @@ def corner(claims, world, seeds, folder=None):
     """{id: verdict} of claims in one of `run_sets.WORLDS`, with W calibrated."""
     judges = {id_: claim.rule.by_condition[CALIBRATED] for id_, claim in claims.items()}
     tables = looks.tables_of(judges.values())
-    evidence = {}
-    for kind, sets in {"runs": run_sets.RUNS, "logs": run_sets.LOGS}.items():
-        scenarios = {
+    scenarios = {
+        kind: {
             table: run_sets.scenarios(sets[table[2]], table[0], range(seeds), world)
             for table in tables
             if table[1] == kind
         }
-        if scenarios:
-            evidence |= run_sets.measure(kind, scenarios, folder)
+        for kind, sets in {"runs": run_sets.RUNS, "logs": run_sets.LOGS}.items()
+    }
+    evidence = run_sets.measure(scenarios, folder)
     names = [(noise, name) for noise, kind, name in tables if kind == "experiments"]
     for (noise, name), table in experiments.make(names, seeds, world).items():
         evidence[noise, "experiments", name] = table
