@@ -88,10 +88,10 @@ function open_address() {
   return true;
 }
 
-let told = null; // the address is written when nothing has moved for a moment
+let write_soon = null; // the address is written when nothing has moved for a moment
 function write_address() {
-  clearTimeout(told);
-  told = setTimeout(() => {
+  clearTimeout(write_soon);
+  write_soon = setTimeout(() => {
     const address = address_of_sandbox();
     const is_new = page.address && page.address !== address;
     page.address = address;

@@ -90,9 +90,8 @@ def write(folder=REPORT):
     files = folder / "live"
     shutil.rmtree(files, ignore_errors=True)
     files.mkdir()
-    scripts = ("live.js", "pictures.js", "page.js", "address.js", "window.js", "story.js")
-    for script in (*scripts, "live.css", "story.css"):
-        shutil.copy(HERE / script, files)
+    for file in (*HERE.glob("*.js"), *HERE.glob("*.css")):
+        shutil.copy(file, files)
     shutil.copy(HERE.parent / "explorer/plot.js", files)
     world = _world()
     data = dict(world=world) | {f"seed_{seed}": seed_data(seed) for seed in SEEDS}
@@ -105,14 +104,12 @@ def write(folder=REPORT):
     for name, content in data.items():
         text = json.dumps(content, allow_nan=True, separators=(",", ":"), ensure_ascii=False)
         (files / f"{name}.js").write_text(f"live.arrived({name!r}, {text})\n", encoding="utf-8")
-    source = (HERE / "live.html.j2").read_text(encoding="utf-8")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE), undefined=jinja2.StrictUndefined, autoescape=True
     )
-    template = environment.from_string(source)
     pages = {file.stem: file.relative_to(folder).as_posix() for file in folder.rglob("*.html")}
     story = dict(story=STORY, stills=pictures.result())
-    html = template.render(world=world, pages=pages, **story)
+    html = environment.get_template("live.html.j2").render(world=world, pages=pages, **story)
     (folder / "live.html").write_text(html, encoding="utf-8")
 
 

@@ -27,12 +27,13 @@ def draw(soft):
     Returns:
         {step: SVG}; the colours are properties of the page's style sheet.
     """
-    sample = functions.build_functions(Scenario())["sample"]
-    rhe = _run(Scenario(), sample)
+    calibrated = Scenario(process_noise="calibrated")
+    sample = functions.build_functions(calibrated)["sample"]
+    rhe = _run(calibrated, sample)
     printed = _run(Scenario(process_noise="printed"), sample)
-    of_ekf = Scenario(estimator="ekf", **soft)
+    of_ekf = Scenario(estimator="ekf", process_noise="calibrated", **soft)
     ekf = _run(of_ekf, functions.build_functions(of_ekf)["sample"])
-    tools = window.build_tools(Scenario())
+    tools = window.build_tools(calibrated)
     time = paper.DT_S * np.arange(_SAMPLES)
     sigma_kappa = np.sqrt(rhe.covariance[:, 5, 5])
     return dict(
@@ -80,6 +81,8 @@ def _svg(across, up, marks, equal=False):
     s_x, s_y = wide / (x1 - x0), high / (y1 - y0)
     if equal:
         s_x = s_y = min(s_x, s_y)
+        middle = (x0 + x1) / 2
+        x0, x1 = middle - wide / s_x / 2, middle + wide / s_x / 2
 
     def pixels(x, y):
         ends = [wide / 2 + s_x * (np.asarray(x) - (x0 + x1) / 2)]
@@ -87,7 +90,11 @@ def _svg(across, up, marks, equal=False):
         return np.column_stack(ends)
 
     body = "".join(mark(pixels) for mark in marks)
-    return f'<svg class="still" viewBox="0 0 {wide} {high}" aria-hidden="true">{body}</svg>'
+    for value, x, y in [(y0, -8, high), (y1, -8, 12), (x0, 12, high + 16), (x1, wide, high + 16)]:
+        body += f'<text x="{x}" y="{y}" text-anchor="end">{value:.3g}</text>'
+    body += f'<rect width="{wide}" height="{high}" style="fill:none;stroke:var(--line)"/>'
+    box = f"-48 0 {wide + 56} {high + 20}"
+    return f'<svg class="still" viewBox="{box}" aria-hidden="true">{body}</svg>'
 
 
 def _line(x, y, colour, width=2, dash=""):

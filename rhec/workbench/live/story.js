@@ -50,7 +50,7 @@ const over_time = (step, i, up, draw, now) => {
   return plot;
 };
 
-function draw_field(step, i, [across, up], now) {
+function draw_drive(step, i, [across, up], now) {
   const { world, soil, loop } = { ...story, ...step };
   const plot = new Plot(step.canvases[i], across, up, { equal: true });
   const traction = (a, b) => soil.slip[1 + 2 * (a + world.loop_shape[0] * b)];
@@ -132,7 +132,7 @@ const STEPS = {
     const poses = once(step, "poses", () => reckon(loop, tools));
     const k = Math.round(time / story.world.dt_s);
     const error = far(poses[k], pose_of(loop, k));
-    const plot = draw_field(step, 0, FIELD, k);
+    const plot = draw_drive(step, 0, FIELD, k);
     plot.line(k + 1, i => poses[i][0], i => poses[i][1], "--run1", { width: 2 });
     plot.dots(...spread([poses[k]]), "--run1", { radius: 6 });
     const pace = i => far(pose_of(loop, i), pose_of(loop, i - 1));
@@ -203,7 +203,7 @@ const STEPS = {
     const k = Math.round(time / story.world.dt_s);
     over_time(step, 0, [0, 0.3], (plot, at) =>
       plot.line(loop.samples, at, sigma, "--run0"), time);
-    draw_field(step, 1, FIELD, k);
+    draw_drive(step, 1, FIELD, k);
     const late = samples_of(loop).slice(2 * LATE);
     const best = late.reduce((a, b) => sigma(b) > sigma(a) ? b : a);
     const after = Math.min(best + 50, loop.samples - 1);
