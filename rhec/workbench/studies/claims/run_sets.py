@@ -5,6 +5,7 @@ whichever process noise, so that row k of any two tables is the same field and t
 need their metrics alone and run as one campaign; LOGS need what only each sample shows.
 """
 
+import dataclasses
 import itertools
 from functools import partial
 from types import SimpleNamespace
@@ -205,7 +206,17 @@ def measure(scenarios, folder=None):
     of_logs = {keys[name]: table for name, table in tables.items()}
     rest = {name: part for name, part in runs.items() if keys[name] not in of_logs}
     tables |= drive(rest, folder) if rest else {}
-    return {name: tables.get(name, of_logs.get(keys[name])) for name in (logs | runs)}
+    for name, part in runs.items():
+        if name not in rest:
+            tables[name] = _with_fields(part, of_logs[keys[name]])
+    return tables
+
+
+def _with_fields(scenarios, table):
+    """A table with the fields of its scenarios, as a campaign's has."""
+    names = [field.name for field in dataclasses.fields(Scenario)]
+    rows = [[getattr(scenario, name) for name in names] for scenario in scenarios]
+    return pd.DataFrame(rows, columns=names).join(table)
 
 
 def _keys_of(scenarios):
