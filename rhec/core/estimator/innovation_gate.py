@@ -4,15 +4,15 @@ With the innovation y of a sample, given its prediction, and the covariance S of
 
     d = y' S⁻¹ y ≤ limit,  the window's `gate`
 
-the limit of a Model is the quantile of χ² that a given share of good samples exceed (Bar-Shalom,
+The limit of a Model is the quantile of χ² that a given share of good samples exceed (Bar-Shalom,
 Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7). One
 Gauss-Newton step from an outlier can end at a yaw and parameters from which no later step returns.
 Beyond the limit, therefore, all outputs of the sample count as missing, and the estimate is the
 prediction. Measured inputs are kept where they are as before.
 
-After many such samples in succession (`rejected_at_most`) it is the estimate that is wrong. The window then
-restarts at its newest node with the variances of the first guess, and takes the next sample as it
-is.
+After many such samples in succession (`rejected_at_most`) it is the estimate that is wrong. The
+window then restarts at its newest node with the variances of the first guess, and takes the next
+sample as it is.
 
 All of it wraps the RHE's phases from outside, as `rhec.tracked_robot.robust` does.
 """
