@@ -81,6 +81,20 @@ def settled(firefox):
     return firefox.evaluate("[...document.querySelectorAll('canvas')].map(c => c.toDataURL())")
 
 
+def test_workers_drive_ten_fields_for_a_challenge(firefox):
+    firefox.open("about:blank")
+    firefox.open(f"{LIVE_PAGE.as_uri()}#a")
+    settled(firefox)
+    firefox.evaluate("($('challenge').value = 'settle', $('challenge').onchange(), 0)")
+    score = firefox.evaluate(
+        """(async () => {
+            while (!$("score").textContent) await new Promise(done => setTimeout(done, 50))
+            return $("score").textContent
+        })()"""
+    )
+    assert re.match(r"\d+ of 10 fields: ", score), score
+
+
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_scene_follows_a_slider_within_a_millimetre_of_its_lines_of_python(firefox, scene):
     firefox.open("about:blank")  # another fragment alone would not load it anew

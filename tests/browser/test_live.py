@@ -10,9 +10,10 @@ import pytest
 from helpers import LIVE_PAGE, needs_live_page
 
 import rhec
+from rhec import paper
 from rhec.core._casadi import compiled, scan
 from rhec.simulation import closed_loop
-from rhec.simulation.columns import COLUMNS
+from rhec.simulation.columns import COLUMNS, POSE
 from rhec.tracked_robot import tuning
 from rhec.workbench.live.page import FAULTS, SCENES, SEEDS, SOILS
 
@@ -40,6 +41,17 @@ class Live:
             else:
                 self.page.select_option(f"#{name}", value)
         self.settled()
+
+    def fields(self):
+        """Results on other fields, when all are there: noise, soil and the metrics of the runs."""
+        self.page.wait_for_function(
+            "fields.pairs.length && fields.results.length === fields.pairs.length"
+        )
+        self.settled()
+        return self.page.evaluate(
+            """fields.results.map(({noise, soil, runs}) => ({noise, soil, runs: runs.map(
+                ({metrics, x_m}) => ({...metrics, x_m: [...x_m]}))}))"""
+        )
 
     def sliders(self):
         return self.page.locator("#sliders input[type=range]")
@@ -166,6 +178,8 @@ def test_the_line_of_python_drives_within_millimetres_of_the_page(live, scene):
 def test_every_picture_has_lines_in_every_scene(live, scene):
     """More than a grid: the colours of the runs."""
     live.choose(scene=scene)
+    live.page.check("#many")
+    live.fields()
     inks = live.page.evaluate(
         """() => [...document.querySelectorAll("#pictures canvas")].map(canvas => {
             const probe = document.createElement("canvas").getContext("2d")
@@ -184,7 +198,7 @@ def test_every_picture_has_lines_in_every_scene(live, scene):
             return found
         })"""
     )
-    assert len(inks) == 6 and min(inks) > 20, inks
+    assert len(inks) == 7 and min(inks) > 20, inks
 
 
 def test_sliders_of_w_show_the_w_in_use(live):
@@ -284,6 +298,67 @@ def test_the_keyboard_moves_all_and_the_page_says_what_came_of_it(live):
     assert all(names)
 
 
+def time_of(live):
+    return float(live.page.inner_text("#time").removesuffix(" s"))
+
+
+def test_the_run_plays_by_button_and_by_space_bar(live):
+    live.page.select_option("#pace", "4")
+    begun = time_of(live)
+    live.page.click("#play")
+    live.page.wait_for_function(f"parseFloat($('time').value) > {begun} + 1")
+    live.page.click("#play")
+    live.settled()
+    stopped, pictures = time_of(live), live.pictures()
+    live.page.wait_for_timeout(300)
+    assert time_of(live) == stopped and live.pictures() == pictures
+    live.page.locator("#moment").focus()
+    live.page.keyboard.press("Space")
+    live.page.wait_for_function(f"parseFloat($('time').value) > {stopped}")
+    live.page.keyboard.press("Space")
+    assert live.page.inner_text("#play") == "play"
+
+
+def test_leaves_are_touched_where_the_robot_comes_nearer_than_half_the_free_space(live):
+    """Against rectangles in NumPy, at three times of a run that begins beside its row."""
+    live.choose(scene="b", seed="4")
+    (run, _) = live.runs()
+    x, y, theta = (run["rows"][:, COLUMNS.index(name)] for name in POSE)
+    free = paper.ROBOT_WIDTH_M / 2 + paper.TOLERANCE_M
+    along = np.arange(0, 30, 0.15)
+    rows = [middle + side * free for middle in (0.0, 15.6) for side in (1, -1)]
+    plants = np.array(live.page.evaluate("page.world.plants"))[:, :2]
+    assert len(plants) == len(along) * len(rows) and {*plants[:, 1]} == {*np.round(rows, 3)}
+    away = plants[:, None] - np.column_stack([x, y])
+    ahead = away[..., 0] * np.cos(theta) + away[..., 1] * np.sin(theta)
+    left = away[..., 1] * np.cos(theta) - away[..., 0] * np.sin(theta)
+    inside = (abs(ahead) <= paper.ROBOT_LENGTH_M / 2) & (abs(left) <= paper.ROBOT_WIDTH_M / 2)
+    for share in (0.01, 0.3, 0.999):
+        live.page.evaluate(f"$('moment').value = {share}; ask(draw)")
+        live.settled()
+        now = round(time_of(live) / 0.2)
+        wanted = inside[:, : now + 1].any(axis=1).sum()
+        assert int(live.page.locator("#touched").inner_text()) == wanted
+    assert 0 < wanted < len(plants)
+
+
+def test_bends_tell_more_of_kappa_than_straight_rows(live):
+    """The glow is the share of the variance of κ that the last 15 samples removed."""
+    live.choose(scene="b")
+    told, sigma, straight = np.array(
+        live.page.evaluate("""() => {
+            const [loop] = page.loops
+            const all = [telling_of(loop), loop.sigma("kappa"), loop.get("on_straight")]
+            return all.map(of => Array.from({length: loop.samples}, (_, k) => of(k)))
+        }""")
+    )
+    grown = sigma[:-15] ** 2 + 15 * tuning.SIGMA_W["rhe"]["calibrated"][5] ** 2
+    np.testing.assert_allclose(told[15:], np.maximum(1 - sigma[15:] ** 2 / grown, 0), atol=1e-9)
+    settled = np.arange(len(told)) > 100
+    on_rows, on_bends = (told[settled & (straight == of)] for of in (1, 0))
+    assert np.median(on_bends) > 3 * np.median(on_rows)
+
+
 def test_the_robot_the_start_and_a_wet_patch_are_dragged(live):
     live.choose(scene="b")
     box = live.page.locator("#map").bounding_box()
@@ -328,3 +403,70 @@ def test_the_page_is_light_asks_nothing_of_a_network_and_fits_a_phone(page):
     sizes = {file.name: file.stat().st_size for file in (LIVE_PAGE.parent / "live").iterdir()}
     modules = sum(size for name, size in sizes.items() if not name.startswith("seed_"))
     assert modules < 1.1e6 and sizes["seed_0.js"] < 0.2e6 and sum(sizes.values()) < 2.8e6
+
+
+# Other fields, and challenges
+
+
+def test_workers_drive_each_seed_as_the_page_does(live):
+    """Ten fields of a challenge: the same runs as those of the list of seeds, to the last bit."""
+    live.page.select_option("#challenge", "patch")
+    live.settled()
+    live.page.click("#patch")
+    found = {field["noise"]: field["runs"] for field in live.fields()}
+    assert [*sorted(found)] == [*SEEDS]
+    for seed in ("0", "7"):
+        live.choose(seed=seed)
+        for run, field in zip(live.runs(), found[int(seed)]):
+            x_m = run["rows"][::4, COLUMNS.index("x_m")].astype(np.float32)
+            np.testing.assert_array_equal(np.array(field["x_m"], np.float32), x_m)
+            assert field["mean_error_true_m"] == float(run["metrics"]["mean_error_true_m"])
+
+
+def test_a_hundred_fields_are_all_pairs_of_noise_and_soil(live):
+    live.choose(scene="a")
+    plain = live.pictures()
+    live.page.check("#many")
+    found = live.fields()
+    assert {(field["noise"], field["soil"]) for field in found} == {
+        (noise, soil) for noise in SEEDS for soil in SEEDS
+    }
+    assert len({tuple(field["runs"][0]["x_m"]) for field in found}) == 100
+    assert live.pictures()[0] != plain[0]
+    words = live.page.inner_text("#violations_said")
+    for i, (name, *_) in enumerate(SCENES["a"]["runs"]):
+        counts = [field["runs"][i]["violations"] for field in found]
+        said = f"{name}: none on {counts.count(0)} of 100 fields, median {sorted(counts)[50]}, "
+        assert f"{said}most {max(counts)}" in words
+    live.page.uncheck("#many")
+    live.settled()
+    assert live.pictures()[:6] == plain[:6]
+
+
+@pytest.mark.parametrize("challenge", ["settle", "patch", "cautious"])
+def test_a_challenge_is_scored_by_its_rule_and_refuses_other_means(live, challenge):
+    page = live.page
+    page.select_option("#challenge", challenge)
+    live.settled()
+    assert len(page.inner_text("#task")) > 50
+    if challenge == "patch":
+        assert page.inner_text("#score") == "There must be one wet patch."
+        page.evaluate("page.patches = [[37.8, 7.8, 3, 0.9, 0.55]]; ask(drive)")
+    if challenge == "cautious":
+        live.choose(soil="soft")
+    if challenge == "settle":
+        page.locator("[name=run-a][value='1']").check()
+        page.evaluate("page.values.r = 1; page.values.look_ahead_m = 0.3; ask(drive)")
+    live.settled()
+    rule = dict(
+        settle=lambda q1, q2, q3: (q2["settling_time_s"] or 99) < 15 and q2["overshoot_m"] < 0.1,
+        patch=lambda rhe, ekf: rhe["max_error_true_m"] <= 0.25 < ekf["max_error_true_m"],
+        cautious=lambda rhe, drift, cautious: cautious["violations_true"] > 0,
+    )[challenge]
+    won = [rule(*field["runs"]) for field in sorted(live.fields(), key=lambda each: each["noise"])]
+    marks = " ".join("✓" if each else "✗" for each in won)
+    assert page.inner_text("#score") == f"{sum(won)} of 10 fields: {marks}"
+    assert sum(won) > 0
+    live.move(page.locator("#sliders input[data-field=gnss_sigma_m]"), 0.9)
+    live.settled()
+    assert "A slider has moved" in page.inner_text("#score")

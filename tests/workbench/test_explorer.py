@@ -526,15 +526,36 @@ def test_the_desired_points_are_on_the_path_a_sample_apart(run):
     )
 
 
-def test_seen_from_a_pose_what_is_ahead_is_ahead():
-    np.testing.assert_allclose(
-        robot_view.seen_from((1, 2, np.pi / 2), np.array([[1.0, 5.0], [-1.0, 2.0]])),
-        [[3, 0], [0, 2]],
-        atol=1e-12,
-    )
+def test_uncertainty_and_tracks_of_a_snapshot(run):
+    """Variances go with their samples; tracks go as eq. (2) says."""
+    at = snapshot_at(run.scenario, 200)
+    xx, xy, yy, yaw = at.covariance
+    assert xx > 0 and yy > 0 and yaw > 0 and xx * yy > xy**2
+    assert at.kappa_growth == tuning.SIGMA_W["rhe"]["calibrated"][5] ** 2
+    earlier = snapshot_at(run.scenario, 190).kappa_variance
+    np.testing.assert_array_equal(at.kappa_variance[-11], earlier[-1])
+    assert np.ptp(at.kappa_variance) > 0 and (at.kappa_variance > 0).all()
+    row = run.log.loc[200]
+    nu = row["mu"] * row["nu_mps"]
+    turn = row["kappa"] * row["omega_radps"] + nu * row["yaw_drift_radpm"]
+    left, right = at.ground_mps
+    np.testing.assert_allclose((left + right) / 2, nu)
+    np.testing.assert_allclose((right - left) / paper.TRACK_WIDTH_M, turn)
+    left, right = at.commanded_mps
+    np.testing.assert_allclose((left + right) / 2, run.scenario.speed_mps)
+    command = run.log.loc[199, "omega_cmd_radps"]
+    np.testing.assert_allclose((right - left) / paper.TRACK_WIDTH_M, command)
 
 
-def test_the_figures_are_complete_without_an_explorer(run, tmp_path):
-    seen = robot_view.robot_view(run, 50, snapshot_at(run.scenario, 50))
-    for figure in (field_run.field_run([run]), seen):
-        assert style.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000
+def test_a_robot_in_the_middle_of_its_row_is_one_tolerance_away_from_the_leaves(run):
+    plants = robot_view.plants_of(run.path)
+    for place, away in ((plants[:, :2], 0.0), (plants[:, 2:], 0.1)):
+        distance, _ = run.path.project(place)
+        free = paper.ROBOT_WIDTH_M / 2 + paper.TOLERANCE_M
+        np.testing.assert_allclose(distance, free + away, atol=1e-9)
+    assert len(plants) == 4 * 200
+
+
+def test_the_figure_is_complete_without_an_explorer(run, tmp_path):
+    figure = field_run.field_run([run])
+    assert style.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000

@@ -38,13 +38,17 @@ class Mark(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """A pair of axes. scale: "equal" for equal scales, "log" for a logarithmic y axis, or ""."""
+    """A pair of axes. scale: "equal" for equal scales, "log" for a logarithmic y axis, or "".
+
+    With a `view`, a page draws that by robot_view.js, and `marks` are those of the legend alone.
+    """
 
     title: str
     xlim: tuple
     ylim: tuple
     marks: list
     scale: str = ""
+    view: dict | None = None
 
 
 class Picture(NamedTuple):
@@ -106,41 +110,60 @@ def _line(mark, x, y, **more):
     return Line2D(x, y, **look, **more)
 
 
+class _Numbers:
+    """The arrays of a picture, one after the other."""
+
+    def __init__(self):
+        self.places = {}
+        self.arrays = []
+        self.end = 0
+
+    def place(self, array):
+        """Index of an array's first number, and its length."""
+        if id(array) not in self.places:  # many lines share the array of times
+            self.places[id(array)] = self.end, array.size
+            self.arrays.append(array.ravel())
+            self.end += array.size
+        return self.places[id(array)]
+
+    def marks(self, marks):
+        """Descriptions of marks."""
+        return [_look(mark) | self._arrays(mark) for mark in marks]
+
+    def _arrays(self, mark):
+        arrays = dict(x=mark.x, y=mark.y, traction=mark.traction)
+        return {name: self.place(array) for name, array in arrays.items() if array is not None}
+
+    def view(self, view):
+        """A view in which each array is described by its place and the length of its rows, or 0."""
+        arrays = {name: of for name, of in view.items() if isinstance(of, np.ndarray)}
+        places = {
+            name: dict(at=self.place(of), wide=of.shape[1] if of.ndim == 2 else 0)
+            for name, of in arrays.items()
+        }
+        return view | places
+
+
+def _look(mark):
+    colour = _PAGE_COLOURS.get(mark.colour, mark.colour)
+    width = mark.width * _PX
+    dash = [_PX * length for length in mark.dash]
+    line = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
+    return line | dict(alpha=mark.alpha, full=mark.full, label=mark.label)
+
+
 def packed(picture):
     """A Picture for a page: a description for JSON, and the bytes of all numbers (float32).
 
     The description of an array is (index of its first number, length).
     """
-    places = {}
-    arrays = []
-    end = 0
-
-    def place(array):
-        nonlocal end
-        if id(array) not in places:  # many lines share the array of times
-            places[id(array)] = end, array.size
-            arrays.append(array.ravel())
-            end += array.size
-        return places[id(array)]
-
-    def look(mark):
-        colour = _PAGE_COLOURS.get(mark.colour, mark.colour)
-        width = mark.width * _PX
-        dash = [_PX * length for length in mark.dash]
-        line = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
-        return line | dict(alpha=mark.alpha, full=mark.full, label=mark.label)
-
-    def described(mark):
-        arrays = dict(x=mark.x, y=mark.y, traction=mark.traction)
-        places = {name: place(array) for name, array in arrays.items() if array is not None}
-        return look(mark) | places
-
-    panels = {
-        name: panel._replace(marks=[described(mark) for mark in panel.marks])._asdict()
-        for name, panel in picture.panels.items()
-    }
-    legend = [look(mark) for mark in picture.legend]
+    numbers = _Numbers()
+    panels = {}
+    for name, panel in picture.panels.items():
+        view = panel.view and numbers.view(panel.view)
+        panels[name] = panel._replace(marks=numbers.marks(panel.marks), view=view)._asdict()
+    legend = [_look(mark) for mark in picture.legend]
     content = dict(layout=picture.layout, panels=panels, legend=legend)
     with np.errstate(over="ignore"):
-        numbers = np.concatenate(arrays, dtype=np.float32, casting="same_kind")
-    return content, numbers.tobytes()
+        joined = np.concatenate(numbers.arrays, dtype=np.float32, casting="same_kind")
+    return content, joined.tobytes()

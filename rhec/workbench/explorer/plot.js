@@ -16,7 +16,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     this.x = x => left + (x - x0) * sx, this.y = y => bottom - (of(y) - y0) * sy;
     this.data = event => [x0 + (event.offsetX - left) / sx, y0 + (bottom - event.offsetY) / sy];
     this.colour = name => name.startsWith("--") ? style.getPropertyValue(name) : name;
-    this.c = c, c.reset(), c.scale(dots, dots);
+    this.scale = sx, this.c = c, c.reset(), c.scale(dots, dots);
     Object.assign(c, { font: "11px system-ui, sans-serif", lineJoin: "bevel", lineWidth: 1,
       fillStyle: this.colour("--soft"), strokeStyle: this.colour("--line") });
     const ticks = (low, pixels, per, apart, put) => {
@@ -58,8 +58,8 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     const k = i => Math.min(i, 2 * n - 1 - i), side = i => i < n ? half(i) : -half(k(i));
     this.area(2 * n, i => x(k(i)), i => middle(k(i)) + side(i), name, { alpha: 0.15 });
   }
-  dots(n, x, y, name, { radius, full = true }) {
-    const c = this.use(name, { width: 1 });
+  dots(n, x, y, name, { radius, full = true, alpha = 1 }) {
+    const c = this.use(name, { width: 1, alpha });
     for (let k = 0; k < n; k++)
       c.beginPath(), c.arc(this.x(x(k)), this.y(y(k)), radius, 0, 7), full ? c.fill() : c.stroke();
   }

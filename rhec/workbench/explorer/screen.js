@@ -8,6 +8,14 @@ function entry({ kind, colour, dash, full, label }) { // of the legend
   all.append(sample, ` ${label}`);
   return all;
 }
+function completed(view) { // with the plants touched until now, and what the samples told of κ
+  const { poses, plants, robot_m, driven, variances, growth, telling_samples } = view;
+  const [n, x, y] = spread(poses), before = variances.length - driven.length;
+  const first = first_touches(n, x, y, k => poses[k][2], plants, robot_m);
+  const share = i => told(k => variances[k], growth, before + i, telling_samples);
+  const telling = driven.map((_, i) => share(i));
+  return { ...view, touched: i => first[i] < n, telling, tint: "--measured" };
+}
 function render({ model, el }) {
   const part = (name, tag = "div", within = el) => {
     const made = document.createElement(tag);
@@ -45,7 +53,18 @@ function render({ model, el }) {
     const end = bytes.byteOffset + bytes.byteLength; // slice() aligns the floats
     const numbers = new Float32Array(bytes.buffer.slice(bytes.byteOffset, end));
     const column = ([first, n]) => numbers.subarray(first, first + n);
-    for (const [name, { xlim, ylim, scale, marks }] of Object.entries(panels)) {
+    const array = ({ at, wide }) => wide ? Array.from({ length: at[1] / wide },
+      (_, i) => [...column(at).subarray(i * wide, (i + 1) * wide)]) : [...column(at)];
+    for (const [name, { xlim, ylim, scale, marks, view }] of Object.entries(panels)) {
+      if (view) {
+        const all = Object.entries(view).map(([of, it]) => [of, it.wide >= 0 ? array(it) : it]);
+        const seen = completed(Object.fromEntries(all));
+        const touched = seen.plants.filter((_, i) => seen.touched(i)).length;
+        const title = canvases[name].previousElementSibling;
+        title.textContent = `${panels[name].title}; leaves touched: ${touched}`;
+        draw_robot_view(canvases[name], seen);
+        continue;
+      }
       const plot = new Plot(canvases[name], xlim, ylim, { [scale]: true });
       for (const mark of marks) {
         const x = column(mark.x), y = column(mark.y);

@@ -80,15 +80,37 @@ class World { // noise, soils and sensor faults of the seeds
       return { slip, origin_m, cell_m, n };
     });
   }
+
+  traction({ slip, origin_m, n }, x, y) { // κ of the nearest cell
+    const nearest = (value, axis) =>
+      Math.max(0, Math.min(Math.round((value - origin_m[axis]) / this.cell_m), n[axis] - 1));
+    return slip[1 + 2 * (nearest(x, 0) + this.loop_shape[0] * nearest(y, 1))];
+  }
+
+  on_path(s_m) { // the place at this distance from the path's beginning
+    const { path, path_step_m } = this;
+    const place = s_m / path_step_m;
+    const first = Math.floor(place);
+    const [a, b] = [first, first + 1].map(i => path.at(i % path.length));
+    return a.map((value, axis) => value + (place - first) * (b[axis] - value));
+  }
+
+  pose_on_path(s_m) {
+    const [[x, y], [u, v]] = [-1, 1].map(side => this.on_path(s_m + side * this.path_step_m));
+    return [...this.on_path(s_m), Math.atan2(v - y, u - x)];
+  }
 }
 
 class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
   static async of(name, world) {
     const data = await load(name);
     data.module ??= unpack(data.wasm).then(WebAssembly.compile);
-    const module = await data.module;
+    return Loop.from(await data.module, { name, data, world });
+  }
+
+  static async from(module, { name, data, world }) {
     const loop = new Loop();
-    Object.assign(loop, { name, data, world });
+    Object.assign(loop, { name, module, data, world });
     loop.wasm = (await WebAssembly.instantiate(module, { Math })).exports;
     for (const array of Object.keys(loop.wasm).filter(each => each.startsWith("at_"))) {
       const from = loop.wasm[array].value; // each reaches to the memory's end
@@ -126,6 +148,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     this.at_origin_m.set(soil.origin_m);
     this.at_cell_m[0] = soil.cell_m;
     this.at_noise.set(stream);
+    this.touches = null; // by the robot view
     if (this.wasm.run(samples)) throw new Error(`${this.name} failed`);
     this.samples = samples;
     this.metrics = metrics_of(this, this.world);
@@ -141,9 +164,14 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
 
   sigma(name) { // standard deviation of a state, by sample; null where it is not estimated
     const { states } = this.data;
+    return states.includes(name) ? k => Math.sqrt(this.covariance(name, name, k)) : null;
+  }
+
+  covariance(one, other, k) { // of two states; NaN where one is not estimated
+    const { states } = this.data;
     const n = states.length;
-    const i = states.indexOf(name);
-    return i < 0 ? null : k => Math.sqrt(this.at_covariance[(k * n + i) * n + i]);
+    const [i, j] = [one, other].map(name => states.indexOf(name));
+    return i < 0 || j < 0 ? NaN : this.at_covariance[(k * n + j) * n + i];
   }
 
   piece(name, k) { // of the memory after sample k, column by column
@@ -154,14 +182,9 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
 
   // Points of the path that the controller follows at sample k, eq. (17): one sample apart.
   desired(k, look_ahead_m) {
-    const { path, path_step_m, dt_s } = this.world;
-    const pace = Math.abs(this.get("mu_hat")(k) * this.get("nu_hat_mps")(k)) * dt_s;
+    const pace = Math.abs(this.get("mu_hat")(k) * this.get("nu_hat_mps")(k)) * this.world.dt_s;
     const from = this.get("s_m")(k) + look_ahead_m;
-    return this.piece("plan", k).map((_, i) => {
-      const place = (from + i * pace) / path_step_m;
-      const [a, b] = [0, 1].map(next => path.at((Math.floor(place) + next) % path.length));
-      return a.map((value, axis) => value + (place % 1) * (b[axis] - value));
-    });
+    return this.piece("plan", k).map((_, i) => this.world.on_path(from + i * pace));
   }
 }
 

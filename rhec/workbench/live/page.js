@@ -19,6 +19,10 @@ function sigma_w_of({ sigma_w }) {
   return sigma_w[$("noise").value] ?? all.slice(0, sigma_w.printed.length);
 }
 
+function values_of({ data }, fields) { // of the Scenario
+  return { ...page.world.defaults, ...page.values, ...fields, sigma_w: sigma_w_of(data) };
+}
+
 async function drive() {
   const { world, values, runs, patches } = page;
   const seed = Number($("seed").value);
@@ -32,8 +36,7 @@ async function drive() {
     const loop = page.loops[i];
     const stream = await world.stream(seed, loop.data.faulty && $("fault").value);
     const begun = performance.now();
-    const all = { ...world.defaults, ...values, ...fields, sigma_w: sigma_w_of(loop.data) };
-    loop.run(all, stream, page.soil, samples);
+    loop.run(values_of(loop, fields), stream, page.soil, samples);
     took += performance.now() - begun;
   }
   page.loops.length = runs.length;
@@ -163,6 +166,7 @@ function choose(id, words = []) { // a scene as it begins, but for the words of 
 function changed({ target }) {
   const { field, place, kind } = target.dataset;
   const { name, value } = target;
+  if (target.id === "pace") return;
   if (name === "scene") return choose(value);
   if (name === "moment") return ask(draw);
   if (name.startsWith("run-")) page.followed = Number(value);

@@ -32,6 +32,7 @@ from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.workbench.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
 from rhec.workbench.explorer.explorer import METRICS
+from rhec.workbench.explorer.robot_view import plants_of
 from rhec.workbench.live import functions, stills, wasm, window
 
 __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
@@ -92,7 +93,8 @@ def write(folder=REPORT):
     files.mkdir()
     for file in (*HERE.glob("*.js"), *HERE.glob("*.css")):
         shutil.copy(file, files)
-    shutil.copy(HERE.parent / "explorer/plot.js", files)
+    for script in ("plot.js", "robot_view.js"):
+        shutil.copy(HERE.parent / "explorer" / script, files)
     world = _world()
     data = dict(world=world) | {f"seed_{seed}": seed_data(seed) for seed in SEEDS}
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
@@ -209,12 +211,15 @@ def _tools():
 
 
 def _places(setup):
-    """{piece of the memory: indices of its columns}: the plan, and the window of an RHE."""
+    """{piece of the memory: indices of its columns}: plan and speed, and the window of an RHE."""
     pieces = setup.unpack(np.arange(len(setup.memory)))
     window = pieces["estimator"]
     names = ("s", "z", "age") if "age" in window else ()
     places = {name: window[name].T.tolist() for name in names}
-    return places | dict(plan=pieces["controller"]["s"].T.tolist())
+    controller = pieces["controller"]
+    if "speed" in controller:
+        places |= dict(speed=controller["speed"].T.tolist())
+    return places | dict(plan=controller["s"].T.tolist())
 
 
 def _world():
@@ -227,7 +232,9 @@ def _world():
         dt_s=paper.DT_S,
         max_samples=functions.MAX_SAMPLES,
         tolerance_m=paper.TOLERANCE_M,
+        paper_violations=dict(RHE=paper.VIOLATIONS_RHE, EKF=paper.VIOLATIONS_EKF),
         robot_m=(paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M),
+        track_width_m=paper.TRACK_WIDTH_M,
         columns=COLUMNS,
         errors=functions.ERRORS,
         metrics=METRICS,
@@ -257,6 +264,7 @@ def _geometry():
     return dict(
         path=np.round(line, 3).tolist(),
         path_step_m=path_step_m,
+        plants=np.round(plants_of(path), 3).tolist(),
         lowest=path.box[::2],
         highest=path.box[1::2],
         # A random field reaches so far beyond the path, and farther by the start's offset.

@@ -1,7 +1,8 @@
-// The live page's six pictures, drawn with Plot (plot.js).
+// The live page's six pictures, drawn with Plot (plot.js) and the robot view (robot_view.js).
 "use strict";
 
 const COLOURS = ["--run0", "--run1", "--run2"]; // of the runs
+const TELLING_S = 3; // of the path's glow
 
 function draw_soil(plot, { slip, n, origin_m }) { // and the path
   const { cell_m, loop_shape, path } = page.world;
@@ -30,6 +31,11 @@ function draw_map(now) {
   const map = new Plot($("map"), [lowest[0] - 2, highest[0] + 2],
     [lowest[1] - 3.5, highest[1] + 2], { equal: true });
   draw_soil(map, page.soil);
+  const followed = loops[page.followed];
+  const glow = telling_of(followed);
+  draw_telling(map, followed.samples, followed.get("x_m"), followed.get("y_m"), glow, 5);
+  for (const { n, x_m, y_m } of fan()) // the followed run on other fields
+    map.line(n, k => x_m[k], k => y_m[k], COLOURS[page.followed], { alpha: 0.1 });
   loops.forEach((loop, i) => {
     map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), COLOURS[i]);
     draw_robot(map, pose_of(loop, now), COLOURS[i]);
@@ -43,29 +49,62 @@ function draw_map(now) {
   map.dots(...spread([page.heading]), "--ink", { radius: 4, full: false });
 }
 
-function draw_near(now) { // what estimator and controller of the followed run know
-  const loop = page.loops[page.followed];
-  const colour = COLOURS[page.followed];
-  const pose = pose_of(loop, now);
-  const [x, y] = pose;
-  const reach = 3.2 * page.values.speed_mps + 0.7;
-  const near = new Plot($("near"), [x - reach, x + reach], [y - 0.5, y + 0.5], { equal: true });
+// How many of the run's variances of κ the last TELLING_S have removed, by sample; see `told`.
+function telling_of(loop) {
+  const sigma = loop.sigma("kappa");
+  if (!sigma) return () => 0;
+  const W = loop.at_W[loop.data.states.indexOf("kappa")];
+  return k => told(i => sigma(i) ** 2, W, k, Math.round(TELLING_S / page.world.dt_s));
+}
+
+function touches_of(loop) { // first sample at which each plant is touched
+  const { plants, robot_m } = page.world;
+  const pose = ["x_m", "y_m", "theta_rad"].map(name => loop.get(name));
+  return loop.touches ??= first_touches(loop.samples, ...pose, plants, robot_m);
+}
+
+function view_of(loop, now, colour) { // what draw_robot_view needs to know of a run
+  const { world, values, soil } = page;
+  const { plants, tolerance_m, robot_m, track_width_m } = world;
+  const row = name => loop.get(name)(now);
   const [age] = loop.piece("age", now)[0] ?? [0]; // intervals in the window
-  const window = name => spread(loop.piece(name, now).slice(-1 - age));
-  const plan = spread(loop.piece("plan", now));
-  draw_soil(near, page.soil);
-  draw_robot(near, pose, "--soft");
-  near.line(now + 1, loop.get("x_m"), loop.get("y_m"), "--soft", { width: 1 });
-  near.dots(...window("z"), "--measured", { radius: 5, full: false });
-  near.dots(...window("s"), colour, { radius: 3 });
-  const desired = loop.desired(now, page.values.look_ahead_m);
-  near.dots(...spread(desired), "--ink", { radius: 5, full: false });
-  near.line(...plan, "--plan");
-  near.dots(...plan, "--plan", { radius: 2 });
+  const window = loop.piece("s", now).slice(-1 - age);
+  const reach_m = 3.2 * values.speed_mps + 0.7;
+  const near = [-6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6].map(i => i * reach_m / 5);
+  const past = Array.from({ length: Math.min(now + 1, 60) }, (_, i) => Math.max(now - 59, 0) + i);
+  const telling = telling_of(loop);
+  const touches = touches_of(loop);
+  const pair = (nu, omega) => [-1, 1].map(side => nu + side * track_width_m / 2 * omega);
+  const [speed = [values.speed_mps]] = loop.piece("speed", now - 1);
+  const P = (of, and) => loop.covariance(of, and, now);
+  return {
+    path: near.map(ahead => world.pose_on_path(row("s_m") + ahead)),
+    camera: world.pose_on_path(row("s_m")),
+    pose: pose_of(loop, now),
+    estimate: ["x_hat_m", "y_hat_m", "theta_hat_rad"].map(row),
+    covariance: [P("x_m", "x_m"), P("x_m", "y_m"), P("y_m", "y_m"), P("theta_rad", "theta_rad")],
+    driven: past.map(k => pose_of(loop, k)),
+    telling: past.map(telling),
+    measured: past.slice(-25).map(k => ["x_meas_m", "y_meas_m"].map(name => loop.get(name)(k))),
+    desired: loop.desired(now, values.look_ahead_m),
+    plan: loop.piece("plan", now),
+    commanded_mps: pair(speed[0], loop.get("omega_cmd_radps")(Math.max(now - 1, 0))),
+    ground_mps: pair(row("mu") * row("nu_mps"),
+      row("kappa") * row("omega_radps") + row("mu") * row("nu_mps") * row("yaw_drift_radpm")),
+    traction: (x, y) => world.traction(soil, x, y),
+    touched: i => touches[i] <= now,
+    window, reach_m, plants, tolerance_m, robot_m, track_width_m, colour, tint: "--soft",
+  };
+}
+
+function draw_near(now) {
+  const loop = page.loops[page.followed];
+  draw_robot_view($("near"), view_of(loop, now, COLOURS[page.followed]));
+  $("touched").value = touches_of(loop).filter(k => k <= now).length;
 }
 
 // A picture over time, with the fault shaded and the chosen time marked.
-function draw_over_time(id, [low, high], now, draw_loop) {
+function draw_over_time(id, [low, high], now, draw_loop, draw_beneath = () => {}) {
   const { loops, world: { dt_s, shaded } } = page;
   const time = k => k * dt_s;
   const end_s = time(loops[0].samples);
@@ -77,6 +116,7 @@ function draw_over_time(id, [low, high], now, draw_loop) {
       plot.area(4, i => across[i >> 1], up, "--measured", { alpha: 0.15 });
     }
   }
+  draw_beneath(plot);
   loops.forEach((loop, i) => draw_loop(plot, loop, COLOURS[i], time));
   plot.line(2, () => time(now), i => [low, high][i], "--soft", { width: 1 });
   plot.limit = value =>
@@ -89,7 +129,11 @@ function draw_error(now) {
   const largest = Math.max(0.3, ...loops.map(({ metrics }) => 1.1 * metrics.max_error_true_m));
   const plot = draw_over_time("error", [0, Math.min(largest, 5)], now,
     (plot, loop, colour, time) =>
-      plot.line(loop.samples, time, loop.get("error_true_m"), colour));
+      plot.line(loop.samples, time, loop.get("error_true_m"), colour),
+    plot => {
+      for (const { n, time_s, error_true_m } of fan())
+        plot.line(n, k => time_s[k], k => error_true_m[k], COLOURS[page.followed], { alpha: 0.1 });
+    });
   plot.limit(world.tolerance_m);
 }
 
