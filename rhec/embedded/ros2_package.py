@@ -4,9 +4,9 @@ Its node takes standard messages. The only generated source is outputs.hpp, whic
 node finds what differs between exports.
 """
 
+from importlib import metadata
 from pathlib import Path
 
-from rhec import __version__
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.path import OPEN
@@ -71,7 +71,7 @@ def package(texts, export, scenario):
     dt_s, _ = export.macros["DT_S"]
     speed = _speed(scenario)
     filled = {
-        "package.xml": {"VERSION": __version__},
+        "package.xml": {"VERSION": metadata.version("rhec")},
         "config/rhec.yaml": {"SPEED": repr(speed)},
         "README.md": {"DT_MS": f"{1000 * dt_s:g}"},
     }
