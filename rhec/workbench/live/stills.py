@@ -51,43 +51,43 @@ def draw(soft):
 
 
 def _run(scenario, sample):
-    """A run of the closed loop: its log by column, covariances (k, n, n) and memories (k, n)."""
+    """A run of the closed loop: its log by column, covariances (k, n, n) and memories after it."""
     setup = closed_loop.set_up(scenario)
     noise = plant.draw_noise(scenario.seed, _SAMPLES)
     settings = select_inputs(sample, setup.settings)
     memory = setup.memory
-    rows, covariances, memories = [], [], []
+    samples = []
     for each in noise:
-        memories.append(memory)
         found = sample(memory=memory, noise=each, **settings)
-        memory = found["memory"].full().ravel()
-        rows.append(found["row"].full().ravel())
-        covariances.append(found["covariance"].full())
-    n = round(np.sqrt(covariances[0].size))
-    columns = dict(zip(COLUMNS, np.transpose(rows)))
+        samples.append({name: value.full().ravel() for name, value in found.items()})
+        memory = samples[-1]["memory"]
+    arrays = {name: np.array([each[name] for each in samples]) for name in samples[0]}
+    n = round(np.sqrt(arrays["covariance"].shape[1]))
+    columns = dict(zip(COLUMNS, arrays["row"].T))
     return SimpleNamespace(
         setup=setup,
-        covariance=np.reshape(covariances, (-1, n, n)),
-        memories=memories,
+        covariance=arrays["covariance"].reshape(-1, n, n),
+        memory=arrays["memory"],
         z=np.column_stack([columns[name] for name in MEASUREMENTS]),
         **columns,
     )
 
 
 def _svg(across, up, marks, equal=False):
-    """An SVG whose marks take the scale (x, y) -> pixels; equal: the same for both axes."""
-    (x0, x1), (y0, y1) = across, up
+    """An SVG whose marks take the scale (x, y) -> pixels; equal: that of y for both."""
+    x0, x1 = across
+    y0, y1 = up
     wide, high = _SIZE
-    s_x, s_y = wide / (x1 - x0), high / (y1 - y0)
+    s_y = high / (y1 - y0)
     if equal:
-        s_x = s_y = min(s_x, s_y)
+        half = wide / s_y / 2
         middle = (x0 + x1) / 2
-        x0, x1 = middle - wide / s_x / 2, middle + wide / s_x / 2
+        x0 = middle - half
+        x1 = middle + half
+    s_x = wide / (x1 - x0)
 
     def pixels(x, y):
-        ends = [wide / 2 + s_x * (np.asarray(x) - (x0 + x1) / 2)]
-        ends.append(high / 2 - s_y * (np.asarray(y) - (y0 + y1) / 2))
-        return np.column_stack(ends)
+        return np.column_stack([s_x * (np.asarray(x) - x0), s_y * (y1 - np.asarray(y))])
 
     body = "".join(mark(pixels) for mark in marks)
     for value, x, y in [(y0, -8, high), (y1, -8, 12), (x0, 12, high + 16), (x1, wide, high + 16)]:
@@ -151,15 +151,17 @@ def _filter(run, time):
 
 def _window(run, tools, sample):
     """The window after a sample, in the frame of its middle pose."""
-    memory = run.setup.unpack(run.memories[sample + 1])["estimator"]
-    s, z = memory["s"], memory["z"]
+    memory = run.setup.unpack(run.memory[sample])["estimator"]
+    s = memory["s"]
+    z = memory["z"]
     x_0, y_0, theta = s[:3, s.shape[1] // 2]
     turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
 
     def seen(x, y):
         return turn @ np.array([x - x_0, y - y_0])
 
-    fits, fixes = seen(*s[:2]), seen(*z[:2])
+    fits = seen(*s[:2])
+    fixes = seen(*z[:2])
     L = np.linalg.cholesky(memory["P"][:2, :2])
     circle = np.linspace(0, 2 * np.pi, 41)
     ellipse = 2 * L @ np.array([np.cos(circle), np.sin(circle)])

@@ -108,7 +108,7 @@ function draw_costs(step, { nodes, arrival }, own) {
   if (own.arrival) bar(-1.4, 0.8, arrival, "--plan");
 }
 
-function draw_traction_plane(step, { bounded, free, memory, own }) {
+function draw_traction_plane(step, { bounded, unbound, memory, own }) {
   const { tools } = step;
   const [[m], P] = ["m", "P"].map(name => piece_of(tools, memory, name));
   const low = Math.min(0.9, bounded.estimate[4] - 0.05);
@@ -117,11 +117,12 @@ function draw_traction_plane(step, { bounded, free, memory, own }) {
     plot.line(...spread(edge), "--ink", { width: 1, dash: [5, 4] });
   const place = ({ estimate }) => [estimate[5], estimate[4]];
   if (own.arrival) plot.line(...spread(ellipse([m[5], m[4]], [5, 4], P)), "--plan", { width: 2 });
-  const around = ellipse(place(free), [5, 4], square(free.covariance));
+  const around = ellipse(place(unbound), [5, 4], square(unbound.covariance));
   plot.line(...spread(around), "--run0");
-  plot.line(...spread([place(free), place(bounded)]), "--soft", { width: 1 });
-  plot.dots(...spread([place(free)]), "--run0", { radius: 6, full: false });
-  if (own.bounds) plot.dots(...spread([place(bounded)]), "--run0", { radius: 5 });
+  plot.dots(...spread([place(unbound)]), "--run0", { radius: 6, full: false });
+  if (!own.bounds || !own.feedback) return; // only feedback knows the bounds
+  plot.line(...spread([place(unbound), place(bounded)]), "--soft", { width: 1 });
+  plot.dots(...spread([place(bounded)]), "--run0", { radius: 5 });
 }
 
 // The steps: each draws, and returns the numbers that are said and whether the question is done.
@@ -160,13 +161,14 @@ const STEPS = {
     const { V } = noises(loop);
     const { shifted, bounded, free } = take_sample(loop, tools, k, own.arrival);
     const solved = own.bounds ? bounded : free;
+    const predicted = { estimate: bounded.m_N, covariance: bounded.P_N };
     const memory = own.feedback ? solved.memory : shifted;
-    const [newest, P] = own.feedback ? [solved.estimate, solved.covariance]
-      : [solved.m_N, solved.P_N];
+    const { estimate: newest, covariance: P } = own.feedback ? solved : predicted;
+    const unbound = own.feedback ? free : predicted;
     draw_window(step, k, { memory, newest, P: square(P), own });
     const costs = costs_of(tools, memory, V);
     draw_costs(step, costs, own);
-    draw_traction_plane(step, { bounded, free, memory, own });
+    draw_traction_plane(step, { bounded, unbound, memory, own });
     const sum = j => costs.nodes.reduce((total, node) => total + node[j], 0);
     const [gnss, speed, input] = [0, 1, 2].map(sum);
     const arrival = own.arrival ? costs.arrival : 0;
@@ -175,8 +177,8 @@ const STEPS = {
     const is_straight = k => Math.abs(loop.get("curvature_radpm")(k)) < 0.01;
     form.elements.next.textContent = own.feedback ? "next: preparation" : "next: feedback";
     return {
-      time: own.time, phase: own.feedback ? "Feedback" : "Preparation", kappa: newest[5],
-      free: own.feedback ? free.estimate[5] : newest[5], sigma, known, factor: sigma / known,
+      time: own.time, phase: own.feedback ? "Feedback" : "Preparation (no bounds yet)",
+      kappa: newest[5], free: unbound.estimate[5], sigma, known, factor: sigma / known,
       gnss, speed, input, arrival, cost: gnss + speed + input + arrival,
       ok: !own.arrival && own.feedback && is_straight(k) && sigma > 3 * known,
       digits: { kappa: 3, free: 3, sigma: 3, known: 3, factor: 0 },
@@ -192,9 +194,10 @@ const STEPS = {
       2, i => i * 120, () => 0.001, "--ink", { width: 1, dash: [5, 4] });
     const late = gaps.slice(LATE);
     const largest = 1e3 * Math.max(...late);
+    const gnss = 1e3 * rms(samples_of(loop).map(k => far(measured(loop, k), pose_of(loop, k))));
     const kappa = Math.max(...both.slice(LATE).map(([a, b]) => Math.abs(a[5] - b[5])));
-    return { largest, rms: 1e3 * rms(late), kappa, ok: largest < 1,
-      digits: { largest: 2, rms: 2, kappa: 3 } };
+    return { largest, rms: 1e3 * rms(late), kappa, gnss, ok: largest < 1,
+      digits: { largest: 2, rms: 2, kappa: 3, gnss: 0 } };
   },
 
   row(step, { time }) {
@@ -231,7 +234,7 @@ const STEPS = {
   sandbox() { // the sandbox's own runs
     const [rhe, ekf] = page.loops.map(loop => loop.metrics?.max_error_true_m);
     if (page.scene !== "b" || !ekf) return { idle: true };
-    return { rhe, ekf, ratio: ekf / rhe, ok: ekf > 2 * rhe, digits: { ratio: 1 } };
+    return { rhe, ekf, ratio: ekf / rhe, ok: ekf > 2 * rhe, digits: { rhe: 2, ekf: 2 } };
   },
 };
 

@@ -123,7 +123,8 @@ def first_memories(scenario, guess):
 
 def c_text(functions):
     """The C text of the Functions; `run(i)` calls the i-th, with arrays of its own."""
-    lines, cases = [], []
+    lines = []
+    cases = []
     for i, (name, function) in enumerate(functions.items()):
         arguments = [f"at_{name}_{of}" for of in function.name_in()]
         results = [f"at_{name}_new_{of}" for of in function.name_out()]
