@@ -19,7 +19,7 @@ templates_path = ["_templates"]
 html_theme = "furo"
 html_title = f"rhec {release}"
 html_static_path = ["_static"]
-html_css_files = ["custom.css"]
+html_css_files = ["custom.css", "claims.css"]
 html_sidebars = {
     "**": [
         "sidebar/brand.html",

@@ -71,7 +71,8 @@ def _init_oracle(choice, guess, sigma=_SIGMA_START):
 
 
 def _window_of(choice):
-    return rhe.Window(MODEL, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
+    window = rhe.Window(MODEL, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
+    return window._replace(gate=paper_rhe.GATE)
 
 
 def _build_rhe_step(choice):

@@ -30,10 +30,9 @@ from PIL import Image
 from sphinx.application import Sphinx
 
 from rhec import __version__
-from rhec.workbench import results
+from rhec.workbench import cards, results
 from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
-from rhec.workbench.studies.claims.summary import verdict_counts
 
 __all__ = ["build", "made_by"]
 
@@ -45,12 +44,6 @@ THUMBNAIL = (640, 640)  # largest size [px]
 LONG = 30  # longer texts [characters] in a table are broken into lines
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
-_RULES = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and *does not
-hold* if none of it does; otherwise it is undecided. The rules are stated in the table. Some of them
-were changed after the verdicts of the previous ledger were known:
-[which, and why](docs/claims.md). A label says what a verdict rests on: on a derivation, on a test
-that came out both ways somewhere, or on the same outcome in every world tried. Where the verdict
-names a departure, the text as printed gives the other."""
 # README's picture has a width, which Markdown cannot give it; Sphinx copies only its own images.
 _IMG = re.compile(r'<img src="(.+?)" width="(.+?)" align="(.+?)"\s+alt="(.+?)">')
 _IMAGE = r"""```{image} \1
@@ -133,13 +126,14 @@ def _lay_out(source, notebooks, figures, live, published):
     scene_of = {scene["notebook"]: name for name, scene in scenes.items()}
     captions = {}
     for name, notebook in stories.items():
-        captions |= {figure: (name, text) for figure, text in _captions(notebook, figures).items()}
+        for figure, text in _captions(notebook, figures).items():
+            captions[figure] = name, _from_the_root(text)
         _prepare(notebook, scene_of.get(name), live)
         nbformat.write(notebook, source / f"notebooks/{name}.ipynb")
     pages = {
         "figures": _figures_page(stories, captions, figures),
         "tables": _tables_page(figures),
-        "claims": _claims_page(figures / "claims.csv"),
+        "claims": _claims_page(figures / "claims.csv", live),
         "provenance": _provenance_page(stories, figures),
     }
     for name, text in pages.items():
@@ -225,7 +219,17 @@ def _last_paragraph(cell):
     return pieces[-1] if pieces else ""
 
 
+def _from_the_root(text):
+    """A notebook's text for a page beside the folder of notebooks: its links lead the same way."""
+    return re.sub(r"\]\((?!\w+:|#|/)([^)]+)\)", _link_from_the_root, text)
+
+
+def _link_from_the_root(match):
+    return f"]({os.path.normpath(f'notebooks/{match[1]}')})"
+
+
 def _plain(text):
+    text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text)
     return " ".join(re.sub(r"[*#`$\\]", "", text).split())
 
 
@@ -327,27 +331,11 @@ def _as_html(table):
 # ---------------------------------------------------------------- claims and provenance
 
 
-def _claims_page(file):
+def _claims_page(file, live):
     """The verdicts on all claims, with an anchor for each, such as `claims.html#B5`."""
     if not file.exists():
         return "# Verdicts on the paper\n\n`make claims` has not been run.\n"
-    claims = pd.read_csv(file)
-    text = f"{_WIDE}# Verdicts on the paper\n\n{_RULES}\n\n"
-    text += results.to_markdown(verdict_counts(claims).reset_index())
-    table = pd.DataFrame()
-    table["id"] = [f'<a id="{name}" href="#{name}">{name}</a>' for name in claims["id"]]
-    table["the paper's claim"] = claims["claim"]
-    table["verdict"] = claims["verdict"]
-    table["label"] = claims["basis"]
-    table["here"] = results.format_intervals(claims, "value").where(claims["n"] > 0, "")
-    table["unit"] = claims["unit"]
-    table["the paper's"] = claims["paper"]
-    table["runs or cases"] = claims["n"]
-    table["rule"] = claims["test"]
-    table["why"] = claims["why"]
-    for section, rows in table.fillna("").groupby(claims["section"], sort=False):
-        text += f"\n\n## {section}\n\n{_as_html(rows)}"
-    return text
+    return cards.page(pd.read_csv(file), live)
 
 
 def _provenance_page(stories, figures):

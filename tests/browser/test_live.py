@@ -72,7 +72,7 @@ class Live:
 
     def pictures(self):
         return self.page.evaluate(
-            "[...document.querySelectorAll('canvas')].map(canvas => canvas.toDataURL())"
+            "[...document.querySelectorAll('#pictures canvas')].map(canvas => canvas.toDataURL())"
         )
 
     def runs(self):
@@ -184,8 +184,7 @@ def test_every_picture_has_lines_in_every_scene(live, scene):
     live.page.check("#many")
     live.fields()
     inks = live.page.evaluate(
-        """() => [...document.querySelectorAll("canvas")].filter(({clientWidth}) => clientWidth)
-            .map(canvas => {
+        """() => [...document.querySelectorAll("#pictures canvas, #histogram")].map(canvas => {
             const probe = document.createElement("canvas").getContext("2d")
             const colours = ["--run0", "--run1", "--run2"].map(name => {
                 probe.fillStyle = getComputedStyle(canvas).getPropertyValue(name)

@@ -87,8 +87,44 @@ def test_the_search_finds_a_claim_and_a_function(offline):
 def test_a_claim_has_an_address(offline):
     page = offline
     page.goto((REPORT / "claims.html").as_uri() + "#B5")
-    assert page.locator("tr:has(#B5)").count() == 1
+    assert page.locator("section.claim#B5").count() == 1
     assert page.locator("#B5").is_visible()
+
+
+def shown(page):
+    """Ids of the claims whose cards are visible."""
+    return page.eval_on_selector_all(
+        "section.claim", "all => all.filter(card => card.checkVisibility()).map(card => card.id)"
+    )
+
+
+def test_claims_are_filtered_and_searched_and_a_link_shows_its_card(offline):
+    page = offline
+    page.goto((REPORT / "claims.html").as_uri())
+    every = shown(page)
+    page.select_option("select[name=section]", "IV-C EKF")
+    assert shown(page) == ["M7", "M8", "M9", "M12"]
+    assert page.inner_text(".claim-filter output") == f"4 of {len(every)} claims"
+    page.fill("input[name=words]", "CONSTRAINTS cannot")
+    assert shown(page) == ["M12"]
+    assert page.locator("h2:visible").count() == 1  # of that section
+    page.select_option("select[name=section]", "")
+    page.fill("input[name=words]", "")
+    page.select_option("select[name=verdict]", "does not hold")
+    assert {"I2", "M12"} <= set(shown(page)) < set(every)
+    page.evaluate("location.hash = 'B1'")  # which holds, and was hidden
+    page.wait_for_function("document.getElementById('B1').checkVisibility()")
+    assert shown(page) == every
+
+
+def test_all_claims_are_readable_without_scripts(chromium):
+    context = chromium.new_context(java_script_enabled=False, offline=True)
+    page = context.new_page()
+    page.goto((REPORT / "claims.html").as_uri())
+    cards = page.locator("section.claim")
+    assert cards.count() and all(card.is_visible() for card in cards.all())
+    assert not page.locator(".claim-filter").is_visible()
+    context.close()
 
 
 def test_the_menu_of_a_phone_opens_without_scripts(chromium):

@@ -438,17 +438,31 @@ def test_overwritten_memory_restarts_and_is_reported(exported, library):
 
 
 def test_an_implausible_estimate_restarts(exported, library):
-    """Positions that jump by more than anything drives are believed for a while; then the estimate
-    restarts at the measurement.
+    """Positions that jump by more than anything drives are not used, until one has to be because
+    so many were not; then the estimate restarts at the measurement.
     """
     robot, z = Robot(library, exported("paper")), log_of(exported("paper"))[MEASUREMENTS].to_numpy()
     statuses = 0
-    for k, row in enumerate(np.tile(z[:30], (3, 1))):
-        estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 40), 0, 0, 0])
+    for k, row in enumerate(np.tile(z[:30], (5, 1))):
+        estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 100), 0, 0, 0])
         statuses |= status
         assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
         assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
     assert statuses & RESTARTED[0]
+
+
+def test_after_absurd_positions_answers_equal_pythons(exported, library):
+    """One sample 1 km off, then positions 5 m off for good, which the RHE takes at last."""
+    measurements = log_of(exported("paper"))[MEASUREMENTS].to_numpy()
+    measurements[10, :2] += (600.0, -800.0)
+    measurements[20:, 0] += 5.0
+    robot = Robot(library, exported("paper"))
+    answers = np.array([[*estimate, omega] for estimate, omega, _ in map(robot.step, measurements)])
+    scenario = rhec.Scenario(duration_s=SECONDS, seed=1)
+    expected = in_python(scenario, measurements)
+    np.testing.assert_allclose(answers, expected, rtol=0, atol=TOLERANCE)
+    assert abs(answers[10, 0] - answers[9, 0]) < 1
+    assert abs(answers[-1, 0] - measurements[-1, 0]) < 1
 
 
 # What it needs; fuzzing

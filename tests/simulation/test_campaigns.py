@@ -884,8 +884,47 @@ def test_rows_of_runs_take_little_memory_and_come_back_as_they_were():
     tracemalloc.stop()
     assert taken < 500 * len(expected)
     again = {"0" * 31 + "3": expected["0" * 31 + "4"]}  # a failed run that was repeated
-    rows.add(again)
     for chosen in ([*expected], [key for key, row in expected.items() if not row["error"]]):
-        columns = pd.DataFrame(rows.columns(chosen))
+        rows = store.Rows()
+        rows.add(expected)
+        rows.add(again)
+        columns = pd.DataFrame(rows.take(rows.places(chosen)))
         table = pd.DataFrame([(expected | again)[key] for key in chosen])
         pd.testing.assert_frame_equal(columns, table)
+
+
+def finished(missing, workers):
+    """In place of the runs: their rows, in parts."""
+    keys = [*missing]
+    for begin in range(0, len(keys), 300):
+        row = store._example_metrics() | dict(error="")
+        yield {key: dict(row) for key in keys[begin : begin + 300]}
+
+
+def test_the_caller_of_a_long_campaign_needs_little_memory_beside_its_scenarios(monkeypatch):
+    """At most 500 bytes a run, so 50 MB for 100,000."""
+    monkeypatch.setattr(campaigns, "_run_all", finished)
+    scenarios = [rhec.Scenario(seed=seed) for seed in range(6000)]
+    rhec.campaign(scenarios[:10])  # imports
+    peaks = []
+    for n in (2000, 6000):
+        tracemalloc.start()
+        table = rhec.campaign(scenarios[:n])
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(table) == n
+    assert peaks[1] - peaks[0] < 500 * 4000
+
+
+def test_a_table_is_changed_as_any_other(monkeypatch):
+    monkeypatch.setattr(campaigns, "_run_all", finished)
+    scenarios = [rhec.Scenario(seed=seed, process_noise="calibrated") for seed in range(2503)]
+    one, other = rhec.campaign(scenarios), rhec.campaign(scenarios)
+    fields = [field.name for field in dataclasses.fields(rhec.Scenario)]
+    values = [[getattr(scenario, name) for name in fields] for scenario in scenarios]
+    plain = pd.DataFrame(values, columns=fields)
+    pd.testing.assert_frame_equal(one[fields], plain)
+    one.loc[3, ["r", "gnss_sigma_m"]] = plain.loc[3, ["r", "gnss_sigma_m"]] = 0.25
+    one.loc[5, "estimator"] = plain.loc[5, "estimator"] = "ekf"
+    pd.testing.assert_frame_equal(one[fields], plain)
+    assert (other["r"] == rhec.Scenario().r).all() and (other["estimator"] == "rhe").all()

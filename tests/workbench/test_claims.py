@@ -351,12 +351,13 @@ def errors(monkeypatch):
     """Runs whose true mean error is drawn: the RHE's, less an advantage that the test sets."""
     chosen = dict(advantage=0.0, asked=[])
 
-    def measure(kind, scenarios, folder=None):
+    def measure(scenarios, folder=None):
         def error(scenario):
             gain = chosen["advantage"] * (scenario.estimator == "rhe_no_slip")
             return 1 + gain + 0.1 * np.random.default_rng(scenario.seed).normal()
 
-        chosen["asked"].append(max(map(len, scenarios.values())))
+        scenarios = scenarios["runs"]
+        chosen["asked"].append({each.seed for part in scenarios.values() for each in part})
         return {
             name: pd.DataFrame(dict(mean_error_true_m=[error(each) for each in part]))
             + 0.1 * np.random.default_rng(len(str(name))).normal(size=(len(part), 1))
@@ -370,11 +371,15 @@ def errors(monkeypatch):
 B6 = {"B6": ledger.CLAIMS["B6"]}
 
 
-@pytest.mark.parametrize("advantage, expected", [(0.5, [60]), (0.012, [60, 900])])
+@pytest.mark.parametrize(
+    "advantage, expected", [(0.5, [range(60)]), (0.012, [range(60), range(60, 900)])]
+)
 def test_only_what_the_first_look_leaves_undecided_is_looked_at_again(errors, advantage, expected):
     errors["advantage"] = advantage
     _, findings, _, looks = evidence.collect(B6, 60, 900)
-    assert errors["asked"] == expected
+    assert [*filter(None, errors["asked"])] == list(
+        map(set, expected)
+    )  # no field is driven at both looks
     found, look = findings["B6"]["as printed"], looks["B6"]["as printed"]
     assert (found.n, look) == ((60, 0.999) if len(expected) == 1 else (900, 0.95))
 
@@ -622,6 +627,32 @@ def test_studies_have_their_runs_in_order():
     ]
     found = run_sets.map_runs(run_sets.measured, asked)
     assert found == [run_sets.measured(rhec.simulate(each)) for each in asked]
+
+
+def test_runs_whose_logs_are_needed_are_driven_once(monkeypatch):
+    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
+    one, other = (
+        [rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2)] for q in ((1, 1, 0), (1, 1, 5))
+    )
+    driven = []
+
+    def campaign(scenarios, folder):
+        driven.extend(scenarios)
+        return rhec.campaign(scenarios, folder)
+
+    monkeypatch.setattr(run_sets, "campaign", campaign)
+    asked = dict(runs=dict(same=list(one), own=other), logs=dict(log=one))
+    tables = run_sets.measure(asked)
+    assert driven == other and set(tables) == {"same", "own", "log"}
+    for name, scenarios in (("same", one), ("own", other), ("log", one)):
+        for (_, row), scenario in zip(tables[name].iterrows(), scenarios):
+            metrics = rhec.simulate(scenario).metrics
+            assert row["mean_error_true_m"] == metrics["mean_error_true_m"]
+            assert row["violations"] == metrics["violations"]
+    assert {*tables["own"]} - {"error"} <= {*tables["same"]}
+    assert list(tables["same"]["seed"]) == [9, 2] and (tables["same"]["q"] == one[0].q).all()
+    assert "kkt_rhe_late" in tables["log"] and "kkt_rhe_late" not in tables["own"]
+    assert run_sets.measure(dict(runs={}, logs={})) == {}
 
 
 # What is measured

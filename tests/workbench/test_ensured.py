@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import rhec
@@ -57,6 +58,31 @@ def test_a_front_counts_fields_and_its_verdict_needs_share_and_speed():
     assert verdict(0.999, 0.3) == "undecided"
     assert verdict(0.3, 0.45) == "does not hold"
     assert len(fronts(table, (0.95, 0.47)).axes) == len(ensured.PROMISES)
+
+
+def test_a_lap_is_that_of_the_longest_drive_and_is_driven_once(monkeypatch):
+    """The second robot starts so far away that it is late, and the third never comes back."""
+    driven = []
+
+    def map_runs(function, scenarios):
+        driven.extend(scenarios)
+        return [function(rhec.simulate(scenario)) for scenario in scenarios]
+
+    monkeypatch.setattr(ensured, "map_runs", map_runs)
+    monkeypatch.setattr(ensured, "_known_laps", {})
+    late = SHORT | dict(start_offset_m=0.6, kappa_mean=0.6, mu_deviation=0.0)
+    changes = dict(speed_mps=0.4), dict(mu_mean=0.8, terrain=rhec.Terrain.uniform(0.7, 0.8)), {}
+    scenarios = [rhec.Scenario(**late | change, seed=5) for change in changes]
+    scenarios[2] = dataclasses.replace(scenarios[2], omega_max_radps=1e-9)
+    laps = ensured._laps([*scenarios, scenarios[0]])
+    longest = [
+        ensured.lap(rhec.simulate(dataclasses.replace(each, duration_s=ensured._longest_s(each))))
+        for each in scenarios
+    ]
+    pd.testing.assert_frame_equal(laps, pd.DataFrame([*longest, longest[0]]))
+    assert np.isnan(laps["error_m"]).tolist() == [False, False, True, False]
+    assert len(driven) == 3 + 2  # two were not back in the usual time
+    assert ensured._laps(scenarios[:1]).equals(laps[:1]) and len(driven) == 5
 
 
 def test_every_drive_can_be_asked_for():

@@ -2,16 +2,17 @@
 
 With the innovation y of a sample, given its prediction, and the covariance S of y,
 
-    d = y' S⁻¹ y ≤ limit,  the quantile of χ² that good samples exceed with the window's `gate`
+    d = y' S⁻¹ y ≤ limit,  the window's `gate`
 
-(Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
-Sec. 5.7). One Gauss-Newton step from an outlier can end at a yaw and parameters from which no
-later step returns. Beyond the limit, therefore, all outputs of the sample count as missing, and the
-estimate is the prediction. Measured inputs are kept where they are as before.
+The limit of a Model is the quantile of χ² that a given share of good samples exceed (Bar-Shalom,
+Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7). One
+Gauss-Newton step from an outlier can end at a yaw and parameters from which no later step returns.
+Beyond the limit, therefore, all outputs of the sample count as missing, and the estimate is the
+prediction. Measured inputs are kept where they are as before.
 
-After many such samples in succession (`patience`) it is the estimate that is wrong. The window then
-restarts at its newest node with the variances of the first guess, and takes the next sample as it
-is.
+After many such samples in succession (`rejected_at_most`) it is the estimate that is wrong. The
+window then restarts at its newest node with the variances of the first guess, and takes the next
+sample as it is.
 
 All of it wraps the RHE's phases from outside, as `rhec.tracked_robot.robust` does.
 """
@@ -20,6 +21,7 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.estimator import kalman
+from rhec.core.model.base import interval
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 
 # Probability that the innovation of a good sample exceeds the limit.
@@ -30,23 +32,22 @@ LEAST_PATIENCE = 30
 OPEN = -1.0  # in place of the number of samples rejected in succession: the next one is taken
 
 
-def limit_of(window):
-    """The largest d of a sample that is used."""
+def limit_of(model, share):
+    """The largest d of a sample of the model that is used, which this share of good ones exceed."""
     from scipy.stats import chi2  # takes long to load, and importing the core should not
 
-    return float(chi2.isf(window.gate, max(len(window.interval.outputs), 1)))
+    return float(chi2.isf(share, max(len(interval(model).outputs), 1)))
 
 
-def patience(window):
-    """Number of samples rejected in succession after which the window restarts."""
-    return max(LEAST_PATIENCE, WINDOWS_OF_PATIENCE * window.N)
+def rejected_at_most(N):
+    """Number of samples rejected in succession after which a window of N intervals restarts."""
+    return max(LEAST_PATIENCE, WINDOWS_OF_PATIENCE * N)
 
 
 def _build_gate(window, predict_input):
     """Function that tells whether the newest sample agrees with its prediction."""
-    interval = window.interval
-    outputs = interval.outputs
-    limit = limit_of(window)
+    outputs = window.interval.outputs
+    limit = window.gate
     z_N = (len(window.model.outputs), 1)
     one = (1, 1)
 
@@ -55,7 +56,7 @@ def _build_gate(window, predict_input):
         ca.SX,
         **window.prediction,
         **window.noise,
-        s_N=(interval.n_s, 1),
+        s_N=(window.interval.n_s, 1),
         z_N=z_N,
         rejected=one,
     )
@@ -66,7 +67,7 @@ def _build_gate(window, predict_input):
         used = ca.logic_or(agrees, rejected < 0)
         has_outputs = sum((output.is_valid(z_N) for output in outputs), ca.SX(0)) > 0
         kept = ca.SX.nan(*z_N.shape)
-        for place, (row, _) in interval.input_outputs.items():
+        for place, (row, _) in window.interval.input_outputs.items():
             change = (z_N[row] - v_N[place]) ** 2
             kept[row] = ca.if_else(change <= 2 * limit * noise["V"][row], z_N[row], ca.DM.nan())
         after = ca.if_else(used, ca.if_else(has_outputs, 0, rejected), rejected + 1)
@@ -115,7 +116,7 @@ def _wrap_expand(window, expand_of_rhe, kind):
 
     @casadi_function("gated_expand", kind, **shapes, z_used=z_used, solved=one, rejected_after=one)
     def expand(z_used, solved, rejected_after, **inputs):
-        keeps = solved * (rejected_after < patience(window))
+        keeps = solved * (rejected_after < rejected_at_most(window.N))
         values = inputs | dict(z_N=z_used, ok=keeps)
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         rejected = ca.if_else(keeps, rejected_after, OPEN)

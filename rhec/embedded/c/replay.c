@@ -2,9 +2,10 @@
 /* Replays a log: replay log.csv > results.csv
  *
  * The first line of the log has the column names. Each further line has a measurement: x, y, nu,
- * omega and the sensors of the export, as rhec_memory.h names them (RHEC_OUTPUTS). An empty field or nan marks a missing measurement. If lines also have Python's results (x,
- * y, theta, nu, mu, kappa and the command), the program reports the largest difference and fails if
- * it exceeds 1e-9. */
+ * omega and the sensors of the export, as rhec_memory.h names them (RHEC_OUTPUTS). An empty field
+ * or nan marks a missing measurement. If lines also have Python's results (x, y, theta, nu, mu,
+ * kappa and the command), the program reports the largest difference and fails if it exceeds 1e-9,
+ * or 2e-2 where numbers are floats. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -15,17 +16,19 @@
 enum { MEASURED = RHEC_OUTPUTS, COMPUTED = RHEC_ESTIMATE + 1 };
 
 /* Reads the numbers of a line, NaN for empty fields. Returns the number of fields. */
-static int parse(char *line, double *numbers, int most)
+static int parse(char *line, rhec_real *numbers, int most)
 {
     int count = 0;
     for (char *field = line; field && count < most; count++) {
         char *end, *next = strchr(field, ',');
         double number = strtod(field, &end);
-        numbers[count] = end > field ? number : NAN;
+        numbers[count] = end > field ? (rhec_real)number : NAN;
         field = next ? next + 1 : NULL;
     }
     return count;
 }
+
+static const double tolerance = sizeof(rhec_real) == sizeof(double) ? 1e-9 : 2e-2;
 
 int main(int argc, char **argv)
 {
@@ -41,7 +44,7 @@ int main(int argc, char **argv)
     rhec_init(&r, &rhec_scenario, rhec_scenario_guess);
     puts("x_hat_m,y_hat_m,theta_hat_rad,nu_hat_mps,mu_hat,kappa_hat,omega_cmd_radps,status");
     while (fgets(line, sizeof line, log)) {
-        double numbers[MEASURED + COMPUTED], result[COMPUTED];
+        rhec_real numbers[MEASURED + COMPUTED], result[COMPUTED];
         int count = parse(line, numbers, MEASURED + COMPUTED);
         for (int i = count; i < MEASURED; i++) {
             numbers[i] = NAN;
@@ -66,5 +69,5 @@ int main(int argc, char **argv)
     if (compared) {
         fprintf(stderr, "largest difference in %d samples: %.3g\n", compared, largest);
     }
-    return !(largest <= 1e-9);
+    return !(largest <= tolerance);
 }

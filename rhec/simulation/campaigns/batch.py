@@ -4,7 +4,10 @@ import contextlib
 import functools
 import itertools
 import operator
+from array import array
 from dataclasses import replace
+
+import numpy as np
 
 from rhec import paper
 from rhec.core._casadi import compiled
@@ -77,25 +80,32 @@ def split_into_tasks(scenarios, samples):
     Runs that share work become neighbours: they are sorted by groups of seeds, which share fields
     and noise, then by loop, then by all fields except the seed, and else keep their order.
     """
-    # Seeds, loops and families are numbered in the order of their first occurrence.
-    seeds = {}
-    loops = {}
-    families = {}
-
-    def place(scenario):
-        seed = seeds.setdefault(scenario.seed, len(seeds))
-        loop = loops.setdefault(_STRUCTURE(scenario), len(loops))
-        family = families.setdefault(_all_but_seed(scenario), len(families))
-        return seed // _SEEDS_TOGETHER, loop, family, seed
-
-    places = {key: place(scenario) for key, scenario in scenarios.items()}
-    ordered = sorted(scenarios, key=places.get)
+    ordered = _ordered(scenarios)
     # Task number of a run = number of samples of all runs before it // size of a task.
     lengths = (count_samples(scenarios[key]) for key in ordered)
     n_before = itertools.accumulate(lengths, initial=0)
     numbered = zip(n_before, ordered)
     for _, task in itertools.groupby(numbered, lambda item: item[0] // samples):
         yield {key: scenarios[key] for _, key in task}
+
+
+def _ordered(scenarios):
+    """Return the keys of {key: scenario} in the order of `split_into_tasks`."""
+    # Seeds, loops and families are numbered in the order of their first occurrence. Numbers in
+    # arrays take 32 bytes a run; a tuple for each would take 200.
+    numbers = [array("q") for _ in range(4)]
+    seeds = {}
+    loops = {}
+    families = {}
+    for scenario in scenarios.values():
+        seed = seeds.setdefault(scenario.seed, len(seeds))
+        loop = loops.setdefault(_STRUCTURE(scenario), len(loops))
+        family = families.setdefault(_all_but_seed(scenario), len(families))
+        for column, number in zip(numbers, (seed // _SEEDS_TOGETHER, loop, family, seed)):
+            column.append(number)
+    keys = list(scenarios)
+    # `lexsort` takes the first criterion last.
+    return [keys[place] for place in np.lexsort(numbers[::-1])]
 
 
 def one_per_structure(scenarios, mean_samples):

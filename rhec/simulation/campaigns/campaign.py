@@ -4,10 +4,12 @@ import contextlib
 import functools
 import os
 import textwrap
+import types
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from pydantic import Field
 
 from rhec.core._casadi import compiled
@@ -70,6 +72,16 @@ def campaign(
     import pandas as pd  # imported here, because workers do not need it
 
     scenarios = as_list(scenarios, "scenarios")
+    rows, places = _driven(scenarios, folder, workers)
+    return pd.DataFrame(_columns_of_fields(scenarios) | rows.take(places), copy=False)
+
+
+def _driven(scenarios, folder, workers):
+    """Return the Rows of all scenarios, and their places in these.
+
+    What only the runs need, such as the keys, ends with this function: of a long campaign it would
+    take as much memory as the table.
+    """
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
     rows = store.Rows()
@@ -77,29 +89,76 @@ def campaign(
         rows.add(kept)
     keys, unusable = _keys_of(scenarios)
     rows.add(unusable)
-    unique = dict(zip(keys, scenarios))
-    missing = {key: scenario for key, scenario in unique.items() if key not in rows}
+    total = len({*keys})
+    missing = {key: scenario for key, scenario in zip(keys, scenarios) if key not in rows}
     with (
-        _progress_bar(len(unique), len(unique) - len(missing)) as progress,
+        _progress_bar(total, total - len(missing)) as progress,
         contextlib.closing(_run_all(missing, workers)) as results,
     ):
         try:
             for new_rows in results:
                 if compiled.compiler() != compiler:
                     # The compiler failed. Uncompiled rows differ in the last bits, so start again.
-                    return campaign(scenarios, folder, workers)
+                    return _driven(scenarios, folder, workers)
                 rows.add(new_rows)
                 if rows_folder:
                     store.save_rows(rows_folder, new_rows)
                 progress.update(len(new_rows))
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(_interrupted(rows, unique, folder)) from None
-    # Column by column and without a copy: a list of each field would take as much as the table.
-    columns = {
-        field.name: pd.Series([getattr(scenario, field.name) for scenario in scenarios])
-        for field in fields(Scenario)
-    }
-    return pd.DataFrame(columns | rows.columns(keys), copy=False)
+            n_done = total - sum(key not in rows for key in missing)
+            raise KeyboardInterrupt(_interrupted(n_done, total, folder)) from None
+    return rows, rows.places(keys)
+
+
+def _columns_of_fields(scenarios):
+    """Return {field: Series of its values, one a scenario}.
+
+    A value that is the same in all scenarios, as most are, takes hardly any memory: a column of
+    numbers is one number with a stride of 0, and one of texts repeats the same part. pandas copies
+    such a column when it is changed, from version 3 on.
+    """
+    import pandas as pd
+
+    copies_when_changed = int(pd.__version__.split(".")[0]) >= 3
+    columns = {}
+    for field in fields(Scenario):
+        values = [getattr(scenario, field.name) for scenario in scenarios]
+        if copies_when_changed and _are_equal(values):
+            columns[field.name] = _constant(values[0], len(values))
+        else:
+            columns[field.name] = pd.Series(values)
+    return columns
+
+
+# {(type, text, length): Series} of constant columns. They are kept, about 1 kB each: pandas copies
+# a column before it changes it only as long as another Series has the same values.
+_constants = {}
+_PART_OF_TEXTS = 1000  # length of the part that a constant column of texts repeats
+
+
+def _constant(value, n):
+    """Return a Series (n,) of one value, for tables that are made of it without a copy."""
+    import pandas as pd
+
+    if isinstance(value, str):
+        part = pd.Series([value] * min(n, _PART_OF_TEXTS))
+        rest = part[: n % _PART_OF_TEXTS]
+        return pd.concat([part] * (n // _PART_OF_TEXTS) + [rest], ignore_index=True)
+    key = type(value), repr(value), n
+    if key not in _constants:
+        cell = np.empty(1, object if isinstance(value, tuple | types.NoneType) else type(value))
+        cell[0] = value
+        _constants[key] = pd.Series(np.broadcast_to(cell, n), copy=False)
+    return _constants[key]
+
+
+def _are_equal(values):
+    """Return whether these are all the same number, text, tuple or None; False if there is none."""
+    if not values or type(values[0]) not in store.PLAIN:
+        return False
+    first = values[0]
+    text = repr(first)
+    return all(value is first or repr(value) == text for value in values)
 
 
 def _keys_of(scenarios):
@@ -115,11 +174,10 @@ def _keys_of(scenarios):
     return keys, unusable
 
 
-def _interrupted(rows, scenarios, folder):
+def _interrupted(n_done, total, folder):
     """Return the message of an interrupted campaign."""
-    n_done = sum(key in rows for key in scenarios)
     rest = "the same call continues from there" if folder else "a folder would let it continue"
-    return f"interrupted after {n_done} of {len(scenarios)} runs; {rest}"
+    return f"interrupted after {n_done} of {total} runs; {rest}"
 
 
 def _progress_bar(total, done):

@@ -98,7 +98,7 @@ class Rows:
     def __init__(self):
         self._places = {}  # {key: place in the arrays}
         self._metrics = {name: array("d") for name in _example_metrics()}
-        self._errors = {}  # {key: reason} of failed runs
+        self._errors = {}  # {place: reason} of failed runs
 
     def __contains__(self, key):
         return key in self._places
@@ -106,29 +106,36 @@ class Rows:
     def add(self, rows):
         """Add {key: row}; a row that is there already is replaced."""
         for key, row in rows.items():
-            self._errors.pop(key, None)
-            if row["error"]:
-                self._errors[key] = row["error"]
             place = self._places.setdefault(key, len(self._places))
+            self._errors.pop(place, None)
+            if row["error"]:
+                self._errors[place] = row["error"]
             for name, values in self._metrics.items():
                 if place == len(values):
                     values.append(row[name])
                 else:
                     values[place] = row[name]
 
-    def columns(self, keys):
-        """Return {name: values (n,)} of these keys: metrics with their types, and `error`.
+    def places(self, keys):
+        """Return where the rows of these keys are, (n,), and forget all keys."""
+        places = np.fromiter((self._places[key] for key in keys), dtype=int, count=len(keys))
+        self._places = {}
+        return places
 
-        A whole number of a failed run is NaN, which makes its column one of floats.
+    def take(self, places):
+        """Return {name: values (n,)} at these places: metrics with their types, and `error`.
+
+        A whole number of a failed run is NaN, which makes its column one of floats. The rows are
+        gone after that: each array is given up when its column is there, so that no campaign holds
+        all of them twice.
         """
-        places = np.array([self._places[key] for key in keys], dtype=int)
         columns = {}
         for name, example in _example_metrics().items():
-            values = np.frombuffer(self._metrics[name])[places]
+            values = np.frombuffer(self._metrics.pop(name))[places]
             if isinstance(example, bool | int) and np.isfinite(values).all():
                 values = values.astype(type(example))
             columns[name] = values
-        return columns | dict(error=[self._errors.get(key, "") for key in keys])
+        return columns | dict(error=[self._errors.get(place, "") for place in places])
 
 
 def open_folder(folder):

@@ -211,6 +211,8 @@ def _claim(given):
 
 def _export_options(parser):
     parser.add_argument("folder", type=Path, help="a new or empty folder, or an earlier export")
+    text = "write a ROS 2 package (ament) with a node around the C; its README.md says more"
+    parser.add_argument("--ros2", action="store_true", help=text)
     _add_world(parser)
     add_scenario(parser)
 
@@ -218,8 +220,8 @@ def _export_options(parser):
 def _export(given):
     from rhec.embedded import export
 
-    folder = export(scenario_of(given), given.folder)
-    print(f"{folder}: its README.txt says how to go on")
+    folder = export(scenario_of(given), given.folder, ros2=given.ros2)
+    print(f"{folder}: its README.{'md' if given.ros2 else 'txt'} says how to go on")
 
 
 # The checkout
@@ -313,7 +315,7 @@ COMMANDS = {
     ),
     "export": Command(
         "Write estimator and controller as C99.",
-        "FOLDER [--FIELD VALUE …]",
+        "FOLDER [--ros2] [--FIELD VALUE …]",
         _export_options,
         _export,
     ),

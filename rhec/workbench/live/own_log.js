@@ -116,7 +116,7 @@ function means_of(t, value, begin, end, gap_s) {
 }
 
 // The stream of a segment: (x, y, ν, ω, age of the position) a sample.
-function samples_of(rows, dt_s) {
+function resampled(rows, dt_s) {
   const { t_s: t } = rows;
   const number = Math.floor((t.at(-1) - t[0] + SAME_S) / dt_s) + 1;
   let [row, newest] = [0, 0];
@@ -173,7 +173,7 @@ class Replay extends Loop { // the estimator of a log, which begins at its first
 
 function estimated(replay, rows, sigma_m) { // of a segment, from its first position on
   leave_out(rows);
-  const { at, stream } = samples_of(rows, page.world.dt_s);
+  const { at, stream } = resampled(rows, page.world.dt_s);
   let k = 0;
   while (k < at.length && !isFinite(stream[5 * k])) k++;
   if (at.length - k > replay.data.max_samples)

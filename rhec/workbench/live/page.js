@@ -147,7 +147,7 @@ function move(field, value) { // by a pointer on the map, as the slider would
   input.dispatchEvent(new Event("input", { bubbles: true }));
 }
 
-function choose(id) { // a scene as it begins
+function choose(id, words = []) { // a scene as it begins, but for the words of an address
   const scene = structuredClone(page.world.scenes[id]);
   const { values } = scene;
   const runs = scene.runs.map(([name, module, fields]) => ({ name, module, fields }));
@@ -159,6 +159,7 @@ function choose(id) { // a scene as it begins
   $("faulty").hidden = id !== "faults";
   $("fault").value = scene.fault;
   $("moment").value = (scene.time_s + 0.1) / values.duration_s;
+  take_address(words);
   show();
   ask(drive);
 }
@@ -248,8 +249,9 @@ function begin(world) {
   });
   new ResizeObserver(() => page.soil && ask(draw)).observe($("pictures"));
   matchMedia("(prefers-color-scheme: dark)").onchange = () => ask(draw);
-  const scene = location.hash.slice(1);
-  choose(Object.hasOwn(world.scenes, scene) ? scene : "a");
+  document.addEventListener("drawn", write_address);
+  if (!open_address()) choose("a");
 }
 
-load("world").then(data => begin(new World(data))).catch(failed);
+addEventListener("DOMContentLoaded", () => // when all scripts are there
+  load("world").then(data => begin(new World(data))).catch(failed));

@@ -35,7 +35,7 @@ from rhec.tracked_robot.estimators import estimator_of
 from rhec.workbench.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
 from rhec.workbench.explorer.explorer import METRICS
 from rhec.workbench.explorer.robot_view import plants_of
-from rhec.workbench.live import functions, wasm
+from rhec.workbench.live import functions, stills, wasm, window
 
 __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
 __all__ += ["affine_memory", "own_log_scenario", "seed_data", "write"]
@@ -67,6 +67,15 @@ STRUCTURES = {
     "rhe_robust": dict(faults=_ANY_FAULT, robust=True),
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
+STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
+_TOLD = (
+    "told",
+    "right",
+    "wrong",
+    "idle",
+    "run",
+    "controls",
+)  # of a step; its template has the rest
 # Fields of Scenario that have sliders; none of them changes the structure of the loop.
 _FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
 _FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
@@ -93,7 +102,10 @@ def write(folder=REPORT):
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         # Tracing a loop takes seconds; its compiled module is cached.
         own_log = pool.submit(_own_log)
+        tools = pool.submit(_tools)
+        pictures = pool.submit(stills.draw, SOILS["soft"])
         data |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
+        data["tools"] = tools.result()
         data["own_log_module"] = own_log.result()
     for name, content in data.items():
         text = json.dumps(content, allow_nan=True, separators=(",", ":"), ensure_ascii=False)
@@ -102,9 +114,8 @@ def write(folder=REPORT):
         loader=jinja2.FileSystemLoader(HERE), undefined=jinja2.StrictUndefined, autoescape=True
     )
     pages = {file.stem: file.relative_to(folder).as_posix() for file in folder.rglob("*.html")}
-    html = environment.get_template("live.html.j2").render(
-        world=world, pages=pages, sigma_m=paper.SIGMA_V[0]
-    )
+    story = dict(story=STORY, stills=pictures.result(), sigma_m=paper.SIGMA_V[0])
+    html = environment.get_template("live.html.j2").render(world=world, pages=pages, **story)
     (folder / "live.html").write_text(html, encoding="utf-8")
 
 
@@ -217,6 +228,33 @@ def _own_log():
     )
 
 
+def _tools():
+    """The module of the story's Functions, and where the loop's memory holds the estimator's."""
+    scenario = Scenario()
+    setup = closed_loop.set_up(scenario)
+    tools = window.build_tools(scenario)
+    place = setup.unpack(np.arange(len(setup.memory)))["estimator"]
+    first = min(int(np.min(piece)) for piece in place.values())
+    names = ("s", "v", "z", "age", "m", "P")
+    places = {name: (np.atleast_2d(place[name].T) - first).tolist() for name in names}
+    memories = window.first_memories(scenario, setup.guess)
+    return dict(
+        order=[*tools],
+        results={
+            name: {of: function.nnz_out(of) for of in function.name_out()}
+            for name, function in tools.items()
+        },
+        first=first,
+        places=places,
+        P_0=setup.settings["P_0"].tolist(),
+        first_memories={
+            name: [None if np.isnan(value) else value for value in memory.tolist()]
+            for name, memory in memories.items()
+        },
+        wasm=_packed(wasm.module_of(window.c_text(tools))),
+    )
+
+
 def _places(setup):
     """{piece of the memory: indices of its columns}: plan and speed, and the window of an RHE."""
     pieces = setup.unpack(np.arange(len(setup.memory)))
@@ -255,6 +293,7 @@ def _world():
         new_patch=NEW_PATCH,
         groups=_sliders(),
         scenes={name: _scene(scene, defaults) for name, scene in SCENES.items()},
+        story={id: {key: of.get(key) for key in _TOLD} for id, of in STORY.items()},
         defaults=defaults,
     )
 

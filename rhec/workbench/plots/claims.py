@@ -17,7 +17,8 @@ from rhec.workbench.studies.claims.summary import (
 from rhec.workbench.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 
 _PARTLY = "holds as printed or with a departure"
-_LOOKS = {
+# {kind of verdict: its colour and its sign}
+LOOKS = {
     HOLDS: (style.GREEN, "✓"),
     WHERE: (style.PURPLE, "◐"),
     _PARTLY: (style.BLUE, "±"),
@@ -25,7 +26,7 @@ _LOOKS = {
     UNDECIDED: (style.ORANGE, "?"),
     UNTESTABLE: (style.GREY, "–"),
 }
-_LABELS = {WHERE: "in some worlds", _PARTLY: "by reading", UNTESTABLE: "untestable"}
+LABELS = {WHERE: "in some worlds", _PARTLY: "by reading", UNTESTABLE: "untestable"}
 _BASES = {BY_DERIVATION: "d", SAME: "="}  # beside the sign
 # Columns of the printed table; the CSV has all columns.
 _PRINTED = ["id", "claim", "paper", "value", "low", "high", "n", "unit", "verdict", "basis"]
@@ -43,7 +44,8 @@ _WIDTH_IN = 7.2  # fits the longest claim, its interval and its share of worlds
 _FONT = dict(fontsize=6.5, va="center_baseline")
 
 
-def _kind(verdict):
+def kind_of(verdict):
+    """The kind of a verdict, a key of LOOKS: its class, with both classes of readings as one."""
     found = class_of(verdict)
     return _PARTLY if found in (PRINTED, DEPARTURE) else found
 
@@ -109,7 +111,7 @@ def _relative_to_bound(value, low, high, above, below, verdict):
 
 def _draw_sign(axes, x, y, kind, basis=""):
     """A verdict's sign, and the letter of what it rests on to its right."""
-    colour, sign = _LOOKS[kind]
+    colour, sign = LOOKS[kind]
     box = dict(boxstyle="round,pad=0.08", facecolor=colour, edgecolor="none")
     look = dict(fontsize=6.5, color="white", weight="bold", family="DejaVu Sans", bbox=box)
     axes.text(x, y, sign, ha="center", va="center", **look)
@@ -191,16 +193,16 @@ def _draw_heads(axes, table, worlds):
         axes.text(_SHARE[1] + 0.5, -2.2, f"share of {worlds} worlds", ha="right", **bold)
         for x, number in zip(_SHARE, "01"):
             axes.text(x, -1.2, number, ha="center", **_FONT)
-    kinds = table["verdict"].map(_kind)
-    for x, kind in zip((1.0, 13.0, 32.0, 48.0, 68.0, 84.0), _LOOKS):
+    kinds = table["verdict"].map(kind_of)
+    for x, kind in zip((1.0, 13.0, 32.0, 48.0, 68.0, 84.0), LOOKS):
         _draw_sign(axes, x, -3.8, kind)
-        count = f"{_LABELS.get(kind, kind)}: {(kinds == kind).sum()}"
+        count = f"{LABELS.get(kind, kind)}: {(kinds == kind).sum()}"
         axes.text(x + 1.5, -3.8, count, **_FONT)
 
 
 def _draw_row(axes, place, row):
-    kind = _kind(row.verdict)
-    colour, _ = _LOOKS[kind]
+    kind = kind_of(row.verdict)
+    colour, _ = LOOKS[kind]
     axes.text(0, place, row.id, weight="bold", **_FONT)
     axes.text(4.0, place, row.claim, **_FONT)
     _draw_sign(axes, _SIGN, place, kind, row.basis)

@@ -288,7 +288,9 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
         value = flags.mean()
         k = int(flags.sum())
         low, high = stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="exact")
-        ends = stats.binomtest(k, n).proportion_ci(confidence, method="exact")
+        ends = low, high
+        if confidence != CONFIDENCE:
+            ends = stats.binomtest(k, n).proportion_ci(confidence, method="exact")
         bound = above if abs(value - above) <= abs(value - below) else below
         if 0 < bound < 1:
             tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)

@@ -8,6 +8,7 @@ et al. (British Journal of Cancer 34, 1976). A verdict is wrong with a probabili
 """
 
 import numpy as np
+import pandas as pd
 
 from rhec.workbench.studies.claims import experiments, run_sets
 from rhec.workbench.studies.statistics import CONFIDENCE, UNDECIDED
@@ -29,23 +30,23 @@ def make(tables, seeds, folder=None):
 
     Args:
         tables: (process noise, kind, id) of each.
-        seeds: How many fields, from seed 0 on. Experiments take a part of them.
+        seeds: Range of the fields. Experiments take a part of as many, from seed 0 on.
         folder: Where the campaign of runs keeps its rows.
 
     Returns:
         {(process noise, kind, id): DataFrame}.
     """
-    evidence = {}
-    for kind, fields in _SETS.items():
-        scenarios = {
-            table: run_sets.scenarios(fields[table[2]], table[0], range(seeds))
+    scenarios = {
+        kind: {
+            table: run_sets.scenarios(fields[table[2]], table[0], seeds)
             for table in tables
             if table[1] == kind
         }
-        if scenarios:
-            evidence |= run_sets.measure(kind, scenarios, folder)
+        for kind, fields in _SETS.items()
+    }
+    evidence = run_sets.measure(scenarios, folder)
     named = {(noise, name) for noise, kind, name in tables if kind == "experiments"}
-    made = experiments.make(sorted(named), seeds)
+    made = experiments.make(sorted(named), len(seeds))
     return evidence | {(noise, "experiments", name): made[noise, name] for noise, name in made}
 
 
@@ -74,7 +75,7 @@ def collect(claims, first, seeds, folder=None):
     """
     driven, fixed = _driven_and_fixed(claims)
     has_two = first < seeds
-    evidence = make(driven, min(first, seeds), folder) | make(fixed, seeds)
+    evidence = make(driven, range(min(first, seeds)), folder) | make(fixed, range(seeds))
     confidence = FIRST_CONFIDENCE if has_two else CONFIDENCE
     findings = findings_of(claims, evidence, confidence)
     looks = {id_: dict.fromkeys(found, confidence) for id_, found in findings.items()}
@@ -89,7 +90,8 @@ def collect(claims, first, seeds, folder=None):
         if has_two and finding.verdict == UNDECIDED
     }
     longer = [table for table in tables_of(again.values()) if table in driven]
-    evidence = evidence | make(longer, seeds, folder)
+    for table, more in make(longer, range(first, seeds), folder).items():
+        evidence[table] = pd.concat([evidence[table], more], ignore_index=True)
     for (id_, name), judge in again.items():
         finding = judge(evidence)
         # What the first look spent of the error rate is part of the second's p.

@@ -210,8 +210,10 @@ def _value(table, expression):
     """An expression of a table's columns.
 
     pandas prepares each column of a table for an expression, which takes ten times as long as the
-    expression itself: it gets only those that are named.
+    expression itself: it gets only those that are named, and nothing to do for a single name.
     """
+    if expression in table:
+        return table[expression]
     words = set(re.findall(r"\w+", expression))
     named = [name for name in table.columns if name in words]
     return table[named].eval(expression, engine="python")

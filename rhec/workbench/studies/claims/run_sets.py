@@ -5,6 +5,7 @@ whichever process noise, so that row k of any two tables is the same field and t
 need their metrics alone and run as one campaign; LOGS need what only each sample shows.
 """
 
+import dataclasses
 import itertools
 from functools import partial
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ from rhec.simulation.campaigns.batch import (
     split_into_tasks,
 )
 from rhec.simulation.campaigns.campaign import campaign
+from rhec.simulation.campaigns.store import scenario_key
 from rhec.simulation.campaigns.workers import map_tasks, open_workers
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
@@ -182,21 +184,44 @@ def scenarios(fields, process_noise, seeds, world=None):
     return [Scenario(seed=seed, **every) for seed in seeds]
 
 
-def measure(kind, scenarios, folder=None):
-    """The tables of RUNS or LOGS for the scenarios of each name.
+def measure(scenarios, folder=None):
+    """The tables of RUNS and LOGS for the scenarios of each name.
+
+    What is `measured` of logs contains the metrics, so runs whose logs are needed, too, are driven
+    once.
 
     Args:
-        kind: "runs" for metrics alone; "logs" for what is `measured` of the logs, too.
-        scenarios: {name: scenarios}.
+        scenarios: {kind: {name: scenarios}}; "runs" for metrics alone, "logs" for what is
+            `measured` of the logs, too.
         folder: Where the campaign of "runs" keeps its rows.
 
     Returns:
         {name: DataFrame, one row a scenario}.
     """
-    if kind == "runs":
-        return drive(scenarios, folder)
-    rows = iter(map_runs(measured, list(itertools.chain(*scenarios.values()))))
-    return {name: pd.DataFrame([next(rows) for _ in part]) for name, part in scenarios.items()}
+    logs = scenarios.get("logs", {})
+    runs = scenarios.get("runs", {})
+    rows = iter(map_runs(measured, list(itertools.chain(*logs.values()))))
+    tables = {name: pd.DataFrame([next(rows) for _ in part]) for name, part in logs.items()}
+    keys = {name: _keys_of(part) for name, part in (logs | runs).items()}
+    of_logs = {keys[name]: table for name, table in tables.items()}
+    rest = {name: part for name, part in runs.items() if keys[name] not in of_logs}
+    tables |= drive(rest, folder) if rest else {}
+    for name, part in runs.items():
+        if name not in rest:
+            tables[name] = _with_fields(part, of_logs[keys[name]])
+    return tables
+
+
+def _with_fields(scenarios, table):
+    """A table with the fields of its scenarios, as a campaign's has."""
+    names = [field.name for field in dataclasses.fields(Scenario)]
+    rows = [[getattr(scenario, name) for name in names] for scenario in scenarios]
+    return pd.DataFrame(rows, columns=names).join(table)
+
+
+def _keys_of(scenarios):
+    """What two equal lists of scenarios have in common."""
+    return tuple(map(scenario_key, scenarios))
 
 
 def drive(scenarios, folder=None):
@@ -230,6 +255,8 @@ def map_runs(function, scenarios):
 
     The function must be one that other processes can import.
     """
+    if not scenarios:
+        return []
     # Scenarios of one structure run together, in lanes, where that pays for compiling them.
     mean_samples = mean_samples_per_structure(scenarios)
     parts = [*split_into_tasks(dict(enumerate(scenarios)), samples_per_task(mean_samples))]

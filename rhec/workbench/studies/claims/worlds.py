@@ -101,15 +101,14 @@ def _tables_of(claim):
     return [(kind, id_, whole) for _, kind, id_ in tables]
 
 
-def _measure(claims, worlds, seeds, folder):
-    """{(kind, id, whole): DataFrame}, `seeds` rows for each world in turn.
+def _drives(claims, worlds, seeds):
+    """The drives that claims need: {kind: {(kind, id, whole): scenarios}}, for each world in turn.
 
     `seeds` has the seeds of each world.
     """
     every = dict.fromkeys(table for claim in claims.values() for table in _tables_of(claim))
-    found = {}
-    for kind in ("runs", "logs"):
-        scenarios = {
+    return {
+        kind: {
             (kind_, id_, whole): [
                 scenario
                 for world, of_world in zip(worlds, seeds)
@@ -118,16 +117,15 @@ def _measure(claims, worlds, seeds, folder):
             for kind_, id_, whole in every
             if kind_ == kind
         }
-        if scenarios:
-            found |= run_sets.measure(kind, scenarios, folder)
-    return found
+        for kind in ("runs", "logs")
+    }
 
 
 def _in_world(claim, found, place, fields):
     """The Finding of a claim in the world at `place`, where W is the world's."""
     rows = slice(place * fields, (place + 1) * fields)
     evidence = {
-        ("calibrated", kind, id_): found[kind, id_, whole][rows].reset_index(drop=True)
+        ("calibrated", kind, id_): found[kind, id_, whole][rows]
         for kind, id_, whole in _tables_of(claim)
     }
     return claim.rule.by_condition[CALIBRATED](evidence)
@@ -175,7 +173,7 @@ def judge(claims, worlds, fields, folder=None):
     claims = {id_: claim for id_, claim in claims.items() if _is_driven(claim)}
     firsts = range(FIRST_SEED, FIRST_SEED + fields * len(worlds), fields)
     seeds = [range(first, first + fields) for first in firsts]
-    found = _measure(claims, worlds, seeds, folder)
+    found = run_sets.measure(_drives(claims, worlds, seeds), folder)
     verdicts = {}
     margins = {}
     for id_, claim in claims.items():
@@ -216,15 +214,18 @@ def confirmed(claims, missing, worlds, verdicts, margins, fields, folder=None):
         candidates = margins.loc[verdicts[id_] == outcome, id_] if id_ in verdicts else []
         if len(candidates):
             places[id_] = (candidates if outcome == HOLDS else -candidates).idxmax()
-    chosen = list(dict.fromkeys(places.values()))
-    found = {}
-    for place in chosen:
+    seeds = range(_CONFIRMING_SEED, _CONFIRMING_SEED + fields)
+    drives = {"runs": {}, "logs": {}}  # of all these worlds, so that they are driven together
+    for place in set(places.values()):
         here = {id_: claims[id_] for id_ in places if places[id_] == place}
-        seeds = range(_CONFIRMING_SEED, _CONFIRMING_SEED + fields)
-        tables = _measure(here, [worlds[place]], [seeds], folder)
-        for id_, claim in here.items():
-            if _in_world(claim, tables, 0, fields).verdict == missing[id_]:
-                found[id_] = place
+        for kind, of_kind in _drives(here, [worlds[place]], [seeds]).items():
+            drives[kind] |= {(place, *table): part for table, part in of_kind.items()}
+    tables = run_sets.measure(drives, folder)
+    found = {}
+    for id_, place in places.items():
+        here = {tuple(table): part for (at, *table), part in tables.items() if at == place}
+        if _in_world(claims[id_], here, 0, fields).verdict == missing[id_]:
+            found[id_] = place
     return found
 
 
@@ -232,15 +233,15 @@ def corner(claims, world, seeds, folder=None):
     """{id: verdict} of claims in one of `run_sets.WORLDS`, with W calibrated."""
     judges = {id_: claim.rule.by_condition[CALIBRATED] for id_, claim in claims.items()}
     tables = looks.tables_of(judges.values())
-    evidence = {}
-    for kind, sets in {"runs": run_sets.RUNS, "logs": run_sets.LOGS}.items():
-        scenarios = {
+    scenarios = {
+        kind: {
             table: run_sets.scenarios(sets[table[2]], table[0], range(seeds), world)
             for table in tables
             if table[1] == kind
         }
-        if scenarios:
-            evidence |= run_sets.measure(kind, scenarios, folder)
+        for kind, sets in {"runs": run_sets.RUNS, "logs": run_sets.LOGS}.items()
+    }
+    evidence = run_sets.measure(scenarios, folder)
     names = [(noise, name) for noise, kind, name in tables if kind == "experiments"]
     for (noise, name), table in experiments.make(names, seeds, world).items():
         evidence[noise, "experiments", name] = table
