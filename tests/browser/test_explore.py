@@ -5,6 +5,10 @@ and what the page then shows.
 import numpy as np
 import pytest
 
+import rhec
+from rhec.workbench.explorer.explorer import metrics_table
+from rhec.workbench.explorer.screen import CSS
+
 # From here on the page notes when each picture that follows a change was painted, and when a
 # pointer was last pressed and let go [ms].
 WATCH = """() => {
@@ -320,7 +324,8 @@ def test_it_fits_the_screen_and_is_readable(lab, open_page, theme, width, height
         assert box["height"] <= panel["height"] and box["width"] > 0.85 * panel["width"]
         assert page.locator(".rhec-pictures").bounding_box()["width"] > 0.5 * box["width"]
         assert page.evaluate(
-            "[...document.querySelectorAll('.rhec, .rhec-table, .rhec-pictures, .rhec-title')]"
+            "[...document.querySelectorAll("
+            "'.rhec, .rhec-metrics, .rhec-table, .rhec-pictures, .rhec-title')]"
             ".every(each => each.scrollWidth <= each.clientWidth + 1)"
         )
         ink, paper = page.evaluate("""() => [
@@ -329,6 +334,22 @@ def test_it_fits_the_screen_and_is_readable(lab, open_page, theme, width, height
         ]""")
         assert contrast(ink, paper) > 7
         lab.close(page)
+
+
+@pytest.mark.parametrize("width", [420, 560, 660, 1000])
+def test_the_table_of_metrics_is_never_cut(page, width):
+    run = rhec.simulate(rhec.Scenario(duration_s=10.0, estimator="yaw_drift_ekf"))
+    table = metrics_table((run, run), (run, run))
+    page.set_viewport_size({"width": width, "height": 600})
+    page.set_content(
+        f'<style>{CSS} body {{ margin: 0; font-family: sans-serif }}</style><div class="rhec">'
+        f'<div class="rhec-metrics">{table}</div></div>'
+    )
+    frame = page.locator(".rhec-metrics").bounding_box()
+    for cell in page.locator("th, td").all():
+        box = cell.bounding_box()
+        assert box["x"] >= frame["x"] and box["x"] + box["width"] <= frame["width"] + 0.5
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def contrast(one, other):

@@ -78,7 +78,9 @@ def settled(firefox):
     )
     said = firefox.evaluate("document.getElementById('said').textContent")
     assert re.match(r"\d runs of", said), said
-    return firefox.evaluate("[...document.querySelectorAll('canvas')].map(c => c.toDataURL())")
+    return firefox.evaluate(
+        "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
+    )
 
 
 def test_workers_drive_ten_fields_for_a_challenge(firefox):
@@ -119,3 +121,22 @@ def test_a_scene_follows_a_slider_within_a_millimetre_of_its_lines_of_python(fir
         for name in ("x_m", "y_m"):
             found = rows[before_the_fault, COLUMNS.index(name)]
             np.testing.assert_allclose(found, native[name][before_the_fault], atol=1e-3)
+
+
+def test_the_story_checks_an_answer(firefox):
+    """At the address of a step, with the reader's choice in it."""
+    said = []
+    for choice in ("true", "false"):
+        firefox.open("about:blank")
+        firefox.open(f"{LIVE_PAGE.as_uri()}#step-kalman?bounds={choice}")
+        firefox.evaluate(
+            """(async () => {
+                while (!story.busy || story.wanted.size)
+                    await new Promise(done => setTimeout(done, 20))
+                await story.busy
+            })()"""
+        )
+        said.append(
+            firefox.evaluate("document.querySelector('#step-kalman .answer').textContent")[:7]
+        )
+    assert said[0] == "Not yet" and said[1].startswith("✓ Yes")

@@ -179,6 +179,45 @@ def test_runs_whose_active_set_takes_few_guesses_or_very_many():
     assert batch.ok.any()
 
 
+def constrained_cart():
+    """A cart with a hard bound of its speed, a soft one of an output, and weights of changes."""
+    cart = rhec.Model(
+        states=("position_m", "velocity_mps"),
+        inputs=("acceleration_mps2",),
+        parameters={"bias_mps2": None},
+        outputs=("position_m",),
+        f=lambda x, u, p: ca.vertcat(x[1], u[0] - p[0]),
+    )
+    soft = rhec.Bound(-2.0, 2.0, linear=1.0)
+    bounds = dict(acceleration_mps2=(-1, 1), velocity_mps=(-0.5, 0.6), square_m2=soft)
+    return rhec.RHC(
+        model=cart, command=cart.inputs, q=(1.0, 0.2), r=(0.3,), r_delta=(0.1,), dt=0.2, horizon=5,
+        bounds=bounds, outputs=dict(square_m2=lambda x, u, p: x[0] ** 2),
+    )  # fmt: skip
+
+
+def cart_samples(k, run):
+    """Some runs cannot keep their bounds, and one has no finite state for a while."""
+    rng = np.random.default_rng(3)
+    x = rng.uniform((-3.0, -1.0), (3.0, 1.0), size=(SAMPLES, RUNS, 2))
+    x[5:8, 0] = np.nan
+    p = rng.uniform(-0.1, 0.1, size=(SAMPLES, RUNS, 1))
+    return x[k, run], p[k, run], np.zeros((2, 6)), np.zeros((1, 5))
+
+
+def test_controllers_with_constraints():
+    batch = rhec.batch(constrained_cart(), RUNS)
+    assert_same_bits(batch, constrained_cart, cart_samples)
+    assert batch.ok.any() and not batch.ok.all()
+    batch, single = rhec.batch(constrained_cart(), RUNS), constrained_cart()
+    for k in (0, 1):
+        single.prepare()
+        found = batch.solve(*cart_samples(k, slice(None)), iterations=7)
+        assert np.array_equal(found[4], single.solve(*cart_samples(k, 4), iterations=7))
+    with pytest.raises(ValueError, match="^y_ref had shape"):
+        batch.feedback(*cart_samples(0, slice(None)), y_ref=np.zeros(3))
+
+
 def test_iterated_to_convergence():
     given = problem("skid_steered")
     batch, single = rhec.batch(given.make_rhc(), RUNS), given.make_rhc()

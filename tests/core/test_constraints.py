@@ -216,6 +216,19 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(case):
     assert max(errors) < 1e-6
 
 
+def test_the_first_feedback_is_iterated_and_solve_tells_whether_it_converged():
+    """From rest before an obstacle, where a single step would be far from the optimum."""
+    given = unicycle_instance(np.random.default_rng(7)) | dict(u_ref=np.zeros(2))
+    live, iterated = controller(UNICYCLE), controller(UNICYCLE)
+    live.prepare()
+    live.feedback(**given)
+    iterated.solve(**given, iterations=1)
+    assert not iterated.converged
+    iterated.solve(**given, iterations=100)
+    assert iterated.converged and live.ok
+    np.testing.assert_allclose(live.u_plan, iterated.u_plan, rtol=0, atol=1e-6)
+
+
 def test_changes_have_weights_and_bounds():
     """As IPOPT finds; the bound of the changes is active, and the changes are counted on from the
     command of the sample before.

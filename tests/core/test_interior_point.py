@@ -94,6 +94,20 @@ def test_solutions_of_random_qps_are_those_of_qpoases(size):
     assert len(iterations) >= 8 and max(iterations) <= 20 < MAX_ITERATIONS
 
 
+@pytest.mark.parametrize("other", [-1.0, -1e20])
+def test_a_row_that_is_at_rest_at_its_bound(other):
+    """At z = 0, at all nodes; with and without a bound on the row's other side."""
+    rng, size = np.random.default_rng(5), SIZES[0]
+    for _ in range(5):
+        qp, prices = random_qp(rng, *size)
+        for low, high in zip(qp["lower"], qp["upper"]):
+            low[0], high[0] = other, 0.0
+        feasible, z = by_qpoases(qp, prices)
+        found = solver(*size)(**{name: np.hstack(parts) for name, parts in qp.items()}, **prices)
+        assert feasible and found["ok"] == 1
+        np.testing.assert_allclose(found["z"], z, rtol=0, atol=2e-6)
+
+
 def test_what_cannot_be_kept_is_not_ok():
     """Two hard rows that contradict each other: z is 0, and ok as well, within all iterations."""
     rng, size = np.random.default_rng(1), (8, 2, 1, 2, 0)

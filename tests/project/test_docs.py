@@ -58,6 +58,7 @@ def test_pages_are_these():
         "results",
         "shared_computers",
         "soil_map",
+        "tested_systems",
         "threat_model",
         "world",
         "your_log",

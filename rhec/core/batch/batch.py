@@ -4,6 +4,7 @@ Each run has its own memory, as if there were n objects. Its results are those o
 own to the last bit, because both evaluate the same phases.
 """
 
+import functools
 from typing import Annotated, Any, ClassVar, NamedTuple, overload
 
 import numpy as np
@@ -13,7 +14,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Steps, Whole, checked, refuse, shown
 from rhec.core.batch import functions
 from rhec.core.batch.rows import Rows, evaluate_some, get_runs, set_runs, shared, to_lanes, zeros
-from rhec.core.controller import rhc
+from rhec.core.controller import constrained, rhc
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator import rhe
 from rhec.core.estimator.ekf import EKF
@@ -225,18 +226,27 @@ class RHCBatch(_IteratedBatch):
     first_iterations = rhc.FIRST_ITERATIONS
 
     def __init__(self, source: RHC, n: int):
-        if source.structure is not source.problem:
-            raise ValueError(
-                "source had bounds or weights of states, outputs or changes; a batch takes a RHC "
-                "with bounds of its commands alone and diagonal weights"
-            )
         problem = self._problem = source.problem
         inputs = dict(s_0=(problem.n_s,), x_ref=(problem.n_x, problem.N + 1))
         inputs |= dict(u_ref=(problem.n_u, problem.N))
-        problems = [problem._replace(doublings=doublings) for doublings in _DOUBLINGS]
-        super().__init__(n, functions.build_controller, [*problems, problem], source, inputs)
+        self._first_values = functools.partial(rhc.init, problem)
+        if source.structure is problem:
+            problems = [problem._replace(doublings=doublings) for doublings in _DOUBLINGS]
+            build = functions.build_controller
+        else:
+            problems = []
+            build = functions.build_constrained_controller
+            inputs |= dict(y_ref=source.structure.references["y_ref"])
+            nothing = source.first_memory(
+                np.zeros(problem.n_x), np.zeros(problem.n_s - problem.n_x)
+            )
+            init = functools.partial(constrained.init, source.structure, before=nothing["before"])
+            self._first_values = init
+        super().__init__(n, build, [*problems, source.structure], source, inputs)
+        if "y_ref" in inputs:
+            self._arguments["y_ref"] = shared(np.zeros(np.prod(inputs["y_ref"])), self._width)
 
-    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any) -> np.ndarray:
+    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any, y_ref: Any = None) -> np.ndarray:
         """Inputs to apply now, by one Gauss-Newton step, eq. (13).
 
         An argument that is the same for all runs may have the shape of one.
@@ -246,18 +256,21 @@ class RHCBatch(_IteratedBatch):
             p: (n, n_p) estimated parameters.
             x_ref: (n, n_x, N+1) desired states; node 0 is now and has no weight.
             u_ref: (n, n_u, N) desired inputs.
+            y_ref: (n, n_y, N+1) desired outputs; None: the last ones, at first 0.
 
         Returns:
             (n, n_u) inputs of the first interval.
 
         Raises:
-            ValueError: If an argument has another shape.
+            ValueError: If an argument is invalid.
         """
-        self._run(dict(s_0=self._joined(x, p), x_ref=x_ref, u_ref=u_ref))
+        self._run(self._problems(x, p, x_ref, u_ref, y_ref))
         return self.u_plan[:, :, 0]
 
     @checked
-    def solve(self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: Steps = 20) -> Any:
+    def solve(
+        self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: Steps = 20, y_ref: Any = None
+    ) -> Any:
         """Iterate to convergence on the nonlinear problems.
 
         Args:
@@ -266,6 +279,7 @@ class RHCBatch(_IteratedBatch):
             x_ref: (n, n_x, N+1) desired states.
             u_ref: (n, n_u, N) desired inputs.
             iterations: Gauss-Newton steps, at most; a run ends once it has converged.
+            y_ref: (n, n_y, N+1) desired outputs; None: the last ones, at first 0.
 
         Returns:
             (n, n_u) inputs of the first interval.
@@ -273,13 +287,22 @@ class RHCBatch(_IteratedBatch):
         Raises:
             ValueError: If an argument is invalid.
         """
-        self._run(dict(s_0=self._joined(x, p), x_ref=x_ref, u_ref=u_ref), iterations)
+        self._run(self._problems(x, p, x_ref, u_ref, y_ref), iterations)
         return self.u_plan[:, :, 0]
 
     @property
     def u_plan(self) -> np.ndarray:
         """Planned inputs (n, n_u, N)."""
         return self._get("u_plan", self._problem.N, self._problem.n_u).swapaxes(1, 2)
+
+    def _problems(self, x, p, x_ref, u_ref, y_ref):
+        """Return the inputs of a sample, by name."""
+        given = dict(s_0=self._joined(x, p), x_ref=x_ref, u_ref=u_ref)
+        if y_ref is None:
+            return given
+        if "y_ref" not in self._shapes:
+            refuse("y_ref was", y_ref, "it should be None, since there are no outputs")
+        return given | dict(y_ref=y_ref)
 
     def _joined(self, x, p):
         """Return the joint states (n, n_s)."""
@@ -291,7 +314,7 @@ class RHCBatch(_IteratedBatch):
     def _first_memory(self, runs):
         n_x = self._problem.n_x
         joint = get_runs(self._arguments["s_0"], runs)
-        return np.array([pack_array(rhc.init(self._problem, s[:n_x], s[n_x:])) for s in joint])
+        return np.array([pack_array(self._first_values(s[:n_x], s[n_x:])) for s in joint])
 
 
 class _EstimatorBatch(_Batch):

@@ -7,7 +7,7 @@ is one vector, the first argument and the first result.
 import casadi as ca
 
 from rhec.core._casadi.build import select_inputs, with_packed_memory
-from rhec.core.controller import rhc
+from rhec.core.controller import relaxation, rhc
 from rhec.core.estimator import ekf, rhe
 from rhec.core.solver.rti import IMPROVE
 
@@ -25,6 +25,14 @@ def build_controller(horizon, part):
     phases = rhc.build_phases(horizon)
     if part == IMPROVE:
         return _build_improve(phases, horizon.memory, (*horizon.memory,), CONTROLLER_RESULTS)
+    return _build(phases, horizon.memory, part, CONTROLLER_RESULTS)
+
+
+def build_constrained_controller(horizon, part):
+    """Build a part, "shift", "iteration" or "improve", of the RHC of a ConstrainedHorizon."""
+    phases = relaxation.build_phases(horizon)
+    if part == IMPROVE:
+        return _build_improve(phases, horizon.memory, ("s", "u"), CONTROLLER_RESULTS)
     return _build(phases, horizon.memory, part, CONTROLLER_RESULTS)
 
 

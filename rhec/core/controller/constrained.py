@@ -216,7 +216,7 @@ def _hessian(horizon, C, E, Q, R, Q_y, R_delta):
     return ca.densify(H)
 
 
-def _ends_with(horizon):
+def ends_with(horizon):
     """Diagonal matrices: 1 for what counts at node N, of the outputs and of the rows."""
     at_end = [1 - each for each in feeds_through(horizon)]
     rows = [
@@ -254,7 +254,7 @@ def _build_stages(horizon):
         "rhc_last_stage", C=parts["C"], E=parts["E"], QN=weights["QN"], QN_y=weights["QN_y"]
     )
     def last_stage(C, E, QN, QN_y):
-        of_outputs, of_rows = _ends_with(horizon)
+        of_outputs, of_rows = ends_with(horizon)
         counted = of_outputs @ QN_y @ of_outputs
         unit = ca.DM.eye(horizon.n_c)
         nothing = ca.SX(*E.shape)
@@ -350,7 +350,7 @@ def _build_condition(horizon, linearise, roll_out):
         u_old, u_new, u_refs = (
             (lambda each: [*each, each[-1]])(ca.horzsplit(each)) for each in (u, plan, u_ref)
         )
-        of_outputs, _ = _ends_with(horizon)
+        of_outputs, _ = ends_with(horizon)
         nothing = ca.DM.zeros(horizon.n_c, horizon.n_c)
         weights = [(Q, R, Q_y, R_delta)] * plain.N
         weights += [(QN, nothing, of_outputs @ QN_y @ of_outputs, nothing)]
@@ -367,16 +367,21 @@ def _build_condition(horizon, linearise, roll_out):
     return condition
 
 
-def _bounds_of_nodes(horizon, path, end, none):
-    """The bounds (n_rows, N+1) of all nodes: `none` where a row does not count."""
+def bounds_of_nodes(horizon, bounds):
+    """The bounds (n_rows, N+1) of all nodes, lower and upper: none where a row does not count."""
     N = horizon.plain.N
-    _, at_end = _ends_with(horizon)
+    _, at_end = ends_with(horizon)
     at_end = ca.diag(at_end)
     # What counts at the end does not depend on a command, and so does not count at the beginning.
     at_begin = 1 - at_end
-    first = ca.if_else(at_begin, path, none)
-    last = ca.if_else(at_end, end, none)
-    return ca.horzcat(first, ca.repmat(path, 1, N - 1), last)
+
+    def of_nodes(path, end, none):
+        first = ca.if_else(at_begin, path, none)
+        last = ca.if_else(at_end, end, none)
+        return ca.horzcat(first, ca.repmat(path, 1, N - 1), last)
+
+    lower = of_nodes(bounds["lower"], bounds["lower_N"], -MAX_QP_ENTRY)
+    return lower, of_nodes(bounds["upper"], bounds["upper_N"], MAX_QP_ENTRY)
 
 
 def _build_feedback(horizon, linearise, shape, roll_out):
@@ -393,8 +398,7 @@ def _build_feedback(horizon, linearise, shape, roll_out):
         at_plan = condition(**select_inputs(condition, inputs))
         lower = inputs["lower"]
         upper = inputs["upper"]
-        ends = _bounds_of_nodes(horizon, lower, inputs["lower_N"], -MAX_QP_ENTRY)
-        tops = _bounds_of_nodes(horizon, upper, inputs["upper_N"], MAX_QP_ENTRY)
+        ends, tops = bounds_of_nodes(horizon, inputs)
         qp = {name: inputs[name] for name in ("H", "G", "linear", "quadratic")}
         qp |= dict(D=inputs["qp_D"], B=inputs["qp_B"], g=at_plan["g"])
         rows = at_plan["rows"]

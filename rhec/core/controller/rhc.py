@@ -20,7 +20,7 @@ from pydantic import SkipValidation
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
-from rhec.core.controller import constrained
+from rhec.core.controller import constrained, relaxation
 from rhec.core.controller.bounds import Bound
 from rhec.core.controller.horizon import (
     build_roll_out,
@@ -349,7 +349,7 @@ class RHC(RealTimeLoop):
         # All that a step improves is unknown: predicted states and planned inputs.
         unknowns = tuple(problem.plain.memory)
         memory = tuple(problem.structure.memory)
-        self._build = build_phases if problem.is_plain else constrained.build_phases
+        self._build = build_phases if problem.is_plain else relaxation.build_phases
         functions = compiled.load(self._build, problem.structure)
         self.iteration = RealTimeIteration(functions, memory, unknowns, **self.settings)
         arrays = self.iteration.arrays
@@ -467,8 +467,9 @@ class RHC(RealTimeLoop):
     ) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
-        A Model's steps are shortened by a line search, so that the cost falls, and end once
-        `converged`. The paper's controller takes full steps, all of them.
+        A Model's steps are shortened, by a line search or, with constraints, by what the last two
+        steps have shown, and end once `converged`. The paper's controller takes full steps, all of
+        them.
 
         Args:
             x: (n_x,) estimated state.
@@ -482,9 +483,7 @@ class RHC(RealTimeLoop):
             (n_u,) inputs of the first interval.
         """
         self._set_problem(x, p, x_ref, u_ref, y_ref)
-        is_plain = self._build is build_phases
-        iterate = self.iteration.solve if is_plain else self.iteration.solve_relaxed
-        iterate(iterations)
+        self.iteration.solve(iterations)
         return self.u_plan[:, 0]
 
     def _set_problem(self, x, p, x_ref, u_ref, y_ref):

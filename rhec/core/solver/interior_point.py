@@ -195,6 +195,20 @@ def _largest(numbers):
     return functools.reduce(ca.fmax, ca.horzsplit(numbers))
 
 
+def _widest(shape, b):
+    """The largest distance of each side from z = 0 at any node, as a scale of its row.
+
+    A side at which z = 0 is everywhere, such as a command at rest at its bound, takes that of the
+    row's other side, or 1 if there is none.
+    """
+    own = _largest(ca.fabs(b))
+    n_hard = shape.n_hard // 2
+    pairs = ca.vertsplit(own, [0, n_hard, 2 * n_hard, 2 * n_hard + shape.n_soft, own.numel()])
+    other = ca.vertcat(pairs[1], pairs[0], pairs[3], pairs[2])
+    other = ca.if_else(other > _TINY, other, 1)
+    return ca.if_else(own > _TINY, own, other) + _TINY
+
+
 def _build_start(shape, loops):
     """The first point: z = 0, and λ s = γ t = scale, a cost that the QP may gain.
 
@@ -219,7 +233,7 @@ def _build_start(shape, loops):
             P, *policy = factor(P, ca.DM.zeros(*shape.side), *select_inputs(factor, stage).values())
             p, _, cost = vector(p, cost, stage["g"], stage["D"], stage["B"], *policy)
         scale = cost + _TINY
-        widest = _largest(ca.fabs(b)) + _TINY
+        widest = _widest(shape, b)
         delta = _PROXIMAL / (curvature + 1e-3 * scale / widest**2)
         nearest = ca.repmat(_NEAREST * widest, 1, shape.N + 1)
         soft = there[shape.n_hard :, :]
@@ -532,7 +546,7 @@ def _build_measured(shape):
 
     def measured(stages, values, price, policies):
         b = ca.horzcat(*(stage["b"] for stage in stages))
-        widest = _largest(ca.fabs(_bounded(b)[1])) + _TINY
+        widest = _widest(shape, _bounded(b)[1])
         carried = [ca.DM.zeros(shape.n), 0, 0]
         nodes = zip(stages, shape.by_node(shape.point, values), policies)
         for stage, point, (_, inverse) in reversed(list(nodes)):

@@ -25,10 +25,8 @@ from rhec.core._casadi.compiled import BufferedFunction
 from rhec.core._casadi.validation import Steps, checked, shown
 from rhec.core.model.base import Model
 
-_LEAST_SHARE = 0.05  # of a step of `solve_relaxed`
-_NO_STEP = 1e-300
 PHASES = ("shift", "linearise", "feedback", "expand")
-IMPROVE = "improve"  # optional: one iteration without shift, shortened by a line search
+IMPROVE = "improve"  # optional: one iteration without shift, whose step may be shortened
 
 
 def run_phases(phases, values):
@@ -151,37 +149,6 @@ class RealTimeIteration:
         # Without a shift the next linearisation is at the same sample's new solution.
         for name in self.unknowns:
             self.current[name][:] = self.previous[name]
-
-    @checked
-    def solve_relaxed(self, iterations: Steps):
-        """Iterate like `solve`, but go a share of each step that depends on the last two.
-
-        Where a Gauss-Newton step goes too far, as it does along a curved bound, full steps may
-        jump to and fro for ever. With the steps d and d' before, the share becomes
-        -share d'·(d - d') / ‖d - d'‖² (Aitken's relaxation; Irons and Tuck, 1969). The last
-        iteration is a full step.
-        """
-        self.converged = False
-        share = 1.0
-        last = None
-        for left in reversed(range(iterations)):
-            self._linearise()
-            self._feedback()
-            self._expand()
-            steps = [self.previous[name] - self.current[name] for name in self.unknowns]
-            step = np.concatenate(steps)
-            if last is not None:
-                change = step - last
-                share *= -(last @ change) / max(change @ change, _NO_STEP)
-                share = float(np.clip(share, _LEAST_SHARE, 1.0)) if np.isfinite(share) else 1.0
-            last = step
-            for name, each in zip(self.unknowns, steps):
-                if left and np.isfinite(each).all():
-                    self.current[name] += share * each
-                else:
-                    self.current[name][:] = self.previous[name]
-        self.prepared = False
-        self.expanded = True
 
 
 class RealTimeLoop:

@@ -76,7 +76,7 @@ ESTIMATORS = {
     "oracle": "oracle",
     "traction_oracle": "traction oracle",
 }
-PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("custom W", "custom"))
+PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("custom", "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")

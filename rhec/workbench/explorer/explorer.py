@@ -58,7 +58,7 @@ def metrics_table(runs, pinned=()):
         pinned_name = name_of(before.scenario)
         title = f"{name} − pinned" + ("" if pinned_name == name else f" {pinned_name}")
         rows.append(_table_row(run, title, change, before.metrics))
-    head = "".join(f"<th>{heading}<br>{below}</th>" for _, heading, below, _ in METRICS)
+    head = "".join(f"<th>{heading} <br>{below}</th>" for _, heading, below, _ in METRICS)
     return f'<table class="rhec-table"><tr><th></th>{head}</tr>{"".join(rows)}</table>'
 
 
@@ -152,7 +152,7 @@ class Explorer(widgets.VBox):
         self.against = _list([("nothing", None), *estimators], against, "against", 160)
         tooltip = "process noise W of the estimators; the tab Estimator sets a custom W"
         noise = values["process_noise"]
-        self.process_noise = _list(controls.PROCESS_NOISES, noise, "W", 122, tooltip)
+        self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise W", 158, tooltip)
         look = _look("seed", "determines soil and noise", "112px", "36px")
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)

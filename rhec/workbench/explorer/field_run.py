@@ -35,12 +35,13 @@ _LOOKS = {
     "faint": dict(width=0.4, alpha=0.4),
     "truth": dict(width=0.6, colour=BLACK),
 }
+# In the words of the live page.
 _TITLES = {
-    "error": "error [m] over time [s]; faint: by raw GNSS",
-    "mu": "μ over time",
-    "kappa": "κ over time",
-    "yaw_rate": "commanded yaw rate [rad/s]",
-    "kkt": "KKT: RHE (bold), RHC",
+    "error": "True distance from the path [m]; faint: by GNSS",
+    "mu": "μ: estimate; thin: truth",
+    "kappa": "κ: estimate; thin: truth",
+    "yaw_rate": "Commanded yaw rate [rad/s]; dashed: its bounds",
+    "kkt": "KKT tolerance: RHE (bold), RHC",
 }
 
 
@@ -178,7 +179,7 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     ]
     x, y, scale = _map_limits(first, zoom)
     stretched = "" if scale else "; y is stretched"
-    title = f"trajectory [m] on {dict(mu='μ', kappa='κ')[soil]} (brown: slips){stretched}"
+    title = f"Field [m], brown where {dict(mu='μ', kappa='κ')[soil]} is low{stretched}"
     panels = dict(map=Panel(title, x, y, marks["map"], scale))
     for name, title in _TITLES.items():
         scale = "log" if name == "kkt" else ""

@@ -33,7 +33,7 @@ async function drive_step(step, { soil, sigma }) {
 // Numbers that a step needs once for each run.
 const once = (step, name, compute) => step.extra[name] ??= compute();
 
-const samples_of = loop => [...Array(loop.samples).keys()];
+const each_sample = loop => [...Array(loop.samples).keys()];
 const share = (list, test) => list.filter(test).length / list.length;
 const rms = list => Math.sqrt(list.reduce((sum, value) => sum + value ** 2, 0) / list.length);
 
@@ -84,7 +84,7 @@ function draw_window(step, k, seen) { // in the frame of the window's middle pos
     (y - y_0) * Math.cos(theta) - (x - x_0) * Math.sin(theta),
   ];
   const plot = new Plot(step.canvases[0], [-1, 1], [-0.12, 0.12]);
-  const truth = samples_of(loop).slice(Math.max(k - 15, 0), k + 1)
+  const truth = each_sample(loop).slice(Math.max(k - 15, 0), k + 1)
     .map(i => turned(pose_of(loop, i)));
   plot.line(...spread(truth), "--soft", { width: 1 });
   const fits = s.map(turned);
@@ -137,7 +137,7 @@ const STEPS = {
     plot.line(k + 1, i => poses[i][0], i => poses[i][1], "--run1", { width: 2 });
     plot.dots(...spread([poses[k]]), "--run1", { radius: 6 });
     const pace = i => far(pose_of(loop, i), pose_of(loop, i - 1));
-    const way = samples_of(loop).slice(1, k + 1).reduce((sum, i) => sum + pace(i), 0);
+    const way = each_sample(loop).slice(1, k + 1).reduce((sum, i) => sum + pace(i), 0);
     return { time, error, way, ok: Math.abs(error - 0.39) <= 0.05, digits: { error: 2, way: 1 } };
   },
 
@@ -149,7 +149,7 @@ const STEPS = {
       plot.band(loop.samples, time, () => 0, k => 2 * sigma(k), "--run0");
       plot.line(loop.samples, time, error, "--run1");
     });
-    const late = samples_of(loop).slice(LATE);
+    const late = each_sample(loop).slice(LATE);
     const outside = 100 * share(late, k => Math.abs(error(k)) > 2 * sigma(k));
     const kappa = late.reduce((sum, k) => sum + loop.get("kappa")(k), 0) / late.length;
     return { outside, kappa, ok: outside < 10, digits: { outside: 0, kappa: 2 } };
@@ -194,7 +194,7 @@ const STEPS = {
       2, i => i * 120, () => 0.001, "--ink", { width: 1, dash: [5, 4] });
     const late = gaps.slice(LATE);
     const largest = 1e3 * Math.max(...late);
-    const gnss = 1e3 * rms(samples_of(loop).map(k => far(measured(loop, k), pose_of(loop, k))));
+    const gnss = 1e3 * rms(each_sample(loop).map(k => far(measured(loop, k), pose_of(loop, k))));
     const kappa = Math.max(...both.slice(LATE).map(([a, b]) => Math.abs(a[5] - b[5])));
     return { largest, rms: 1e3 * rms(late), kappa, gnss, ok: largest < 1,
       digits: { largest: 2, rms: 2, kappa: 3, gnss: 0 } };
@@ -207,7 +207,7 @@ const STEPS = {
     over_time(step, 0, [0, 0.3], (plot, at) =>
       plot.line(loop.samples, at, sigma, "--run0"), time);
     draw_drive(step, 1, FIELD, k);
-    const late = samples_of(loop).slice(2 * LATE);
+    const late = each_sample(loop).slice(2 * LATE);
     const best = late.reduce((a, b) => sigma(b) > sigma(a) ? b : a);
     const after = Math.min(best + 50, loop.samples - 1);
     return { time, sigma: sigma(k), x: loop.get("x_m")(k), largest: sigma(best),
@@ -223,7 +223,7 @@ const STEPS = {
       plot.line(loop.samples, time, loop.get("kappa"), "--ink", { width: 0.8 });
       plot.line(loop.samples, time, estimate, "--run0");
     });
-    const all = samples_of(loop);
+    const all = each_sample(loop);
     const jumps = all.filter(k => k && Math.abs(estimate(k) - estimate(k - 1)) > 0.2).length;
     const bound = 100 * share(all, k => estimate(k) <= 0 || estimate(k) >= 1);
     const error = rms(all.slice(LATE).map(k => estimate(k) - loop.get("kappa")(k)));
