@@ -1,5 +1,5 @@
-"""Make every file operation of a task fail in turn, as SQLite's tests do (run by
-`tests/project/test_failing_disk.py`, with failing_disk.c preloaded).
+"""Make every file operation of a task fail in turn, or every large allocation, as SQLite's tests do
+(run by `tests/project/test_failing_disk.py`, with failing_disk.c preloaded).
 
 For each k, a child process runs the task in a fresh folder on a disk whose k-th operation fails,
 alone or with all later ones: both in turn, of a long task one of them. It reports what was raised
@@ -31,12 +31,18 @@ from rhec.workbench import command_line
 from rhec.workbench.plots import style
 
 MOST_OPERATIONS = 1000  # a task that never ends without failure would be a loop
+ALLOCATION = 8192  # [B] smaller allocations do not fail: Python itself needs them to go on
+MOST_ALLOCATIONS = 12  # of a task fail, evenly spread over it
+DIED = "the process died without memory"
 
 SCENARIOS = [rhec.Scenario(duration_s=2.0, seed=seed) for seed in range(3)]
 
 
 def campaign(folder):
     table = rhec.campaign(SCENARIOS, folder=folder / "rows", workers=1)
+    # A run that fails is a row with its error, and is made again.
+    for error in table["error"][table["error"] != ""]:
+        raise RuntimeError(error)
     return table["mean_error_true_m"].tolist()
 
 
@@ -45,7 +51,7 @@ def command(folder):
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         code = command_line.main(["campaign", *arguments])
-    if code:
+    if code or ", 0 failed" not in said.getvalue():
         raise OSError(said.getvalue())
     file = folder / "campaign.parquet"
     return parquet.read_table(file, columns=["mean_error_true_m"]).to_pydict()
@@ -58,7 +64,8 @@ texts_once = functools.cache(embedded._of_scenario)
 def export(folder):
     with mock.patch.object(embedded, "_of_scenario", texts_once):
         rhec.export(SCENARIOS[0], folder / "c")
-    return sorted((file.name, file.read_text()) for file in (folder / "c").iterdir())
+    files = [file for file in (folder / "c").iterdir() if file.is_file()]
+    return sorted((file.name, file.read_text()) for file in files)
 
 
 def table(folder):
@@ -110,7 +117,7 @@ TASKS = dict(
 
 
 def set_disk(disk, folder, fails_at, ever_after):
-    """Let the k-th operation below a folder fail; "" stops all failing and counting."""
+    """Let the k-th operation below a folder, or allocation, fail; "" stops failing and counting."""
     name = (ctypes.c_char * 4096).in_dll(disk, "folder")
     name.value = b""
     ctypes.c_long.in_dll(disk, "calls").value = 0
@@ -170,9 +177,25 @@ def one_point(task, disk, k, ever_after):
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def point_of_memory(task, disk, k):
+    """As `one_point`, for the k-th allocation. CasADi ends the process where it lacks memory."""
+    folder = Path(tempfile.mkdtemp())
+    try:
+        first = in_a_child(lambda: attempt(task, folder, disk, k, 0))
+        left = digests(folder)
+        for file in folder.rglob("*.parquet"):
+            parquet.read_table(file)  # what has its name is whole
+        again = in_a_child(lambda: attempt(task, folder, disk, 0, 0))
+        first = first or dict(result=None, error=DIED, calls=k)
+        point = dict(k=k, first=first, left=left, again=again)
+        return point | dict(finally_there=digests(folder))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def main():
     warnings.simplefilter("ignore")
-    name, library = sys.argv[1:]
+    name, library, what = sys.argv[1:]
     os.environ["RHEC_UNATTENDED"] = "1"
     task = TASKS[name]
     disk = ctypes.CDLL(library)
@@ -180,9 +203,23 @@ def main():
     task(warm)  # imports and compiles
     shutil.rmtree(warm)
     gc.freeze()  # else each child's collector would copy all memory that it shares
+    ctypes.c_long.in_dll(disk, "memory_least").value = ALLOCATION if what == "memory" else 0
     reference = in_a_child(lambda: one_point(task, disk, 0, 0))
     count = reference["first"]["calls"]
     assert 0 < count < MOST_OPERATIONS, count
+    points = memory_points(task, disk, count) if what == "memory" else points_of(task, disk, count)
+    print(json.dumps(dict(reference=reference, points=points)))
+
+
+def memory_points(task, disk, count):
+    """The points of a task with `count` allocations, each of which fails alone."""
+    # Without any memory ever after, not even a folder could be listed to remove it.
+    places = range(1, count + 1, -(-count // MOST_ALLOCATIONS))
+    return [point_of_memory(task, disk, k) for k in places]
+
+
+def points_of(task, disk, count):
+    """The points of a task with `count` operations; None where the process died."""
     failures = [
         (k, ever) for k in range(1, count + 1) for ever in ((0, 1) if count < 100 else (k % 2,))
     ]
@@ -193,7 +230,7 @@ def main():
         batch = failures[begin : begin + size]
         done = in_a_child(lambda: [one_point(task, disk, *failure) for failure in batch])
         points += done or [None]
-    print(json.dumps(dict(reference=reference, points=points)))
+    return points
 
 
 if __name__ == "__main__":

@@ -190,6 +190,7 @@ class SoilMap:
             raise
         # NumPy and zipfile raise all kinds of errors for a file that is none of theirs.
         except Exception as error:
+            terrain.raise_if_out_of_memory(error)
             raise ValueError(
                 f"file was {shown(str(file))}; it should be a map that SoilMap.save wrote "
                 f"({shown(error)})"

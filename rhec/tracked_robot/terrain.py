@@ -12,6 +12,7 @@ made once and `data/` holds, so that a run never depends on a library's random s
 
 import functools
 import io
+import zlib
 from dataclasses import dataclass
 from pathlib import Path as File
 from typing import Annotated
@@ -177,6 +178,7 @@ class Terrain:
             raise
         # NumPy and zipfile raise all kinds of errors for a file that is none of theirs.
         except Exception as error:
+            raise_if_out_of_memory(error)
             raise ValueError(
                 f"file was {shown(str(file))}; it should be a field that Terrain.save wrote "
                 f"({shown(error)})"
@@ -187,7 +189,11 @@ class Terrain:
 def save_arrays(file, arrays):
     """Write {name: array} as .npz, or leave an older file as it was if writing fails."""
     content = io.BytesIO()
-    np.savez_compressed(content, **arrays)
+    try:
+        np.savez_compressed(content, **arrays)
+    except ValueError as error:
+        raise_if_out_of_memory(error)
+        raise
     file = File(file)
     if file.suffix != ".npz":
         file = file.with_name(f"{file.name}.npz")
@@ -209,6 +215,17 @@ def _checked_field(name, values):
         limits = f"{np.min(field)} to {np.max(field)}"
         raise ValueError(f"{name} ranged from {limits}; traction must lie in (0, 1]")
     return field
+
+
+def raise_if_out_of_memory(error):
+    """Raise a MemoryError if that is behind an error of zipfile or zlib, which is not the file's.
+
+    zlib's error -4 is Z_MEM_ERROR. If compressing lacks memory, zipfile cannot close the archive,
+    and raises a ValueError while it handles the MemoryError.
+    """
+    lacks_memory = isinstance(error, zlib.error) and str(error).startswith("Error -4 ")
+    if lacks_memory or MemoryError in (type(error), type(error.__context__)):
+        raise MemoryError("there was not enough memory for the arrays") from None
 
 
 def _read_arrays(file):

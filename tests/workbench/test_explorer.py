@@ -340,6 +340,19 @@ def test_an_internal_error_is_shown_in_the_status_line(made, monkeypatch, capsys
     assert capsys.readouterr() == ("", "")
 
 
+def test_an_interrupted_run_says_that_the_picture_is_older_than_the_settings(made, monkeypatch):
+    def interrupted(scenario, world):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(explorer.closed_loop, "simulate_setup", interrupted)
+        made.inputs["r"].value = 20.0
+    assert made.screen.status == "interrupted: the picture is of the settings before"
+    assert made.runs[0].scenario.r != 20.0
+    made.inputs["r"].value = 30.0  # the next move shows all settings
+    assert made.runs[0].scenario.r == 30.0 and "interrupted" not in made.screen.status
+
+
 @pytest.mark.parametrize(
     "start, said", [(3, "start was 3; it should be a rhec.Scenario"), ("rhe", "start was 'rhe'")]
 )

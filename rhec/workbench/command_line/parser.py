@@ -75,6 +75,8 @@ def _run(run, given):
         return 0
     except (ImportError, OSError, RuntimeError) as error:
         return _said(error, 1)
+    except MemoryError as error:
+        return _said(f"there was not enough memory {error}".rstrip(), 1)
     except KeyboardInterrupt as error:
         return _said(error.args[0] if error.args else "interrupted", 130)
 

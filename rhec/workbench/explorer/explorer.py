@@ -240,6 +240,9 @@ class Explorer(widgets.VBox):
                     action()
                 except Exception as error:
                     self._show_status(_message(error), "bad")
+                except KeyboardInterrupt:
+                    self._show_status("interrupted: the picture is of the settings before", "bad")
+                    raise
 
         return callback
 
