@@ -5,6 +5,7 @@ import numpy as np
 
 from rhec import paper
 from rhec.core.estimator import rhe
+from rhec.core.estimator.innovation_gate import Gate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
@@ -22,7 +23,10 @@ _SIGMA_INPUT = 10.0
 # A measurement further than 32 standard deviations from its prediction counts as missing. One
 # Gauss-Newton step from there can turn the yaw round, which no later step mends. In drives without
 # a fault the distance stays below 5 standard deviations: they keep their bits.
-GATE = 1000.0
+# After a rejected one it must be as near by the noise of the measurements alone. Where so many are
+# rejected that the window restarts, the pose is uncertain: a position that is taken by half would
+# be far from the next measurement again.
+GATE = Gate(1000.0, 1000.0, restart=((0, 100.0**2), (1, 100.0**2), (2, 0.5**2)))
 
 # The RHE with the traction held, which shows what estimating it is worth: (μ, κ) are inputs,
 # measured almost exactly.

@@ -17,6 +17,7 @@ from rhec.tracked_robot.kinematics import QUANTITIES
 BAD = 60  # the sample with a wrong position
 SAMPLES = BAD + 101
 DRIVES = 20
+PATIENCE = 45  # samples rejected in succession, of a window of 15 intervals
 RHES = ("rhe", "rhe_fixed_traction", "rhe_no_slip", "yaw_drift_rhe")
 
 
@@ -96,14 +97,15 @@ def test_where_no_sample_is_absurd_each_bit_is_as_without_the_check(process_nois
     np.testing.assert_array_equal(checked, unchecked)
 
 
-def test_it_finds_back_to_positions_that_have_moved_for_good():
+@pytest.mark.parametrize("size_m", [5, 1000])
+def test_it_finds_back_to_positions_that_have_moved_for_good(size_m):
     z, truth = drives()
     moved = np.zeros((SAMPLES, 3))
-    moved[30:, :2] = 5.0
+    moved[30:, :2] = size_m
     z = z.copy()
     z[..., :2] += moved[:, :2]
     poses, ok = estimated("rhe", z)
-    assert not ok[:, 30:36].any()
+    assert not ok[:, 30 : 30 + PATIENCE].any()
     assert ok[:, -20:].all()
     assert error_m(poses, truth + moved)[:, -20:].max() < 0.5
 

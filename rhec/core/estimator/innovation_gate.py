@@ -2,13 +2,13 @@
 
 With the innovation y of a sample, given its prediction, and the covariance S of y,
 
-    d = y' S⁻¹ y ≤ limit,  the window's `gate`
+    d = y' S⁻¹ y ≤ limit
 
-The limit of a Model is the quantile of χ² that a given share of good samples exceed (Bar-Shalom,
-Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.7). One
-Gauss-Newton step from an outlier can end at a yaw and parameters from which no later step returns.
-Beyond the limit, therefore, all outputs of the sample count as missing, and the estimate is the
-prediction. Measured inputs are kept where they are as before.
+is what a sample must meet to be used. The limit of a Model is the quantile of χ² that a given share
+of good samples exceed (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
+Navigation", 2001, Sec. 5.7). One Gauss-Newton step from an outlier can end at a yaw and parameters
+from which no later step returns. Beyond the limit, therefore, all outputs of the sample count as
+missing, and the estimate is the prediction. Measured inputs are kept where they are as before.
 
 After many such samples in succession (`rejected_at_most`) it is the estimate that is wrong. The
 window then restarts at its newest node with the variances of the first guess, and takes the next
@@ -16,6 +16,8 @@ sample as it is.
 
 All of it wraps the RHE's phases from outside, as `rhec.tracked_robot.robust` does.
 """
+
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -32,11 +34,25 @@ LEAST_PATIENCE = 30
 OPEN = -1.0  # in place of the number of samples rejected in succession: the next one is taken
 
 
-def limit_of(model, share):
-    """The largest d of a sample of the model that is used, which this share of good ones exceed."""
+class Gate(NamedTuple):
+    """Which samples are used."""
+
+    limit: float  # the largest d
+    # The largest Σ y²/V directly after a rejected sample, with the variances V of the measurements
+    # alone: those of a prediction grow while samples are rejected, so that sooner or later an
+    # absurd one would be probable.
+    limit_after: float = float("inf")
+    # Variances ((place, variance), …) of the joint state after a restart because of rejected
+    # samples, where they differ from those of the first guess.
+    restart: tuple = ()
+
+
+def gate_of(model, share):
+    """The Gate that rejects this share of a Model's good samples."""
     from scipy.stats import chi2  # takes long to load, and importing the core should not
 
-    return float(chi2.isf(share, max(len(interval(model).outputs), 1)))
+    limit = float(chi2.isf(share, max(len(interval(model).outputs), 1)))
+    return Gate(limit)
 
 
 def rejected_at_most(N):
@@ -44,10 +60,16 @@ def rejected_at_most(N):
     return max(LEAST_PATIENCE, WINDOWS_OF_PATIENCE * N)
 
 
+def _in_variances(output, z, m, s_bar, V):
+    """y²/V of an output, 0 where it is missing."""
+    y = output.residual(z, m, s_bar)
+    return ca.if_else(output.is_valid(z), y**2 / V[output.row], 0)
+
+
 def _build_gate(window, predict_input):
     """Function that tells whether the newest sample agrees with its prediction."""
     outputs = window.interval.outputs
-    limit = window.gate
+    limit = window.gate.limit
     z_N = (len(window.model.outputs), 1)
     one = (1, 1)
 
@@ -63,7 +85,9 @@ def _build_gate(window, predict_input):
     def gate(B_N, v_N, m_N, P_N, s_N, z_N, rejected, **noise):
         m, P = predict_input(window, B_N, m_N, P_N, v_N, z_N, **noise)
         distance = kalman.update(m, P, z_N, noise["V"], outputs, s_N).distance
-        agrees = distance <= limit  # 0 where it is NaN
+        far = sum((_in_variances(output, z_N, m, s_N, noise["V"]) for output in outputs), ca.SX(0))
+        is_near = ca.logic_or(rejected <= 0, far <= window.gate.limit_after)
+        agrees = ca.logic_and(distance <= limit, is_near)  # 0 where it is NaN
         used = ca.logic_or(agrees, rejected < 0)
         has_outputs = sum((output.is_valid(z_N) for output in outputs), ca.SX(0)) > 0
         kept = ca.SX.nan(*z_N.shape)
@@ -116,8 +140,12 @@ def _wrap_expand(window, expand_of_rhe, kind):
 
     @casadi_function("gated_expand", kind, **shapes, z_used=z_used, solved=one, rejected_after=one)
     def expand(z_used, solved, rejected_after, **inputs):
-        keeps = solved * (rejected_after < rejected_at_most(window.N))
-        values = inputs | dict(z_N=z_used, ok=keeps)
+        patient = rejected_after < rejected_at_most(window.N)
+        keeps = solved * patient
+        P_0 = ca.vertcat(*ca.vertsplit(inputs["P_0"]))
+        for place, variance in window.gate.restart:
+            P_0[place] = ca.if_else(patient, P_0[place], variance)
+        values = inputs | dict(z_N=z_used, ok=keeps, P_0=P_0)
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         rejected = ca.if_else(keeps, rejected_after, OPEN)
         kkt = ca.if_else(inputs["ok"], result["kkt"], ca.DM.nan())

@@ -68,9 +68,7 @@ class Window(NamedTuple):
     N: int  # intervals of the window
     arrival_mean: ArrivalMean = "smoothed"
     weighted: bool = False  # whether the variances V of the measurements differ by node
-    gate: float | None = (
-        None  # largest distance of a sample used (`innovation_gate`); None: no gate
-    )
+    gate: innovation_gate.Gate | None = None  # which samples are used; None: all of them
 
     @property
     def interval(self):
@@ -686,7 +684,7 @@ class RHE(RealTimeLoop):
         refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
         share = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
-        gate = innovation_gate.limit_of(model, share)
+        gate = innovation_gate.gate_of(model, share)
         self.window = Window(model, dt, horizon, arrival_mean, gate=gate)
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
