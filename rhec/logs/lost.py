@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.columns import INNOVATION, SIGMA
+from rhec.simulation.columns import GYRO_ACCEPTED, INNOVATION, SENSORS, SIGMA
 
 SAMPLES = 25  # length of the medians
 FAR = 5.0  # an estimate with a larger median is lost
@@ -20,6 +20,7 @@ UNKNOWN_YAW_RAD = 0.5  # so is one with a larger median of the yaw's standard de
 _UNSURE_YAW_RAD = 0.25  # a larger standard deviation is worth a remark
 _AT_BOUND = 0.999  # of μ and κ
 _OFTEN = 0.1  # share of the samples
+_NOTABLE = 0.01  # the same, of a fault
 _ABSURD_SLIP = 0.5  # standard deviation of the slip, as a share of the motion
 # A robot below both limits stands.
 _MOVING_MPS = 0.05
@@ -111,6 +112,13 @@ def _doubts(samples, slip):
             sentences.append(
                 f"{name} is at its bound 1 in {share:.1%} of the samples: {cause}; use raw track "
                 "speeds with the true radius and track_width_m."
+            )
+    if GYRO_ACCEPTED in samples:
+        left_out = (samples[SENSORS["gyro"]].notna() & ~samples[GYRO_ACCEPTED])[moves | turns]
+        if left_out.mean() > _NOTABLE:
+            sentences.append(
+                f"The gyro is left out in {left_out.mean():.1%} of the samples in which the robot "
+                "moves: it repeats itself, or turns far more than the tracks or the other way."
             )
     absurd = [f"{share:.2g}" for share in (slip or ())[:3] if share > _ABSURD_SLIP]
     if absurd:

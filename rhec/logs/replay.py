@@ -7,7 +7,8 @@ last estimate and the encoders.
 
 Each row of the log receives the estimate of the last sample before it, predicted to the time of the
 row with the encoder measurements in between. Later measurements do not change the estimate of a
-row, except by the track width, which is a median over the whole log.
+row, except by what the whole log is asked for: the track width, the noise of the positions and side
+slip that lasts.
 """
 
 import warnings
@@ -27,6 +28,7 @@ from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
+from rhec.logs import side_slip
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.lost import is_lost, remarks
 from rhec.logs.position_noise import position_sigma_m
@@ -45,6 +47,7 @@ from rhec.simulation.columns import (
     FLAGS,
     GATE,
     GYRO,
+    GYRO_ACCEPTED,
     HEADING_AGE,
     INNOVATION,
     LEVER_ARM,
@@ -55,7 +58,7 @@ from rhec.simulation.columns import (
 )
 from rhec.simulation.fault_signals import corrupted
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot import sensors, slipping
+from rhec.tracked_robot import gyro_check, sensors, slipping
 from rhec.tracked_robot.choice import Choice, TractionInput
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
@@ -340,9 +343,17 @@ def _most_likely_heading(functions, scenario, z, age_s, first):
     return runs[best, np.arange(len(z))]
 
 
+def _with_checked_gyro(samples):
+    """The samples, with NaN in place of a gyro that is left out."""
+    if GYRO_ACCEPTED not in samples:
+        return samples
+    gyro = samples[SENSORS["gyro"]].where(samples[GYRO_ACCEPTED])
+    return samples.assign(**{SENSORS["gyro"]: gyro})
+
+
 def _counting(rows, names):
     """The measurements (n, n_z) that the replay accepted; NaN in place of the others."""
-    z = rows[measured_of(names)].copy()
+    z = _with_checked_gyro(rows)[measured_of(names)].copy()
     z[z.columns[:2]] = z[z.columns[:2]].where(rows["position_accepted"] == 1)
     z[z.columns[2:4]] = z[z.columns[2:4]].where(rows["encoders_accepted"] == 1)
     return z.to_numpy()
@@ -405,7 +416,10 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
             names = tuple(name for name in SENSORS if name in scenario.sensors)
             z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed, names)
             part[measured] = np.where(np.isfinite(z), z, np.nan)
-        z = part[measured].to_numpy()
+        if "gyro" in scenario.sensors:
+            omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
+            part[GYRO_ACCEPTED] = gyro_check.are_used(part[SENSORS["gyro"]], omega)
+        z = _with_checked_gyro(part)[measured].to_numpy()
         age_s = part[_ages_of(scenario.sensors)].to_numpy()
         yaw_rad = _first_yaw(first, number, part)
         if yaw_rad is None:
@@ -421,6 +435,32 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
+
+
+def _with_side_slip(recording, scenario, first, smooth):
+    """`estimate_samples` with the lasting side slip that the log shows, and its angle [rad].
+
+    The standard deviation of the yaw contains that of the angle, unless a heading measures the yaw.
+    """
+
+    def estimate(scenario, smooth=False):
+        return estimate_samples(recording, scenario, first, smooth=smooth)
+
+    samples = estimate(scenario, smooth)
+    if not side_slip.is_asked(scenario):
+        return samples, 0.0
+    slipping_scenario = side_slip.likeliest(samples, scenario, estimate)
+    if slipping_scenario is None:
+        return samples, 0.0
+    with_slip = estimate(slipping_scenario, smooth)
+    sigma_m = sigma_v_of(scenario)[0]
+    angle_rad = side_slip.slip_angle_rad(_with_checked_gyro(with_slip), sigma_m)
+    if angle_rad > side_slip.LARGEST_RAD:
+        return samples, 0.0
+    if "heading" in scenario.sensors:
+        return with_slip, 0.0
+    with_slip["sigma_theta_rad"] = np.hypot(with_slip["sigma_theta_rad"], angle_rad)
+    return with_slip, angle_rad
 
 
 def _first_yaw(first, number, samples):
@@ -463,7 +503,7 @@ def _at_rows(samples, recording, log, dt_s, columns):
     usable[recording.places] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(usable, 0))].set_axis(log.index)
     result.loc[usable < 0, columns.measured] = np.nan
-    result.loc[usable < 0, result.columns.intersection(GATE)] = False
+    result.loc[usable < 0, result.columns.intersection([*GATE, GYRO_ACCEPTED])] = False
     result.attrs["faults"] = recording.faults
     return result
 
@@ -487,7 +527,7 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
     ages = [f"{name}_age_s" for name in columns.measured]
     of_sample = result.columns.intersection([*INNOVATION, "deviance", *ages])
     result.loc[is_between, of_sample] = np.nan
-    result.loc[is_between, result.columns.intersection(GATE)] = False
+    result.loc[is_between, result.columns.intersection([*GATE, GYRO_ACCEPTED])] = False
     of_row = rows.columns.difference(["segment", POSITION_AGE], sort=False)
     result[of_row] = rows[of_row].to_numpy()
     return result
@@ -663,7 +703,7 @@ def replay(
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
-    samples = estimate_samples(recording, scenario, first, smooth=smooth)
+    samples, slip_angle_rad = _with_side_slip(recording, scenario, first, smooth)
     names = scenario.sensors
     predict = predictor(model_of(Choice.of(scenario)), quantities_of(names))
     means = [*MEASUREMENTS[2:], *([SENSORS["gyro"]] if "gyro" in names else [])]
@@ -673,6 +713,8 @@ def replay(
     if "origin" in log.attrs:
         result.attrs["origin"] = log.attrs["origin"]
     result.attrs["remarks"] = remarks(samples, is_arm_estimated, scenario.slip)
+    if slip_angle_rad:
+        result.attrs["remarks"].append(side_slip.remark(slip_angle_rad))
     if samples["lost"].any():
         warnings.warn(result.attrs["remarks"][0], stacklevel=3)
     return result

@@ -48,6 +48,7 @@ AGE = ["x_meas_m_age_s", "y_meas_m_age_s"]
 SENSORS = dict(gyro="gyro_meas_radps", heading="heading_meas_rad")
 HEADING_AGE = "heading_meas_rad_age_s"
 GYRO = ["gyro_bias_hat_radps", "gyro_scale_hat"]
+GYRO_ACCEPTED = "gyro_accepted"
 SIGMA_GYRO = ["sigma_gyro_bias_radps", "sigma_gyro_scale"]
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
 

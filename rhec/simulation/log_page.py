@@ -104,6 +104,7 @@ _TABLE = (
     ("sigma_mu sigma_kappa", "-", "standard deviation of the estimated traction", _REPLAY),
     ("sigma_arm_forward_m sigma_arm_left_m", "m", "standard deviation of that place", _REPLAY),
     ("heading_meas_rad_age_s", "s", "its age when the estimator used it", _REPLAY),
+    ("gyro_accepted", "", "with a gyro: False where missing, stuck or contrary", _REPLAY),
     ("gyro_bias_hat_radps", "rad/s", "estimated bias of the gyro", _REPLAY),
     ("gyro_scale_hat", "-", "estimated scale of the gyro", _REPLAY),
     ("sigma_gyro_bias_radps", "rad/s", "standard deviation of that bias", _REPLAY),

@@ -39,7 +39,8 @@ estimation_horizon: Intervals of the estimation window. N intervals have N + 1 n
 speed_model: How the RHE models ν. "parameter": one ν over the window, as in the paper; "input": one
     ν an interval, from the encoders (R6, R13); "slipping": the same, with process noise that grows
     with the distance of the tracks, also sideways, which is not in the paper.
-slip: Constants of the speed model "slipping", in the order of `tuning.SLIP`.
+slip: Constants of the speed model "slipping", in the order of `tuning.SLIP`; a sixth is that of
+    slip to the side that lasts, `tuning.LASTING_SLIP`, of which a replay without it asks the log.
 arrival_mean: Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as
     in the paper; "filtered": from the EKF update (R7); None: the one that fits process_noise.
 robust: Whether measurements that contradict others get less weight; for "rhe".

@@ -3,7 +3,8 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
 
@@ -11,9 +12,18 @@ ProcessNoise = Literal["printed", "calibrated", "consistent"]
 SpeedModel = Literal["parameter", "input", "slipping"]
 Controller = Literal["rhc", "ltv_mpc", "pure_pursuit", "speed_rhc"]
 Solver = Literal["structured", "daqp", "qpoases"]
+
+
+def _five_or_six(slip):
+    """The constants of `tuning.SLIP`, and that of `tuning.LASTING_SLIP` or not."""
+    if len(slip) not in (5, 6):
+        raise PydanticCustomError("entries", "it should have 5 or 6 entries")
+    return slip
+
+
 # Standard deviations of (x, y, ν, ω), constants of slip, weights of (x, y, θ), and μ or κ.
 SigmaV = tuple[Positive, Positive, Positive, Positive]
-Slip = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
+Slip = Annotated[tuple[NotNegative, ...], AfterValidator(_five_or_six)]
 # Sensors besides GNSS and encoders, the noise of a gyro: constant [rad/s], and as a share of ω.
 Sensors = tuple[Literal["gyro", "heading"], ...]
 SigmaGyro = tuple[Positive, NotNegative]

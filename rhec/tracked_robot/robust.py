@@ -14,7 +14,7 @@ say of one another, never from the estimate alone:
   and scaled for the best fit (Kabsch, 1976). Where the positions are smooth and do not fit, the
   encoders are inconsistent until both agree again. Meanwhile the speed between positions replaces
   theirs. With `speed_model="parameter"` a jump of the encoders is inconsistent at once.
-- *Absurd yaw rates* of a gyro, far beyond those of the tracks, are rejected.
+- *A gyro* is left out while it is absurd, stuck, dead or opposite to the tracks (`gyro_check`).
 - *Restart*: where both agree, and the estimate has another yaw, or another position for long, the
   estimate is wrong, and its window restarts.
 
@@ -31,6 +31,7 @@ from rhec.core._casadi.compiled import loop_symbols
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
+from rhec.tracked_robot import gyro_check
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.sensors import GYRO, OUTPUTS
 from rhec.tracked_robot.slipping import LEVER_ARM
@@ -58,9 +59,6 @@ MIN_HEADING_COSINE = 0.7  # course and yaw contradict each other beyond 45°
 HEADING_MISMATCHES_TO_RESTART = 5  # in a row
 # A gyro or a heading holds the yaw where the robot slips sideways, which the course does not show.
 MISMATCHES_WITH_SENSORS = 25
-# A gyro beyond this, and this share of the tracks' yaw rate: a fault of the gyro, not of the soil.
-GYRO_MOST_RADPS = 1.0
-GYRO_MOST_SHARE = 2.0
 MAX_REJECTION_S = 12.0  # [s] positions and encoders are rejected for at most this long
 MAX_CHECKED_SIGMA_M = 0.045  # [m] noisier positions tell too little about the encoders
 _MAX_CHECKED_NOISE = 2 * MAX_CHECKED_SIGMA_M**2
@@ -91,9 +89,12 @@ class _Before(NamedTuple):
     unseen: ca.SX  # (2,) samples since a position was accepted, and since one arrived
     largest: ca.SX  # [m²] the largest noise of late
     storm: ca.SX  # samples in a row in which positions have been too scattered for noise
+    gyro_last: ca.SX  # [rad/s] the last measurement of the gyro
+    gyro_turns: ca.SX  # (3,) the rest of a `gyro_check.Gyro`
 
 
-_SHAPES = ((4, PAST), (4, 1), (2, 1), (1, 1), (1, 1), (2, 1), (1, 1), (1, 1))
+_SHAPES = ((4, PAST), (4, 1), (2, 1), (1, 1), (1, 1), (2, 1), (1, 1), (1, 1), (1, 1), (3, 1))
+_NAN_AT_FIRST = ("past", "last", "gyro_last")
 _MEMORY = dict(zip(_Before._fields, _SHAPES))
 
 
@@ -141,13 +142,14 @@ def _turned_by_gyro(sample, gyro, m, names):
     return sample._replace(past=past)
 
 
-def _without_absurd_gyro(others, omega, names):
-    """The measurements of gyro and heading, NaN for a gyro that turns far more than the tracks."""
+def _without_bad_gyro(others, omega, names, before):
+    """The measurements of gyro and heading, NaN for a gyro that is left out, and the memory."""
     if not set(GYRO) <= set(names):
-        return others
-    most = GYRO_MOST_RADPS + GYRO_MOST_SHARE * ca.fabs(omega)
-    gyro = ca.if_else(ca.fabs(others[0]) <= most, others[0], ca.DM.nan(1))
-    return ca.vertcat(gyro, *ca.vertsplit(others)[1:])
+        return others, before
+    remembered = gyro_check.Gyro(before.gyro_last, *ca.vertsplit(before.gyro_turns))
+    gyro, after = gyro_check.checked(others[0], omega, remembered)
+    before = before._replace(gyro_last=after.last, gyro_turns=ca.vertcat(*after[1:]))
+    return ca.vertcat(gyro, *ca.vertsplit(others)[1:]), before
 
 
 class _Positions(NamedTuple):
@@ -334,8 +336,8 @@ def _is_within_reach(y, step, P, V, unseen_s):
 def _check(z, limits, memory, predict, V, names, first, dt_s):
     """Check one measurement z (n_z,) against `limits`, earlier ones and the prediction.
 
-    Of the entries after the first four, those of gyro and heading, only an absurd yaw rate is
-    rejected.
+    Of the entries after the first four, those of gyro and heading, only that of the gyro is
+    checked.
 
     `predict` is (z, V) -> mean (n,) and covariance (n, n) of the joint state `names`, by the
     encoders in z; `first` is 1 before any measurement. The results by name: which measurements are
@@ -349,7 +351,7 @@ def _check(z, limits, memory, predict, V, names, first, dt_s):
     positions = _check_positions(sample.past, V, before.largest)
 
     # Gyro and heading are the entries of z after the first four.
-    others = _without_absurd_gyro(z[4:], sample.speeds_held[1], names)
+    others, before = _without_bad_gyro(z[4:], sample.speeds_held[1], names, before)
     encoders = ca.if_else(sample.has_encoders, z[2:4], _NONE)
     m, _ = predict(ca.vertcat(sample.position, encoders, others), V)
     if set(GYRO) <= set(names):
@@ -578,7 +580,7 @@ def _wrap_expand(window, expand_of_rhe, memory):
 def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
     memory = _RHE.init(choice, guess, sigma)
     gate = {
-        name: np.full(shape, np.nan if name in ("past", "last") else 0.0)
+        name: np.full(shape, np.nan if name in _NAN_AT_FIRST else 0.0)
         for name, shape in _MEMORY.items()
     }
     # The variances of no measurement.

@@ -1,5 +1,6 @@
 """Gyro and heading in a recorded log: what they gain, what faults cost, what is refused."""
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +10,7 @@ import rhec
 from rhec.logs import recording
 from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import ESTIMATE
+from rhec.tracked_robot import gyro_check
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
 START = dict(first_yaw_rad=0.7)  # 0.3 rad wrong
@@ -65,6 +67,36 @@ def test_a_gyro_that_falls_silent_leaves_the_encoders(without):
     log = with_gyro()
     log.loc[log["t_s"].between(30, 90), "gyro_radps"] = np.nan
     assert yaw_rms(with_gyro()) < yaw_rms(log) < 1.2 * without
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("kind", ["dead", "stuck", "opposite", "silent"])
+@pytest.mark.parametrize("begin_s", [30.0, 63.0])
+def test_a_gyro_that_fails_in_mid_log_is_left_out(kind, begin_s, robust):
+    """It costs hardly more than to have no gyro; a wrong sign shows once the robot has turned."""
+    log = with_gyro(bias=0.02)
+    fails = log["t_s"].between(begin_s, begin_s + 30)
+    gyro = log["gyro_radps"]
+    values = dict(dead=0.0, stuck=gyro[fails].iloc[0], opposite=-gyro, silent=np.nan)
+    log["gyro_radps"] = gyro.mask(fails, values[kind])
+    without_gyro = yaw_rms(log, robust=robust, sensors=())
+    worst = 0.1 if kind == "opposite" else 1.1 * without_gyro + 0.01
+    assert yaw_rms(log, robust=robust) < worst
+    result = rhec.replay(log, robust=robust, **START)
+    used = result["gyro_accepted"]
+    assert used[fails].mean() < 0.15
+    assert used[log["t_s"] > begin_s + 40].mean() > 0.98
+    remarks = " ".join(result.attrs["remarks"])
+    assert ("The gyro is left out" in remarks) == (kind != "silent")
+
+
+def test_a_robot_whose_tracks_spin_keeps_its_gyro():
+    """Tracks that turn while the robot does not, as on ice, do not contradict the gyro."""
+    noise = np.random.default_rng(5).normal(0.0, 0.01, 500)
+    memory = gyro_check.Gyro(np.nan, 0.0, 0.0, 0.0)
+    for g in noise:
+        used, memory = gyro_check.checked(ca.DM(g), ca.DM(0.5), memory)
+        assert float(used) == g
 
 
 @pytest.mark.parametrize("spike_radps", [20.0, -3.0, 1e300, np.inf])

@@ -1,7 +1,8 @@
 """Extended Kalman filter of any Model: the joint state (x, p), parameters as random walks.
 
 The filter does not keep the parameters within their bounds. The measurements of an interval's
-inputs enter its prediction, with their noise.
+inputs enter its prediction, with their noise. There is no gate: an outlier counts as any other
+measurement. The RHE has one (`rhec.core.estimator.innovation_gate`).
 """
 
 from typing import Any
@@ -66,6 +67,8 @@ def build(model, dt_s):
 
 class EKF:
     """The filter in a user's own loop, with the methods of RHE: `prepare()`, `feedback(z)`.
+
+    It has no innovation gating: an outlier counts as any other measurement. `rhec.RHE` gates.
 
     Args:
         model: The robot, a rhec.Model.
