@@ -36,7 +36,8 @@ in seconds."""
 _TEMPLATE = Path(__file__).with_name("cards.html.j2")
 _UNITLESS = ("", "-", "ratio")
 # The picture of an interval [px]: its scale from left to right, and the heights of its parts.
-_LEFT, _RIGHT = 14.0, 346.0
+_LEFT = 14.0
+_RIGHT = 346.0
 _MARGIN = 0.07  # on both sides of what is shown, as a share of it
 _ROWS = {"here": 26.0, "other": 37.0}
 _TICKS = 4
@@ -190,12 +191,16 @@ def _scale(values, unit):
         unit: Theirs.
     """
     if unit.startswith("share"):
-        least, most, axis = 0.0, 1.0, np.asarray
+        axis = np.asarray
+        least = 0.0
+        most = 1.0
     else:
         axis = np.log if unit == "ratio" and values.min() > 0 else np.asarray
-        least, most = axis(values.min()), axis(values.max())
+        least = axis(values.min())
+        most = axis(values.max())
         margin = _MARGIN * (most - least) or 0.1 * abs(most) or 1.0
-        least, most = least - margin, most + margin
+        least -= margin
+        most += margin
 
     def place(value):
         if np.isinf(value):
