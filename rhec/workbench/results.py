@@ -1,4 +1,4 @@
-"""Update the results in README.md, docs/results.md and docs/claims.md from the tables in figures/.
+"""Update the results in README.md and in pages of docs/ from the tables in figures/ and data/.
 
 A result is the text between `<!-- results NAME -->` and `<!-- end -->`. It stays unchanged if one
 of its tables does not exist.
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from rhec.workbench.studies import seven_worlds
 from rhec.workbench.studies.claims.summary import (
     DEPARTURE,
     PRINTED,
@@ -21,7 +22,8 @@ from rhec.workbench.studies.claims.summary import (
 )
 
 _ROOT = Path(__file__).resolve().parents[2]
-_PAGES = ("README.md", "docs/results.md", "docs/claims.md")
+_PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/closer_to_the_limit.md")
+_IN_DATA = ("claims_before.csv", "seven_worlds.parquet")  # tables that no notebook makes
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
@@ -52,15 +54,19 @@ def main(root=_ROOT):
     """Write every page whose results changed, in the project's folder `root`."""
     # Other tables in the folder are a person's own, and may be anything.
     names = {name for needed, _ in _RESULTS.values() for name in needed}
-    files = [root / f"figures/{name}.csv" for name in names - {"claims_before"}]
-    files += [root / "data/claims_before.csv"]
-    tables = {path.stem: pd.read_csv(path) for path in files if path.exists()}
+    kept = [root / "data" / name for name in _IN_DATA]
+    files = [root / f"figures/{name}.csv" for name in names - {path.stem for path in kept}]
+    tables = {path.stem: _read(path) for path in [*files, *kept] if path.exists()}
     for page in (root / name for name in _PAGES):
         old = page.read_text(encoding="utf-8")
         new = rewrite(old, tables)
         if new != old:
             page.write_text(new, encoding="utf-8")
             print(f"results: {page.name} updated")
+
+
+def _read(path):
+    return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
 
 
 def to_markdown(frame):
@@ -288,6 +294,60 @@ def _targets(table):
     return to_markdown(columns.set_axis(heads, axis=1))
 
 
+def _seven_worlds(laps):
+    """Shares of fields in which the tuned loops keep each promise, and their speeds."""
+    loops = seven_worlds.TUNED_HERE
+    laps = laps[laps["loop"].isin(loops)]
+    return _shares_by_loop(laps, [loop.partition(",")[0] for loop in loops])
+
+
+def _seven_worlds_others(laps):
+    """The same of the other loops."""
+    laps = laps[~laps["loop"].isin(seven_worlds.TUNED_HERE)]
+    return _shares_by_loop(laps, list(laps["loop"].unique()))
+
+
+def _shares_by_loop(laps, names):
+    """Shares of fields with promises kept, and mean speeds: a row a world, three columns a loop."""
+    table = seven_worlds.counted(laps)
+    table["share"] = format_intervals(table, "share")
+    table["world"] = [*map(_world, table["base"], table["world"])]
+    columns = {"world": table["world"].unique()}
+    for loop, name in zip(laps["loop"].unique(), names, strict=True):
+        rows = table[table["loop"] == loop]
+        for promise in ("whole path", "corners on rows"):
+            columns[f"{name}: {promise}"] = rows.loc[rows["promise"] == promise, "share"].to_numpy()
+        speeds = rows.loc[rows["promise"] == "whole path", "speed_mps"]
+        columns[f"{name}: m/s"] = speeds.map(format_number).to_numpy()
+    return f"{_fields(laps)}\n\n{to_markdown(pd.DataFrame(columns))}"
+
+
+def _world(base, world):
+    """A world's name for readers; that of its base alone where nothing is changed."""
+    if world == "as it is":
+        return base
+    return (world if base == "default" else f"{base}, {world}").replace(" x ", " × ")
+
+
+def _fields(laps):
+    """How many fields there are, and the seeds of those."""
+    seeds = laps["seed"]
+    return f"Of {seeds.nunique()} fields each, seeds {seeds.min()} to {seeds.max()}:"
+
+
+def _seven_worlds_paired(laps):
+    """The fields in which only one of the tuned loops keeps a promise."""
+    one, other = seven_worlds.TUNED_HERE
+    table = seven_worlds.paired(laps, one, other)
+    table = table[table["promise"] != "rows"]
+    names = [one, other.partition(",")[0]]
+    worlds = [*map(_world, table["base"], table["world"])]
+    columns = {"world": worlds, "promise": table["promise"]}
+    columns |= {f"only {name}": table[f"only {loop}"] for name, loop in zip(names, (one, other))}
+    columns |= {"p": table["p"].map(format_number), "n": table["n"]}
+    return to_markdown(pd.DataFrame(columns))
+
+
 _RESULTS = {  # {result: (its tables, the function that writes it)}
     "summary": (["table_scenario_a", "table_scenario_b"], _summary),
     "inverse": (["inverse_statements"], _inverse),
@@ -306,6 +366,9 @@ _RESULTS = {  # {result: (its tables, the function that writes it)}
     ),
     "targets": (["table_beyond"], _targets),
     "worth": (["table_worth"], _by_world("quantity", "part of the loop", texts=_format_ratios)),
+    "seven_worlds": (["seven_worlds"], _seven_worlds),
+    "seven_worlds_paired": (["seven_worlds"], _seven_worlds_paired),
+    "seven_worlds_others": (["seven_worlds"], _seven_worlds_others),
     "consistency": (["table_consistency"], _means("estimator", "NEES, mean", "NEES")),
     "replay": (
         ["table_replay"],

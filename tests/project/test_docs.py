@@ -11,7 +11,7 @@ import pytest
 import rhec
 from rhec.simulation import columns
 from rhec.workbench import results
-from rhec.workbench.studies import ranking
+from rhec.workbench.studies import ranking, seven_worlds
 from rhec.workbench.studies.claims import summary
 
 ROOT = Path(__file__).parents[2]
@@ -293,6 +293,18 @@ def test_results_are_tables_with_headings():
                 assert not re.search(r"; .*; ", text), result
 
 
+def test_the_results_of_the_seven_worlds_are_those_of_their_laps():
+    laps = pd.read_parquet(seven_worlds.LAPS)
+    text = TEXT["closer_to_the_limit.md"]
+    assert results.rewrite(text, dict(seven_worlds=laps)) == text
+    of_one = laps[(laps["loop"] == "speed RHC") & (laps["world"] == "wet patches")]
+    share = of_one.loc[of_one["base"] == "former", "whole"].mean()
+    (row,) = re.findall(r"^\| former, wet patches \| (\S+) \[", text, re.MULTILINE)
+    assert row == results.format_number(share)
+    n = of_one["seed"].nunique()
+    assert f"Of {n} fields each, seeds 0 to {n - 1}:" in text
+
+
 def numbers(text):
     return set(re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\d)", text))
 
@@ -335,7 +347,8 @@ def test_a_page_is_written_only_when_its_results_changed(tmp_path, capsys):
     (tmp_path / "docs").mkdir()
     (tmp_path / "figures").mkdir()
     pages = {tmp_path / "README.md": "README.md"}
-    pages |= {tmp_path / f"docs/{name}": name for name in ("results.md", "claims.md")}
+    of_docs = ("results.md", "claims.md", "closer_to_the_limit.md")
+    pages |= {tmp_path / f"docs/{name}": name for name in of_docs}
     for page, name in pages.items():
         page.write_text(TEXT[name], encoding="utf-8")
     (tmp_path / "data").mkdir()

@@ -1,6 +1,9 @@
 """One setting in seven worlds: what each world changes, and what the table counts."""
 
+from math import comb
+
 import numpy as np
+import pandas as pd
 
 import rhec
 from rhec.workbench.studies import ensured, seven_worlds
@@ -49,3 +52,44 @@ def test_the_table_counts_the_laps_of_each_world_and_loop():
     whole = slow.set_index("promise")["share"]["whole path"]
     assert whole == np.mean([lap.whole for lap in laps])
     assert np.allclose(slow["speed_mps"], np.mean([lap.speed_mps for lap in laps]))
+
+
+def test_counting_laps_gives_the_table_of_front():
+    contestants = {"slow": SHORT | dict(estimator="oracle", speed_mps=0.3)}
+    laps = seven_worlds.laps(range(2), "former", contestants)
+    assert len(laps) == 7 * 2 and set(laps["seed"]) == {0, 1}
+    table = seven_worlds.compared(range(2), "former", contestants)
+    counted = seven_worlds.counted(laps)
+    pd.testing.assert_frame_equal(counted, table[counted.columns], check_like=True)
+
+
+def drives(one, other):
+    """Laps of two loops in one world, which keep every promise where told."""
+    rows = [
+        dict(base="default", world="wet patches", loop=loop, seed=seed, error_m=np.nan)
+        | dict.fromkeys(ensured.PROMISES, kept)
+        for loop, all_kept in (("a", one), ("b", other))
+        for seed, kept in enumerate(all_kept)
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_pairs_count_the_fields_in_which_one_loop_alone_keeps_a_promise():
+    one = [True] * 9 + [False] * 3
+    other = [False] * 7 + [True] * 2 + [True, False, False]
+    table = seven_worlds.paired(drives(one, other), "a", "b")
+    assert [*table["promise"]] == [*ensured.PROMISES.values()]
+    assert set(table["only a"]) == {7} and set(table["only b"]) == {1} and set(table["n"]) == {12}
+    # Two-sided: 0, 1, 7 or 8 of 8 coins on one side.
+    assert np.allclose(table["p"], 2 * (comb(8, 0) + comb(8, 1)) / 2**8)
+    same = seven_worlds.paired(drives(one, one), "a", "b")
+    assert (same["p"] == 1).all() and not same[["only a", "only b"]].any(axis=None)
+
+
+def test_the_kept_laps_are_those_that_the_study_drives():
+    laps = pd.read_parquet(seven_worlds.LAPS)
+    assert set(laps["loop"]) == {*seven_worlds.CONTESTANTS}
+    assert not laps.duplicated(["base", "world", "loop", "seed"]).any()
+    tuned = laps[laps["loop"].isin(seven_worlds.TUNED_HERE)]
+    fields = tuned.groupby(["base", "world", "loop"])["seed"].agg(["nunique", "min", "max"])
+    assert len(fields) == 2 * 7 * 2 and (fields.nunique() == 1).all()

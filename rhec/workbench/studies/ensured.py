@@ -37,7 +37,9 @@ __all__ = [
     "drives",
     "front",
     "judged",
+    "kept",
     "lap",
+    "laps",
     "on_one_field",
     "on_worse_soil",
     "readable_front",
@@ -103,8 +105,8 @@ def lap(run):
 _known_laps = {}  # {key of a Scenario: _Lap}, since several tables show the same drives
 
 
-def _laps(scenarios):
-    """The laps of scenarios, in their order, one row each.
+def laps(scenarios):
+    """The laps of scenarios, in their order, one row each, with the columns of `_Lap`.
 
     Most robots need less time than they may take, and what follows a lap does not change it. So
     each is driven for the usual time first, and only who is not back by then for all of it.
@@ -164,21 +166,33 @@ def front(drives, seeds):
         Clopper and Pearson), speed_mps, speed_low, speed_high (95 %), worst_m (largest error of
         all), n.
     """
-    laps = _laps([Scenario(seed=seed, **fields) for fields in drives.values() for seed in seeds])
-    parts = np.split(np.arange(len(laps)), len(drives))
+    driven = laps([Scenario(seed=seed, **fields) for fields in drives.values() for seed in seeds])
+    parts = np.split(np.arange(len(driven)), len(drives))
+    return pd.DataFrame(
+        dict(zip(("soil", "estimator", "mode", "set_mps"), labels)) | row
+        for labels, part in zip(drives, parts)
+        for row in kept(driven.iloc[part])
+    )
+
+
+def kept(laps):
+    """How often laps stay within the tolerance, and how fast they are.
+
+    Args:
+        laps: DataFrame of `laps`, of one drive on several fields.
+
+    Returns:
+        list of dict, one for each promise, with the columns of `front` from `promise` on.
+    """
+    speed = over_seeds(np.mean, laps["speed_mps"])
+    about = dict(speed_mps=speed.mean, speed_low=speed.low, speed_high=speed.high)
     rows = []
-    for labels, part in zip(drives, parts):
-        of_drive = laps.iloc[part]
-        about = dict(zip(("soil", "estimator", "mode", "set_mps"), labels))
-        speed = over_seeds(np.mean, of_drive["speed_mps"])
-        about |= dict(speed_mps=speed.mean, speed_low=speed.low, speed_high=speed.high)
-        for promise, words in PROMISES.items():
-            within = share(of_drive[promise])
-            about |= dict(promise=words, worst_m=of_drive["error_m"].max())
-            rows.append(
-                about | dict(share=within.value, low=within.low, high=within.high, n=within.n)
-            )
-    return pd.DataFrame(rows)
+    for promise, words in PROMISES.items():
+        within = share(laps[promise])
+        row = about | dict(promise=words, worst_m=laps["error_m"].max())
+        row |= dict(share=within.value, low=within.low, high=within.high, n=within.n)
+        rows.append(row)
+    return rows
 
 
 def judged(table, least_share=LEAST_SHARE, least_speed_mps=LEAST_SPEED_MPS):

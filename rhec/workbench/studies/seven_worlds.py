@@ -4,17 +4,31 @@ its speed.
 Soil and sensors of a robot are not known beforehand, so that a promise of 0.12 m must hold in more
 than one world, with one setting for all. The seven are changes of a base world of `rhec.WORLDS`.
 Each drive is judged as in `rhec.workbench.studies.ensured`.
+
+    python -m rhec.workbench.studies.seven_worlds
+
+drives them all (half an hour on two cores) and writes `data/seven_worlds.parquet`. From this file
+`rhec.workbench.results` writes the tables of `docs/closer_to_the_limit.md`.
 """
+
+import itertools
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
+from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot.tuned_loops import CAUTIOUS, OWN_SPEED, TUNED
+from rhec.workbench.plots.style import ROOT
+from rhec.workbench.studies import ensured
 from rhec.workbench.studies.ensured import SOILS, front
 from rhec.workbench.studies.statistics import interval_text
 
-__all__ = ["CHANGES", "CONTESTANTS", "compared", "readable", "worlds"]
+__all__ = ["CHANGES", "CONTESTANTS", "LAPS", "compared", "counted", "laps", "paired", "readable"]
+__all__ += ["TUNED_HERE", "worlds"]
+
+LAPS = ROOT / "data/seven_worlds.parquet"
 
 # Each track slips on its own: three times the difference of the default world, or, where both
 # tracks had the same soil, the default world's.
@@ -32,6 +46,10 @@ CONTESTANTS = {
     "constant 0.3 m/s": _PROPOSAL | dict(speed_mps=0.3),
     "constant 0.5 m/s": _PROPOSAL,
 }
+
+
+TUNED_HERE = ("speed RHC", "cautious, tuned here")
+_FIELDS, _FIELDS_OF_OTHERS = 700, 200  # held-out fields of each world: of TUNED_HERE, of the others
 
 
 def worlds(base):
@@ -72,6 +90,69 @@ def compared(seeds, base="default", contestants=CONTESTANTS):
     return front(drives, seeds).rename(columns=dict(soil="world", estimator="loop", mode="base"))
 
 
+def laps(seeds, base="default", contestants=CONTESTANTS):
+    """Each lap of contestants in the seven worlds, on the same fields.
+
+    Args:
+        seeds: Of the fields.
+        base: As of `worlds`.
+        contestants: {name: fields of Scenario}.
+
+    Returns:
+        DataFrame, one row a lap: base, world, loop, seed, and the columns of `ensured.laps`.
+    """
+    in_worlds = worlds(base)
+    rows = [*itertools.product([base], in_worlds, contestants, seeds)]
+    scenarios = [
+        Scenario(seed=seed, **in_worlds[world] | contestants[name]) for _, world, name, seed in rows
+    ]
+    about = pd.DataFrame(rows, columns=["base", "world", "loop", "seed"])
+    return about.join(ensured.laps(scenarios))
+
+
+def counted(laps):
+    """The table of `ensured.front` of laps.
+
+    Args:
+        laps: DataFrame of `laps`, of one base or of several.
+
+    Returns:
+        DataFrame with the columns base, world, loop, and those of `ensured.front` from `promise`.
+    """
+    keys = ["base", "world", "loop"]
+    return pd.DataFrame(
+        dict(zip(keys, labels)) | row
+        for labels, of_drive in laps.groupby(keys, sort=False)
+        for row in ensured.kept(of_drive)
+    )
+
+
+def paired(laps, one, other):
+    """How often only one of two loops keeps a promise on the same field.
+
+    Args:
+        laps: DataFrame of `laps`.
+        one, other: Names of loops.
+
+    Returns:
+        DataFrame, one row for each base, world and promise: how many fields only `one` keeps and
+        only `other`, p (two-sided, exact, by McNemar, of this comparison alone), and n.
+    """
+    fields = ["base", "world", "seed"]
+    wide = laps.pivot(index=fields, columns="loop", values=[*ensured.PROMISES])
+    wide = wide.swaplevel(axis="columns")[[one, other]].dropna()
+    rows = []
+    for base, world in laps[["base", "world"]].drop_duplicates().itertuples(index=False):
+        both = wide.loc[base, world]
+        for promise, words in ensured.PROMISES.items():
+            first, second = (both[loop, promise].astype(bool) for loop in (one, other))
+            only = int((first & ~second).sum()), int((second & ~first).sum())
+            p = binomtest(only[0], sum(only)).pvalue if sum(only) else 1.0
+            about = dict(base=base, world=world, promise=words, n=len(both))
+            rows.append(about | {f"only {one}": only[0], f"only {other}": only[1], "p": p})
+    return pd.DataFrame(rows)
+
+
 def readable(table):
     """The table of `compared` for readers: one row a world and loop.
 
@@ -95,3 +176,16 @@ def readable(table):
             index=others.index,
         )
     )
+
+
+def _main():
+    """Write LAPS."""
+    two = {name: CONTESTANTS[name] for name in TUNED_HERE}
+    others = {name: fields for name, fields in CONTESTANTS.items() if name not in two}
+    parts = [laps(range(_FIELDS), base, two) for base in _OWN_SLIP]
+    parts.append(laps(range(_FIELDS_OF_OTHERS), "default", others))
+    pd.concat(parts, ignore_index=True).to_parquet(LAPS, index=False)
+
+
+if __name__ == "__main__":
+    _main()
