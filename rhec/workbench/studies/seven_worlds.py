@@ -46,10 +46,10 @@ CONTESTANTS = {
     "constant 0.3 m/s": _PROPOSAL | dict(speed_mps=0.3),
     "constant 0.5 m/s": _PROPOSAL,
 }
-
-
 TUNED_HERE = ("speed RHC", "cautious, tuned here")
-_FIELDS, _FIELDS_OF_OTHERS = 700, 200  # held-out fields of each world: of TUNED_HERE, of the others
+# Held-out fields of each world.
+_FIELDS = 700  # of TUNED_HERE
+_FIELDS_OF_OTHERS = 200
 
 
 def worlds(base):
