@@ -15,6 +15,7 @@ from robots import DT, SKID_STEERED, N
 import rhec
 from benchmark.any_robot import live
 from rhec.workbench.studies import gallery
+from rhec.workbench.studies.ipopt_plans import next_state
 
 RUNS, SINGLE = 4096, 64
 
@@ -32,7 +33,7 @@ def swing_up(runs=RUNS, samples=80, seed=0):
     rng = np.random.default_rng(seed)
     x = np.array(problem.start) + rng.uniform(-0.5, 0.5, (runs, 4))
     options = problem.options | dict(dt=0.05)
-    step = gallery._next(options["model"], 0.05).map(runs)
+    step = next_state(options["model"], 0.05).map(runs)
     x_ref = np.zeros((4, options["horizon"] + 1))
     u_ref = np.zeros((1, options["horizon"]))
     batch = rhec.batch(rhec.RHC(**options), runs)

@@ -5,10 +5,12 @@ import inspect
 import numpy as np
 import pytest
 
-from rhec.workbench.plots.gallery import controlled, estimated
-from rhec.workbench.studies import gallery
+from rhec.workbench.plots.gallery import around_the_obstacle, controlled, estimated
+from rhec.workbench.studies import constrained_gallery as constrained
+from rhec.workbench.studies import constrained_instances, gallery
 
 CONTROL = (gallery.pendulum, gallery.furuta, gallery.unicycle)
+CONSTRAINED = (constrained.double_integrator, constrained.lotka_volterra, constrained.cstr)
 ESTIMATION = (gallery.range_bearing, gallery.mass_on_a_spring, gallery.masses)
 
 
@@ -27,6 +29,40 @@ def test_plans_cost_what_those_of_ipopt_cost(define):
     weighted = np.array(problem.options["q"]) > 1e-2 * max(problem.options["q"])
     np.testing.assert_allclose(drive.x[-1][weighted], np.array(problem.goal)[weighted], atol=0.01)
     assert len(controlled(problem, drive).axes) == 2
+
+
+@pytest.mark.parametrize("define", CONSTRAINED)
+def test_constrained_plans_cost_what_those_of_ipopt_cost(define):
+    """The hard bounds are kept in closed loop, in which one or more are active."""
+    problem = define()
+    drive = gallery.drive(problem)
+    assert drive.cost == pytest.approx(drive.ipopt, rel=1e-5)
+    for name, bound in problem.options["bounds"].items():
+        names = problem.options["model"].states
+        if name in names and isinstance(bound, tuple):
+            states = drive.x[1:, names.index(name)]
+            assert np.all((states >= bound[0] - 1e-9) & (states <= bound[1] + 1e-9))
+    assert len(controlled(problem, drive, states=names[:1]).axes) == 2
+
+
+@pytest.mark.parametrize("discrete, cost", [(True, 103.36), (False, 101.81)])
+def test_the_obstacle_costs_what_ipopt_s_closed_loop_costs(discrete, cost):
+    """Within a hundredth; the numbers are those of IPOPT at each sample, without the start."""
+    problem = constrained.obstacle(discrete)
+    drive = gallery.drive(problem)
+    off = drive.x[1:] - problem.goal
+    q, r = problem.options["q"], problem.options["r"]
+    assert (off**2 @ q).sum() + (drive.u**2 @ r).sum() == pytest.approx(cost, rel=0.01)
+    assert np.hypot(*(drive.x[:, :2] - 0.5).T).min() > 0.3 - 1e-9
+    assert len(around_the_obstacle(problem, drive).axes) == 2
+
+
+def test_random_instances_beside_ipopt():
+    """Five of those that the stored study has a hundred of."""
+    table = constrained_instances.compare("obstacle", range(5))
+    found = constrained_instances.summary({"obstacle": table}).iloc[0]
+    assert found.instances == 5 and found.converged == 5 and found.ipopt_solved == 5
+    assert found.largest < 1e-5 and found.active >= 1
 
 
 @pytest.mark.parametrize("define", ESTIMATION)

@@ -3,30 +3,64 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
+from rhec.core.controller.bounds import Bound
 from rhec.workbench.plots.parts import BOUND
 from rhec.workbench.plots.style import COLOURS, DOUBLE_IN, styled
 
 
 @styled
-def controlled(problem, drive):
+def controlled(problem, drive, states=None):
     """Draw states and commands of a closed loop over time.
 
     Args:
         problem: A `rhec.workbench.studies.gallery.ControlProblem`.
         drive: Its Drive.
+        states: Names of the states to draw, with their bounds; None: all, without bounds.
     """
     model = problem.options["model"]
     time_s = problem.options["dt"] * np.arange(len(drive.x))
     figure, (above, below) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.0))
-    for name, states in zip(model.states, drive.x.T):
-        above.plot(time_s, states, label=name)
+    bounds = problem.options["bounds"]
+    for name, values in zip(model.states, drive.x.T):
+        if states is None or name in states:
+            above.plot(time_s, values, label=name)
+        for bound in _limits(bounds.get(name)) if states and name in states else ():
+            above.axhline(bound, **BOUND)
     for name, commands in zip(model.inputs, drive.u.T):
         below.step(time_s[:-1], commands, where="post", label=name)
-        for bound in problem.options["bounds"].get(name, ()):
+        for bound in _limits(bounds.get(name)):
             below.axhline(bound, **BOUND)
     for axes, title in ((above, "states"), (below, "commands")):
         axes.set(xlabel="time [s]", title=title)
         axes.legend(fontsize="x-small")
+    return figure
+
+
+def _limits(bound):
+    """The finite numbers of a bound, which may be a pair, a rhec.Bound or None."""
+    if isinstance(bound, Bound):
+        bound = bound.lowest, bound.highest
+    return [number for number in bound or () if np.isfinite(number)]
+
+
+@styled
+def around_the_obstacle(problem, drive):
+    """Draw the path of the obstacle's unicycle, and its distance from the obstacle over time.
+
+    Args:
+        problem: `rhec.workbench.studies.constrained_gallery.obstacle()`.
+        drive: Its Drive.
+    """
+    least = problem.options["bounds"]["distance_m"][0]
+    figure, (plane, below) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.4))
+    plane.add_patch(plt.Circle((0.5, 0.5), least, color="0.85"))
+    plane.plot(*drive.x[:, :2].T, ".-", markersize=3, color=COLOURS["RHE"])
+    plane.plot(*problem.goal[:2], "x", color=COLOURS["truth"])
+    plane.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    time_s = problem.options["dt"] * np.arange(len(drive.x))
+    below.plot(time_s, np.hypot(*(drive.x[:, :2] - 0.5).T), color=COLOURS["RHE"])
+    below.axhline(least, **BOUND)
+    below.set(xlabel="time [s]", title="distance from the obstacle's centre [m]")
     return figure
 
 

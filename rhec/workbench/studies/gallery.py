@@ -4,6 +4,7 @@ Weights, lengths and noise follow the source that each function names. Where `rh
 what the source does, its docstring tells the difference.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import casadi as ca
@@ -13,6 +14,7 @@ import pandas as pd
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import Model
+from rhec.workbench.studies.ipopt_plans import IPOPT, Reference, next_state
 
 __all__ = [
     "ControlProblem",
@@ -32,16 +34,15 @@ __all__ = [
     "unicycle",
 ]
 
-_IPOPT = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-
 
 class ControlProblem(NamedTuple):
     """A system to be steered from `start` to `goal`."""
 
     options: dict  # of rhec.RHC
     start: tuple
-    goal: tuple
+    goal: tuple | Callable  # desired state, or function of the present one -> (n_x, N+1)
     samples: int
+    iterations: int = 1  # of a sample after the first
 
 
 class EstimationProblem(NamedTuple):
@@ -200,21 +201,8 @@ def masses():
 # Loops
 
 
-def _next(model, dt):
-    """The Function (x, u, p) -> x one sample later, by a step of Runge and Kutta."""
-    x, u, p = (ca.SX.sym(name, len(of)) for name, of in zip("xup", _names(model)))
-    k = [model.dynamics(x, u, p)]
-    for share in (dt / 2, dt / 2, dt):
-        k.append(model.dynamics(x + share * k[-1], u, p))
-    return ca.Function("next", [x, u, p], [x + dt / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])])
-
-
-def _names(model):
-    return model.states, model.inputs, model.parameters
-
-
 def drive(problem):
-    """Solve the first sample's problem, and drive on by one iteration a sample.
+    """Solve the first sample's problem to convergence, and drive on by `problem.iterations` each.
 
     Args:
         problem: A ControlProblem.
@@ -224,67 +212,28 @@ def drive(problem):
     """
     rhc = RHC(**problem.options)
     model = problem.options["model"]
-    N = problem.options["horizon"]
-    step = _next(model, problem.options["dt"])
-    x_ref = np.tile(problem.goal, (N + 1, 1)).T
-    given = dict(p=np.zeros(0), x_ref=x_ref, u_ref=np.zeros((len(model.inputs), N)))
+    reference = Reference(problem.options)
+    step = next_state(model, problem.options["dt"])
+    rest = dict(p=np.zeros(0), u_ref=np.zeros(len(model.inputs)))
     xs = [np.array(problem.start)]
-    us = [rhc.solve(xs[0], **given, iterations=100)]
-    plan = _Plan(problem)
-    costs = plan.cost(rhc.u_plan), plan.cost_by_ipopt()
+    goal = goal_at(problem, xs[0])
+    us = [rhc.solve(xs[0], x_ref=goal, **rest, iterations=100)]
+    plans = reference.cost(xs[0], goal, rhc.u_plan), reference.solve(xs[0], goal).cost
     for _ in range(problem.samples - 1):
         xs.append(step(xs[-1], us[-1], []).full().ravel())
         rhc.prepare()
-        us.append(rhc.feedback(xs[-1], **given))
+        given = dict(x=xs[-1], x_ref=goal_at(problem, xs[-1]), **rest)
+        if problem.iterations == 1:
+            us.append(rhc.feedback(**given))
+        else:
+            us.append(rhc.solve(**given, iterations=problem.iterations))
     xs.append(step(xs[-1], us[-1], []).full().ravel())
-    return Drive(np.array(xs), np.array(us), *costs)
+    return Drive(np.array(xs), np.array(us), *plans)
 
 
-class _Plan:
-    """The first sample's nonlinear problem, written down for IPOPT by multiple shooting."""
-
-    def __init__(self, problem):
-        options = problem.options
-        model = options["model"]
-        self.N = options["horizon"]
-        self.start = np.array(problem.start)
-        self.step = _next(model, options["dt"])
-        self.weights = np.array(options["q"]), options["qn_factor"] * np.array(options["q"])
-        self.r = np.array(options["r"])
-        self.goal = np.array(problem.goal)
-        limits = [options["bounds"].get(name, (-np.inf, np.inf)) for name in model.inputs]
-        self.lower, self.upper = np.transpose(limits)
-
-    def cost(self, u):
-        """The cost of inputs (n_u, N), rolled out."""
-        x = self.start
-        total = 0.0
-        for i, u_i in enumerate(u.T):
-            x = self.step(x, u_i, []).full().ravel()
-            weight = self.weights[i == self.N - 1]
-            total += (weight @ (x - self.goal) ** 2 + self.r @ u_i**2) / 2
-        return total
-
-    def cost_by_ipopt(self):
-        """The cost of IPOPT's plan, from the guess that RHC starts with: at rest at the start."""
-        u = ca.MX.sym("u", len(self.r), self.N)
-        x = ca.MX.sym("x", len(self.start), self.N)
-        nodes = ca.horzcat(self.start, x)
-        gaps = x - self.step.map(self.N)(nodes[:, :-1], u, ca.DM(0, 1))
-        off = (x - self.goal) ** 2
-        cost = ca.sum2(ca.repmat(self.r, 1, self.N) * u**2 / 2)
-        cost = ca.sum1(cost) + ca.dot(ca.repmat(self.weights[0], 1, self.N), off) / 2
-        cost += ca.dot(self.weights[1] - self.weights[0], off[:, -1]) / 2
-        problem = dict(x=ca.veccat(u, x), f=cost, g=ca.vec(gaps))
-        solver = ca.nlpsol("plan", "ipopt", problem, _IPOPT)
-        free = np.full(x.numel(), np.inf)
-        found = solver(
-            x0=np.append(np.zeros(u.numel()), np.tile(self.start, self.N)),
-            lbx=np.append(np.tile(self.lower, self.N), -free),
-            ubx=np.append(np.tile(self.upper, self.N), free),
-            lbg=0, ubg=0,
-        )  # fmt: skip
-        return float(found["f"])
+def goal_at(problem, x):
+    """The desired states (n_x,) or (n_x, N+1) of a ControlProblem at the present state x."""
+    return problem.goal(x) if callable(problem.goal) else np.array(problem.goal)
 
 
 def estimate(problem, seed=0):
@@ -299,7 +248,7 @@ def estimate(problem, seed=0):
     """
     model = problem.options["model"]
     rhe = RHE(**problem.options)
-    step = _next(model, problem.options["dt"])
+    step = next_state(model, problem.options["dt"])
     rng = np.random.default_rng(seed)
     x = np.array(problem.start)
     rows = []
@@ -326,7 +275,7 @@ def _by_ipopt(problem, z, arrival, guess):
     options = problem.options
     model = options["model"]
     N = options["horizon"]
-    step = _next(model, options["dt"])
+    step = next_state(model, options["dt"])
     x = ca.MX.sym("x", len(model.states))
     u = ca.MX.sym("u", len(model.inputs), N)
     p = ca.MX.sym("p", len(model.parameters))
@@ -344,7 +293,7 @@ def _by_ipopt(problem, z, arrival, guess):
         cost += ca.sumsqr(residual * (counts / options["sigma_v"])) / 2
         node = step(node, u[:, i], p) if i < N else node
     unknown = ca.veccat(x, p, u)
-    solver = ca.nlpsol("window", "ipopt", dict(x=unknown, f=cost), _IPOPT)
+    solver = ca.nlpsol("window", "ipopt", dict(x=unknown, f=cost), IPOPT)
     inputs = window[1:, [model.outputs.index(name) for name in model.inputs]]
     limits = [bounds or (-np.inf, np.inf) for bounds in model.parameters.values()]
     lower, upper = np.reshape(limits, (-1, 2)).T
@@ -363,7 +312,7 @@ def kalman_filter(problem, z):
 
     Its prediction takes the measured force of the interval, whose noise is the process noise.
     """
-    step = _next(problem.options["model"], problem.options["dt"])
+    step = next_state(problem.options["model"], problem.options["dt"])
     A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
     B = step([0, 0], 1, []).full().ravel()
     sigma_z, sigma_u = problem.options["sigma_v"]
