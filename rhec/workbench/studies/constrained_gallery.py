@@ -103,7 +103,8 @@ def cstr():
 
     def f(x, u, p):
         kelvin = x[2] + 273.15
-        k1, k3 = 1.287e12 * ca.exp(-9758.3 / kelvin), 9.043e9 * ca.exp(-8560.0 / kelvin)
+        k1 = 1.287e12 * ca.exp(-9758.3 / kelvin)
+        k3 = 9.043e9 * ca.exp(-8560.0 / kelvin)
         rates = ca.vertcat(k1 * x[0], k1 * x[1], k3 * x[0] ** 2)  # A -> B -> C, 2 A -> D
         heat = ca.dot(ca.DM([4.2, -11.0, -41.85]), rates) / -2.811942
         cooling = 866.88 * (x[3] - x[2])

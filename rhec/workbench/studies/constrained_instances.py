@@ -18,7 +18,8 @@ def before_the_obstacle(rng):
 
 def on_the_track(rng):
     """A state of the race car at 1 to 2 m/s."""
-    aside, yaw = rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.05)
+    aside = rng.uniform(-0.06, 0.06)
+    yaw = rng.uniform(-0.05, 0.05)
     return np.array([rng.uniform(0, 3), aside, yaw, rng.uniform(1, 2), 0.3, 0.0])
 
 

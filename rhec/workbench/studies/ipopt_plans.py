@@ -234,7 +234,8 @@ class Reference:
 
 def _sides(row, t):
     """(value, lower, upper) of a row; a soft one has a side for each bound."""
-    lowest, highest = row.bound.lowest, row.bound.highest
+    lowest = row.bound.lowest
+    highest = row.bound.highest
     if t is None:
         return [(row.value, lowest, highest)]
     return [(row.value - t, -np.inf, highest), (row.value + t, lowest, np.inf)]

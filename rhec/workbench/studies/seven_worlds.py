@@ -13,6 +13,8 @@ drives them all (half an hour on two cores) and writes `data/seven_worlds.parque
 
 import itertools
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
@@ -20,7 +22,6 @@ from scipy.stats import binomtest
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot.tuned_loops import CAUTIOUS, OWN_SPEED, TUNED
-from rhec.workbench.plots.style import ROOT
 from rhec.workbench.studies import ensured
 from rhec.workbench.studies.ensured import SOILS, front
 from rhec.workbench.studies.statistics import interval_text
@@ -28,7 +29,7 @@ from rhec.workbench.studies.statistics import interval_text
 __all__ = ["CHANGES", "CONTESTANTS", "LAPS", "compared", "counted", "laps", "paired", "readable"]
 __all__ += ["TUNED_HERE", "worlds"]
 
-LAPS = ROOT / "data/seven_worlds.parquet"
+LAPS = Path(__file__).parents[3] / "data/seven_worlds.parquet"
 
 # Each track slips on its own: three times the difference of the default world, or, where both
 # tracks had the same soil, the default world's.
