@@ -12,7 +12,6 @@ drives them all (half an hour on two cores) and writes `data/seven_worlds.parque
 """
 
 import itertools
-
 from pathlib import Path
 
 import numpy as np
