@@ -79,7 +79,7 @@ def race_car():
     states = ("s_m", "n_m", "alpha_rad", "v_mps", "throttle", "steering_rad")
     names = dict(states=states, inputs=("throttle_rate", "steering_rate"))
     model = Model(**names, parameters={}, outputs=("along", "across"), f=f, h=h, steps=3)
-    soft = dict(along=Bound(-4, 4, linear=2.0), n_m=Bound(-0.12, 0.12, linear=2.0))
+    soft = dict(along=Bound(-4, 4, linear=2.0), n_m=Bound(-0.12, 0.12, linear=100.0))
     bounds = dict(throttle_rate=(-10, 10), steering_rate=(-2, 2), throttle=(-1, 1))
     bounds |= dict(steering_rad=(-0.4, 0.4), across=(-4, 4)) | soft
     options = dict(model=model, command=model.inputs, bounds=bounds, outputs=model.outputs)
