@@ -14,7 +14,9 @@ import hashlib
 import io
 import json
 import os
+import select
 import shutil
+import signal
 import sys
 import tempfile
 import warnings
@@ -33,6 +35,7 @@ from rhec.workbench.plots import style
 MOST_OPERATIONS = 1000  # a task that never ends without failure would be a loop
 ALLOCATION = 8192  # [B] smaller allocations do not fail: Python itself needs them to go on
 MOST_ALLOCATIONS = 12  # of a task fail, evenly spread over it
+LONGEST_S = 60  # of a child that says nothing
 DIED = "the process died without memory"
 
 SCENARIOS = [rhec.Scenario(duration_s=2.0, seed=seed) for seed in range(3)]
@@ -54,7 +57,8 @@ def command(folder):
     if code or ", 0 failed" not in said.getvalue():
         raise OSError(said.getvalue())
     file = folder / "campaign.parquet"
-    return parquet.read_table(file, columns=["mean_error_true_m"]).to_pydict()
+    table = parquet.read_table(file, columns=["mean_error_true_m"], use_threads=False)
+    return table.to_pydict()
 
 
 # Texts of an export take seconds to generate: here only writing them matters.
@@ -140,7 +144,20 @@ def attempt(task, folder, disk, fails_at, ever_after):
 
 
 def in_a_child(function):
-    """The JSON result of a function that runs in a forked process, which may die."""
+    """The JSON result of a function that runs in a forked process, which may die.
+
+    A fork of a process that has had threads may wait for a lock that one of them held. That is no
+    fault of the task, so a child that says nothing for long is killed and forked anew.
+    """
+    for _ in range(3):
+        is_done, text = fork_once(function)
+        if is_done:
+            return json.loads(text) if text else None
+    raise RuntimeError(f"three children said nothing for {LONGEST_S} s each")
+
+
+def fork_once(function):
+    """Whether a forked process ended in time, and what it wrote."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
@@ -149,10 +166,13 @@ def in_a_child(function):
             json.dump(function(), pipe)
         os._exit(0)
     os.close(writing)
+    is_done = bool(select.select([reading], [], [], LONGEST_S)[0])
+    if not is_done:
+        os.kill(child, signal.SIGKILL)
     with os.fdopen(reading) as pipe:
         text = pipe.read()
     os.waitpid(child, 0)
-    return json.loads(text) if text else None
+    return is_done, text
 
 
 def digests(folder):
@@ -184,7 +204,7 @@ def point_of_memory(task, disk, k):
         first = in_a_child(lambda: attempt(task, folder, disk, k, 0))
         left = digests(folder)
         for file in folder.rglob("*.parquet"):
-            parquet.read_table(file)  # what has its name is whole
+            parquet.read_table(file, use_threads=False)  # what has its name is whole
         again = in_a_child(lambda: attempt(task, folder, disk, 0, 0))
         first = first or dict(result=None, error=DIED, calls=k)
         point = dict(k=k, first=first, left=left, again=again)
