@@ -22,7 +22,7 @@ from rhec.workbench.studies.claims.summary import (
 )
 
 _ROOT = Path(__file__).resolve().parents[2]
-_PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/closer_to_the_limit.md")
+PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/closer_to_the_limit.md")
 _IN_DATA = ("claims_before.csv", "seven_worlds.parquet")  # tables that no notebook makes
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
@@ -57,7 +57,7 @@ def main(root=_ROOT):
     kept = [root / "data" / name for name in _IN_DATA]
     files = [root / f"figures/{name}.csv" for name in names - {path.stem for path in kept}]
     tables = {path.stem: _read(path) for path in [*files, *kept] if path.exists()}
-    for page in (root / name for name in _PAGES):
+    for page in (root / name for name in PAGES):
         old = page.read_text(encoding="utf-8")
         new = rewrite(old, tables)
         if new != old:

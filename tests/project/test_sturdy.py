@@ -191,7 +191,7 @@ def figures(tmp_path):
 
 
 def test_results_read_no_table_of_ones_own(figures):
-    for page in ("README.md", "docs/results.md", "docs/claims.md"):
+    for page in results.PAGES:
         (figures.parent / page).parent.mkdir(exist_ok=True)
         (figures.parent / page).write_text("# A page\n")
     results.main(figures.parent)

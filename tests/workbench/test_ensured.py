@@ -74,15 +74,15 @@ def test_a_lap_is_that_of_the_longest_drive_and_is_driven_once(monkeypatch):
     changes = dict(speed_mps=0.4), dict(mu_mean=0.8, terrain=rhec.Terrain.uniform(0.7, 0.8)), {}
     scenarios = [rhec.Scenario(**late | change, seed=5) for change in changes]
     scenarios[2] = dataclasses.replace(scenarios[2], omega_max_radps=1e-9)
-    laps = ensured._laps([*scenarios, scenarios[0]])
+    driven_laps = ensured.laps([*scenarios, scenarios[0]])
     longest = [
         ensured.lap(rhec.simulate(dataclasses.replace(each, duration_s=ensured._longest_s(each))))
         for each in scenarios
     ]
-    pd.testing.assert_frame_equal(laps, pd.DataFrame([*longest, longest[0]]))
-    assert np.isnan(laps["error_m"]).tolist() == [False, False, True, False]
+    pd.testing.assert_frame_equal(driven_laps, pd.DataFrame([*longest, longest[0]]))
+    assert np.isnan(driven_laps["error_m"]).tolist() == [False, False, True, False]
     assert len(driven) == 3 + 2  # two were not back in the usual time
-    assert ensured._laps(scenarios[:1]).equals(laps[:1]) and len(driven) == 5
+    assert ensured.laps(scenarios[:1]).equals(driven_laps[:1]) and len(driven) == 5
 
 
 def test_every_drive_can_be_asked_for():
