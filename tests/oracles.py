@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.core.estimator import innovation_gate
 
 DT, N = 0.2, 15
 V = np.square(paper.SIGMA_V)
@@ -133,9 +132,7 @@ def window_memory(z, m, P, speed_model):
     inputs = [[0.0]] if speed_model == "parameter" else [[0.5], [0.0]]
     z = z.T.copy()
     z[:, -1] = np.nan
-    s = np.tile(m[:, None], (1, N + 1))
-    v = np.tile(inputs, (1, N))
-    return dict(s=s, v=v, z=z, age=N, m=m, P=P, rejected=innovation_gate.OPEN)
+    return dict(s=np.tile(m[:, None], (1, N + 1)), v=np.tile(inputs, (1, N)), z=z, age=N, m=m, P=P)
 
 
 def iterate(phases, memory, newest, settings, iterations):

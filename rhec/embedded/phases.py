@@ -16,7 +16,6 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import FIRST_ITERATIONS
 from rhec.core.controller.rhc import build_phases as build_controller
 from rhec.core.controller.rhc import init as plan_init
-from rhec.core.estimator.innovation_gate import rejected_at_most
 from rhec.core.estimator.rhe import build_phases as build_estimator
 from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
@@ -135,8 +134,6 @@ def _macros_on_a_path(scenario, dt_s):
     """Return the macros of a scenario's export."""
     n = len(QUANTITIES)
     measured = _measured(scenario)
-    # An RHE that has rejected this many measurements restarts by itself, and before.
-    rejected = rejected_at_most(scenario.estimation_horizon)
     names = "x, y, theta, nu, mu, kappa"
     return dict(
         DT_S=(dt_s, "time between samples [s]"),
@@ -146,7 +143,10 @@ def _macros_on_a_path(scenario, dt_s):
         OUTPUTS=(len(measured), ", ".join(measured)),
         ESTIMATE=(n, names),
         GUESS=(n, names),
-        PATIENCE=(2 * rejected, "largest number of predicted estimates in succession"),
+        PATIENCE=(
+            scenario.estimation_horizon + 1,
+            "largest number of predicted estimates in succession",
+        ),
         MOST_GUESSES=(MAX_SWEEPS, "largest number of guesses of the active bounds for one plan"),
     )
 

@@ -69,12 +69,7 @@ _TABLE = (
     ("kkt_rhe", "", "KKT tolerance of the RHE (R12); NaN for other estimators", _BOTH),
     ("kkt_rhc", "", "KKT tolerance of the RHC (R12)", _RUN),
     ("deviance", "", "-2 log likelihood of the measurement, up to a constant", _BOTH),
-    (
-        "ok",
-        "",
-        "whether the QPs of RHE and RHC were solved, and the RHE used the measurement (1)",
-        _BOTH,
-    ),
+    ("ok", "", "whether the QPs of RHE and RHC were solved (1)", _BOTH),
     (
         "position_accepted encoders_accepted",
         "",

@@ -5,7 +5,6 @@ import numpy as np
 
 from rhec import paper
 from rhec.core.estimator import rhe
-from rhec.core.estimator.innovation_gate import Gate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
@@ -19,14 +18,6 @@ _SIGMA_KNOWN = 1e-3
 # A gyro's bias and scale; and the last inputs of a model that holds them.
 _SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
 _SIGMA_INPUT = 10.0
-
-# A measurement further than 32 standard deviations from its prediction counts as missing. One
-# Gauss-Newton step from there can turn the yaw round, which no later step mends. In drives without
-# a fault the distance stays below 5 standard deviations: they keep their bits.
-# After a rejected one it must be as near by the noise of the measurements alone. Where so many are
-# rejected that the window restarts, the pose is uncertain: a position that is taken by half would
-# be far from the next measurement again.
-GATE = Gate(1000.0, 1000.0, restart=((0, 100.0**2), (1, 100.0**2), (2, 0.5**2)))
 
 # The RHE with the traction held, which shows what estimating it is worth: (μ, κ) are inputs,
 # measured almost exactly.
@@ -46,9 +37,9 @@ def window_of(choice):
     model = speed_model_of("parameter").model
     if choice.estimator == "rhe":
         model = with_sensors(choice.speed_model, choice.sensors).model
-    window = rhe.Window(model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
-    # The robust RHE checks its measurements itself.
-    return window._replace(weighted=True) if choice.robust else window._replace(gate=GATE)
+    return rhe.Window(
+        model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, choice.robust
+    )
 
 
 def init(window, guess, sigma=SIGMA_START):
@@ -130,8 +121,7 @@ def _build_phases(choice):
 
 
 def _window_held(choice):
-    window = rhe.Window(_HELD, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
-    return window._replace(gate=GATE)
+    return rhe.Window(_HELD, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
 
 
 def _build_held_step(choice):

@@ -71,8 +71,7 @@ def _init_oracle(choice, guess, sigma=_SIGMA_START):
 
 
 def _window_of(choice):
-    window = rhe.Window(MODEL, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
-    return window._replace(gate=paper_rhe.GATE)
+    return rhe.Window(MODEL, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
 
 
 def _build_rhe_step(choice):

@@ -262,7 +262,6 @@ def test_preparation_does_not_see_the_newest_reading(speed_model):
     results = []
     for newest in (np.full(4, np.nan), np.zeros(4), np.full(4, 1e6)):
         memory = window_memory(z, m, P, speed_model)
-        del memory["rejected"]  # of the check of the newest reading, which comes with feedback
         memory["z"][:, -1] = newest
         results.append(
             np.concatenate([flat(part) for part in phases["linearise"](**memory, V=V).values()])

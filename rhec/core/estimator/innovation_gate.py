@@ -2,28 +2,24 @@
 
 With the innovation y of a sample, given its prediction, and the covariance S of y,
 
-    d = y' S⁻¹ y ≤ limit
+    d = y' S⁻¹ y ≤ limit,  the quantile of χ² that good samples exceed with the window's `gate`
 
-is what a sample must meet to be used. The limit of a Model is the quantile of χ² that a given share
-of good samples exceed (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
-Navigation", 2001, Sec. 5.7). One Gauss-Newton step from an outlier can end at a yaw and parameters
-from which no later step returns. Beyond the limit, therefore, all outputs of the sample count as
-missing, and the estimate is the prediction. Measured inputs are kept where they are as before.
+(Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+Sec. 5.7). One Gauss-Newton step from an outlier can end at a yaw and parameters from which no
+later step returns. Beyond the limit, therefore, all outputs of the sample count as missing, and the
+estimate is the prediction. Measured inputs are kept where they are as before.
 
-After many such samples in succession (`rejected_at_most`) it is the estimate that is wrong. The
-window then restarts at its newest node with the variances of the first guess, and takes the next
-sample as it is.
+After many such samples in succession (`patience`) it is the estimate that is wrong. The window then
+restarts at its newest node with the variances of the first guess, and takes the next sample as it
+is.
 
 All of it wraps the RHE's phases from outside, as `rhec.tracked_robot.robust` does.
 """
-
-from typing import NamedTuple
 
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.estimator import kalman
-from rhec.core.model.base import interval
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 
 # Probability that the innovation of a good sample exceeds the limit.
@@ -34,42 +30,23 @@ LEAST_PATIENCE = 30
 OPEN = -1.0  # in place of the number of samples rejected in succession: the next one is taken
 
 
-class Gate(NamedTuple):
-    """Which samples are used."""
-
-    limit: float  # the largest d
-    # The largest Σ y²/V directly after a rejected sample, with the variances V of the measurements
-    # alone: those of a prediction grow while samples are rejected, so that sooner or later an
-    # absurd one would be probable.
-    limit_after: float = float("inf")
-    # Variances ((place, variance), …) of the joint state after a restart because of rejected
-    # samples, where they differ from those of the first guess.
-    restart: tuple = ()
-
-
-def gate_of(model, share):
-    """The Gate that rejects this share of a Model's good samples."""
+def limit_of(window):
+    """The largest d of a sample that is used."""
     from scipy.stats import chi2  # takes long to load, and importing the core should not
 
-    limit = float(chi2.isf(share, max(len(interval(model).outputs), 1)))
-    return Gate(limit)
+    return float(chi2.isf(window.gate, max(len(window.interval.outputs), 1)))
 
 
-def rejected_at_most(N):
-    """Number of samples rejected in succession after which a window of N intervals restarts."""
-    return max(LEAST_PATIENCE, WINDOWS_OF_PATIENCE * N)
-
-
-def _in_variances(output, z, m, s_bar, V):
-    """y²/V of an output, 0 where it is missing."""
-    y = output.residual(z, m, s_bar)
-    return ca.if_else(output.is_valid(z), y**2 / V[output.row], 0)
+def patience(window):
+    """Number of samples rejected in succession after which the window restarts."""
+    return max(LEAST_PATIENCE, WINDOWS_OF_PATIENCE * window.N)
 
 
 def _build_gate(window, predict_input):
     """Function that tells whether the newest sample agrees with its prediction."""
-    outputs = window.interval.outputs
-    limit = window.gate.limit
+    interval = window.interval
+    outputs = interval.outputs
+    limit = limit_of(window)
     z_N = (len(window.model.outputs), 1)
     one = (1, 1)
 
@@ -78,20 +55,18 @@ def _build_gate(window, predict_input):
         ca.SX,
         **window.prediction,
         **window.noise,
-        s_N=(window.interval.n_s, 1),
+        s_N=(interval.n_s, 1),
         z_N=z_N,
         rejected=one,
     )
     def gate(B_N, v_N, m_N, P_N, s_N, z_N, rejected, **noise):
         m, P = predict_input(window, B_N, m_N, P_N, v_N, z_N, **noise)
         distance = kalman.update(m, P, z_N, noise["V"], outputs, s_N).distance
-        far = sum((_in_variances(output, z_N, m, s_N, noise["V"]) for output in outputs), ca.SX(0))
-        is_near = ca.logic_or(rejected <= 0, far <= window.gate.limit_after)
-        agrees = ca.logic_and(distance <= limit, is_near)  # 0 where it is NaN
+        agrees = distance <= limit  # 0 where it is NaN
         used = ca.logic_or(agrees, rejected < 0)
         has_outputs = sum((output.is_valid(z_N) for output in outputs), ca.SX(0)) > 0
         kept = ca.SX.nan(*z_N.shape)
-        for place, (row, _) in window.interval.input_outputs.items():
+        for place, (row, _) in interval.input_outputs.items():
             change = (z_N[row] - v_N[place]) ** 2
             kept[row] = ca.if_else(change <= 2 * limit * noise["V"][row], z_N[row], ca.DM.nan())
         after = ca.if_else(used, ca.if_else(has_outputs, 0, rejected), rejected + 1)
@@ -140,12 +115,8 @@ def _wrap_expand(window, expand_of_rhe, kind):
 
     @casadi_function("gated_expand", kind, **shapes, z_used=z_used, solved=one, rejected_after=one)
     def expand(z_used, solved, rejected_after, **inputs):
-        patient = rejected_after < rejected_at_most(window.N)
-        keeps = solved * patient
-        P_0 = ca.vertcat(*ca.vertsplit(inputs["P_0"]))
-        for place, variance in window.gate.restart:
-            P_0[place] = ca.if_else(patient, P_0[place], variance)
-        values = inputs | dict(z_N=z_used, ok=keeps, P_0=P_0)
+        keeps = solved * (rejected_after < patience(window))
+        values = inputs | dict(z_N=z_used, ok=keeps)
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         rejected = ca.if_else(keeps, rejected_after, OPEN)
         kkt = ca.if_else(inputs["ok"], result["kkt"], ca.DM.nan())

@@ -68,7 +68,7 @@ class Window(NamedTuple):
     N: int  # intervals of the window
     arrival_mean: ArrivalMean = "smoothed"
     weighted: bool = False  # whether the variances V of the measurements differ by node
-    gate: innovation_gate.Gate | None = None  # which samples are used; None: all of them
+    gate: float | None = None  # share of good samples to reject (`innovation_gate`); None: no gate
 
     @property
     def interval(self):
@@ -482,7 +482,7 @@ def build_phases(window, quantities=None):
     `step` runs all phases; it maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …). The
     estimate's entries are the named `quantities`, in which inputs are as measured: with noise that
     is slip, an encoder does not measure the robot's motion. By default they are all states, inputs
-    and parameters, as estimated. Only those can be improved by a line search.
+    and parameters, as estimated.
     """
     loops = compiled.loop_symbols()
     kind = loops if len(window.interval.bounds) <= 2 else ca.MX
@@ -490,12 +490,10 @@ def build_phases(window, quantities=None):
     shift = _build_shift(plain)
     linearise = _build_linearise(plain, loops)
     feedback = _build_feedback(plain, quantities, loops)
-    of_model = bool(window.gate) and quantities is None
-    expand = _build_expand(plain, linearise, feedback, loops, of_model)
+    expand = _build_expand(plain, linearise, feedback, loops, bool(window.gate))
     phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
     if window.gate:
         phases = innovation_gate.gated(window, phases, predict_input, kind)
-    if of_model:
         phases[IMPROVE] = _build_improve(window, phases)
     return phases | dict(step=compose("rhe_step", phases, window.memory, kind))
 
@@ -683,8 +681,7 @@ class RHE(RealTimeLoop):
         n_x = len(model.states)
         refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
-        share = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
-        gate = innovation_gate.gate_of(model, share)
+        gate = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
         self.window = Window(model, dt, horizon, arrival_mean, gate=gate)
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)

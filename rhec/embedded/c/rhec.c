@@ -141,7 +141,7 @@ static int estimator_step(struct rhec *r, const rhec_real z[RHEC_OUTPUTS])
 }
 
 #ifdef RHEC_PATH
-/* Whether the estimate is implausible or has been predicted for too long. */
+/* Whether the estimate is implausible or has been predicted for longer than the window. */
 static int is_lost(const struct rhec *r)
 {
     for (int i = 0; i < RHEC_ESTIMATE; i++) {

@@ -50,8 +50,8 @@ enum {
     RHEC_PREDICTED = 1,
     /* The command comes from the last plan, because there is no valid new plan. */
     RHEC_AS_PLANNED = 2,
-    /* The RHE restarted, because the estimate was implausible or, in a scenario, predicted for
-     * too long. It restarts at the measurement and the last yaw; for a model, at the guess. */
+    /* The RHE restarted, because the estimate was implausible or, in a scenario, predicted for a
+     * whole window. It restarts at the measurement and the last yaw; for a model, at the guess. */
     RHEC_ESTIMATOR_RESTARTED = 4,
     /* The RHC restarted at the estimate, because the plan or the arc length was implausible. */
     RHEC_CONTROLLER_RESTARTED = 8
