@@ -9,29 +9,30 @@ from rhec.workbench.plots.style import COLOURS, DOUBLE_IN, styled
 
 
 @styled
-def controlled(problem, drive, states=None):
+def controlled(problem, drive, states=None, time="time [s]"):
     """Draw states and commands of a closed loop over time.
 
     Args:
         problem: A `rhec.workbench.studies.gallery.ControlProblem`.
         drive: Its Drive.
         states: Names of the states to draw, with their bounds; None: all, without bounds.
+        time: Label of the time, where the problem's unit is not the second.
     """
     model = problem.options["model"]
-    time_s = problem.options["dt"] * np.arange(len(drive.x))
+    times = problem.options["dt"] * np.arange(len(drive.x))
     figure, (above, below) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.0))
     bounds = problem.options["bounds"]
     for name, values in zip(model.states, drive.x.T):
         if states is None or name in states:
-            above.plot(time_s, values, label=name)
+            above.plot(times, values, label=name)
         for bound in _limits(bounds.get(name)) if states and name in states else ():
             above.axhline(bound, **BOUND)
     for name, commands in zip(model.inputs, drive.u.T):
-        below.step(time_s[:-1], commands, where="post", label=name)
+        below.step(times[:-1], commands, where="post", label=name)
         for bound in _limits(bounds.get(name)):
             below.axhline(bound, **BOUND)
     for axes, title in ((above, "states"), (below, "commands")):
-        axes.set(xlabel="time [s]", title=title)
+        axes.set(xlabel=time, title=title)
         axes.legend(fontsize="x-small")
     return figure
 
