@@ -62,3 +62,11 @@ def test_tables_of_times_are_not_expected(project):
     certificate.accept(project)
     names = {file.name for file in (project / certificate.EXPECTED).iterdir()}
     assert names == {"table_scenario_b.csv"}
+
+
+def test_a_computation_time_may_differ_and_nothing_beside_it():
+    ours = pd.DataFrame(dict(beside=["share on this machine: 0.6", "0.1"], n=[3, 4]))
+    theirs = pd.DataFrame(dict(beside=["share on this machine: 0.7", "0.1"], n=[3, 4]))
+    assert certificate.compare(ours, theirs) == ("the same", 0.0)
+    theirs.loc[1, "beside"] = "0.2"
+    assert certificate.compare(ours, theirs)[1] == np.inf
