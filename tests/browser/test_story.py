@@ -206,7 +206,8 @@ def test_an_address_holds_all_of_the_sandbox(story, scene):
     story.settled()
     state = "[page.followed, $('moment').value, $('line').textContent, page.patches]"
     before = page.evaluate(state)
-    page.wait_for_timeout(500)
+    # The address is written a moment after the last change.
+    page.wait_for_function("location.hash === address_of_sandbox()")
     address = page.evaluate("location.hash")
     assert address.startswith(f"#{scene}?")
     story.open(address)

@@ -90,12 +90,12 @@ function open_address() {
 
 let write_soon = null; // the address is written when nothing has moved for a moment
 function write_address() {
+  page.address ??= address_of_sandbox(); // what the page opened with need not be written
   clearTimeout(write_soon);
   write_soon = setTimeout(() => {
     const address = address_of_sandbox();
-    const is_new = page.address && page.address !== address;
+    if (page.address !== address) history.replaceState(null, "", address);
     page.address = address;
-    if (is_new) history.replaceState(null, "", address);
   }, 300);
 }
 
