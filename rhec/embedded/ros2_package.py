@@ -30,7 +30,9 @@ _OUTPUTS = """\
 
 namespace rhec_ros2 {{
 
-constexpr int GYRO = {gyro}, HEADING = {heading}; // places in z, -1 without the sensor
+// Places in z, -1 without the sensor.
+constexpr int GYRO = {gyro};
+constexpr int HEADING = {heading};
 constexpr double SPEED_MPS = {speed!r}; // negative backwards
 constexpr bool IS_OPEN = {is_open}; // whether the path has an end
 constexpr double LENGTH_M = {length!r};

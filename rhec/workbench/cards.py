@@ -68,12 +68,12 @@ def page(claims, live=False):
 
 
 def _environment():
-    options = dict(undefined=jinja2.StrictUndefined, autoescape=True)
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATE.parent),
         trim_blocks=True,
         lstrip_blocks=True,
-        **options,
+        undefined=jinja2.StrictUndefined,
+        autoescape=True,
     )
 
 
@@ -81,7 +81,7 @@ def _raw(html):
     return f"```{{raw}} html\n{html}\n```"
 
 
-# ---------------------------------------------------------------- one card
+# One card
 
 
 def _card(row, live):
@@ -137,7 +137,7 @@ def _shares(row):
     ]
 
 
-# ---------------------------------------------------------------- the picture of an interval
+# The picture of an interval
 
 
 def interval(row):

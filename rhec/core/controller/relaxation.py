@@ -106,7 +106,9 @@ def _build_node(horizon):
     """The cost of a node without soft prices, and the values of its rows."""
     n_x = horizon.plain.n_x
     command = list(horizon.plain.command)
-    s_i, u_i, c_i = ((n, 1) for n in (horizon.plain.n_s, horizon.plain.n_u, horizon.n_c))
+    s_i = (horizon.plain.n_s, 1)
+    u_i = (horizon.plain.n_u, 1)
+    c_i = (horizon.n_c, 1)
     Q_i, _, R_i, Q_yi, _, R_di = horizon.weights.values()
 
     @casadi_function("rhc_cost_node")

@@ -32,8 +32,10 @@ function first_touches(n, x, y, theta, plants, [length, width]) {
   const reach = Math.hypot(length, width) / 2;
   const [tip_x, tip_y] = [0, 1].map(axis => Float64Array.from(plants, plant => plant[axis]));
   for (let k = 0; k < n; k++) {
-    const [at_x, at_y] = [x(k), y(k)];
-    const [cosine, sine] = [Math.cos(theta(k)), Math.sin(theta(k))];
+    const at_x = x(k);
+    const at_y = y(k);
+    const cosine = Math.cos(theta(k));
+    const sine = Math.sin(theta(k));
     for (let i = 0; i < plants.length; i++) {
       const dx = tip_x[i] - at_x;
       const dy = tip_y[i] - at_y;

@@ -59,8 +59,7 @@ async function job_of() { // what all workers need to know
     const { data: { wasm, module, ...data } } = loop;
     const fault = data.faulty ? $("fault").value : "";
     streams[fault] = await streams_of(world, fault);
-    const all = values_of(loop, page.runs[i].fields);
-    runs.push({ module: loop.module, data, fault, values: all });
+    runs.push({ module: loop.module, data, fault, values: values_of(loop, page.runs[i].fields) });
   }
   const soils = await Promise.all(world.seeds.map(seed =>
     new World(world).soil(seed, $("soil").value, patches, values.start_offset_m)));
@@ -137,7 +136,8 @@ function draw_histogram() { // of the violations by the measured position, as th
   const plot = new Plot($("histogram"), [0, bins * wide], [0, 1.05 * high]);
   bars.forEach((bar, i) => bar.forEach((count, bin) => {
     const side = wide / bars.length;
-    const [from, to] = [bin * wide + i * side, bin * wide + (i + 0.9) * side];
+    const from = bin * wide + i * side;
+    const to = bin * wide + (i + 0.9) * side;
     plot.area(4, k => [from, from, to, to][k], k => [0, count, count, 0][k], COLOURS[i], {});
   }));
   const { paper_violations } = page.world;

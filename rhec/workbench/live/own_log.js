@@ -93,14 +93,16 @@ function means_of(t, value, begin, end, gap_s) {
   if (!there.length) return end.map(() => NaN);
   const [times, values] = [t, value].map(of => Float64Array.from(there, i => of[i]));
   const edges = [Math.min(begin[0], times[0]), ...times];
-  const [covered, integral] = [[0], [0]]; // until each edge
+  const covered = [0]; // until each edge
+  const integral = [0];
   times.forEach((time, i) => {
     const long_s = time - edges[i];
     const is_covered = long_s <= gap_s;
     covered.push(covered[i] + is_covered * long_s);
     integral.push(integral[i] + is_covered * long_s * (values[i] + values[Math.max(i - 1, 0)]) / 2);
   });
-  let [n, from] = [0, 0];
+  let n = 0;
+  let from = 0;
   return end.map((until, k) => {
     while (n < times.length && times[n] <= until) n++;
     const first = Math.min(begin[k], edges[n]);
@@ -119,7 +121,8 @@ function means_of(t, value, begin, end, gap_s) {
 function resampled(rows, dt_s) {
   const { t_s: t } = rows;
   const number = Math.floor((t.at(-1) - t[0] + SAME_S) / dt_s) + 1;
-  let [row, newest] = [0, 0];
+  let row = 0;
+  let newest = 0;
   const at = Array.from({ length: number }, (_, k) => {
     const grid = t[0] + dt_s * k;
     while (row < t.length - 1 && t[row] < grid - SAME_S) row++;
@@ -129,7 +132,8 @@ function resampled(rows, dt_s) {
   const speeds = [rows.speed_mps, rows.yaw_rate_radps]
     .map(value => means_of(t, value, before, at, ENCODER_GAP * dt_s));
   const stream = new Float64Array(5 * number).fill(NaN);
-  let [was_silent, last] = [false, -1];
+  let was_silent = false;
+  let last = -1;
   at.forEach((until, k) => {
     for (; newest < t.length && t[newest] <= until; newest++)
       if (isFinite(rows.x_m[newest])) last = newest;
@@ -212,7 +216,8 @@ function draw_own_log() {
     Array.from({ length: part.t_s.length }, (_, k) => part[of][width * k + i]));
   const range = values => values.filter(isFinite).reduce(
     ([low, high], value) => [Math.min(low, value), Math.max(high, value)], [Infinity, -Infinity]);
-  const [x, y] = [all("stream", 5, 0), all("stream", 5, 1)];
+  const x = all("stream", 5, 0);
+  const y = all("stream", 5, 1);
   const map = new Plot($("own_map"), range(x), range(y), { equal: true });
   map.dots(x.length, k => x[k], k => y[k], "--measured", { radius: 1.5 });
   for (const { rows, t_s } of parts)

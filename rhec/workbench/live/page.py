@@ -68,14 +68,8 @@ STRUCTURES = {
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
 STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
-_TOLD = (
-    "told",
-    "right",
-    "wrong",
-    "idle",
-    "run",
-    "controls",
-)  # of a step; its template has the rest
+# What scripts need of a step of the story; its template has the rest.
+_TOLD = ("told", "right", "wrong", "idle", "run", "controls")
 # Fields of Scenario that have sliders; none of them changes the structure of the loop.
 _FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
 _FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
@@ -186,10 +180,15 @@ def _module(own):
     )
 
 
+def _without_nan(memory):
+    """A memory (n,) as a list, with None in place of NaN, for which JSON has no word."""
+    return [None if np.isnan(value) else value for value in memory.tolist()]
+
+
 def _written(memory, directions, settings):
     """The first memory and the settings of a module, for JSON."""
     return dict(
-        memory=[None if np.isnan(value) else value for value in memory.tolist()],
+        memory=_without_nan(memory),
         directions={name: slope.tolist() for name, slope in directions.items()},
         settings={
             name: np.ravel(value, order="F").astype(float).tolist()
@@ -223,7 +222,6 @@ def _own_log():
         other_names=OTHER_NAMES,
         n_headings=replay.N_HEADINGS,
         max_samples=functions.MAX_LOG_SAMPLES,
-        sigma_m=paper.SIGMA_V[0],
         wasm=_packed(wasm.module_of(functions.c_text_of_replay(built))),
     )
 
@@ -247,10 +245,7 @@ def _tools():
         first=first,
         places=places,
         P_0=setup.settings["P_0"].tolist(),
-        first_memories={
-            name: [None if np.isnan(value) else value for value in memory.tolist()]
-            for name, memory in memories.items()
-        },
+        first_memories={name: _without_nan(memory) for name, memory in memories.items()},
         wasm=_packed(wasm.module_of(window.c_text(tools))),
     )
 

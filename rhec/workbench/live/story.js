@@ -67,7 +67,8 @@ function ellipse([a, b], [i, j], P, turned = place => place) {
   const mixed = P[i][j] / first;
   const second = Math.sqrt(Math.max(P[j][j] - mixed ** 2, 0));
   return Array.from({ length: 41 }, (_, k) => {
-    const [cosine, sine] = [Math.cos(k * Math.PI / 20), Math.sin(k * Math.PI / 20)];
+    const cosine = Math.cos(k * Math.PI / 20);
+    const sine = Math.sin(k * Math.PI / 20);
     return turned([a + 2 * first * cosine, b + 2 * (mixed * cosine + second * sine)]);
   });
 }

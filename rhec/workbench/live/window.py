@@ -131,9 +131,10 @@ def c_text(functions):
         sizes = [function.nnz_in(j) for j in range(function.n_in())]
         sizes += [function.nnz_out(j) for j in range(function.n_out())]
         lines += [f"double {array}[{n}];" for array, n in zip(arguments + results, sizes)]
-        lines.append(f"static const double *{name}_arg[{function.sz_arg()}] = ")
-        lines[-1] += f"{{{', '.join(arguments)}}};"
-        lines.append(f"static double *{name}_res[{function.sz_res()}] = {{{', '.join(results)}}};")
+        arg = ", ".join(arguments)
+        res = ", ".join(results)
+        lines.append(f"static const double *{name}_arg[{function.sz_arg()}] = {{{arg}}};")
+        lines.append(f"static double *{name}_res[{function.sz_res()}] = {{{res}}};")
         cases.append(f"  if (which == {i}) return {name}({name}_arg, {name}_res, iw, w, 0);")
     lines.append(f"static long long iw[{max(of.sz_iw() for of in functions.values()) + 1}];")
     lines.append(f"static double w[{max(of.sz_w() for of in functions.values()) + 1}];")

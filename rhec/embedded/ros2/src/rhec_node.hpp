@@ -276,8 +276,11 @@ private:
         diagnostics_publisher_->publish(diagnostics_);
     }
 
-    bool is_enabled_ = false, is_started_ = false;
-    bool starts_as_in_scenario_ = false, has_fix_ = false, has_joints_ = false;
+    bool is_enabled_ = false;
+    bool is_started_ = false;
+    bool starts_as_in_scenario_ = false;
+    bool has_fix_ = false;
+    bool has_joints_ = false;
     int blind_samples_ = 0;
     double initial_yaw_rad_ = 0, speed_mps_ = 0, stop_after_s_ = 0;
     double wheel_radius_m_ = 0, track_width_m_ = 0;
