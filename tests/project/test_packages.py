@@ -1,0 +1,60 @@
+"""The pinned packages of environment.txt are versions that pyproject.toml allows."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+# One entry of environment.txt: the requirement, and its digests on the lines that follow.
+ENTRY = re.compile(r"(?m)^([a-z0-9][^\\\n]*?) \\\n((?: +--hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)")
+
+
+def required():
+    """The requirements of the package, of its extras and of the developers."""
+    project = PROJECT["project"]
+    lists = [project["dependencies"], *project["optional-dependencies"].values()]
+    lists += PROJECT["dependency-groups"].values()
+    all_ = [Requirement(text) for each in lists for text in each]
+    return [each for each in all_ if each.name != "rhec"]
+
+
+def pinned(text, python):
+    """{name: version} of what is pinned for a version of Python, on Linux."""
+    system = {"python_version": python, "python_full_version": f"{python}.0"}
+    system |= {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix"}
+    entries = [Requirement(found[1]) for found in ENTRY.finditer(text)]
+    apply = [each for each in entries if each.marker is None or each.marker.evaluate(system)]
+    return {canonicalize_name(each.name): str(each.specifier)[2:] for each in apply}
+
+
+@pytest.fixture(scope="module")
+def environment():
+    return (ROOT / "environment.txt").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("python", ["3.11", "3.12", "3.13", "3.14"])
+def test_every_pin_satisfies_the_bounds_of_pyproject(environment, python):
+    pins = pinned(environment, python)
+    wrong = {
+        str(each): pins.get(canonicalize_name(each.name))
+        for each in required()
+        if not each.specifier.contains(pins.get(canonicalize_name(each.name), "0"))
+    }
+    assert wrong == {}
+    assert all(canonicalize_name(each.name) in pins for each in required())
+
+
+def test_every_pinned_package_has_its_digests(environment):
+    lines = re.findall(r"(?m)^[a-z0-9].*==", environment)
+    assert len(lines) == len(ENTRY.findall(environment)) > 100
+
+
+def test_a_pin_below_its_bound_is_found(environment):
+    lower = re.sub(r"(?m)^casadi==\S+", "casadi==3.6.5", environment)
+    (casadi,) = [each for each in required() if each.name == "casadi"]
+    assert not casadi.specifier.contains(pinned(lower, "3.11")["casadi"])
