@@ -536,6 +536,39 @@ def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
     assert finished.returncode == 0 and not finished.stderr
 
 
+FLAGS_OF_BRANCHES = """
+#include <math.h>
+#include <stdio.h>
+#include "rhec.c"
+int main(void)
+{
+    const double flags[] = {0, 1, -1, 0.5, 2, 1.8e44, -9e191, 3e9, INFINITY, -INFINITY, NAN};
+    for (int i = 0; i < 11; i++) {
+        printf("%d", casadi_to_int(flags[i]) ? 1 : 0);
+    }
+    return 0;
+}
+"""
+
+
+@needs_compiler
+def test_flags_of_any_number_are_defined(exported, tmp_path):
+    """By a cast to int, a flag above 2^31 would be undefined in C."""
+    source = tmp_path / "flags.c"
+    source.write_text(FLAGS_OF_BRANCHES)
+    folder = exported("robust")
+    compiler = shutil.which("clang") or compiled.compiler()
+    command = [compiler, "-std=c99", "-O0", f"-I{folder}", source, f"{folder}/rhec_scenario.c"]
+    sanitizer = ["-fsanitize=float-cast-overflow", "-fno-sanitize-recover=all"]
+    program = tmp_path / "flags"
+    built = subprocess.run([*command, *sanitizer, "-o", program, "-lm"], capture_output=True)
+    if built.returncode:
+        subprocess.run([*command, "-o", program, "-lm"], check=True)
+    finished = subprocess.run([program], capture_output=True, text=True)
+    assert (finished.returncode, finished.stderr) == (0, "")
+    assert finished.stdout == "01101111111"
+
+
 @needs_compiler
 @needs_valgrind
 def test_valgrind_finds_nothing(exported, built, tmp_path):
@@ -885,6 +918,30 @@ def test_a_models_export_survives_invalid_numbers(tmp_path):
         assert np.isfinite(known).all() and (low <= command).all() and (command <= high).all()
         seen |= status | planned
     assert seen & sum(RESTARTED) == sum(RESTARTED) and status == planned == 0
+
+
+@needs_compiler
+def test_an_input_that_is_not_commanded_stays_finite_where_its_reference_is_not(tmp_path):
+    """It keeps its last value; the next finite reference counts as ever."""
+    robot = ROBOTS["bicycle"]
+    options = robot.controller | dict(
+        command=("steering_rad",), r=(1.0,), bounds=dict(steering_rad=robot.bounds["steering_rad"])
+    )
+    with no_compiler():
+        mpc = rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=8, **options)
+        folder = rhec.export(mpc, tmp_path / "rhec")
+    in_c = RobotInC(folder, tmp_path)
+    low, high = robot.bounds["steering_rad"]
+    place = robot.model["inputs"].index("speed_mps")
+    x, p = np.zeros(3), np.zeros(len(robot.model["parameters"]))
+    x_ref = np.zeros((3, 9))
+    for k, speed in enumerate([np.nan, 0.5, np.nan, -np.inf, 0.4]):
+        u_ref = np.zeros((2, 8))
+        u_ref[place] = speed
+        command, status = in_c.call("control", x, p, x_ref, u_ref, length=2)
+        assert command[place] == [0.0, 0.5, 0.5, 0.5, 0.4][k]
+        assert low <= command[1 - place] <= high
+        assert bool(status) != np.isfinite(speed)
 
 
 @needs_compiler
