@@ -9,6 +9,8 @@ import rhec
 from rhec.workbench.explorer.explorer import metrics_table
 from rhec.workbench.explorer.screen import CSS
 
+pytestmark = pytest.mark.xdist_group("lab")  # one JupyterLab serves them all
+
 # From here on the page notes when each picture that follows a change was painted, and when a
 # pointer was last pressed and let go [ms].
 WATCH = """() => {
@@ -160,6 +162,7 @@ def test_the_setting_is_copied_by_a_click(explorer):
     )
 
 
+@pytest.mark.timed
 def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, capsys):
     explorer.tab("Drive")
     box = explorer.slider("speed [m/s]").locator(".noUi-target").bounding_box()
@@ -186,6 +189,7 @@ def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, ca
     assert f"speed_mps={readout!r}" in explorer.line
 
 
+@pytest.mark.timed
 def test_the_time_from_a_slider_to_the_new_picture(explorer, capsys):
     """Told, not judged: it depends on the machine."""
     places = [

@@ -109,9 +109,7 @@ SCENARIOS = {
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """name of a scenario -> its export, made once. What is not the paper's runs on the virtual
-    machine here, which is made sooner.
-    """
+    """name of a scenario -> its export, made once."""
     made = {}
 
     def export(name):
@@ -120,11 +118,7 @@ def exported(tmp_path_factory):
                 rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS[name]),
                 tmp_path_factory.mktemp("export") / "rhec",
             )
-            if name == "paper":
-                made[name] = rhec.export(scenario, folder)
-            else:
-                with no_compiler():
-                    made[name] = rhec.export(scenario, folder)
+            made[name] = rhec.export(scenario, folder)
         return made[name]
 
     return export
