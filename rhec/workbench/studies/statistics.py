@@ -21,6 +21,7 @@ __all__ = [
     "AS_PRINTED",
     "CONFIDENCE",
     "FAILS",
+    "FIRST_CONFIDENCE",
     "HOLDS",
     "UNDECIDED",
     "UNTESTABLE",
@@ -54,6 +55,7 @@ UNDECIDED = "undecided"
 UNTESTABLE = "cannot be tested here"
 AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
 CONFIDENCE = 0.95
+FIRST_CONFIDENCE = 0.999  # of a first look at few fields, which decides what needs no second one
 _MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
 _RARE = 0.01  # an event that "may" happen is refuted once its share must be below this
 _NEAR = 0.25  # a mean is near a number of the paper if it is within a quarter of it
@@ -158,14 +160,15 @@ def _interval(value, error, freedom, confidence=CONFIDENCE):
     return value - half, value + half
 
 
-def over_seeds(statistic, *samples):
-    """Estimate a statistic over seeds with its 95 % interval.
+def over_seeds(statistic, *samples, confidence=CONFIDENCE):
+    """Estimate a statistic over seeds with its interval.
 
     Args:
         statistic: Function of arrays and `axis` that depends on their means alone, for example
             `np.mean` or `ratio_of_means`.
         samples: Arrays (seeds,) in the same order of seeds. A seed that is missing (NaN) in one of
             them is left out of all.
+        confidence: With which the interval holds the truth.
 
     Returns:
         Interval, n the seeds that count; its numbers are NaN where n is below 2.
@@ -175,7 +178,7 @@ def over_seeds(statistic, *samples):
     if samples.shape[1] < 2:
         return Interval(np.nan, np.nan, np.nan, samples.shape[1])
     value, error, freedom = _estimate(statistic, samples)
-    return Interval(value, *_interval(value, error, freedom), freedom + 1)
+    return Interval(value, *_interval(value, error, freedom, confidence), freedom + 1)
 
 
 def coverage(statistic, *samples, n=None, trials=4000):
