@@ -46,6 +46,7 @@ __all__ = [
     "reported",
     "root_of_mean",
     "share",
+    "share_interval",
     "verdict",
 ]
 
@@ -181,6 +182,27 @@ def over_seeds(statistic, *samples, confidence=CONFIDENCE):
     return Interval(value, *_interval(value, error, freedom, confidence), freedom + 1)
 
 
+def share_interval(k, n, confidence=CONFIDENCE):
+    """Clopper and Pearson's interval of the share k / n.
+
+    It reaches to the shares under which k, or what is further off, comes out with a probability of
+    2.5 % at 95 % confidence: with B_q(a, b) the quantiles of the beta distribution,
+
+        low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
+
+    Args:
+        k: How often it was so.
+        n: Of how many cases, at least one.
+        confidence: With which the interval holds the truth.
+
+    Returns:
+        low, high.
+    """
+    from scipy import stats  # it takes half a second to load, and most studies need no share
+
+    return stats.binomtest(k, n).proportion_ci(confidence, method="exact")
+
+
 def coverage(statistic, *samples, n=None, trials=4000):
     """How often the 95 % interval holds the truth, by resampling.
 
@@ -270,13 +292,8 @@ def ratio(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
 def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     """Judge that the share k / n of true flags lies between the bounds.
 
-    Clopper and Pearson's interval reaches to the shares under which k, or what is further off,
-    comes out with a probability of 2.5 % at 95 % confidence: with B_q(a, b) the quantiles of the
-    beta distribution,
-
-        low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
-
-    p is twice the smaller tail of the binomial distribution at the nearer bound.
+    The interval is that of `share_interval`. p is twice the smaller tail of the binomial
+    distribution at the nearer bound.
     """
     flags = np.asarray(flags, dtype=bool)
     n = len(flags)
@@ -290,10 +307,8 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
 
         value = flags.mean()
         k = int(flags.sum())
-        low, high = stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="exact")
-        ends = low, high
-        if confidence != CONFIDENCE:
-            ends = stats.binomtest(k, n).proportion_ci(confidence, method="exact")
+        low, high = share_interval(k, n)
+        ends = share_interval(k, n, confidence)
         bound = above if abs(value - above) <= abs(value - below) else below
         if 0 < bound < 1:
             tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
