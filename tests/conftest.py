@@ -2,6 +2,16 @@ import pytest
 from helpers import no_compiler
 
 import rhec
+from rhec.core._casadi import compiled
+
+
+def pytest_configure():
+    """Compile without optimisation, which takes a tenth of the time; the results are the same.
+
+    `test_early` shows that. The last flag counts, and libraries of other flags have other names:
+    none of these is found by whoever computes with the optimised ones.
+    """
+    compiled.FLAGS = (*compiled.FLAGS, "-O0")
 
 
 @pytest.fixture(scope="module")

@@ -151,6 +151,13 @@ def recorded_log(
     return log
 
 
+# A test that marks itself proves something else of a replay that may be lost meanwhile.
+may_be_lost = pytest.mark.filterwarnings("ignore:The estimate is lost")
+warns_of_a_lost_estimate = functools.partial(
+    pytest.warns, UserWarning, match="^The estimate is lost in "
+)
+
+
 class Bomb:
     """To unpickle it fails the test."""
 

@@ -238,7 +238,9 @@ def _numbers(log, column):
     values = log[column]
     if not isinstance(values, pd.Series):
         raise ValueError(f"the log had several columns {column}; it should have one")
-    if not (pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values)):
+    is_complex = pd.api.types.is_complex_dtype(values)
+    is_real = pd.api.types.is_numeric_dtype(values) and not is_complex
+    if not (is_real or pd.api.types.is_bool_dtype(values)):
         values = pd.to_numeric(values.map(str), errors="coerce")  # str() turns bytes into NaN
     values = values.to_numpy(dtype=float, na_value=np.nan)
     return np.where(np.isfinite(values), values, np.nan)

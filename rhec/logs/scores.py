@@ -85,9 +85,10 @@ def while_moving(samples, from_s, duration_s):
 
 def rms(*components):
     """Root mean square of the lengths of vectors, without those that lack a component."""
-    if not len(components[0]):
+    squares = sum(np.square(component) for component in components)
+    if np.isnan(squares).all():
         return np.nan
-    return float(np.sqrt(np.nanmean(sum(np.square(component) for component in components))))
+    return float(np.sqrt(np.nanmean(squares)))
 
 
 def score(samples):

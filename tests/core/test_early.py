@@ -12,6 +12,7 @@ import pytest
 
 import rhec
 from rhec.core._casadi import compiled, early, scan
+from rhec.simulation import closed_loop
 
 pytestmark = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 STREAM = np.random.default_rng(0).normal(size=(100, 2))
@@ -60,6 +61,21 @@ def test_a_structure_that_is_loaded_often_is_replaced_with_the_same_bits(cache):
     assert compiled.is_compiled(build_pendulum, 3)
     np.testing.assert_array_equal(rows_of(optimised), rows)
     assert early.load(build_pendulum, 3) is optimised
+
+
+@pytest.mark.parametrize("fields", [{}, dict(speed_model="slipping", robust=True)])
+def test_an_optimised_closed_loop_has_the_same_bits(cache, monkeypatch, fields):
+    """All other tests compile without optimisation (tests/conftest.py)."""
+    setup = closed_loop.set_up(rhec.Scenario(duration_s=40.0, **fields))
+    noise = closed_loop.noise_and_faults(0, (), 200)
+    rows = []
+    for level in ("-O0", "-O2"):
+        monkeypatch.setattr(compiled, "FLAGS", (*compiled.FLAGS, level))  # the last one counts
+        compiled.load.cache_clear()
+        functions = compiled.load(closed_loop.build_sample, *setup.structure)
+        rows.append(scan.scan(functions, setup.memory, noise, setup.settings)[1])
+    assert n_libraries(cache) == 2
+    np.testing.assert_array_equal(*rows)
 
 
 def test_a_structure_that_is_compiled_is_used_as_it_is(cache):

@@ -67,7 +67,7 @@ def test_derivatives_are_the_finite_differences(options):
     w = np.array([*s, *v])
     differences = np.array([(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(4)]).T
     _, D, B = (np.array(each) for each in interval.linearised(s, v, dt_s))
-    np.testing.assert_allclose(np.hstack([interval.A_0 + D, B]), differences, atol=1e-6)
+    np.testing.assert_allclose(np.hstack([np.array(interval.A_0) + D, B]), differences, atol=1e-6)
 
 
 def test_radau_is_exact_for_a_linear_model_to_its_rational_function():

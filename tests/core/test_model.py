@@ -57,7 +57,9 @@ def test_sensitivities_are_the_finite_differences(speed_model):
             [(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(len(w))]
         ).T
         s_next, D, B = (np.array(each) for each in interval.linearised(s, v, 0.2))
-        np.testing.assert_allclose(np.hstack([interval.A_0 + D, B]), differences, atol=1e-8)
+        np.testing.assert_allclose(
+            np.hstack([np.array(interval.A_0) + D, B]), differences, atol=1e-8
+        )
         np.testing.assert_array_equal(s_next.ravel(), step(w))
 
 

@@ -27,7 +27,7 @@ def looped(m, z, V, traction):
     rows = []
     for z_k, traction_k in zip(z, traction):
         m, estimate, number, matrix, _ = step(m, z_k, V, traction_k)
-        rows.append((np.array(matrix), np.ravel(estimate), float(number)))
+        rows.append((np.array(matrix), estimate.full().ravel(), float(number)))
     shapes = dict(matrix=(2, 4), estimate=(3,), number=())
     return {
         name: np.array([row[k] for row in rows]).reshape(len(z), *shapes[name])

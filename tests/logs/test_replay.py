@@ -9,7 +9,15 @@ import make_example_log
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import KAPPA, MU, TRACK_WIDTH_M, Bomb, recorded_log
+from helpers import (
+    KAPPA,
+    MU,
+    TRACK_WIDTH_M,
+    Bomb,
+    may_be_lost,
+    recorded_log,
+    warns_of_a_lost_estimate,
+)
 from text_boxes import text_defects
 
 import rhec
@@ -137,6 +145,7 @@ def test_the_variance_of_kappa_grows_on_a_straight():
     )
 
 
+@may_be_lost
 def test_what_gating_rejects_is_in_the_replay():
     """True where a position was used, False where it is missing, rejected or another row's."""
     log = LOG.copy()
@@ -154,7 +163,8 @@ def test_what_gating_rejects_is_in_the_replay():
 
 def test_gating_says_when_it_restarts():
     """A yaw that is wrong by 180° is found out by the course over ground."""
-    result = rhec.replay(LOG, first_yaw_rad=0.4 + np.pi, sigma_yaw_rad=0.05, robust=True)
+    with warns_of_a_lost_estimate():
+        result = rhec.replay(LOG, first_yaw_rad=0.4 + np.pi, sigma_yaw_rad=0.05, robust=True)
     restarts = result.index[result["restarted"]]
     assert len(restarts) >= 1 and result["position_accepted"][restarts].all()
     assert errors(result[300:])[1].max() < 0.3
@@ -209,6 +219,7 @@ def another_future(log, from_s, generator):
     return pd.concat([log[log["t_s"] <= from_s], later[generator.random(len(later)) < 0.9]])
 
 
+@may_be_lost
 @pytest.mark.parametrize("gnss, first_yaw_rad", [(each, 0.4) for each in GNSS] + [(GNSS[4], None)])
 def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
     """Nor does its absence: wherever the log ends or changes, what was said remains."""
@@ -300,6 +311,7 @@ def test_track_speeds_and_width_replace_speed_and_yaw_rate(estimates):
     assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
 
 
+@may_be_lost
 def test_the_lever_arm_can_be_given_or_estimated():
     log = recorded_log(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
     told, wrong, found = (
@@ -403,6 +415,7 @@ def test_rows_out_of_time_change_nothing(estimates):
     assert result.attrs["faults"]["unusable_times"] == 4
 
 
+@may_be_lost
 @pytest.mark.parametrize(
     "broken",
     [

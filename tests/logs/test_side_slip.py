@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import recorded_log
+from helpers import may_be_lost, recorded_log
 
 import rhec
 from rhec.logs import side_slip
@@ -29,7 +29,7 @@ def rms(values):
     return np.sqrt(np.mean(np.square(values)))
 
 
-@pytest.mark.filterwarnings("ignore:The estimate is lost")
+@may_be_lost
 def test_where_the_robot_slides_its_yaw_is_said_to_be_unknown(ice):
     with_slip = replayed(ice)
     without = replayed(ice, slip=(*SLIP, 0.0))
@@ -51,7 +51,7 @@ def test_a_log_without_lasting_slip_gives_the_same_bits():
     pd.testing.assert_frame_equal(asked, rhec.replay(log, first_yaw_rad=0.7, slip=(*SLIP, 0.0)))
 
 
-@pytest.mark.filterwarnings("ignore:The estimate is lost")
+@may_be_lost
 def test_lasting_slip_that_is_told_is_used(ice):
     """A tenth of it already makes the yaw less certain."""
     few = replayed(ice.head(200), slip=(*SLIP, 0.1))

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import may_be_lost
 
 import rhec
 from rhec.workbench.command_line import main
@@ -40,6 +41,7 @@ def test_a_run_is_that_of_python(capsys, tmp_path):
     pd.testing.assert_frame_equal(pd.read_csv(file), run.log, check_exact=False, rtol=1e-14)
 
 
+@may_be_lost
 def test_a_replay_is_that_of_python(capsys, log_file, tmp_path):
     folder = tmp_path / "estimates"
     words = ["replay", str(log_file), "--folder", str(folder), "--estimator", "ekf", "--smooth"]

@@ -85,7 +85,7 @@ def test_the_page_asks_nothing_of_a_network_and_stays_small():
     scripts = [text for file, text in texts.items() if file.suffix == ".js"]
     assert not [word for text in scripts for word in ("fetch(", "://", "import(") if word in text]
     code = [text for file, text in texts.items() if file.name != "zig.txt"]
-    assert sum(len(text.splitlines()) for text in code) <= 3060  # 13 for want of a C library
+    assert sum(len(text.splitlines()) for text in code) <= 3075  # 13 for want of a C library
     assert max(len(line) for text in scripts for line in text.splitlines()) <= 100
 
 

@@ -1,5 +1,6 @@
 """A campaign: a table of many closed-loop runs, on this machine or on a Dask cluster."""
 
+import collections
 import contextlib
 import functools
 import os
@@ -37,6 +38,12 @@ _WORTH_STARTING = 1_000_000
 _WORTH_SPREADING = 200_000
 # With at least this many tasks per worker, all workers finish at about the same time.
 _TASKS_PER_WORKER = 4
+# A task whose worker died is divided into this number of parts before it runs again.
+_PARTS_OF_A_LOST_TASK = 8
+# A run has failed if so many workers died while they ran it alone.
+_DEATHS_OF_A_RUN = 3
+# So often a worker may die while it starts, before the deaths count as those of the run.
+_STARTS_OF_A_WORKER = 20
 
 
 @checked
@@ -210,28 +217,64 @@ def _run_all(scenarios, workers):
 def _run_on_workers(pool, scenarios, mean_samples, size):
     """Yield {key: row} from workers, which may die.
 
-    Tasks that were pending when a worker died run again, one at a time. The runs of a task that
-    kills its worker again then run one by one, so that only the failing run is lost.
+    Tasks that were pending when a worker died run again in smaller parts, at first as many at a
+    time as before, then alone, until the parts are single runs. Thus a run that kills its worker
+    is found, and work that others kill again and again is done in the end.
     """
+    check = functools.partial(_check_provenance, store.provenance())
     run_task = functools.partial(_run_task, mean_samples=mean_samples, expected=store.provenance())
     # Lanes are compiled first, in parallel; otherwise workers would wait for one another.
     for _ in map_tasks(pool, compile_lanes, one_per_structure(scenarios.values(), mean_samples)):
         yield {}  # lets the caller check the compiler
-    retried = []
-    for task, rows in map_tasks(pool, run_task, split_into_tasks(scenarios, size)):
-        if rows is None:
-            retried.append(task)
-        else:
-            yield rows
-    single = []
-    for task, rows in map_tasks(pool, run_task, retried, at_once=1):
-        if rows is None:
-            single += [{key: scenario} for key, scenario in task.items()]
-        else:
-            yield rows
+    tasks = split_into_tasks(scenarios, size)
+    for _ in range(2):
+        lost = yield from _finished(map_tasks(pool, run_task, tasks))
+        tasks = [part for task in lost for part in _parts(task)]
+    deaths = collections.Counter()  # of workers that ran this key and nothing else
     killed = store.failed_row("KilledWorker: every worker that ran it died")
-    for task, rows in map_tasks(pool, run_task, single, at_once=1):
-        yield dict.fromkeys(task, killed) if rows is None else rows
+    while tasks:
+        lost = yield from _finished(_one_by_one(pool, run_task, tasks, check))
+        deaths.update(key for task in lost if len(task) == 1 for key in task)
+        lethal = {key for key, count in deaths.items() if count == _DEATHS_OF_A_RUN}
+        yield dict.fromkeys(lethal, killed)
+        tasks = [part for task in lost for part in _parts(task) if not lethal & part.keys()]
+
+
+def _finished(results):
+    """Yield the rows of (task, rows); return the tasks without rows, whose worker died."""
+    lost = []
+    for task, rows in results:
+        if rows is None:
+            lost.append(task)
+        else:
+            yield rows
+    return lost
+
+
+def _parts(task):
+    """Return {key: scenario} divided into at most `_PARTS_OF_A_LOST_TASK` parts."""
+    items = list(task.items())
+    size = -(-len(items) // _PARTS_OF_A_LOST_TASK)
+    return [dict(items[start : start + size]) for start in range(0, len(items), size)]
+
+
+def _one_by_one(pool, function, tasks, check):
+    """Yield (task, function(task) or None) like `map_tasks`, one task at a time.
+
+    Before each task, a worker must have started and answered. Otherwise a worker that is killed
+    while it starts would count as killed by the task.
+
+    Args:
+        pool: The workers.
+        function: A function of a task.
+        tasks: The tasks.
+        check: A function of None, whose result is True.
+    """
+    for task in tasks:
+        for _ in range(_STARTS_OF_A_WORKER):
+            if all(answer for _, answer in map_tasks(pool, check, [None])):
+                break
+        yield from map_tasks(pool, function, [task])
 
 
 def _run_task(scenarios, mean_samples, expected=None):
@@ -254,10 +297,10 @@ def _run_task(scenarios, mean_samples, expected=None):
     return rows
 
 
-def _check_provenance(expected):
-    """Raise a RuntimeError if the provenance of this process differs from that of the caller."""
+def _check_provenance(expected, _=None):
+    """Return True; raise a RuntimeError if this process has another provenance than the caller."""
     if not expected:
-        return
+        return True
     here = store.provenance()
     for name, value in expected.items():
         if here.get(name) != value:
@@ -265,6 +308,7 @@ def _check_provenance(expected):
                 f"the worker has {name} {here.get(name)}, but the caller has {value}; "
                 "they must be the same"
             )
+    return True
 
 
 def _run_one(scenario):

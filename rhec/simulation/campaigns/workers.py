@@ -10,15 +10,20 @@ import importlib.util
 import itertools
 import logging
 import os
+import pickle
 import queue
+import shutil
 import signal
 import tempfile
+import threading
+import time
 from concurrent.futures.process import BrokenProcessPool
 
 from rhec.simulation.campaigns.optional import optional
 
 _TASKS_PER_WORKER = 3  # running and queued, so that no worker is idle
-_IDLE_S = 60.0  # idle time after which a worker process ends, also if its parent was killed
+_IDLE_S = 60.0  # idle time after which a worker process ends
+_PARENT_CHECKED_S = 1.0  # interval in which a worker looks whether its parent still runs
 SCHEDULER_TIMEOUT_S = 10.0
 FIRST_WORKER_TIMEOUT_S = 60.0
 # Each worker uses one core; by default BLAS would start one thread per core in every worker.
@@ -52,30 +57,90 @@ def _count_cores():
 
 
 class _LocalWorkers:
-    """Worker processes on this machine, started with the first task."""
+    """Worker processes on this machine, started with the first task.
+
+    Results come back in files of a private folder; a pipe transfers only their names. If a worker
+    is killed while it writes a long message, the reader of the pipe waits for its end for ever. A
+    name is so short that the pipe has all of it or nothing.
+    """
 
     died = BrokenProcessPool
 
     def __init__(self, count):
         self.count = count
         self.pool = None
+        self.folder = tempfile.TemporaryDirectory(
+            prefix="rhec-workers-", ignore_cleanup_errors=True
+        )
 
     def submit(self, function, task):
-        """Return the Future of function(task)."""
+        """Return the Future of function(task), whose value is for `result_of`."""
+        order = _into_file, function, task, self.folder.name
         with _interrupts_blocked():
             if self.pool is not None:
                 with contextlib.suppress(BrokenProcessPool):  # workers died: start new ones
-                    return self.pool.submit(function, task)
+                    return self.pool.submit(*order)
             import loky
 
-            self.pool = loky.ProcessPoolExecutor(self.count, timeout=_IDLE_S, env=_ONE_THREAD)
-            return self.pool.submit(function, task)
+            self.pool = loky.ProcessPoolExecutor(
+                self.count,
+                timeout=_IDLE_S,
+                env=_ONE_THREAD,
+                initializer=_end_with_parent,
+                initargs=(os.getpid(), self.folder.name),
+            )
+            return self.pool.submit(*order)
+
+    @staticmethod
+    def result_of(future):
+        """Return the result of a Future that is done."""
+        file, result = future.result()
+        if file is None:
+            return result
+        with open(file, "rb") as content:
+            result = pickle.load(content)
+        os.unlink(file)
+        return result
 
     def stop(self):
         """Kill the processes and their tasks."""
         if self.pool is not None:
             self.pool.shutdown(kill_workers=True)
         self.pool = None
+
+
+def _into_file(function, task, folder):
+    """Return (path, None), where function(task) is pickled in a new file of this folder.
+
+    Without room for the file, it is (None, function(task)).
+    """
+    result = function(task)
+    file = None
+    try:
+        handle, file = tempfile.mkstemp(dir=folder)
+        with open(handle, "wb") as content:
+            pickle.dump(result, content)
+    except OSError:
+        with contextlib.suppress(OSError, TypeError):
+            os.unlink(file)
+        return None, result
+    return file, None
+
+
+def _end_with_parent(parent, folder):
+    """End this worker soon after its parent, the process that started it, has ended.
+
+    If the parent is killed, a worker that waits for one of its pipes would wait for ever. The
+    folder of results is removed then, because the parent could not do it.
+    """
+
+    def watch():
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECKED_S)
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextlib.contextmanager
@@ -131,6 +196,11 @@ class _ClusterWorkers:
     def submit(self, function, task):
         """Return the Future of function(task)."""
         return self.executor.submit(function, task)
+
+    @staticmethod
+    def result_of(future):
+        """Return the result of a Future that is done."""
+        return future.result()
 
     def stop(self):
         """Cancel the tasks of this client."""
@@ -221,7 +291,7 @@ def map_tasks(workers, function, tasks, at_once=None):
             future = finished.get()
             result = None
             with contextlib.suppress(workers.died):
-                result = future.result()
+                result = workers.result_of(future)
             yield pending.pop(future), result
     finally:
         if pending:  # interrupted, or an error

@@ -19,7 +19,8 @@ from rhec.simulation.columns import COLUMNS
 from rhec.tracked_robot.choice import Choice
 
 __all__ = ["ERRORS", "MAX_LOG_SAMPLES", "MAX_SAMPLES"]
-__all__ += ["build_functions", "build_replay", "c_text", "c_text_of_replay"]
+__all__ += ["argument_tables", "build_functions", "build_replay", "c_module", "c_text"]
+__all__ += ["c_text_of_replay"]
 
 MAX_SAMPLES = 1200  # of a run: four minutes
 MAX_LOG_SAMPLES = 72_000  # of a reader's own log: four hours
@@ -129,13 +130,29 @@ def c_text(functions, logged=_LOGGED, samples=MAX_SAMPLES, loop=_LOOP_C):
         entries = samples + 1 if name in logged else 1
         lines.append(f"double at_{name}[{length * entries}];")
     for name, function in functions.items():
-        arguments = ", ".join(f"at_{of}" for of in function.name_in())
-        results = ", ".join(f"at_{of}" for of in function.name_out())
-        lines.append(f"static const double *{name}_arg[{function.sz_arg()}] = {{{arguments}}};")
-        lines.append(f"static double *{name}_res[{function.sz_res()}] = {{{results}}};")
+        arguments = [f"at_{of}" for of in function.name_in()]
+        results = [f"at_{of}" for of in function.name_out()]
+        lines += argument_tables(name, function, arguments, results)
+    return c_module(functions, lines, loop.read_text(encoding="utf-8"))
+
+
+def argument_tables(name, function, arguments, results):
+    """The C lines of the two tables with which a Function of CasADi's C is called.
+
+    `arguments` and `results` are the names of its arrays.
+    """
+    inputs = ", ".join(arguments)
+    outputs = ", ".join(results)
+    return [
+        f"static const double *{name}_arg[{function.sz_arg()}] = {{{inputs}}};",
+        f"static double *{name}_res[{function.sz_res()}] = {{{outputs}}};",
+    ]
+
+
+def c_module(functions, lines, entry):
+    """One C text: CasADi's C of the Functions, the lines, room for one call, and the entry."""
     n_iw = max(function.sz_iw() for function in functions.values())
     n_w = max(function.sz_w() for function in functions.values())
-    lines.append(f"static long long iw[{n_iw + 1}];")
-    lines.append(f"static double w[{n_w + 1}];")
+    room = [f"static long long iw[{n_iw + 1}];", f"static double w[{n_w + 1}];"]
     casadi_c = generate_c([*functions.values()], "code.c")
-    return casadi_c + "\n".join(lines) + "\n" + loop.read_text(encoding="utf-8")
+    return casadi_c + "\n".join([*lines, *room]) + "\n" + entry

@@ -13,11 +13,11 @@ import numpy as np
 
 from rhec import paper
 from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
-from rhec.core._casadi.c_text import generate_c
 from rhec.core.estimator import ekf, rhe
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
 from rhec.tracked_robot.rhe import SIGMA_START, init, window_of
+from rhec.workbench.live.functions import argument_tables, c_module
 
 __all__ = ["build_tools", "c_text", "first_memories", "without_bounds"]
 
@@ -131,12 +131,7 @@ def c_text(functions):
         sizes = [function.nnz_in(j) for j in range(function.n_in())]
         sizes += [function.nnz_out(j) for j in range(function.n_out())]
         lines += [f"double {array}[{n}];" for array, n in zip(arguments + results, sizes)]
-        arg = ", ".join(arguments)
-        res = ", ".join(results)
-        lines.append(f"static const double *{name}_arg[{function.sz_arg()}] = {{{arg}}};")
-        lines.append(f"static double *{name}_res[{function.sz_res()}] = {{{res}}};")
+        lines += argument_tables(name, function, arguments, results)
         cases.append(f"  if (which == {i}) return {name}({name}_arg, {name}_res, iw, w, 0);")
-    lines.append(f"static long long iw[{max(of.sz_iw() for of in functions.values()) + 1}];")
-    lines.append(f"static double w[{max(of.sz_w() for of in functions.values()) + 1}];")
     run = ["int run(int which) {", *cases, "  return 1;", "}"]
-    return generate_c([*functions.values()], "code.c") + "\n".join([*lines, *run]) + "\n"
+    return c_module(functions, lines, "\n".join(run) + "\n")
