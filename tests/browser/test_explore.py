@@ -9,8 +9,6 @@ import rhec
 from rhec.workbench.explorer.explorer import metrics_table
 from rhec.workbench.explorer.screen import CSS
 
-pytestmark = pytest.mark.xdist_group("lab")  # one JupyterLab serves them all
-
 # From here on the page notes when each picture that follows a change was painted, and when a
 # pointer was last pressed and let go [ms].
 WATCH = """() => {

@@ -16,7 +16,7 @@ from rhec.simulation.columns import COLUMNS
 from rhec.workbench.live.page import SCENES
 
 websocket = pytest.importorskip("websocket", reason="websocket-client is not installed")
-pytestmark = [needs_live_page, pytest.mark.xdist_group("firefox")]  # one Firefox for all
+pytestmark = needs_live_page
 PATIENCE_S = 180
 
 

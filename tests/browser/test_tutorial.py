@@ -2,8 +2,6 @@
 
 import pytest
 
-pytestmark = pytest.mark.xdist_group("lab")  # one JupyterLab serves them all
-
 SOLUTION = """def step(xi, omega, p, h=0.2):
     k1 = f(xi, omega, p)
     k2 = f(xi + h / 2 * k1, omega, p)

@@ -19,7 +19,6 @@ from rhec.workbench import report, results
 from rhec.workbench.plots import style
 from rhec.workbench.studies.claims.summary import BY_DERIVATION, TESTED, verdict_counts
 
-pytestmark = pytest.mark.xdist_group("report")  # they share one, which takes long to build
 ROOT = Path(__file__).parents[2]
 PNG = (
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGA"

@@ -17,7 +17,6 @@ from rhec import paper
 from rhec.core.model import base
 from rhec.tracked_robot import kinematics as model
 
-pytestmark = pytest.mark.xdist_group("tutorial")  # it is executed once for all
 TUTORIAL = Path(__file__).parents[2] / "notebooks/01_tutorial.ipynb"
 DT = paper.DT_S
 
