@@ -223,7 +223,11 @@ def _costs(costs):
     rows = (
         costs[[*columns]].agg(["median", "max", "sum"]).rename(columns=columns).map("{:.3g}".format)
     )
-    names = {"median": "the median claim", "max": "the largest", "sum": f"these {len(costs)} claims"}
+    names = {
+        "median": "the median claim",
+        "max": "the largest",
+        "sum": f"these {len(costs)} claims",
+    }
     machines = "; ".join(costs["machine"].unique())
     table = rows.rename(index=names).rename_axis("").reset_index()
     return f"Measured on {machines}:\n\n{to_markdown(table)}"
