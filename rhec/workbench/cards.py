@@ -1,8 +1,9 @@
 """The claims as cards of the report: each sentence with its verdict, its numbers and its rule.
 
 `page` writes the report's page `claims.html` as Markdown. All that a card says is in the ledger,
-`figures/claims.csv`; nothing is computed here. `cards.html.j2` orders the parts of a card,
-`docs/_static/claims.js` filters and searches the cards, which are all readable without it.
+`figures/claims.csv`, and in `data/claim_costs.csv`; nothing is computed here. `cards.html.j2`
+orders the parts of a card, `docs/_static/claims.js` filters and searches the cards, which are all
+readable without it.
 """
 
 from pathlib import Path
@@ -33,6 +34,9 @@ names a departure, the text as printed gives the other.
 Below each verdict stands what it rests on: a *derivation*, a *test* that came out both ways
 somewhere, or *the same outcome in every world tried*. The command on a card judges its claim again,
 in seconds."""
+_COSTS = """Beside the command stands what it took on {machines}: computing time, as if on
+one core, and disk for compiled code. The claims were judged one after the other, so that each takes
+less if an earlier one compiled the same loop."""
 _TEMPLATE = Path(__file__).with_name("cards.html.j2")
 _UNITLESS = ("", "-", "ratio")
 # The picture of an interval [px]: its scale from left to right, and the heights of its parts.
@@ -43,12 +47,13 @@ _ROWS = {"here": 26.0, "other": 37.0}
 _TICKS = 4
 
 
-def page(claims, live=False):
+def page(claims, live=False, costs=None):
     """The report's page of all claims, with an address for each, such as `claims.html#B5`.
 
     Args:
         claims: The ledger from claims.csv, one row a claim.
         live: Whether the report has a live page to link.
+        costs: What judging each claim alone takes, from claim_costs.csv.
 
     Returns:
         The page as Markdown with HTML.
@@ -56,15 +61,23 @@ def page(claims, live=False):
     claims = claims.assign(kind=claims["verdict"].map(kind_of))
     template = _environment().get_template(_TEMPLATE.name).module
     counts = results.to_markdown(verdict_counts(claims).reset_index())
+    cost_of = {} if costs is None else {row["id"]: row for row in costs.to_dict("records")}
     sections = {
-        section: [_card(row, live) for row in rows.to_dict("records")]
+        section: [_card(row, live, cost_of.get(row["id"])) for row in rows.to_dict("records")]
         for section, rows in claims.groupby("section", sort=False)
     }
     kinds = [(kind, *LOOKS[kind], (claims["kind"] == kind).sum()) for kind in LOOKS]
-    parts = [f"# Verdicts on the paper\n\n{_INTRODUCTION}\n\n{counts}"]
+    about = [_INTRODUCTION]
+    about += [] if costs is None else [_COSTS.format(machines=_machines(costs))]
+    parts = ["\n\n".join(["# Verdicts on the paper", *about, counts])]
     parts.append(_raw(template.overview(sections, [each for each in kinds if each[3]])))
     parts += [f"## {section}\n\n{_raw(template.cards(all_))}" for section, all_ in sections.items()]
     return "---\nhide-toc: true\n---\n\n" + "\n\n".join(parts) + "\n"
+
+
+def _machines(costs):
+    """The machines on which the costs were measured."""
+    return "; ".join(costs["machine"].unique())
 
 
 def _environment():
@@ -84,8 +97,8 @@ def _raw(html):
 # One card
 
 
-def _card(row, live):
-    """What the template needs of a row of the ledger."""
+def _card(row, live, cost):
+    """What the template needs of a row of the ledger, and of what it cost."""
     row = {name: "" if pd.isna(value) else value for name, value in row.items()}
     colour, sign = LOOKS[row["kind"]]
     return row | dict(
@@ -95,8 +108,16 @@ def _card(row, live):
         conditions=_conditions(row["conditions"]),
         shares=_shares(row),
         picture=interval(row),
+        cost=_cost_text(cost),
         scene=next((at for at, ids in LIVE.items() if live and row["id"] in ids.split()), ""),
     )
+
+
+def _cost_text(cost):
+    """The computing time and the disk that the command took; "" if not measured."""
+    if cost is None:
+        return ""
+    return f"{cost['core_seconds']:.3g} s of one core, {cost['megabytes']:.2g} MB"
 
 
 def _numbers(row):

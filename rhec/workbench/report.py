@@ -335,7 +335,8 @@ def _claims_page(file, live):
     """The verdicts on all claims, with an anchor for each, such as `claims.html#B5`."""
     if not file.exists():
         return "# Verdicts on the paper\n\n`make claims` has not been run.\n"
-    return cards.page(pd.read_csv(file), live)
+    costs = ROOT / "data/claim_costs.csv"
+    return cards.page(pd.read_csv(file), live, pd.read_csv(costs) if costs.exists() else None)
 
 
 def _provenance_page(stories, figures):

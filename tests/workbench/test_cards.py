@@ -122,3 +122,23 @@ def test_text_of_the_ledger_stays_text():
     soup, all_cards = parsed(claims=claims)
     assert [script["src"] for script in soup.select("script")] == ["_static/claims.js"]
     assert not soup.select("img")
+
+
+def test_a_card_says_what_its_command_takes_and_the_page_on_which_machine():
+    about = dict(command="", seconds=9.0, machine="a <slow> machine")
+    row = dict(id=ROWS[0]["id"], core_seconds=3.21, megabytes=0.456) | about
+    html = cards.page(CLAIMS_CSV, costs=pd.DataFrame([row]))
+    here, *others = BeautifulSoup(html, "html.parser").select(".claim-ways")
+    assert "3.21 s of one core, 0.46 MB" in here.get_text()
+    assert not [other for other in others if "of one core" in other.get_text()]
+    assert "a <slow> machine" in html.partition("```")[0]
+    assert "of one core" not in cards.page(CLAIMS_CSV)
+
+
+def test_measured_costs_are_those_of_claims_by_their_commands():
+    costs = pd.read_csv(ROOT / "data/claim_costs.csv")
+    assert [*costs["id"]] == [id_ for id_ in CLAIMS if id_ in {*costs["id"]}]
+    assert [*costs["command"]] == [f"rhec claim {id_}" for id_ in costs["id"]]
+    assert (costs["core_seconds"] > 0).all()
+    assert (costs["megabytes"] >= 0).all()
+    assert costs["machine"].str.len().gt(0).all()
