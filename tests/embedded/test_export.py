@@ -29,6 +29,7 @@ from rhec.tracked_robot import cautious
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.position_check import most_rejected
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 from rhec.workbench.plots.timing import embedded_times
@@ -38,6 +39,7 @@ from rhec.workbench.studies.timing import PHASES
 SECONDS = 20.0
 TOLERANCE = 1e-9
 ANSWERS = [name for name in LOG if name not in MEASUREMENTS]
+PREDICTED = toolchain.STATUS["predicted"]
 RESTARTED = toolchain.STATUS["estimator_restarted"], toolchain.STATUS["controller_restarted"]
 # Without optimising, frames are larger than the limit, which is for an export as it is meant to be.
 QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS if "frame" not in flag]
@@ -431,18 +433,33 @@ def test_overwritten_memory_restarts_and_is_reported(exported, library):
     assert np.hypot(*(estimate[:2] - log[["x_hat_m", "y_hat_m"]].to_numpy()[-1])) < 0.2
 
 
-def test_an_implausible_estimate_restarts(exported, library):
-    """Positions that jump by more than anything drives are believed for a while; then the estimate
-    restarts at the measurement.
+def test_positions_that_jump_are_not_used_until_one_has_to_be(exported, library):
+    """Positions that jump by more than anything drives are not used, until one has to be because
+    so many were not. When they no longer jump, the estimate returns to them.
     """
     robot, z = Robot(library, exported("paper")), log_of(exported("paper"))[MEASUREMENTS].to_numpy()
-    statuses = 0
-    for k, row in enumerate(np.tile(z[:30], (3, 1))):
-        estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 40), 0, 0, 0])
-        statuses |= status
+    most = most_rejected(paper.DT_S)
+    for k, row in enumerate(np.tile(z[:30], (4, 1))):
+        estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 80), 0, 0, 0])
         assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
         assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
-    assert statuses & RESTARTED[0]
+        if 10 <= k < 10 + most:
+            assert status & PREDICTED and np.abs(estimate[:2]).max() < 100
+    assert np.abs(estimate[:2] - row[:2]).max() < 1
+
+
+def test_after_impossible_positions_answers_equal_pythons(exported, library):
+    """One sample 1 km off, then positions 5 m off for good, which the RHE takes at last."""
+    measurements = log_of(exported("paper"))[MEASUREMENTS].to_numpy()
+    measurements[10, :2] += (600.0, -800.0)
+    measurements[20:, 0] += 5.0
+    robot = Robot(library, exported("paper"))
+    answers = np.array([[*estimate, omega] for estimate, omega, _ in map(robot.step, measurements)])
+    scenario = rhec.Scenario(duration_s=SECONDS, seed=1)
+    expected = in_python(scenario, measurements)
+    np.testing.assert_allclose(answers, expected, rtol=0, atol=TOLERANCE)
+    assert abs(answers[10, 0] - answers[9, 0]) < 1
+    assert abs(answers[-1, 0] - measurements[-1, 0]) < 1
 
 
 # What it needs; fuzzing
