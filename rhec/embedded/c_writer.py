@@ -75,7 +75,9 @@ _README_OF_A_MODEL = dict(
     more="""\
 Weights, variances, bounds and their prices can be changed without a new export: copy
 rhec_scenario, change the copy, and pass it to rhec_init. If the controller has outputs, their
-desired values are r.controller.y_ref, at first 0.
+desired values are r.controller.y_ref, at first 0. If the estimator has process noise within its
+window, W of the copy may change before each call of rhec_estimate: it is that of the newest
+interval.
 """,
 )
 _SPEED = """

@@ -5,6 +5,7 @@ makes it fail; its report.
 import ctypes
 import dataclasses
 import json
+import re
 import shutil
 import subprocess
 
@@ -907,6 +908,34 @@ def test_a_models_export_does_not_use_an_outlier(tmp_path):
     np.testing.assert_allclose(exported, live, rtol=0, atol=TOLERANCE)
     assert np.abs(exported[41:, :2] - exported[39, :2]).max() < 0.1
     assert [k for k, status in enumerate(statuses) if status] == [40]
+
+
+@needs_compiler
+def test_an_exports_process_noise_may_change_by_sample(tmp_path):
+    """Within the window, through a copy of the settings that the caller changes."""
+    robot = ROBOTS["bicycle"]
+    rng = np.random.default_rng(5)
+    guess, z = mhe_instance(robot, rng, 29, missing=0.2)
+    settings = dict(dt=DT, horizon=6, guess=tuple(guess), noise_in_window=True) | robot.estimator
+    with no_compiler():
+        mhe = rhec.RHE(model=rhec.Model(**robot.model), **settings)
+        folder = rhec.export(mhe, tmp_path / "rhec")
+    in_c = RobotInC(folder, tmp_path)
+    struct = (folder / "rhec_memory.h").read_text().split("struct rhec_settings {")[1].split("}")[0]
+    lengths = dict(re.findall(r"rhec_real (\w+)\[(\d+)\]", struct))
+    begin = sum(int(n) for n in [*lengths.values()][: [*lengths].index("W")])
+    size = sum(map(int, lengths.values()))
+    copied = (ctypes.c_double * size).in_dll(in_c.library, "rhec_scenario")
+    changed = (ctypes.c_double * size)(*copied)
+    first = (ctypes.c_double * len(guess)).in_dll(in_c.library, "rhec_scenario_guess")
+    in_c.library.rhec_init(in_c.memory, changed, first)
+    for row in z:
+        sigma_w = np.array(robot.sigma_w) * rng.uniform(0, 5, len(guess))
+        changed[begin : begin + len(guess)] = np.square(sigma_w)
+        mhe.prepare()
+        live = np.concatenate(mhe.feedback(row, sigma_w=sigma_w)[:3])
+        answer, _ = in_c.call("estimate", row, length=len(mhe.model.names))
+        np.testing.assert_allclose(answer, live, rtol=0, atol=TOLERANCE)
 
 
 @needs_compiler

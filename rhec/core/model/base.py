@@ -66,8 +66,8 @@ class Model:
             stiff model an implicit one, "radau3" or "radau5", Radau IIA of that order. A stiff
             model has modes that die out much faster than an interval.
         discrete: Whether f gives the next state, one sample later, instead of ẋ.
-        state_bounds: {name: (lowest, highest)} of states whose estimate a RHE keeps within these
-            bounds. They hold for the present state, not for earlier ones of the window.
+        state_bounds: {name: (lowest, highest)} of states that a RHE keeps within these bounds, at
+            all nodes of its window.
 
     Raises:
         ValueError: If an argument is invalid.
