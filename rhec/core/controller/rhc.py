@@ -33,7 +33,7 @@ from rhec.core.controller.horizon import (
 from rhec.core.controller.initial_plan import InitialPlan, initial_plan
 from rhec.core.controller.options import Options, problem_of
 from rhec.core.model.base import Model
-from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.integration import refuse_start
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.line_search import PENALTY, line_search
@@ -522,7 +522,7 @@ class RHC(RealTimeLoop):
         # There is no previous plan: start from a given one, or a robot that stays where it is.
         x, p = list(self._inputs.values())[:2]
         u = self.iteration.arrays["u_ref"][: self.problem.n_u]
-        refuse_unstable_step(self.problem.model, x, u, p, self.problem.dt_s)
+        refuse_start(self.problem.model, x, u, p, self.problem.dt_s)
         memory = self.first_memory(x, p)
         if self._initial:
             memory |= self._initial.memory(self.problem, x, p)

@@ -27,7 +27,7 @@ from rhec.core.estimator import innovation_gate, kalman, window_bounds, window_n
 from rhec.core.estimator.base import Estimate, joint_estimate, joint_guess, noise_of, variances_w
 from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.integration import refuse_start
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
@@ -744,7 +744,7 @@ class RHE(RealTimeLoop):
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
+        refuse_start(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
         gate = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
         self.window = Window(model, dt, horizon, arrival_mean, gate=gate, noisy=noise_in_window)
