@@ -172,3 +172,19 @@ needs_live_page = pytest.mark.skipif(
     not LIVE_PAGE.exists(),
     reason="build/report has no live page: nothing compiled C to WebAssembly",
 )
+
+
+def wait_until(page, expression, patience_s=180):
+    """Wait until a JavaScript expression is true in a page of the report.
+
+    The pages' policy forbids what Playwright's `wait_for_function` does: it evaluates a text.
+    """
+    page.evaluate(
+        f"""async () => {{
+            const end = Date.now() + {1000 * patience_s};
+            while (!({expression})) {{
+                if (Date.now() > end) throw Error("in vain");
+                await new Promise(done => setTimeout(done, 20));
+            }}
+        }}"""
+    )

@@ -78,8 +78,12 @@ def cluster(options):
 
 
 def workers_of(process, mark):
-    children = process.children(recursive=True)
-    return [child for child in children if mark in " ".join(child.cmdline())]
+    found = []
+    for child in process.children(recursive=True):
+        with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
+            if mark in " ".join(child.cmdline()):
+                found.append(child)
+    return found
 
 
 def megabytes(processes):

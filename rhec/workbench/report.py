@@ -31,6 +31,7 @@ from sphinx.application import Sphinx
 
 from rhec import __version__
 from rhec.workbench import cards, results
+from rhec.workbench.content_policy import with_policy
 from rhec.workbench.plots import style
 from rhec.workbench.studies import timing
 
@@ -75,6 +76,8 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False, published=
         site.mkdir()
         _lay_out(source, notebooks, figures, live, published)
         _run_sphinx(source, site, ["live"] if live else [])
+        for page in site.rglob("*.html"):
+            page.write_text(with_policy(page.read_text(encoding="utf-8")), encoding="utf-8")
         (site / "report.d").touch()  # for `make clean`
         files = [f"build/report/{file.relative_to(site)}" for file in site.rglob("*.*")]
         (site / "report.d").write_text(f"MADE += {' '.join(files)}\n")

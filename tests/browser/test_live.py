@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import LIVE_PAGE, needs_live_page
+from helpers import LIVE_PAGE, needs_live_page, wait_until
 
 import rhec
 from rhec import paper
@@ -32,7 +32,7 @@ class Live:
         self.settled()
 
     def settled(self):
-        self.page.wait_for_function("page.busy && !asked")
+        wait_until(self.page, "page.busy && !asked")
         self.page.evaluate("page.busy")
         assert re.match(r"\d runs of", self.page.inner_text("#said")), self.page.inner_text("#said")
 
@@ -47,8 +47,8 @@ class Live:
 
     def fields(self):
         """Results on other fields, when all are there: noise, soil and the metrics of the runs."""
-        self.page.wait_for_function(
-            "fields.pairs.length && fields.results.length === fields.pairs.length"
+        wait_until(
+            self.page, "fields.pairs.length && fields.results.length === fields.pairs.length"
         )
         self.settled()
         return self.page.evaluate(
@@ -312,7 +312,7 @@ def test_the_run_plays_by_button_and_by_space_bar(live):
     live.page.select_option("#pace", "4")
     begun = time_of(live)
     live.page.click("#play")
-    live.page.wait_for_function(f"parseFloat($('time').value) > {begun} + 1")
+    wait_until(live.page, f"parseFloat($('time').value) > {begun} + 1")
     live.page.click("#play")
     live.settled()
     stopped, pictures = time_of(live), live.pictures()
@@ -320,7 +320,7 @@ def test_the_run_plays_by_button_and_by_space_bar(live):
     assert time_of(live) == stopped and live.pictures() == pictures
     live.page.locator("#moment").focus()
     live.page.keyboard.press("Space")
-    live.page.wait_for_function(f"parseFloat($('time').value) > {stopped}")
+    wait_until(live.page, f"parseFloat($('time').value) > {stopped}")
     live.page.keyboard.press("Space")
     assert live.page.inner_text("#play") == "play"
 
@@ -513,7 +513,7 @@ def test_an_own_log_is_estimated_as_in_python(live, tmp_path, make):
     log = make(pd.read_csv(EXAMPLE))
     log.to_csv(tmp_path / "log.csv", index=False)
     live.page.set_input_files("#own_file", tmp_path / "log.csv")
-    live.page.wait_for_function("own_log.found.length")
+    wait_until(live.page, "own_log.found.length")
     found = live.page.evaluate(ESTIMATED)
     parts = estimated_in_python(pd.read_csv(tmp_path / "log.csv"), found)
     assert len(parts) == len(found) == 2
@@ -537,7 +537,7 @@ def test_columns_of_an_own_log_are_found_or_matched_by_hand(live, tmp_path):
     log.to_csv(tmp_path / "log.csv", index=False, sep=";")
     live.page.set_input_files("#own_file", tmp_path / "log.csv")
     said = "Which column is yaw_rate_radps?"
-    live.page.wait_for_function(f"$('own_said').textContent === '{said}'")
+    wait_until(live.page, f"$('own_said').textContent === '{said}'")
     live.page.select_option("#own_yaw_rate_radps", "my w")
-    live.page.wait_for_function("own_log.found.length")
+    wait_until(live.page, "own_log.found.length")
     assert f"{len(log)} rows" in live.page.inner_text("#own_said")

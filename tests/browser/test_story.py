@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers import LIVE_PAGE, needs_live_page
+from helpers import LIVE_PAGE, needs_live_page, wait_until
 
 import rhec
 from rhec import paper
@@ -42,8 +42,9 @@ class Story:
         return self
 
     def settled(self):
-        self.page.wait_for_function(
-            "Object.keys(story.steps).length && page.busy && !asked && !story.wanted.size"
+        wait_until(
+            self.page,
+            "Object.keys(story.steps).length && page.busy && !asked && !story.wanted.size",
         )
         self.page.evaluate("Promise.all([story.busy, page.busy])")
         assert "live/" not in self.page.inner_text("#said")
@@ -207,7 +208,7 @@ def test_an_address_holds_all_of_the_sandbox(story, scene):
     state = "[page.followed, $('moment').value, $('line').textContent, page.patches]"
     before = page.evaluate(state)
     # The address is written a moment after the last change.
-    page.wait_for_function("location.hash === address_of_sandbox()")
+    wait_until(page, "location.hash === address_of_sandbox()")
     address = page.evaluate("location.hash")
     assert address.startswith(f"#{scene}?")
     story.open(address)

@@ -2,8 +2,10 @@
 need no script, counts of verdicts agree, and it says where results came from.
 """
 
+import hashlib
 import importlib.util
 import re
+from base64 import b64encode
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -16,6 +18,7 @@ from nbformat import v4
 
 import rhec
 from rhec.workbench import report, results
+from rhec.workbench.content_policy import with_policy
 from rhec.workbench.plots import style
 from rhec.workbench.studies.claims.summary import BY_DERIVATION, TESTED, verdict_counts
 
@@ -269,3 +272,15 @@ def test_a_report_that_fails_leaves_the_old_one(site, tmp_path):
         report.build([tmp_path / "bad.ipynb"], site.parent / "figures", old)
     assert (old / "index.html").read_text() == "old"
     assert not list(tmp_path.glob("unfinished-*"))
+
+
+def test_a_page_runs_its_own_scripts_alone_and_loads_nothing_from_elsewhere():
+    own = "document.body.dataset.theme = 'auto';"
+    page = with_policy(f"<html><head><title>t</title></head><body><script>{own}</script></body>")
+    assert page.index("Content-Security-Policy") < page.index("<title>")
+    policy = BeautifulSoup(page, "html.parser").find("meta")["content"]
+    directives = dict(directive.split(" ", 1) for directive in policy.split("; "))
+    assert directives["default-src"] == "'none'"
+    digest = b64encode(hashlib.sha256(own.encode()).digest()).decode()
+    assert directives["script-src"].split() == ["'self'", "file:", f"'sha256-{digest}'"]
+    assert not re.search("http|unsafe-eval|[*]", policy)

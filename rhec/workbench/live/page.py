@@ -32,6 +32,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
+from rhec.workbench.content_policy import live_policy
 from rhec.workbench.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
 from rhec.workbench.explorer.explorer import METRICS
 from rhec.workbench.explorer.robot_view import plants_of
@@ -109,7 +110,8 @@ def write(folder=REPORT):
     )
     pages = {file.stem: file.relative_to(folder).as_posix() for file in folder.rglob("*.html")}
     story = dict(story=STORY, stills=pictures.result(), sigma_m=paper.SIGMA_V[0])
-    html = environment.get_template("live.html.j2").render(world=world, pages=pages, **story)
+    story |= dict(world=world, pages=pages, policy=live_policy())
+    html = environment.get_template("live.html.j2").render(**story)
     (folder / "live.html").write_text(html, encoding="utf-8")
 
 
