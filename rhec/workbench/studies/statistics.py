@@ -308,7 +308,9 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
         value = flags.mean()
         k = int(flags.sum())
         low, high = share_interval(k, n)
-        ends = share_interval(k, n, confidence)
+        ends = low, high
+        if confidence != CONFIDENCE:
+            ends = share_interval(k, n, confidence)
         bound = above if abs(value - above) <= abs(value - below) else below
         if 0 < bound < 1:
             tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
