@@ -102,11 +102,13 @@ embedded: $(READY) ## the default scenario's estimator and controller as C, in b
 	@$(PY) -m rhec.workbench.studies.embedded
 
 ##@ Check
+# Tests of a file share what takes long to make, so one process runs them all.
 test: $(READY) ## run the tests
-	@$(PY) -m pytest -n auto --ignore=tests/browser
+	@$(PY) -m pytest -n auto --dist loadfile --ignore=tests/browser
 
 test-browser: build/report/index.html ## test the pages in a headless Chromium
-	@$(PY) -m pytest -rs tests/browser
+	@$(PY) -m pytest -rs -n auto --dist loadfile -m 'not timed' tests/browser
+	@$(PY) -m pytest -m timed tests/browser
 
 lint: $(READY) ## check style, types of the public interface, imports, and notebooks for outputs
 	@$(PY) -m ruff check --quiet

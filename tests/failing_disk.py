@@ -19,6 +19,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import time
 import warnings
 from pathlib import Path
 from unittest import mock
@@ -35,7 +36,7 @@ from rhec.workbench.plots import style
 MOST_OPERATIONS = 1000  # a task that never ends without failure would be a loop
 ALLOCATION = 8192  # [B] smaller allocations do not fail: Python itself needs them to go on
 MOST_ALLOCATIONS = 12  # of a task fail, evenly spread over it
-LONGEST_S = 60  # of a child that says nothing
+LONGEST_S = 60.0  # of a child that says nothing
 DIED = "the process died without memory"
 
 SCENARIOS = [rhec.Scenario(duration_s=2.0, seed=seed) for seed in range(3)]
@@ -143,20 +144,20 @@ def attempt(task, folder, disk, fails_at, ever_after):
     return outcome
 
 
-def in_a_child(function):
+def in_a_child(function, longest_s=LONGEST_S):
     """The JSON result of a function that runs in a forked process, which may die.
 
     A fork of a process that has had threads may wait for a lock that one of them held. That is no
     fault of the task, so a child that says nothing for long is killed and forked anew.
     """
     for _ in range(3):
-        is_done, text = fork_once(function)
+        is_done, text = fork_once(function, longest_s)
         if is_done:
             return json.loads(text) if text else None
-    raise RuntimeError(f"three children said nothing for {LONGEST_S} s each")
+    raise RuntimeError(f"three children said nothing for {longest_s:.0f} s each")
 
 
-def fork_once(function):
+def fork_once(function, longest_s):
     """Whether a forked process ended in time, and what it wrote."""
     reading, writing = os.pipe()
     child = os.fork()
@@ -166,7 +167,7 @@ def fork_once(function):
             json.dump(function(), pipe)
         os._exit(0)
     os.close(writing)
-    is_done = bool(select.select([reading], [], [], LONGEST_S)[0])
+    is_done = bool(select.select([reading], [], [], longest_s)[0])
     if not is_done:
         os.kill(child, signal.SIGKILL)
     with os.fdopen(reading) as pipe:
@@ -197,15 +198,15 @@ def one_point(task, disk, k, ever_after):
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def point_of_memory(task, disk, k):
+def point_of_memory(task, disk, k, longest_s):
     """As `one_point`, for the k-th allocation. CasADi ends the process where it lacks memory."""
     folder = Path(tempfile.mkdtemp())
     try:
-        first = in_a_child(lambda: attempt(task, folder, disk, k, 0))
+        first = in_a_child(lambda: attempt(task, folder, disk, k, 0), longest_s)
         left = digests(folder)
         for file in folder.rglob("*.parquet"):
             parquet.read_table(file, use_threads=False)  # what has its name is whole
-        again = in_a_child(lambda: attempt(task, folder, disk, 0, 0))
+        again = in_a_child(lambda: attempt(task, folder, disk, 0, 0), longest_s)
         first = first or dict(result=None, error=DIED, calls=k)
         point = dict(k=k, first=first, left=left, again=again)
         return point | dict(finally_there=digests(folder))
@@ -224,18 +225,24 @@ def main():
     shutil.rmtree(warm)
     gc.freeze()  # else each child's collector would copy all memory that it shares
     ctypes.c_long.in_dll(disk, "memory_least").value = ALLOCATION if what == "memory" else 0
+    begun = time.monotonic()
     reference = in_a_child(lambda: one_point(task, disk, 0, 0))
+    # The reference is two runs; a run that takes twenty times as long waits for ever.
+    longest_s = 5.0 + 10.0 * (time.monotonic() - begun)
     count = reference["first"]["calls"]
     assert 0 < count < MOST_OPERATIONS, count
-    points = memory_points(task, disk, count) if what == "memory" else points_of(task, disk, count)
+    if what == "memory":
+        points = memory_points(task, disk, count, longest_s)
+    else:
+        points = points_of(task, disk, count)
     print(json.dumps(dict(reference=reference, points=points)))
 
 
-def memory_points(task, disk, count):
+def memory_points(task, disk, count, longest_s):
     """The points of a task with `count` allocations, each of which fails alone."""
     # Without any memory ever after, not even a folder could be listed to remove it.
     places = range(1, count + 1, -(-count // MOST_ALLOCATIONS))
-    return [point_of_memory(task, disk, k) for k in places]
+    return [point_of_memory(task, disk, k, longest_s) for k in places]
 
 
 def points_of(task, disk, count):

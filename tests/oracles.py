@@ -368,6 +368,49 @@ def mhe_by_ipopt(robot, guess, z, dt=DT):
     )
 
 
+def window_by_ipopt(robot, guess, z, sigma_w=None, state_bounds=None, dt=DT):
+    """Moving horizon estimation of all samples z (n, n_z), none missing, with states and parameters
+    of each node as unknowns: the newest x, u, p, and the states (n_x, n) of the window.
+
+    Process noise has the standard deviations sigma_w (n, n_x + n_p), none of them 0, a row for each
+    sample; None: there is none. Bounds of states hold at all nodes, those of parameters at the
+    newest one or, where both change within the window, at all nodes.
+    """
+    n_x, n_u, n_p = map(len, (robot.states, robot.inputs, robot.parameters))
+    opti = ca.Opti()
+    s, u = opti.variable(n_x + n_p, len(z)), opti.variable(n_u, len(z))
+    cost = ca.sumsqr((s[:, 0] - guess) / robot.sigma_guess)
+    counts = ~reads_inputs(robot)
+    for k, row in enumerate(z):
+        if k:
+            x, p = s[:n_x, k - 1], s[n_x:, k - 1]
+            missing = s[:, k] - ca.vertcat(runge_kutta(robot, x, u[:, k], p, dt), p)
+            if sigma_w is None:
+                opti.subject_to(missing == 0)
+            else:
+                cost += ca.sumsqr(missing / sigma_w[k])
+        measured = outputs(robot, s[:n_x, k], u[:, k], s[n_x:, k])
+        cost += ca.sumsqr((counts | (k > 0)) * (row - measured) / robot.sigma_v)
+    opti.minimize(cost / 2 + 1e-3 * ca.sumsqr(u[:, 0]))  # the last: no interval ends with it
+    for row, name in enumerate(robot.states):
+        if name in (state_bounds or {}):
+            low, high = state_bounds[name]
+            opti.subject_to(opti.bounded(low, ca.vec(s[row, :]), high))
+    for row, (low, high) in enumerate(limits(robot).T, start=n_x):
+        if np.isfinite([low, high]).any():
+            bounded = s[row, -1] if sigma_w is None or not state_bounds else ca.vec(s[row, :])
+            opti.subject_to(opti.bounded(low, bounded, high))
+    opti.set_initial(s, np.tile(np.array(guess)[:, None], (1, len(z))))
+    inputs = [z[:, robot.outputs.index(name)] for name in robot.inputs if name in robot.outputs]
+    if len(inputs) == n_u:
+        opti.set_initial(u, np.array(inputs))
+    opti.solver("ipopt", IPOPT)
+    solution = opti.solve()
+    found = solution.value(s).reshape(n_x + n_p, -1)
+    u = solution.value(u).reshape(n_u, -1)
+    return dict(x=found[:n_x, -1], u=u[:, -1], p=found[n_x:, -1], states=found[:n_x])
+
+
 @functools.cache
 def mpc_nlp(robot, intervals=N, dt=DT):
     """Model predictive control over so many intervals, for IPOPT. Unknowns: the inputs, interval by
@@ -432,13 +475,15 @@ def kalman_filter(z, guess, sigma_guess, sigma_v, sigma_w, leaving, dt=DT):
     (3, 3) of (position, velocity, bias), and the newest input's mean.
 
     The measured input drives the prediction, and its noise passes through B. Process noise enters
-    in the first `leaving` intervals only: those that have left the window.
+    in the first `leaving` intervals only: those that have left the window. Its sigma_w is (3,), or
+    (n, 3) with a row for the interval that ends with each sample.
     """
+    sigma_w = np.broadcast_to(sigma_w, (len(z), 3))
     (A, B), H = cart_matrices(dt), np.array([[1.0, 0, 0, 0]])
     m, P = np.append(guess, 0.0), np.diag([*np.square(sigma_guess), 0.0])  # with the input last
     for i, (position, acceleration) in enumerate(z):
         if i:
-            W = np.diag([*np.square(sigma_w), 0.0]) * (i <= leaving)
+            W = np.diag([*np.square(sigma_w[i]), 0.0]) * (i <= leaving)
             F, G = np.block([[A, np.zeros((3, 1))], [np.zeros((1, 4))]]), np.vstack([B, [[1.0]]])
             m = F @ m + G[:, 0] * acceleration
             P = F @ P @ F.T + G @ G.T * sigma_v[1] ** 2 + W

@@ -42,6 +42,11 @@ _MEANING_ON_A_PATH = _MEANING | {
     "caution": "number of standard deviations kept as a margin",
     "traction": "constant mu, kappa of the estimator",
 }
+# CasADi branches on flags by a cast to int, which C leaves undefined for numbers that no int can
+# hold. A flag is one only if memory was overwritten. The comparison is defined for all numbers, and
+# is true where the cast is not 0.
+_CAST_OF_A_FLAG = "#define casadi_to_int(x) ((casadi_int) x)"
+_CHECK_OF_A_FLAG = "#define casadi_to_int(x) (!((x) > -1 && (x) < 1))"
 # The parts of README.txt that differ.
 _README_ON_A_PATH = dict(
     source="the scenario in scenario.json",
@@ -70,7 +75,9 @@ _README_OF_A_MODEL = dict(
     more="""\
 Weights, variances, bounds and their prices can be changed without a new export: copy
 rhec_scenario, change the copy, and pass it to rhec_init. If the controller has outputs, their
-desired values are r.controller.y_ref, at first 0.
+desired values are r.controller.y_ref, at first 0. If the estimator has process noise within its
+window, W of the copy may change before each call of rhec_estimate: it is that of the newest
+interval.
 """,
 )
 _SPEED = """
@@ -261,6 +268,7 @@ def functions_header(export):
     """rhec_functions.h: the Functions by CasADi's code generator, included only by rhec.c."""
     functions = [phase.function for phase in export.phases.values()]
     text = generate_c(functions, "rhec_functions.c", casadi_int="int")
+    text = text.replace(_CAST_OF_A_FLAG, _CHECK_OF_A_FLAG)
     end = "#ifdef __GNUC__\n#pragma GCC diagnostic pop\n#endif\n"
     return _HEAD + _FOR_ONE_FILE + text + end
 

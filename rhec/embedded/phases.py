@@ -27,6 +27,7 @@ from rhec.tracked_robot.cautious import build_speed
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.position_check import most_rejected
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 from rhec.tracked_robot.sensors import OUTPUTS
@@ -121,7 +122,7 @@ def export(scenario):
     phases |= _bind_all("controller", start, control, settings, _SHARED)
     for name, function in path_phases.items():
         phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
-    macros = _macros_on_a_path(scenario, horizon.dt_s)
+    macros = _macros_on_a_path(scenario, horizon.dt_s, "check" in estimate["shift"].name_in())
     return _export(phases, settings, setup.guess, macros)
 
 
@@ -130,9 +131,11 @@ def _measured(scenario):
     return (*MEASURED, *(OUTPUTS[name] for name in OUTPUTS if name in scenario.sensors))
 
 
-def _macros_on_a_path(scenario, dt_s):
-    """Return the macros of a scenario's export."""
+def _macros_on_a_path(scenario, dt_s, rejects):
+    """Return the macros of a scenario's export, of an estimator that rejects positions or not."""
     n = len(QUANTITIES)
+    # An estimator that has rejected this many restarts by itself, and that comes first.
+    rejected = most_rejected(dt_s) if rejects else 0
     measured = _measured(scenario)
     names = "x, y, theta, nu, mu, kappa"
     return dict(
@@ -144,7 +147,7 @@ def _macros_on_a_path(scenario, dt_s):
         ESTIMATE=(n, names),
         GUESS=(n, names),
         PATIENCE=(
-            scenario.estimation_horizon + 1,
+            scenario.estimation_horizon + 1 + rejected,
             "largest number of predicted estimates in succession",
         ),
         MOST_GUESSES=(MAX_SWEEPS, "largest number of guesses of the active bounds for one plan"),

@@ -69,14 +69,14 @@ _TABLE = (
     ("kkt_rhe", "", "KKT tolerance of the RHE (R12); NaN for other estimators", _BOTH),
     ("kkt_rhc", "", "KKT tolerance of the RHC (R12)", _RUN),
     ("deviance", "", "-2 log likelihood of the measurement, up to a constant", _BOTH),
-    ("ok", "", "whether the QPs of RHE and RHC were solved (1)", _BOTH),
+    ("ok", "", "whether the QPs were solved (1), and the plain RHE rejected no position", _BOTH),
     (
         "position_accepted encoders_accepted",
         "",
         "False where missing or, with `robust`, rejected",
         _BOTH,
     ),
-    ("restarted", "", "with `robust`: whether the estimator restarted", _BOTH),
+    ("restarted", "", "whether the RHE restarted", _BOTH),
     # A recording, besides t_s, x_m and y_m
     ("speed_mps", "m/s", "speed by the encoders, not corrected for slip", _RECORDING),
     ("yaw_rate_radps", "rad/s", "yaw rate by the encoders, not corrected for slip", _RECORDING),

@@ -33,6 +33,7 @@ from rhec.core.estimator import rhe
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 from rhec.tracked_robot import gyro_check
 from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.sensors import GYRO, OUTPUTS
 from rhec.tracked_robot.slipping import LEVER_ARM
 
@@ -75,7 +76,6 @@ SIGMA_RESTART = dict(x_m=0.05, y_m=0.05, theta_rad=0.15, nu_mps=0.05)
 SIGMA_RESTART |= dict(gyro_bias_radps=0.02, gyro_scale=0.02)
 _SIGMA_RESTART_OTHERS = 0.1
 _NONE = ca.DM.nan(2)  # a pair of measurements that is missing
-_RHE = paper_rhe.ESTIMATORS["rhe"]
 
 
 class _Before(NamedTuple):
@@ -578,7 +578,7 @@ def _wrap_expand(window, expand_of_rhe, memory):
 
 
 def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
-    memory = _RHE.init(choice, guess, sigma)
+    memory = paper_rhe.init(paper_rhe.window_of(choice), guess, sigma)
     gate = {
         name: np.full(shape, np.nan if name in _NAN_AT_FIRST else 0.0)
         for name, shape in _MEMORY.items()
@@ -589,9 +589,10 @@ def _init(choice, guess, sigma=paper_rhe.SIGMA_START):
 
 
 def _build_phases(choice):
-    return gated(paper_rhe.window_of(choice), _RHE.build_phases(choice))
+    window = paper_rhe.window_of(choice)
+    return gated(window, rhe.build_phases(window, QUANTITIES))
 
 
-ROBUST_RHE = _RHE._replace(
+ROBUST_RHE = paper_rhe.ESTIMATORS["rhe"]._replace(
     build_step=lambda choice: _build_phases(choice)["step"], build_phases=_build_phases, init=_init
 )

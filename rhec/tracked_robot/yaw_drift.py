@@ -75,7 +75,7 @@ def _window_of(choice):
 
 
 def _build_rhe_step(choice):
-    step = rhe.build_phases(_window_of(choice), STATES)["step"]
+    step = paper_rhe.checked_phases(_window_of(choice), STATES)["step"]
     return _with_drift_apart("yaw_drift_rhe", step)
 
 
@@ -91,7 +91,7 @@ def _init_ekf(choice, guess, sigma=_SIGMA_START):
 
 def _init_rhe(choice, guess, sigma=_SIGMA_START):
     guess, sigma = _start(guess, sigma)
-    return paper_rhe.init(_window_of(choice), guess, sigma)
+    return paper_rhe.checked_init(_window_of(choice), guess, sigma)
 
 
 def _rhe_settings(scenario):

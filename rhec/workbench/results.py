@@ -8,9 +8,10 @@ import re
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
-from rhec.workbench.studies import seven_worlds
+from rhec.workbench.studies import ranking, seven_worlds
 from rhec.workbench.studies.claims.summary import (
     DEPARTURE,
     PRINTED,
@@ -286,23 +287,35 @@ def _format_ratios(table):
     return [f"{mean:.3f} [{low:.3f}, {high:.3f}]" for mean, low, high in rows]
 
 
-def _by_world(row, heading, quantity=None, texts=format_intervals):
-    """A function that writes intervals, one row per entry of the column `row`, one column a world.
+def _ranking(table):
+    """Mean true errors of contestants: one row a contestant, one column a world."""
+    wide = ranking.overview(table, _interval_text).fillna("").reset_index()
+    heads = ["mean true error [m]", *(f"{world} world" for world in wide.columns[1:])]
+    return to_markdown(wide.set_axis(heads, axis=1))
 
-    `quantity` selects rows of the table; None takes all of them. `texts` writes the intervals.
+
+def _interval_text(mean, low, high):
+    """A string "mean [low, high]"."""
+    return f"{format_number(mean)} [{format_number(low)}, {format_number(high)}]"
+
+
+def _worth(table):
+    """Ratios of errors, one row a part of the loop, one column a world.
+
+    A part that the first look decided has its verdict in place of a number of few fields.
     """
+    decided = table["n"] < table["n"].max()
+    after = table.get("verdict", "") + " after " + table["n"].astype(str) + " fields"
+    rows = table.assign(value=np.where(decided, after, _format_ratios(table)))
+    return _by_world(rows, "quantity", "part of the loop")
 
-    def result(table):
-        rows = table if quantity is None else table[table["quantity"] == quantity]
-        values = rows.assign(value=texts(rows))
-        wide = values.pivot(index=row, columns="world", values="value").reindex(rows[row].unique())
-        worlds = list(rows["world"].unique())
-        wide = wide[worlds].fillna("").reset_index()
-        return to_markdown(
-            wide.set_axis([heading, *(f"{world} world" for world in worlds)], axis=1)
-        )
 
-    return result
+def _by_world(rows, row, heading):
+    """The column `value` as a table: one row an entry of the column `row`, one column a world."""
+    worlds = list(rows["world"].unique())
+    wide = rows.pivot(index=row, columns="world", values="value").reindex(rows[row].unique())
+    wide = wide[worlds].fillna("").reset_index()
+    return to_markdown(wide.set_axis([heading, *(f"{world} world" for world in worlds)], axis=1))
 
 
 def _targets(table):
@@ -381,12 +394,9 @@ _RESULTS = {  # {result: (its tables, the function that writes it)}
     "costs": (["claim_costs"], _costs),
     "multiverse": (["multiverse"], _multiverse),
     "faults": (["table_faults"], _faults),
-    "beyond": (
-        ["table_beyond"],
-        _by_world("contestant", "mean true error [m]", "mean true error [m]"),
-    ),
+    "beyond": (["table_beyond"], _ranking),
     "targets": (["table_beyond"], _targets),
-    "worth": (["table_worth"], _by_world("quantity", "part of the loop", texts=_format_ratios)),
+    "worth": (["table_worth"], _worth),
     "seven_worlds": (["seven_worlds"], _seven_worlds),
     "seven_worlds_paired": (["seven_worlds"], _seven_worlds_paired),
     "seven_worlds_others": (["seven_worlds"], _seven_worlds_others),

@@ -160,6 +160,7 @@ def test_the_setting_is_copied_by_a_click(explorer):
     )
 
 
+@pytest.mark.timed
 def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, capsys):
     explorer.tab("Drive")
     box = explorer.slider("speed [m/s]").locator(".noUi-target").bounding_box()
@@ -186,6 +187,7 @@ def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, ca
     assert f"speed_mps={readout!r}" in explorer.line
 
 
+@pytest.mark.timed
 def test_the_time_from_a_slider_to_the_new_picture(explorer, capsys):
     """Told, not judged: it depends on the machine."""
     places = [

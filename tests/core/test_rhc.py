@@ -5,6 +5,7 @@ import contextlib
 import numpy as np
 import pytest
 from oracles import N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
+from robots import DT, ROBOTS
 
 import rhec
 from rhec.core.controller import rhc as builders
@@ -247,3 +248,17 @@ def test_an_unknown_argument_is_refused_with_a_suggestion():
         ValueError, match="RHC has no parameter 'omega_mx'; did you mean 'omega_max'"
     ):
         rhec.RHC(omega_mx=0.1)
+
+
+def test_infinite_bounds_are_no_bounds():
+    """Neither in the plan nor in the KKT tolerance, where 0 times infinity would be NaN."""
+    robot = ROBOTS["bicycle"]
+    problem = dict(x=(0.0, 0.1, 0.1), p=(0.0, 0.0), x_ref=(1.0, 0.0, 0.0), u_ref=(0.5, 0.0))
+    answers = []
+    for bounds in (None, {"steering_rad": (-np.inf, np.inf)}, {"steering_rad": (-np.inf, 9.0)}):
+        options = dict(robot.controller, bounds=bounds)
+        rhc = rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=5, **options)
+        rhc.prepare()
+        answers.append([*rhc.feedback(**problem), rhc.kkt])
+        assert rhc.ok and np.isfinite(rhc.kkt)
+    np.testing.assert_allclose(answers[1:], answers[:1] * 2, rtol=0, atol=1e-12)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import no_compiler
 
 import rhec
 from rhec.embedded import LOG
@@ -28,9 +27,8 @@ MOST = dict.fromkeys([name for name in LOG if name not in MEASUREMENTS], 1e-3) |
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    with no_compiler():
-        scenario = rhec.Scenario(duration_s=30.0, seed=1)
-        return rhec.export(scenario, tmp_path_factory.mktemp("float") / "rhec")
+    scenario = rhec.Scenario(duration_s=30.0, seed=1)
+    return rhec.export(scenario, tmp_path_factory.mktemp("float") / "rhec")
 
 
 def assert_close(answers, exported):

@@ -46,9 +46,8 @@ def packaged(tmp_path_factory):
         if name not in made:
             changed = dict(duration_s=20.0) | OTHERS[name] if name != "default" else {}
             scenario = rhec.Scenario(**changed) if changed else SCENARIO
-            with no_compiler():
-                folder = tmp_path_factory.mktemp("ros2") / name
-                made[name] = rhec.export(scenario, folder, ros2=True)
+            folder = tmp_path_factory.mktemp("ros2") / name
+            made[name] = rhec.export(scenario, folder, ros2=True)
         return made[name]
 
     return package

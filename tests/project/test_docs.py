@@ -220,6 +220,7 @@ def fake_tables():
     error_m = ranking.QUANTITIES["mean_error_true_m"]
     ratio = f"true error, ratio to {ranking.PAPERS}"
     here = dict(world="default", contestant="observer")
+    early = dict(world="default", contestant="slow")
     return {
         name: pd.DataFrame(rows)
         for name, rows in dict(
@@ -232,9 +233,13 @@ def fake_tables():
             table_faults=[faults, faults, late],
             table_beyond=[
                 interval(0.0243, **here, quantity=error_m, claim=""),
+                interval(0.0571, **early, quantity=error_m, claim="") | dict(n=8),
                 interval(0.683, "holds", **here, quantity=ratio, claim="at most 0.70"),
             ],
-            table_worth=[interval(0.873, world="default", quantity="a window")],
+            table_worth=[
+                interval(0.773, "pays", world="default", quantity="a gyro") | dict(n=8),
+                interval(0.873, "pays", world="default", quantity="a window"),
+            ],
             table_consistency=[interval(1.87, estimator="RHE", quantity="NEES, mean")],
             table_replay=[interval(0.0391, estimator="RHE", quantity="RMS error of yaw [rad]")],
         ).items()
@@ -276,8 +281,10 @@ def test_results_are_written_as_the_tables_have_them():
     worlds = "| B5 | printed | RHE's error is below | 0.612 [0.533, 0.714] |\n"
     assert docs["multiverse"].endswith(worlds)
     assert docs["faults"].endswith("| on | 3 | 2 | 2 | 33.1 |\n")
-    assert docs["beyond"].endswith("| observer | 0.0243 [0.0036, 0.0552] |\n")
+    ranked = "| observer | 0.0243 [0.0036, 0.0552] |\n| slow | excluded after 8 fields |\n"
+    assert docs["beyond"].endswith(ranked)
     assert docs["targets"].endswith("| 0.683 [0.662, 0.714] | at most 0.70 | holds |\n")
+    assert "| a gyro | pays after 8 fields |\n" in docs["worth"]
     assert docs["worth"].endswith("| a window | 0.873 [0.852, 0.904] |\n")
     assert docs["replay"].endswith("| RHE | 0.0391 [0.0184, 0.07] |\n")
 

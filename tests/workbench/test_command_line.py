@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import may_be_lost
+from helpers import may_be_lost, recorded_log
 
 import rhec
 from rhec.workbench.command_line import main
@@ -70,10 +70,12 @@ def test_names_of_columns(capsys, log_file):
     assert "OURS=THEIRS" in capsys.readouterr().err
 
 
-def test_a_calibration_is_that_of_python(capsys, log_file, tmp_path):
+def test_a_calibration_is_that_of_python(capsys, tmp_path):
+    log = tmp_path / "drive.csv"
+    recorded_log(noise_m=0.02).to_csv(log, index=False)
     file = tmp_path / "robot.yaml"
-    assert main(["calibrate", str(log_file), "--json", "--yaml", str(file)]) == 0
-    found = rhec.calibrate(rhec.logs.read(log_file))
+    assert main(["calibrate", str(log), "--json", "--yaml", str(file)]) == 0
+    found = rhec.calibrate(rhec.logs.read(log))
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(dict(found)))
     assert file.read_text() == found.yaml
 

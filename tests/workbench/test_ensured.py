@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 import rhec
 from rhec.workbench.plots.ensured import fronts
@@ -58,6 +59,40 @@ def test_a_front_counts_fields_and_its_verdict_needs_share_and_speed():
     assert verdict(0.999, 0.3) == "undecided"
     assert verdict(0.3, 0.45) == "does not hold"
     assert len(fronts(table, (0.95, 0.47)).axes) == len(ensured.PROMISES)
+
+
+def made_up_laps(fields_within):
+    """`ensured.laps` of drives of which so many in a hundred fields are within the tolerance."""
+
+    def laps(scenarios):
+        within = [
+            scenario.seed % 100 < fields_within[scenario.estimator, scenario.cautious]
+            for scenario in scenarios
+        ]
+        columns = dict.fromkeys(ensured.PROMISES, within)
+        return pd.DataFrame(columns | dict(speed_mps=0.5, error_m=0.1))
+
+    return laps
+
+
+def test_the_tolerance_has_a_second_look_where_the_first_is_undecided(monkeypatch):
+    proposal = ensured.ESTIMATORS[ensured.PROPOSAL]["estimator"]
+    within = {(proposal, True): 100, (proposal, False): 97, ("rhe", False): 40}
+    monkeypatch.setattr(ensured, "laps", made_up_laps(within))
+    table = ensured.tested(200, 1000)
+    whole = table[table["promise"] == ensured.PROMISES["whole"]].set_index(["estimator", "mode"])
+    said = {place: (row["n"], row["verdict"]) for place, row in whole.iterrows()}
+    assert said == {
+        (ensured.PROPOSAL, ensured.CAUTIOUS): (200, "holds"),
+        ("RHE, as printed", ensured.CONSTANT): (200, "does not hold"),
+        (ensured.PROPOSAL, ensured.CONSTANT): (1000, "holds"),
+    }
+    one_look = ensured.tested(200, 200)
+    assert set(one_look["n"]) == {200}
+    assert list(one_look["verdict"].unique()) == ["holds", "undecided", "does not hold"]
+    # The interval that is shown is the one of 95 %: 40 of 100, twice.
+    low, high = whole.loc[("RHE, as printed", ensured.CONSTANT), ["low", "high"]]
+    assert stats.beta.cdf([low, high], [80, 81], [121, 120]) == pytest.approx([0.025, 0.975])
 
 
 def test_a_lap_is_that_of_the_longest_drive_and_is_driven_once(monkeypatch):

@@ -47,6 +47,76 @@ def test_what_a_part_is_worth_is_a_ratio_at_equal_seeds(sweep):
     assert list(ranking.readable_worth(worth.reset_index()).columns) == ["default", "former"]
 
 
+def looked(sweep, monkeypatch, first):
+    """`in_two_looks` on runs that are made up, and which runs were asked for."""
+    asked = []
+
+    def drive(seeds, folder=None, labels=None):
+        chosen = sweep["seed"].isin(seeds)
+        if labels is not None:
+            pairs = zip(sweep["world"], sweep["contestant"])
+            chosen &= np.array([name in labels[world] for world, name in pairs])
+        asked.append((seeds, chosen.sum()))
+        return sweep[chosen]
+
+    monkeypatch.setattr(ranking, "drive", drive)
+    return ranking.in_two_looks(first, SEEDS, None), asked
+
+
+def test_the_second_look_is_at_what_the_first_leaves_open(sweep, monkeypatch):
+    found, asked = looked(sweep, monkeypatch, 10)
+    numbers = found.groupby(["world", "contestant"]).size()
+    fewer = {place for place, n in numbers.items() if n == 10}
+    # Of REFERENCES all fields are driven. The former world makes the two best loops equal there.
+    assert fewer == {(world, ranking.LABELS[id_]) for world in ("default", "former")
+                     for id_ in ("rhe", "bounded_ekf")}  # fmt: skip
+    assert [len(seeds) for seeds, _ in asked] == [10, SEEDS - 10]
+    same, asked = looked(sweep, monkeypatch, SEEDS)
+    assert len(same) == len(sweep) and len(asked) == 1
+
+
+def test_what_the_first_look_decided_comes_out_as_with_all_fields(sweep, monkeypatch):
+    found, _ = looked(sweep, monkeypatch, 10)
+    keys = ["world", "contestant", "quantity"]
+    short = ranking.ranking_table(found).set_index(keys)["verdict"]
+    pd.testing.assert_series_equal(short, ranking.ranking_table(sweep).set_index(keys)["verdict"])
+    shown = ranking.overview(ranking.ranking_table(found))
+    assert shown.loc[ranking.LABELS["rhe"], "default"] == "excluded after 10 fields"
+    worth = ranking.worth_table(found).set_index(["world", "quantity"])
+    row = worth.loc[("default", "the weights R and q_θ, and W: RHE")]
+    assert row["n"] == 10 and row["verdict"] == ranking.PAYS
+
+
+def test_easy_fields_of_a_first_look_put_nobody_first(sweep):
+    easy = sweep.assign(mean_error_true_m=sweep["mean_error_true_m"] * (1 + (sweep["seed"] >= 10)))
+    name = ranking.LABELS["rhe"]
+    table = ranking.ranking_table(easy[(easy["contestant"] != name) | (easy["seed"] < 10)])
+    default = table[table["world"] == "default"]
+    means = default[default["quantity"] == ranking.QUANTITIES["mean_error_true_m"]]
+    assert list(means["contestant"]) == [ranking.LABELS[id_] for id_ in reversed(FACTORS)]
+    assert means.set_index("contestant")["mean"].idxmin() != means["contestant"].iloc[-1]
+
+
+def test_the_best_is_seldom_excluded():
+    """Five loops that are equally good: whichever is meant, it is excluded as rarely as stated."""
+    rng = np.random.default_rng(1)
+    names = [ranking.LABELS[id_] for id_ in ("rhe", "ekf", "bounded_ekf", "observer", "ltv_mpc")]
+    rate = ranking.error_rate(len(names) - 1)
+    n_excluded = 0
+    for _ in range(300):
+        errors = {name: pd.Series(rng.normal(1.0, 0.3, 60)) for name in names}
+        first = pd.concat(
+            pd.DataFrame(dict(world="default", contestant=name, seed=range(20)))
+            .assign(mean_error_true_m=errors[name][:20])
+            for name in names
+        )  # fmt: skip
+        on = ranking.goes_on(first)["default"]
+        said = ranking.standings({name: errors[name][: 60 if name in on else 20] for name in names})
+        n_excluded += said[names[0]] == ranking.EXCLUDED
+    assert 0.02 < rate < 0.03
+    assert n_excluded / 300 < rate + 3 * np.sqrt(rate / 300)
+
+
 def test_pictures_show_every_contestant_and_every_loop(sweep):
     figure = ranked(sweep)
     assert len(figure.axes) == 2

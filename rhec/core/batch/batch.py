@@ -17,6 +17,7 @@ from rhec.core.batch.rows import Rows, evaluate_some, get_runs, set_runs, shared
 from rhec.core.controller import constrained, rhc
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator import rhe
+from rhec.core.estimator.base import variances_w
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
 from rhec.core.solver.rti import IMPROVE
@@ -320,21 +321,6 @@ class RHCBatch(_IteratedBatch):
 class _EstimatorBatch(_Batch):
     """A batch of estimators of a Model."""
 
-    def feedback(self, z: Any) -> Estimates:
-        """Estimate from the newest measurements, as single objects do.
-
-        Args:
-            z: (n, n_z) measurements; an entry that is not finite counts as missing.
-
-        Returns:
-            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
-
-        Raises:
-            ValueError: If z has another shape.
-        """
-        self._run(dict(z_N=z))
-        return self._estimates()
-
     def _estimates(self):
         """Return the Estimates of the last step."""
         model = self._model
@@ -366,15 +352,49 @@ class RHEBatch(_IteratedBatch, _EstimatorBatch):
         self._model = source.model
         self._first = pack_array(rhe.init(source.window, *source._guess) | dict(age=0.0))
         inputs = dict(z_N=(len(source.model.outputs),))
+        self._W = source.settings["W"]
+        self._is_noisy = source.window.noisy
+        if self._is_noisy:
+            inputs |= dict(W=self._W.shape)
         super().__init__(n, functions.build_estimator, [source.window], source, inputs)
 
+    def feedback(self, z: Any, sigma_w: Any = None) -> Estimates:
+        """Estimate from the newest measurements, as single objects do.
+
+        Args:
+            z: (n, n_z) measurements; an entry that is not finite counts as missing.
+            sigma_w: (n, n_x + n_p) standard deviations of the process noise since the last sample,
+                of an estimator with `noise_in_window`; None: those that it was made with.
+
+        Returns:
+            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
+
+        Raises:
+            ValueError: If an argument is invalid.
+        """
+        self._run(self._sample(z, sigma_w))
+        return self._estimates()
+
+    def _sample(self, z, sigma_w):
+        """Return the inputs of a sample, by name."""
+        if not self._is_noisy:
+            if sigma_w is not None:
+                rhe.refuse_noise(sigma_w)
+            return dict(z_N=z)
+        if sigma_w is None:
+            return dict(z_N=z, W=self._W)
+        length = len(self._model.states) + len(self._model.parameters)
+        _checked_input("sigma_w", sigma_w, self.n, (length,))
+        return dict(z_N=z, W=variances_w(self._model, sigma_w))
+
     @checked
-    def solve(self, z: Any, iterations: Steps = 20) -> Any:
+    def solve(self, z: Any, iterations: Steps = 20, sigma_w: Any = None) -> Any:
         """Iterate to convergence on the nonlinear problems.
 
         Args:
             z: (n, n_z) measurements, as in `feedback`.
             iterations: Gauss-Newton steps, at most; a run ends once it has converged.
+            sigma_w: Standard deviations of the process noise, as in `feedback`.
 
         Returns:
             Estimates, as `feedback`.
@@ -382,7 +402,7 @@ class RHEBatch(_IteratedBatch, _EstimatorBatch):
         Raises:
             ValueError: If an argument is invalid.
         """
-        self._run(dict(z_N=z), iterations)
+        self._run(self._sample(z, sigma_w), iterations)
         return self._estimates()
 
 
@@ -401,6 +421,21 @@ class EKFBatch(_EstimatorBatch):
         inputs = dict(z_N=(len(source.model.outputs),))
         rows = Rows(functions.build_filter, source.model, source.dt_s)
         super().__init__(n, [rows], None, source.settings, inputs)
+
+    def feedback(self, z: Any) -> Estimates:
+        """Estimate from the newest measurements, as single objects do.
+
+        Args:
+            z: (n, n_z) measurements; an entry that is not finite counts as missing.
+
+        Returns:
+            Estimates: x (n, n_x), u (n, n_u), p (n, n_p), covariances of (x, p).
+
+        Raises:
+            ValueError: If z has another shape.
+        """
+        self._run(dict(z_N=z))
+        return self._estimates()
 
 
 _KINDS = {RHC: RHCBatch, RHE: RHEBatch, EKF: EKFBatch}

@@ -30,9 +30,10 @@ from rhec.core.controller.horizon import (
     row_of_commands,
     states_after,
 )
+from rhec.core.controller.initial_plan import InitialPlan, initial_plan
 from rhec.core.controller.options import Options, problem_of
 from rhec.core.model.base import Model
-from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.integration import refuse_start
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_lq import box_lq
 from rhec.core.solver.line_search import PENALTY, line_search
@@ -309,6 +310,7 @@ class RHC(RealTimeLoop):
     """
 
     _options: Options | None = None  # none of the paper's controller
+    _initial: InitialPlan | None = None
 
     if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
 
@@ -384,6 +386,23 @@ class RHC(RealTimeLoop):
         n_c = len(self.problem.command)
         before = np.clip(0.0, self.settings["lower"][:n_c], self.settings["upper"][:n_c])
         return constrained.init(self.structure, x, p, before)
+
+    def restart(self, u_plan: Any = None, x_plan: Any = None) -> None:
+        """Begin anew: the next sample is the first, and improves this plan.
+
+        Without a plan it starts from a robot that stays where it is, with no inputs.
+
+        Args:
+            u_plan: (n_u, N) or (n_u,) planned inputs, which need not keep the bounds. Those that
+                are not commanded follow `u_ref`.
+            x_plan: (n_x, N+1) or (n_x,) predicted states, which need not follow from the inputs;
+                node 0 gets the state of the sample. None: those to which the inputs lead.
+
+        Raises:
+            ValueError: If a plan has another shape, or an entry that is no number.
+        """
+        self._initial = initial_plan(self.problem, u_plan, x_plan)
+        self.iteration.restart()
 
     def update(self, **changes: Any) -> None:
         """Change weights, bounds or prices from the next feedback on; nothing is compiled.
@@ -500,11 +519,14 @@ class RHC(RealTimeLoop):
         self._set_inputs(**given)
 
     def _start(self):
-        # There is no previous plan: start from a robot that stays where it is.
+        # There is no previous plan: start from a given one, or a robot that stays where it is.
         x, p = list(self._inputs.values())[:2]
         u = self.iteration.arrays["u_ref"][: self.problem.n_u]
-        refuse_unstable_step(self.problem.model, x, u, p, self.problem.dt_s)
-        self.iteration.start(self.first_memory(x, p))
+        refuse_start(self.problem.model, x, u, p, self.problem.dt_s)
+        memory = self.first_memory(x, p)
+        if self._initial:
+            memory |= self._initial.memory(self.problem, x, p)
+        self.iteration.start(memory)
 
     @property
     def u_plan(self) -> np.ndarray:

@@ -4,7 +4,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from rhec.core._casadi.validation import of_length, shown
+from rhec.core._casadi.validation import of_length, refuse, shown
 from rhec.core.model.base import SIGMA_UNMEASURED
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
@@ -42,13 +42,30 @@ def noise_of(model, sigma_v, sigma_w):
     process noise per sample.
     """
     of_length("sigma_v", sigma_v, len(model.outputs), "output")
-    sigma_w = _by_name(model, "sigma_w", sigma_w)
-    # Each interval replaces the last inputs in the joint state: they have no process noise.
-    W = np.square([sigma_w.get(name, 0.0) for name in model.joint_names])
-    settings = dict(V=np.square(sigma_v), W=W)
+    settings = dict(V=np.square(sigma_v), W=variances_w(model, sigma_w))
     if model.motion_noise:
         settings["c"] = np.array([*model.motion_noise.constants.values()])
     return settings
+
+
+def variances_w(model, sigma_w):
+    """Variances W (n_s,) of the process noise of the joint state, or (n, n_s) of n runs.
+
+    sigma_w (n_x + n_p,) or (n, n_x + n_p) are the standard deviations.
+    """
+    n_x = len(model.states)
+    n_p = len(model.parameters)
+    try:
+        sigma = np.asarray(sigma_w, float)
+        is_valid = sigma.shape[-1:] == (n_x + n_p,) and bool(np.all((sigma >= 0) & (sigma < 1e100)))
+    except (TypeError, ValueError):
+        is_valid = False
+    if not is_valid:
+        wanted = f"it should have {n_x + n_p} entries, one for each state, then each parameter"
+        refuse("sigma_w was", sigma_w, f"{wanted}, and none below 0")
+    # Each interval replaces the last inputs in the joint state: they have no process noise.
+    held = np.zeros((*sigma.shape[:-1], model.n_s - n_x - n_p))
+    return np.square(np.concatenate([sigma[..., :n_x], held, sigma[..., n_x:]], axis=-1))
 
 
 def joint_guess(model, guess, sigma):

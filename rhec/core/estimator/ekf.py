@@ -17,7 +17,7 @@ from rhec.core.estimator import kalman
 from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of
 from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.integration import refuse_start
 from rhec.core.solver.gauss_newton import symmetric
 from rhec.core.solver.rti import copy_checked
 
@@ -98,7 +98,7 @@ class EKF:
         self.dt_s = dt
         m, sigma = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
+        refuse_start(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
         self.settings = noise_of(model, sigma_v, sigma_w)
         P = np.diag(np.square(sigma))

@@ -23,16 +23,23 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
-from rhec.core.estimator import innovation_gate, kalman
-from rhec.core.estimator.base import Estimate, joint_estimate, joint_guess, noise_of
+from rhec.core.estimator import innovation_gate, kalman, window_bounds, window_noise
+from rhec.core.estimator.base import Estimate, joint_estimate, joint_guess, noise_of, variances_w
 from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.integration import refuse_start
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.line_search import PENALTY, line_search
-from rhec.core.solver.rti import IMPROVE, PHASES, RealTimeIteration, RealTimeLoop, run_phases
+from rhec.core.solver.rti import (
+    IMPROVE,
+    PHASES,
+    RealTimeIteration,
+    RealTimeLoop,
+    copy_checked,
+    run_phases,
+)
 
 ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
 UNKNOWNS = ("s", "v")  # pieces of the memory that an iteration improves
@@ -69,10 +76,13 @@ class Window(NamedTuple):
     arrival_mean: ArrivalMean = "smoothed"
     weighted: bool = False  # whether the variances V of the measurements differ by node
     gate: float | None = None  # share of good samples to reject (`innovation_gate`); None: no gate
+    noisy: bool = False  # whether process noise acts within the window (`window_noise`)
 
     @property
     def interval(self):
         """The model's shooting interval."""
+        if self.noisy:
+            return window_noise.noisy_interval(self.model, self.dt_s)
         return base.interval(self.model)
 
     @property
@@ -87,28 +97,46 @@ class Window(NamedTuple):
         return (n_s, 1), (n_s, n_s), v, z, correction, theta
 
     @property
-    def memory(self):
-        """Shapes of the Memory, by name."""
+    def pieces(self):
+        """Shapes of the Memory."""
         s, P, v, z, *_ = self.shapes
         N = self.N
-        memory = dict(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1), age=(1, 1), m=s, P=P)
-        return memory | dict(rejected=(1, 1)) if self.gate else memory
+        return Memory(s=(s[0], N + 1), v=(v[0], N), z=(z[0], N + 1), age=(1, 1), m=s, P=P)
+
+    @property
+    def memory(self):
+        """Shapes of all that is remembered, by name."""
+        memory = self.pieces._asdict()
+        if self.gate:
+            memory |= dict(rejected=(1, 1))
+        return memory | dict(Q=self.noises["Q"]) if self.noisy else memory
 
     @property
     def noise(self):
-        """Shapes at one node: variances V of measurements, constants c of noise by motion."""
-        V = dict(V=(len(self.model.outputs), 1))
-        motion_noise = self.model.motion_noise
-        return V | dict(c=(len(motion_noise.constants), 1)) if motion_noise else V
+        """Shapes at one node: variances V of measurements, constants c of noise by motion.
+
+        In a noisy window also the variances Q of the process noise of the interval before the node.
+        """
+        noise = dict(V=(len(self.model.outputs), 1))
+        if self.model.motion_noise:
+            noise |= dict(c=(len(self.model.motion_noise.constants), 1))
+        return noise | dict(Q=(self.interval.n_s, 1)) if self.noisy else noise
 
     @property
     def noises(self):
-        """Shapes for the whole window: where it is weighted, V has a column for each node."""
+        """Shapes for the whole window: where it is weighted, V has a column for each node.
+
+        Q has a column for each interval.
+        """
         columns = self.N + 1 if self.weighted else 1
-        return self.noise | dict(V=(len(self.model.outputs), columns))
+        noises = self.noise | dict(V=(len(self.model.outputs), columns))
+        return noises | dict(Q=(self.interval.n_s, self.N)) if self.noisy else noises
 
     def at(self, node, V, **noises):
-        """V and c of one node, from those of the whole window."""
+        """V, c and Q of one node, from those of the whole window."""
+        if self.noisy:
+            # Before the oldest node lies no interval of the window.
+            noises["Q"] = noises["Q"][:, max(node - 1, 0)]
         return dict(V=V[:, node] if self.weighted else V, **noises)
 
     @property
@@ -166,7 +194,7 @@ def _arrival(window, memory, W, noises):
 
 def _build_shift(window):
     N = window.N
-    memory = Memory(**window.memory)
+    memory = window.pieces
 
     @casadi_function("rhe_shift")
     def shift(memory: memory, noises: window.noises, W: memory.m):
@@ -174,7 +202,10 @@ def _build_shift(window):
         m_next, P_next = _arrival(window, memory, W, noises)
         # Before the first sample lie intervals of no length, until the window is full.
         dt_s = window.dt_s * (memory.age >= 0)
-        s, v = gauss_newton.shift(window.interval, memory.s, memory.v, dt_s)
+        v_next = memory.v[:, -1]
+        if window.noisy:  # what is expected of the new interval: the last input, and no noise
+            v_next = ca.vertcat(v_next[: len(window.model.inputs)], ca.SX.zeros(memory.s.size1()))
+        s, v = gauss_newton.shift(window.interval, memory.s, memory.v, dt_s, v_next)
         return Memory(
             s=s,
             v=v,
@@ -210,7 +241,7 @@ def _build_linearise(window, loops):
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
 
     @casadi_function("rhe_linearise", loops)
-    def linearise(memory: Memory(**window.memory), noises: window.noises):
+    def linearise(memory: window.pieces, noises: window.noises):
         """Filtered of the whole window, the prediction of node N, and s̄_N."""
         s, v, z = map(ca.horzsplit, (memory.s, memory.v, memory.z))
         nodes = []
@@ -386,7 +417,7 @@ def _build_passes(window):
 def _build_accepted(window):
     interval = window.interval
     N = window.N
-    memory = Memory(**window.memory)
+    memory = window.pieces
     max_input = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
 
     @short_cut("good")
@@ -445,7 +476,7 @@ def _build_expand(window, linearise, feedback, loops, whole_window):
     C, lower, upper = _bounded(window.interval)
     backward, oldest, forward = _build_passes(window)
     accepted = _build_accepted(window)
-    memory = Memory(**window.memory)
+    memory = window.pieces
     z_N = (memory.z[0], 1)
     noises = window.noises
     filtered = Filtered(*map(linearise.sparsity_out, Filtered._fields))
@@ -476,6 +507,14 @@ def _build_expand(window, linearise, feedback, loops, whole_window):
     return expand
 
 
+def _build_plain_phases(window, quantities, loops, whole_window):
+    shift = _build_shift(window)
+    linearise = _build_linearise(window, loops)
+    feedback = _build_feedback(window, quantities, loops)
+    expand = _build_expand(window, linearise, feedback, loops, whole_window)
+    return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+
+
 def build_phases(window, quantities=None):
     """The RHE as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
@@ -487,13 +526,17 @@ def build_phases(window, quantities=None):
     loops = compiled.loop_symbols()
     kind = loops if len(window.interval.bounds) <= 2 else ca.MX
     plain = window._replace(gate=None)
-    shift = _build_shift(plain)
-    linearise = _build_linearise(plain, loops)
-    feedback = _build_feedback(plain, quantities, loops)
-    expand = _build_expand(plain, linearise, feedback, loops, bool(window.gate))
-    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
+    if window.model.state_bounds:
+        kind = ca.MX
+        free = _build_plain_phases(window_bounds.without_bounds(plain), quantities, loops, True)
+        phases = window_bounds.with_bounds(plain, free, _build_accepted(plain), loops)
+    else:
+        phases = _build_plain_phases(plain, quantities, loops, bool(window.gate))
     if window.gate:
         phases = innovation_gate.gated(window, phases, predict_input, kind)
+    if window.noisy:
+        phases = window_noise.with_memory_of_noise(window, phases, kind)
+    if window.gate:
         phases[IMPROVE] = _build_improve(window, phases)
     return phases | dict(step=compose("rhe_step", phases, window.memory, kind))
 
@@ -533,8 +576,12 @@ def _build_cost(window):
 
 
 def _build_cost_and_gaps(window):
-    """The window's cost and Σ |F(s_i, v_i) - s_{i+1}| as a Function, and its data, by name."""
+    """The window's cost and Σ |F(s_i, v_i) - s_{i+1}| as a Function, and its data, by name.
+
+    By how much states exceed their bounds counts as a gap, too: a shifted window may do so.
+    """
     N = window.N
+    bounds = window.interval.bounds if window.model.state_bounds else {}
     memory = window.memory
     arrival, node, between = _build_cost(window)
     data = {name: memory[name] for name in ("z", "age", "m", "P")} | dict(v_last=memory["v"])
@@ -548,6 +595,8 @@ def _build_cost_and_gaps(window):
         for i in range(N + 1):
             at = window.at(i, **noises).values()
             cost += node(nodes[i], measured[i], *at)
+            for place, (lower, upper) in bounds.items():
+                gaps += ca.fmax(lower - nodes[i][place], 0) + ca.fmax(nodes[i][place] - upper, 0)
             if i:
                 dt_s = window.dt_s * (age >= N + 1 - i)
                 ends = nodes[i - 1], nodes[i], inputs[i - 1], last[i - 1], measured[i]
@@ -567,9 +616,12 @@ def _build_improve(window, phases):
     cost_and_gaps, unknowns, data = _build_cost_and_gaps(window)
     search = line_search("rhe_search", unknowns, data, cost_and_gaps)
     model = window.model
+    n_u = len(model.inputs)
     places = {name: model.joint_names.index(name) for name in (*model.states, *model.parameters)}
-    shapes = {name: phases["expand"].sparsity_in(name) for name in ("P_0", *window.noises)}
+    shapes = window.noises | dict(P_0=phases["expand"].sparsity_in("P_0"))
     shapes |= window.memory | dict(z_N=(len(model.outputs), 1), penalty=PENALTY)
+    if window.noisy:
+        shapes |= dict(W=phases["expand"].sparsity_in("W"))
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
@@ -579,11 +631,13 @@ def _build_improve(window, phases):
             values |= full if name != "expand" else {}
         z = ca.horzcat(inputs["z"][:, : window.N], values["z_used"])
         given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
+        if window.noisy:
+            given["Q"] = window_noise.with_newest(inputs["Q"], inputs["W"])
         chosen = search(**select_inputs(search, given), penalty=penalty)
         ok = values["ok"]
         moved = {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
         newest = [moved["s"][place, window.N] for place in places.values()]
-        newest[len(model.states) : len(model.states)] = ca.vertsplit(moved["v"][:, -1])
+        newest[len(model.states) : len(model.states)] = ca.vertsplit(moved["v"][:n_u, -1])
         # After a full step that of the feedback, whose parameters are exactly at their bounds.
         shortened = ok * (1 - chosen["is_full"])
         estimate = ca.if_else(shortened, ca.vertcat(*newest), values["estimate"])
@@ -627,7 +681,15 @@ def init(window, guess, sigma, inputs=0.0):
     v = np.full((N, window.interval.n_v), inputs).T
     z = np.full((len(window.model.outputs), N + 1), np.nan)
     memory = dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
-    return memory | dict(rejected=innovation_gate.OPEN) if window.gate else memory
+    if window.gate:
+        memory |= dict(rejected=innovation_gate.OPEN)
+    return memory | dict(Q=np.zeros((window.interval.n_s, N))) if window.noisy else memory
+
+
+def refuse_noise(sigma_w):
+    """Refuse the process noise of a sample where the window has none."""
+    expected = "it should be None, unless the RHE is made with noise_in_window=True"
+    valid.refuse("sigma_w was", sigma_w, expected)
 
 
 class RHE(RealTimeLoop):
@@ -642,7 +704,7 @@ class RHE(RealTimeLoop):
         horizon: Intervals of the window.
         sigma_v: Standard deviation of each output's measurement, in the output's unit.
         sigma_w: Standard deviations of the process noise per sample, of each state, then of each
-            parameter. They enter the arrival cost, eq. (9).
+            parameter. They enter the arrival cost, eq. (9), and with `noise_in_window` the window.
         guess: First guess of each state, then of each parameter.
         sigma_guess: Standard deviations of the guess.
         arrival_mean: Prior mean of the oldest node: "smoothed", from the previous solution, or
@@ -651,6 +713,8 @@ class RHE(RealTimeLoop):
             does counts as missing (innovation gating). Otherwise only one in a billion does, and
             the estimator is least squares for all others. In both cases `ok` is False then, and 30
             of them in succession, or three windows, restart the window.
+        noise_in_window: Whether the process noise also acts within the window, whose states then
+            need not follow the model exactly. `feedback` takes its standard deviations by sample.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -673,16 +737,17 @@ class RHE(RealTimeLoop):
         sigma_guess: valid.Positives,
         arrival_mean: ArrivalMean = "smoothed",
         robust: valid.Flag = False,
+        noise_in_window: valid.Flag = False,
     ):
         if not model.inputs:
             raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
+        refuse_start(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
         gate = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
-        self.window = Window(model, dt, horizon, arrival_mean, gate=gate)
+        self.window = Window(model, dt, horizon, arrival_mean, gate=gate, noisy=noise_in_window)
         functions = compiled.load(build_phases, self.window, None)
         memory = tuple(self.window.memory)
         self.iteration = RealTimeIteration(functions, memory, UNKNOWNS, **self.settings)
@@ -693,20 +758,26 @@ class RHE(RealTimeLoop):
         size = f"dt {self.window.dt_s:g} s, horizon {self.window.N}, {started}"
         return f"{type(self).__name__}, {size}\n{self.model}"
 
-    def feedback(self, z: Any) -> Any:
+    def feedback(self, z: Any, sigma_w: Any = None) -> Any:
         """Estimate from the newest measurement, by one Gauss-Newton step.
 
         Args:
             z: (n_z,) measurements; an entry that is not finite counts as missing.
+            sigma_w: (n_x + n_p,) standard deviations of the process noise since the last sample, of
+                an estimator with `noise_in_window`; None: those that it was made with.
 
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p) without the bounds.
+
+        Raises:
+            ValueError: If an argument is invalid.
         """
+        self._set_noise(sigma_w)
         self._set_inputs(z=z)
         self.iteration.feedback()
         return self._estimate()
 
-    def solve(self, z: Any, iterations: int = 20) -> Any:
+    def solve(self, z: Any, iterations: int = 20, sigma_w: Any = None) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
         A Model's steps are shortened by a line search, so that the cost falls, and end once
@@ -715,10 +786,15 @@ class RHE(RealTimeLoop):
         Args:
             z: (n_z,) measurements, as in `feedback`.
             iterations: Gauss-Newton steps, at most.
+            sigma_w: Standard deviations of the process noise, as in `feedback`.
 
         Returns:
             Estimate, as `feedback`.
+
+        Raises:
+            ValueError: If an argument is invalid.
         """
+        self._set_noise(sigma_w)
         self._set_inputs(z=z)
         self.iteration.solve(iterations)
         return self._estimate()
@@ -735,12 +811,19 @@ class RHE(RealTimeLoop):
     @property
     def u_window(self) -> np.ndarray:
         """Inputs (n_u, N) of the window's intervals, as estimated."""
-        return self._expanded("v", len(self.model.inputs))
+        return self._expanded("v", self.window.interval.n_v)[: len(self.model.inputs)]
 
     def _expanded(self, name, n_rows):
         # They are not needed for the newest estimate, so feedback leaves them to expand.
         self.iteration.expand()
         return self.iteration.previous[name].reshape((n_rows, -1), order="F").copy()
+
+    def _set_noise(self, sigma_w):
+        if self.window.noisy:
+            W = self.settings["W"] if sigma_w is None else variances_w(self.model, sigma_w)
+            copy_checked("sigma_w", W, self.iteration.arrays["W"])
+        elif sigma_w is not None:
+            refuse_noise(sigma_w)
 
     def _start(self):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))

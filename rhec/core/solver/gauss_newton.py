@@ -9,15 +9,15 @@ with bounds only: in the bounded parameters for the RHE, in the commands for the
 import casadi as ca
 
 
-def shift(interval, s, v, dt_s):
+def shift(interval, s, v, dt_s, v_next=None):
     """Shift a trajectory by one interval, as the warm start of the next sample.
 
     The last input is repeated and the last node integrated. In the paper's words, the initial value
-    "takes on the value of the previous one intelligently".
+    "takes on the value of the previous one intelligently". v_next (n_v,) may be another input.
 
     The nodes s (n_s, N+1) and the inputs v (n_v, N) get a new last interval of dt_s [s].
     """
-    v = ca.horzcat(v[:, 1:], v[:, -1])
+    v = ca.horzcat(v[:, 1:], v[:, -1] if v_next is None else v_next)
     return ca.horzcat(s[:, 1:], interval.step(s[:, -1], v[:, -1], dt_s)), v
 
 

@@ -70,6 +70,10 @@ class RealTimeIteration:
         self._shift, self._linearise, self._feedback, self._expand, *improve = calls
         self._improve = improve[0] if improve else None
         self.set(self.arrays, constants)
+        self.restart()
+
+    def restart(self):
+        """Let the next sample be the first."""
         self.started = self.prepared = self.expanded = self.converged = False
 
     @staticmethod

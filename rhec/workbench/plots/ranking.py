@@ -25,8 +25,9 @@ def ranked(sweep):
     """Draw the true error of every contestant, one panel a world, in the order of the first.
 
     Dots are seeds. A number at the edge counts seeds outside the axis; an arrow is a mean outside
-    the axis. The dashed line is the target of the proposal relative to the paper's RHE, the dotted
-    one that relative to the oracle that knows traction and yaw drift.
+    the axis. A star at a mean says that the first look excluded the contestant. The dashed line is
+    the target of the proposal relative to the paper's RHE, the dotted one that relative to the
+    oracle that knows traction and yaw drift.
 
     Args:
         sweep: As in `rhec.workbench.studies.ranking.ranking_table`.
@@ -56,7 +57,9 @@ def _draw_world(axes, world, names, sweep, estimates):
         if len(seeds):
             colour = _colour_of(name)
             _draw_seeds(axes, place, seeds, largest, colour)
-            _draw_mean(axes, place, estimates.loc[(world, name, _ERROR)], largest, ".4f", colour)
+            star = "*" * (len(seeds) < sweep["seed"].nunique())
+            estimate = estimates.loc[(world, name, _ERROR)]
+            _draw_mean(axes, place, estimate, largest, colour, star)
     _draw_targets(axes, estimates.loc[world])
     axes.set_xlim(0, largest)
     axes.grid(axis="y", visible=False)
@@ -83,8 +86,11 @@ def _draw_seeds(axes, place, errors, largest, colour):
         note(axes, f"{(~inside).sum()} off scale", (largest, place), (-4, 0), **look)
 
 
-def _draw_mean(axes, place, estimate, most, digits, colour):
-    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right."""
+def _draw_mean(axes, place, estimate, most, colour, star):
+    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right.
+
+    A star stands at the number.
+    """
     mean, low, high = estimate
     if mean < most:
         look = dict(fmt="D", markeredgecolor="w", markeredgewidth=0.5, markersize=4, capsize=2)
@@ -93,7 +99,7 @@ def _draw_mean(axes, place, estimate, most, digits, colour):
         )
     else:
         axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
-    note(axes, f"{mean:{digits}}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
+    note(axes, f"{mean:.4f}{star}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
 
 
 def _draw_targets(axes, estimates):

@@ -4,6 +4,17 @@ R = 10, the paper's, leaves so slow a controller that the estimate must lead it.
 estimator of each contestant are tuned together (`rhec.workbench.studies.fair_tuning`: one search,
 one budget and the same training seeds for all), once for each world. The paper's own stand beside
 them as they are printed.
+
+Two looks, as in the claims ledger (`rhec.workbench.studies.claims.evidence`). All contestants drive
+a first look of few fields. The second look has all fields, and only
+
+- the loops that a page or a target names (REFERENCES),
+- those that may still be the best: successive elimination (Even-Dar, Mannor and Mansour, Journal of
+  Machine Learning Research 7, 2006). A loop is excluded once the interval of its error minus that
+  of the leader, at equal seeds, is above zero: at 99.9 % in the first look. In the second, with k
+  rivals, it is one of 1 - 5 %/k. The best loop is excluded only if the interval of one of its k
+  differences is wrong to that side, with a probability of at most k 0.05 % + 2.5 %,
+- both loops of each part of WORTH of which the first look cannot say, at 99.9 %, whether it pays.
 """
 
 import itertools
@@ -22,6 +33,10 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.tuned_loops import TUNED
 from rhec.workbench.studies import calibration, fair_tuning
 from rhec.workbench.studies.statistics import (
+    CONFIDENCE,
+    FIRST_CONFIDENCE,
+    UNDECIDED,
+    difference_of_means,
     interval_text,
     over_seeds,
     ratio_of_means,
@@ -30,22 +45,32 @@ from rhec.workbench.studies.statistics import (
 )
 
 __all__ = [
+    "BEST",
+    "COSTS",
+    "EXCLUDED",
     "GAINS",
     "LABELS",
     "LEAST_GAIN",
     "LIMIT",
     "MOST_ABOVE",
+    "MAY_BE_BEST",
     "PAPERS",
+    "PAYS",
     "PROPOSAL",
     "QUANTITIES",
+    "REFERENCES",
     "WORTH",
     "by_gain",
     "contestants",
     "drive",
+    "error_rate",
+    "goes_on",
+    "in_two_looks",
     "overview",
     "ranking_table",
     "readable_worth",
     "scenarios",
+    "standings",
     "step_times",
     "targets",
     "time_table",
@@ -84,6 +109,14 @@ PAPERS = LABELS["rhe_printed"]
 PROPOSAL = LABELS["yaw_drift_ekf"]
 LIMIT = LABELS["drift_oracle"]
 _ORACLES = [LABELS[id_] for id_ in ("traction_oracle", "drift_oracle")]
+_NO_RIVALS = (*_ORACLES, LABELS["oracle"])  # they know what no robot knows
+REFERENCES = (PAPERS, PROPOSAL, *_NO_RIVALS)
+# What is said of a rival in the ranking, and of a part of a loop.
+BEST = "the best"
+MAY_BE_BEST = "may be the best"
+EXCLUDED = "excluded"
+PAYS = "pays"
+COSTS = "costs"
 # What a part of a loop is worth: (what, the loop with it, the loop without it).
 WORTH = [
     ("the weights R and q_θ, and W: RHE", "rhe", "rhe_printed"),
@@ -121,28 +154,143 @@ def contestants(world):
     return _AS_PRINTED | {id_: _Contestant(labels[id_], tuned[id_]) for id_ in labels}
 
 
-def scenarios(seeds, worlds=tuple(TUNED)):
-    """(world, label, Scenario) of every contestant of every world on every seed."""
+def scenarios(seeds, labels=None):
+    """(world, label, Scenario) of contestants on every seed.
+
+    Args:
+        seeds: Of the fields.
+        labels: {world: labels of the contestants}; by default all of every world.
+    """
     rows = []
-    for world in worlds:
-        for (label, fields), seed in itertools.product(contestants(world).values(), seeds):
+    for world in TUNED if labels is None else labels:
+        chosen = [
+            (label, fields)
+            for label, fields in contestants(world).values()
+            if labels is None or label in labels[world]
+        ]
+        for (label, fields), seed in itertools.product(chosen, seeds):
             rows.append((world, label, Scenario(**WORLDS[world] | fields, seed=seed)))
     return rows
 
 
-def drive(seeds, folder=None, worlds=tuple(TUNED)):
-    """Drive every contestant on every seed.
+def drive(seeds, folder=None, labels=None):
+    """Drive contestants on every seed.
 
     Args:
         seeds: Of the fields.
         folder: Of the campaign's rows, as in `rhec.campaign`.
-        worlds: Of WORLDS.
+        labels: {world: labels of the contestants}; by default all of every world.
 
     Returns:
         The campaign's DataFrame with the columns world and contestant.
     """
-    of_worlds, labels, drives = zip(*scenarios(seeds, worlds))
-    return campaign(drives, folder).assign(world=of_worlds, contestant=labels)
+    of_worlds, names, drives = zip(*scenarios(seeds, labels))
+    return campaign(drives, folder).assign(world=of_worlds, contestant=names)
+
+
+def in_two_looks(first, seeds, folder=None):
+    """Drive every contestant on the first seeds, and on all seeds those that go on.
+
+    Args:
+        first: Fields of the first look, seeds 0 to first - 1.
+        seeds: Fields of the second. With no more than in the first there is one look.
+        folder: Of the campaign's rows.
+
+    Returns:
+        The rows of `drive`; which contestant has how many of them says which look decided.
+    """
+    sweep = drive(range(min(first, seeds)), folder)
+    if first >= seeds:
+        return sweep
+    more = drive(range(first, seeds), folder, goes_on(sweep))
+    return pd.concat([sweep, more], ignore_index=True)
+
+
+def goes_on(sweep):
+    """The contestants that have a second look: {world: set of labels}.
+
+    Args:
+        sweep: Rows of `drive` of the first look.
+    """
+    chosen = {}
+    for world, errors in _errors_by_world(sweep):
+        leader, differences = _behind_leader(errors, FIRST_CONFIDENCE)
+        may_be_best = {name for name, found in differences.items() if not found.low > 0}
+        unclear = [
+            pair
+            for _, *pair in _pairs_of(errors)
+            if _says(
+                over_seeds(ratio_of_means, *_paired(errors, *pair), confidence=FIRST_CONFIDENCE)
+            )
+            == UNDECIDED
+        ]
+        named = {name for name in REFERENCES if name in errors}
+        chosen[world] = {leader} | may_be_best | named | {*itertools.chain(*unclear)}
+    return chosen
+
+
+def standings(errors):
+    """What the fields say of each rival: BEST, MAY_BE_BEST or EXCLUDED.
+
+    Args:
+        errors: {label: Series of mean true errors by seed}. Those of fewer seeds than the leader's
+            were excluded by the first look, or the first look is the only one.
+
+    Returns:
+        {label: standing}, without the oracles.
+    """
+    rivals = [name for name in errors if name not in _NO_RIVALS]
+    most = max(len(errors[name]) for name in rivals)
+    seen = {name: errors[name] for name in rivals if len(errors[name]) == most}
+    confidence = 1 - (1 - CONFIDENCE) / max(1, len(rivals) - 1)
+    leader, differences = _behind_leader(seen, confidence)
+    left = [leader, *(name for name, found in differences.items() if not found.low > 0)]
+    of_those_left = BEST if len(left) == 1 else MAY_BE_BEST
+    return {name: of_those_left if name in left else EXCLUDED for name in rivals}
+
+
+def error_rate(rivals):
+    """The probability, at most, with which two looks exclude the best of so many rivals and one."""
+    return rivals * (1 - FIRST_CONFIDENCE) / 2 + (1 - CONFIDENCE) / 2
+
+
+def _errors_by_world(sweep):
+    """(world, {label: Series of mean true errors by seed}) of a sweep."""
+    for world, of_world in sweep.groupby("world", sort=False):
+        by_seed = of_world.set_index("seed")["mean_error_true_m"]
+        of_label = by_seed.groupby(of_world["contestant"].to_numpy(), sort=False)
+        yield world, dict(list(of_label))
+
+
+def _behind_leader(errors, confidence):
+    """The rival of least mean error, and the Intervals of how far each other is behind it."""
+    rivals = [name for name in errors if name not in _NO_RIVALS]
+    leader = min(rivals, key=lambda name: errors[name].mean())
+    differences = {
+        name: over_seeds(difference_of_means, *_paired(errors, name, leader), confidence=confidence)
+        for name in rivals
+        if name != leader
+    }
+    return leader, differences
+
+
+def _paired(errors, one, other):
+    """The errors of two contestants at the seeds that both have: arrays (n,)."""
+    both = pd.concat([errors[one], errors[other]], axis=1, join="inner")
+    return both.to_numpy().T
+
+
+def _pairs_of(errors):
+    """(what, with it, without it) of WORTH, by labels, where both loops were driven."""
+    by_label = [(what, LABELS[one], LABELS[other]) for what, one, other in WORTH]
+    return [row for row in by_label if row[1] in errors and row[2] in errors]
+
+
+def _says(interval):
+    """What the interval of a ratio of errors says of a part of a loop."""
+    if interval.high < 1:
+        return PAYS
+    return COSTS if interval.low > 1 else UNDECIDED
 
 
 def by_gain(seeds, world="default", folder=None, weights=_R):
@@ -211,10 +359,24 @@ def targets(table):
     return shown[["ratio", "n", "claim", "verdict"]]
 
 
-def overview(table, quantity=QUANTITIES["mean_error_true_m"]):
-    """One quantity of `ranking_table` for readers: a row a contestant, a column a world."""
-    rows = table[table["quantity"] == quantity][_MEANS]
-    values = [interval_text(*interval) for interval in zip(rows["mean"], rows["low"], rows["high"])]
+def overview(table, text=interval_text):
+    """The mean true errors of `ranking_table` for readers: a row a contestant, a column a world.
+
+    A contestant that the first look excluded has no number: its mean of a few fields would stand
+    beside means of others.
+
+    Args:
+        table: Of `ranking_table`.
+        text: Function of mean, low and high that returns a text.
+    """
+    rows = table[table["quantity"] == QUANTITIES["mean_error_true_m"]]
+    n_fields = rows["n"].max()
+    values = [
+        text(row.mean, row.low, row.high)
+        if row.n == n_fields
+        else f"{EXCLUDED} after {row.n} fields"
+        for row in rows[[*_MEANS, "n"]].itertuples(index=False)
+    ]
     order = rows["contestant"].unique()
     wide = rows.assign(value=values).pivot(index="contestant", columns="world", values="value")
     return wide.reindex(order)[rows["world"].unique()].rename_axis(None, axis=1)
@@ -224,33 +386,40 @@ def ranking_table(sweep):
     """Means over seeds of every contestant, and ratios of mean true errors at equal seeds.
 
     The ratios are to the paper's RHE and to both oracles that estimate their pose. The claims are
-    the aims of the proposal.
+    the aims of the proposal. The verdict on a mean true error is its standing.
 
     Args:
-        sweep: Rows of `drive`, the same seeds in the same order for each contestant.
+        sweep: Rows of `drive` or `in_two_looks`.
 
     Returns:
         DataFrame with columns world, contestant, quantity, mean, low, high, n, claim, verdict; the
-        worlds in their order, the best first.
+        worlds in their order, the best first: by the ratio to one of them at equal seeds.
     """
     rows = []
-    for world, of_world in sweep.groupby("world", sort=False):
+    for world, errors in _errors_by_world(sweep):
+        of_world = sweep[sweep["world"] == world]
         runs = dict(list(of_world.groupby("contestant", sort=False)))
-        errors = {name: table["mean_error_true_m"] for name, table in runs.items()}
-        for name in sorted(runs, key=lambda name: errors[name].mean()):
+        standing = standings(errors)
+        longest = max(errors, key=lambda name: len(errors[name]))
+        ratios = {name: ratio_of_means(*_paired(errors, name, longest), axis=-1) for name in runs}
+        for name in sorted(runs, key=ratios.get):
             about = dict(world=world, contestant=name)
-            rows += [about | row for row in _means_of(runs[name])]
+            rows += [about | row for row in _means_of(runs[name], standing.get(name, ""))]
             rows += [about | row for row in _ratios_of(name, errors)]
     columns = "world contestant quantity mean low high n claim verdict".split()
     return pd.DataFrame(rows, columns=columns).fillna({"claim": "", "verdict": ""})
 
 
-def _means_of(runs):
+def _means_of(runs, standing):
     """Rows of `ranking_table`: the means of a contestant's runs."""
-    return [
+    rows = [
         dict(quantity=quantity) | over_seeds(np.mean, runs[column])._asdict()
         for column, quantity in QUANTITIES.items()
     ]
+    for row in rows:
+        if row["quantity"] == QUANTITIES["mean_error_true_m"]:
+            row["verdict"] = standing
+    return rows
 
 
 def _ratios_of(name, errors):
@@ -260,7 +429,7 @@ def _ratios_of(name, errors):
     for other, most in targets.items():
         if other not in errors or name == other:
             continue
-        ratio = over_seeds(ratio_of_means, errors[name], errors[other])
+        ratio = over_seeds(ratio_of_means, *_paired(errors, name, other))
         row = dict(quantity=f"true error, ratio to {other}") | ratio._asdict()
         if name == PROPOSAL:
             judged = verdict(ratio.low, ratio.high, below=most)
@@ -273,21 +442,23 @@ def worth_table(sweep):
     """What each part of WORTH is worth: the error with it over the error without it.
 
     Args:
-        sweep: Rows of `drive`.
+        sweep: Rows of `drive` or `in_two_looks`.
 
     Returns:
-        DataFrame with columns world, quantity, mean, low, high (95 %, at equal seeds), n.
+        DataFrame with columns world, quantity, mean, low, high (95 %, at equal seeds), n, verdict:
+        PAYS, COSTS or UNDECIDED, at 99.9 % where the first look decided.
     """
+    n_fields = sweep["seed"].nunique()
     rows = []
-    for world, of_world in sweep.groupby("world", sort=False):
-        errors = dict(list(of_world.groupby("contestant")["mean_error_true_m"]))
-        for what, one, other in WORTH:
-            pair = [errors.get(LABELS[id_]) for id_ in (one, other)]
-            if any(part is None for part in pair):
-                continue
-            ratio = over_seeds(ratio_of_means, *pair)
-            rows.append(dict(world=world, quantity=what) | ratio._asdict())
-    return pd.DataFrame(rows, columns=["world", "quantity", "mean", "low", "high", "n"])
+    for world, errors in _errors_by_world(sweep):
+        for what, *pair in _pairs_of(errors):
+            both = _paired(errors, *pair)
+            confidence = CONFIDENCE if len(both[0]) == n_fields else FIRST_CONFIDENCE
+            says = _says(over_seeds(ratio_of_means, *both, confidence=confidence))
+            ratio = over_seeds(ratio_of_means, *both)._asdict()
+            rows.append(dict(world=world, quantity=what) | ratio | dict(verdict=says))
+    columns = ["world", "quantity", "mean", "low", "high", "n", "verdict"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def readable_worth(table):

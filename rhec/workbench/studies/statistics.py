@@ -21,6 +21,7 @@ __all__ = [
     "AS_PRINTED",
     "CONFIDENCE",
     "FAILS",
+    "FIRST_CONFIDENCE",
     "HOLDS",
     "UNDECIDED",
     "UNTESTABLE",
@@ -45,6 +46,7 @@ __all__ = [
     "reported",
     "root_of_mean",
     "share",
+    "share_interval",
     "verdict",
 ]
 
@@ -54,6 +56,7 @@ UNDECIDED = "undecided"
 UNTESTABLE = "cannot be tested here"
 AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
 CONFIDENCE = 0.95
+FIRST_CONFIDENCE = 0.999  # of a first look at few fields, which decides what needs no second one
 _MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
 _RARE = 0.01  # an event that "may" happen is refuted once its share must be below this
 _NEAR = 0.25  # a mean is near a number of the paper if it is within a quarter of it
@@ -158,14 +161,15 @@ def _interval(value, error, freedom, confidence=CONFIDENCE):
     return value - half, value + half
 
 
-def over_seeds(statistic, *samples):
-    """Estimate a statistic over seeds with its 95 % interval.
+def over_seeds(statistic, *samples, confidence=CONFIDENCE):
+    """Estimate a statistic over seeds with its interval.
 
     Args:
         statistic: Function of arrays and `axis` that depends on their means alone, for example
             `np.mean` or `ratio_of_means`.
         samples: Arrays (seeds,) in the same order of seeds. A seed that is missing (NaN) in one of
             them is left out of all.
+        confidence: With which the interval holds the truth.
 
     Returns:
         Interval, n the seeds that count; its numbers are NaN where n is below 2.
@@ -175,7 +179,28 @@ def over_seeds(statistic, *samples):
     if samples.shape[1] < 2:
         return Interval(np.nan, np.nan, np.nan, samples.shape[1])
     value, error, freedom = _estimate(statistic, samples)
-    return Interval(value, *_interval(value, error, freedom), freedom + 1)
+    return Interval(value, *_interval(value, error, freedom, confidence), freedom + 1)
+
+
+def share_interval(k, n, confidence=CONFIDENCE):
+    """Clopper and Pearson's interval of the share k / n.
+
+    It reaches to the shares under which k, or what is further off, comes out with a probability of
+    2.5 % at 95 % confidence: with B_q(a, b) the quantiles of the beta distribution,
+
+        low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
+
+    Args:
+        k: How often it was so.
+        n: Of how many cases, at least one.
+        confidence: With which the interval holds the truth.
+
+    Returns:
+        low, high.
+    """
+    from scipy import stats  # it takes half a second to load, and most studies need no share
+
+    return stats.binomtest(k, n).proportion_ci(confidence, method="exact")
 
 
 def coverage(statistic, *samples, n=None, trials=4000):
@@ -267,13 +292,8 @@ def ratio(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
 def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     """Judge that the share k / n of true flags lies between the bounds.
 
-    Clopper and Pearson's interval reaches to the shares under which k, or what is further off,
-    comes out with a probability of 2.5 % at 95 % confidence: with B_q(a, b) the quantiles of the
-    beta distribution,
-
-        low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
-
-    p is twice the smaller tail of the binomial distribution at the nearer bound.
+    The interval is that of `share_interval`. p is twice the smaller tail of the binomial
+    distribution at the nearer bound.
     """
     flags = np.asarray(flags, dtype=bool)
     n = len(flags)
@@ -287,10 +307,8 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
 
         value = flags.mean()
         k = int(flags.sum())
-        low, high = stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="exact")
-        ends = low, high
-        if confidence != CONFIDENCE:
-            ends = stats.binomtest(k, n).proportion_ci(confidence, method="exact")
+        low, high = share_interval(k, n)
+        ends = share_interval(k, n, confidence)
         bound = above if abs(value - above) <= abs(value - below) else below
         if 0 < bound < 1:
             tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)

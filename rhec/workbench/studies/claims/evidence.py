@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 
 from rhec.workbench.studies.claims import experiments, run_sets
-from rhec.workbench.studies.statistics import CONFIDENCE, UNDECIDED
+from rhec.workbench.studies.statistics import CONFIDENCE, FIRST_CONFIDENCE, UNDECIDED
 
 __all__ = ["ERROR_RATE", "FIRST_CONFIDENCE", "collect", "findings_of", "make", "tables_of"]
 
-FIRST_CONFIDENCE = 0.999
 ERROR_RATE = (1 - FIRST_CONFIDENCE) + (1 - CONFIDENCE)  # of a verdict over both looks, at most
 _SETS = {"runs": run_sets.RUNS, "logs": run_sets.LOGS}
 

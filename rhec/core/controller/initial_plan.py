@@ -1,0 +1,93 @@
+"""An initial plan: what the first sample of an RHC starts from, instead of a robot that stays."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rhec.core._casadi import validation as valid
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+
+
+class InitialPlan(NamedTuple):
+    """Inputs u (n_u, N) and states x (n_x, N+1), or None for the states to which u leads."""
+
+    u: np.ndarray
+    x: np.ndarray | None
+
+    def memory(self, horizon, x, p):
+        """The first memory (s, u) of a Horizon at the state x with the parameters p.
+
+        Args:
+            horizon: The Horizon.
+            x: (n_x,) state, which node 0 gets.
+            p: (n_p,) parameters.
+
+        Returns:
+            dict of s (n_s, N+1) and u (n_u, N).
+
+        Raises:
+            ValueError: If the inputs lead from a plausible x to states that are not.
+        """
+        nodes = self.x
+        if nodes is None:
+            nodes = horizon.model.simulate(x, self.u.T, p, dt=horizon.dt_s).T
+            self._check_simulated(nodes, np.concatenate([x, p]))
+        s = np.tile([*x, *p], (horizon.N + 1, 1)).T
+        s[: horizon.n_x, 1:] = nodes[:, 1:]
+        return dict(s=s, u=self.u)
+
+    def _check_simulated(self, nodes, start):
+        """Refuse a plan that diverges; an estimate that is absurd by itself is not its fault."""
+        if np.all(_is_plausible(start)) and not np.all(_is_plausible(nodes)):
+            sample = int(np.argmin(np.all(_is_plausible(nodes), axis=0)))
+            expected = "with x_plan, or other inputs, the controller could start"
+            valid.refuse(f"u_plan led at node {sample} to states", nodes[:, sample], expected)
+
+
+def initial_plan(horizon, u_plan, x_plan):
+    """Check a plan that a user passes.
+
+    Args:
+        horizon: The Horizon.
+        u_plan: (n_u, N) or (n_u,) inputs, or None.
+        x_plan: (n_x, N+1) states, or None.
+
+    Returns:
+        The InitialPlan, or None if both are None.
+
+    Raises:
+        ValueError: If one of them has another shape or an entry that is no number, or if there are
+            states without inputs.
+    """
+    if u_plan is None:
+        if x_plan is not None:
+            raise ValueError("u_plan was None; with x_plan it should be the inputs (n_u, N)")
+        return None
+    u = _checked("u_plan", u_plan, (horizon.n_u, horizon.N))
+    if x_plan is None:
+        return InitialPlan(u, None)
+    return InitialPlan(u, _checked("x_plan", x_plan, (horizon.n_x, horizon.N + 1)))
+
+
+def _checked(name, value, shape):
+    """A copy of an argument as an array; one column stands for all."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} was {valid.shown(value)}; it should be made of numbers") from None
+    if array.shape == shape[:1]:
+        array = np.repeat(array.reshape(-1, 1), shape[1], axis=1)
+    if array.shape != shape:
+        expected = f"it should have {shape}, or {shape[:1]} if it is constant"
+        raise ValueError(f"{name} had shape {array.shape}; {expected}")
+    bad = np.argwhere(~_is_plausible(array))
+    if len(bad):
+        row, column = map(int, bad[0])
+        expected = f"it should be a number of at most {MAX_PLAUSIBLE_STATE:g} in size"
+        valid.refuse(f"{name}[{row}, {column}] was", array[row, column].item(), expected)
+    return array
+
+
+def _is_plausible(array):
+    """Where an array holds numbers that may be states or inputs."""
+    return np.abs(array) <= MAX_PLAUSIBLE_STATE

@@ -1,0 +1,117 @@
+"""Process noise within the window of an RHE (weak-constraint moving horizon estimation).
+
+The intervals of the window need not follow the model exactly:
+
+    s_{i+1} = F(s_i, v_i) + w_i,  w_i ~ N(0, diag Q_i)
+
+The noise w (n_s,) is estimated like an input that is measured to be zero with the variances Q. To
+the phases of the RHE it is the end of v. Q may differ by interval: the window remembers those of
+its intervals, and feedback takes those of the newest one, W.
+
+The memory of Q wraps the RHE's phases from outside, as `innovation_gate` does.
+"""
+
+import functools
+
+import casadi as ca
+
+from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core.model import base
+
+# A state without noise has this variance: beside any other none, and its share of the cost is a
+# number.
+_NO_NOISE = 1e-30
+
+
+class NoisyInterval(base.Interval):
+    """A shooting interval whose inputs v end with the process noise w (n_s,)."""
+
+    def input_noise(self, z, v, V, c=None, *, Q):
+        """Mean and variances (n_v,) of inputs and noise; Q (n_s,) are the noise's variances."""
+        of_inputs = base.Interval(*self)._replace(n_v=self.n_v - self.n_s)
+        mean, variance = of_inputs.input_noise(z, v, V, c)
+        motion_noise = self.motion_noise
+        added = motion_noise.process(mean, Q, None, c) if motion_noise else Q
+        none = ca.SX.zeros(self.n_s)
+        return ca.vertcat(mean, none), ca.vertcat(variance, ca.fmax(added, _NO_NOISE))
+
+    def process_noise(self, v, W, dt_s, c=None):
+        """Variances (n_s,) of noise besides w: none."""
+        return ca.SX.zeros(self.n_s)
+
+
+@functools.cache
+def noisy_interval(model, dt_s):
+    """The NoisyInterval of a Model whose samples are dt_s [s] apart."""
+    exact = base.interval(model)
+    s = ca.SX.sym("s", exact.n_s)
+    v = ca.SX.sym("v", exact.n_v + exact.n_s)
+    length_s = ca.SX.sym("dt_s")
+    u = v[: exact.n_v]
+    # An interval before the first sample has no length, and so no noise.
+    counts = length_s > 0
+    F, D, B = exact.linearised(s, u, length_s)
+    B = ca.horzcat(B, counts * ca.SX.eye(exact.n_s))
+    w = counts * v[exact.n_v :]
+    inputs = [s, v, length_s]
+    step = exact.step(s, u, length_s) + w
+    noise = exact.motion_noise
+    if noise:
+        of_sample = noise.process
+        noise = noise._replace(process=lambda v, W, _, c: of_sample(v, W, dt_s, c))
+    changed = dict(
+        step=ca.Function("noisy_interval", inputs, [step], {"cse": True}),
+        linearised=ca.Function("noisy_linearised", inputs, [F + w, D, B], {"cse": True}),
+        n_v=v.numel(),
+        motion_noise=noise,
+    )
+    return NoisyInterval(**exact._asdict() | changed)
+
+
+def with_memory_of_noise(window, phases, kind):
+    """The phases {shift, linearise, feedback, expand} of a noisy window, which remember Q.
+
+    Q (n_s, N) is a piece of the memory. The feedback and expand take W (n_s,), the variances of the
+    newest interval, whose place in the memory is its last column.
+
+    Args:
+        window: The rhe.Window.
+        phases: Its phases, in which the expand takes all of Q, and the feedback the newest column.
+        kind: SX or MX, of the Functions that call others.
+    """
+    n_s = window.interval.n_s
+    of_window = (n_s, window.N)
+    of_node = (n_s, 1)
+
+    def shapes(name, *without):
+        phase = phases[name]
+        return {key: phase.sparsity_in(key) for key in phase.name_in() if key not in without}
+
+    @casadi_function("noisy_shift", kind, **shapes("shift", "Q"), Q=of_window)
+    def shift(Q, **inputs):
+        newest = ca.DM.zeros(of_node)  # not known before the feedback
+        return phases["shift"](Q=Q, **inputs) | dict(Q=ca.horzcat(Q[:, 1:], newest))
+
+    # With bounds of states, the feedback solves for the whole window.
+    whole = dict(Q=of_window) if "Q_window" in phases["feedback"].name_in() else {}
+
+    @casadi_function(
+        "noisy_feedback", kind, **shapes("feedback", "Q", "Q_window"), **whole, W=of_node
+    )
+    def feedback(W, **inputs):
+        if whole:
+            inputs |= dict(Q_window=with_newest(inputs["Q"], W))
+        return phases["feedback"](**inputs | dict(Q=W))
+
+    @casadi_function("noisy_expand", kind, **shapes("expand", "Q"), Q=of_window, W=of_node)
+    def expand(Q, W, **inputs):
+        Q = with_newest(Q, W)
+        given = select_inputs(phases["expand"], inputs | dict(Q=Q))
+        return phases["expand"](**given) | dict(Q=Q)
+
+    return dict(shift=shift, linearise=phases["linearise"], feedback=feedback, expand=expand)
+
+
+def with_newest(Q, W):
+    """Q (n_s, N) of the window, with W (n_s,) as its newest column."""
+    return ca.horzcat(Q[:, :-1], W)

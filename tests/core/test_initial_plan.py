@@ -1,0 +1,128 @@
+"""A controller starts from a plan that it is given, and ends at the solution beside it."""
+
+import numpy as np
+import pytest
+
+import rhec
+from rhec.workbench.studies import gallery
+from rhec.workbench.studies.ipopt_plans import Reference
+
+PENDULUM = gallery.pendulum()
+N = 20
+OPTIONS = PENDULUM.options | dict(dt=0.05, horizon=N)
+GOAL = np.zeros(4)
+FORCE = 80.0  # the largest
+HANGING = np.array(PENDULUM.start)
+CONSTRAINED = OPTIONS["bounds"] | {"p_m": (-1.5, 1.5)}
+
+
+def controller(**changes):
+    return rhec.RHC(**OPTIONS | changes)
+
+
+def some_inputs(rng):
+    """Forces (1, N) that push the cart to and fro."""
+    time = np.arange(N) / N
+    waves = [rng.normal() * np.sin((k + 1) * np.pi * time) for k in range(3)]
+    return 30 * np.sum(waves, axis=0).reshape(1, N)
+
+
+def solved_from(mpc, x, u_plan):
+    mpc.restart(u_plan=u_plan)
+    mpc.solve(x, (), GOAL, (0.0,), iterations=200)
+    assert mpc.converged
+    return mpc.u_plan
+
+
+def test_swing_ups_from_the_same_plan_as_ipopt(virtual_machine):
+    """From far away it ends no higher; and where IPOPT ended it stays, though others are cheaper.
+
+    Of these 20 plans 12 end where IPOPT does, 7 at a cheaper local solution, and one at a dearer.
+    """
+    rng = np.random.default_rng(0)
+    reference = Reference(OPTIONS)
+    mpc = controller()
+    ratios = []
+    for _ in range(20):
+        x = HANGING + rng.uniform(-0.3, 0.3, 4)
+        begin = some_inputs(rng)
+        expected = reference.solve(x, GOAL, begin)
+        assert expected.solved
+        found = solved_from(mpc, x, begin)
+        ratios.append(reference.cost(x, GOAL, found) / expected.cost)
+        if abs(ratios[-1] - 1) < 1e-6:
+            np.testing.assert_allclose(found, expected.u, atol=1e-6 * FORCE)
+        again = solved_from(mpc, x, expected.u)
+        np.testing.assert_allclose(again, expected.u, atol=1e-6 * FORCE)
+    assert np.sum(np.array(ratios) > 1 + 1e-6) <= 1
+    assert np.sum(np.array(ratios) < 1 - 1e-6) >= 3
+
+
+@pytest.mark.parametrize("bounds", [OPTIONS["bounds"], CONSTRAINED])
+def test_the_plan_of_a_robot_that_stays_is_the_usual_start(bounds, virtual_machine):
+    usual, planned = (controller(bounds=bounds, horizon=12) for _ in range(2))
+    planned.solve(HANGING + 0.5, (), GOAL, (0.0,), iterations=5)
+    planned.restart(u_plan=(0.0,), x_plan=HANGING)
+    for each in (usual, planned):
+        for _ in range(3):
+            each.prepare()
+            each.feedback(HANGING, (), GOAL, (0.0,))
+    np.testing.assert_array_equal(planned.u_plan, usual.u_plan)
+    np.testing.assert_array_equal(planned.x_plan, usual.x_plan)
+
+
+@pytest.mark.parametrize("bounds", [OPTIONS["bounds"], CONSTRAINED])
+def test_a_solution_as_the_plan_is_the_first_command(bounds, virtual_machine):
+    solved, first = (controller(bounds=bounds, horizon=12) for _ in range(2))
+    solved.solve(HANGING, (), GOAL, (0.0,), iterations=300)
+    assert solved.converged
+    first.restart(u_plan=solved.u_plan, x_plan=solved.x_plan)
+    first.prepare()
+    first.feedback(HANGING, (), GOAL, (0.0,))
+    np.testing.assert_allclose(first.u_plan, solved.u_plan, atol=1e-5)
+
+
+def test_without_states_the_plan_is_simulated(virtual_machine):
+    mpc = controller()
+    u_plan = some_inputs(np.random.default_rng(1))
+    mpc.restart(u_plan=u_plan)
+    mpc.solve(HANGING, (), GOAL, (0.0,), iterations=0)
+    nodes = OPTIONS["model"].simulate(HANGING, u_plan.T, dt=OPTIONS["dt"])
+    current = mpc.iteration.current["s"].reshape(N + 1, 4)
+    np.testing.assert_allclose(current, nodes, rtol=1e-12, atol=1e-12)
+
+
+def test_an_absurd_first_estimate_is_not_the_plans_fault(virtual_machine):
+    mpc = controller()
+    mpc.restart(u_plan=(1.0,))
+    for x in (HANGING * np.nan, HANGING, HANGING):
+        mpc.prepare()
+        mpc.feedback(x, (), GOAL, (0.0,))
+    assert mpc.ok
+
+
+BAD_U = np.full((1, N), 1.0)
+BAD_U[0, 7] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("plans", "sentence"),
+    [
+        (dict(u_plan=np.zeros((2, N))), f"u_plan had shape (2, {N}); it should have (1, {N}), or"),
+        (dict(u_plan=BAD_U), "u_plan[0, 7] was nan; it should be a number of at most 1e+12 in"),
+        (dict(u_plan="fast"), "u_plan was 'fast'; it should be made of numbers"),
+        (dict(x_plan=GOAL), "u_plan was None; with x_plan it should be the inputs (n_u, N)"),
+        (dict(u_plan=(0.0,), x_plan=np.zeros((4, N))), f"x_plan had shape (4, {N}); it should"),
+    ],
+)
+def test_a_bad_plan_is_refused_in_a_sentence(plans, sentence, virtual_machine):
+    with pytest.raises(ValueError) as error:
+        controller().restart(**plans)
+    assert str(error.value).startswith(sentence)
+
+
+def test_inputs_that_diverge_are_refused(virtual_machine):
+    mpc = controller()
+    mpc.restart(u_plan=(1e11,))
+    with pytest.raises(ValueError, match=r"u_plan led at node \d+ to states .*; with x_plan, or"):
+        mpc.solve(HANGING, (), GOAL, (0.0,))

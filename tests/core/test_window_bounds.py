@@ -1,0 +1,95 @@
+"""Bounds of states hold at all nodes of an RHE's window: its optimum is the one of IPOPT."""
+
+import numpy as np
+import pytest
+from oracles import draw, drive_robot, limits, window_by_ipopt
+from robots import BICYCLE, CART, DT, SKID_STEERED
+
+import rhec
+
+# Of the state that `instance` shifts: a wall that the robot comes close to.
+NARROW = {
+    CART: {"position_m": (-60.0, 0.9)},
+    BICYCLE: {"x_m": (-60.0, 0.9)},
+    SKID_STEERED: {"x_m": (-60.0, 0.9)},
+}
+
+
+def instance(robot, rng, samples):
+    """A guess and noisy measurements (n, n_z) of a robot that comes within 4 mm of the wall."""
+    x, inputs, p = draw(robot, rng, samples - 1)
+    states, z = drive_robot(robot, x, inputs, np.clip(p, *limits(robot)))
+    shift = 0.9 - states[:, 0].max() - rng.uniform(0, 0.004)
+    z[:, 0] += shift
+    z += rng.normal(size=z.shape) * robot.sigma_v
+    guess = np.append(x, np.clip(p, *limits(robot)))
+    guess[0] = min(guess[0] + shift, 0.9)
+    return guess, z
+
+
+def bounded(robot, guess, horizon, **more):
+    robots_model = rhec.Model(**robot.model, state_bounds=NARROW[robot])
+    options = dict(dt=DT, horizon=horizon, arrival_mean="filtered") | robot.estimator | more
+    return rhec.RHE(model=robots_model, guess=tuple(guess), **options)
+
+
+def at_a_bound(robot, states):
+    """Whether any state of the window (n_x, n) is at a bound."""
+    pairs = [(states[robot.states.index(name)], limits) for name, limits in NARROW[robot].items()]
+    return any(np.abs(np.subtract.outer(row, limits)).min() < 1e-7 for row, limits in pairs)
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("robot", NARROW)
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy, virtual_machine):
+    """On 20 random windows, with a bound of a state active in a third of them or more."""
+    rng, active = np.random.default_rng(0), 0
+    for _ in range(20):
+        guess, z = instance(robot, rng, 7)
+        mhe = bounded(robot, guess, 6, noise_in_window=noisy)
+        for row in z[:-1]:
+            mhe.prepare()
+            mhe.feedback(row)
+        mhe.prepare()
+        found = mhe.solve(z[-1], iterations=60)
+        sigma_w = np.tile(robot.sigma_w, (len(z), 1)) if noisy else None
+        optimum = window_by_ipopt(robot, guess, z, sigma_w, NARROW[robot])
+        assert mhe.converged
+        for part in ("x", "u", "p"):
+            np.testing.assert_allclose(getattr(found, part), optimum[part], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(mhe.x_window, optimum["states"], rtol=0, atol=1e-6)
+        active += at_a_bound(robot, optimum["states"])
+    assert 7 <= active < 20
+
+
+def test_runs_of_a_batch_are_single_objects():
+    """To the last bit, iterated and not, with noise in the window and absurd samples."""
+    rng, runs = np.random.default_rng(1), 3
+    guess, _ = instance(CART, rng, 10)
+    z = np.array([instance(CART, rng, 10)[1] for _ in range(runs)])
+    z[1, 5] = np.nan
+    z[2, 6:8] = 1e300
+    singles = [bounded(CART, guess, 4, noise_in_window=True) for _ in range(runs)]
+    batch = rhec.batch(singles[0], runs)
+    for k in range(z.shape[1]):
+        more = dict(iterations=3) if k == 8 else {}
+        call = "solve" if more else "feedback"
+        batch.prepare()
+        found = getattr(batch, call)(z[:, k], **more)
+        assert np.all(found.x[:, 0] <= 0.9)
+        for run, mhe in enumerate(singles):
+            mhe.prepare()
+            for part, single in zip(found, getattr(mhe, call)(z[run, k], **more)):
+                np.testing.assert_array_equal(part[run], single)
+
+
+def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart(virtual_machine):
+    """A cart behind the wall: each estimate is finite and within its bounds; later it is right."""
+    guess = np.zeros(3)
+    mhe = bounded(CART, guess, 5, robust=True)
+    for k in range(120):
+        mhe.prepare()
+        found = mhe.feedback((1e5 if 10 <= k < 20 else 0.1, 0.0))
+        assert np.isfinite(np.concatenate(found[:3])).all() and found.x[0] <= 0.9
+        assert np.isnan(mhe.kkt) or mhe.ok
+    assert mhe.ok and abs(found.x[0] - 0.1) < 0.05

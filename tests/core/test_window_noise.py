@@ -1,0 +1,115 @@
+"""Process noise within the window of an RHE, by sample: the Kalman filter on a linear robot, the
+optimum that IPOPT finds on others, and the same live, in a batch and in C.
+"""
+
+import numpy as np
+import pytest
+from helpers import estimator
+from oracles import kalman_filter, mhe_instance, window_by_ipopt
+from robots import BICYCLE, CART, ROBOTS, UNICYCLE, WITH_GYRO
+
+import rhec
+
+
+def noise_of_samples(robot, rng, samples):
+    """Standard deviations (n, n_x + n_p) of the process noise, no two samples alike."""
+    sigma_w = 3 * np.array(robot.sigma_w)
+    return sigma_w * rng.uniform(0.3, 3, (samples, len(sigma_w)))
+
+
+@pytest.mark.parametrize("horizon", [2, 9])
+@pytest.mark.parametrize("exact", [(), (1,), (0, 1, 2)])
+def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, exact, virtual_machine):
+    """At every sample by one iteration each, a third of the positions missing. The length of the
+    window makes no difference. Of some states and samples there is no noise.
+    """
+    rng = np.random.default_rng(0)
+    guess, z = mhe_instance(CART, rng, 49, missing=0.3)
+    sigma_w = noise_of_samples(CART, rng, len(z))
+    sigma_w[:, exact] = 0
+    sigma_w[20:25] = 0
+    mhe = estimator(CART, guess, horizon=horizon, noise_in_window=True)
+    for k, row in enumerate(z):
+        mhe.prepare()
+        found = mhe.feedback(row, sigma_w=sigma_w[k])
+        given = (CART.sigma_guess, CART.sigma_v, sigma_w[: k + 1])
+        m, P, u = kalman_filter(z[: k + 1], guess, *given, leaving=k)
+        np.testing.assert_allclose(np.append(found.x, found.p), m, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.covariance, P, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(mhe.x_window[:, -1], found.x, rtol=0, atol=1e-9)
+        if k:
+            np.testing.assert_allclose(found.u, [u], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(mhe.u_window[:, -1], [u], rtol=0, atol=1e-9)
+    assert mhe.ok
+
+
+@pytest.mark.parametrize("robot", [CART, BICYCLE, UNICYCLE, WITH_GYRO])
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, virtual_machine):
+    """On 5 random windows: the newest estimate, and the states of the window."""
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        guess, z = mhe_instance(robot, rng, 8)
+        sigma_w = noise_of_samples(robot, rng, len(z))
+        mhe = estimator(robot, guess, horizon=len(z) - 1, noise_in_window=True)
+        for row, sigma in zip(z[:-1], sigma_w):
+            mhe.prepare()
+            mhe.feedback(row, sigma_w=sigma)
+        mhe.prepare()
+        found = mhe.solve(z[-1], iterations=60, sigma_w=sigma_w[-1])
+        optimum = window_by_ipopt(robot, guess, z, sigma_w)
+        assert mhe.converged and mhe.kkt < 1e-8
+        for part in ("x", "u", "p"):
+            np.testing.assert_allclose(getattr(found, part), optimum[part], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(mhe.x_window, optimum["states"], rtol=0, atol=1e-6)
+
+
+def test_without_an_argument_it_is_the_noise_that_it_was_made_with(virtual_machine):
+    """Also after a sample that had another."""
+    guess, z = mhe_instance(BICYCLE, np.random.default_rng(2), 19)
+    first, second = (estimator(BICYCLE, guess, horizon=5, noise_in_window=True) for _ in range(2))
+    for k, row in enumerate(z):
+        others = np.array(BICYCLE.sigma_w) * (7 if k == 8 else 1)
+        first.prepare(), second.prepare()
+        one = first.feedback(row, sigma_w=others if k == 8 else None)
+        np.testing.assert_array_equal(one.x, second.feedback(row, sigma_w=others).x)
+
+
+@pytest.mark.parametrize("name", ["bicycle", "skid_steered"])
+def test_runs_of_a_batch_have_noise_of_their_own(name):
+    """The same bits as single objects, iterated and not, with absurd samples among them."""
+    robot, rng, runs = ROBOTS[name], np.random.default_rng(3), 5
+    guess, _ = mhe_instance(robot, rng)
+    z = np.array([mhe_instance(robot, rng, 11)[1] for _ in range(runs)])
+    z[1, 5] = np.nan
+    z[2, 6:8] = 1e300
+    sigma_w = np.array([noise_of_samples(robot, rng, z.shape[1]) for _ in range(runs)])
+    singles = [estimator(robot, guess, horizon=6, noise_in_window=True) for _ in range(runs)]
+    batch = rhec.batch(singles[0], runs)
+    for k in range(z.shape[1]):
+        more = dict(iterations=3) if k == 9 else {}
+        call = "solve" if more else "feedback"
+        batch.prepare()
+        found = getattr(batch, call)(z[:, k], sigma_w=sigma_w[:, k], **more)
+        for run, mhe in enumerate(singles):
+            mhe.prepare()
+            one = getattr(mhe, call)(z[run, k], sigma_w=sigma_w[run, k], **more)
+            for part, single in zip(found, one):
+                np.testing.assert_array_equal(part[run], single)
+            assert batch.ok[run] == mhe.ok
+    batch.prepare()
+    assert np.isfinite(batch.feedback(z[:, -1]).x).all()  # of no argument, as of single objects
+
+
+@pytest.mark.parametrize("wrong", [(1.0, 2.0), -np.ones(5), "abc", np.nan, np.ones((4, 5))])
+def test_wrong_noise_is_refused_in_one_sentence(wrong, virtual_machine):
+    mhe = estimator(BICYCLE, np.zeros(5), horizon=3, noise_in_window=True)
+    mhe.prepare()
+    with pytest.raises(ValueError, match="^sigma_w (was|had shape) .*; it should have [^\n]*$"):
+        mhe.feedback(np.zeros(4), sigma_w=wrong)
+
+
+def test_noise_by_sample_needs_noise_in_the_window(virtual_machine):
+    mhe = estimator(BICYCLE, np.zeros(5), horizon=3)
+    mhe.prepare()
+    with pytest.raises(ValueError, match="sigma_w was .* noise_in_window=True"):
+        mhe.feedback(np.zeros(4), sigma_w=BICYCLE.sigma_w)
