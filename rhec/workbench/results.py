@@ -24,10 +24,7 @@ from rhec.workbench.studies.claims.summary import (
 
 _ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/closer_to_the_limit.md")
-_IN_DATA = (
-    "claims_before.csv",
-    "seven_worlds.parquet",
-)  # tables that no notebook makes
+_IN_DATA = ("claims_before.csv", "seven_worlds.parquet")  # tables that no notebook makes
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
