@@ -24,11 +24,7 @@ from rhec.workbench.studies.claims.summary import (
 
 _ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/closer_to_the_limit.md")
-_IN_DATA = (
-    "claim_costs.csv",
-    "claims_before.csv",
-    "seven_worlds.parquet",
-)  # tables that no notebook makes
+_IN_DATA = ("claims_before.csv", "seven_worlds.parquet")  # tables that no notebook makes
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
@@ -218,22 +214,6 @@ def _multiplicity(claims):
     return textwrap.fill(text + (f" Those lost are {', '.join(lost)}." if lost else ""), 100)
 
 
-def _costs(costs):
-    """What judging each claim alone takes, over all claims."""
-    columns = {"core_seconds": "computing time [s of one core]", "megabytes": "disk [MB]"}
-    rows = (
-        costs[[*columns]].agg(["median", "max", "sum"]).rename(columns=columns).map("{:.3g}".format)
-    )
-    names = {
-        "median": "the median claim",
-        "max": "the largest",
-        "sum": f"these {len(costs)} claims",
-    }
-    machines = "; ".join(costs["machine"].unique())
-    table = rows.rename(index=names).rename_axis("").reset_index()
-    return f"Measured on {machines}:\n\n{to_markdown(table)}"
-
-
 def _changes(claims, before):
     """Claims with another verdict than in the previous ledger, and the reasons."""
     return to_markdown(changes(claims, before))
@@ -391,7 +371,6 @@ _RESULTS = {  # {result: (its tables, the function that writes it)}
     "worlds": (["claims"], _worlds),
     "multiplicity": (["claims"], _multiplicity),
     "changes": (["claims", "claims_before"], _changes),
-    "costs": (["claim_costs"], _costs),
     "multiverse": (["multiverse"], _multiverse),
     "faults": (["table_faults"], _faults),
     "beyond": (["table_beyond"], _ranking),

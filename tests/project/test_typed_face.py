@@ -8,11 +8,12 @@ from typing import Any, assert_type
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import NDArray
 
 import rhec
 from rhec.core.batch.batch import EKFBatch, RHEBatch
 
-Array = np.typing.NDArray[Any]
+Array = NDArray[Any]
 SCENARIO = rhec.Scenario(process_noise="calibrated", duration_s=2.0)
 
 
