@@ -619,7 +619,7 @@ def test_gating_bounds_the_error_by_outliers(size_m):
 
 
 def test_faults_reach_the_measurements_whether_robust_or_not():
-    """Estimates stay finite, robust or not, and robust handling loses nothing by outliers."""
+    """Estimates stay finite, robust or not, and outliers move neither by a fifth of a metre."""
     outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
     clean, off, on = (
         scores.perturbed_replay(LOG, 0, **arguments)
@@ -631,8 +631,9 @@ def test_faults_reach_the_measurements_whether_robust_or_not():
         np.where(hit, 5.0, 0.0),
         atol=1e-9,
     )
-    worst = [errors(samples[hit | (clean["t_s"] > 33)])[0].max() for samples in (off, on)]
-    assert worst[1] < worst[0]
+    late = hit | (clean["t_s"] > 33)
+    worst = [errors(samples[late])[0].max() for samples in (clean, off, on)]
+    assert max(worst) < worst[0] + 0.2
     for kind, more in (
         ("missing", {}),
         ("infinite", dict(channel="all")),

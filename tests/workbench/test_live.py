@@ -106,7 +106,9 @@ def taken_apart():
     z = np.column_stack([run.columns[name] for name in MEASUREMENTS])
     pieces = setup.unpack(setup.memory)["estimator"].values()
     memory = np.concatenate([np.ravel(piece, order="F") for piece in pieces])
-    return window.build_tools(scenario), setup, memory, z, run
+    tools = window.build_tools(scenario)
+    # The memory of the check of positions follows.
+    return tools, setup, memory[: tools["shift"].size1_in("memory")], z, run
 
 
 def test_shift_and_solve_are_a_sample_of_the_rhe(taken_apart):
