@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rhec.core.controller.rhc import RHC as RHC
     from rhec.core.estimator.ekf import EKF as EKF
     from rhec.core.estimator.rhe import RHE as RHE
+    from rhec.core.estimator.window_length import suggest_window as suggest_window
     from rhec.core.model.base import Model as Model
     from rhec.embedded import export as export
     from rhec.logs.calibration import calibrate as calibrate
@@ -64,6 +65,7 @@ _HOME = {
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
     "simulate": "simulation.simulate",
+    "suggest_window": "core.estimator.window_length",
 }
 __all__ = sorted(_HOME)
 
