@@ -5,6 +5,7 @@ doing so.
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -409,3 +410,19 @@ def test_a_buffered_function_computes_what_the_function_does():
     buffered.call()
     np.testing.assert_array_equal(out, [1, 2, 3])
     assert buffered.results["norm"] == 1
+
+
+def test_a_function_that_is_called_often_is_not_inlined():
+    """Nine times in one body is often; twice is not."""
+
+    def called(name, times):
+        x = ca.SX.sym("x")
+        inner = ca.Function(f"{name}_inner", [x], [ca.sin(x) * x + 1])
+        y = z = ca.MX.sym("y")
+        for _ in range(times):
+            z = inner(z)
+        return ca.Function(name, [y], [z])
+
+    _, text = compiled.library_text(dict(often=called("often", 9), rare=called("rare", 2)))
+    marked = re.findall(r"/\* (\w+):.*\nstatic __attribute__\(\(noinline\)\) int", text)
+    assert marked == ["often_inner"]

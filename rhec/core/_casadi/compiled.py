@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import cache
-from rhec.core._casadi.c_text import generate_c
+from rhec.core._casadi.c_text import generate_c, without_inlining
 
 PROCESSOR = Path("/proc/cpuinfo")
 
@@ -176,7 +176,8 @@ def library_text(functions):
     for key, function in functions.items():
         calls = {inner.class_name() for inner in function.find_functions()}
         names[key] = None if "QpoasesInterface" in calls else function.name()
-    return names, generate_c([functions[key] for key in names if names[key]], "code.c")
+    text = generate_c([functions[key] for key in names if names[key]], "code.c")
+    return names, without_inlining(text)
 
 
 def compile_text(folder, names, text, optimised=True):

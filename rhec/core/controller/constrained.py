@@ -278,13 +278,12 @@ def _build_linearise(horizon):
         F, D, B = plain.interval.linearised.map(N)(s[:, :N], u, ca.repmat(ca.DM(plain.dt_s), 1, N))
         # Inputs that are not commanded stay, after the horizon, what they are in its last interval.
         Y, C, E = outputs.map(N + 1)(s, ca.horzcat(u, u[:, -1]))
-        widths = (plain.n_s, plain.n_u, plain.n_s, plain.n_u)
-        parts = zip(*map(ca.horzsplit, (D, B, C, E), widths))
-        stages = [stage(*part, Q, R, Q_y, R_delta) for part in parts]
-        qp_D, qp_B, H, G = (list(each) for each in zip(*stages))
-        last = last_stage(C[:, -plain.n_s :], E[:, -plain.n_u :], QN, QN_y)
-        sides = dict(qp_D=[*qp_D, qp_D[-1]], qp_B=[*qp_B, qp_B[-1]], H=[*H, last[0]])
-        sides |= dict(G=[*G, _with_sparsity(last[1], stage.sparsity_out("G"))])
+        # A map is a loop in C. N inlined calls would take the compiler longer than all the rest.
+        before_end = C[:, : N * plain.n_s], E[:, : N * plain.n_u]
+        qp_D, qp_B, H, G = stage.map(N)(D, B, *before_end, Q, R, Q_y, R_delta)
+        H_N, G_N = last_stage(C[:, -plain.n_s :], E[:, -plain.n_u :], QN, QN_y)
+        sides = dict(qp_D=(qp_D, qp_D[:, -horizon.n :]), qp_B=(qp_B, qp_B[:, -horizon.n_c :]))
+        sides |= dict(H=(H, H_N), G=(G, _with_sparsity(G_N, stage.sparsity_out("G"))))
         matrices = {name: ca.horzcat(*each) for name, each in sides.items()}
         return dict(F=F, D=D, B=B, Y=Y, C=C, E=E) | matrices
 
@@ -334,6 +333,7 @@ def _build_node(horizon):
 def _build_condition(horizon, linearise, roll_out):
     """The gradient g and the values of the rows, at the previous plan from the new estimate."""
     plain = horizon.plain
+    N = plain.N
     command = list(plain.command)
     node = _build_node(horizon)
     parts = ("F", "D", "B", "Y", "C", "E")
@@ -344,25 +344,18 @@ def _build_condition(horizon, linearise, roll_out):
     def condition(F, D, B, Y, C, E, s, u, before, Q, QN, R, Q_y, QN_y, R_delta, **references):
         s_0, x_ref, u_ref, y_ref = (references[name] for name in horizon.references)
         plan = planned(plain, [u[place, :] for place in command], u_ref)
-        nodes = roll_out(s, u, F, D, B, s_0, plan)
-        widths = (1, 1, plain.n_s, plain.n_u, 1, 1)
-        columns = map(ca.horzsplit, (s, Y, C, E, x_ref, y_ref), widths)
-        u_old, u_new, u_refs = (
-            (lambda each: [*each, each[-1]])(ca.horzsplit(each)) for each in (u, plan, u_ref)
-        )
+        nodes = ca.horzcat(*roll_out(s, u, F, D, B, s_0, plan))
+        last = ca.horzcat(before, plan[command, : N - 1])
+        outputs = Y[:, :N], C[:, : N * plain.n_s], E[:, : N * plain.n_u]
+        columns = (s[:, :N], nodes[:, :N], u, plan, last, *outputs, x_ref[:, :N], u_ref)
+        g, rows = node.map(N)(*columns, y_ref[:, :N], Q, R, Q_y, R_delta)
         of_outputs, _ = ends_with(horizon)
         nothing = ca.DM.zeros(horizon.n_c, horizon.n_c)
-        weights = [(Q, R, Q_y, R_delta)] * plain.N
-        weights += [(QN, nothing, of_outputs @ QN_y @ of_outputs, nothing)]
-        g = []
-        rows = []
-        for i, (s_i, Y_i, C_i, E_i, x_ref_i, y_ref_i) in enumerate(zip(*columns)):
-            last = before if i == 0 else u_new[i - 1][command]
-            at_plan = (s_i, nodes[i], u_old[i], u_new[i], last, Y_i, C_i, E_i)
-            g_i, rows_i = node(*at_plan, x_ref_i, u_refs[i], y_ref_i, *weights[i])
-            g.append(g_i)
-            rows.append(rows_i)
-        return dict(g=ca.horzcat(*g), rows=ca.horzcat(*rows))
+        outputs = Y[:, N], C[:, -plain.n_s :], E[:, -plain.n_u :]
+        end = (s[:, N], nodes[:, N], u[:, -1], plan[:, -1], plan[command, -1], *outputs)
+        weights = (QN, nothing, of_outputs @ QN_y @ of_outputs, nothing)
+        g_N, rows_N = node(*end, x_ref[:, N], u_ref[:, -1], y_ref[:, N], *weights)
+        return dict(g=ca.horzcat(g, g_N), rows=ca.horzcat(rows, rows_N))
 
     return condition
 
