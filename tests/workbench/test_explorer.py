@@ -476,10 +476,13 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
     assert "OSError: no space left" in made.screen.status and made.compiling is None
 
 
-def test_what_another_process_compiled_is_found_by_load():
+def test_what_another_process_compiled_is_found_by_load(monkeypatch):
     from rhec.core._casadi import compiled
     from rhec.simulation import closed_loop
 
+    # The other process optimises, as tests do not.
+    optimised = tuple(flag for flag in compiled.FLAGS if flag != "-O0")
+    monkeypatch.setattr(compiled, "FLAGS", optimised)
     structure = closed_loop.set_up(
         rhec.Scenario(estimator="oracle", prediction_horizon=2)
     ).structure
