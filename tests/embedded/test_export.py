@@ -911,14 +911,16 @@ def test_a_models_export_does_not_use_an_outlier(tmp_path):
 
 
 @needs_compiler
-def test_an_exports_process_noise_may_change_by_sample(tmp_path):
+@pytest.mark.parametrize("bounds", [None, {"x_m": (-50.0, 0.1)}], ids=["free", "bounded"])
+def test_an_exports_process_noise_may_change_by_sample(bounds, tmp_path):
     """Within the window, through a copy of the settings that the caller changes."""
     robot = ROBOTS["bicycle"]
     rng = np.random.default_rng(5)
     guess, z = mhe_instance(robot, rng, 29, missing=0.2)
-    settings = dict(dt=DT, horizon=6, guess=tuple(guess), noise_in_window=True) | robot.estimator
+    guess[0] = min(guess[0], 0.1)
+    settings = dict(dt=DT, horizon=4, guess=tuple(guess), noise_in_window=True) | robot.estimator
     with no_compiler():
-        mhe = rhec.RHE(model=rhec.Model(**robot.model), **settings)
+        mhe = rhec.RHE(model=rhec.Model(**robot.model, state_bounds=bounds), **settings)
         folder = rhec.export(mhe, tmp_path / "rhec")
     in_c = RobotInC(folder, tmp_path)
     struct = (folder / "rhec_memory.h").read_text().split("struct rhec_settings {")[1].split("}")[0]

@@ -621,7 +621,7 @@ def _build_improve(window, phases):
     shapes = window.noises | dict(P_0=phases["expand"].sparsity_in("P_0"))
     shapes |= window.memory | dict(z_N=(len(model.outputs), 1), penalty=PENALTY)
     if window.noisy:
-        shapes |= dict(W=phases["expand"].sparsity_in("W"))
+        shapes |= dict(W=phases["feedback"].sparsity_in("W"))
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):

@@ -6,9 +6,9 @@ linearisation point with its gaps closed (s°, v̄) the subproblem within the bo
     min  ½ ‖d_0 - d*_0‖²_{P⁻¹} + ½ Σ_{i=0..N} ‖d_i - d*_i‖²_{H'V⁻¹H} + ½ Σ ‖e_i - e*_i‖²_{R⁻¹}
     s.t. d_{i+1} = A_i d_i + B_i e_i,  lower ≤ s°_i + d_i ≤ upper
 
-in d = s - s°, e = v - v̄, with d* = s* - s°, e* = v* - v̄: the multipliers of the dynamics are those
-of the smoother. A Riccati interior point solves it (`rhec.core.solver.interior_point`). Its first
-stage is fixed at zero, and so d_0 is the input of a stage before the window.
+in d = s - s°, e = v - v̄, with d* = s* - s°, e* = v* - v̄, the minimum without bounds. A Riccati
+interior point solves it (`rhec.core.solver.interior_point`). The state of its first stage is zero,
+and so d_0 is the input of a stage before the window.
 
 Parameters do not change within the window unless it is noisy; so their bounds are rows of the
 newest node alone, as without bounds of states, or of all nodes of a noisy window.
@@ -110,19 +110,40 @@ def _bounds_of_stages(window, closed):
         yield ca.horzcat(*columns)
 
 
+def _gradient(shape, hessians, d, e):
+    """-H (d*, ε*) of the stages: of the one before the window, of intervals, of the newest node."""
+    points = [(ca.MX.zeros(shape.n), d[0]), *zip(d[:-1], e), (d[-1], ca.MX(0, 1))]
+    columns = []
+    for hessian, (state, inputs) in zip(hessians, points):
+        unused = ca.MX.zeros(shape.m - inputs.numel())
+        columns.append(-hessian @ ca.vertcat(state, inputs, unused))
+    return ca.horzcat(*columns)
+
+
+def _dynamics(shape, D, columns):
+    """D, B and the rows G of all stages; the inputs of the first one are d_0."""
+    before = ca.horzcat(ca.DM.eye(shape.n), ca.DM(shape.n, shape.m - shape.n))
+    before = ca.project(before, shape.B)
+    no_D = ca.DM(shape.D, 0)
+    return dict(
+        D=ca.horzcat(no_D, *D, no_D),
+        B=ca.horzcat(before, *columns, before),  # after the newest node nothing counts
+        G=ca.repmat(ca.DM(shape.G, 1), 1, shape.N + 1),
+    )
+
+
 def _build_qp(window, loops):
     """The Function of the QP: (memory, noises, filtered, z_N, s*, v*) -> (s, v, kkt, ok)."""
-    interval = window.interval
     N = window.N
+    n_v = window.interval.n_v
     shape = _shape_of(window)
+    n = shape.n
     measured, whitened = _build_stage(window, shape)
     first = _build_first(window, shape)
     solve = interior_point(shape, loops)
     pieces = {name: getattr(window.pieces, name) for name in ("s", "v", "z", "P")}
-    sparse = {name: ca.repmat(each, 1, N) for name, each in interval.sparsities.items()}
+    sparse = {name: ca.repmat(each, 1, N) for name, each in window.interval.sparsities.items()}
     best = dict(s_best=pieces["s"], v_best=pieces["v"])
-    n = shape.n
-    n_v = interval.n_v
 
     @casadi_function("rhe_window_qp", ca.MX, **pieces, **sparse, **best, noises=window.noises)
     def qp(s, v, z, P, F, D, B, s_best, v_best, noises):
@@ -131,33 +152,17 @@ def _build_qp(window, loops):
         at = [[*window.at(i, **noises).values()] for i in range(N + 1)]
         closed = _closed(window, s, F, D)
         inputs = [whitened(B[i], v[i], z[i + 1], *at[i + 1]) for i in range(N)]
+        columns, sigmas = zip(*inputs)
         hessians = [first(P), *(measured(s[i], z[i], *at[i]) for i in range(N + 1))]
-        d = s_best - ca.horzcat(*closed)
-        e = [(v_best[:, i] - v[i]) / inputs[i][1] for i in range(N)]
-        points = [(ca.MX.zeros(n), d[:, 0])]
-        points += [(d[:, i], e[i]) for i in range(N)]
-        points += [(d[:, N], ca.MX(0, 1))]
-        g = []
-        for hessian, (state, given) in zip(hessians, points):
-            unused = ca.MX.zeros(shape.m - given.numel())
-            g.append(-hessian @ ca.vertcat(state, given, unused))
-        g = ca.horzcat(*g)
-        unit = ca.DM.eye(n)
-        begin = ca.project(ca.horzcat(unit, ca.DM(n, shape.m - n)), shape.B)
-        no_D = ca.DM(shape.D, 0)
+        d = [best - node for best, node in zip(ca.horzsplit(s_best), closed)]
+        e = [(v_best[:, i] - v[i]) / sigmas[i] for i in range(N)]
+        g = _gradient(shape, hessians, d, e)
         lower, upper = _bounds_of_stages(window, closed)
-        solution = solve(
-            D=ca.horzcat(no_D, *D, no_D),
-            B=ca.horzcat(begin, *(each[0] for each in inputs), begin),
-            H=ca.horzcat(*hessians),
-            g=g,
-            G=ca.repmat(ca.DM(shape.G, 1), 1, N + 2),
-            lower=lower,
-            upper=upper,
-        )
+        rows = dict(H=ca.horzcat(*hessians), g=g, lower=lower, upper=upper)
+        solution = solve(**_dynamics(shape, D, columns), **rows)
         x = solution["z"]
         s_new = ca.horzcat(*closed) + x[:n, 1:]
-        v_new = [v[i] + inputs[i][1] * x[n : n + n_v, i + 1] for i in range(N)]
+        v_new = [v[i] + sigmas[i] * x[n : n + n_v, i + 1] for i in range(N)]
         kkt = ca.fabs(ca.dot(g, x)) + solution["complementarity"]
         return dict(s_new=s_new, v_new=ca.horzcat(*v_new), qp_kkt=kkt, qp_ok=solution["ok"])
 

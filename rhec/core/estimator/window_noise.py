@@ -71,8 +71,8 @@ def noisy_interval(model, dt_s):
 def with_memory_of_noise(window, phases, kind):
     """The phases {shift, linearise, feedback, expand} of a noisy window, which remember Q.
 
-    Q (n_s, N) is a piece of the memory. The feedback and expand take W (n_s,), the variances of the
-    newest interval, whose place in the memory is its last column.
+    Q (n_s, N) is a piece of the memory. The feedback takes W (n_s,), the variances of the newest
+    interval, and the expand puts them into its last column.
 
     Args:
         window: The rhe.Window.
@@ -101,11 +101,12 @@ def with_memory_of_noise(window, phases, kind):
     def feedback(W, **inputs):
         if whole:
             inputs |= dict(Q_window=with_newest(inputs["Q"], W))
-        return phases["feedback"](**inputs | dict(Q=W))
+        # The expand may follow so late that W is that of the next sample.
+        return phases["feedback"](**inputs | dict(Q=W)) | dict(W_used=W)
 
-    @casadi_function("noisy_expand", kind, **shapes("expand", "Q"), Q=of_window, W=of_node)
-    def expand(Q, W, **inputs):
-        Q = with_newest(Q, W)
+    @casadi_function("noisy_expand", kind, **shapes("expand", "Q"), Q=of_window, W_used=of_node)
+    def expand(Q, W_used, **inputs):
+        Q = with_newest(Q, W_used)
         given = select_inputs(phases["expand"], inputs | dict(Q=Q))
         return phases["expand"](**given) | dict(Q=Q)
 
