@@ -1,0 +1,157 @@
+"""Exports of Models that are stiff or have algebraic variables answer as the live objects."""
+
+import ctypes
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers import no_compiler
+
+import rhec
+from rhec.core._casadi import compiled
+from rhec.workbench.studies.embedded import toolchain
+
+COMPILER = compiled.compiler()
+needs_compiler = pytest.mark.skipif(not COMPILER, reason="there is no C compiler")
+INERTIA = 2.25e-4
+TOLERANCE = 1e-9  # of answers, relative and absolute
+
+
+class InC:
+    """The struct rhec of an export, and its functions."""
+
+    def __init__(self, folder):
+        sources = [folder / source for source in toolchain.LIBRARY]
+        flags = ["-std=c99", "-ffp-contract=off", "-shared", "-fPIC"]
+        out = folder / "rhec.so"
+        subprocess.run([COMPILER, *flags, *sources, "-lm", "-o", out], check=True)
+        self.library = ctypes.CDLL(str(out))
+        sizes = (folder / "rhec_memory.h").read_text()
+        n_bytes = int(sizes.split("RHEC_MEMORY_BYTES ")[1].split()[0])
+        self.memory = ctypes.create_string_buffer(n_bytes)
+        self.begin()
+
+    def begin(self):
+        """Begin anew, from the guess."""
+        settings, guess = (
+            ctypes.byref(ctypes.c_char.in_dll(self.library, f"rhec_scenario{name}"))
+            for name in ("", "_guess")
+        )
+        self.library.rhec_init(self.memory, settings, guess)
+
+    def call(self, name, *arrays, length):
+        """Prepare and call: answer (length,) and status."""
+        arrays = [np.ravel(array, order="F").astype(float) for array in arrays]
+        answer = np.zeros(length)
+        getattr(self.library, f"rhec_prepare_{name}")(self.memory)
+        function = getattr(self.library, f"rhec_{name}")
+        status = function(self.memory, *(array.ctypes for array in arrays), answer.ctypes)
+        return answer, status
+
+
+def masses(**options):
+    """do-mpc's three rotating masses between two motors of 10 ms, sampled every 100 ms."""
+    stiffness = np.array([2.697, 2.66, 3.05, 2.86]) * 1e-3
+    damping = np.array([6.78, 8.01, 8.82]) * 1e-5
+
+    def f(x, u, p):
+        angle, rate, motor = x[:3], x[3:6], x[6:]
+        chain = ca.vertcat(motor[0], angle, motor[1])
+        springs = ca.DM(stiffness) * (chain[1:] - chain[:-1])
+        torque = springs[1:] - springs[:-1] - ca.DM(damping) * rate
+        return ca.vertcat(rate, torque / ca.vertcat(p, INERTIA, INERTIA), (u - motor) / 0.01)
+
+    return rhec.Model(
+        states=("a1", "a2", "a3", "w1", "w2", "w3", "m1", "m2"),
+        inputs=("set1", "set2"),
+        parameters={"inertia": (1e-5, 1e-3)},
+        outputs=("a1", "a2", "a3", "set1", "set2"),
+        f=f,
+        **options,
+    )
+
+
+def mhe_of_masses(**options):
+    """With do-mpc's weights: P_x = 1e-4, P_p = 1, P_v = 1 for the angles and 20 for the motors."""
+    noise = dict(sigma_v=(1.0,) * 3 + (20**-0.5,) * 2, sigma_w=(0.0,) * 9)
+    guess = dict(guess=(0.0,) * 8 + (1e-4,), sigma_guess=(100.0,) * 8 + (1.0,))
+    return rhec.RHE(model=masses(**options), dt=0.1, horizon=10, **noise, **guess)
+
+
+def measured(seed, n=60):
+    """Measurements (n, 5) of masses whose motors get new random set points every fifth sample."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-2, 2, (-(-n // 5), 2)), 5, axis=0)[:n]
+    exact = masses(rule="radau5", steps=8)
+    angles = exact.simulate(rng.random(8) - 0.5, u, [INERTIA], dt=0.1)[1:, :3]
+    return np.hstack([angles + 0.01 * rng.standard_normal((n, 3)), u])
+
+
+@needs_compiler
+def test_each_estimate_of_stiff_masses_is_finite_and_equal_to_pythons(tmp_path):
+    """Ten seeds, 60 estimates each; one Runge-Kutta step would multiply an error by 291."""
+    with no_compiler():
+        in_c = InC(rhec.export(mhe_of_masses(steps=5), tmp_path / "rhec"))
+        for seed in range(10):
+            mhe = mhe_of_masses(steps=5)
+            in_c.begin()
+            for z in measured(seed):
+                mhe.prepare()
+                estimate = mhe.feedback(z)
+                answer, status = in_c.call("estimate", z, length=11)
+                assert np.all(np.isfinite(answer))
+                assert (status == 0) == mhe.ok
+                expected = np.concatenate(estimate[:3])
+                np.testing.assert_allclose(answer, expected, rtol=TOLERANCE, atol=TOLERANCE)
+            assert answer[-1] == pytest.approx(INERTIA, rel=0.01)
+
+
+def tank():
+    """A tank whose level drives a flow, an algebraic variable, through a pipe."""
+    return rhec.Model(
+        states=("level",),
+        inputs=("inflow",),
+        parameters={"laminar": (0.1, 3.0), "turbulent": (0.1, 5.0)},
+        outputs=("level", "flow", "inflow"),
+        f=lambda x, u, p, a: (u[0] - a[0], p[0] * a[0] + p[1] * a[0] ** 2 - x[0]),
+        algebraic={"flow": 1.0},
+        rule="radau3",
+    )
+
+
+@needs_compiler
+def test_a_model_with_algebraic_variables_answers_in_c_as_in_python(tmp_path):
+    rng = np.random.default_rng(0)
+    friction = [1.0, 1.5]
+    with no_compiler():
+        model = tank()
+        mhe = rhec.RHE(
+            model=model, dt=0.5, horizon=5, sigma_v=(0.01,) * 3, sigma_w=(0.0,) * 3,
+            guess=(1.9, 0.7, 1.2), sigma_guess=(0.3,) * 3,
+        )  # fmt: skip
+        rhc = rhec.RHC(
+            model=model, command=("inflow",), q=(1.0,), r=(0.1,), dt=0.5, horizon=8,
+            outputs=("flow",), bounds=dict(inflow=(0.0, 1.0), flow=(-1.0, 0.45)),
+        )  # fmt: skip
+        in_c = InC(rhec.export((mhe, rhc), tmp_path / "rhec"))
+        level, u = 2.0, np.zeros(1)
+        for k in range(30):
+            level = model.simulate([level], [u], friction, dt=0.5)[-1, 0]
+            flow = model.consistent([level], u, friction)
+            z = np.array([level, *flow, *u]) + 0.01 * rng.normal(size=3)
+            z[1] = np.nan if k % 7 == 0 else z[1]
+            mhe.prepare()
+            rhc.prepare()
+            estimate = mhe.feedback(z)
+            known = dict(x=estimate.x, p=estimate.p)
+            references = dict(x_ref=np.full((1, 9), 1.0), u_ref=np.zeros((1, 8)))
+            u = rhc.feedback(**known, **references)
+            answer, status = in_c.call("estimate", z, length=4)
+            assert (status == 0) == mhe.ok
+            expected = np.concatenate(estimate[:3])
+            np.testing.assert_allclose(answer, expected, rtol=TOLERANCE, atol=TOLERANCE)
+            given = (*known.values(), *references.values())
+            command, status = in_c.call("control", *given, length=1)
+            assert (status == 0) == rhc.ok
+            np.testing.assert_allclose(command, u, rtol=TOLERANCE, atol=TOLERANCE)
