@@ -3,10 +3,10 @@
 import ctypes
 import subprocess
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers import no_compiler
+from rotating_masses import INERTIA, measured, mhe_of_masses
 
 import rhec
 from rhec.core._casadi import compiled
@@ -14,7 +14,6 @@ from rhec.workbench.studies.embedded import toolchain
 
 COMPILER = compiled.compiler()
 needs_compiler = pytest.mark.skipif(not COMPILER, reason="there is no C compiler")
-INERTIA = 2.25e-4
 TOLERANCE = 1e-9  # of answers, relative and absolute
 
 
@@ -48,44 +47,6 @@ class InC:
         function = getattr(self.library, f"rhec_{name}")
         status = function(self.memory, *(array.ctypes for array in arrays), answer.ctypes)
         return answer, status
-
-
-def masses(**options):
-    """do-mpc's three rotating masses between two motors of 10 ms, sampled every 100 ms."""
-    stiffness = np.array([2.697, 2.66, 3.05, 2.86]) * 1e-3
-    damping = np.array([6.78, 8.01, 8.82]) * 1e-5
-
-    def f(x, u, p):
-        angle, rate, motor = x[:3], x[3:6], x[6:]
-        chain = ca.vertcat(motor[0], angle, motor[1])
-        springs = ca.DM(stiffness) * (chain[1:] - chain[:-1])
-        torque = springs[1:] - springs[:-1] - ca.DM(damping) * rate
-        return ca.vertcat(rate, torque / ca.vertcat(p, INERTIA, INERTIA), (u - motor) / 0.01)
-
-    return rhec.Model(
-        states=("a1", "a2", "a3", "w1", "w2", "w3", "m1", "m2"),
-        inputs=("set1", "set2"),
-        parameters={"inertia": (1e-5, 1e-3)},
-        outputs=("a1", "a2", "a3", "set1", "set2"),
-        f=f,
-        **options,
-    )
-
-
-def mhe_of_masses(**options):
-    """With do-mpc's weights: P_x = 1e-4, P_p = 1, P_v = 1 for the angles and 20 for the motors."""
-    noise = dict(sigma_v=(1.0,) * 3 + (20**-0.5,) * 2, sigma_w=(0.0,) * 9)
-    guess = dict(guess=(0.0,) * 8 + (1e-4,), sigma_guess=(100.0,) * 8 + (1.0,))
-    return rhec.RHE(model=masses(**options), dt=0.1, horizon=10, **noise, **guess)
-
-
-def measured(seed, n=60):
-    """Measurements (n, 5) of masses whose motors get new random set points every fifth sample."""
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.uniform(-2, 2, (-(-n // 5), 2)), 5, axis=0)[:n]
-    exact = masses(rule="radau5", steps=8)
-    angles = exact.simulate(rng.random(8) - 0.5, u, [INERTIA], dt=0.1)[1:, :3]
-    return np.hstack([angles + 0.01 * rng.standard_normal((n, 3)), u])
 
 
 @needs_compiler

@@ -272,13 +272,17 @@ def _of_part(part, mean_samples, function):
 
 
 def parallel_map(function, arguments):
-    """The function of each argument, in order; three or more are spread over the cores."""
+    """The function of each argument, in order; three or more are spread over the cores.
+
+    What a worker did not finish, because it was killed, is done here.
+    """
     tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
     with open_workers(None, large=len(tasks) > 2) as workers:
         if workers is None:
-            results = dict(map(_apply, tasks))
+            answers = [(task, None) for task in tasks]
         else:
-            results = dict(result for _, result in map_tasks(workers, _apply, tasks))
+            answers = [*map_tasks(workers, _apply, tasks)]
+    results = dict(answer or _apply(task) for task, answer in answers)
     return [results[place] for place in range(len(tasks))]
 
 
