@@ -247,7 +247,10 @@ def test_a_plan_is_ipopts(flow_most, virtual_machine):
 
 
 def test_estimates_stay_finite_where_there_is_no_solution_and_find_back(virtual_machine):
-    """Levels of -1 m are measured for a while. The equation of the flow has no solution there."""
+    """Levels of -1 m are measured for a while. The equation of the flow has no solution there.
+
+    After 30 rejected samples the window restarts and keeps to the lowest level that is allowed.
+    """
     model = tank(state_bounds={"level": (0.0, 10.0)})
     mhe = rhec.RHE(model=model, dt=0.5, horizon=5, **NOISE["tank"])
     good = samples_of("tank", 70)
@@ -258,7 +261,7 @@ def test_estimates_stay_finite_where_there_is_no_solution_and_find_back(virtual_
         assert np.all(np.isfinite([*estimate.x, *estimate.p, *estimate.covariance.ravel()]))
         assert np.all(np.isfinite(model.consistent(estimate.x, [0.3], estimate.p)))
         oks.append(mhe.ok)
-    assert all(oks[:10]) and not any(oks[10:45]) and all(oks[-10:])
+    assert all(oks[:10]) and not any(oks[10:40]) and all(oks[-10:])
     assert estimate.x[0] == pytest.approx(good[-1][0], abs=0.05)
 
 

@@ -37,7 +37,12 @@ def rows_of(functions):
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    forget_libraries()
     yield tmp_path / "cache"
+    forget_libraries()
+
+
+def forget_libraries():
     compiled.load.cache_clear()
     early._early.clear()
     early._optimised.clear()

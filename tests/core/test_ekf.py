@@ -230,7 +230,7 @@ def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told)
     step, first = build_step(choice_of("rhe", 5)), dict(zip(QUANTITIES, guess))
     sure = dict(zip(QUANTITIES, (1.0,) * 4 + (1e-7,) * 2))
     memory = packing.pack_array(
-        paper_rhe.init(paper_rhe.window_of(choice_of("rhe", 5)), first, sure)
+        paper_rhe.checked_init(paper_rhe.window_of(choice_of("rhe", 5)), first, sure)
     )
     W = np.square([*SIGMA_W[:4], 1e-9, 1e-9])
     for reading, estimate, covariance in zip(z, estimates, covariances):

@@ -3,29 +3,18 @@ iterated.
 """
 
 import numpy as np
+import oracles
 import pytest
 from helpers import choice_of, weaving_yaw_rates, with_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import (
-    DT,
-    N,
-    V,
-    drive,
-    flat,
-    iterate,
-    places,
-    rhe_by_ipopt,
-    rhe_instance,
-    unknowns,
-    window_memory,
-)
+from oracles import DT, N, V, drive, flat, iterate, places, rhe_by_ipopt, rhe_instance, unknowns
 
 import rhec
 from rhec import paper
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.condensed import box_qp_by_library
-from rhec.tracked_robot import estimators, tuning
+from rhec.tracked_robot import estimators, position_check, tuning
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.live import PaperEstimate
@@ -42,7 +31,12 @@ def build_phases(*options):
 
 def first_memory(guess, sigma, speed_model="parameter"):
     of = (dict(zip(QUANTITIES, values)) for values in (guess, sigma))
-    return paper_rhe.init(paper_rhe.window_of(choice_of("rhe", N, speed_model)), *of)
+    return paper_rhe.checked_init(paper_rhe.window_of(choice_of("rhe", N, speed_model)), *of)
+
+
+def window_memory(*window):
+    """As of `oracles`, before the first position, which is never rejected."""
+    return oracles.window_memory(*window) | position_check.init()
 
 
 def feed(rhe, z, **iterations):
@@ -261,7 +255,7 @@ def test_preparation_does_not_see_the_newest_reading(speed_model):
     z, m, P = rhe_instance(rng, speed_model)
     results = []
     for newest in (np.full(4, np.nan), np.zeros(4), np.full(4, 1e6)):
-        memory = window_memory(z, m, P, speed_model)
+        memory = oracles.window_memory(z, m, P, speed_model)
         memory["z"][:, -1] = newest
         results.append(
             np.concatenate([flat(part) for part in phases["linearise"](**memory, V=V).values()])

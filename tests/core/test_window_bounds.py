@@ -40,6 +40,28 @@ def at_a_bound(robot, states):
     return any(np.abs(np.subtract.outer(row, limits)).min() < 1e-7 for row, limits in pairs)
 
 
+# First: from its first use on, the fixture `virtual_machine` takes the compiler away.
+def test_runs_of_a_batch_are_single_objects():
+    """To the last bit, iterated and not, with noise in the window and absurd samples."""
+    rng, runs = np.random.default_rng(1), 3
+    guess, _ = instance(CART, rng, 10)
+    z = np.array([instance(CART, rng, 10)[1] for _ in range(runs)])
+    z[1, 5] = np.nan
+    z[2, 6:8] = 1e300
+    singles = [bounded(CART, guess, 4, noise_in_window=True) for _ in range(runs)]
+    batch = rhec.batch(singles[0], runs)
+    for k in range(z.shape[1]):
+        more = dict(iterations=3) if k == 8 else {}
+        call = "solve" if more else "feedback"
+        batch.prepare()
+        found = getattr(batch, call)(z[:, k], **more)
+        assert np.all(found.x[:, 0] <= 0.9)
+        for run, mhe in enumerate(singles):
+            mhe.prepare()
+            for part, single in zip(found, getattr(mhe, call)(z[run, k], **more)):
+                np.testing.assert_array_equal(part[run], single)
+
+
 @pytest.mark.parametrize("noisy", [False, True])
 @pytest.mark.parametrize("robot", NARROW)
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy, virtual_machine):
@@ -61,27 +83,6 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy
         np.testing.assert_allclose(mhe.x_window, optimum["states"], rtol=0, atol=1e-6)
         active += at_a_bound(robot, optimum["states"])
     assert 7 <= active < 20
-
-
-def test_runs_of_a_batch_are_single_objects():
-    """To the last bit, iterated and not, with noise in the window and absurd samples."""
-    rng, runs = np.random.default_rng(1), 3
-    guess, _ = instance(CART, rng, 10)
-    z = np.array([instance(CART, rng, 10)[1] for _ in range(runs)])
-    z[1, 5] = np.nan
-    z[2, 6:8] = 1e300
-    singles = [bounded(CART, guess, 4, noise_in_window=True) for _ in range(runs)]
-    batch = rhec.batch(singles[0], runs)
-    for k in range(z.shape[1]):
-        more = dict(iterations=3) if k == 8 else {}
-        call = "solve" if more else "feedback"
-        batch.prepare()
-        found = getattr(batch, call)(z[:, k], **more)
-        assert np.all(found.x[:, 0] <= 0.9)
-        for run, mhe in enumerate(singles):
-            mhe.prepare()
-            for part, single in zip(found, getattr(mhe, call)(z[run, k], **more)):
-                np.testing.assert_array_equal(part[run], single)
 
 
 def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart(virtual_machine):

@@ -17,6 +17,33 @@ def noise_of_samples(robot, rng, samples):
     return sigma_w * rng.uniform(0.3, 3, (samples, len(sigma_w)))
 
 
+# First: from its first use on, the fixture `virtual_machine` takes the compiler away.
+@pytest.mark.parametrize("name", ["bicycle", "skid_steered"])
+def test_runs_of_a_batch_have_noise_of_their_own(name):
+    """The same bits as single objects, iterated and not, with absurd samples among them."""
+    robot, rng, runs = ROBOTS[name], np.random.default_rng(3), 5
+    guess, _ = mhe_instance(robot, rng)
+    z = np.array([mhe_instance(robot, rng, 11)[1] for _ in range(runs)])
+    z[1, 5] = np.nan
+    z[2, 6:8] = 1e300
+    sigma_w = np.array([noise_of_samples(robot, rng, z.shape[1]) for _ in range(runs)])
+    singles = [estimator(robot, guess, horizon=6, noise_in_window=True) for _ in range(runs)]
+    batch = rhec.batch(singles[0], runs)
+    for k in range(z.shape[1]):
+        more = dict(iterations=3) if k == 9 else {}
+        call = "solve" if more else "feedback"
+        batch.prepare()
+        found = getattr(batch, call)(z[:, k], sigma_w=sigma_w[:, k], **more)
+        for run, mhe in enumerate(singles):
+            mhe.prepare()
+            one = getattr(mhe, call)(z[run, k], sigma_w=sigma_w[run, k], **more)
+            for part, single in zip(found, one):
+                np.testing.assert_array_equal(part[run], single)
+            assert batch.ok[run] == mhe.ok
+    batch.prepare()
+    assert np.isfinite(batch.feedback(z[:, -1]).x).all()  # of no argument, as of single objects
+
+
 @pytest.mark.parametrize("horizon", [2, 9])
 @pytest.mark.parametrize("exact", [(), (1,), (0, 1, 2)])
 def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, exact, virtual_machine):
@@ -72,32 +99,6 @@ def test_without_an_argument_it_is_the_noise_that_it_was_made_with(virtual_machi
         first.prepare(), second.prepare()
         one = first.feedback(row, sigma_w=others if k == 8 else None)
         np.testing.assert_array_equal(one.x, second.feedback(row, sigma_w=others).x)
-
-
-@pytest.mark.parametrize("name", ["bicycle", "skid_steered"])
-def test_runs_of_a_batch_have_noise_of_their_own(name):
-    """The same bits as single objects, iterated and not, with absurd samples among them."""
-    robot, rng, runs = ROBOTS[name], np.random.default_rng(3), 5
-    guess, _ = mhe_instance(robot, rng)
-    z = np.array([mhe_instance(robot, rng, 11)[1] for _ in range(runs)])
-    z[1, 5] = np.nan
-    z[2, 6:8] = 1e300
-    sigma_w = np.array([noise_of_samples(robot, rng, z.shape[1]) for _ in range(runs)])
-    singles = [estimator(robot, guess, horizon=6, noise_in_window=True) for _ in range(runs)]
-    batch = rhec.batch(singles[0], runs)
-    for k in range(z.shape[1]):
-        more = dict(iterations=3) if k == 9 else {}
-        call = "solve" if more else "feedback"
-        batch.prepare()
-        found = getattr(batch, call)(z[:, k], sigma_w=sigma_w[:, k], **more)
-        for run, mhe in enumerate(singles):
-            mhe.prepare()
-            one = getattr(mhe, call)(z[run, k], sigma_w=sigma_w[run, k], **more)
-            for part, single in zip(found, one):
-                np.testing.assert_array_equal(part[run], single)
-            assert batch.ok[run] == mhe.ok
-    batch.prepare()
-    assert np.isfinite(batch.feedback(z[:, -1]).x).all()  # of no argument, as of single objects
 
 
 @pytest.mark.parametrize("wrong", [(1.0, 2.0), -np.ones(5), "abc", np.nan, np.ones((4, 5))])

@@ -102,8 +102,11 @@ def set_runs(array, runs, values):
 
 def evaluate_some(rows, runs, arguments, results):
     """Evaluate a Rows for some runs, given by their numbers; the results of others remain."""
+    n_groups = len(results["memory"])
+    # What all runs share has one group. So has everything where one group holds all runs; taking
+    # the runs from it is right for both.
     some = {
-        name: array if len(array) == 1 else to_lanes(get_runs(array, runs), rows.lanes)
+        name: array if len(array) < n_groups else to_lanes(get_runs(array, runs), rows.lanes)
         for name, array in arguments.items()
     }
     few = {name: zeros(len(runs), array.shape[1], rows.lanes) for name, array in results.items()}
