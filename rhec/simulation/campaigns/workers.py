@@ -17,6 +17,7 @@ import signal
 import tempfile
 import threading
 import time
+import warnings
 from concurrent.futures.process import BrokenProcessPool
 
 from rhec.simulation.campaigns.optional import optional
@@ -82,6 +83,8 @@ class _LocalWorkers:
                     return self.pool.submit(*order)
             import loky
 
+            # Compiled loops take much memory. A worker that is replaced for it loses no run.
+            warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
             self.pool = loky.ProcessPoolExecutor(
                 self.count,
                 timeout=_IDLE_S,
