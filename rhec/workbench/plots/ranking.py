@@ -64,7 +64,9 @@ def _draw_world(axes, world, names, sweep, estimates):
     axes.set_xlim(0, largest)
     axes.grid(axis="y", visible=False)
     axes.set_xlabel("mean true error of a drive [m]")
-    axes.set_title(f"{world} world: {seed_range(sweep)}")
+    n_seeds = sweep["contestant"].value_counts()
+    fewer = f"\n(*: {n_seeds.min()} of them)" if n_seeds.min() < n_seeds.max() else ""
+    axes.set_title(f"{world} world: {seed_range(sweep)}{fewer}")
 
 
 def _colour_of(name):
