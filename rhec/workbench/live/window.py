@@ -6,27 +6,21 @@ the RHE whose window is one interval. `free` and `shortest_free` have no bounds 
 believes the encoders.
 """
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 
 from rhec import paper
 from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
 from rhec.core.estimator import ekf, rhe
+from rhec.core.estimator.window_bounds import without_bounds
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
 from rhec.tracked_robot.rhe import SIGMA_START, init, window_of
 from rhec.workbench.live.functions import argument_tables, c_module
 
-__all__ = ["build_tools", "c_text", "first_memories", "without_bounds"]
+__all__ = ["build_tools", "c_text", "first_memories"]
 
 _RESULTS = ("estimate", "covariance", "m_N", "P_N", "s_N")
-
-
-def without_bounds(model):
-    """The same Model, whose parameters may take any value."""
-    return dataclasses.replace(model, parameters=dict.fromkeys(model.parameters))
 
 
 def build_tools(scenario):
@@ -41,7 +35,7 @@ def build_tools(scenario):
         result; reckon (pose, z_N) -> pose.
     """
     window = window_of(Choice.of(scenario))
-    free = window._replace(model=without_bounds(window.model))
+    free = without_bounds(window)
     return dict(
         shift=_build_shift(window),
         solve=_build_solve("solve", window),
