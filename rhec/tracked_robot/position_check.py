@@ -32,7 +32,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, packed_size, select_inputs, unpack
+from rhec.core._casadi.build import casadi_function, packed_size, select_inputs, short_cut, unpack
 from rhec.core._casadi.compiled import loop_symbols
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe
@@ -140,16 +140,11 @@ def _wrap_feedback(window, feedback_of_rhe):
         m, _ = rhe.predict_input(window, B_N, m_N, P_N, v_N, z_N, **noise)
         before = _Memory(**unpack(check, _MEMORY))
         rejected, restart, after = _check(z_N, m, noise["V"], limits, before, window.dt_s)
-        P_N = ca.if_else(restart, _with_uncertain_pose(P_N), P_N)
-        m_restart, P_restart = rhe.predict_input(window, B_N, m_N, P_N, v_N, z_N, **noise)
-        z_used = ca.vertcat(ca.if_else(rejected, ca.DM.nan(2), z_N[:2]), z_N[2:])
         return dict(
-            P_used=P_N,
-            z_used=z_used,
+            P_used=ca.if_else(restart, _with_uncertain_pose(P_N), P_N),
+            z_used=ca.vertcat(ca.if_else(rejected, ca.DM.nan(2), z_N[:2]), z_N[2:]),
             used=1 - rejected,
             restart=restart,
-            m_restart=m_restart,
-            P_restart=P_restart,
             check_after=after,
         )
 
@@ -166,24 +161,31 @@ def _wrap_feedback(window, feedback_of_rhe):
 
 
 def _build_restarted(window):
-    """The memory of a window that restarts at its newest position."""
-    N = window.N
-    n_s = window.interval.n_s
-    column = (len(window.model.outputs), 1)
-    shapes = dict(m_restart=(n_s, 1), P_restart=(n_s, n_s), z_used=column) | window.memory
+    """The memory of a window that restarts at its newest position, unless it goes on.
 
-    @casadi_function("restarted", restart=(1, 1), **shapes)
-    def restarted(restart, m_restart, P_restart, z_used, **memory):
+    Nearly always it goes on. Then the prediction of the restart is not computed.
+    """
+    N = window.N
+    shapes = window.prediction | window.noise | window.memory
+    shapes |= dict(goes_on=(1, 1), z_used=(len(window.model.outputs), 1))
+
+    @short_cut("goes_on")
+    @casadi_function("restarted", **shapes)
+    def restarted(goes_on, B_N, v_N, m_N, P_N, z_used, **values):
+        memory = {name: values[name] for name in window.memory}
+        noise = {name: values[name] for name in window.noise}
+        P_N = _with_uncertain_pose(P_N)
+        m, P = rhe.predict_input(window, B_N, m_N, P_N, v_N, z_used, **noise)
         s = ca.vertcat(z_used[:2], memory["s"][2:, N])
         fresh = memory | dict(
             s=ca.repmat(s, 1, N + 1),
             v=ca.repmat(memory["v"][:, N - 1], 1, N),
-            z=ca.horzcat(ca.SX.nan(column[0], N), z_used),
+            z=ca.horzcat(ca.SX.nan(z_used.numel(), N), z_used),
             age=0,
-            m=m_restart,
-            P=P_restart,
+            m=m,
+            P=P,
         )
-        return {name: ca.if_else(restart, fresh[name], memory[name]) for name in memory}
+        return {name: ca.if_else(goes_on, memory[name], fresh[name]) for name in memory}
 
     return restarted
 
@@ -192,16 +194,18 @@ def _wrap_expand(window, expand_of_rhe):
     restarted = _build_restarted(window)
     shapes = {name: expand_of_rhe.sparsity_in(name) for name in expand_of_rhe.name_in()}
     del shapes["z_N"]
-    computed = {name: restarted.sparsity_in(name) for name in ("m_restart", "P_restart", "z_used")}
     one = (1, 1)
-    computed |= dict(restart=one, solved=one, check_after=_CHECK["check"])
+    shapes |= window.prediction | window.noise
+    shapes |= dict(z_used=restarted.sparsity_in("z_used"), check_after=_CHECK["check"])
+    shapes |= dict(restart=one, solved=one)
 
-    @casadi_function("checked_expand", loop_symbols(), **shapes, **computed)
+    @casadi_function("checked_expand", loop_symbols(), **shapes)
     def expand(check_after, **inputs):
         values = inputs | dict(z_N=inputs["z_used"], ok=inputs["solved"])
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         kkt = ca.if_else(inputs["ok"], result["kkt"], ca.DM.nan())
-        after = restarted(**select_inputs(restarted, values | result))
+        values |= result | dict(goes_on=1 - inputs["restart"])
+        after = restarted(**select_inputs(restarted, values))
         return after | dict(check=check_after, kkt=kkt)
 
     return expand
