@@ -101,9 +101,9 @@ def export(scenario):
         speed = build_speed(estimator.states(choice), n_segments, horizon.dt_s)
         control = _with_speed(control, speed, estimate["feedback"])
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
-    is_robust = "accepted" in estimate["feedback"].name_out()
+    reports_accepted = "accepted" in estimate["feedback"].name_out()
     n_z = len(_measured(scenario))
-    follow = _build_follow(references["references"], is_robust, n_z)
+    follow = _build_follow(references["references"], reports_accepted, n_z)
     path_phases = dict(closest=closest(n_segments), follow=follow)
 
     def first_estimate(estimate):
@@ -365,24 +365,26 @@ def _place_on_segment(dx, dy, theta, curvature):
     return ca.if_else(curvature == 0, along, arc)
 
 
-def _build_follow(references, is_robust, n_z):
+def _build_follow(references, reports_accepted, n_z):
     """Return the Function of the references, starting at the last arc length.
 
     The reference yaw rate is the measured one or, if that is missing or rejected, the last command.
-    is_robust: Whether the estimator reports which measurements it accepted.
+    reports_accepted: Whether the estimator reports which measurements it accepted.
     n_z: Length of a measurement.
     """
     shapes = {name: references.size_in(name) for name in references.name_in()}
     del shapes["omega_measured"]
     shapes |= dict(z_N=(n_z, 1), command=(1, 1))
-    if is_robust:
+    if reports_accepted:
         shapes["accepted"] = (len(MEASURED), 1)
     omega = MEASURED.index("omega")
     limit = SPEED_MODELS["parameter"].model.limits[omega]
 
     @casadi_function("rhec_follow", ca.MX, **shapes)
     def follow(z_N, command, accepted=None, **inputs):
-        is_used = accepted[omega] if is_robust else is_valid_measurement(z_N[omega], limit)
+        is_used = is_valid_measurement(z_N[omega], limit)
+        if reports_accepted:
+            is_used = accepted[omega]
         omega_measured = ca.if_else(is_used, z_N[omega], command)
         target = references(**inputs, omega_measured=omega_measured)
         return dict(s_next=target.pop("s")) | target

@@ -73,7 +73,7 @@ _TABLE = (
     (
         "position_accepted encoders_accepted",
         "",
-        "False where missing or, with `robust`, rejected",
+        "False where missing or rejected; encoders are rejected with `robust` only",
         _BOTH,
     ),
     ("restarted", "", "whether the RHE restarted", _BOTH),

@@ -121,6 +121,12 @@ def _check(z, m, V, limits, before, dt_s):
     return rejected, restart, ca.if_else(has_position, ca.veccat(*seen), ca.veccat(*unseen))
 
 
+def _accepted(z, limits, rejected):
+    """Which of x, y, ν and ω in z (n_z,) are used (4,); a rejected position is not."""
+    valid = [is_valid_measurement(z[row], limits[row]) for row in range(4)]
+    return ca.vertcat(*valid) * ca.vertcat(1 - rejected, 1 - rejected, 1, 1)
+
+
 def _with_uncertain_pose(P):
     """The covariance P with a pose that is uncertain and independent of all other quantities."""
     P = ca.SX(ca.densify(P))
@@ -143,7 +149,8 @@ def _wrap_feedback(window, feedback_of_rhe):
         return dict(
             P_used=ca.if_else(restart, _with_uncertain_pose(P_N), P_N),
             z_used=ca.vertcat(ca.if_else(rejected, ca.DM.nan(2), z_N[:2]), z_N[2:]),
-            used=1 - rejected,
+            rejected=rejected,
+            accepted=_accepted(z_N, limits, rejected),
             restart=restart,
             check_after=after,
         )
@@ -154,8 +161,9 @@ def _wrap_feedback(window, feedback_of_rhe):
     def feedback(**inputs):
         checked = check(**select_inputs(check, inputs))
         values = inputs | dict(z_N=checked["z_used"], P_N=checked.pop("P_used"))
+        used = 1 - checked.pop("rejected")
         result = feedback_of_rhe(**select_inputs(feedback_of_rhe, values)) | checked
-        return result | dict(ok=result["ok"] * result.pop("used"), solved=result["ok"])
+        return result | dict(ok=result["ok"] * used, solved=result["ok"])
 
     return feedback
 
@@ -215,7 +223,8 @@ def checked(window, phases):
     """Wrap the phases {name: Function} of an RHE, so that each position is checked.
 
     The memory has one more piece, `check`. The feedback's `ok` is 0 where a position was rejected,
-    and `kkt` is NaN then; `restart` tells whether the window restarts.
+    and `kkt` is NaN then; `accepted` (4,) tells which of x, y, ν and ω were used, `restart` whether
+    the window restarts.
     """
     shift_of_rhe = phases["shift"]
     shapes = {name: shift_of_rhe.sparsity_in(name) for name in shift_of_rhe.name_in()}

@@ -167,4 +167,6 @@ def test_a_closed_loop_drives_on_after_a_wrong_position():
     hit = rhec.simulate(scenario)
     spared = rhec.simulate(dataclasses.replace(scenario, faults=()))
     assert (~hit.log.ok).sum() == 1
+    assert (hit.log.position_accepted == hit.log.ok).all()
+    assert spared.log.position_accepted.all()
     assert hit.log.error_true_m.max() < spared.log.error_true_m.max() + 0.05

@@ -391,6 +391,16 @@ def equal(value, expected, tolerance):
     return Finding(value, value, value, 1, outcome, expected - tolerance, expected + tolerance)
 
 
+def between(value, above=-np.inf, below=np.inf):
+    """Judge that a number which follows without any run lies between the bounds.
+
+    Nothing in it is left to chance, so that both ends of its interval are the number itself.
+    """
+    value = float(value)
+    outcome = verdict(value, value, above, below)
+    return Finding(value, value, value, 1, outcome, above, below)
+
+
 def combined(findings):
     """One verdict from the findings under several conditions.
 

@@ -109,15 +109,18 @@ def _row_clearance(evidence, confidence):
 
 
 def _sampling_time(evidence, confidence):
-    """The sampling time is in the range of milliseconds."""
-    return statistics.always([paper.DT_S < 0.1])
+    """The sampling time is in the range of milliseconds: below 100 of them."""
+    return statistics.between(paper.DT_S, below=0.1)
 
 
 def _process_noise_sizes(evidence, confidence):
-    """Every entry of W of a measured quantity exceeds every entry of one that is not measured."""
+    """Every entry of W of a measured quantity exceeds every entry of one that is not measured.
+
+    It is judged by the ratio of the smallest of the former to the largest of the latter.
+    """
     measured = np.take(paper.SIGMA_W_RHE, [0, 1, 3])  # x, y, ν
     unmeasured = np.take(paper.SIGMA_W_RHE, [2, 4, 5])  # θ, μ, κ
-    return statistics.always([min(measured) > max(unmeasured)])
+    return statistics.between(min(measured) / max(unmeasured), above=1)
 
 
 def _table_sums(evidence, confidence):
@@ -129,14 +132,15 @@ def _table_sums(evidence, confidence):
 def _table_extremes(evidence, confidence):
     """Overall minimum and maximum of RHE and RHC are not the sums of the two phases' extremes.
 
-    A sample reaches the sum of two maxima only if both phases are worst at that sample.
+    A sample reaches the sum of two maxima only if both phases are worst at that sample. It is
+    judged by the smallest of the four differences [ms].
     """
     differences = []
     for problem in ("RHE", "RHC"):
         for place in (0, 2):  # minimum and maximum
             parts = [paper.TABLE_1_MS[problem, name][place] for name in ("preparation", "feedback")]
             differences.append(paper.TABLE_1_MS[problem, "overall"][place] - sum(parts))
-    return statistics.always(np.abs(differences) > 2e-4)
+    return statistics.between(np.min(np.abs(differences)), above=2e-4)
 
 
 def _parameters_of_p(speed_model, evidence, confidence):
