@@ -37,6 +37,7 @@ _MEANING_ON_A_PATH = _MEANING | {
     "R": "weight of omega",
     "lower": "lower bound of the command omega [rad/s]",
     "upper": "upper bound of the command omega [rad/s]",
+    "m_0": "state of a restart where the model has no slopes",
     "P_0": "variances of a restart",
     "speed_mps": "set speed, negative backwards: the largest commanded speed",
     "caution": "number of standard deviations kept as a margin",

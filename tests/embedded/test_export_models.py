@@ -3,6 +3,7 @@
 import ctypes
 import subprocess
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers import no_compiler
@@ -116,3 +117,33 @@ def test_a_model_with_algebraic_variables_answers_in_c_as_in_python(tmp_path):
             command, status = in_c.call("control", *given, length=1)
             assert (status == 0) == rhc.ok
             np.testing.assert_allclose(command, u, rtol=TOLERANCE, atol=TOLERANCE)
+
+
+@needs_compiler
+def test_an_estimate_without_slopes_finds_back_in_c_as_in_python(tmp_path):
+    """A tank whose outflow has no slope below the ground, measured with much noise."""
+    rng = np.random.default_rng(0)
+    model = rhec.Model(
+        states=("level",),
+        inputs=("inflow",),
+        parameters={"outflow": (0.2, 3.0)},
+        outputs=("level", "inflow"),
+        f=lambda x, u, p: [u[0] - p[0] * ca.sqrt(x[0])],
+    )
+    with no_compiler():
+        mhe = rhec.RHE(
+            model=model, dt=0.2, horizon=10, sigma_v=(0.1, 0.02), sigma_w=(0.05, 0.02),
+            guess=(1.0, 1.0), sigma_guess=(0.5, 0.5),
+        )  # fmt: skip
+        in_c = InC(rhec.export(mhe, tmp_path / "rhec"))
+        oks = []
+        for k in range(80):
+            z = np.array([0.01 if k < 40 else 0.3, 0.0]) + (0.1, 0.02) * rng.normal(size=2)
+            mhe.prepare()
+            estimate = mhe.feedback(z)
+            answer, status = in_c.call("estimate", z, length=3)
+            assert (status == 0) == mhe.ok
+            expected = np.concatenate(estimate[:3])
+            np.testing.assert_allclose(answer, expected, rtol=TOLERANCE, atol=TOLERANCE)
+            oks.append(mhe.ok)
+        assert not all(oks) and all(oks[-30:])

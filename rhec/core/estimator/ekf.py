@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import with_packed_memory
+from rhec.core._casadi.build import every, with_packed_memory
 from rhec.core._casadi.validation import NotNegatives, Positive, Positives, Reals, checked
 from rhec.core.estimator import kalman
 from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of
@@ -37,6 +37,20 @@ def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
     return updated.m, updated.P, updated.deviance
 
 
+def _transition(interval, m, v, dt_s):
+    """The state F after an interval, and its slopes A and B in m and v.
+
+    Where the model has none, such as sqrt(x) for x < 0, the state is expected to stay as it is.
+    Measurements can then take it back to where the model is defined.
+    """
+    F, D, B = interval.linearised(m, v, dt_s)
+    is_defined = every(ca.fabs(ca.veccat(F, D, B)) < np.inf)
+    F = ca.if_else(is_defined, F, m)
+    A = ca.if_else(is_defined, interval.A_0 + D, ca.DM.eye(interval.n_s))
+    B = ca.if_else(is_defined, B, 0)
+    return F, A, B
+
+
 def build(model, dt_s):
     """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}."""
     interval = base.interval(model)
@@ -51,8 +65,7 @@ def build(model, dt_s):
     @with_packed_memory("ekf_step", memory, ca.SX, z_N=(n_z, 1), noise=noise, W=(n_s, 1))
     def step(m, P, v, started, z_N, noise, W):
         v, R_v = interval.input_noise(z_N, v, **noise)
-        F, D, B = interval.linearised(m, v, dt_s * started)
-        A = interval.A_0 + D
+        F, A, B = _transition(interval, m, v, dt_s * started)
         Q = symmetric(B @ ca.diag(R_v) @ B.T)
         Q += ca.diag(interval.process_noise(v, W, dt_s, noise.get("c")))
         V = noise["V"]

@@ -78,13 +78,17 @@ def _build_gate(window, predict_input):
 def _build_hold(window):
     """Function that keeps the last node where the newest interval leads to no plausible state.
 
-    The newest node is the estimate where a step fails.
+    The newest node is the estimate where a step fails, and the window restarts there. If it has
+    restarted and still no interval leads on, the model has no slopes there, such as sqrt(x) for
+    x < 0. The newest node is then the first guess m_0, where it has some.
     """
-    nodes = (window.interval.n_s, window.N + 1)
+    n_s = window.interval.n_s
+    nodes = (n_s, window.N + 1)
 
     @casadi_function("hold")
-    def hold(s: nodes):
-        last = ca.if_else(is_plausible(s[:, -1]), s[:, -1], s[:, -2])
+    def hold(s: nodes, age: (1, 1), m_0: (n_s, 1)):
+        kept = ca.if_else(age == 0, m_0, s[:, -2])
+        last = ca.if_else(is_plausible(s[:, -1]), s[:, -1], kept)
         return dict(s=ca.horzcat(s[:, :-1], last))
 
     return hold
@@ -138,13 +142,14 @@ def gated(window, phases, predict_input, kind):
         kind: SX or MX, of the Functions that call others.
     """
     shapes = {name: phases["shift"].sparsity_in(name) for name in phases["shift"].name_in()}
+    shapes |= dict(rejected=(1, 1), m_0=shapes["m"])
 
     hold = _build_hold(window)
 
-    @casadi_function("gated_shift", kind, **shapes, rejected=(1, 1))
-    def shift(rejected, **inputs):
+    @casadi_function("gated_shift", kind, **shapes)
+    def shift(rejected, m_0, **inputs):
         shifted = phases["shift"](**inputs)
-        return shifted | dict(s=hold(shifted["s"]), rejected=rejected)
+        return shifted | dict(s=hold(shifted["s"], inputs["age"], m_0), rejected=rejected)
 
     return dict(
         shift=shift,

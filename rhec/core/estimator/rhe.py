@@ -518,10 +518,10 @@ def _build_plain_phases(window, quantities, loops, whole_window):
 def build_phases(window, quantities=None):
     """The RHE as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
-    `step` runs all phases; it maps (memory, z_N, V, c, W, P_0) to (memory, estimate, …). The
-    estimate's entries are the named `quantities`, in which inputs are as measured: with noise that
-    is slip, an encoder does not measure the robot's motion. By default they are all states, inputs
-    and parameters, as estimated.
+    `step` runs all phases; it maps (memory, z_N, V, c, W, m_0, P_0) to (memory, estimate, …), with
+    m_0 if the window has a gate. The estimate's entries are the named `quantities`, in which inputs
+    are as measured: with noise that is slip, an encoder does not measure the robot's motion. By
+    default they are all states, inputs and parameters, as estimated.
     """
     loops = compiled.loop_symbols()
     kind = loops if len(window.interval.bounds) <= 2 else ca.MX
@@ -745,7 +745,8 @@ class RHE(RealTimeLoop):
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
         refuse_start(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
-        self.settings = noise_of(model, sigma_v, sigma_w) | dict(P_0=np.square(self._guess[1]))
+        m_0, sigma_0 = self._guess
+        self.settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
         gate = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
         self.window = Window(model, dt, horizon, arrival_mean, gate=gate, noisy=noise_in_window)
         functions = compiled.load(build_phases, self.window, None)
