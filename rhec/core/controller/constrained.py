@@ -24,7 +24,7 @@ import numpy as np
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
-from rhec.core.controller.horizon import Horizon, build_roll_out, planned, states_after
+from rhec.core.controller.horizon import Horizon, build_roll_out, finite_or, planned, states_after
 from rhec.core.controller.horizon import init as plan_init
 from rhec.core.model.limits import MAX_QP_ENTRY
 from rhec.core.solver import gauss_newton
@@ -402,7 +402,8 @@ def _build_feedback(horizon, linearise, shape, roll_out):
         u = inputs["u"][command, :] + z[shape.n :, : plain.N]
         u = ca.fmax(u, ca.repmat(lower[: horizon.n_c], 1, plain.N))
         u = ca.fmin(u, ca.repmat(upper[: horizon.n_c], 1, plain.N))
-        u_plan = planned(plain, ca.vertsplit(u), inputs["u_ref"])
+        # With a reference that is not finite there is no step, and the last plan goes on.
+        u_plan = planned(plain, ca.vertsplit(u), finite_or(inputs["u_ref"], inputs["u"]))
         kkt = ca.fabs(ca.dot(at_plan["g"], z)) + solution["complementarity"]
         kkt = ca.if_else(ok, kkt, np.nan)
         return dict(u_plan=u_plan, kkt=kkt, ok=ok, iterations=solution["iterations"])

@@ -86,6 +86,11 @@ def for_all_samples(bound, horizon):
     return ca.repmat(bound, horizon.N, 1).T
 
 
+def finite_or(u_ref, u):
+    """The references (n_u, N), with those of the last plan u where they are not finite."""
+    return ca.if_else(ca.fabs(u_ref) < np.inf, u_ref, u)
+
+
 def planned(horizon, commands, u_ref):
     """The plan (n_u, N) from the rows of its commanded inputs; the others follow u_ref."""
     rows = ca.vertsplit(u_ref)

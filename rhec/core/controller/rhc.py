@@ -24,6 +24,7 @@ from rhec.core.controller import constrained, relaxation
 from rhec.core.controller.bounds import Bound
 from rhec.core.controller.horizon import (
     build_roll_out,
+    finite_or,
     for_all_samples,
     init,
     planned,
@@ -194,7 +195,8 @@ def _build_feedback(horizon, linearise, gradient, qp):
         u = ca.fmax(u, for_all_samples(inputs["lower"], horizon))
         u = ca.fmin(u, for_all_samples(inputs["upper"], horizon))
         commands = ca.vertsplit(ca.reshape(u, len(horizon.command), horizon.N))
-        u_plan = planned(horizon, commands, inputs["u_ref"])
+        # With a reference that is not finite there is no step, and the last plan goes on.
+        u_plan = planned(horizon, commands, finite_or(inputs["u_ref"], inputs["u"]))
         return dict(u_plan=u_plan, multipliers=multipliers, ok=ok, **step)
 
     return feedback
@@ -468,7 +470,8 @@ class RHC(RealTimeLoop):
             x_ref: (n_x, N+1) desired states; node 0 is now and has no weight. Or (n_x,), if they
                 are the same at all nodes.
             u_ref: (n_u, N) or (n_u,) desired inputs. Inputs that are not commanded are expected to
-                follow it, such as known signals.
+                follow it, such as known signals. Where an entry is not finite, the last plan goes
+                on, and `ok` is False.
             y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
 
         Returns:
@@ -521,7 +524,8 @@ class RHC(RealTimeLoop):
     def _start(self):
         # There is no previous plan: start from a given one, or a robot that stays where it is.
         x, p = list(self._inputs.values())[:2]
-        u = self.iteration.arrays["u_ref"][: self.problem.n_u]
+        u_ref = self.iteration.arrays["u_ref"][: self.problem.n_u]
+        u = np.where(np.isfinite(u_ref), u_ref, 0.0)
         refuse_start(self.problem.model, x, u, p, self.problem.dt_s)
         memory = self.first_memory(x, p)
         if self._initial:

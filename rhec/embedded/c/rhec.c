@@ -275,24 +275,6 @@ static void improve_first_plan(struct rhec *r)
 }
 #endif
 
-/* Copies the desired inputs. An entry that is not finite keeps its last value, because inputs that
- * are not commanded follow it. Returns whether there is such an entry. */
-static int take_desired_inputs(struct rhec *r, const rhec_real u_ref[])
-{
-    rhec_real *last = r->controller.u_ref;
-    int status = 0;
-
-    for (size_t i = 0; i < sizeof r->controller.u_ref / sizeof *last; i++) {
-        if (isfinite(u_ref[i])) {
-            last[i] = u_ref[i];
-        } else {
-            last[i] = isfinite(last[i]) ? last[i] : 0;
-            status = RHEC_AS_PLANNED;
-        }
-    }
-    return status;
-}
-
 int rhec_control(struct rhec *r, const rhec_real x[], const rhec_real p[], const rhec_real x_ref[],
                  const rhec_real u_ref[], rhec_real u[RHEC_INPUTS])
 {
@@ -302,7 +284,7 @@ int rhec_control(struct rhec *r, const rhec_real x[], const rhec_real p[], const
     memcpy(r->controller.s_0, x, RHEC_STATES * sizeof *x);
     memcpy(r->controller.s_0 + RHEC_STATES, p, RHEC_PARAMETERS * sizeof *p);
     memcpy(r->controller.x_ref, x_ref, sizeof r->controller.x_ref);
-    status |= take_desired_inputs(r, u_ref);
+    memcpy(r->controller.u_ref, u_ref, sizeof r->controller.u_ref);
     if (r->controller_stage == NO_PLAN) {
         controller_start(r);
         r->controller.current = r->controller.previous;

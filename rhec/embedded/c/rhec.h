@@ -93,10 +93,10 @@ void rhec_prepare_control(struct rhec *r);
 int rhec_control(struct rhec *r, rhec_real *omega);
 #else
 /* Feedback phase of the RHC. x, p: estimate. x_ref: desired states of the nodes 0 to N; node 0
- * has no weight. u_ref: desired inputs of the N intervals; an entry that is not finite keeps its
- * last value, at first 0. u: the inputs to apply; those that are not commanded are those of u_ref.
- * The first call, and the first after a restart, iterates up to RHEC_FIRST_ITERATIONS times; it
- * takes longer. */
+ * has no weight. u_ref: desired inputs of the N intervals; where an entry is not finite, the command
+ * comes from the last plan. u: the inputs to apply; those that are not commanded are those of u_ref
+ * or, where it is not finite, of the last plan, at first 0. The first call, and the first after a
+ * restart, iterates up to RHEC_FIRST_ITERATIONS times; it takes longer. */
 int rhec_control(struct rhec *r, const rhec_real x[], const rhec_real p[], const rhec_real x_ref[],
                  const rhec_real u_ref[], rhec_real u[RHEC_INPUTS]);
 #endif
