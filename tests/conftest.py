@@ -1,8 +1,14 @@
+import sys
+from pathlib import Path
+
 import pytest
 from helpers import no_compiler
 
 import rhec
 from rhec.core._casadi import compiled
+from rhec.core.lanes import lanes
+
+UNOPTIMISED = Path(__file__).parent / "unoptimised"
 
 
 def pytest_configure():
@@ -12,6 +18,19 @@ def pytest_configure():
     none of these is found by whoever computes with the optimised ones.
     """
     compiled.FLAGS = (*compiled.FLAGS, "-O0")
+    # `jsonschema` checks addresses by it, which no notebook has; its import takes two seconds.
+    sys.modules.setdefault("rfc3987_syntax", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def unoptimised_processes():
+    """Processes that tests start compile as quickly. This one has its compilers already."""
+    with pytest.MonkeyPatch.context() as patch:
+        if compiled.compiler():
+            patch.setenv("CC", str(UNOPTIMISED / "cc"))
+        if lanes._compiler():
+            patch.setenv("CXX", str(UNOPTIMISED / "c++"))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -43,6 +43,11 @@ SETTINGS = {
 }
 
 
+@pytest.fixture(scope="session", autouse=True)
+def unoptimised_processes():
+    """None: pages compute with what users have, and `timed` tests measure it."""
+
+
 @pytest.fixture(scope="session")
 def chromium():
     """A headless Chromium: the system's, else Playwright's own."""

@@ -84,9 +84,17 @@ def unlike(kind):
         )  # fmt: skip
 
 
-def one_by_one_and_at_once(build, structure, memories, streams, settings):
+def load_as_in_use(build, *structure):
+    """The block with the flags that campaigns have, without what `conftest` adds to them."""
+    flags = tuple(flag for flag in compiled.FLAGS if flag != "-O0")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "FLAGS", flags)
+        return lanes.load.__wrapped__(build, *structure)
+
+
+def one_by_one_and_at_once(build, structure, memories, streams, settings, load=lanes.load):
     """Rows of the runs by both ways."""
-    functions, block = compiled.load(build, *structure), lanes.load(build, *structure)
+    functions, block = compiled.load(build, *structure), load(build, *structure)
     assert block.lanes in (2, 4, 8)
     runs = [*zip(memories, streams, settings)]
     groups = (zip(*runs[k : k + block.lanes]) for k in range(0, len(runs), block.lanes))
@@ -94,8 +102,12 @@ def one_by_one_and_at_once(build, structure, memories, streams, settings):
     return [scan(functions, *run)[1] for run in runs], at_once
 
 
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_every_estimator_has_the_same_bits_in_a_lane(kind):
+LOADS = {name: (kind, lanes.load) for name, kind in KINDS.items()}
+LOADS |= {f"{name}, as in use": (KINDS[name], load_as_in_use) for name in ("rhe", "own")}
+
+
+@pytest.mark.parametrize(("kind", "load"), LOADS.values(), ids=LOADS)
+def test_every_estimator_has_the_same_bits_in_a_lane(kind, load):
     scenarios = [*unlike(kind)]
     setups = [*map(closed_loop.set_up, scenarios)]
     assert len({setup.structure for setup in setups}) == 1
@@ -106,7 +118,7 @@ def test_every_estimator_has_the_same_bits_in_a_lane(kind):
     ]
     one_by_one, at_once = one_by_one_and_at_once(
         closed_loop.build_sample, setups[0].structure, [setup.memory for setup in setups], streams,
-        [setup.settings for setup in setups],
+        [setup.settings for setup in setups], load,
     )  # fmt: skip
     np.testing.assert_array_equal(at_once, one_by_one)
     if kind == dict(estimator="rhe"):
@@ -328,13 +340,15 @@ def test_own_functions_are_within_a_few_units_in_the_last_place():
         assert np.max(off / np.spacing(np.abs(exact).astype(float))) <= units
 
 
-def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar():
+@pytest.mark.parametrize("load", (lanes.load, load_as_in_use))
+def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar(load):
     x = angles(500)
     extremes = [0.0, np.nan, np.inf, 1e6, 1e300, 5e-324, 1.5, 2.0**51, 2.0**52 + 1, 3.0]
     x = np.concatenate([x, extremes, np.negative(extremes), np.arange(20) / 4])
     streams = [np.random.default_rng(lane).permutation(x)[:, None] for lane in range(8)]
     memories, settings = np.arange(8.0)[:, None], [{}] * 8
-    one_by_one, at_once = one_by_one_and_at_once(build_functions, (), memories, streams, settings)
+    runs = memories, streams, settings
+    one_by_one, at_once = one_by_one_and_at_once(build_functions, (), *runs, load)
     np.testing.assert_array_equal(at_once, one_by_one)
     virtual = scan(build_functions(), memories[0], streams[0], {})[1]
     near = np.abs(streams[0][:, 0]) < 1e5
