@@ -174,8 +174,8 @@ def _merged(groups, blocks):
         blocks: {structure: compiled lanes}.
     """
     by_structure = {}
-    for (structure, samples), group in sorted(groups.items(), key=lambda item: -item[0][1]):
-        by_structure.setdefault(structure, []).extend(group.items())
+    for structure, samples in sorted(groups, key=lambda of: -of[1]):
+        by_structure.setdefault(structure, []).extend(groups[structure, samples].items())
     for structure, runs in by_structure.items():
         n_lanes = blocks[structure].lanes
         for first in range(0, len(runs), n_lanes):
