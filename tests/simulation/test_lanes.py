@@ -185,15 +185,16 @@ def texts(tmp_path, monkeypatch):
 
 def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
     by_parts = rows_of(tmp_path / "parts", estimator="rhe", disturbance_observer=True)
-    assert len(texts) == 3  # the steps of estimator and controller, and the rest
-    monkeypatch.setattr(parts, "_LEAST", 1000)
+    # The steps of estimator and controller, the references, the robot's motion, and the rest.
+    assert len(texts) == 5
+    monkeypatch.setattr(parts, "_is_large", lambda function: False)
     whole = rows_of(tmp_path / "whole", estimator="rhe", disturbance_observer=True)
-    assert len(texts) == 4
+    assert len(texts) == 6
     np.testing.assert_array_equal(by_parts, whole)
 
 
 def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
-    for name, made in {"rhe": 3, "ekf": 1, "rhe_no_slip": 2}.items():
+    for name, made in {"rhe": 5, "ekf": 2, "rhe_no_slip": 2}.items():
         texts.clear()
         assert rows_of(tmp_path / name, estimator=name) is not None
         assert len(texts) == made
@@ -236,6 +237,22 @@ def test_a_campaign_in_lanes_has_the_rows_of_simulate(always, monkeypatch):
     monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
     table = rhec.campaign(scenarios, workers=1)
     assert (table["error"] == "").all()
+    assert_rows_of_simulate(table, scenarios)
+
+
+def test_runs_of_unlike_length_share_lanes(always, monkeypatch):
+    block = lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
+    scenarios = [
+        dataclasses.replace(SMALL, duration_s=SMALL.duration_s + length, seed=seed)
+        for length in (0.0, 2.0, 6.0, 30.0)
+        for seed in range(block.lanes // 4 or 1)
+    ]
+    scan_lanes, at_once = lanes.scan, []
+    monkeypatch.setattr(
+        lanes, "scan", lambda *given: at_once.append(len(given[1])) or scan_lanes(*given)
+    )
+    table = rhec.campaign(scenarios, workers=1)
+    assert at_once == [block.lanes] * (len(scenarios) // block.lanes)
     assert_rows_of_simulate(table, scenarios)
 
 

@@ -1,7 +1,8 @@
 """Compile a loop in parts, so that parts that several loops share are compiled once.
 
-A part is the step of an estimator or the controller. It is compiled in parallel with the rest. This
-does not slow down lanes; the loop of a single run would be 5 % slower.
+A part is the step of an estimator, the controller, the path's references or the robot's motion. It
+is compiled in parallel with the rest. This does not slow down lanes; the loop of a single run would
+be 5 % slower.
 """
 
 import hashlib
@@ -12,7 +13,9 @@ from functools import partial
 from rhec.core._casadi import cache
 from rhec.core._casadi.compiled import run_compiler
 
-_LEAST = 5  # a Function that calls fewer Functions is compiled with the rest
+# A Function that calls fewer Functions and has fewer instructions is compiled with the rest.
+_LEAST_CALLED = 5
+_LEAST_INSTRUCTIONS = 300
 _CALL = """  casadi_real unused[{size}];
   for (int i = 0; i < {n_out}; i++) if (!res[i]) res[i] = unused;
   return {name}(arg, res, iw, w, mem);
@@ -37,8 +40,7 @@ def compile_by_parts(place, text, step, text_of, key, command):
     jobs = []
     for function in step.find_functions(0):
         head = rf"(/\* {function.name()}:\(.*\n)(.*\{{\n)"
-        is_large = len(function.find_functions()) >= _LEAST
-        if not is_large or len(re.findall(head, text)) != 1:
+        if not _is_large(function) or len(re.findall(head, text)) != 1:
             continue
         digest = hashlib.sha256(repr((function.serialize(), key)).encode()).hexdigest()
         name = f"part_{digest[:24]}"
@@ -55,6 +57,12 @@ def compile_by_parts(place, text, step, text_of, key, command):
         _compile(place, _without_unused(text), command)
         objects = [part.result() for part in parts]
     run_compiler([*command, "code.o", *objects, "-o", "library.so"], place)
+
+
+def _is_large(function):
+    """Return whether compiling a Function takes so long that loops should share the result."""
+    n_called = len(function.find_functions())
+    return n_called >= _LEAST_CALLED or function.n_instructions() >= _LEAST_INSTRUCTIONS
 
 
 def _compile_part(name, function, text_of, command):

@@ -156,12 +156,30 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
             group[key] = scenario, setup
             if len(group) == block.lanes:
                 del groups[setup.structure, samples]
-                results |= _run_group(block, samples, group, noise, result_of)
-    # The remaining groups have fewer runs than lanes.
-    for (structure, samples), group in groups.items():
+                results |= _run_group(block, group, noise, result_of)
+    for structure, group in _merged(groups, blocks):
         with contextlib.suppress(Exception):
-            results |= _run_group(blocks[structure], samples, group, noise, result_of)
+            results |= _run_group(blocks[structure], group, noise, result_of)
     return results
+
+
+def _merged(groups, blocks):
+    """Yield (structure, group) of groups with fewer runs than lanes, filled up with one another.
+
+    Runs of different lengths share a group here. It takes as long as its longest run, so that the
+    longest ones come first: no order takes less time.
+
+    Args:
+        groups: {(structure, samples): {key: (scenario, setup)}}.
+        blocks: {structure: compiled lanes}.
+    """
+    by_structure = {}
+    for structure, samples in sorted(groups, key=lambda of: -of[1]):
+        by_structure.setdefault(structure, []).extend(groups[structure, samples].items())
+    for structure, runs in by_structure.items():
+        n_lanes = blocks[structure].lanes
+        for first in range(0, len(runs), n_lanes):
+            yield structure, dict(runs[first : first + n_lanes])
 
 
 def _set_up(scenario, relative, soil_settings):
@@ -212,11 +230,16 @@ def _load_block(structure, mean_samples):
     return lanes.load(*sample)
 
 
-def _run_group(block, samples, group, noise, result_of):
-    """Return {key: result_of(run)} of {key: (scenario, setup)} of one structure and length."""
+def _run_group(block, group, noise, result_of):
+    """Return {key: result_of(run)} of {key: (scenario, setup)} of one structure."""
     scenarios, setups = zip(*group.values())
     streams = [
-        noise(scenario.seed, scenario.faults, samples, closed_loop.options_of(scenario))
+        noise(
+            scenario.seed,
+            scenario.faults,
+            count_samples(scenario),
+            closed_loop.options_of(scenario),
+        )
         for scenario in scenarios
     ]
     memories = [setup.memory for setup in setups]

@@ -46,9 +46,15 @@ class LiveRobot:
             self.pose = self._state["pose"].ravel()
             self._soil.set(pose=self.pose)
             self._soil.call()
-            self._measure.set(**select_inputs(self._measure.function, self._state))
+            self._set(self._measure)
             self._measure.call()
             yield self._measure.results["z"].copy()
+
+    def _set(self, call):
+        """Copy into a call what it takes of the state."""
+        for name, array in call.arguments.items():
+            if name in self._state:
+                array[:] = self._state[name].ravel(order="F")
 
     def drive(self, omega_radps, **speed_mps):
         """Drive for one sample.
@@ -57,7 +63,7 @@ class LiveRobot:
             omega_radps: Commanded yaw rate.
             speed_mps: Commanded speed; the scenario's, by default.
         """
-        self._drive.set(**select_inputs(self._drive.function, self._state))
+        self._set(self._drive)
         self._drive.set(**self._soil.results, omega_radps=omega_radps, **speed_mps)
         self._drive.call()
         results = self._drive.results | dict(drift=self._measure.results["drift"])
