@@ -63,6 +63,16 @@ def test_counting_laps_gives_the_table_of_front():
     pd.testing.assert_frame_equal(counted, table[counted.columns], check_like=True)
 
 
+def test_docs_say_which_loop_keeps_the_promise_in_all_seven_worlds():
+    laps = pd.read_parquet(seven_worlds.LAPS)
+    counted = seven_worlds.counted(laps[laps["base"] == "default"])
+    whole = counted[counted["promise"] == "whole path"].set_index(["loop", "world"])
+    speed_rhc, cautious = seven_worlds.TUNED_HERE
+    assert (whole.loc[cautious, "low"] > 0.95).all() and (whole.loc[cautious, "n"] == 1000).all()
+    kept = whole.loc[speed_rhc, "low"] > 0.95
+    assert kept.sum() == 6 and not kept["uncertain soil"]
+
+
 def drives(one, other):
     """Laps of two loops in one world, which keep every promise where told."""
     rows = [

@@ -48,7 +48,7 @@ CONTESTANTS = {
 }
 TUNED_HERE = ("speed RHC", "cautious, tuned here")
 # Held-out fields of each world.
-_FIELDS = 700  # of TUNED_HERE
+_FIELDS = 1000  # of TUNED_HERE
 _FIELDS_OF_OTHERS = 200
 
 
