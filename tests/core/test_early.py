@@ -104,6 +104,19 @@ def test_another_process_makes_no_c_of_what_was_compiled_early(cache, monkeypatc
     assert n_libraries(cache) == 2
 
 
+def test_what_is_sure_to_run_often_is_optimised_at_once(cache):
+    first = early.load(build_pendulum, 3)
+    early.optimise(build_pendulum, [(3,), (4,)])
+    (waiting,) = early._early.values()
+    thread = waiting.thread
+    for _ in range(early.WORTH_OPTIMISING):
+        early.optimise(build_pendulum, [(3,)])
+        assert waiting.thread is thread
+    thread.join()
+    assert early.load(build_pendulum, 3) is not first
+    assert n_libraries(cache) == 2
+
+
 def test_what_is_begun_is_compiled_once(cache):
     early.begin(build_pendulum, [(3,), (3,)])
     early.begin(build_pendulum, [(3,)])

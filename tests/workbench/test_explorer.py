@@ -489,6 +489,17 @@ def test_sliders_of_w_show_the_w_in_use(made):
 # Compiling
 
 
+def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
+    optimised = []
+    monkeypatch.setattr(
+        explorer.early, "optimise", lambda build, structures: optimised.append(len(structures))
+    )
+    rhec.Explorer(SHORT)
+    assert optimised == []
+    made.inputs["r"].value = 20.0
+    assert optimised == [2]
+
+
 def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs(made, monkeypatch):
     at_hand, compiled = set(), []
 

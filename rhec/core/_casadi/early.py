@@ -38,9 +38,14 @@ class _Early:
         """Return the Functions, and begin to optimise them when that pays."""
         self.loads += 1
         if self.loads == WORTH_OPTIMISING:
+            self.optimise()
+        return self.functions
+
+    def optimise(self):
+        """Begin to optimise the Functions, once."""
+        if self.thread is None:
             self.thread = threading.Thread(target=self._optimise)
             self.thread.start()
-        return self.functions
 
     def is_optimised(self):
         """Return whether the optimised library was compiled; where that failed, this one stays."""
@@ -78,6 +83,13 @@ def begin(build, structures):
         key = build, tuple(structure)
         if key not in _compiling and not is_compiled(build, *structure):
             _begin_one(build, tuple(structure))
+
+
+def optimise(build, structures):
+    """Begin to optimise structures that are sure to be run often; the arguments are `begin`'s."""
+    for structure in structures:
+        if early := _early.get((build, tuple(structure))):
+            early.optimise()
 
 
 def is_compiled(build, *structure):

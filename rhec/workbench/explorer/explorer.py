@@ -325,6 +325,8 @@ class Explorer(widgets.VBox):
             self._compile(missing)
             return
         early.begin(closed_loop.build_sample, missing)
+        if self.runs:  # who moves one control moves it on: a first view alone is not worth it
+            early.optimise(closed_loop.build_sample, structures)
         self.runs = tuple(map(closed_loop.simulate_setup, scenarios, setups))
         ran = time.perf_counter()
         self._draw()
