@@ -6,6 +6,7 @@ Every tuning parameter is an argument of the Function, so that a change of a wei
 nothing. What changes the shape of the Function is in `_LoopStructure`.
 """
 
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -81,9 +82,8 @@ def _build_parts(structure):
 
         states = estimator_of(choice.estimator, choice.robust).states(choice)
         control = cautious.build_step(control, states, structure.n_segments, paper.DT_S)
-    references = build_references(
-        paper.DT_S, structure.prediction_horizon, structure.n_segments, structure.input_reference
-    )
+    path = (structure.prediction_horizon, structure.n_segments, structure.input_reference)
+    references = _built(build_references, paper.DT_S, *path)
     return _Parts(
         soil=robot.soil(structure.terrain_shape, structure.soil_under),
         measure=robot.measure(paper.DT_S),
@@ -93,10 +93,24 @@ def _build_parts(structure):
         disturb=disturb,
         references=references["references"],
         control=control,
-        drive=robot.drive(paper.DT_S),
+        drive=_built(robot.drive, paper.DT_S),
         slip=_build_slip(structure),
         pair=_build_pair(structure),
     )
+
+
+def _built(make, *arguments):
+    """make(*arguments), made once for all loops that have this piece.
+
+    Loops differ in their estimator more often than in the rest, which takes longer to make.
+    """
+    return _built_for(build.loop_symbols(), make, *arguments)
+
+
+@functools.lru_cache(maxsize=16)
+def _built_for(loops, make, *arguments):
+    # With a compiler the pieces are others than without, so `loops` is part of the key.
+    return make(*arguments)
 
 
 def _build_slip(structure):
@@ -118,7 +132,7 @@ def _build_control(structure):
         return speed_rhc.build_step(horizon, structure.n_segments)
     horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
     if structure.controller == "rhc":
-        step = rhc.build_phases(horizon)["step"]
+        step = _built(rhc.build_phases, horizon)["step"]
         if structure.traction_timing == "feedback":
             return step
         return paper_rhc.with_online_traction(step, horizon, structure.traction_timing)

@@ -1,4 +1,4 @@
-"""What takes processes of its own to measure: the first run after a cold start."""
+"""What takes processes of its own to measure: first run and first view after a cold start."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ import tempfile
 
 import pandas as pd
 
-START = """
+RUN = """
 from time import perf_counter
 begin = perf_counter()
 import rhec
@@ -16,14 +16,22 @@ imported = perf_counter()
 simulate(scenario())
 print(imported - begin, perf_counter() - begin)
 """
+VIEW = """
+from time import perf_counter
+begin = perf_counter()
+import rhec
+explorer = rhec.Explorer()
+explorer._repr_mimebundle_()
+print(perf_counter() - begin)
+"""
+# A script, and what each of the times that it prints is until.
+_SCRIPTS = {RUN: ("imported", "first run finished"), VIEW: ("first view of the explorer",)}
 
 
-def start_times(cache):
-    """Seconds from the beginning of `import rhec`: until its names are there, until the first
-    closed-loop run is finished.
-    """
+def start_times(script, cache):
+    """The times that a script prints in a fresh process [s]."""
     done = subprocess.run(
-        [sys.executable, "-c", START],
+        [sys.executable, "-c", script],
         env=os.environ | dict(RHEC_CACHE=cache),
         check=True,
         capture_output=True,
@@ -37,14 +45,11 @@ def starts(rounds=3):
     least, median and most [s].
     """
     rows = []
-    for _ in range(rounds):
+    for script, ends in [*_SCRIPTS.items()] * rounds:
         with tempfile.TemporaryDirectory() as cache:
             for state in ("nothing cached", "cached"):
-                imported, finished = start_times(cache)
-                rows += [
-                    dict(start=state, until="imported", s=imported),
-                    dict(start=state, until="first run finished", s=finished),
-                ]
+                times = zip(ends, start_times(script, cache))
+                rows += [dict(start=state, until=end, s=seconds) for end, seconds in times]
     return (
         pd.DataFrame(rows)
         .groupby(["start", "until"], sort=False)["s"]

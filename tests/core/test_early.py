@@ -44,6 +44,7 @@ def cache(tmp_path, monkeypatch):
 
 def forget_libraries():
     compiled.load.cache_clear()
+    early._compiling.clear()
     early._early.clear()
     early._optimised.clear()
 
@@ -89,6 +90,42 @@ def test_a_structure_that_is_compiled_is_used_as_it_is(cache):
     assert n_libraries(cache) == 1
 
 
+def test_another_process_makes_no_c_of_what_was_compiled_early(cache, monkeypatch):
+    """Neither to run it nor to optimise it."""
+    rows = rows_of(early.load(build_pendulum, 3))
+    forget_libraries()
+    monkeypatch.setattr(compiled, "library_text", None)
+    assert early.is_compiled(build_pendulum, 3)
+    for _ in range(early.WORTH_OPTIMISING):
+        early.load(build_pendulum, 3)
+    (waiting,) = early._early.values()
+    waiting.thread.join()
+    np.testing.assert_array_equal(rows_of(early.load(build_pendulum, 3)), rows)
+    assert n_libraries(cache) == 2
+
+
+def test_what_is_sure_to_run_often_is_optimised_at_once(cache):
+    first = early.load(build_pendulum, 3)
+    early.optimise(build_pendulum, [(3,), (4,)])
+    (waiting,) = early._early.values()
+    thread = waiting.thread
+    for _ in range(early.WORTH_OPTIMISING):
+        early.optimise(build_pendulum, [(3,)])
+        assert waiting.thread is thread
+    thread.join()
+    assert early.load(build_pendulum, 3) is not first
+    assert n_libraries(cache) == 2
+
+
+def test_what_is_begun_is_compiled_once(cache):
+    early.begin(build_pendulum, [(3,), (3,)])
+    early.begin(build_pendulum, [(3,)])
+    assert len(early._compiling) == 1
+    early.load(build_pendulum, 3)
+    assert not early._compiling
+    assert n_libraries(cache) == 1
+
+
 def test_without_a_compiler_not_even_an_early_library_is_used(cache, monkeypatch):
     """Else one of two runs that are compared is compiled and the other one is not."""
     compiled_early = early.load(build_pendulum, 3)
@@ -111,7 +148,8 @@ def test_structures_compile_at_the_same_time(cache, tmp_path, monkeypatch):
     )
     compiler.chmod(0o755)
     monkeypatch.setattr(compiled, "_working_compiler", lambda: str(compiler))
-    one, other = early.load_all(build_pendulum, [(4,), (5,)])
+    early.begin(build_pendulum, [(4,), (5,)])
+    one, other = (early.load(build_pendulum, n) for n in (4, 5))
     assert n_libraries(cache) == 2
     assert not np.array_equal(rows_of(one), rows_of(other))
 

@@ -3,7 +3,11 @@ sentence where something cannot be.
 """
 
 import asyncio
+import json
+import os
 import re
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import fields, replace
@@ -15,6 +19,7 @@ import pytest
 
 import rhec
 from rhec import paper
+from rhec.core._casadi import compiled
 from rhec.tracked_robot import tuning
 from rhec.workbench.explorer import controls, explorer, field_run, robot_view, screen
 from rhec.workbench.explorer.panels import packed
@@ -405,10 +410,60 @@ def test_runs_and_figure_are_saved(made, tmp_path):
         )
 
 
-def test_without_widgets_the_picture_and_the_table_stand_for_them(made):
+def test_without_widgets_the_picture_and_the_table_stand_for_them(made, monkeypatch):
+    monkeypatch.setenv("RHEC_UNATTENDED", "1")
     bundle = made._repr_mimebundle_()
     assert 'src="data:image/png;base64,' in bundle["text/html"]
     assert made.screen.table in bundle["text/html"]
+
+
+# Counts what a new user waits for: loops whose C is made, calls of the compiler, modules.
+FIRST_VIEW = """
+import json, sys
+import rhec
+from rhec.core._casadi import compiled
+from rhec.core.controller import rhc
+
+made = []
+
+def counted(function):
+    def call(*arguments, **named):
+        made.append(function.__name__)
+        return function(*arguments, **named)
+    return call
+
+compiled.library_text = counted(compiled.library_text)
+rhc.build_phases = counted(rhc.build_phases)
+compiled.run_compiler = counted(compiled.run_compiler)
+explorer = rhec.Explorer(rhec.Scenario(duration_s=20.0))
+bundle = explorer._repr_mimebundle_()
+assert explorer.screen.table in bundle["text/html"]
+assert set(explorer.screen.picture["panels"]) == {"map", "error", "mu", "kappa", "yaw_rate", "kkt"}
+print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
+"""
+
+
+@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
+def test_the_first_view_makes_two_loops_with_one_controller_and_the_next_none(tmp_path):
+    """Nor does either import Matplotlib, or draw the picture for pages without widgets."""
+    environment = {**os.environ, "RHEC_CACHE": str(tmp_path)}
+    environment.pop("RHEC_UNATTENDED", None)
+    views = [
+        subprocess.run(
+            [sys.executable, "-c", FIRST_VIEW],
+            env=environment,
+            cwd=Path(rhec.__file__).parents[1],
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    first, second = (json.loads(view.stdout) for view in views)
+    loops = ["library_text", "library_text", "run_compiler", "run_compiler"]
+    assert first == dict(made=["build_phases", *loops], drawn=False)
+    assert second == dict(made=[], drawn=False)
+    assert len([*tmp_path.glob("*/library.so")]) == 2
 
 
 def test_its_text_is_the_errors_and_the_scenario(made):
@@ -434,6 +489,17 @@ def test_sliders_of_w_show_the_w_in_use(made):
 # Compiling
 
 
+def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
+    optimised = []
+    monkeypatch.setattr(
+        explorer.early, "optimise", lambda build, structures: optimised.append(len(structures))
+    )
+    rhec.Explorer(SHORT)
+    assert optimised == []
+    made.inputs["r"].value = 20.0
+    assert optimised == [2]
+
+
 def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs(made, monkeypatch):
     at_hand, compiled = set(), []
 
@@ -443,12 +509,11 @@ def test_a_new_structure_compiles_in_the_background_then_the_newest_setting_runs
 
     monkeypatch.setattr(explorer, "compile_in_process", compile_in_process)
     monkeypatch.setattr(
-        explorer.compiled, "is_compiled", lambda build, *structure: structure in at_hand
+        explorer.early, "is_compiled", lambda build, *structure: structure in at_hand
     )
 
     async def user():
         runs = made.runs
-        made.loaded.clear()
         made.against.value = None
         made.inputs["r"].value = 20.0
         made.inputs["r"].value = 30.0
@@ -465,8 +530,7 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
         raise OSError("no space left")
 
     monkeypatch.setattr(explorer, "compile_in_process", compile_in_process)
-    monkeypatch.setattr(explorer.compiled, "is_compiled", lambda build, *structure: False)
-    made.loaded.clear()
+    monkeypatch.setattr(explorer.early, "is_compiled", lambda build, *structure: False)
 
     async def user():
         made.inputs["r"].value = 20.0
@@ -477,17 +541,16 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
 
 
 def test_what_another_process_compiled_is_found_by_load(monkeypatch):
-    from rhec.core._casadi import compiled
     from rhec.simulation import closed_loop
 
-    # The other process optimises, as tests do not.
+    # The other process has the usual flags, as tests have not.
     optimised = tuple(flag for flag in compiled.FLAGS if flag != "-O0")
     monkeypatch.setattr(compiled, "FLAGS", optimised)
     structure = closed_loop.set_up(
         rhec.Scenario(estimator="oracle", prediction_horizon=2)
     ).structure
     explorer.compile_in_process([structure])
-    assert compiled.is_compiled(closed_loop.build_sample, *structure)
+    assert explorer.early.is_compiled(closed_loop.build_sample, *structure)
 
 
 # The robot view

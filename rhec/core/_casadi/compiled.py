@@ -198,6 +198,11 @@ def compile_text(folder, names, text, optimised=True):
     (folder / "functions.json").write_text(json.dumps(names))
 
 
+def read_text(folder):
+    """The names and the C that `compile_text` put into a folder."""
+    return json.loads((folder / "functions.json").read_text()), (folder / "code.c").read_text()
+
+
 def run_compiler(command, folder):
     """Run a compiler in a folder; OSError, with its message, if it fails."""
     try:

@@ -7,13 +7,13 @@ structure that is run often is compiled again by a thread and replaced.
 
 import functools
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 from rhec.core._casadi import cache, compiled
 
 # From so many loads on, a structure is worth optimising: a second or two of another core.
 WORTH_OPTIMISING = 12
 
+_compiling = {}  # {(build, structure): the thread that compiles it}, until it is opened
 _early = {}  # {(build, structure): _Early}, until the optimised library replaces it
 _optimised = set()  # (build, structure) of which nothing but the optimised library is used
 
@@ -27,20 +27,25 @@ class _Early:
         thread: The thread that compiles the optimised library, or None.
     """
 
-    def __init__(self, build, structure, names, text, functions):
+    def __init__(self, key, functions):
         self.functions = functions
         self.loads = 0
         self.thread = None
-        self._name = compiled.library_name(build, structure)
-        self._optimise = functools.partial(_compile_quietly, self._name, names, text)
+        self._name = compiled.library_name(*key)
+        self._optimise = functools.partial(_optimise, _early_name(*key), self._name)
 
     def load(self):
         """Return the Functions, and begin to optimise them when that pays."""
         self.loads += 1
         if self.loads == WORTH_OPTIMISING:
+            self.optimise()
+        return self.functions
+
+    def optimise(self):
+        """Begin to optimise the Functions, once."""
+        if self.thread is None:
             self.thread = threading.Thread(target=self._optimise)
             self.thread.start()
-        return self.functions
 
     def is_optimised(self):
         """Return whether the optimised library was compiled; where that failed, this one stays."""
@@ -51,28 +56,59 @@ class _Early:
 
 def load(build, *structure):
     """As `compiled.load`, without optimisation as long as only that is compiled."""
-    return load_all(build, [structure])[0]
+    key = build, structure
+    begin(build, [structure])
+    if _is_missing(*key):
+        _open_early(*key)
+    early = _early.get(key)
+    # Without a compiler nothing is compiled any more, not even what was compiled before.
+    if early is not None and compiled.compiler() and not early.is_optimised():
+        return early.load()
+    if compiled.compiler():
+        _early.pop(key, None)
+        _optimised.add(key)
+    return compiled.load(build, *structure)
 
 
-def load_all(build, structures):
-    """Return the Functions of several structures; those that are missing compile at once.
+def begin(build, structures):
+    """Begin to compile those of several structures that are missing; `load` waits for its own.
+
+    A structure compiles while the C of the next one is made, and while the caller goes on.
 
     Args:
         build: The function that builds the Functions, as for `compiled.load`.
         structures: A list of its tuples of arguments.
     """
-    keys = [(build, tuple(structure)) for structure in structures]
-    missing = [key for key in dict.fromkeys(keys) if _is_missing(*key)]
-    # CasADi is not safe in threads: it makes all texts here, and only compilers run at once.
-    texts = [compiled.library_text(build(*structure)) for _, structure in missing]
-    jobs = [(key, text) for key, text in zip(missing, texts) if None not in text[0].values()]
-    if jobs:
+    for structure in structures:
+        key = build, tuple(structure)
+        if key not in _compiling and not is_compiled(build, *structure):
+            _begin_one(build, tuple(structure))
+
+
+def optimise(build, structures):
+    """Begin to optimise structures that are sure to be run often; the arguments are `begin`'s."""
+    for structure in structures:
+        if early := _early.get((build, tuple(structure))):
+            early.optimise()
+
+
+def is_compiled(build, *structure):
+    """Return whether `load` has nothing to compile."""
+    return not _is_missing(build, structure) or cache.contains(_early_name(build, structure))
+
+
+def _begin_one(build, structure):
+    # CasADi is not safe in threads: the text is made here, and only compilers run beside.
+    names, text = compiled.library_text(build(*structure))
+    if None in names.values():  # left to `compiled.load`
+        _optimised.add((build, structure))
+        return
+    if not _compiling:
         compiled.announce(build)
-        with ThreadPoolExecutor(len(jobs)) as pool:
-            made = [pool.submit(_compile_early, *key, *text) for key, text in jobs]
-        for (key, text), done in zip(jobs, made):
-            _open_early(key, text, done)
-    return [_load_one(*key) for key in keys]
+    make = functools.partial(compiled.compile_text, names=names, text=text, optimised=False)
+    thread = threading.Thread(target=_build_quietly, args=(_early_name(build, structure), make))
+    thread.start()
+    _compiling[build, structure] = thread
 
 
 def _is_missing(build, structure):
@@ -86,42 +122,37 @@ def _early_name(build, structure):
     return compiled.library_name(build, structure, "not optimised")
 
 
-def _compile_early(build, structure, names, text):
-    """Compile the text without optimisation."""
-    make = functools.partial(compiled.compile_text, names=names, text=text, optimised=False)
-    cache.load_or_build(_early_name(build, structure), make, lambda folder: None)
-
-
-def _open_early(key, text, done):
-    """Open what was compiled; if that failed, `compiled.load` says why."""
+def _open_early(build, structure):
+    """Open the structure's library; if it could not be compiled, `compiled.load` says why."""
+    key = build, structure
+    if thread := _compiling.get(key):
+        thread.join()
+        _compiling.pop(key, None)
+    if not cache.contains(_early_name(*key)):
+        return
     try:
-        done.result()
-        opened = cache.load_or_build(_early_name(*key), _fail, compiled.open_library)
+        _, functions = cache.load_or_build(_early_name(*key), _fail, compiled.open_library)
     except cache.UnusableError:
         return
-    _early[key] = _Early(*key, *text, opened[1])
+    _early[key] = _Early(key, functions)
 
 
 def _fail(folder):
     raise OSError(f"{folder} was removed while it was being opened")
 
 
-def _load_one(build, structure):
-    if not compiled.compiler():  # nothing is compiled any more, not even what was compiled before
-        return compiled.load(build, *structure)
-    key = build, structure
-    early = _early.get(key)
-    if early is not None and not early.is_optimised():
-        return early.load()
-    _early.pop(key, None)
-    _optimised.add(key)
-    return compiled.load(build, *structure)
+def _optimise(early_name, name):
+    """Compile the C of an early library once more, optimised."""
+    try:
+        names, text = cache.load_or_build(early_name, _fail, compiled.read_text)
+    except cache.UnusableError:
+        return
+    _build_quietly(name, functools.partial(compiled.compile_text, names=names, text=text))
 
 
-def _compile_quietly(name, names, text):
-    """Compile the optimised library; a failure costs speed alone, so nobody is told."""
-    make = functools.partial(compiled.compile_text, names=names, text=text)
+def _build_quietly(name, make):
+    """Compile a library; a failure costs time alone, so nobody is told."""
     try:
         cache.load_or_build(name, make, lambda folder: None)
-    except cache.UnusableError:
+    except (cache.UnusableError, MemoryError):
         return

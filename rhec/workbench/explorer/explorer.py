@@ -12,18 +12,19 @@ import functools
 import io
 import math
 import multiprocessing
+import os
 import re
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import ipywidgets as widgets
-from matplotlib.figure import Figure
 
 from rhec import paper
-from rhec.core._casadi import compiled, early
+from rhec.core._casadi import early
 from rhec.simulation import closed_loop
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
@@ -33,6 +34,9 @@ from rhec.workbench.explorer.panels import packed
 from rhec.workbench.explorer.screen import CSS, Screen
 from rhec.workbench.explorer.snapshot import snapshot_at
 from rhec.workbench.plots import style
+
+if TYPE_CHECKING:  # the browser draws the screen, so Matplotlib waits until a figure is asked for
+    from matplotlib.figure import Figure
 
 # Metrics of a run, all better if smaller: name, two lines of heading, digits.
 METRICS = (
@@ -95,8 +99,8 @@ def _safe_name(name):
 
 
 def compile_in_process(structures):
-    """Compile closed loops in another process, for a later `compiled.load`."""
-    load = functools.partial(compiled.load, closed_loop.build_sample)
+    """Compile closed loops in another process, for a later `early.load`."""
+    load = functools.partial(early.load, closed_loop.build_sample)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         list(pool.map(load, *zip(*structures)))
 
@@ -128,9 +132,14 @@ class Explorer(widgets.VBox):
         self.pinned = ()
         self.compiling = None
         self.is_paused = False
-        self.loaded = set()  # structures whose compiled loop is in memory
         # A kernel may process messages in its main thread and in the thread of a subshell.
         self.lock = threading.RLock()
+        # The first loops compile while the widgets are made.
+        setups = [
+            closed_loop.set_up(each)
+            for each in _scenarios(controls.values_of(start), (start.estimator, against), start)
+        ]
+        early.begin(closed_loop.build_sample, [setup.structure for setup in setups])
         self._make_inputs(against)
         self._make_outputs(folder)
         super().__init__(self._layout())
@@ -300,29 +309,25 @@ class Explorer(widgets.VBox):
         values["process_noise"] = self.process_noise.value
         values["seed"] = self.seed.value
         values["patches"] = self.patches
-        return [
-            controls.scenario_of(values, estimator, self.start)
-            for estimator in (self.estimator.value, self.against.value)
-            if estimator is not None
-        ]
+        return _scenarios(values, (self.estimator.value, self.against.value), self.start)
 
     def _refresh(self):
         """Run the scenarios of the controls and draw them, or first compile them."""
         started = time.perf_counter()
         scenarios = self.scenarios
         setups = [closed_loop.set_up(scenario) for scenario in scenarios]
+        structures = dict.fromkeys(setup.structure for setup in setups)
         missing = [
-            structure
-            for structure in {setup.structure for setup in setups} - self.loaded
-            if not compiled.is_compiled(closed_loop.build_sample, *structure)
+            each for each in structures if not early.is_compiled(closed_loop.build_sample, *each)
         ]
         # The first runs are compiled in this process, because there is no earlier picture to show.
         if missing and self.runs and _running_loop():
             self._compile(missing)
             return
-        early.load_all(closed_loop.build_sample, [setup.structure for setup in setups])
+        early.begin(closed_loop.build_sample, missing)
+        if self.runs:  # who moves one control moves it on: a first view alone is not worth it
+            early.optimise(closed_loop.build_sample, structures)
         self.runs = tuple(map(closed_loop.simulate_setup, scenarios, setups))
-        self.loaded |= {setup.structure for setup in setups}
         ran = time.perf_counter()
         self._draw()
         runs = f"{len(self.runs)} runs" if len(self.runs) > 1 else "1 run"
@@ -400,7 +405,7 @@ class Explorer(widgets.VBox):
         ]
         return "\n  ".join(["Explorer", *errors, controls.line_of(self.runs[0].scenario)])
 
-    def figure(self) -> Figure:
+    def figure(self) -> "Figure":
         """The field run as a matplotlib figure."""
         with self.lock:
             return field_run.field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
@@ -420,12 +425,26 @@ class Explorer(widgets.VBox):
         self._show_status(f"saved under the name {name} in {folder}: {files}")
 
     def _repr_mimebundle_(self, **formats):
-        """Add picture and table as HTML, for pages without widgets."""
-        self.figure().savefig(file := io.BytesIO(), format="png")
-        picture = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
-        html = f'<img alt="field run" src="{picture}">{self.screen.table}'
+        """Add the table as HTML, for pages without widgets, and in executed notebooks the picture.
+
+        Where somebody waits for the widgets, Matplotlib's picture would take a second more.
+        """
+        html = self.screen.table
+        if os.environ.get("RHEC_UNATTENDED"):
+            self.figure().savefig(file := io.BytesIO(), format="png")
+            picture = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+            html = f'<img alt="field run" src="{picture}">{html}'
         html = f'<style>\n{CSS}</style><div class="rhec">{html}</div>'
         return super()._repr_mimebundle_(**formats) | {"text/html": html}
+
+
+def _scenarios(values, estimators, start):
+    """The scenarios of the controls' values, one for each estimator that is not None."""
+    return [
+        controls.scenario_of(values, estimator, start)
+        for estimator in estimators
+        if estimator is not None
+    ]
 
 
 def _input(control, value):

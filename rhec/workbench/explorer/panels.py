@@ -3,19 +3,17 @@
 Matplotlib draws them as a figure; a page draws them from a list of marks and a buffer of numbers.
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from rhec.workbench.plots.style import BLACK, BLUE, DOUBLE_IN, styled
 
 _PX = 4 / 3  # one point [px]
 # CSS variables that adapt to dark pages.
 _PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}
-_WET = LinearSegmentedColormap.from_list("wet", [(0.47, 0.27, 0.08, 0), (0.47, 0.27, 0.08, 1)])
+_WET = [(0.47, 0.27, 0.08, 0), (0.47, 0.27, 0.08, 1)]
 
 
 class Mark(NamedTuple):
@@ -67,6 +65,8 @@ class Picture(NamedTuple):
 @styled
 def figure_of(picture):
     """A Picture as a matplotlib Figure."""
+    from matplotlib.figure import Figure  # here, because a page draws without Matplotlib
+
     figure = Figure(figsize=(DOUBLE_IN, 4.3))
     axes = figure.subplot_mosaic([row.split() for row in picture.layout])
     for name, panel in picture.panels.items():
@@ -89,7 +89,7 @@ def _draw(axes, mark, height):
     if mark.kind == "soil":
         half = (mark.x[1] - mark.x[0]) / 2
         extent = (mark.x[0] - half, mark.x[-1] + half, mark.y[0] - half, mark.y[-1] + half)
-        look = dict(origin="lower", interpolation="bilinear", cmap=_WET, vmin=0, vmax=0.91)
+        look = dict(origin="lower", interpolation="bilinear", cmap=_wet(), vmin=0, vmax=0.91)
         # As in plot.js: the root shows small differences on firm soil, too.
         axes.imshow(np.sqrt(1 - mark.traction.T), extent=extent, zorder=height, **look)
     elif mark.kind == "area":
@@ -99,8 +99,17 @@ def _draw(axes, mark, height):
         axes.add_line(_line(mark, mark.x, mark.y, zorder=height))
 
 
+@functools.cache
+def _wet():
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("wet", _WET)
+
+
 def _line(mark, x, y, **more):
     """The Line2D of a mark with a line or dots, or of any mark in a legend."""
+    from matplotlib.lines import Line2D
+
     look = dict(color=mark.colour, alpha=mark.alpha, linewidth=mark.width)
     if mark.dash:  # Matplotlib counts dashes in line widths
         look |= dict(linestyle=(0, tuple(length / mark.width for length in mark.dash)))

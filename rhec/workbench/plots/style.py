@@ -15,9 +15,6 @@ import os
 import re
 from pathlib import Path
 
-import matplotlib as mpl
-import matplotlib.pyplot as plt
-
 from rhec import __version__
 from rhec.simulation.run import Run
 
@@ -66,7 +63,8 @@ RC = {
     "ytick.labelsize": 7,
     "legend.fontsize": 7,
     "legend.frameon": False,
-    "axes.prop_cycle": mpl.cycler(color=[BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, BLACK]),
+    # As text, so that the colours can be imported without Matplotlib.
+    "axes.prop_cycle": f"cycler(color={[BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, BLACK]})",
     "axes.axisbelow": True,
     "axes.grid": True,
     "axes.linewidth": 0.5,
@@ -90,6 +88,10 @@ def styled(draw):
 
     @functools.wraps(draw)
     def drawn(*args, **kwargs):
+        # Imported here: the explorer's screen needs the colours, and no Matplotlib.
+        import matplotlib as mpl
+        import matplotlib.pyplot as plt
+
         # The first use of a notebook's backend sets rcParams, so it must be outside the context.
         plt.draw_if_interactive()
         with mpl.rc_context(RC):
@@ -174,6 +176,8 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     Returns:
         The path of the PNG.
     """
+    import matplotlib as mpl
+
     Path(folder).mkdir(parents=True, exist_ok=True)
     png = Path(folder) / f"{name}.png"
     metadata = provenance(name, scenario, notebook)
