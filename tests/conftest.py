@@ -11,6 +11,20 @@ from rhec.core.lanes import lanes
 UNOPTIMISED = Path(__file__).parent / "unoptimised"
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--thorough",
+        action="store_true",
+        help="also test what `make test` takes a stated share of; see CONTRIBUTING.md",
+    )
+
+
+@pytest.fixture(scope="session")
+def thorough(request):
+    """Whether all of what is sampled otherwise is tested."""
+    return request.config.getoption("--thorough")
+
+
 def pytest_configure():
     """Compile without optimisation, which takes a tenth of the time; the results are the same.
 
