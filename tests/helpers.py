@@ -18,7 +18,6 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.tracked_robot.choice import Choice
 
-
 # What was built without a compiler is built once, too, and not again for each `no_compiler`.
 _load_without_compiler = functools.cache(compiled.load.__wrapped__)
 
