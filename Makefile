@@ -102,9 +102,9 @@ embedded: $(READY) ## the default scenario's estimator and controller as C, in b
 	@$(PY) -m rhec.workbench.studies.embedded
 
 ##@ Check
-# Tests of a file share what takes long to make, so one process runs them all.
-test: $(READY) ## run the tests
-	@$(PY) -m pytest -n auto --dist loadfile --ignore=tests/browser
+# Tests of a file share what takes long to make, so one process runs them all, the longest first.
+test: $(READY) ## run the tests; WHAT="--thorough" takes all of what is sampled otherwise
+	@$(PY_WHAT) -m pytest -n auto --dist loadfile --no-loadscope-reorder --ignore=tests/browser
 
 test-browser: build/report/index.html ## test the pages in a headless Chromium
 	@$(PY) -m pytest -rs -n auto --dist loadfile -m 'not timed' tests/browser

@@ -8,7 +8,37 @@ import rhec
 from rhec.core._casadi import compiled
 from rhec.core.lanes import lanes
 
-UNOPTIMISED = Path(__file__).parent / "unoptimised"
+HERE = Path(__file__).parent
+UNOPTIMISED = HERE / "unoptimised"
+# The files that take longest, each half a minute or more. Parallel workers begin with them, so that
+# no worker is left with one of them at the end.
+LONGEST = (
+    "simulation/test_lanes.py",
+    "simulation/test_campaigns.py",
+    "embedded/test_export.py",
+    "project/test_failing_disk.py",
+    "workbench/test_claims.py",
+    "workbench/test_report.py",
+    "workbench/test_tutorial.py",
+    "project/test_benchmark.py",
+    "logs/test_gyro.py",
+    "logs/test_replay.py",
+    "simulation/test_sensors.py",
+)
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--thorough",
+        action="store_true",
+        help="also test what `make test` takes a stated share of; see CONTRIBUTING.md",
+    )
+
+
+@pytest.fixture(scope="session")
+def thorough(request):
+    """Whether all of what is sampled otherwise is tested."""
+    return request.config.getoption("--thorough")
 
 
 def pytest_configure():
@@ -20,6 +50,13 @@ def pytest_configure():
     compiled.FLAGS = (*compiled.FLAGS, "-O0")
     # `jsonschema` checks addresses by it, which no notebook has; its import takes two seconds.
     sys.modules.setdefault("rfc3987_syntax", None)
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the longest files; all others keep their order."""
+    rank = {HERE / name: place for place, name in enumerate(LONGEST)}
+    assert all(file.exists() for file in rank)
+    items.sort(key=lambda item: rank.get(item.path, len(rank)))
 
 
 @pytest.fixture(scope="session", autouse=True)

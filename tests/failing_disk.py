@@ -3,7 +3,8 @@
 
 For each k, a child process runs the task in a fresh folder on a disk whose k-th operation fails,
 alone or with all later ones: both in turn, of a long task one of them. It reports what was raised
-and what was left. Then the task runs again in the same folder on a disk that works.
+and what was left. Then the task runs again in the same folder on a disk that works. Of a long task
+every fifth k is taken, and every k where the last argument is 1.
 """
 
 import contextlib
@@ -33,6 +34,7 @@ from rhec.core._casadi import cache
 from rhec.workbench import command_line
 from rhec.workbench.plots import style
 
+LONG = 100  # operations of a long task
 MOST_OPERATIONS = 1000  # a task that never ends without failure would be a loop
 ALLOCATION = 8192  # [B] smaller allocations do not fail: Python itself needs them to go on
 MOST_ALLOCATIONS = 12  # of a task fail, evenly spread over it
@@ -216,7 +218,7 @@ def point_of_memory(task, disk, k, longest_s):
 
 def main():
     warnings.simplefilter("ignore")
-    name, library, what = sys.argv[1:]
+    name, library, what, stride = sys.argv[1:]
     os.environ["RHEC_UNATTENDED"] = "1"
     task = TASKS[name]
     disk = ctypes.CDLL(library)
@@ -234,7 +236,7 @@ def main():
     if what == "memory":
         points = memory_points(task, disk, count, longest_s)
     else:
-        points = points_of(task, disk, count)
+        points = points_of(task, disk, count, int(stride))
     print(json.dumps(dict(reference=reference, points=points)))
 
 
@@ -245,11 +247,15 @@ def memory_points(task, disk, count, longest_s):
     return [point_of_memory(task, disk, k, longest_s) for k in places]
 
 
-def points_of(task, disk, count):
-    """The points of a task with `count` operations; None where the process died."""
-    failures = [
-        (k, ever) for k in range(1, count + 1) for ever in ((0, 1) if count < 100 else (k % 2,))
-    ]
+def points_of(task, disk, count, stride):
+    """The points of a task with `count` operations; None where the process died.
+
+    Of a long task every stride-th operation fails. An odd stride takes both kinds in turn.
+    """
+    every = range(1, count + 1)
+    failures = [(k, ever) for k in every for ever in (0, 1)]
+    if count >= LONG:
+        failures = [(k, k % 2) for k in every[::stride]]
     # Of a long task, a child takes several failures: most of the time would go into forks.
     size = 1 if count < 50 else 25
     points = []

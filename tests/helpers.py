@@ -18,15 +18,17 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.tracked_robot.choice import Choice
 
+# What was built without a compiler is built once, too, and not again for each `no_compiler`.
+_load_without_compiler = functools.cache(compiled.load.__wrapped__)
+
 
 @contextlib.contextmanager
 def no_compiler():
     """As on a machine without a C compiler."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled, "compiler", lambda: None)
-        compiled.load.cache_clear()
+        patch.setattr(compiled, "load", _load_without_compiler)
         yield
-    compiled.load.cache_clear()
 
 
 # Any robot of `robots`

@@ -28,10 +28,10 @@ def disk(tmp_path_factory):
     return library
 
 
-def outcome_of(task, disk, what):
-    """What `failing_disk.py` says of a task: a reference without failure, and all points."""
+def outcome_of(task, disk, what, stride=1):
+    """What `failing_disk.py` says of a task: a reference without failure, and the points."""
     environment = os.environ | dict(LD_PRELOAD=str(disk), PYTHONPATH=str(HERE))
-    command = [sys.executable, str(HERE / "failing_disk.py"), task, str(disk), what]
+    command = [sys.executable, str(HERE / "failing_disk.py"), task, str(disk), what, str(stride)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -39,8 +39,8 @@ def outcome_of(task, disk, what):
 
 # One test per task: pytest-xdist would run the task again for each test on another worker.
 @pytest.mark.parametrize("task", TASKS)
-def test_a_failing_disk_loses_nothing_and_is_one_sentence(task, disk):
-    outcome = outcome_of(task, disk, "disk")
+def test_a_failing_disk_loses_nothing_and_is_one_sentence(task, disk, thorough):
+    outcome = outcome_of(task, disk, "disk", stride=1 if thorough else 5)
     assert all(outcome["points"]), "a process died"
     for error in errors_of(**outcome):
         assert error.startswith("OSError: "), error

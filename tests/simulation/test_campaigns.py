@@ -702,7 +702,7 @@ def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
     address = scheduler(started, tmp_path)
     its_process = started.processes[0]
     worker(started, address, tmp_path)
-    drives = ["-p", "estimator", "ekf", "-p", "duration_s", "60", "--seeds", "3000"]
+    drives = ["-p", "estimator", "ekf", "-p", "duration_s", "20", "--seeds", "3000"]
     process = subprocess.Popen(
         [*command(tmp_path)[:4], *drives, "--folder", str(tmp_path / "rows")],
         stdout=subprocess.PIPE,
@@ -835,7 +835,7 @@ def left_of_group(group):
 
 def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on(tmp_path):
     """The terminal sends the signal to the workers, too."""
-    arguments = ["-p", "estimator", "ekf", "-p", "duration_s", "240", "--seeds", "3000"]
+    arguments = ["-p", "estimator", "ekf", "-p", "duration_s", "60", "--seeds", "3000"]
     process = subprocess.Popen(
         [*command(tmp_path)[:4], *arguments, "--workers", "2", "--folder", str(tmp_path)],
         stdout=subprocess.PIPE,
@@ -870,7 +870,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
         timeout=60,
         cwd=ROOT,
     )
-    drives = [rhec.Scenario(estimator="ekf", duration_s=240.0, seed=seed) for seed in range(5)]
+    drives = [rhec.Scenario(estimator="ekf", duration_s=60.0, seed=seed) for seed in range(5)]
     keys = kept.keys() | set(map(store.scenario_key, drives))
     assert "5 runs, 0 failed" in again.stdout and load_rows(rows).keys() == keys
     assert sum(pq.read_metadata(file).num_rows for file in rows.glob("*.parquet")) == len(keys)

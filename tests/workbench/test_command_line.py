@@ -24,7 +24,7 @@ SHORT = ["--duration-s", "8"]
 def log_file(tmp_path):
     """A simulated drive as a recorded log."""
     file = tmp_path / "drive.csv"
-    run = rhec.simulate(rhec.Scenario(duration_s=240, **rhec.WORLDS["former"]))
+    run = rhec.simulate(rhec.Scenario(duration_s=60, **rhec.WORLDS["former"]))
     run.log.to_csv(file, index=False)
     return file
 
@@ -65,14 +65,14 @@ def test_names_of_columns(capsys, log_file):
     words = ["doctor", str(log_file), "--json", "--columns", *pairs]
     main([*words, "yaw_rate_radps=omega_meas_radps"])
     diagnosis = json.loads(capsys.readouterr().out)
-    assert diagnosis["facts"]["driven_m"] == pytest.approx(120, rel=0.1)
+    assert diagnosis["facts"]["driven_m"] == pytest.approx(30, rel=0.1)
     assert main([*words, "yaw_rate_radps"]) == 2
     assert "OURS=THEIRS" in capsys.readouterr().err
 
 
 def test_a_calibration_is_that_of_python(capsys, tmp_path):
     log = tmp_path / "drive.csv"
-    recorded_log(noise_m=0.02).to_csv(log, index=False)
+    recorded_log(duration_s=30.0, noise_m=0.02).to_csv(log, index=False)
     file = tmp_path / "robot.yaml"
     assert main(["calibrate", str(log), "--json", "--yaml", str(file)]) == 0
     found = rhec.calibrate(rhec.logs.read(log))

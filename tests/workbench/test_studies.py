@@ -37,7 +37,7 @@ def test_a_study_scores_five_estimators(study):
 def test_numbers_of_the_user_replace_those_of_the_calibration(tmp_path):
     sigma_v = [0.01, 0.01, 0.02, 0.03]
     log = pd.read_csv(LOG)
-    log[: len(log) // 2].to_csv(tmp_path / "log.csv", index=False)
+    log[: len(log) // 4].to_csv(tmp_path / "log.csv", index=False)
     study = ReplayStudy(tmp_path / "log.csv", calibrated=True, sigma_v=sigma_v)
     calibration = rhec.calibrate(study.log)
     assert study.rhe["sigma_v"] == tuple(sigma_v)

@@ -58,7 +58,7 @@ def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
 
 def test_each_robot_is_left_out_once():
     logs = {
-        name: recorded_log(5.0, 60.0, seed=seed, arm_m=arm)
+        name: recorded_log(5.0, 30.0, seed=seed, arm_m=arm)
         for name, seed, arm in (("one", 1, (0.0, 0.0)), ("other", 2, (0.2, 0.0)))
     }
     rows = transfer.trials(logs, range(2))
