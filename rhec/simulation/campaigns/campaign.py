@@ -207,6 +207,8 @@ def _run_all(scenarios, workers):
     large = samples >= (_WORTH_SPREADING if are_running() else _WORTH_STARTING)
     with open_workers(workers, large) as pool:
         if pool is None:
+            for scenario in one_per_structure(scenarios.values(), mean_samples):
+                compile_lanes(scenario)
             run_here = functools.partial(_run_task, mean_samples=mean_samples)
             yield from map(run_here, split_into_tasks(scenarios, size))
         else:
