@@ -92,9 +92,9 @@ def _driven(scenarios, folder, workers):
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
     rows = store.Rows()
-    for kept in store.load_rows(rows_folder) if rows_folder else ():
-        rows.add(kept)
     keys, unusable = _keys_of(scenarios)
+    for kept in store.load_rows(rows_folder, {*keys}) if rows_folder else ():
+        rows.add(kept)
     rows.add(unusable)
     total = len({*keys})
     missing = {key: scenario for key, scenario in zip(keys, scenarios) if key not in rows}
