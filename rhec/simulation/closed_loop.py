@@ -6,15 +6,15 @@ Every tuning parameter is an argument of the Function, so that a change of a wei
 nothing. What changes the shape of the Function is in `_LoopStructure`.
 """
 
-import functools
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi import build, early, packing, scan
+from rhec.core._casadi import build, compiled, early, packing, scan
 from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
@@ -72,7 +72,16 @@ class _Parts(NamedTuple):
 
 def _build_parts(structure):
     choice = structure.estimator
-    control = _build_control(structure)
+    # Loops share what does not depend on the estimator; it takes a third of a second to build.
+    share = partial(_shared, compiled.loop_symbols())
+    control = share(
+        _build_control,
+        structure.controller,
+        structure.prediction_horizon,
+        structure.qp,
+        structure.n_segments,
+        structure.traction_timing,
+    )
     disturb = _build_disturb(structure)
     if disturb:
         control = _yaw_disturbance().compensated(control)
@@ -82,35 +91,32 @@ def _build_parts(structure):
 
         states = estimator_of(choice.estimator, choice.robust).states(choice)
         control = cautious.build_step(control, states, structure.n_segments, paper.DT_S)
-    path = (structure.prediction_horizon, structure.n_segments, structure.input_reference)
-    references = _built(build_references, paper.DT_S, *path)
+    references = share(
+        build_references,
+        paper.DT_S,
+        structure.prediction_horizon,
+        structure.n_segments,
+        structure.input_reference,
+    )
     return _Parts(
-        soil=robot.soil(structure.terrain_shape, structure.soil_under),
-        measure=robot.measure(paper.DT_S),
+        soil=share(robot.soil, structure.terrain_shape, structure.soil_under),
+        measure=share(robot.measure, paper.DT_S),
         sense=robot_options.sense(structure.options, paper.DT_S),
         deliver=_build_deliver(choice.sensors) if structure.faulty else None,
         estimate=build_step(choice),
         disturb=disturb,
         references=references["references"],
         control=control,
-        drive=_built(robot.drive, paper.DT_S),
+        drive=share(robot.drive, paper.DT_S),
         slip=_build_slip(structure),
         pair=_build_pair(structure),
     )
 
 
-def _built(make, *arguments):
-    """make(*arguments), made once for all loops that have this piece.
-
-    Loops differ in their estimator more often than in the rest, which takes longer to make.
-    """
-    return _built_for(build.loop_symbols(), make, *arguments)
-
-
-@functools.lru_cache(maxsize=16)
-def _built_for(loops, make, *arguments):
-    # With a compiler the pieces are others than without, so `loops` is part of the key.
-    return make(*arguments)
+@lru_cache(maxsize=16)
+def _shared(kind, build, *arguments):
+    """Return build(*arguments), made once; `kind` is that of the symbols that it may use."""
+    return build(*arguments)
 
 
 def _build_slip(structure):
@@ -124,21 +130,20 @@ def _build_pair(structure):
     return robot.pair_with_next_interval(4 + len(structure.estimator.sensors))
 
 
-def _build_control(structure):
+def _build_control(controller, prediction_horizon, qp, n_segments, traction_timing):
     """The step of the controller, with the interface of the RHC's."""
-    if structure.controller == "speed_rhc":
+    if controller == "speed_rhc":
         speed_rhc = _speed_rhc()
-        horizon = speed_rhc.horizon_of(structure.prediction_horizon)
-        return speed_rhc.build_step(horizon, structure.n_segments)
-    horizon = paper_rhc.horizon_of(structure.prediction_horizon, structure.qp)
-    if structure.controller == "rhc":
-        step = _built(rhc.build_phases, horizon)["step"]
-        if structure.traction_timing == "feedback":
+        return speed_rhc.build_step(speed_rhc.horizon_of(prediction_horizon), n_segments)
+    horizon = paper_rhc.horizon_of(prediction_horizon, qp)
+    if controller == "rhc":
+        step = rhc.build_phases(horizon)["step"]
+        if traction_timing == "feedback":
             return step
-        return paper_rhc.with_online_traction(step, horizon, structure.traction_timing)
+        return paper_rhc.with_online_traction(step, horizon, traction_timing)
     from rhec.tracked_robot import rival_controllers
 
-    return rival_controllers.CONTROLLERS[structure.controller](horizon)
+    return rival_controllers.CONTROLLERS[controller](horizon)
 
 
 def _speed_rhc():

@@ -69,6 +69,19 @@ def test_a_structure_that_is_loaded_often_is_replaced_with_the_same_bits(cache):
     assert early.load(build_pendulum, 3) is optimised
 
 
+def test_where_nobody_waits_more_loads_are_needed(cache, monkeypatch):
+    monkeypatch.setenv("RHEC_UNATTENDED", "1")
+    first = early.load(build_pendulum, 3)
+    for _ in range(early.WORTH_OPTIMISING):
+        assert early.load(build_pendulum, 3) is first
+    (waiting,) = early._early.values()
+    assert waiting.thread is None
+    for _ in range(early.worth_optimising() - early.WORTH_OPTIMISING - 1):
+        early.load(build_pendulum, 3)
+    waiting.thread.join()
+    assert early.load(build_pendulum, 3) is not first
+
+
 @pytest.mark.parametrize("fields", [{}, dict(speed_model="slipping", robust=True)])
 def test_an_optimised_closed_loop_has_the_same_bits(cache, monkeypatch, fields):
     """All other tests compile without optimisation (tests/conftest.py)."""

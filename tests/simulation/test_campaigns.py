@@ -376,6 +376,16 @@ def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
     assert_equal_rows(rhec.campaign(short(), tmp_path), first)
 
 
+def test_only_the_wanted_rows_of_a_folder_are_loaded(tmp_path):
+    for scenarios in (short(3), [rhec.Scenario(duration_s=4.0)]):
+        rhec.campaign(scenarios, tmp_path)
+    folder = store.open_folder(tmp_path)
+    rows = load_rows(folder)
+    key = store.scenario_key(short(3)[1])
+    (loaded,) = filter(None, store.load_rows(folder, {key}))
+    assert repr(loaded) == repr({key: rows[key]})  # a NaN is not equal to itself
+
+
 def test_no_damaged_row_is_ever_taken(tmp_path):
     """One bit anywhere in the file: either it does not matter, or the file is left aside."""
     rhec.campaign(short(3), tmp_path)

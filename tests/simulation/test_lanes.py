@@ -256,6 +256,18 @@ def test_runs_of_unlike_length_share_lanes(always, monkeypatch):
     assert_rows_of_simulate(table, scenarios)
 
 
+def test_lanes_are_compiled_for_the_loops_of_many_runs(monkeypatch):
+    """Few runs of other loops do not keep one loop from its lanes, nor does it give them theirs."""
+    many = [dataclasses.replace(SMALL, seed=seed) for seed in range(30)]
+    few = [dataclasses.replace(SMALL, estimator=name) for name in ("ekf", "oracle", "rhe_no_slip")]
+    scenarios = [*few, *many]
+    monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
+    mean_samples = batch.mean_samples_per_structure(scenarios)
+    assert mean_samples < batch._WORTH_COMPILING
+    (chosen,) = batch.one_per_structure(scenarios, mean_samples)
+    assert chosen.estimator == SMALL.estimator
+
+
 def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
     memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
     wrong = ca.Function("wrong", [memory, z], [memory, ca.SX(2, 1)])

@@ -543,9 +543,10 @@ def test_a_failed_compilation_is_said(made, monkeypatch):
 def test_what_another_process_compiled_is_found_by_load(monkeypatch):
     from rhec.simulation import closed_loop
 
-    # The other process has the usual flags, as tests have not.
+    # The other process has the usual flags, as tests have not, and here the same compiler.
     optimised = tuple(flag for flag in compiled.FLAGS if flag != "-O0")
     monkeypatch.setattr(compiled, "FLAGS", optimised)
+    monkeypatch.setenv("CC", compiled.compiler() or "cc")
     structure = closed_loop.set_up(
         rhec.Scenario(estimator="oracle", prediction_horizon=2)
     ).structure

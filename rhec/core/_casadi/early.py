@@ -6,12 +6,17 @@ structure that is run often is compiled again by a thread and replaced.
 """
 
 import functools
+import multiprocessing
+import os
 import threading
 
 from rhec.core._casadi import cache, compiled
 
-# From so many loads on, a structure is worth optimising: a second or two of another core.
+# From so many loads on, a structure is worth optimising where a person waits: it takes a second or
+# two of another core. Workers and executed notebooks leave no core idle, and there it has to pay.
+# Optimising takes as long as it saves in 100 to 200 runs of 240 s.
 WORTH_OPTIMISING = 12
+_WORTH_OPTIMISING_UNATTENDED = 120
 
 _compiling = {}  # {(build, structure): the thread that compiles it}, until it is opened
 _early = {}  # {(build, structure): _Early}, until the optimised library replaces it
@@ -37,7 +42,7 @@ class _Early:
     def load(self):
         """Return the Functions, and begin to optimise them when that pays."""
         self.loads += 1
-        if self.loads == WORTH_OPTIMISING:
+        if self.loads == worth_optimising():
             self.optimise()
         return self.functions
 
@@ -52,6 +57,14 @@ class _Early:
         if self.thread is None or self.thread.is_alive():
             return False
         return cache.contains(self._name)
+
+
+def worth_optimising():
+    """Return the number of loads of a structure from which on this process optimises it."""
+    is_worker = multiprocessing.parent_process() is not None
+    if is_worker or os.environ.get("RHEC_UNATTENDED"):
+        return _WORTH_OPTIMISING_UNATTENDED
+    return WORTH_OPTIMISING
 
 
 def load(build, *structure):

@@ -1,5 +1,6 @@
 """Many runs in one process: several at a time, one per SIMD lane, if that is faster."""
 
+import collections
 import contextlib
 import functools
 import itertools
@@ -16,8 +17,8 @@ from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.store import PLAIN
 from rhec.tracked_robot import terrain
 
-# Compiling lanes takes some seconds and pays from this number of samples per loop structure.
-_WORTH_COMPILING = 400_000
+# Compiling lanes takes one to four seconds and pays from this number of samples per loop structure.
+_WORTH_COMPILING = 150_000
 # Loading compiled lanes pays from this number of samples per loop structure.
 _WORTH_LOADING = 10_000
 # Samples in one task. A task takes about a second, which is the work that an interruption loses.
@@ -109,10 +110,14 @@ def _ordered(scenarios):
 
 
 def one_per_structure(scenarios, mean_samples):
-    """Return one scenario for each loop if compiling its lanes pays."""
-    if mean_samples < _WORTH_COMPILING:
-        return []
-    return [*{_STRUCTURE(scenario): scenario for scenario in scenarios}.values()]
+    """Return one scenario for each loop of which compiling the lanes pays."""
+    one = {}
+    samples = collections.Counter()
+    for scenario in scenarios:
+        structure = _STRUCTURE(scenario)
+        one[structure] = scenario
+        samples[structure] += count_samples(scenario)
+    return [one[key] for key in one if max(samples[key], mean_samples) >= _WORTH_COMPILING]
 
 
 def compile_lanes(scenario):

@@ -92,9 +92,9 @@ def _driven(scenarios, folder, workers):
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
     rows = store.Rows()
-    for kept in store.load_rows(rows_folder) if rows_folder else ():
-        rows.add(kept)
     keys, unusable = _keys_of(scenarios)
+    for kept in store.load_rows(rows_folder, {*keys}) if rows_folder else ():
+        rows.add(kept)
     rows.add(unusable)
     total = len({*keys})
     missing = {key: scenario for key, scenario in zip(keys, scenarios) if key not in rows}
@@ -207,6 +207,8 @@ def _run_all(scenarios, workers):
     large = samples >= (_WORTH_SPREADING if are_running() else _WORTH_STARTING)
     with open_workers(workers, large) as pool:
         if pool is None:
+            for scenario in one_per_structure(scenarios.values(), mean_samples):
+                compile_lanes(scenario)
             run_here = functools.partial(_run_task, mean_samples=mean_samples)
             yield from map(run_here, split_into_tasks(scenarios, size))
         else:

@@ -182,15 +182,16 @@ def save_rows(folder, rows):
         unfinished.unlink(missing_ok=True)
 
 
-def load_rows(folder):
-    """Yield {key: row} of each file in the folder; warn about damaged files and skip them."""
+def load_rows(folder, wanted=None):
+    """Yield {key: row} of each file in the folder; warn about damaged files and skip them.
+
+    wanted: Set of keys; other rows are left out, and files without any of these are hardly read.
+    """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     for file in sorted(folder.glob("*.parquet")):
         try:
-            with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
-                table = parquet.read(_schema().names).cast(_schema())
+            table = _read_table(file, wanted)
         except (pa.ArrowException, OSError, KeyError, ValueError) as error:
             reason = f"{type(error).__name__}: {shown(str(error))}"
             warnings.warn(
@@ -198,3 +199,19 @@ def load_rows(folder):
             )
             continue
         yield {row.pop("key"): row | dict(error="") for row in table.to_pylist()}
+
+
+def _read_table(file, wanted):
+    """Return the Arrow table of a file, with the rows of these keys or, for None, with all rows."""
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
+        names = _schema().names
+        if missing := {*names} - {*parquet.schema_arrow.names}:
+            raise KeyError(f"no column {min(missing)}")
+        if wanted is None:
+            return parquet.read(names).cast(_schema())
+        chosen = [key in wanted for key in parquet.read(["key"])["key"].to_pylist()]
+        if not any(chosen):
+            return _schema().empty_table()
+        return parquet.read(names).cast(_schema()).filter(chosen)

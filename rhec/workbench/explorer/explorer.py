@@ -100,9 +100,13 @@ def _safe_name(name):
 
 def compile_in_process(structures):
     """Compile closed loops in another process, for a later `early.load`."""
-    load = functools.partial(early.load, closed_loop.build_sample)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(load, *zip(*structures)))
+        list(pool.map(_compile, structures))
+
+
+def _compile(structure):
+    """Compile a closed loop; its Functions stay in this process."""
+    early.load(closed_loop.build_sample, *structure)
 
 
 class Explorer(widgets.VBox):

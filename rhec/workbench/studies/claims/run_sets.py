@@ -17,7 +17,9 @@ import pandas as pd
 from rhec import paper
 from rhec.simulation import worlds
 from rhec.simulation.campaigns.batch import (
+    compile_lanes,
     mean_samples_per_structure,
+    one_per_structure,
     samples_per_task,
     simulate_batch,
     split_into_tasks,
@@ -259,6 +261,7 @@ def map_runs(function, scenarios):
         return []
     # Scenarios of one structure run together, in lanes, where that pays for compiling them.
     mean_samples = mean_samples_per_structure(scenarios)
+    parallel_map(compile_lanes, one_per_structure(scenarios, mean_samples))
     parts = [*split_into_tasks(dict(enumerate(scenarios)), samples_per_task(mean_samples))]
     task = partial(_of_part, mean_samples=mean_samples, function=function)
     results = parallel_map(task, parts)
