@@ -181,9 +181,9 @@ def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
     monkeypatch.setattr(
         interpretations,
         "simulate",
-        lambda scenario: (
-            asked.append(scenario)
-            or simulate(type(scenario)(duration_s=80.0, sigma_w=scenario.sigma_w))
+        lambda scenarios: (
+            asked.extend(scenarios)
+            or simulate([type(one)(duration_s=80.0, sigma_w=one.sigma_w) for one in scenarios])
         ),
     )
     runs, sweep = interpretations.swept("rhe", "printed", "kappa", (0.25, 0.01), 1)

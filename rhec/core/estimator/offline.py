@@ -1,12 +1,14 @@
 """An estimator offline: its step scanned over recorded measurements, with results by name.
 
-`build` makes the Functions of the scan, which `compiled.load` compiles; `run` calls them.
+`build` makes the Functions of the scan, which `compiled.load` compiles; `run` calls them. `run_all`
+compiles and calls them for several recordings at a time.
 """
 
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi import scan
+from rhec.core._casadi import compiled, scan
+from rhec.core.lanes import lanes
 
 
 def build(step, outputs, streamed=()):
@@ -58,7 +60,38 @@ def run(functions, memory, stream, settings):
         {output: array}, (n,) of a number, (n, rows) of a vector, (n, rows, columns) of a matrix.
     """
     _, rows = scan.scan(functions, memory, stream, settings)
-    step = functions["step"]
+    return _by_name(functions["step"], rows)
+
+
+def run_all(make, structure, memories, streams, settings):
+    """Outputs of an estimator at each sample of several recordings, in lanes where there are any.
+
+    Args:
+        make: Function that returns what `build` returns.
+        structure: The tuple of its arguments, as for `compiled.load`.
+        memories: The step's memory (n_memory,) before the first sample, of each recording.
+        streams: (n, columns) measurements z, then the streamed settings, of each.
+        settings: {name: array} of the other settings, of each.
+
+    Returns:
+        A list of what `run` returns, with the same bits, one for each recording.
+    """
+    block = lanes.load(make, *structure)
+    if block is None:
+        functions = compiled.load(make, *structure)
+        return [run(functions, *of_one) for of_one in zip(memories, streams, settings)]
+    step = make(*structure)["step"]
+    results = []
+    for first in range(0, len(streams), block.lanes):
+        some = slice(first, first + block.lanes)
+        rows = lanes.scan(block, memories[some], streams[some], settings[some])
+        # Sums of NumPy depend on how an array lies in memory.
+        results += [_by_name(step, np.ascontiguousarray(of_one)) for of_one in rows]
+    return results
+
+
+def _by_name(step, rows):
+    """{output: array} of the rows (n, outputs) of a scan of this step."""
     arrays = {}
     begin = 0
     for name in step.name_out()[2:]:

@@ -17,6 +17,7 @@ error. That W need not give the best estimates; it gives those that this control
 """
 
 import contextlib
+import functools
 
 import numpy as np
 
@@ -46,6 +47,7 @@ __all__ = [
     "deviance",
     "oracle_runs",
     "run_estimator",
+    "run_estimator_on_all",
     "scan_arguments",
     "search",
     "tracking_error_m",
@@ -73,9 +75,10 @@ UNKNOWNS |= dict.fromkeys(("yaw_drift_ekf", "yaw_drift_rhe"), _POSE + _SOIL + _D
 def oracle_runs(seeds, duration_s=240.0, **world):
     """Runs with the true state in the loop, one a seed, in the default world or another."""
     fields = dict(estimator="oracle", duration_s=duration_s) | world
-    return [simulate(Scenario(seed=seed, **fields)) for seed in seeds]
+    return simulate([Scenario(seed=seed, **fields) for seed in seeds])
 
 
+@functools.lru_cache(maxsize=8)
 def _build_scan(outputs, choice):
     """Scan of an estimator's step over measurements, and the traction where it takes one."""
     step = build_step(Choice(*choice))
@@ -88,14 +91,22 @@ def columns(run, names):
     return np.array([run.columns[name] for name in names]).T
 
 
-def scan_arguments(scenario, run, *outputs):
-    """Arguments of `offline.run`: outputs of a scenario's estimator on the measurements of a run.
+def run_estimator_on_all(scenario, runs, *outputs):
+    """Outputs of the scenario's estimator on the measurements of Runs: a list of {name: array}.
 
     The estimator starts where the robot is.
     """
     choice = Choice.of(scenario)
+    structure = outputs, choice
+    n_columns = _build_scan(*structure)["step"].size1_in(1)
+    inputs = [_memory_and_stream(choice, run, n_columns) for run in runs]
+    settings = estimator_of(choice.estimator, choice.robust).settings(scenario)
+    return offline.run_all(_build_scan, structure, *zip(*inputs), [settings] * len(runs))
+
+
+def _memory_and_stream(choice, run, n_columns):
+    """The estimator's first memory, and the stream (n, n_columns) of its inputs."""
     estimator = estimator_of(choice.estimator, choice.robust)
-    functions = compiled.load(_build_scan, outputs, choice)
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
     with_drift = estimator.traction_input is TractionInput.TRUE_WITH_DRIFT
@@ -105,8 +116,15 @@ def scan_arguments(scenario, run, *outputs):
     )
     stream = np.hstack([columns(run, MEASUREMENTS), traction])
     # The traction is not in the stream of an estimator that takes none.
-    stream = stream[:, : functions["step"].size1_in(1)]
-    return functions, memory, stream, estimator.settings(scenario)
+    return memory, stream[:, :n_columns]
+
+
+def scan_arguments(scenario, run, *outputs):
+    """Arguments of `offline.run` for outputs of a scenario's estimator on a run's measurements."""
+    choice = Choice.of(scenario)
+    functions = compiled.load(_build_scan, outputs, choice)
+    inputs = _memory_and_stream(choice, run, functions["step"].size1_in(1))
+    return functions, *inputs, estimator_of(choice.estimator, choice.robust).settings(scenario)
 
 
 def run_estimator(scenario, run, *outputs):

@@ -92,8 +92,8 @@ def measure(scenario, runs):
     places = [0, 1, 3]  # of x, y and ν, which are measured, among the states
     R = np.diag(np.square(tuning.sigma_v_of(scenario)[:3]))
     results = []
-    for run in runs:
-        recorded = calibration.run_estimator(scenario, run, "estimate", "covariance")
+    every = calibration.run_estimator_on_all(scenario, runs, "estimate", "covariance")
+    for run, recorded in zip(runs, every):
         estimate = recorded["estimate"]
         P = recorded["covariance"]
         # An EKF without traction states has n_x = 4; the estimate has six entries all the same.

@@ -178,12 +178,15 @@ def swept(estimator, process_noise, state, values, seeds):
         table: DataFrame, one row a run: sigma, seed, and RMS errors from
             `calibration.SETTLED_S` on: rms_yaw_rad, rms_kappa_straights, rms_kappa_curves.
     """
-    runs = {}
-    rows = []
-    for value, seed in itertools.product(values, range(seeds)):
+    cases = [*itertools.product(values, range(seeds))]
+    scenarios = []
+    for value, seed in cases:
         sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], state, float(value))
         choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
-        run = simulate(Scenario(seed=seed, **choice))
+        scenarios.append(Scenario(seed=seed, **choice))
+    runs = {}
+    rows = []
+    for (value, seed), run in zip(cases, simulate(scenarios)):
         runs.setdefault(value, run)  # the first seed's, for pictures
         c = run.columns
         settled = c["t_s"] >= calibration.SETTLED_S

@@ -9,6 +9,8 @@ numbers; a worse one may exist.
 """
 
 import dataclasses
+import functools
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -21,6 +23,7 @@ from rhec.simulation.closed_loop import build_sample, finish, set_up
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import plant as robot
 from rhec.workbench.studies import ensured
+from rhec.workbench.studies.claims.run_sets import parallel_map
 
 __all__ = ["compare", "drive", "search"]
 
@@ -146,10 +149,13 @@ def compare(evaluations, levels=LEVELS):
     Returns:
         The rows of `search` by the proposal, with the column cautious.
     """
-    fields = ensured.ESTIMATORS[ensured.PROPOSAL]
-    return pd.concat(
-        search(levels, evaluations=evaluations, **fields, cautious=cautious).assign(
-            cautious=cautious
-        )
-        for cautious in (True, False)
-    )
+    cases = [*itertools.product((True, False), levels)]
+    task = functools.partial(_search_of, evaluations=evaluations)
+    return pd.concat(parallel_map(task, cases), ignore_index=True)
+
+
+def _search_of(case, evaluations):
+    """The row of `compare` of a case (cautious, level)."""
+    cautious, level = case
+    fields = ensured.ESTIMATORS[ensured.PROPOSAL] | dict(cautious=cautious)
+    return search([level], evaluations=evaluations, **fields).assign(cautious=cautious)
