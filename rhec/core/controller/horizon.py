@@ -24,6 +24,7 @@ class Horizon(NamedTuple):
     qp: Any = None
     doublings: int = DOUBLINGS  # of the QP's search, see `rhec.core.solver.pivoting`
     damped: bool = False  # whether an iteration with a line search is built, too
+    exact: bool = False  # whether the QP has the exact Hessian, see `exact_hessian`
 
     @property
     def n_x(self):
@@ -89,6 +90,36 @@ def for_all_samples(bound, horizon):
 def finite_or(u_ref, u):
     """The references (n_u, N), with those of the last plan u where they are not finite."""
     return ca.if_else(ca.fabs(u_ref) < np.inf, u_ref, u)
+
+
+def plain_stages(horizon):
+    """A_0, and the sparsities of D and B, of the states x and the commanded inputs alone.
+
+    The parameters do not move: with x alone the stages are half as large.
+    """
+    x = list(range(horizon.n_x))
+    D = horizon.interval.sparsities["D"].sub(x, x)[0]
+    B = horizon.interval.sparsities["B"].sub(x, list(horizon.command))[0]
+    return horizon.interval.A_0[x, x], D, B
+
+
+def commanded_stages(horizon, inputs):
+    """D and B of all intervals, side by side, of the states x and the commanded inputs alone."""
+    n_x = horizon.n_x
+    D = ca.horzsplit(inputs["D"], horizon.n_s)
+    B = ca.horzsplit(inputs["B"], horizon.n_u)
+    return dict(
+        D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
+        B=ca.horzcat(*(part[:n_x, list(horizon.command)] for part in B)),
+    )
+
+
+def active_before(horizon, inputs):
+    """The bounds at which the previous plan was, as a first guess of the active set: ±1 or 0."""
+    u = row_of_commands(inputs["u"], horizon)
+    at_upper = u >= for_all_samples(inputs["upper"], horizon)
+    at_lower = u <= for_all_samples(inputs["lower"], horizon)
+    return at_upper - at_lower
 
 
 def planned(horizon, commands, u_ref):

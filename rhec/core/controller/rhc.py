@@ -22,17 +22,21 @@ from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.core.controller import constrained, relaxation
 from rhec.core.controller.bounds import Bound
+from rhec.core.controller.exact_hessian import ExactQP
 from rhec.core.controller.horizon import (
+    active_before,
     build_roll_out,
+    commanded_stages,
     finite_or,
     for_all_samples,
     init,
+    plain_stages,
     planned,
     row_of_commands,
     states_after,
 )
 from rhec.core.controller.initial_plan import InitialPlan, initial_plan
-from rhec.core.controller.options import Options, problem_of
+from rhec.core.controller.options import Hessian, Options, problem_of
 from rhec.core.model.base import Model
 from rhec.core.model.integration import refuse_start
 from rhec.core.solver import gauss_newton
@@ -55,6 +59,7 @@ def build_phases(horizon):
     `step` runs all phases; it maps (memory, weights, references) to (memory, kkt, command, ok).
     """
     qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
+    qp = ExactQP(horizon, qp) if horizon.exact else qp
     roll_out = build_roll_out(horizon)
     gradient = _build_gradient(horizon, roll_out)
     shift, linearise = _build_preparation(horizon, qp)
@@ -71,12 +76,7 @@ class StagewiseQP:
 
     def __init__(self, horizon):
         self.horizon = horizon
-        self._command = list(horizon.command)
-        # The parameters do not move: with x alone the stages are half as large.
-        x = list(range(horizon.n_x))
-        D = horizon.interval.sparsities["D"].sub(x, x)[0]
-        B = horizon.interval.sparsities["B"].sub(x, self._command)[0]
-        shape = (horizon.N, horizon.interval.A_0[x, x], D, B)
+        shape = (horizon.N, *plain_stages(horizon))
         self._solve = box_lq(*shape, horizon.loops, horizon.doublings)
 
     def prepare(self, D, B, Q, QN, R):
@@ -90,20 +90,11 @@ class StagewiseQP:
         rows; `inputs` are those of the feedback phase. Returns the rows Δu and its multipliers, and
         whether they are the solution.
         """
-        n_x = self.horizon.n_x
-        D = ca.horzsplit(inputs["D"], self.horizon.n_s)
-        B = ca.horzsplit(inputs["B"], self.horizon.n_u)
-        # The active set is first guessed to be the bounds at which the previous plan was.
-        u = row_of_commands(inputs["u"], self.horizon)
-        at_upper = u >= for_all_samples(inputs["upper"], self.horizon)
-        at_lower = u <= for_all_samples(inputs["lower"], self.horizon)
-        stages = dict(
-            D=ca.horzcat(*(part[:n_x, :n_x] for part in D)),
-            B=ca.horzcat(*(part[:n_x, self._command] for part in B)),
-            **{name: inputs[name] for name in self.horizon.weights},
-        )
+        stages = commanded_stages(self.horizon, inputs)
+        stages |= {name: inputs[name] for name in self.horizon.weights}
         bounds = dict(lower=step["least"], upper=step["most"])
-        solution = self._solve(**stages, g=step["g"], **bounds, active=at_upper - at_lower)
+        active = active_before(self.horizon, inputs)
+        solution = self._solve(**stages, g=step["g"], **bounds, active=active)
         return solution["x"], solution["multipliers"], solution["ok"]
 
 
@@ -147,7 +138,8 @@ def _build_backward(horizon):
     ):
         adjoint = adjoint + ca.vertcat(weight * (s[:n_x] - ref), ca.SX(n_p, 1))
         g = R * (u - u_ref)[command] + B[:, command].T @ adjoint
-        return dict(g=g, adjoint_before=(horizon.interval.A_0 + D).T @ adjoint)
+        after = dict(adjoint_after=ca.densify(adjoint)) if horizon.exact else {}
+        return dict(g=g, **after, adjoint_before=(horizon.interval.A_0 + D).T @ adjoint)
 
     return backward
 
@@ -168,15 +160,20 @@ def _build_gradient(horizon, roll_out):
         ref, u, u_ref = map(ca.horzsplit, (x_ref, plan, u_ref))
         adjoint = ca.DM.zeros(horizon.n_s)  # λ_N
         g = [None] * N
+        adjoints = [()] * N  # λ' of each interval, where an exact Hessian needs them
         weight = QN  # of node N; node 0 has none, since no input moves it
         for i in reversed(range(N)):
             end = nodes[i + 1], ref[i + 1]
-            g[i], adjoint = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
+            result = backward(adjoint, D[i], B[i], weight, *end, u[i], u_ref[i], R)
+            g[i], *adjoints[i], adjoint = result
             weight = Q
         u = row_of_commands(plan, horizon)
         least = for_all_samples(lower, horizon) - u
         most = for_all_samples(upper, horizon) - u
-        return dict(g=ca.vertcat(*g).T, least=least, most=most)
+        step = dict(g=ca.vertcat(*g).T, least=least, most=most)
+        if horizon.exact:
+            step["adjoints"] = ca.horzcat(*(after for (after,) in adjoints))
+        return step
 
     return gradient
 
@@ -197,6 +194,7 @@ def _build_feedback(horizon, linearise, gradient, qp):
         commands = ca.vertsplit(ca.reshape(u, len(horizon.command), horizon.N))
         # With a reference that is not finite there is no step, and the last plan goes on.
         u_plan = planned(horizon, commands, finite_or(inputs["u_ref"], inputs["u"]))
+        step.pop("adjoints", None)
         return dict(u_plan=u_plan, multipliers=multipliers, ok=ok, **step)
 
     return feedback
@@ -306,6 +304,8 @@ class RHC(RealTimeLoop):
             the first sample the commands were 0, or the nearest number within their bounds.
         delta_bounds: Bounds of the changes, by the name of the commanded input.
         terminal_bounds: Bounds of states and outputs at the horizon's end, instead of `bounds`.
+        hessian: "gauss_newton", or "exact" for the Hessian of the Lagrangian wherever it has a
+            minimum: bounds of commands and diagonal weights only.
 
     Raises:
         ValueError: if an argument is invalid.
@@ -337,10 +337,12 @@ class RHC(RealTimeLoop):
         r_delta: OptionalWeights = None,
         delta_bounds: Bounds = None,
         terminal_bounds: Bounds = None,
+        hessian: Hessian = "gauss_newton",
     ):
         weights = dict(q=q, r=r, qn_factor=qn_factor, qn=qn, q_y=q_y, qn_y=qn_y, r_delta=r_delta)
         limits = dict(bounds=bounds, delta_bounds=delta_bounds, terminal_bounds=terminal_bounds)
         given = dict(model=model, command=command, dt=dt, horizon=horizon, outputs=outputs)
+        given |= dict(hessian=hessian)
         self._options = Options(**given, **weights, **limits)
         self._compile(problem_of(self._options))
 
