@@ -438,6 +438,7 @@ compiled.run_compiler = counted(compiled.run_compiler)
 explorer = rhec.Explorer(rhec.Scenario(duration_s=20.0))
 bundle = explorer._repr_mimebundle_()
 assert explorer.screen.table in bundle["text/html"]
+assert "figure()" in bundle["text/html"] and "<img" not in bundle["text/html"]
 assert set(explorer.screen.picture["panels"]) == {"map", "error", "mu", "kappa", "yaw_rate", "kkt"}
 print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
 """

@@ -51,6 +51,10 @@ METRICS = (
     ("rms_kappa", "RMS κ", "[-]", 3),
     ("rms_yaw_rad", "RMS yaw", "[rad]", 4),
 )
+_NO_WIDGETS = (
+    "Controls and pictures need the widgets of Jupyter, which this page does not show. "
+    "The method figure() of the explorer draws the picture."
+)
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -433,11 +437,12 @@ class Explorer(widgets.VBox):
 
         Where somebody waits for the widgets, Matplotlib's picture would take a second more.
         """
-        html = self.screen.table
+        picture = f"<p>{_NO_WIDGETS}</p>"
         if os.environ.get("RHEC_UNATTENDED"):
             self.figure().savefig(file := io.BytesIO(), format="png")
-            picture = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
-            html = f'<img alt="field run" src="{picture}">{html}'
+            png = base64.b64encode(file.getvalue()).decode()
+            picture = f'<img alt="field run" src="data:image/png;base64,{png}">'
+        html = f"{picture}{self.screen.table}"
         html = f'<style>\n{CSS}</style><div class="rhec">{html}</div>'
         return super()._repr_mimebundle_(**formats) | {"text/html": html}
 
