@@ -11,6 +11,7 @@ from rotating_masses import INERTIA, measured, mhe_of_masses
 
 import rhec
 from rhec.core._casadi import compiled
+from rhec.workbench.studies import gallery
 from rhec.workbench.studies.embedded import toolchain
 
 COMPILER = compiled.compiler()
@@ -147,3 +148,26 @@ def test_an_estimate_without_slopes_finds_back_in_c_as_in_python(tmp_path):
             np.testing.assert_allclose(answer, expected, rtol=TOLERANCE, atol=TOLERANCE)
             oks.append(mhe.ok)
         assert not all(oks) and all(oks[-30:])
+
+
+@needs_compiler
+def test_a_controller_with_exact_hessians_commands_in_c_as_in_python(tmp_path):
+    """A pendulum swings up: where the Hessian has a minimum, and where it has none."""
+    problem = gallery.pendulum()
+    options = problem.options | dict(horizon=15)
+    with no_compiler():
+        rhc = rhec.RHC(**options, hessian="exact")
+        mhe = rhec.RHE(
+            model=options["model"], dt=0.025, horizon=3, sigma_v=(0.01,) * 4, sigma_w=(0.01,) * 4,
+            guess=problem.start, sigma_guess=(0.1,) * 4,
+        )  # fmt: skip
+        in_c = InC(rhec.export((mhe, rhc), tmp_path / "rhec"))
+        x = np.array(problem.start) + 0.2
+        for _ in range(20):
+            rhc.prepare()
+            given = (x, [], np.zeros((4, 16)), np.zeros((1, 15)))
+            u = rhc.feedback(*given)
+            command, status = in_c.call("control", *given, length=1)
+            assert (status == 0) == rhc.ok
+            np.testing.assert_allclose(command, u, rtol=TOLERANCE, atol=TOLERANCE)
+            x = options["model"].simulate(x, [u], dt=0.025)[-1]

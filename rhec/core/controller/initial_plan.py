@@ -14,6 +14,22 @@ class InitialPlan(NamedTuple):
     u: np.ndarray
     x: np.ndarray | None
 
+    def clipped(self, command, lower, upper):
+        """The plan whose commands keep their bounds.
+
+        Args:
+            command: Places of the n_c commands among the inputs.
+            lower: (n_c,) least commands.
+            upper: (n_c,) greatest commands.
+
+        Returns:
+            The InitialPlan.
+        """
+        u = self.u.copy()
+        for place, least, most in zip(command, lower, upper):
+            u[place] = np.clip(u[place], least, most)
+        return self._replace(u=u)
+
     def memory(self, horizon, x, p):
         """The first memory (s, u) of a Horizon at the state x with the parameters p.
 

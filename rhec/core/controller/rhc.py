@@ -387,9 +387,13 @@ class RHC(RealTimeLoop):
         """
         if self._build is build_phases:
             return init(self.structure, x, p)
-        n_c = len(self.problem.command)
-        before = np.clip(0.0, self.settings["lower"][:n_c], self.settings["upper"][:n_c])
+        before = np.clip(0.0, *self._command_bounds())
         return constrained.init(self.structure, x, p, before)
+
+    def _command_bounds(self):
+        """Lowest and highest commands, (n_c,) each."""
+        n_c = len(self.problem.command)  # they are the first rows of all that are bounded
+        return self.settings["lower"][:n_c], self.settings["upper"][:n_c]
 
     def restart(self, u_plan: Any = None, x_plan: Any = None) -> None:
         """Begin anew: the next sample is the first, and improves this plan.
@@ -397,8 +401,8 @@ class RHC(RealTimeLoop):
         Without a plan it starts from a robot that stays where it is, with no inputs.
 
         Args:
-            u_plan: (n_u, N) or (n_u,) planned inputs, which need not keep the bounds. Those that
-                are not commanded follow `u_ref`.
+            u_plan: (n_u, N) or (n_u,) planned inputs. Commands beyond a bound begin at it, and
+                inputs that are not commanded follow `u_ref`.
             x_plan: (n_x, N+1) or (n_x,) predicted states, which need not follow from the inputs;
                 node 0 gets the state of the sample. None: those to which the inputs lead.
 
@@ -531,7 +535,9 @@ class RHC(RealTimeLoop):
         refuse_start(self.problem.model, x, u, p, self.problem.dt_s)
         memory = self.first_memory(x, p)
         if self._initial:
-            memory |= self._initial.memory(self.problem, x, p)
+            # A line search would refuse the way back to the bounds, where it raises the cost.
+            within = self._initial.clipped(self.problem.command, *self._command_bounds())
+            memory |= within.memory(self.problem, x, p)
         self.iteration.start(memory)
 
     @property

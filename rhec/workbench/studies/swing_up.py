@@ -5,8 +5,12 @@ starts around hanging still, and so is that of `solve(…, iterations=100)`.
 
     python -m rhec.workbench.studies.swing_up
 
-prints the summary of 40 starts of both pendulums of `rhec.workbench.studies.gallery`.
+prints the summary of 40 starts of both pendulums of `rhec.workbench.studies.gallery`, with the
+Gauss-Newton matrix and with the exact Hessian (`hessian` of rhec.RHC). Both are compared with
+`solve` by Gauss-Newton. It also prints how often each iterates to solve the first sample's problem.
 """
+
+import bisect
 
 import numpy as np
 import pandas as pd
@@ -16,7 +20,7 @@ from rhec.core.controller.rhc import RHC
 from rhec.workbench.studies import gallery
 from rhec.workbench.studies.ipopt_plans import next_state
 
-__all__ = ["SPREAD", "cost_of_loop", "excesses", "summary"]
+__all__ = ["SPREAD", "cost_of_loop", "excesses", "iterations_from_rest", "summary"]
 
 SPREAD = 0.5  # of each state at the start, to either side, in its unit
 
@@ -55,12 +59,13 @@ def cost_of_loop(problem, start, iterations):
     return cost, x
 
 
-def excesses(problem, seeds):
+def excesses(problem, seeds, hessian="gauss_newton"):
     """How much dearer one iteration a sample is than 100, from random starts.
 
     Args:
         problem: A ControlProblem whose goal is a state.
         seeds: Of the starts, each state within SPREAD of the problem's start.
+        hessian: Of the loop with one iteration; the other one is always solved by Gauss-Newton.
 
     Returns:
         DataFrame, a row for each: seed; the costs `one` and `solved`; excess, one/solved - 1; and
@@ -68,14 +73,49 @@ def excesses(problem, seeds):
     """
     q = np.array(problem.options["q"])
     weighted = q > 1e-2 * max(q)
+    chosen = problem._replace(options=problem.options | dict(hessian=hessian))
     rows = []
     for seed in seeds:
-        start = problem.start + np.random.default_rng(seed).uniform(-SPREAD, SPREAD, len(q))
-        one, x_one = cost_of_loop(problem, start, None)
+        start = _start(problem, seed)
+        one, x_one = cost_of_loop(chosen, start, None)
         solved, x_solved = cost_of_loop(problem, start, 100)
         away = np.abs([x_one, x_solved] - np.array(problem.goal))[:, weighted].max()
         row = dict(seed=seed, one=one, solved=solved, excess=one / solved - 1, away=away)
         rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _start(problem, seed):
+    """A random start (n_x,)."""
+    spread = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, len(problem.start))
+    return problem.start + spread
+
+
+def iterations_from_rest(problem, seeds, hessian, most=1000):
+    """How many iterations solve the first sample's problem, from a robot that stays.
+
+    Args:
+        problem: A ControlProblem whose goal is a state.
+        seeds: Of the starts, as in `excesses`.
+        hessian: Of rhec.RHC.
+        most: Iterations.
+
+    Returns:
+        DataFrame, a row for each: seed; iterations until `converged`, `most` + 1 if it never is.
+    """
+    rhc = RHC(**problem.options, hessian=hessian)
+    given = dict(p=(), x_ref=problem.goal, u_ref=np.zeros(len(problem.options["model"].inputs)))
+    rows = []
+    for seed in seeds:
+        start = _start(problem, seed)
+
+        def is_converged(iterations, x=start):
+            rhc.restart()
+            rhc.solve(x, **given, iterations=iterations)
+            return rhc.converged
+
+        count = 1 + bisect.bisect_left(range(1, most + 1), True, key=is_converged)
+        rows.append(dict(seed=seed, iterations=count))
     return pd.DataFrame(rows)
 
 
@@ -105,8 +145,11 @@ def summary(table):
 def _main():
     """Print the summaries of 40 starts."""
     for define in (gallery.furuta, gallery.pendulum):
-        table = excesses(define(), range(40))
-        print(define.__name__, summary(table).to_dict(), flush=True)
+        for hessian in ("gauss_newton", "exact"):
+            found = summary(excesses(define(), range(40), hessian)).to_dict()
+            counts = iterations_from_rest(define(), range(40), hessian)["iterations"]
+            quartiles = counts.quantile([0.25, 0.5, 0.75, 1.0]).tolist()
+            print(define.__name__, hessian, found, "iterations", quartiles, flush=True)
 
 
 if __name__ == "__main__":
