@@ -61,8 +61,10 @@ def compile_by_parts(place, text, step, text_of, key, command):
 
 def _is_large(function):
     """Return whether compiling a Function takes so long that loops should share the result."""
-    n_called = len(function.find_functions())
-    return n_called >= _LEAST_CALLED or function.n_instructions() >= _LEAST_INSTRUCTIONS
+    if len(function.find_functions()) >= _LEAST_CALLED:
+        return True
+    is_counted = function.is_a("SXFunction") or function.is_a("MXFunction")
+    return is_counted and function.n_instructions() >= _LEAST_INSTRUCTIONS
 
 
 def _compile_part(name, function, text_of, command):
