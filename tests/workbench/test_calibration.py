@@ -38,7 +38,7 @@ def test_calibration_sees_training_seeds_alone_and_no_estimator_in_the_loop(
     estimator, entries, monkeypatch
 ):
     seen, tried = [], []
-    monkeypatch.setattr(calibration, "simulate", seen.append)
+    monkeypatch.setattr(calibration, "simulate", seen.extend)
 
     def off_by(estimator, sigma_w, runs):
         tried.append(sigma_w)
