@@ -12,7 +12,7 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.core.solver.pivoting import DOUBLINGS, correct_guess, search_active_set
+from rhec.core.solver.pivoting import DOUBLINGS, corrected_interval, search_active_set
 
 
 def box_lq(N, A_0, D, B, loops, doublings=DOUBLINGS):
@@ -119,11 +119,6 @@ def _build_forward(A_0, D_i, B_i):
         u = K @ x + k
         x = (A_0 + D) @ x + B @ u
         multiplier = -(g + R * u + B.T @ (p + P @ x)) * (active != 0)
-        proposed, first_exchange, n_infeasible = correct_guess(
-            active, u, multiplier, lower, upper, wrong
-        )
-        solution = dict(x_after=x, u=u, multiplier=multiplier)
-        first = ca.vertcat(*first_exchange)
-        return solution | dict(right=proposed, first=first, wrong_after=n_infeasible)
+        return corrected_interval(x, u, multiplier, active, lower, upper, wrong)
 
     return forward

@@ -13,7 +13,7 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.core.solver.pivoting import correct_guess, search_active_set
+from rhec.core.solver.pivoting import corrected_interval, search_active_set
 
 DOUBLINGS = 4  # 17 guesses at most; without a positive Hessian, more of them may go in circles
 _LEAST_PIVOT = 1e-3  # of a weight that the caller names for each input
@@ -126,11 +126,6 @@ def _build_forward(A_0, D_i, B_i):
         after = (A_0 + D) @ x + B @ u
         slope = g + W[n:, :] @ ca.vertcat(x, u) + B.T @ (p + P @ after)
         multiplier = -slope * (active != 0)
-        proposed, first_exchange, n_infeasible = correct_guess(
-            active, u, multiplier, lower, upper, wrong
-        )
-        solution = dict(x_after=after, u=u, multiplier=multiplier)
-        first = ca.vertcat(*first_exchange)
-        return solution | dict(right=proposed, first=first, wrong_after=n_infeasible)
+        return corrected_interval(after, u, multiplier, active, lower, upper, wrong)
 
     return forward
