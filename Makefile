@@ -1,17 +1,15 @@
 # What a user sets is data: make never expands it, and the shell gets it in quotes.
-USER_SET := LOG WHAT SAMPLES RUNS HOST PYTHON PYTHON_CPU_COUNT
+USER_SET := ID PYTHON PYTHON_CPU_COUNT WHAT
 from_outside = $(filter environment command,$(firstword $(origin $1)))
 $(foreach name,$(USER_SET),$(if $(call from_outside,$(name)),\
   $(eval override $(name) := $$(value $(name)))))
 PYTHON ?= python3
-SAMPLES ?= 10000000
-RUNS ?= 100000
-export LOG WHAT SAMPLES RUNS HOST PYTHON PYTHON_CPU_COUNT
+export $(USER_SET)
 
-# Notebooks of the paper's figures and tables, and of further studies, in the order of the report.
+# Notebooks of the paper's figures and tables, and of further studies.
 FIGURES := 00_start 03_scenario_a 04_scenario_b 05_computation_times
-STUDIES := 01_tutorial 02_equations 06_claims 07_interpretations 08_beyond \
-  09_faults 10_replay 11_your_robot 12_which_worlds 13_soil_map 14_gallery
+STUDIES := 01_tutorial 02_equations 06_claims 07_which_worlds 08_interpretations \
+  $(sort $(patsubst notebooks/%.ipynb,%,$(wildcard notebooks/further/*.ipynb)))
 
 PY := .venv/bin/python
 READY := .venv/ready
@@ -22,88 +20,37 @@ PIP := $(PY) -m pip --disable-pip-version-check install -q
 executed = $(1:%=build/notebooks/%.ipynb)
 EXECUTED := $(call executed,$(FIGURES) $(STUDIES))
 
-# Only `make clean-NAME` removes these, `make clean` does not.
-KEPT := campaigns replays explored embedded benchmarks
-clean-campaigns := build/campaign
-clean-replays := build/replay build/notebooks/10_replay-custom.*
-clean-explored := figures/explored
-clean-embedded := build/embedded
-benchmarks := agreement any_robot any_robot_agreement campaign campaign_kinds horizon start step \
-  tails
-clean-benchmarks := $(foreach suffix,csv tex png pdf,$(benchmarks:%=figures/bench_%.$(suffix)))
-
-# Lines below add to these two. They start empty, whatever the environment holds.
-MADE :=
-made :=
-
 # Two notebooks run at a time. Each may use all cores: one that waits, or works in a single process,
 # leaves them to the other. Other goals run in their order.
 ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures studies check-figures claims report article lab replay recordings \
-  replay-table calibrate campaign posterior embedded test test-browser lint bench soak fuzz storm \
-  lock upgrade sbom clean \
-  $(KEPT:%=clean-%)
+.PHONY: help figures studies check-figures claim report article test test-browser lint bench \
+  nightly lock clean
 
 help: ## list the goals
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
 
 ##@ The paper
-# The longest notebook of each goal starts first.
-figures: $(call executed,04_scenario_b $(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
-studies: $(call executed,06_claims $(STUDIES)) ## further studies: claims, faults, replay … (minutes)
-figures studies:
-	@$(if $(filter $^,$(made)),$(PY) -m rhec.workbench.results && $(PY) -m rhec.workbench.certificate)
-	@echo '$@: $(if $(filter $^,$(made)),made,everything is up to date)'
+figures: $(call executed,$(FIGURES)) ## the paper's figures and tables, in figures/ (a minute)
+studies: $(call executed,$(STUDIES)) ## further studies: claims, faults, recorded logs … (minutes)
 
 check-figures: $(READY) ## compare your tables in figures/ with those that this commit made
-	@$(PY) -m rhec.workbench.certificate --check
+	@$(PY) -m docs.site.check_figures
 
-claims: $(call executed,06_claims) ## only the claims ledger: figures/claims.csv, .tex, .md, .png
+claim: $(READY) ## judge one claim of the paper again: make claim ID=B6
+	@$(PY) -m notebooks.claims "$$ID"
 
 report: build/report/index.html ## all notebooks, documents and the reference as a site in build/report/
 	@echo 'report: open build/report/index.html'
 
 article: $(READY) ## the article "[Re] …" as build/article.pdf, after make figures studies
-	@$(PY) -m rhec.workbench.article
-
-##@ Work
-lab: $(READY) ## open the notebooks in JupyterLab
-	@$(PY) -m rhec lab
-
-log_given = test -n "$$LOG" || { echo 'LOG was not given; it must be a recorded log:' \
-  'make $@ LOG=file.csv' >&2; exit 2; }
-# Where `make replay` leaves what it made of this log.
-log_folder = file=$${LOG%/}; file=$${file\#\#*/}; folder="build/replay/$${file%.*}"
-replay: $(READY) ## replay a recorded log into build/replay/: make replay LOG=file.csv
-	@$(log_given)
-	@$(PY_WHAT) -m rhec.workbench.notebook notebooks/10_replay.ipynb -p log "$$LOG"
-
-recordings: $(READY) ## fetch the recordings of real robots that data/recordings.toml names
-	@$(PY) data/fetch_recordings.py $${HOST:+"$$HOST"}
-
-replay-table: $(READY) ## compute the table of docs/recorded_robots.md (after make recordings)
-	@$(PY) -m rhec.workbench.studies.transfer
-
-calibrate: $(READY) ## estimate noise and lever arm from a recorded log: make calibrate LOG=file.csv
-	@$(log_given)
-	@$(log_folder); mkdir -p "$$folder"; \
-	  $(PY_WHAT) -m rhec calibrate --yaml "$$folder/calibration.yaml" --overwrite "$$LOG"
-
-campaign: $(READY) ## drive 1000 fields, or go on; WHAT="-p q [1,1,1] [1,1,0]" says which
-	@$(PY_WHAT) -m rhec campaign
-
-posterior: $(READY) ## find the worlds that give the paper's numbers, again (a quarter of an hour)
-	@$(PY) -m rhec.workbench.studies.inverse
-
-embedded: $(READY) ## the default scenario's estimator and controller as C, in build/embedded
-	@$(PY) -m rhec.workbench.studies.embedded
+	@$(PY) -m docs.article.article
 
 ##@ Check
 # Tests of a file share what takes long to make, so one process runs them all, the longest first.
-test: $(READY) ## run the tests; WHAT="--thorough" takes all of what is sampled otherwise
+test: $(READY) ## run the tests; WHAT="tests/core -k rhe" runs some of them
 	@$(PY_WHAT) -m pytest -n auto --dist loadfile --no-loadscope-reorder --ignore=tests/browser
 
 test-browser: build/report/index.html ## test the pages in a headless Chromium
@@ -120,45 +67,24 @@ lint: $(READY) ## check style, types of the public interface, imports, and noteb
 bench: .venv/peers .venv/acados ## compare computation times with other tools, in figures/ (minutes)
 	@cd tests && ../$(PY) -m benchmark
 
-soak: $(READY) ## drive SAMPLES samples, ten million, with failing sensors (ten minutes)
-	@$(PY) tests/soak.py --samples "$$SAMPLES"
-
-fuzz: $(READY) ## absurd drives for the exported C under sanitizers; WHAT="--runs N" (minutes)
-	@$(PY_WHAT) tests/fuzz
-
-storm: $(READY) ## a campaign of RUNS runs, 100000, whose workers are killed all the time (20 minutes)
-	@$(PY) tests/storm.py --runs "$$RUNS"
+nightly: $(READY) ## what takes long: every sampled test, failing sensors, killed workers, fuzzing
+	@$(MAKE) test WHAT=--thorough
+	@$(PY) tests/soak.py --samples 10000000
+	@$(PY) tests/storm.py --runs 100000
+	@$(PY) tests/fuzz
 
 ##@ Maintain
-lock: ## pin the packages of pyproject.toml in environment.txt, keeping old pins (needs uv)
-upgrade: ## pin the newest versions that pyproject.toml allows (needs uv)
-lock upgrade:
-	@command -v uv >/dev/null || { echo 'make $@ needs uv on the PATH' >&2; exit 1; }
-	@uv pip compile --quiet $(if $(filter upgrade,$@),--upgrade) --universal \
+lock: ## pin what pyproject.toml names in environment.txt; UPGRADE=1 renews all pins (needs uv)
+	@command -v uv >/dev/null || { echo 'make lock needs uv on the PATH' >&2; exit 1; }
+	@uv pip compile --quiet $(if $(UPGRADE),--upgrade) --universal \
 	  --python-version 3.11 --fork-strategy fewest --all-extras --group dev --generate-hashes \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
 	  --output-file environment.txt pyproject.toml
 
-sbom: $(READY) ## list all installed components and their licences: build/sbom.json (CycloneDX)
-	@mkdir -p build
-	@.venv/bin/cyclonedx-py environment $(PY) --output-format JSON -o build/sbom.json
-	@echo 'sbom: build/sbom.json'
-
-# MADE lists the files that notebooks and report have written; files in git stay.
+# Results that took long stay: build/campaign, build/replay and figures/explored.
 clean: ## remove the executed notebooks, their figures and tables, and the report
-	@rm -f $(filter-out $(shell sed -n 's/^!//p' .gitignore),$(MADE)) $(EXECUTED:.ipynb=.d) \
-	  $(EXECUTED) $(wildcard build/notebooks/*.unfinished)
-	@rm -rf build/report/live build/report/live.html figures/manifest.csv
-	@find build figures -type d -empty -delete 2>/dev/null || true
-
-# Results that took long or that a user saved are removed only by name.
-clean-campaigns: ## remove the rows of campaigns (build/campaign)
-clean-replays: ## remove the results of replayed logs (build/replay)
-clean-explored: ## remove figures saved in the explorer (figures/explored)
-clean-embedded: ## remove the exported C (build/embedded)
-clean-benchmarks: ## remove the tables and pictures of make bench (figures/bench_…)
-$(KEPT:%=clean-%):
-	@rm -rf $($@)
+	@test ! -e build/made || grep -vxF "$$(git ls-files figures 2>/dev/null)" build/made | tr '\n' '\0' | xargs -0 rm -f
+	@rm -rf build/made build/notebooks build/report
 
 $(READY): environment.txt pyproject.toml
 	@"$$PYTHON" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' \
@@ -178,38 +104,22 @@ $(READY): environment.txt pyproject.toml
 	  --require-hashes -r $< || { rm -rf $@; echo 'acados could not be installed' >&2; }
 
 # The WebAssembly compiler for the live page, which the report leaves out without it.
-.venv/wasm: rhec/workbench/live/zig.txt $(READY)
+.venv/wasm: docs/live/zig.txt $(READY)
 	@$(PIP) --no-deps --require-hashes -r $< || true
 	@touch $@
 
-# The reason for a run: `$?` are the files that are newer than the last run, or gone.
-changed = $(wildcard $?)
-gone = $(filter-out $(changed),$?)
-is_gone = $(gone) $(if $(word 2,$(gone)),are,is) gone
-why = $(strip $(if $(changed),$(changed) changed) $(if $(gone),$(if $(changed),and) $(is_gone)))
-
-$(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb build/notebooks/%.d environment.txt \
-  | $(READY)
-	@echo '$*: $(if $(wildcard $@),made again because $(why),made for the first time)'
-	@$(PY) -m rhec.workbench.notebook $<
-	$(eval made += $@)
+# A notebook runs again after an edit of itself, of the package, or of a module beside it.
+PACKAGE := environment.txt $(wildcard data/*.csv data/*.npz data/*.parquet) \
+  $(shell find rhec notebooks -name '*.py' -o -name '*.toml' -o -name '*.[ch]' | sort)
+$(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb $(PACKAGE) | $(READY)
+	@$(PY) -m notebooks.run $<
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
-TIMED := $(call executed,05_computation_times 11_your_robot)
-$(call executed,05_computation_times): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
-$(call executed,11_your_robot): | $(filter-out $(TIMED),$(call executed,$(STUDIES)))
+TIMED := $(call executed,05_computation_times)
+$(TIMED): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
 ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
-$(call executed,$(STUDIES)): | $(call executed,05_computation_times)
+$(call executed,$(STUDIES)): | $(TIMED)
 endif
 
-build/report/index.html: $(EXECUTED) rhec/workbench/report.py README.md $(wildcard docs/*.md \
-  docs/conf.py docs/_static/* docs/_templates/*/* rhec/workbench/live/* \
-  rhec/workbench/live/freestanding/*) | .venv/wasm
-	@$(PY) -m rhec.workbench.results
-	@$(PY) -m rhec.workbench.report $(EXECUTED) --also $(wildcard $(clean-benchmarks)) \
-	  $$($(PY) -c 'import ziglang' 2>/dev/null && echo --live)
-	@$(PY) -m rhec.workbench.live.page
-
-# Inputs and outputs of each notebook in its last run.
-$(EXECUTED:.ipynb=.d):
-include $(wildcard $(EXECUTED:.ipynb=.d) build/report/report.d)
+build/report/index.html: $(EXECUTED) README.md $(shell find docs -type f) | .venv/wasm
+	@$(PY) -m docs.site.report $(EXECUTED)

@@ -5,6 +5,7 @@ each. They are pickled pandas frames, and a pickle can run code when it is loade
 with another digest is refused, and only the classes of a frame of numbers may be unpickled.
 """
 
+import hashlib
 import re
 import sys
 import tomllib
@@ -12,7 +13,6 @@ from pathlib import Path
 from urllib.parse import quote
 
 import pandas as pd
-import pooch
 import requests
 from convert_recordings import convert
 from pandas.compat.pickle_compat import Unpickler
@@ -67,28 +67,39 @@ def fetch(name, folder=FOLDER, host=_HOST, recordings=RECORDINGS):
         Path of the file.
 
     Raises:
-        ValueError: If its digest is not that of recordings.toml (the file is removed), if it is
-            larger than any recording, or if its table lacks an entry.
+        ValueError: If its digest is not that of recordings.toml, if it is larger than any
+            recording, or if its table lacks an entry.
     """
     source = recordings[name]
     if not source.keys() >= _NEEDED or not re.fullmatch(r"[\w-]+", name):
         raise ValueError(f"its table should have a plain name and {', '.join(sorted(_NEEDED))}")
     # A commit, not a branch: the file cannot change under this address.
     url = f"{host}/{source['repository']}/{source['commit']}/{quote(source['path'])}"
-    digest = f"sha256:{source['sha256']}"
-    return Path(pooch.retrieve(url, digest, f"{name}.pkl", folder, downloader=_download))
+    file = Path(folder, f"{name}.pkl")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if file.exists() and _digest(file.read_bytes()) == source["sha256"]:
+        return file
+    content = _downloaded(url)
+    if _digest(content) != source["sha256"]:
+        raise ValueError(f"{url} has the hash {_digest(content)}; it should be {source['sha256']}")
+    file.write_bytes(content)
+    return file
 
 
-def _download(url, file, _):
-    """Download to a file, as pooch asks, but no more than a recording has."""
-    with requests.get(url, stream=True, timeout=30) as answer, open(file, "wb") as opened:
+def _digest(content):
+    return hashlib.sha256(content).hexdigest()
+
+
+def _downloaded(url):
+    """What is there, but no more than a recording has."""
+    content = bytearray()
+    with requests.get(url, stream=True, timeout=30) as answer:
         answer.raise_for_status()
-        size = 0
         for piece in answer.iter_content(1 << 16):
-            size += len(piece)
-            if size > _MOST_BYTES:
+            content += piece
+            if len(content) > _MOST_BYTES:
                 raise ValueError(f"{url} has more than {_MOST_BYTES} bytes")
-            opened.write(piece)
+    return content
 
 
 def read_frame(file):

@@ -1,7 +1,8 @@
 """Make data/standard_gaussian_fields.npz, from which `rhec.tracked_robot.terrain` cuts slip.
 
 The two independent fields are by GSTools' Fourier method, which makes them periodic. `python
-data/make_standard_fields.py` makes the file again, in minutes.
+data/make_standard_fields.py` makes the file again, in minutes. It needs the package gstools, of the
+version that stands in the file, which nothing else here uses.
 """
 
 from pathlib import Path

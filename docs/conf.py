@@ -1,6 +1,7 @@
-"""Sphinx's configuration of the report; `rhec.workbench.report` calls it."""
+"""Sphinx's configuration of the report; `docs.site.report` calls it."""
 
 import inspect
+from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
 
@@ -12,9 +13,9 @@ import rhec
 project = "rhec"
 release = rhec.__version__
 copyright = "the rhec authors, MIT licence"
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["figures"]
-templates_path = ["_templates"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
+exclude_patterns = ["README.md", "figures"]  # README is a part of the first page
+templates_path = [str(Path(__file__).parent / "_templates")]
 
 html_theme = "furo"
 html_title = f"rhec {release}"
@@ -44,7 +45,7 @@ nb_merge_streams = True
 nb_code_prompt_show = "Code"
 nb_code_prompt_hide = "Code"
 nb_ipywidgets_js = {}
-myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
+myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath", "html_image"]
 myst_heading_anchors = 4
 
 autodoc_member_order = "bysource"

@@ -326,6 +326,6 @@ def _mistake_of_width(width, one, other):
 def paired(one, other):
     """(mean, low, high): mean of one minus other, arrays (n,), with its 95 % interval."""
     # Importing it takes half a second.
-    from rhec.workbench.studies.statistics import over_seeds
+    from notebooks.studies.statistics import over_seeds
 
     return tuple(over_seeds(np.mean, one - other)[:3])

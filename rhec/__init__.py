@@ -1,18 +1,20 @@
 """rhec: receding horizon estimation and control of a tracked field robot with unknown traction.
 
-A workbench around one paper: Kayacan, Young, Peschel, Chowdhary, "High-Precision Control of Tracked
-Field Robots in the Presence of Unknown Traction Coefficients" (2018), and a thin core of moving
-horizon estimation (MHE) and model predictive control (MPC) for any robot.
+The robot of one paper: Kayacan, Young, Peschel, Chowdhary, "High-Precision Control of Tracked Field
+Robots in the Presence of Unknown Traction Coefficients" (2018), and a thin core of moving horizon
+estimation (MHE) and model predictive control (MPC) for any robot.
 
-One run          Scenario, simulate, Run             The world      Path, Terrain, Fault, WORLDS
-Many runs        campaign, batch                     Any robot      Model, RHE, RHC, EKF, Bound
-A recorded log   logs.read, doctor, calibrate, …  Its path       PathTracker
-On a robot       export                              In Jupyter     Explorer
+One run          Scenario, simulate, Run, Controller   The world    Path, Terrain, Fault, WORLDS
+Many runs        campaign, batch                       Any robot    Model, RHE, RHC, EKF, Bound
+A recorded log   logs.read, doctor, calibrate, replay  Its path     PathTracker
+On a robot       export                                In Jupyter   Explorer
 """
 
 from functools import partial as _partial
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING
+
+from rhec.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from rhec import logs as logs
@@ -21,13 +23,14 @@ if TYPE_CHECKING:
     from rhec.core.controller.rhc import RHC as RHC
     from rhec.core.estimator.ekf import EKF as EKF
     from rhec.core.estimator.rhe import RHE as RHE
-    from rhec.core.estimator.window_length import suggest_window as suggest_window
     from rhec.core.model.base import Model as Model
     from rhec.embedded import export as export
+    from rhec.explorer.explorer import Explorer as Explorer
     from rhec.logs.calibration import calibrate as calibrate
     from rhec.logs.doctor import doctor as doctor
     from rhec.logs.replay import replay as replay
     from rhec.simulation.campaigns.campaign import campaign as campaign
+    from rhec.simulation.controller import Controller as Controller
     from rhec.simulation.faults import Fault as Fault
     from rhec.simulation.run import Run as Run
     from rhec.simulation.scenario import Scenario as Scenario
@@ -35,17 +38,14 @@ if TYPE_CHECKING:
     from rhec.simulation.worlds import WORLDS as WORLDS
     from rhec.tracked_robot.path import Path as Path
     from rhec.tracked_robot.references import PathTracker as PathTracker
-    from rhec.tracked_robot.soil_map import SoilMap as SoilMap
     from rhec.tracked_robot.terrain import Terrain as Terrain
-    from rhec.workbench.explorer.explorer import Explorer as Explorer
-
-__version__ = "0.2.0"
 
 # Loaded on first use, so that a program pays only for what it uses.
 _HOME = {
     "Bound": "core.controller.bounds",
+    "Controller": "simulation.controller",
     "EKF": "core.estimator.ekf",
-    "Explorer": "workbench.explorer.explorer",
+    "Explorer": "explorer.explorer",
     "Fault": "simulation.faults",
     "Model": "core.model.base",
     "Path": "tracked_robot.path",
@@ -54,7 +54,6 @@ _HOME = {
     "RHE": "core.estimator.rhe",
     "Run": "simulation.run",
     "Scenario": "simulation.scenario",
-    "SoilMap": "tracked_robot.soil_map",
     "Terrain": "tracked_robot.terrain",
     "WORLDS": "simulation.worlds",
     "batch": "core.batch.batch",
@@ -65,15 +64,8 @@ _HOME = {
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
     "simulate": "simulation.simulate",
-    "suggest_window": "core.estimator.window_length",
 }
 __all__ = sorted(_HOME)
-
-
-def _draw_run(run, with_band):
-    from rhec.workbench.plots.one_run import overview
-
-    return overview(run, with_band)
 
 
 def __getattr__(name):
@@ -82,9 +74,6 @@ def __getattr__(name):
     home = _import_module(f"rhec.{_HOME[name]}")
     if _HOME[name] == name:
         return home
-    if name in ("Run", "Scenario", "simulate"):
-        # The simulation draws nothing; the workbench's picture of a run is attached here.
-        _import_module("rhec.simulation.run").Run._draw = staticmethod(_draw_run)
     value = getattr(home, name)
     if name in ("RHC", "RHE"):
         value.paper_class = _partial(_paper_class, name)

@@ -2,7 +2,7 @@
 
 import sys
 
-from rhec.workbench.command_line import main
+from rhec.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

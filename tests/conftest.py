@@ -2,7 +2,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from helpers import no_compiler
+from helpers import SIMPLE_WORLD, no_compiler
 
 import rhec
 from rhec.core._casadi import compiled
@@ -17,9 +17,9 @@ LONGEST = (
     "simulation/test_campaigns.py",
     "embedded/test_export.py",
     "project/test_failing_disk.py",
-    "workbench/test_claims.py",
-    "workbench/test_report.py",
-    "workbench/test_tutorial.py",
+    "notebooks/test_claims.py",
+    "docs/test_report.py",
+    "notebooks/test_tutorial.py",
     "project/test_benchmark.py",
     "logs/test_gyro.py",
     "logs/test_replay.py",
@@ -81,6 +81,6 @@ def virtual_machine():
 
 @pytest.fixture(scope="session")
 def run():
-    """One minute of the paper's loop in the former world, calibrated."""
-    former = rhec.WORLDS["former"]
-    return rhec.simulate(rhec.Scenario(**former, process_noise="calibrated", duration_s=60.0))
+    """One minute of the paper's loop in a simple world, calibrated."""
+    scenario = rhec.Scenario(**SIMPLE_WORLD, process_noise="calibrated", duration_s=60.0)
+    return rhec.simulate(scenario)

@@ -29,10 +29,8 @@ import pandas as pd
 from pyarrow import parquet
 
 import rhec
-from rhec import embedded
+from rhec import cli, embedded, style
 from rhec.core._casadi import cache
-from rhec.workbench import command_line
-from rhec.workbench.plots import style
 
 LONG = 100  # operations of a long task
 MOST_OPERATIONS = 1000  # a task that never ends without failure would be a loop
@@ -56,7 +54,7 @@ def command(folder):
     arguments = ["--seeds", "1", "-p", "duration_s", "2", "--folder", str(folder), "--workers", "1"]
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        code = command_line.main(["campaign", *arguments])
+        code = cli.main(["campaign", *arguments])
     if code or ", 0 failed" not in said.getvalue():
         raise OSError(said.getvalue())
     file = folder / "campaign.parquet"
@@ -97,11 +95,6 @@ def soil(folder):
     return rhec.Terrain.load(folder / "soil.npz").mean.tolist()
 
 
-def soil_map(folder):
-    rhec.SoilMap.of_terrain(rhec.Terrain.uniform(0.9, 0.8)).save(folder / "map.npz")
-    return rhec.SoilMap.load(folder / "map.npz").mu.tolist()
-
-
 def compiled(folder):
     def build(place):
         (place / "library").write_text("code")
@@ -118,7 +111,6 @@ TASKS = dict(
     table=table,
     picture=picture,
     soil=soil,
-    soil_map=soil_map,
     compiled=compiled,
 )
 

@@ -12,6 +12,7 @@ from oracles import V
 from robots import DT, N
 
 import rhec
+from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
 from rhec.core.controller import rhc
@@ -87,10 +88,46 @@ def fused_sample(mhe, mpc):
 
 # The paper's robot
 
+# Both tracks on one soil, white errors, white bumps.
+SIMPLE_WORLD = dict(
+    speed_mps=paper.SPEED_MPS,
+    mu_mean=0.9,
+    mu_deviation=0.04,
+    kappa_mean=0.8,
+    kappa_deviation=0.08,
+    correlation_length_m=4.0,
+    soil_under="centre",
+    slip_difference=0.0,
+    gnss_sigma_m=paper.SIGMA_V[0],
+    gnss_slow_share=0.0,
+    gnss_slow_time_s=60.0,
+    encoder_sigma_mps=paper.ENCODER_SIGMA_MPS,
+    speed_sigma_mps=paper.SIGMA_V[2],
+    bump_sigma_radps=0.02,
+    rut_length_m=0.0,
+    track_width_m=paper.TRACK_WIDTH_M,
+    rotation_centre_m=0.0,
+)
+
 
 def choice_of(name, horizon, speed_model="parameter", arrival_mean="smoothed", robust=False):
     """The Choice of an estimator of the paper's robot."""
     return Choice(name, horizon, speed_model, arrival_mean, robust)
+
+
+def own_controller(scenario, gain=4.0):
+    """A rhec.Controller for a scenario: it steers to the path, the slower the more it steered."""
+    shapes = dict(memory=1, s_0=6, x_ref=(3, scenario.prediction_horizon + 1), upper=1, speed_mps=1)
+    given = {name: ca.SX.sym(name, *np.atleast_1d(shape)) for name, shape in shapes.items()}
+    memory, s_0, x_ref, upper, speed_mps = given.values()
+    x, y, theta = ca.vertsplit(x_ref[:, 0] - s_0[:3])
+    left = y * ca.cos(s_0[2]) - x * ca.sin(s_0[2])
+    command = upper * ca.tanh(gain * (left + theta))
+    results = dict(command=command, memory=0.9 * memory + 0.1 * command)
+    results |= dict(speed_mps=speed_mps * (1 - ca.fabs(memory)))
+    names = [*given], [*results], {"allow_duplicate_io_names": True}
+    step = ca.Function("steer", [*given.values()], [*results.values()], *names)
+    return rhec.Controller(step, (0.0,))
 
 
 def weaving_yaw_rates(samples):

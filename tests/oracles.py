@@ -1,9 +1,9 @@
-"""The window's and the horizon's nonlinear problems, written down once more for IPOPT, and random
-instances of them: first of the paper's robot, then of any robot in `robots`; a Kalman filter for
-the linear one.
+"""Random instances of the window's and the horizon's nonlinear problems, and their solutions by
+`notebooks.studies.ipopt`: first of the paper's robot, then of any robot in `robots`; a Kalman
+filter for the linear one.
 
-Nothing here uses `rhec` beyond the paper's constants. The paper's θ is linear in time, so there one
-Runge-Kutta step is Simpson's rule.
+The robots that the instances drive use nothing of `rhec`. The paper's θ is linear in time, so there
+one Runge-Kutta step is Simpson's rule.
 """
 
 import functools
@@ -11,16 +11,15 @@ import functools
 import casadi as ca
 import numpy as np
 
+import rhec
+from notebooks.studies.ipopt import PlanProblem, WindowProblem
 from rhec import paper
 
 DT, N = 0.2, 15
 V = np.square(paper.SIGMA_V)
-IPOPT = {"print_time": 0, "ipopt": dict(print_level=0, sb="yes", tol=1e-11, bound_relax_factor=0.0)}
-SOLVED = (
-    "Solve_Succeeded",
-    "Solved_To_Acceptable_Level",
-    "Search_Direction_Becomes_Too_Small",
-)  # what double precision allows
+POSE = ("x_m", "y_m", "theta_rad")
+READINGS = ("x_m", "y_m", "nu_mps", "omega_radps")
+TRACTION = {"mu": (0.0, 1.0), "kappa": (0.0, 1.0)}
 
 
 def flat(value):
@@ -60,54 +59,45 @@ def places(speed_model):
     return [0, 1, 2, 3, 4, 5] if speed_model == "parameter" else [0, 1, 2, 4, 5]
 
 
+def crawl(x, u, p):
+    """ẋ of the paper's robot with the parameters ν, μ, κ."""
+    nu, mu, kappa = ca.vertsplit(p)
+    return ca.vertcat(mu * nu * ca.cos(x[2]), mu * nu * ca.sin(x[2]), kappa * u[-1])
+
+
+# By speed model.
+PAPER = {
+    "parameter": rhec.Model(
+        states=POSE,
+        inputs=("omega_radps",),
+        parameters={"nu_mps": None} | TRACTION,
+        outputs=READINGS,
+        f=crawl,
+    ),
+    "input": rhec.Model(
+        states=POSE,
+        inputs=("nu_mps", "omega_radps"),
+        parameters=TRACTION,
+        outputs=READINGS,
+        f=lambda x, u, p: crawl(x, u, ca.vertcat(u[0], p)),
+    ),
+}
+
+
 @functools.cache
-def rhe_nlp(intervals, speed_model):
-    """Eq. (10) for a window of so many intervals, to be solved by IPOPT. Unknowns: s_0, then all
-    inputs, interval by interval.
-    """
-    parameter = speed_model == "parameter"
-    n_s, n_v = (6, 1) if parameter else (5, 2)
-    s, v = ca.MX.sym("s", n_s), ca.MX.sym("v", n_v, intervals)
-    z, weight = ca.MX.sym("z", 4, intervals + 1), ca.MX.sym("weight", 4, intervals + 1)
-    m, H = ca.MX.sym("m", n_s), ca.MX.sym("H", n_s, n_s)
-    mu, kappa, pose = s[n_s - 2], s[n_s - 1], s[:3]
-    cost = ca.bilin(H, s - m, s - m)
-    for i in range(intervals + 1):
-        cost += weight[0, i] * (z[0, i] - pose[0]) ** 2 + weight[1, i] * (z[1, i] - pose[1]) ** 2
-        if parameter or i:
-            cost += weight[2, i] * (z[2, i] - (s[3] if parameter else v[0, i - 1])) ** 2
-        if i:
-            cost += weight[3, i] * (z[3, i] - v[n_v - 1, i - 1]) ** 2
-        if i < intervals:
-            pose = move(pose, s[3] if parameter else v[0, i], mu, kappa, v[n_v - 1, i])
-    newest = ca.vertcat(
-        pose[0], pose[1], pose[2], s[3] if parameter else v[0, intervals - 1], mu, kappa
-    )
-    unknowns, given = ca.veccat(s, v), ca.veccat(z, weight, m, H)
-    return ca.nlpsol("rhe", "ipopt", dict(x=unknowns, f=cost / 2, p=given), IPOPT), ca.Function(
-        "newest", [unknowns], [newest]
-    )
+def window_problem(model, intervals, noisy=False):
+    return WindowProblem(model, intervals, DT, noisy)
 
 
-def rhe_by_ipopt(z, m, P, speed_model, guess=None):
+def rhe_by_ipopt(z, m, P, speed_model):
     """Optimum of the window z (n, 4), NaN where there is no reading, with the arrival cost (m, P):
-    unknowns, newest (x, y, θ, ν, μ, κ).
+    s_0 and all inputs, interval by interval; newest (x, y, θ, ν, μ, κ).
     """
-    if guess is None:
-        guess = np.concatenate([m, z[1:, 3 if speed_model == "parameter" else 2 :].ravel()])
-    solver, newest = rhe_nlp(len(z) - 1, speed_model)
-    weight = np.where(np.isnan(z), 0, 1 / V)
-    lower = np.full(solver.numel_in("x0"), -np.inf)
-    lower[[len(m) - 2, len(m) - 1]] = 0
-    upper = np.where(lower == 0, 1, np.inf)
-    solution = solver(
-        x0=guess,
-        lbx=lower,
-        ubx=upper,
-        p=np.concatenate([np.nan_to_num(z).ravel(), weight.ravel(), m, np.linalg.inv(P).ravel()]),
-    )
-    assert solver.stats()["return_status"] in SOLVED, solver.stats()["return_status"]
-    return flat(solution["x"]), flat(newest(solution["x"]))
+    problem = window_problem(PAPER[speed_model], len(z) - 1)
+    found = problem.solve(z, m, np.linalg.inv(P), np.sqrt(V))
+    assert found.solved
+    newest = [found.x[:, -1], found.u[:-1, -1], found.p]
+    return np.concatenate([found.x[:, 0], found.p, flat(found.u)]), np.concatenate(newest)
 
 
 def rhe_instance(rng, speed_model):
@@ -154,43 +144,19 @@ def iterate(phases, memory, newest, settings, iterations):
 
 
 def unknowns(memory):
-    """What IPOPT calls the unknowns, from the RHE's memory."""
+    """What `rhe_by_ipopt` finds, from the RHE's memory."""
     return np.concatenate([np.array(memory["s"])[:, 0], flat(memory["v"])])
 
 
-@functools.cache
-def rhc_nlp():
-    """Eq. (NMPC), to be solved by IPOPT. Unknowns: ω_0 … ω_{N-1}."""
-    omega, pose, p = ca.MX.sym("omega", N), ca.MX.sym("pose", 3), ca.MX.sym("p", 3)
-    xi_ref, omega_ref, q, qn, r = (
-        ca.MX.sym("xi_ref", 3, N + 1),
-        ca.MX.sym("omega_ref", N),
-        ca.MX.sym("q", 3),
-        ca.MX.sym("qn", 3),
-        ca.MX.sym("r"),
-    )
-    cost, xi = r * ca.sumsqr(omega - omega_ref), pose
-    for i in range(N):
-        xi = move(xi, *ca.vertsplit(p), omega[i])
-        cost += ca.dot(qn if i + 1 == N else q, (ca.vertcat(*xi) - xi_ref[:, i + 1]) ** 2)
-    return ca.nlpsol(
-        "rhc",
-        "ipopt",
-        dict(x=omega, f=cost / 2, p=ca.veccat(pose, p, xi_ref, omega_ref, q, qn, r)),
-        IPOPT,
-    )
-
-
 def rhc_by_ipopt(problem, q, qn_factor, r, omega_max):
-    given = [problem[name] for name in ("pose", "p", "xi_ref", "omega_ref")]
-    solution = rhc_nlp()(
-        x0=0,
-        lbx=-omega_max,
-        ubx=omega_max,
-        p=np.concatenate([flat(each) for each in (*given, q, qn_factor * np.array(q), r)]),
-    )
-    assert rhc_nlp().stats()["return_status"] in SOLVED
-    return flat(solution["x"])
+    """The optimal yaw rates (N,) of the paper's eq. (NMPC)."""
+    bounds = {"omega_radps": (-omega_max, omega_max)}
+    options = dict(model=PAPER["parameter"], dt=DT, horizon=N, bounds=bounds)
+    options |= dict(q=q, qn_factor=qn_factor, r=(r,))
+    pose, p, xi_ref, omega_ref = (problem[name] for name in ("pose", "p", "xi_ref", "omega_ref"))
+    found = PlanProblem(options).solve(pose, xi_ref, p, omega_ref[None])
+    assert found.solved
+    return found.u[0]
 
 
 def rhc_instance(rng):
@@ -303,147 +269,65 @@ def mhe_instance(robot, rng, intervals=N, missing=0.0):
     return guess, z
 
 
+def prior(robot):
+    """The arrival cost's weight of a guess."""
+    return np.diag(1 / np.square(robot.sigma_guess))
+
+
 @functools.cache
-def mhe_nlp(robot, intervals, dt=DT):
-    """Moving horizon estimation over so many intervals whose prior is a guess, for IPOPT.
-
-    Unknowns: x_0 and p, then the inputs, interval by interval. Also the Function (unknowns, data)
-    -> (newest (x, p), its Jacobian, that of the residuals).
-    """
-    n_x, n_u, n_p, n_z = map(len, (robot.states, robot.inputs, robot.parameters, robot.outputs))
-    first, u = ca.SX.sym("first", n_x + n_p), ca.SX.sym("u", n_u, intervals)
-    z, weight = ca.SX.sym("z", n_z, intervals + 1), ca.SX.sym("weight", n_z, intervals + 1)
-    guess, sigma = ca.SX.sym("guess", n_x + n_p), ca.SX.sym("sigma", n_x + n_p)
-    x, p = first[:n_x], first[n_x:]
-    residuals = [(first - guess) / sigma]
-    for i in range(intervals + 1):
-        if i:
-            x = runge_kutta(robot, x, u[:, i - 1], p, dt)
-        before = u[:, i - 1] if i else ca.SX.zeros(n_u)
-        residuals.append(weight[:, i] * (z[:, i] - outputs(robot, x, before, p)))
-    residuals, unknowns = ca.vertcat(*residuals), ca.veccat(first, u)
-    given = ca.veccat(z, weight, guess, sigma)
-    newest = ca.vertcat(x, p)
-    slope, jacobian = ca.jacobian(newest, unknowns), ca.jacobian(residuals, unknowns)
-    problem = dict(x=unknowns, f=ca.sumsqr(residuals) / 2, p=given)
-    return ca.nlpsol("mhe", "ipopt", problem, IPOPT), ca.Function(
-        "newest", [unknowns, given], [newest, slope, jacobian]
-    )
+def robots_model(robot, state_bounds=()):
+    return rhec.Model(**robot.model, state_bounds=dict(state_bounds))
 
 
-def mhe_by_ipopt(robot, guess, z, dt=DT):
+def mhe_by_ipopt(robot, guess, z):
     """The optimum of all samples z (n, n_z), NaN where one is missing, with the guess as the prior:
     newest x, u, p and the covariance of (x, p), and how many parameters are at a bound.
     """
-    n_x, n_u, n_p = map(len, (robot.states, robot.inputs, robot.parameters))
-    intervals = len(z) - 1
-    solver, newest = mhe_nlp(robot, intervals, dt)
-    low, high = (
-        np.concatenate([np.full(n_x, fill), bounds, np.full(n_u * intervals, fill)])
-        for fill, bounds in zip((-np.inf, np.inf), limits(robot))
-    )
-    weight = np.where(np.isnan(z), 0, 1 / np.array(robot.sigma_v))
-    weight[0, reads_inputs(robot)] = 0
-    measured = [
-        z[1:, robot.outputs.index(name)] if name in robot.outputs else np.zeros(intervals)
-        for name in robot.inputs
-    ]
-    given = np.concatenate(
-        [np.nan_to_num(z).ravel(), weight.ravel(), guess, np.array(robot.sigma_guess)]
-    )
-    start = np.clip(np.concatenate([guess, np.transpose(measured).ravel()]), low, high)
-    solution = solver(x0=start, lbx=low, ubx=high, p=given)
-    assert solver.stats()["return_status"] in SOLVED, solver.stats()["return_status"]
-    optimum = flat(solution["x"])
-    last, slope, jacobian = (np.array(each) for each in newest(optimum, given))
-    covariance = slope @ np.linalg.solve(jacobian.T @ jacobian, slope.T)
-    p = optimum[n_x : n_x + n_p]
-    at_bounds = np.sum(np.minimum(p - low[n_x : n_x + n_p], high[n_x : n_x + n_p] - p) < 1e-7)
-    return dict(
-        x=last[:n_x, 0],
-        u=optimum[len(optimum) - n_u :],
-        p=p,
-        covariance=covariance,
-        at_bounds=at_bounds,
-    )
+    problem = window_problem(robots_model(robot), len(z) - 1)
+    found = problem.solve(z, guess, prior(robot), robot.sigma_v)
+    assert found.solved
+    low, high = limits(robot)
+    at_bounds = np.sum(np.minimum(found.p - low, high - found.p) < 1e-7)
+    newest = dict(x=found.x[:, -1], u=found.u[:, -1], p=found.p)
+    return newest | dict(covariance=problem.covariance(), at_bounds=at_bounds)
 
 
-def window_by_ipopt(robot, guess, z, sigma_w=None, state_bounds=None, dt=DT):
-    """Moving horizon estimation of all samples z (n, n_z), none missing, with states and parameters
-    of each node as unknowns: the newest x, u, p, and the states (n_x, n) of the window.
+def window_by_ipopt(robot, guess, z, sigma_w=None, state_bounds=None):
+    """The optimum of all samples z (n, n_z) with bounds of states: the newest x, u, p, and the
+    states (n_x, n) of the window.
 
     Process noise has the standard deviations sigma_w (n, n_x + n_p), none of them 0, a row for each
-    sample; None: there is none. Bounds of states hold at all nodes, those of parameters at the
-    newest one or, where both change within the window, at all nodes.
+    sample; None: there is none.
     """
-    n_x, n_u, n_p = map(len, (robot.states, robot.inputs, robot.parameters))
-    opti = ca.Opti()
-    s, u = opti.variable(n_x + n_p, len(z)), opti.variable(n_u, len(z))
-    cost = ca.sumsqr((s[:, 0] - guess) / robot.sigma_guess)
-    counts = ~reads_inputs(robot)
-    for k, row in enumerate(z):
-        if k:
-            x, p = s[:n_x, k - 1], s[n_x:, k - 1]
-            missing = s[:, k] - ca.vertcat(runge_kutta(robot, x, u[:, k], p, dt), p)
-            if sigma_w is None:
-                opti.subject_to(missing == 0)
-            else:
-                cost += ca.sumsqr(missing / sigma_w[k])
-        measured = outputs(robot, s[:n_x, k], u[:, k], s[n_x:, k])
-        cost += ca.sumsqr((counts | (k > 0)) * (row - measured) / robot.sigma_v)
-    opti.minimize(cost / 2 + 1e-3 * ca.sumsqr(u[:, 0]))  # the last: no interval ends with it
-    for row, name in enumerate(robot.states):
-        if name in (state_bounds or {}):
-            low, high = state_bounds[name]
-            opti.subject_to(opti.bounded(low, ca.vec(s[row, :]), high))
-    for row, (low, high) in enumerate(limits(robot).T, start=n_x):
-        if np.isfinite([low, high]).any():
-            bounded = s[row, -1] if sigma_w is None or not state_bounds else ca.vec(s[row, :])
-            opti.subject_to(opti.bounded(low, bounded, high))
-    opti.set_initial(s, np.tile(np.array(guess)[:, None], (1, len(z))))
-    inputs = [z[:, robot.outputs.index(name)] for name in robot.inputs if name in robot.outputs]
-    if len(inputs) == n_u:
-        opti.set_initial(u, np.array(inputs))
-    opti.solver("ipopt", IPOPT)
-    solution = opti.solve()
-    found = solution.value(s).reshape(n_x + n_p, -1)
-    u = solution.value(u).reshape(n_u, -1)
-    return dict(x=found[:n_x, -1], u=u[:, -1], p=found[n_x:, -1], states=found[:n_x])
+    model = robots_model(robot, tuple((state_bounds or {}).items()))
+    problem = window_problem(model, len(z) - 1, noisy=sigma_w is not None)
+    of_intervals = None if sigma_w is None else sigma_w[1:]
+    found = problem.solve(z, guess, prior(robot), robot.sigma_v, of_intervals)
+    assert found.solved
+    return dict(x=found.x[:, -1], u=found.u[:, -1], p=found.p, states=found.x)
 
 
 @functools.cache
-def mpc_nlp(robot, intervals=N, dt=DT):
-    """Model predictive control over so many intervals, for IPOPT. Unknowns: the inputs, interval by
-    interval.
-    """
-    n_x, n_u, n_p = map(len, (robot.states, robot.inputs, robot.parameters))
-    u, first, p = ca.SX.sym("u", n_u, intervals), ca.SX.sym("first", n_x), ca.SX.sym("p", n_p)
-    x_ref, u_ref = ca.SX.sym("x_ref", n_x, intervals + 1), ca.SX.sym("u_ref", n_u, intervals)
-    q, qn, r = ca.SX.sym("q", n_x), ca.SX.sym("qn", n_x), ca.SX.sym("r", n_u)
-    cost, x = 0, first
-    for i in range(intervals):
-        cost += ca.dot(r, (u[:, i] - u_ref[:, i]) ** 2)
-        x = runge_kutta(robot, x, u[:, i], p, dt)
-        cost += ca.dot(q if i + 1 < intervals else qn, (x - x_ref[:, i + 1]) ** 2)
-    given = ca.veccat(first, p, x_ref, u_ref, q, qn, r)
-    return ca.nlpsol("mpc", "ipopt", dict(x=ca.vec(u), f=cost / 2, p=given), IPOPT)
-
-
-def mpc_by_ipopt(robot, x, p, x_ref, u_ref, command=None, dt=DT):
-    """The optimal inputs (n_u, N); those that are not commanded stay at their reference."""
-    solver, intervals = mpc_nlp(robot, u_ref.shape[1], dt), u_ref.shape[1]
-    free = [name in (robot.inputs if command is None else command) for name in robot.inputs]
-    bounds = np.array([robot.bounds[name] for name in robot.inputs])
-    low, high = (np.where(np.array(free)[:, None], each[:, None], u_ref) for each in bounds.T)
-    weights = [robot.q, robot.qn_factor * np.array(robot.q), robot.r]
-    solution = solver(
-        x0=flat(np.clip(u_ref, low, high)),
-        lbx=flat(low),
-        ubx=flat(high),
-        p=np.concatenate([flat(each) for each in (x, p, x_ref, u_ref, *weights)]),
+def plan_problem(robot, command):
+    weights = dict(zip(robot.inputs, robot.r))
+    options = dict(
+        model=robots_model(robot),
+        dt=DT,
+        horizon=N,
+        command=command,
+        bounds={name: robot.bounds[name] for name in command},
+        q=robot.q,
+        r=[weights[name] for name in command],
+        qn_factor=robot.qn_factor,
     )
-    assert solver.stats()["return_status"] in SOLVED, solver.stats()["return_status"]
-    return flat(solution["x"]).reshape(intervals, -1).T
+    return PlanProblem(options)
+
+
+def mpc_by_ipopt(robot, x, p, x_ref, u_ref, command=None):
+    """The optimal inputs (n_u, N); those that are not commanded stay at their reference."""
+    found = plan_problem(robot, command or robot.inputs).solve(x, x_ref, p, u_ref)
+    assert found.solved
+    return found.u
 
 
 def mpc_instance(robot, rng, intervals=N):

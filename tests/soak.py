@@ -1,5 +1,6 @@
-"""Soak test: one endless drive over ever-changing fields, with random sensor faults. `make soak
-SAMPLES=10000000` drives 23 days at 5 Hz.
+"""Soak test: one endless drive over ever-changing fields, with random sensor faults.
+
+`python tests/soak.py --samples 10000000` drives 23 days at 5 Hz.
 
 The drive is scanned leg by leg, five minutes each: a leg has its own terrain, noise, tuning and
 faults, a pure function of (seed, leg), and starts from the robot, the estimator and the controller
@@ -142,7 +143,7 @@ def drive(state, base, samples):
         scenario = leg(base, state["seed"], number)
         setup = closed_loop.set_up(scenario)
         functions = compiled.load(closed_loop.build_sample, *setup.structure)
-        stream = closed_loop.noise_and_faults(scenario.seed, scenario.faults, LEG)
+        stream = closed_loop.noise_and_faults(scenario.seed, scenario.faults, LEG, setup.draws)
         while place < LEG and state["done"] < end:
             until = min(place - place % CHECK + CHECK, place + end - state["done"])
             state["memory"], rows = scan.scan(

@@ -1,5 +1,5 @@
 """A long campaign through a storm: workers are killed all the time, the campaign itself once, and
-once the disk is full. `make storm RUNS=100000` runs it for as long as that takes. The workers are
+once the disk is full. `python tests/storm.py --runs 100000` takes 20 minutes. The workers are
 loky's or, with --cluster, those of a Dask cluster on this machine.
 
 Each time the command ends it is given again, as a person would. At the end there must be one row

@@ -1,10 +1,9 @@
-"""Export: an estimator and a controller as self-contained C99 (`make embedded`).
+"""Export: an estimator and a controller as self-contained C99 (`rhec export`).
 
-`phases` selects the CasADi Functions that become C; `c_writer` writes the generated files;
-`ros2_package` puts a ROS 2 package around them, from the templates in the folder `ros2`. The folder
-`c` contains the files that are the same in all exports: the interface rhec.h and rhec.c, and
+`phases` selects the CasADi Functions that become C; `c_writer` writes the generated files. The
+folder `c` contains the files that are the same in all exports: the interface rhec.h and rhec.c, and
 the programs replay.c, times.c, fuzz.c, which only the export of a Scenario receives.
-`rhec.workbench.studies.embedded` compiles and runs an export on this machine and, emulated, on
+`notebooks.further.c_code` compiles and runs an export on this machine and, emulated, on
 64-bit Arm.
 """
 
@@ -21,7 +20,7 @@ import numpy as np
 from rhec.core._casadi.validation import shown
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
-from rhec.embedded import c_writer, phases, ros2_package
+from rhec.embedded import c_writer, phases
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
@@ -36,18 +35,13 @@ LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log, withou
 _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions without a library in C
 _EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
-_EXPORTED_VALUES = dict(
-    controller="rhc",
-    disturbance_observer=False,
-    traction_timing="feedback",
-    yaw_rate_interval="before",
-)
+_EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback", yaw_rate_interval="before")
 _PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 _UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave
 
 
-def export(scenario: Any, folder: str | Path = FOLDER, *, ros2: bool = False) -> Path:
+def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
     """Write an estimator and a controller as self-contained C99.
 
     The folder contains a header, a CMake file, and a README.txt that describes the calls. The
@@ -55,12 +49,10 @@ def export(scenario: Any, folder: str | Path = FOLDER, *, ros2: bool = False) ->
     Python's results.
 
     Args:
-        scenario: rhec.Scenario with qp "structured" and an estimator that needs no truth; a CasADi
-            Function must consist of expressions. Or the rhec.RHE, the rhec.RHC, or a tuple of both,
-            of a rhec.Model.
+        scenario: rhec.Scenario with an estimator that needs no truth; a CasADi Function must
+            consist of expressions. Or the rhec.RHE, the rhec.RHC, or a tuple of both, of a
+            rhec.Model.
         folder: A new or empty folder, or an earlier export, whose files are replaced.
-        ros2: Whether to write a ROS 2 package (ament) with a node around the C of a Scenario. Its
-            README.md lists topics and parameters.
 
     Returns:
         The Path of the folder.
@@ -70,23 +62,15 @@ def export(scenario: Any, folder: str | Path = FOLDER, *, ros2: bool = False) ->
     """
     if not isinstance(folder, str | Path):
         raise ValueError(f"folder was {shown(folder)}; it should be a path")
-    if not isinstance(ros2, bool):
-        raise ValueError(f"ros2 was {shown(ros2)}; it should be True or False")
     folder = Path(folder)
-    mark = Path(ros2_package.IN_C, _MARK) if ros2 else Path(_MARK)
     parts = scenario if isinstance(scenario, tuple) else (scenario,)
     if parts and all(isinstance(part, RHE | RHC) for part in parts):
-        if ros2:
-            raise ValueError(
-                "ros2 was True, which needs a rhec.Scenario: the outputs of a Model have no "
-                "standard messages"
-            )
         texts = _of_model(parts)
-        _check_folder(folder, mark)
+        _check_folder(folder)
     else:
         _check(scenario)
-        _check_folder(folder, mark)
-        texts = _of_scenario(scenario, ros2)
+        _check_folder(folder)
+        texts = _of_scenario(scenario)
     _refuse_folders(folder, texts)
     _write(folder, texts)
     return folder
@@ -101,11 +85,8 @@ def _write(folder, texts):
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as unfinished:
         for name, text in texts.items():
-            file = Path(unfinished, name)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(text, encoding="utf-8")
+            Path(unfinished, name).write_text(text, encoding="utf-8")
         for name in texts:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(Path(unfinished, name), folder / name)
 
 
@@ -132,16 +113,15 @@ def _of_model(parts):
     return texts | _generated(export) | {"README.txt": readme}
 
 
-def _of_scenario(scenario, ros2=False):
-    """{file: text} of the export of a Scenario, or of a ROS 2 package around it."""
+def _of_scenario(scenario):
+    """{file: text} of the export of a Scenario."""
     export = phases.export(scenario)
     texts = _common_files()
     shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
     log = simulate(shorter).log[log_columns(scenario)]
     readme = c_writer.readme(export, texts["README.txt"], samples=len(log), **SIGMA_START)
     example = {"scenario.json": _as_json(scenario), "log.csv": log.to_csv(index=False)}
-    texts |= _generated(export) | example | {"README.txt": readme}
-    return ros2_package.package(texts, export, scenario) if ros2 else texts
+    return texts | _generated(export) | example | {"README.txt": readme}
 
 
 def log_columns(scenario):
@@ -172,7 +152,7 @@ def _check(scenario):
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
     estimator = scenario.estimator
-    obstacle = _obstacle(estimator, scenario.robust)
+    obstacle = _obstacle(estimator)
     if obstacle:
         names = [repr(name) for name in NAMES if not _obstacle(name)]
         raise ValueError(
@@ -187,15 +167,11 @@ def _check(scenario):
                     f"({called.class_name()}); to export, it should consist of expressions"
                 )
     _check_controller(scenario)
-    if scenario.qp != "structured":
-        raise ValueError(
-            f"qp was {scenario.qp!r}, which needs a library; to export, it should be 'structured'"
-        )
 
 
-def _obstacle(estimator, robust=False):
+def _obstacle(estimator):
     """Why an estimator cannot be exported; "" if it can."""
-    described = estimator_of(estimator, robust)
+    described = estimator_of(estimator)
     if described.traction_input not in _EXPORTED:
         return f"which needs the {described.traction_input.value}"
     if described.has_yaw_drift:
@@ -211,12 +187,12 @@ def _check_controller(scenario):
             raise ValueError(f"{name} was {value!r}; to export, it should be {exported!r}")
 
 
-def _check_folder(folder, mark=Path(_MARK)):
+def _check_folder(folder):
     """Raise a ValueError for a folder with other files."""
     reason = None
     if folder.exists() and not folder.is_dir():
         reason = "is a file"
-    elif folder.exists() and not (folder / mark).exists() and _has_other_files(folder):
+    elif folder.exists() and not (folder / _MARK).exists() and _has_other_files(folder):
         reason = "contains other files"
     if reason:
         raise ValueError(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, select_inputs, unpack
+from rhec.core._casadi.build import casadi_function, unpack
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import FIRST_ITERATIONS
 from rhec.core.controller.rhc import build_phases as build_controller
@@ -23,7 +23,6 @@ from rhec.core.solver.pivoting import MAX_SWEEPS
 from rhec.core.solver.rti import IMPROVE
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path
-from rhec.tracked_robot.cautious import build_speed
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
@@ -43,7 +42,6 @@ _SHARED = dict(
     covariance="estimator.covariance",
     estimate="estimate",
     command="omega",
-    command_speed="nu",
     s_next="path.s_next",
     xi_ref="path.xi_ref",
     x_ref="path.xi_ref",
@@ -85,11 +83,11 @@ def export(scenario):
     """Return the Export of a scenario's estimator, controller and path."""
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
-    estimator = estimator_of(choice.estimator, choice.robust)
+    estimator = estimator_of(choice.estimator)
     # An EKF receives the same traction as in the closed loop.
     traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
     settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
-    horizon = horizon_of(scenario.prediction_horizon, scenario.qp)
+    horizon = horizon_of(scenario.prediction_horizon)
     n_segments = len(setup.path.segments)
 
     if estimator.build_phases:
@@ -97,9 +95,6 @@ def export(scenario):
     else:
         estimate = _split_step(estimator.build_step(choice))
     control = build_controller(horizon)
-    if scenario.cautious:
-        speed = build_speed(estimator.states(choice), n_segments, horizon.dt_s)
-        control = _with_speed(control, speed, estimate["feedback"])
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
     reports_accepted = "accepted" in estimate["feedback"].name_out()
     n_z = len(_measured(scenario))
@@ -113,7 +108,7 @@ def export(scenario):
     def first_plan(estimate):
         pose = estimate[:3]
         speed_and_traction = estimate[3:]
-        return plan_init(horizon, pose, speed_and_traction) | dict(speed=estimate[3])
+        return plan_init(horizon, pose, speed_and_traction)
 
     n = len(QUANTITIES)
     start = _Start(first_estimate, "estimate", n)
@@ -172,7 +167,6 @@ def export_model(rhe=None, rhc=None):
             lambda guess: window_init(rhe.window, guess, sigma_guess), "guess", len(guess)
         )
         estimate = build_estimator(rhe.window)
-        del estimate[IMPROVE]  # C has no `solve`
         phases |= _bind_all("estimator", start, estimate, settings, _SHARED_BY_MODEL)
         macros["ESTIMATOR"] = 1, "the export has an estimator"
         macros["ESTIMATE"] = len(model.names), ", ".join(model.names)
@@ -285,46 +279,6 @@ def _split_step(step):
         return dict(memory=memory)
 
     return dict(shift=shift, feedback=feedback)
-
-
-def _with_speed(control, speed, estimate):
-    """Return the phases of an RHC with the speed as a second command.
-
-    They correspond to `cautious.build_step`. The last speed is part of the memory. The next speed
-    is between 0 and the set speed for any content of the memory.
-
-    Args:
-        control: The phases of the RHC.
-        speed: `cautious.build_speed`.
-        estimate: The feedback phase of the estimator.
-    """
-    shift = control["shift"]
-    feedback = control["feedback"]
-
-    @casadi_function("rhec_cautious_shift", ca.MX, speed=(1, 1), **_inputs_of(shift))
-    def shift_speed(speed, **plan):
-        return shift(**plan) | dict(speed=speed)
-
-    # The speed limit is that at the arc length `s_next`; `s` names the trajectory of the RHC.
-    shapes = _inputs_of(speed) | _inputs_of(feedback) | dict(s_next=(1, 1))
-    if "covariance" in estimate.name_out():  # in C, only its nonzeros are passed on
-        shapes["covariance"] = estimate.sparsity_out("covariance")
-
-    @casadi_function("rhec_cautious_feedback", ca.MX, **shapes)
-    def command_both(**inputs):
-        planned = feedback(**select_inputs(feedback, inputs))
-        set_speed = inputs["speed_mps"]
-        last = ca.fmin(ca.fabs(inputs["speed"]), ca.fabs(set_speed))
-        inputs |= dict(s=inputs["s_next"], speed=last)
-        newest = speed(**select_inputs(speed, inputs))["speed"]
-        return planned | dict(speed=newest, command_speed=ca.sign(set_speed) * newest)
-
-    return control | dict(shift=shift_speed, feedback=command_both)
-
-
-def _inputs_of(function):
-    """Return {argument: sparsity} of a Function."""
-    return {name: function.sparsity_in(name) for name in function.name_in()}
 
 
 def closest(n_segments):

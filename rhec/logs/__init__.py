@@ -1,4 +1,4 @@
-"""Recorded logs: readers, plausibility checks, replay, calibration and scores."""
+"""Recorded logs: readers, plausibility checks, replay and calibration."""
 
 from rhec.logs.reader import read
 

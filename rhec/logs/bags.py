@@ -1,6 +1,7 @@
 """ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table with one row for each time stamp."""
 
 import re
+import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,6 @@ import pandas as pd
 
 from rhec.logs import bag_frames
 from rhec.logs.bag_fields import fields_of, listed
-from rhec.logs.cut_bags import CutBag
 from rhec.simulation.columns import TRACKS
 
 SUFFIXES = (".bag", ".db3", ".mcap")
@@ -406,8 +406,7 @@ def read_bag(
 ) -> tuple[pd.DataFrame, dict[str, str]]:
     """The table of a bag, and {property: inferred value}.
 
-    A bag that was cut off is read until there. `.attrs["fields"]` of the table lists the columns
-    that are fields of messages.
+    `.attrs["fields"]` of the table lists the columns that are fields of messages.
 
     Args:
         file: Path of the bag.
@@ -426,25 +425,23 @@ def read_bag(
     # A folder of .bag files is one recording in parts, and so is one without its metadata.
     is_described = (file / "metadata.yaml").is_file()
     whole = [file] if is_described else files
-    default = get_typestore(Stores.LATEST)
     try:
-        with AnyReader(whole, default_typestore=default) as reader:
+        with AnyReader(whole, default_typestore=get_typestore(Stores.LATEST)) as reader:
             return _read(Bag(reader), topics, columns, wheel_radius_m)
     except Exception as error:  # any error that a parser raises for a broken file
         if type(error) is ValueError:
             raise
-        problem = f"{type(error).__name__}: {error}"
-    bag = CutBag(files, default)
-    if not bag.count:
-        raise ValueError(f"{problem}{_remedy(files)}")
-    table, inferred = _read(bag, topics, columns, wheel_radius_m)
-    inferred["file"] = f"{bag.count} messages until it was cut off ({problem}){_remedy(files)}"
-    return table, inferred
+        problem = f"{type(error).__name__}: {error}".rstrip(".")
+        raise ValueError(f"{problem}; {_remedy(file, files)}") from None
 
 
-def _remedy(files):
+def _remedy(file, files):
     """What repairs a bag whose recording was cut off, as the end of a sentence."""
-    commands = {".mcap": "mcap recover", ".bag": "rosbag reindex", ".db3": "ros2 bag reindex"}
-    commands_of = {file.suffix: commands[file.suffix] for file in files}
-    command = next(iter(commands_of.values()), None)
-    return f"; if the recording was cut off, {command} may repair it" if command else ""
+    folder = shlex.quote(str(file if file.is_dir() else file.parent))
+    last = shlex.quote(str(files[-1]))  # the file that was being written
+    commands = {
+        ".bag": f"rosbag reindex {last}",
+        ".db3": f"ros2 bag reindex {folder}",
+        ".mcap": f"mcap recover {last} -o NEW.mcap",
+    }
+    return f"if the recording was cut off, {commands[files[-1].suffix]} may repair it"

@@ -23,11 +23,14 @@ from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import kalman, offline
+from rhec.core.estimator.base import noise_shapes
+from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.core.solver.gauss_newton import symmetric
 from rhec.logs import terms
+from rhec.logs.calibrated import Calibration, is_determined, posterior_covariance
 from rhec.logs.log_checks import refuse_implausible
+from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.recording import DECLARED, prepare, resample
 from rhec.logs.replay import (
     InitialGuess,
@@ -36,7 +39,7 @@ from rhec.logs.replay import (
     refuse_with_model,
     replay_scenario,
 )
-from rhec.logs.smoother import moved_to_sample
+from rhec.logs.smoother import ages_of
 from rhec.simulation.columns import AGE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
@@ -63,9 +66,6 @@ _SIGMA_INPUT = 10.0
 _SETTLED_M = 3.0  # positions count from this distance on, where the yaw has converged
 _N_HEADINGS = 32  # initial yaws that are tried
 _HEADING_M = 15.0  # distance over which they are compared
-_HESSIAN_STEP = 0.1  # in prior standard deviations
-# A log determines a parameter if it reduces the standard deviation below this share of the prior's.
-_DETERMINED = 0.5
 _DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
 _LEAST_POSITIONS = 50
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
@@ -139,80 +139,42 @@ def _model_of(names):
     return sensors.with_sensors("slipping", names).model
 
 
-class Calibration(dict):
-    """Arguments of `rhec.replay` that calibrate it for a log.
+def _correct_by_huber(m, P, z, V, outputs, s_bar):
+    """`kalman.update` in which a position may be an outlier, with Huber's ρ in its deviance.
 
-    They are sigma_v, sigma_w, slip, and lever_arm_m if the log determines it.
-
-    Attributes:
-        report: DataFrame, one row for each parameter: value, bounds `low` and `high` of the 95 %
-            interval, unit, and `determined`, whether the log determines the parameter. Otherwise
-            the value is close to the prior.
-        terms: DataFrame, the same in the terms of ROS: multipliers of wheel separation and radius,
-            effective track width, bias and scale of the gyro, place of the antenna, delay and noise
-            of the positions, each with its 95 % interval (`rhec.logs.terms`).
-        yaml: These for diff_drive_controller and robot_localization.
-        remarks: Sentences, such as that the defaults of `rhec.replay` are kept.
+    That of the position is OUTLIER² ρ(|y|_S / OUTLIER) + log det S, where ρ(r) = r² up to 1, then
+    2r - 1. The other sensors, which count as they are, correct first.
     """
-
-    report: pd.DataFrame
-    terms: pd.DataFrame
-    yaml: str
-    remarks: list[str]
-
-    def __str__(self) -> str:
-        undetermined = list(self.report.index[~self.report["determined"]])
-        summary = "The log determines all parameters."
-        if undetermined:
-            summary = f"The log does not determine: {', '.join(undetermined)}."
-        report, in_terms = (
-            table.to_string(float_format="{:.4g}".format) if len(table) else ""
-            for table in (self.report, self.terms)
-        )
-        return "\n".join([report, summary, "", in_terms, *self.remarks]).rstrip("\n")
+    place = outputs[:2]
+    m, P, _, _, deviance, _ = kalman.update(m, P, z, V, outputs[2:], s_bar)
+    # Distance of the position from the predicted one, in units of OUTLIER standard deviations.
+    y = z[:2] - m[:2]
+    S = P[:2, :2] + ca.diag(V[:2])
+    is_used = place[0].is_valid(z) * place[1].is_valid(z)
+    far = ca.if_else(is_used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / OUTLIER, 0)
+    loss = OUTLIER**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
+    # Huber's loss gives an outlier the weight of a measurement with this larger variance.
+    updated = kalman.update(m, P, z, V * ca.fmax(far, 1) ** 2, place, m)
+    return updated._replace(deviance=ca.if_else(is_used, loss, 0) + deviance)
 
 
-def _build_filter(outlier, names):
+def _build_filter(names):
     """The scan of a Kalman filter whose positions may be outliers, of a robot with these sensors.
 
     Its step takes z_N (n_z + 1,), with the age of the position [s] as last entry, and V, c, W. It
-    records the mean of the joint state, the variances, and the loss of the measurements: that of
-    the position, 2 ρ(|y|_S) + log det S with Huber's ρ, and the deviance of the sensors.
+    records the mean of the joint state, the variances, and the loss of the measurements.
     """
     model = _model_of(names)
-    interval = base.interval(model)
-    constants = model.motion_noise.constants
     n_z = len(model.outputs)
-    place = interval.outputs[:2]
-    others = interval.outputs[2:]
-    n_s = interval.n_s
-    n_v = interval.n_v
-    shapes = dict(m=(n_s, 1), P=(n_s, n_s), v=(n_v, 1), started=(1, 1))
-    settings = dict(z_N=(n_z + 1, 1), V=(n_z, 1), c=(len(constants), 1), W=(n_s, 1))
+    filtering = Filter(base.interval(model), paper.DT_S, _correct_by_huber)
+    shapes = dict(z_N=(n_z + 1, 1), noise=noise_shapes(model), W=(model.n_s, 1))
 
-    @with_packed_memory("calibrated", shapes, ca.SX, **settings)
-    def step(m, P, v, started, z_N, V, c, W):
-        v, R_v = interval.input_noise(z_N, v, V, c)
-        F, D, B = interval.linearised(m, v, paper.DT_S)
-        A = interval.A_0 + D
-        W = interval.process_noise(v, W, paper.DT_S, c)
-        P_predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
-        z = moved_to_sample(interval, F, m, v, started, z_N)
-        m = ca.if_else(started, F, m)
-        P = ca.if_else(started, P_predicted, P)
-        m, P, _, _, deviance, _ = kalman.update(m, P, z, V, others, m)
-        # Distance of the position from the predicted one, in units of OUTLIER standard deviations.
-        y = z[:2] - m[:2]
-        S = P[:2, :2] + ca.diag(V[:2])
-        is_used = place[0].is_valid(z) * place[1].is_valid(z)
-        far = ca.if_else(is_used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / outlier, 0)
-        loss = outlier**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
-        # Huber's loss gives an outlier the weight of a measurement with this larger variance.
-        V = V * ca.fmax(far, 1) ** 2
-        m, P, *_ = kalman.update(m, P, z, V, place, m)
-        loss = ca.if_else(is_used, loss, 0) + deviance
-        recorded = dict(estimate=m, variances=ca.diag(P), loss=loss)
-        return recorded | dict(m=m, P=P, v=v, started=1)
+    @with_packed_memory("calibrated", filtering.memory_shapes, ca.SX, **shapes)
+    def step(z_N, noise, W, **memory):
+        ages_s = ages_of(z_N[n_z], n_z)
+        after = filtering.sample(z_N[:n_z], Noise(W=W, **noise), **memory, ages_s=ages_s)
+        recorded = dict(estimate=after.m, variances=ca.diag(after.P), loss=after.deviance)
+        return recorded | after.memory
 
     return offline.build(step, ["estimate", "variances", "loss"])
 
@@ -265,7 +227,7 @@ def _filtered(z, x, yaw_rad, robot):
         v=np.zeros(len(model.inputs)),
         started=0.0,
     )
-    functions = compiled.load(_build_filter, OUTLIER, robot.sensors)
+    functions = compiled.load(_build_filter, robot.sensors)
     settings = estimator_of("rhe").settings(scenario)
     return offline.run(functions, pack_array(memory), z, settings)
 
@@ -352,31 +314,6 @@ def _search(segments, robot):
     return x, yaws, segments, False
 
 
-def posterior_covariance(objective, x):
-    """H⁻¹ of the objective's Hessian H at its minimum x, by finite differences, at most the prior.
-
-    The Hessian of the prior is the identity, so eigenvalues of H below 1 are numerical errors.
-    """
-    n = len(x)
-    h = _HESSIAN_STEP
-    steps = h * np.eye(n)
-    center = objective(x)
-    ahead = np.array([objective(x + step) for step in steps])
-    behind = np.array([objective(x - step) for step in steps])
-    H = np.diag((ahead - 2 * center + behind) / h**2)
-    for i, j in zip(*np.triu_indices(n, 1)):
-        both = objective(x + steps[i] + steps[j])
-        H[i, j] = (both - ahead[i] - ahead[j] + center) / h**2
-        H[j, i] = H[i, j]
-    values, vectors = np.linalg.eigh(H)
-    return vectors / np.clip(values, 1.0, None) @ vectors.T
-
-
-def is_determined(deviation):
-    """Whether a log determines parameters with these deviations, in units of the prior's."""
-    return deviation < _DETERMINED
-
-
 @checked
 def calibrate(
     log: Any,
@@ -460,8 +397,6 @@ def calibrate(
 
 def _with_model(log, model, delays_s, arguments, of_robot):
     """The Calibration of a Model, which takes none of the three arguments of a robot."""
-    from rhec.logs.model_calibration import calibrate_model  # it needs this module
-
     names = ("track_width_m", "position_delay_s", "trust_log")
     refuse_with_model(**dict(zip(names, of_robot)))
     return calibrate_model(log, model, delays_s, arguments)
@@ -663,7 +598,7 @@ def _report(x, deviation, arm, sigma_arm, names):
             low=_values(x - 1.96 * deviation, names),
             high=_values(x + 1.96 * deviation, names),
             unit=[unknown.unit for unknown in unknowns],
-            determined=deviation < _DETERMINED,
+            determined=is_determined(deviation),
         ),
         index=[unknown.name for unknown in unknowns],
     )

@@ -19,13 +19,13 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import kalman, offline
-from rhec.core.estimator.base import joint_guess, noise_of
+from rhec.core.estimator.base import joint_guess, noise_of, noise_shapes
 from rhec.core.estimator.ekf import EKF
+from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.estimator.innovation_gate import ROBUST
 from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.core.solver.gauss_newton import symmetric
-from rhec.logs.calibration import Calibration, is_determined, posterior_covariance
+from rhec.logs.calibrated import Calibration, is_determined, posterior_covariance
 from rhec.logs.recording import Recording, prepare_for, resample
 
 _PRIOR = np.log(3.0)  # standard deviation of the logarithm of a standard deviation
@@ -34,57 +34,37 @@ _PASSED_ON = ("horizon", "arrival_mean", "robust")
 _LEAST_SAMPLES = 50  # with measurements
 
 
-def _moved(interval, F, m, v, dt_s, z, ages_s, started):
-    """The measurements z moved by what the model did since they were made.
+def _correct_robustly(m, P, z, V, outputs, s_bar):
+    """`kalman.update` in which a sample may be an outlier, which counts less in its deviance.
 
-    z_k + h_k(F) - h_k(state at dt - age_k) of each output k, with its age in ages_s (n_z,).
+    That is c ρ(d/c) + log det S with d = y' S⁻¹ y, the limit c of d, and ρ(r) = r up to 1, then
+    1 + log r.
     """
-    moved = ca.vertsplit(z)
-    for output in interval.outputs:
-        age_s = ages_s[output.row]
-        then = interval.step(m, v, dt_s - age_s)
-        since = started * (output.h(F) - output.h(then))
-        moved[output.row] += ca.if_else(age_s > 0, since, 0)
-    return ca.vertcat(*moved)
+    limit = float(chi2.isf(ROBUST, max(len(outputs), 1)))
+    plain = kalman.update(m, P, z, V, outputs, s_bar)
+    far = plain.distance / limit
+    loss = limit * ca.if_else(far < 1, far, 1 + ca.log(ca.fmax(far, 1)))
+    loss += plain.deviance - plain.distance
+    # This loss gives an outlier the weight of a measurement with a variance larger by d/c.
+    updated = kalman.update(m, P, z, V * ca.fmax(far, 1), outputs, s_bar)
+    return updated._replace(deviance=loss)
 
 
 def _build_filter(model, dt_s):
     """The scan of a Kalman filter that counts outliers less.
 
     Its step takes the measurements z and, in the same vector, their ages [s]. It records the mean
-    of the joint state, its variances, and the loss of the sample's outputs:
-    c ρ(d/c) + log det S with d = y' S⁻¹ y, the limit c of d, and ρ(r) = r up to 1, then 1 + log r.
+    of the joint state, its variances, and the loss of the sample's outputs.
     """
-    interval = base.interval(model)
     n_z = len(model.outputs)
-    n_s = interval.n_s
-    limit = float(chi2.isf(ROBUST, max(len(interval.outputs), 1)))
-    memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(interval.n_v, 1), started=(1, 1))
-    noise = dict(V=(n_z, 1))
-    if model.motion_noise:
-        noise["c"] = (len(model.motion_noise.constants), 1)
-    shapes = dict(z_N=(2 * n_z, 1), noise=noise, W=(n_s, 1))
+    filtering = Filter(base.interval(model), dt_s, _correct_robustly)
+    shapes = dict(z_N=(2 * n_z, 1), noise=noise_shapes(model), W=(model.n_s, 1))
 
-    @with_packed_memory("calibrated_model", memory, ca.SX, **shapes)
-    def step(m, P, v, started, z_N, noise, W):
-        z = z_N[:n_z]
-        v, R_v = interval.input_noise(z, v, **noise)
-        F, D, B = interval.linearised(m, v, dt_s * started)
-        A = interval.A_0 + D
-        Q = symmetric(B @ ca.diag(R_v) @ B.T)
-        Q += ca.diag(interval.process_noise(v, W, dt_s, noise.get("c")))
-        z = _moved(interval, F, m, v, dt_s, z, z_N[n_z:], started)
-        m = ca.if_else(started, F, m)
-        P = ca.if_else(started, symmetric(A @ P @ A.T) + Q, P)
-        V = noise["V"]
-        plain = kalman.update(m, P, z, V, interval.outputs, m)
-        far = plain.distance / limit
-        loss = limit * ca.if_else(far < 1, far, 1 + ca.log(ca.fmax(far, 1)))
-        loss += plain.deviance - plain.distance
-        # This loss gives an outlier the weight of a measurement with a variance larger by d/c.
-        updated = kalman.update(m, P, z, V * ca.fmax(far, 1), interval.outputs, m)
-        recorded = dict(estimate=updated.m, variances=ca.diag(updated.P), loss=loss)
-        return recorded | dict(m=updated.m, P=updated.P, v=v, started=1)
+    @with_packed_memory("calibrated_model", filtering.memory_shapes, ca.SX, **shapes)
+    def step(z_N, noise, W, **memory):
+        after = filtering.sample(z_N[:n_z], Noise(W=W, **noise), **memory, ages_s=z_N[n_z:])
+        recorded = dict(estimate=after.m, variances=ca.diag(after.P), loss=after.deviance)
+        return recorded | after.memory
 
     return offline.build(step, ["estimate", "variances", "loss"])
 

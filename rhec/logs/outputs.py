@@ -1,4 +1,4 @@
-"""Files of a replay: tables of the estimates, paths for the tool `evo`, and scores as text."""
+"""Files of a replay: tables of the estimates, and paths for the tool `evo`."""
 
 import json
 from pathlib import Path
@@ -95,14 +95,3 @@ def _write_path(file, estimates, x, y, yaw_rad):
     )
     path = path.dropna(subset=[x, y]).drop_duplicates("t_s")
     np.savetxt(file, path, fmt="%.9f")
-
-
-def write_scores(table, remarks, folder):
-    """Write scores.txt: the RHE's means of `replay_table`, then the remarks of a replay."""
-    rows = table[table["estimator"] == "RHE"]
-    lines = [
-        f"{row.quantity}: {row.mean:.4g} [{row.low:.4g}, {row.high:.4g}]"
-        for row in rows.itertuples()
-    ]
-    title = f"RHE, mean and 95 % interval over {rows['n'].max()} noise seeds:"
-    (folder / "scores.txt").write_text("\n".join([title, *lines, *remarks, ""]), encoding="utf-8")

@@ -71,10 +71,11 @@ def read(
         10 km. `.attrs["inferred"]` lists what was inferred. `.attrs["origin"]` has the latitude,
         longitude [deg] and altitude [m] of the first position, if the log has them.
         `.attrs["lever_arm_m"]` has the place of the antenna ahead and left of base_link [m], if
-        /tf_static in the bag tells it. A bag that was cut off is read until there.
+        /tf_static in the bag tells it.
 
     Raises:
-        ValueError: If the file cannot be read, or if it lacks the topics or columns.
+        ValueError: If the file cannot be read, or if it lacks the topics or columns. For a bag that
+            was cut off it names the command that may repair it.
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"log was {shown(path)}; it should be a path")

@@ -7,8 +7,7 @@ last estimate and the encoders.
 
 Each row of the log receives the estimate of the last sample before it, predicted to the time of the
 row with the encoder measurements in between. Later measurements do not change the estimate of a
-row, except by what the whole log is asked for: the track width, the noise of the positions and side
-slip that lasts.
+row, except by what the whole log is asked for: the track width and the noise of the positions.
 """
 
 import warnings
@@ -28,7 +27,6 @@ from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
-from rhec.logs import side_slip
 from rhec.logs.log_checks import refuse_implausible
 from rhec.logs.lost import is_lost, remarks
 from rhec.logs.position_noise import position_sigma_m
@@ -186,7 +184,7 @@ def _recorded(choice, outputs, z):
     An estimator without flags uses all valid measurements, converges and never restarts.
     """
     nan = ca.DM.nan(1)
-    states = estimator_of(choice.estimator, choice.robust).states(choice)
+    states = estimator_of(choice.estimator).states(choice)
     estimate = dict(zip(QUANTITIES, ca.vertsplit(outputs["estimate"])))
     sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
     quantities = quantities_of(choice.sensors)
@@ -282,7 +280,7 @@ def first_memory(scenario, pose, nu, first=_UNKNOWN):
     if first.lever_arm_m is not None:
         sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
     choice = Choice.of(scenario)
-    estimator = estimator_of(choice.estimator, choice.robust)
+    estimator = estimator_of(choice.estimator)
     named = dict(zip(quantities_of(scenario.sensors), guess))
     return np.append(pack_array(estimator.init(choice, named, sigma)), guess)
 
@@ -290,7 +288,7 @@ def first_memory(scenario, pose, nu, first=_UNKNOWN):
 def settings_of_replay(scenario):
     """The settings of `build_replay` by name, and more."""
     choice = Choice.of(scenario)
-    settings = estimator_of(choice.estimator, choice.robust).settings(scenario)
+    settings = estimator_of(choice.estimator).settings(scenario)
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
     return settings | dict(traction=np.ones(2))
 
@@ -435,32 +433,6 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
-
-
-def _with_side_slip(recording, scenario, first, smooth):
-    """`estimate_samples` with the lasting side slip that the log shows, and its angle [rad].
-
-    The standard deviation of the yaw contains that of the angle, unless a heading measures the yaw.
-    """
-
-    def estimate(scenario, smooth=False):
-        return estimate_samples(recording, scenario, first, smooth=smooth)
-
-    samples = estimate(scenario, smooth)
-    if not side_slip.is_asked(scenario):
-        return samples, 0.0
-    slipping_scenario = side_slip.likeliest(samples, scenario, estimate)
-    if slipping_scenario is None:
-        return samples, 0.0
-    with_slip = estimate(slipping_scenario, smooth)
-    sigma_m = sigma_v_of(scenario)[0]
-    angle_rad = side_slip.slip_angle_rad(_with_checked_gyro(with_slip), sigma_m)
-    if angle_rad > side_slip.LARGEST_RAD:
-        return samples, 0.0
-    if "heading" in scenario.sensors:
-        return with_slip, 0.0
-    with_slip["sigma_theta_rad"] = np.hypot(with_slip["sigma_theta_rad"], angle_rad)
-    return with_slip, angle_rad
 
 
 def _first_yaw(first, number, samples):
@@ -633,9 +605,8 @@ def replay(
             may be measured in different rows and at different rates; a measured input is the mean
             since its previous measurement. `rhec.logs.recording` describes the
             treatment of faults of real logs.
-        estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf",
-            "yaw_drift_rhe", "map_ekf" (without a map) or a CasADi Function, as in Scenario. With a
-            model "rhe" or "ekf".
+        estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf" or
+            a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
             sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean, robust.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
@@ -703,7 +674,7 @@ def replay(
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
-    samples, slip_angle_rad = _with_side_slip(recording, scenario, first, smooth)
+    samples = estimate_samples(recording, scenario, first, smooth=smooth)
     names = scenario.sensors
     predict = predictor(model_of(Choice.of(scenario)), quantities_of(names))
     means = [*MEASUREMENTS[2:], *([SENSORS["gyro"]] if "gyro" in names else [])]
@@ -713,8 +684,6 @@ def replay(
     if "origin" in log.attrs:
         result.attrs["origin"] = log.attrs["origin"]
     result.attrs["remarks"] = remarks(samples, is_arm_estimated, scenario.slip)
-    if slip_angle_rad:
-        result.attrs["remarks"].append(side_slip.remark(slip_angle_rad))
     if samples["lost"].any():
         warnings.warn(result.attrs["remarks"][0], stacklevel=3)
     return result
@@ -792,7 +761,7 @@ def replay_scenario(estimator, recording, fields):
             fields["sigma_v"] = _sigma_v_of_log(recording)
     _refuse_missing_sensors(fields.get("sensors", ()), recording)
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
-    if not _runs_without_truth(scenario.estimator, scenario.robust):
+    if not _runs_without_truth(scenario.estimator):
         names = [repr(name) for name in NAMES if _runs_without_truth(name)]
         raise ValueError(
             f"estimator was {estimator!r}; a replay takes {', '.join(names)} or a CasADi Function: "
@@ -824,6 +793,6 @@ def _refuse_missing_sensors(names, recording):
             )
 
 
-def _runs_without_truth(estimator, robust=False):
+def _runs_without_truth(estimator):
     """Whether an estimator needs no truth, such as the traction."""
-    return estimator_of(estimator, robust).traction_input is TractionInput.NONE
+    return estimator_of(estimator).traction_input is TractionInput.NONE

@@ -13,9 +13,10 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import kalman, offline
+from rhec.core.estimator import offline
+from rhec.core.estimator.base import noise_shapes
+from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model import base
-from rhec.core.solver.gauss_newton import symmetric
 from rhec.tracked_robot.sensors import with_sensors
 
 _ITERATIONS = 3
@@ -25,21 +26,9 @@ _CORRELATED = 1.4
 _LEAST_VARIANCE = 1e-14  # of predicted states, so that their covariance has an inverse
 
 
-def moved_to_sample(interval, F, s, v, started, z_and_age):
-    """The measurements z with the position moved by what the robot drove since it was measured.
-
-    Args:
-        interval: The model's shooting interval.
-        F: The joint state at the sample, predicted from s.
-        s: The joint state one interval earlier.
-        v: The inputs of the interval.
-        started: 0 before the first sample, else 1.
-        z_and_age: z, followed by the age of its position [s].
-    """
-    z = z_and_age[:-1]
-    age_s = z_and_age[-1]
-    since = started * (F - interval.step(s, v, paper.DT_S - age_s))[:2]
-    return ca.vertcat(z[:2] + ca.if_else(age_s > 0, since, 0), z[2:])
+def ages_of(age_s, n_z):
+    """Ages (n_z,) of the measurements, of which only the position is late, by age_s [s]."""
+    return ca.vertcat(age_s, age_s, ca.SX.zeros(n_z - 2))
 
 
 def _build_filter(speed_model, names):
@@ -49,31 +38,20 @@ def _build_filter(speed_model, names):
     V, c, W; and the joint states s_before and s_now of the trajectory at both ends of the interval.
     """
     model = with_sensors(speed_model, names).model
-    interval = base.interval(model)
     n_z = len(model.outputs)
-    n_s = interval.n_s
-    noise = dict(V=(n_z, 1))
-    if model.motion_noise:
-        noise["c"] = (len(model.motion_noise.constants), 1)
-    memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(interval.n_v, 1), started=(1, 1))
-    streamed = dict(s_before=(n_s, 1), s_now=(n_s, 1))
-    shapes = dict(z_N=(n_z + 1, 1), noise=noise, W=(n_s, 1), **streamed)
+    kalman = Filter(base.interval(model), paper.DT_S)
+    streamed = dict.fromkeys(["s_before", "s_now"], (model.n_s, 1))
+    shapes = dict(z_N=(n_z + 1, 1), noise=noise_shapes(model), W=(model.n_s, 1), **streamed)
 
-    @with_packed_memory("smoothed", memory, ca.SX, **shapes)
-    def step(m, P, v, started, z_N, noise, W, s_before, s_now):
-        v, R_v = interval.input_noise(z_N, v, **noise)
-        F, D, B = interval.linearised(s_before, v, paper.DT_S)
-        A = interval.A_0 + D
-        W = interval.process_noise(v, W, paper.DT_S, noise.get("c"))
-        m_predicted = F + A @ (m - s_before)
-        P_predicted = symmetric(A @ P @ A.T + B @ ca.diag(R_v) @ B.T) + ca.diag(W)
-        m_predicted = ca.if_else(started, m_predicted, m)
-        P_predicted = ca.if_else(started, P_predicted, P)
-        z = moved_to_sample(interval, F, s_before, v, started, z_N)
-        updated = kalman.update(m_predicted, P_predicted, z, noise["V"], interval.outputs, s_now)
-        recorded = dict(m_predicted=m_predicted, P_predicted=P_predicted, A=A)
-        following = dict(m=updated.m, P=updated.P, v=v, started=1)
-        return dict(estimate=updated.m) | recorded | dict(covariance=updated.P) | following
+    @with_packed_memory("smoothed", kalman.memory_shapes, ca.SX, **shapes)
+    def step(z_N, noise, W, s_before, s_now, **memory):
+        ages_s = ages_of(z_N[n_z], n_z)
+        noise = Noise(W=W, **noise)
+        after = kalman.sample(
+            z_N[:n_z], noise, **memory, ages_s=ages_s, trajectory=(s_before, s_now)
+        )
+        predicted = dict(m_predicted=after.m_predicted, P_predicted=after.P_predicted, A=after.A)
+        return dict(estimate=after.m, covariance=after.P) | predicted | after.memory
 
     outputs = ["estimate", "covariance", "m_predicted", "P_predicted", "A"]
     return offline.build(step, outputs, [*streamed])

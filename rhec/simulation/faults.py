@@ -24,7 +24,6 @@ def stream_shapes(n_sensors=0):
     return dict(age=(n, 1), hold=(n, 1), dead=(n, 1), added=(4 + n_sensors, 1))
 
 
-MEMORY = memory_shapes()
 STREAM = stream_shapes()
 KINDS = (
     "missing",

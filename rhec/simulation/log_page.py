@@ -67,7 +67,7 @@ _TABLE = (
     ("error_true_m", "m", "distance from the true position to the path", _RUN),
     # The solvers
     ("kkt_rhe", "", "KKT tolerance of the RHE (R12); NaN for other estimators", _BOTH),
-    ("kkt_rhc", "", "KKT tolerance of the RHC (R12)", _RUN),
+    ("kkt_rhc", "", "KKT tolerance of the RHC (R12); 0 for a controller without one", _RUN),
     ("deviance", "", "-2 log likelihood of the measurement, up to a constant", _BOTH),
     ("ok", "", "whether the QPs were solved (1), and the plain RHE rejected no position", _BOTH),
     (

@@ -1,8 +1,4 @@
-"""A finished run: its metrics, its log, and what it shows of itself.
-
-The simulation draws nothing and imports nothing of the workbench. The function that draws a run,
-`rhec.workbench.plots.one_run.overview`, is set by the public face, as `Run._draw`.
-"""
+"""A finished run: its metrics, its log, and what it shows of itself."""
 
 import functools
 from dataclasses import dataclass
@@ -17,10 +13,6 @@ from rhec.tracked_robot.terrain import Terrain
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-
-def _without_face(run: "Run", with_band: bool) -> "Figure":
-    raise NotImplementedError("the picture of a run is drawn where it comes from `import rhec`")
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,9 +32,6 @@ class Run:
     path: Path
     terrain: Terrain
     columns: dict[str, np.ndarray]
-
-    # The public face puts the workbench's picture in its place.
-    _draw = staticmethod(_without_face)
 
     @functools.cached_property
     def log(self) -> "pd.DataFrame":
@@ -75,4 +64,8 @@ class Run:
         Returns:
             A matplotlib Figure.
         """
-        return self._draw(self, with_band=True)
+        # Imported here, because most runs are never drawn.
+        from rhec.plot import overview
+        from rhec.simulation.offline import sigma_of_traction
+
+        return overview(self, sigma_of_traction(self))

@@ -4,6 +4,7 @@ import base64
 import html
 import io
 
+from rhec.plot import overview
 from rhec.simulation.log_page import METRICS
 
 
@@ -15,7 +16,7 @@ def html_of(run):
     )
     picture = io.BytesIO()
     # Without the band, since a result of a cell must not wait for a compiler.
-    run._draw(run, with_band=False).savefig(picture, format="png", dpi=100)
+    overview(run).savefig(picture, format="png", dpi=100)
     data = base64.b64encode(picture.getvalue()).decode()
     return (
         f"<p><code>{html.escape(repr(run.scenario))}</code></p>"

@@ -1,6 +1,8 @@
 """A scenario: every choice behind one closed-loop run, validated (docs/interpretations.md).
 
-`scenario_fields` says what each field means."""
+The text below each field says what it means, with its unit in brackets; what values it takes, its
+annotation says. `scenario_fields` makes Scenario's help, and menus, of both.
+"""
 
 from typing import Annotated, Literal
 
@@ -11,93 +13,182 @@ from pydantic import SkipValidation
 from rhec import paper
 from rhec.core._casadi import validation as valid
 from rhec.core.estimator.rhe import ArrivalMean
+from rhec.simulation.controller import Controller, check_fits
 from rhec.simulation.faults import SENSOR_CHANNELS, Fault, as_python
 from rhec.simulation.validated import validated
 from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.path import Path
-from rhec.tracked_robot.soil_map import SoilMap
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain
 
 
 @validated
 class Scenario:
+    # The estimator
+
     # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
     estimator: Annotated[EstimatorName | ca.Function, SkipValidation] = "rhe"
+    """The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true pose and traction);
+    "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
+    "traction_oracle" (an EKF with the true traction), "fixed_traction" (an EKF with the mean
+    traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE with
+    μ = κ = 1); "yaw_drift_ekf" (a bounded EKF that also estimates how much the robot turns for each
+    metre without a yaw rate of its tracks, which the controller cancels); "drift_oracle" (an EKF
+    with the true traction and yaw drift). Or a CasADi Function (memory, z) -> (memory, estimate),
+    whose memory starts as the first guess (x, y, θ, ν, μ, κ) followed by zeros."""
     process_noise: options.ProcessNoise = "printed"
+    """W by name. "printed" is the paper's; "calibrated" is the likeliest for training seeds (R1,
+    R2); "consistent" makes the covariance of the RHE match its errors, and sets sigma_v and
+    arrival_mean, too, where these are None."""
     sigma_w: tuple[valid.NotNegative, ...] | None = None
+    """Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
+    where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model
+    "slipping"; with the yaw drift in rad/m last where that is estimated."""
     sigma_v: options.SigmaV | None = None
+    """Measurement noise that the estimator assumes, standard deviations of (x, y, ν, ω) [m, m, m/s,
+    rad/s]."""
     estimation_horizon: valid.Intervals = paper.HORIZON
+    """Intervals of the estimation window. N intervals have N + 1 nodes, so 14 gives the paper's sum
+    of N = 15 terms (R5)."""
     speed_model: options.SpeedModel = "parameter"
+    """How the RHE models ν. "parameter": one ν over the window, as in the paper; "input": one ν an
+    interval, from the encoders (R6, R13); "slipping": the same, with process noise that grows with
+    the distance of the tracks, also sideways, which is not in the paper."""
     slip: options.Slip | None = None
+    """Constants of the speed model "slipping", in the order of `tuning.SLIP`; a sixth is that of
+    slip to the side that lasts, `tuning.LASTING_SLIP`."""
     arrival_mean: ArrivalMean | None = None
+    """Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as in the
+    paper; "filtered": from the EKF update (R7); None: the one that fits process_noise."""
     robust: valid.Flag = False
+    """Whether measurements that contradict others get less weight; for "rhe"."""
     yaw_rate_interval: Literal["before", "after"] = "before"
-    soil_map: Annotated[SoilMap | None, SkipValidation] = None
+    """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
+    sample; "after": to the one that begins there, so that the estimator is passed it, and the log
+    holds it, one sample later (R16)."""
     sensors: options.Sensors = ()
+    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
     sigma_gyro: options.SigmaGyro | None = None
+    """Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and as a
+    share of the yaw rate of the tracks."""
     sigma_heading: valid.Positive | None = None
+    """Noise of the heading that the estimator assumes, standard deviation [rad]."""
+
+    # The controller
 
     q: options.Weights = paper.Q3
+    """Diagonal of the weight Q_k, eq. (22), of (x, y, θ)."""
     r: valid.Positive = paper.R
-    r_speed: valid.Positive = 0.0066
+    """Weight R of the yaw rate, eq. (22)."""
     qn_factor: valid.NotNegative = paper.QN_FACTOR
+    """Weight of the last node over the others, Q_N = qn_factor · Q_k."""
     omega_max_radps: valid.Positive = paper.OMEGA_MAX_RADPS
+    """Bound on the commanded yaw rate, eq. (16) [rad/s]."""
     prediction_horizon: valid.Intervals = paper.HORIZON
+    """Intervals of the prediction."""
     look_ahead_m: valid.NotNegative = 0.0
+    """How far beyond the closest point of the path the desired points begin [m]."""
     input_reference: Literal["measured", "curvature"] = "measured"
+    """Desired yaw rate. "measured": the measured one over the horizon, as in the paper;
+    "curvature": the one that the path's curvature asks for (R8)."""
     command_delay: Literal[0, 1] = 0
+    """0: the command computed at t_k is applied at once; 1: one sample later (R10)."""
     traction_timing: Literal["feedback", "sample_before", "prepared_anew"] = "feedback"
-    qp: options.Solver = "structured"
-    controller: options.Controller = "rhc"
-    disturbance_observer: valid.Flag = False
-    observer_time_s: valid.Positive = 2.0
-    cautious: valid.Flag = False
-    caution: valid.NotNegative = 0.25
+    """When ν̂, μ̂ and κ̂ reach the RHC. "feedback": those of the newest sample act through the
+    linearised model; "sample_before": the preparation uses those of the sample before;
+    "prepared_anew": the preparation waits for those of the newest sample (R15)."""
+    controller: Annotated[Literal["rhc"] | Controller, SkipValidation] = "rhc"
+    """The paper's "rhc", or one's own, a rhec.Controller, which takes what it likes of the fields
+    above and of what the loop knows."""
+
+    # The drive
 
     # A track saturates at 1.5 m/s, and the outer one is faster in a curve.
     speed_mps: Annotated[valid.Positive, Limits(le=1.4)] = paper.SPEED_MPS
+    """Set speed [m/s]."""
     duration_s: Annotated[valid.Positive, Limits(ge=paper.DT_S, le=1e6)] = 240.0
+    """Length of the run [s]."""
     backwards: valid.Flag = False
+    """Whether the robot drives in reverse, λ = 1 in eq. (18) (R9)."""
     path: Annotated[Path | None, SkipValidation] = None
+    """Path to follow. None: two rows that half circles join on the headlands."""
     row_length_m: Annotated[valid.Positive, Limits(le=1e4)] = paper.ROW_LENGTH_M
+    """Length of each of these two rows [m]."""
     headland_radius_m: Annotated[valid.Positive, Limits(ge=1e-3, le=1e3)] = paper.HEADLAND_RADIUS_M
+    """Radius of these half circles [m]."""
     start_offset_m: valid.Real = paper.START_OFFSET_M
+    """Where the robot starts, to the left of the path's beginning (R3) [m]."""
     start_yaw_rad: valid.Real = 0.0
+    """Yaw at the start relative to the path [rad]."""
     guess_yaw_rad: valid.Real = 0.0
+    """Error of the estimator's first guess of the yaw [rad]."""
 
-    # Soil, ground and sensors: the centre of the posterior under the paper's numbers
-    # (`workbench.studies.inverse.centre`, notebook 12_which_worlds). The world that was the default
-    # before is rhec.WORLDS["former"].
+    # The field. Soil, ground and sensors are the centre of the posterior under the paper's numbers
+    # (notebook 07_which_worlds). `rhec.WORLDS` has other worlds.
+
     terrain: Annotated[Terrain | None, SkipValidation] = None
+    """Traction of the soil. None: random fields with the following statistics."""
     mu_mean: options.Traction = 0.975
+    """Mean of μ."""
     mu_deviation: valid.NotNegative = 0.008
+    """Standard deviation of μ over the field."""
     kappa_mean: options.Traction = 0.96
+    """Mean of κ."""
     kappa_deviation: valid.NotNegative = 0.013
+    """Standard deviation of κ over the field."""
     # Shorter ones than the grid's cells, 0.5 m, cannot be seen.
     correlation_length_m: Annotated[valid.Positive, Limits(ge=0.5)] = 4.0
+    """Correlation length of the traction [m]."""
     patches: tuple[Patch, ...] = ()
+    """Discs of sudden change, ((x, y, radius, μ, κ), …) [m, m, m, -, -]."""
     soil_under: Literal["centre", "tracks"] = "tracks"
+    """Where the soil is looked up. "centre": for both tracks below the robot's middle, as in the
+    paper; "tracks": for each track below its own middle."""
     slip_difference: Annotated[valid.Real, Limits(ge=-1, le=1)] = 0.005
+    """Share by which the left track slips more than the right one, everywhere: d in
+    μ_l = μ (1 - d/2), μ_r = μ (1 + d/2), where the latter is at most 1."""
+
+    # The sensors
 
     gnss_sigma_m: valid.NotNegative = 0.018
+    """Standard deviation of the GNSS position's error [m]."""
     gnss_slow_share: Annotated[valid.NotNegative, Limits(le=1)] = 0.55
+    """Share of the variance of that error that varies slowly (R4)."""
     gnss_slow_time_s: valid.Positive = 170.0
+    """Time constant of the slow part (R4) [s]."""
     encoder_sigma_mps: valid.NotNegative = 0.02
+    """Standard deviation of one track's encoder at 50 Hz [m/s]."""
     speed_sigma_mps: valid.NotNegative = 0.023
+    """Standard deviation of the error of the measured speed that both tracks share [m/s]."""
     bump_sigma_radps: valid.NotNegative = 0.007
+    """Standard deviation of the yaw rate that bumps add [rad/s]."""
     rut_length_m: valid.NotNegative = 0.5
+    """Correlation length of the bumps along the way [m]. 0: one bump a sample; else they turn the
+    robot the faster it drives, and their deviation is that at the paper's speed."""
     track_width_m: valid.Positive = paper.TRACK_WIDTH_M
+    """Distance b between the tracks [m]."""
     rotation_centre_m: valid.Real = 0.0
+    """How far the point about which the robot turns lies ahead of its middle, where the antenna of
+    the GNSS is [m]."""
     side_slip_rad: valid.NotNegative = 0.0
+    """Standard deviation of the angle between course and yaw, as on ice: a side slip that lasts, a
+    Gauss-Markov process of time [rad]. 0: none."""
     side_slip_time_s: valid.Positive = 1.5
+    """Time constant of that side slip [s]."""
     gyro_sigma_radps: valid.NotNegative = 0.01
+    """Standard deviation of the error of the gyro's mean over a sample, where `sensors` has a gyro
+    [rad/s]."""
     gyro_bias_radps: valid.Real = 0.01
+    """Bias of the gyro [rad/s]."""
     gyro_scale: valid.Positive = 1.01
+    """Scale of the gyro: it measures this multiple of the yaw rate over ground, plus its bias."""
     heading_sigma_rad: valid.NotNegative = 0.02
+    """Standard deviation of the error of the measured heading, where `sensors` has one [rad]."""
     faults: tuple[Fault, ...] = ()
+    """Sensor faults, (rhec.Fault, …)."""
     seed: Seed = 0
+    """Fixes the soil and all noise."""
 
     __repr__ = as_python
 
@@ -106,20 +197,29 @@ class Scenario:
         for name in ("mu", "kappa"):
             _check_deviation(self, name)
         _check_fits_estimator(self)
-        _check_fits_controller(self)
+        if isinstance(self.controller, Controller):
+            check_fits(self)
 
 
 def _check_kinds(scenario):
-    """Refuse an estimator, path, terrain or map of another kind."""
+    """Refuse an estimator, controller, path or terrain of another kind."""
     estimator = scenario.estimator
     if not _is_users_own(estimator) and not (isinstance(estimator, str) and estimator in NAMES):
         expected = f"it should be one of {NAMES} or a CasADi Function"
         raise ValueError(f"estimator was {valid.shown(estimator)}; {expected}")
-    for name, kind in (("path", Path), ("terrain", Terrain), ("soil_map", SoilMap)):
+    controller = scenario.controller
+    if not isinstance(controller, Controller) and not _is_rhc(controller):
+        expected = "it should be 'rhc' or a rhec.Controller"
+        raise ValueError(f"controller was {valid.shown(controller)}; {expected}")
+    for name, kind in (("path", Path), ("terrain", Terrain)):
         value = getattr(scenario, name)
         if not isinstance(value, kind | None):
             expected = f"it should be a rhec.{kind.__name__} or None"
             raise ValueError(f"{name} was {valid.shown(value)}; {expected}")
+
+
+def _is_rhc(controller):
+    return isinstance(controller, str) and controller == "rhc"
 
 
 def _is_users_own(estimator):
@@ -139,13 +239,8 @@ def _check_deviation(scenario, name):
 
 
 def _check_fits_estimator(scenario):
-    """Refuse `robust`, `soil_map` and `sigma_w` that do not fit the estimator."""
+    """Refuse `robust`, `sensors`, `faults` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
-    if scenario.soil_map is not None and (_is_users_own(estimator) or estimator != "map_ekf"):
-        expected = f"for the estimator {valid.shown(estimator)} it should be None"
-        raise ValueError(
-            f"soil_map was {scenario.soil_map!r}; {expected}, since only 'map_ekf' uses a map"
-        )
     # A user's Function has no name; any name that is not in NAMES stands for it.
     name = "own" if _is_users_own(estimator) else estimator
     if scenario.robust and name not in ROBUST_NAMES:
@@ -166,29 +261,13 @@ def _check_fits_estimator(scenario):
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
 
 
-def _check_fits_controller(scenario):
-    """Refuse fields that the controller does not have, and pure pursuit without a goal ahead."""
-    if scenario.controller == "pure_pursuit" and scenario.look_ahead_m == 0:
-        expected = "for the controller 'pure_pursuit' it should be above 0, such as 1.0"
-        raise ValueError(f"look_ahead_m was {scenario.look_ahead_m!r}; {expected}")
-    if scenario.controller != "rhc" and scenario.traction_timing != "feedback":
-        expected = f"for the controller {scenario.controller!r} it should be 'feedback'"
-        raise ValueError(f"traction_timing was {scenario.traction_timing!r}; {expected}")
-    if scenario.controller == "speed_rhc" and scenario.cautious:
-        expected = "for the controller 'speed_rhc', which chooses the speed, it should be False"
-        raise ValueError(f"cautious was True; {expected}")
-    if scenario.controller == "speed_rhc" and scenario.qp != "structured":
-        expected = "for the controller 'speed_rhc' it should be 'structured'"
-        raise ValueError(f"qp was {scenario.qp!r}; {expected}")
-
-
 class _FieldsAsDocstring:
     """Scenario's docstring, made when it is read, because no run needs the texts of the fields."""
 
     def __get__(self, scenario, kind):
         from rhec.simulation.scenario_fields import docstring
 
-        return docstring()
+        return docstring(kind)
 
 
 Scenario.__doc__ = _FieldsAsDocstring()

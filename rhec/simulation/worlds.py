@@ -1,32 +1,20 @@
-"""Named worlds: soil, ground, sensors and speed of a Scenario, by the names of its fields."""
+"""Named worlds: the fields of Scenario that differ from the default ones.
 
-from rhec import paper
-from rhec.simulation.scenario import Scenario
+For example `rhec.Scenario(**rhec.WORLDS["soft"], seed=3)`. docs/world.md says more of each.
+"""
 
-_FORMER = dict(
-    speed_mps=paper.SPEED_MPS,
-    mu_mean=0.9,
-    mu_deviation=0.04,
-    kappa_mean=0.8,
-    kappa_deviation=0.08,
-    correlation_length_m=4.0,
-    soil_under="centre",
-    slip_difference=0.0,
-    gnss_sigma_m=paper.SIGMA_V[0],
-    gnss_slow_share=0.0,
-    gnss_slow_time_s=60.0,
-    encoder_sigma_mps=paper.ENCODER_SIGMA_MPS,
-    speed_sigma_mps=paper.SIGMA_V[2],
-    bump_sigma_radps=0.02,
-    rut_length_m=0.0,
-    track_width_m=paper.TRACK_WIDTH_M,
-    rotation_centre_m=0.0,
-)
+# (x, y, radius, μ, κ) [m, m, m, -, -]: where the path turns, and on a row.
+_WET = tuple((x, y, 2.0, 0.7, 0.3) for x, y in ((37.0, 4.0), (15.0, 15.6), (-7.0, 12.0)))
 
-# "default": what a Scenario has where nothing is said. "former": the default until version 0.2, the
-# paper's robot on soil that slips alike below both tracks, with white errors of the position. For
-# example `Scenario(**WORLDS["former"], seed=3)`. docs/world.md has the source of each value.
 WORLDS: dict[str, dict] = {
-    "default": {name: getattr(Scenario, name) for name in _FORMER},
-    "former": _FORMER,
+    # The centre of the worlds in which the paper's numbers are possible.
+    "default": {},
+    # Soil on which the tracks hardly slip, and nearly alike everywhere.
+    "firm": dict(mu_mean=0.98, mu_deviation=0.01, kappa_mean=0.97, kappa_deviation=0.02),
+    # Soil on which they slip a lot, above all in turning, and differently from place to place.
+    "soft": dict(mu_mean=0.8, mu_deviation=0.08, kappa_mean=0.65, kappa_deviation=0.12),
+    # Soil that differs so much that the robot cannot always turn as fast as its path.
+    "uncertain": dict(mu_mean=0.8, mu_deviation=0.08, kappa_mean=0.7, kappa_deviation=0.16),
+    # The default soil with three patches of sudden change.
+    "wet patches": dict(patches=_WET),
 }

@@ -43,7 +43,6 @@ class Choice(NamedTuple):
     arrival_mean: str
     robust: bool
     dt_s: float = paper.DT_S
-    map_shape: tuple[int, int] | None = None  # of the soil map's grid, where the estimator has one
     sensors: tuple[str, ...] = ()
 
     @classmethod
@@ -65,19 +64,8 @@ class Choice(NamedTuple):
             scenario.speed_model,
             scenario.arrival_mean or tuning.ARRIVAL_MEAN[noise],
             scenario.robust,
-            map_shape=_map_shape(scenario),
             sensors=scenario.sensors,
         )
-
-
-def _map_shape(scenario):
-    """Shape of the grid of the soil's map that a Scenario's estimator is told, or None."""
-    if scenario.estimator != "map_ekf":
-        return None
-    # Imported here, because it is not in the paper.
-    from rhec.tracked_robot import soil_map
-
-    return soil_map.common_shape(soil_map.map_of(scenario))
 
 
 class Estimator(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Literal, get_args
 import casadi as ca
 import numpy as np
 
-from rhec.tracked_robot import ekf, rhe, tuning
+from rhec.tracked_robot import filters, rhe, tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -19,8 +19,6 @@ EstimatorName = Literal[
     "bounded_ekf",
     "fixed_traction",
     "yaw_drift_ekf",
-    "yaw_drift_rhe",
-    "map_ekf",
     "oracle",
     "traction_oracle",
     "drift_oracle",
@@ -61,35 +59,19 @@ _USER_FUNCTION = Estimator(
     settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.zeros(1)),
 )
 
-_ESTIMATORS = rhe.ESTIMATORS | ekf.ESTIMATORS | {"oracle": _ORACLE}
+_ESTIMATORS = rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _ORACLE}
 
 
-def estimator_of(name, robust=False):
-    """The Estimator of a name; any name that is not in NAMES stands for a user's Function.
-
-    `robust`: whether measurements are checked first (`rhec.tracked_robot.robust`).
-    """
-    # They are imported here, because they are not in the paper: most runs do without them.
-    if name in ("yaw_drift_ekf", "yaw_drift_rhe", "drift_oracle"):
-        from rhec.tracked_robot import yaw_drift
-
-        return yaw_drift.ESTIMATORS[name]
-    if name == "map_ekf":
-        from rhec.tracked_robot.map_ekf import MAP_EKF
-
-        return MAP_EKF
-    if robust and name == "rhe":
-        from rhec.tracked_robot.robust import ROBUST_RHE
-
-        return ROBUST_RHE
+def estimator_of(name):
+    """The Estimator of a name; any name that is not in NAMES stands for a user's Function."""
     return _ESTIMATORS.get(name, _USER_FUNCTION)
 
 
 def build_step(choice):
     """Build the step of a Choice's Estimator."""
-    return estimator_of(choice.estimator, choice.robust).build_step(choice)
+    return estimator_of(choice.estimator).build_step(choice)
 
 
 def build_phases(choice):
     """Build the phases and the step of a Choice's Estimator, by name."""
-    return estimator_of(choice.estimator, choice.robust).build_phases(choice)
+    return estimator_of(choice.estimator).build_phases(choice)

@@ -20,13 +20,20 @@ import numpy as np
 
 from rhec.core.model.limits import MAX_MEASUREMENT, is_valid_measurement
 
-# A gyro beyond this, and this share of the tracks' yaw rate: a fault of the gyro, not of the soil.
-MOST_RADPS = 1.0
-MOST_SHARE = 2.0
-OPPOSITE = 0.3
-_ROUNDING_RADPS = 1e-9  # of means over a sample
-_FORGETTING = 0.9  # of the sums, per sample
-_LEAST_SQUARES = 0.2  # [rad²/s²] Σ ω² of a robot that turns: 0.2 rad/s for a second at 5 Hz
+
+class Tuned(NamedTuple):
+    """The numbers that were chosen, not derived; no seeds are recorded on which they were."""
+
+    # name: value  # [unit] meaning
+    most_radps: float = 1.0  # [rad/s] a gyro beyond this, and
+    most_share: float = 2.0  # [1] this share of the tracks' yaw rate: its fault, not the soil's
+    opposite: float = 0.3  # [1] share of Σ ω² by which the gyro turns the other way, or the same
+    rounding_radps: float = 1e-9  # [rad/s] of means over a sample
+    forgetting: float = 0.9  # [1] of the sums, per sample
+    least_squares: float = 0.2  # [rad²/s²] Σ ω² of a robot that turns: 0.2 rad/s for 1 s at 5 Hz
+
+
+TUNED = Tuned()
 
 
 class Gyro(NamedTuple):
@@ -47,14 +54,14 @@ def checked(gyro, omega, before):
         before: The Gyro before this sample.
     """
     has_gyro = is_valid_measurement(gyro, MAX_MEASUREMENT)
-    is_absurd = ca.fabs(gyro) > MOST_RADPS + MOST_SHARE * ca.fabs(omega)
-    is_stuck = ca.fabs(gyro - before.last) <= _ROUNDING_RADPS
+    is_absurd = ca.fabs(gyro) > TUNED.most_radps + TUNED.most_share * ca.fabs(omega)
+    is_stuck = ca.fabs(gyro - before.last) <= TUNED.rounding_radps
     counts = has_gyro * (1 - is_absurd) * (1 - is_stuck)
-    product = ca.if_else(counts, _FORGETTING * before.product + gyro * omega, before.product)
-    square = ca.if_else(counts, _FORGETTING * before.square + omega**2, before.square)
-    turns = square > _LEAST_SQUARES
-    begins = turns * (product < -OPPOSITE * square)
-    ends = turns * (product > OPPOSITE * square)
+    product = ca.if_else(counts, TUNED.forgetting * before.product + gyro * omega, before.product)
+    square = ca.if_else(counts, TUNED.forgetting * before.square + omega**2, before.square)
+    turns = square > TUNED.least_squares
+    begins = turns * (product < -TUNED.opposite * square)
+    ends = turns * (product > TUNED.opposite * square)
     is_opposite = ca.logic_or(begins, before.is_opposite * (1 - ends))
     used = ca.if_else(counts * (1 - is_opposite), gyro, ca.DM.nan(1))
     return used, Gyro(ca.if_else(has_gyro, gyro, before.last), product, square, is_opposite)

@@ -1,6 +1,6 @@
 """The paper's RHE and RHC as objects, for a control loop that a user writes."""
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -120,7 +120,7 @@ class PaperRHE(rhe.RHE):
         self._choice = Choice(
             "rhe", horizon, speed_model, arrival_mean, robust, dt, sensors=sensors
         )
-        self._estimator = estimators.estimator_of("rhe", robust)
+        self._estimator = estimators.estimator_of("rhe")
         self._guess = guess
         self._tuning = process_noise
         self.window = window_of(self._choice)
@@ -182,11 +182,12 @@ class PaperRHC(rhc.RHC):
         omega_max: Bound on ω [rad/s], eq. (16).
         dt: Length of a sample [s].
         horizon: Intervals of the prediction.
-        qp: Solver of the QP, see Scenario.
 
     Raises:
         ValueError: if an argument is invalid.
     """
+
+    qp: ClassVar[Any] = None  # of a subclass: the QP's solver, see `Horizon.qp`
 
     @valid.checked
     def __init__(
@@ -198,9 +199,8 @@ class PaperRHC(rhc.RHC):
         omega_max: valid.Positive = paper.OMEGA_MAX_RADPS,
         dt: valid.Positive = paper.DT_S,
         horizon: valid.Intervals = paper.HORIZON,
-        qp: options.Solver = "structured",
     ):
-        problem = horizon_of(horizon, qp, dt)
+        problem = horizon_of(horizon, dt_s=dt)._replace(qp=self.qp)
         Q = np.array(q)
         settings = dict(Q=Q, QN=qn_factor * Q, R=np.array([r]))
         settings |= dict(lower=np.array([-omega_max]), upper=np.array([omega_max]))

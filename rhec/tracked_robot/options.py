@@ -10,8 +10,6 @@ from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
 
 ProcessNoise = Literal["printed", "calibrated", "consistent"]
 SpeedModel = Literal["parameter", "input", "slipping"]
-Controller = Literal["rhc", "ltv_mpc", "pure_pursuit", "speed_rhc"]
-Solver = Literal["structured", "daqp", "qpoases"]
 
 
 def _five_or_six(slip):

@@ -191,6 +191,11 @@ def _check_closed(start, end, length_m):
         raise ValueError(f"closed was True; {ends}, so it should be False")
 
 
+def path_of(scenario):
+    """The path that a Scenario's robot follows."""
+    return scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
+
+
 @functools.lru_cache(maxsize=16)  # the runs of a campaign share it
 def _racetrack(row_length_m, radius_m):
     pieces = [(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)]

@@ -29,8 +29,6 @@ _SHORTEST_RUT_M = 1e-9  # instead of 0, by which no distance can be divided
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
 MEMORY |= dict(rut=(1, 1), running=(1, 1))
 NOISE = dict(white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS), speed=(1, 1))
-# Where a measured ω belongs to the interval that begins at its sample: it waits for that one's end.
-PAIRED = dict(newest_omega=(1, 1))
 # Settings of the sensors, of the robot's body and of the ground, by the names of Scenario's fields.
 SENSORS = dict.fromkeys(
     ("gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "speed_sigma_mps"), (1, 1)
@@ -47,38 +45,49 @@ BODY = dict.fromkeys(
     (1, 1),
 )
 
-# Random streams of a seed; others belong to the faults.
+# Random streams of a seed; others belong to what not every robot has (`plant_options`), and to
+# the faults.
 _STREAM_OF_ALL_BUT_SPEED = 1
 _STREAM_OF_SPEED = 4
-# What not every robot has (`rhec.tracked_robot.plant_options`), by name.
-_STREAMS_OF_OPTIONS = dict(gyro=5, heading=6, side_slip=7)
 
 
-def noise_shapes(options=()):
-    """NOISE, and one number for each of a robot's `options`, in their order."""
-    return NOISE | {f"{name}_noise": (1, 1) for name in options}
+def draw_noise(seed, samples):
+    """Standard normal noise of a seed, (samples, n), each row NOISE packed.
 
-
-def draw_noise(seed, samples, options=()):
-    """Standard normal noise of a seed, (samples, n), each row `noise_shapes(options)` packed.
-
-    The first rows are those of fewer samples. The noise of the speed, and that of each option,
-    comes last and from a separate stream, so that all else is the same with and without it.
+    The first rows are those of fewer samples. The noise of the speed comes last and from a separate
+    stream, so that all else is the same with and without it.
     """
     n_speed = packed_size({"speed": NOISE["speed"]})
     n_others = packed_size(NOISE) - n_speed
     return np.hstack(
         [
-            _normal(seed, _STREAM_OF_ALL_BUT_SPEED, samples, n_others),
-            _normal(seed, _STREAM_OF_SPEED, samples, n_speed),
-            *(_normal(seed, _STREAMS_OF_OPTIONS[name], samples, 1) for name in options),
+            standard_normal(seed, _STREAM_OF_ALL_BUT_SPEED, samples, n_others),
+            standard_normal(seed, _STREAM_OF_SPEED, samples, n_speed),
         ]
     )
 
 
-def _normal(seed, stream, samples, n):
+def standard_normal(seed, stream, samples, n):
+    """Independent standard normal numbers (samples, n) of one of a seed's random streams."""
     bits = np.random.Philox(np.random.SeedSequence((seed, stream)))
     return np.random.Generator(bits).standard_normal((samples, n))
+
+
+def truth():
+    """The state (x, y, θ, ν, μ, κ) of the robot and its tracks' yaw rate ω, as a Function."""
+
+    @casadi_function(
+        "truth",
+        pose=MEMORY["pose"],
+        tracks=MEMORY["tracks"],
+        traction=(2, 1),
+        track_width_m=BODY["track_width_m"],
+    )
+    def truth(pose, tracks, traction, track_width_m):
+        nu, omega = body_speeds(tracks, track_width_m)
+        return dict(truth=ca.vertcat(pose, nu, traction), omega=omega)
+
+    return truth
 
 
 def measure(dt_s):
@@ -196,7 +205,7 @@ def pair_with_next_interval(n_z=4):
     other sensors, stay with their sample.
     """
 
-    @casadi_function("pair", z=(n_z, 1), **PAIRED)
+    @casadi_function("pair", z=(n_z, 1), newest_omega=(1, 1))
     def pair(z, newest_omega):
         return dict(z=ca.vertcat(z[:3], newest_omega, z[4:]), newest_omega=z[3])
 

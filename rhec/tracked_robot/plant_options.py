@@ -1,92 +1,91 @@
 """What not every simulated robot has: gyro, heading, and side slip that lasts. Not in the paper.
 
-A robot without them does without their code, their noise and their memory (`plant`).
+Each is a block of the loop, with its own noise and memory; a robot without it does without them.
 """
 
 import casadi as ca
 import numpy as np
 
 from rhec.core._casadi.build import casadi_function
-from rhec.tracked_robot.plant import MEMORY, gauss_markov
-from rhec.tracked_robot.sensors import OUTPUTS
+from rhec.tracked_robot.plant import MEMORY, gauss_markov, standard_normal
 
-# Settings by the names of Scenario's fields.
-_SETTINGS = dict(
-    gyro=("gyro_sigma_radps", "gyro_bias_radps", "gyro_scale"),
-    heading=("heading_sigma_rad",),
-    side_slip=("side_slip_rad", "side_slip_time_s"),
+_ONE = (1, 1)
+# Settings, by the names of Scenario's fields.
+SETTINGS = (
+    "gyro_sigma_radps",
+    "gyro_bias_radps",
+    "gyro_scale",
+    "heading_sigma_rad",
+    "side_slip_rad",
+    "side_slip_time_s",
 )
+# Random streams of a seed by the names of the signals; others belong to the plant and the faults.
+NOISE = dict(gyro_noise=5, heading_noise=6, side_slip_noise=7)
 
 
-def options_of(sensors, side_slip):
-    """The options of a robot with these sensors, and with `side_slip` or without, in order."""
-    return (*(name for name in OUTPUTS if name in sensors), *("side_slip",) * bool(side_slip))
+def draw_noise(name, seed, samples):
+    """The standard normal noise of one of NOISE and of a seed, (samples, 1)."""
+    return standard_normal(seed, NOISE[name], samples, 1)
 
 
-def settings_of(options):
-    """Shapes of the settings of these options, by the names of Scenario's fields."""
-    return {name: (1, 1) for option in options for name in _SETTINGS[option]}
+def gyro(dt_s):
+    """A gyro as a Function that appends its measurement to z = (x, y, ν, ω).
 
-
-def memory_of(options):
-    """Shapes of what one sample of a robot with these options hands to the next, by name."""
-    shapes = dict(last_yaw=(1, 1)) if "gyro" in options else {}
-    return shapes | (dict(slip_angle=(1, 1)) if "side_slip" in options else {})
-
-
-def init(options, pose):
-    """The memory before the first sample of a robot that starts at this pose."""
-    values = dict(last_yaw=pose[2], slip_angle=0.0)
-    return {name: values[name] for name in memory_of(options)}
-
-
-def sense(options, dt_s):
-    """Gyro and heading as a Function that lengthens z = (x, y, ν, ω), or None without either.
-
-    The gyro measures s (θ_k - θ_{k-1})/Δt + β + σ w, the mean yaw rate over ground since the last
-    sample, with the scale s = gyro_scale and the bias β = gyro_bias_radps. In the first sample
-    θ_{k-1} = θ_k. The heading, as of two antennas, is θ_k + σ w; `wrapped` takes its turns off.
+    It measures s (θ_k - θ_{k-1})/Δt + β + σ w, the mean yaw rate over ground since the last sample,
+    with the scale s = gyro_scale and the bias β = gyro_bias_radps. In the first sample
+    θ_{k-1} = θ_k.
 
     Args:
-        options: Names of the robot's options.
         dt_s: Length of a sample Δt [s].
-
-    Returns:
-        The Function (z, pose, memory, noise, settings) -> (z, memory).
     """
-    sensors = [name for name in OUTPUTS if name in options]
-    if not sensors:
-        return None
-    shapes = memory_of(sensors) | settings_of(sensors)
-    shapes |= {f"{name}_noise": (1, 1) for name in sensors}
 
-    @casadi_function("sense", z=(4, 1), pose=MEMORY["pose"], **shapes)
-    def sense(z, pose, **signals):
+    @casadi_function(
+        "gyro",
+        z=(4, 1),
+        pose=MEMORY["pose"],
+        last_yaw=_ONE,
+        gyro_bias_radps=_ONE,
+        gyro_sigma_radps=_ONE,
+        gyro_scale=_ONE,
+        gyro_noise=_ONE,
+    )
+    def gyro(z, pose, last_yaw, gyro_bias_radps, gyro_sigma_radps, gyro_scale, gyro_noise):
         yaw = pose[2]
-        result = dict(z=z)
-        if "gyro" in sensors:
-            rate = (yaw - signals["last_yaw"]) / dt_s
-            error = signals["gyro_bias_radps"] + signals["gyro_sigma_radps"] * signals["gyro_noise"]
-            gyro = signals["gyro_scale"] * rate + error
-            result = dict(z=ca.vertcat(z, gyro), last_yaw=yaw)
-        if "heading" in sensors:
-            heading = yaw + signals["heading_sigma_rad"] * signals["heading_noise"]
-            result["z"] = ca.vertcat(result["z"], heading)
-        return result
+        rate = (yaw - last_yaw) / dt_s
+        error = gyro_bias_radps + gyro_sigma_radps * gyro_noise
+        return dict(z=ca.vertcat(z, gyro_scale * rate + error), last_yaw=yaw)
 
-    return sense
+    return gyro
 
 
-def wrapped(z, options):
-    """The measurement z with its heading between -π and π, where the robot measures one.
+def heading(n_z):
+    """A heading, as of two antennas, as a Function that appends θ_k + σ w to the n_z entries of z.
+
+    `within_a_turn` takes its turns off.
+    """
+
+    @casadi_function(
+        "heading", z=(n_z, 1), pose=MEMORY["pose"], heading_sigma_rad=_ONE, heading_noise=_ONE
+    )
+    def heading(z, pose, heading_sigma_rad, heading_noise):
+        return dict(z=ca.vertcat(z, pose[2] + heading_sigma_rad * heading_noise))
+
+    return heading
+
+
+def within_a_turn(n_z):
+    """The measurement z (n_z,) with its last entry, the heading, between -π and π, as a Function.
 
     Faults come before: a late measurement lies between two others, not across a full turn.
     """
-    if "heading" not in options:
-        return z
-    heading = z[-1]
-    turns = ca.floor(heading / (2 * np.pi) + 0.5)
-    return ca.vertcat(z[:-1], heading - 2 * np.pi * turns)
+
+    @casadi_function("within_a_turn", z=(n_z, 1))
+    def within_a_turn(z):
+        heading = z[-1]
+        turns = ca.floor(heading / (2 * np.pi) + 0.5)
+        return dict(z=ca.vertcat(z[:-1], heading - 2 * np.pi * turns))
+
+    return within_a_turn
 
 
 def slip_sideways(dt_s):
@@ -96,11 +95,17 @@ def slip_sideways(dt_s):
     standard deviation side_slip_rad and the time constant side_slip_time_s. The way of a sample,
     from `pose` to `driven`, is turned by it; the yaw is not.
     """
-    one = (1, 1)
-    shapes = memory_of(["side_slip"]) | settings_of(["side_slip"])
-    poses = dict(pose=MEMORY["pose"], driven=MEMORY["pose"])
 
-    @casadi_function("slip_sideways", running=one, side_slip_noise=one, **poses, **shapes)
+    @casadi_function(
+        "slip_sideways",
+        pose=MEMORY["pose"],
+        driven=MEMORY["pose"],
+        running=MEMORY["running"],
+        side_slip_noise=_ONE,
+        slip_angle=_ONE,
+        side_slip_rad=_ONE,
+        side_slip_time_s=_ONE,
+    )
     def slip(pose, driven, running, side_slip_noise, slip_angle, side_slip_rad, side_slip_time_s):
         keep = running * ca.exp(-dt_s / side_slip_time_s)
         slip_angle = gauss_markov(keep, slip_angle, side_slip_noise)

@@ -4,25 +4,26 @@ import casadi as ca
 
 from rhec import paper
 from rhec.core._casadi.build import unpack, with_packed_memory
+from rhec.core.controller import rhc
 from rhec.core.controller.horizon import Horizon
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 
-def horizon_of(N, qp="structured", dt_s=paper.DT_S):
-    """The Horizon of the paper's problem, N intervals of dt_s [s]: the yaw rate ω is commanded.
-
-    `qp` is "structured", by stages, or the condensed QP by "daqp" or "qpoases".
-    """
-    solver = None
-    if qp != "structured":
-        # Imported here, because only the two condensed QPs need it.
-        from rhec.core.solver.condensed import Condensed
-
-        solver = Condensed(qp)
-    return Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N, solver)
+def horizon_of(N, dt_s=paper.DT_S):
+    """The Horizon of the paper's problem, N intervals of dt_s [s]: the yaw rate ω is commanded."""
+    return Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N)
 
 
-def with_online_traction(step, horizon, timing):
+def build_step(N, traction_timing="feedback"):
+    """The RHC's step, with ν̂, μ̂ and κ̂ that reach it as Scenario's `traction_timing` says."""
+    horizon = horizon_of(N)
+    step = rhc.build_phases(horizon)["step"]
+    if traction_timing == "feedback":
+        return step
+    return _with_online_traction(step, horizon, traction_timing)
+
+
+def _with_online_traction(step, horizon, timing):
     """The RHC's step with p̂ = (ν, μ, κ) as data of its preparation (interpretation R15).
 
     Without this, p̂ of the newest sample acts in the feedback, through the linearised (x, p).

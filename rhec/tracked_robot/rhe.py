@@ -6,9 +6,11 @@ import numpy as np
 from rhec import paper
 from rhec.core.estimator import rhe
 from rhec.core.model.base import Model
-from rhec.tracked_robot import position_check, tuning
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
+from rhec.tracked_robot.position_check import PositionCheck
+from rhec.tracked_robot.robust import RobustHandling
 from rhec.tracked_robot.sensors import GYRO_GUESS, with_sensors
 from rhec.tracked_robot.speed_models import speed_model_of
 
@@ -37,9 +39,8 @@ def window_of(choice):
     model = speed_model_of("parameter").model
     if choice.estimator == "rhe":
         model = with_sensors(choice.speed_model, choice.sensors).model
-    return rhe.Window(
-        model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, choice.robust
-    )
+    judge = RobustHandling() if choice.robust else PositionCheck()
+    return rhe.Window(model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, judge)
 
 
 def init(window, guess, sigma=SIGMA_START):
@@ -116,23 +117,20 @@ def _settings(scenario):
     )
 
 
-def checked_phases(window, quantities=QUANTITIES):
-    """The phases and the step of an RHE whose positions are checked (`position_check`)."""
-    return position_check.checked(window, rhe.build_phases(window, quantities))
-
-
-def checked_init(window, guess, sigma=SIGMA_START):
-    """`init`, with the memory of the check."""
-    return init(window, guess, sigma) | position_check.init()
+def build_phases(choice):
+    """The phases and the step of the RHE of a Choice."""
+    return rhe.build_phases(window_of(choice), QUANTITIES)
 
 
 def _window_held(choice):
-    return rhe.Window(_HELD, choice.dt_s, choice.estimation_horizon, choice.arrival_mean)
+    return rhe.Window(
+        _HELD, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, PositionCheck()
+    )
 
 
 def _build_held_step(choice):
     """The RHE with the traction held, as a Function (memory, z_N, V, W, P_0, traction)."""
-    step = checked_phases(_window_held(choice))["step"]
+    step = rhe.build_phases(_window_held(choice), QUANTITIES)["step"]
     inputs = {
         name: ca.MX.sym(name, step.sparsity_in(name)) for name in ("memory", "z_N", "V", "W", "P_0")
     }
@@ -149,9 +147,7 @@ def _build_held_step(choice):
 def _held(name, traction_input):
     return Estimator(
         build_step=_build_held_step,
-        init=lambda choice, guess, sigma=SIGMA_START: checked_init(
-            _window_held(choice), guess, sigma
-        ),
+        init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
         settings=lambda scenario: dict(
             **tuning.variances_of(name, scenario),
             P_0=np.square([SIGMA_START[state] for state in _HELD.joint_names]),
@@ -164,9 +160,9 @@ def _held(name, traction_input):
 
 ESTIMATORS = {
     "rhe": Estimator(
-        build_step=lambda choice: checked_phases(window_of(choice))["step"],
-        build_phases=lambda choice: checked_phases(window_of(choice)),
-        init=lambda choice, guess, sigma=SIGMA_START: checked_init(window_of(choice), guess, sigma),
+        build_step=lambda choice: build_phases(choice)["step"],
+        build_phases=build_phases,
+        init=lambda choice, guess, sigma=SIGMA_START: init(window_of(choice), guess, sigma),
         settings=_settings,
         states=lambda choice: window_of(choice).model.joint_names,
         n_sigma_w=lambda choice: speed_model_of(choice.speed_model).n_sigma_w,

@@ -39,6 +39,7 @@ _MARGIN_M = 5.0  # of a field around its path
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
 _SMALL_M2 = 10_000.0  # a random field of this size or less takes 0.6 MB and is cached
 _MOST_BYTES = 32 * _MOST_CELLS  # of a file, unpacked
+_SHAPE_STEP = 128  # between the shapes of grids for which loops are compiled
 
 Seed = Annotated[Whole, Field(ge=0)]
 # A disc of sudden change: (x_m, y_m, radius_m, μ, κ)
@@ -157,7 +158,7 @@ class Terrain:
             file: Where to.
         """
         arrays = dict(mu=self.mu, kappa=self.kappa, origin_m=self.origin_m, cell_m=self.cell_m)
-        save_arrays(file, arrays)
+        _save_arrays(file, arrays)
 
     @classmethod
     def load(cls, file: str | File) -> "Terrain":
@@ -178,7 +179,7 @@ class Terrain:
             raise
         # NumPy and zipfile raise all kinds of errors for a file that is none of theirs.
         except Exception as error:
-            raise_if_out_of_memory(error)
+            _raise_if_out_of_memory(error)
             raise ValueError(
                 f"file was {shown(str(file))}; it should be a field that Terrain.save wrote "
                 f"({shown(error)})"
@@ -186,13 +187,13 @@ class Terrain:
         return cls(*arrays)
 
 
-def save_arrays(file, arrays):
+def _save_arrays(file, arrays):
     """Write {name: array} as .npz, or leave an older file as it was if writing fails."""
     content = io.BytesIO()
     try:
         np.savez_compressed(content, **arrays)
     except ValueError as error:
-        raise_if_out_of_memory(error)
+        _raise_if_out_of_memory(error)
         raise
     file = File(file)
     if file.suffix != ".npz":
@@ -217,7 +218,7 @@ def _checked_field(name, values):
     return field
 
 
-def raise_if_out_of_memory(error):
+def _raise_if_out_of_memory(error):
     """Raise a MemoryError if that is behind an error of zipfile or zlib, which is not the file's.
 
     zlib's error -4 is Z_MEM_ERROR. If compressing lacks memory, zipfile cannot close the archive,
@@ -291,14 +292,9 @@ def flat(terrain, shape=None):
 
     On a larger grid of the given shape the fields are continued as they are beyond their edges.
     """
-    return flat_pair(terrain.mu, terrain.kappa, shape)
-
-
-def flat_pair(first, second, shape=None):
-    """Two grids of one shape as `flat` returns those of a terrain."""
-    rows, columns = first.shape
-    fields = np.empty((2, *(shape or first.shape)), order="F")
-    fields[:, :rows, :columns] = first, second
+    rows, columns = terrain.mu.shape
+    fields = np.empty((2, *(shape or terrain.mu.shape)), order="F")
+    fields[:, :rows, :columns] = terrain.mu, terrain.kappa
     fields[:, rows:, :columns] = fields[:, rows - 1 : rows, :columns]
     fields[:, :, columns:] = fields[:, :, columns - 1 : columns]
     return fields.ravel(order="F")
@@ -314,9 +310,9 @@ def settings(terrain, shape):
     )
 
 
-def common_shape(terrain, step=128):
+def common_shape(terrain):
     """The next of a few grid shapes, so that another path or start seldom needs compiling."""
-    return tuple(-(-points // step) * step for points in terrain.mu.shape)
+    return tuple(-(-points // _SHAPE_STEP) * _SHAPE_STEP for points in terrain.mu.shape)
 
 
 def _beta_from_gaussian(gaussian, mean, deviation):

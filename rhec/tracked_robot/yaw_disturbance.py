@@ -1,27 +1,21 @@
-"""Compensation of a disturbance of the yaw rate, in front of any controller. Not in the paper.
+"""Compensation of a disturbance of the yaw rate, around any controller. Not in the paper.
 
 The soil turns the robot by more than κω. Written as a part d [rad/s] of the tracks' yaw rate:
 
     θ̇ = κ (ω + d)
 
-d is either that of an estimated yaw drift δ, d = μ̂ν̂δ̂ / κ̂, or that of a disturbance observer
-(Ohnishi, Shibata and Murakami, "Motion control for advanced mechatronics", 1996): what the encoders
-do not explain of the estimated turning, low-pass filtered with the time constant T.
-
-    d⁺ = d + Δt/T ((θ̂_k - θ̂_{k-1}) / (κ̂ Δt) - ω_measured - d)
-
-The estimator in front of the observer gets ω_measured + d for the yaw rate: without d in its model
-its yaw would be off by as much as it takes to explain the turning by positions alone.
-
-The controller plans ω + d, within bounds moved by d, and commands ω: its own model stays as it is.
+d is that of an estimated yaw drift δ, d = μ̂ν̂δ̂ / κ̂ (`rhec.tracked_robot.filters`).
+The controller plans ω + d, from a measured ω + d, within bounds moved by d; what is commanded is ω.
+Its own model stays as it is. What it remembers of its plan is ω + d.
 """
 
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
+from rhec.core._casadi.build import casadi_function
 from rhec.tracked_robot.references import LEAST_KAPPA
 
+_ONE = (1, 1)
 _MOST = 0.5  # share of the bound ω_max that a disturbance may take: the rest is left for steering
 
 
@@ -32,9 +26,8 @@ def _bounded(d, upper):
 
 def build_from_drift():
     """d = μ̂ν̂δ̂ / κ̂ as a Function (estimate, yaw_drift, upper) -> disturbance [rad/s]."""
-    one = (1, 1)
 
-    @casadi_function("disturbance_from_drift", estimate=(6, 1), yaw_drift=one, upper=one)
+    @casadi_function("disturbance_from_drift", estimate=(6, 1), yaw_drift=_ONE, upper=_ONE)
     def disturbance(estimate, yaw_drift, upper):
         _, _, _, nu, mu, kappa = ca.vertsplit(estimate)
         d = mu * nu * yaw_drift / ca.fmax(kappa, LEAST_KAPPA)
@@ -43,49 +36,31 @@ def build_from_drift():
     return disturbance
 
 
-def build_observer(dt_s):
-    """The observer as a Function (memory, estimate, omega_measured, …) -> (memory, disturbance).
+def counted_in():
+    """ω + d of a measured ω, as a Function (omega_measured, disturbance) -> omega_measured."""
 
-    Its memory is d, the last estimated yaw, and whether there was one.
-    """
-    one = (1, 1)
-    memory = dict(d=one, theta=one, observing=one)
-    inputs = dict(estimate=(6, 1), omega_measured=one, observer_time_s=one, upper=one)
+    @casadi_function("counted_in", omega_measured=_ONE, disturbance=_ONE)
+    def counted_in(omega_measured, disturbance):
+        return dict(omega_measured=omega_measured + disturbance)
 
-    @with_packed_memory("disturbance_observer", memory, ca.SX, **inputs)
-    def observe(d, theta, observing, estimate, omega_measured, observer_time_s, upper):
-        turned = estimate[2] - theta
-        kappa = ca.fmax(estimate[5], LEAST_KAPPA)
-        unexplained = turned / (kappa * dt_s) - omega_measured
-        share = ca.fmin(dt_s / observer_time_s, 1) * observing
-        d = _bounded(d + share * (unexplained - d), upper)
-        return dict(disturbance=d, d=d, theta=estimate[2], observing=1)
-
-    return observe
+    return counted_in
 
 
-def corrected(z, memory):
-    """The measurement z = (x, y, ν, ω) with the observer's last d added to the yaw rate."""
-    return z + ca.vertcat(0, 0, 0, memory[0])
+def moved_bounds():
+    """The bounds of ω + d, as a Function (lower, upper, disturbance) -> (lower, upper)."""
+
+    @casadi_function("moved_bounds", lower=_ONE, upper=_ONE, disturbance=_ONE)
+    def moved(lower, upper, disturbance):
+        return dict(lower=lower + disturbance, upper=upper + disturbance)
+
+    return moved
 
 
-def init_observer():
-    """The observer's memory before the first sample."""
-    return dict(d=0.0, theta=0.0, observing=0.0)
+def taken_off():
+    """The command ω of a planned ω + d, as a Function (command, disturbance) -> command."""
 
+    @casadi_function("taken_off", command=_ONE, disturbance=_ONE)
+    def taken_off(command, disturbance):
+        return dict(command=command - disturbance)
 
-def compensated(control):
-    """A controller's step with the input `disturbance` d: it plans ω + d and commands ω.
-
-    The reference u_ref already counts d in where it is a measured yaw rate. What the controller
-    remembers of its plan is ω + d.
-    """
-    shapes = {name: control.size_in(name) for name in control.name_in()}
-
-    @casadi_function("compensated_step", ca.MX, **shapes, disturbance=(1, 1))
-    def step(disturbance, **signals):
-        bounds = dict(lower=signals["lower"] + disturbance, upper=signals["upper"] + disturbance)
-        planned = control(**select_inputs(control, signals | bounds))
-        return planned | dict(command=planned["command"] - disturbance)
-
-    return step
+    return taken_off

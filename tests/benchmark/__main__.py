@@ -15,8 +15,8 @@ from benchmark import (
     step,
     tails,
 )
-from rhec.workbench.plots import style
-from rhec.workbench.studies import timing
+from notebooks.studies import timing
+from rhec import style
 
 
 def report(table, name, caption, drawing=None):

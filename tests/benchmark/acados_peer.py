@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmark import peers
+from notebooks.studies.timing import PHASES
 from rhec import paper
-from rhec.workbench.studies.timing import PHASES
 
 ITERATIONS = 30
 NAMES = {"step by step": "acados in C, step by step", "as it comes": "acados in C"}

@@ -14,8 +14,8 @@ from robots import DT, SKID_STEERED, N
 
 import rhec
 from benchmark.any_robot import live
-from rhec.workbench.studies import gallery
-from rhec.workbench.studies.ipopt_plans import next_state
+from notebooks.further import gallery
+from notebooks.studies.ipopt import next_state
 
 RUNS, SINGLE = 4096, 64
 

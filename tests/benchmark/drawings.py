@@ -3,8 +3,8 @@
 import matplotlib.pyplot as plt
 
 from benchmark.step import REFERENCE, SPEEDUP, WHOLE
-from rhec.workbench.plots.style import BLACK, BLUE, COLUMN_IN, DOUBLE_IN, GREY, VERMILLION, styled
-from rhec.workbench.studies import timing
+from notebooks.studies import timing
+from rhec.style import BLACK, BLUE, COLUMN_IN, DOUBLE_IN, GREY, VERMILLION, styled
 
 LOOKS = {
     "RHE": (BLUE, "^"),

@@ -17,9 +17,9 @@ from pathlib import Path
 import pandas as pd
 
 from benchmark import peers, problems
+from notebooks.studies import timing
 from rhec.core._casadi import compiled, scan
 from rhec.simulation.scenario import Scenario
-from rhec.workbench.studies import timing
 
 RHEC = {  # the compiled Functions that a phase calls
     ("RHE", "preparation"): ("rhe_expand", "rhe_shift", "rhe_linearise"),
@@ -38,7 +38,7 @@ def available():
 def drive():
     """A minute of the closed loop, then its samples again from Python, phase by phase."""
     scenario = Scenario(process_noise="calibrated", duration_s=60.0)
-    timing.phases(scenario, scenario.qp)
+    timing.phases(scenario, timing.CONTROLLERS["structured"])
 
 
 def count(library):

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmark import problems
+from notebooks.studies.timing import PHASES
 from rhec.core._casadi import cache, compiled
 from rhec.core.controller import rhc
 from rhec.tracked_robot import estimators
-from rhec.workbench.studies.timing import PHASES
 
 # As in driver.c.
 _FIELDS = ("phase", "arguments", "results", "whole", "work", "to", "rows", "doubles", "timed")

@@ -4,7 +4,8 @@ optimum.
 Shared are the model and its Runge-Kutta step, horizon, weights and bounds, and the data, to which
 the arrival cost belongs: its update costs the peers nothing. IPOPT begins at its previous solution
 and iterates until its default tolerance is met. Opti tells it that this start is a good one, which
-saves iterations; do-mpc is used as its documentation has it.
+saves iterations; do-mpc is used as its documentation has it. FATROP is an interior-point method by
+stages.
 """
 
 import functools
@@ -12,10 +13,10 @@ import warnings
 
 import casadi as ca
 import numpy as np
+from oracles import PAPER
 
+from notebooks.studies.ipopt import PlanProblem, Solver, WindowProblem, next_state
 from rhec import paper
-from rhec.core.model import base
-from rhec.tracked_robot import kinematics as model
 
 quiet = functools.partial(warnings.catch_warnings, action="ignore")
 try:
@@ -26,35 +27,34 @@ except ImportError:
 
 WEIGHTS = 1 / np.square(paper.SIGMA_V)
 Q, QN = np.diag(paper.Q3), paper.QN_FACTOR * np.diag(paper.Q3)
-WARM = {
-    "warm_start_init_point": "yes",
-    "mu_init": 1e-6,
-    "warm_start_bound_push": 1e-9,
-    "warm_start_mult_bound_push": 1e-9,
-}
-OPTIONS = {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb": "yes", **WARM}}
-
-
-def next_pose(xi, omega, p):
-    return base.rk4(model.f, xi, omega, p, paper.DT_S)
+IPOPT = Solver(
+    "ipopt",
+    {
+        "print_level": 0,
+        "sb": "yes",
+        "warm_start_init_point": "yes",
+        "mu_init": 1e-6,
+        "warm_start_bound_push": 1e-9,
+        "warm_start_mult_bound_push": 1e-9,
+    },
+)
+FATROP = Solver("fatrop", {"print_level": 0}, by_stages=True)
+ROBOT = PAPER["parameter"]
+next_pose = next_state(ROBOT, paper.DT_S)
 
 
 def squared(error, weight):
     return ca.bilin(weight, error, error)
 
 
-# CasADi's Opti: multiple shooting, written as in its documentation
+# CasADi's Opti: multiple shooting
 
 
-def every_interval(horizon):
-    xi, omega, p = ca.MX.sym("xi", 3), ca.MX.sym("omega"), ca.MX.sym("p", 3)
-    return ca.Function("interval", [xi, omega, p], [next_pose(xi, omega, p)]).map(horizon)
-
-
-def warm(function, guess):
-    """The function (data …, x, λ) -> (answer, x, λ) as one of the data alone, which begins where it
-    ended the last time.
-    """
+def warm(problem, answer, guess):
+    """The function of the data alone that begins where it ended the last time."""
+    opti = problem.opti
+    data = [*problem.given, opti.x, opti.lam_g]
+    function = opti.to_function("solve", data, [answer, opti.x, opti.lam_g])
     x, multipliers = guess, 0
 
     def solve(*data):
@@ -65,126 +65,31 @@ def warm(function, guess):
     return solve
 
 
-def solver(opti, data, answer):
-    opti.solver("ipopt", OPTIONS)
-    return opti.to_function("solve", [*data, opti.x, opti.lam_g], [answer, opti.x, opti.lam_g])
-
-
-def opti_rhe(first):
+def rhe_by(solver, first):
     N = len(first.omega_ref)
-    opti = ca.Opti()
-    xi, omega, p = opti.variable(3, N + 1), opti.variable(1, N), opti.variable(3)
-    z, m, H = opti.parameter(4, N + 1), opti.parameter(6), opti.parameter(6, 6)
-    nodes, inputs = ca.vertcat(xi[:2, :], ca.repmat(p[0], 1, N + 1)) - z[:3, :], omega - z[3, 1:]
-    opti.minimize(
-        (
-            squared(ca.vertcat(xi[:, 0], p) - m, H)
-            + ca.sumsqr(np.sqrt(WEIGHTS[:3, None]) * nodes)
-            + WEIGHTS[3] * ca.sumsqr(inputs)
-        )
-        / 2
-    )
-    opti.subject_to(xi[:, 1:] == every_interval(N)(xi[:, :-1], omega, p))
-    opti.subject_to(opti.bounded(0, p[1:], 1))
-    solve = warm(
-        solver(opti, [z, m, H], ca.vertcat(xi[:, -1], p)),
-        np.concatenate([np.tile(first.estimate[:3], N + 1), first.z[3, 1:], first.estimate[3:]]),
-    )
-    return lambda problem: solve(problem.z, problem.m, problem.H)
+    window = WindowProblem(ROBOT, N, paper.DT_S, solver=solver)
+    weights = window.weights(first.z.T, paper.SIGMA_V).T
+    window.begin(first.m, first.z.T)
+    guess = window.opti.debug.value(window.opti.x, window.opti.initial())
+    solve = warm(window, window.s[:, -1], guess)
+    return lambda problem: solve(problem.m, problem.H, problem.z, weights)
 
 
-def opti_rhc(first):
+def rhc_by(solver, first):
     N = len(first.omega_ref)
-    opti = ca.Opti()
-    xi, omega = opti.variable(3, N + 1), opti.variable(1, N)
-    pose, p, xi_ref, omega_ref = (
-        opti.parameter(3),
-        opti.parameter(3),
-        opti.parameter(3, N + 1),
-        opti.parameter(1, N),
-    )
-    errors = ca.horzsplit(xi_ref - xi)
-    opti.minimize(
-        (
-            sum(squared(error, Q) for error in errors[1:-1])
-            + squared(errors[-1], QN)
-            + paper.R * ca.sumsqr(omega_ref - omega)
-        )
-        / 2
-    )
-    opti.subject_to(xi[:, 0] == pose)
-    opti.subject_to(xi[:, 1:] == every_interval(N)(xi[:, :-1], omega, p))
-    opti.subject_to(opti.bounded(-paper.OMEGA_MAX_RADPS, omega, paper.OMEGA_MAX_RADPS))
-    solve = warm(
-        solver(opti, [pose, p, xi_ref, omega_ref], omega),
-        np.concatenate([first.xi_ref.ravel(order="F"), first.omega_ref]),
-    )
-    return lambda problem: solve(
-        problem.estimate[:3], problem.estimate[3:], problem.xi_ref, problem.omega_ref
-    )
+    bounds = {"omega_radps": (-paper.OMEGA_MAX_RADPS, paper.OMEGA_MAX_RADPS)}
+    options = dict(model=ROBOT, dt=paper.DT_S, horizon=N, bounds=bounds)
+    options |= dict(q=paper.Q3, qn_factor=paper.QN_FACTOR, r=(paper.R,))
+    plan = PlanProblem(options, solver)
+    poses = first.xi_ref.T
+    guess = [np.append(pose, u) for pose, u in zip(poses, first.omega_ref)]
+    solve = warm(plan, plan.u, np.concatenate([*guess, poses[-1]]))
 
+    def by_problem(problem):
+        pose, p = problem.estimate[:3], problem.estimate[3:]
+        return solve(pose, p, problem.xi_ref, problem.omega_ref[None])
 
-# FATROP, an interior-point method by stages: what is unknown stands in the order of the stages, the
-# parameters are states that stay
-
-FATROP = {"expand": True, "print_time": False, "structure_detection": "auto"}
-FATROP["fatrop"] = {"print_level": 0}
-
-
-def stages(N):
-    """Opti, joint states s_0 … s_N, inputs, and the Function of an interval."""
-    opti, s, omega = ca.Opti(), [], []
-    for _ in range(N):
-        s.append(opti.variable(6))
-        omega.append(opti.variable())
-    s.append(opti.variable(6))
-    joint, u = ca.SX.sym("s", 6), ca.SX.sym("u")
-    after = ca.vertcat(next_pose(joint[:3], u, joint[3:]), joint[3:])
-    return opti, s, omega, ca.Function("interval", [joint, u], [after])
-
-
-def by_fatrop(opti, data, answer, guess):
-    opti.solver("fatrop", FATROP)
-    names = [*data, opti.x, opti.lam_g], [answer, opti.x, opti.lam_g]
-    return warm(opti.to_function("solve", *names), guess)
-
-
-def fatrop_rhe(first):
-    N = len(first.omega_ref)
-    opti, s, omega, interval = stages(N)
-    z, m, H = opti.parameter(4, N + 1), opti.parameter(6), opti.parameter(6, 6)
-    cost = squared(s[0] - m, H)
-    for i, node in enumerate(s):
-        residual = ca.vertcat(node[:2], node[3]) - z[:3, i]
-        cost += squared(residual, np.diag(WEIGHTS[:3]))
-    cost += sum(WEIGHTS[3] * (u - z[3, i + 1]) ** 2 for i, u in enumerate(omega))
-    opti.minimize(cost / 2)
-    for i, u in enumerate(omega):
-        opti.subject_to(s[i + 1] == interval(s[i], u))
-    opti.subject_to(opti.bounded(0, s[N][4:], 1))
-    guess = [np.append(first.estimate, u) for u in first.z[3, 1:]]
-    solve = by_fatrop(opti, [z, m, H], s[N], np.concatenate([*guess, first.estimate]))
-    return lambda problem: solve(problem.z, problem.m, problem.H)
-
-
-def fatrop_rhc(first):
-    N = len(first.omega_ref)
-    opti, s, omega, interval = stages(N)
-    estimate, xi_ref, omega_ref = opti.parameter(6), opti.parameter(3, N + 1), opti.parameter(1, N)
-    errors = [node[:3] - xi_ref[:, i] for i, node in enumerate(s)]
-    cost = sum(squared(error, Q) for error in errors[1:-1]) + squared(errors[-1], QN)
-    cost += paper.R * sum((u - omega_ref[i]) ** 2 for i, u in enumerate(omega))
-    opti.minimize(cost / 2)
-    for i, u in enumerate(omega):
-        opti.subject_to(s[i + 1] == interval(s[i], u))
-        if i == 0:
-            opti.subject_to(s[0] == estimate)
-        opti.subject_to(opti.bounded(-paper.OMEGA_MAX_RADPS, u, paper.OMEGA_MAX_RADPS))
-    p, poses = first.estimate[3:], first.xi_ref.T
-    guess = [np.concatenate([pose, p, [u]]) for pose, u in zip(poses, first.omega_ref)]
-    guess = np.concatenate([*guess, poses[-1], p])
-    solve = by_fatrop(opti, [estimate, xi_ref, omega_ref], ca.horzcat(*omega), guess)
-    return lambda problem: solve(problem.estimate, problem.xi_ref, problem.omega_ref)
+    return by_problem
 
 
 # do-mpc: a discrete-time model with states (x, y, θ), input ω and parameters ν, μ, κ
@@ -279,6 +184,9 @@ def do_mpc_rhc(first):
     return solve
 
 
-PEERS = {"Opti + IPOPT": (opti_rhe, opti_rhc), "FATROP": (fatrop_rhe, fatrop_rhc)}
+PEERS = {
+    name: (functools.partial(rhe_by, solver), functools.partial(rhc_by, solver))
+    for name, solver in {"Opti + IPOPT": IPOPT, "FATROP": FATROP}.items()
+}
 if do_mpc:
     PEERS["do-mpc"] = (do_mpc_rhe, do_mpc_rhc)

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from benchmark import acados_peer, instructions, native, peers, problems
+from notebooks.studies.timing import PHASES
 from rhec.core._casadi import compiled, scan
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import plant
-from rhec.workbench.studies.timing import PHASES
 
 TOLERANCE = 1e-6  # m, rad, m/s, 1, rad/s: how far an answer may be from rhec's
 SAMPLES, SHARE, LOOP = (

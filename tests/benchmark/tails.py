@@ -5,9 +5,9 @@ is the paper's.
 import numpy as np
 import pandas as pd
 
+from notebooks.studies import timing
 from rhec import paper
 from rhec.simulation.scenario import Scenario
-from rhec.workbench.studies import timing
 
 PERCENTILES = 50, 99, 99.9, 99.99
 SEEDS = range(10)
@@ -24,7 +24,7 @@ def measure(steps):
             process_noise="calibrated", seed=seed, duration_s=steps / len(SEEDS) * paper.DT_S
         )
         for solver in SOLVERS:
-            taken[solver].append(timing.phases(scenario, solver))
+            taken[solver].append(timing.phases(scenario, timing.CONTROLLERS[solver]))
     rows = []
     for solver, runs in taken.items():
         times = np.concatenate(runs)

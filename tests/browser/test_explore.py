@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.workbench.explorer.explorer import metrics_table
-from rhec.workbench.explorer.screen import CSS
+from rhec.explorer.explorer import metrics_table
+from rhec.explorer.screen import CSS
 
 # From here on the page notes when each picture that follows a change was painted, and when a
 # pointer was last pressed and let go [ms].
@@ -125,7 +125,6 @@ def opened(lab, open_page):
 def explorer(opened, lab):
     """The explorer as it begins."""
     opened.press("unpin") if opened.page.get_by_role("button", name="unpin").is_enabled() else None
-    opened.press("Field run")
     opened.press("reset")
     opened.quiet()
     opened.page.evaluate("seen.painted = []")
@@ -285,22 +284,7 @@ def test_the_pictures_follow_the_theme_and_tell_what_they_are(explorer):
         )
 
 
-def test_the_robot_view_plays(explorer):
-    explorer.press("Robot view")
-    explorer.settled()
-    first = explorer.picture
-    explorer.page.locator(
-        ".rhec .jupyter-widget-play button, .rhec .widget-play button"
-    ).first.click()
-    explorer.page.wait_for_function("seen.painted.length >= 5")
-    explorer.page.locator(
-        ".rhec .jupyter-widget-play button, .rhec .widget-play button"
-    ).first.click()
-    explorer.settled()
-    assert explorer.picture != first
-
-
-def test_a_new_horizon_compiles_in_the_background(explorer):
+def test_a_new_horizon_compiles(explorer):
     explorer.tab("Controller")
     explorer.keys("horizon [intervals]", "ArrowRight", 1)
     explorer.page.wait_for_function(

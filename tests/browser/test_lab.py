@@ -1,4 +1,4 @@
-"""`make lab` for someone who never used Jupyter before: it asks nothing and speaks to nobody but
+"""`rhec lab` for someone who never used Jupyter before: it asks nothing and speaks to nobody but
 this machine.
 """
 
@@ -7,6 +7,7 @@ import re
 import signal
 import socket
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -22,7 +23,7 @@ def answers(port):
 
 @pytest.fixture
 def address(tmp_path):
-    """The address that `make lab` prints where there is no display, in a home that is empty."""
+    """The address that `rhec lab` prints where there is no display, in a home that is empty."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -34,7 +35,7 @@ def address(tmp_path):
     said = tmp_path / "said"
     with said.open("w") as log:
         lab = subprocess.Popen(
-            ["make", "lab"],
+            [sys.executable, "-m", "rhec", "lab"],
             cwd=ROOT,
             env=environment | {"HOME": str(tmp_path), "JUPYTER_PORT": str(port)},
             stdin=subprocess.DEVNULL,

@@ -33,10 +33,11 @@ ekf = rhec.EKF(
 ekf.prepare()
 print(ekf.feedback((2.0, 3.0)))
 """
+ROOT = Path(rhec.__file__).parents[1]
 needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
 
 
-def start(cache, dt=0.2, package=Path(rhec.__file__).parents[1], **environment):
+def start(cache, dt=0.2, package=ROOT, **environment):
     """A process of its own that builds the EKF."""
     return subprocess.Popen(
         [sys.executable, "-c", BUILD.format(dt=dt)],
@@ -289,15 +290,15 @@ def test_what_is_broken_in_the_cache_is_built_anew(tmp_path, expected, how):
     assert sorted(folder.iterdir()) == whole
 
 
-DAQP = "import rhec; rhec.RHC(horizon=2, qp='daqp').prepare()"
+DAQP = "from condensed_rhc import rhc_by; rhc_by('daqp', horizon=2).prepare()"
 
 
 @needs_compiler
 def test_a_library_does_not_know_the_environment_that_built_it(tmp_path):
+    places = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
+    environment = dict(RHEC_CACHE=str(tmp_path), PYTHONPATH=places)
     for _ in range(2):
-        subprocess.run(
-            [sys.executable, "-c", DAQP], env=os.environ | dict(RHEC_CACHE=str(tmp_path))
-        )
+        subprocess.run([sys.executable, "-c", DAQP], env=os.environ | environment)
     (library,) = tmp_path.glob("*/library.so")
     content = library.read_bytes()
     assert b"libdaqp" in content and str(Path(ca.__file__).parents[1]).encode() not in content

@@ -1,16 +1,14 @@
 """Receding horizon control with bounds on states, outputs and changes: on random instances of three
-problems it finds what IPOPT finds by multiple shooting, written down here once more.
+problems it finds what IPOPT finds.
 """
-
-import functools
 
 import casadi as ca
 import numpy as np
 import pytest
 from helpers import no_compiler
-from oracles import IPOPT, SOLVED, flat
 
 import rhec
+from notebooks.studies.ipopt import PlanProblem
 
 INF = np.inf
 
@@ -86,83 +84,21 @@ def model(problem):
     )
 
 
-def controller(problem, **options):
+def options_of(problem, **options):
+    """Of a `rhec.RHC`, and of the same plan for IPOPT."""
     given = dict(command=problem["commands"], dt=problem["dt"], horizon=problem["N"])
     given |= {name: problem[name] for name in ("q", "r", "bounds")}
-    given |= dict(outputs=problem["outputs"] or None)
+    given |= dict(model=model(problem), outputs=problem["outputs"] or None)
+    return given | options
+
+
+def controller(problem, **options):
     with no_compiler():
-        return rhec.RHC(model=model(problem), **given | options)
+        return rhec.RHC(**options_of(problem, **options))
 
 
-def runge_kutta(f, x, u, p, dt):
-    k1 = f(x, u, p)
-    k2 = f(x + dt / 2 * k1, u, p)
-    k3 = f(x + dt / 2 * k2, u, p)
-    k4 = f(x + dt * k3, u, p)
-    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
-class Oracle:
-    """Multiple shooting of a problem for IPOPT: the unknowns are x_0 … x_N, then u_0 … u_{N-1}."""
-
-    def __init__(self, problem, r_delta=0.0, delta=None, price=None):
-        n_x, n_u, N = len(problem["states"]), len(problem["commands"]), problem["N"]
-        X, U = ca.SX.sym("X", n_x, N + 1), ca.SX.sym("U", n_u, N)
-        first, p = ca.SX.sym("first", n_x), ca.SX.sym("p", len(problem["parameters"]))
-        x_ref, q, r = ca.SX.sym("x_ref", n_x), ca.diag(problem["q"]), ca.diag(problem["r"])
-        bounds = problem["bounds"]
-        cost, rows, low, high = 0, [X[:, 0] - first], [0] * n_x, [0] * n_x
-        self.limited = []
-        excess = []
-        for i in range(N):
-            cost += ca.bilin(r, U[:, i], U[:, i]) / 2
-            change = U[:, i] - (U[:, i - 1] if i else 0)
-            cost += r_delta * ca.sumsqr(change) / 2
-            off = X[:, i + 1] - x_ref
-            cost += ca.bilin(q, off, off) / 2 * (10 if i + 1 == N else 1)
-            rows.append(X[:, i + 1] - runge_kutta(problem["f"], X[:, i], U[:, i], p, problem["dt"]))
-            low, high = low + [0] * n_x, high + [0] * n_x
-            bounded = [(bounds[c], U[j, i]) for j, c in enumerate(problem["commands"])]
-            if delta:
-                bounded.append((delta, change[0]))
-            x = X[:, i + 1]
-            named = dict(zip(problem["states"], ca.vertsplit(x)))
-            named |= {name: h(x, U[:, i], p) for name, h in problem["outputs"].items()}
-            for name in named.keys() & bounds.keys():
-                value = named[name]
-                sides = [(bounds[name], value)]
-                if price and name == price[0]:
-                    t = ca.SX.sym("t")
-                    excess.append(t)
-                    cost += price[1] * t + price[2] * t**2 / 2
-                    lowest, highest = bounds[name]
-                    sides = [((-INF, highest), value - t), ((lowest, INF), value + t)]
-                self.limited += range(len(low) + len(bounded), len(low) + len(bounded) + len(sides))
-                bounded += sides
-            for (lowest, highest), value in bounded:
-                rows, low, high = [*rows, value], [*low, lowest], [*high, highest]
-        unknowns = ca.veccat(X, U, *excess)
-        given = ca.veccat(first, p, x_ref)
-        nlp = dict(x=unknowns, f=cost, g=ca.vertcat(*rows), p=given)
-        self.solver = ca.nlpsol("nlp", "ipopt", nlp, IPOPT)
-        free = np.full(unknowns.numel(), INF)
-        least = -free.copy()
-        least[len(free) - len(excess) :] = 0
-        self.given = dict(lbx=least, ubx=free, lbg=low, ubg=high)
-        self.shape = (n_u, N)
-        self.begin = n_x * (N + 1)
-        self.n_t = len(excess)
-
-    def solve(self, x, p, x_ref, guess):
-        """The inputs (n_u, N), and whether a bound of a state or an output is active."""
-        start = np.concatenate([*map(flat, guess), np.zeros(self.n_t)])
-        solution = self.solver(x0=start, p=np.concatenate([x, p, x_ref]), **self.given)
-        assert self.solver.stats()["return_status"] in SOLVED
-        n = self.shape[0] * self.shape[1]
-        u = flat(solution["x"])[self.begin : self.begin + n].reshape(self.shape, order="F")
-        values = flat(solution["g"])[self.limited]
-        low, high = (np.array(self.given[name])[self.limited] for name in ("lbg", "ubg"))
-        return u, bool(np.any(np.minimum(values - low, high - values) < 1e-5))
+def reference(problem, **options):
+    return PlanProblem(options_of(problem, **options))
 
 
 def cart_instance(rng):
@@ -189,21 +125,18 @@ CASES = dict(
 )
 
 
-@functools.cache
-def oracle(case):
-    return Oracle(CASES[case][0])
-
-
 def compare(case, seed, instances):
     """Errors of the plan relative to IPOPT's, and whether a state or output was at its bound."""
     problem, draw, iterations = CASES[case]
     rng, mpc, found = np.random.default_rng(seed), controller(problem), []
+    oracle = reference(problem)
     for _ in range(instances):
         given = draw(rng)
         mpc.iteration.started = False
         mpc.solve(**given, u_ref=np.zeros(len(problem["commands"])), iterations=iterations)
-        u, active = oracle(case).solve(**given, guess=(mpc.x_plan, mpc.u_plan))
-        found.append((np.abs(mpc.u_plan - u).max(), active, mpc.ok, mpc.kkt))
+        optimum = oracle.solve(**given, u=mpc.u_plan)
+        assert optimum.solved
+        found.append((np.abs(mpc.u_plan - optimum.u).max(), optimum.active, mpc.ok, mpc.kkt))
     return found
 
 
@@ -233,15 +166,16 @@ def test_changes_have_weights_and_bounds():
     """As IPOPT finds; the bound of the changes is active, and the changes are counted on from the
     command of the sample before.
     """
-    problem, rng = CART, np.random.default_rng(1)
-    reference, active = Oracle(problem, r_delta=0.5, delta=(-0.25, 0.25)), 0
+    problem, rng, active = CART, np.random.default_rng(1), 0
     options = dict(r_delta=(0.5,), delta_bounds=dict(acceleration_mps2=(-0.25, 0.25)))
+    oracle = reference(problem, **options)
     for _ in range(10):
         given, mpc = cart_instance(rng), controller(problem, **options)
         given["x"][1] = 0.0
         first = mpc.solve(**given, u_ref=(0.0,), iterations=3)
-        u, _ = reference.solve(**given, guess=(mpc.x_plan, mpc.u_plan))
-        np.testing.assert_allclose(mpc.u_plan, u, rtol=0, atol=1e-6)
+        optimum = oracle.solve(**given, u=mpc.u_plan)
+        assert optimum.solved
+        np.testing.assert_allclose(mpc.u_plan, optimum.u, rtol=0, atol=1e-6)
         active += np.abs(np.diff(mpc.u_plan[0], prepend=0.0)).max() > 0.2499
         mpc.prepare()
         second = mpc.feedback(mpc.x_plan[:, 1], given["p"], given["x_ref"], (0.0,))
@@ -270,15 +204,17 @@ def test_a_soft_bound_that_costs_enough_is_a_hard_one():
 
 def test_soft_bounds_cost_what_was_said():
     """A linear and a quadratic price, as IPOPT finds."""
-    rng, reference = np.random.default_rng(3), Oracle(CART, price=("velocity_mps", 0.1, 3.0))
     soft = rhec.Bound(-0.5, 0.6, linear=0.1, quadratic=3.0)
-    mpc = controller(CART, bounds=CART["bounds"] | dict(velocity_mps=soft))
+    bounds = CART["bounds"] | dict(velocity_mps=soft)
+    rng, mpc = np.random.default_rng(3), controller(CART, bounds=bounds)
+    oracle = reference(CART, bounds=bounds)
     for _ in range(10):
         given = cart_instance(rng) | dict(x_ref=(3.0, 0.0))
         mpc.iteration.started = False
         mpc.solve(**given, u_ref=(0.0,), iterations=2)
-        u, _ = reference.solve(**given, guess=(mpc.x_plan, mpc.u_plan))
-        np.testing.assert_allclose(mpc.u_plan, u, rtol=0, atol=1e-6)
+        optimum = oracle.solve(**given, u=mpc.u_plan)
+        assert optimum.solved
+        np.testing.assert_allclose(mpc.u_plan, optimum.u, rtol=0, atol=1e-6)
     assert mpc.x_plan[1].max() > 0.6
 
 

@@ -7,19 +7,18 @@ from oracles import DT, V, drive, flat
 from scipy.optimize import lsq_linear
 
 from rhec.core._casadi import packing
-from rhec.tracked_robot import ekf as paper_ekf
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 W = np.square([0.02, 0.02, 0.01, 0.05])
-STEP = paper_ekf.build_step(DT)
+PAPERS = choice_of("ekf", 5)
+STEP = build_step(PAPERS)
 
 
 def init(guess, sigma):
-    return paper_ekf.init(
-        QUANTITIES[:4], *(dict(zip(QUANTITIES, values)) for values in (guess, sigma))
-    )
+    first = (dict(zip(QUANTITIES, values)) for values in (guess, sigma))
+    return estimator_of("ekf").init(PAPERS, *first)
 
 
 def textbook(m, P, z, traction, first):
@@ -230,7 +229,7 @@ def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told)
     step, first = build_step(choice_of("rhe", 5)), dict(zip(QUANTITIES, guess))
     sure = dict(zip(QUANTITIES, (1.0,) * 4 + (1e-7,) * 2))
     memory = packing.pack_array(
-        paper_rhe.checked_init(paper_rhe.window_of(choice_of("rhe", 5)), first, sure)
+        paper_rhe.init(paper_rhe.window_of(choice_of("rhe", 5)), first, sure)
     )
     W = np.square([*SIGMA_W[:4], 1e-9, 1e-9])
     for reading, estimate, covariance in zip(z, estimates, covariances):

@@ -4,6 +4,7 @@ after find back.
 
 import numpy as np
 import pytest
+from condensed_rhc import rhc_by
 from oracles import N, drive, move
 
 import rhec
@@ -148,7 +149,7 @@ def test_a_controller_that_fails_commands_its_shifted_plan(qp):
         xi_ref=np.vstack([0.1 * np.arange(N + 1), np.zeros((2, N + 1))]),
         omega_ref=np.zeros(N),
     )
-    rhc, spared = rhec.RHC(qp=qp), rhec.RHC(qp=qp)
+    rhc, spared = rhc_by(qp), rhc_by(qp)
     for k in range(4 * N):
         plan = rhc.omega_plan
         rhc.prepare(), spared.prepare()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.workbench.studies import gallery
-from rhec.workbench.studies.ipopt_plans import Reference
+from notebooks.further import gallery
+from notebooks.studies.ipopt import NEAR, PlanProblem
 
 PENDULUM = gallery.pendulum()
 N = 20
@@ -40,13 +40,13 @@ def test_swing_ups_from_the_same_plan_as_ipopt(virtual_machine):
     Of these 20 plans 12 end where IPOPT does, 7 at a cheaper local solution, and one at a dearer.
     """
     rng = np.random.default_rng(0)
-    reference = Reference(OPTIONS)
+    reference = PlanProblem(OPTIONS, solver=NEAR)
     mpc = controller()
     ratios = []
     for _ in range(20):
         x = HANGING + rng.uniform(-0.3, 0.3, 4)
         begin = some_inputs(rng)
-        expected = reference.solve(x, GOAL, begin)
+        expected = reference.solve(x, GOAL, u=begin)
         assert expected.solved
         found = solved_from(mpc, x, begin)
         ratios.append(reference.cost(x, GOAL, found) / expected.cost)

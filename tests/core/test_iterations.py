@@ -6,11 +6,12 @@ import pytest
 from rotating_masses import INERTIA, measured, mhe_of_masses
 
 import rhec
-from rhec.core.model import base
+from notebooks.studies.ipopt import PlanProblem
 
 N = 100
 DT = 0.04
 START = np.array([0.0, 0.99 * np.pi, 0.99 * np.pi, 0.0, 0.0, 0.0])
+GOAL = np.zeros(6)
 Q = np.array([1.0, 10.0, 10.0, 0.1, 0.1, 0.1])
 R = 0.01
 FORCE = 4.0
@@ -41,33 +42,10 @@ def double_pendulum():
     return rhec.Model(states=states, inputs=("force",), parameters={}, outputs=("x",), f=f)
 
 
-def cost_of(model, u):
-    step, x, cost = base.interval(model, measured=False).step, START, 0.0
-    for force in u:
-        x = np.array(step(x, force, DT)).ravel()
-        cost += (R * force**2 + Q @ x**2) / 2
-    return cost
-
-
-def cost_by_ipopt(model):
-    x, u = ca.MX.sym("x", 6, N + 1), ca.MX.sym("u", 1, N)
-    step = base.interval(model, measured=False).step.map(N)
-    cost = (ca.sumsqr(ca.repmat(ca.sqrt(Q), 1, N) * x[:, 1:]) + R * ca.sumsqr(u)) / 2
-    g = ca.veccat(x[:, 0] - START, step(x[:, :N], u, DT) - x[:, 1:])
-    options = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0, "expand": True}
-    options["ipopt.tol"] = 1e-9
-    solve = ca.nlpsol("solve", "ipopt", dict(x=ca.veccat(x, u), f=cost, g=g), options)
-    free = np.full(6 * (N + 1), np.inf)
-    bounds = dict(lbx=[*-free, *[-FORCE] * N], ubx=[*free, *[FORCE] * N])
-    result = solve(x0=[*np.tile(START, N + 1), *np.zeros(N)], lbg=0, ubg=0, **bounds)
-    assert solve.stats()["success"]
-    return float(result["f"])
-
-
-def controller(model):
+def options_of(model):
     bounds = {"force": (-FORCE, FORCE)}
     options = dict(command=("force",), bounds=bounds, q=tuple(Q), r=(R,), qn_factor=1.0)
-    return rhec.RHC(model=model, dt=DT, horizon=N, **options)
+    return dict(model=model, dt=DT, horizon=N) | options
 
 
 PROBLEM = dict(x=START, p=[], x_ref=np.zeros((6, N + 1)), u_ref=np.zeros((1, N)))
@@ -75,27 +53,30 @@ PROBLEM = dict(x=START, p=[], x_ref=np.zeros((6, N + 1)), u_ref=np.zeros((1, N))
 
 def test_a_double_pendulum_swings_up_as_ipopt_finds(virtual_machine):
     """Full steps from here go round in circles. The first feedback iterates by itself."""
-    model = double_pendulum()
-    best = cost_by_ipopt(model)
-    solved, first = controller(model), controller(model)
+    options = options_of(double_pendulum())
+    reference = PlanProblem(options)
+    best = reference.solve(START, GOAL)
+    assert best.solved
+    solved, first = rhec.RHC(**options), rhec.RHC(**options)
     solved.solve(**PROBLEM, iterations=300)
     assert solved.ok and solved.converged
     first.prepare()
     first.feedback(**PROBLEM)
     assert first.ok and not first.converged
     for each in (solved, first):
-        assert cost_of(model, each.u_plan[0]) <= best * (1 + 1e-6)
+        assert reference.cost(START, GOAL, each.u_plan) <= best.cost * (1 + 1e-6)
 
 
 def test_each_iteration_lowers_the_cost_at_the_end(virtual_machine):
     """Few iterations are not converged, and more of them are not worse once gaps are closed."""
-    model = double_pendulum()
+    options = options_of(double_pendulum())
+    reference = PlanProblem(options)
     costs = []
     for iterations in (40, 60, 300):
-        rhc = controller(model)
+        rhc = rhec.RHC(**options)
         rhc.solve(**PROBLEM, iterations=iterations)
         assert rhc.converged == (iterations == 300)
-        costs.append(cost_of(model, rhc.u_plan[0]))
+        costs.append(reference.cost(START, GOAL, rhc.u_plan))
     assert costs[0] >= costs[1] >= costs[2]
 
 

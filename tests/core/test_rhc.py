@@ -4,6 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
+from condensed_rhc import rhc_by
 from oracles import N, drive, move, rhc_by_ipopt, rhc_instance, rhc_weights
 from robots import DT, ROBOTS
 
@@ -34,7 +35,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
     rng, bounded = np.random.default_rng(0), 0
     for k in range(200):
         problem, weights = rhc_instance(rng), rhc_weights(rng)
-        rhc = rhec.RHC(**weights, qp=SOLVERS[k % 3])
+        rhc = rhc_by(SOLVERS[k % 3], **weights)
         command = rhc.solve(**problem, iterations=25)
         optimum = rhc_by_ipopt(problem, **weights)
         np.testing.assert_allclose(
@@ -51,7 +52,7 @@ def test_all_solvers_give_the_same_commands():
     rng = np.random.default_rng(1)
     for _ in range(20):
         weights = rhc_weights(rng) | dict(r=10 ** rng.uniform(-3, 1))
-        controllers = [rhec.RHC(**weights, qp=solver) for solver in SOLVERS]
+        controllers = [rhc_by(solver, **weights) for solver in SOLVERS]
         for _ in range(10):
             problem, plans = rhc_instance(rng), []
             for rhc in controllers:
@@ -69,7 +70,7 @@ def test_commands_never_leave_the_bounds():
     for solver in SOLVERS:
         for _ in range(20):
             omega_max, most = rng.uniform(0.01, 0.2), 0.0
-            rhc = rhec.RHC(r=0.5, omega_max=omega_max, qp=solver)
+            rhc = rhc_by(solver, r=0.5, omega_max=omega_max)
             for _ in range(10):
                 problem = rhc_instance(rng)
                 rhc.prepare()
@@ -235,7 +236,6 @@ def test_a_wrong_shape_is_named(name, value):
         (dict(dt=-0.2), "dt"),
         (dict(horizon=1), "horizon"),
         (dict(horizon=15.0), "horizon"),
-        (dict(qp="osqp"), "qp"),
     ],
 )
 def test_a_bad_argument_is_named_in_one_sentence(bad, name):

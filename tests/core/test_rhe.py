@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 from oracles import DT, N, V, drive, flat, iterate, places, rhe_by_ipopt, rhe_instance, unknowns
 
 import rhec
+from notebooks.studies.condensed import box_qp_by_library
 from rhec import paper
 from rhec.core.solver.box_qp import box_qp
-from rhec.core.solver.condensed import box_qp_by_library
-from rhec.tracked_robot import estimators, position_check, tuning
+from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.live import PaperEstimate
+from rhec.tracked_robot.position_check import PositionCheck
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SPEED_MODELS = ["parameter", "input"]
@@ -31,12 +32,12 @@ def build_phases(*options):
 
 def first_memory(guess, sigma, speed_model="parameter"):
     of = (dict(zip(QUANTITIES, values)) for values in (guess, sigma))
-    return paper_rhe.checked_init(paper_rhe.window_of(choice_of("rhe", N, speed_model)), *of)
+    return paper_rhe.init(paper_rhe.window_of(choice_of("rhe", N, speed_model)), *of)
 
 
 def window_memory(*window):
     """As of `oracles`, before the first position, which is never rejected."""
-    return oracles.window_memory(*window) | position_check.init()
+    return oracles.window_memory(*window) | PositionCheck().first(None)
 
 
 def feed(rhe, z, **iterations):
@@ -63,7 +64,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model)
         memory, answer, tolerances = iterate(
             phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 12
         )
-        optimum, newest = rhe_by_ipopt(z, m, P, speed_model, guess=unknowns(memory))
+        optimum, newest = rhe_by_ipopt(z, m, P, speed_model)
         np.testing.assert_allclose(unknowns(memory), optimum, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(
             flat(answer["estimate"])[keep], newest[keep], rtol=1e-6, atol=1e-9
@@ -352,7 +353,7 @@ def test_a_missing_reading_is_a_term_left_out(speed_model):
             phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 300
         )
         assert tolerances[-1] < 1e-9
-        optimum, _ = rhe_by_ipopt(z, m, P, speed_model, guess=unknowns(memory))
+        optimum, _ = rhe_by_ipopt(z, m, P, speed_model)
         np.testing.assert_allclose(unknowns(memory), optimum, rtol=1e-6, atol=1e-6)
 
 

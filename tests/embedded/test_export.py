@@ -13,11 +13,14 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import no_compiler
+from helpers import no_compiler, own_controller
 from oracles import mhe_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
+from notebooks.further.c_code import instructions, report, toolchain
+from notebooks.plots.timing import embedded_times
+from notebooks.studies.timing import PHASES
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
@@ -26,16 +29,12 @@ from rhec.core.controller import rhc
 from rhec.embedded import LOG, phases
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import MEASUREMENTS
-from rhec.tracked_robot import cautious
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.position_check import most_rejected
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
-from rhec.workbench.plots.timing import embedded_times
-from rhec.workbench.studies.embedded import instructions, report, toolchain
-from rhec.workbench.studies.timing import PHASES
 
 SECONDS = 20.0
 TOLERANCE = 1e-9
@@ -101,12 +100,6 @@ SCENARIOS = {
     "RHE, fixed traction": dict(estimator="rhe_fixed_traction", mu_mean=0.7, kappa_mean=0.6),
     "bounded EKF": dict(estimator="bounded_ekf", process_noise="calibrated"),
     "own estimator": dict(estimator=own_estimator()),
-    "cautious": dict(
-        estimator="bounded_ekf",
-        cautious=True,
-        backwards=True,
-        path=rhec.Path.from_segments([(2.0, 0.0), (4.0, 0.2), (20.0, 0.0)]),
-    ),
 }
 
 
@@ -216,9 +209,7 @@ def log_of(export):
 
 
 def in_python(scenario, measurements):
-    """Answers of the closed loop's own Functions to these measurements: (samples, 7), or with the
-    commanded speed (samples, 8).
-    """
+    """Answers of the closed loop's own Functions to these measurements: (samples, 7)."""
     setup, choice = closed_loop.set_up(scenario), Choice.of(scenario)
     settings, limits = setup.settings, SPEED_MODELS["parameter"].model.limits
     estimate_step = build_step(choice)
@@ -228,10 +219,6 @@ def in_python(scenario, measurements):
     guess = dict(zip(QUANTITIES, setup.guess))
     estimator = pack_array(estimator_of(choice.estimator).init(choice, guess))
     controller = pack_array(rhc.init(horizon, setup.guess[:3], setup.guess[3:]))
-    if scenario.cautious:
-        states = estimator_of(choice.estimator).states(choice)
-        control = cautious.build_step(control, states, len(setup.path.segments), paper.DT_S)
-        controller = np.append(controller, scenario.speed_mps)
     s, omega, answers = setup.path.project(setup.guess[None, :2])[1], 0.0, []
     names = ["memory", "estimate", *estimate_step.name_out()[2:]]
     for z in measurements:
@@ -251,8 +238,7 @@ def in_python(scenario, measurements):
             u_ref=target["omega_ref"],
         )
         s, controller, omega = target["s"], planned["memory"], float(planned["command"])
-        speed = [float(planned["speed_mps"])] if scenario.cautious else []
-        answers.append([*estimate.full().ravel(), omega, *speed])
+        answers.append([*estimate.full().ravel(), omega])
     return np.array(answers)
 
 
@@ -308,34 +294,6 @@ def test_answers_to_missing_and_implausible_measurements_equal_pythons(exported,
         rtol=0,
         atol=TOLERANCE,
     )
-
-
-def test_the_commanded_speed_equals_pythons(exported, tmp_path):
-    """To measurements with gaps, on which it slows down; overwritten memory keeps it in bounds."""
-    (tmp_path / "speed.c").write_text(
-        '#include "rhec.h"\ndouble speed(const struct rhec *r) { return r->nu[0]; }\n'
-    )
-    library = shared(exported("cautious"), tmp_path, tmp_path / "speed.c")
-    library.speed.restype = ctypes.c_double
-    robot = Robot(library, exported("cautious"))
-    scenario = rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS["cautious"])
-    measurements = log_of(exported("cautious"))[MEASUREMENTS].to_numpy()
-    measurements[40:44] = np.nan
-    answers = []
-    for z in measurements:
-        estimate, omega, _ = robot.step(z)
-        answers.append([*estimate, omega, library.speed(robot.memory)])
-    expected = in_python(scenario, measurements)
-    np.testing.assert_allclose(answers, expected, rtol=0, atol=TOLERANCE)
-    speeds = expected[:, -1]
-    assert speeds.min() == pytest.approx(-scenario.speed_mps) and speeds.max() > -0.4
-
-    doubles = np.frombuffer(robot.memory, dtype=float)
-    for value in (np.nan, np.inf, -1e11, 1e300):
-        doubles[4:] = value  # all but the settings' address and the counters
-        for z in measurements[-5:]:
-            robot.step(z)
-            assert -scenario.speed_mps <= library.speed(robot.memory) <= 0
 
 
 def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
@@ -472,7 +430,7 @@ def test_no_compiler_warns(compiler, exported):
     if not shutil.which(compiler):
         pytest.skip(f"there is no {compiler}")
     strict = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-    for name in ("paper", "EKF", "cautious"):
+    for name in ("paper", "EKF"):
         folder = exported(name)
         if compiler.endswith("++"):  # the header is for C++ as well
             program = (
@@ -632,6 +590,14 @@ def test_an_export_in_a_relative_folder_compiles(exported, tmp_path, monkeypatch
     assert all(path.exists() for path in objects)
 
 
+@needs_compiler
+def test_the_header_tells_the_size_of_the_memory(exported):
+    program = '#include "rhec.h"\nint here[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n'
+    compiler = toolchain.this_machine().compiler
+    command = [compiler, f"-I{exported('paper')}", "-fsyntax-only", "-x", "c", "-"]
+    subprocess.run(command, input=program, text=True, check=True)
+
+
 def test_memory_and_stack_are_below_256_kib(exported, built):
     machine, objects = built("paper", "this machine")
     header = (exported("paper") / "rhec_memory.h").read_text()
@@ -755,21 +721,12 @@ def solving_estimator():
             "expressions$",
         ),
         (
-            rhec.Scenario(qp="daqp"),
-            "^qp was 'daqp', which needs a library; to export, it should be 'structured'$",
-        ),
-        (rhec.Scenario(qp="qpoases"), "^qp was 'qpoases'"),
-        (
             rhec.Scenario(estimator="yaw_drift_ekf"),
             "^estimator was 'yaw_drift_ekf', whose yaw drift the exported controller does not",
         ),
         (
-            rhec.Scenario(controller="ltv_mpc"),
-            "^controller was 'ltv_mpc'; to export, it should be 'rhc'$",
-        ),
-        (
-            rhec.Scenario(disturbance_observer=True),
-            "^disturbance_observer was True; to export, it should be False$",
+            rhec.Scenario(controller=own_controller(rhec.Scenario())),
+            "^controller was Controller.'steer', memory of 1.; to export, it should be 'rhc'$",
         ),
     ],
 )
@@ -924,7 +881,7 @@ def test_an_exports_process_noise_may_change_by_sample(bounds, tmp_path):
         folder = rhec.export(mhe, tmp_path / "rhec")
     in_c = RobotInC(folder, tmp_path)
     struct = (folder / "rhec_memory.h").read_text().split("struct rhec_settings {")[1].split("}")[0]
-    lengths = dict(re.findall(r"rhec_real (\w+)\[(\d+)\]", struct))
+    lengths = dict(re.findall(r"double (\w+)\[(\d+)\]", struct))
     begin = sum(int(n) for n in [*lengths.values()][: [*lengths].index("W")])
     size = sum(map(int, lengths.values()))
     copied = (ctypes.c_double * size).in_dll(in_c.library, "rhec_scenario")

@@ -14,7 +14,7 @@ def texts(monkeypatch):
     """An export takes a moment: only its files matter here."""
     texts = {embedded._MARK: "mark", "rhec.c": "code", "README.txt": "text"}
     monkeypatch.setattr(embedded, "_check", lambda scenario: None)
-    monkeypatch.setattr(embedded, "_of_scenario", lambda scenario, ros2: texts)
+    monkeypatch.setattr(embedded, "_of_scenario", lambda scenario: texts)
     return texts
 
 

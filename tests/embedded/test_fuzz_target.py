@@ -1,4 +1,4 @@
-"""The target of `make fuzz`: its stored corpus is harmless, and a defect does not escape it."""
+"""The target of `tests/fuzz`: its stored corpus is harmless, and a defect does not escape it."""
 
 import subprocess
 

@@ -1,4 +1,4 @@
-"""Fuzz the exported C of a scenario and of a Model with sanitizers (`make fuzz`).
+"""Fuzz the exported C of a scenario and of a Model with sanitizers (`python tests/fuzz`).
 
 python tests/fuzz [--runs N] [--seed S]
 
@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 
 import rhec
-from rhec.workbench.studies.embedded import toolchain
+from notebooks.further.c_code import toolchain
 
 HERE = Path(__file__).parent
 CORPUS = HERE / "corpus"

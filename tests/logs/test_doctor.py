@@ -14,7 +14,7 @@ import pytest
 from helpers import TRACK_WIDTH_M, recorded_log
 
 import rhec
-from rhec.workbench.command_line import main
+from rhec.cli import main
 
 LOG = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)
 T = LOG["t_s"]

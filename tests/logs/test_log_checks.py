@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 
 import rhec
+from notebooks.further.recorded.scores import yaw_error
 from rhec.logs import replay as module
-from rhec.logs.scores import yaw_error
 from rhec.simulation.columns import ESTIMATE, RECORDED_TRUTH
 
 LOG = pd.read_csv(make_example_log.FILE)

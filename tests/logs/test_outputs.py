@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 import rhec
-from rhec.logs.outputs import write_estimates, write_scores, write_traction
-from rhec.logs.scores import while_moving
+from notebooks.further.recorded.scores import while_moving
+from notebooks.further.recorded_logs import write_scores
+from rhec.logs.outputs import write_estimates, write_traction
 
 
 def test_a_replay_leaves_tables_and_paths(tmp_path):

@@ -21,11 +21,12 @@ from helpers import (
 from text_boxes import text_defects
 
 import rhec
-from rhec.logs import recording, scores
+from notebooks.further import recorded_logs_plots as drawings
+from notebooks.further.recorded import scores
+from notebooks.further.recorded_logs import replay_table
+from rhec.logs import recording
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
-from rhec.workbench.plots import replay as drawings
-from rhec.workbench.studies.replay_study import replay_table
 
 LOG = recorded_log(noise_m=0.02)
 
@@ -60,7 +61,7 @@ def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
     of theirs.
     """
     log = recorded_log(rate_hz)
-    # The W calibrated in the former world, whose soil slips and differs as this log's does.
+    # A W calibrated on soil that slips and differs as this log's does.
     noise = dict(process_noise="calibrated", sigma_w=(0.001, 0.001, 0.001, 0.0033, 0.001))
     result = rhec.replay(log, first_yaw_rad=0.4, speed_model="input", **noise)
     late = result["t_s"] > 15

@@ -6,7 +6,7 @@ import pytest
 from helpers import KAPPA, MU, TRACK_WIDTH_M, recorded_log
 
 import rhec
-from rhec.logs.scores import yaw_error
+from notebooks.further.recorded.scores import yaw_error
 from rhec.simulation.columns import ESTIMATE
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)

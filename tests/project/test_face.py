@@ -182,7 +182,7 @@ def test_the_core_stands_alone(name):
     """Neither a robot nor tables nor pictures come with what any robot needs."""
     loaded = modules_after(f"rhec.{name}")
     rooms = {module.split(".")[1] for module in loaded if module.startswith("rhec.")}
-    assert rooms == {"core"}
+    assert rooms == {"core", "version"}
     assert loaded.isdisjoint({"pandas", "matplotlib", "scipy", "xarray", "dask", "IPython"})
 
 
@@ -192,7 +192,7 @@ def test_without_a_model_the_estimator_is_the_papers():
 
 def test_a_run_needs_neither_tables_nor_pictures():
     loaded = modules_after("rhec.simulate(rhec.Scenario(estimator='oracle', duration_s=1.0))")
-    assert loaded.isdisjoint({"pandas", "matplotlib", "dask", "IPython", "rhec.workbench"})
+    assert loaded.isdisjoint({"pandas", "matplotlib", "dask", "IPython", "notebooks"})
 
 
 # How it is written

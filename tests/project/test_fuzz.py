@@ -14,15 +14,17 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
+from condensed_rhc import rhc_by
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from nbformat import v4
 
 import rhec
+from notebooks import run as notebook
 from rhec import paper
 from rhec.simulation import closed_loop, faults
+from rhec.simulation.columns import LOG
 from rhec.tracked_robot.live import PaperRHC, PaperRHE
-from rhec.workbench import notebook
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 N = paper.HORIZON
@@ -198,7 +200,7 @@ def test_a_simulation(fields, several, robust, seed):
     with np.errstate(all="ignore"):
         columns = rhec.simulate(scenario).columns
     assert len(columns["t_s"]) == round(scenario.duration_s / 0.2)
-    for name in (*closed_loop.LOG["truth"], *closed_loop.LOG["estimate"], "omega_cmd_radps"):
+    for name in (*LOG["truth"], *LOG["estimate"], "omega_cmd_radps"):
         assert np.isfinite(columns[name]).all(), name
     assert np.all(np.abs(columns["omega_cmd_radps"]) <= scenario.omega_max_radps)
     for name in ("mu_hat", "kappa_hat", "mu", "kappa"):
@@ -275,7 +277,6 @@ def test_paths_and_terrains(entry, data):
                 "omega_max",
                 "dt",
                 "prediction_horizon",
-                "qp",
                 "guess",
                 "sigma_v",
                 "sigma_w",
@@ -329,11 +330,11 @@ absurd = extreme | st.floats(-1e9, 1e9)
     st.sampled_from(["structured", "daqp", "qpoases"]),
 )
 @example([(0, "p", 1658.0)], "daqp")
-def test_a_controller_recovers_from_absurd_arguments(moments, qp):
+def test_a_controller_recovers_from_absurd_arguments(moments, solver):
     """Its command keeps the bound whatever it is told, and is that of a controller that never heard
     of it some seconds later.
     """
-    told, spared = rhec.RHC(qp=qp), rhec.RHC(qp=qp)
+    told, spared = rhc_by(solver), rhc_by(solver)
     healthy = dict(
         pose=(0.0, 0.1, 0.0),
         p=(0.5, 0.9, 0.8),
@@ -458,9 +459,7 @@ def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
     """
     monkeypatch.chdir(tmp_path)
     tagged = v4.new_code_cell("process_noise: str = 'printed'", metadata={"tags": ["parameters"]})
-    check = v4.new_code_cell(
-        "from rhec.workbench.notebook import parameters\nparameters(globals())"
-    )
+    check = v4.new_code_cell("from notebooks.run import parameters\nparameters(globals())")
     nbformat.write(v4.new_notebook(cells=[tagged, check]), "toy.ipynb")
     value = (
         "'); open('../executed', 'w'); ('\\'); open('../executed', 'w') #\nopen('../executed', 'w')"

@@ -12,8 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 from nbformat import v4
 
-from rhec.workbench import report, results
-from rhec.workbench.plots import style
+from rhec import style
 
 ROOT = Path(__file__).parents[2]
 needs_make = pytest.mark.skipif(not shutil.which("make"), reason="there is no make")
@@ -63,21 +62,9 @@ HOSTILE += ['" ; touch stolen ; "', "' ; touch stolen ; '", "a b $HOME"]
 
 @needs_make
 @pytest.mark.parametrize("text", HOSTILE)
-@pytest.mark.parametrize("goal", ["replay", "calibrate"])
-def test_a_logs_name_is_data(checkout, goal, text):
-    name = f"logs/a{text}.csv"
-    assert run_make(checkout, goal, f"LOG={name}")[-1] == name
-    assert run_make(checkout, goal, LOG=name)[-1] == name
-    assert not (checkout / "stolen").exists()
-
-
-@needs_make
-@pytest.mark.parametrize("text", HOSTILE)
-@pytest.mark.parametrize(
-    "goal, variable", [("soak", "SAMPLES"), ("storm", "RUNS"), ("recordings", "HOST")]
-)
-def test_every_variable_is_data(checkout, goal, variable, text):
-    assert run_make(checkout, goal, f"{variable}={text}")[-1] == text
+def test_the_id_of_a_claim_is_data(checkout, text):
+    assert run_make(checkout, "claim", f"ID={text}")[-1] == text
+    assert run_make(checkout, "claim", ID=text)[-1] == text
     assert not (checkout / "stolen").exists()
 
 
@@ -87,30 +74,30 @@ def test_every_variable_is_data(checkout, goal, variable, text):
 def test_nothing_in_a_variable_is_executed(checkout, variable, text):
     if variable == "PYTHON":  # which is used to set up .venv alone
         (checkout / ".venv/ready").unlink()
-    run_make(checkout, "campaign", f"{variable}={text}")
+    run_make(checkout, "test", f"{variable}={text}")
     assert not (checkout / "stolen").exists()
 
 
 @needs_make
 def test_arguments_in_what_are_quoted_as_in_a_shell(checkout):
-    arguments = run_make(checkout, "campaign", """WHAT=-p q [1,1,1] '["x_m=east", "y"]'""")
-    assert arguments[3:] == ["-p", "q", "[1,1,1]", '["x_m=east", "y"]']
+    arguments = run_make(checkout, "test", """WHAT=-k '[1,1,1] or y' tests/core""")
+    assert arguments[-3:] == ["-k", "[1,1,1] or y", "tests/core"]
 
 
 # Files in figures/
 
 
 @needs_make
-def test_clean_takes_no_name_from_the_environment(checkout):
+def test_clean_removes_what_was_made_alone(checkout):
     (checkout / "figures").mkdir()
-    theirs = [checkout / f"figures/{name}" for name in ("thesis.tex", "bench_mine.tex")]
-    for file in theirs:
-        file.touch()
-    (checkout / "figures/bench_step.csv").touch()
+    (checkout / "build").mkdir()
+    theirs = checkout / "figures/thesis.tex"
+    made = checkout / "figures/fig99 $(touch stolen).png"
+    theirs.touch()
+    made.touch()
+    (checkout / "build/made").write_text(f"{made.relative_to(checkout)}\n")
     run_make(checkout, "clean", MADE="figures/thesis.tex")
-    run_make(checkout, "clean-benchmarks")
-    assert all(file.exists() for file in theirs)
-    assert not (checkout / "figures/bench_step.csv").exists()
+    assert theirs.exists() and not made.exists() and not (checkout / "stolen").exists()
 
 
 def test_an_interrupted_picture_leaves_the_old_one(tmp_path, monkeypatch):
@@ -146,71 +133,29 @@ def test_an_interrupted_table_leaves_the_old_one(tmp_path, monkeypatch):
 
 
 FAILING = """
-from pathlib import Path
-Path("../figures/whole.png").write_text("made")
-Path("../figures/half.png.unfinished").write_text("ha")
+from matplotlib.figure import Figure
+from rhec import style
+style.save(Figure(), "whole")
 raise RuntimeError("as if interrupted")
 """
 
 
 @needs_make
 def test_clean_knows_what_an_interrupted_notebook_made(checkout):
-    shutil.copytree(ROOT / "rhec", checkout / "rhec", ignore=shutil.ignore_patterns("__pycache__"))
-    for folder in ("notebooks", "figures"):
-        (checkout / folder).mkdir()
+    for package in ("rhec", "notebooks"):
+        ignored = shutil.ignore_patterns("__pycache__", "*.ipynb")
+        shutil.copytree(ROOT / package, checkout / package, ignore=ignored)
     story = v4.new_notebook(cells=[v4.new_code_cell(FAILING)])
     nbformat.write(story, checkout / "notebooks/03_scenario_a.ipynb")
-    command = [sys.executable, "-m", "rhec.workbench.notebook", "notebooks/03_scenario_a.ipynb"]
+    command = [sys.executable, "-m", "notebooks.run", "notebooks/03_scenario_a.ipynb"]
     environment = os.environ | dict(PYTHONPATH=str(checkout))
     done = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True)
     assert done.returncode == 1 and "as if interrupted" in done.stderr
-    assert [file.name for file in (checkout / "figures").iterdir()] == ["whole.png"]
+    made = sorted(file.name for file in (checkout / "figures").iterdir())
+    assert made == ["whole.pdf", "whole.png"]
     run_make(checkout, "clean")
-    assert not (checkout / "figures").exists()
+    assert not [*(checkout / "figures").iterdir()]
     assert not (checkout / "build/notebooks").exists()
-
-
-THEIRS = {
-    "latin.csv": "ä;b".encode("latin-1"),
-    "empty.csv": b"",
-    "open.csv": b'"open\n1',
-    "broken.png": b"no picture",
-    "private.txt": b"secret",
-}
-
-
-@pytest.fixture
-def figures(tmp_path):
-    """A folder of figures with a person's own files among them."""
-    folder = tmp_path / "figures"
-    style.save_table(pd.DataFrame(dict(a=[1])), "table_one", "One", folder)
-    style.save(Figure(), "fig99_one", folder=folder)
-    for name, content in THEIRS.items():
-        (folder / name).write_bytes(content)
-    return folder
-
-
-def test_results_read_no_table_of_ones_own(figures):
-    for page in results.PAGES:
-        (figures.parent / page).parent.mkdir(exist_ok=True)
-        (figures.parent / page).write_text("# A page\n")
-    results.main(figures.parent)
-
-
-def test_the_report_publishes_what_make_made_alone(figures, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "ROOT", tmp_path)
-    story = tmp_path / "build/one.ipynb"
-    story.parent.mkdir()
-    nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell("# One")]), story)
-    made = ["fig99_one.pdf", "fig99_one.png", "table_one.csv", "table_one.tex"]
-    files = " ".join(f"figures/{name}" for name in made)
-    story.with_suffix(".d").write_text(f"build/one.ipynb: x\nx:\nMADE += {files}\n")
-    published = report.made_by([story], figures)
-    assert published == {*made}
-    monkeypatch.setattr(report, "ROOT", ROOT)
-    report._lay_out(tmp_path / "source", [story], figures, False, published)
-    copied = [file.name for file in (tmp_path / "source/figures").iterdir() if file.is_file()]
-    assert sorted(copied) == made
 
 
 def test_an_installed_package_writes_into_the_working_folder(tmp_path):
@@ -218,7 +163,7 @@ def test_an_installed_package_writes_into_the_working_folder(tmp_path):
     shutil.copytree(ROOT / "rhec", packages / "rhec", ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "work").mkdir()
     done = subprocess.run(
-        [sys.executable, "-c", "from rhec.workbench.plots import style; print(style.FOLDER)"],
+        [sys.executable, "-c", "from rhec import style; print(style.FOLDER)"],
         cwd=tmp_path / "work",
         env=os.environ | dict(PYTHONPATH=str(packages)),
         capture_output=True,

@@ -85,9 +85,9 @@ def installed(wheel, tmp_path_factory):
     return folder
 
 
-def test_a_plain_install_brings_no_workbench(extras):
+def test_a_plain_install_brings_no_laboratory(extras):
     assert {"casadi", "numpy", "pandas", "pydantic"}.isdisjoint(extras)
-    assert {"jupyterlab", "papermill", "dask", "distributed", "matplotlib", "gstools"} < {*extras}
+    assert {"jupyterlab", "papermill", "dask", "distributed", "matplotlib"} < {*extras}
 
 
 def test_the_wheel_holds_the_package_and_nothing_else(wheel):

@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
+from rhec.cli import main
 from rhec.simulation.campaigns import campaign, workers
-from rhec.workbench.command_line import main
 
 
 def run(*arguments):

@@ -26,6 +26,7 @@ import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from helpers import own_controller
 
 import rhec
 from rhec.core._casadi import compiled
@@ -74,6 +75,16 @@ def own_estimator(**result):
     return ca.Function("mine", [memory, z], [estimate, result.get("estimate", estimate)])
 
 
+@pytest.fixture
+def ran(monkeypatch):
+    """The scenarios that really ran."""
+    ran = []
+    monkeypatch.setattr(
+        campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario)
+    )
+    return ran
+
+
 # Rows
 
 
@@ -109,11 +120,7 @@ def test_no_metric_hides_a_field():
     assert len(rhec.campaign([])) == 0
 
 
-def test_equal_scenarios_run_once(monkeypatch):
-    ran = []
-    monkeypatch.setattr(
-        campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario)
-    )
+def test_equal_scenarios_run_once(ran):
     table = rhec.campaign([SHORT, *short(2), SHORT])
     assert ran == short(2) and list(table["seed"]) == [0, 0, 1, 0]
 
@@ -163,16 +170,6 @@ def test_bad_arguments_are_refused_in_a_sentence(arguments, sentence):
 
 
 # What is kept
-
-
-@pytest.fixture
-def ran(monkeypatch):
-    """The scenarios that really ran."""
-    ran = []
-    monkeypatch.setattr(
-        campaigns, "simulate", lambda scenario: ran.append(scenario) or rhec.simulate(scenario)
-    )
-    return ran
 
 
 def test_what_is_kept_is_not_run_again(tmp_path, ran):
@@ -289,19 +286,16 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         input_reference="curvature",
         command_delay=1,
         traction_timing="sample_before",
-        controller="ltv_mpc",
-        disturbance_observer=True,
+        controller=own_controller(SHORT),
         soil_under="centre",
-        qp="daqp",
         backwards=True,
-        cautious=True,
         path=target,
         terrain=soil,
         patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
         faults=(rhec.Fault(kind="stuck"),),
     )
     # Of some estimators alone.
-    others = ("robust", "soil_map", "sensors", "sigma_gyro", "sigma_heading")
+    others = ("robust", "sensors", "sigma_gyro", "sigma_heading")
     sensing = dict(estimator="rhe", sensors=("gyro", "heading"))
     for field in dataclasses.fields(SHORT):
         if field.name not in changes and field.name not in others:
@@ -322,15 +316,14 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
             dict(estimator=own_estimator()),
             dict(estimator=own_estimator(estimate=ca.DM.ones(6))),
             dict(estimator="rhe", robust=True),
-            dict(estimator="map_ekf"),
-            dict(estimator="map_ekf", soil_map=rhec.SoilMap.from_runs([])),
+            dict(controller=own_controller(SHORT, gain=3.0)),
             sensing,
             sensing | dict(sigma_gyro=(0.03, 0.1)),
             sensing | dict(sigma_heading=0.05),
         )
     ]
     keys = [store.scenario_key(scenario) for scenario in [SHORT, *changed]]
-    assert len(set(keys)) == len(keys) == len(changes) + 11
+    assert len(set(keys)) == len(keys) == len(changes) + 10
     assert keys == [
         store.scenario_key(dataclasses.replace(scenario)) for scenario in [SHORT, *changed]
     ]
@@ -564,7 +557,8 @@ def listening():
 def test_workers_open_no_port():
     before = listening()
     rhec.campaign(short(), workers=2)
-    assert len(worker_processes()) == 2 and listening() == before
+    # One or two: a worker whose memory has grown is replaced only when there is work for it.
+    assert worker_processes() and listening() == before
 
 
 def test_workers_end_where_their_parent_was_killed(tmp_path):

@@ -6,17 +6,18 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers import SIMPLE_WORLD
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import flat
 from text_boxes import text_defects
 
 import rhec
+from notebooks.further import faults as fault_study
+from notebooks.further.faults_plots import fault_courses, fault_overview
 from rhec import paper
 from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.faults import Fault
-from rhec.workbench.plots.faults import fault_courses, fault_overview
-from rhec.workbench.studies import robustness
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 DT, B = paper.DT_S, paper.TRACK_WIDTH_M
@@ -25,7 +26,7 @@ Z = np.column_stack(
     [0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)]
 )  # smooth, and no two samples alike
 DURING = slice(50, 60)  # 10 s ≤ t < 12 s
-SHORT = rhec.Scenario(**rhec.WORLDS["former"], process_noise="calibrated", duration_s=30.0)
+SHORT = rhec.Scenario(**SIMPLE_WORLD, process_noise="calibrated", duration_s=30.0)
 
 
 def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
@@ -262,17 +263,17 @@ def test_infinite_encoder_measurements_do_not_restart_the_estimator():
 
 CASES = {
     (family, name): case
-    for family, of_family in robustness.CASES.items()
+    for family, of_family in fault_study.CASES.items()
     for name, case in of_family.items()
 }
 
 
 @pytest.mark.parametrize("family, name", CASES)
 def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(family, name):
-    """`notebooks/09_faults.ipynb` shows how well it drives."""
+    """`notebooks/further/faults.ipynb` shows how well it drives."""
     case = CASES[family, name]
-    run = rhec.simulate(robustness.scenario(case, 12.0, SHORT))
-    assert robustness.response(run, *robustness.interval_s(run, case, 12.0))["in_bounds"]
+    run = rhec.simulate(fault_study.scenario(case, 12.0, SHORT))
+    assert fault_study.response(run, *fault_study.interval_s(run, case, 12.0))["in_bounds"]
 
 
 def test_a_response_follows_from_the_errors():
@@ -281,22 +282,22 @@ def test_a_response_follows_from_the_errors():
     error[50:80] = 0.5  # off for 6 s,
     error[95] = 0.2  # then once more, too soon to have been back for 5 s
     made = dataclasses.replace(run, columns=run.columns | {"error_true_m": error})
-    response = robustness.response(made, 10.0, 12.0)
+    response = fault_study.response(made, 10.0, 12.0)
     assert response == dict(
         max_during_m=0.5, max_after_m=0.5, recovery_s=pytest.approx(96 * DT - 12.0), in_bounds=True
     )
-    assert robustness.response(made, 24.0, 24.0)["recovery_s"] == 0
+    assert fault_study.response(made, 24.0, 24.0)["recovery_s"] == 0
     never = dataclasses.replace(run, columns=run.columns | {"error_true_m": error + 1})
-    assert np.isnan(robustness.response(never, 10.0, 12.0)["recovery_s"])
+    assert np.isnan(fault_study.response(never, 10.0, 12.0)["recovery_s"])
     wild = dataclasses.replace(run, columns=run.columns | {"omega_cmd_radps": np.full(150, 0.11)})
-    assert not robustness.response(wild, 10.0, 12.0)["in_bounds"]
+    assert not fault_study.response(wild, 10.0, 12.0)["in_bounds"]
 
 
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     cases = {
-        family: dict(list(robustness.CASES[family].items())[:2]) for family in ("outage", "start")
+        family: dict(list(fault_study.CASES[family].items())[:2]) for family in ("outage", "start")
     }
-    table, errors = robustness.study(
+    table, errors = fault_study.study(
         rhec.Scenario(process_noise="calibrated"),
         range(2),
         {"off": {}, "on": {"arrival_mean": "filtered"}},
@@ -307,14 +308,14 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     )
     outage = errors["outage", "3 s", "off"]
     assert (
-        outage.shape == (2, round((robustness.BEFORE_S + 3 + robustness.AFTER_S) / DT))
+        outage.shape == (2, round((fault_study.BEFORE_S + 3 + fault_study.AFTER_S) / DT))
         and np.isfinite(outage).all()
     )
-    numbers = robustness.fault_table(table, {"": 20.0, "start": 1.0}).set_index(
+    numbers = fault_study.fault_table(table, {"": 20.0, "start": 1.0}).set_index(
         ["family", "case", "handling"]
     )
     for key, runs in table.groupby(["family", "case", "handling"], sort=False):
-        key = (robustness.FAMILIES[key[0]], *key[1:])
+        key = (fault_study.FAMILIES[key[0]], *key[1:])
         assert numbers.loc[key, "recovery_s"] == pytest.approx(
             runs["recovery_s"].mean(), nan_ok=True
         )
@@ -324,7 +325,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
         )
         assert numbers.loc[key, "verdict"] == ("does not hold" if "start" in key else "holds")
     keys = [(family, case) for family in cases for case in cases[family]]
-    figure = fault_courses(keys, table, errors, robustness.BEFORE_S)
+    figure = fault_courses(keys, table, errors, fault_study.BEFORE_S)
     shown = [axes for axes in figure.axes if axes.get_visible()]
     titles = [axes._left_title.get_text().split("\n")[0] for axes in shown]
     assert all(title.endswith(case) for title, (_, case) in zip(titles, keys))
@@ -375,7 +376,7 @@ def test_a_bad_fault_is_refused_in_one_sentence(bad, sentence):
 def test_a_scenario_takes_faults_only():
     with pytest.raises(ValueError, match="^faults"):
         rhec.Scenario(faults=("missing",))
-    assert closed_loop.set_up(SHORT).structure.faulty is False
+    assert closed_loop.set_up(SHORT).draws == ("noise",)
 
 
 @pytest.mark.parametrize("channel", ["left", "encoders"])

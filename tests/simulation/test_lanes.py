@@ -8,11 +8,12 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import controller, estimator, fused_sample
+from helpers import controller, estimator, fused_sample, own_controller
 from oracles import flat, mhe_instance, mpc_instance
 from robots import BICYCLE
 
 import rhec
+from notebooks.studies import condensed
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.scan import build_scan, scan
@@ -38,27 +39,12 @@ def own_estimator():
     return ca.Function("mine", [memory, z], [estimate, estimate])
 
 
-def soil_map():
-    """A map with slopes and with a spread that changes from place to place."""
-    i, j = np.indices((9, 40))
-    wave = np.sin(i + 0.3 * j)
-    grids = dict(mu=0.8 + 0.1 * wave, kappa=0.8 - 0.1 * wave, sigma_mu=0.03 + 0.02 * wave)
-    grids |= dict(sigma_kappa=0.1 + 0 * wave, slope_x=0.01 * wave, slope_y=0.02 * wave)
-    return rhec.SoilMap(**grids, origin_m=(-5.0, -9.0), cell_m=1.0, length_m=4.0)
-
-
 KINDS = {name: dict(estimator=name) for name in NAMES} | {
     f"{name}, gated, with faults": dict(estimator=name, robust=True) for name in ROBUST_NAMES
 }
 KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
-KINDS["cautious"] = dict(estimator="bounded_ekf", cautious=True)
-KINDS["observer"] = dict(estimator="bounded_ekf", disturbance_observer=True)
-KINDS["cautious with drift"] = dict(estimator="yaw_drift_ekf", cautious=True)
-KINDS["ltv_mpc"] = dict(controller="ltv_mpc")
-KINDS["pure_pursuit"] = dict(controller="pure_pursuit", look_ahead_m=1.0)
-KINDS["speed_rhc"] = dict(estimator="yaw_drift_ekf", controller="speed_rhc")
+KINDS["own controller"] = dict(controller=own_controller(SMALL))
 KINDS["two tracks"] = dict(soil_under="tracks")
-KINDS["with a map"] = dict(estimator="map_ekf", soil_map=soil_map())
 _SENSORS = dict(process_noise="consistent", sensors=("heading", "gyro"))
 KINDS |= {
     f"{name}, gyro, heading": _SENSORS | dict(speed_model=name) for name in ("input", "slipping")
@@ -111,9 +97,8 @@ def test_every_estimator_has_the_same_bits_in_a_lane(kind, load):
     scenarios = [*unlike(kind)]
     setups = [*map(closed_loop.set_up, scenarios)]
     assert len({setup.structure for setup in setups}) == 1
-    options = setups[0].structure.options
     streams = [
-        closed_loop.noise_and_faults(scenario.seed, scenario.faults, 100, options)
+        closed_loop.noise_and_faults(scenario.seed, scenario.faults, 100, setups[0].draws)
         for scenario in scenarios
     ]
     one_by_one, at_once = one_by_one_and_at_once(
@@ -184,11 +169,11 @@ def texts(tmp_path, monkeypatch):
 
 
 def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
-    by_parts = rows_of(tmp_path / "parts", estimator="rhe", disturbance_observer=True)
+    by_parts = rows_of(tmp_path / "parts", estimator="rhe")
     # The steps of estimator and controller, the references, the robot's motion, and the rest.
     assert len(texts) == 5
     monkeypatch.setattr(parts, "_is_large", lambda function: False)
-    whole = rows_of(tmp_path / "whole", estimator="rhe", disturbance_observer=True)
+    whole = rows_of(tmp_path / "whole", estimator="rhe")
     assert len(texts) == 6
     np.testing.assert_array_equal(by_parts, whole)
 
@@ -307,7 +292,8 @@ def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
 
 def test_what_has_no_lanes_runs_one_by_one(always):
     """A QP solver's C is no C++ for lanes."""
-    scenarios = [dataclasses.replace(SMALL, qp="daqp", seed=seed) for seed in range(3)]
+    by_daqp = condensed.controller(SMALL, "daqp")
+    scenarios = [dataclasses.replace(SMALL, controller=by_daqp, seed=seed) for seed in range(3)]
     table = rhec.campaign(scenarios, workers=1)
     assert (table["error"] == "").all()
     assert_rows_of_simulate(table, scenarios)

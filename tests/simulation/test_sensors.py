@@ -56,15 +56,16 @@ def test_a_heading_is_measured_up_to_full_turns():
 def test_other_random_streams_stay_as_they_are():
     """The robot of an oracle drives the same path, and the noise of a seed begins the same."""
     plain = closed_loop.noise_and_faults(5, (), 50)
-    for options in ((), ("gyro",), BOTH, ("side_slip",), (*BOTH, "side_slip")):
-        longer = closed_loop.noise_and_faults(5, (), 60, options)
+    gyro, both, slip = ("gyro_noise",), ("gyro_noise", "heading_noise"), ("side_slip_noise",)
+    for others in ((), gyro, both, slip, (*both, *slip)):
+        longer = closed_loop.noise_and_faults(5, (), 60, ("noise", *others))
         np.testing.assert_array_equal(longer[:50, : plain.shape[1]], plain)
     # A gyro's noise is the same with and without a heading.
-    alone, both = (
-        closed_loop.noise_and_faults(5, (), 50, options)[:, plain.shape[1]]
-        for options in (("gyro",), BOTH)
+    alone, first = (
+        closed_loop.noise_and_faults(5, (), 50, ("noise", *others))[:, plain.shape[1]]
+        for others in (gyro, both)
     )
-    np.testing.assert_array_equal(alone, both)
+    np.testing.assert_array_equal(alone, first)
 
 
 @pytest.mark.parametrize("speed_model", ["parameter", "input", "slipping"])

@@ -1,5 +1,5 @@
 """The soak test: an endless drive that can be cut and resumed anywhere, and its counts.
-`make soak` drives a hundred times as far.
+`python tests/soak.py --samples 10000000` drives a hundred times as far.
 """
 
 import json
@@ -65,7 +65,11 @@ def test_legs_differ_but_not_in_the_loops_structure():
     assert len({leg.seed for leg in legs}) == 40 and {
         fault.kind for leg in legs for fault in leg.faults
     } == set(faults.KINDS)
-    assert len({closed_loop.set_up(leg).structure for leg in legs[:8]}) == 1
+    # The delay of a command is another wire, with the same memory.
+    setups = {leg: closed_loop.set_up(leg) for leg in legs[:8]}
+    assert len({(leg.command_delay, setup.structure) for leg, setup in setups.items()}) == 2
+    assert len({tuple(setup.layout) for setup in setups.values()}) == 1
+    assert len({len(setup.memory) for setup in setups.values()}) == 1
 
 
 def test_each_kind_of_failure_is_counted():

@@ -8,7 +8,7 @@ import pytest
 
 import rhec
 from rhec.simulation.columns import ESTIMATE
-from rhec.workbench.studies.calibration import run_estimator
+from rhec.simulation.offline import run_estimator
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 TIMINGS = ("feedback", "sample_before", "prepared_anew")

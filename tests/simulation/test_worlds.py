@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers import SIMPLE_WORLD
 
 import rhec
 from rhec.tracked_robot import plant
@@ -23,36 +24,23 @@ ALL_AT_ONCE = dict(
 
 
 @pytest.mark.parametrize("name", rhec.WORLDS)
-def test_a_world_is_a_part_of_a_scenario(name):
-    world = rhec.WORLDS[name]
-    assert set(world) == set(rhec.WORLDS["former"])
+def test_a_world_is_what_differs_from_the_default(name):
+    world, default = rhec.WORLDS[name], rhec.Scenario()
     scenario = rhec.Scenario(**world, seed=3)
     assert {field: getattr(scenario, field) for field in world} == world
+    assert all(value != getattr(default, field) for field, value in world.items())
+    assert bool(world) == (name != "default")
 
 
-def test_the_default_world_is_that_of_a_scenario():
-    assert rhec.Scenario(**rhec.WORLDS["default"]) == rhec.Scenario()
-
-
-def test_runs_of_the_former_world_are_what_they_were():
-    """Poses after 20 s and 59.8 s by version 0.2 before there were other worlds."""
-    former = rhec.Scenario(**rhec.WORLDS["former"], duration_s=60.0)
-    cautious = dataclasses.replace(
-        former, estimator="augmented_ekf", sigma_w=(0.01,) * 6, cautious=True, seed=5
-    )
-    expected = {
-        former: [
-            [9.057221325003816, 0.04861727825686246, 0.020332184396793324],
-            [26.760545977761332, -0.06335782519152527, -0.04138414162906666],
-        ],
-        cautious: [
-            [7.017534536352407, -0.001356677414103836, -0.02755396937379567],
-            [25.15882334800196, 0.06380753532949529, -0.005145008318403728],
-        ],
-    }
-    for scenario, poses in expected.items():
-        log = rhec.simulate(scenario).log[["x_m", "y_m", "theta_rad"]]
-        np.testing.assert_allclose(log.iloc[[100, 299]], poses, rtol=0, atol=1e-6)
+def test_runs_of_the_simple_world_are_what_they_are():
+    """Poses after 20 s and 59.8 s, as they were recorded."""
+    log = rhec.simulate(rhec.Scenario(**SIMPLE_WORLD, duration_s=60.0)).log
+    poses = [
+        [9.057221325003816, 0.04861727825686246, 0.020332184396793324],
+        [26.760545977761332, -0.06335782519152527, -0.04138414162906666],
+    ]
+    found = log[["x_m", "y_m", "theta_rad"]].iloc[[100, 299]]
+    np.testing.assert_allclose(found, poses, rtol=0, atol=1e-6)
 
 
 def bilinear(field, terrain, xy):
@@ -110,7 +98,7 @@ def driven_in_numpy(run):
 
 
 def test_the_closed_loop_drives_as_two_tracks_in_numpy():
-    run = rhec.simulate(rhec.Scenario(**rhec.WORLDS["former"] | ALL_AT_ONCE))
+    run = rhec.simulate(rhec.Scenario(**SIMPLE_WORLD | ALL_AT_ONCE))
     poses = run.log[["x_m", "y_m", "theta_rad"]]
     np.testing.assert_allclose(poses, driven_in_numpy(run), rtol=0, atol=1e-8)
     drift = run.log["yaw_drift_radpm"]
@@ -122,7 +110,7 @@ def test_what_slips_more_on_one_side_turns_while_it_drives_straight():
     d = 0.02
     quiet = dict(encoder_sigma_mps=0.0, bump_sigma_radps=0.0, mu_deviation=0.0)
     scenario = rhec.Scenario(
-        **rhec.WORLDS["former"] | quiet | dict(slip_difference=d),
+        **SIMPLE_WORLD | quiet | dict(slip_difference=d),
         omega_max_radps=1e-9,
         start_offset_m=0.0,
         duration_s=20.0,
@@ -133,7 +121,7 @@ def test_what_slips_more_on_one_side_turns_while_it_drives_straight():
 
 def test_a_short_drive_has_a_slow_position_error_of_the_deviation_asked_for():
     slow = dict(gnss_sigma_m=0.02, gnss_slow_share=1.0, gnss_slow_time_s=900.0, duration_s=4.0)
-    base = rhec.Scenario(**rhec.WORLDS["former"] | slow)
+    base = rhec.Scenario(**SIMPLE_WORLD | slow)
     logs = [rhec.simulate(dataclasses.replace(base, seed=seed)).log for seed in range(1000, 1100)]
     errors = np.array([log["y_meas_m"] - log["y_m"] for log in logs])
     assert errors.std() == pytest.approx(0.02, rel=0.15)

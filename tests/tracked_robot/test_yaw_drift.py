@@ -7,14 +7,15 @@ from oracles import DT, V, drive, flat
 
 import rhec
 from rhec.core._casadi.packing import pack_array
-from rhec.tracked_robot import yaw_drift
+from rhec.core.controller import rhc
+from rhec.tracked_robot import yaw_disturbance
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.tracked_robot.rhc import horizon_of
 
 HORIZON = 8
 TRUTH = dict(zip(QUANTITIES, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)))
 SIGMA_W = (0.01, 0.01, 0.01, 0.01, 0.003, 0.005, 0.002)
-DRIFTING = ("yaw_drift_ekf", "yaw_drift_rhe")
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 
 
@@ -36,8 +37,6 @@ def estimates(name, z, sigma_w=SIGMA_W, sigma=None, traction=()):
     given = () if sigma is None else (sigma,)
     memory = pack_array(estimator_of(name).init(choice, TRUTH, *given))
     settings = dict(V=V, W=np.square(sigma_w))
-    if "P_0" in step.name_in():
-        settings["P_0"] = np.ones(len(sigma_w))
     found, drifts = [], []
     for reading in z:
         result = step(memory=memory, z_N=reading, **settings, **dict(traction))
@@ -48,55 +47,29 @@ def estimates(name, z, sigma_w=SIGMA_W, sigma=None, traction=()):
 
 
 @pytest.mark.parametrize("delta", [0.05, -0.1])
-@pytest.mark.parametrize("name", DRIFTING)
-def test_a_constant_drift_is_found(name, delta):
+def test_a_constant_drift_is_found(delta):
     truth, z = drifting_drive(weaving_yaw_rates(300), delta)
-    found, drifts = estimates(name, with_noise(z, 0, 0.1))
+    found, drifts = estimates("yaw_drift_ekf", with_noise(z, 0, 0.1))
     assert drifts[-50:].mean() == pytest.approx(delta, abs=0.01)
     assert np.abs(found - truth)[-50:, 2].max() < 0.03
 
 
-@pytest.mark.parametrize("name", DRIFTING)
-def test_without_uncertainty_of_the_drift_it_is_the_estimator_without(name):
-    """A drift known to be 0 changes nothing: to rounding, the bounded EKF and the RHE."""
+def test_without_uncertainty_of_the_drift_it_is_the_estimator_without():
+    """A drift known to be 0 changes nothing: to rounding, it is the bounded EKF."""
     _, z = drifting_drive(weaving_yaw_rates(60), 0.0)
     z = with_noise(z)
     known = dict.fromkeys(QUANTITIES, 0.1) | dict(yaw_drift_radpm=1e-9)
-    without = dict(yaw_drift_ekf="bounded_ekf", yaw_drift_rhe="rhe")[name]
-    found, drifts = estimates(name, z, (*SIGMA_W[:6], 0.0), known)
-    expected, _ = estimates(without, z, SIGMA_W[:6], known)
+    found, drifts = estimates("yaw_drift_ekf", z, (*SIGMA_W[:6], 0.0), known)
+    expected, _ = estimates("bounded_ekf", z, SIGMA_W[:6], known)
     np.testing.assert_allclose(found, expected, atol=1e-7)
     np.testing.assert_allclose(drifts, 0, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", DRIFTING)
-def test_traction_stays_within_its_bounds(name):
+def test_traction_stays_within_its_bounds():
     _, z = drive((0, 0, 0, 0.5, 1.15, 1.2), weaving_yaw_rates(80))
-    found, _ = estimates(name, with_noise(z, 1))
+    found, _ = estimates("yaw_drift_ekf", with_noise(z, 1))
     assert ((found[:, 4:] >= 0) & (found[:, 4:] <= 1)).all()
     assert (found[:, 4:] == 1).any()
-
-
-def test_in_a_control_loop_of_ones_own_it_is_the_same_estimator():
-    """`rhec.RHE` with the model, sample by sample, against the step that a closed loop calls."""
-    _, z = drifting_drive(weaving_yaw_rates(40), 0.05)
-    z = with_noise(z)
-    sigma = dict.fromkeys(yaw_drift.STATES, 0.1)
-    expected, drifts = estimates("yaw_drift_rhe", z, sigma=sigma)
-    live = rhec.RHE(
-        model=yaw_drift.MODEL,
-        dt=DT,
-        horizon=HORIZON,
-        arrival_mean="filtered",
-        sigma_v=tuple(np.sqrt(V)),
-        sigma_w=SIGMA_W,
-        guess=(*TRUTH.values(), 0.0),
-        sigma_guess=(0.1,) * 7,
-    )
-    for reading, row, drift in zip(z, expected, drifts):
-        live.prepare()
-        estimate = live.feedback(reading)
-        np.testing.assert_allclose([*estimate.x, *estimate.p], [*row, drift], atol=1e-9)
 
 
 def test_the_oracle_is_passed_the_drift():
@@ -115,6 +88,25 @@ def test_the_oracle_is_passed_the_drift():
 
 
 # In the closed loop
+
+
+def test_a_known_disturbance_moves_the_command_and_its_bounds():
+    """The compensated RHC commands what an RHC that plans with it would, less the disturbance."""
+    horizon = horizon_of(HORIZON)
+    plain = rhc.build_phases(horizon)["step"]
+    move, take_off = yaw_disturbance.moved_bounds(), yaw_disturbance.taken_off()
+    pose, p = np.array([0.0, 0.05, 0.0]), np.array([0.5, 0.9, 0.8])
+    s = p[0] * p[1] * DT * np.arange(HORIZON + 1)
+    x_ref = np.array([np.sin(0.1 * s), 1 - np.cos(0.1 * s), 0.01 * s]) / 0.1
+    signals = dict(memory=pack_array(rhc.init(horizon, pose, p)), s_0=[*pose, *p], x_ref=x_ref)
+    signals |= dict(u_ref=np.zeros((1, HORIZON)), Q=[1, 1, 0.3], QN=[10, 10, 3], R=0.05)
+    for d in (0.0, 0.02, -0.04):
+        found = plain(**signals, **move(lower=-0.1, upper=0.1, disturbance=d))
+        found |= take_off(command=found["command"], disturbance=d)
+        expected = plain(**signals, lower=-0.1 + d, upper=0.1 + d)
+        assert found["ok"] == expected["ok"] == 1
+        assert float(found["command"]) == pytest.approx(float(expected["command"]) - d, abs=1e-12)
+        assert abs(float(found["command"])) <= 0.1 + 1e-12
 
 
 def mean_error_m(**fields):
@@ -138,12 +130,6 @@ SLIPPING_ASIDE = dict(
 )
 
 
-@pytest.mark.parametrize("name", DRIFTING)
-def test_the_controller_cancels_the_drift(name):
+def test_the_controller_cancels_the_drift():
     """A standing offset to the path without it is gone with it."""
-    assert mean_error_m(estimator=name) < 0.25 * mean_error_m(estimator="bounded_ekf")
-
-
-def test_the_observer_cancels_the_drift_too():
-    fields = dict(estimator="bounded_ekf", observer_time_s=2.0)
-    assert mean_error_m(**fields, disturbance_observer=True) < 0.25 * mean_error_m(**fields)
+    assert mean_error_m(estimator="yaw_drift_ekf") < 0.25 * mean_error_m(estimator="bounded_ekf")

@@ -87,7 +87,7 @@ def loop_symbols():
 
 _PACKAGE = Path(__file__).parents[2]
 # Folders whose sources make Functions. An edit of figures, studies or logs compiles nothing anew.
-_ROOMS = (".", "core/*", "tracked_robot", "simulation")
+_ROOMS = (".", "core", "core/*", "tracked_robot", "simulation")
 
 
 @functools.cache
@@ -100,14 +100,14 @@ def source_digest(*modules):
 
 def library_name(build, structure, *more):
     """The name of the compiled Functions of build(*structure): a digest of all that makes them."""
-    code = (build.__module__, build.__name__, _key(structure), source_digest(build.__module__))
+    code = (build.__module__, build.__name__, key_of(structure), source_digest(build.__module__))
     origin = (*code, ca.__version__, compiler(), FLAGS, platform.machine(), *more)
     return hashlib.sha256(repr(origin).encode()).hexdigest()[:24]
 
 
-def _key(part):
-    """A structure in which each Model is replaced by the key of all that decides its C."""
-    return tuple(map(_key, part)) if isinstance(part, tuple) else getattr(part, "key", part)
+def key_of(part):
+    """A structure in which each Model or Block is replaced by the key of all that decides its C."""
+    return tuple(map(key_of, part)) if isinstance(part, tuple) else getattr(part, "key", part)
 
 
 def is_compiled(build, *structure):
@@ -119,8 +119,8 @@ def is_compiled(build, *structure):
 def load(build, *structure):
     """Return the Functions of the dict build(*structure), compiled.
 
-    The structure consists of strings, numbers, Models and tuples of these. CasADi generates no C
-    for qpOASES: Functions that call it stay on the virtual machine, as all Functions do where
+    The structure consists of strings, numbers, Models, Blocks and tuples of these. CasADi generates
+    no C for qpOASES: Functions that call it stay on the virtual machine, as all Functions do where
     nothing can be compiled.
     """
     if not compiler():

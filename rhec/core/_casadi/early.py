@@ -12,51 +12,12 @@ import threading
 
 from rhec.core._casadi import cache, compiled
 
+THREAD = "rhec compiler"  # the name of all threads that compile
 # From so many loads on, a structure is worth optimising where a person waits: it takes a second or
 # two of another core. Workers and executed notebooks leave no core idle, and there it has to pay.
 # Optimising takes as long as it saves in 100 to 200 runs of 240 s.
 WORTH_OPTIMISING = 12
 _WORTH_OPTIMISING_UNATTENDED = 120
-
-_compiling = {}  # {(build, structure): the thread that compiles it}, until it is opened
-_early = {}  # {(build, structure): _Early}, until the optimised library replaces it
-_optimised = set()  # (build, structure) of which nothing but the optimised library is used
-
-
-class _Early:
-    """A structure that is compiled without optimisation.
-
-    Attributes:
-        functions: The Functions of build(*structure).
-        loads: How often they were loaded.
-        thread: The thread that compiles the optimised library, or None.
-    """
-
-    def __init__(self, key, functions):
-        self.functions = functions
-        self.loads = 0
-        self.thread = None
-        self._name = compiled.library_name(*key)
-        self._optimise = functools.partial(_optimise, _early_name(*key), self._name)
-
-    def load(self):
-        """Return the Functions, and begin to optimise them when that pays."""
-        self.loads += 1
-        if self.loads == worth_optimising():
-            self.optimise()
-        return self.functions
-
-    def optimise(self):
-        """Begin to optimise the Functions, once."""
-        if self.thread is None:
-            self.thread = threading.Thread(target=self._optimise)
-            self.thread.start()
-
-    def is_optimised(self):
-        """Return whether the optimised library was compiled; where that failed, this one stays."""
-        if self.thread is None or self.thread.is_alive():
-            return False
-        return cache.contains(self._name)
 
 
 def worth_optimising():
@@ -69,18 +30,8 @@ def worth_optimising():
 
 def load(build, *structure):
     """As `compiled.load`, without optimisation as long as only that is compiled."""
-    key = build, structure
     begin(build, [structure])
-    if _is_missing(*key):
-        _open_early(*key)
-    early = _early.get(key)
-    # Without a compiler nothing is compiled any more, not even what was compiled before.
-    if early is not None and compiled.compiler() and not early.is_optimised():
-        return early.load()
-    if compiled.compiler():
-        _early.pop(key, None)
-        _optimised.add(key)
-    return compiled.load(build, *structure)
+    return library(build, structure).load()
 
 
 def begin(build, structures):
@@ -92,62 +43,114 @@ def begin(build, structures):
         build: The function that builds the Functions, as for `compiled.load`.
         structures: A list of its tuples of arguments.
     """
+    is_announced = False
     for structure in structures:
-        key = build, tuple(structure)
-        if key not in _compiling and not is_compiled(build, *structure):
-            _begin_one(build, tuple(structure))
+        has_begun = library(build, tuple(structure)).begin()
+        if has_begun and not is_announced:
+            compiled.announce(build)
+            is_announced = True
 
 
 def optimise(build, structures):
     """Begin to optimise structures that are sure to be run often; the arguments are `begin`'s."""
     for structure in structures:
-        if early := _early.get((build, tuple(structure))):
-            early.optimise()
+        library(build, tuple(structure)).optimise()
 
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return not _is_missing(build, structure) or cache.contains(_early_name(build, structure))
+    return library(build, structure).is_compiled()
 
 
-def _begin_one(build, structure):
-    # CasADi is not safe in threads: the text is made here, and only compilers run beside.
-    names, text = compiled.library_text(build(*structure))
-    if None in names.values():  # left to `compiled.load`
-        _optimised.add((build, structure))
-        return
-    if not _compiling:
-        compiled.announce(build)
-    make = functools.partial(compiled.compile_text, names=names, text=text, optimised=False)
-    thread = threading.Thread(target=_build_quietly, args=(_early_name(build, structure), make))
+@functools.cache
+def library(build, structure):
+    """The Library of build(*structure) in this process."""
+    return Library(build, structure)
+
+
+class Library:
+    """The Functions of a structure: compiled without optimisation, then replaced."""
+
+    def __init__(self, build, structure):
+        self._build = build
+        self._structure = structure
+        self._compiling = None  # the thread that compiles without optimisation
+        self._functions = None  # those without optimisation, while they are used
+        self._loads = 0  # of these
+        self._optimising = None  # the thread that compiles the optimised library
+        self._is_final = False  # whether nothing but the optimised library is used from now on
+
+    def is_compiled(self):
+        """Return whether `load` has nothing to compile."""
+        return not self._is_missing() or cache.contains(self._early_name())
+
+    def begin(self):
+        """Begin to compile without optimisation, once; return whether that was to be done."""
+        if self._compiling or self.is_compiled():
+            return False
+        # CasADi is not safe in threads: the text is made here, and only compilers run beside.
+        names, text = compiled.library_text(self._build(*self._structure))
+        if None in names.values():  # left to `compiled.load`
+            self._is_final = True
+            return False
+        make = functools.partial(compiled.compile_text, names=names, text=text, optimised=False)
+        self._compiling = _run_beside(_build_quietly, self._early_name(), make)
+        return True
+
+    def load(self):
+        """Return the Functions, and begin to optimise them when that pays."""
+        if self._is_missing():
+            self._open()
+        # Without a compiler nothing is compiled any more, not even what was compiled before.
+        has_compiler = bool(compiled.compiler())
+        if has_compiler and self._functions and not self._is_optimised():
+            self._loads += 1
+            if self._loads == worth_optimising():
+                self.optimise()
+            return self._functions
+        if has_compiler:
+            self._functions = None
+            self._is_final = True
+        return compiled.load(self._build, *self._structure)
+
+    def optimise(self):
+        """Begin to optimise the Functions, once, if they are there without optimisation."""
+        if self._functions and not self._optimising:
+            name = compiled.library_name(self._build, self._structure)
+            self._optimising = _run_beside(_optimise, self._early_name(), name)
+
+    def _is_missing(self):
+        if self._functions or self._is_final or not compiled.compiler():
+            return False
+        return not compiled.is_compiled(self._build, *self._structure)
+
+    def _is_optimised(self):
+        """Whether the optimised library was compiled; where that failed, this one stays."""
+        if not self._optimising or self._optimising.is_alive():
+            return False
+        return compiled.is_compiled(self._build, *self._structure)
+
+    def _early_name(self):
+        return compiled.library_name(self._build, self._structure, "not optimised")
+
+    def _open(self):
+        """Open the library; if it could not be compiled, `compiled.load` says why."""
+        if self._compiling:
+            self._compiling.join()
+        name = self._early_name()
+        if not cache.contains(name):
+            return
+        try:
+            _, self._functions = cache.load_or_build(name, _fail, compiled.open_library)
+        except cache.UnusableError:
+            return
+
+
+def _run_beside(function, *arguments):
+    """Call a function in a thread."""
+    thread = threading.Thread(target=function, args=arguments, name=THREAD)
     thread.start()
-    _compiling[build, structure] = thread
-
-
-def _is_missing(build, structure):
-    key = build, structure
-    if key in _early or key in _optimised or not compiled.compiler():
-        return False
-    return not compiled.is_compiled(build, *structure)
-
-
-def _early_name(build, structure):
-    return compiled.library_name(build, structure, "not optimised")
-
-
-def _open_early(build, structure):
-    """Open the structure's library; if it could not be compiled, `compiled.load` says why."""
-    key = build, structure
-    if thread := _compiling.get(key):
-        thread.join()
-        _compiling.pop(key, None)
-    if not cache.contains(_early_name(*key)):
-        return
-    try:
-        _, functions = cache.load_or_build(_early_name(*key), _fail, compiled.open_library)
-    except cache.UnusableError:
-        return
-    _early[key] = _Early(key, functions)
+    return thread
 
 
 def _fail(folder):

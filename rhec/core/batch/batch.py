@@ -14,7 +14,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Steps, Whole, checked, refuse, shown
 from rhec.core.batch import functions
 from rhec.core.batch.rows import Rows, evaluate_some, get_runs, set_runs, shared, to_lanes, zeros
-from rhec.core.controller import constrained, rhc
+from rhec.core.controller import rhc
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import variances_w
@@ -25,7 +25,7 @@ from rhec.core.solver.rti import IMPROVE
 Runs = Annotated[Whole, Field(ge=1, le=10_000_000)]
 
 # The QP's guesses are at most 2^doublings + 1. All runs try the first number, and those for which
-# it was too small the next one, among themselves; the last number is the Horizon's own.
+# it was too small the next one, among themselves; the last number is that of a single object.
 _DOUBLINGS = (2, 4, 6)
 
 
@@ -178,12 +178,11 @@ def _checked_input(name, value, n, shape):
 class _IteratedBatch(_Batch):
     """A batch of the real-time iteration."""
 
-    def __init__(self, n, build, problems, source, inputs):
-        *shorter, problem = problems
+    def __init__(self, n, build, problem, source, inputs, doublings=()):
         whole = Rows(build, problem, "iteration")
         # A run alone waits for no other.
-        shorter = shorter if whole.lanes > 1 else []
-        iterations = [*(Rows(build, each, "iteration") for each in shorter), whole]
+        shorter = doublings if whole.lanes > 1 else ()
+        iterations = [*(Rows(build, problem, "iteration", each) for each in shorter), whole]
         shift = Rows(build, problem, "shift")
         self._improvement = Rows(build, problem, IMPROVE)
         super().__init__(n, iterations, shift, source.iteration.arrays, inputs)
@@ -230,20 +229,13 @@ class RHCBatch(_IteratedBatch):
         problem = self._problem = source.problem
         inputs = dict(s_0=(problem.n_s,), x_ref=(problem.n_x, problem.N + 1))
         inputs |= dict(u_ref=(problem.n_u, problem.N))
-        self._first_values = functools.partial(rhc.init, problem)
-        if source.structure is problem:
-            problems = [problem._replace(doublings=doublings) for doublings in _DOUBLINGS]
-            build = functions.build_controller
-        else:
-            problems = []
-            build = functions.build_constrained_controller
+        self._first_values = functools.partial(rhc.init, source.structure, settings=source.settings)
+        doublings = _DOUBLINGS
+        if source.structure is not problem:
+            doublings = ()  # they are those of the active set, which the interior point has not
             inputs |= dict(y_ref=source.structure.references["y_ref"])
-            nothing = source.first_memory(
-                np.zeros(problem.n_x), np.zeros(problem.n_s - problem.n_x)
-            )
-            init = functools.partial(constrained.init, source.structure, before=nothing["before"])
-            self._first_values = init
-        super().__init__(n, build, [*problems, source.structure], source, inputs)
+        build = functions.build_controller
+        super().__init__(n, build, source.structure, source, inputs, doublings)
         if "y_ref" in inputs:
             self._arguments["y_ref"] = shared(np.zeros(np.prod(inputs["y_ref"])), self._width)
 
@@ -356,7 +348,7 @@ class RHEBatch(_IteratedBatch, _EstimatorBatch):
         self._is_noisy = source.window.noisy
         if self._is_noisy:
             inputs |= dict(W=self._W.shape)
-        super().__init__(n, functions.build_estimator, [source.window], source, inputs)
+        super().__init__(n, functions.build_estimator, source.window, source, inputs)
 
     def feedback(self, z: Any, sigma_w: Any = None) -> Estimates:
         """Estimate from the newest measurements, as single objects do.

@@ -7,7 +7,7 @@ is one vector, the first argument and the first result.
 import casadi as ca
 
 from rhec.core._casadi.build import select_inputs, with_packed_memory
-from rhec.core.controller import relaxation, rhc
+from rhec.core.controller import rhc
 from rhec.core.estimator import ekf, rhe
 from rhec.core.solver.rti import IMPROVE
 
@@ -20,17 +20,12 @@ _ITERATION = ("linearise", "feedback", "expand")
 _IMPROVED = ("converged", "done", "penalty_after")  # besides, by an iteration with a line search
 
 
-def build_controller(horizon, part):
-    """Build a part, "shift", "iteration" or "improve", of the RHC of a Horizon."""
-    phases = rhc.build_phases(horizon)
-    if part == IMPROVE:
-        return _build_improve(phases, horizon.memory, (*horizon.memory,), CONTROLLER_RESULTS)
-    return _build(phases, horizon.memory, part, CONTROLLER_RESULTS)
+def build_controller(horizon, part, *doublings):
+    """Build a part, "shift", "iteration" or "improve", of the RHC of a Horizon.
 
-
-def build_constrained_controller(horizon, part):
-    """Build a part, "shift", "iteration" or "improve", of the RHC of a ConstrainedHorizon."""
-    phases = relaxation.build_phases(horizon)
+    The other arguments are those of `rhc.build_phases`.
+    """
+    phases = rhc.build_phases(horizon, *doublings)
     if part == IMPROVE:
         return _build_improve(phases, horizon.memory, ("s", "u"), CONTROLLER_RESULTS)
     return _build(phases, horizon.memory, part, CONTROLLER_RESULTS)
@@ -38,10 +33,10 @@ def build_constrained_controller(horizon, part):
 
 def build_estimator(window, part):
     """Build a part, "shift", "iteration" or "improve", of the RHE of a Window."""
-    phases = rhe.build_phases(window, None)
     if part == IMPROVE:
+        phases = rhe.build_solvable(window)
         return _build_improve(phases, window.memory, rhe.UNKNOWNS, ESTIMATOR_RESULTS)
-    return _build(phases, window.memory, part, ESTIMATOR_RESULTS)
+    return _build(rhe.build_phases(window), window.memory, part, ESTIMATOR_RESULTS)
 
 
 def build_filter(model, dt_s):

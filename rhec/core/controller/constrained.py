@@ -23,13 +23,11 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
-from rhec.core.controller.horizon import Horizon, build_roll_out, finite_or, planned, states_after
-from rhec.core.controller.horizon import init as plan_init
+from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core.controller.horizon import Horizon, build_roll_out, planned
 from rhec.core.model.limits import MAX_QP_ENTRY
-from rhec.core.solver import gauss_newton
 from rhec.core.solver.interior_point import Shape, interior_point
-from rhec.core.solver.rti import run_phases
+from rhec.core.solver.relaxation import relaxation
 
 
 class Kind(enum.Enum):
@@ -115,43 +113,93 @@ class ConstrainedHorizon(NamedTuple):
         return references | dict(y_ref=(self.n_y, self.plain.N + 1))
 
     @property
+    def data(self):
+        """Shapes of what may be new in each sample, references and bounds."""
+        return self.references | self.bounds
+
+    @property
     def bounds(self):
         """Shapes of the rows' bounds along the horizon and at its end, and of the soft prices."""
         names = ("lower", "upper", "lower_N", "upper_N")
         bounds = dict.fromkeys(names, (len(self.rows), 1))
         return bounds | dict.fromkeys(("linear", "quadratic"), (self.n_soft, 1))
 
+    def first_commands(self, settings):
+        """The commands before the first sample: 0, or the nearest number within their bounds."""
+        lower, upper = (settings[name][: self.n_c] for name in ("lower", "upper"))
+        return dict(before=np.clip(0.0, lower, upper))
 
-def build_phases(horizon):
-    """Build the RHC as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
-    `step` runs all phases; it maps (memory, weights, references, bounds) to (memory, kkt, command,
-    ok, iterations).
+class ConstrainedStages:
+    """The stages of a ConstrainedHorizon, as `rhec.core.controller.phases` takes them.
+
+    Args:
+        horizon: The ConstrainedHorizon.
     """
-    roll_out = build_roll_out(horizon.plain)
-    shift = _build_shift(horizon)
-    linearise, shape = _build_linearise(horizon)
-    feedback = _build_feedback(horizon, linearise, shape, roll_out)
-    expand = _build_expand(horizon, feedback, roll_out)
-    phases = dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
-    return phases | dict(step=_build_step(horizon, phases))
 
+    tolerance = ("decrease", "complementarity")
+    reported = ("iterations",)
 
-def init(horizon, x, p, before):
-    """Memory before the first sample, where the commands were `before`."""
-    return plan_init(horizon.plain, x, p) | dict(before=before)
+    def __init__(self, horizon):
+        plain = horizon.plain
+        self.loops = compiled.loop_symbols()
+        self.roll_out = build_roll_out(plain)
+        unknowns = plain.memory
+        cost = _build_cost(horizon)
+        data = {name: cost.sparsity_in(name) for name in cost.name_in() if name not in unknowns}
+        self.search = relaxation("rhc_search", unknowns, data, cost)
+        self._horizon = horizon
+        self._outputs = linearised_outputs(horizon)
+        self._stages = _build_stages(horizon)
+        self._solve = interior_point(_shape_of_qp(horizon, self._stages[0]), self.loops)
+        self._condition = _build_condition(horizon, self.loops, self._outputs, self.roll_out)
 
+    def prepare(self, inputs):
+        """The outputs along the plan, and the stages of the QP."""
+        horizon = self._horizon
+        plain = horizon.plain
+        N = plain.N
+        u = inputs["u"]
+        # Inputs that are not commanded stay, after the horizon, what they are in its last interval.
+        Y, C, E = self._outputs.map(N + 1)(inputs["s"], ca.horzcat(u, u[:, -1]))
+        # A map is a loop in C. N inlined calls would take the compiler longer than all the rest.
+        before_end = C[:, : N * plain.n_s], E[:, : N * plain.n_u]
+        stage, last_stage = self._stages
+        weights = (inputs[name] for name in ("Q", "R", "Q_y", "R_delta"))
+        qp_D, qp_B, H, G = stage.map(N)(inputs["D"], inputs["B"], *before_end, *weights)
+        end = C[:, -plain.n_s :], E[:, -plain.n_u :]
+        H_N, G_N = last_stage(*end, inputs["QN"], inputs["QN_y"])
+        sides = dict(qp_D=(qp_D, qp_D[:, -horizon.n :]), qp_B=(qp_B, qp_B[:, -horizon.n_c :]))
+        sides |= dict(H=(H, H_N), G=(G, _with_sparsity(G_N, stage.sparsity_out("G"))))
+        matrices = {name: ca.horzcat(*each) for name, each in sides.items()}
+        return dict(Y=Y, C=C, E=E) | matrices
 
-def _build_shift(horizon):
-    plain = horizon.plain
+    def solve(self, inputs):
+        """The estimate and the references move gradient and rows; the QP gives the change."""
+        horizon = self._horizon
+        at_plan = self._condition(**select_inputs(self._condition, inputs))
+        ends, tops = bounds_of_nodes(horizon, inputs)
+        qp = {name: inputs[name] for name in ("H", "G", "linear", "quadratic")}
+        qp |= dict(D=inputs["qp_D"], B=inputs["qp_B"], g=at_plan["g"])
+        rows = at_plan["rows"]
+        solution = self._solve(**qp, lower=ends - rows, upper=tops - rows)
+        z = solution["z"]
+        results = {name: solution[name] for name in ("complementarity", "ok", "iterations")}
+        results["decrease"] = ca.fabs(ca.dot(at_plan["g"], z))
+        return dict(change=z[horizon.n :, : horizon.plain.N]) | results
 
-    @casadi_function("rhc_shift", **horizon.memory)
-    def shift(s, u, before):
-        commanded = u[list(plain.command), 0]
-        s, u = gauss_newton.shift(plain.interval, s, u, plain.dt_s)
-        return dict(s=s, u=u, before=commanded)
+    def command_bounds(self, inputs):
+        """Lowest and highest commands: those of the first rows."""
+        n_c = self._horizon.n_c
+        return inputs["lower"][:n_c], inputs["upper"][:n_c]
 
-    return shift
+    def remember(self, u):
+        """The commands of the last sample."""
+        return dict(before=u[list(self._horizon.plain.command), 0])
+
+    def kkt(self, u, u_ref, u_plan, decrease, complementarity):
+        """The KKT tolerance of the plan u: |g'z| of the QP's solution z, and Σ λ |b + t|."""
+        return decrease + complementarity
 
 
 def linearised_outputs(horizon):
@@ -265,32 +313,13 @@ def _build_stages(horizon):
     return stage, last_stage
 
 
-def _build_linearise(horizon):
-    """Dynamics and outputs along the plan, and the stages of the QP; and the Shape of the QP."""
+def _shape_of_qp(horizon, stage):
+    """The Shape of the QP whose stages are those of the Function `stage`."""
     plain = horizon.plain
-    N = plain.N
-    outputs = linearised_outputs(horizon)
-    stage, last_stage = _build_stages(horizon)
-    loops = compiled.loop_symbols()
-
-    @casadi_function("rhc_linearise", loops, **horizon.memory, **horizon.weights)
-    def linearise(s, u, before, Q, QN, R, Q_y, QN_y, R_delta):
-        F, D, B = plain.interval.linearised.map(N)(s[:, :N], u, ca.repmat(ca.DM(plain.dt_s), 1, N))
-        # Inputs that are not commanded stay, after the horizon, what they are in its last interval.
-        Y, C, E = outputs.map(N + 1)(s, ca.horzcat(u, u[:, -1]))
-        # A map is a loop in C. N inlined calls would take the compiler longer than all the rest.
-        before_end = C[:, : N * plain.n_s], E[:, : N * plain.n_u]
-        qp_D, qp_B, H, G = stage.map(N)(D, B, *before_end, Q, R, Q_y, R_delta)
-        H_N, G_N = last_stage(C[:, -plain.n_s :], E[:, -plain.n_u :], QN, QN_y)
-        sides = dict(qp_D=(qp_D, qp_D[:, -horizon.n :]), qp_B=(qp_B, qp_B[:, -horizon.n_c :]))
-        sides |= dict(H=(H, H_N), G=(G, _with_sparsity(G_N, stage.sparsity_out("G"))))
-        matrices = {name: ca.horzcat(*each) for name, each in sides.items()}
-        return dict(F=F, D=D, B=B, Y=Y, C=C, E=E) | matrices
-
     x = list(range(plain.n_x))
     A_0 = ca.diagcat(plain.interval.A_0[x, x], ca.DM(horizon.n - plain.n_x, horizon.n - plain.n_x))
     D, B, G = (stage.sparsity_out(name) for name in ("qp_D", "qp_B", "G"))
-    return linearise, Shape(N, A_0, D, B, G, horizon.n_soft)
+    return Shape(plain.N, A_0, D, B, G, horizon.n_soft)
 
 
 def _with_sparsity(matrix, sparsity):
@@ -330,17 +359,17 @@ def _build_node(horizon):
     return node
 
 
-def _build_condition(horizon, linearise, roll_out):
+def _build_condition(horizon, loops, outputs, roll_out):
     """The gradient g and the values of the rows, at the previous plan from the new estimate."""
     plain = horizon.plain
     N = plain.N
     command = list(plain.command)
     node = _build_node(horizon)
-    parts = ("F", "D", "B", "Y", "C", "E")
-    shapes = {name: linearise.sparsity_out(name) for name in parts}
+    shapes = dict(plain.dynamics)
+    shapes |= {name: ca.repmat(outputs.sparsity_out(name), 1, N + 1) for name in ("Y", "C", "E")}
     shapes |= horizon.memory | horizon.weights | horizon.references
 
-    @casadi_function("rhc_condition", compiled.loop_symbols(), **shapes)
+    @casadi_function("rhc_condition", loops, **shapes)
     def condition(F, D, B, Y, C, E, s, u, before, Q, QN, R, Q_y, QN_y, R_delta, **references):
         s_0, x_ref, u_ref, y_ref = (references[name] for name in horizon.references)
         plan = planned(plain, [u[place, :] for place in command], u_ref)
@@ -377,65 +406,59 @@ def bounds_of_nodes(horizon, bounds):
     return lower, of_nodes(bounds["upper"], bounds["upper_N"], MAX_QP_ENTRY)
 
 
-def _build_feedback(horizon, linearise, shape, roll_out):
-    """The estimate and the references move gradient and rows; the QP then gives the new plan."""
-    plain = horizon.plain
-    command = list(plain.command)
-    condition = _build_condition(horizon, linearise, roll_out)
-    solve = interior_point(shape, compiled.loop_symbols())
-    shapes = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
-    shapes |= horizon.memory | horizon.weights | horizon.references | horizon.bounds
+def _build_cost(horizon):
+    """The cost of nodes s and inputs u, and the price of what soft rows exceed."""
+    N = horizon.plain.N
+    command = list(horizon.plain.command)
+    node = _build_cost_of_node(horizon)
+    data = horizon.weights | horizon.references | horizon.bounds
 
-    @casadi_function("rhc_feedback", ca.MX, **shapes)
-    def feedback(**inputs):
-        at_plan = condition(**select_inputs(condition, inputs))
-        lower = inputs["lower"]
-        upper = inputs["upper"]
-        ends, tops = bounds_of_nodes(horizon, inputs)
-        qp = {name: inputs[name] for name in ("H", "G", "linear", "quadratic")}
-        qp |= dict(D=inputs["qp_D"], B=inputs["qp_B"], g=at_plan["g"])
-        rows = at_plan["rows"]
-        solution = solve(**qp, lower=ends - rows, upper=tops - rows)
-        z = solution["z"]
-        ok = solution["ok"]
-        # Rounding may take a command past its bound, which is a hard one.
-        u = inputs["u"][command, :] + z[shape.n :, : plain.N]
-        u = ca.fmax(u, ca.repmat(lower[: horizon.n_c], 1, plain.N))
-        u = ca.fmin(u, ca.repmat(upper[: horizon.n_c], 1, plain.N))
-        # With a reference that is not finite there is no step, and the last plan goes on.
-        u_plan = planned(plain, ca.vertsplit(u), finite_or(inputs["u_ref"], inputs["u"]))
-        kkt = ca.fabs(ca.dot(at_plan["g"], z)) + solution["complementarity"]
-        kkt = ca.if_else(ok, kkt, np.nan)
-        return dict(u_plan=u_plan, kkt=kkt, ok=ok, iterations=solution["iterations"])
+    @casadi_function("rhc_cost", ca.MX, **horizon.memory, **data)
+    def cost(s, u, before, s_0, x_ref, u_ref, y_ref, Q, QN, R, Q_y, QN_y, R_delta, **bounds):
+        last = ca.horzcat(before, u[command, : N - 1])
+        refs = x_ref[:, :N], u_ref, y_ref[:, :N]
+        # The state of node 0 is given, and has no weight.
+        weights = ca.horzcat(ca.DM.zeros(*Q.shape), ca.repmat(Q, 1, N - 1))
+        costs, rows = node.map(N)(s[:, :N], u, last, *refs, weights, R, Q_y, R_delta)
+        of_outputs, _ = ends_with(horizon)
+        nothing = ca.DM.zeros(horizon.n_c, horizon.n_c)
+        at_end = of_outputs @ QN_y @ of_outputs
+        end = (s[:, N], u[:, -1], u[command, -1], x_ref[:, N], u_ref[:, -1], y_ref[:, N])
+        cost_N, rows_N = node(*end, QN, nothing, at_end, nothing)
+        rows = ca.horzcat(rows, rows_N)
+        lower, upper = bounds_of_nodes(horizon, bounds)
+        t = ca.fmax(ca.fmax(rows - upper, lower - rows), 0)[len(horizon.rows) - horizon.n_soft :, :]
+        price = (
+            ca.dot(bounds["linear"], ca.sum2(t)) + ca.dot(bounds["quadratic"], ca.sum2(t**2)) / 2
+        )
+        return dict(cost=ca.sum2(costs) + cost_N + price)
 
-    return feedback
+    return cost
 
 
-def _build_expand(horizon, feedback, roll_out):
-    """The predicted states of the new plan, for the next linearisation."""
-    plain = horizon.plain
-    shapes = horizon.memory | plain.dynamics | dict(s_0=(plain.n_s, 1))
-    shapes |= {name: feedback.sparsity_out(name) for name in ("u_plan", "ok")}
+def _build_cost_of_node(horizon):
+    """The cost of a node without soft prices, and the values of its rows."""
+    n_x = horizon.plain.n_x
+    command = list(horizon.plain.command)
+    s_i = (horizon.plain.n_s, 1)
+    u_i = (horizon.plain.n_u, 1)
+    c_i = (horizon.n_c, 1)
+    Q_i, _, R_i, Q_yi, _, R_di = horizon.weights.values()
 
-    @casadi_function("rhc_expand", plain.loops, **shapes)
-    def expand(s, u, before, F, D, B, s_0, u_plan, ok):
-        predicted = ca.horzcat(*roll_out(s, u, F, D, B, s_0, u_plan))
-        return dict(s=states_after(plain, ok, predicted, s, s_0), u=u_plan, before=before)
+    @casadi_function("rhc_cost_node")
+    def node(
+        s: s_i, u: u_i, last: c_i, x_ref: (n_x, 1), u_ref: u_i, y_ref: (horizon.n_y, 1),
+        Q: Q_i, R: R_i, Q_y: Q_yi, R_delta: R_di,
+    ):  # fmt: skip
+        y = ca.SX(0, 1)
+        if horizon.n_y:
+            y = horizon.outputs.function(s[:n_x], u, s[n_x:])
+        change = u[command] - last
+        off = [(Q, s[:n_x] - x_ref), (R, (u - u_ref)[command]), (Q_y, y - y_ref)]
+        off.append((R_delta, change))
+        cost = sum(ca.bilin(weight, each, each) for weight, each in off) / 2
+        values = {Kind.COMMAND: u[command], Kind.STATE: s, Kind.OUTPUT: y, Kind.CHANGE: change}
+        rows = ca.vertcat(*(values[row.kind][row.place] for row in horizon.rows))
+        return dict(cost=cost, rows=ca.densify(rows))
 
-    return expand
-
-
-def _build_step(horizon, phases):
-    """All phases of one sample as one Function, as a closed loop calls it."""
-    memory = horizon.memory
-    shapes = horizon.weights | horizon.references | horizon.bounds
-
-    @with_packed_memory("rhc_step", memory, ca.MX, **shapes)
-    def step(**values):
-        values = run_phases(phases, values)
-        command = values["u_plan"][:, 0]
-        outputs = dict(kkt=values["kkt"], command=command, ok=values["ok"])
-        outputs |= dict(iterations=values["iterations"])
-        return outputs | {name: values[name] for name in memory}
-
-    return step
+    return node

@@ -9,7 +9,6 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_plausible
-from rhec.core.solver.pivoting import DOUBLINGS
 
 
 class Horizon(NamedTuple):
@@ -19,12 +18,15 @@ class Horizon(NamedTuple):
     command: tuple[int, ...]  # places of the commanded inputs in `model.inputs`
     dt_s: float  # length of an interval [s]
     N: int  # intervals of the prediction
-    # None for the QP by its stages, or an object such as `rhec.core.solver.condensed.Condensed`,
-    # whose `build(horizon)` returns a solver with the methods of StagewiseQP.
+    # None for the QP by its stages, or an object whose `build(horizon)` returns a solver with the
+    # methods of `rhec.core.controller.plain.StagewiseQP`.
     qp: Any = None
-    doublings: int = DOUBLINGS  # of the QP's search, see `rhec.core.solver.pivoting`
     damped: bool = False  # whether an iteration with a line search is built, too
-    exact: bool = False  # whether the QP has the exact Hessian, see `exact_hessian`
+
+    @property
+    def plain(self):
+        """The horizon without bounds of more than commands: itself."""
+        return self
 
     @property
     def n_x(self):
@@ -64,9 +66,18 @@ class Horizon(NamedTuple):
         return references | dict(lower=bound, upper=bound)
 
     @property
+    def data(self):
+        """Shapes of what is new in each sample: here the references."""
+        return self.references
+
+    @property
     def dynamics(self):
         """Sparsities of F, D and B of all intervals, side by side."""
         return {name: ca.repmat(part, 1, self.N) for name, part in self.interval.sparsities.items()}
+
+    def first_commands(self, settings):
+        """What the memory holds besides the plan before the first sample: nothing."""
+        return {}
 
     @property
     def loops(self):
@@ -157,10 +168,18 @@ def build_roll_out(horizon):
     return roll_out
 
 
-def init(horizon, x, p):
-    """Memory before the first sample: the robot stays at x, with parameters p, nothing planned."""
-    s = np.tile([*x, *p], (horizon.N + 1, 1)).T
-    return dict(s=s, u=np.zeros((horizon.n_u, horizon.N)))
+def init(horizon, x, p, settings=None):
+    """Memory before the first sample: the robot stays at x, with parameters p, nothing planned.
+
+    Args:
+        horizon: A Horizon, or a ConstrainedHorizon.
+        x: (n_x,) state.
+        p: (n_p,) parameters.
+        settings: {name: array} of weights and bounds, which a ConstrainedHorizon needs.
+    """
+    plain = horizon.plain
+    s = np.tile([*x, *p], (plain.N + 1, 1)).T
+    return dict(s=s, u=np.zeros((plain.n_u, plain.N))) | horizon.first_commands(settings)
 
 
 def states_after(horizon, ok, predicted, s, s_0):

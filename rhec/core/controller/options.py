@@ -1,7 +1,7 @@
 """The options of an RHC of a Model: a structure that is compiled, and numbers that are not."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,8 +13,6 @@ from rhec.core.controller.constrained import ConstrainedHorizon, Kind, Outputs, 
 from rhec.core.controller.horizon import Horizon
 from rhec.core.model.base import Model
 from rhec.core.model.limits import MAX_QP_ENTRY
-
-Hessian = Literal["gauss_newton", "exact"]
 
 _DEFINITE = -1e-9  # smallest eigenvalue of a weight, relative to its largest
 
@@ -37,7 +35,6 @@ class Options(NamedTuple):
     r_delta: Any
     delta_bounds: Any
     terminal_bounds: Any
-    hessian: Hessian
 
 
 class Problem(NamedTuple):
@@ -46,11 +43,6 @@ class Problem(NamedTuple):
     plain: Horizon
     structure: Horizon | ConstrainedHorizon  # what is compiled
     settings: dict[str, np.ndarray]  # the numbers: weights, bounds and prices
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether only commands are bounded, and all weights are diagonal."""
-        return self.structure is self.plain
 
 
 def problem_of(options: Options) -> Problem:
@@ -80,13 +72,8 @@ def problem_of(options: Options) -> Problem:
         pairs = [bounds["path"].get(name, NONE) for name in options.command]
         lower, upper = np.clip([(b.lowest, b.highest) for b in pairs], *_LIMITS).T
         settings = {name: weights[name] for name in ("Q", "QN", "R")}
-        damped = plain._replace(damped=True, exact=options.hessian == "exact")
+        damped = plain._replace(damped=True)
         return Problem(damped, damped, settings | dict(lower=lower, upper=upper))
-    if options.hessian == "exact":
-        raise ValueError(
-            "hessian was 'exact' with outputs, full weights, or bounds or weights of more than "
-            "commands; these need hessian='gauss_newton'"
-        )
     rows, numbers = _rows_of(options, outputs, bounds)
     structure = ConstrainedHorizon(plain, outputs, rows, has_changes)
     matrices = {
@@ -248,10 +235,6 @@ def _bounds_of(options, outputs):
             )
     change = bounds_of("delta_bounds", options.delta_bounds, options.command)
     return dict(path=path, end=end, change=change)
-
-
-def _price(bound):
-    return bound.is_soft, bound.prices
 
 
 def _rows_of(options, outputs, bounds):

@@ -48,6 +48,14 @@ def noise_of(model, sigma_v, sigma_w):
     return settings
 
 
+def noise_shapes(model):
+    """Shapes of V and c, by name, in the settings of an estimator."""
+    shapes = dict(V=(len(model.outputs), 1))
+    if model.motion_noise:
+        shapes["c"] = (len(model.motion_noise.constants), 1)
+    return shapes
+
+
 def variances_w(model, sigma_w):
     """Variances W (n_s,) of the process noise of the joint state, or (n, n_s) of n runs.
 

@@ -11,69 +11,29 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import every, with_packed_memory
+from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.validation import NotNegatives, Positive, Positives, Reals, checked
-from rhec.core.estimator import kalman
-from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of
+from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of, noise_shapes
+from rhec.core.estimator.filter import Filter, Noise, where_defined
 from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.core.model.integration import refuse_start
-from rhec.core.solver.gauss_newton import symmetric
+from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.solver.rti import copy_checked
-
-
-def predict_and_correct(m, P, predicted, A, Q, started, z, V, outputs):
-    """One sample of a Kalman filter, eq. (24)-(26); the first sample only corrects.
-
-        m⁻ = predicted,  P⁻ = A P A' + Q,  then `kalman.update` by z.
-
-    Here m (n,) and P (n, n) are mean and covariance, `predicted` (n,) is the mean after the
-    interval, and A and Q (n, n) are its transition and process noise. Measurements z have the
-    variances V. Returns m, P, and the deviance of the measurements.
-    """
-    m = ca.if_else(started, predicted, m)
-    P = ca.if_else(started, symmetric(A @ P @ A.T) + Q, P)
-    updated = kalman.update(m, P, z, V, outputs, m)
-    return updated.m, updated.P, updated.deviance
-
-
-def _transition(interval, m, v, dt_s):
-    """The state F after an interval, and its slopes A and B in m and v.
-
-    Where the model has none, such as sqrt(x) for x < 0, the state is expected to stay as it is.
-    Measurements can then take it back to where the model is defined.
-    """
-    F, D, B = interval.linearised(m, v, dt_s)
-    is_defined = every(ca.fabs(ca.veccat(F, D, B)) < np.inf)
-    F = ca.if_else(is_defined, F, m)
-    A = ca.if_else(is_defined, interval.A_0 + D, ca.DM.eye(interval.n_s))
-    B = ca.if_else(is_defined, B, 0)
-    return F, A, B
 
 
 def build(model, dt_s):
     """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}."""
-    interval = base.interval(model)
-    n_z = len(model.outputs)
-    n_s = interval.n_s
-    # v holds the last inputs.
-    memory = dict(m=(n_s, 1), P=(n_s, n_s), v=(interval.n_v, 1), started=(1, 1))
-    noise = dict(V=(n_z, 1))
-    if model.motion_noise:
-        noise["c"] = (len(model.motion_noise.constants), 1)
+    kalman = Filter(where_defined(base.interval(model)), dt_s)
+    shapes = dict(z_N=(len(model.outputs), 1), noise=noise_shapes(model), W=(model.n_s, 1))
 
-    @with_packed_memory("ekf_step", memory, ca.SX, z_N=(n_z, 1), noise=noise, W=(n_s, 1))
-    def step(m, P, v, started, z_N, noise, W):
-        v, R_v = interval.input_noise(z_N, v, **noise)
-        F, A, B = _transition(interval, m, v, dt_s * started)
-        Q = symmetric(B @ ca.diag(R_v) @ B.T)
-        Q += ca.diag(interval.process_noise(v, W, dt_s, noise.get("c")))
-        V = noise["V"]
-        m, P, deviance = predict_and_correct(m, P, F, A, Q, started, z_N, V, interval.outputs)
-        values = dict(zip(model.inputs, ca.vertsplit(v)))
-        values |= dict(zip(model.joint_names, ca.vertsplit(m)))
+    @with_packed_memory("ekf_step", kalman.memory_shapes, ca.SX, **shapes)
+    def step(z_N, noise, W, **memory):
+        after = kalman.sample(z_N, Noise(W=W, **noise), **memory)
+        values = dict(zip(model.inputs, ca.vertsplit(after.v)))
+        values |= dict(zip(model.joint_names, ca.vertsplit(after.m)))
         estimate = ca.vertcat(*(values[name] for name in model.names))
-        return dict(estimate=estimate, covariance=P, deviance=deviance, m=m, P=P, v=v, started=1)
+        results = dict(estimate=estimate, covariance=after.P, deviance=after.deviance)
+        return results | after.memory
 
     return dict(step=step)
 
@@ -111,7 +71,7 @@ class EKF:
         self.dt_s = dt
         m, sigma = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        refuse_start(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
+        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
         self.settings = noise_of(model, sigma_v, sigma_w)
         P = np.diag(np.square(sigma))

@@ -25,9 +25,10 @@ from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.core.estimator import innovation_gate, kalman, window_bounds, window_noise
 from rhec.core.estimator.base import Estimate, joint_estimate, joint_guess, noise_of, variances_w
+from rhec.core.estimator.guard import Judge, first_noise, noise_memory, whole_noise, with_guard
 from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.core.model.integration import refuse_start
+from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
@@ -74,8 +75,7 @@ class Window(NamedTuple):
     dt_s: float  # length of an interval [s]
     N: int  # intervals of the window
     arrival_mean: ArrivalMean = "smoothed"
-    weighted: bool = False  # whether the variances V of the measurements differ by node
-    gate: float | None = None  # share of good samples to reject (`innovation_gate`); None: no gate
+    judge: Judge | None = None  # how each sample is used (`guard`); None: as it is measured
     noisy: bool = False  # whether process noise acts within the window (`window_noise`)
 
     @property
@@ -106,10 +106,19 @@ class Window(NamedTuple):
     @property
     def memory(self):
         """Shapes of all that is remembered, by name."""
-        memory = self.pieces._asdict()
-        if self.gate:
-            memory |= dict(rejected=(1, 1))
-        return memory | dict(Q=self.noises["Q"]) if self.noisy else memory
+        of_judge = self.judge.memory(self) if self.judge else {}
+        return self.pieces._asdict() | noise_memory(self) | of_judge
+
+    @property
+    def by_node(self):
+        """Names of the noises that differ by node, or by interval."""
+        weighs = bool(self.judge and self.judge.weighs)
+        return ("V",) * weighs + ("Q",) * self.noisy
+
+    @property
+    def doubts_model(self):
+        """Whether predictions and all nodes have to be plausible, see `guard.Judge`."""
+        return bool(self.judge and self.judge.doubts_model)
 
     @property
     def noise(self):
@@ -124,20 +133,16 @@ class Window(NamedTuple):
 
     @property
     def noises(self):
-        """Shapes for the whole window: where it is weighted, V has a column for each node.
+        """Shapes for the whole window: V by node has N + 1 columns, Q one for each interval."""
+        columns = dict(V=self.N + 1, Q=self.N)
+        by_node = {name: (self.noise[name][0], columns[name]) for name in self.by_node}
+        return self.noise | by_node
 
-        Q has a column for each interval.
-        """
-        columns = self.N + 1 if self.weighted else 1
-        noises = self.noise | dict(V=(len(self.model.outputs), columns))
-        return noises | dict(Q=(self.interval.n_s, self.N)) if self.noisy else noises
-
-    def at(self, node, V, **noises):
+    def at(self, node, **noises):
         """V, c and Q of one node, from those of the whole window."""
-        if self.noisy:
-            # Before the oldest node lies no interval of the window.
-            noises["Q"] = noises["Q"][:, max(node - 1, 0)]
-        return dict(V=V[:, node] if self.weighted else V, **noises)
+        # Before the oldest node lies no interval of the window.
+        columns = dict(V=node, Q=max(node - 1, 0))
+        return noises | {name: noises[name][:, columns[name]] for name in self.by_node}
 
     @property
     def prediction(self):
@@ -145,14 +150,13 @@ class Window(NamedTuple):
         s, P, v, *_ = self.shapes
         return dict(B_N=self.interval.sparsities["B"], v_N=v, m_N=s, P_N=P)
 
+    def predict_input(self, B, m, P, v, z, **noise):
+        """Correct the mean m and covariance P of a prediction by what z says about its input v.
 
-def predict_input(window, B, m, P, v, z, **noise):
-    """Correct the mean m and covariance P of a prediction by what z says about its input v.
-
-    m + B (v_m - v),  P + B R_v B', where v_m and R_v are the input's mean and variances given z.
-    """
-    v_m, R_v = window.interval.input_noise(z, v, **noise)
-    return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
+        m + B (v_m - v),  P + B R_v B', with the mean v_m and variances R_v of the input given z.
+        """
+        v_m, R_v = self.interval.input_noise(z, v, **noise)
+        return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
 
 
 def _bounded(interval):
@@ -192,12 +196,24 @@ def _arrival(window, memory, W, noises):
     return m_next, ca.if_else(is_valid, P_next, memory.P + added)
 
 
+def _plausible_newest(s, age, m_0):
+    """The nodes s, the newest of which is the one before where it is not plausible.
+
+    The newest node is the estimate where a step fails, and the window restarts there. If it has
+    restarted (age 0) and still no interval leads on, the model has no slopes there, such as sqrt(x)
+    for x < 0. The newest node is then the first guess m_0, where it has some.
+    """
+    held = ca.if_else(age == 0, m_0, s[:, -2])
+    return ca.horzcat(s[:, :-1], ca.if_else(is_plausible(s[:, -1]), s[:, -1], held))
+
+
 def _build_shift(window):
     N = window.N
     memory = window.pieces
+    of_guess = dict(m_0=memory.m) if window.doubts_model else {}
 
-    @casadi_function("rhe_shift")
-    def shift(memory: memory, noises: window.noises, W: memory.m):
+    @casadi_function("rhe_shift", **of_guess)
+    def shift(memory: memory, noises: window.noises, W: memory.m, m_0=None):
         """The memory one sample later; the newest measurement is still missing."""
         m_next, P_next = _arrival(window, memory, W, noises)
         # Before the first sample lie intervals of no length, until the window is full.
@@ -206,6 +222,8 @@ def _build_shift(window):
         if window.noisy:  # what is expected of the new interval: the last input, and no noise
             v_next = ca.vertcat(v_next[: len(window.model.inputs)], ca.SX.zeros(memory.s.size1()))
         s, v = gauss_newton.shift(window.interval, memory.s, memory.v, dt_s, v_next)
+        if window.doubts_model:
+            s = _plausible_newest(s, memory.age, m_0)
         return Memory(
             s=s,
             v=v,
@@ -232,7 +250,7 @@ def _build_linearise(window, loops):
     def filter_step(before: before, z: z, s: s, v: v, dt_s: (1, 1), noise: window.noise):
         """One node: the input before it, its measurement, then the interval after it."""
         B, v_before, m, P = before.values()
-        m, P = predict_input(window, B, m, P, v_before, z, **noise)
+        m, P = window.predict_input(B, m, P, v_before, z, **noise)
         m, P, K, e, *_ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
         F, D, B = interval.linearised(s, v, dt_s)
         A = interval.A_0 + D
@@ -272,7 +290,7 @@ def _build_update_newest(window):
     def update_newest(prediction: window.prediction, s_N: s, z_N: z, noise: window.noise):
         """Kalman update by z_N, and the QP  min ½ (θ - θ̂)' H (θ - θ̂) with H = (C P C')⁻¹."""
         B, v, m, P = prediction.values()
-        m, P = predict_input(window, B, m, P, v, z_N, **noise)
+        m, P = window.predict_input(B, m, P, v, z_N, **noise)
         m, P, K, e, deviance, _ = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
         P_theta = C @ P @ C.T
         if n_theta == 2:
@@ -414,15 +432,15 @@ def _build_passes(window):
     return backward, oldest, forward
 
 
-def _build_accepted(window):
+def _build_next_window(window):
     interval = window.interval
     N = window.N
     memory = window.pieces
     max_input = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
 
-    @short_cut("good")
-    @casadi_function("rhe_accepted")
-    def accepted(memory: memory, s_new: memory.s, v_new: memory.v, good: (1, 1), P_0: memory.m):
+    @short_cut("kept")
+    @casadi_function("rhe_next_window")
+    def next_window(memory: memory, s_new: memory.s, v_new: memory.v, kept: (1, 1), P_0: memory.m):
         """The memory with the new solution or, if the step failed, of a new start.
 
         A failed window would fail again, as its cause remains in it. It therefore restarts at its
@@ -432,9 +450,9 @@ def _build_accepted(window):
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
         restarted = Memory(s, v, ca.SX.nan(*memory.z.shape), age=0, m=s[:, N], P=ca.diag(P_0))
         solved = memory._replace(s=s_new, v=v_new)
-        return Memory(*(ca.if_else(good, *pieces) for pieces in zip(solved, restarted)))
+        return Memory(*(ca.if_else(kept, *pieces) for pieces in zip(solved, restarted)))
 
-    return accepted
+    return next_window
 
 
 def _split(window, z, noises, filtered, constrained):
@@ -475,7 +493,7 @@ def _build_expand(window, linearise, feedback, loops, whole_window):
     N = window.N
     C, lower, upper = _bounded(window.interval)
     backward, oldest, forward = _build_passes(window)
-    accepted = _build_accepted(window)
+    next_window = _build_next_window(window)
     memory = window.pieces
     z_N = (memory.z[0], 1)
     noises = window.noises
@@ -497,12 +515,11 @@ def _build_expand(window, linearise, feedback, loops, whole_window):
         theta = C @ s[N]
         kkt = gauss_newton.kkt_tolerance(descent, solved.multipliers, lower - theta, upper - theta)
         solution = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
-        good = solved.ok * is_plausible(s_new[N])
+        kept = solved.ok * is_plausible(s_new[N])
         if whole_window:  # no other node may stay implausible either: it would remain for long
-            used = (*s_new, *v_new, memory.m, memory.P)
-            good = good * is_plausible(ca.veccat(*used))
+            kept = kept * is_plausible(ca.veccat(*s_new, *v_new, memory.m, memory.P))
         pieces = memory._asdict() | solution
-        return accepted(**pieces, good=good, P_0=P_0) | dict(kkt=kkt)
+        return next_window(**pieces, kept=kept, P_0=P_0) | dict(kkt=kkt)
 
     return expand
 
@@ -519,26 +536,28 @@ def build_phases(window, quantities=None):
     """The RHE as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
     `step` runs all phases; it maps (memory, z_N, V, c, W, m_0, P_0) to (memory, estimate, …), with
-    m_0 if the window has a gate. The estimate's entries are the named `quantities`, in which inputs
-    are as measured: with noise that is slip, an encoder does not measure the robot's motion. By
-    default they are all states, inputs and parameters, as estimated.
+    m_0 if the judge doubts the model. The estimate's entries are the named `quantities`, in which
+    inputs are as measured: with noise that is slip, an encoder does not measure the robot's motion.
+    By default they are all states, inputs and parameters, as estimated.
     """
     loops = compiled.loop_symbols()
-    kind = loops if len(window.interval.bounds) <= 2 else ca.MX
-    plain = window._replace(gate=None)
+    # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
+    is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
+    kind = loops if is_closed_form else ca.MX
     if window.model.state_bounds:
-        kind = ca.MX
-        free = _build_plain_phases(window_bounds.without_bounds(plain), quantities, loops, True)
-        phases = window_bounds.with_bounds(plain, free, _build_accepted(plain), loops)
+        free = _build_plain_phases(window_bounds.without_bounds(window), quantities, loops, True)
+        phases = window_bounds.with_bounds(window, free, _build_next_window(window), loops)
     else:
-        phases = _build_plain_phases(plain, quantities, loops, bool(window.gate))
-    if window.gate:
-        phases = innovation_gate.gated(window, phases, predict_input, kind)
-    if window.noisy:
-        phases = window_noise.with_memory_of_noise(window, phases, kind)
-    if window.gate:
-        phases[IMPROVE] = _build_improve(window, phases)
+        phases = _build_plain_phases(window, quantities, loops, window.doubts_model)
+    if window.judge or window.noisy:
+        phases = with_guard(window, phases, kind)
     return phases | dict(step=compose("rhe_step", phases, window.memory, kind))
+
+
+def build_solvable(window):
+    """The phases of all quantities, and `improve`, by which `solve` iterates with a line search."""
+    phases = build_phases(window)
+    return phases | {IMPROVE: _build_improve(window, phases)}
 
 
 # Improve: one iteration without shift, for `solve`.
@@ -618,21 +637,19 @@ def _build_improve(window, phases):
     model = window.model
     n_u = len(model.inputs)
     places = {name: model.joint_names.index(name) for name in (*model.states, *model.parameters)}
-    shapes = window.noises | dict(P_0=phases["expand"].sparsity_in("P_0"))
-    shapes |= window.memory | dict(z_N=(len(model.outputs), 1), penalty=PENALTY)
-    if window.noisy:
-        shapes |= dict(W=phases["feedback"].sparsity_in("W"))
+    iteration = [phases[name] for name in PHASES if name != "shift"]
+    shapes = window.memory | _outer_inputs(iteration, window.memory) | dict(penalty=PENALTY)
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
         values = dict(inputs)
-        for name in ("linearise", "feedback", "expand"):
-            full = phases[name](**select_inputs(phases[name], values))
-            values |= full if name != "expand" else {}
-        z = ca.horzcat(inputs["z"][:, : window.N], values["z_used"])
+        for phase in iteration:
+            full = phase(**select_inputs(phase, values))
+            # Expand's memory is that of the next sample: the search starts from this one's.
+            values |= full if phase is not iteration[-1] else {}
+        z = ca.horzcat(inputs["z"][:, : window.N], values.get("z_used", inputs["z_N"]))
         given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
-        if window.noisy:
-            given["Q"] = window_noise.with_newest(inputs["Q"], inputs["W"])
+        given |= whole_noise(window, values)
         chosen = search(**select_inputs(search, given), penalty=penalty)
         ok = values["ok"]
         moved = {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
@@ -649,16 +666,21 @@ def _build_improve(window, phases):
     return improve
 
 
+def _outer_inputs(phases, memory):
+    """{name: shape} of inputs that neither the memory nor one of the phases provides."""
+    computed = {output for phase in phases for output in phase.name_out()} | memory.keys()
+    named = [(key, phase.size_in(key)) for phase in phases for key in phase.name_in()]
+    return {key: shape for key, shape in named if key not in computed}
+
+
 def compose(name, phases, memory, kind):
     """All phases of one sample as one Function (memory, z_N, …) -> (memory, estimate, …).
 
     `memory` {name: shape} is packed in one vector; `kind` is SX or MX.
     """
     order = [phases[phase] for phase in PHASES]
-    computed = {output for phase in order for output in phase.name_out()} | memory.keys()
     inputs = {"z_N": phases["feedback"].size_in("z_N")}  # the measurement follows the memory
-    for phase in order:
-        inputs |= {key: phase.size_in(key) for key in phase.name_in() if key not in computed}
+    inputs |= _outer_inputs(order, memory)
     candidates = ("estimate", "covariance", "deviance", "ok", "accepted", "restart")
     outputs = [key for key in candidates if key in phases["feedback"].name_out()]
 
@@ -681,9 +703,8 @@ def init(window, guess, sigma, inputs=0.0):
     v = np.full((N, window.interval.n_v), inputs).T
     z = np.full((len(window.model.outputs), N + 1), np.nan)
     memory = dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
-    if window.gate:
-        memory |= dict(rejected=innovation_gate.OPEN)
-    return memory | dict(Q=np.zeros((window.interval.n_s, N))) if window.noisy else memory
+    of_judge = window.judge.first(window) if window.judge else {}
+    return memory | first_noise(window) | of_judge
 
 
 def refuse_noise(sigma_w):
@@ -744,12 +765,13 @@ class RHE(RealTimeLoop):
         self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        refuse_start(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
+        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         m_0, sigma_0 = self._guess
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
-        gate = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
-        self.window = Window(model, dt, horizon, arrival_mean, gate=gate, noisy=noise_in_window)
-        functions = compiled.load(build_phases, self.window, None)
+        share = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
+        gate = innovation_gate.InnovationGate(share)
+        self.window = Window(model, dt, horizon, arrival_mean, gate, noise_in_window)
+        functions = compiled.load(build_solvable, self.window)
         memory = tuple(self.window.memory)
         self.iteration = RealTimeIteration(functions, memory, UNKNOWNS, **self.settings)
         self._inputs = dict(z=self.iteration.arrays["z_N"])

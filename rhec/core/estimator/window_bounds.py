@@ -169,13 +169,13 @@ def _build_qp(window, loops):
     return qp
 
 
-def with_bounds(window, phases, accepted, loops):
+def with_bounds(window, phases, next_window, loops):
     """The phases {shift, linearise, feedback, expand} within the bounds of all nodes.
 
     Args:
-        window: The rhe.Window, without a gate.
+        window: The rhe.Window.
         phases: The phases of the same window without bounds, see `without_bounds`.
-        accepted: `rhe._build_accepted`.
+        next_window: `rhe._build_next_window`.
         loops: SX or MX, for Functions that repeat another.
     """
     qp = _build_qp(window, loops)
@@ -188,7 +188,7 @@ def with_bounds(window, phases, accepted, loops):
     def expand(s_window, v_window, qp_kkt, ok, z_N, P_0, **memory):
         memory["z"] = ca.horzcat(memory["z"][:, : window.N], z_N)
         new = dict(s_new=s_window, v_new=v_window)
-        return accepted(**memory, **new, good=ok, P_0=P_0) | dict(kkt=qp_kkt)
+        return next_window(**memory, **new, kept=ok, P_0=P_0) | dict(kkt=qp_kkt)
 
     return dict(
         shift=phases["shift"], linearise=phases["linearise"], feedback=feedback, expand=expand
@@ -199,8 +199,9 @@ def _build_feedback(window, phases, qp):
     """The feedback, which ends with the QP of the whole window."""
     free = phases["feedback"]
     smooth = phases["expand"]
-    # Those of all intervals have another name than Q of the newest one.
-    names = {name: "Q_window" if name == "Q" else name for name in smooth.name_in()}
+    # Noises of all nodes have other names than that of the newest one.
+    of_nodes = {name: f"{name}_window" for name in window.by_node}
+    names = {name: of_nodes.get(name, name) for name in smooth.name_in()}
     shapes = {names[name]: smooth.sparsity_in(name) for name in names}
     shapes = {name: shape for name, shape in shapes.items() if name not in free.name_out()}
     shapes |= {name: free.sparsity_in(name) for name in free.name_in()}
@@ -209,8 +210,7 @@ def _build_feedback(window, phases, qp):
     def feedback(**inputs):
         found = free(**select_inputs(free, inputs))
         of_window = inputs | found | dict(z=ca.horzcat(inputs["z"][:, : window.N], inputs["z_N"]))
-        if window.noisy:
-            of_window["Q"] = inputs["Q_window"]
+        of_window |= {name: inputs[of_nodes[name]] for name in of_nodes}
         smoothed = smooth(**select_inputs(smooth, of_window))
         best = dict(s_best=smoothed["s"], v_best=smoothed["v"])
         solution = qp(**select_inputs(qp, of_window), **best)

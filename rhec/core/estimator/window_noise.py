@@ -6,16 +6,13 @@ The intervals of the window need not follow the model exactly:
 
 The noise w (n_s,) is estimated like an input that is measured to be zero with the variances Q. To
 the phases of the RHE it is the end of v. Q may differ by interval: the window remembers those of
-its intervals, and feedback takes those of the newest one, W.
-
-The memory of Q wraps the RHE's phases from outside, as `innovation_gate` does.
+its intervals, and feedback takes those of the newest one, W (`guard`).
 """
 
 import functools
 
 import casadi as ca
 
-from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.model import base
 
 # A state without noise has this variance: beside any other none, and its share of the cost is a
@@ -66,53 +63,3 @@ def noisy_interval(model, dt_s):
         motion_noise=noise,
     )
     return NoisyInterval(**exact._asdict() | changed)
-
-
-def with_memory_of_noise(window, phases, kind):
-    """The phases {shift, linearise, feedback, expand} of a noisy window, which remember Q.
-
-    Q (n_s, N) is a piece of the memory. The feedback takes W (n_s,), the variances of the newest
-    interval, and the expand puts them into its last column.
-
-    Args:
-        window: The rhe.Window.
-        phases: Its phases, in which the expand takes all of Q, and the feedback the newest column.
-        kind: SX or MX, of the Functions that call others.
-    """
-    n_s = window.interval.n_s
-    of_window = (n_s, window.N)
-    of_node = (n_s, 1)
-
-    def shapes(name, *without):
-        phase = phases[name]
-        return {key: phase.sparsity_in(key) for key in phase.name_in() if key not in without}
-
-    @casadi_function("noisy_shift", kind, **shapes("shift", "Q"), Q=of_window)
-    def shift(Q, **inputs):
-        newest = ca.DM.zeros(of_node)  # not known before the feedback
-        return phases["shift"](Q=Q, **inputs) | dict(Q=ca.horzcat(Q[:, 1:], newest))
-
-    # With bounds of states, the feedback solves for the whole window.
-    whole = dict(Q=of_window) if "Q_window" in phases["feedback"].name_in() else {}
-
-    @casadi_function(
-        "noisy_feedback", kind, **shapes("feedback", "Q", "Q_window"), **whole, W=of_node
-    )
-    def feedback(W, **inputs):
-        if whole:
-            inputs |= dict(Q_window=with_newest(inputs["Q"], W))
-        # The expand may follow so late that W is that of the next sample.
-        return phases["feedback"](**inputs | dict(Q=W)) | dict(W_used=W)
-
-    @casadi_function("noisy_expand", kind, **shapes("expand", "Q"), Q=of_window, W_used=of_node)
-    def expand(Q, W_used, **inputs):
-        Q = with_newest(Q, W_used)
-        given = select_inputs(phases["expand"], inputs | dict(Q=Q))
-        return phases["expand"](**given) | dict(Q=Q)
-
-    return dict(shift=shift, linearise=phases["linearise"], feedback=feedback, expand=expand)
-
-
-def with_newest(Q, W):
-    """Q (n_s, N) of the window, with W (n_s,) as its newest column."""
-    return ca.horzcat(Q[:, :-1], W)

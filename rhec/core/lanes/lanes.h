@@ -92,10 +92,10 @@ template <int... lengths> static int if_else(function yes, function no, const la
   return 0;
 }
 
-// Bilinear interpolation of the slip fields, one field per lane, as in casadi_interpn: m values at
-// the points 0, 1, 2 … of two dimensions.
-static void slip_fields(lanes* res, int, const lanes*, const long long* offset, const lanes* values,
-                        const lanes* x, const long long*, int m, long long*, lanes*) {
+// Bilinear interpolation, one table per lane, as in casadi_interpn: m values at the points 0, 1, 2 …
+// of two dimensions.
+static void bilinear(lanes* res, int, const lanes*, const long long* offset, const lanes* values,
+                     const lanes* x, const long long*, int m, long long*, lanes*) {
   long long n = offset[1] - offset[0], last[] = {n - 1, offset[2] - offset[1] - 1}, at[2];
   double share[2];
   for (int k = 0; k < m; k++) res[k] = 0.0;

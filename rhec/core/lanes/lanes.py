@@ -43,8 +43,9 @@ def _vectorise(code):
     code = re.sub(rf"^\w+ casadi_({_HELPERS})\(.*?^}}\n", "", code, flags=re.M | re.S)
     code = re.sub(r"\bcasadi_(fmin|fmax|fabs|sign)\(", r"\1(", code)
     code = re.sub(r"\((\w+|\(\*cr\+\+\))\?(\w+(?:\[i\])?):0\)", r"select(\1, \2, 0.0)", code)
-    slip = r"(/\* slip_fields:\(x\[2\],#c.*?)casadi_interpn\("
-    code = re.sub(slip, r"\1slip_fields(", code, flags=re.S)
+    # An interpolant of two dimensions with values as inputs, whatever its name.
+    table = r"(/\* \w+:\(x\[2\],#c.*?)casadi_interpn\("
+    code = re.sub(table, r"\1bilinear(", code, flags=re.S)
     return _IF_ELSE.sub(_call_if_else, code)
 
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import refuse, shown
-from rhec.core.model import algebraic
-from rhec.core.model.expressions import equations_of, function_of
+from rhec.core.model.expressions import function_of
 from rhec.core.model.integration import RULES, Rule, integrate
 from rhec.core.model.integration import rk4 as rk4
 from rhec.core.model.limits import (
@@ -29,7 +28,7 @@ from rhec.core.model.limits import (
 )
 
 # Standard deviations of inputs, in each input's unit.
-_SIGMA_HELD = 1.0  # a missing input is taken to be the last one
+SIGMA_HELD = 1.0  # a missing input is taken to be the last one
 SIGMA_UNMEASURED = 1e3  # an input without an output of its own is known from other outputs only
 
 
@@ -57,10 +56,8 @@ class Model:
         outputs: Names of the outputs z. An output named like a state, input or parameter measures
             just that.
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,), as one
-            column or as a list. An argument can be unpacked: `a, b = x`. With algebraic variables
-            (x, u, p, a) -> (ẋ, g), where g (n_a,) is zero at any moment.
-        h: (x, u, p) -> the outputs with other names, in order; or all of z. With algebraic
-            variables it is a function of (x, u, p, a).
+            column or as a list. An argument can be unpacked: `a, b = x`.
+        h: (x, u, p) -> the outputs with other names, in order; or all of z.
         max_measurement: Largest plausible size of each output; larger values count as missing.
             By default 1e8 in the output's unit: choose units in which no output is that large.
         angles: Names of the outputs that are angles [rad], which are measured up to full turns.
@@ -72,9 +69,6 @@ class Model:
         discrete: Whether f gives the next state, one sample later, instead of ẋ.
         state_bounds: {name: (lowest, highest)} of states that a RHE keeps within these bounds, at
             all nodes of its window.
-        algebraic: {name: guess} of algebraic variables a, which the equation 0 = g(x, u, p, a)
-            determines (a differential-algebraic equation, DAE, of index 1). Newton's method begins
-            at the guess. They need an implicit rule, and units in which they are not tiny.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -84,8 +78,8 @@ class Model:
     inputs: tuple[str, ...]
     parameters: Mapping[str, tuple[float, float] | None]
     outputs: tuple[str, ...]
-    f: Callable[..., Any]
-    h: Callable[..., Any] | None = None
+    f: Callable[[Any, Any, Any], Any]
+    h: Callable[[Any, Any, Any], Any] | None = None
     max_measurement: tuple[float, ...] | None = None
     angles: tuple[str, ...] = ()
     motion_noise: MotionNoise | None = None
@@ -93,7 +87,6 @@ class Model:
     rule: Rule = "rk4"
     discrete: bool = False
     state_bounds: Mapping[str, tuple[float, float]] | None = None
-    algebraic: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         _check_names(self)
@@ -108,7 +101,6 @@ class Model:
             refuse("angles was", self.angles, "it should be a tuple of names of outputs")
         if not isinstance(self.motion_noise, MotionNoise | None):
             refuse("motion_noise was", self.motion_noise, "it should be a MotionNoise or None")
-        _check_algebraic(self)
         _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
 
     def __repr__(self) -> str:
@@ -136,50 +128,7 @@ class Model:
     @functools.cached_property
     def dynamics(self) -> ca.Function:
         """(x, u, p) -> ẋ, or the next state of a discrete Model."""
-        x, u, p = symbols = _symbols(self)
-        if not self.algebraic:
-            return function_of("f", self.f, symbols, len(self.states))
-        slope, _ = self.equations(x, u, p, self.consistent_start(x, u, p))
-        return ca.Function("f", symbols, [slope])
-
-    @functools.cached_property
-    def equations(self) -> ca.Function:
-        """(x, u, p, a) -> (ẋ, g); without algebraic variables both a and g are empty."""
-        symbols = _symbols(self)
-        a = ca.SX.sym("a", len(self.algebraic or ()))
-        if self.algebraic:
-            return equations_of(self.f, [*symbols, a], len(self.states), a.numel())
-        return ca.Function("equations", [*symbols, a], [self.dynamics(*symbols), ca.SX(0, 1)])
-
-    @functools.cached_property
-    def consistent_start(self) -> ca.Function:
-        """(x, u, p) -> a with g(x, u, p, a) = 0, NaN where Newton's method does not find it."""
-        guess = [*(self.algebraic or {}).values()]
-        return algebraic.consistent(self.equations, guess)
-
-    def consistent(self, x: Any, u: Any, p: Any = ()) -> np.ndarray:
-        """The algebraic variables that fit states, inputs and parameters.
-
-        Args:
-            x: (n_x,) states.
-            u: (n_u,) inputs.
-            p: (n_p,) parameters.
-
-        Returns:
-            (n_a,) algebraic variables, in the order of `algebraic`.
-
-        Raises:
-            ValueError: If Newton's method does not find them.
-        """
-        a = np.array(self.consistent_start(x, u, p)).ravel()
-        if not np.all(np.isfinite(a)):
-            x, u, p = (shown(np.ravel(each).tolist()) for each in (x, u, p))
-            expected = (
-                f"from there Newton's method found no solution of g = 0 at x = {x}, u = {u},"
-                f" p = {p}: another guess would help, if there is a solution"
-            )
-            refuse("algebraic was", dict(self.algebraic or {}), expected)
-        return a
+        return function_of("f", self.f, _symbols(self), len(self.states))
 
     @functools.cached_property
     def slopes(self) -> ca.Function:
@@ -193,19 +142,14 @@ class Model:
         """(x, u, p) -> z."""
         symbols = _symbols(self)
         values = dict(zip(self.names, ca.vertsplit(ca.vertcat(*symbols))))
-        arguments = symbols
-        if self.algebraic:
-            a = self.consistent_start(*symbols)
-            values |= dict(zip(self.algebraic, ca.vertsplit(a)))
-            arguments = [*symbols, a]
         unnamed = [name for name in self.outputs if name not in values]
         if unnamed and self.h is None:
             expected = "it should be given, since nothing in the model has that name"
             raise ValueError(f"h was not given for the output {unnamed[0]!r}; {expected}")
         if self.h is not None:
             sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
-            h = function_of("h", self.h, self.equations.sx_in()[: len(arguments)], *sizes)
-            outputs = ca.vertsplit(h(*arguments))
+            h = function_of("h", self.h, symbols, *sizes)
+            outputs = ca.vertsplit(h(*symbols))
             names = self.outputs if len(outputs) == len(self.outputs) else unnamed
             values |= dict(zip(names, outputs))
         return ca.Function("h", symbols, [ca.vertcat(*(values[name] for name in self.outputs))])
@@ -216,8 +160,6 @@ class Model:
         functions = [self.dynamics, self.measurement]
         if self.motion_noise:
             functions.append(_noise_function(self))
-        if self.algebraic:
-            functions += [self.equations, self.consistent_start]
         serialized = [function.serialize() for function in functions]
         integration = (self.steps, self.rule, self.discrete)
         return repr((self.names, self.limits, self.angles, self.bounds, integration, serialized))
@@ -262,8 +204,6 @@ class Model:
         u = np.atleast_2d(np.asarray(u, float))
         if u.shape[1:] != (len(self.inputs),):
             raise ValueError(f"u had shape {u.shape}; it should have (n, {len(self.inputs)})")
-        if self.algebraic and len(u):
-            self.consistent(x, u[0], p)
         step = interval(self, measured=False).step
         s = np.concatenate([given["x"], given["p"]])
         trajectory = [given["x"]]
@@ -327,11 +267,8 @@ def _check_names(model):
             refuse(f"{field} was", names, "it should be a tuple of names")
     if not isinstance(model.parameters, Mapping):
         refuse("parameters was", model.parameters, "it should be a dict of names to bounds or None")
-    if not isinstance(model.algebraic, Mapping | None):
-        refuse("algebraic was", model.algebraic, "it should be a dict of names to guesses")
-    which = "states, inputs, parameters" + ", algebraic" * bool(model.algebraic)
-    inner = (*model.names, *(model.algebraic or ()))
-    for field, names in ((which, inner), ("outputs", model.outputs)):
+    fields = {"states, inputs, parameters": model.names, "outputs": model.outputs}
+    for field, names in fields.items():
         for name in names:
             if not isinstance(name, str) or not name.isidentifier():
                 expected = "it should be a word of letters, digits and _, such as 'x_m'"
@@ -350,27 +287,6 @@ def _check_integration(model):
     if model.discrete and (model.steps, model.rule) != (1, "rk4"):
         given = f"steps was {model.steps} and rule {model.rule!r} for a discrete Model"
         raise ValueError(f"{given}; its f is the whole step, so they should not be given")
-
-
-def _check_algebraic(model):
-    """Refuse algebraic variables without an implicit rule, or that f does not determine."""
-    if not model.algebraic:
-        return
-    for name, guess in model.algebraic.items():
-        is_number = isinstance(guess, int | float) and not isinstance(guess, bool)
-        if not is_number or not abs(guess) <= MAX_PLAUSIBLE_STATE:
-            refuse(f"the guess of {name!r} in algebraic was", guess, "it should be a number")
-    if model.discrete or model.rule == "rk4":
-        problem = "discrete was True" if model.discrete else f"rule was {model.rule!r}"
-        expected = "algebraic variables need an implicit rule: 'radau3' or 'radau5'"
-        raise ValueError(f"{problem}; {expected}")
-    lacking = algebraic.undetermined(model.equations, model.algebraic)
-    if lacking:
-        raise ValueError(
-            f"the residual of f did not determine the algebraic variables {', '.join(lacking)}; it"
-            " should have index 1: differentiate a constraint of the states by time until they"
-            " appear in it"
-        )
 
 
 def _check_bounds(parameters):
@@ -454,10 +370,10 @@ class Interval(NamedTuple):
         """Sparsities of the interval's end F, of D and of B, by name."""
         return {name: self.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
 
-    def input_noise(self, z, v, V, c=None):
+    def input_noise(self, z, v, V, c=None, held=SIGMA_HELD**2):
         """Mean and variances (n_v,) of the inputs, given the measurements z and the last inputs v.
 
-        A missing input is taken to be the last one.
+        A missing input is taken to be the last one, with the variance `held`.
         """
         mean = []
         variance = []
@@ -466,13 +382,13 @@ class Interval(NamedTuple):
                 row, limit = self.input_outputs[place]
                 is_valid = is_valid_measurement(z[row], limit)
                 mean.append(ca.if_else(is_valid, z[row], v[place]))
-                variance.append(ca.if_else(is_valid, V[row], _SIGMA_HELD**2))
+                variance.append(ca.if_else(is_valid, V[row], held))
             else:
                 others = self.mixing_outputs[place]
                 valid = [is_valid_measurement(z[row], limit) for row, limit in others]
                 n_valid = sum(valid, ca.SX(0))
                 mean.append(v[place])
-                variance.append(ca.if_else(n_valid, SIGMA_UNMEASURED**2, _SIGMA_HELD**2))
+                variance.append(ca.if_else(n_valid, SIGMA_UNMEASURED**2, held))
         noise = ca.vertcat(*mean), ca.vertcat(*variance)
         return self.motion_noise.inputs(*noise, c) if self.motion_noise else noise
 

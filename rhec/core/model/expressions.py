@@ -2,9 +2,7 @@
 
 import casadi as ca
 
-from rhec.core._casadi.validation import refuse, shown
-
-_LETTERS = "xupa"  # states, inputs, parameters, algebraic variables
+from rhec.core._casadi.validation import shown
 
 
 class _Column(ca.SX):
@@ -19,51 +17,18 @@ def function_of(name, function, symbols, *sizes):
 
     Args:
         name: What the user calls it: "f" or "h".
-        function: Of as many arguments as there are symbols.
-        symbols: x, u and p, and with algebraic variables a.
+        function: Of x, u and p.
+        symbols: x, u and p.
         sizes: Allowed numbers of its entries.
 
     Raises:
         ValueError: If it cannot be called, or returns something else.
     """
-    value = _called(name, function, symbols, "to one expression or a list of them")
-    column = _column(name, value, symbols, *sizes)
-    return ca.Function(name, symbols, [column], [*_LETTERS[: len(symbols)]], [name])
-
-
-def equations_of(f, symbols, n_x, n_a):
-    """A user's f with algebraic variables, as Function (x, u, p, a) -> (ẋ, g).
-
-    Raises:
-        ValueError: If it cannot be called, or returns something else.
-    """
-    expected = "to a pair: the slopes, and what should be zero"
-    value = _called("f", f, symbols, expected)
-    if not isinstance(value, tuple) or len(value) != 2:
-        refuse("f returned", value, f"it should map CasADi expressions (x, u, p, a) {expected}")
-    parts = [
-        _column(f"{which} of f", part, symbols, size)
-        for which, part, size in zip(("the slopes", "the residual"), value, (n_x, n_a))
-    ]
-    return ca.Function("equations", symbols, parts, [*_LETTERS], ["slope", "residual"])
-
-
-def _called(name, function, symbols, to_what):
-    """What a user's function makes of the symbols."""
     try:
-        return function(*map(_Column, symbols))
-    except Exception as error:
-        arguments = ", ".join(_LETTERS[: len(symbols)])
-        expected = f"it should map CasADi expressions ({arguments}) {to_what}"
-        raise ValueError(f"{name} was refused ({shown(error)}); {expected}") from error
-
-
-def _column(name, value, symbols, *sizes):
-    """A user's expressions as one dense column, whose length is one of the sizes."""
-    try:
+        value = function(*map(_Column, symbols))
         value = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
     except Exception as error:
-        expected = "it should be one expression or a list of them"
+        expected = "it should map CasADi expressions (x, u, p) to one expression or a list of them"
         raise ValueError(f"{name} was refused ({shown(error)}); {expected}") from error
     problem = f"{name} was {shown(value)}"
     if value.numel() not in sizes or 1 not in value.shape:
@@ -72,6 +37,5 @@ def _column(name, value, symbols, *sizes):
     known = ca.vertcat(*symbols)
     free = [s.name() for s in ca.symvar(value) if not ca.depends_on(known, s)]
     if free:
-        words = f"{', '.join(_LETTERS[: len(symbols) - 1])} and {_LETTERS[len(symbols) - 1]}"
-        raise ValueError(f"{problem}, with {free[0]!r} free; it should depend on {words} alone")
-    return ca.densify(ca.vec(value))
+        raise ValueError(f"{problem}, with {free[0]!r} free; it should depend on x, u and p alone")
+    return ca.Function(name, symbols, [ca.densify(ca.vec(value))], ["x", "u", "p"], [name])

@@ -1,8 +1,5 @@
 """From ẋ = f(x, u, p) to the state at the end of an interval: Runge-Kutta rules, with substeps.
 
-A model may have algebraic variables: ẋ = f(x, u, p, a), 0 = g(x, u, p, a). An implicit rule solves
-both at its stages.
-
 A rule multiplies a mode of the model, λ, by R(h λ) in a step h. The classical explicit rule "rk4"
 has |R| <= 1 only where |h λ| is below about 2.8, and grows without limit beyond. The implicit
 Radau IIA rules have |R| < 1 wherever Re λ < 0, and R = 0 at infinity: they are for stiff models
@@ -14,8 +11,6 @@ from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
-
-from rhec.core.model.algebraic import if_converged
 
 Rule = Literal["rk4", "radau3", "radau5"]
 RULES = ("rk4", "radau3", "radau5")
@@ -97,122 +92,77 @@ def _integrate_implicitly(model, x_0, u_0, p_0, h):
 def _radau_step(model):
     """Function (x, u, p, h) -> (x⁺, ∂x⁺/∂(x, u, p)) of one Radau IIA step h [s].
 
-    The slopes k and the algebraic variables a of the stages, y = (k_1, a_1, k_2, …), solve
-    G(y) = 0, with
+    The slopes k of the stages solve G(k) = 0, with
 
-        G_i(y) = (k_i - f(x_i, u, p, a_i), g(x_i, u, p, a_i)),   x_i = x + h Σ_j a_ij k_j,
-        x⁺ = x + h Σ_i b_i k_i,
+        G_i(k) = k_i - f(x + h Σ_j a_ij k_j, u, p),   x⁺ = x + h Σ_i b_i k_i,
 
     by a fixed number of Newton steps from stages that stay at x. The derivatives follow from
-    ∂y/∂w = -(∂G/∂y)⁻¹ ∂G/∂w, with the factorisation of the last Newton step.
+    ∂k/∂w = -(∂G/∂k)⁻¹ ∂G/∂w, with the factorisation of the last Newton step.
     """
-    newton, is_linear = _stage_equations(model)
-    _, b = butcher(STAGES[model.rule])
-    *symbols, a = model.equations.sx_in()
-    x, u, p = symbols
+    f = model.dynamics
+    A, b = butcher(STAGES[model.rule])
+    x, u, p = symbols = f.sx_in()
     h = ca.SX.sym("h")
     n_x = x.numel()
-    n_a = a.numel()
-    first = ca.vertcat(ca.SX.zeros(n_x), model.consistent_start(*symbols))
-    y = ca.repmat(first, len(b), 1)
+    k = ca.SX.sym("k", n_x, len(b))
+    states = (x + h * (k @ A[i]) for i in range(len(b)))
+    residual = ca.vertcat(*(k[:, i] - f(state, u, p) for i, state in enumerate(states)))
+    by_k = ca.jacobian(residual, ca.vec(k))
+    by_all = ca.jacobian(residual, ca.vertcat(*symbols))
+    newton = ca.Function("newton", [ca.vec(k), *symbols, h], [residual, by_k, by_all])
+    is_linear = not ca.depends_on(ca.jacobian(f(*symbols), x), x)
+    slopes = ca.SX.zeros(n_x * len(b))
     for _ in range(1 if is_linear else NEWTON_STEPS):
-        G, G_y, G_w = newton(y, *symbols, h)
-        solved = _solve_by_states(G_y, ca.horzcat(G, G_w), n_x, n_a)
-        y = y - solved[:, 0]
-    weights = h * ca.kron(ca.DM(b).T, ca.DM.eye(n_x + n_a)[:n_x, :])
+        G, G_k, G_w = newton(slopes, *symbols, h)
+        solved = _solve_by_states(G_k, ca.horzcat(G, G_w), n_x)
+        slopes = slopes - solved[:, 0]
+    weights = h * ca.kron(ca.DM(b).T, ca.DM.eye(n_x))
     unmoved = ca.horzcat(ca.SX.eye(n_x), ca.SX(n_x, u.numel() + p.numel()))
-    end = x + weights @ y
-    if n_a and not is_linear:
-        places = _algebraic_places(y.numel(), n_x, n_a)
-        end = if_converged(y[places], solved[places, 0], end)
-    outputs = [end, unmoved - weights @ solved[:, 1:]]
+    outputs = [x + weights @ slopes, unmoved - weights @ solved[:, 1:]]
     return ca.Function("radau", [*symbols, h], outputs, {"cse": True})
 
 
-def _stage_equations(model):
-    """G of `_radau_step`, and whether it is linear in y.
-
-    Returns:
-        newton: Function (y, x, u, p, h) -> (G, ∂G/∂y, ∂G/∂(x, u, p)).
-        is_linear: bool.
-    """
-    equations = model.equations
-    A, _ = butcher(STAGES[model.rule])
-    *symbols, a = equations.sx_in()
-    x, u, p = symbols
-    h = ca.SX.sym("h")
-    n_x = x.numel()
-    y = ca.SX.sym("k", n_x + a.numel(), len(A))
-    k = y[:n_x, :]
-    rows = []
-    for i, row in enumerate(A):
-        slope, residual = equations(x + h * (k @ row), u, p, y[n_x:, i])
-        rows += [k[:, i] - slope, residual]
-    G = ca.vertcat(*rows)
-    by_y = ca.jacobian(G, ca.vec(y))
-    by_all = ca.jacobian(G, ca.vertcat(*symbols))
-    newton = ca.Function("newton", [ca.vec(y), *symbols, h], [G, by_y, by_all])
-    inner = ca.vertcat(x, a)
-    slopes = ca.jacobian(ca.vertcat(*equations(*symbols, a)), inner)
-    return newton, not ca.depends_on(slopes, inner)
-
-
-def _algebraic_places(n, n_x, n_a):
-    """Places of the algebraic variables in n unknowns of stages, of n_x states and n_a each."""
-    return [i for i in range(n) if i % (n_x + n_a) >= n_x]
-
-
-def _solve_by_states(matrix, right, n_x, n_a):
-    """The solution of matrix · y = right, whose rows and unknowns are those of stages.
+def _solve_by_states(matrix, right, n_x):
+    """The solution of matrix · y = right, whose rows and unknowns are those of stages of n_x.
 
     Elimination state by state, with a block of all stages as pivot and without exchanges, keeps
-    the model's sparsity. For a single state, a Radau rule's block is never singular. The algebraic
-    variables are the last block, all of them, because the equation in the place of one may not
-    depend on it.
+    the model's sparsity. For a single state, a Radau rule's block is never singular.
     """
-    n = matrix.size1()
-    groups = [list(range(i, n, n_x + n_a)) for i in range(n_x)]
-    groups += [_algebraic_places(n, n_x, n_a)] if n_a else []
+    states = [list(range(i, matrix.size1(), n_x)) for i in range(n_x)]
     blocks = {}
-    for i, rows in enumerate(groups):
-        for j, columns in enumerate(groups):
+    for i, rows in enumerate(states):
+        for j, columns in enumerate(states):
             block = ca.sparsify(matrix[rows, columns])
             if block.nnz():
                 blocks[i, j] = block
-    rest = [right[rows, :] for rows in groups]
+    rest = [right[rows, :] for rows in states]
     inverse = [None] * n_x
     for i in range(n_x):
         inverse[i] = ca.inv_minor(ca.densify(blocks[i, i]))
-        after = [j for j in range(i + 1, len(groups)) if (i, j) in blocks]
-        for row in (row for row in range(i + 1, len(groups)) if (row, i) in blocks):
+        after = [j for j in range(i + 1, n_x) if (i, j) in blocks]
+        for row in (row for row in range(i + 1, n_x) if (row, i) in blocks):
             factor = blocks[row, i] @ inverse[i]
             for j in after:
                 blocks[row, j] = blocks.get((row, j), 0) - factor @ blocks[i, j]
             rest[row] = rest[row] - factor @ rest[i]
-    if n_a:
-        rest[n_x] = ca.solve(blocks[n_x, n_x], rest[n_x])
     for i in reversed(range(n_x)):
-        for j in (j for j in range(i + 1, len(groups)) if (i, j) in blocks):
+        for j in (j for j in range(i + 1, n_x) if (i, j) in blocks):
             rest[i] = rest[i] - blocks[i, j] @ rest[j]
         rest[i] = inverse[i] @ rest[i]
-    order = [place for rows in groups for place in rows]
+    order = [place for rows in states for place in rows]
     return ca.vertcat(*rest)[list(np.argsort(order)), :]
 
 
-def refuse_start(model, x, u, p, dt_s):
-    """Refuse a Model that cannot start here: its algebraic variables are not found, or its rule
-    lets grow what the model itself does not.
+def refuse_unstable_step(model, x, u, p, dt_s):
+    """Refuse a Model whose rule lets grow, at this point, what the model itself does not.
 
     The modes λ are the eigenvalues of ∂f/∂x at (x, u, p). A classical Runge-Kutta interval of k
     substeps multiplies them by R(λ dt_s/k)^k, the model by e^(λ dt_s). The implicit rules and
     discrete Models have nothing to refuse, nor has a point where f has no finite derivatives.
 
     Raises:
-        ValueError: If the largest |R^k| is above MAX_GROWTH, and as much above |e^(λ dt_s)|; or
-            if Newton's method does not find the algebraic variables.
+        ValueError: If the largest |R^k| is above MAX_GROWTH, and as much above |e^(λ dt_s)|.
     """
-    if model.algebraic:
-        model.consistent(x, u, p)
     if model.discrete or model.rule != "rk4":
         return
     by_x = np.array(model.slopes(x, u, p))

@@ -3,7 +3,7 @@
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
-from rhec.core.solver.pivoting import correct_guess, search_active_set
+from rhec.core.solver.stage_qp import stage_qp
 
 
 def box_qp(n):
@@ -48,30 +48,15 @@ def _best_of_two(H, g, lb, ub):
 
 
 def _box_qp_by_pivoting(n):
-    """The box QP of more than two variables, searched from no bound active."""
-    matrix = (n, n)
-    row = (1, n)
-    column = (n, 1)
-
-    @casadi_function("qp_solve")
-    def solve(H: matrix, g: row, lb: row, ub: row, active: row):
-        free = active == 0
-        fixed = ca.if_else(free, 0, ca.if_else(active > 0, ub, lb))
-        # Rows of variables at a bound become those of the identity.
-        among_free = ca.diag(free) @ H @ ca.diag(free) + ca.diag(1 - free)
-        x = ca.ldl_solve(-free.T * (g.T + H @ fixed.T), *ca.ldl(among_free, False)).T + fixed
-        multipliers = -(x @ H + g) * (1 - free)
-        proposed, first_exchange, n_infeasible = correct_guess(active, x, multipliers, lb, ub)
-        finite = every(ca.fabs(x) < ca.inf)  # also 0 where x is not a number
-        wrong = ca.if_else(finite, n_infeasible, -1)
-        corrected = dict(corrected=proposed, first_corrected=ca.horzcat(*first_exchange))
-        return dict(x=x, multipliers=multipliers, **corrected, wrong=wrong)
-
-    search = search_active_set("qp", n, solve, dict(H=matrix, g=row, lb=row, ub=row))
+    """The box QP of more than two variables: one stage without states, from no bound active."""
+    no_bound = ca.MX.zeros(1, n)
+    nothing = ca.Sparsity(0, 0)
+    one_stage = dict(A_0=ca.DM(0, 0), D=nothing, B=ca.Sparsity(0, n), Q=nothing)
+    search = stage_qp(1, **one_stage, R=ca.Sparsity.dense(n, n), loops=ca.SX)
 
     @casadi_function(f"box_qp_{n}", ca.MX)
-    def box_qp(H: matrix, g: column, lb: column, ub: column):
-        solution = search(H=H, g=g.T, lb=lb.T, ub=ub.T, active=ca.MX.zeros(1, n))
+    def box_qp(H: (n, n), g: (n, 1), lb: (n, 1), ub: (n, 1)):
+        solution = search(R=H, g=g.T, lower=lb.T, upper=ub.T, active=no_bound)
         return dict(x=ca.fmin(ca.fmax(solution["x"].T, lb), ub), ok=solution["ok"])
 
     return box_qp

@@ -33,20 +33,6 @@ def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
     return proposed, first_exchange, n_infeasible
 
 
-def corrected_interval(x_after, u, multiplier, active, lower, upper, n_infeasible):
-    """The results of one interval of a QP by stages, with its part of the guess corrected.
-
-    The state x_after its end, its inputs u and their multipliers, then what `correct_guess` makes
-    of them after the intervals before it.
-    """
-    proposed, first_exchange, n_infeasible = correct_guess(
-        active, u, multiplier, lower, upper, n_infeasible
-    )
-    solution = dict(x_after=x_after, u=u, multiplier=multiplier)
-    first = ca.vertcat(*first_exchange)
-    return solution | dict(right=proposed, first=first, wrong_after=n_infeasible)
-
-
 def search_active_set(name, N, solve, problem, doublings=DOUBLINGS):
     """Build a Function (problem …, active) -> (ok, x, multipliers), x and multipliers rows of N.
 

@@ -68,12 +68,12 @@ static void drive(double pose[3], double speed, double omega)
 static int sample(struct rhec *r, double pose[3], double probability, double error[1])
 {
     double speed = rhec_scenario_guess[3];
-    rhec_real omega = 0, estimate[6] = {0}, z[RHEC_OUTPUTS];
+    double omega = 0, estimate[6] = {0}, z[RHEC_OUTPUTS];
     const double measured[4] = {pose[0], pose[1], speed, r->omega[0]};
     for (int i = 0; i < RHEC_OUTPUTS; i++) {
         double value = i < 4 ? measured[i] : NAN; /* the sensors are silent, or invalid */
         value += i < 2 ? 0.06 * (uniform() - 0.5) : 0;
-        z[i] = (rhec_real)(uniform() < probability ? invalid() : value);
+        z[i] = uniform() < probability ? invalid() : value;
     }
     if (bits() % 2) {
         rhec_prepare_estimate(r);
@@ -105,25 +105,25 @@ int main(int argc, char **argv)
     long by_status[16] = {0}, storms = 0, lost = 0;
     state = argc > 2 ? strtoull(argv[2], NULL, 10) : 0;
     while (done < steps) {
-        rhec_real guess[6];
+        double guess[6];
         double pose[3], error[1];
         for (int i = 0; i < 3; i++) {
             pose[i] = rhec_scenario_guess[i];
         }
         for (int i = 0; i < 6; i++) {
-            guess[i] = bits() % 16 ? rhec_scenario_guess[i] : (rhec_real)invalid();
+            guess[i] = bits() % 16 ? rhec_scenario_guess[i] : invalid();
         }
         rhec_init(&r, &rhec_scenario, guess);
         for (int storm = 0; storm < 10; storm++, storms++) {
             double probability = uniform();
             int length = 1 + (int)(bits() % 60), calm = 100, status = 0;
             if (bits() % 8 == 0) { /* overwrite memory */
-                rhec_real *memory[] = {(rhec_real *)&r.estimator, (rhec_real *)&r.controller,
-                                       (rhec_real *)&r.path};
+                double *memory[] = {(double *)&r.estimator, (double *)&r.controller,
+                                    (double *)&r.path};
                 size_t sizes[] = {sizeof r.estimator, sizeof r.controller, sizeof r.path};
                 for (int i = 0; i < 5; i++) {
-                    size_t which = bits() % 3, place = bits() % (sizes[which] / sizeof(rhec_real));
-                    memory[which][place] = (rhec_real)invalid();
+                    size_t which = bits() % 3, place = bits() % (sizes[which] / sizeof(double));
+                    memory[which][place] = invalid();
                 }
             }
             for (int i = 0; i < length + calm; i++, done++) {

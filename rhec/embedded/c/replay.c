@@ -4,8 +4,8 @@
  * The first line of the log has the column names. Each further line has a measurement: x, y, nu,
  * omega and the sensors of the export, as rhec_memory.h names them (RHEC_OUTPUTS). An empty field
  * or nan marks a missing measurement. If lines also have Python's results (x, y, theta, nu, mu,
- * kappa and the command), the program reports the largest difference and fails if it exceeds 1e-9,
- * or 2e-2 where numbers are floats. */
+ * kappa and the command), the program reports the largest difference and fails if it exceeds
+ * 1e-9. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -16,19 +16,17 @@
 enum { MEASURED = RHEC_OUTPUTS, COMPUTED = RHEC_ESTIMATE + 1 };
 
 /* Reads the numbers of a line, NaN for empty fields. Returns the number of fields. */
-static int parse(char *line, rhec_real *numbers, int most)
+static int parse(char *line, double *numbers, int most)
 {
     int count = 0;
     for (char *field = line; field && count < most; count++) {
         char *end, *next = strchr(field, ',');
         double number = strtod(field, &end);
-        numbers[count] = end > field ? (rhec_real)number : NAN;
+        numbers[count] = end > field ? number : NAN;
         field = next ? next + 1 : NULL;
     }
     return count;
 }
-
-static const double tolerance = sizeof(rhec_real) == sizeof(double) ? 1e-9 : 2e-2;
 
 int main(int argc, char **argv)
 {
@@ -44,7 +42,7 @@ int main(int argc, char **argv)
     rhec_init(&r, &rhec_scenario, rhec_scenario_guess);
     puts("x_hat_m,y_hat_m,theta_hat_rad,nu_hat_mps,mu_hat,kappa_hat,omega_cmd_radps,status");
     while (fgets(line, sizeof line, log)) {
-        rhec_real numbers[MEASURED + COMPUTED], result[COMPUTED];
+        double numbers[MEASURED + COMPUTED], result[COMPUTED];
         int count = parse(line, numbers, MEASURED + COMPUTED);
         for (int i = count; i < MEASURED; i++) {
             numbers[i] = NAN;
@@ -69,5 +67,5 @@ int main(int argc, char **argv)
     if (compared) {
         fprintf(stderr, "largest difference in %d samples: %.3g\n", compared, largest);
     }
-    return !(largest <= tolerance);
+    return !(largest <= 1e-9);
 }

@@ -8,39 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-#ifdef RHEC_FLOAT /* <tgmath.h> would do the same, but not with every C library for embedded use */
-#define sin(x) sinf(x)
-#define cos(x) cosf(x)
-#define tan(x) tanf(x)
-#define asin(x) asinf(x)
-#define acos(x) acosf(x)
-#define atan(x) atanf(x)
-#define sinh(x) sinhf(x)
-#define cosh(x) coshf(x)
-#define tanh(x) tanhf(x)
-#define asinh(x) asinhf(x)
-#define acosh(x) acoshf(x)
-#define atanh(x) atanhf(x)
-#define exp(x) expf(x)
-#define expm1(x) expm1f(x)
-#define log(x) logf(x)
-#define log1p(x) log1pf(x)
-#define sqrt(x) sqrtf(x)
-#define fabs(x) fabsf(x)
-#define floor(x) floorf(x)
-#define ceil(x) ceilf(x)
-#define erf(x) erff(x)
-#define pow(x, y) powf(x, y)
-#define fmod(x, y) fmodf(x, y)
-#define remainder(x, y) remainderf(x, y)
-#define copysign(x, y) copysignf(x, y)
-#define atan2(x, y) atan2f(x, y)
-#define fmin(x, y) fminf(x, y)
-#define fmax(x, y) fmaxf(x, y)
-#define hypot(x, y) hypotf(x, y)
-#endif
-
-static int are_plausible(const rhec_real *numbers, int count)
+static int are_plausible(const double *numbers, int count)
 {
     for (int i = 0; i < count; i++) {
         if (!(fabs(numbers[i]) <= RHEC_MAX_PLAUSIBLE)) { /* false for NaN too */
@@ -67,13 +35,13 @@ static int take_restart(struct rhec *r, int component)
 
 #ifdef RHEC_PATH
 /* Largest plausible x, y, theta, nu, mu, kappa. Above 1e6 rad, a yaw has lost too many digits. */
-static const rhec_real largest[RHEC_GUESS] = {1e8, 1e8, 1e6, 100, 10, 10};
-static const rhec_real fallback[RHEC_GUESS] = {0, 0, 0, 0, 1, 1};
+static const double largest[RHEC_GUESS] = {1e8, 1e8, 1e6, 100, 10, 10};
+static const double fallback[RHEC_GUESS] = {0, 0, 0, 0, 1, 1};
 #else
 #define fallback rhec_scenario_guess
 #endif
 
-static int is_plausible(int i, rhec_real number)
+static int is_plausible(int i, double number)
 {
 #ifdef RHEC_PATH
     return fabs(number) <= largest[i];
@@ -84,7 +52,7 @@ static int is_plausible(int i, rhec_real number)
 }
 
 /* The starting point of the RHE. On a path it is also the first estimate of the controller. */
-static rhec_real *start_of(struct rhec *r)
+static double *start_of(struct rhec *r)
 {
 #ifdef RHEC_PATH
     return r->estimate;
@@ -95,9 +63,9 @@ static rhec_real *start_of(struct rhec *r)
 
 /* Starts the RHE. Each entry comes from the guess if that is plausible, else from the other guess
  * if that is plausible, else from the fallback. On a path, the closest point is searched again. */
-static void restart(struct rhec *r, const rhec_real guess[], const rhec_real other[])
+static void restart(struct rhec *r, const double guess[], const double other[])
 {
-    rhec_real *start = start_of(r);
+    double *start = start_of(r);
 
     for (int i = 0; i < RHEC_GUESS; i++) {
         start[i] = is_plausible(i, guess[i])   ? guess[i]
@@ -130,7 +98,7 @@ void rhec_prepare_estimate(struct rhec *r)
 }
 
 /* The feedback phase. Returns whether the preparation before it restarted the RHE. */
-static int estimator_step(struct rhec *r, const rhec_real z[RHEC_OUTPUTS])
+static int estimator_step(struct rhec *r, const double z[RHEC_OUTPUTS])
 {
     rhec_prepare_estimate(r);
     int status = take_restart(r, RHEC_ESTIMATOR_RESTARTED);
@@ -152,9 +120,9 @@ static int is_lost(const struct rhec *r)
     return r->predicted > RHEC_PATIENCE;
 }
 
-int rhec_estimate(struct rhec *r, const rhec_real z[RHEC_OUTPUTS], rhec_real estimate[RHEC_ESTIMATE])
+int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE])
 {
-    rhec_real last[RHEC_ESTIMATE];
+    double last[RHEC_ESTIMATE];
 
     rhec_prepare_estimate(r); /* a restart changes the last estimate */
     memcpy(last, r->estimate, sizeof last);
@@ -162,7 +130,7 @@ int rhec_estimate(struct rhec *r, const rhec_real z[RHEC_OUTPUTS], rhec_real est
     r->predicted = estimator_ok(r) ? 0 : r->predicted + 1;
     status |= r->predicted ? RHEC_PREDICTED : 0;
     if (is_lost(r)) {
-        const rhec_real measured[RHEC_GUESS] = {z[0], z[1], last[2], z[2], 1, 1};
+        const double measured[RHEC_GUESS] = {z[0], z[1], last[2], z[2], 1, 1};
         restart(r, measured, last);
         status |= RHEC_ESTIMATOR_RESTARTED;
     }
@@ -170,7 +138,7 @@ int rhec_estimate(struct rhec *r, const rhec_real z[RHEC_OUTPUTS], rhec_real est
     return status;
 }
 #else
-int rhec_estimate(struct rhec *r, const rhec_real z[RHEC_OUTPUTS], rhec_real estimate[RHEC_ESTIMATE])
+int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE])
 {
     int status = 0;
 
@@ -191,7 +159,7 @@ int rhec_estimate(struct rhec *r, const rhec_real z[RHEC_OUTPUTS], rhec_real est
 
 #endif /* RHEC_ESTIMATOR */
 
-void rhec_init(struct rhec *r, const struct rhec_settings *settings, const rhec_real guess[RHEC_GUESS])
+void rhec_init(struct rhec *r, const struct rhec_settings *settings, const double guess[RHEC_GUESS])
 {
     memset(r, 0, sizeof *r);
     r->settings = settings;
@@ -240,7 +208,7 @@ static int controller_step(struct rhec *r)
 }
 
 #ifdef RHEC_PATH
-int rhec_control(struct rhec *r, rhec_real *omega)
+int rhec_control(struct rhec *r, double *omega)
 {
     rhec_prepare_control(r);
     int status = take_restart(r, RHEC_CONTROLLER_RESTARTED);
@@ -275,8 +243,8 @@ static void improve_first_plan(struct rhec *r)
 }
 #endif
 
-int rhec_control(struct rhec *r, const rhec_real x[], const rhec_real p[], const rhec_real x_ref[],
-                 const rhec_real u_ref[], rhec_real u[RHEC_INPUTS])
+int rhec_control(struct rhec *r, const double x[], const double p[], const double x_ref[],
+                 const double u_ref[], double u[RHEC_INPUTS])
 {
     rhec_prepare_control(r);
     int status = take_restart(r, RHEC_CONTROLLER_RESTARTED);

@@ -60,13 +60,13 @@ enum {
 
 /* The settings and the guess of this export. A copy of the settings may be changed. */
 extern const struct rhec_settings rhec_scenario;
-extern const rhec_real rhec_scenario_guess[RHEC_GUESS];
+extern const double rhec_scenario_guess[RHEC_GUESS];
 
 /* Initialisation. The settings are not copied and must stay valid. guess: (x, y, theta, nu, mu,
  * kappa) for a scenario, the joint state for a model. Implausible entries are replaced: for a
  * scenario by 0, or 1 for the traction; for a model by those of rhec_scenario_guess. */
 void rhec_init(struct rhec *r, const struct rhec_settings *settings,
-               const rhec_real guess[RHEC_GUESS]);
+               const double guess[RHEC_GUESS]);
 
 #ifdef RHEC_ESTIMATOR
 /* Preparation phase of the RHE: completes the last solution, then arrival cost, shift, integration,
@@ -79,7 +79,7 @@ void rhec_prepare_estimate(struct rhec *r);
  * turns. rhec_memory.h names the entries (RHEC_OUTPUTS). Measured inputs are means since the last
  * sample; NaN marks missing measurements. estimate: (x, y, theta, nu, mu,
  * kappa) for a scenario; states, inputs of the last interval and parameters for a model. */
-int rhec_estimate(struct rhec *r, const rhec_real z[RHEC_OUTPUTS], rhec_real estimate[RHEC_ESTIMATE]);
+int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE]);
 #endif
 
 #ifdef RHEC_CONTROLLER
@@ -90,15 +90,15 @@ void rhec_prepare_control(struct rhec *r);
 /* References on the path and feedback phase of the RHC for the last estimate. omega: the commanded
  * yaw rate. The QP is solved by guesses of the active bounds: usually one to three, at most
  * RHEC_MOST_GUESSES. */
-int rhec_control(struct rhec *r, rhec_real *omega);
+int rhec_control(struct rhec *r, double *omega);
 #else
 /* Feedback phase of the RHC. x, p: estimate. x_ref: desired states of the nodes 0 to N; node 0
  * has no weight. u_ref: desired inputs of the N intervals; where an entry is not finite, the command
  * comes from the last plan. u: the inputs to apply; those that are not commanded are those of u_ref
  * or, where it is not finite, of the last plan, at first 0. The first call, and the first after a
  * restart, iterates up to RHEC_FIRST_ITERATIONS times; it takes longer. */
-int rhec_control(struct rhec *r, const rhec_real x[], const rhec_real p[], const rhec_real x_ref[],
-                 const rhec_real u_ref[], rhec_real u[RHEC_INPUTS]);
+int rhec_control(struct rhec *r, const double x[], const double p[], const double x_ref[],
+                 const double u_ref[], double u[RHEC_INPUTS]);
 #endif
 #endif
 

@@ -27,12 +27,12 @@ int main(int argc, char **argv)
     rhec_init(&r, &rhec_scenario, rhec_scenario_guess);
     puts("rhe_preparation_ns,rhe_feedback_ns,rhc_preparation_ns,rhc_feedback_ns");
     while (fgets(line, sizeof line, log)) {
-        rhec_real z[RHEC_OUTPUTS], estimate[6], omega;
+        double z[RHEC_OUTPUTS], estimate[6], omega;
         char *field = line;
         int count = 0;
         while (count < RHEC_OUTPUTS) {
             char *end;
-            z[count] = (rhec_real)strtod(field, &end);
+            z[count] = strtod(field, &end);
             if (end == field) {
                 break;
             }

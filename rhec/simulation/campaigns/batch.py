@@ -14,6 +14,7 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
+from rhec.simulation.blocks import blocks_of
 from rhec.simulation.campaigns.store import PLAIN
 from rhec.tracked_robot import terrain
 
@@ -28,26 +29,6 @@ _TASK_IN_LANES = 400_000
 _SEEDS_TOGETHER = 8
 # Largest number of samples of all lanes; longer runs are simulated one by one to limit the memory.
 _MAX_SAMPLES_IN_MEMORY = 200_000
-
-# The fields that determine the compiled loop of nearly all scenarios.
-_STRUCTURE = operator.attrgetter(
-    "estimator",
-    "estimation_horizon",
-    "speed_model",
-    "arrival_mean",
-    "robust",
-    "prediction_horizon",
-    "qp",
-    "input_reference",
-    "cautious",
-    "soil_under",
-    "traction_timing",
-    "yaw_rate_interval",
-    "controller",
-    "disturbance_observer",
-    "sensors",
-    "side_slip_rad",
-)
 
 
 def _all_but_seed(scenario):
@@ -65,9 +46,24 @@ def count_samples(scenario):
     return round(scenario.duration_s / paper.DT_S)
 
 
+def _loops(scenarios):
+    """Yield the blocks of each scenario's loop, but for the sizes of its path and soil.
+
+    Those take time to find, and nearly all loops agree in them. Equal loops are one object.
+    """
+    families = {}
+    loops = {}
+    for scenario in scenarios:
+        family = _all_but_seed(scenario)
+        if family not in families:
+            loop = blocks_of(scenario)
+            families[family] = loops.setdefault(loop, loop)
+        yield families[family]
+
+
 def mean_samples_per_structure(scenarios):
     """Return the mean number of samples of the scenarios per compiled loop."""
-    return sum(map(count_samples, scenarios)) / len({*map(_STRUCTURE, scenarios)})
+    return sum(map(count_samples, scenarios)) / len({*_loops(scenarios)})
 
 
 def samples_per_task(mean_samples):
@@ -98,9 +94,9 @@ def _ordered(scenarios):
     seeds = {}
     loops = {}
     families = {}
-    for scenario in scenarios.values():
+    for scenario, blocks in zip(scenarios.values(), _loops(scenarios.values())):
         seed = seeds.setdefault(scenario.seed, len(seeds))
-        loop = loops.setdefault(_STRUCTURE(scenario), len(loops))
+        loop = loops.setdefault(blocks, len(loops))
         family = families.setdefault(_all_but_seed(scenario), len(families))
         for column, number in zip(numbers, (seed // _SEEDS_TOGETHER, loop, family, seed)):
             column.append(number)
@@ -113,10 +109,9 @@ def one_per_structure(scenarios, mean_samples):
     """Return one scenario for each loop of which compiling the lanes pays."""
     one = {}
     samples = collections.Counter()
-    for scenario in scenarios:
-        structure = _STRUCTURE(scenario)
-        one[structure] = scenario
-        samples[structure] += count_samples(scenario)
+    for scenario, loop in zip(scenarios, _loops(scenarios)):
+        one[loop] = scenario
+        samples[loop] += count_samples(scenario)
     return [one[key] for key in one if max(samples[key], mean_samples) >= _WORTH_COMPILING]
 
 
@@ -196,7 +191,8 @@ def _set_up(scenario, relative, soil_settings):
     if relative is None:
         return closed_loop.set_up(scenario)
     soil = scenario.terrain or terrain.random_for(scenario, relative.path)
-    settings = relative.settings | soil_settings(soil, relative.structure.terrain_shape)
+    shape = terrain.common_shape(relative.terrain)
+    settings = relative.settings | soil_settings(soil, shape)
     return replace(relative, settings=settings, terrain=soil)
 
 
@@ -239,13 +235,8 @@ def _run_group(block, group, noise, result_of):
     """Return {key: result_of(run)} of {key: (scenario, setup)} of one structure."""
     scenarios, setups = zip(*group.values())
     streams = [
-        noise(
-            scenario.seed,
-            scenario.faults,
-            count_samples(scenario),
-            closed_loop.options_of(scenario),
-        )
-        for scenario in scenarios
+        noise(scenario.seed, scenario.faults, count_samples(scenario), setup.draws)
+        for scenario, setup in zip(scenarios, setups)
     ]
     memories = [setup.memory for setup in setups]
     settings = [setup.settings for setup in setups]

@@ -56,12 +56,15 @@ def campaign(
 
     The numbers do not depend, to the last bit, on where the scenarios run. Without `workers`, they
     run on the Dask cluster at DASK_SCHEDULER_ADDRESS. If that is not set, a small campaign runs in
-    this process, a large one in one worker process per core.
+    this process, a large one in one worker process per core (PYTHON_CPU_COUNT sets another number),
+    where loky is installed. A worker that is killed loses no finished run; a run has failed if
+    three workers died that ran nothing else.
 
     Args:
         scenarios: An iterable of rhec.Scenario. Equal scenarios run once.
         folder: Folder of Parquet files with finished runs. With it, the same call continues an
-            interrupted campaign. Failed runs, and rows of other code or versions, run again.
+            interrupted campaign. Failed runs, and those of other code, versions or machines, run
+            again.
         workers: Number of processes on this machine, 1 to 1024; 1 is this process.
 
     Returns:
@@ -71,9 +74,10 @@ def campaign(
 
     Raises:
         ValueError: If an argument is invalid.
-        ImportError: If loky or pyarrow is needed and not installed.
-        ConnectionError: If no scheduler or no worker answers.
-        RuntimeError: If the code of a worker differs.
+        ImportError: If loky, distributed or pyarrow is needed and not installed.
+        ConnectionError: If no scheduler or no worker answers, or the connection is lost.
+        RuntimeError: If a worker has other code, versions or another machine than this process, or
+            fails otherwise.
         KeyboardInterrupt: If interrupted; the message has the number of finished runs.
     """
     import pandas as pd  # imported here, because workers do not need it
@@ -93,8 +97,9 @@ def _driven(scenarios, folder, workers):
     rows_folder = None if folder is None else store.open_folder(folder)
     rows = store.Rows()
     keys, unusable = _keys_of(scenarios)
-    for kept in store.load_rows(rows_folder, {*keys}) if rows_folder else ():
-        rows.add(kept)
+    if rows_folder:
+        for kept in store.load_rows(rows_folder, {*keys}):
+            rows.add(kept)
     rows.add(unusable)
     total = len({*keys})
     missing = {key: scenario for key, scenario in zip(keys, scenarios) if key not in rows}

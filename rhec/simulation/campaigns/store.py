@@ -21,6 +21,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.validation import shown
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.optional import optional
+from rhec.simulation.controller import Controller
 from rhec.tracked_robot import terrain
 
 # Types of nearly all fields of a scenario; their repr is exact to the last bit.
@@ -55,20 +56,17 @@ def _canonical_text(value):
     """Return a text that is unique for a value."""
     if isinstance(value, ca.Function):
         return value.serialize()
+    if isinstance(value, Controller):
+        return repr((value.compared_step.key, value.memory))
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):
         texts = {}
-        for name in _field_names(type(value)):
-            field = getattr(value, name)
-            texts[name] = field if type(field) in PLAIN else _canonical_text(field)
+        for field in fields(value):
+            entry = getattr(value, field.name)
+            texts[field.name] = entry if type(entry) in PLAIN else _canonical_text(entry)
         return repr(texts)
     return repr(value)
-
-
-@functools.cache
-def _field_names(kind):
-    return [field.name for field in fields(kind)]
 
 
 @functools.cache
@@ -90,14 +88,15 @@ def failed_row(error):
 
 
 class Rows:
-    """Rows of runs by key, in arrays: 0.3 kB a run, where a dict for each would take 2 kB.
+    """Rows of runs by key, in an array: 0.3 kB a run, where a dict for each would take 2 kB.
 
     A campaign of 100,000 runs keeps all of them until it returns its table.
     """
 
     def __init__(self):
-        self._places = {}  # {key: place in the arrays}
-        self._metrics = {name: array("d") for name in _example_metrics()}
+        self._names = list(_example_metrics())
+        self._places = {}  # {key: place of its row}
+        self._metrics = array("d")  # row after row
         self._errors = {}  # {place: reason} of failed runs
 
     def __contains__(self, key):
@@ -110,11 +109,9 @@ class Rows:
             self._errors.pop(place, None)
             if row["error"]:
                 self._errors[place] = row["error"]
-            for name, values in self._metrics.items():
-                if place == len(values):
-                    values.append(row[name])
-                else:
-                    values[place] = row[name]
+            begin = place * len(self._names)  # the end of the array, if the row is new
+            values = array("d", [row[name] for name in self._names])
+            self._metrics[begin : begin + len(values)] = values
 
     def places(self, keys):
         """Return where the rows of these keys are, (n,), and forget all keys."""
@@ -126,12 +123,12 @@ class Rows:
         """Return {name: values (n,)} at these places: metrics with their types, and `error`.
 
         A whole number of a failed run is NaN, which makes its column one of floats. The rows are
-        gone after that: each array is given up when its column is there, so that no campaign holds
-        all of them twice.
+        gone after that, so that no campaign holds all of them twice.
         """
         columns = {}
-        for name, example in _example_metrics().items():
-            values = np.frombuffer(self._metrics.pop(name))[places]
+        table = np.frombuffer(self._metrics).reshape(-1, len(self._names))[places]
+        self._metrics = array("d")
+        for values, (name, example) in zip(table.T, _example_metrics().items()):
             if isinstance(example, bool | int) and np.isfinite(values).all():
                 values = values.astype(type(example))
             columns[name] = values

@@ -262,27 +262,24 @@ async def _try_connection(address):
     await (await comm.connect(address, timeout=SCHEDULER_TIMEOUT_S, **settings)).close()
 
 
-def map_tasks(workers, function, tasks, at_once=None):
+def map_tasks(workers, function, tasks):
     """Yield (task, function(task)) in the order in which the workers finish.
 
-    The result is None for tasks that were pending when a worker process died. Local workers do not
-    report which task killed the process, so all their pending tasks have the result None.
+    An error of the function is raised here. The result is None for tasks that were pending when a
+    worker process died. Local workers do not report which task killed the process, so all their
+    pending tasks have the result None.
 
     Args:
         workers: The workers of `open_workers`.
         function: A function of a task.
         tasks: An iterable of tasks.
-        at_once: Largest number of pending tasks; by default three per worker.
-
-    Raises:
-        RuntimeError: If the function raises an error.
     """
     tasks = iter(tasks)
     pending = {}
     finished = queue.SimpleQueue()
     try:
         while True:
-            room = (at_once or _TASKS_PER_WORKER * workers.count) - len(pending)
+            room = _TASKS_PER_WORKER * workers.count - len(pending)
             for task in itertools.islice(tasks, max(room, 0)):
                 future = workers.submit(function, task)
                 pending[future] = task

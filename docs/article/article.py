@@ -1,0 +1,100 @@
+"""`make article`: the article "[Re] …" as build/article.pdf, by Typst.
+
+All its numbers come from the tables in data/results/ and from `rhec.paper`, its figures from
+figures/.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pandas as pd
+import typst
+
+from docs.site import results
+from notebooks.studies.tables import interval_texts
+from rhec import paper
+
+__all__ = ["tables", "write"]
+
+ROOT = Path(__file__).resolve().parents[2]
+_SOURCE = "docs/article/article.typ"
+
+
+def tables():
+    """The article's tables: {name: DataFrame of texts}; the first column names the rows."""
+    return dict(
+        summary=results.summary(),
+        verdicts=results.verdicts().astype(str),
+        statements=_statements(),
+        worth=_worth(),
+        faults=_faults(),
+    )
+
+
+def _statements():
+    """Shares of single drives that meet what the paper states, before and after it is known."""
+    shares = pd.read_csv(results.EXPECTED / "inverse_statements.csv")
+    columns = {"what the paper states": shares["statement"]}
+    for when in ("prior", "posterior"):
+        numbers = [f"{when} drives{end}" for end in ("", "_low", "_high")]
+        columns[f"share of the {when}"] = interval_texts(shares, *numbers)
+    return pd.DataFrame(columns)
+
+
+def _worth():
+    """Ratios of the true error with a part of the loop to that without it."""
+    rows = pd.read_csv(results.EXPECTED / "table_traction_worth.csv")
+    rows = rows[rows["quantity"] == "true error with it over without it"]
+    # Near 1 they differ in the third decimal.
+    texts = interval_texts(rows, number="{:.3f}".format)
+    return pd.DataFrame({"part of the loop": rows["loop"], "error with it over without": texts})
+
+
+def _faults():
+    """Cases of faults without and with robust handling."""
+    cases = pd.read_csv(results.EXPECTED / "table_faults.csv")
+    cases["recovered"] = cases["back"] == cases["n"]
+    cases["within the aim"] = cases["verdict"] == "holds"
+    by_handling = cases.groupby("handling")
+    counts = by_handling[["recovered", "within the aim"]].sum().assign(cases=by_handling.size())
+    return counts.reset_index().astype(str)
+
+
+def _for_typst(table):
+    """A table with its header, and its cells by the first of their row and by their column."""
+    rows = {row.iloc[0]: row.to_dict() for _, row in table.iterrows()}
+    return dict(table=[list(table), *table.to_numpy().tolist()], rows=rows)
+
+
+def write(root=ROOT):
+    """Write build/article.pdf; the same inputs give the same bytes.
+
+    Args:
+        root: Folder with the article, and with the figures of `make figures studies`.
+
+    Returns:
+        The path of the PDF.
+
+    Raises:
+        FileNotFoundError: If a figure is missing.
+    """
+    source = (root / _SOURCE).read_text(encoding="utf-8")
+    for name in re.findall(r'#picture\("(\w+)"', source):
+        if not (root / f"figures/{name}.pdf").exists():
+            raise FileNotFoundError(f"figures/{name}.pdf is missing: make figures studies makes it")
+    cells = {name: _for_typst(table) for name, table in tables().items()}
+    numbers = {name: value for name, value in vars(paper).items() if isinstance(value, int | float)}
+    output = root / "build/article.pdf"
+    output.parent.mkdir(exist_ok=True)
+    inputs = dict(results=json.dumps(cells), constants=json.dumps(numbers))
+    typst.compile(root / _SOURCE, output=output, root=root, sys_inputs=inputs)
+    return output
+
+
+if __name__ == "__main__":
+    try:
+        print(f"article: {write().relative_to(ROOT)}")
+    except FileNotFoundError as error:
+        sys.exit(f"article: {error}")

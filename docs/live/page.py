@@ -1,0 +1,305 @@
+"""Write the live page: the closed loop in the reader's browser, from files alone.
+
+    python -m docs.live.page [FOLDER]
+
+writes FOLDER/live.html and FOLDER/live/, by default into build/report. Noise, soils and sensor
+faults of each seed are data that Python computes here; the loop is WebAssembly, one module per
+structure of the loop. The page loads seeds and modules when they are first needed.
+"""
+
+import base64
+import gzip
+import json
+import multiprocessing
+import os
+import shutil
+import sys
+import tomllib
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import fields
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+from docs.live import functions, wasm, window
+from docs.live.plants import plants_of
+from docs.site.content_policy import live_policy
+from rhec import paper
+from rhec.core._casadi.build import packed_size
+from rhec.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
+from rhec.explorer.explorer import METRICS
+from rhec.simulation import closed_loop, fault_signals, faults
+from rhec.simulation.columns import COLUMNS
+from rhec.simulation.scenario import Scenario
+from rhec.simulation.worlds import WORLDS
+from rhec.tracked_robot import plant, terrain, tuning
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import estimator_of
+
+__all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
+__all__ += ["affine_memory", "seed_data", "write"]
+
+HERE = Path(__file__).parent
+REPORT = Path(__file__).resolve().parents[2] / "build/report"
+SEEDS = range(10)
+NOISE_STEP = 1 / 4096  # of 16 bits with sign: up to eight standard deviations
+TRACTION_STEP = 1 / 65535  # of 16 bits without sign: up to 1
+_FARTHEST_START_M = 3.0
+SOILS = {  # of the project's worlds, and one of the story's that is the same everywhere
+    "default": WORLDS["default"],
+    "soft": WORLDS["soft"],
+    "even": dict(mu_deviation=0.0, kappa_deviation=0.0),
+}
+FAULTS = {  # the page's robots have GNSS and encoders alone
+    name: of
+    for name, of in CONTROLS["faults"].options
+    if of and not any(fault.channel in faults.SENSOR_CHANNELS for fault in of)
+}
+_ANY_FAULT = next(iter(FAULTS.values()))
+# The compiled modules: fields of Scenario that decide the structure of the loop.
+STRUCTURES = {
+    "rhe": {},
+    "ekf": dict(estimator="ekf"),
+    "yaw_drift": dict(estimator="yaw_drift_ekf"),
+    "rhe_faulty": dict(faults=_ANY_FAULT),
+    "rhe_robust": dict(faults=_ANY_FAULT, robust=True),
+} | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
+SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
+STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
+# What scripts need of a step of the story; its template has the rest.
+_TOLD = ("told", "right", "wrong", "idle", "run", "controls")
+# Fields of Scenario that have sliders; none of them changes the structure of the loop.
+_FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
+_FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
+_FIELDS |= {"gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "encoder_sigma_mps"}
+_FIELDS |= {"speed_sigma_mps", "bump_sigma_radps", "rut_length_m", "slip_difference"}
+# Fields of Scenario in which the loop's first memory is affine.
+_START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
+# Settings of the loop that come with the soil.
+_OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
+
+
+def write(folder=REPORT):
+    """Write live.html and what it loads into a folder; it links the notebooks' pages there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = folder / "live"
+    shutil.rmtree(files, ignore_errors=True)
+    files.mkdir()
+    for file in (*HERE.glob("*.js"), *HERE.glob("*.css")):
+        shutil.copy(file, files)
+    shutil.copy(HERE.parents[1] / "rhec/explorer/plot.js", files)
+    world = _world()
+    data = dict(world=world) | {f"seed_{seed}": seed_data(seed) for seed in SEEDS}
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        # Tracing a loop takes seconds; its compiled module is cached.
+        tools = pool.submit(_tools)
+        data |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
+        data["tools"] = tools.result()
+    for name, content in data.items():
+        text = json.dumps(content, allow_nan=True, separators=(",", ":"), ensure_ascii=False)
+        (files / f"{name}.js").write_text(f"live.arrived({name!r}, {text})\n", encoding="utf-8")
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE), undefined=jinja2.StrictUndefined, autoescape=True
+    )
+    pages = {file.stem: file.relative_to(folder).as_posix() for file in folder.rglob("*.html")}
+    given = dict(story=STORY, world=world, pages=pages, policy=live_policy())
+    html = environment.get_template("live.html.j2").render(**given)
+    (folder / "live.html").write_text(html, encoding="utf-8")
+
+
+def _packed(values):
+    """An array or bytes, compressed, as text."""
+    return base64.b64encode(gzip.compress(bytes(values), 9, mtime=0)).decode()
+
+
+def seed_data(seed):
+    """Noise, soils and sensor faults of a seed, each array compressed, as text.
+
+    noise: (MAX_SAMPLES, n) in steps of NOISE_STEP; soils: {name: (2, n_x, n_y)} in steps of
+    TRACTION_STEP, for a start _FARTHEST_START_M beside the path; faults: {name: (MAX_SAMPLES, n)}.
+    """
+    noise = plant.draw_noise(seed, functions.MAX_SAMPLES) / NOISE_STEP
+    soils = {}
+    for name, statistics in SOILS.items():
+        scenario = Scenario(seed=seed, start_offset_m=_FARTHEST_START_M, **statistics)
+        soil = closed_loop.set_up(scenario).terrain
+        steps = np.round(np.stack([soil.mu, soil.kappa]) / TRACTION_STEP)
+        soils[name] = _packed(steps.astype(np.uint16))
+    streams = {
+        name: _packed(fault_signals.stream(fault, functions.MAX_SAMPLES, paper.DT_S, seed))
+        for name, fault in FAULTS.items()
+    }
+    return dict(noise=_packed(np.round(noise).astype(np.int16)), soils=soils, faults=streams)
+
+
+def affine_memory(own):
+    """The loop's first memory m = m_0 + Σ value · direction, for the structure of Scenario(**own).
+
+    It consists of constants and copies of pose, guess and speed, which are affine in the fields
+    of _START. Returns m_0 (n,) and {field: direction (n,)}.
+    """
+
+    def memory(**start):
+        return closed_loop.set_up(Scenario(**own, **(_START | start))).memory
+
+    middle = memory()
+    directions = {name: 2 * (memory(**{name: at + 0.5}) - middle) for name, at in _START.items()}
+    # A gap in the estimator's window is NaN whatever the start.
+    directions = {name: np.nan_to_num(slope) for name, slope in directions.items()}
+    return middle - sum(at * directions[name] for name, at in _START.items()), directions
+
+
+def _module(own):
+    """A structure's module, and what the script must know to call it."""
+    scenario = Scenario(**own)
+    setup = closed_loop.set_up(scenario)
+    choice = Choice.of(scenario)
+    memory, directions = affine_memory(own)
+    noises = ("printed", "calibrated")
+    sigma_w = tuning.SIGMA_W[scenario.estimator]
+    built = functions.build_functions(scenario)
+    text = functions.c_text(built)
+    return dict(
+        memory=_without_nan(memory),
+        directions={name: slope.tolist() for name, slope in directions.items()},
+        settings={
+            name: np.ravel(value, order="F").astype(float).tolist()
+            for name, value in setup.settings.items()
+            if name in built["sample"].name_in() and name not in _OF_THE_SOIL
+        },
+        places=_places(setup),
+        states=estimator_of(choice.estimator).states(choice),
+        sigma_w={name: sigma_w[name] for name in noises},
+        line={name: value for name, value in own.items() if name != "faults"},
+        faulty=bool(scenario.faults),
+        wasm=_packed(wasm.module_of(text)),
+    )
+
+
+def _without_nan(memory):
+    """A memory (n,) as a list, with None in place of NaN, for which JSON has no word."""
+    return [None if np.isnan(value) else value for value in memory.tolist()]
+
+
+def _tools():
+    """The module of the story's Functions, and where the loop's memory holds the estimator's."""
+    scenario = Scenario()
+    setup = closed_loop.set_up(scenario)
+    tools = window.build_tools(scenario)
+    place = setup.unpack(np.arange(len(setup.memory)))["estimator"]
+    first = min(int(np.min(piece)) for piece in place.values())
+    names = ("s", "v", "z", "age", "m", "P")
+    places = {name: (np.atleast_2d(place[name].T) - first).tolist() for name in names}
+    memories = window.first_memories(scenario, setup.guess)
+    return dict(
+        order=[*tools],
+        results={
+            name: {of: function.nnz_out(of) for of in function.name_out()}
+            for name, function in tools.items()
+        },
+        first=first,
+        places=places,
+        P_0=setup.settings["P_0"].tolist(),
+        first_memories={name: _without_nan(memory) for name, memory in memories.items()},
+        wasm=_packed(wasm.module_of(window.c_text(tools))),
+    )
+
+
+def _places(setup):
+    """{piece of the memory: indices of its columns}: the plan, and the window of an RHE."""
+    pieces = setup.unpack(np.arange(len(setup.memory)))
+    window = pieces["estimator"]
+    names = ("s", "z", "age") if "age" in window else ()
+    places = {name: window[name].T.tolist() for name in names}
+    return places | dict(plan=pieces["controller"]["s"].T.tolist())
+
+
+def _world():
+    """What all runs have in common, and the controls."""
+    start = Scenario()
+    defaults = {field.name: getattr(start, field.name) for field in fields(start)}
+    # The line of Python leaves out what has its default.
+    defaults |= dict(sigma_v=paper.SIGMA_V, faults=())
+    return _geometry() | dict(
+        dt_s=paper.DT_S,
+        max_samples=functions.MAX_SAMPLES,
+        tolerance_m=paper.TOLERANCE_M,
+        robot_m=(paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M),
+        track_width_m=paper.TRACK_WIDTH_M,
+        columns=COLUMNS,
+        errors=functions.ERRORS,
+        metrics=METRICS,
+        noise=dict(n=packed_size(plant.NOISE), step=NOISE_STEP),
+        n_fault=packed_size(faults.STREAM),
+        faults={name: f"({', '.join(map(line_of, fault))},)" for name, fault in FAULTS.items()},
+        shaded={name: [(of.start_s, of.end_s) for of in fault] for name, fault in FAULTS.items()},
+        seeds=[*SEEDS],
+        soils=SOILS,
+        windows=[5, 10, 15, 30],
+        new_patch=NEW_PATCH,
+        groups=_sliders(),
+        scenes={name: _scene(scene, defaults) for name, scene in SCENES.items()},
+        story={id: {key: of.get(key) for key in _TOLD} for id, of in STORY.items()},
+        defaults=defaults,
+    )
+
+
+def _geometry():
+    """The path, and the grids of soils."""
+    setup = closed_loop.set_up(Scenario(start_offset_m=0.0))
+    farthest = closed_loop.set_up(Scenario(start_offset_m=_FARTHEST_START_M)).terrain
+    path = setup.path
+    # Equal steps of about half a metre: the last point is one step before the first.
+    path_step_m = path.length_m / np.ceil(2 * path.length_m)
+    line = path.poses(np.arange(0, path.length_m - 1e-9, path_step_m))[0][:, :2]
+    return dict(
+        path=np.round(line, 3).tolist(),
+        path_step_m=path_step_m,
+        plants=np.round(plants_of(path), 3).tolist(),
+        lowest=path.box[::2],
+        highest=path.box[1::2],
+        # A random field reaches so far beyond the path, and farther by the start's offset.
+        margin_m=path.box[0] - setup.terrain.origin_m[0],
+        cell_m=farthest.cell_m,
+        traction_step=TRACTION_STEP,
+        soil_shape=farthest.mu.shape,
+        loop_shape=terrain.common_shape(setup.terrain),
+    )
+
+
+def _scene(scene, defaults):
+    """A scene with its runs and the sliders' first values in full."""
+    runs = [
+        (name, module, {field: getattr(paper, constant) for field, constant in own.items()})
+        for name, module, own in scene["runs"]
+    ]
+    own = dict(duration_s=scene["duration_s"], sigma_w=tuning.SIGMA_W["rhe"]["calibrated"])
+    values = {name: value for name, value in (defaults | own).items() if name in _FIELDS}
+    return dict(fault=next(iter(FAULTS))) | scene | dict(runs=runs, values=values)
+
+
+def _sliders():
+    """{group: sliders} of the explorer that the page has, and those of the last wet patch."""
+    groups = {}
+    for title, controls in GROUPS.items():
+        for control in controls:
+            field, place = control.key if isinstance(control.key, tuple) else (control.key, None)
+            if field in _FIELDS:
+                slider = control._asdict() | dict(field=field, place=place)
+                groups.setdefault(title, []).append(slider)
+    patch = [slider._asdict() | dict(field="patch", place=slider.key) for slider in PATCH]
+    return groups | {"Last wet patch": patch}
+
+
+def _main():
+    folder = Path(sys.argv[1]) if sys.argv[1:] else REPORT
+    if not wasm.can_compile():
+        print("live page: left out, since ziglang is not installed")
+        return
+    write(folder)
+    print(f"live page: open {os.path.relpath(folder / 'live.html')}")
+
+
+if __name__ == "__main__":
+    _main()

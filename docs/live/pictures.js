@@ -1,0 +1,164 @@
+// The live page's six pictures, drawn with Plot (plot.js) and the robot view (robot_view.js).
+"use strict";
+
+const COLOURS = ["--run0", "--run1", "--run2"]; // of the runs
+const TELLING_S = 3; // of the path's glow
+
+function draw_soil(plot, { slip, n, origin_m }) { // and the path
+  const { cell_m, loop_shape, path } = page.world;
+  plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + loop_shape[0] * j)]);
+  plot.line(...spread(path), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
+}
+
+function draw_robot(plot, [x, y, theta], colour) {
+  const [length, width] = page.world.robot_m;
+  const cosine = Math.cos(theta) / 2;
+  const sine = Math.sin(theta) / 2;
+  const signs = [[1, 1], [-1, 1], [-1, -1], [1, -1]];
+  const corners = signs.map(([ahead, left]) => [
+    x + ahead * length * cosine - left * width * sine,
+    y + ahead * length * sine + left * width * cosine,
+  ]);
+  plot.area(...spread(corners), colour, { alpha: 0.5 });
+}
+
+function pose_of(loop, k) {
+  return ["x_m", "y_m", "theta_rad"].map(name => loop.get(name)(k));
+}
+
+function draw_map(now) {
+  const { loops, world: { lowest, highest }, values } = page;
+  const map = new Plot($("map"), [lowest[0] - 2, highest[0] + 2],
+    [lowest[1] - 3.5, highest[1] + 2], { equal: true });
+  draw_soil(map, page.soil);
+  const followed = loops[page.followed];
+  const glow = telling_of(followed);
+  draw_telling(map, followed.samples, followed.get("x_m"), followed.get("y_m"), glow, 5);
+  loops.forEach((loop, i) => {
+    map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), COLOURS[i]);
+    draw_robot(map, pose_of(loop, now), COLOURS[i]);
+  });
+  const yaw = values.start_yaw_rad;
+  page.map = map;
+  page.start = [0, values.start_offset_m];
+  page.heading = [3 * Math.cos(yaw), page.start[1] + 3 * Math.sin(yaw)];
+  map.line(...spread([page.start, page.heading]), "--ink", { width: 1 });
+  map.dots(...spread([page.start]), "--ink", { radius: 5 });
+  map.dots(...spread([page.heading]), "--ink", { radius: 4, full: false });
+}
+
+// What share of the variance of a run's κ the last TELLING_S removed, by sample; see `told`.
+function telling_of(loop) {
+  const sigma = loop.sigma("kappa");
+  if (!sigma) return () => 0;
+  const W = loop.at_W[loop.data.states.indexOf("kappa")];
+  const length = Math.round(TELLING_S / page.world.dt_s);
+  const share = (_, k) => told(i => sigma(i) ** 2, W, k, length);
+  loop.telling ??= Float64Array.from({ length: loop.samples }, share);
+  return k => loop.telling[k];
+}
+
+function touches_of(loop) { // first sample at which each plant is touched
+  const { plants, robot_m } = page.world;
+  const pose = ["x_m", "y_m", "theta_rad"].map(name => loop.get(name));
+  return loop.touches ??= first_touches(loop.samples, ...pose, plants, robot_m);
+}
+
+function view_of(loop, now, colour) { // what draw_robot_view needs to know of a run
+  const { world, values, soil } = page;
+  const { plants, tolerance_m, robot_m, track_width_m } = world;
+  const row = name => loop.get(name)(now);
+  const [age] = loop.piece("age", now)[0] ?? [0]; // intervals in the window
+  const window = loop.piece("s", now).slice(-1 - age);
+  const reach_m = 3.2 * values.speed_mps + 0.7;
+  const near = [-6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6].map(i => i * reach_m / 5);
+  const past = Array.from({ length: Math.min(now + 1, 60) }, (_, i) => Math.max(now - 59, 0) + i);
+  const telling = telling_of(loop);
+  const touches = touches_of(loop);
+  const pair = (nu, omega) => [-1, 1].map(side => nu + side * track_width_m / 2 * omega);
+  const P = (of, and) => loop.covariance(of, and, now);
+  return {
+    path: near.map(ahead => world.pose_on_path(row("s_m") + ahead)),
+    camera: world.pose_on_path(row("s_m")),
+    pose: pose_of(loop, now),
+    estimate: ["x_hat_m", "y_hat_m", "theta_hat_rad"].map(row),
+    covariance: [P("x_m", "x_m"), P("x_m", "y_m"), P("y_m", "y_m"), P("theta_rad", "theta_rad")],
+    driven: past.map(k => pose_of(loop, k)),
+    telling: past.map(telling),
+    measured: past.slice(-25).map(k => ["x_meas_m", "y_meas_m"].map(name => loop.get(name)(k))),
+    desired: loop.desired(now, values.look_ahead_m),
+    plan: loop.piece("plan", now),
+    commanded_mps: pair(values.speed_mps, loop.get("omega_cmd_radps")(Math.max(now - 1, 0))),
+    ground_mps: pair(row("mu") * row("nu_mps"),
+      row("kappa") * row("omega_radps") + row("mu") * row("nu_mps") * row("yaw_drift_radpm")),
+    traction: (x, y) => world.traction(soil, x, y),
+    touched: i => touches[i] <= now,
+    window, reach_m, plants, tolerance_m, robot_m, track_width_m, colour, tint: "--soft",
+  };
+}
+
+function draw_near(now) {
+  const loop = page.loops[page.followed];
+  draw_robot_view($("near"), view_of(loop, now, COLOURS[page.followed]));
+  $("touched").value = touches_of(loop).filter(k => k <= now).length;
+}
+
+// A picture over time, with the fault shaded and the chosen time marked.
+function draw_over_time(id, [low, high], now, draw_loop) {
+  const { loops, world: { dt_s, shaded } } = page;
+  const time = k => k * dt_s;
+  const end_s = time(loops[0].samples);
+  const plot = new Plot($(id), [0, end_s], [low, high]);
+  if (loops.some(({ data }) => data.faulty)) {
+    for (const [from, to] of shaded[$("fault").value]) {
+      const across = [from, Math.min(to, end_s)];
+      const up = i => [low, high, high, low][i];
+      plot.area(4, i => across[i >> 1], up, "--measured", { alpha: 0.15 });
+    }
+  }
+  loops.forEach((loop, i) => draw_loop(plot, loop, COLOURS[i], time));
+  plot.line(2, () => time(now), i => [low, high][i], "--soft", { width: 1 });
+  plot.limit = value =>
+    plot.line(2, i => i * end_s, () => value, "--ink", { width: 1, dash: [5, 4] });
+  return plot;
+}
+
+function draw_error(now) {
+  const { loops, world } = page;
+  const largest = Math.max(0.3, ...loops.map(({ metrics }) => 1.1 * metrics.max_error_true_m));
+  const plot = draw_over_time("error", [0, Math.min(largest, 5)], now,
+    (plot, loop, colour, time) =>
+      plot.line(loop.samples, time, loop.get("error_true_m"), colour));
+  plot.limit(world.tolerance_m);
+}
+
+function draw_traction(name, now) {
+  draw_over_time(name, [0, 1.08], now, (plot, loop, colour, time) => {
+    const sigma = loop.sigma(name);
+    const estimate = loop.get(`${name}_hat`);
+    if (sigma) plot.band(loop.samples, time, estimate, k => 2 * sigma(k), colour);
+    plot.line(loop.samples, time, loop.get(name), "--ink", { width: 0.8, alpha: 0.7 });
+    plot.line(loop.samples, time, estimate, colour);
+  });
+}
+
+function draw_yaw_rate(now) {
+  const bound = page.values.omega_max_radps;
+  const plot = draw_over_time("omega", [-1.2 * bound, 1.2 * bound], now,
+    (plot, loop, colour, time) =>
+      plot.line(loop.samples, time, loop.get("omega_cmd_radps"), colour));
+  plot.limit(bound);
+  plot.limit(-bound);
+}
+
+function draw() {
+  const { samples } = page.loops[0];
+  const now = Math.min(Math.floor($("moment").value * samples), samples - 1);
+  $("time").value = `${(now * page.world.dt_s).toFixed(1)} s`;
+  draw_map(now);
+  draw_near(now);
+  draw_error(now);
+  draw_traction("mu", now);
+  draw_traction("kappa", now);
+  draw_yaw_rate(now);
+}

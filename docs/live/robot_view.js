@@ -1,0 +1,161 @@
+// The robot between its rows of plants at one sample, drawn with Plot (plot.js). The camera follows
+// the robot along its path: ahead is right.
+const spread = places => [places.length, k => places[k][0], k => places[k][1]];
+const TELLING = "--glow"; // where the last seconds tell much of κ
+const PLANTS = "--plants";
+const TOUCHED = "--touched";
+const ARROW_S = 1; // an arrow is the way of a track in this time
+const SHADES = 4; // of the glow: one stroke each, because strokes are slow
+
+// From the plane to the camera's frame: [ahead, left] of the pose (x, y, θ).
+function seen_from([x, y, theta]) {
+  const cosine = Math.cos(theta);
+  const sine = Math.sin(theta);
+  return ([u, v]) => [cosine * (u - x) + sine * (v - y), cosine * (v - y) - sine * (u - x)];
+}
+
+// A function from [ahead, left] of a pose to the plane.
+function placed_at([x, y, theta]) {
+  const cosine = Math.cos(theta);
+  const sine = Math.sin(theta);
+  return ([ahead, left]) => [x + cosine * ahead - sine * left, y + sine * ahead + cosine * left];
+}
+
+function box_around(length, width, [ahead, left] = [0, 0]) {
+  const signs = [[1, 1], [-1, 1], [-1, -1], [1, -1]];
+  return signs.map(([i, j]) => [ahead + i * length / 2, left + j * width / 2]);
+}
+
+// Sample at which the robot's outline first covers the tip of each plant's leaf; n where none does.
+// plants: [x, y] of the tip, then of the plant's middle.
+function first_touches(n, x, y, theta, plants, [length, width]) {
+  const first = new Int32Array(plants.length).fill(n);
+  const reach = Math.hypot(length, width) / 2;
+  const [tip_x, tip_y] = [0, 1].map(axis => Float64Array.from(plants, plant => plant[axis]));
+  for (let k = 0; k < n; k++) {
+    const at_x = x(k);
+    const at_y = y(k);
+    const cosine = Math.cos(theta(k));
+    const sine = Math.sin(theta(k));
+    for (let i = 0; i < plants.length; i++) {
+      const dx = tip_x[i] - at_x;
+      const dy = tip_y[i] - at_y;
+      if (Math.abs(dx) > reach || Math.abs(dy) > reach || first[i] < n) continue;
+      const ahead = Math.abs(cosine * dx + sine * dy);
+      const left = Math.abs(cosine * dy - sine * dx);
+      if (ahead <= length / 2 && left <= width / 2) first[i] = k;
+    }
+  }
+  return first;
+}
+
+// What the last `length` samples tell of κ, between 0 and 1: with the variance s(k) of the
+// estimate and its growth W a sample, they have removed the share 1 - s(k) / (s(k - length) +
+// length W) of the variance that κ would have without them.
+function told(s, W, k, length) {
+  const before = Math.max(0, k - length);
+  return Math.max(0, 1 - s(k) / (s(before) + (k - before) * W)) || 0;
+}
+
+// A line with a glow of the strength share(k) behind it.
+function draw_telling(plot, n, x, y, share, width) {
+  for (let shade = 1; shade <= SHADES; shade++) {
+    const is_here = k => Math.round(share(k) * SHADES) === shade;
+    const there = k => is_here(k) || (k > 0 && is_here(k - 1)) ? x(k) : NaN;
+    plot.line(n, there, y, TELLING, { width, alpha: shade / SHADES });
+  }
+}
+
+function draw_field(plot, view, see, back) {
+  const { path, tolerance_m, plants, touched, traction, tint, reach_m: reach } = view;
+  if (traction) {
+    const cell = reach / 24;
+    const at = (i, j) => traction(...back([-reach + i * cell, -reach + j * cell]));
+    plot.soil([49, 49], [-reach, -reach], cell, at);
+  }
+  const beside = across => path.map(([x, y, theta]) => see(placed_at([x, y, theta])([0, across])));
+  const corridor = [...beside(tolerance_m), ...beside(-tolerance_m).reverse()];
+  plot.area(...spread(corridor), tint, { alpha: 0.16 });
+  plot.line(...spread(path.map(see)), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
+  plants.forEach(([x, y, u, v], i) => {
+    const [ahead, left] = see([u, v]);
+    if (Math.abs(ahead) > 1.2 * reach || Math.abs(left) > 1.2 * reach) return;
+    const c = plot.use(touched(i) ? TOUCHED : PLANTS, { alpha: touched(i) ? 0.9 : 0.45 });
+    c.beginPath();
+    c.arc(plot.x(ahead), plot.y(left), Math.hypot(u - x, v - y) * plot.scale, 0, 7);
+    c.fill();
+  });
+}
+
+// Both tracks: ring at the tip of the commanded way of ARROW_S, arrow for the way over ground.
+function draw_robot_on_tracks(plot, view, see) {
+  const { pose, robot_m: [length, width], track_width_m: apart, commanded_mps, ground_mps } = view;
+  const out = placed_at(pose);
+  const put = points => spread(points.map(out).map(see));
+  plot.area(...put(box_around(length, width)), "--soft", { alpha: 0.3 });
+  [1, -1].forEach((side, i) => {
+    const across = side * apart / 2;
+    plot.area(...put(box_around(length, width - apart, [0, across])), "--ink", { alpha: 0.35 });
+    const [wanted, driven] = [commanded_mps[i], ground_mps[i]].map(v => [v * ARROW_S, across]);
+    const head = [[-0.06, 0.03], [0, 0], [-0.06, -0.03]]
+      .map(([ahead, left]) => [driven[0] + ahead * Math.sign(driven[0]), across + left]);
+    plot.line(...put([wanted, driven]), TOUCHED, { width: 3 });
+    plot.line(...put([[0, across], driven]), "--ink", { width: 2 });
+    plot.line(...put(head), "--ink", { width: 2 });
+    plot.dots(...put([wanted]), "--ink", { radius: 4, full: false });
+  });
+}
+
+// The estimated robot, the ellipse of two standard deviations of its position, and its heading's
+// fan. covariance: of (x, y, θ), as [xx, xy, yy, θθ].
+function draw_estimate(plot, { estimate, covariance, robot_m, colour }, see) {
+  const out = placed_at(estimate);
+  const put = points => spread(points.map(see));
+  const outline = box_around(...robot_m).map(out);
+  plot.line(...put([...outline, outline[0]]), colour, { width: 1.5 });
+  if (!covariance) return;
+  const [xx, xy, yy, yaw] = covariance;
+  // Cholesky: points of the unit circle go to the ellipse.
+  const a = Math.sqrt(xx);
+  const c = Math.sqrt(Math.max(0, yy - (xy / a) ** 2));
+  const [x, y, theta] = estimate;
+  const circle = Array.from({ length: 41 }, (_, i) => i * Math.PI / 20);
+  const ellipse = circle.map(t =>
+    [x + 2 * a * Math.cos(t), y + 2 * (xy / a * Math.cos(t) + c * Math.sin(t))]);
+  const tip = turn => placed_at([x, y, theta + turn])([robot_m[0], 0]);
+  const turns = [-1, -0.5, 0, 0.5, 1].map(share => share * Math.min(2 * Math.sqrt(yaw), Math.PI));
+  plot.area(...put([[x, y], ...turns.map(tip)]), colour, { alpha: 0.3 });
+  plot.area(...put(ellipse), colour, { alpha: 0.3 });
+  plot.line(...put(ellipse), colour, { width: 1 });
+}
+
+function draw_memory(plot, { driven, telling, measured, window, desired, plan, colour }, see) {
+  const [n, x, y] = spread(driven.map(see));
+  plot.line(n, x, y, "--soft", { width: 1.5 });
+  draw_telling(plot, n, x, y, k => telling[k], 5);
+  measured.forEach((place, i) => {
+    const look = { radius: 4, alpha: (i + 1) / measured.length };
+    plot.dots(...spread([see(place)]), "--measured", look);
+  });
+  plot.line(...spread(window.map(see)), colour);
+  plot.dots(...spread(window.map(see)), colour, { radius: 2.5 });
+  plot.dots(...spread(desired.map(see)), "--ink", { radius: 5, full: false });
+  plot.line(...spread(plan.map(see)), "--plan");
+  plot.dots(...spread(plan.map(see)), "--plan", { radius: 2 });
+}
+
+// Draw a view: field (path with headings, plants, tolerance_m), pose and tracks, estimate with its
+// covariance, memory (driven, telling, measured, window) and plan; camera: a pose of the path.
+function draw_robot_view(canvas, view) {
+  const { camera, pose, reach_m } = view;
+  const [, left] = seen_from(camera)(pose);
+  // The corridor stands still while the robot is near it.
+  const aside = left - Math.max(-0.25, Math.min(left, 0.25));
+  const eye = [...placed_at(camera)([0, aside]), camera[2]];
+  const see = seen_from(eye);
+  const plot = new Plot(canvas, [-reach_m, reach_m], [-0.55, 0.55], { equal: true });
+  draw_field(plot, view, see, placed_at(eye));
+  draw_robot_on_tracks(plot, view, see);
+  draw_memory(plot, view, see);
+  draw_estimate(plot, view, see);
+}

@@ -1,0 +1,61 @@
+"""Content-Security-Policy of the report: what a browser lets its pages run and load.
+
+Pages run the scripts of the report alone and load nothing from elsewhere, so that text which ends
+up in a page as HTML by mistake, for example from a log, can neither run nor send anything away.
+"""
+
+import re
+from base64 import b64encode
+from hashlib import sha256
+
+__all__ = ["live_policy", "with_policy"]
+
+# A page from the disk has no origin, so that some browsers do not count other files as 'self'.
+_FILES = "'self' file:"
+_COMMON = {
+    "default-src": "'none'",
+    "style-src": f"{_FILES} 'unsafe-inline'",
+    "font-src": f"{_FILES} data:",
+    "base-uri": "'none'",
+}
+_INLINE_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
+
+
+def _text(directives):
+    return "; ".join(f"{name} {sources}" for name, sources in directives.items())
+
+
+def live_policy():
+    """Return the policy of the live page, which runs WebAssembly."""
+    return _text(
+        _COMMON
+        | {
+            "script-src": f"{_FILES} 'wasm-unsafe-eval'",
+            "img-src": f"{_FILES} data:",
+            "form-action": "'none'",
+        }
+    )
+
+
+def with_policy(html):
+    """Return a page of the report with its policy, which allows the scripts that it has now.
+
+    Args:
+        html: The text of the page. Scripts within it are allowed by their digests.
+
+    Returns:
+        The text with a `<meta>` element at the beginning of `<head>`.
+    """
+    digests = [sha256(script.encode()).digest() for script in _INLINE_SCRIPT.findall(html)]
+    inline = [f"'sha256-{b64encode(digest).decode()}'" for digest in dict.fromkeys(digests)]
+    policy = _text(
+        _COMMON
+        | {
+            "script-src": " ".join([_FILES, *inline]),
+            "img-src": f"{_FILES} data:",
+            "media-src": f"{_FILES} data:",
+            "form-action": _FILES,  # of the search
+        }
+    )
+    meta = f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+    return re.sub("<head>", lambda head: f"{head[0]}\n{meta}", html, count=1)

@@ -1,0 +1,258 @@
+"""The report: a site of the executed notebooks, the figures, the claims and the documents.
+
+Sphinx and MyST-NB build it without network.
+
+    python -m docs.site.report build/notebooks/03_scenario_a.ipynb …
+
+`docs/conf.py` configures Sphinx, `docs/index.md` orders the pages. This module copies the sources
+to a folder with the structure of the repository, which preserves links, and writes the pages
+"figures", "claims" and "provenance" as Markdown.
+"""
+
+import argparse
+import importlib.metadata
+import platform
+import re
+import shutil
+import subprocess
+import tempfile
+from datetime import datetime
+from pathlib import Path
+
+import nbformat
+import pandas as pd
+from nbformat.v4 import new_output
+from sphinx.application import Sphinx
+
+from docs.live import page, wasm
+from docs.site import cards, results
+from docs.site.content_policy import with_policy
+from notebooks.studies import timing
+from rhec import __version__, style
+
+__all__ = ["build"]
+
+ROOT = Path(__file__).resolve().parents[2]
+REPORT = ROOT / "build/report"
+_COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
+_WIDGET = "application/vnd.jupyter.widget-view+json"
+_NO_SLIDERS = "*Here are sliders when this notebook runs in JupyterLab:* `.venv/bin/rhec lab`"
+# Names of what a cell saves: `style.save(figure, "fig08_errors")`.
+_SAVED = re.compile(r'\bsave(?:_table)?\([^,]+,\s*"(\w+)"')
+
+
+def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
+    """Write the site; it replaces the old one only when it is whole.
+
+    Args:
+        notebooks: paths of executed notebooks.
+        figures: folder of the figures and tables that they left. The report shows those alone;
+            other files there are a person's own, and may be anything.
+        report: folder of the site.
+        live: whether to add the live page, which needs a compiler for WebAssembly.
+
+    Raises:
+        sphinx.errors.SphinxError: If a page cannot be built; the old site stays unchanged.
+    """
+    report.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
+        source = Path(folder) / "source"
+        site = Path(folder) / report.name
+        _lay_out(source, notebooks, figures, live)
+        tags = ["live"] if live else []
+        doctrees = Path(folder) / "doctrees"
+        Sphinx(source, ROOT / "docs", site, doctrees, "html", status=None, tags=tags).build()
+        for file in site.rglob("*.html"):
+            file.write_text(with_policy(file.read_text(encoding="utf-8")), encoding="utf-8")
+        if live:
+            page.write(site)
+        shutil.rmtree(report, ignore_errors=True)
+        site.rename(report)
+
+
+def _lay_out(source, notebooks, figures, live):
+    """All that the pages are made of, in a new folder."""
+    shutil.copytree(ROOT / "docs", source / "docs", ignore=shutil.ignore_patterns("index.md", "_*"))
+    shutil.copy(ROOT / "docs/index.md", source)
+    for name in _COPIED:
+        shutil.copy(ROOT / name, source)
+    (source / "figures").mkdir()
+    for picture in re.findall(r"figures/\w+\.png", (ROOT / "README.md").read_text("utf-8")):
+        shutil.copy(ROOT / picture, source / picture)
+    places = {path.name: path.relative_to(ROOT) for path in (ROOT / "notebooks").rglob("*.ipynb")}
+    stories = {places[file.name]: nbformat.read(file, as_version=4) for file in notebooks}
+    captions = {}
+    for place, notebook in stories.items():
+        captions[place] = _copy_saved(notebook, figures, source / "figures")
+        _prepare(notebook)
+        (source / place).parent.mkdir(parents=True, exist_ok=True)
+        nbformat.write(notebook, source / place)
+    ledger = figures / "claims.csv"
+    if not ledger.exists():
+        ledger = results.EXPECTED / "claims.csv"
+    pages = {
+        "figures": _figures_page(stories, captions, source / "figures"),
+        "claims": cards.page(pd.read_csv(ledger), live),
+        "provenance": _provenance_page(stories, source / "figures"),
+    }
+    for name, text in pages.items():
+        (source / f"{name}.md").write_text(text, encoding="utf-8")
+
+
+# ---------------------------------------------------------------- notebooks
+
+
+def _copy_saved(notebook, figures, folder):
+    """Copy the files that the cells of a notebook saved; {figure: caption}."""
+    captions = {}
+    for cell, caption in _with_captions(notebook):
+        for name in _SAVED.findall(cell.source):
+            for file in figures.glob(f"{name}.*"):
+                shutil.copy(file, folder)
+            if (folder / f"{name}.png").exists():
+                captions[name] = caption
+    return captions
+
+
+def _prepare(notebook):
+    """Describe the pictures of a notebook, fold its code, and replace its widgets."""
+    notebook.metadata.pop("widgets", None)  # their state, which needs a kernel
+    folded = notebook.metadata.get("rhec", {}).get("code") != "open"
+    for cell, caption in _with_captions(notebook):
+        cell.outputs = [_without_widget(output) for output in cell.outputs]
+        image = dict(alt=_plain(caption)[:250])
+        for output in cell.outputs:
+            if "image/png" in output.get("metadata", {}):
+                image["width"] = f"{output.metadata['image/png']['width']}px"
+        cell.metadata["mystnb"] = dict(image=image)
+        if folded:
+            cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
+
+
+def _with_captions(notebook):
+    """The cells of code, each with the last paragraph of the text above it."""
+    caption = ""
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            yield cell, caption
+        else:
+            prose = re.sub(r"(?m)^#.*$", "", cell.source).strip()
+            caption = prose.split("\n\n")[-1]
+
+
+def _without_widget(output):
+    is_widget = _WIDGET in output.get("data", {})
+    return new_output("display_data", {"text/markdown": _NO_SLIDERS}) if is_widget else output
+
+
+def _plain(text):
+    return " ".join(re.sub(r"[*#`$\\]", "", _without_links(text)).split())
+
+
+def _without_links(text):
+    return re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text)
+
+
+# ---------------------------------------------------------------- pages
+
+
+def _figures_page(stories, captions, folder):
+    """The figures of the paper in its order, then those of each notebook, then all tables."""
+    figures = [(name, place) for place, names in captions.items() for name in names]
+    of_paper = sorted(figure for figure in figures if re.match(r"fig\d", figure[0]))
+    groups = {"The paper": of_paper}
+    for place, notebook in stories.items():
+        title = re.search(r"(?m)^# (.*)$", notebook.cells[0].source)[1]
+        groups[title] = [each for each in figures if each[1] == place and each not in of_paper]
+    text = "---\nhide-toc: true\n---\n\n# Figures\n\n"
+    text += "Each file carries the scenario and the notebook that made it.\n"
+    for title, group in groups.items():
+        if group:
+            gallery = "\n".join(_figure(*each, captions[each[1]][each[0]]) for each in group)
+            text += f"\n## {title}\n\n::::{{container}} gallery\n{gallery}\n::::\n"
+    tables = [f"- {_download(file.stem, 'csv')}" for file in sorted(folder.glob("*.csv"))]
+    return "\n".join([text, "## Tables with all digits\n", *tables, ""])
+
+
+def _figure(name, place, caption):
+    """A figure with its caption and links, as Markdown."""
+    return (
+        f":::{{figure}} figures/{name}.png\n:name: {name}\n:loading: lazy\n"
+        f":target: {place.with_suffix('.html')}\n:alt: {_plain(caption)[:250] or name}\n\n"
+        f"{_without_links(caption) or name}\n\n{_download(name, 'pdf')}\n:::"
+    )
+
+
+def _download(name, kind):
+    return f"`{name}`: {{download}}`{kind} <figures/{name}.{kind}>`"
+
+
+def _provenance_page(stories, figures):
+    """The provenance of the results."""
+    sources = {style.source_of(file) for file in sorted(figures.glob("*.png"))} - {""}
+    facts = [
+        ("Project", f"rhec {__version__}"),
+        ("Source", f"{style.source()} (digest of rhec/, notebooks/ and the standard fields)"),
+        ("Commit", _commit()),
+        *(("Figures made by", source) for source in sorted(sources)),
+        ("Machine", timing.machine()),
+        ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")),
+    ]
+    runs = pd.DataFrame([_run_of(place, notebook) for place, notebook in stories.items()])
+    packages = pd.DataFrame(_packages(), columns=["package", "version"])
+    return "\n\n".join(
+        [
+            "# Provenance",
+            results.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
+            "## Notebooks",
+            results.to_markdown(runs),
+            "## Packages",
+            results.to_markdown(packages),
+        ]
+    )
+
+
+def _commit():
+    """The commit of the repository in this folder, not of an enclosing one."""
+    if not (ROOT / ".git").exists():
+        return "no git repository"
+    describe = ["git", "-C", ROOT, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    return subprocess.run(describe, capture_output=True, text=True).stdout.strip()
+
+
+def _run_of(place, notebook):
+    """Start, duration and parameters of a notebook, as recorded by papermill."""
+    record = notebook.metadata.get("papermill", {})
+    changed = ", ".join(f"{key} = {value}" for key, value in record.get("parameters", {}).items())
+    return {
+        "notebook": f"[{place.stem}]({place})",
+        "started (UTC)": record.get("start_time", "")[:19].replace("T", " "),
+        "duration [s]": f"{record.get('duration') or 0:.3g}",
+        "parameters": changed or "as in the notebook",
+    }
+
+
+def _packages():
+    """Names and versions of the packages here that environment.txt pins."""
+    pins = (ROOT / "environment.txt").read_text(encoding="utf-8")
+    pinned = set(re.findall(r"(?m)^([A-Za-z0-9._-]+)==", pins))
+    installed = {each.metadata["Name"]: each.version for each in importlib.metadata.distributions()}
+    return sorted((name, installed[name]) for name in pinned & installed.keys())
+
+
+def _main():
+    about = "Make build/report/ from executed notebooks, such as build/notebooks/00_start.ipynb."
+    parser = argparse.ArgumentParser(prog="python -m docs.site.report", description=about)
+    parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
+    live = wasm.can_compile()
+    try:
+        build(parser.parse_args().notebooks, live=live)
+    except KeyboardInterrupt:
+        parser.exit(130, "report: interrupted; an older report stays unchanged\n")
+    if not live:
+        print("report: without the live page, because ziglang is not installed")
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,387 @@
+"""The claims of claims.toml as rules: functions of the evidence, one for each condition.
+
+claims.toml holds each sentence of the paper and how it is judged; its first lines say what each
+entry means. Evidence is {(process noise, kind, id): DataFrame}, where kind is "runs", "logs" or
+"experiments". Rules that are arithmetic on the paper's own numbers need no evidence; they are
+functions here.
+"""
+
+import re
+import tomllib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from notebooks.claims import experiments, run_sets
+from notebooks.studies import statistics, timing
+from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, UNTESTABLE, Finding
+from rhec import paper
+from rhec.tracked_robot.kinematics import SPEED_MODELS
+
+__all__ = ["CALIBRATED", "CLAIMS", "Claim", "Condition", "Rule", "load"]
+
+CALIBRATED = "W calibrated"
+_FILE = Path(__file__).with_name("claims.toml")
+_CONDITIONS = {"printed": AS_PRINTED, "calibrated": CALIBRATED}  # of each process noise
+
+
+class Condition(NamedTuple):
+    """A rule under one way to read the paper, called with the evidence and the confidence.
+
+    Args:
+        rule: Function of evidence and confidence that returns a Finding.
+        tables: (process noise, kind, id) of the tables that it reads.
+    """
+
+    rule: Callable
+    tables: tuple = ()
+
+    def __call__(self, evidence, confidence=CONFIDENCE):
+        """The Finding on this evidence."""
+        return self.rule(evidence, confidence)
+
+
+class Rule(NamedTuple):
+    """How a claim is judged.
+
+    Args:
+        by_condition: {condition: Condition}, the paper's text first, then departures from it.
+        unit: Of the Finding's numbers.
+        paper: The paper's number, or its word for it.
+        bound: In words, the bound beyond which the verdict changes.
+        combined: Function of {condition: Finding} that returns the claim's verdict and condition.
+        other_worlds: Whether the claim is judged in the posterior's worlds, too.
+    """
+
+    by_condition: dict[str, Condition]
+    unit: str = ""
+    paper: object = ""
+    bound: str = ""
+    combined: Callable = statistics.combined
+    other_worlds: bool = False
+
+
+class Claim(NamedTuple):
+    """A sentence of the paper and how it is judged.
+
+    Args:
+        section: The paper's section.
+        claim: The sentence, shortened.
+        quote: The paper's own words.
+        test: What is measured, in words.
+        rule: Its Rule.
+        derived: Whether the verdict follows from equations or from the paper's own numbers.
+        beside: {what: Condition}, numbers shown beside the verdict that do not decide it.
+        why: The reason for the verdict, where it is known.
+    """
+
+    section: str
+    claim: str
+    quote: str
+    test: str
+    rule: Rule
+    derived: bool
+    beside: dict[str, Condition]
+    why: str
+
+
+# Rules on the paper's own numbers: functions of the evidence, which most of them do not need.
+
+
+def _untestable(evidence, confidence):
+    """No run here can decide."""
+    return Finding(np.nan, np.nan, np.nan, 0, UNTESTABLE)
+
+
+def _yaw_rate_error(evidence, confidence):
+    """Not testable: the speed loops are this project's. Shows how far ω is from its command."""
+    errors = evidence["printed", "logs", "rhe"]["rms_yaw_rate_radps"]
+    return Finding(*statistics.mean(errors)[:4], UNTESTABLE)
+
+
+def _row_clearance(evidence, confidence):
+    """(row spacing - stem - GNSS - robot width) / 2 is the tolerance, to the nearest cm."""
+    taken = paper.STEM_WIDTH_M + paper.GNSS_ACCURACY_M + paper.ROBOT_WIDTH_M
+    return statistics.equal((paper.ROW_SPACING_M - taken) / 2, paper.TOLERANCE_M, 0.005)
+
+
+def _sampling_time(evidence, confidence):
+    """The sampling time is in the range of milliseconds: below 100 of them."""
+    return statistics.between(paper.DT_S, below=0.1)
+
+
+def _process_noise_sizes(evidence, confidence):
+    """Every entry of W of a measured quantity exceeds every entry of one that is not measured.
+
+    It is judged by the ratio of the smallest of the former to the largest of the latter.
+    """
+    measured = np.take(paper.SIGMA_W_RHE, [0, 1, 3])  # x, y, ν
+    unmeasured = np.take(paper.SIGMA_W_RHE, [2, 4, 5])  # θ, μ, κ
+    return statistics.between(min(measured) / max(unmeasured), above=1)
+
+
+def _table_sums(evidence, confidence):
+    """The averages of the four phases add up to that of the whole step."""
+    phases_ms = sum(paper.TABLE_1_MS[phase][1] for phase in timing.PHASES)
+    return statistics.equal(phases_ms, paper.STEP_MEAN_MS, 0.01)
+
+
+def _table_extremes(evidence, confidence):
+    """Overall minimum and maximum of RHE and RHC are not the sums of the two phases' extremes.
+
+    A sample reaches the sum of two maxima only if both phases are worst at that sample. It is
+    judged by the smallest of the four differences [ms].
+    """
+    differences = []
+    for problem in ("RHE", "RHC"):
+        for place in (0, 2):  # minimum and maximum
+            parts = [paper.TABLE_1_MS[problem, name][place] for name in ("preparation", "feedback")]
+            differences.append(paper.TABLE_1_MS[problem, "overall"][place] - sum(parts))
+    return statistics.between(np.min(np.abs(differences)), above=2e-4)
+
+
+def _parameters_of_p(speed_model, evidence, confidence):
+    """Eq. (6) has the two parameters that the paper counts."""
+    return statistics.equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
+
+
+_EXACT_RULES = {  # name: {condition: Condition}
+    "untestable": {"": Condition(_untestable)},
+    "yaw_rate_error": {"": Condition(_yaw_rate_error, (("printed", "logs", "rhe"),))},
+    "row_clearance": {"": Condition(_row_clearance)},
+    "sampling_time": {"": Condition(_sampling_time)},
+    "process_noise_sizes": {"": Condition(_process_noise_sizes)},
+    "table_sums": {"": Condition(_table_sums)},
+    "table_extremes": {"": Condition(_table_extremes)},
+    "parameters_of_p": {
+        AS_PRINTED: Condition(partial(_parameters_of_p, "parameter")),
+        "ν as input": Condition(partial(_parameters_of_p, "input")),
+    },
+}
+
+
+# Rules on tables
+
+
+def _share_twice(one, other, **bounds):
+    """The share of pairs where one is more than twice the other."""
+    return statistics.share(one > 2 * other, **bounds)
+
+
+_RULES = {
+    "always": statistics.always,
+    "always_relative_to_oracle": statistics.always_relative_to_oracle,
+    "difference": statistics.difference,
+    "mean": statistics.mean,
+    "possible": statistics.possible,
+    "ratio": statistics.ratio,
+    "relative_to_oracle": statistics.relative_to_oracle,
+    "reported": statistics.reported,
+    "share": statistics.share,
+    "share_twice": _share_twice,
+}
+_EVERY_CASE = "every case"
+_BOUNDS = dict(always=_EVERY_CASE, always_relative_to_oracle=_EVERY_CASE)
+_BOUNDS |= dict(possible="one case", reported="usual")
+_PAPERS = {"always": "all", "possible": "may"}
+_KINDS = {"runs": "runs", "logs": "logs", "experiment": "experiments", "property": "experiments"}
+_IDS = {
+    "runs": run_sets.RUNS,
+    "logs": run_sets.LOGS,
+    "experiment": experiments.OF_NOISE,
+    "property": experiments.EXACT,
+}
+_REQUIRED = {"sentence", "quote", "rule"}
+_OPTIONAL = {"test", "of", "departures", "paper", "other_worlds", "why", "derived", "beside"}
+_OPTIONAL |= {*_KINDS}
+
+
+def _judge(evidence, confidence, rule, bounds, tables, expressions):
+    """The Finding of a rule on expressions of tables.
+
+    Tables of unequal length are compared on the seeds that both have.
+    """
+    found = [evidence[table] for table in tables]
+    n = min(map(len, found))
+    values = [_value(table[:n], expression) for table in found for expression in expressions]
+    return rule(*values, **bounds, confidence=confidence)
+
+
+def _value(table, expression):
+    """An expression of a table's columns.
+
+    pandas prepares each column of a table for an expression, which takes ten times as long as the
+    expression itself: it gets only those that are named, and nothing to do for a single name.
+    """
+    if expression in table:
+        return table[expression]
+    words = set(re.findall(r"\w+", expression))
+    named = [name for name in table.columns if name in words]
+    return table[named].eval(expression, engine="python")
+
+
+def _condition(entry, expressions, process_noise, instead):
+    """The Condition of an entry under one process noise and departure.
+
+    A name in `instead` is replaced, be it a table's id or an expression.
+    """
+    (kind,) = (kind for kind in _KINDS if kind in entry)
+    settings = entry["rule"]
+    bounds = {side: settings[side] for side in ("above", "below") if side in settings}
+    if settings["name"] == "reported":
+        bounds["paper"] = entry["paper"]
+    tables = tuple((process_noise, _KINDS[kind], instead.get(id_, id_)) for id_ in entry[kind])
+    columns = [expressions.get(each, each) for each in entry["of"]]
+    judge = partial(
+        _judge,
+        rule=_RULES[settings["name"]],
+        bounds=bounds,
+        tables=tables,
+        expressions=[instead.get(column, column) for column in columns],
+    )
+    return Condition(judge, tables)
+
+
+def _departures_of(entry, departures):
+    """The departures that a claim is judged under, by name in claims.toml, the RHE's W first."""
+    # The arrival mean (R7) belongs to the RHE alone, and to every claim on it.
+    names = entry.get("departures", [])
+    if "rhe" in [*entry.get("runs", []), *entry.get("logs", [])]:
+        names = ["filtered", *names]
+    return [departures[name] for name in names]
+
+
+def _by_condition(entry, expressions, departures):
+    """{condition: Condition}: the process noises as the paper has it, then with each departure."""
+    conditions = {
+        name: _condition(entry, expressions, process_noise, {})
+        for process_noise, name in _CONDITIONS.items()
+    }
+    for departure in departures:
+        fixed = departure.get("process_noises")  # where the departure sets W itself
+        for process_noise in fixed or _CONDITIONS:
+            both = process_noise == "calibrated"
+            name = f"{CALIBRATED}, {departure['name']}" if both else departure["name"]
+            conditions[name] = _condition(entry, expressions, process_noise, departure["instead"])
+    return conditions
+
+
+def _rule_on_tables(entry, expressions, departures):
+    """The Rule of an entry that is judged on tables."""
+    settings = entry["rule"]
+    name = settings["name"]
+    sides = {">": settings.get("above"), "<": settings.get("below")}
+    words = " and ".join(f"{sign} {bound:g}" for sign, bound in sides.items() if bound is not None)
+    conditions = _by_condition(entry, expressions, _departures_of(entry, departures))
+    # Neither process noise nor world affects a property, so it has one condition without a name.
+    if "property" in entry:
+        conditions = {"": conditions[AS_PRINTED]}
+    changes = "property" not in entry and not entry.get("derived", False)
+    return Rule(
+        conditions,
+        settings.get("unit", "-"),
+        entry.get("paper", _PAPERS.get(name, "")),
+        _BOUNDS.get(name, words),
+        statistics.combined_possible if name == "possible" else statistics.combined,
+        changes and entry.get("other_worlds", True),
+    )
+
+
+def _beside(entry, expressions):
+    """{what: Condition} of the numbers that are shown beside the verdict."""
+    found = {}
+    for part in entry.get("beside", []):
+        # No process noise affects a property.
+        noises = ["printed"] if "property" in part else part.get("process_noises", _CONDITIONS)
+        for process_noise in noises:
+            name = "" if "property" in part else f", {_CONDITIONS[process_noise]}"
+            found[part["what"] + name] = _condition(part, expressions, process_noise, {})
+    return found
+
+
+# The file
+
+
+def _check(id_, entry, departures):
+    """Refuse an entry that cannot be judged, by a ValueError of one sentence."""
+
+    def refuse(what, should):
+        raise ValueError(f"claim {id_} {what}; it should {should}")
+
+    if missing := _REQUIRED - {*entry}:
+        refuse(f"had no {sorted(missing)[0]}", "have one")
+    if unknown := {*entry} - _REQUIRED - _OPTIONAL:
+        refuse(f"had the unknown entry {sorted(unknown)[0]}", f"have {sorted(_OPTIONAL)}")
+    name = entry["rule"].get("name")
+    if name not in _RULES and name not in _EXACT_RULES:
+        refuse(f"had the unknown rule {name!r}", f"have one of {sorted(_RULES | _EXACT_RULES)}")
+    if unknown := {*entry["rule"]} - {"name", "above", "below", "unit"}:
+        refuse(f"had {sorted(unknown)[0]} in its rule", "have name, above, below or unit")
+    if entry.get("derived") and entry.get("departures"):
+        refuse("was derived and had departures", "have one of both")
+    if unknown := {*entry.get("departures", [])} - {*departures}:
+        refuse(f"had the unknown departure {sorted(unknown)[0]}", f"have {sorted(departures)}")
+    _check_tables(entry, name, refuse)
+    for part in entry.get("beside", []):
+        if missing := {"what", "rule", "of"} - {*part}:
+            refuse(f"had no {sorted(missing)[0]} in what stands beside it", "have one")
+        _check_tables(part, part["rule"].get("name"), refuse)
+
+
+def _check_tables(entry, name, refuse):
+    """Refuse tables that do not fit the rule of this name, or do not exist."""
+    kinds = [kind for kind in _KINDS if kind in entry]
+    if len(kinds) != (name in _RULES) or ("of" in entry) != (name in _RULES):
+        refuse(f"had tables {kinds} for the rule {name}", "have one kind with `of`, or none")
+    for kind in kinds:
+        if unknown := {*entry[kind]} - {*_IDS[kind]}:
+            refuse(f"had unknown {kind} {sorted(unknown)[0]}", f"have {sorted(_IDS[kind])}")
+
+
+def _claim(section, entry, expressions, departures):
+    """The Claim of a checked entry."""
+    settings = entry["rule"]
+    if settings["name"] in _RULES:
+        rule = _rule_on_tables(entry, expressions, departures)
+    else:
+        conditions = _EXACT_RULES[settings["name"]]
+        rule = Rule(conditions, settings.get("unit", ""), entry.get("paper", ""))
+    return Claim(
+        section,
+        entry["sentence"],
+        entry["quote"],
+        entry.get("test", "-"),
+        rule,
+        entry.get("derived", False),
+        _beside(entry, expressions),
+        entry.get("why", ""),
+    )
+
+
+def load(file=_FILE):
+    """Read the claims, {id: Claim} in the file's order.
+
+    Args:
+        file: Path of a TOML file such as claims.toml.
+
+    Returns:
+        {id: Claim}.
+
+    Raises:
+        ValueError: If an entry is incomplete, or names what does not exist.
+    """
+    text = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+    expressions = text.pop("expressions", {})
+    departures = text.pop("departures", {})
+    claims = {}
+    for section, entries in text.items():
+        for id_, entry in entries.items():
+            _check(id_, entry, departures)
+            claims[id_] = _claim(section, entry, expressions, departures)
+    return claims
+
+
+CLAIMS = load()

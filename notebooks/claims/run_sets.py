@@ -1,0 +1,326 @@
+"""The simulated drives that the claims are judged on, and what is measured of them.
+
+Seeds start at 0; those of the calibration are never used. Every id is run at the same seeds, under
+whichever process noise, so that row k of any two tables is the same field and the same noise. RUNS
+need their metrics alone and run as one campaign; LOGS need what only each sample shows.
+"""
+
+import dataclasses
+import itertools
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from notebooks.further.rivals import cautious, ltv_mpc
+from rhec import paper
+from rhec.simulation.campaigns.campaign import campaign
+from rhec.simulation.campaigns.map import map_runs
+from rhec.simulation.campaigns.store import scenario_key
+from rhec.simulation.metrics import rms
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.terrain import Terrain
+
+__all__ = [
+    "LOGS",
+    "LOOK_AHEAD_M",
+    "ON_ROW",
+    "PROCESS_NOISES",
+    "RUNS",
+    "complete",
+    "drive",
+    "fields_of",
+    "lag_s",
+    "measure",
+    "measured",
+    "scenarios",
+]
+
+PROCESS_NOISES = ("printed", "calibrated")
+LOOK_AHEAD_M = 0.5
+_SWING_M = 0.05  # an offset to one side and then to the other counts as a swing from here on
+_SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
+_SLIPPERY |= dict(duration_s=120.0)
+_UNSURE = dict(kappa_mean=0.6, kappa_deviation=0.16, mu_mean=0.8, mu_deviation=0.08, speed_mps=0.4)
+_ON_ROW = dict(duration_s=60.0)  # at 0.5 m/s, less the slip, still on the first row of 30 m
+_CONSTANT = dict(terrain=Terrain.uniform(Scenario.mu_mean, Scenario.kappa_mean))  # the means
+_NOISES = "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps slip_difference".split()
+_UNDISTURBED = dict.fromkeys(_NOISES, 0.0)
+_PATH_YAW_RATE = dict(estimator="ekf", input_reference="curvature")
+_ORACLE = dict(estimator="oracle", process_noise="printed")  # it has no W
+
+
+def _traction_noise_times(factor):
+    """The RHE's W with the standard deviations of μ and κ times `factor`."""
+    factors = (1, 1, 1, 1, factor, factor)
+    return lambda process_noise: tuple(
+        np.multiply(factors, tuning.SIGMA_W["rhe"][process_noise]).tolist()
+    )
+
+
+def _dead_reckoning(process_noise):
+    """An estimator (memory, z) -> (memory, estimate) that does not estimate the yaw.
+
+    The yaw is the sum of the encoders' yaw rates since the start. Position and speed are as
+    measured, and there is no slip. The estimate is the memory.
+    """
+    memory = ca.SX.sym("memory", 6)
+    z = ca.SX.sym("z", 4)
+    estimate = ca.vertcat(z[:2], memory[2] + paper.DT_S * z[3], z[2], 1, 1)
+    options = {"allow_duplicate_io_names": True}
+    return ca.Function("dead_reckoned", [memory, z], [estimate, estimate], options)
+
+
+def _filtered_w(process_noise):
+    """The W of an RHE whose arrival mean is the filter's: calibrated, it has a separate one."""
+    if process_noise == "calibrated":
+        return tuning.SIGMA_W_FILTERED
+    return tuning.SIGMA_W["rhe"][process_noise]
+
+
+def _by_tracking(estimator):
+    """Fields of an estimator with the W that tracks best."""
+    sigma_w = tuning.SIGMA_W_TRACKING[estimator]
+    return dict(estimator=estimator, sigma_w=sigma_w, process_noise="printed")
+
+
+_FILTERED = dict(arrival_mean="filtered", sigma_w=_filtered_w)
+
+# id: fields of Scenario; a field may be a function of the process noise, the controller is one of
+# the Scenario
+RUNS = {
+    "rhe": dict(),
+    "rhe_filtered": _FILTERED,
+    "ekf": dict(estimator="ekf"),
+    "oracle": _ORACLE,
+    "no_slip": dict(estimator="rhe_no_slip"),
+    "fixed_traction": dict(estimator="rhe_fixed_traction"),
+    "bounded_ekf": dict(estimator="bounded_ekf"),
+    "rhe_tracking": _by_tracking("rhe"),
+    "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
+    # Slower, so it needs longer.
+    "cautious": dict(estimator="yaw_drift_ekf", controller=cautious.controller, duration_s=270.0),
+    "rhe_constant": _CONSTANT,
+    "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
+    "rhe_uncertain": _UNSURE,
+    "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
+    "fixed_traction_uncertain": _UNSURE | dict(estimator="rhe_fixed_traction"),
+    "oracle_uncertain": _UNSURE | _ORACLE,
+    "ltv_mpc": dict(controller=ltv_mpc.controller),
+    "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
+    "oracle_row": _ORACLE | _ON_ROW,
+    "q1": dict(q=paper.Q1) | _ON_ROW,
+    "q2": dict(q=paper.Q2) | _ON_ROW,
+    "q2_look_ahead": dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _ON_ROW,
+    "q3": dict(q=paper.Q3) | _ON_ROW,
+    "q2_small_r": dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW,
+    "q3_small_r": dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW,
+    "q3_no_terminal_weight": dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW,
+}
+LOGS = {
+    "rhe": dict(),
+    "rhe_filtered": _FILTERED,
+    "rhe_small_w": dict(sigma_w=_traction_noise_times(0.1)),
+    "rhe_constant_parameters": dict(sigma_w=_traction_noise_times(0.0)),
+    "rhe_poor_start": dict(guess_yaw_rad=1.0),
+    "rhe_undisturbed": _CONSTANT | _UNDISTURBED,
+    "ekf": dict(estimator="ekf"),
+    "ekf_path_yaw_rate": _PATH_YAW_RATE,
+    "ekf_path_yaw_rate_undisturbed": _CONSTANT | _UNDISTURBED | _PATH_YAW_RATE,
+    "ekf_undisturbed": _CONSTANT | _UNDISTURBED | dict(estimator="ekf"),
+    "augmented_ekf": dict(estimator="augmented_ekf"),
+    "bounded_ekf": dict(estimator="bounded_ekf"),
+    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
+    "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
+    "q2": dict(q=paper.Q2) | _ON_ROW,
+    "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
+    "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),
+}
+# Drives along the first row alone; LOGS of another speed bring their own time.
+ON_ROW = {id_ for id_ in RUNS if RUNS[id_].get("duration_s") == _ON_ROW["duration_s"]} | {"q2"}
+
+
+# Runs
+
+
+def fields_of(fields, process_noise):
+    """Fields of RUNS or LOGS but for a controller, under a process noise, which some depend on."""
+    return {
+        name: of(process_noise) if callable(of) else of
+        for name, of in fields.items()
+        if name != "controller"
+    }
+
+
+def scenarios(fields, process_noise, seeds, world=None):
+    """The scenarios of an id under a process noise, one a seed.
+
+    Args:
+        fields: Of RUNS or LOGS; they take precedence over those of the world.
+        process_noise: "printed" or "calibrated".
+        seeds: Seeds of the fields.
+        world: Fields of Scenario.
+    """
+    every = (world or {}) | dict(process_noise=process_noise) | fields_of(fields, process_noise)
+    made = [Scenario(seed=seed, **every) for seed in seeds]
+    if "controller" not in fields:
+        return made
+    controller = fields["controller"](made[0])
+    return [dataclasses.replace(scenario, controller=controller) for scenario in made]
+
+
+def measure(scenarios, folder=None):
+    """The tables of RUNS and LOGS for the scenarios of each name.
+
+    What is `measured` of logs contains the metrics, so runs whose logs are needed, too, are driven
+    once.
+
+    Args:
+        scenarios: {kind: {name: scenarios}}; "runs" for metrics alone, "logs" for what is
+            `measured` of the logs, too.
+        folder: Where the campaign of "runs" keeps its rows.
+
+    Returns:
+        {name: DataFrame, one row a scenario}.
+    """
+    logs = scenarios.get("logs", {})
+    runs = scenarios.get("runs", {})
+    rows = iter(map_runs(measured, list(itertools.chain(*logs.values()))))
+    tables = {name: pd.DataFrame([next(rows) for _ in part]) for name, part in logs.items()}
+    keys = {name: _keys_of(part) for name, part in (logs | runs).items()}
+    of_logs = {keys[name]: table for name, table in tables.items()}
+    rest = {name: part for name, part in runs.items() if keys[name] not in of_logs}
+    tables |= drive(rest, folder) if rest else {}
+    for name, part in runs.items():
+        if name not in rest:
+            tables[name] = _with_fields(part, of_logs[keys[name]])
+    return tables
+
+
+def _with_fields(scenarios, table):
+    """A table with the fields of its scenarios, as a campaign's has."""
+    names = [field.name for field in dataclasses.fields(Scenario)]
+    rows = [[getattr(scenario, name) for name in names] for scenario in scenarios]
+    return pd.DataFrame(rows, columns=names).join(table)
+
+
+def _keys_of(scenarios):
+    """What two equal lists of scenarios have in common."""
+    return tuple(map(scenario_key, scenarios))
+
+
+def drive(scenarios, folder=None):
+    """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
+    every = [scenario for of_name in scenarios.values() for scenario in of_name]
+    table = complete(campaign(every, folder))
+    ends = np.cumsum([len(of_name) for of_name in scenarios.values()])
+    places = np.split(np.arange(len(table)), ends[:-1])
+    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(scenarios, places)}
+
+
+def complete(table):
+    """Metrics with nothing missing.
+
+    A robot that never arrives has used up all its time; the column `arrived` says so.
+
+    Raises:
+        RuntimeError: If a run failed.
+    """
+    failed = table["error"][table["error"] != ""]
+    settling = table["settling_time_s"]
+    if len(failed):
+        first = failed.iloc[0]
+        raise RuntimeError(f"{len(failed)} of {len(table)} runs failed, the first with: {first}")
+    used_up = settling.fillna(table["duration_s"])
+    return table.assign(arrived=settling.notna(), settling_time_s=used_up)
+
+
+# What is measured
+
+
+def measured(run):
+    """Metrics of a run and what only its log shows; SI units. "Late" is the run's second half."""
+    c = SimpleNamespace(**run.columns)
+    arrived = not np.isnan(run.metrics["settling_time_s"])
+    settling_time_s = run.metrics["settling_time_s"] if arrived else run.scenario.duration_s
+    late_s = c.t_s[-1] - c.s_m[-1] / run.scenario.speed_mps
+    return (
+        run.metrics
+        | dict(late_s=late_s, arrived=arrived, settling_time_s=settling_time_s)
+        | _traction(run, c)
+        | _offsets(run, c, settling_time_s)
+        | _speeds_and_commands(run, c)
+        | _kkt(run, c, settling_time_s)
+    )
+
+
+def _traction(run, c):
+    """Bounds, spread and lag of the traction estimates."""
+    both = np.concatenate([c.mu_hat, c.kappa_hat])
+    late = c.t_s >= run.scenario.duration_s / 2
+    return dict(
+        in_bounds=bool(np.all((both >= 0) & (both <= 1))),
+        above_one=bool(np.any(both > 1)),
+        near_bound=np.mean((c.mu_hat >= 0.9) & (c.kappa_hat >= 0.9)),
+        deviation_kappa_late=c.kappa_hat[late].std(),
+        step_kappa=rms(np.diff(c.kappa_hat)),
+        lag_mu_s=lag_s(c.mu_hat, c.mu),
+    )
+
+
+def _offsets(run, c, settling_time_s):
+    """Yaw bias and offset to the left in left-hand curves, and swings across the path.
+
+    A robot that never settles has no curve that counts: its bias and offset are zero.
+    """
+    _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
+    poses, curvature = run.path.poses(s)
+    x_m, y_m, theta_rad = poses.T
+    left_m = (c.y_m - y_m) * np.cos(theta_rad) - (c.x_m - x_m) * np.sin(theta_rad)
+    curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
+    side = np.sign(left_m[np.abs(left_m) > _SWING_M])
+    return dict(
+        yaw_bias_rad=np.mean((c.theta_hat_rad - c.theta_rad)[curved]) if curved.any() else 0.0,
+        offset_curves_m=left_m[curved].mean() if curved.any() else 0.0,
+        swings=np.sum(np.diff(side) != 0),
+    )
+
+
+def _speeds_and_commands(run, c):
+    """Speed, its estimate, and the commanded yaw rate relative to its bound."""
+    driving = c.t_s >= 5.0  # until then the speed loops start
+    peak_radps = np.abs(c.omega_cmd_radps).max()
+    bound_radps = run.scenario.omega_max_radps
+    return dict(
+        speed_variation=c.nu_mps[driving].std() / abs(c.nu_mps[driving].mean()),
+        rms_nu_hat_mps=rms((c.nu_hat_mps - c.nu_mps)[driving]),
+        rms_nu_meas_mps=rms((c.nu_meas_mps - c.nu_mps)[driving]),
+        rms_yaw_rate_radps=rms(c.omega_radps[1:] - c.omega_cmd_radps[:-1]),
+        reaches_bound=bool(peak_radps >= bound_radps * (1 - 1e-9)),
+        within_bound=bool(peak_radps <= bound_radps),
+    )
+
+
+def _kkt(run, c, settling_time_s):
+    """KKT tolerances: medians before and after arrival, at the start and late."""
+    late = c.t_s >= run.scenario.duration_s / 2
+    before = c.t_s <= settling_time_s
+    after = c.t_s >= settling_time_s
+    return dict(
+        kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= settling_time_s),
+        kkt_rhc_before=np.median(c.kkt_rhc[before]),
+        kkt_rhc_after=np.median(c.kkt_rhc[after]) if after.any() else np.median(c.kkt_rhc),
+        kkt_rhc_late=np.median(c.kkt_rhc[late]),
+        kkt_rhe_first=np.median(c.kkt_rhe[1:16]),  # 3 s; the first sample has no problem yet
+        kkt_rhe_late=np.median(c.kkt_rhe[late]),
+    )
+
+
+def lag_s(estimate, truth, most_s=10.0):
+    """How far an estimate trails the truth [s]: the shift, up to most_s, of least RMS error."""
+    shifts = range(round(most_s / paper.DT_S) + 1)
+    differences = (estimate[shift:] - truth[: len(truth) - shift] for shift in shifts)
+    mean_squares = [difference @ difference / len(difference) for difference in differences]
+    return paper.DT_S * int(np.argmin(mean_squares))

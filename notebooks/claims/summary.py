@@ -1,0 +1,165 @@
+"""The ledger for readers: its verdicts in numbers, its tables, and one claim judged again."""
+
+import pandas as pd
+
+from notebooks.claims import evidence
+from notebooks.claims.rules import CLAIMS
+from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, FAILS, HOLDS, UNDECIDED, UNTESTABLE
+from notebooks.studies.tables import interval_text, interval_texts
+
+__all__ = [
+    "DEPARTURE",
+    "FIELDS",
+    "PRINTED",
+    "class_of",
+    "depending",
+    "failing",
+    "in_worlds",
+    "lost",
+    "readable_ledger",
+    "report_lines",
+    "survivors",
+    "verdict_counts",
+]
+
+PRINTED = f"{HOLDS} only {AS_PRINTED}"
+DEPARTURE = f"{HOLDS} only with a departure"
+FIELDS = 40  # of one claim alone: enough for most verdicts at 99.9 %
+_FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
+
+
+def class_of(verdict):
+    """The class of a verdict; its conditions are left out.
+
+    PRINTED: the claim holds as printed, but not under every departure. DEPARTURE: it does not hold
+    as printed, or is undecided, and holds with a departure.
+    """
+    if verdict.endswith(AS_PRINTED):
+        return PRINTED
+    return DEPARTURE if verdict.startswith(f"{HOLDS} ") else verdict
+
+
+def verdict_counts(table):
+    """Count the claims by class of verdict.
+
+    Args:
+        table: The ledger, of `ledger.ledger` or from claims.csv.
+
+    Returns:
+        DataFrame of counts, one row a class (holds, PRINTED, DEPARTURE, does not hold, undecided,
+        cannot be tested here), with columns "claims" and, of those, "by derivation". Classes
+        without a claim have 0.
+    """
+    order = [HOLDS, PRINTED, DEPARTURE, FAILS, UNDECIDED, UNTESTABLE]
+    by_class = table["derived"].groupby(table["verdict"].map(class_of))
+    counts = pd.DataFrame({"claims": by_class.size(), "by derivation": by_class.sum()})
+    return counts.reindex(order, fill_value=0).astype(int).rename_axis("verdict")
+
+
+def survivors(table):
+    """The verdicts that remain when the false discovery rate of the whole ledger is held at 5 %.
+
+    Args:
+        table: The ledger, of `ledger.ledger` or from claims.csv.
+
+    Returns:
+        How many verdicts rest on an interval, and the ids of those that do not remain.
+    """
+    decided = ~table["verdict"].isin([UNDECIDED, UNTESTABLE])
+    at_risk = table[table["p"].notna() & decided & ~table["derived"]]
+    lost = at_risk["p_adjusted"] >= _FALSE_DISCOVERY_RATE
+    return len(at_risk), list(at_risk.loc[lost, "id"])
+
+
+# Parts of the ledger for readers
+
+_ALL = ["section", "claim", "quote", "test", "bound", "paper", "value", "n", "unit", "verdict"]
+_ALL += ["conditions", "posterior", "beside", "p_adjusted", "why"]
+
+
+def readable_ledger(table, columns=_ALL):
+    """Columns of the ledger, with values and shares of worlds as "34.6 [32.3, 37.0]", by id."""
+    shown = table.assign(
+        value=interval_texts(table, "value"),
+        posterior=interval_texts(table, "posterior", "posterior_low", "posterior_high"),
+        p_adjusted=table["p_adjusted"].round(4),
+    )
+    return shown.set_index("id")[list(columns)].fillna("")
+
+
+def lost(table):
+    """The claims whose verdict does not remain, see `survivors`."""
+    _, ids = survivors(table)
+    rows = table[table["id"].isin(ids)]
+    return readable_ledger(rows, ["claim", "value", "verdict", "p_adjusted"])
+
+
+def failing(table):
+    """The claims that hold under no condition, with the rule and the reason."""
+    rows = table[table["verdict"] == FAILS]
+    return readable_ledger(rows, ["claim", "test", "paper", "value", "n", "beside", "why"])
+
+
+def depending(table):
+    """The claims that hold under some conditions only."""
+    rows = table[table["verdict"].map(class_of).isin([PRINTED, DEPARTURE])]
+    return readable_ledger(rows, ["claim", "test", "value", "verdict", "conditions"])
+
+
+def in_worlds(table):
+    """The claims about driving with the share of the posterior's worlds in which each holds."""
+    rows = table[table["posterior"].notna()]
+    return readable_ledger(rows, ["claim", "verdict", "posterior"])
+
+
+# One claim alone
+
+
+def report_lines(id_, fields=FIELDS, folder=None, claims=CLAIMS):
+    """Judge one claim on a few fields and say what came out.
+
+    Args:
+        id_: Of the claim, for example "I2".
+        fields: How many fields, from seed 0 on.
+        folder: Where the campaign keeps its rows.
+        claims: {id: Claim}.
+
+    Returns:
+        Lines of text: sentence, section and quote, test, verdict, then one line for each condition.
+
+    Raises:
+        ValueError: If there is no such claim, or fewer than 2 fields.
+    """
+    if id_ not in claims:
+        raise ValueError(f"claim was {id_!r}; it should be one of {', '.join(claims)}")
+    if fields < 2:
+        raise ValueError(f"fields was {fields}; it should be 2 or more")
+    claim = claims[id_]
+    _, findings, beside, _ = evidence.collect({id_: claim}, fields, fields, folder)
+    verdict, _ = claim.rule.combined(findings[id_])
+    derived = ", by derivation" if claim.derived else ""
+    driven = any(
+        kind != "experiments" for _, kind, _ in evidence.tables_of(claim.rule.by_condition.values())
+    )
+    lines = [
+        f"{id_}: {claim.claim}",
+        f"  {claim.section}: “{claim.quote}”",
+        f"  test: {claim.test}",
+        f"  verdict: {verdict}{derived}",
+    ]
+    lines += [_line(name, found, claim.rule.unit) for name, found in findings[id_].items()]
+    lines += [_line(f"beside it: {what}", found) for what, found in beside[id_].items()]
+    lines += [f"  why: {claim.why}"] if claim.why else []
+    if driven:
+        lines.append(f"  seeds 0 to {fields - 1}; intervals and verdicts at {CONFIDENCE:.0%}")
+        lines.append("  The ledger (06_claims) has more fields, and other worlds.")
+    return lines
+
+
+def _line(name, found, unit=""):
+    """A condition, its number with its interval, n and verdict."""
+    number = interval_text(found.value, found.low, found.high)
+    unit = "" if unit in ("", "-") else f" {unit}"
+    numbers = f"{number}{unit}, n = {found.n}: " if number else ""
+    judged = found.verdict if not name.startswith("beside") else ""
+    return f"    {name or 'in all cases'}: {numbers}{judged}".rstrip(": ")

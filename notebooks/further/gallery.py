@@ -1,0 +1,307 @@
+"""Problems that others published, as models of a few lines, each beside IPOPT or a Kalman filter.
+
+Weights, lengths and noise follow the source that each function names. Where `rhec.Model` cannot say
+what the source does, its docstring tells the difference.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from notebooks.studies.ipopt import PlanProblem, WindowProblem, next_state
+from rhec.core.controller.rhc import RHC
+from rhec.core.estimator.rhe import RHE
+from rhec.core.model.base import Model
+
+__all__ = [
+    "ControlProblem",
+    "Drive",
+    "EstimationProblem",
+    "Record",
+    "drive",
+    "estimate",
+    "furuta",
+    "kalman_filter",
+    "mass_on_a_spring",
+    "masses",
+    "pendulum",
+    "range_bearing",
+    "table_of_controllers",
+    "table_of_estimators",
+    "unicycle",
+]
+
+
+class ControlProblem(NamedTuple):
+    """A system to be steered from `start` to `goal`."""
+
+    options: dict  # of rhec.RHC
+    start: tuple
+    goal: tuple | Callable  # desired state, or function of the present one -> (n_x, N+1)
+    samples: int
+    iterations: int = 1  # of a sample after the first
+
+
+class EstimationProblem(NamedTuple):
+    """A system to be estimated; its estimator has the true standard deviations of the sensors."""
+
+    options: dict  # of rhec.RHE
+    start: tuple
+    p: tuple  # true parameters
+    inputs: np.ndarray  # true inputs (samples, n_u)
+
+
+class Drive(NamedTuple):
+    """A closed loop, and its first problem solved to convergence by RHC and by IPOPT."""
+
+    x: np.ndarray  # (samples + 1, n_x)
+    u: np.ndarray  # (samples, n_u)
+    cost: float  # of the plan by rhec.RHC.solve, cold
+    ipopt: float  # of the plan by IPOPT
+
+
+class Record(NamedTuple):
+    """A run of an estimator, and the last window solved by RHE and by IPOPT."""
+
+    x: np.ndarray  # true states (samples, n_x)
+    z: np.ndarray  # measurements (samples, n_z)
+    x_hat: np.ndarray  # estimates (samples, n_x)
+    p_hat: np.ndarray  # estimated parameters (samples, n_p)
+    iterated: np.ndarray  # (n_x + n_p,) newest estimate of the last window, by rhec.RHE.solve
+    ipopt: np.ndarray  # (n_x + n_p,) the same by IPOPT
+
+
+# Controllers
+
+
+def pendulum():
+    """The swing-up of a pendulum on a cart, after acados' first example (N = 40)."""
+
+    def f(x, u, p):
+        _, theta, v, w = ca.vertsplit(x)
+        sin = ca.sin(theta)
+        cos = ca.cos(theta)
+        mass = 1.1 - 0.1 * cos**2
+        a = (-0.08 * sin * w**2 + 0.981 * cos * sin + u) / mass
+        turn = (-0.08 * cos * sin * w**2 + u * cos + 10.791 * sin) / (0.8 * mass)
+        return ca.vertcat(v, w, a, turn)
+
+    states = ("p_m", "theta_rad", "v_mps", "w_radps")
+    model = Model(states=states, inputs=("force_N",), parameters={}, outputs=states, f=f)
+    options = dict(model=model, command=("force_N",), bounds={"force_N": (-80.0, 80.0)})
+    options |= dict(q=(2e3, 2e3, 2e-2, 2e-2), r=(2e-2,), qn_factor=1.0, dt=0.025, horizon=40)
+    return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
+
+
+def furuta():
+    """The swing-up of a Furuta pendulum, after acados' example, on a uniform grid of 25 ms."""
+
+    def f(x, u, p):
+        _, theta, v, w = ca.vertsplit(x)
+        rod = 2.5164e-3  # inertia [kg m²]
+        sin = -ca.sin(theta)
+        coupling = -1.8978e-3 * ca.cos(theta)
+        twist = rod * ca.sin(2 * theta) / 2
+        inertia = ca.blockcat([[2.6705e-3 + rod * sin**2, coupling], [coupling, rod]])
+        first = u - (4e-3 + w * twist) * v - (v * twist - 1.8978e-3 * sin * w) * w
+        second = v**2 * twist - 0.196 * rod * w - 0.17988 * sin
+        return ca.vertcat(v, w, ca.solve(inertia, ca.vertcat(first, second)))
+
+    states = ("arm_rad", "theta_rad", "v_radps", "w_radps")
+    model = Model(states=states, inputs=("torque_Nm",), parameters={}, outputs=states, f=f)
+    options = dict(model=model, command=("torque_Nm",), bounds={"torque_Nm": (-0.45, 0.45)})
+    options |= dict(q=(50.0, 500.0, 1.0, 1.0), r=(1e3,), qn_factor=1.0, dt=0.025, horizon=20)
+    return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
+
+
+def unicycle():
+    """A unicycle with force and torque that drives to a point, after acados (N = 50)."""
+
+    def f(x, u, p):
+        return ca.vertcat(x[2] * ca.cos(x[3]), x[2] * ca.sin(x[3]), u[0], x[4], u[1])
+
+    states = ("x_m", "y_m", "v_mps", "theta_rad", "w_radps")
+    inputs = ("force_N", "torque_Nm")
+    model = Model(states=states, inputs=inputs, parameters={}, outputs=states, f=f)
+    options = dict(model=model, command=inputs, bounds={"force_N": (-10.0, 10.0)})
+    options |= dict(q=(2e3, 2e3, 2e-4, 2e-3, 2e-3), r=(1.0, 0.1), qn_factor=1.0)
+    options |= dict(dt=0.04, horizon=50)
+    return ControlProblem(options, (0.0,) * 5, (1.0, 1.0, 0.0, 0.0, 0.0), 100)
+
+
+# Estimators
+
+
+def range_bearing():
+    """A robot that sees one landmark, at the origin, after Mehrez' MHE; without bounds on θ."""
+
+    def f(x, u, p):
+        return ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1])
+
+    def h(x, u, p):
+        return ca.vertcat(ca.hypot(x[0], x[1]), ca.atan2(x[1], x[0]))
+
+    names = ("x_m", "y_m", "theta_rad"), ("v_mps", "w_radps")
+    outputs = ("range_m", "bearing_rad", *names[1])
+    model = Model(
+        states=names[0], inputs=names[1], parameters={}, outputs=outputs, f=f, h=h,
+        angles=("bearing_rad",),
+    )  # fmt: skip
+    options = dict(model=model, dt=0.2, horizon=10, arrival_mean="filtered")
+    options |= dict(sigma_v=(0.1, 0.035, 0.005, 0.035), sigma_w=(0.0, 0.0, 0.0))
+    options |= dict(guess=(0.1, 0.3, 0.0), sigma_guess=(0.3, 0.3, 0.3))
+    turning = 0.6 * np.sign(np.sin(0.08 * np.arange(120)))
+    inputs = np.column_stack([0.4 + 0.1 * np.cos(0.1 * np.arange(120)), turning])
+    return EstimationProblem(options, (0.2, 0.1, 0.2), (), inputs)
+
+
+def mass_on_a_spring():
+    """A mass on a spring, CasADi's own MHE example, as the Kalman filter that it should be.
+
+    The force is known up to white noise: that is a measured input with this standard deviation.
+    """
+
+    def f(x, u, p):
+        return ca.vertcat(x[1], u - x[0] - 0.5 * x[1])
+
+    states = ("position_m", "velocity_mps")
+    outputs = ("position_m", "force_N")
+    model = Model(states=states, inputs=("force_N",), parameters={}, outputs=outputs, f=f)
+    options = dict(model=model, dt=0.05, horizon=10, arrival_mean="filtered")
+    options |= dict(sigma_v=(0.005, 0.1), sigma_w=(0.0, 0.0))
+    options |= dict(guess=(1.0, 0.0), sigma_guess=(0.01, 0.01))
+    return EstimationProblem(options, (1.0, 0.0), (), np.cos(0.05 * np.arange(400))[:, None])
+
+
+def masses():
+    """Three masses on springs, one of unknown inertia, after do-mpc's MHE; no motor dynamics."""
+
+    def f(x, u, p):
+        c = 1e-3 * np.array([2.697, 2.66, 3.05, 2.86])
+        turns = ca.vertcat(u[0], x[:3], u[1])
+        torque = c[1:] * (turns[2:] - turns[1:4]) - c[:3] * (turns[1:4] - turns[:3])
+        damping = 1e-5 * ca.vertcat(6.78, 8.01, 8.82) * x[3:]
+        return ca.vertcat(x[3:], (torque - damping) / ca.vertcat(p, 2.25e-4, 2.25e-4))
+
+    motors = ("motor_1_rad", "motor_2_rad")
+    outputs = ("phi_1_rad", "phi_2_rad", "phi_3_rad", *motors)
+    states = (*outputs[:3], "w_1", "w_2", "w_3")
+    parameters = {"inertia": (1e-5, 1e-3)}
+    model = Model(states=states, inputs=motors, parameters=parameters, outputs=outputs, f=f)
+    options = dict(model=model, dt=0.1, horizon=10, sigma_v=(0.01,) * 3 + (1e-3,) * 2)
+    options |= dict(sigma_w=(0.0,) * 7, guess=(0.0,) * 6 + (1e-4,), arrival_mean="filtered")
+    options |= dict(sigma_guess=(1.0,) * 6 + (1e-3,))
+    steps = 2 * np.random.default_rng(0).uniform(-1, 1, (20, 2)).repeat(5, axis=0)
+    return EstimationProblem(options, (1.0, 0.6, 0.1, 0.0, 0.0, 0.0), (2.25e-4,), steps)
+
+
+# Loops
+
+
+def drive(problem):
+    """Solve a ControlProblem's first sample to convergence, and drive on: a Drive."""
+    rhc = RHC(**problem.options)
+    model = problem.options["model"]
+    reference = PlanProblem(problem.options)
+    step = next_state(model, problem.options["dt"])
+    rest = dict(p=np.zeros(0), u_ref=np.zeros(len(model.inputs)))
+    xs = [np.array(problem.start)]
+    goal = goal_at(problem, xs[0])
+    us = [rhc.solve(xs[0], x_ref=goal, **rest, iterations=100)]
+    plans = reference.cost(xs[0], goal, rhc.u_plan), reference.solve(xs[0], goal).cost
+    for _ in range(problem.samples - 1):
+        xs.append(step(xs[-1], us[-1], []).full().ravel())
+        rhc.prepare()
+        given = dict(x=xs[-1], x_ref=goal_at(problem, xs[-1]), **rest)
+        if problem.iterations == 1:
+            us.append(rhc.feedback(**given))
+        else:
+            us.append(rhc.solve(**given, iterations=problem.iterations))
+    xs.append(step(xs[-1], us[-1], []).full().ravel())
+    return Drive(np.array(xs), np.array(us), *plans)
+
+
+def goal_at(problem, x):
+    """The desired states (n_x,) or (n_x, N+1) of a ControlProblem at the present state x."""
+    return problem.goal(x) if callable(problem.goal) else np.array(problem.goal)
+
+
+def estimate(problem, seed=0):
+    """Run an EstimationProblem on simulated measurements, one iteration a sample: a Record."""
+    model = problem.options["model"]
+    rhe = RHE(**problem.options)
+    step = next_state(model, problem.options["dt"])
+    rng = np.random.default_rng(seed)
+    x = np.array(problem.start)
+    rows = []
+    for k, u in enumerate(problem.inputs):
+        if k:  # a measured input belongs to the interval that ends with the sample
+            x = step(x, u, problem.p).full().ravel()
+        z = model.measurement(x, u, problem.p).full().ravel()
+        z = z + rng.normal(size=len(z)) * problem.options["sigma_v"]
+        rhe.prepare()
+        arrival = {name: rhe.iteration.current[name].copy() for name in "mP"}
+        found = rhe.feedback(z)
+        rows.append((x, z, found.x, found.p))
+    columns = [np.array(column) for column in zip(*rows)]
+    found = rhe.solve(rows[-1][1], iterations=30)
+    iterated = np.append(found.x, found.p)
+    return Record(*columns, iterated, _by_ipopt(problem, columns[1], arrival))
+
+
+def _by_ipopt(problem, z, arrival):
+    """The newest (x, p) of the last window, by IPOPT."""
+    options = problem.options
+    N = options["horizon"]
+    H = np.linalg.inv(arrival["P"].reshape(2 * (arrival["m"].size,)))
+    window = WindowProblem(options["model"], N, options["dt"])
+    return window.solve(z[-N - 1 :], arrival["m"], H, options["sigma_v"]).newest
+
+
+def kalman_filter(problem, z):
+    """The Kalman filter of `mass_on_a_spring`, apart from rhec: estimates (samples, 2).
+
+    Its prediction takes the measured force of the interval, whose noise is the process noise.
+    """
+    step = next_state(problem.options["model"], problem.options["dt"])
+    A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
+    B = step([0, 0], 1, []).full().ravel()
+    sigma_z, sigma_u = problem.options["sigma_v"]
+    x = np.array(problem.options["guess"])
+    P = np.diag(problem.options["sigma_guess"]) ** 2
+    rows = []
+    for k, (position, force) in enumerate(z):
+        if k:
+            x = A @ x + B * force
+            P = A @ P @ A.T + sigma_u**2 * np.outer(B, B)
+        gain = P[:, 0] / (P[0, 0] + sigma_z**2)
+        x = x + gain * (position - x[0])
+        P = P - np.outer(gain, P[0])
+        rows.append(x)
+    return np.array(rows)
+
+
+def table_of_controllers(drives):
+    """The first plans of {name: Drive}: their costs, and these over those of IPOPT's plans."""
+    rows = [
+        dict(problem=name, cost=each.cost, over_ipopt=each.cost / each.ipopt)
+        for name, each in drives.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def table_of_estimators(records):
+    """The last windows of {name: Record} beside IPOPT's, and the RMSE of the first state.
+
+    `off_ipopt` is the largest difference of the newest estimate. The RMSE is that of the second
+    half of the run.
+    """
+    rows = []
+    for name, each in records.items():
+        off = (each.x_hat - each.x)[len(each.x) // 2 :, 0]
+        away = np.abs(each.iterated - each.ipopt).max()
+        rows.append(dict(problem=name, off_ipopt=away, rmse=np.sqrt(np.mean(off**2))))
+    return pd.DataFrame(rows)

@@ -1,0 +1,144 @@
+"""A recorded log through the paper's estimators and the default one: as it is, and made harder.
+
+The harder replays add white noise to the positions, an error to the first yaw and faults to the
+sensors (`notebooks.further.recorded.scores`). Their scores are means over noise seeds.
+"""
+
+import functools
+import itertools
+
+import numpy as np
+import pandas as pd
+
+from notebooks.further.recorded import scores
+from notebooks.studies.statistics import over_seeds
+from rhec.simulation.faults import Fault
+from rhec.tracked_robot import tuning
+
+__all__ = [
+    "AUGMENTED",
+    "estimators",
+    "fault_cases",
+    "fault_means",
+    "fault_scores",
+    "replay_table",
+    "trials",
+    "write_scores",
+]
+
+AUGMENTED = "augmented EKF"
+
+_QUANTITIES = dict(
+    yaw_rms_rad="RMS error of yaw [rad]",
+    yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]",
+    position_rms_m="RMS error of position [m]",
+    innovation_rms_m="RMS innovation [m]",
+    mu_median="median of mu",
+    mu_regression="mu by regression",
+    mu_difference="median - regression, mu",
+    kappa_median="median of kappa",
+    kappa_regression="kappa by regression",
+    kappa_difference="median - regression, kappa",
+    nees_yaw="squared yaw error by its variance",
+    inside_95="yaw errors within 95 % bounds",
+    outside="samples with mu or kappa outside [0, 1]",
+    not_ok="failed steps",
+)
+# Arguments of `rhec.replay` that belong to the log, and hold for every estimator.
+_OF_THE_LOG = ("track_width_m", "position_delay_s", "trust_log")
+_FAULT_START_S = 60.0
+_FAULT_DURATION_S = 10.0
+_MOST_FAULT_SEEDS = 3  # a replay for each fault, handling and seed takes long
+_FAULT_SCORES = ["worst_position_m", "worst_yaw_rad", "last_yaw_rad", "outside", "not_ok"]
+
+
+def estimators(process_noise, of_the_rhe):
+    """{name: arguments of `rhec.replay`} of the RHE, which has its own, and of four others.
+
+    The W of the others is "printed" or "calibrated". Soil under recorded robots slips more than
+    that of the default world, so the calibrated W is the likeliest one on softer soil.
+    """
+    of_the_log = {name: of_the_rhe[name] for name in _OF_THE_LOG if name in of_the_rhe}
+
+    def noise(estimator):
+        if process_noise == "printed":
+            return dict(process_noise="printed")
+        return dict(sigma_w=tuning.SIGMA_W_MORE_SLIP[estimator])
+
+    without_nu = noise("rhe")
+    if "sigma_w" in without_nu:
+        x, y, theta, _, mu, kappa = without_nu["sigma_w"]
+        without_nu["sigma_w"] = (x, y, theta, mu, kappa)
+    papers = {
+        "RHE, ν as input": dict(speed_model="input") | without_nu,
+        "RHE, ν over the window": dict(speed_model="parameter") | noise("rhe"),
+        "EKF": dict(estimator="ekf") | noise("ekf"),
+        AUGMENTED: dict(estimator="augmented_ekf") | noise("augmented_ekf"),
+    }
+    return {"RHE": of_the_rhe} | {name: of_the_log | each for name, each in papers.items()}
+
+
+def trials(log, seeds, estimators, **perturbation):
+    """{estimator: scores over noise seeds}, of `estimators` on a log with a perturbation."""
+    return {
+        name: scores.perturbed_scores(log, seeds, **perturbation, **arguments)
+        for name, arguments in estimators.items()
+    }
+
+
+def replay_table(trials):
+    """Means of the scores of `trials` over noise seeds, with intervals."""
+    rows = []
+    for (name, of_seeds), (column, quantity) in itertools.product(
+        trials.items(), _QUANTITIES.items()
+    ):
+        if column in of_seeds:
+            interval = over_seeds(np.mean, of_seeds[column])._asdict()
+            rows.append(dict(estimator=name, quantity=quantity) | interval)
+    return pd.DataFrame(rows)
+
+
+def fault_cases(samples):
+    """{name: Fault}, from the first time after 60 s at which the robot of a replay keeps moving.
+
+    The first case has no fault.
+    """
+    start_s = scores.while_moving(samples, _FAULT_START_S, _FAULT_DURATION_S)
+    fault = functools.partial(Fault, start_s=start_s, duration_s=_FAULT_DURATION_S)
+    return {
+        "none": Fault(kind="missing", start_s=start_s, duration_s=0.0),
+        "no position": fault(kind="missing"),
+        "no reading at all": fault(kind="infinite", channel="all"),
+        "outliers": fault(kind="outliers", size_m=2.0),
+        "jump": fault(kind="jump", size_m=2.0),
+        "position stuck": fault(kind="stuck"),
+        "latency": fault(kind="latency", delay_s=0.4),
+        "low rate": fault(kind="rate", rate_hz=1.0),
+        "samples twice": fault(kind="duplicates", channel="all"),
+        "samples out of order": fault(kind="disorder", channel="all"),
+        "left encoder dead": fault(kind="dead", channel="left"),
+        "encoders dead": fault(kind="dead", channel="encoders"),
+    }
+
+
+def fault_scores(log, cases, seeds, **arguments):
+    """Scores of the RHE with each fault, with and without robust handling, on a few seeds."""
+    arguments.pop("robust", None)
+    return scores.fault_scores(log, cases, range(min(seeds, _MOST_FAULT_SEEDS)), **arguments)
+
+
+def fault_means(rows):
+    """Means of `fault_scores` over noise seeds, one row a fault and handling."""
+    groups = rows.groupby(["fault", "robust"], sort=False)
+    return groups[_FAULT_SCORES].mean().round(3)
+
+
+def write_scores(table, remarks, folder):
+    """Write scores.txt: the RHE's means of `replay_table`, then the remarks of a replay."""
+    rows = table[table["estimator"] == "RHE"]
+    lines = [
+        f"{row.quantity}: {row.mean:.4g} [{row.low:.4g}, {row.high:.4g}]"
+        for row in rows.itertuples()
+    ]
+    title = f"RHE, mean and 95 % interval over {rows['n'].max()} noise seeds:"
+    (folder / "scores.txt").write_text("\n".join([title, *lines, *remarks, ""]), encoding="utf-8")

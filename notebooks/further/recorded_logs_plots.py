@@ -1,0 +1,247 @@
+"""Figures of a replayed log.
+
+`replays` is {estimator: samples of a perturbed replay} (`notebooks.further.recorded.scores`), and
+`title` is plain text. Figures leave out what a log does not contain, such as the true pose.
+"""
+
+import re
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from notebooks.further.recorded import scores
+from notebooks.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, time_axis
+from notebooks.studies.tables import interval_text
+from rhec.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, ORANGE, PURPLE, ROOT, SKY, styled
+
+_COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
+_COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
+# Turning more slowly counts as straight; the median over _SMOOTH samples removes encoder noise.
+_STRAIGHT_RADPS = 0.05
+_SMOOTH = 11
+
+
+def replay_folder(file):
+    """The folder of a log's figures: FOLDER for the log in data/, else build/replay/NAME."""
+    file = Path(file).resolve()
+    if file.parent == ROOT / "data":
+        return FOLDER
+    name = re.sub(r"[^A-Za-z0-9]+", "_", file.stem).strip("_") or "log"
+    return ROOT / "build" / "replay" / name
+
+
+def _rows(n, height_in, sharey):
+    """A figure with n panels one below the other."""
+    size = (DOUBLE_IN, 0.4 + height_in * n)
+    figure, panels = plt.subplots(n, figsize=size, sharex=True, sharey=sharey, squeeze=False)
+    return figure, panels[:, 0]
+
+
+def _broken(samples, *columns):
+    """Columns as arrays with a NaN after each segment, which interrupts lines."""
+    gap = np.full((1, len(columns)), np.nan)
+    columns = list(columns)
+    segments = [part[columns].to_numpy(dtype=float) for _, part in samples.groupby("segment")]
+    return np.concatenate([np.append(part, gap, axis=0) for part in segments]).T
+
+
+def _time_axis(axes, samples):
+    """Label the time axis, and shade straight driving and standing."""
+    turning = samples["omega_meas_radps"].abs().rolling(_SMOOTH, center=True, min_periods=1)
+    straight = (turning.median() < _STRAIGHT_RADPS) & (samples["segment"].diff(-1) == 0)
+    shaded = f"straight or standing, below {_STRAIGHT_RADPS} rad/s"
+    time_axis(axes, samples["t_s"], straight, shaded)
+
+
+@styled
+def replay_log(samples, title):
+    """Draw the samples of a replay: positions in the plane, and encoder measurements over time."""
+    mosaic = [["plane", "speed"], ["plane", "yaw rate"]]
+    size = (DOUBLE_IN, 2.6)
+    figure, panels = plt.subplot_mosaic(mosaic, figsize=size, width_ratios=(1, 2))
+    plane, speed, yaw_rate = (panels[name] for name in ("plane", "speed", "yaw rate"))
+    measured = dict(color=COLOURS["measured"])
+    truth = dict(color=COLOURS["truth"], linewidth=0.5)
+    look = dict(marker=".", linestyle="none", markersize=1.5, label="measured")
+    plane.plot(samples["x_meas_m"], samples["y_meas_m"], **look, **measured)
+    if {"x_m", "y_m"} <= set(samples):
+        plane.plot(*_broken(samples, "x_m", "y_m"), label="truth", **truth)
+    plane.legend()
+    plane.set(xlabel="$x$ [m]", ylabel="$y$ [m]", aspect="equal", adjustable="datalim")
+    for axes, measurement, true, label in [
+        (speed, "nu_meas_mps", "v_true_mps", "speed [m/s]"),
+        (yaw_rate, "omega_meas_radps", "yaw_rate_true_radps", "yaw rate [rad/s]"),
+    ]:
+        values = _broken(samples, "t_s", measurement)
+        axes.plot(*values, linewidth=0.8, label="encoders", **measured)
+        if true in samples:
+            axes.plot(*_broken(samples, "t_s", true), label="truth, over ground", **truth)
+        axes.set_ylabel(label)
+    _time_axis([speed, yaw_rate], samples)
+    speed.sharex(yaw_rate)
+    speed.tick_params(labelbottom=False)
+    legend_above(speed)
+    plane.set_title(title.replace("$", r"\$"))  # a file's name is no formula
+    return figure
+
+
+@styled
+def replay_path(estimates, title):
+    """Draw the measured path and that of `rhec.replay`, black where the estimate is lost."""
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 3.6))
+    x = "x_hat_m"
+    y = "y_hat_m"
+    look = dict(marker=".", linestyle="none", color=COLOURS["measured"])
+    axes.plot(estimates["x_meas_m"], estimates["y_meas_m"], **look, markersize=2, label="measured")
+    axes.plot(*_broken(estimates, x, y), color=COLOURS["RHE"], linewidth=0.8, label="estimated")
+    if estimates["lost"].any():
+        lost = estimates.assign(
+            **{name: estimates[name].where(estimates["lost"]) for name in (x, y)}
+        )
+        axes.plot(*_broken(lost, x, y), color="black", linewidth=1.5, label="estimated, lost")
+    axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]", aspect="equal", adjustable="datalim")
+    legend_above(axes)
+    rows = f"{estimates['x_meas_m'].notna().sum()} positions in {len(estimates)} rows"
+    axes.set_title(f"{title}: {rows}".replace("$", r"\$"))
+    return figure
+
+
+@styled
+def replay_yaw(replays):
+    """Draw the yaw error with two standard deviations, or the yaw if the log has no truth."""
+    figure, panels = _rows(len(replays), 1.2, sharey=True)
+    with_truth = [samples for samples in replays.values() if "theta_rad" in samples]
+    errors = [scores.yaw_error(samples) for samples in with_truth]
+    for axes, (name, samples) in zip(panels, replays.items()):
+        has_truth = "theta_rad" in samples
+        value = scores.yaw_error(samples) if has_truth else samples["theta_hat_rad"]
+        t, value, sigma = _broken(samples.assign(value=value), "t_s", "value", "sigma_theta_rad")
+        value[np.abs(np.diff(value, prepend=np.nan)) > np.pi] = np.nan  # no line from π to -π
+        axes.plot(t, value, color=_COLOURS.get(name), linewidth=0.7, label="error")
+        title = name
+        if has_truth:
+            look = dict(color=SKY, alpha=0.45, linewidth=0, label="± 2 σ of the estimator")
+            axes.fill_between(t, -2 * sigma, 2 * sigma, **look)
+            score = scores.score(samples)
+            rms = f"RMS {score['yaw_rms_rad']:.3f} rad after {scores.FROM_M:.0f} m"
+            title += f": {rms}, {score['inside_95']:.0%} within 1.96 σ"
+        axes.set(ylabel="yaw error [rad]" if has_truth else "yaw [rad]", title=title)
+    if errors:
+        extent = np.clip(1.1 * np.nanmax(np.abs(errors)), 0.1, np.pi)
+        panels[0].set_ylim(-extent, extent)
+        legend_above(panels[0])
+    _time_axis(panels, samples)
+    return figure
+
+
+@styled
+def replay_traction(replays, first):
+    """Draw estimates of μ and κ over time.
+
+    If the log has the truth, regressions of the true motion on the encoder measurements are added,
+    over a sliding window (dots) and over the whole log (dashed). The band of two standard
+    deviations is that of the estimator `first`.
+    """
+    figure, panels = plt.subplots(2, figsize=(DOUBLE_IN, 3.6), sharex=True)
+    samples = replays[first]
+    has_truth = {truth for _, truth in scores.REGRESSIONS} <= set(samples)
+    for place, (axes, name) in enumerate(zip(panels, ("mu", "kappa"))):
+        t, value, sigma = _broken(samples, "t_s", f"{name}_hat", f"sigma_{name}")
+        band = np.clip([value - 2 * sigma, value + 2 * sigma], 0, 1)
+        look = dict(color=SKY, alpha=0.45, linewidth=0, label=f"{first} ± 2 σ, in [0, 1]")
+        axes.fill_between(t, *band, **look)
+        for estimator, estimates in replays.items():
+            look = dict(color=_COLOURS.get(estimator), linewidth=0.9 if estimator == first else 0.5)
+            axes.plot(*_broken(estimates, "t_s", f"{name}_hat"), **look, label=estimator)
+        drawn = [samples.loc[scores.distance_driven(samples) >= scores.FROM_M, f"{name}_hat"]]
+        if has_truth:
+            sliding = scores.sliding_regression(samples)[:, place]
+            label = "regression over"
+            look = dict(color=ORANGE, markersize=1.5, label=f"{label} {scores.WINDOW_S:.0f} s")
+            axes.plot(samples["t_s"], sliding, ".", **look)
+            look = dict(
+                color=COLOURS["truth"], linestyle="--", linewidth=0.8, label="regression, whole log"
+            )
+            axes.axhline(scores.regression(samples)[place], **look)
+            drawn.append(sliding)
+        least = max(np.floor(10 * np.nanmin(np.concatenate(drawn))) / 10 - 0.1, 0)
+        cut = f", cut at {least:.1f}" if least else ""
+        axes.set(ylim=(least - 0.02, 1.05), ylabel=rf"$\{name}$ [-]{cut}")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    _time_axis(panels, samples)
+    return figure
+
+
+@styled
+def replay_innovations(replays):
+    """Draw the distances of measured from predicted positions over time, a panel per estimator."""
+    figure, panels = _rows(len(replays), 1.0, sharey=True)
+    for axes, (name, samples) in zip(panels, replays.items()):
+        length = np.hypot(samples["innovation_x_m"], samples["innovation_y_m"])
+        axes.semilogy(samples["t_s"], length, ".", markersize=1.2, color=_COLOURS.get(name))
+        rms = f"RMS {scores.score(samples)['innovation_rms_m']:.3f} m after {scores.FROM_M:.0f} m"
+        axes.set(title=f"{name}: {rms}", ylabel="innovation [m]")
+        axes.minorticks_off()
+    _time_axis(panels, samples)
+    return figure
+
+
+@styled
+def replay_trials(trials, table, title):
+    """Draw the RMS error of the yaw of each estimator: a dot per noise seed, mean, 95 % interval.
+
+    The table is the `replay_table` of the trials, both of `notebooks.further.recorded_logs`.
+    """
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.7 + 0.28 * len(trials)))
+    means = table[table["quantity"] == "RMS error of yaw [rad]"].set_index("estimator")
+    for place, (name, rows) in enumerate(trials.items()):
+        look = dict(color=_COLOURS.get(name))
+        mean = means.loc[name]
+        dots = place - np.linspace(0.12, 0.38, len(rows))
+        axes.plot(rows["yaw_rms_rad"], dots, **DOTS, **look, markersize=2.5, alpha=0.6)
+        axes.plot([mean["low"], mean["high"]], [place, place], linewidth=3, alpha=0.6, **look)
+        axes.plot(mean["mean"], place, "D", markersize=3.5, **look)
+        text = interval_text(mean["mean"], mean["low"], mean["high"])
+        note(axes, text, (1, place), (4, 0), xycoords=("axes fraction", "data"))
+    axes.set_yticks(range(len(trials)), list(trials))
+    axes.set_ylim(len(trials) - 0.7, -0.6)
+    log_axis(axes.xaxis)
+    axes.grid(axis="y", visible=False)
+    title = title.replace("$", r"\$")
+    axes.set_title(f"{title}: {mean['n']} noise seeds (dots), mean and 95 % interval")
+    axes.set_xlabel("RMS yaw error [rad], logarithmic")
+    return figure
+
+
+@styled
+def replay_faults(table):
+    """Draw the largest position and yaw errors after each fault began, with and without handling.
+
+    Dots are noise seeds, bars their means.
+    """
+    names = table["fault"].unique()
+    figure, panels = panels_beside(2, 0.6 + 0.26 * len(names))
+    for axes, column, label in [
+        (panels[0], "worst_position_m", "largest position error [m]"),
+        (panels[1], "worst_yaw_rad", "largest yaw error [rad]"),
+    ]:
+        for robust, handling, colour, shift in [
+            (False, "robust handling off", COLOURS["EKF"], -0.18),
+            (True, "robust handling on", COLOURS["RHE"], 0.18),
+        ]:
+            for place, name in enumerate(names):
+                values = table.loc[(table["fault"] == name) & (table["robust"] == robust), column]
+                places = np.full(len(values), place + shift)
+                axes.plot(values, places, **DOTS, markersize=2, alpha=0.5, color=colour)
+                bar = dict(markersize=8, color=colour, label=None if place else handling)
+                axes.plot(values.mean(), place + shift, "|", **bar)
+        log_axis(axes.xaxis)
+        axes.set_xlabel(f"{label}, logarithmic")
+        axes.grid(axis="y", visible=False)
+    seeds = table["seed"].nunique()
+    panels[0].set_title(f"{seeds} noise seeds: a dot each, their mean a bar")
+    panels[0].set_yticks(range(len(names)), names)
+    panels[0].set_ylim(len(names) - 0.5, -0.5)
+    legend_above(panels[1])
+    return figure

@@ -1,0 +1,292 @@
+"""Transfer: an estimator tuned on some recorded robots, tried on one that it has not seen.
+
+Each log is taken at 5 Hz, with white noise on its positions and a wrong first yaw, once for every
+noise seed; the first metres do not count (`notebooks.further.recorded.scores`). All estimators are
+tuned without truth, with a noise seed that no trial has: on the same log, or on the others, in the
+geometric mean of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped
+(`tuning.SLIP`). Its rivals are an EKF with (μ, κ) as states and one with the five parameters of
+`notebooks.further.icr`, both with noise in proportion to the inputs. They are tuned by the
+likelihood of their innovations, with the same number of evaluations for each unknown as in
+`notebooks.studies.calibration`.
+
+    python -m notebooks.further.transfer [FOLDER [SEEDS]]
+
+prints the table of docs/recorded_robots.md, from the logs in data/recordings, which
+`python data/fetch_recordings.py` fetches.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from notebooks.further.icr import ICR
+from notebooks.further.recorded import scores
+from notebooks.studies.calibration import search
+from notebooks.studies.statistics import over_seeds
+from notebooks.studies.tables import interval_text
+from rhec import paper
+from rhec.core._casadi import compiled
+from rhec.core._casadi.packing import pack_array
+from rhec.core.estimator import ekf, offline
+from rhec.core.estimator.base import noise_of
+from rhec.core.model.base import Model
+from rhec.logs.calibration import calibrate
+from rhec.logs.recording import prepare, resample
+from rhec.logs.replay import predictor
+from rhec.simulation.columns import (
+    ESTIMATE,
+    INNOVATION,
+    LEVER_ARM,
+    MEASUREMENTS,
+    RECORDED_SENSORS,
+    SIGMA,
+)
+from rhec.tracked_robot import slipping
+from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
+
+__all__ = ["table", "trials"]
+
+_NOISE_M = 0.02  # on recorded positions
+_YAW_ERROR_RAD = 0.3  # of the first yaw
+_TUNING_SEED = 1000  # no trial has it
+_SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
+_UNUSABLE = 1e12  # the objective where a filter diverges
+_SLIPPING = slipping.SLIPPING.model
+_SCORES = dict(
+    yaw_rms_rad="yaw RMS [rad]",
+    position_rms_m="position RMS [m]",
+    nees_yaw="NEES of the yaw",
+    inside_95="yaw in its 95 %",
+    ahead_rms_m="2 s ahead [m]",
+    mu_difference="μ - regression",
+    kappa_difference="κ - regression",
+)
+
+
+def _noisy(log, seed):
+    """A log at the estimators' rate, with noise on its positions."""
+    # Recordings are faster than 5 Hz; every n-th sample is taken, as a 5 Hz receiver gives it.
+    every = max(round(paper.DT_S / log["t_s"].diff().median()), 1)
+    log = log.iloc[::every].reset_index(drop=True)
+    x, y = _NOISE_M * np.random.default_rng(seed).standard_normal((2, len(log)))
+    return log.assign(x_m=log["x_m"] + x, y_m=log["y_m"] + y)
+
+
+def _rhe(log, fields):
+    """Samples of a noisy log's replay, and how far off their predictions 2 s ahead are [m]."""
+    options = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True)
+    samples = scores.perturbed_replay(log, 0, **options, **fields)
+    return samples, scores.ahead_rms_m(samples, predictor(_SLIPPING), [*ESTIMATE, *LEVER_ARM])
+
+
+class _Rival(NamedTuple):
+    """An EKF to be tuned."""
+
+    model: Model
+    settings: Callable  # (sigma) -> the noises V, W (and c)
+    unknowns: list  # for each unknown of the search, the places in sigma that it sets
+    guess: Callable  # (half the track width) -> the parameters' first guess, standard deviations
+
+    @property
+    def measured(self):
+        """Columns of what its model measures."""
+        return [*MEASUREMENTS[:3], MEASUREMENTS[3] if self.model is _TRACTION else "delta_mps"]
+
+    @property
+    def hats(self):
+        """Columns of the estimates of its model's states and parameters."""
+        return [f"hat_{name}" for name in self.model.names]
+
+
+def _traction_settings(sigma):
+    """Noises of the EKF of (μ, κ)."""
+    return noise_of(_TRACTION, sigma[:4], sigma[4:9]) | dict(c=np.array(sigma[9:11]))
+
+
+def _icr_settings(sigma):
+    """Noises of the EKF of five ICR parameters, which has no noise of the position."""
+    noise = noise_of(ICR, sigma[:4], (0.0, 0.0, *sigma[4:10]))
+    return noise | dict(c=np.array(sigma[10:12]))
+
+
+def _of_inputs(model):
+    """The Model with noise in proportion to its inputs, as the ICR's, beside the constant W."""
+    return dataclasses.replace(model, motion_noise=ICR.motion_noise)
+
+
+_TRACTION = _of_inputs(OF_THE_PAPER["input"].model)
+_RIVALS = {
+    "EKF of (μ, κ)": _Rival(
+        _TRACTION,
+        _traction_settings,
+        [(0, 1), (2,), (3,), (4, 5), (6,), (7,), (8,), (9,), (10,)],
+        lambda half: ([1.0, 1.0], [0.25, 0.25]),
+    ),
+    "EKF of five ICR parameters": _Rival(
+        ICR,
+        _icr_settings,
+        [(0, 1), (2,), (3,), (4,), (5, 6), (7,), (8, 9), (10,), (11,)],
+        lambda half: ([half, -half, 0.0, 1.0, 1.0], [half, half, 0.1, 0.25, 0.25]),
+    ),
+}
+
+
+def _build_rival(model):
+    """The scan of a Model's EKF."""
+    step = ekf.build(model, paper.DT_S)["step"]
+    return offline.build(step, ["estimate", "covariance", "deviance"])
+
+
+def _parts(log):
+    """Half the track width, and each segment's samples with what the rivals measure."""
+    recording = prepare(log)
+    parts = []
+    half = recording.track_width_m / 2
+    for segment, rows in recording.rows.groupby("segment"):
+        part = resample(rows, paper.DT_S, recording.averaged).assign(segment=segment)
+        part["delta_mps"] = half * part["omega_meas_radps"]
+        parts.append(part)
+    return half, parts
+
+
+def _filtered(rival, half, part, sigma):
+    """What a rival's filter records on one segment's samples, as {name: array}."""
+    z = part[rival.measured].to_numpy()
+    # Standard deviations of the first guess: 1 m, 0.3 rad, and the rival's parameters.
+    first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
+    guess, spread = rival.guess(half)
+    m = np.array([*first[:2], part["theta_rad"].iloc[0] + _YAW_ERROR_RAD, *guess])
+    P = np.diag(np.square([1.0, 1.0, 0.3, *spread]))
+    memory = pack_array(dict(m=m, P=P, v=np.zeros(len(rival.model.inputs)), started=0.0))
+    functions = compiled.load(_build_rival, rival.model)
+    return offline.run(functions, memory, z, rival.settings(sigma))
+
+
+def _rival(rival, half, parts, sigma):
+    """Samples of a rival, and how far off their predictions 2 s ahead are [m]."""
+    estimated = []
+    for part in parts:
+        recorded = _filtered(rival, half, part, sigma)
+        estimate = recorded["estimate"]
+        deviation = np.sqrt(np.diagonal(recorded["covariance"], axis1=1, axis2=2))
+        hats = pd.DataFrame(estimate, columns=rival.hats)
+        pose = dict(zip(ESTIMATE[:3], estimate.T)) | dict(zip(SIGMA[:3], deviation.T))
+        estimated.append(part.assign(**pose, **hats))
+    samples = pd.concat(estimated, ignore_index=True)
+    # Scores expect all columns of a replay; a rival has neither innovations nor, as an ICR, (μ, κ).
+    unknown = [*ESTIMATE[3:], *INNOVATION]
+    samples = samples.assign(**dict.fromkeys(unknown, np.nan), ok=True)
+    if rival.model is _TRACTION:
+        samples[ESTIMATE[4:]] = samples[["hat_mu", "hat_kappa"]]
+    predict = predictor(rival.model, rival.model.names)
+    return samples, scores.ahead_rms_m(samples, predict, rival.hats, rival.measured)
+
+
+def _tuned(rival, log):
+    """The rival's sigma that makes a log's measurements likeliest, from where scores count."""
+    half, parts = _parts(log)
+    counted = [scores.distance_driven(part) >= scores.FROM_M for part in parts]
+
+    def objective(sigma):
+        deviances = (_filtered(rival, half, part, sigma)["deviance"] for part in parts)
+        value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
+        return value if np.isfinite(value) else _UNUSABLE
+
+    return search(objective, rival.unknowns)[0]
+
+
+def _middle(calibrations):
+    """Geometric mean of several calibrations, without the lever arm, which belongs to one robot.
+
+    The side slip may be 0, so its mean is the arithmetic one.
+    """
+    fields = {}
+    for name in ("sigma_v", "sigma_w", "slip"):
+        values = np.array([calibration[name] for calibration in calibrations])
+        fields[name] = np.exp(np.log(np.maximum(values, 1e-6)).mean(axis=0))
+    fields["slip"][-1] = np.mean([calibration["slip"][-1] for calibration in calibrations])
+    return {name: tuple(value.tolist()) for name, value in fields.items()}
+
+
+def _row(log, estimator, tuned, seed, samples, ahead_m):
+    """A row of `trials`: who was tried on what, and its scores."""
+    values = scores.score(samples) | dict(ahead_rms_m=ahead_m)
+    about = dict(log=log, estimator=estimator, tuned=tuned, seed=seed)
+    return about | {name: values.get(name, np.nan) for name in _SCORES}
+
+
+def _trials_of_rhe(log, noisy, fields, seed):
+    """Rows of the RHE on a noisy log; fields: {way of tuning: its numbers}."""
+    return [
+        _row(log, "RHE", tuned, seed, *_rhe(noisy, numbers)) for tuned, numbers in fields.items()
+    ]
+
+
+def _trials_of_rivals(log, noisy, sigmas, rest, seed):
+    """Rows of the rivals on a noisy log; sigmas: {rival: {log: its sigma}}, rest: other logs."""
+    half, parts = _parts(noisy)
+    rows = []
+    for title, rival in _RIVALS.items():
+        others = np.exp(np.log([sigmas[title][other] for other in rest]).mean(axis=0))
+        for tuned, sigma in (("itself", sigmas[title][log]), ("others", tuple(others))):
+            rows.append(_row(log, title, tuned, seed, *_rival(rival, half, parts, sigma)))
+    return rows
+
+
+def trials(logs, seeds):
+    """Scores of every estimator on two or more recordings with their truth, {name: DataFrame}.
+
+    The table has one row for each log, estimator, way of tuning and noise seed.
+    """
+    logs = {name: log.drop(columns=_SENSORS, errors="ignore") for name, log in logs.items()}
+    training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
+    numbers = {name: dict(calibrate(log)) for name, log in training.items()}
+    sigmas = {
+        title: {name: _tuned(rival, log) for name, log in training.items()}
+        for title, rival in _RIVALS.items()
+    }
+    rows = []
+    for name, log in logs.items():
+        rest = [other for other in logs if other != name]
+        of_others = _middle([numbers[other] for other in rest])
+        fields = dict(itself=numbers[name], others=of_others, shipped={})
+        for seed in seeds:
+            noisy = _noisy(log, seed)
+            rows += _trials_of_rhe(name, noisy, fields, seed)
+            rows += _trials_of_rivals(name, noisy, sigmas, rest, seed)
+    return pd.DataFrame(rows)
+
+
+def table(rows):
+    """Means of `trials` over noise seeds: an Interval in each cell."""
+    groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
+    return groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
+
+
+def _markdown(means):
+    """The table as text."""
+    lines = [["log", "estimator", "tuned on", *_SCORES.values()]]
+    lines.append(["---"] * len(lines[0]))
+    for about, cells in means.iterrows():
+        lines.append([*about, *(interval_text(c.mean, c.low, c.high) for c in cells)])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "data/recordings")
+    files = sorted(folder.glob("*.csv"))
+    n = int(sys.argv[2]) if len(sys.argv) > 2 else 20
+    if len(files) < 2:
+        expected = "it should have two or more: python data/fetch_recordings.py fetches four"
+        sys.exit(f"{folder} has {len(files)} logs; {expected}")
+    result = trials({file.stem: pd.read_csv(file) for file in files}, range(n))
+    out = Path("build/replay")
+    out.mkdir(parents=True, exist_ok=True)
+    result.to_csv(out / "transfer.csv", index=False)
+    print(f"n = {n} noise seeds, mean and 95 % interval; all trials: {out / 'transfer.csv'}\n")
+    print(_markdown(table(result)))

@@ -1,0 +1,102 @@
+"""Shared parts of figures: panels, bounds, intervals, legends, axes."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.ticker import LogLocator
+
+from notebooks.studies.tables import interval_text
+from rhec.style import BLACK, COLOURS, DOUBLE_IN
+
+BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
+TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
+DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # one dot per seed
+
+
+def panels_beside(n, height_in, width_in=DOUBLE_IN):
+    """A figure with n panels side by side and a common y axis."""
+    size = (width_in, height_in)
+    figure, panels = plt.subplots(1, n, figsize=size, sharey=True, squeeze=False)
+    return figure, panels[0]
+
+
+def seed_range(sweep):
+    """The number and the range of the seeds of a sweep, for a title."""
+    seeds = sorted(sweep["seed"].unique())
+    return f"{len(seeds)} seeds, {seeds[0]} to {seeds[-1]}"
+
+
+def band(axes, x, low_middle_high, label, **look):
+    """Draw the middle 90 % of drives as a band and the median as a line."""
+    low, middle, high = low_middle_high
+    axes.fill_between(x, low, high, alpha=0.25, linewidth=0, **look)
+    axes.plot(x, middle, label=label, linewidth=0.8, **look)
+
+
+def frequencies(axes, values, limits, colour, bins=50, relative=False):
+    """Draw how often values occur as an outline along the vertical axis.
+
+    The outline shows the percentage of the values in each bin, or with `relative` the count divided
+    by that of the fullest bin. Values beyond the limits count in the outermost bins.
+    """
+    edges = np.linspace(*limits, bins + 1)
+    counts, _ = np.histogram(np.clip(values, *limits), edges)
+    shares = counts / counts.max() if relative else 100 * counts / np.size(values)
+    axes.stairs(shares, edges, orientation="horizontal", color=colour)
+    axes.set_xlim(left=0, auto=True)
+
+
+def interval_row(axes, place, row, colour):
+    """Draw mean, 95 % interval (thick), middle 90 % of drives (thin), and the numbers."""
+    axes.hlines(place, row.p5, row.p95, linewidth=0.8, color=colour)
+    axes.hlines(place, row.low, row.high, linewidth=3, color=colour, alpha=0.6)
+    axes.plot(row.mean, place, "o", color=colour, markersize=3.5)
+    text = interval_text(row.mean, row.low, row.high)
+    note(axes, text, (1, place), (4, 0), xycoords=("axes fraction", "data"))
+
+
+def rows_axis(axes, labels, quantity):
+    """Label rows from the top down, over a quantity that is at least 0."""
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set(ylim=(len(labels) - 0.5, -0.5), xlim=(0, None), xlabel=quantity)
+    axes.grid(axis="y", visible=False)
+
+
+def note(axes, text, xy, offset=(0, 0), **look):
+    """Write small text at an offset [points] from a point."""
+    look = dict(textcoords="offset points", fontsize=7, va="center") | look
+    axes.annotate(text, xy, offset, **look)
+
+
+def shade(axes, t_s, where):
+    """Shade the times at which `where` is true."""
+    look = dict(color="0.93", linewidth=0, zorder=0)
+    axes.fill_between(t_s, 0, 1, where=where, transform=axes.get_xaxis_transform(), **look)
+
+
+def time_axis(panels, t_s, where, shaded):
+    """Label the time axis of the last panel, and shade times in all panels."""
+    for axes in panels:
+        shade(axes, t_s, where)
+        axes.grid(axis="x", visible=False)
+    panels[-1].set(xlabel=f"time [s]  (shaded: {shaded})", xlim=(t_s.min(), t_s.max()))
+
+
+def legend_above(axes, handles_of=None, **look):
+    """Add a legend in one line above the axes, at the right, for these or for other axes."""
+    entries = (handles_of or axes).get_legend_handles_labels()
+    place = dict(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
+    axes.legend(*entries, **place | dict(ncols=len(entries[0])) | look)
+
+
+def legend_outside(figure, axes, place, ncols):
+    """Add a legend of the entries of the axes at an edge of the figure."""
+    entries = axes.get_legend_handles_labels()
+    figure.legend(*entries, loc=f"outside {place}", ncols=ncols)
+
+
+def log_axis(axis):
+    """Make an axis logarithmic, with labels at 1, 2 and 5."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.axes.minorticks_off()

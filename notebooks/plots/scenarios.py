@@ -1,0 +1,532 @@
+"""The paper's Figures 6 to 13, drawn from finished runs.
+
+`run` is a Run of `rhec.simulate`, `drives` are Runs with different seeds, `table` is a table of
+`notebooks.studies.scenario_tables`. Bands and thin lines are the middle 90 % of the drives,
+thick lines are 95 % intervals of the mean. Numbers that the paper reports are included.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.colors import LinearSegmentedColormap
+
+from notebooks.plots import parts
+from notebooks.studies.scenario_tables import REPORTED, over_fields, share_of_fields
+from rhec import paper
+from rhec.simulation.offline import SETTLED_S, run_estimator
+from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
+
+# Dark where the soil slips; grey, so that coloured trajectories stand out.
+_TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
+_TRACTION_STEP = 0.05
+_TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
+_TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
+_KKT = {"RHE": "RHE", "RHC": "oracle"}
+_LEAST_KKT = 1e-5
+_DOT_AND_LINES = "dot and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
+_POOLED = round(1 / paper.DT_S)  # samples of one second
+_MOST_ERROR_M = 0.4  # upper end of the axis of one drive's error
+_START_S = 20.0  # by then each drive that settles at all has left its start behind
+_NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
+_SPEEDS = (  # column, role of its colour, label, width of its line
+    ("nu_meas_mps", "measured", "measured", 0.5),
+    ("nu_hat_mps", "RHE", "estimated (RHE)", 1.2),
+    ("nu_mps", "truth", "true", 0.7),
+)
+_PAPER_LINE = {"RHE": (0, (1, 1)), "EKF": (0, (4, 1, 1, 1))}
+_LINES = {
+    "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
+    "Q2": dict(color=COLOURS["Q2"], label="$Q^2$"),
+    "Q2, look-ahead": dict(color=COLOURS["Q2"], label="$Q^2$, look-ahead", dashes=(3, 1.5)),
+    "Q3": dict(color=COLOURS["Q3"], label="$Q^3$"),
+    "RHE": dict(color=COLOURS["RHE"], label="RHE"),
+    "EKF": dict(color=COLOURS["EKF"], label="EKF"),
+}
+
+
+def _title(run):
+    """Process noise and seed of a run, for a title."""
+    return f"{run.scenario.process_noise} process noise, seed {run.scenario.seed}"
+
+
+def _fields(drives):
+    """The number of fields and their seeds, for a title."""
+    seeds = [run.scenario.seed for run in drives]
+    if len(seeds) == 1:
+        return f"1 field (seed {seeds[0]})"
+    return f"{len(seeds)} fields (seeds {min(seeds)} to {max(seeds)})"
+
+
+def _over(drives):
+    """Description of a line and its band, for a title."""
+    noise = drives[0].scenario.process_noise
+    return f"{noise} process noise: median, middle 90 % of {_fields(drives)}"
+
+
+def _time_axis(axes, log):
+    """Label the time axis, and shade the curved parts of the path."""
+    parts.time_axis(axes, log["t_s"], ~log["on_straight"], "curved parts of the path")
+
+
+def _field(axes, terrain, values):
+    """Draw a slip field as a map, with the same colours for μ and κ; return the image."""
+    left, bottom = np.subtract(terrain.origin_m, terrain.cell_m / 2)
+    width, height = np.array(values.shape) * terrain.cell_m
+    extent = (left, left + width, bottom, bottom + height)
+    axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
+    axes.grid(visible=False)
+    look = dict(origin="lower", interpolation="bilinear", cmap=_TRACTION, vmax=1)
+    return axes.imshow(values.T, extent=extent, vmin=_darkest(terrain), **look)
+
+
+def _darkest(terrain):
+    """The traction at the dark end of the maps: nearly all of the soil is lighter."""
+    least = np.quantile([terrain.mu, terrain.kappa], 0.01)
+    return np.floor(least / _TRACTION_STEP) * _TRACTION_STEP
+
+
+def _reference(axes, path, up_to_m=None):
+    """Draw the reference trajectory up to an arc length [m], by default the whole path."""
+    poses, _ = path.poses(np.arange(0, (up_to_m or path.length_m) + 0.05, 0.1))
+    axes.plot(*poses[:, :2].T, **parts.BOUND | dict(linewidth=0.8, label="reference"))
+
+
+def _corridor(axes, path):
+    """Draw the tolerance on both sides of the path as thin lines."""
+    poses, _ = path.poses(np.arange(0, path.length_m + 0.05, 0.1))
+    x, y, theta = poses.T
+    for side_m in (-paper.TOLERANCE_M, paper.TOLERANCE_M):
+        look = dict(color=COLOURS["tolerance"], linewidth=1.2, zorder=1)
+        label = f"{paper.TOLERANCE_M} m beside it" if side_m > 0 else None
+        axes.plot(x - side_m * np.sin(theta), y + side_m * np.cos(theta), label=label, **look)
+
+
+def _first_row(run):
+    """The log until the robot leaves the first straight of the path."""
+    _, s = run.path.project(run.log[["x_m", "y_m"]])
+    return run.log[np.minimum.accumulate(run.path.poses(s)[1] == 0)]
+
+
+@styled
+def trajectories_q(runs):
+    """Draw Figure 6: trajectories on the first row from an offset start, and true errors over time.
+
+    A dot marks the settling time, after which the true error stays within 0.12 m for 5 s.
+
+    Args:
+        runs: {yaw weight: Run}, weights "Q1", "Q2", "Q2, look-ahead" or "Q3".
+    """
+    figure, (plane, time) = plt.subplots(2, figsize=(COLUMN_IN, 4.4))
+    first = next(iter(runs.values()))
+    rows = {name: _first_row(run) for name, run in runs.items()}
+    ends = [first.path.project(log[["x_m", "y_m"]])[1].max() for log in rows.values()]
+    _reference(plane, first.path, max(ends))
+    for name, log in rows.items():
+        look = _LINES[name]
+        unlabelled = look | dict(label=None)
+        plane.plot(log["x_m"], log["y_m"], **look | dict(label=_how_it_settles(name, runs[name])))
+        time.plot(log["t_s"], log["error_true_m"], **unlabelled)
+        settled_s = runs[name].metrics["settling_time_s"]
+        then_m = np.interp(settled_s, log["t_s"], log["error_true_m"])
+        time.plot(settled_s, then_m, "o", markersize=4, color=look["color"], markeredgecolor="w")
+    time.axhline(paper.TOLERANCE_M, **parts.BOUND)
+    time.axhspan(0, paper.TOLERANCE_M, **parts.TOLERANCE)
+    place = dict(xycoords=("axes fraction", "data"), ha="right", va="baseline")
+    parts.note(time, f"{paper.TOLERANCE_M} m", (1, paper.TOLERANCE_M), (0, 2), **place)
+    end_s = max(log["t_s"].iloc[-1] for log in rows.values())
+    time.set(xlim=(0, end_s), ylim=0, xlabel="time [s]", ylabel="true error [m]")
+    title = f"First row: {_title(first)}"
+    plane.set(xlabel="$x$ [m]", ylabel="$y$ [m], stretched", title=title)
+    heading = "settling time (dots); mean true error of the drive from then on"
+    figure.legend(title=heading, title_fontsize=7, loc="outside lower center", ncols=2)
+    return figure
+
+
+def _how_it_settles(name, run):
+    """The settling time of a run and its mean true error from then on, for a legend."""
+    settled_s = run.metrics["settling_time_s"]
+    words = "never" if np.isnan(settled_s) else f"{settled_s:.1f} s"
+    return f"{_LINES[name]['label']}: {words}; {run.metrics['mean_error_true_m']:.3f} m"
+
+
+@styled
+def weight_sweep(table, process_noise):
+    """Draw settling time and overshoot over fields for each yaw weight of Figure 6.
+
+    Args:
+        table: Table of `notebooks.studies.scenario_tables.scenario_a_table`.
+        process_noise: Process noise of the drives, "printed" or "calibrated".
+    """
+    figure, panels = parts.panels_beside(2, 1.5)
+    for axes, quantity in zip(panels, ("settling time [s]", "overshoot [m]")):
+        rows = table[table["quantity"] == quantity]
+        for place, row in enumerate(rows.itertuples()):
+            parts.interval_row(axes, place, row, _LINES[row.weight]["color"])
+        parts.rows_axis(axes, [_LINES[name]["label"] for name in rows["weight"]], quantity)
+    settled = table.loc[table["quantity"] == "settling time [s]", ["n", "weight"]].to_numpy()
+    counts = ", ".join(f"{n} with {_LINES[name]['label']}" for n, name in settled)
+    panels[0].set_title(f"{process_noise} process noise, {table['n'].max()} fields")
+    figure.supxlabel(f"{_DOT_AND_LINES}; settled: {counts}", fontsize=7)
+    return figure
+
+
+@styled
+def slip_fields(terrain, path, title):
+    """Draw the slip fields μ and κ [-] as maps with the path.
+
+    Args:
+        terrain: The rhec.Terrain.
+        path: The rhec.Path.
+        title: Name of the fields.
+    """
+    figure, both = parts.panels_beside(2, 2.0)
+    for axes, values, name in zip(both, (terrain.mu, terrain.kappa), (r"$\mu$", r"$\kappa$")):
+        image = _field(axes, terrain, values)
+        _reference(axes, path)
+        axes.set_title(f"{name}: mean {values.mean():.3f}, deviation {values.std():.3f}")
+    both[1].set_ylabel("")
+    figure.colorbar(image, ax=both, label=r"traction $\mu$, $\kappa$ [-]", **_TRACTION_BAR)
+    figure.suptitle(title, fontsize=8)
+    return figure
+
+
+@styled
+def trajectories(runs):
+    """Draw Figure 7: reference and trajectories on the map of κ.
+
+    The upper map shows the whole drive and where it ends. The lower maps show the start and the
+    largest true error after settling, with the tolerance of 0.12 m in yellow.
+
+    Args:
+        runs: {"RHE": Run, "EKF": Run} on the same terrain.
+    """
+    first = next(iter(runs.values()))
+    mosaic = [["all", "all"], ["start", "worst"]]
+    figure, panels = plt.subplot_mosaic(mosaic, figsize=(COLUMN_IN, 3.5))
+    for axes in panels.values():
+        image = _field(axes, first.terrain, first.terrain.kappa)
+        _reference(axes, first.path)
+        # The RHE is drawn last and narrow, so that both lines show where they agree.
+        for name in ("EKF", "RHE"):
+            log = runs[name].log
+            wide = dict(linewidth=1.8) if name == "EKF" else {}
+            axes.plot(log["x_m"], log["y_m"], **_LINES[name], **wide)
+        axes.plot(*log[["x_m", "y_m"]].iloc[0], "o", color=BLACK, markersize=3)
+    everything = pd.concat([run.log for run in runs.values()])
+    worst = max(runs.values(), key=lambda run: run.metrics["max_error_true_m"])
+    largest = worst.metrics["max_error_true_m"]
+    place = worst.log[worst.log["error_true_m"] == largest]
+    for name, log, margin_m, title in [
+        ("all", everything, 2, _title(first)),
+        ("start", everything[everything["t_s"] < 25], 0.2, "start, $y$ stretched"),
+        ("worst", place, 2.5 * largest, f"largest error {largest:.2f} m"),
+    ]:
+        low = log[["x_m", "y_m"]].min() - margin_m
+        high = log[["x_m", "y_m"]].max() + margin_m
+        panels[name].set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=title)
+    for name in ("start", "worst"):
+        _corridor(panels[name], first.path)
+    panels["start"].set(aspect="auto", box_aspect=1)
+    parts.note(panels["start"], "start", first.log[["x_m", "y_m"]].iloc[0], (5, 3))
+    _end_of_lap(panels["all"], first)
+    ahead = first.path.poses(np.array([0.3, 0.45]) * first.scenario.row_length_m)[0][:, :2]
+    arrow = dict(arrowstyle="-|>", color=BLACK, linewidth=1)
+    for axes in (panels["all"], panels["start"]):
+        axes.annotate("", ahead[1] + (0, 1.0), ahead[0] + (0, 1.0), arrowprops=arrow)
+    panels["worst"].set_ylabel("")
+    figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", **_TRACTION_BAR)
+    parts.legend_outside(figure, panels["start"], "lower center", 2)
+    return figure
+
+
+def _end_of_lap(axes, run):
+    """Mark where the drive ends, and say how much of the lap is left."""
+    end = run.log.iloc[-1]
+    axes.plot(end["x_m"], end["y_m"], "s", color=BLACK, markersize=3)
+    left_m = run.path.length_m - end["s_m"]
+    words = f"end: {end['t_s'] + paper.DT_S:.0f} s"
+    if 0 < left_m < run.path.length_m / 2:
+        words += f", {left_m:.0f} m of the lap left"
+    line = dict(arrowstyle="-", linewidth=0.5, shrinkA=0)
+    parts.note(axes, words, (end["x_m"], end["y_m"]), (8, 18), ha="left", arrowprops=line)
+
+
+@styled
+def errors(drives, table):
+    """Draw Figure 8: Euclidean errors by raw GNSS of one drive, as in the paper, and of many.
+
+    Above is the first drive of each, with the means that the paper reports. In the middle are
+    median and 95th percentile of all drives, below the share of their samples above 0.12 m.
+
+    Args:
+        drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
+        table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
+    """
+    heights = (1.3, 1.3, 0.7)
+    grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=heights)
+    figure, rows = plt.subplots(3, len(drives), figsize=(DOUBLE_IN, 4.9), **grid)
+    for panels, (noise, by_name) in zip(rows.T, drives.items()):
+        one, many, share = panels
+        for name in ("EKF", "RHE"):
+            _one_error(one, name, by_name[name][0])
+            _many_errors(many, share, name, by_name[name])
+        for axes in (one, many):
+            axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
+        one.set_title(f"One drive: {_title(by_name['RHE'][0])}")
+        many.set_title(f"{_fields(by_name['RHE'])}\n{_means(table, noise)}")
+        _time_axis(panels, by_name["RHE"][0].log)
+    rows[0, 0].set(ylabel=f"error [m],\ncut at {_MOST_ERROR_M} m", ylim=(0, _MOST_ERROR_M))
+    rows[1, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.02, 10))
+    rows[1, 0].minorticks_off()
+    rows[1, 0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
+    rows[2, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
+    parts.legend_outside(figure, rows[0, 0], "lower center", 3)
+    words = "errors by raw GNSS; middle: median (thick) and 95th percentile (thin), means over 1 s"
+    figure.suptitle(words, fontsize=8)
+    return figure
+
+
+def _one_error(axes, name, run):
+    """Draw the error of one drive over time, and the mean that the paper reports."""
+    error_m = run.log["error_m"]
+    axes.plot(run.log["t_s"], error_m, label=name, linewidth=0.5, color=COLOURS[name])
+    reported = REPORTED[name, "mean_error_m"]
+    look = dict(color=COLOURS[name], linewidth=1.2, linestyle=_PAPER_LINE[name], zorder=3)
+    axes.axhline(reported, label=f"paper, mean of the {name}: {reported} m", **look)
+    # The start is off the path by design; an error that leaves the axis later is told.
+    largest_m = error_m[run.log["t_s"] > _START_S].max()
+    if largest_m > _MOST_ERROR_M:
+        at = dict(xycoords="axes fraction", color=COLOURS[name], ha="right", va="top")
+        parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, 0.97), **at)
+
+
+def _many_errors(axes, share, name, drives):
+    """Draw median and 95th percentile of the drives' errors, and the share above 0.12 m."""
+    look = dict(color=COLOURS[name])
+    log = drives[0].log
+    t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
+    _, median, p95 = over_fields(drives, "error_m", _POOLED)
+    axes.plot(t_s, median, linewidth=1.2, **look)
+    axes.plot(t_s, p95, linewidth=0.5, **look)
+    beyond = share_of_fields(drives, "error_m", paper.TOLERANCE_M, _POOLED)
+    share.plot(t_s, 100 * beyond, **look)
+
+
+def _means(table, noise):
+    """The mean errors of RHE and EKF by raw GNSS, for a title."""
+    means = table[table["quantity"] == "mean error, raw GNSS [m]"]
+    means = means.set_index(["process_noise", "estimator"]).loc[noise]
+    both = ", ".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
+    return f"means over {means.loc['RHE', 'n']} fields: {both}"
+
+
+@styled
+def violations(table):
+    """Draw Figure 9: samples per drive on straights with more than 0.12 m, by raw GNSS and truth.
+
+    Args:
+        table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
+    """
+    counts = table[table["quantity"].str.startswith("violations") & table["p5"].notna()]
+    noises = list(counts.groupby("process_noise", sort=False))
+    figure, panels = parts.panels_beside(len(noises), 1.9)
+    for axes, (noise, rows) in zip(panels, noises):
+        rows = rows.sort_values("estimator", ascending=False, kind="stable")
+        for place, row in enumerate(rows.itertuples()):
+            parts.interval_row(axes, place, row, COLOURS[row.estimator])
+            if row.paper != "":
+                look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)
+                axes.plot(row.paper, place, "D", label="paper: 0 and 17", zorder=4, **look)
+        labels = [f"{row.estimator}, {row.quantity.split(', ')[1]}" for row in rows.itertuples()]
+        axes.set_xscale("symlog", linthresh=1, linscale=0.4)
+        axes.set_xticks(ticks := [0, 1, 10, 100, 1000], ticks)
+        axes.set(xlim=(0, 1200), title=f"{noise} process noise, {rows['n'].iloc[0]} fields")
+        parts.rows_axis(axes, labels, "violations in a drive [samples], logarithmic above 1")
+    handles, labels = axes.get_legend_handles_labels()
+    place = dict(loc="outside lower center", title=_DOT_AND_LINES, title_fontsize=7)
+    figure.legend(handles[:1], labels[:1], **place)
+    return figure
+
+
+@styled
+def estimates(drives):
+    """Draw Figure 10: the RHE's yaw, its error, and traction with the bounds of eq. (14).
+
+    Each column shows the first drive over time, with bands of two standard deviations by the
+    covariance of the RHE. Beside it are the frequencies of the same quantities in all drives.
+
+    Args:
+        drives: {process noise: drives}, a column for each.
+    """
+    size = (DOUBLE_IN, 5.6)
+    widths = (5, 1) * len(drives)
+    grid = dict(sharey="row", squeeze=False, width_ratios=widths)
+    figure, rows = plt.subplots(4, 2 * len(drives), figsize=size, **grid)
+    least = _least_mu(drives)
+    for time, beside, runs in zip(rows.T[::2], rows.T[1::2], drives.values()):
+        _yaw(time[0], runs[0].log)
+        _one_estimate(time[1:], runs[0])
+        _many_estimates(beside, runs, least)
+        time[0].set_title(f"{_title(runs[0])}\nyaw")
+        for axes in time[:-1]:
+            axes.tick_params(labelbottom=False)
+        for axes in time:
+            axes.set_xlim(0, runs[0].log["t_s"].max())
+        _time_axis(time, runs[0].log)
+        time[-1].set_xlabel("time [s]  (shaded: curves)")
+    labels = (r"$\theta$ [rad]", "yaw error [rad],\ncut at ± 0.3", f"$\\mu$ [-],\ncut at {least:g}")
+    limits = (None, (-0.3, 0.3), (least, 1 + (1 - least) / 5), (-0.06, 1.1))
+    for axes, label, limit in zip(rows[:, 0], (*labels, r"$\kappa$ [-]"), limits):
+        axes.set(ylabel=label, ylim=limit)
+    parts.legend_outside(figure, rows[2, 0], "lower center", 4)
+    return figure
+
+
+def _yaw(axes, log):
+    """Draw the estimated and the true yaw θ of a drive over time."""
+    axes.plot(log["t_s"], log["theta_hat_rad"], color=COLOURS["RHE"], linewidth=1.8)
+    axes.plot(log["t_s"], log["theta_rad"], color=COLOURS["truth"], linewidth=0.7)
+
+
+def stated(run):
+    """The estimates of yaw error, μ and κ in a run, with their standard deviations and the truth.
+
+    Args:
+        run: A Run whose estimator has a covariance.
+
+    Returns:
+        {name: (estimate, its standard deviation, truth, share of samples, settled, in which the
+        truth is within two standard deviations)}, arrays (n,). The yaw's entry is its error, whose
+        truth is 0.
+    """
+    recorded = run_estimator(run.scenario, run, "estimate", "covariance")
+    estimate = recorded["estimate"]
+    sigma = np.sqrt(np.diagonal(recorded["covariance"], axis1=1, axis2=2))
+    settled = run.columns["t_s"] >= SETTLED_S
+    entries = {}
+    for name, place in (("theta_rad", 2), ("mu", 4), ("kappa", 5)):
+        value = estimate[:, place]
+        truth = run.columns[name]
+        if name == "theta_rad":
+            value = value - truth
+            truth = 0 * truth
+        inside = np.abs(value - truth) <= 2 * sigma[:, place]
+        entries[name] = value, sigma[:, place], truth, inside[settled].mean()
+    return entries
+
+
+def _one_estimate(panels, run):
+    """Draw yaw error, μ and κ of a drive over time, with ± 2 σ and the truth."""
+    t_s = run.log["t_s"]
+    symbols = (r"$\hat\theta-\theta$", r"$\mu$", r"$\kappa$")
+    for axes, (name, stated_), symbol in zip(panels, stated(run).items(), symbols):
+        value, sigma, truth, inside = stated_
+        look = dict(color=SKY, alpha=0.45, linewidth=0, label="± 2 σ of the RHE")
+        axes.fill_between(t_s, value - 2 * sigma, value + 2 * sigma, **look)
+        axes.plot(t_s, value, color=COLOURS["RHE"], linewidth=0.8, label="estimate")
+        axes.plot(t_s, truth, color=COLOURS["truth"], linewidth=0.8, label="truth")
+        title = f"{symbol}: {100 * inside:.0f} % within ± 2 σ"
+        if name in ("mu", "kappa"):
+            axes.hlines([0, 1], *t_s.iloc[[0, -1]], label="constraints", **parts.BOUND)
+            at_bound = np.mean((value < _NEAR_BOUND) | (value > 1 - _NEAR_BOUND))
+            title += f", {100 * at_bound:.0f} % at a bound"
+        axes.set_title(title)
+
+
+def _least_mu(drives):
+    """A tenth below nearly all values of μ and of its estimates."""
+    runs = [run.columns for several in drives.values() for run in several]
+    values = np.concatenate([run[name] for run in runs for name in ("mu", "mu_hat")])
+    return np.floor(10 * np.quantile(values, 0.001)) / 10
+
+
+def _many_estimates(panels, runs, least_mu):
+    """Draw how frequent yaw errors and values of μ and κ are in all drives."""
+    settled = runs[0].columns["t_s"] > _START_S
+    logs = [run.columns for run in runs]
+    error = [log["theta_hat_rad"] - log["theta_rad"] for log in logs]
+    for axes, estimate, truth, limits in [
+        (panels[1], error, None, (-0.3, 0.3)),
+        (panels[2], [log["mu_hat"] for log in logs], "mu", (least_mu, 1.0)),
+        (panels[3], [log["kappa_hat"] for log in logs], "kappa", (0.0, 1.0)),
+    ]:
+        parts.frequencies(axes, np.array(estimate)[:, settled], limits, COLOURS["RHE"])
+        if truth:
+            values = np.array([log[truth] for log in logs])[:, settled]
+            parts.frequencies(axes, values, limits, COLOURS["truth"])
+    panels[0].axis("off")
+    fields = _fields(runs).replace(" (", "\n(").replace(" to", "\nto")
+    words = f"{fields}:\nfrequencies"
+    parts.note(panels[0], words, (0.5, 0), ha="center", va="bottom", xycoords="axes fraction")
+    panels[-1].set_xlabel("share [%]")
+
+
+@styled
+def speed(drives):
+    """Draw Figure 11: measured, estimated and true speed of the tracks ν, of one drive and of many.
+
+    The first drive is drawn over time, as in the paper; beside it are frequencies in all drives.
+    """
+    panels = dict(figsize=(DOUBLE_IN, 2.4), sharey=True, width_ratios=(5, 1))
+    figure, (axes, beside) = plt.subplots(1, 2, **panels)
+    log = drives[0].log
+    settled = drives[0].columns["t_s"] > _START_S
+    limits = log["nu_meas_mps"].agg(["min", "max"])
+    deviations = []
+    for column, name, label, width in _SPEEDS:
+        axes.plot(log["t_s"], log[column], color=COLOURS[name], linewidth=width, label=label)
+        values = np.array([run.columns[column] for run in drives])[:, settled]
+        parts.frequencies(beside, values, limits, COLOURS[name], bins=100, relative=True)
+        deviations.append(f"{label} {values.std():.3f}")
+    axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
+    axes.set(ylabel=r"speed $\nu$ [m/s]", title=f"One drive: {_title(drives[0])}")
+    beside.set(title="all drives", xlabel="relative\nfrequency [-]")
+    _time_axis([axes], log)
+    words = f"standard deviations [m/s]: {', '.join(deviations)}"
+    figure.suptitle(f"{_fields(drives)}, {words}", fontsize=8)
+    parts.legend_outside(figure, axes, "lower center", 4)
+    return figure
+
+
+@styled
+def yaw_rate(run):
+    """Draw Figure 12: the yaw rate commanded by the RHC, its bounds, and the actual one ω."""
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
+    t_s, actual, commanded = (run.log[name] for name in ("t_s", "omega_radps", "omega_cmd_radps"))
+    axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual (tracks)")
+    look = dict(color=COLOURS["RHE"], linewidth=0.9)
+    axes.step(t_s, commanded, where="post", label="reference (RHC)", **look)
+    bound = run.scenario.omega_max_radps
+    axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **parts.BOUND)
+    parts.legend_above(axes, **_TIGHT)
+    # A command is held until the next sample, so it belongs to the yaw rate one row later.
+    rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
+    title = f"{_title(run)}: actual - reference, RMS {rms:.3f} rad/s"
+    axes.set(ylabel=r"yaw rate $\omega$ [rad/s]", title=title)
+    _time_axis([axes], run.log)
+    return figure
+
+
+@styled
+def kkt(drives):
+    """Draw Figure 13: KKT tolerances of RHE and RHC after one Gauss-Newton iteration.
+
+    Time is logarithmic, because the transient ends after two or three samples.
+    """
+    figure, panels = parts.panels_beside(2, 2.2)
+    for axes, name in zip(panels, _KKT):
+        tolerance = over_fields(drives, f"kkt_{name.lower()}")
+        t_s = paper.DT_S * np.arange(1, tolerance.shape[1] + 1)
+        colour = COLOURS[_KKT[name]]
+        parts.band(axes, t_s, np.maximum(tolerance, _LEAST_KKT / 2), name, color=colour)
+        largest_s = t_s[tolerance[1].argmax()]
+        most = tolerance[1].max()
+        title = f"{name}: largest median {most:.2g}, at {largest_s:.1f} s"
+        axes.set(xscale="log", yscale="log", title=title, xlim=(t_s[0], t_s[-1]))
+        axes.set_xlabel("time [s], logarithmic; the first sample is at 0.2 s")
+        axes.set_xticks(ticks := [1, 10, 100], ticks)
+        axes.minorticks_off()
+    # The axis has a lower limit, because the RHC's tolerance is 0 if all commands are at a bound.
+    panels[0].set(ylabel=f"KKT tolerance [-], cut at {_LEAST_KKT:g}", ylim=_LEAST_KKT)
+    figure.suptitle(_over(drives), fontsize=8)
+    return figure

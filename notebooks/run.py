@@ -1,0 +1,273 @@
+"""Strict parameters for notebooks, and a runner on top of papermill.
+
+python -m notebooks.run notebooks/03_scenario_a.ipynb -p seed 7
+"""
+
+import argparse
+import ast
+import difflib
+import json
+import keyword
+import logging
+import os
+import reprlib
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, get_type_hints
+
+from rhec.style import replacing
+
+__all__ = ["ROWS", "ParameterError", "main", "parameters", "real", "run", "whole"]
+
+ROOT = Path(__file__).resolve().parents[1]
+ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
+_PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
+_CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameters were checked
+# Dots per inch of a figure in JupyterLab: a column of the paper, 3.4 in, is 900 pixels wide.
+_DPI = 265
+
+
+class ParameterError(ValueError):
+    """A notebook was given an unknown or invalid parameter."""
+
+    def _render_traceback_(self):
+        """Lines that Jupyter shows instead of a traceback."""
+        return [f"{type(self).__name__}: {self}"]
+
+
+def whole(lowest, highest):
+    """Annotation of a notebook's parameter that is a whole number from `lowest` to `highest`."""
+    from pydantic import Field
+
+    from rhec.core._casadi import validation
+
+    return Annotated[validation.Whole, Field(ge=lowest, le=highest)]
+
+
+def real(lowest, highest):
+    """Annotation of a notebook's parameter that is a number from `lowest` to `highest`."""
+    from pydantic import Field
+
+    from rhec.core._casadi import validation
+
+    return Annotated[validation.Real, Field(ge=lowest, le=highest)]
+
+
+def parameters(namespace):
+    """Check a notebook's parameters, and make its figures large in JupyterLab.
+
+    The cell tagged `parameters` declares each of them as `name: type = default  # [unit] meaning`.
+    The type is `int`, `float`, `bool`, `str`, `whole(1, 9)`, `real(0, 1)`, a `Literal` or a
+    `list[...]`. Of a parameter named like a field of `rhec.Scenario`, a plain type means the
+    values that the field takes.
+
+    Args:
+        namespace: The notebook's `globals()`, right after that cell.
+
+    Raises:
+        ParameterError: If a parameter is unknown or invalid; the message is one sentence.
+    """
+    from rhec.simulation.validated import validated
+
+    types = {}
+    for source in namespace["In"]:
+        for name, annotation in _declared(source).items():
+            types[name] = _strict(name, eval(annotation, namespace))
+    # The first time, all plain data are parameters; later the notebook has data of its own.
+    if _CHECKED not in namespace or namespace[_CHECKED] is not parameters:
+        _refuse_unknown(namespace, types)
+    notebook = validated(type("the notebook", (), {"__annotations__": types}))
+    try:
+        notebook(**{name: namespace[name] for name in types if name in namespace})
+    except ValueError as error:
+        raise ParameterError(str(error)) from None
+    namespace[_CHECKED] = parameters
+    # The report shows them at the size of the paper.
+    if "get_ipython" in namespace and "RHEC_UNATTENDED" not in os.environ:
+        from matplotlib_inline.backend_inline import set_matplotlib_formats
+
+        set_matplotlib_formats("png", dpi=_DPI, bbox_inches=None)
+
+
+def _declared(source):
+    """{name: annotation} of the annotated assignments in a cell; {} if it is no Python."""
+    try:
+        nodes = ast.parse(source).body
+    except SyntaxError:
+        return {}
+    nodes = [node for node in nodes if isinstance(node, ast.AnnAssign)]
+    return {ast.unparse(node.target): ast.unparse(node.annotation) for node in nodes}
+
+
+def _strict(name, annotation):
+    """The type that pydantic checks for a parameter with this annotation."""
+    from rhec.core._casadi import validation
+    from rhec.simulation.scenario import Scenario
+
+    plain = {int: validation.Whole, float: validation.Real, bool: validation.Flag, str: str}
+    if annotation not in plain:
+        return annotation
+    return get_type_hints(Scenario, include_extras=True).get(name, plain[annotation])
+
+
+def _refuse_unknown(namespace, types):
+    # Papermill makes a misspelt parameter a new global, next to the untouched one that was meant.
+    ipython = namespace.get("get_ipython")
+    known = types.keys() | (ipython().user_ns_hidden if ipython else {"In"})
+    for name, value in list(namespace.items()):
+        private = name.startswith("_") and name != _CHECKED
+        if isinstance(value, _PLAIN_DATA) and not private and name not in known:
+            del namespace[name]  # so that the cells, once corrected, can be run again
+            raise _no_such_parameter(name, value, types)
+
+
+def _no_such_parameter(name, value, names):
+    close = " or ".join(difflib.get_close_matches(name, names, n=1) or names)
+    unknown = f"{name} was {reprlib.repr(value)}, but there is no such parameter"
+    return ParameterError(f"{unknown}; did you mean {close}?" if close else unknown)
+
+
+def run(notebook, values, output):
+    """Execute a notebook; its output is written whole or not at all.
+
+    Args:
+        notebook: Path of the notebook.
+        values: {name: value} of its parameters.
+        output: Path of the executed notebook.
+
+    Raises:
+        ParameterError: If it has no such parameter.
+        PapermillExecutionError: If a cell fails.
+    """
+    # Not imported above: every notebook imports this module, and none needs them.
+    import nbformat
+    import papermill
+
+    # A name that the notebook itself uses (rhec) would be overwritten before it is checked.
+    # (`papermill.inspect_notebook` finds no parameter whose annotation has parentheses or quotes.)
+    cells = nbformat.read(notebook, 4).cells
+    tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
+    declared = [name for cell in tagged for name in _declared(cell.source)]
+    for name in values.keys() - declared:
+        raise _no_such_parameter(name, values[name], declared)
+    logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # a kernel that dies by Ctrl-C
+    os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
+    os.environ["RHEC_NOTEBOOK"] = notebook.name  # for the figures' and tables' files
+    made = ROOT / "build/made"  # the list of these files, for `make clean`
+    made.parent.mkdir(exist_ok=True)
+    os.environ["RHEC_MADE"] = str(made)
+    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs hold results, and no progress
+    output.parent.mkdir(parents=True, exist_ok=True)
+    started_ns = time.time_ns()
+    executed = papermill.execute_notebook(
+        str(notebook),
+        None,
+        values,
+        kernel_name="python3",
+        language="python",
+        cwd=notebook.parent,
+        progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
+        extra_arguments=[
+            "--IPKernelApp.log_level=CRITICAL",
+            "--InlineBackend.figure_formats=retina",  # sharp in the report
+            "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
+            # Without it, a tenth of the time to draw goes into looking for garbage.
+            "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
+        ],
+    )
+    with replacing(output) as unfinished:
+        nbformat.write(executed, unfinished)
+    # For make, what is edited during the run is newer than its output.
+    os.utime(output, ns=(started_ns, started_ns))
+
+
+def main():
+    """Run a notebook from the command line."""
+    parser, args = _arguments()
+    notebook = next(
+        (p.resolve() for p in (args.notebook, ROOT / args.notebook) if p.is_file()), None
+    )
+    if notebook is None or notebook.suffix != ".ipynb":
+        parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
+    for name, _ in args.p:
+        if not name.isidentifier() or keyword.iskeyword(name):
+            parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
+    values = {name: _value(text) for name, text in args.p}
+    output = args.output or _output(notebook, values)
+    interrupted = f"{notebook.stem}: interrupted\n"
+
+    started_s = time.monotonic()
+    try:
+        # Importing it takes a second, in which Ctrl-C may come.
+        from papermill.exceptions import PapermillExecutionError
+
+        run(notebook, values, output)
+    except KeyboardInterrupt:
+        parser.exit(130, interrupted)
+    except ParameterError as error:
+        parser.exit(2, f"{error}\n")
+    except OSError as error:  # a folder that cannot be written to, a full disk
+        parser.exit(1, f"{notebook.stem}: {error}\n")
+    except PapermillExecutionError as error:
+        # Ctrl-C reaches the kernel, too, and its cell may fail first.
+        if error.ename == KeyboardInterrupt.__name__:
+            parser.exit(130, interrupted)
+        if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
+            parser.exit(2, f"{error.evalue}\n")
+        parser.exit(1, str(error))
+    seconds = time.monotonic() - started_s
+    scores = output.with_name("scores.txt")
+    if "log" in values and scores.exists():
+        print(scores.read_text(encoding="utf-8"), end="")
+    print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
+
+
+def _arguments():
+    """The parser and the arguments of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m notebooks.run",
+        description="Run a notebook, such as notebooks/03_scenario_a.ipynb.",
+    )
+    value = "a parameter and its value: a number, a word or a list such as [1,2]"
+    output = "the executed notebook, by default in build/notebooks"
+    parser.add_argument("notebook", metavar="NOTEBOOK", type=Path)
+    parser.add_argument(
+        "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help=value
+    )
+    parser.add_argument("--output", type=Path, help=output)
+    return parser, parser.parse_args()
+
+
+def _output(notebook, values):
+    """Where the executed notebook goes: for a user's log, beside its pictures."""
+    if isinstance(values.get("log"), str):
+        # Importing it takes a second.
+        from notebooks.further.recorded_logs_plots import replay_folder
+
+        folder = replay_folder(ROOT / values["log"])
+        if folder.is_relative_to(ROOT / "build"):
+            return folder / notebook.name
+    stem = f"{notebook.stem}-custom" if values else notebook.stem
+    # Those of notebooks/further/ go into a folder of the same name, as the Makefile's rule says.
+    ours = ROOT / "notebooks"
+    folder = notebook.parent.relative_to(ours) if notebook.is_relative_to(ours) else ""
+    return ROOT / "build/notebooks" / folder / f"{stem}.ipynb"
+
+
+def _value(text):
+    """A parameter's value: what its JSON says, or else the text itself."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+
+
+if __name__ == "__main__":
+    # With more, threads wait for one another for half a second; the kernel inherits it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Papermill would import them, which takes 1.7 s, and uses none of them here.
+    for unused in ("rfc3987_syntax", "isoduration", "pyarrow"):
+        sys.modules.setdefault(unused, None)
+    main()

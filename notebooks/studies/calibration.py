@@ -1,0 +1,143 @@
+"""Process noise W from training seeds, never from the paper's results: by likelihood (calibrated W,
+R1, R2), and by tracking. Seeds below 1000 are never used.
+
+All estimators are tuned by the same rules: the same bounds on a standard deviation per sample, the
+same first guess, the same search (Powell's method on logarithms, x and y sharing one value) and the
+same number of evaluations for each unknown.
+
+By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
+so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
+its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
+deviations behind W that minimise the deviance summed over all training runs.
+
+By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true
+error. That W need not give the best estimates; it gives those that this controller drives best by.
+
+    python -m notebooks.studies.calibration    repeats all of it (half an hour)
+"""
+
+import contextlib
+
+import numpy as np
+
+from rhec.core.lanes import lanes
+from rhec.simulation.campaigns.campaign import campaign
+from rhec.simulation.closed_loop import build_sample, set_up
+from rhec.simulation.offline import run_estimator
+from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
+from rhec.tracked_robot import tuning
+
+__all__ = [
+    "EVALUATIONS",
+    "LEAST",
+    "MOST",
+    "TRAINING_SEEDS",
+    "UNKNOWNS",
+    "calibrate",
+    "deviance",
+    "oracle_runs",
+    "search",
+    "tracking_error_m",
+    "tune_for_tracking",
+]
+
+TRAINING_SEEDS = range(1000, 1010)
+_TRACKING_SEEDS = range(1000, 1024)
+# Bounds on a standard deviation per sample; less than 1 mm, 1 mrad or 1 mm/s has no effect.
+LEAST = 1e-3
+MOST = 10.0
+_FIRST = 0.01  # where each search begins
+EVALUATIONS = 40  # for each unknown
+# The places in sigma_w that each unknown sets.
+_POSE = [(0, 1), (2,), (3,)]
+_SOIL = [(4,), (5,)]
+UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
+_NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
+UNKNOWNS |= dict.fromkeys((*_NOT_ESTIMATED, "drift_oracle"), _POSE)
+UNKNOWNS["yaw_drift_ekf"] = _POSE + _SOIL + [(6,)]
+
+
+def oracle_runs(seeds, duration_s=240.0, **world):
+    """Runs with the true state in the loop, one a seed, in the default world or another."""
+    fields = dict(estimator="oracle", duration_s=duration_s) | world
+    return simulate([Scenario(seed=seed, **fields) for seed in seeds])
+
+
+def deviance(estimator, sigma_w, runs, **fields):
+    """-2 log likelihood of the measurements of Runs under a process noise.
+
+    `fields` are other settings of the estimator, fields of Scenario.
+    """
+    scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
+    return sum(run_estimator(scenario, run, "deviance")["deviance"].sum() for run in runs)
+
+
+def search(objective, unknowns):
+    """Find the standard deviations that minimise an objective, with EVALUATIONS a unknown.
+
+    Args:
+        objective: Function of sigma_w, a tuple.
+        unknowns: For each unknown, the places in sigma_w that it sets; other places are LEAST.
+
+    Returns:
+        The best sigma_w that was tried, to two digits, and its objective.
+    """
+    from scipy.optimize import minimize  # a fifth of a second to load, and few ever search
+
+    tried = {}
+
+    def evaluate(logarithms):
+        if len(tried) == EVALUATIONS * len(unknowns):
+            raise _Exhausted
+        sigma = np.full(max(map(max, unknowns)) + 1, LEAST)
+        for places, logarithm in zip(unknowns, logarithms):
+            sigma[list(places)] = np.exp(logarithm)
+        sigma_w = tuple(sigma.tolist())
+        tried[sigma_w] = objective(sigma_w)
+        return tried[sigma_w]
+
+    # Powell's own limit counts whole lines only; the exception stops at the exact number.
+    with contextlib.suppress(_Exhausted):
+        minimize(
+            evaluate,
+            np.full(len(unknowns), np.log(_FIRST)),
+            method="Powell",
+            bounds=[np.log((LEAST, MOST))] * len(unknowns),
+            options=dict(xtol=0.01, ftol=1e-6),
+        )
+    best = min(tried, key=tried.get)
+    return tuple(float(f"{value:.2g}") for value in best), tried[best]
+
+
+class _Exhausted(Exception):
+    """All evaluations are used up."""
+
+
+def calibrate(estimator, **fields):
+    """sigma_w of an estimator by maximum likelihood on the training seeds, and its deviance."""
+    runs = oracle_runs(TRAINING_SEEDS)
+    return search(lambda sigma_w: deviance(estimator, sigma_w, runs, **fields), UNKNOWNS[estimator])
+
+
+def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
+    """Mean true error [m] over these seeds of a Scenario with these fields."""
+    scenarios = [Scenario(seed=seed, **fields) for seed in seeds]
+    # One structure is driven hundreds of times, which pays for compiling its lanes.
+    lanes.load(build_sample, *set_up(scenarios[0]).structure)
+    return campaign(scenarios, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
+
+
+def tune_for_tracking(estimator, **fields):
+    """sigma_w of an estimator by least mean true error on the training seeds, and its error [m]."""
+    return search(
+        lambda sigma_w: tracking_error_m(estimator=estimator, sigma_w=sigma_w, **fields),
+        UNKNOWNS[estimator],
+    )
+
+
+if __name__ == "__main__":
+    for name in UNKNOWNS:
+        print("by likelihood", name, *calibrate(name))
+    for name in tuning.SIGMA_W_TRACKING:
+        print("by tracking", name, *tune_for_tracking(name))

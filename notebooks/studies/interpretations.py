@@ -1,0 +1,319 @@
+"""Audit of the interpretations R1 to R16 (docs/interpretations.md): what each way to read the paper
+does to the estimators, by analysis and by simulation.
+
+Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
+and GNSS measures y. The steady state of their Riccati recursion (SciPy's `solve_discrete_are`)
+obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x², the yaw gain falls as 1/σ_x.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+
+from notebooks.claims import run_sets
+from notebooks.studies import calibration, statistics
+from notebooks.studies.tables import interval_texts, signed
+from rhec import paper
+from rhec.simulation import offline
+from rhec.simulation.metrics import rms
+from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.live import PaperRHE
+
+__all__ = [
+    "ENTRIES",
+    "INTERPRETATIONS",
+    "QUANTITIES",
+    "ekf_on_a_straight",
+    "likelihood_profile",
+    "likelihood_profiles",
+    "one_at_a_time",
+    "readable_changes",
+    "rhe_sigma_kappa",
+    "sigma_kappa_table",
+    "sweep_of",
+    "swept",
+]
+
+
+# Where W holds the standard deviation of each state; x and y share one.
+_PLACES = {"x": (0, 1), "theta": (2,), "nu": (3,), "mu": (4,), "kappa": (5,)}
+_KAPPA = 0.8  # of a soil on which the tracks slip
+_MU = 0.9
+
+
+class _Entry(NamedTuple):
+    """A standard deviation of an estimator's W that differs between printed and calibrated W."""
+
+    label: str
+    estimator: str
+    state: str  # x (and y), theta, nu, mu or kappa
+
+    @property
+    def values(self):
+        """{"printed": σ, "calibrated": σ}."""
+        place = _PLACES[self.state][0]
+        noises = ("printed", "calibrated")
+        return {name: tuning.SIGMA_W[self.estimator][name][place] for name in noises}
+
+
+ENTRIES = {
+    "ekf_x": _Entry("EKF: $\\sigma_x$ [m]", "ekf", "x"),
+    "ekf_theta": _Entry("EKF: $\\sigma_\\theta$ [rad]", "ekf", "theta"),
+    "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
+    "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
+}
+# Values between printed and calibrated σ that are driven, and those whose runs are shown over time.
+_BETWEEN = {"ekf_x": (1.0, 0.1, 0.03), "rhe_kappa": (0.025, 0.0025)}
+_SHOWN = {"ekf_x": slice(0, 3), "rhe_kappa": slice(0, 3, 2)}
+
+
+# Analysis
+
+
+def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
+    """The steady EKF of (y, θ) on a straight, for each process noise of the position.
+
+    With A = [1, T v; 0, 1] at the pace v = μν, H = [1, 0], W = diag(σ_x², σ_θ²) and V = σ_GNSS²,
+    the predicted covariance P solves the discrete Riccati equation, K = P H' / (H P H' + V), and
+    the corrected covariance is (I - K H) P. An error of the yaw decays as the slower eigenvalue λ
+    of (I - K H) A, to 1/e in -T / ln |λ|.
+
+    Args:
+        sigma_x_m: Standard deviations of the position in W [m].
+        sigma_theta_rad: That of the yaw [rad].
+        pace_mps: Speed over ground μν [m/s].
+
+    Returns:
+        DataFrame with columns sigma_x_m, gain_position [-], gain_yaw_radpm, sigma_yaw_rad, time_s.
+    """
+    A = np.array([[1, paper.DT_S * pace_mps], [0, 1]])
+    H = np.array([[1.0, 0.0]])
+    V = np.array([[paper.SIGMA_V[0] ** 2]])
+    rows = []
+    for sigma_x in sigma_x_m:
+        W = np.diag([sigma_x**2, sigma_theta_rad**2])
+        # SciPy's equation is that of control, which is dual: A' for A and H' for B.
+        predicted = linalg.solve_discrete_are(A.T, H.T, W, V)
+        K = predicted @ H.T / (H @ predicted @ H.T + V)
+        corrected = (np.eye(2) - K @ H) @ predicted
+        time_s = -paper.DT_S / np.log(np.abs(np.linalg.eigvals((np.eye(2) - K @ H) @ A)).max())
+        row = dict(sigma_x_m=sigma_x, gain_position=K[0, 0], gain_yaw_radpm=K[1, 0])
+        rows.append(row | dict(sigma_yaw_rad=np.sqrt(corrected[1, 1]), time_s=time_s))
+    return pd.DataFrame(rows)
+
+
+def _circle(omega_radps, samples):
+    """Perfect measurements (samples, 4) on a circle, or on a straight where ω is 0.
+
+    Within a sample the robot turns by T κ ω along an arc whose chord is T μν sinc(T κ ω / 2).
+    """
+    nu = paper.SPEED_MPS
+    half_turn = paper.DT_S * _KAPPA * omega_radps / 2
+    heading = (paper.DT_S * _KAPPA * omega_radps * np.arange(samples) + half_turn)[:-1]
+    chord = paper.DT_S * _MU * nu * np.sinc(half_turn / np.pi)
+    x, y = (np.cumsum(np.r_[0, chord * along(heading)]) for along in (np.cos, np.sin))
+    return np.column_stack([x, y, np.full(samples, nu), np.full(samples, omega_radps)])
+
+
+def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
+    """The RHE's own standard deviation of κ after perfect measurements, bounds left aside.
+
+    There is one for each process noise sigma_kappa of a sample; process_noise has the rest of W.
+    The robot drives a circle with the yaw rate omega_radps, or a straight where that is 0.
+    """
+    z = _circle(omega_radps, samples)
+    guess = (0.0, 0.0, 0.0, paper.SPEED_MPS, _MU, _KAPPA)
+    deviations = []
+    for sigma in sigma_kappa:
+        sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
+        estimator = PaperRHE(sigma_w=sigma_w, guess=guess)
+        for measurement in z:
+            estimator.prepare()
+            estimate = estimator.feedback(measurement)
+        deviations.append(np.sqrt(estimate.covariance[5, 5]))
+    return np.array(deviations)
+
+
+def sigma_kappa_table(sigma_kappa, process_noise="printed"):
+    """`rhe_sigma_kappa` on a straight and in the headland's curve: a DataFrame with columns
+    sigma_kappa, straight, curve.
+    """
+    omega_radps = _MU * paper.SPEED_MPS / paper.HEADLAND_RADIUS_M / _KAPPA
+    columns = {
+        name: rhe_sigma_kappa(sigma_kappa, omega, process_noise)
+        for name, omega in (("straight", 0.0), ("curve", omega_radps))
+    }
+    return pd.DataFrame(dict(sigma_kappa=sigma_kappa) | columns)
+
+
+# Sweeps of W
+
+
+def _with_entry(sigma_w, state, value):
+    """W with the standard deviation of this state replaced."""
+    return tuple(value if k in _PLACES[state] else sigma for k, sigma in enumerate(sigma_w))
+
+
+def swept(estimator, process_noise, state, values, seeds):
+    """Runs on fields from seed 0 on, with the standard deviation of a state in W replaced.
+
+    Returns:
+        runs: {value: Run} of the first seed.
+        table: DataFrame, one row a run: sigma, seed, and RMS errors from
+            `offline.SETTLED_S` on: rms_yaw_rad, rms_kappa_straights, rms_kappa_curves.
+    """
+    cases = [*itertools.product(values, range(seeds))]
+    scenarios = []
+    for value, seed in cases:
+        sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], state, float(value))
+        choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
+        scenarios.append(Scenario(seed=seed, **choice))
+    runs = {}
+    rows = []
+    for (value, seed), run in zip(cases, simulate(scenarios)):
+        runs.setdefault(value, run)  # the first seed's, for pictures
+        c = run.columns
+        settled = c["t_s"] >= offline.SETTLED_S
+        straight = c["on_straight"]
+        kappa = c["kappa_hat"] - c["kappa"]
+        row = dict(sigma=value, seed=seed)
+        row |= dict(rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]))
+        row |= dict(rms_kappa_straights=rms(kappa[settled & straight]))
+        rows.append(row | dict(rms_kappa_curves=rms(kappa[settled & ~straight])))
+    return runs, pd.DataFrame(rows)
+
+
+def sweep_of(name, seeds):
+    """As `swept`, with one of ENTRIES of the printed W, from its printed to its calibrated value.
+
+    The first result has the runs for pictures alone.
+    """
+    entry = ENTRIES[name]
+    values = (entry.values["printed"], *_BETWEEN[name], entry.values["calibrated"])
+    runs, table = swept(entry.estimator, "printed", entry.state, values, seeds)
+    return {value: runs[value] for value in values[_SHOWN[name]]}, table
+
+
+def likelihood_profile(estimator, state, factors, seeds=3):
+    """How much less likely measurements become as one of the calibrated W's entries changes.
+
+    The standard deviation of the state is multiplied by the factors. The columns are sigma and
+    deviance, -2 log likelihood a sample above the least, on so many of the training runs.
+    """
+    runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
+    samples = sum(len(run.columns["t_s"]) for run in runs)
+    calibrated = tuning.SIGMA_W[estimator]["calibrated"]
+    sigmas = [factor * calibrated[_PLACES[state][0]] for factor in factors]
+    sigma_w = [_with_entry(calibrated, state, sigma) for sigma in sigmas]
+    deviances = np.array([calibration.deviance(estimator, W, runs) / samples for W in sigma_w])
+    return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
+
+
+def likelihood_profiles(factors, seeds=3):
+    """`likelihood_profile` of all ENTRIES: {label: (table, printed σ, calibrated σ)}."""
+    return {
+        entry.label: (
+            likelihood_profile(entry.estimator, entry.state, factors, seeds),
+            *entry.values.values(),
+        )
+        for entry in ENTRIES.values()
+    }
+
+
+# One interpretation at a time
+
+# id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); R11, R12
+# and R14 concern what is reported, not what is driven
+INTERPRETATIONS = {
+    "R3 a": ("speed 0.3 m/s", dict(speed_mps=0.3)),
+    "R3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),
+    "R3 c": ("start 2 m off", dict(start_offset_m=2.0)),
+    "R3 d": ("headland of 10 m radius", dict(headland_radius_m=10.0)),
+    "R4 a": ("GNSS: half of it slow", dict(gnss_slow_share=0.5)),
+    "R4 b": ("GNSS: nine tenths slow", dict(gnss_slow_share=0.9)),
+    "R5": ("window of N terms", dict(estimation_horizon=14), dict()),
+    "R6, R13": ("ν an input, p = (μ, κ)", dict(speed_model="input"), dict()),
+    "R7": ("prior mean filtered", dict(arrival_mean="filtered"), dict()),
+    "R8": ("path's yaw rate as reference", dict(input_reference="curvature")),
+    "R9": ("backwards, λ = 1", dict(backwards=True)),
+    "R10": ("command one sample late", dict(command_delay=1)),
+    "R15 a": ("ν, μ, κ of the sample before", dict(traction_timing="sample_before")),
+    "R15 b": ("prepared anew with ν, μ, κ", dict(traction_timing="prepared_anew")),
+    "R16": ("ω of the interval after it", dict(yaw_rate_interval="after")),
+}
+QUANTITIES = {
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "mean_error_true_m": "mean error, true [m]",
+    "violations": "violations, raw GNSS",
+    "rms_kappa": "RMS error of κ [-]",
+    "advantage_m": "true error, RHE - EKF [m]",
+}
+
+
+def _scenarios(baseline, seeds, interpretations):
+    """{(interpretation, estimator): scenarios, one a seed}."""
+    scenarios = {}
+    for name, (_, *of_both) in interpretations.items():
+        for estimator, fields in (("rhe", of_both[0]), ("ekf", of_both[-1])):
+            choice = dict(process_noise=baseline) | fields | dict(estimator=estimator)
+            scenarios[name, estimator] = [Scenario(**choice, seed=seed) for seed in range(seeds)]
+    return scenarios
+
+
+def one_at_a_time(baseline, seeds):
+    """How much each interpretation moves the RHE's results from the baseline's, paired by seed.
+
+    R1 and R2 are the other W, for one estimator at a time.
+
+    Args:
+        baseline: Its process noise, "printed" or "calibrated".
+        seeds: How many fields, from seed 0 on.
+
+    Returns:
+        DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
+        with their 95 % intervals. "advantage_m" is RHE - EKF, both under the interpretation.
+    """
+    other = "calibrated" if baseline == "printed" else "printed"
+    interpretations = {
+        "baseline": ("baseline", dict()),
+        "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
+        "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
+    } | INTERPRETATIONS
+    runs = run_sets.drive(_scenarios(baseline, seeds, interpretations))
+    results = {}
+    for name in interpretations:
+        rhe = runs[name, "rhe"]
+        advantage_m = rhe.mean_error_true_m - runs[name, "ekf"].mean_error_true_m
+        results[name] = rhe.assign(advantage_m=advantage_m)
+    usual = results["baseline"]
+    results["R14"] = usual.assign(mean_error_m=usual["mean_error_from_start_m"])
+    rows = []
+    for name, (words, *_) in (interpretations | {"R14": ("errors from the start",)}).items():
+        for column, quantity in QUANTITIES.items():
+            value = statistics.mean(results[name][column])
+            moved = statistics.difference(results[name][column], usual[column])
+            rows.append(
+                dict(interpretation=name, words=words, quantity=quantity)
+                | dict(value=value.value, low=value.low, high=value.high, change=moved.value)
+                | dict(change_low=moved.low, change_high=moved.high, n=moved.n)
+            )
+    return pd.DataFrame(rows)
+
+
+def readable_changes(table):
+    """The table of `one_at_a_time` for readers: "+0.0034 [+0.0021, +0.0047]" in each cell.
+
+    The baseline's row has its values, all others their changes from it.
+    """
+    values = interval_texts(table, "value")
+    changes = interval_texts(table, "change", "change_low", "change_high", signed)
+    cells = values.where(table["interpretation"] == "baseline", changes)
+    names = ["interpretation", "words"]
+    return table.assign(cell=cells).pivot_table(
+        "cell", index=names, columns="quantity", aggfunc="first", sort=False
+    )

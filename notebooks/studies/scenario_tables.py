@@ -1,0 +1,235 @@
+"""Scenarios A and B of the paper over many fields: the drives, and tables of means with intervals.
+
+A field is one seed: its soil and its noise. The tables hold the paper's numbers as well, and the
+verdicts on its words.
+"""
+
+import numpy as np
+import pandas as pd
+
+from notebooks.studies.statistics import (
+    always,
+    difference_of_means,
+    over_seeds,
+    ratio_of_means,
+    verdict,
+)
+from rhec import paper
+from rhec.simulation.campaigns.campaign import campaign
+from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
+
+__all__ = [
+    "PROCESS_NOISES",
+    "REPORTED",
+    "over_fields",
+    "rhe_and_ekf",
+    "scenario_a",
+    "scenario_a_table",
+    "scenario_b",
+    "scenario_b_table",
+    "share_of_fields",
+    "yaw_weights",
+]
+
+PROCESS_NOISES = ("printed", "calibrated")
+REPORTED = {  # (estimator, metric): the paper's number
+    ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,
+    ("EKF", "mean_error_m"): paper.MEAN_ERROR_EKF_M,
+    ("RHE", "violations"): paper.VIOLATIONS_RHE,
+    ("EKF", "violations"): paper.VIOLATIONS_EKF,
+}
+_ESTIMATORS = ("rhe", "ekf")
+_QUANTITIES_A = {
+    "settling_time_s": "settling time [s]",
+    "overshoot_m": "overshoot [m]",
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "mean_error_true_m": "mean error, true [m]",
+}
+_QUANTITIES_B = {
+    "mean_error_m": "mean error, raw GNSS [m]",
+    "mean_error_true_m": "mean error, true [m]",
+    "violations": "violations on straights, raw GNSS",
+    "violations_true": "violations on straights, true",
+    "rms_yaw_rad": "RMS error of yaw [rad]",
+    "rms_mu": "RMS error of mu",
+    "rms_kappa": "RMS error of kappa",
+}
+_COLUMNS_B = "process_noise estimator quantity mean low high n p5 p95 paper claim verdict".split()
+_AT_LEAST = 2  # "cannot reach in reasonable time", "oscillates": at least twofold
+
+
+# Drives
+
+
+def yaw_weights(look_ahead_m=0.5):
+    """Scenario A's variants: {name: fields of Scenario}, with the paper's Q¹, Q² and Q³."""
+    return {
+        "Q1": dict(q=paper.Q1),
+        "Q2": dict(q=paper.Q2),
+        "Q2, look-ahead": dict(q=paper.Q2, look_ahead_m=look_ahead_m),
+        "Q3": dict(q=paper.Q3),
+    }
+
+
+def scenario_a(seeds, seed=0, weights=None, folder=None, **fields):
+    """Drive Scenario A: off the path at the start, with each yaw weight.
+
+    Args:
+        seeds: How many fields the statistics are over, from seed 0 on.
+        seed: Field of the single runs.
+        weights: {name: fields of Scenario}; `yaw_weights()` by default.
+        folder: Where the campaign keeps its rows.
+        fields: Other fields of Scenario, the same for all drives.
+
+    Returns:
+        sweep: DataFrame, one row a drive (`rhec.campaign`), with the column `weight`.
+        runs: {weight: Run} of the one seed.
+    """
+    weights = yaw_weights() if weights is None else weights
+    scenarios = [
+        Scenario(seed=number, **fields, **choice)
+        for choice in weights.values()
+        for number in range(seeds)
+    ]
+    sweep = campaign(scenarios, folder).assign(weight=np.repeat([*weights], seeds))
+    runs = simulate([Scenario(seed=seed, **fields, **choice) for choice in weights.values()])
+    return sweep, dict(zip(weights, runs))
+
+
+def scenario_b(seeds, drives, folder=None, **fields):
+    """Drive Scenario B: rows and headlands, by RHE and EKF with W as printed and calibrated.
+
+    Args:
+        seeds: How many fields the statistics are over, from seed 0 on.
+        drives: How many fields to return whole runs of, from seed 0 on.
+        folder: Where the campaign keeps its rows.
+        fields: Other fields of Scenario, the same for all drives.
+
+    Returns:
+        sweep: DataFrame, one row a drive (`rhec.campaign`).
+        runs: {process noise: {"RHE" or "EKF": Runs, one a seed}}.
+    """
+
+    def scenarios(process_noise, estimator, n):
+        choice = dict(process_noise=process_noise, estimator=estimator)
+        return [Scenario(seed=number, **choice, **fields) for number in range(n)]
+
+    every = [(process_noise, name) for process_noise in PROCESS_NOISES for name in _ESTIMATORS]
+    sweep = campaign(
+        [scenario for choice in every for scenario in scenarios(*choice, seeds)], folder
+    )
+    runs = {process_noise: {} for process_noise in PROCESS_NOISES}
+    for process_noise, name in every:
+        runs[process_noise][name.upper()] = simulate(scenarios(process_noise, name, drives))
+    return sweep, runs
+
+
+def rhe_and_ekf(**fields):
+    """{"RHE": Run, "EKF": Run} of one Scenario with these fields."""
+    runs = simulate([Scenario(estimator=name, **fields) for name in _ESTIMATORS])
+    return dict(zip(map(str.upper, _ESTIMATORS), runs))
+
+
+# What many drives have in common
+
+
+def over_fields(drives, column, pooled=1):
+    """The 5th, 50th and 95th percentile of a column of the log over Runs of one length.
+
+    With `pooled` samples in a row as one, the result is (3, samples / pooled).
+    """
+    return np.nanpercentile(_pooled(drives, column, pooled), (5, 50, 95), axis=(0, 2))
+
+
+def share_of_fields(drives, column, above, pooled=1):
+    """Share of the samples, pooled as in `over_fields`, in which a column is above a bound."""
+    return np.mean(_pooled(drives, column, pooled) > above, axis=(0, 2))
+
+
+def _pooled(drives, column, pooled):
+    """A column of all Runs, (Runs, samples / pooled, pooled); an incomplete pool is left out."""
+    values = np.array([run.columns[column] for run in drives])
+    # Pooling smooths percentiles over few drives.
+    whole = values.shape[1] // pooled * pooled
+    return values[:, :whole].reshape(len(drives), -1, pooled)
+
+
+# Tables
+
+
+def _mean_and_range(values):
+    """Mean, interval and the middle 90 % of a metric over drives, as columns of a table."""
+    p5, p95 = np.percentile(values.dropna(), (5, 95)) if values.notna().any() else (np.nan, np.nan)
+    return over_seeds(np.mean, values)._asdict() | dict(p5=p5, p95=p95)
+
+
+def scenario_a_table(sweep):
+    """Scenario A in numbers: means over seeds, and the two ratios behind the paper's words.
+
+    The settling time is that of the runs that settle.
+
+    Args:
+        sweep: Of `scenario_a`: the same seeds in the same order for each weight.
+
+    Returns:
+        DataFrame with columns weight, quantity, mean, low, high, n, p5, p95, claim, verdict.
+    """
+    runs = dict(list(sweep.groupby("weight", sort=False)))
+    rows = [
+        dict(weight=weight, quantity=quantity) | _mean_and_range(of_weight[column])
+        for column, quantity in _QUANTITIES_A.items()
+        for weight, of_weight in runs.items()
+    ]
+    for one, other, column, quantity in [
+        ("Q1", "Q3", "settling_time_s", "settling time, ratio"),
+        ("Q2", "Q3", "overshoot_m", "overshoot, ratio"),
+    ]:
+        ratio = over_seeds(ratio_of_means, runs[one][column], runs[other][column])
+        judged = verdict(ratio.low, ratio.high, above=_AT_LEAST)
+        row = dict(weight=f"{one} / {other}", quantity=quantity) | ratio._asdict()
+        rows.append(row | dict(claim=f"at least {_AT_LEAST}", verdict=judged))
+    return pd.DataFrame(rows).fillna({"claim": "", "verdict": ""})
+
+
+def scenario_b_table(sweep):
+    """Scenario B in numbers: means over seeds, how RHE and EKF differ, and the paper's claims.
+
+    The EKF takes μ and κ to be 1.
+
+    Args:
+        sweep: Of `scenario_b`: the same seeds in the same order for each process noise and
+            estimator.
+
+    Returns:
+        DataFrame with columns process_noise, estimator, quantity, mean, low, high, n, p5, p95,
+        paper, claim, verdict.
+    """
+    rows = []
+    for process_noise, of_noise in sweep.groupby("process_noise", sort=False):
+        runs = {name.upper(): table for name, table in of_noise.groupby("estimator", sort=False)}
+        for column, quantity in _QUANTITIES_B.items():
+            about = dict(process_noise=process_noise, quantity=quantity)
+            for name, table in runs.items():
+                rows.append(about | _of_estimator(name, column, table[column]))
+            if ("RHE", column) in REPORTED:
+                rows.append(about | _gain(column, runs["RHE"][column], runs["EKF"][column]))
+    return pd.DataFrame(rows)[_COLUMNS_B]
+
+
+def _of_estimator(estimator, column, values):
+    """Columns of a row on one estimator; a claim where the paper reports none at all."""
+    reported = REPORTED.get((estimator, column), "")
+    row = _mean_and_range(values) | dict(estimator=estimator, paper=reported, claim="", verdict="")
+    if reported == 0:
+        row |= dict(claim="at most 0", verdict=always(values == 0).verdict)
+    return row
+
+
+def _gain(column, rhe, ekf):
+    """Columns of a row on how much less the RHE has than the EKF at equal seeds."""
+    gain = over_seeds(difference_of_means, rhe, ekf)
+    # The paper gives four decimals.
+    reported = round(REPORTED["RHE", column] - REPORTED["EKF", column], 4)
+    judged = dict(claim="below 0", verdict=verdict(gain.low, gain.high, below=0))
+    return gain._asdict() | dict(estimator="RHE - EKF", paper=reported) | judged

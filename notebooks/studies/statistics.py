@@ -1,0 +1,426 @@
+"""Intervals and verdicts: one kind of interval, and one rule that turns an interval into a verdict.
+
+All intervals hold the truth with a probability of 95 %. Those of means, and of functions of means
+such as a ratio, are Student's t with a jackknife standard error (`_estimate`; B. Efron and
+R. Tibshirani, "An Introduction to the Bootstrap", 1993, ch. 11). Those of shares are by C. Clopper
+and E. Pearson (Biometrika 26, 1934). `coverage` measures how often an interval holds the truth.
+
+A claim about a mean, a difference, a ratio or a share *holds* if the whole interval lies between
+its bounds, *does not hold* if none of it does, and is *undecided* otherwise. A bound that is
+touched is not kept, since no change at all is no improvement. Each rule is a pure function of the
+samples and the bounds.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+__all__ = [
+    "AS_PRINTED",
+    "CONFIDENCE",
+    "FAILS",
+    "FIRST_CONFIDENCE",
+    "HOLDS",
+    "UNDECIDED",
+    "UNTESTABLE",
+    "Finding",
+    "Interval",
+    "always",
+    "always_relative_to_oracle",
+    "relative_to_oracle",
+    "combined",
+    "combined_possible",
+    "coverage",
+    "difference",
+    "difference_of_means",
+    "equal",
+    "mean",
+    "over_seeds",
+    "possible",
+    "ratio",
+    "ratio_of_means",
+    "reported",
+    "root_of_mean",
+    "share",
+    "share_interval",
+    "verdict",
+]
+
+HOLDS = "holds"
+FAILS = "does not hold"
+UNDECIDED = "undecided"
+UNTESTABLE = "cannot be tested here"
+AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
+CONFIDENCE = 0.95
+FIRST_CONFIDENCE = 0.999  # of a first look at few fields, which decides what needs no second one
+_MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
+_RARE = 0.01  # an event that "may" happen is refuted once its share must be below this
+_NEAR = 0.25  # a mean is near a number of the paper if it is within a quarter of it
+
+
+class Interval(NamedTuple):
+    """A statistic over n seeds with its 95 % interval: four columns of a table."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+
+
+class Finding(NamedTuple):
+    """The result of a rule.
+
+    Args:
+        value: The number that is judged.
+        low, high: Its 95 % interval.
+        n: How many runs, samples or cases are behind it.
+        verdict: HOLDS, FAILS, UNDECIDED or UNTESTABLE.
+        above, below: The bounds.
+        p: Two-sided probability of a value as far off, if the truth lay on the nearer bound; NaN
+            where nothing is left to chance.
+    """
+
+    value: float
+    low: float
+    high: float
+    n: int
+    verdict: str
+    above: float = -np.inf
+    below: float = np.inf
+    p: float = np.nan
+
+
+def verdict(low, high, above=-np.inf, below=np.inf):
+    """The verdict on an interval.
+
+    Args:
+        low: Lower end of the interval; NaN if there is none.
+        high: Its upper end.
+        above: Lower bound, itself not included.
+        below: Upper bound, itself not included.
+
+    Returns:
+        HOLDS if all of the interval lies between the bounds, FAILS if none of it does, else
+        UNDECIDED.
+    """
+    if np.isnan(low) or np.isnan(high):
+        return UNDECIDED
+    if above < low and high < below:
+        return HOLDS
+    return FAILS if high <= above or low >= below else UNDECIDED
+
+
+# Intervals
+
+
+def _estimate(statistic, samples):
+    """A statistic of paired samples, its standard error (jackknife), and the degrees of freedom.
+
+    With θ₍ᵢ₎ the statistic without pair i, and θ₍.₎ their mean,
+
+        error² = (n - 1) / n Σᵢ (θ₍ᵢ₎ - θ₍.₎)².
+
+    The statistic depends on the samples' means alone, so θ₍ᵢ₎ is that of the n means that are left.
+    The error is NaN where there is none.
+    """
+    n = len(samples[0])
+    value = float(statistic(*samples, axis=-1)) if n else np.nan
+    if n < 2:
+        return value, np.nan, 0
+    if all(np.ptp(sample) == 0 for sample in samples):
+        return value, 0.0, n - 1
+    means_without = [((sample.sum() - sample) / (n - 1))[:, None] for sample in samples]
+    values_without = statistic(*means_without, axis=-1)
+    # A ratio is infinite where its denominator is zero in all pairs that are left: such samples
+    # cannot bound it, so it has no error and stays undecided.
+    if not np.isfinite(values_without).all():
+        return value, np.nan, n - 1
+    return value, float(np.sqrt(n - 1) * np.std(values_without)), n - 1
+
+
+def _interval(value, error, freedom, confidence=CONFIDENCE):
+    """(low, high) = value ± t error, t the quantile (1 + confidence) / 2 of Student's t.
+
+    At 95 % that is the 97.5 % quantile. Without an error both ends are NaN.
+    """
+    if np.isnan(error):
+        return np.nan, np.nan
+    half = float(special.stdtrit(freedom, (1 + confidence) / 2)) * error if error else 0.0
+    return value - half, value + half
+
+
+def over_seeds(statistic, *samples, confidence=CONFIDENCE):
+    """Estimate a statistic over seeds with its interval.
+
+    Args:
+        statistic: Function of arrays and `axis` that depends on their means alone, for example
+            `np.mean` or `ratio_of_means`.
+        samples: Arrays (seeds,) in the same order of seeds. A seed that is missing (NaN) in one of
+            them is left out of all.
+        confidence: With which the interval holds the truth.
+
+    Returns:
+        Interval, n the seeds that count; its numbers are NaN where n is below 2.
+    """
+    samples = np.column_stack(samples).astype(float)
+    samples = samples[~np.isnan(samples).any(axis=1)].T
+    if samples.shape[1] < 2:
+        return Interval(np.nan, np.nan, np.nan, samples.shape[1])
+    value, error, freedom = _estimate(statistic, samples)
+    return Interval(value, *_interval(value, error, freedom, confidence), freedom + 1)
+
+
+def share_interval(k, n, confidence=CONFIDENCE):
+    """Clopper and Pearson's interval of the share k / n.
+
+    It reaches to the shares under which k, or what is further off, comes out with a probability of
+    2.5 % at 95 % confidence: with B_q(a, b) the quantiles of the beta distribution,
+
+        low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
+
+    Args:
+        k: How often it was so.
+        n: Of how many cases, at least one.
+        confidence: With which the interval holds the truth.
+
+    Returns:
+        low, high.
+    """
+    from scipy import stats  # it takes half a second to load, and most studies need no share
+
+    return stats.binomtest(k, n).proportion_ci(confidence, method="exact")
+
+
+def coverage(statistic, *samples, n=None, trials=4000):
+    """How often the 95 % interval holds the truth, by resampling.
+
+    The samples stand for all pairs there are, so their statistic is the truth. Each trial draws
+    pairs from them, with replacement.
+
+    Args:
+        statistic: As for `over_seeds`.
+        samples: Arrays of one length, paired.
+        n: Pairs in a trial; as many as there are, by default.
+        trials: How many.
+
+    Returns:
+        The share of trials whose interval holds the truth; 0.95 if the intervals are right.
+    """
+    samples = [np.asarray(sample, dtype=float) for sample in samples]
+    rng = np.random.default_rng(0)
+    truth = float(statistic(*samples, axis=-1))
+    n_held = 0
+    for _ in range(trials):
+        drawn = rng.integers(0, len(samples[0]), n or len(samples[0]))
+        low, high = _interval(*_estimate(statistic, [sample[drawn] for sample in samples]))
+        n_held += low <= truth <= high
+    return n_held / trials
+
+
+def ratio_of_means(one, other, axis):
+    """Ratio of two means; infinite or NaN where there is nothing to divide by."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.mean(one, axis) / np.mean(other, axis)
+
+
+def difference_of_means(one, other, axis):
+    """Difference of two means."""
+    return np.mean(one, axis) - np.mean(other, axis)
+
+
+def root_of_mean(squares, axis):
+    """Root of a mean, for squared errors."""
+    return np.sqrt(np.mean(squares, axis))
+
+
+# Rules
+
+
+# Each rule has a `confidence`: the verdict needs an interval of that confidence on one side of the
+# bound. The interval that a Finding shows is always the one of 95 %.
+
+
+def _judged(statistic, samples, above, below, confidence):
+    """The Finding of a statistic of paired samples; p by Student's t at the nearer bound."""
+    value, error, freedom = _estimate(statistic, samples)
+    low, high = _interval(value, error, freedom)
+    off = min(abs(value - above), abs(value - below))
+    p = 2 * special.stdtr(freedom, -off / error) if error else np.nan
+    outcome = verdict(*_interval(value, error, freedom, confidence), above, below)
+    return Finding(value, low, high, freedom + 1, outcome, above, below, float(p))
+
+
+def _checked(*samples):
+    """Samples as arrays of one length without missing values."""
+    samples = [np.asarray(sample, dtype=float) for sample in samples]
+    lengths = [len(sample) for sample in samples]
+    if len(set(lengths)) > 1:
+        raise ValueError(f"samples had lengths {lengths}; paired samples should have one")
+    if any(np.isnan(sample).any() for sample in samples):
+        raise ValueError("samples had missing values; a claim should say first what they mean")
+    return samples
+
+
+def mean(values, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
+    """Judge that a mean lies between the bounds."""
+    return _judged(np.mean, _checked(values), above, below, confidence)
+
+
+def difference(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
+    """Judge that the mean of one - other, paired by their order, lies between the bounds."""
+    one, other = _checked(one, other)
+    return _judged(np.mean, [one - other], above, below, confidence)
+
+
+def ratio(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
+    """Judge that the ratio of two paired samples' means lies between the bounds."""
+    return _judged(ratio_of_means, _checked(one, other), above, below, confidence)
+
+
+def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
+    """Judge that the share k / n of true flags lies between the bounds.
+
+    The interval is that of `share_interval`. p is twice the smaller tail of the binomial
+    distribution at the nearer bound.
+    """
+    flags = np.asarray(flags, dtype=bool)
+    n = len(flags)
+    value = np.nan
+    low = np.nan
+    high = np.nan
+    ends = np.nan, np.nan
+    p = np.nan
+    if n:
+        from scipy import stats  # it takes half a second to load, and most studies need no share
+
+        value = flags.mean()
+        k = int(flags.sum())
+        low, high = share_interval(k, n)
+        ends = low, high
+        if confidence != CONFIDENCE:
+            ends = share_interval(k, n, confidence)
+        bound = above if abs(value - above) <= abs(value - below) else below
+        if 0 < bound < 1:
+            tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
+            p = min(1.0, 2 * min(tails))
+    outcome = verdict(*ends, above, below)
+    return Finding(float(value), float(low), float(high), n, outcome, above, below, float(p))
+
+
+def relative_to_oracle(flags, oracle, above, confidence=CONFIDENCE):
+    """Judge a share of flags relative to the oracle: fields where the oracle fails are left out."""
+    flags, oracle = _checked(flags, oracle)
+    return share(flags[oracle > 0], above, confidence=confidence)
+
+
+def always_relative_to_oracle(flags, oracle, confidence=CONFIDENCE):
+    """Judge that flags are true wherever the oracle's are. One exception refutes it."""
+    flags, oracle = _checked(flags, oracle)
+    return always(flags[oracle > 0], confidence)
+
+
+def always(flags, confidence=CONFIDENCE):
+    """Judge an exact property, true in every case. One exception refutes it."""
+    outcome = share(flags)
+    exact = UNDECIDED if outcome.n == 0 else HOLDS if outcome.value == 1 else FAILS
+    return outcome._replace(verdict=exact, above=1.0)
+
+
+def possible(flags, confidence=CONFIDENCE):
+    """Judge that what "may" happen does happen.
+
+    It holds if one flag is true. If none is, it does not hold once the interval of its share ends
+    below 1 %.
+    """
+    outcome = share(flags, below=_RARE, confidence=confidence)
+    seen = HOLDS if outcome.value > 0 else FAILS if outcome.verdict == HOLDS else UNDECIDED
+    return outcome._replace(verdict=seen, above=0.0, below=np.inf, p=np.nan)
+
+
+def reported(values, paper, confidence=CONFIDENCE):
+    """Judge that a number which the paper reports, of one drive or few, is usual here.
+
+    It holds if the number lies in the middle 95 % of single runs and the mean is within a quarter
+    of it. Without the second condition, more numbers would be usual the more the runs differ. Both
+    are judged by intervals: of the mean, and of the share of runs below the number.
+
+    Returns:
+        Finding with the interval of single runs, not of their mean. That of fewer than 40 runs is
+        Student's prediction interval, mean ± t s √(1 + 1/n) with their deviation s, and undecided.
+    """
+    limits = dict(above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
+    near = mean(values, **limits, confidence=confidence)
+    low = np.nan
+    high = np.nan
+    outcome = UNDECIDED
+    if 2 <= near.n < _MIN_SINGLE_RUNS:
+        error = np.std(values, ddof=1) * np.sqrt(1 + 1 / near.n)
+        low, high = _interval(near.value, error, near.n - 1)
+    if near.n >= _MIN_SINGLE_RUNS:
+        tails = (1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2
+        low, high = np.quantile(values, tails)
+        usual = share(np.asarray(values) < paper, *tails, confidence=confidence)
+        outcome = _both(near.verdict, usual.verdict)
+    return Finding(near.value, float(low), float(high), near.n, outcome, paper, paper)
+
+
+def _both(one, other):
+    """The verdict on two conditions that must both hold."""
+    if FAILS in (one, other):
+        return FAILS
+    return HOLDS if one == other == HOLDS else UNDECIDED
+
+
+def equal(value, expected, tolerance):
+    """Judge that a number which follows without any run is within `tolerance` of `expected`."""
+    value = float(value)
+    outcome = HOLDS if abs(value - expected) <= tolerance else FAILS
+    outcome = UNDECIDED if np.isnan(value) else outcome
+    return Finding(value, value, value, 1, outcome, expected - tolerance, expected + tolerance)
+
+
+def between(value, above=-np.inf, below=np.inf):
+    """Judge that a number which follows without any run lies between the bounds.
+
+    Nothing in it is left to chance, so that both ends of its interval are the number itself.
+    """
+    value = float(value)
+    outcome = verdict(value, value, above, below)
+    return Finding(value, value, value, 1, outcome, above, below)
+
+
+def combined(findings):
+    """One verdict from the findings under several conditions.
+
+    A claim that does not hold under all of them "holds as printed" or, if not that, "holds with"
+    the first condition that it holds with; "only" where no other lets it hold. If it holds under
+    none, the first condition decides, unless one is undecided: then the claim is, too.
+
+    Args:
+        findings: {condition: Finding}; the first condition is the paper as printed.
+
+    Returns:
+        The verdict, and the condition whose numbers stand for it.
+    """
+    verdicts = {condition: finding.verdict for condition, finding in findings.items()}
+    first = next(iter(verdicts))
+    holding = [condition for condition, outcome in verdicts.items() if outcome == HOLDS]
+    if len(holding) == len(verdicts):
+        return HOLDS, first
+    if holding and first == holding[0]:
+        only = "only " * (len(holding) == 1 and UNDECIDED not in verdicts.values())
+        return f"{HOLDS} {only}{first}", first
+    if holding:
+        only = "only " * (verdicts[first] == FAILS)
+        return f"{HOLDS} {only}with {holding[0]}", holding[0]
+    undecided = [condition for condition, outcome in verdicts.items() if outcome == UNDECIDED]
+    return (UNDECIDED, undecided[0]) if undecided else (verdicts[first], first)
+
+
+def combined_possible(findings):
+    """As `combined`, of what "may" happen: it holds if it happens under one condition."""
+    for condition, finding in findings.items():
+        if finding.verdict == HOLDS:
+            return HOLDS, condition
+    return combined(findings)

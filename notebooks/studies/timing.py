@@ -1,0 +1,131 @@
+"""Computation times of preparation and feedback (paper, Table "Computation times of the nonlinear
+RHEC").
+
+Timed from Python, one call a phase, NumPy arrays in and out, as in a user's loop; the arrival cost
+belongs to the RHE's preparation.
+"""
+
+import os
+import platform
+import time
+from functools import partial
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from notebooks.studies import condensed
+from rhec import paper
+from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.simulation.simulate import simulate
+from rhec.tracked_robot.live import PaperRHC, PaperRHE
+from rhec.tracked_robot.references import PathTracker
+
+__all__ = [
+    "CONTROLLERS",
+    "PHASES",
+    "by_solver",
+    "feedback_over_preparation",
+    "machine",
+    "phases",
+    "table",
+    "whole_step",
+]
+
+# The RHC by the solver of its QP: condensed, as in the paper, and by stages.
+CONTROLLERS = {
+    "qpoases": partial(condensed.live, "qpoases"),
+    "daqp": partial(condensed.live, "daqp"),
+    "structured": PaperRHC,
+}
+PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (problem, phase), in order
+
+
+def phases(scenario, controller):
+    """Times of the four phases at every sample of a scenario's run.
+
+    Args:
+        scenario: The Scenario.
+        controller: One of CONTROLLERS: a function that makes the RHC of its weights.
+
+    Returns:
+        Times [µs], (samples, 4), in the order of PHASES.
+    """
+    (run,) = simulate([scenario])  # one run does not pay for compiling its loop
+    guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
+    estimator = PaperRHE(process_noise=scenario.process_noise, guess=guess)
+    controller = controller(q=scenario.q, r=scenario.r)
+    tracker = PathTracker(run.path)
+    measurements = run.log[MEASUREMENTS].to_numpy()
+    clock = time.perf_counter_ns
+    # References belong to neither RHE nor RHC, so they are left out of the times.
+    taken = np.empty((len(measurements), 4))
+    for k, z in enumerate(measurements):
+        begin = clock()
+        estimator.prepare()
+        prepared = clock()
+        estimate = estimator.feedback(z)
+        estimated = clock()
+        references = tracker.references(estimate, z[3])
+        referenced = clock()
+        controller.prepare()
+        planned = clock()
+        controller.feedback(estimate.pose, estimate.p, *references)
+        taken[k] = prepared - begin, estimated - prepared, planned - referenced, clock() - planned
+    return taken[1:] / 1e3  # the first sample has nothing to prepare
+
+
+def table(taken):
+    """Minimum, average, median and maximum [µs] by problem and phase, with the paper's numbers.
+
+    Args:
+        taken: Times of `phases`.
+    """
+    rows = []
+    for problem, (preparation, feedback) in {"RHE": taken.T[:2], "RHC": taken.T[2:]}.items():
+        times = dict(preparation=preparation, feedback=feedback, overall=preparation + feedback)
+        for phase, values in times.items():
+            ours = values.min(), values.mean(), np.median(values), values.max()
+            papers = (1e3 * value for value in paper.TABLE_1_MS[problem, phase])
+            rows.append((problem, phase, *ours, *papers))
+    columns = "problem phase minimum_us average_us median_us maximum_us".split()
+    papers_columns = "paper_minimum_us paper_average_us paper_maximum_us".split()
+    return pd.DataFrame(rows, columns=columns + papers_columns)
+
+
+def by_solver(scenario):
+    """The `table` of a scenario's run for each QP solver of the RHC, with the machine's name."""
+    tables = {qp: table(phases(scenario, make)) for qp, make in CONTROLLERS.items()}
+    return pd.concat(tables, names=["qp"]).reset_index(level=0).assign(machine=machine())
+
+
+def feedback_over_preparation(times):
+    """Medians [µs] of both phases, and their ratio, by QP solver and problem.
+
+    Args:
+        times: Of `by_solver`.
+    """
+    single = times[times["phase"] != "overall"]
+    medians = single.pivot(index=["qp", "problem"], columns="phase", values="median_us")
+    return medians.assign(ratio=medians["feedback"] / medians["preparation"])
+
+
+def whole_step(times):
+    """Times [µs] of RHE and RHC together, by QP solver.
+
+    Args:
+        times: Of `by_solver`.
+    """
+    columns = ["average_us", "median_us", "maximum_us", "paper_average_us"]
+    return times[times["phase"] == "overall"].groupby("qp")[columns].sum()
+
+
+def machine():
+    """The processor's name and number, and the versions that matter."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    processor = names[0] if names else platform.processor() or platform.machine()
+    versions = f"Python {platform.python_version()}, CasADi {ca.__version__}"
+    return f"{processor}, {os.cpu_count()} cores, {versions}"

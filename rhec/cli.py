@@ -1,0 +1,466 @@
+"""The command `rhec`: the functions of the package from a shell.
+
+Its options are made of signatures and docstrings, and of the fields of a Scenario, so each text
+stands once. A mistake in an argument gives one sentence and exit code 2, a failure of the system
+one sentence and 1, Ctrl-C one line and 130; `rhec doctor` returns 1 where it found something.
+"""
+
+import functools
+import inspect
+import itertools
+import json
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import docstring_parser
+import numpy as np
+from cyclopts import App, CycloptsError, Group, Parameter
+
+import rhec
+from rhec.style import replacing
+
+__all__ = ["main"]
+
+_ABOUT = (
+    "Receding horizon estimation and control of a tracked field robot with unknown traction, and "
+    "of any robot."
+)
+_PROJECT = Path(__file__).resolve().parents[1]
+# Fields of a Scenario whose values are objects, which a shell cannot write.
+_OBJECTS = ("terrain", "path", "faults", "controller")
+_OF_MODELS = ("model", "delays_s")  # likewise
+_ROBOT, _THE_REPLAY = (Group(name, sort_key=1) for name in ("the robot", "the replay"))
+# The metrics with printed means.
+_PRINTED = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true"]
+_INSTALL_COMPLETION = "--install-completion"
+_Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
+_Json = Annotated[_Flag, Parameter("--json")]
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        words: Its words after `rhec`; those of the process, by default.
+
+    Returns:
+        The exit code.
+    """
+    words = sys.argv[1:] if words is None else list(words)
+    with warnings.catch_warnings():
+        # A warning is a sentence for the user, who has no use for its place in the source.
+        warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
+        try:
+            return _app(words)(words) or 0
+        except (CycloptsError, ValueError) as error:
+            return _said(error, 2)
+        except BrokenPipeError:
+            # What reads the output has ended, as in `rhec … | head`; nothing more can be printed.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except (ImportError, OSError, RuntimeError) as error:
+            return _said(error, 1)
+        except MemoryError as error:
+            return _said(f"there was not enough memory {error}".rstrip(), 1)
+        except KeyboardInterrupt as error:
+            return _said(error.args[0] if error.args else "interrupted", 130)
+
+
+def _said(error, code):
+    print(f"rhec: {error}", file=sys.stderr)
+    return code
+
+
+def _app(words):
+    """The App, in which the command that is named has its options.
+
+    The options of a command import what it needs, which takes time.
+    """
+    app = App(
+        "rhec",
+        help=_ABOUT,
+        version=rhec.__version__,
+        help_format="plaintext",
+        default_parameter=Parameter(negative_iterable=()),
+        print_error=False,
+        exit_on_error=False,
+        suppress_keyboard_interrupt=False,
+        result_action="return_value",
+    )
+    for command, options_of in _COMMANDS.items():
+        is_needed = command.__name__ in words[:1] or _INSTALL_COMPLETION in words
+        app.command(_with(command, options_of()) if is_needed else command)
+    app.register_install_completion_command(_INSTALL_COMPLETION)
+    return app
+
+
+# Options that are made of functions and of Scenario
+
+
+def _with(command, options):
+    """The command with options in the place of its `**given`."""
+    own = inspect.signature(command)
+    named = [each for each in own.parameters.values() if each.kind is not each.VAR_KEYWORD]
+
+    @functools.wraps(command)
+    def run(*arguments, **given):
+        return command(*arguments, **given)
+
+    run.__signature__ = own.replace(parameters=[*named, *options])
+    return run
+
+
+def _keywords(function):
+    """{name: parameter} of what is passed to a function by its name."""
+    parameters = inspect.signature(function).parameters
+    return {name: each for name, each in parameters.items() if each.kind is each.KEYWORD_ONLY}
+
+
+def _options_of(function, group, skipped=(), with_defaults=True):
+    """Options for what is passed to a function by its name, with the texts of its docstring.
+
+    group: Of all options, or a function from a name to the group.
+    """
+    texts = {
+        each.arg_name: each.description for each in docstring_parser.parse(function.__doc__).params
+    }
+    options = []
+    for name, each in _keywords(function).items():
+        if name in skipped:
+            continue
+        is_shown = with_defaults and each.default not in (None, ())
+        look = Parameter(
+            help=" ".join(texts[name].split()),
+            group=group(name) if callable(group) else group,
+            show_default=_shown if is_shown else False,
+        )
+        # The function itself checks the values; only flags have none.
+        kind = Annotated[bool, look] if each.annotation is bool else Annotated[Any, _VALUE, look]
+        options.append(each.replace(annotation=kind))
+    return options
+
+
+def _shown(default):
+    """A default as a shell takes it."""
+    if isinstance(default, float):
+        return f"{default:g}"
+    return list(default) if isinstance(default, tuple) else default
+
+
+def _value_of(_, tokens):
+    """A value of the command line: JSON or, if it is not JSON, a string; a list becomes a tuple."""
+    try:
+        value = json.loads(tokens[0].value)
+    except (ValueError, RecursionError):
+        return tokens[0].value
+    return tuple(value) if isinstance(value, list) else value
+
+
+_VALUE = Parameter(converter=_value_of, n_tokens=1, metavar="VALUE")
+
+
+def _given_to(function, given):
+    """{name: value} of those options that a function takes."""
+    return {name: given[name] for name in _keywords(function) if name in given}
+
+
+def _fields():
+    """The options of a Scenario's fields, by groups."""
+    return _options_of(rhec.Scenario, _group_of, _OBJECTS)
+
+
+def _group_of(field):
+    """The group of options of a Scenario's field."""
+    from rhec.simulation.scenario_fields import fields_of
+
+    fields = fields_of(rhec.Scenario)
+    groups = list(dict.fromkeys(each.group for each in fields.values()))
+    group = fields[field].group
+    return Group(group, sort_key=groups.index(group) + 2)
+
+
+def _scenario_of(world, fields):
+    """The Scenario of the given fields, in the world of this name."""
+    if world not in rhec.WORLDS:
+        raise ValueError(f"world was {world!r}; it should be one of {', '.join(rhec.WORLDS)}")
+    return rhec.Scenario(**rhec.WORLDS[world] | fields)
+
+
+def _refuse_existing(files, overwrite):
+    """Raise a ValueError for files that are there already, before any work is done."""
+    there = [str(file) for file in files if Path(file).exists()]
+    if there and not overwrite:
+        raise ValueError(f"{', '.join(there)} exists; give another name, or --overwrite")
+
+
+# One run, and many
+
+
+def simulate(
+    *,
+    world: str = "default",
+    log: Path | None = None,
+    plot: Path | None = None,
+    as_json: _Json = False,
+    overwrite: _Flag = False,
+    **given: Any,
+):
+    """Drive one simulated field.
+
+    Args:
+        world: Name of a simulated world in rhec.WORLDS, whose fields the options below change.
+        log: Write the log: .csv or .parquet.
+        plot: Draw the run: .png, .pdf, .svg.
+        as_json: Print the metrics as JSON.
+        overwrite: Replace files of these names.
+    """
+    _refuse_existing([file for file in (log, plot) if file], overwrite)
+    if log and log.suffix not in (".csv", ".parquet"):
+        raise ValueError(f"--log was {str(log)!r}; it should end in .csv or .parquet")
+    run = rhec.simulate(_scenario_of(world, given))
+    print(json.dumps(_plain(run.metrics)) if as_json else run)
+    if log and log.suffix == ".csv":
+        run.log.to_csv(log, index=False)
+    elif log:
+        run.log.to_parquet(log)
+    if plot:
+        run.plot().savefig(plot)
+
+
+def _plain(metrics):
+    """Metrics as JSON has them: Python's numbers, and null for NaN."""
+    numbers = {name: np.asarray(value).item() for name, value in metrics.items()}
+    return {name: None if value != value else value for name, value in numbers.items()}
+
+
+def _values_by_name(_, tokens):
+    """[(parameter, its values)] of each `-p NAME VALUE …`, which counts its words anew."""
+    values = []
+    for token in tokens:
+        if token.index == 0:
+            values.append((token.value, []))
+        else:
+            values[-1][1].append(_value_of(None, [token]))
+    return values
+
+
+_SWEEP = Parameter("-p", consume_multiple=True, converter=_values_by_name)
+_Sweep = Annotated[list, _SWEEP, Parameter(metavar="NAME VALUE [VALUE …]")]
+
+
+def campaign(
+    *,
+    p: _Sweep = (),
+    seeds: int = 250,
+    folder: Path = Path("build/campaign"),
+    workers: int | None = None,
+):
+    """Run every combination of parameter values on many seeds.
+
+    Args:
+        p: A parameter of rhec.Scenario and its values: numbers, words or lists like [1,1,0]. By
+            default both estimators with both W.
+        seeds: Number of seeds, from 0.
+        folder: Folder of the table campaign.parquet, and of the rows of finished runs, with which
+            the same command continues.
+        workers: Processes on this machine; by default one per core, or DASK_SCHEDULER_ADDRESS.
+    """
+    if seeds < 1:
+        raise ValueError(f"--seeds was {seeds}; it should be at least 1")
+    for name, entries in p:
+        if not entries:
+            raise ValueError(f"-p {name} had no value; it should have at least one")
+    values = dict(p) or dict(estimator=["rhe", "ekf"], process_noise=["printed", "calibrated"])
+    values |= dict(seed=values.get("seed", range(seeds)))
+    combinations = itertools.product(*values.values())
+    scenarios = [rhec.Scenario(**dict(zip(values, combination))) for combination in combinations]
+    table = rhec.campaign(scenarios, folder, workers)
+    file = folder / "campaign.parquet"
+    with replacing(file) as unfinished:
+        table.to_parquet(unfinished)
+    varied = [name for name in values if name != "seed"]
+    if len(table) and varied:
+        print(table.groupby(varied, sort=False, dropna=False)[_PRINTED].mean().to_string())
+    errors = table.loc[table["error"] != "", "error"]
+    first = f", the first with {errors.iloc[0]}" if len(errors) else ""
+    print(f"{len(table)} runs, {len(errors)} failed{first}; the table is {file}")
+
+
+# A recorded log
+
+
+def _reading():
+    """The options that say how to read a file."""
+    group = Group("reading the file", sort_key=0)
+    texts = dict(
+        columns="Columns whose names in the file differ, such as x_m=easting.",
+        topics="Topics of a bag, with the positions, the speeds, and others.",
+    )
+    options = _options_of(rhec.logs.read, group, skipped=texts)
+    for name, text in texts.items():
+        words = Parameter(help=text, group=group, consume_multiple=True)
+        kind = Annotated[tuple[str, ...], words]
+        option = inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=(), annotation=kind
+        )
+        options.append(option)
+    return options
+
+
+def _read(file, given):
+    """The log of the command line; what the reader found in it is printed."""
+    from rhec.logs.reader import found_lines
+
+    pairs = [pair.partition("=") for pair in given.get("columns", ())]
+    for ours, equals, _ in pairs:
+        if not equals:
+            raise ValueError(f"--columns was {ours!r}; it should be OURS=THEIRS, as x_m=easting")
+    columns = {ours: theirs for ours, _, theirs in pairs} or None
+    log = rhec.logs.read(file, **_given_to(rhec.logs.read, given) | dict(columns=columns))
+    # Not to the standard output, which --json keeps for programs.
+    print(*found_lines(log), sep="\n", file=sys.stderr)
+    return log
+
+
+def doctor(file: str, /, *, as_json: _Json = False, **given: Any):
+    """Find what is wrong with a recorded log.
+
+    Args:
+        file: A .csv, .parquet or bag of a recorded robot.
+        as_json: Print the findings as JSON.
+    """
+    diagnosis = rhec.doctor(_read(file, given), **_given_to(rhec.doctor, given))
+    print(diagnosis.to_json() if as_json else diagnosis)
+    return 0 if diagnosis.ok else 1
+
+
+def calibrate(
+    file: str,
+    /,
+    *,
+    yaml: Path | None = None,
+    as_json: _Json = False,
+    overwrite: _Flag = False,
+    **given: Any,
+):
+    """Estimate noise, slip and lever arm from a recorded log.
+
+    Args:
+        file: A .csv, .parquet or bag of a recorded robot.
+        yaml: Write what ROS takes.
+        as_json: Print arguments of rhec.replay only.
+        overwrite: Replace files of these names.
+    """
+    _refuse_existing([yaml] if yaml else [], overwrite)
+    found = rhec.calibrate(_read(file, given), **_given_to(rhec.calibrate, given))
+    print(json.dumps(dict(found)) if as_json else found)
+    print(*found.remarks, sep="\n", end="\n" if found.remarks else "", file=sys.stderr)
+    if yaml:
+        yaml.write_text(found.yaml, encoding="utf-8")
+
+
+def replay(
+    file: str,
+    /,
+    *,
+    folder: Path | None = None,
+    calibrated: _Flag = False,
+    overwrite: _Flag = False,
+    estimator: str = "rhe",
+    **given: Any,
+):
+    """Run an estimator on a recorded log.
+
+    Args:
+        file: A .csv, .parquet or bag of a recorded robot.
+        folder: Folder of the tables; NAME-replay, of a file NAME.csv, by default.
+        calibrated: First run rhec.calibrate on the log, and take what it finds.
+        overwrite: Replace files of these names.
+        estimator: "rhe", "ekf", …: see help(rhec.replay).
+    """
+    from rhec.logs.outputs import FILES, write_estimates
+    from rhec.logs.replay import ESTIMATOR_FIELDS
+
+    folder = folder or Path(f"{Path(file).stem}-replay")
+    _refuse_existing([folder / name for name in FILES], overwrite)
+    arguments = _given_to(rhec.replay, given)
+    arguments |= {name: given[name] for name in ESTIMATOR_FIELDS if name in given}
+    log = _read(file, given)
+    if calibrated:
+        arguments = rhec.calibrate(log, **_given_to(rhec.calibrate, given)) | arguments
+    estimates = rhec.replay(log, estimator, **arguments)
+    write_estimates(estimates, folder)
+    print(*estimates.attrs["remarks"], sep="\n")
+    print(f"{len(estimates)} estimates in {folder}")
+
+
+def _replay_options():
+    from rhec.logs.replay import ESTIMATOR_FIELDS
+
+    # Of the other fields a replay takes none, and of these it has defaults of its own.
+    others = {*_keywords(rhec.Scenario)} - {*ESTIMATOR_FIELDS}
+    fields = _options_of(rhec.Scenario, _group_of, others, with_defaults=False)
+    own = _options_of(rhec.replay, _THE_REPLAY, _OF_MODELS)
+    return [*_reading(), *own, *fields]
+
+
+# The robot, and the checkout
+
+
+def export(folder: Path, /, *, world: str = "default", **given: Any):
+    """Write estimator and controller as C99.
+
+    Args:
+        folder: A new or empty folder, or an earlier export.
+        world: Name of a simulated world in rhec.WORLDS, whose fields the options below change.
+    """
+    folder = rhec.export(_scenario_of(world, given), folder)
+    print(f"{folder}: its README.txt says how to go on")
+
+
+def lab():
+    """Open the notebooks in JupyterLab."""
+    if not (_PROJECT / "notebooks").is_dir():
+        raise ValueError(
+            "rhec lab needs the project's notebooks, which an installed package does not have; "
+            "run it in a checkout of the repository"
+        )
+    # No news, no updates, no extensions from the network. What it logs are errors and its address,
+    # which one opens where there is no display.
+    options = [
+        "--Application.log_level=ERROR",
+        "--LabApp.default_url=/lab/tree/notebooks/00_start.ipynb",
+        "--LabApp.extension_manager=readonly",
+        "--LabApp.news_url=None",
+        "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
+    ]
+    has_display = sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & {
+        *os.environ
+    }
+    options += [] if has_display else ["--no-browser"]
+    is_root = hasattr(os, "getuid") and os.getuid() == 0
+    options += ["--allow-root"] if is_root else []
+    folders = [str(_PROJECT / ".jupyter"), os.environ.get("JUPYTER_CONFIG_PATH", "")]
+    os.environ["JUPYTER_CONFIG_PATH"] = os.pathsep.join(folders)
+    os.chdir(_PROJECT)
+    try:
+        from jupyterlab.labapp import main as open_lab
+    except ImportError:
+        raise ImportError("JupyterLab is not installed: pip install 'rhec[lab]'") from None
+    return open_lab(options)
+
+
+# Each command, and what makes its further options.
+_COMMANDS = {
+    simulate: _fields,
+    campaign: list,
+    doctor: lambda: [*_reading(), *_options_of(rhec.doctor, _ROBOT)],
+    calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT, _OF_MODELS)],
+    replay: _replay_options,
+    export: _fields,
+    lab: list,
+}

@@ -1,0 +1,191 @@
+"""A loop as a list of blocks, which read and write signals by name.
+
+In one sample the blocks act in their order. A signal that is read before any block has written it
+comes from outside: it is *remembered*, with its value of one sample ago; or *drawn*, from a stream
+with a new value for each sample; or else a *setting*, which stays the same over a run. So a block
+more or less changes nothing else, and what is compiled is named by the blocks themselves.
+
+    blocks = (
+        Block(build_plant, (0.1,), remembers=("x",), draws=("noise",)),
+        Block(build_controller, reads=dict(measured="z")),
+    )
+    step = sample(blocks, settings=("gain",), row=("x", "u"))
+"""
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+
+import casadi as ca
+
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import casadi_function, packed_size, unpack
+
+_LAST = "@last"
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One part of a loop: how to build its Function, and which signals that reads and writes.
+
+    A block is only built where a loop is compiled, not where a compiled loop is run. So it says
+    what it remembers and draws; `sample` checks that.
+
+    Attributes:
+        build: A function of a module, build(*arguments) -> CasADi Function.
+        arguments: Strings, numbers, tuples of these, and objects with a `key` that tells them
+            apart. Together with `build` they name what is compiled.
+        reads: {input: signal}, where the names differ. "signal@last" is its value a sample ago,
+            even after a block has written it.
+        writes: {result: signal}, where the names differ; None for a result that nobody may read.
+        remembers: Signals that this block writes for the next sample.
+        draws: Signals that it takes from the stream.
+    """
+
+    build: Callable[..., ca.Function]
+    arguments: tuple = ()
+    reads: Mapping[str, str] = field(default_factory=dict)
+    writes: Mapping[str, str | None] = field(default_factory=dict)
+    remembers: tuple[str, ...] = ()
+    draws: tuple[str, ...] = ()
+
+    @functools.cached_property
+    def key(self) -> tuple:
+        """What tells this block from others, in this process and in any other."""
+        wires = tuple(self.reads.items()), tuple(self.writes.items()), self.remembers, self.draws
+        module = self.build.__module__
+        code = module, self.build.__qualname__, compiled.source_digest(module)
+        return *code, compiled.key_of(self.arguments), *wires
+
+    def __eq__(self, other):
+        return self is other or (isinstance(other, Block) and self.key == other.key)
+
+    def __hash__(self):
+        return self._hash
+
+    @functools.cached_property
+    def _hash(self):
+        return hash(self.key)
+
+    # What is cached stays behind: texts have other hashes in another process.
+    def __reduce__(self):
+        return Block, tuple(getattr(self, of.name) for of in fields(self))
+
+    @property
+    def function(self) -> ca.Function:
+        """Its Function, built once in a process."""
+        return _built(compiled.loop_symbols(), self.build, self.arguments)
+
+    def inputs(self):
+        """{input: signal} of its Function, in order."""
+        return {name: self.reads.get(name, name) for name in self.function.name_in()}
+
+    def results(self):
+        """{result: signal} of its Function, in order."""
+        return {name: self.writes.get(name, name) for name in self.function.name_out()}
+
+
+# Loops that differ in one block share the others, which take a third of a second to build.
+@functools.lru_cache(maxsize=64)
+def _built(symbols, build, arguments):
+    """build(*arguments); `symbols` is the kind that Functions may use, which a compiler decides."""
+    return build(*arguments)
+
+
+def split(name, shapes):
+    """The Function of a block that takes a vector of this name apart.
+
+    Args:
+        name: Of the vector.
+        shapes: Pairs (name, shape) of the matrices that it holds, column by column.
+    """
+    shapes = dict(shapes)
+
+    @casadi_function(f"split_{name}", **{name: (packed_size(shapes), 1)})
+    def split(**vector):
+        return unpack(vector[name], shapes)
+
+    return split
+
+
+def remembered(blocks):
+    """Names of the signals that the next sample gets from this one, in order."""
+    return tuple(dict.fromkeys(name for block in blocks for name in block.remembers))
+
+
+def drawn(blocks):
+    """Names of the signals that come from the stream, in order."""
+    return tuple(dict.fromkeys(name for block in blocks for name in block.draws))
+
+
+def sample(blocks, settings, row, others=()):
+    """One sample of a loop as a Function (memory, noise, settings …) -> (memory, row, others …).
+
+    Args:
+        blocks: Blocks, in the order in which they act.
+        settings: Names of the signals that stay the same over a run; those that no block reads are
+            left out.
+        row: Signals whose values become a row of the log.
+        others: Further signals to return.
+
+    Returns:
+        The Function. `memory` has what is `remembered` and `noise` what is `drawn`, each matrix
+        column by column.
+
+    Raises:
+        ValueError: If a signal comes from nowhere, or is remembered or drawn in vain; one sentence.
+    """
+    outside = _read_from_outside(blocks)
+    written = {signal: block for block in blocks for signal in block.results().values()}
+    memory = {name: _outside(outside, name, "remembers") for name in remembered(blocks)}
+    stream = {name: _outside(outside, name, "draws") for name in drawn(blocks)}
+    for name in memory:
+        if name not in written:
+            raise ValueError(f"no block writes {name!r}, which is remembered")
+    constant = {name: shape for name, (shape, _) in outside.items() if name not in memory | stream}
+    for name in constant:
+        if name not in settings:
+            reader = outside[name][1].function.name()
+            raise ValueError(f"no block before {reader!r} writes {name!r}, and it is no setting")
+    symbols = {name: ca.MX.sym(name, *shape) for name, shape in constant.items()}
+    packed = dict(
+        memory=ca.MX.sym("memory", packed_size(memory)),
+        noise=ca.MX.sym("noise", packed_size(stream)),
+    )
+    last = unpack(packed["memory"], memory)
+    signals = symbols | unpack(packed["noise"], stream) | last
+    signals |= {name + _LAST: value for name, value in last.items()}
+    for block in blocks:
+        results = block.function.call([signals[name] for name in block.inputs().values()])
+        signals |= dict(zip(block.results().values(), results))
+    results = dict(
+        memory=ca.veccat(*(signals[name] for name in memory)),
+        row=ca.veccat(*(signals[name] for name in row)),
+    )
+    results |= {name: signals[name] for name in others}
+    inputs = packed | symbols
+    # A scan or log reads every entry, so that results must have no structural zeros.
+    outputs = [ca.densify(value) for value in results.values()]
+    options = dict(allow_duplicate_io_names=True, cse=True)
+    return ca.Function("sample", [*inputs.values()], outputs, [*inputs], [*results], options)
+
+
+def _read_from_outside(blocks):
+    """{signal: (shape, block that reads it)} of what is read before any block has written it."""
+    found = {}
+    known = set()
+    for block in blocks:
+        for name, signal in block.inputs().items():
+            signal = signal.removesuffix(_LAST)
+            is_last = block.reads.get(name, name).endswith(_LAST)
+            if is_last or signal not in known:
+                found.setdefault(signal, (block.function.size_in(name), block))
+        known.update(block.results().values())
+    return found
+
+
+def _outside(outside, name, verb):
+    """The shape of a signal that a block remembers or draws."""
+    if name not in outside:
+        raise ValueError(f"a block {verb} {name!r}, but none reads it before it is written")
+    return outside[name][0]

@@ -1,0 +1,285 @@
+"""The controls of the explorer, and the conversion of their values to scenarios and back.
+
+The key of a control is a field of Scenario, or (field, index) for one entry of a tuple. Units,
+tooltips and choices come from `fields_of`; a control adds a short label and the range of a slider.
+"""
+
+import math
+from dataclasses import fields
+from typing import NamedTuple
+
+from rhec.simulation.faults import SENSOR_CHANNELS, Fault
+from rhec.simulation.scenario import Scenario
+from rhec.simulation.scenario_fields import fields_of
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import ROBUST_NAMES, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
+
+_FIELDS = fields_of(Scenario)
+
+
+class Slider(NamedTuple):
+    """A number from low to high.
+
+    kind: "real"; "whole" for integers that change the compiled loop; or "log", with powers of ten
+    as low, high and step.
+    """
+
+    key: str | tuple
+    label: str
+    low: float
+    high: float
+    step: float
+    tooltip: str
+    kind: str = "real"
+
+
+class Selection(NamedTuple):
+    """One of several values."""
+
+    key: str
+    label: str
+    options: tuple  # of (name in the list, value)
+    tooltip: str
+
+
+def _slider(field, name, low, high, step, kind="real"):
+    """The Slider of a field."""
+    unit = _FIELDS[field].unit
+    label = f"{name} [{unit}]" if unit else name
+    return Slider(field, label, low, high, step, _FIELDS[field].text, kind)
+
+
+def _entries(field, symbol, names, low, high, step, kind="real"):
+    """One Slider for each entry of a field."""
+    tooltip = _FIELDS[field].text
+    return [
+        Slider((field, place), f"{symbol} of {name}", low, high, step, tooltip, kind)
+        for place, name in enumerate(names)
+    ]
+
+
+def _selection(field, name, labels):
+    """The Selection of a field; labels: the names of its choices."""
+    options = tuple(zip(labels, _FIELDS[field].choices, strict=True))
+    return Selection(field, name, options, _FIELDS[field].text)
+
+
+def _fault(duration_s, **settings):
+    return (Fault(start_s=40.0, duration_s=duration_s, **settings),)
+
+
+# {name in Scenario: label}
+ESTIMATORS = {
+    "rhe": "RHE",
+    "ekf": "EKF",
+    "yaw_drift_ekf": "yaw-drift EKF",
+    "oracle": "oracle",
+    "traction_oracle": "traction oracle",
+}
+PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("custom", "custom"))
+_STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
+_MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
+_NO_YES = ("no", "yes")
+_SPEEDS = ("constant over the window", "measured", "slipping tracks")
+_SOIL_UNDER = ("the middle", "each track")
+_FAULTS = (
+    ("none", ()),
+    ("no GNSS for 5 s", _fault(5.0, kind="missing")),
+    ("no GNSS for 20 s", _fault(20.0, kind="missing")),
+    ("positions 2 m off for 10 s", _fault(10.0, kind="outliers", size_m=2.0)),
+    ("a jump of 0.5 m for 20 s", _fault(20.0, kind="jump", size_m=0.5)),
+    ("positions 0.6 s late", (Fault(kind="latency", delay_s=0.6),)),
+    ("left encoder dead for 20 s", _fault(20.0, kind="dead", channel="left")),
+    ("gyro dead for 20 s", _fault(20.0, kind="dead", channel="gyro")),
+    ("gyro stuck for 20 s", _fault(20.0, kind="stuck", channel="gyro")),
+)
+_SENSORS = (
+    ("none", ()),
+    ("a gyro", ("gyro",)),
+    ("a heading", ("heading",)),
+    ("gyro and heading", ("gyro", "heading")),
+)
+GROUPS = {
+    "Estimator": (
+        _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
+        _selection("speed_model", "speed ν", _SPEEDS),
+        _selection("arrival_mean", "arrival mean", ("smoothed", "filtered")),
+        _selection("robust", "robust", _NO_YES),
+        *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
+    ),
+    "Controller": (
+        *_entries("q", "Q", ("x", "y", "θ"), 0, 20, 0.5),
+        _slider("r", "R", -1, 3, 0.05, "log"),
+        _slider("qn_factor", "Q_N / Q", 0, 50, 0.5),
+        _slider("prediction_horizon", "horizon [intervals]", 2, 40, 1, "whole"),
+        _slider("look_ahead_m", "look-ahead", 0, 3, 0.05),
+        _slider("omega_max_radps", "ω_max", 0.02, 0.5, 0.01),
+        _selection("input_reference", "ω_r", ("measured, held", "curvature")),
+        _selection("command_delay", "command", ("at once", "a sample later")),
+    ),
+    "Drive": (
+        _slider("speed_mps", "speed", 0.1, 1.4, 0.02),
+        _slider("duration_s", "duration", 20, 600, 10),
+        _slider("start_offset_m", "start beside", -3, 3, 0.1),
+        _slider("start_yaw_rad", "start turned", -1.5, 1.5, 0.05),
+        _slider("guess_yaw_rad", "yaw guess off", -1.5, 1.5, 0.05),
+        _selection("backwards", "backwards", _NO_YES),
+        _slider("row_length_m", "row length", 10, 100, 1),
+        _slider("headland_radius_m", "turn radius", 3, 20, 0.2),
+    ),
+    "Soil": (
+        _slider("mu_mean", "μ mean", 0.3, 0.99, 0.01),
+        _slider("mu_deviation", "μ deviation", 0, 0.3, 0.01),
+        _slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01),
+        _slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01),
+        _slider("correlation_length_m", "correlation length", 0.5, 20, 0.5),
+        _selection("soil_under", "soil below", _SOIL_UNDER),
+        _slider("slip_difference", "left slips more", -0.1, 0.1, 0.002),
+    ),
+    "Sensors": (
+        _slider("gnss_sigma_m", "GNSS noise", 0, 0.2, 0.005),
+        _slider("gnss_slow_share", "slow share", 0, 1, 0.05),
+        _slider("gnss_slow_time_s", "slow over", 5, 1800, 5),
+        _slider("encoder_sigma_mps", "encoder noise", 0, 0.2, 0.0025),
+        _slider("speed_sigma_mps", "speed noise", 0, 0.2, 0.005),
+        _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
+        _slider("rut_length_m", "ruts over", 0, 3, 0.1),
+        _slider("rotation_centre_m", "turns ahead of middle", -0.5, 0.5, 0.02),
+        _slider("side_slip_rad", "side slip", 0, 0.5, 0.02),
+        Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
+        _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
+        _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
+        _slider("gyro_scale", "gyro scale", 0.85, 1.2, 0.01),
+        _slider("heading_sigma_rad", "heading noise", 0, 0.2, 0.005),
+        Selection("faults", "fault", _FAULTS, _FIELDS["faults"].text),
+        *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),
+    ),
+}
+CONTROLS = {control.key: control for group in GROUPS.values() for control in group}
+
+# Sliders for the entries of one of Scenario's `patches`, and the values of a new patch.
+PATCH = (
+    Slider(0, "along x [m]", -10, 45, 0.5, "The first row runs along x from 0."),
+    Slider(1, "across y [m]", -8, 24, 0.5, "The first row is at y = 0."),
+    Slider(2, "radius [m]", 0.5, 8, 0.25, "Radius of the patch."),
+    Slider(3, "μ inside", 0.1, 1, 0.01, "Traction of the patch."),
+    Slider(4, "κ inside", 0.1, 1, 0.01, "Traction of the patch."),
+)
+NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
+
+
+def values_of(scenario):
+    """The values of the controls for a scenario.
+
+    Args:
+        scenario: A Scenario.
+
+    Returns:
+        {key of a control: value}, with "process_noise", "seed" and "patches".
+    """
+    noise = scenario.process_noise
+    values = vars(scenario) | dict(
+        sigma_w=sigma_w_shown(scenario),
+        sigma_v=tuning.sigma_v_of(scenario),
+        arrival_mean=Choice.of(scenario).arrival_mean,
+    )
+    is_offered = scenario.sigma_w is None and noise in dict(PROCESS_NOISES).values()
+    keys = [*CONTROLS, "seed", "patches"]
+    entries = {
+        key: values[key[0]][key[1]] if isinstance(key, tuple) else values[key] for key in keys
+    }
+    return entries | dict(process_noise=noise if is_offered else "custom")
+
+
+def sigma_w_shown(scenario):
+    """The six standard deviations of W on the sliders: the scenario's, else those of the RHE."""
+    if scenario.sigma_w is not None and len(scenario.sigma_w) == 6:
+        return scenario.sigma_w
+    return tuning.SIGMA_W["rhe"][scenario.process_noise]
+
+
+def scenario_of(values, estimator, start):
+    """The scenario for the values of the controls.
+
+    Args:
+        values: As `values_of` returns them.
+        estimator: As in Scenario.
+        start: The Scenario that provides the fields without a control.
+
+    Returns:
+        A Scenario.
+
+    Raises:
+        ValueError: As Scenario does.
+    """
+    settings = vars(start) | dict(estimator=estimator)
+    entries = {}
+    for key, value in values.items():
+        if isinstance(key, tuple):
+            entries.setdefault(key[0], []).append(value)
+        else:
+            settings[key] = value
+    settings |= {name: tuple(entry) for name, entry in entries.items()}
+    settings["robust"] = settings["robust"] and estimator in ROBUST_NAMES
+    settings["sensors"] = settings["sensors"] if estimator == "rhe" else ()
+    absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
+    settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
+    if settings["process_noise"] == "custom":
+        is_listed = start.process_noise in dict(PROCESS_NOISES).values()
+        settings["process_noise"] = start.process_noise if is_listed else "calibrated"
+        settings["sigma_w"] = _sigma_w_for_estimator(settings)
+    else:
+        settings["sigma_w"] = None
+    # None means the default for the process noise, which keeps the printed scenario short.
+    for name, usual in (("sigma_v", tuning.SIGMA_V), ("arrival_mean", tuning.ARRIVAL_MEAN)):
+        if settings[name] == usual[settings["process_noise"]]:
+            settings[name] = None
+    return Scenario(**settings)
+
+
+def _sigma_w_for_estimator(settings):
+    """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
+    estimator = estimator_of(settings["estimator"])
+    choice = Choice(*(settings[name] for name in Choice._fields[:5]))
+    n = estimator.n_sigma_w(choice)
+    names = estimator.states(choice)[-n:] if n else ()
+    six = dict(zip(QUANTITIES, settings["sigma_w"]))
+    # The yaw drift has no slider.
+    tuned = tuning.SIGMA_W["yaw_drift_ekf"]["calibrated"]
+    six |= dict(yaw_drift_radpm=tuned[-1])
+    return tuple(six[name] for name in names) or None
+
+
+def tidy(control, value, before):
+    """The value of a control without rounding errors; the previous value if it has not moved."""
+    if isinstance(control, Selection):
+        return value
+    if math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
+        return before
+    if control.kind == "whole":
+        return int(value)
+    return float(f"{value:.4g}") if control.kind == "log" else round(float(value), 10)
+
+
+def line_of(record):
+    """A Scenario or Fault as one line of Python, without fields that have their default.
+
+    A user-defined path, terrain or estimator appears as the name of its field.
+    """
+    arguments = [
+        f"{field.name}={_as_code(getattr(record, field.name), field.name)}"
+        for field in fields(record)
+        if getattr(record, field.name) != field.default
+    ]
+    return f"rhec.{type(record).__name__}({', '.join(arguments)})"
+
+
+def _as_code(value, name):
+    if isinstance(value, tuple):
+        entries = ", ".join(_as_code(entry, name) for entry in value)
+        return f"({entries}{',' if len(value) == 1 else ''})"
+    if isinstance(value, Fault):
+        return line_of(value)
+    return repr(value) if isinstance(value, bool | int | float | str) else name

@@ -1,0 +1,230 @@
+"""One or two field runs in six panels: trajectory, error, μ, κ, yaw rate and KKT tolerance."""
+
+import numpy as np
+
+from rhec import paper
+from rhec.explorer.controls import ESTIMATORS
+from rhec.explorer.panels import Mark, Panel, Picture, figure_of
+from rhec.style import BLACK, COLOURS, GREY, ORANGE, PURPLE
+
+ZOOMS = ("whole path", "first row", "worst place")
+DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
+FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
+
+_COLOURS = COLOURS | {"traction oracle": PURPLE, "yaw-drift EKF": ORANGE}
+# Names of the panels in the rows and columns of the picture.
+_LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
+_MOST_POINTS = 300  # largest number of points of the soil along one side
+
+# Lines of a run: panel, columns along x and y, and look.
+_SERIES = (
+    ("map", "x_m", "y_m", "bold"),
+    ("error", "t_s", "error_m", "faint"),
+    ("error", "t_s", "error_true_m", "bold"),
+    ("mu", "t_s", "mu", "truth"),
+    ("mu", "t_s", "mu_hat", "bold"),
+    ("kappa", "t_s", "kappa", "truth"),
+    ("kappa", "t_s", "kappa_hat", "bold"),
+    ("yaw_rate", "t_s", "omega_cmd_radps", "bold"),
+    ("kkt", "t_s", "kkt_rhe", "bold"),
+    ("kkt", "t_s", "kkt_rhc", "second"),
+)
+_LOOKS = {
+    "bold": dict(width=0.75),  # a pixel: a page takes five times as long for wider ones
+    "second": dict(width=0.7, alpha=0.5),
+    "faint": dict(width=0.4, alpha=0.4),
+    "truth": dict(width=0.6, colour=BLACK),
+}
+# In the words of the live page.
+_TITLES = {
+    "error": "True distance from the path [m]; faint: by GNSS",
+    "mu": "μ: estimate; thin: truth",
+    "kappa": "κ: estimate; thin: truth",
+    "yaw_rate": "Commanded yaw rate [rad/s]; dashed: its bounds",
+    "kkt": "KKT tolerance: RHE (bold), RHC",
+}
+
+
+def name_of(scenario):
+    """The name of the estimator in legends."""
+    if not isinstance(scenario.estimator, str):
+        return "custom"
+    return ESTIMATORS.get(scenario.estimator, scenario.estimator)
+
+
+def colour_of(scenario):
+    """The colour of the estimator."""
+    return _COLOURS.get(name_of(scenario), GREY)
+
+
+def places_beside(poses, across_m):
+    """Points (n, 2) at a distance to the left of poses (n, 3) [m]."""
+    return poses[:, :2] + across_m * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
+
+
+def tolerance_band(poses):
+    """Outline (2 n, 2) of the tolerance on either side of poses (n, 3) [m]."""
+    left, right = (places_beside(poses, side * paper.TOLERANCE_M) for side in (1, -1))
+    return np.concatenate([left, right[::-1]])
+
+
+def rectangle(xlim, ylim, **look):
+    """The area between these limits."""
+    return Mark("area", np.repeat(xlim, 2), np.array([*ylim, *ylim[::-1]]), **look)
+
+
+def level(xlim, y, **look):
+    """A line at one height."""
+    return Mark("line", np.array(xlim), np.array([y, y]), **look)
+
+
+# Limits in coarse steps, which do not change with small changes of the data
+
+
+def round_up_to(value, steps=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
+    """The smallest step not below the value; the largest step for larger values and NaN."""
+    return next((step for step in steps if value <= step), steps[-1])
+
+
+def _finite(columns, *names):
+    """All finite values of these columns of several runs."""
+    values = np.concatenate([run[name] for run in columns for name in names])
+    return values[np.isfinite(values)]
+
+
+def _error_limits(columns):
+    """Limits for nearly all true errors; the error of an offset start may be cut off."""
+    values = _finite(columns, "error_true_m")
+    return 0.0, round_up_to(1.3 * np.quantile(values, 0.95) if len(values) else np.inf)
+
+
+def _traction_limits(columns, name):
+    """Limits for μ or κ: a round number below nearly all values, and 1."""
+    values = _finite(columns, name, f"{name}_hat")
+    low = np.quantile(values, 0.01) if len(values) else 0.0
+    return next((floor for floor in (0.8, 0.6, 0.4, 0.2) if low > floor), 0.0) - 0.01, 1.02
+
+
+def _kkt_limits(columns):
+    """Powers of ten around nearly all of both tolerances."""
+    values = _finite(columns, "kkt_rhe", "kkt_rhc")
+    values = np.log10(values[values > 0])
+    low, high = np.quantile(values, [0.02, 0.995]) if len(values) else (-9, 0)
+    return 10.0 ** max(np.floor(low), -12), 10.0 ** np.ceil(high)
+
+
+def _worst_place(run):
+    """The position (x, y) [m] of the largest true error after settling."""
+    c = run.columns
+    settled_s = run.metrics["settling_time_s"]
+    error = np.where(c["t_s"] >= (0 if np.isnan(settled_s) else settled_s), c["error_true_m"], -1.0)
+    k = np.argmax(np.nan_to_num(error, nan=-1.0))
+    return c["x_m"][k : k + 1], c["y_m"][k : k + 1]
+
+
+def _map_limits(run, zoom):
+    """((x, x_end), (y, y_end), scale) of a zoom."""
+    path = run.path
+    if zoom == "worst place":
+        centre = np.round(np.concatenate(_worst_place(run)))
+        low = centre - 2.5
+        high = centre + 2.5
+        scale = "equal"
+    elif zoom == "first row":
+        end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
+        ends = path.poses([0.0, end - 1e-6])[0][:, :2]
+        beside = round_up_to(abs(run.scenario.start_offset_m), (0.3, 0.6, 1.2, 3, 6, 12)) * 1.1
+        low = ends.min(axis=0) - (1, beside)
+        high = ends.max(axis=0) + (1, beside)
+        scale = ""
+    else:
+        margin_m = 2.0 + abs(run.scenario.start_offset_m)
+        low = np.array(path.box[::2]) - margin_m
+        high = np.array(path.box[1::2]) + margin_m
+        scale = "equal"
+    low = np.array(low, dtype=float).tolist()
+    high = np.array(high, dtype=float).tolist()
+    return *zip(low, high), scale
+
+
+def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
+    """The Picture of field runs.
+
+    Args:
+        runs, pinned: Up to two runs each; pinned runs are dashed.
+        zoom: One of ZOOMS.
+        soil: Slip field on the map, "mu" or "kappa".
+    """
+    first = runs[0]
+    columns = [run.columns for run in (*runs, *pinned)]
+    time = 0.0, float(max(run["t_s"][-1] + paper.DT_S for run in columns))
+    bound = first.scenario.omega_max_radps
+    limits = {name: _traction_limits(columns, name) for name in ("mu", "kappa")}
+    limits |= dict(error=_error_limits(columns), kkt=_kkt_limits(columns))
+    limits |= dict(yaw_rate=(-1.25 * bound, 1.25 * bound))
+    marks = {panel: _curves(first, ylim) for panel, ylim in limits.items()}
+    marks["error"].append(rectangle(time, (0.0, paper.TOLERANCE_M), **FAINT_TOLERANCE))
+    marks["yaw_rate"] += [level(time, at, **DASHED) for at in (-bound, bound)]
+    marks["map"] = _ground(first, soil)
+    drawn = [("", run, place) for place, run in enumerate(runs)]
+    drawn += [("pinned ", run, place) for place, run in enumerate(pinned)]
+    for kind, run, place in reversed(drawn):
+        for panel, mark in _series(kind, run, place):
+            marks[panel].append(mark)
+    c = first.columns
+    ring = dict(colour=COLOURS["EKF"], width=9, full=False)
+    marks["map"] += [
+        Mark("dots", c["x_m"][:1], c["y_m"][:1], width=3.5),
+        Mark("dots", *_worst_place(first), **ring),
+    ]
+    x, y, scale = _map_limits(first, zoom)
+    stretched = "" if scale else "; y is stretched"
+    title = f"Field [m], brown where {dict(mu='μ', kappa='κ')[soil]} is low{stretched}"
+    panels = dict(map=Panel(title, x, y, marks["map"], scale))
+    for name, title in _TITLES.items():
+        scale = "log" if name == "kkt" else ""
+        panels[name] = Panel(title, time, limits[name], marks[name], scale)
+    return Picture(_LAYOUT, panels)
+
+
+def _curves(run, ylim):
+    """Grey areas for the times in curved parts of the path."""
+    edges = np.flatnonzero(np.diff(~run.columns["on_straight"], prepend=False, append=False))
+    times = np.append(run.columns["t_s"], run.columns["t_s"][-1] + paper.DT_S)[edges]
+    return [rectangle(span, ylim, alpha=0.07) for span in times.reshape(-1, 2)]
+
+
+def _ground(run, soil):
+    """Marks of the soil and of the path with its tolerance."""
+    terrain = run.terrain
+    field = getattr(run.terrain, soil)
+    every = -(-max(field.shape) // _MOST_POINTS)
+    grid = (at + terrain.cell_m * np.arange(n) for at, n in zip(terrain.origin_m, field.shape))
+    length_m = run.path.length_m
+    poses, _ = run.path.poses(np.linspace(0, length_m, 2 + int(length_m / 0.25)))
+    return [
+        Mark("soil", *(at[::every] for at in grid), traction=field[::every, ::every]),
+        Mark("area", *tolerance_band(poses).T, **FAINT_TOLERANCE | dict(alpha=0.5)),
+        Mark("line", *poses[:, :2].T, **DASHED, label="path, and bounds"),
+    ]
+
+
+def _series(kind, run, place):
+    """Yield (panel, Mark) for each line of a run."""
+    for panel, x, y, look in _SERIES:
+        style = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
+        if kind and look != "bold":
+            continue
+        if kind:
+            style |= dict(dash=(2.5, 1.5), alpha=0.6)
+        if look == "truth" and place > 0:
+            style |= dict(dash=(0.8, 1.2), alpha=0.7)
+        label = kind + name_of(run.scenario) if panel == "map" else ""
+        if (panel, look, place) == ("mu", "truth", 0):
+            label = "truth"
+        yield panel, Mark("line", run.columns[x], run.columns[y], label=label, **style)
+
+
+def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
+    """The matplotlib Figure of field runs; arguments as in `picture_of`."""
+    return figure_of(picture_of(runs, pinned, zoom, soil))

@@ -1,0 +1,165 @@
+"""Pictures as data: panels and their marks.
+
+Matplotlib draws them as a figure; a page draws them from a list of marks and a buffer of numbers.
+"""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from rhec.style import BLACK, BLUE, DOUBLE_IN, styled
+
+_PX = 4 / 3  # one point [px]
+# CSS variables that adapt to dark pages.
+_PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}
+_WET = [(0.47, 0.27, 0.08, 0), (0.47, 0.27, 0.08, 1)]
+
+
+class Mark(NamedTuple):
+    """A "line", the "area" inside a line, "dots", or "soil": traction (n_x, n_y) over a grid.
+
+    width: line width or diameter of dots [pt]; dash: lengths of dashes and gaps [pt]; full: False
+    for rings; label: text in the legend. NaN leaves a gap.
+    """
+
+    kind: str
+    x: np.ndarray
+    y: np.ndarray
+    colour: str = BLACK
+    width: float = 0.75
+    alpha: float = 1.0
+    dash: tuple = ()
+    full: bool = True
+    label: str = ""
+    traction: np.ndarray | None = None
+
+
+class Panel(NamedTuple):
+    """A pair of axes. scale: "equal" for equal scales, "log" for a logarithmic y axis, or ""."""
+
+    title: str
+    xlim: tuple
+    ylim: tuple
+    marks: list
+    scale: str = ""
+
+
+class Picture(NamedTuple):
+    """Panels by name. A row of `layout` has the names of its panels, as in CSS grid areas."""
+
+    layout: tuple
+    panels: dict
+
+    @property
+    def legend(self):
+        """The marks with a label, starting with the topmost one."""
+        marks = [mark for panel in self.panels.values() for mark in reversed(panel.marks)]
+        return [mark for mark in marks if mark.label]
+
+
+@styled
+def figure_of(picture):
+    """A Picture as a matplotlib Figure."""
+    from matplotlib.figure import Figure  # here, because a page draws without Matplotlib
+
+    figure = Figure(figsize=(DOUBLE_IN, 4.3))
+    axes = figure.subplot_mosaic([row.split() for row in picture.layout])
+    for name, panel in picture.panels.items():
+        ax = axes[name]
+        if panel.scale == "log":
+            ax.set_yscale("log")
+        for height, mark in enumerate(panel.marks, 1):  # the grid is at 0.5
+            _draw(ax, mark, height)
+        ax.set_xlim(panel.xlim, auto=True)  # an equal scale widens one of both limits
+        ax.set_ylim(panel.ylim, auto=True)
+        ax.set_aspect("equal" if panel.scale == "equal" else "auto", adjustable="datalim")
+        ax.set_title(panel.title, pad=3)
+    handles = [_line(mark, [], [], label=mark.label) for mark in picture.legend]
+    figure.legend(handles=handles, loc="outside upper right", ncols=len(handles))
+    return figure
+
+
+def _draw(axes, mark, height):
+    """Draw a mark above those with a lower height."""
+    if mark.kind == "soil":
+        half = (mark.x[1] - mark.x[0]) / 2
+        extent = (mark.x[0] - half, mark.x[-1] + half, mark.y[0] - half, mark.y[-1] + half)
+        look = dict(origin="lower", interpolation="bilinear", cmap=_wet(), vmin=0, vmax=0.91)
+        # As in plot.js: the root shows small differences on firm soil, too.
+        axes.imshow(np.sqrt(1 - mark.traction.T), extent=extent, zorder=height, **look)
+    elif mark.kind == "area":
+        look = dict(color=mark.colour, alpha=mark.alpha, linewidth=0)
+        axes.fill(mark.x, mark.y, zorder=height, **look)
+    else:
+        axes.add_line(_line(mark, mark.x, mark.y, zorder=height))
+
+
+@functools.cache
+def _wet():
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("wet", _WET)
+
+
+def _line(mark, x, y, **more):
+    """The Line2D of a mark with a line or dots, or of any mark in a legend."""
+    from matplotlib.lines import Line2D
+
+    look = dict(color=mark.colour, alpha=mark.alpha, linewidth=mark.width)
+    if mark.dash:  # Matplotlib counts dashes in line widths
+        look |= dict(linestyle=(0, tuple(length / mark.width for length in mark.dash)))
+    if mark.kind == "dots":
+        look |= dict(linestyle="none", marker="o", markersize=mark.width, markeredgewidth=0.6)
+        look |= {} if mark.full else dict(markerfacecolor="none")
+    return Line2D(x, y, **look, **more)
+
+
+class _Numbers:
+    """The arrays of a picture, one after the other."""
+
+    def __init__(self):
+        self.places = {}
+        self.arrays = []
+        self.end = 0
+
+    def place(self, array):
+        """Index of an array's first number, and its length."""
+        if id(array) not in self.places:  # many lines share the array of times
+            self.places[id(array)] = self.end, array.size
+            self.arrays.append(array.ravel())
+            self.end += array.size
+        return self.places[id(array)]
+
+    def marks(self, marks):
+        """Descriptions of marks."""
+        return [_look(mark) | self._arrays(mark) for mark in marks]
+
+    def _arrays(self, mark):
+        arrays = dict(x=mark.x, y=mark.y, traction=mark.traction)
+        return {name: self.place(array) for name, array in arrays.items() if array is not None}
+
+
+def _look(mark):
+    colour = _PAGE_COLOURS.get(mark.colour, mark.colour)
+    width = mark.width * _PX
+    dash = [_PX * length for length in mark.dash]
+    line = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
+    return line | dict(alpha=mark.alpha, full=mark.full, label=mark.label)
+
+
+def packed(picture):
+    """A Picture for a page: a description for JSON, and the bytes of all numbers (float32).
+
+    The description of an array is (index of its first number, length).
+    """
+    numbers = _Numbers()
+    panels = {
+        name: panel._replace(marks=numbers.marks(panel.marks))._asdict()
+        for name, panel in picture.panels.items()
+    }
+    legend = [_look(mark) for mark in picture.legend]
+    content = dict(layout=picture.layout, panels=panels, legend=legend)
+    with np.errstate(over="ignore"):
+        joined = np.concatenate(numbers.arrays, dtype=np.float32, casting="same_kind")
+    return content, joined.tobytes()

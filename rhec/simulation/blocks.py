@@ -1,0 +1,283 @@
+"""The closed loop of a Scenario as a list of blocks.
+
+    soil ─► sensors ─► (faults) ─► estimator ─► references ─► controller ─► robot
+
+What a Scenario leaves out, such as faults or a gyro, is not in the list, and costs nothing.
+"""
+
+import functools
+
+import casadi as ca
+
+from rhec import paper
+from rhec.core._casadi.build import casadi_function
+from rhec.core.blocks import Block, split
+from rhec.core.model.limits import is_valid_measurement
+from rhec.simulation import faults
+from rhec.simulation.columns import LOG
+from rhec.simulation.controller import own_controller
+from rhec.tracked_robot import plant as robot
+from rhec.tracked_robot import plant_options as robot_options
+from rhec.tracked_robot import rhc as paper_rhc
+from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
+from rhec.tracked_robot.kinematics import SPEED_MODELS
+from rhec.tracked_robot.references import build_references
+
+_ONE = (1, 1)
+_N_Z = 4  # entries of a measurement (x, y, ν, ω); those of other sensors follow
+# Signals that a controller has other names for.
+_OF_CONTROLLER = (
+    dict(memory="controller", s_0="estimate", x_ref="xi_ref", u_ref="omega_ref"),
+    dict(memory="controller", kkt="kkt_rhc", ok="ok_rhc"),
+)
+_LIMITS = SPEED_MODELS["parameter"].model.limits
+# Results that a user's own estimator may have besides its memory and estimate.
+_RESULTS = ("covariance", "deviance", "accepted", "restart", "kkt", "ok")
+
+
+def blocks_of(scenario, n_segments=None, terrain_shape=None):
+    """The blocks of a scenario's loop.
+
+    Args:
+        scenario: The Scenario.
+        n_segments: Number of the path's segments.
+        terrain_shape: Shape of the grid of the soil's slip fields. Without these two the blocks
+            tell loops apart, but cannot be built.
+    """
+    sensors = scenario.sensors
+    interval = scenario.yaw_rate_interval
+    choice = Choice.of(scenario)
+    has_yaw_drift = estimator_of(choice.estimator).has_yaw_drift
+    horizon = scenario.prediction_horizon
+    own = own_controller(scenario)
+    step = own.compared_step if own else None
+    return (
+        *_ground(terrain_shape, scenario.soil_under),
+        *_sensors(sensors, bool(scenario.faults), interval),
+        *_estimator(choice),
+        *_yaw_rate(len(sensors), interval, has_yaw_drift),
+        *_references(horizon, n_segments, scenario.input_reference),
+        *_controller(step, horizon, scenario.traction_timing, has_yaw_drift),
+        *_motion(bool(scenario.command_delay), bool(scenario.side_slip_rad)),
+        *_log(len(sensors)),
+    )
+
+
+def _blocks(parts):
+    """Decorator: the blocks that a generator yields as a tuple, made once for its arguments.
+
+    Equal loops of a campaign then consist of the same blocks, which are quickly compared.
+    """
+
+    @functools.lru_cache(maxsize=256)
+    @functools.wraps(parts)
+    def made(*arguments):
+        return tuple(parts(*arguments))
+
+    return made
+
+
+@_blocks
+def _ground(terrain_shape, soil_under):
+    """The soil below the robot, and where the robot is."""
+    yield Block(split, ("noise", tuple(robot.NOISE.items())), draws=("noise",))
+    yield Block(robot.soil, (terrain_shape, soil_under), writes=dict(yaw_drift_radpm="yaw_drift"))
+    yield Block(robot.truth)
+
+
+@_blocks
+def _sensors(sensors, is_faulty, yaw_rate_interval):
+    """The measurement z, as it arrives."""
+    n_sensors = len(sensors)
+    n_z = _N_Z + n_sensors
+    yield Block(robot.measure, (paper.DT_S,), remembers=("drift",))
+    if "gyro" in sensors:
+        yield Block(
+            robot_options.gyro, (paper.DT_S,), remembers=("last_yaw",), draws=("gyro_noise",)
+        )
+    if "heading" in sensors:
+        yield Block(robot_options.heading, (n_z - 1,), draws=("heading_noise",))
+    if is_faulty:
+        # Imported here, like all that is not in the paper: a run imports only what it uses.
+        from rhec.simulation import fault_signals
+
+        effects = "faults", tuple(faults.stream_shapes(n_sensors).items())
+        yield Block(split, effects, draws=("faults",))
+        yield Block(fault_signals.deliver, (n_sensors,), remembers=("past", "held"))
+    if "heading" in sensors:
+        yield Block(robot_options.within_a_turn, (n_z,))
+    if yaw_rate_interval == "after":
+        yield Block(robot.pair_with_next_interval, (n_z,), remembers=("newest_omega",))
+
+
+@_blocks
+def _estimator(choice):
+    """The estimate, and how it came about."""
+    traction_input = estimator_of(choice.estimator).traction_input
+    yield Block(known_traction, (traction_input,))
+    yield Block(default_results, (_N_Z + len(choice.sensors),))
+    reads = dict(memory="estimator", z_N="z", traction="known_traction")
+    writes = dict(memory="estimator", kkt="kkt_rhe", ok="ok_rhe", yaw_drift="yaw_drift_hat")
+    if choice.estimator not in NAMES:
+        reads, writes = _wires_of_own(build_step(choice), reads, writes)
+    yield Block(build_step, (choice,), reads, writes, remembers=("estimator",))
+
+
+def _wires_of_own(step, reads, writes):
+    """What a user's own estimator reads and writes.
+
+    It may call its memory, measurement and estimate as it likes, so these go by their places;
+    everything else goes by name.
+    """
+    memory, z, *_ = step.name_in()
+    next_memory, estimate, *others = step.name_out()
+    of_step = {name: writes.get(name, name) if name in _RESULTS else None for name in others}
+    return (
+        reads | {memory: "estimator", z: "z"},
+        of_step | {next_memory: "estimator", estimate: "estimate"},
+    )
+
+
+@_blocks
+def _yaw_rate(n_sensors, yaw_rate_interval, has_disturbance):
+    """The newest yaw rate, with the disturbance by an estimated yaw drift where there is one."""
+    if yaw_rate_interval == "after":
+        # The estimator gets the newest yaw rate a sample on.
+        yield Block(waiting_yaw_rate)
+    else:
+        yield Block(newest_yaw_rate, (_N_Z + n_sensors,))
+    if has_disturbance:
+        from rhec.tracked_robot import yaw_disturbance
+
+        yield Block(yaw_disturbance.build_from_drift, reads=dict(yaw_drift="yaw_drift_hat"))
+        yield Block(yaw_disturbance.counted_in)
+
+
+@_blocks
+def _references(horizon, n_segments, input_reference):
+    """The references ξ_r, ω_r on the path."""
+    arguments = paper.DT_S, horizon, n_segments, input_reference
+    yield Block(references_on_path, arguments, remembers=("s",))
+
+
+@_blocks
+def _controller(own, horizon, traction_timing, has_disturbance):
+    """The command, of a user's `own` Step or of the paper's RHC."""
+    takes = own.function.name_in() if own else ("memory",)
+    remembers = ("command", "controller") if "memory" in takes else ("command",)
+    if own:
+        control = Block(own_step, (own,), *_OF_CONTROLLER, remembers)
+    else:
+        control = Block(
+            paper_rhc.build_step, (horizon, traction_timing), *_OF_CONTROLLER, remembers
+        )
+    is_compensated = has_disturbance and "disturbance" not in takes
+    yield from _compensated(control) if is_compensated else (control,)
+
+
+def _compensated(control):
+    """A controller that does not know of a disturbance, between blocks that do."""
+    from rhec.tracked_robot import yaw_disturbance
+
+    return Block(yaw_disturbance.moved_bounds), control, Block(yaw_disturbance.taken_off)
+
+
+@_blocks
+def _motion(is_delayed, slips_sideways):
+    """The robot's motion until the next sample."""
+    # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
+    applied = "command@last" if is_delayed else "command"
+    yield Block(
+        robot.drive,
+        (paper.DT_S,),
+        reads=dict(omega_radps=applied, yaw_drift_radpm="yaw_drift"),
+        remembers=("pose", "tracks", "integral", "encoders", "rut", "running"),
+    )
+    if slips_sideways:
+        yield Block(
+            robot_options.slip_sideways,
+            (paper.DT_S,),
+            reads=dict(pose="pose@last", driven="pose", running="running@last"),
+            remembers=("slip_angle",),
+            draws=("side_slip_noise",),
+        )
+
+
+@_blocks
+def _log(n_sensors):
+    """The row of the log."""
+    yield Block(row_of_log, (_N_Z + n_sensors,))
+
+
+def known_traction(traction_input):
+    """What an estimator is passed of the soil, as a Function of all that it might be passed."""
+
+    @casadi_function("known_traction", ca.MX, mean_traction=(2, 1), traction=(2, 1), yaw_drift=_ONE)
+    def known(mean_traction, traction, yaw_drift):
+        with_drift = ca.vertcat(traction, yaw_drift)
+        passed = traction_input.select_traction(mean_traction, traction, with_drift)
+        return dict(known_traction=passed)
+
+    return known
+
+
+def default_results(n_z):
+    """Results that an estimator or a controller need not have; every log has the same columns."""
+    nan = ca.DM.nan(1)
+
+    @casadi_function("default_results", z=(n_z, 1))
+    def default(z):
+        valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(_LIMITS)]
+        of_estimator = dict(covariance=nan, deviance=nan, kkt_rhe=nan, ok_rhe=1, restart=0)
+        return of_estimator | dict(accepted=ca.vertcat(*valid), kkt_rhc=0, ok_rhc=1)
+
+    return default
+
+
+def newest_yaw_rate(n_z):
+    """The newest measured yaw rate; where it is rejected, the last command stands in for it."""
+
+    @casadi_function("newest_yaw_rate", z=(n_z, 1), accepted=(_N_Z, 1), command=_ONE)
+    def newest(z, accepted, command):
+        return dict(omega_measured=ca.if_else(accepted[3], z[3], command))
+
+    return newest
+
+
+def waiting_yaw_rate():
+    """`newest_yaw_rate` of one that no estimator has judged yet."""
+
+    @casadi_function("waiting_yaw_rate", newest_omega=_ONE, command=_ONE)
+    def newest(newest_omega, command):
+        accepted = is_valid_measurement(newest_omega, _LIMITS[3])
+        return dict(omega_measured=ca.if_else(accepted, newest_omega, command))
+
+    return newest
+
+
+def references_on_path(dt_s, horizon, n_segments, input_reference):
+    """The references ξ_r, ω_r on the path, eq. (17)-(18), as a Function."""
+    return build_references(dt_s, horizon, n_segments, input_reference)["references"]
+
+
+def own_step(step):
+    """A user's controller."""
+    return step.function
+
+
+def row_of_log(n_z):
+    """A row of the log, of a measurement with n_z entries, as a Function of its parts."""
+    shapes = {name: (len(columns), 1) for name, columns in LOG.items() if name != "ok"}
+    shapes |= dict(z=(n_z, 1), accepted=(_N_Z, 1), ok_rhe=_ONE, ok_rhc=_ONE)
+
+    @casadi_function("row_of_log", ca.MX, **shapes)
+    def row(z, accepted, ok_rhe, ok_rhc, **parts):
+        of_log = parts | dict(
+            z=z[:_N_Z],
+            ok=ca.fmin(ok_rhe, ok_rhc),
+            accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
+        )
+        return dict(row=ca.vertcat(*(of_log[name] for name in LOG), z[_N_Z:]))
+
+    return row

@@ -1,0 +1,56 @@
+"""A function of many runs, or of many arguments, on all cores, in their order."""
+
+from functools import partial
+
+from rhec.simulation.campaigns.batch import (
+    compile_lanes,
+    mean_samples_per_structure,
+    one_per_structure,
+    samples_per_task,
+    simulate_batch,
+    split_into_tasks,
+)
+from rhec.simulation.campaigns.workers import map_tasks, open_workers
+
+
+def map_runs(function, scenarios):
+    """The function of the Run of each scenario, in their order.
+
+    The function must be one that other processes can import.
+    """
+    if not scenarios:
+        return []
+    # Scenarios of one structure run together, in lanes, where that pays for compiling them.
+    mean_samples = mean_samples_per_structure(scenarios)
+    parallel_map(compile_lanes, one_per_structure(scenarios, mean_samples))
+    parts = [*split_into_tasks(dict(enumerate(scenarios)), samples_per_task(mean_samples))]
+    task = partial(_of_part, mean_samples=mean_samples, function=function)
+    results = parallel_map(task, parts)
+    by_place = {place: result for part in results for place, result in part.items()}
+    return [by_place[place] for place in range(len(scenarios))]
+
+
+def _of_part(part, mean_samples, function):
+    """{place: result} of {place: scenario}."""
+    return dict(zip(part, simulate_batch(part.values(), function, mean_samples)))
+
+
+def parallel_map(function, arguments):
+    """The function of each argument, in order; three or more are spread over the cores.
+
+    What a worker did not finish, because it was killed, is done here.
+    """
+    tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
+    with open_workers(None, large=len(tasks) > 2) as workers:
+        if workers is None:
+            answers = [(task, None) for task in tasks]
+        else:
+            answers = [*map_tasks(workers, _apply, tasks)]
+    results = dict(answer or _apply(task) for task, answer in answers)
+    return [results[place] for place in range(len(tasks))]
+
+
+def _apply(task):
+    """(place, result) of a task (function, place, argument)."""
+    function, place, argument = task
+    return place, function(argument)

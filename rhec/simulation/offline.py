@@ -1,0 +1,87 @@
+"""A scenario's estimator on the recorded measurements of Runs."""
+
+import functools
+
+import numpy as np
+
+from rhec.core._casadi import compiled
+from rhec.core._casadi.packing import pack_array
+from rhec.core.estimator import offline
+from rhec.simulation.columns import MEASUREMENTS, POSE
+from rhec.tracked_robot.choice import Choice, TractionInput
+from rhec.tracked_robot.estimators import build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
+
+SETTLED_S = 20.0  # by then the exact first guess no longer matters
+
+
+@functools.lru_cache(maxsize=8)
+def _build_scan(outputs, choice):
+    """Scan of an estimator's step over measurements, and the traction where it takes one."""
+    step = build_step(Choice(*choice))
+    streamed = ["traction"] if "traction" in step.name_in() else []
+    return offline.build(step, outputs, streamed)
+
+
+def columns(run, names):
+    """Columns of a run's log, (n, names); pandas takes longer than the estimators that use them."""
+    return np.array([run.columns[name] for name in names]).T
+
+
+def run_estimator_on_all(scenario, runs, *outputs):
+    """Outputs of the scenario's estimator on the measurements of Runs: a list of {name: array}.
+
+    The estimator starts where the robot is.
+    """
+    choice = Choice.of(scenario)
+    structure = outputs, choice
+    n_columns = _build_scan(*structure)["step"].size1_in(1)
+    inputs = [_memory_and_stream(choice, run, n_columns) for run in runs]
+    settings = estimator_of(choice.estimator).settings(scenario)
+    return offline.run_all(_build_scan, structure, *zip(*inputs), [settings] * len(runs))
+
+
+def _memory_and_stream(choice, run, n_columns):
+    """The estimator's first memory, and the stream (n, n_columns) of its inputs."""
+    estimator = estimator_of(choice.estimator)
+    guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
+    memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
+    with_drift = estimator.traction_input is TractionInput.TRUE_WITH_DRIFT
+    true = columns(run, ["mu", "kappa"] + ["yaw_drift_radpm"] * with_drift)
+    traction = np.broadcast_to(
+        estimator.traction_input.select_traction(run.terrain.mean, true, true), true.shape
+    )
+    stream = np.hstack([columns(run, MEASUREMENTS), traction])
+    # The traction is not in the stream of an estimator that takes none.
+    return memory, stream[:, :n_columns]
+
+
+def scan_arguments(scenario, run, *outputs):
+    """Arguments of `offline.run` for outputs of a scenario's estimator on a run's measurements."""
+    choice = Choice.of(scenario)
+    functions = compiled.load(_build_scan, outputs, choice)
+    inputs = _memory_and_stream(choice, run, functions["step"].size1_in(1))
+    return functions, *inputs, estimator_of(choice.estimator).settings(scenario)
+
+
+def run_estimator(scenario, run, *outputs):
+    """Outputs of the scenario's estimator on the measurements of a run, as {name: array}."""
+    return offline.run(*scan_arguments(scenario, run, *outputs))
+
+
+def sigma_of_traction(run):
+    """The standard deviations of a run's traction estimates, which are not in its log.
+
+    The estimator runs again, and is compiled if necessary.
+
+    Returns:
+        {"mu", "kappa": standard deviations (n,)}; empty for an estimator of other quantities than
+        (x, y, θ, ν, μ, κ).
+    """
+    choice = Choice.of(run.scenario)
+    states = estimator_of(choice.estimator).states(choice)
+    if tuple(states) != tuple(QUANTITIES):
+        return {}
+    recorded = run_estimator(run.scenario, run, "estimate", "covariance")
+    variances = np.diagonal(recorded["covariance"], axis1=1, axis2=2)
+    return {name: np.sqrt(variances[:, QUANTITIES.index(name)]) for name in ("mu", "kappa")}

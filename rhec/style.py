@@ -1,0 +1,238 @@
+"""The style of all figures and tables, and files with their provenance.
+
+A figure function takes data, returns a matplotlib Figure and is decorated with `styled`. Files
+contain the version, the scenario and the notebook. All except PNGs also contain a digest of the
+source; without it, the PNGs in git change only if the pictures change.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import io
+import json
+import os
+import re
+from pathlib import Path
+
+from rhec.version import __version__
+
+ROOT = Path(__file__).resolve().parents[1]
+# In an installed wheel there is no project, and nothing is written among the packages.
+FOLDER = (ROOT if (ROOT / "pyproject.toml").exists() else Path.cwd()) / "figures"
+
+# Widths of the paper's figures [in]
+COLUMN_IN = 3.4
+DOUBLE_IN = 6.5
+
+# Okabe and Ito's palette for colour-blind readers. A colour has the same role in all figures.
+BLACK = "#000000"
+GREY = "#7f7f7f"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+_YELLOW = "#F0E442"
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+PURPLE = "#CC79A7"
+COLOURS = {
+    "reference": GREY,
+    "truth": BLACK,
+    "measured": SKY,
+    "RHE": BLUE,
+    "EKF": VERMILLION,
+    "oracle": GREEN,
+    "tolerance": _YELLOW,
+    "Q1": ORANGE,
+    "Q2": PURPLE,
+    "Q3": BLUE,  # all other figures of the RHE use Q3
+}
+
+RC = {
+    "figure.figsize": (COLUMN_IN, 2.2),
+    "figure.constrained_layout.use": True,
+    "font.family": "STIXGeneral",  # ships with matplotlib and matches the paper's Times
+    "mathtext.fontset": "stix",
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    # As text, so that the colours can be imported without Matplotlib.
+    "axes.prop_cycle": f"cycler(color={[BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, BLACK]})",
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.4,
+    "lines.linewidth": 1.0,
+    "patch.linewidth": 0.7,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "savefig.dpi": 300,
+    "pdf.fonttype": 42,  # TrueType, so that text can be selected
+}
+
+
+def styled(draw):
+    """Decorate a figure function to draw in this style, independently of the caller's rcParams."""
+
+    @functools.wraps(draw)
+    def drawn(*args, **kwargs):
+        # Imported here: the explorer's screen needs the colours, and no Matplotlib.
+        import matplotlib as mpl
+        import matplotlib.pyplot as plt
+
+        # The first use of a notebook's backend sets rcParams, so it must be outside the context.
+        plt.draw_if_interactive()
+        with mpl.rc_context(RC):
+            figure = draw(*args, **kwargs)
+            # Matplotlib creates ticks when they are first used and derives their number from the
+            # label size. Both must happen inside the context.
+            visible = (axes for axes in figure.axes if axes.axison)
+            for axis in (axis for axes in visible for axis in (axes.xaxis, axes.yaxis)):
+                sizes = {label.get_fontsize() for label in axis.get_ticklabels()}
+                if len(sizes) == 1:
+                    axis.set_tick_params(labelsize=sizes.pop())
+            figure.draw_without_rendering()
+        plt.close(figure)  # otherwise a notebook shows it twice
+        return figure
+
+    return drawn
+
+
+def source(root=ROOT):
+    """Digest of the sources of figures: modules, the standard fields and notebooks.
+
+    Unlike the name of a commit, it does not change when only figures are committed.
+    """
+    patterns = ("rhec/**/*.py", "data/*.npz", "notebooks/**/*.py", "notebooks/**/*.ipynb")
+    files = sorted(file for pattern in patterns for file in root.glob(pattern) if file.is_file())
+    pieces = (file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)
+    return hashlib.sha256(b"".join(pieces)).hexdigest()[:12]
+
+
+def _as_json(scenario):
+    """A scenario, or any nest of dicts, lists, dataclasses and Runs, as one line of JSON."""
+
+    def plain(value):
+        # Its scenario makes a run.
+        value = getattr(value, "scenario", value)
+        if dataclasses.is_dataclass(value):
+            return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return str(value)
+
+    return json.dumps(scenario, default=plain)
+
+
+def _running_notebook():
+    """Name of the notebook that runs: by our runner, by JupyterLab, or None."""
+    path = os.environ.get("RHEC_NOTEBOOK") or os.environ.get("JPY_SESSION_NAME")
+    return Path(path).name if path else None
+
+
+def provenance(name, scenario, notebook=None):
+    """Where a file came from, by keys that a PDF allows; its Keywords are the scenario."""
+    metadata = {
+        "Title": name,
+        "Creator": f"rhec {__version__}, source {source()}",
+        "Subject": notebook or _running_notebook(),
+        "Keywords": None if scenario is None else _as_json(scenario),
+    }
+    return {key: value for key, value in metadata.items() if value is not None}
+
+
+def as_comments(metadata):
+    """A provenance as comments at the beginning of a LaTeX file."""
+    return "".join(f"% {key}: {value}\n" for key, value in metadata.items())
+
+
+def source_of(png):
+    """Version and digest of the source behind a figure, from the PDF beside it; "" without one."""
+    pdf = Path(png).with_suffix(".pdf")
+    creator = re.search(rb"/Creator \((.*?)\)", pdf.read_bytes()) if pdf.exists() else None
+    return creator[1].decode() if creator else ""
+
+
+def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
+    """Write a figure as PNG and PDF, with reproducible bytes.
+
+    Args:
+        figure: The matplotlib Figure.
+        name: Name of the files, without a suffix.
+        scenario: A Scenario or a Run, or nested dicts and lists that describe the runs.
+        folder: Folder of the files, which is created if needed.
+        notebook: Name of the notebook; by default the one that runs.
+
+    Returns:
+        The path of the PNG.
+    """
+    import matplotlib as mpl
+
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    png = Path(folder) / f"{name}.png"
+    metadata = provenance(name, scenario, notebook)
+    # savefig applies the default layout to figures without one, so the default must be none here.
+    with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
+        with replacing(png) as unfinished:
+            creator = {"Creator": f"rhec {__version__}"}
+            figure.savefig(unfinished, format="png", metadata=metadata | creator)
+        figure.set_layout_engine(None)  # it stands, and takes as long as to draw
+        # To memory first, because Matplotlib's PDF writer hides the error of a full disk.
+        pdf = io.BytesIO()
+        figure.savefig(pdf, format="pdf", metadata=metadata | {"CreationDate": None})
+        with replacing(png.with_suffix(".pdf")) as unfinished:
+            unfinished.write_bytes(pdf.getvalue())
+    _list_as_made(png, png.with_suffix(".pdf"))
+    return png
+
+
+def _list_as_made(*files):
+    """List files of a notebook's run, for `make clean`; not those of a user's own folder."""
+    made = os.environ.get("RHEC_MADE")
+    if made and files[0].parent == FOLDER:
+        with open(made, "a", encoding="utf-8") as listing:
+            listing.writelines(f"{file.relative_to(ROOT)}\n" for file in files)
+
+
+@contextlib.contextmanager
+def replacing(file):
+    """A context with the path of an unfinished file, which replaces the file once it is whole."""
+    unfinished = file.with_name(f"{file.name}.unfinished")
+    try:
+        yield unfinished
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=None):
+    """Write a DataFrame without index as CSV with all digits and as LaTeX with four digits.
+
+    Args:
+        dataframe: The table.
+        name: Name of the files, without a suffix.
+        caption: Caption in LaTeX; the table needs the package booktabs.
+        folder, scenario, notebook: As in `save`.
+
+    Returns:
+        The path of the CSV.
+    """
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    csv = Path(folder) / f"{name}.csv"
+    label = f"tab:{name}"
+    look = dict(index=False, escape=True, float_format="%.4g", caption=caption, label=label)
+    with replacing(csv) as unfinished:
+        dataframe.to_csv(unfinished, index=False)
+    comments = as_comments(provenance(name, scenario, notebook))
+    with replacing(csv.with_suffix(".tex")) as unfinished:
+        unfinished.write_text(comments + dataframe.to_latex(**look), encoding="utf-8")
+    _list_as_made(csv, csv.with_suffix(".tex"))
+    return csv

@@ -1,0 +1,171 @@
+"""A loop as a list of blocks: its memory, stream and settings follow from what blocks read."""
+
+import os
+import pickle
+import subprocess
+import sys
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rhec.core._casadi import compiled, scan
+from rhec.core._casadi.build import casadi_function
+from rhec.core.blocks import Block, drawn, remembered, sample, split
+
+ONE = (1, 1)
+
+
+def build_plant(dt_s):
+    @casadi_function("plant", x=(2, 1), u=ONE, push=ONE)
+    def plant(x, u, push):
+        return dict(x=x + dt_s * ca.vertcat(x[1], u + push))
+
+    return plant
+
+
+def build_sensor():
+    @casadi_function("sensor", x=(2, 1), w=ONE)
+    def sensor(x, w):
+        return dict(z=x[0] + w)
+
+    return sensor
+
+
+def build_controller():
+    @casadi_function("controller", measured=ONE, last=ONE, gain=ONE)
+    def controller(measured, last, gain):
+        return dict(command=-gain * (measured + last))
+
+    return controller
+
+
+def build_twice():
+    @casadi_function("twice", z=ONE)
+    def twice(z):
+        return dict(z=2 * z)
+
+    return twice
+
+
+SPLIT = Block(split, ("noise", (("w", ONE), ("push", ONE))), draws=("noise",))
+SENSOR = Block(build_sensor)
+TWICE = Block(build_twice)
+CONTROLLER = Block(
+    build_controller, reads=dict(measured="z", last="u@last"), writes=dict(command="u"),
+    remembers=("u",),
+)  # fmt: skip
+PLANT = Block(build_plant, (0.1,), remembers=("x",))
+LOOP = SPLIT, SENSOR, CONTROLLER, PLANT
+NOISE = np.random.default_rng(0).normal(size=(100, 2))
+
+
+def build_loop(loop, settings):
+    return scan.build_scan(sample(loop, settings, ["x", "z", "u"]))
+
+
+def run(loop, memory):
+    functions = compiled.load(build_loop, loop, ("gain",))
+    return scan.scan(functions, np.array(memory), NOISE, dict(gain=0.7))[1]
+
+
+def in_numpy(factor=1.0, delay=False):
+    """The same loop, written out."""
+    x, last, rows = np.array([1.0, 0.0]), 0.0, []
+    for w, push in NOISE:
+        z = factor * (x[0] + w)
+        u = -0.7 * (z + last)
+        rows.append([*x, z, u])
+        x = x + 0.1 * np.array([x[1], (last if delay else u) + push])
+        last = u
+        rows[-1][:2] = x
+    return np.array(rows)
+
+
+def test_a_loop_is_its_blocks_one_after_the_other():
+    assert remembered(LOOP) == ("u", "x") and drawn(LOOP) == ("noise",)
+    np.testing.assert_allclose(run(LOOP, [0.0, 1.0, 0.0]), in_numpy(), rtol=1e-12, atol=1e-12)
+
+
+def test_a_block_more_changes_nothing_else():
+    longer = SPLIT, SENSOR, TWICE, CONTROLLER, PLANT
+    assert remembered(longer) == remembered(LOOP)
+    found = run(longer, [0.0, 1.0, 0.0])
+    np.testing.assert_allclose(found, in_numpy(factor=2.0), rtol=1e-12, atol=1e-12)
+
+
+def test_a_signal_of_the_sample_before_is_read_after_it_was_written():
+    late = Block(build_plant, (0.1,), reads=dict(u="u@last"), remembers=("x",))
+    found = run((SPLIT, SENSOR, CONTROLLER, late), [0.0, 1.0, 0.0])
+    np.testing.assert_allclose(found, in_numpy(delay=True), rtol=1e-12, atol=1e-12)
+
+
+def test_settings_that_no_block_reads_are_left_out():
+    step = sample(LOOP, ["gain", "unused"], ["u"], others=["z"])
+    assert step.name_in() == ["memory", "noise", "gain"]
+    assert step.name_out() == ["memory", "row", "z"]
+
+
+def test_a_block_may_overwrite_a_setting():
+    """The next sample begins with the setting once more."""
+    both = Block(build_twice, reads=dict(z="gain"), writes=dict(z="gain"))
+    step = sample((SPLIT, SENSOR, both, CONTROLLER, PLANT), ["gain"], ["u"])
+    found = step(memory=[0.0, 1.0, 0.0], noise=[0.0, 0.0], gain=0.5)
+    assert float(found["row"]) == -1.0
+
+
+@pytest.mark.parametrize(
+    ("loop", "sentence"),
+    [
+        ((SENSOR, CONTROLLER, PLANT), "^no block before 'sensor' writes 'w', and it is no setting"),
+        (LOOP[:3], "^no block before 'sensor' writes 'x', and it is no setting"),
+        (
+            (SPLIT, SENSOR, Block(build_twice, remembers=("z",)), CONTROLLER, PLANT),
+            "^a block remembers 'z', but none reads it before it is written",
+        ),
+        (
+            (SPLIT, Block(build_sensor, draws=("z",)), CONTROLLER, PLANT),
+            "^a block draws 'z', but none reads it before it is written",
+        ),
+        (
+            (SPLIT, Block(build_sensor, remembers=("x",)), CONTROLLER),
+            "^no block writes 'x', which is remembered",
+        ),
+    ],
+)
+def test_a_signal_from_nowhere_is_refused_in_one_sentence(loop, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        sample(loop, ["gain"], ["u"])
+
+
+def test_blocks_of_equal_code_arguments_and_wires_are_equal():
+    again = pickle.loads(pickle.dumps(LOOP))
+    assert again == LOOP and hash(again) == hash(LOOP)
+    assert again[3].function is LOOP[3].function
+    others = [Block(build_plant, (0.2,), remembers=("x",)), Block(build_plant, (0.1,))]
+    others += [Block(build_plant, (0.1,), dict(u="u@last"), remembers=("x",)), SENSOR]
+    assert len({PLANT, *others}) == 5
+
+
+def test_a_block_is_found_again_in_another_process():
+    """Texts have other hashes there, and what was compiled is looked up by them."""
+    script = """
+import pickle, sys
+from rhec.core.blocks import Block, split
+found = pickle.loads(bytes.fromhex(sys.argv[1]))
+assert found in {Block(split, ("noise", (("w", (1, 1)),)), draws=("noise",))}
+"""
+    block = Block(split, ("noise", (("w", ONE),)), draws=("noise",))
+    assert hash(block) == hash(Block(split, ("noise", (("w", ONE),)), draws=("noise",)))
+    command = [sys.executable, "-c", script, pickle.dumps(block).hex()]
+    subprocess.run(command, check=True, env=os.environ | dict(PYTHONHASHSEED="1"))
+
+
+def test_blocks_name_what_is_compiled():
+    names = {
+        compiled.library_name(build_loop, (loop, ("gain",)))
+        for loop in (LOOP, pickle.loads(pickle.dumps(LOOP)), LOOP[:2] + LOOP[2:])
+    }
+    assert len(names) == 1
+    longer = SPLIT, SENSOR, TWICE, CONTROLLER, PLANT
+    assert compiled.library_name(build_loop, (longer, ("gain",))) not in names

@@ -1,0 +1,76 @@
+"""The article: every number is a cell of a result or a number of the paper, and bytes repeat."""
+
+import re
+import shutil
+
+import pytest
+import yaml
+
+from docs.article import article
+
+SOURCE = (article.ROOT / "docs/article/article.typ").read_text(encoding="utf-8")
+PROSE = SOURCE[SOURCE.index("#align(center)") :]
+# Digits that are no results: the confidence, names of claims, and units of layout.
+ALLOWED = re.compile(
+    r"95 %|`[^`]*`|\$[^$]*\$|@\w+|#picture\([^)]*\)|widths?: \([^)]*\)|widths?: \d+%|size: \d+pt"
+    r'|#(?:cell|paper)\((?:"[^"]*"(?:,\s*)?)+\)|#result\("\w+"|inset: \([^)]*\)'
+)
+
+
+def test_no_number_of_the_prose_is_written_by_hand():
+    left = ALLOWED.sub("", PROSE)
+    assert not re.findall(r"[^\n]*\d[^\n]*", left)
+
+
+def test_every_number_exists():
+    tables = {name: table.set_index(table.columns[0]) for name, table in article.tables().items()}
+    cells = re.findall(r'#cell\("([^"]*)",\s*"([^"]*)",\s*"([^"]*)"\)', SOURCE)
+    assert cells
+    for name, row, column in cells:
+        assert tables[name].loc[row, column], (name, row, column)
+    for name in re.findall(r'#result\("(\w+)"', SOURCE):
+        assert len(tables[name]) > 1
+
+
+def test_every_picture_is_saved_by_a_notebook():
+    notebooks = "".join(file.read_text() for file in article.ROOT.glob("notebooks/*.ipynb"))
+    for name in re.findall(r'#picture\("(\w+)"', SOURCE):
+        assert f'\\"{name}\\"' in notebooks, name
+
+
+@pytest.fixture
+def project(tmp_path):
+    shutil.copytree(article.ROOT / "docs/article", tmp_path / "docs/article")
+    (tmp_path / "figures").mkdir()
+    return tmp_path
+
+
+def test_the_same_inputs_give_the_same_bytes(project):
+    from matplotlib.figure import Figure
+
+    for name in re.findall(r'#picture\("(\w+)"', SOURCE):
+        Figure(figsize=(2, 1)).savefig(project / f"figures/{name}.pdf")
+    first = article.write(project).read_bytes()
+    assert first.startswith(b"%PDF") and article.write(project).read_bytes() == first
+
+
+def test_a_missing_figure_is_named(project):
+    with pytest.raises(FileNotFoundError, match="figures/fig01_robot_in_row.pdf is missing"):
+        article.write(project)
+
+
+def test_the_metadata_are_of_the_article():
+    """ReScience C's fields, with the article's title and the paper that it reproduces."""
+    folder = article.ROOT / "docs/article"
+    metadata = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
+    fields = (
+        "title authors affiliations keywords code data replication review contributors dates "
+        "article journal language type domain abstract bibliography"
+    )
+    assert [*metadata] == fields.split()
+    title = " ".join(re.search(r'weight: "bold"\)\[(.*?)\]\n', PROSE, re.DOTALL)[1].split())
+    assert metadata["title"] == title.replace("\\", "")
+    paper = {name: value for entry in metadata["replication"] for name, value in entry.items()}
+    citation = yaml.safe_load((article.ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert paper["doi"] == citation["references"][0]["doi"]
+    assert paper["bib"] in yaml.safe_load((folder / metadata["bibliography"]).read_text())

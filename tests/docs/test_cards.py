@@ -1,0 +1,125 @@
+"""The cards of the claims: they say what the ledger says, and their pictures are to scale."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from bs4 import BeautifulSoup
+
+from docs.site import cards
+from notebooks.claims.rules import CLAIMS
+from notebooks.studies.tables import interval_text
+
+ROOT = Path(__file__).parents[2]
+CLAIMS_CSV = pd.read_csv(ROOT / "data/results/claims.csv")
+ROWS = CLAIMS_CSV.astype(object).where(CLAIMS_CSV.notna(), "").to_dict("records")
+DRAWN = [row for row in ROWS if row["value"] != ""]
+
+
+def parsed(live=False, claims=CLAIMS_CSV):
+    """The page as HTML, {id: card}."""
+    html = "".join(re.findall(r"```{raw} html\n(.*?)\n```", cards.page(claims, live), re.DOTALL))
+    soup = BeautifulSoup(html, "html.parser")
+    return soup, {card["id"]: card for card in soup.select("section.claim")}
+
+
+@pytest.fixture(scope="module")
+def page():
+    return parsed()
+
+
+def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
+    _, all_cards = page
+    assert [*all_cards] == [row["id"] for row in ROWS]
+    for row in ROWS:
+        text = " ".join(all_cards[row["id"]].get_text().split())
+        said = [row["quote"], row["claim"], row["section"], row["verdict"]]
+        said += [row["why"], row["beside"], row["test"] if row["test"] != "-" else ""]
+        said += [str(row["paper"]), f"make claim ID={row['id']}"]
+        said += ["by derivation"] if row["derived"] else []
+        said += ["share of the posterior’s worlds"] if row["posterior_n"] else []
+        if row["n"]:
+            said += [interval_text(row["value"], row["low"], row["high"]), f"n = {row['n']}"]
+        assert [part for part in said if " ".join(part.split()) not in text] == []
+        assert bool(all_cards[row["id"]].svg) == (row["value"] != "")
+
+
+def test_every_condition_has_its_verdict(page):
+    _, all_cards = page
+    for row in ROWS:
+        shown = [item.get_text() for item in all_cards[row["id"]].select(".claim-conditions li")]
+        expected = [part for part in row["conditions"].split("; ") if not part.startswith(":")]
+        assert [text.partition(" ")[2] for text in shown] == expected
+
+
+def test_the_overview_links_every_card_and_the_filter_counts_them(page):
+    soup, all_cards = page
+    links = [link["href"][1:] for link in soup.select(".claim-map a")]
+    assert links == [*all_cards]
+    for name in ("verdict", "section"):
+        options = soup.select(f"select[name={name}] option")[1:]
+        counts = {each["value"]: int(re.search(r"\((\d+)\)", each.text)[1]) for each in options}
+        values = [card[f"data-{name}"] for card in all_cards.values()]
+        assert counts == {value: values.count(value) for value in dict.fromkeys(values)}
+
+
+def test_a_card_links_the_live_page_only_where_there_is_one(page):
+    assert "live.html" not in str(page[0])
+    scenes = tomllib.loads((ROOT / "docs/live/scenes.toml").read_text(encoding="utf-8"))
+    _, all_cards = parsed(live=True)
+    for address, ids in cards.LIVE.items():
+        assert address.partition("&")[0] in scenes
+        for name in ids.split():
+            assert all_cards[name].select_one(f'a[href="live.html#{address}"]')
+    assert sum(len(ids.split()) for ids in cards.LIVE.values()) == sum(
+        "live.html" in str(card) for card in all_cards.values()
+    )
+    assert {name for ids in cards.LIVE.values() for name in ids.split()} <= set(CLAIMS)
+
+
+def test_the_order_on_the_scale_is_that_of_the_numbers():
+    for row in DRAWN:
+        drawn = cards.interval(row)
+        numbers = dict(zip(("value", "low", "high"), drawn["rows"][0][2:]))
+        pairs = [(float(row[name]), at) for name, at in numbers.items() if row[name] != ""]
+        bounds = sorted({bound for bound in (row["above"], row["below"]) if np.isfinite(bound)})
+        pairs += list(zip(bounds, drawn["limits"]))
+        pairs += [(float(text), at) for at, text in drawn["ticks"]]
+        if drawn["paper"] is not None:
+            pairs.append((float(row["paper"]), drawn["paper"]))
+        for number, at in pairs:
+            for other, elsewhere in pairs:
+                assert number <= other or at >= elsewhere - 0.1, row["id"]
+        assert all(0 <= at <= 360 for _, at in pairs), row["id"]
+        assert len(drawn["ticks"]) > 1, row["id"]
+
+
+def test_a_claim_that_holds_strictly_lies_on_the_shaded_ground():
+    for row in DRAWN:
+        if not re.fullmatch(r"([<>] [\d.]+)( and [<>] [\d.]+)?", row["bound"]):
+            continue
+        drawn = cards.interval(row)
+        _, _, value, low, high = drawn["rows"][0]
+        left, width = drawn["inside"]
+        if row["verdict"].startswith("holds"):
+            assert left - 0.1 <= low and high <= left + width + 0.1, row["id"]
+        elif row["verdict"] == "does not hold":
+            assert high <= left + 0.1 or low >= left + width - 0.1, row["id"]
+
+
+def test_ratios_are_drawn_on_a_logarithmic_scale():
+    row = next(row for row in ROWS if row["id"] == "I3")
+    powers = {name: 10.0**k for k, name in enumerate(("low", "value", "high"))}
+    drawn = cards.interval(row | powers | dict(other_n="", below=10.0, paper=""))
+    _, _, value, low, high = drawn["rows"][0]
+    assert value - low == pytest.approx(high - value, abs=0.2)
+
+
+def test_text_of_the_ledger_stays_text():
+    claims = CLAIMS_CSV.assign(claim="<script>alert(1)</script>", why='"><img src=x>')
+    soup, all_cards = parsed(claims=claims)
+    assert [script["src"] for script in soup.select("script")] == ["_static/claims.js"]
+    assert not soup.select("img")

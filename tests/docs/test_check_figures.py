@@ -1,0 +1,50 @@
+"""The comparison of tables finds what differs; codecheck.yml names what the notebooks make."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from docs.site.check_figures import difference
+
+ROOT = Path(__file__).parents[2]
+TABLE = pd.DataFrame(dict(name=["RHE", "EKF"], mean=[0.04, 1.3], low=[np.nan, 1.0], n=[3, 4]))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        TABLE.assign(mean=TABLE["mean"] * (1 + 1e-5)),
+        TABLE.assign(mean=TABLE["mean"] + 1e-6),
+        TABLE.assign(name=["RHE", "ekf"]),
+        TABLE.assign(low=[0.0, 1.0]),
+        TABLE.head(1),
+        TABLE.rename(columns={"n": "fields"}),
+    ],
+    ids=["number", "small number", "text", "missing", "row", "name"],
+)
+def test_a_table_that_differs_is_told(other):
+    assert difference(TABLE, other)
+
+
+def test_rounding_is_no_difference():
+    other = TABLE.assign(mean=TABLE["mean"] * (1 + 1e-8), n=[3.0, 4.0])
+    assert difference(TABLE, other) == ""
+
+
+def test_a_computation_time_may_differ():
+    ours = pd.DataFrame(dict(beside=["share on this machine: 0.6", "0.1"], n=[3, 4]))
+    theirs = pd.DataFrame(dict(beside=["share on this machine: 0.7", "0.1"], n=[3, 4]))
+    assert difference(ours, theirs) == ""
+    theirs.loc[1, "beside"] = "0.2"
+    assert difference(ours, theirs)
+
+
+def test_each_file_for_a_codecheck_is_saved_by_the_notebook_that_it_names():
+    content = yaml.safe_load((ROOT / "codecheck.yml").read_text(encoding="utf-8"))
+    assert len(content["manifest"]) == 14  # 13 figures and a table
+    for item in content["manifest"]:
+        notebook = ROOT / item["comment"].partition(", by ")[2]
+        assert Path(item["file"]).stem in notebook.read_text(encoding="utf-8")

@@ -1,0 +1,97 @@
+"""What the built report cannot show: failures, a person's own files, and a page's policy.
+
+tests/browser/test_report.py looks at the report that `make report` has built.
+"""
+
+import hashlib
+import re
+from base64 import b64encode
+from pathlib import Path
+
+import nbformat
+import pytest
+from bs4 import BeautifulSoup
+from latex2mathml.converter import convert
+from matplotlib.figure import Figure
+from nbformat import v4
+
+import rhec
+from docs.site import report
+from docs.site.content_policy import with_policy
+from rhec import style
+
+ROOT = Path(__file__).parents[2]
+NOTEBOOKS = sorted((ROOT / "notebooks").rglob("*.ipynb"))
+
+
+@pytest.fixture
+def executed(tmp_path):
+    """A notebook that saved a figure, as the runner leaves it."""
+    saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "table_one", "One")'
+    widget = {"application/vnd.jupyter.widget-view+json": {"model_id": "x"}, "text/plain": "VBox()"}
+    cell = v4.new_code_cell(saved, outputs=[v4.new_output("display_data", widget)])
+    words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
+    file = tmp_path / "03_scenario_a.ipynb"
+    nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell(words), cell]), file)
+    return file
+
+
+@pytest.fixture
+def figures(tmp_path):
+    """A folder with what that notebook saved, and with a person's own files."""
+    folder = tmp_path / "figures"
+    style.save(Figure(), "fig99_line", folder=folder)
+    for name in ("table_one.csv", "mine.csv", "private.txt", "broken.png"):
+        (folder / name).write_bytes("ä".encode("latin-1"))
+    return folder
+
+
+def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
+    source = tmp_path / "source"
+    report._lay_out(source, [executed], figures, live=False)
+    published = {file.name for file in (source / "figures").iterdir()}
+    readme = set(re.findall(r"figures/(\w+\.png)", (ROOT / "README.md").read_text()))
+    assert published - readme == {"fig99_line.png", "fig99_line.pdf", "table_one.csv"}
+    page = (source / "figures.md").read_text()
+    assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
+    cell = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells[1]
+    assert "VBox" not in str(cell) and "rhec lab" in str(cell)
+    assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
+
+
+def test_a_report_that_fails_leaves_the_old_one(figures, tmp_path):
+    old = tmp_path / "report"
+    old.mkdir()
+    (old / "index.html").write_text("old")
+    (tmp_path / "00_start.ipynb").write_text("no notebook")
+    with pytest.raises(nbformat.reader.NotJSONError):
+        report.build([tmp_path / "00_start.ipynb"], figures, old)
+    assert (old / "index.html").read_text() == "old"
+    assert not list(tmp_path.glob("unfinished-*"))
+
+
+def test_the_reference_has_all_public_names():
+    text = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"(?m)^   (\w+)$", text))
+    assert listed == set(rhec.__all__) - {"WORLDS", "logs"}
+    assert "   logs.read\n" in text and "`rhec.WORLDS`" in text
+
+
+@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
+def test_every_formula_in_the_notebooks_can_be_typeset(file):
+    for cell in nbformat.read(file, as_version=4).cells:
+        if cell.cell_type == "markdown":
+            for tex in re.findall(r"\$\$?([^$]+)\$", cell.source):
+                assert "\\" not in BeautifulSoup(convert(tex), "html.parser").get_text(), tex
+
+
+def test_a_page_runs_its_own_scripts_alone_and_loads_nothing_from_elsewhere():
+    own = "document.body.dataset.theme = 'auto';"
+    page = with_policy(f"<html><head><title>t</title></head><body><script>{own}</script></body>")
+    assert page.index("Content-Security-Policy") < page.index("<title>")
+    policy = BeautifulSoup(page, "html.parser").find("meta")["content"]
+    directives = dict(directive.split(" ", 1) for directive in policy.split("; "))
+    assert directives["default-src"] == "'none'"
+    digest = b64encode(hashlib.sha256(own.encode()).digest()).decode()
+    assert directives["script-src"].split() == ["'self'", "file:", f"'sha256-{digest}'"]
+    assert not re.search("http|unsafe-eval|[*]", policy)

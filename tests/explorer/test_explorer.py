@@ -1,0 +1,511 @@
+"""The explorer without a browser: controls to scenarios, changes to new pictures, and nothing but a
+sentence where something cannot be.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import rhec
+from rhec import paper, style
+from rhec.core._casadi import compiled
+from rhec.explorer import controls, explorer, field_run, screen
+from rhec.explorer.panels import packed
+from rhec.tracked_robot import tuning
+
+SHORT = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
+
+
+@pytest.fixture
+def made(tmp_path):
+    return rhec.Explorer(SHORT, folder=tmp_path)
+
+
+def shown(made):
+    """What stands on the screen."""
+    screen = made.screen
+    return screen.picture, screen.numbers, screen.table, screen.line
+
+
+def drawn(made):
+    """{panel: [(mark, its x, its y)]} as the page finds them in the buffer."""
+    numbers = np.frombuffer(made.screen.numbers, dtype=np.float32)
+
+    def column(first, n):
+        return numbers[first : first + n]
+
+    return {
+        name: [(mark, column(*mark["x"]), column(*mark["y"])) for mark in panel["marks"]]
+        for name, panel in made.screen.picture["panels"].items()
+    }
+
+
+# Controls and scenarios
+
+STARTS = [
+    rhec.Scenario(),
+    rhec.Scenario(
+        estimator="ekf",
+        process_noise="calibrated",
+        q=paper.Q1,
+        r=3.3,
+        patches=((9.0, 1.0, 2.0, 0.6, 0.5),),
+        seed=7,
+    ),
+    rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)),
+    rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
+    rhec.Scenario(
+        robust=True,
+        faults=(
+            rhec.Fault(kind="dead", channel="left", start_s=3.0),
+            rhec.Fault(kind="latency", delay_s=0.4),
+        ),
+    ),
+]
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_untouched_controls_give_the_start_scenario(start):
+    assert controls.scenario_of(controls.values_of(start), start.estimator, start) == start
+
+
+def test_every_field_with_a_control_is_a_field_of_scenario():
+    assert {key if isinstance(key, str) else key[0] for key in controls.CONTROLS} <= {
+        field.name for field in fields(rhec.Scenario)
+    }
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_the_line_of_python_gives_the_scenario(start):
+    assert eval(controls.line_of(start)) == start
+    for field in fields(start):
+        assert (f"{field.name}=" in controls.line_of(start)) == (
+            getattr(start, field.name) != field.default
+        )
+
+
+def test_own_process_noise_has_the_size_each_estimator_takes():
+    values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}
+    likeliest = tuning.SIGMA_W["rhe"]["calibrated"]
+    assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
+        *likeliest[:3],
+        0.5,
+        *likeliest[4:],
+    )
+    assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (*likeliest[:3], 0.5)
+    assert controls.scenario_of(values | {"speed_model": "input"}, "rhe", SHORT).sigma_w == (
+        *likeliest[:3],
+        *likeliest[4:],
+    )
+    assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
+    assert len(controls.scenario_of(values, "yaw_drift_ekf", SHORT).sigma_w) == 7
+    assert controls.scenario_of(values | {"speed_model": "slipping"}, "rhe", SHORT).sigma_w == (
+        *likeliest[4:],
+    )
+
+
+def test_robust_applies_to_estimators_with_gating():
+    values = controls.values_of(SHORT) | {"robust": True}
+    robust = {key for key in controls.ESTIMATORS if controls.scenario_of(values, key, SHORT).robust}
+    dead = (rhec.Fault(kind="dead", channel="gyro"),)
+    values |= dict(sensors=("gyro",), faults=dead)
+    for key in controls.ESTIMATORS:
+        scenario = controls.scenario_of(values, key, SHORT)
+        assert (scenario.sensors, scenario.faults) == (
+            (("gyro",), dead) if key == "rhe" else ((), ())
+        )
+    assert controls.scenario_of(values | dict(sensors=()), "rhe", SHORT).faults == ()
+    assert robust == {"rhe"}
+
+
+def test_the_explorer_offers_every_estimator_it_can_draw(made):
+    offered = list(controls.ESTIMATORS)
+    assert [value for _, value in made.estimator.options] == offered
+    assert [value for _, value in made.against.options] == [None, *offered]
+    for estimator in offered:
+        scenario = replace(SHORT, estimator=estimator)
+        assert field_run.name_of(scenario) == controls.ESTIMATORS[estimator]
+
+
+# The widget
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_widgets_begin_at_the_start_scenario(start):
+    assert rhec.Explorer(replace(start, duration_s=20.0), None).scenarios == [
+        replace(start, duration_s=20.0)
+    ]
+
+
+def test_slider_steps_include_the_start_value():
+    for start in STARTS:
+        values = controls.values_of(start)
+        for key, control in controls.CONTROLS.items():
+            if isinstance(control, controls.Slider) and values[key] > 0:
+                widget = explorer._input(control, values[key])
+                np.testing.assert_allclose(widget.value, values[key], rtol=1e-12)
+                steps = (
+                    (np.log10(values[key]) if control.kind == "log" else values[key]) - widget.min
+                ) / widget.step
+                assert abs(steps - round(steps)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("r", 30.0),
+        (("q", 2), 5.0),
+        ("speed_mps", 0.4),
+        ("kappa_mean", 0.7),
+        ("gnss_slow_share", 0.5),
+        ("look_ahead_m", 0.5),
+    ],
+)
+def test_a_changed_control_is_a_new_run_and_a_new_picture(made, key, value):
+    before = shown(made)
+    made.inputs[key].value = value
+    assert [run.scenario for run in made.runs] == made.scenarios
+    assert all(now != then for now, then in zip(shown(made)[1:], before[1:]))
+    expected = rhec.simulate(made.scenarios[0])
+    assert made.runs[0].metrics == expected.metrics
+    made.reset.click()
+    assert shown(made) == before
+
+
+def test_both_estimators_run_at_the_same_seed(made):
+    made.seed.value = 5
+    assert [run.scenario.estimator for run in made.runs] == ["rhe", "ekf"]
+    assert {run.scenario.seed for run in made.runs} == {5}
+    np.testing.assert_array_equal(made.runs[0].terrain.kappa, made.runs[1].terrain.kappa)
+    made.against.value = None
+    assert len(made.runs) == 1
+
+
+def test_the_papers_weights_are_one_run(made, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(made, "_draw", lambda: drawn.append(made.runs[0].scenario.q))
+    for button in made.weights:
+        button.click()
+    assert drawn == [paper.Q1, paper.Q2, paper.Q3]
+
+
+def test_wet_patches_are_added_moved_and_removed(made):
+    made.add_patch.click()
+    made.patch[0].value = 20.0
+    made.add_patch.click()
+    assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]), controls.NEW_PATCH)
+    made.remove_patch.click()
+    assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]),)
+    made.remove_patch.click()
+    made.patch[0].value = 3.0  # without a patch it moves nothing
+    assert made.runs[0].scenario == SHORT
+
+
+def test_pinned_runs_stay(made):
+    made.pin.click()
+    pinned = made.runs
+    assert "−" not in re.sub(r"− pinned", "", made.screen.table)
+    made.inputs["r"].value = 100.0
+    assert made.pinned is pinned and made.runs is not pinned
+    assert made.screen.table.count("<tr>") == 5
+    for run, before in zip(made.runs, pinned):
+        difference = run.metrics["mean_error_m"] - before.metrics["mean_error_m"]
+        assert explorer.change(difference, 4) in made.screen.table
+    made.unpin.click()
+    assert made.screen.table.count("<tr>") == 3
+
+
+def test_what_is_drawn_are_the_columns_of_the_runs(made):
+    made.pin.click()
+    made.inputs["r"].value = 20.0
+    (_, *series), panels = field_run._SERIES, drawn(made)
+    for run in (*made.runs, *made.pinned):
+        for panel, x, y, look in series:
+            if run in made.runs or look == "bold":
+                wanted = run.columns[x].astype(np.float32), run.columns[y].astype(np.float32)
+                found = [each[1:] for each in panels[panel]]
+                assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
+
+
+@pytest.mark.parametrize("zoom", field_run.ZOOMS)
+def test_every_picture_is_complete(made, zoom):
+    """Each panel stands in the layout, has finite limits, and numbers for each mark."""
+    made.pin.click()
+    made.zoom.value, made.soil.value = zoom, "mu"
+    picture = made.screen.picture
+    assert {*" ".join(picture["layout"]).split()} == {*picture["panels"]}
+    for panel in picture["panels"].values():
+        assert panel["title"] and np.isfinite([*panel["xlim"], *panel["ylim"]]).all()
+    for name, marks in drawn(made).items():
+        assert marks, name
+        for mark, x, y in marks:
+            at, n = mark.get("traction", (0, 0))
+            assert n == (len(x) * len(y) if mark["kind"] == "soil" else 0)
+            assert mark["kind"] == "soil" or len(x) == len(y)
+            assert mark["colour"] != "#000000"  # it would not be seen on a dark page
+    assert [mark["label"] for mark in picture["legend"]]
+
+
+def test_one_change_is_one_message(made, monkeypatch):
+    sent = []
+    monkeypatch.setattr(made.screen, "send_state", lambda keys: sent.append({*keys}))
+    made.inputs["r"].value = 20.0
+    (names,) = sent
+    # The status has the milliseconds of the run, which may be the same twice.
+    assert {"numbers", "table", "line"} <= names
+
+
+def test_small_changes_leave_the_limits(made):
+    def limits():
+        panels = made.screen.picture["panels"]
+        return {name: (panel["xlim"], panel["ylim"]) for name, panel in panels.items()}
+
+    before = limits()
+    made.inputs["q", 0].value = 1.5
+    assert limits() == before
+
+
+def test_the_script_is_short_and_asks_nothing_of_a_network():
+    script = Path(screen.__file__).with_suffix(".js").read_text("utf-8")
+    assert len(script.splitlines()) <= 150 and max(map(len, script.splitlines())) <= 100
+    assert not any(word in script for word in ("fetch(", "://", "import("))
+
+
+# What cannot be
+
+
+def test_an_impossible_setting_is_one_sentence(made, capsys):
+    made.inputs["mu_mean"].value = 0.99
+    before = shown(made)
+    made.inputs["mu_deviation"].value = 0.3
+    assert "mu_deviation was 0.3; with mu_mean 0.99 it should be below 0.0995" in made.screen.status
+    assert shown(made) == before
+    made.inputs["mu_deviation"].value = 0.04
+    assert "mu_deviation" not in made.screen.status
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", ["../x", "", "a/b", ".hidden", "a" * 65, "x\n", "C:\\x"])
+def test_a_file_name_cannot_leave_its_folder(made, name, tmp_path):
+    made.name.value = name
+    made.save.click()
+    assert "name was " in made.screen.status
+    assert not [*tmp_path.iterdir()]
+
+
+def test_callbacks_in_two_threads_do_not_overlap(made, monkeypatch):
+    """As where a kernel answers a page's messages in its main thread and in a subshell's."""
+    drawing, met = threading.Lock(), []
+
+    def draw():
+        if drawing.acquire(blocking=False):
+            time.sleep(0.05)
+            drawing.release()
+        else:
+            met.append(threading.current_thread().name)
+
+    monkeypatch.setattr(made, "_draw", draw)
+    threads = [
+        threading.Thread(target=widget.set_trait, args=("value", value))
+        for widget, value in ((made.inputs["r"], 20.0), (made.seed, 3))
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not met
+    assert (
+        [run.scenario for run in made.runs]
+        == made.scenarios
+        == [replace(SHORT, r=20.0, seed=3, estimator=name) for name in ("rhe", "ekf")]
+    )
+
+
+def test_an_internal_error_is_shown_in_the_status_line(made, monkeypatch, capsys):
+    def broken(scenario, world):
+        raise ZeroDivisionError("of all things")
+
+    monkeypatch.setattr(explorer.closed_loop, "simulate_setup", broken)
+    made.inputs["r"].value = 20.0
+    assert "ZeroDivisionError: of all things" in made.screen.status
+    assert capsys.readouterr() == ("", "")
+
+
+def test_an_interrupted_run_says_that_the_picture_is_older_than_the_settings(made, monkeypatch):
+    def interrupted(scenario, world):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(explorer.closed_loop, "simulate_setup", interrupted)
+        made.inputs["r"].value = 20.0
+    assert made.screen.status == "interrupted: the picture is of the settings before"
+    assert made.runs[0].scenario.r != 20.0
+    made.inputs["r"].value = 30.0  # the next move shows all settings
+    assert made.runs[0].scenario.r == 30.0 and "interrupted" not in made.screen.status
+
+
+@pytest.mark.parametrize(
+    "start, said", [(3, "start was 3; it should be a rhec.Scenario"), ("rhe", "start was 'rhe'")]
+)
+def test_it_begins_at_a_scenario(start, said):
+    with pytest.raises(ValueError, match=said):
+        rhec.Explorer(start)
+
+
+def test_a_lost_robot_is_drawn():
+    """Wherever it gets to, and however little is finite."""
+    run = rhec.simulate(replace(SHORT, duration_s=20.0))
+    columns = {
+        name: np.full(len(values), np.nan)
+        if name.endswith("_hat") or name.startswith("kkt")
+        else values
+        for name, values in run.columns.items()
+    }
+    columns |= {"error_true_m": 1e6 * run.columns["t_s"], "x_m": 1e6 * run.columns["t_s"]}
+    lost = replace(run, columns=columns, metrics=run.metrics | {"settling_time_s": float("nan")})
+    for zoom in field_run.ZOOMS:
+        content, numbers = packed(field_run.picture_of([lost], (), zoom))
+        limits = [(*panel["xlim"], *panel["ylim"]) for panel in content["panels"].values()]
+        assert len(numbers) and np.isfinite(limits).all()
+    field_run.field_run([lost])
+    assert "never" in explorer.metrics_table([lost])
+
+
+# What is taken away
+
+
+def test_runs_and_figure_are_saved(made, tmp_path):
+    made.pin.click()
+    made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper")
+    made.save.click()
+    assert "saved" in made.screen.status
+    assert sorted(path.name for path in (tmp_path / "deeper").iterdir()) == [
+        "wet_row-1.pdf",
+        "wet_row-1.png",
+        "wet_row-1_1_rhe.csv",
+        "wet_row-1_1_rhe.parquet",
+        "wet_row-1_2_ekf.csv",
+        "wet_row-1_2_ekf.parquet",
+    ]
+    for run, name in zip(made.runs, ("1_rhe", "2_ekf")):
+        pd.testing.assert_frame_equal(
+            pd.read_parquet(tmp_path / "deeper" / f"wet_row-1_{name}.parquet"), run.log
+        )
+        pd.testing.assert_frame_equal(
+            pd.read_csv(tmp_path / "deeper" / f"wet_row-1_{name}.csv"), run.log
+        )
+
+
+def test_without_widgets_the_picture_and_the_table_stand_for_them(made, monkeypatch):
+    monkeypatch.setenv("RHEC_UNATTENDED", "1")
+    bundle = made._repr_mimebundle_()
+    assert 'src="data:image/png;base64,' in bundle["text/html"]
+    assert made.screen.table in bundle["text/html"]
+
+
+# Counts what a new user waits for: loops whose C is made, calls of the compiler, modules.
+FIRST_VIEW = """
+import json, sys
+import rhec
+from rhec.core._casadi import compiled
+from rhec.core.controller import rhc
+
+made = []
+
+def counted(function):
+    def call(*arguments, **named):
+        made.append(function.__name__)
+        return function(*arguments, **named)
+    return call
+
+compiled.library_text = counted(compiled.library_text)
+rhc.build_phases = counted(rhc.build_phases)
+compiled.run_compiler = counted(compiled.run_compiler)
+explorer = rhec.Explorer(rhec.Scenario(duration_s=20.0))
+bundle = explorer._repr_mimebundle_()
+assert explorer.screen.table in bundle["text/html"]
+assert "figure()" in bundle["text/html"] and "<img" not in bundle["text/html"]
+assert set(explorer.screen.picture["panels"]) == {"map", "error", "mu", "kappa", "yaw_rate", "kkt"}
+print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
+"""
+
+
+@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
+def test_the_first_view_makes_two_loops_with_one_controller_and_the_next_none(tmp_path):
+    """Nor does either import Matplotlib, or draw the picture for pages without widgets."""
+    environment = {**os.environ, "RHEC_CACHE": str(tmp_path)}
+    environment.pop("RHEC_UNATTENDED", None)
+    views = [
+        subprocess.run(
+            [sys.executable, "-c", FIRST_VIEW],
+            env=environment,
+            cwd=Path(rhec.__file__).parents[1],
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    first, second = (json.loads(view.stdout) for view in views)
+    loops = ["library_text", "library_text", "run_compiler", "run_compiler"]
+    assert first == dict(made=["build_phases", *loops], drawn=False)
+    assert second == dict(made=[], drawn=False)
+    assert len([*tmp_path.glob("*/library.so")]) == 2
+
+
+def test_its_text_is_the_errors_and_the_scenario(made):
+    first, *errors, line = repr(made).splitlines()
+    assert first == "Explorer" and line.strip() == made.screen.line
+    assert [error.split(":")[0].strip() for error in errors] == ["RHE", "EKF"]
+    assert f"mean error {made.runs[0].metrics['mean_error_m']:.4f} m" in errors[0]
+
+
+def test_sliders_of_w_show_the_w_in_use(made):
+    sliders = [made.inputs["sigma_w", place] for place in range(6)]
+    for noise in ("printed", "calibrated"):
+        made.process_noise.value = noise
+        assert tuple(slider.value for slider in sliders) == tuning.SIGMA_W["rhe"][noise]
+        assert all(slider.disabled for slider in sliders)
+    made.process_noise.value = "custom"
+    assert not any(slider.disabled for slider in sliders)
+    assert made.runs[0].scenario.sigma_w == tuning.SIGMA_W["rhe"]["calibrated"]
+    sliders[5].value = 0.1
+    assert made.runs[0].scenario.sigma_w[5] == 0.1
+
+
+# Compiling, drawing
+
+
+def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
+    optimised = []
+    monkeypatch.setattr(
+        explorer.early, "optimise", lambda build, structures: optimised.append(len(structures))
+    )
+    rhec.Explorer(SHORT)
+    assert optimised == []
+    made.inputs["r"].value = 20.0
+    assert optimised == [2]
+
+
+def test_a_new_structure_says_that_it_compiles_then_runs(made, monkeypatch, tmp_path):
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path))  # nothing is compiled there
+    sent = []
+    monkeypatch.setattr(made.screen, "send_state", lambda keys: sent.append(made.screen.status))
+    made.inputs["prediction_horizon"].value = 4
+    assert "compiling" in sent[0] and "compiling" not in made.screen.status
+    assert {run.scenario.prediction_horizon for run in made.runs} == {4}
+
+
+def test_the_figure_is_complete_without_an_explorer(run, tmp_path):
+    figure = field_run.field_run([run])
+    assert style.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000

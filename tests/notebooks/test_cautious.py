@@ -1,0 +1,196 @@
+"""The cautious controller: as fast as two chance constraints allow."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from helpers import SIMPLE_WORLD
+from oracles import flat
+
+import rhec
+from notebooks.further.rivals import cautious
+from rhec import paper
+from rhec.core._casadi.compiled import BufferedFunction
+from rhec.simulation.live_robot import LiveRobot
+from rhec.tracked_robot.kinematics import QUANTITIES
+
+SET, OMEGA, SLOWEST = 0.5, paper.OMEGA_MAX_RADPS, cautious.SLOWEST_MPS["row"]
+CHANGE = cautious.ACCELERATION_MPS2 * paper.DT_S
+# A straight along x, a curve to the left, a straight.
+PATH = rhec.Path.from_segments([(20.0, 0.0), (10.0, 0.15), (20.0, 0.0)])
+SURE = np.diag([1e-4, 1e-4, 1e-6, 1e-4, 1e-4, 1e-4])
+
+
+@pytest.fixture(scope="module")
+def settled():
+    """Where the speed settles: the Function, called until it changes no more."""
+    speed = cautious.build_speed(QUANTITIES, len(PATH.segments), paper.DT_S)
+
+    def settled(s, left=0.0, yaw=0.0, mu=0.9, kappa=0.8, P=SURE, caution=1.0, set_mps=SET):
+        (pose,), _ = PATH.poses([s])
+        x, y = pose[:2] + left * np.array([-np.sin(pose[2]), np.cos(pose[2])])
+        now, last = SET, None
+        while now != last:
+            now, last = flat(
+                speed(
+                    speed=now, s=s, estimate=[x, y, pose[2] + yaw, SET, mu, kappa], covariance=P,
+                    upper=OMEGA, segments=PATH.segments.T, period_m=PATH.period_m,
+                    speed_mps=set_mps, caution=caution,
+                )["speed"]
+            )[0], now  # fmt: skip
+            assert last is None or abs(now - last) <= CHANGE * (1 + 1e-12)
+        return now
+
+    return settled
+
+
+def test_on_the_path_of_a_straight_it_drives_at_the_set_speed(settled):
+    assert settled(5.0) == SET
+
+
+@pytest.mark.parametrize("caution", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("kappa", [0.5, 0.65, 0.9])
+def test_in_a_curve_the_soil_gives_the_yaw_rate_even_if_it_is_worse(settled, kappa, caution):
+    v = settled(25.0, kappa=kappa, caution=caution)
+    worse = max(kappa - caution * 0.01, 0), min(0.9 + caution * 0.01, 1)
+    assert v == pytest.approx(min(SET, worse[0] * OMEGA / (0.15 * worse[1])))
+
+
+@pytest.mark.parametrize("to_m", [0.55, 0.6, 0.8])
+def test_before_a_curve_it_brakes_in_time(settled, to_m):
+    kappa, v = 0.3, settled(20.0 - to_m, kappa=0.3)
+    there = (kappa - 0.01) * OMEGA / (0.15 * 0.91)
+    left_m = v**2 / (2 * cautious.ACCELERATION_MPS2) - there**2 / (2 * cautious.ACCELERATION_MPS2)
+    assert v == pytest.approx(min(SET, v)) and left_m <= to_m - cautious.NOSE_M + 1e-12
+    assert settled(5.0, kappa=kappa) == settled(31.0, kappa=kappa) == SET
+
+
+def test_the_less_room_the_slower_down_to_the_slowest(settled):
+    speeds = [settled(5.0, left=left) for left in np.linspace(0, 0.15, 31)]
+    assert speeds[0] == SET and speeds[-1] == SLOWEST and np.all(np.diff(speeds) <= 0)
+    assert settled(5.0, left=0.09, yaw=0.05) < settled(5.0, left=0.09, yaw=-0.05)
+    assert settled(5.0, left=0.09) == pytest.approx(settled(5.0, left=-0.09))
+
+
+@pytest.mark.parametrize("place", [0, 1, 2, 4, 5])
+def test_less_sure_is_slower_and_no_caution_does_not_care(settled, place):
+    """Of x, y, θ, μ or κ; x counts where the path runs along y, too."""
+    unsure = SURE + np.diag(np.eye(6)[place] * 0.005)
+    where = dict(s=25.0, left=0.07) if place < 3 else dict(s=25.0, kappa=0.68)
+    assert settled(P=unsure, **where) < settled(P=SURE, **where)
+    assert settled(P=unsure, caution=0.0, **where) == settled(P=SURE, caution=0.0, **where)
+
+
+def test_backwards_it_looks_where_it_drives(settled):
+    """Turned round, and driving backwards, the robot does the same."""
+    for yaw in (0.05, -0.05):
+        forwards = settled(5.0, left=0.09, yaw=yaw)
+        assert settled(5.0, left=0.09, yaw=yaw + np.pi, set_mps=-SET) == pytest.approx(forwards)
+
+
+@pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e300])
+def test_what_makes_no_sense_makes_it_slow_and_is_forgotten(settled, absurd):
+    if np.isnan(absurd):
+        assert settled(5.0, yaw=absurd) == SLOWEST
+    with np.errstate(invalid="ignore"):
+        assert settled(5.0, P=SURE * absurd) == SLOWEST
+    assert settled(25.0, kappa=-absurd) == cautious.SLOWEST_MPS["curve"]
+
+
+def test_who_has_a_row_yet_to_reach_drives_there_at_the_set_speed(settled):
+    assert settled(5.0, left=1.0) == settled(5.0, left=-1.0) == SET
+
+
+def test_a_slower_set_speed_is_kept(settled):
+    assert settled(5.0, left=0.2, set_mps=0.1) == pytest.approx(0.1)
+
+
+# In the loop
+
+
+def careful(scenario, **options):
+    return dataclasses.replace(scenario, controller=cautious.controller(scenario, **options))
+
+
+DRIVE = careful(rhec.Scenario(**SIMPLE_WORLD, process_noise="consistent", duration_s=120.0, seed=1))
+
+
+def test_runs_of_the_simple_world_are_what_they_are():
+    """Poses after 20 s and 59.8 s, as they were recorded."""
+    scenario = rhec.Scenario(
+        **SIMPLE_WORLD, estimator="augmented_ekf", sigma_w=(0.01,) * 6, duration_s=60.0, seed=5
+    )
+    log = rhec.simulate(careful(scenario)).log
+    poses = [
+        [7.017534536352407, -0.001356677414103836, -0.02755396937379567],
+        [25.15882334800196, 0.06380753532949529, -0.005145008318403728],
+    ]
+    found = log[["x_m", "y_m", "theta_rad"]].iloc[[100, 299]]
+    np.testing.assert_allclose(found, poses, rtol=0, atol=1e-6)
+
+
+def test_one_object_serves_all_seeds_and_is_equal_to_another_of_the_same_fields():
+    plain = rhec.Scenario(estimator="yaw_drift_ekf")
+    other_seed = dataclasses.replace(plain, seed=7, kappa_mean=0.9)
+    assert cautious.controller(plain) is cautious.controller(other_seed)
+    assert cautious.controller(plain) != cautious.controller(plain, caution=1.0)
+    slower = dataclasses.replace(plain, speed_mps=0.3)
+    assert cautious.controller(plain) != cautious.controller(slower)
+
+
+def test_the_live_loop_is_the_fused_one():
+    run = rhec.simulate(DRIVE)
+    robot = LiveRobot(DRIVE)
+    settings, path = robot.setup.settings, robot.setup.path
+    rhe = rhec.RHE(process_noise="consistent", guess=tuple(robot.setup.guess))
+    rhc, tracker = rhec.RHC(), rhec.PathTracker(path)
+    limit = BufferedFunction(cautious.build_speed(QUANTITIES, len(path.segments), paper.DT_S))
+    limit.set(**{name: settings[name] for name in limit.function.name_in() if name in settings})
+    limit.set(speed=DRIVE.speed_mps, caution=0.25)
+    rows = []
+    for z in robot:
+        rhe.prepare(), rhc.prepare()
+        estimate = rhe.feedback(z)
+        xi_ref, omega_ref = tracker.references(estimate, z[3])
+        omega = rhc.feedback(estimate.pose, estimate.p, xi_ref, omega_ref)
+        limit.set(s=tracker.s_m, estimate=estimate[:6], covariance=estimate.covariance)
+        limit.call()
+        limit.set(speed=limit.results["speed"])
+        rows.append([*robot.pose, omega])
+        robot.drive(omega, speed_mps=limit.results["speed"])
+    expected = run.log[["x_m", "y_m", "theta_rad", "omega_cmd_radps"]]
+    np.testing.assert_allclose(rows, expected, rtol=0, atol=1e-9)
+    assert run.log["nu_mps"].min() < 0.45  # it did slow down
+
+
+def test_on_a_wet_patch_it_is_slow_and_stays_nearer():
+    """κ halves where the row turns; beside it, the same drive at a constant speed."""
+    patch = dict(patches=((36.0, 4.0, 3.0, 0.9, 0.35),), duration_s=120.0, seed=1)
+    plain = rhec.Scenario(estimator="yaw_drift_ekf", **patch)
+    slow = rhec.simulate(careful(plain))
+    error = slow.metrics["max_error_true_m"]
+    assert error < rhec.simulate(plain).metrics["max_error_true_m"] / 2
+    log = slow.log
+    wet = np.hypot(log["x_m"] - 36, log["y_m"] - 4) < 3
+    assert log["nu_mps"][wet].mean() < 0.35
+    before = log["on_straight"] & (log["t_s"] > slow.metrics["settling_time_s"] + 5)
+    assert log["nu_mps"][before].mean() > 0.45
+    after = slice(round(5 * (slow.metrics["settling_time_s"] + 5)), None)
+    assert slow.metrics["mean_speed_mps"] == pytest.approx(log["nu_mps"][after].mean())
+
+
+def test_the_corner_is_where_the_robot_is_drawn():
+    """Of the rectangle's corners, how much nearer to the crop the foremost is than at rest on the
+    row, recounted on the straights of a run.
+    """
+    run = rhec.simulate(dataclasses.replace(DRIVE, duration_s=60.0))
+    log, half = run.log, np.array([paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M]) / 2
+    settled = run.metrics["settling_time_s"] + 5.0
+    log = log[(log["t_s"] >= settled - 1e-9) & log["on_straight"] & (log["x_m"] < 30)]
+    corners = []
+    for forward, left in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        sine, cosine = np.sin(log["theta_rad"]), np.cos(log["theta_rad"])
+        corners.append(log["y_m"] + forward * half[0] * sine + left * half[1] * cosine)
+    expected = np.abs(corners).max() - half[1]
+    assert run.metrics["max_corner_error_true_m"] == pytest.approx(expected)
+    assert expected > run.metrics["max_error_true_m"]

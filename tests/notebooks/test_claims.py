@@ -1,0 +1,779 @@
+"""The claims ledger: every rule can come out either way, every claim is judged by its own, and what
+it is judged on is what the log shows.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from scipy import stats
+
+import rhec
+from notebooks.claims import __main__ as command
+from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
+from notebooks.plots import claims as drawings
+from notebooks.studies import statistics, tables, two_looks
+from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
+from rhec import paper
+from rhec.simulation.campaigns.map import map_runs, parallel_map
+from rhec.tracked_robot import tuning
+
+RNG = np.random.default_rng(0)
+NORMAL = RNG.normal(size=200)
+PAIRED = RNG.normal(size=200)  # what two paired samples share
+SHARES = np.arange(200)
+
+
+@pytest.mark.parametrize(
+    "rule, holds, fails, undecided",
+    [
+        (lambda values: statistics.mean(values, above=1), 2 + NORMAL, NORMAL, 1 + NORMAL),
+        (lambda values: statistics.mean(values, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
+        (lambda values: statistics.mean(values, above=-1, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
+        (
+            lambda values: statistics.difference(values + 10 * PAIRED, 10 * PAIRED, below=0),
+            NORMAL - 1,
+            NORMAL + 1,
+            NORMAL,
+        ),
+        (
+            lambda values: statistics.ratio(values * (5 + PAIRED), 5 + PAIRED, above=2),
+            3 + 0.1 * NORMAL,
+            1 + 0.1 * NORMAL,
+            2 + 0.1 * NORMAL,
+        ),
+        (lambda flags: statistics.share(flags, above=0.5), SHARES < 150, SHARES < 50, SHARES < 100),
+        (lambda flags: statistics.share(flags, below=0.5), SHARES < 50, SHARES < 150, SHARES < 100),
+        (statistics.always, np.ones(9, bool), np.arange(9) > 0, np.ones(0, bool)),
+        (statistics.possible, np.arange(9) == 0, np.zeros(400, bool), np.zeros(100, bool)),
+        (lambda values: statistics.reported(10 + values, 10.0), NORMAL, NORMAL + 5, NORMAL[:39]),
+        (
+            lambda values: statistics.reported(10 + values, 10.0),
+            NORMAL,
+            4 + 5 * NORMAL,
+            20 * NORMAL,
+        ),
+        (
+            lambda flags: statistics.relative_to_oracle(flags, np.r_[SHARES < 160, False], 0.9),
+            np.r_[SHARES < 160, False],
+            np.r_[SHARES < 20, True],
+            np.r_[SHARES < 144, True],
+        ),
+        (lambda value: statistics.equal(value, 0.12, 0.005), 0.124, 0.126, np.nan),
+    ],
+    ids=[
+        "mean above",
+        "mean below",
+        "mean between",
+        "difference",
+        "ratio",
+        "share above",
+        "share below",
+        "always",
+        "possible",
+        "reported",
+        "reported of runs that differ much",
+        "relative to oracle",
+        "equal",
+    ],
+)
+def test_each_rule_holds_fails_and_stays_open(rule, holds, fails, undecided):
+    found = {
+        verdict: rule(data)
+        for verdict, data in ((HOLDS, holds), (FAILS, fails), (UNDECIDED, undecided))
+    }
+    assert {verdict: each.verdict for verdict, each in found.items()} == {
+        verdict: verdict for verdict in found
+    }
+    for each in (found[HOLDS], found[FAILS]):
+        assert each.low <= each.value <= each.high and 0 < each.n <= np.size(
+            holds if each is found[HOLDS] else fails
+        )
+
+
+@pytest.mark.parametrize(
+    "statistic", [np.mean, statistics.ratio_of_means, statistics.difference_of_means]
+)
+def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
+    """Of skewed numbers, as errors and violations are, at the ledger's n."""
+    rng = np.random.default_rng(1)
+    samples = rng.lognormal(size=(1 if statistic is np.mean else 2, 1000))
+    assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
+
+
+def test_an_interval_that_is_too_narrow_is_found_out(monkeypatch):
+    narrow = statistics._interval
+    monkeypatch.setattr(
+        statistics, "_interval", lambda value, error, n: narrow(value, error / 2, n)
+    )
+    assert statistics.coverage(np.mean, np.random.default_rng(2).normal(size=500), trials=500) < 0.8
+
+
+def test_an_interval_of_a_share_covers_at_least_as_often():
+    rng = np.random.default_rng(1)
+    shares = [statistics.share(rng.random(60) < 0.3) for _ in range(500)]
+    assert np.mean([each.low <= 0.3 <= each.high for each in shares]) >= 0.94
+
+
+def test_the_chance_that_a_verdict_is_wrong_is_the_one_of_a_t_test():
+    expected = stats.ttest_1samp(NORMAL, 0.1)
+    found = statistics.mean(NORMAL, above=0.1)
+    assert found.p == pytest.approx(expected.pvalue)
+    interval = tuple(expected.confidence_interval())
+    assert (found.low, found.high) == pytest.approx(interval, rel=1e-12)
+    expected = 2 * stats.binom.sf(119, 200, 0.5)
+    assert statistics.share(SHARES < 120, above=0.5).p == pytest.approx(expected)
+    assert np.isnan(statistics.always(SHARES < 120).p)
+
+
+def test_intervals_shrink_to_a_constant_and_cover_a_mean():
+    assert statistics.over_seeds(np.mean, [2.0, 2.0, np.nan, 2.0]) == (2.0, 2.0, 2.0, 3)
+    assert np.isnan(statistics.over_seeds(np.mean, [2.0, np.nan])[:3]).all()
+    draws = np.random.default_rng(1).normal(1.0, 1.0, (200, 20))
+    intervals = [statistics.over_seeds(np.mean, values)[1:3] for values in draws]
+    assert 0.92 < np.mean([low < 1.0 < high for low, high in intervals]) < 0.98
+
+
+@pytest.mark.parametrize(
+    "low, high, bounds, verdict",
+    [
+        (2.1, 3.0, dict(above=2), HOLDS),
+        (1.9, 3.0, dict(above=2), UNDECIDED),
+        (1.0, 1.9, dict(above=2), FAILS),
+        (-2.0, -1.0, dict(below=0), HOLDS),
+        (1.0, 2.0, dict(below=0), FAILS),
+        (np.nan, np.nan, dict(below=0), UNDECIDED),
+        (2.0, 3.0, dict(above=2), UNDECIDED),  # a bound that is touched is not included
+        (1.0, 2.0, dict(above=2), FAILS),
+        (-1.0, 0.0, dict(below=0), UNDECIDED),
+        (0.0, 1.0, dict(below=0), FAILS),
+        (0.0, 0.0, dict(below=0), FAILS),
+        (0.0, 1.0, dict(above=0, below=1), UNDECIDED),
+    ],
+)
+def test_verdicts_follow_the_rule(low, high, bounds, verdict):
+    assert statistics.verdict(low, high, **bounds) == verdict
+
+
+def test_pairs_are_compared_as_pairs():
+    """A difference far smaller than what both samples share is still seen."""
+    assert (
+        statistics.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED, above=0).verdict
+        == HOLDS
+    )
+    assert (
+        statistics.difference(
+            100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED[::-1], above=0
+        ).verdict
+        == UNDECIDED
+    )
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_constant_samples_are_judged_and_a_bound_is_not_included(value):
+    assert statistics.difference(np.full(5, value), np.zeros(5), above=0).verdict == (
+        HOLDS if value else FAILS
+    )
+    assert statistics.mean([value]).verdict == UNDECIDED
+
+
+def test_missing_values_and_unequal_samples_are_refused():
+    with pytest.raises(ValueError, match="missing values"):
+        statistics.mean([1.0, np.nan])
+    with pytest.raises(ValueError, match="lengths"):
+        statistics.difference([1.0, 2.0], [1.0])
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_ratio_to_almost_nothing_is_undecided_without_a_warning():
+    """If one pair alone keeps the denominator from zero, the ratio has no interval."""
+    found = statistics.ratio(np.ones(5), np.arange(5) == 0, above=1)
+    assert found.value == 5 and np.isnan([found.low, found.high, found.p]).all()
+    assert found.verdict == UNDECIDED and found.n == 5
+
+
+def test_a_table_is_read_as_texts():
+    row = dict(
+        estimator="RHE", quantity="error [m]", mean=0.03461, low=0.0323, high=0.037, paper=0.04
+    )
+    rows = [row, row | dict(estimator="EKF", mean=1234.5, low=np.nan, high=np.nan, paper="")]
+    rows.append(row | dict(quantity="runs", mean=0.0, low=0.0, high=0.0, paper="", verdict=HOLDS))
+    shown = tables.readable(pd.DataFrame(rows))
+    assert list(shown.columns) == ["RHE", "EKF", "paper"]
+    assert list(shown.loc["error [m]"]) == ["0.0346 [0.0323, 0.0370]", "1234", "0.04"]
+    assert list(shown.loc["runs"]) == ["0 (holds)", "", ""]
+    assert tables.readable(pd.DataFrame(rows), transposed=True).loc["EKF", "error [m]"] == "1234"
+
+
+def finding(verdict):
+    return Finding(1.0, 0.0, 2.0, 9, verdict)
+
+
+@pytest.mark.parametrize(
+    "printed, calibrated, expected",
+    [
+        (HOLDS, HOLDS, (HOLDS, "as printed")),
+        (HOLDS, FAILS, ("holds only as printed", "as printed")),
+        (HOLDS, UNDECIDED, ("holds as printed", "as printed")),
+        (FAILS, HOLDS, ("holds only with W calibrated", "W calibrated")),
+        (UNDECIDED, HOLDS, ("holds with W calibrated", "W calibrated")),
+        (FAILS, FAILS, (FAILS, "as printed")),
+        (FAILS, UNDECIDED, (UNDECIDED, "W calibrated")),
+    ],
+)
+def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
+    assert (
+        statistics.combined({"as printed": finding(printed), "W calibrated": finding(calibrated)})
+        == expected
+    )
+
+
+# The ledger itself
+
+
+@pytest.fixture(scope="module")
+def made_up(run, virtual_machine):
+    """Evidence of the right form whose every number is drawn, so that no verdict means anything."""
+    rng, log = np.random.default_rng(0), run_sets.measured(run)
+
+    def table(columns, rows=50):
+        return pd.DataFrame(
+            {
+                name: rng.random(rows) < 0.5
+                if isinstance(value, bool | np.bool_)
+                else rng.random(rows)
+                for name, value in columns.items()
+            }
+        )
+
+    kinds = ("adaptive", "heavy", "light", "none")
+    names = [f"{name}_{kind}" for name in ("step", "reached_s", "lost") for kind in kinds]
+    arrival = dict.fromkeys(names, 0.0) | {f"lost_{kind}": False for kind in kinds}
+    others = "least sigma_left grown_with_w grown_without_w"
+    iterations = "error_one_m error_many_m one_us many_us rms_warm rms_cold max_warm"
+    made = {
+        "arrival_cost": table(arrival | dict.fromkeys(others.split(), 0.0)),
+        "iterations": table(dict.fromkeys(iterations.split(), 0.0)),
+        "search": table(dict(lowest=0.0)),
+        "kkt": experiments.kkt_tolerances(3),
+        "gains": experiments.gains(3),
+        "models": experiments.models(3),
+        "times": experiments.steps_in_time(4.0),
+        "certainty": experiments.certainty_equivalence(4.0),
+        "convexity": experiments.convexity(3),
+    }
+    metrics = {**run.metrics, "arrived": True, "mu_deviation": 0.04, "kappa_deviation": 0.08}
+    found = {("runs", id_): table(metrics).assign(duration_s=240.0) for id_ in run_sets.RUNS}
+    found |= {("logs", id_): table(log) for id_ in run_sets.LOGS}
+    found |= {("experiments", name): each for name, each in made.items()}
+    return {(noise, *key): each for noise in run_sets.PROCESS_NOISES for key, each in found.items()}
+
+
+def judged(tables, claims=ledger.CLAIMS, shares=None):
+    """The ledger by these tables alone."""
+    findings = evidence.findings_of(claims, tables, 0.95)
+    looks = {id_: dict.fromkeys(found, 0.95) for id_, found in findings.items()}
+    beside = {
+        id_: {what: number(tables) for what, number in claim.beside.items()}
+        for id_, claim in claims.items()
+    }
+    return ledger.ledger(findings, looks, beside, shares or {}, claims)
+
+
+def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
+    table = judged(made_up)
+    assert len(table) >= 30 and table["id"].is_unique and len(table) == len(ledger.CLAIMS)
+    conditions = {name for claim in ledger.CLAIMS.values() for name in claim.rule.by_condition}
+    words = {f"{HOLDS} {only}with {name}" for name in conditions for only in ("", "only ")}
+    words |= {f"{HOLDS} as printed", f"{HOLDS} only as printed"}
+    assert set(table["verdict"]) <= {HOLDS, FAILS, UNDECIDED, UNTESTABLE} | words
+    assert (table["quote"].str.len() > 5).all()
+    untested = table[table["verdict"] == UNTESTABLE]
+    assert (untested["why"] != "").all() and (
+        table.drop(untested.index)["test"].str.len() > 10
+    ).all()
+    assert summary.verdict_counts(table)["claims"].sum() == len(table)
+
+
+@pytest.mark.parametrize("smaller, verdict", [("rhe", HOLDS), ("ekf", FAILS)])
+def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
+    runs = {
+        label: pd.DataFrame(
+            dict(mean_error_m=0.05 - 0.01 * (label == smaller) + 0.001 * RNG.normal(size=60))
+        )
+        for label in ("rhe", "ekf")
+    }
+    claims = {"B5": ledger.CLAIMS["B5"]}
+    runs["rhe_filtered"] = runs["rhe"]
+    for table in runs.values():
+        table["mean_error_from_start_m"] = table["mean_error_m"]
+    noises = run_sets.PROCESS_NOISES
+    tables = {(noise, "runs", id_): table for noise in noises for id_, table in runs.items()}
+    (row,) = judged(tables, claims).itertuples()
+    assert row.verdict == verdict and row.n == row.other_n == 60 and not row.derived
+    assert row.value == pytest.approx(-0.01 if smaller == "rhe" else 0.01, abs=5e-4)
+
+
+def test_no_claim_is_judged_on_the_calibrations_seeds():
+    from notebooks.studies.calibration import TRAINING_SEEDS
+
+    assert set(range(1000)).isdisjoint(TRAINING_SEEDS)
+    assert max(TRAINING_SEEDS) < worlds.FIRST_SEED
+
+
+def test_both_process_noises_meet_the_same_seeds():
+    fields = run_sets.RUNS["q2"]
+    for printed, calibrated in zip(
+        run_sets.scenarios(fields, "printed", range(3)),
+        run_sets.scenarios(fields, "calibrated", range(3)),
+    ):
+        assert (
+            printed.seed == calibrated.seed
+            and printed.q == calibrated.q == paper.Q2
+            and (printed.process_noise, calibrated.process_noise) == run_sets.PROCESS_NOISES
+        )
+
+
+# Two looks
+
+
+@pytest.fixture
+def errors(monkeypatch):
+    """Runs whose true mean error is drawn: the RHE's, less an advantage that the test sets."""
+    chosen = dict(advantage=0.0, asked=[])
+
+    def measure(scenarios, folder=None):
+        def error(scenario):
+            gain = chosen["advantage"] * (scenario.estimator == "rhe_no_slip")
+            return 1 + gain + 0.1 * np.random.default_rng(scenario.seed).normal()
+
+        scenarios = scenarios["runs"]
+        chosen["asked"].append({each.seed for part in scenarios.values() for each in part})
+        return {
+            name: pd.DataFrame(dict(mean_error_true_m=[error(each) for each in part]))
+            + 0.1 * np.random.default_rng(len(str(name))).normal(size=(len(part), 1))
+            for name, part in scenarios.items()
+        }
+
+    monkeypatch.setattr(run_sets, "measure", measure)
+    return chosen
+
+
+B6 = {"B6": ledger.CLAIMS["B6"]}
+
+
+@pytest.mark.parametrize(
+    "advantage, expected", [(0.5, [range(60)]), (0.012, [range(60), range(60, 900)])]
+)
+def test_only_what_the_first_look_leaves_undecided_is_looked_at_again(errors, advantage, expected):
+    errors["advantage"] = advantage
+    _, findings, _, looks = evidence.collect(B6, 60, 900)
+    assert [*filter(None, errors["asked"])] == list(
+        map(set, expected)
+    )  # no field is driven at both looks
+    found, look = findings["B6"]["as printed"], looks["B6"]["as printed"]
+    assert (found.n, look) == ((60, 0.999) if len(expected) == 1 else (900, 0.95))
+
+
+def test_a_verdict_of_the_first_look_needs_a_wider_interval():
+    values = NORMAL + 0.2  # 2.8 standard errors above 0
+    assert statistics.mean(values, above=0).verdict == HOLDS
+    first = statistics.mean(values, above=0, confidence=statistics.FIRST_CONFIDENCE)
+    assert first.verdict == UNDECIDED
+    assert first[:4] == statistics.mean(values, above=0)[:4]  # the interval shown is the same
+
+
+def test_two_looks_are_wrong_as_seldom_as_they_say():
+    """No effect at all, 2,000 times: how often one of the two looks says that there is one."""
+    rng = np.random.default_rng(3)
+    wrong = 0
+    for _ in range(2000):
+        values = rng.normal(size=200)
+        first = statistics.mean(values[:40], above=0, confidence=statistics.FIRST_CONFIDENCE)
+        last = statistics.mean(values, above=0)
+        wrong += (last if first.verdict == UNDECIDED else first).verdict != UNDECIDED
+    assert 0.03 < wrong / 2000 < two_looks.ERROR_RATE + 0.015
+
+
+# Verdicts in words
+
+
+def test_a_verdict_by_derivation_is_marked(made_up):
+    claims = {id_: ledger.CLAIMS[id_] for id_ in ("S3", "I5", "M8")}
+    table = judged(made_up, claims)
+    assert list(table["derived"]) == [True, False, False]
+    assert list(table["verdict"])[:2] == [FAILS, UNTESTABLE]
+    counts = summary.verdict_counts(table)
+    assert counts.loc[FAILS, "by derivation"] == 1 and counts.loc[UNTESTABLE, "claims"] == 1
+
+
+def test_what_may_happen_needs_one_condition():
+    found = {"as printed": finding(FAILS), "W calibrated": finding(HOLDS)}
+    assert ledger.CLAIMS["M7"].rule.combined(found) == (HOLDS, "W calibrated")
+    assert ledger.CLAIMS["B6"].rule.combined(found)[0] == "holds only with W calibrated"
+
+
+def test_verdicts_are_counted_by_class():
+    verdicts = [HOLDS, "holds as printed", "holds only as printed", "holds only with W calibrated"]
+    verdicts += ["holds with ν as input", FAILS, UNTESTABLE]
+    derived = [False] * 5 + [True, False]
+    counts = summary.verdict_counts(pd.DataFrame(dict(verdict=verdicts, derived=derived)))
+    assert counts["claims"].tolist() == [1, 2, 2, 1, 0, 1]
+    assert counts["by derivation"].tolist() == [0, 0, 0, 1, 0, 0]
+    assert list(counts.index)[1:3] == [summary.PRINTED, summary.DEPARTURE]
+
+
+# Worlds
+
+
+@pytest.mark.parametrize(
+    "found, verdict",
+    [
+        (statistics.mean([1.0, 3.0], above=1), HOLDS),
+        (statistics.mean([0.0, 1.0], above=1), FAILS),
+        (statistics.mean([0.0, 2.0], above=1), FAILS),  # at the bound, which is not included
+        (statistics.share([True] * 6, above=0.95), HOLDS),
+        (statistics.share([True] * 5 + [False], above=0.95), FAILS),
+        (statistics.always([True] * 6), HOLDS),
+        (statistics.always([True, False]), FAILS),
+        (statistics.possible([True, False]), HOLDS),
+        (statistics.possible([False, False]), FAILS),
+        (statistics.reported([15.0, 16.0, 20.0], 17), HOLDS),
+        (statistics.reported([1.0, 2.0, 40.0], 17), HOLDS),
+        (statistics.reported([21.9, 22.0, 22.1], 17), FAILS),
+        (statistics.ratio([1.0], [0.0], above=1), UNDECIDED),
+    ],
+)
+def test_a_rule_is_applied_to_the_value_in_a_world(found, verdict):
+    assert worlds.by_value(found) == verdict
+
+
+def test_a_claim_in_worlds_follows_the_runs(errors):
+    errors["advantage"] = 0.5
+    drawn = [dict(speed_mps=0.4), dict(kappa_mean=0.9)]
+    assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [HOLDS] * 2
+    assert worlds.shares(B6, drawn, 4)["B6"][:4] == (1.0, pytest.approx(0.025**0.5), 1.0, 2)
+    errors["advantage"] = -0.5
+    assert worlds.judge(B6, drawn[:1], 4)["B6"].tolist() == [FAILS]
+    assert worlds.shares(B6, drawn, 4)["B6"].value == 0
+
+
+def test_the_ledger_has_the_shares_of_worlds(made_up):
+    claims = {id_: ledger.CLAIMS[id_] for id_ in ("B6", "S3")}
+    found = statistics.share([True] * 20 + [False] * 10)
+    table = judged(made_up, claims, {"B6": found}).set_index("id")
+    here = table.loc["B6", ["posterior", "posterior_low", "posterior_high", "posterior_n"]]
+    assert tuple(here) == found[:4] and np.isnan(table.loc["S3", "posterior"])
+    assert list(summary.in_worlds(table.reset_index())["posterior"]) == ["0.667 [0.472, 0.827]"]
+
+
+def test_worlds_have_their_own_w_and_drives_of_their_own_length():
+    world = dict(process_noise="printed", process_noise_ekf="calibrated", duration_s=99.0)
+    world |= dict(row_length_m=20.0, speed_mps=0.5, mu_mean=0.8, estimator="ekf")
+    (rhe,) = worlds._scenarios(("runs", "rhe"), world, [3], True)
+    (ekf,) = worlds._scenarios(("runs", "ekf"), world, [3], True)
+    (row,) = worlds._scenarios(("runs", "q3"), world, [3], False)
+    (lap,) = worlds._scenarios(("runs", "no_slip"), world, [3], False)
+    assert (rhe.process_noise, ekf.process_noise) == ("printed", "calibrated")
+    assert rhe.duration_s == ekf.duration_s == 99 and row.duration_s == pytest.approx(50)
+    assert lap.duration_s == pytest.approx((25 + np.pi * lap.headland_radius_m) / 0.4)
+
+
+# One claim alone
+
+
+def test_one_claim_is_told_with_its_words_and_numbers(errors, capsys):
+    errors["advantage"] = 0.5
+    command.main(["B6", "--fields", "12"])
+    text = capsys.readouterr().out
+    claim = ledger.CLAIMS["B6"]
+    assert claim.quote in text and claim.section in text and "verdict: holds" in text
+    assert "n = 12: holds" in text and "seeds 0 to 11" in text
+    for wrong, said in (
+        (["Z9"], "claim was 'Z9'; it should be one of I1, I2"),
+        (["B6", "--fields", "1"], "fields was 1; it should be 2 or more"),
+    ):
+        with pytest.raises(SystemExit) as refused:
+            command.main(wrong)
+        assert refused.value.code == 2 and capsys.readouterr().err.startswith(said)
+
+
+# The file of claims
+
+GOOD = """
+[Times.X1]
+sentence = "It is fast"
+quote = "is fast"
+test = "times; below 1 s"
+rule = { name = "mean", below = 1 }
+runs = ["ekf"]
+of = ["mean_error_m"]
+"""
+
+
+def test_a_claim_is_read_as_it_is_written(tmp_path):
+    file = tmp_path / "claims.toml"
+    file.write_text(GOOD, encoding="utf-8")
+    ((id_, claim),) = rules.load(file).items()
+    assert (id_, claim.section, claim.claim) == ("X1", "Times", "It is fast")
+    assert claim.rule.bound == "< 1" and list(claim.rule.by_condition) == [
+        "as printed",
+        "W calibrated",
+    ]
+    assert claim.rule.by_condition["as printed"].tables == (("printed", "runs", "ekf"),)
+
+
+@pytest.mark.parametrize(
+    "written, instead, refused",
+    [
+        ('sentence = "It is fast"', "", "claim X1 had no sentence; it should have one"),
+        ("test =", "tests =", "the unknown entry tests"),
+        ('"mean"', '"median"', "the unknown rule 'median'"),
+        ("below = 1", "under = 1", "had under in its rule"),
+        ('["ekf"]', '["kalman"]', "had unknown runs kalman"),
+        ('of = ["mean_error_m"]', "", "for the rule mean; it should have one kind with `of`"),
+        ("of =", 'departures = ["late"]\nof =', "the unknown departure late"),
+        ("of =", 'logs = ["ekf"]\nof =', "had tables ['runs', 'logs']"),
+    ],
+)
+def test_a_malformed_claim_is_refused_in_one_sentence(tmp_path, written, instead, refused):
+    file = tmp_path / "claims.toml"
+    file.write_text(GOOD.replace(written, instead), encoding="utf-8")
+    with pytest.raises(ValueError, match="claim X1") as error:
+        rules.load(file)
+    assert refused in str(error.value) and "\n" not in str(error.value)
+
+
+def test_the_paper_s_values_are_those_of_the_package():
+    says = {id_: claim.rule.paper for id_, claim in ledger.CLAIMS.items()}
+    assert says["B3"] == paper.MEAN_ERROR_RHE_M and says["B4"] == paper.MEAN_ERROR_EKF_M
+    assert says["B9"] == paper.VIOLATIONS_EKF and says["I1"] == paper.TOLERANCE_M
+    assert (says["T1"], says["T2"]) == (paper.STEP_MEAN_MS, paper.STEP_MAX_MS)
+    stays = ledger.CLAIMS["B1"].rule.by_condition["as printed"].rule.keywords["expressions"]
+    assert stays == [f"arrived & (max_error_true_m < {paper.ROW_SPACING_M / 2})"]
+    stays = ledger.CLAIMS["I2"].rule.by_condition["as printed"].rule.keywords["expressions"]
+    assert stays == [f"arrived & (max_error_true_m < {paper.TOLERANCE_M})"]
+
+
+def test_a_weak_verdict_does_not_survive_among_many():
+    def table(p):
+        row = dict(id=["A"], p=[p], p_adjusted=[p], verdict=[HOLDS], derived=[False])
+        return pd.DataFrame(row)
+
+    strong, weak = table(1e-4), table(0.2).assign(id="B")
+    assert summary.survivors(pd.concat([strong, weak], ignore_index=True)) == (2, ["B"])
+    assert summary.survivors(strong.assign(derived=True)) == (0, [])
+
+
+@pytest.mark.parametrize("n", [0, 3, 45])
+def test_each_argument_has_its_answer_in_order(n):
+    assert parallel_map(int, list(range(n))) == list(range(n))
+
+
+def test_studies_have_their_runs_in_order():
+    """However they are put beside each other to share fields and noise."""
+    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
+    asked = [
+        rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2) for q in ((1, 1, 0), (1, 1, 5))
+    ]
+    found = map_runs(run_sets.measured, asked)
+    assert found == [run_sets.measured(rhec.simulate(each)) for each in asked]
+
+
+def test_runs_whose_logs_are_needed_are_driven_once(monkeypatch):
+    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
+    one, other = (
+        [rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2)] for q in ((1, 1, 0), (1, 1, 5))
+    )
+    driven = []
+
+    def campaign(scenarios, folder):
+        driven.extend(scenarios)
+        return rhec.campaign(scenarios, folder)
+
+    monkeypatch.setattr(run_sets, "campaign", campaign)
+    asked = dict(runs=dict(same=list(one), own=other), logs=dict(log=one))
+    tables = run_sets.measure(asked)
+    assert driven == other and set(tables) == {"same", "own", "log"}
+    for name, scenarios in (("same", one), ("own", other), ("log", one)):
+        for (_, row), scenario in zip(tables[name].iterrows(), scenarios):
+            metrics = rhec.simulate(scenario).metrics
+            assert row["mean_error_true_m"] == metrics["mean_error_true_m"]
+            assert row["violations"] == metrics["violations"]
+    assert {*tables["own"]} - {"error"} <= {*tables["same"]}
+    assert list(tables["same"]["seed"]) == [9, 2] and (tables["same"]["q"] == one[0].q).all()
+    assert "kkt_rhe_late" in tables["log"] and "kkt_rhe_late" not in tables["own"]
+    assert run_sets.measure(dict(runs={}, logs={})) == {}
+
+
+# What is measured
+
+
+def test_measured_agrees_with_the_log(run):
+    shown, log = run_sets.measured(run), run.log
+    assert shown["in_bounds"] == log[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
+    assert (
+        shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all()
+        and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
+    )
+    assert shown["settling_time_s"] == run.metrics["settling_time_s"] and shown["arrived"]
+    late = log[log["t_s"] >= 30]
+    assert shown["kkt_rhe_late"] == pytest.approx(late["kkt_rhe"].median())
+    assert shown["deviation_kappa_late"] == pytest.approx(late["kappa_hat"].std(ddof=0))
+    far = log["y_m"][log["y_m"].abs() > 0.05]  # the first row runs along x
+    assert shown["swings"] == (np.sign(far).diff().dropna() != 0).sum()
+    assert 0 < shown["late_s"] == pytest.approx(59.8 - log["s_m"].iloc[-1] / 0.5)
+
+
+@pytest.mark.parametrize("lag", [0.0, 1.4, 5.0])
+def test_a_lag_is_found(lag):
+    truth = np.convolve(np.random.default_rng(0).normal(size=600), np.ones(25) / 25, "same")
+    shift = round(lag / 0.2)
+    assert run_sets.lag_s(
+        np.concatenate([np.zeros(shift), truth[: 600 - shift]]), truth
+    ) == pytest.approx(lag, abs=0.2)
+
+
+def test_a_robot_that_never_arrives_has_used_up_its_time():
+    table = run_sets.complete(
+        pd.DataFrame(dict(settling_time_s=[3.0, np.nan], duration_s=[60.0, 60.0], error=""))
+    )
+    assert list(table["settling_time_s"]) == [3.0, 60.0] and list(table["arrived"]) == [True, False]
+
+
+def test_no_claim_is_judged_on_runs_that_failed():
+    with pytest.raises(RuntimeError, match="1 of 2 runs failed, the first with: ValueError: no"):
+        run_sets.complete(
+            pd.DataFrame(
+                dict(settling_time_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])
+            )
+        )
+
+
+# Experiments and estimators
+
+
+def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virtual_machine):
+    kkt = experiments.kkt_tolerances(5)
+    assert (
+        (kkt["linear_after the step"] < 1e-9).all()
+        and (kkt["nonlinear_after the step"] > 1e-9).any()
+        and (kkt["linear_reported"] > 1e-9).any()
+    )
+
+
+def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
+    steps = experiments.build_with_given_arrival()
+    log = run.log[:60]
+    estimates, P = experiments.run_with_given_arrival(steps, log, "calibrated")
+    np.testing.assert_allclose(
+        estimates,
+        log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
+        atol=1e-8,
+    )
+    W = np.diag(np.square(tuning.SIGMA_W["rhe"]["calibrated"]))
+    assert np.linalg.eigvalsh(P - W).min() >= -1e-12
+    _, constant = experiments.run_with_given_arrival(steps, log, "calibrated", P_given=np.eye(6))
+    np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
+
+
+def test_the_live_loop_is_the_fused_one(virtual_machine):
+    scenario = rhec.Scenario(process_noise="calibrated", duration_s=20.0)
+    distance_m, *_ = experiments.live(scenario, 1)
+    np.testing.assert_allclose(distance_m, rhec.simulate(scenario).log["error_true_m"], atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "error, reached",
+    [(np.zeros(50), 0.0), (np.r_[np.ones(10), np.zeros(40)], 2.0), (np.ones(50), 10.0)],
+)
+def test_the_time_from_which_an_error_stays_small(error, reached):
+    assert experiments.reached_s(error) == pytest.approx(reached)
+
+
+def test_hard_coded_traction_on_soil_of_that_traction_is_the_traction_oracle(virtual_machine):
+    sigma_w = (0.02, 0.02, 0.01, 0.01)
+    common = dict(terrain=rhec.Terrain.uniform(0.9, 0.8), duration_s=20.0)
+    told = rhec.simulate(rhec.Scenario(estimator="traction_oracle", sigma_w=sigma_w, **common)).log
+    coded = rhec.simulate(rhec.Scenario(estimator="fixed_traction", sigma_w=sigma_w, **common)).log
+    columns = [
+        "x_m",
+        "y_m",
+        "theta_rad",
+        "x_hat_m",
+        "theta_hat_rad",
+        "kappa_hat",
+        "omega_cmd_radps",
+    ]
+    np.testing.assert_allclose(coded[columns], told[columns], atol=1e-9)
+
+
+def test_the_search_goes_on_until_an_estimate_below_zero_is_found(virtual_machine):
+    """It does from the worst starts; what is reported is what the last run has."""
+    found = experiments.lowest_traction("calibrated", most=18)
+    assert (found["lowest"] < 0).any() or len(found) >= 18
+    row = found.iloc[-1]
+    given = row.drop(["lowest"]).to_dict() | dict(seed=round(row["seed"]), duration_s=60.0)
+    choice = dict(estimator="augmented_ekf", process_noise="calibrated")
+    log = rhec.simulate(rhec.Scenario(**given, **choice)).log
+    assert log[["mu_hat", "kappa_hat"]].to_numpy().min() == row["lowest"]
+
+
+# The augmented EKF
+
+
+def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machine):
+    log = rhec.simulate(
+        rhec.Scenario(
+            estimator="augmented_ekf",
+            slip_difference=0.0,
+            gnss_slow_share=0.0,
+            process_noise="calibrated",
+            terrain=rhec.Terrain.uniform(0.9, 0.8),
+        )
+    ).log
+    assert np.abs(log[["mu_hat", "kappa_hat"]].iloc[-1].to_numpy() - (0.9, 0.8)).max() < 0.05
+    assert log[["mu_hat", "kappa_hat"]].to_numpy().max() > 1
+
+
+# Tables and figure
+
+
+def test_the_ledger_is_shown_in_parts():
+    row = dict(id="A1", claim="…", test="…", paper=1.0, value=2.0, low=1.5, high=2.5, n=9)
+    row |= dict(section="…", bound="> 1", unit="m", conditions="…", why="…", quote="…", beside="…")
+    row |= dict(verdict=HOLDS, p=0.01, p_adjusted=0.02, derived=False)
+    row |= dict(posterior=0.5, posterior_low=0.4, posterior_high=0.6)
+    fails = row | dict(id="A2", verdict=FAILS, posterior=np.nan)
+    partly = row | dict(id="A3", verdict="holds as printed")
+    table = pd.DataFrame([row, fails, partly])
+    assert summary.readable_ledger(table)["value"].tolist() == ["2.00 [1.50, 2.50]"] * 3
+    assert list(summary.failing(table).index) == ["A2"]
+    assert list(summary.depending(table).index) == ["A3"]
+    assert list(summary.in_worlds(table).index) == ["A1", "A3"]
+    assert summary.lost(table).empty
+
+
+def test_the_picture_names_every_claim_and_counts_the_verdicts(made_up):
+    table = judged(made_up)
+    texts = [text.get_text() for text in drawings.verdicts(table).axes[0].texts]
+    assert set(table["id"]) <= set(texts) and set(table["claim"]) <= set(texts)
+    assert f"undecided: {(table['verdict'] == UNDECIDED).sum()}" in texts
+
+
+def test_no_text_of_the_picture_lies_over_another(made_up):
+    """At the size at which it is printed; the widest number that a row may have, too."""
+    table = judged(made_up).assign(posterior=0.5, posterior_low=0.4, posterior_high=0.6)
+    widest = dict(value=-0.1234, low=-0.1289, high=-0.1199, unit="samples")
+    table = table.assign(**widest)
+    figure = drawings.verdicts(table)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    boxes = [text.get_window_extent(renderer) for text in figure.axes[0].texts if text.get_text()]
+    edges = np.array([box.extents for box in boxes])
+    left, low, right, high = edges.T
+    wide = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
+    tall = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    over = np.triu((wide > 0.5) & (tall > 1.5), 1)
+    texts = [text.get_text() for text in figure.axes[0].texts if text.get_text()]
+    assert not over.any(), [(texts[i], texts[j]) for i, j in zip(*np.nonzero(over))]
+    assert left.min() >= 0 and right.max() <= figure.bbox.width

@@ -1,0 +1,334 @@
+"""Results: axes with units, our number beside the paper's, tables that equal what the logs give,
+verdicts by the rule.
+"""
+
+import dataclasses
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from text_boxes import text_defects
+
+import rhec
+from notebooks.plots import scenarios
+from notebooks.plots.parts import frequencies
+from notebooks.plots.scenarios import stated
+from notebooks.plots.timing import embedded_times, phases
+from notebooks.studies.scenario_tables import (
+    over_fields,
+    scenario_a_table,
+    scenario_b_table,
+    share_of_fields,
+)
+from rhec import paper, style
+
+SEEDS = range(3)
+WEIGHTS = {
+    "Q1": {"q": paper.Q1},
+    "Q2": {"q": paper.Q2},
+    "Q2, look-ahead": {"q": paper.Q2, "look_ahead_m": 0.5},
+    "Q3": {"q": paper.Q3},
+}
+TIMES = pd.DataFrame(
+    [
+        ("RHE", "preparation", 4.0, 5.0, 40.0),
+        ("RHE", "feedback", 3.0, 6.0, 30.0),  # made up
+        ("RHC", "preparation", 3.0, 4.0, 20.0),
+        ("RHC", "feedback", 2.0, 3.5, 15.0),
+    ],
+    columns=["problem", "phase", "minimum_us", "average_us", "maximum_us"],
+)
+
+
+def scenario(**choice):
+    return rhec.Scenario(duration_s=90.0, **choice)
+
+
+@pytest.fixture(scope="module")
+def runs(virtual_machine):
+    """{process noise: {"RHE": Run, "EKF": Run}}"""
+    return {
+        process_noise: {
+            name: rhec.simulate(scenario(process_noise=process_noise, estimator=name.lower()))
+            for name in ("RHE", "EKF")
+        }
+        for process_noise in ("printed", "calibrated")
+    }
+
+
+@pytest.fixture(scope="module")
+def by_weight(virtual_machine):
+    """{weight: one Run a seed}"""
+    return {
+        weight: [
+            rhec.simulate(scenario(process_noise="calibrated", seed=seed, **choice))
+            for seed in SEEDS
+        ]
+        for weight, choice in WEIGHTS.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def sweep_a(by_weight):
+    return pd.DataFrame(
+        [
+            {"weight": weight, "process_noise": "calibrated", "seed": seed} | run.metrics
+            for weight, runs in by_weight.items()
+            for seed, run in enumerate(runs)
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def sweep_b(virtual_machine):
+    return rhec.campaign(
+        [
+            scenario(process_noise=process_noise, estimator=estimator, seed=seed)
+            for process_noise in ("printed", "calibrated")
+            for estimator in ("rhe", "ekf")
+            for seed in SEEDS
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def drives(runs):
+    """{process noise: {"RHE": [Run, …], "EKF": [Run, …]}}, two fields each"""
+    return {
+        noise: {
+            name: [run, rhec.simulate(dataclasses.replace(run.scenario, seed=1))]
+            for name, run in by_name.items()
+        }
+        for noise, by_name in runs.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def drawn(runs, drives, by_weight, sweep_a, sweep_b):
+    """Every figure, by its function's name."""
+    pair, table = runs["calibrated"], scenario_b_table(sweep_b)
+    by_noise = {noise: by_name["RHE"] for noise, by_name in drives.items()}
+    return {
+        "trajectories_q": scenarios.trajectories_q(
+            {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
+        ),
+        "weight_sweep": scenarios.weight_sweep(scenario_a_table(sweep_a), "calibrated"),
+        "slip_fields": scenarios.slip_fields(
+            pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"
+        ),
+        "trajectories": scenarios.trajectories(pair),
+        "errors": scenarios.errors(drives, table),
+        "violations": scenarios.violations(table),
+        "estimates": scenarios.estimates(by_noise),
+        "speed": scenarios.speed(drives["calibrated"]["RHE"]),
+        "yaw_rate": scenarios.yaw_rate(pair["RHE"]),
+        "kkt": scenarios.kkt(drives["calibrated"]["RHE"]),
+        "phases": phases(TIMES, "a test"),
+    }
+
+
+def words(figure):
+    return " ".join(
+        text.get_text()
+        for text in figure.findobj(
+            lambda artist: hasattr(artist, "get_text") and artist.get_visible()
+        )
+    )
+
+
+def test_axes_are_labelled_with_units(drawn):
+    for name, figure in drawn.items():
+        assert isinstance(figure, Figure)
+        assert figure.get_figwidth() in (style.COLUMN_IN, style.DOUBLE_IN), name
+        labels = [
+            text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text
+        ]
+        assert labels and all(re.search(r"\[.+\]", label) for label in labels), (name, labels)
+
+
+def test_figures_say_which_process_noise_and_seeds(drawn):
+    for name, figure in drawn.items():
+        if name != "phases":
+            assert re.search(r"seeds?|fields", words(figure)), name
+            noise = re.search("(printed|calibrated) process noise", words(figure))
+            assert name == "slip_fields" or noise, name
+
+
+def test_texts_are_inside_the_figure_and_apart(drawn):
+    defects = {name: text_defects(figure) for name, figure in drawn.items()}
+    assert not any(defects.values()), defects
+
+
+def test_the_end_of_a_lap_is_marked(drawn):
+    """After 90 s more than half of the lap is left, which is not the end of a lap."""
+    assert "end: 90 s" in words(drawn["trajectories"])
+
+
+def test_the_papers_numbers_stand_beside_ours(drawn, sweep_b):
+    errors = words(drawn["errors"])
+    for (_, estimator), of_one in sweep_b.groupby(["process_noise", "estimator"]):
+        assert f"{estimator.upper()} {of_one['mean_error_m'].mean():.4f} m" in errors
+    assert f"means over {len(SEEDS)} fields" in errors
+    assert "mean of the RHE: 0.0423 m" in errors and "mean of the EKF: 0.0514 m" in errors
+    for axes in drawn["errors"].axes[:2]:
+        levels = {line.get_ydata()[0] for line in axes.lines if len(set(line.get_ydata())) == 1}
+        assert levels == {0.0423, 0.0514, paper.TOLERANCE_M}
+    diamonds = [line for line in drawn["violations"].axes[0].lines if line.get_marker() == "D"]
+    assert sorted(line.get_xdata()[0] for line in diamonds) == [0, 17]
+    assert "here: a test" in words(drawn["phases"]) and "152 µs" in words(drawn["phases"])
+
+
+def test_no_bars_stand_on_a_logarithmic_axis(drawn):
+    """A bar's length says nothing where there is no zero."""
+    for name, figure in drawn.items():
+        for axes in figure.axes:
+            bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+            assert not bars or {axes.get_xscale(), axes.get_yscale()} == {"linear"}, name
+
+
+def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
+    run, *others = drives["calibrated"]["RHE"]
+    error = drawn["errors"].axes[1]
+    assert any(np.array_equal(line.get_ydata(), run.log["error_m"]) for line in error.lines)
+    yaw, _, _, kappa = drawn["estimates"].axes[2::4]
+    curves = [line.get_ydata() for line in yaw.lines]
+    np.testing.assert_array_equal(curves, [run.log["theta_hat_rad"], run.log["theta_rad"]])
+    assert any(np.array_equal(line.get_ydata(), run.log["kappa"]) for line in kappa.lines)
+    time, beside = drawn["speed"].axes
+    np.testing.assert_array_equal(time.lines[0].get_ydata(), run.log["nu_meas_mps"])
+    settled = np.array([other.columns["nu_meas_mps"][101:] for other in (run, *others)])
+    assert f"measured {settled.std():.3f}" in words(drawn["speed"])
+    assert len(beside.patches) == 3
+
+
+def test_frequencies_are_shares_of_all_values():
+    """Of 8 values, two lie beyond the limits and count at the ends."""
+    values = np.array([[-1.0, 0.1, 0.1, 0.1], [0.9, 0.9, 0.6, 2.0]])
+    figure, (plain, relative) = plt.subplots(1, 2)
+    frequencies(plain, values, (0.0, 1.0), "k", bins=2)
+    frequencies(relative, values, (0.0, 1.0), "k", bins=4, relative=True)
+    plt.close(figure)
+    np.testing.assert_allclose(plain.patches[0].get_data().values, [50, 50])
+    np.testing.assert_allclose(relative.patches[0].get_data().values, [1, 0, 0.25, 0.75])
+
+
+def test_bands_hold_the_middle_of_the_drives(drives):
+    of_rhe = drives["calibrated"]["RHE"]
+    errors = np.array([run.columns["error_m"] for run in of_rhe])
+    low, middle, high = over_fields(of_rhe, "error_m")
+    np.testing.assert_allclose(middle, errors.mean(axis=0))
+    assert (errors.min(axis=0) <= low).all() and (high <= errors.max(axis=0)).all()
+    pooled = over_fields(of_rhe, "error_m", 7)
+    assert pooled.shape == (3, errors.shape[1] // 7)
+    np.testing.assert_allclose(pooled[1, 0], np.median(errors[:, :7]))
+    np.testing.assert_allclose(
+        share_of_fields(of_rhe, "error_m", 0.03, 7)[0], (errors[:, :7] > 0.03).mean()
+    )
+
+
+@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+def test_what_the_estimator_states_is_what_it_said_in_the_loop(runs, process_noise):
+    run = runs[process_noise]["RHE"]
+    found = stated(run)
+    for name in ("mu", "kappa"):
+        value, sigma, truth, inside = found[name]
+        np.testing.assert_allclose(value, run.log[f"{name}_hat"], atol=1e-9)
+        settled = run.log["t_s"].to_numpy() >= 20
+        assert inside == np.mean((np.abs(value - truth) <= 2 * sigma)[settled])
+    assert (found["theta_rad"][2] == 0).all()
+
+
+def test_in_a_period_feedback_comes_first_and_preparation_is_over_at_its_end(drawn):
+    """Of the drawn order of phases: RHE above, RHC below, two periods."""
+    bars = sorted(
+        (bar.get_x(), bar.get_x() + bar.get_width()) for bar in drawn["phases"].axes[0].patches
+    )
+    assert len(bars) == 8
+    for k in (0, 1):
+        (rhe, rhc, prepare_rhe, prepare_rhc) = bars[4 * k : 4 * k + 4]
+        assert rhe[0] == k and rhe[1] == pytest.approx(rhc[0])
+        assert rhc[1] < prepare_rhe[0] and prepare_rhc[1] == pytest.approx(k + 1)
+
+
+def test_times_on_several_machines_share_one_axis_with_a_unit():
+    times = pd.concat(
+        TIMES.assign(machine=machine, who="C", mean_ms=TIMES["average_us"] * scale / 1000)
+        for machine, scale in (("server", 1), ("Pi", 40))
+    )
+    figure = embedded_times(times)
+    shown = words(figure)
+    assert "9.5 µs, whole step 18.5 µs" in shown and "380 µs, whole step 740 µs" in shown
+    assert text_defects(figure) == []
+    (axes,) = figure.axes
+    assert "[µs]" in axes.get_xlabel()
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["C\nserver", "C\nPi"]
+
+
+def test_table_a_equals_the_logs(by_weight, sweep_a):
+    table = scenario_a_table(sweep_a).set_index(["weight", "quantity"])
+    for weight, of_seeds in by_weight.items():
+        arrivals = [run.metrics["settling_time_s"] for run in of_seeds]
+        assert table.loc[(weight, "settling time [s]"), "mean"] == pytest.approx(np.mean(arrivals))
+        raw = [
+            run.log.loc[run.log["t_s"] > arrival + 4.9, "error_m"].mean()
+            for run, arrival in zip(of_seeds, arrivals)
+        ]
+        assert table.loc[(weight, "mean error, raw GNSS [m]"), "mean"] == pytest.approx(
+            np.mean(raw)
+        )
+        assert (table.loc[weight, "n"] == len(SEEDS)).all()
+    mean = table["mean"]
+    assert mean["Q1 / Q3", "settling time, ratio"] == pytest.approx(
+        mean["Q1", "settling time [s]"] / mean["Q3", "settling time [s]"]
+    )
+    assert mean["Q2 / Q3", "overshoot, ratio"] == pytest.approx(
+        mean["Q2", "overshoot [m]"] / mean["Q3", "overshoot [m]"]
+    )
+
+
+def test_table_b_equals_the_logs(runs, sweep_b):
+    first_seed = sweep_b[sweep_b["seed"] == 0].set_index(["process_noise", "estimator"])
+    table = scenario_b_table(sweep_b).set_index(["process_noise", "estimator", "quantity"])
+    for process_noise, pair in runs.items():
+        for name, run in pair.items():
+            log = run.log[run.log["t_s"] > run.metrics["settling_time_s"] + 4.9]
+            assert (
+                first_seed.loc[(process_noise, name.lower()), "violations"]
+                == (log["on_straight"] & (log["error_m"] > 0.12)).sum()
+            )
+            row = table.loc[(process_noise, name, "violations on straights, raw GNSS")]
+            of = sweep_b[
+                (sweep_b["process_noise"] == process_noise) & (sweep_b["estimator"] == name.lower())
+            ]
+            assert row["mean"] == pytest.approx(of["violations"].mean())
+            assert row["low"] <= row["mean"] <= row["high"]
+            assert of["violations"].min() <= row["p5"] <= row["p95"] <= of["violations"].max()
+            assert row["paper"] == {"RHE": 0, "EKF": 17}[name] and row["n"] == len(SEEDS)
+        error = table.loc[process_noise].xs("mean error, raw GNSS [m]", level="quantity")
+        assert error["mean"]["RHE - EKF"] == pytest.approx(
+            error["mean"]["RHE"] - error["mean"]["EKF"]
+        )
+        assert list(error["paper"]) == [0.0423, 0.0514, -0.0091]
+
+
+def test_at_most_none_includes_none_and_below_zero_does_not_include_zero(sweep_b):
+    table = scenario_b_table(sweep_b.assign(violations=0))
+    violations = table[table["quantity"] == "violations on straights, raw GNSS"]
+    verdicts = violations.set_index("estimator")["verdict"]
+    assert (verdicts["RHE"] == "holds").all() and (verdicts["RHE - EKF"] == "does not hold").all()
+
+
+def test_runs_that_never_settle_are_counted(sweep_a):
+    never = sweep_a.assign(
+        settling_time_s=sweep_a["settling_time_s"].where(sweep_a["weight"] != "Q1")
+    )
+    table = scenario_a_table(never).set_index(["weight", "quantity"])
+    assert (
+        table.loc[("Q1", "settling time [s]"), "n"] == 0
+        and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
+    )
+    assert "settled: 0 with" in words(scenarios.weight_sweep(scenario_a_table(never), "calibrated"))

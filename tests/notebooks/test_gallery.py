@@ -1,0 +1,76 @@
+"""The gallery's problems are short, and solved as IPOPT and a Kalman filter solve them."""
+
+import inspect
+
+import numpy as np
+import pytest
+
+from notebooks.further import constrained_gallery as constrained
+from notebooks.further import gallery
+from notebooks.further.gallery_plots import around_the_obstacle, controlled, estimated
+
+CONTROL = (gallery.pendulum, gallery.furuta, gallery.unicycle)
+CONSTRAINED = (constrained.double_integrator, constrained.lotka_volterra, constrained.cstr)
+ESTIMATION = (gallery.range_bearing, gallery.mass_on_a_spring, gallery.masses)
+
+
+@pytest.mark.parametrize("define", CONTROL + ESTIMATION)
+def test_a_problem_takes_fifteen_lines_at_most(define):
+    text = inspect.getsource(define).replace(inspect.getdoc(define), "")
+    lines = [line for line in text.splitlines()[1:] if line.strip(' \n")')]
+    assert len(lines) <= 16, len(lines)  # with what is left of the docstring's line
+
+
+@pytest.mark.parametrize("define", CONTROL)
+def test_plans_cost_what_those_of_ipopt_cost(define):
+    problem = define()
+    drive = gallery.drive(problem)
+    assert drive.cost == pytest.approx(drive.ipopt, rel=1e-6)
+    weighted = np.array(problem.options["q"]) > 1e-2 * max(problem.options["q"])
+    np.testing.assert_allclose(drive.x[-1][weighted], np.array(problem.goal)[weighted], atol=0.01)
+    assert len(controlled(problem, drive).axes) == 2
+
+
+@pytest.mark.parametrize("define", CONSTRAINED)
+def test_constrained_plans_cost_what_those_of_ipopt_cost(define):
+    """The hard bounds are kept in closed loop, in which one or more are active."""
+    problem = define()
+    drive = gallery.drive(problem)
+    assert drive.cost == pytest.approx(drive.ipopt, rel=1e-5)
+    for name, bound in problem.options["bounds"].items():
+        names = problem.options["model"].states
+        if name in names and isinstance(bound, tuple):
+            states = drive.x[1:, names.index(name)]
+            assert np.all((states >= bound[0] - 1e-9) & (states <= bound[1] + 1e-9))
+    assert len(controlled(problem, drive, states=names[:1]).axes) == 2
+
+
+@pytest.mark.parametrize("discrete, cost", [(True, 103.36), (False, 101.81)])
+def test_the_obstacle_costs_what_ipopt_s_closed_loop_costs(discrete, cost):
+    """Within a hundredth; the numbers are those of IPOPT at each sample, without the start."""
+    problem = constrained.obstacle(discrete)
+    drive = gallery.drive(problem)
+    off = drive.x[1:] - problem.goal
+    q, r = problem.options["q"], problem.options["r"]
+    assert (off**2 @ q).sum() + (drive.u**2 @ r).sum() == pytest.approx(cost, rel=0.01)
+    assert np.hypot(*(drive.x[:, :2] - 0.5).T).min() > 0.3 - 1e-9
+    assert len(around_the_obstacle(problem, drive).axes) == 2
+
+
+@pytest.mark.parametrize("define", ESTIMATION)
+def test_windows_are_solved_as_by_ipopt(define):
+    problem = define()
+    record = gallery.estimate(problem, seed=3)
+    np.testing.assert_allclose(record.iterated, record.ipopt, rtol=1e-6, atol=1e-8)
+    assert len(estimated(problem, record).axes) == 2
+    if problem.p:
+        assert record.p_hat[-1] == pytest.approx(problem.p, rel=0.01)
+
+
+def test_the_mass_on_a_spring_has_the_kalman_filter_s_estimates():
+    problem = gallery.mass_on_a_spring()
+    for seed in range(3):
+        record = gallery.estimate(problem, seed)
+        expected = gallery.kalman_filter(problem, record.z)
+        np.testing.assert_allclose(record.x_hat, expected, rtol=0, atol=1e-12)
+        assert np.abs(record.x_hat - record.x)[200:, 0].max() < 0.01

@@ -1,0 +1,193 @@
+"""The audit of the interpretations: its analysis is that of the filters themselves, and it sweeps
+what it says.
+"""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import choice_of
+from text_boxes import text_defects
+
+import rhec
+from notebooks.plots.interpretations import forest
+from notebooks.studies import interpretations
+from rhec import paper
+from rhec.core._casadi.packing import pack_array
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.estimators import build_step, estimator_of
+from rhec.tracked_robot.kinematics import QUANTITIES
+
+DT = paper.DT_S
+
+
+@pytest.mark.parametrize("sigma_x_m", [0.02, 10.0])
+def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
+    """Not on the yaw's own scale only: the covariance after thousands of samples on a straight
+    along x.
+    """
+    choice = choice_of("ekf", 5)
+    step = build_step(choice)
+    guess = dict(zip(QUANTITIES, (0, 0, 0, 0.45, 1, 1)))
+    m = pack_array(estimator_of("ekf").init(choice, guess, dict.fromkeys(QUANTITIES, 1)))
+    sigma_theta = 0.1
+    x = 0.0
+    for _ in range(4000):
+        result = step(
+            memory=m,
+            z_N=(x, 0, 0.45, 0),
+            V=np.square(paper.SIGMA_V),
+            W=np.square([sigma_x_m, sigma_x_m, sigma_theta, 1e-6]),
+            traction=(1, 1),
+        )
+        m, x = result["memory"], x + DT * 0.45
+    (row,) = interpretations.ekf_on_a_straight([sigma_x_m], sigma_theta).itertuples()
+    assert np.sqrt(np.array(result["covariance"])[2, 2]) == pytest.approx(
+        row.sigma_yaw_rad, rel=0.01
+    )
+
+
+def test_the_yaw_gain_falls_with_the_position_s_process_noise():
+    """K_θ = σ_θ / √S, which falls as 1/σ_x."""
+    table = interpretations.ekf_on_a_straight(np.geomspace(1e-3, 20, 9))
+    S = paper.SIGMA_V[0] ** 2 / (1 - table["gain_position"])
+    np.testing.assert_allclose(
+        table["gain_yaw_radpm"], paper.SIGMA_W_EKF[2] / np.sqrt(S), rtol=1e-6
+    )
+    wide = interpretations.ekf_on_a_straight([5.0, 10.0])
+    assert (
+        wide["gain_yaw_radpm"][0] / wide["gain_yaw_radpm"][1] == pytest.approx(2, rel=0.05)
+        and wide["time_s"].is_monotonic_increasing
+    )
+
+
+def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
+    """There its variance grows by σ_κ² a sample; in a curve it stays."""
+    sigma = [0.1, 0.2]
+    straight = [
+        interpretations.rhe_sigma_kappa(sigma, 0.0, "printed", samples) for samples in (60, 120)
+    ]
+    np.testing.assert_allclose(
+        (straight[1] ** 2 - straight[0] ** 2) / 60, np.square(sigma), rtol=1e-3
+    )
+    curve = [
+        interpretations.rhe_sigma_kappa(sigma, 0.07, "printed", samples) for samples in (60, 120)
+    ]
+    assert np.all(
+        curve[1] ** 2 - curve[0] ** 2 < 0.1 * (straight[1] ** 2 - straight[0] ** 2)
+    ) and np.all(curve[1] < straight[1])
+
+
+def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine):
+    # Of the yaw: the noise of the position is at the least that the search tries.
+    table = interpretations.likelihood_profile("ekf", "theta", (0.2, 1.0, 5.0), seeds=1)
+    assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
+    assert list(table["sigma"]) == pytest.approx(
+        [factor * tuning.SIGMA_W["ekf"]["calibrated"][2] for factor in (0.2, 1, 5)]
+    )
+
+
+def test_every_entry_has_its_profile_with_both_values(virtual_machine):
+    profiles = interpretations.likelihood_profiles((1.0,), seeds=1)
+    entries = interpretations.ENTRIES.values()
+    assert list(profiles) == [entry.label for entry in entries]
+    for (table, *values), entry in zip(profiles.values(), entries):
+        assert values == [entry.values["printed"], entry.values["calibrated"]]
+        assert table["sigma"].item() == entry.values["calibrated"]
+
+
+def test_kappa_is_known_better_in_curves(virtual_machine):
+    table = interpretations.sigma_kappa_table([0.1, 0.2])
+    assert list(table) == ["sigma_kappa", "straight", "curve"]
+    assert (table["curve"] < table["straight"]).all()
+
+
+@pytest.fixture(scope="module")
+def moved(virtual_machine):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            interpretations,
+            "INTERPRETATIONS",
+            {name: interpretations.INTERPRETATIONS[name] for name in ("R3 a", "R10")},
+        )
+        patch.setattr(
+            interpretations, "Scenario", lambda **fields: rhec.Scenario(duration_s=20.0, **fields)
+        )
+        yield interpretations.one_at_a_time("calibrated", 3)
+
+
+def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
+    assert (
+        set(moved["interpretation"]) == {"baseline", "R1", "R2", "R3 a", "R10", "R14"}
+        and (moved["n"] == 3).all()
+    )
+    assert (
+        moved.loc[moved["interpretation"] == "baseline", ["change", "change_low", "change_high"]]
+        == 0
+    ).all(axis=None)
+    of = moved.set_index(["interpretation", "quantity"])
+    for name in ("R2", "R3 a", "R10"):
+        row = of.loc[(name, "mean error, true [m]")]
+        assert (
+            row["change"]
+            == pytest.approx(row["value"] - of.loc[("baseline", "mean error, true [m]"), "value"])
+            and row["change"] != 0
+        )
+    assert (
+        of.loc[("R1", "mean error, true [m]"), "change"]
+        == 0
+        != of.loc[("R1", "true error, RHE - EKF [m]"), "change"]
+    )  # R1 is the EKF's alone
+
+
+def test_changes_are_read_as_texts(moved):
+    shown = interpretations.readable_changes(moved)
+    assert shown.shape == (6, 5)
+    from_start = shown.loc[("R14", "errors from the start")]
+    assert re.fullmatch(r"\+0\.\d+ \[\+0\.\d+, \+0\.\d+\]", from_start["mean error, raw GNSS [m]"])
+    assert (from_start.drop("mean error, raw GNSS [m]") == "0").all()  # it is no other drive
+    assert shown.loc["baseline"].iloc[0, 0].count("+") == 0 < shown.loc["R10"].iloc[0, 0].count("+")
+
+
+def test_the_entries_of_w_are_those_of_the_tuning():
+    values = interpretations.ENTRIES["rhe_kappa"].values
+    assert values == {name: tuning.SIGMA_W["rhe"][name][5] for name in ("printed", "calibrated")}
+    assert [entry.values["printed"] for entry in interpretations.ENTRIES.values()][:2] == [
+        paper.SIGMA_W_EKF[0],
+        paper.SIGMA_W_EKF[2],
+    ]
+
+
+def test_the_forest_has_a_row_for_each_interpretation(moved):
+    figure = forest(moved, "calibrated")
+    assert text_defects(figure) == []
+    assert len(figure.axes[0].get_yticklabels()) == 5
+    assert {axes.get_xscale() for axes in figure.axes} == {"linear"}
+
+
+def test_what_is_off_the_scale_of_the_forest_has_its_number(moved):
+    far = moved.assign(
+        change=moved["change"].where(moved["interpretation"] != "R10", 1234.0),
+        change_low=moved["change_low"].where(moved["interpretation"] != "R10", 1233.0),
+    )
+    for axes in forest(far, "calibrated").axes:
+        assert [text.get_text() for text in axes.texts] == ["+1.2e+03"]
+
+
+def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
+    asked = []
+    simulate = interpretations.simulate
+    monkeypatch.setattr(
+        interpretations,
+        "simulate",
+        lambda scenarios: (
+            asked.extend(scenarios)
+            or simulate([type(one)(duration_s=80.0, sigma_w=one.sigma_w) for one in scenarios])
+        ),
+    )
+    runs, sweep = interpretations.swept("rhe", "printed", "kappa", (0.25, 0.01), 1)
+    assert [scenario.sigma_w for scenario in asked] == [
+        (*tuning.SIGMA_W["rhe"]["printed"][:5], value) for value in (0.25, 0.01)
+    ]
+    assert list(sweep["sigma"]) == [0.25, 0.01] == list(runs) and isinstance(sweep, pd.DataFrame)

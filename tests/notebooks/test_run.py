@@ -1,0 +1,215 @@
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nbformat import v4
+
+from notebooks import run as notebook
+from notebooks.run import ParameterError, parameters
+
+CELL = """
+from typing import Literal
+from notebooks.run import real, whole
+
+seed: int = 7  # as of rhec.Scenario
+seeds: whole(2, 1000) = 20
+speed_mps: float = 0.5  # [m/s] as of rhec.Scenario
+delay_s: real(-10, 10) = 0
+process_noise: Literal["printed", "calibrated"] = "printed"
+gains: list[real(0, 100)] = [1, 2.5]
+is_robust: bool = False
+file: str = "log.csv"
+"""
+ROOT = Path(__file__).parents[2]
+NAMES = ["seed", "seeds", "speed_mps", "delay_s", "process_noise", "gains", "is_robust", "file"]
+
+
+def executed(cell=CELL, **injected):
+    """Namespace of a notebook after its cell of parameters and the one that papermill adds."""
+    namespace = {"In": ["", "%magic", cell]}
+    exec(cell, namespace)
+    return namespace | injected
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("seed", 0),
+        ("seeds", 1000),
+        ("speed_mps", 1),
+        ("delay_s", -10),
+        ("process_noise", "calibrated"),
+        ("gains", (100,)),
+        ("gains", []),
+        ("is_robust", True),
+    ],
+)
+def test_allowed_values_pass(name, value):
+    parameters(executed(**{name: value}))
+
+
+@pytest.mark.parametrize(
+    "name, value, sentence",
+    [
+        ("seeds", "9", "seeds was '9'; it should be a valid integer"),
+        ("seeds", True, "seeds was True; it should be a valid integer"),
+        ("seeds", 7.0, "seeds was 7.0; it should be a valid integer"),
+        ("seeds", 5000, "seeds was 5000; it should be less than or equal to 1000"),
+        ("seed", -1, "seed was -1; it should be greater than or equal to 0"),
+        ("speed_mps", 2.0, "speed_mps was 2.0; it should be less than or equal to 1.4"),
+        ("speed_mps", math.nan, "speed_mps was nan; it should be a finite number"),
+        ("delay_s", 11, "delay_s was 11; it should be less than or equal to 10"),
+        (
+            "process_noise",
+            "guess",
+            "process_noise was 'guess'; it should be 'printed' or 'calibrated'",
+        ),
+        ("process_noise", [1], "process_noise was [1]; it should be 'printed' or 'calibrated'"),
+        ("gains", [1, False], "gains[1] was False; it should be a valid number"),
+        ("is_robust", 1, "is_robust was 1; it should be a valid boolean"),
+        ("file", 1, "file was 1; it should be a valid string"),
+        ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),
+        (
+            "_parameters_checked",
+            True,
+            "_parameters_checked was True, but there is no such parameter; did you mean "
+            f"{' or '.join(NAMES)}?",
+        ),
+        ("x", 9, f"x was 9, but there is no such parameter; did you mean {' or '.join(NAMES)}?"),
+    ],
+)
+def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
+    with pytest.raises(ParameterError) as refusal:
+        parameters(executed(**{name: value}))
+    assert str(refusal.value) == sentence
+    # Jupyter shows these lines in place of a traceback.
+    assert refusal.value._render_traceback_() == [f"ParameterError: {sentence}"]
+
+
+@settings(deadline=None)  # checks are built anew each time
+@given(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
+)
+def test_only_a_whole_number_in_range_is_a_number_of_seeds(value):
+    try:
+        parameters(executed(seeds=value))
+    except ParameterError:
+        assert type(value) is not int or not 2 <= value <= 1000
+    else:
+        assert type(value) is int and 2 <= value <= 1000
+
+
+def test_a_missing_parameter_is_refused():
+    namespace = executed()
+    del namespace["seed"]
+    with pytest.raises(ParameterError, match="^seed was not given; the notebook needs it$"):
+        parameters(namespace)
+
+
+def test_the_cell_can_be_run_again():
+    namespace = executed(sed=1, os=os, _private=0)
+    with pytest.raises(ParameterError):
+        parameters(namespace)
+    parameters(namespace)  # the misspelt name is gone
+    namespace["result"] = [1.0]  # the notebook's own
+    parameters(namespace)
+
+
+@pytest.mark.parametrize("path", sorted(Path(__file__).parents[2].glob("notebooks/*.ipynb")))
+def test_every_notebook_declares_its_parameters_and_checks_them(path):
+    cells = nbformat.read(path, 4).cells
+    (tagged,) = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
+    assert any("parameters(globals())" in cell.source for cell in cells)
+    parameters(executed(tagged.source))
+
+
+def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monkeypatch, capfd):
+    tagged = v4.new_code_cell("seed: int = 7", metadata={"tags": ["parameters"]})
+    check = v4.new_code_cell("from notebooks.run import parameters\nparameters(globals())")
+    nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", "notebook toy.ipynb -p sed 9 --output out.ipynb".split())
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert refusal.value.code == 2
+    assert (
+        capfd.readouterr().err == "sed was 9, but there is no such parameter; did you mean seed?\n"
+    )
+    assert os.listdir(tmp_path) == ["toy.ipynb"]
+
+
+@pytest.mark.parametrize(
+    "given, sentence",
+    [
+        ("rhec 1", "rhec was 1, but there is no such parameter; did you mean seed?"),
+        ("parameters 1", "parameters was 1, but there is no such parameter; did you mean seed?"),
+        (
+            "_parameters_checked 1",
+            "_parameters_checked was 1, but there is no such parameter; did you mean seed?",
+        ),
+        ("class 1", "NAME was 'class'; it must be a name as in Python, such as seed"),
+    ],
+)
+def test_the_runner_refuses_what_the_notebook_itself_uses(
+    tmp_path, monkeypatch, capfd, given, sentence
+):
+    tagged = v4.new_code_cell("seed: int = 7", metadata={"tags": ["parameters"]})
+    check = v4.new_code_cell(
+        "import rhec\nfrom notebooks.run import parameters\nparameters(globals())"
+    )
+    nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
+    monkeypatch.chdir(tmp_path)
+    argv = f"notebook toy.ipynb -p {given} --output out.ipynb".split()
+    monkeypatch.setattr(sys, "argv", argv)
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert (refusal.value.code, capfd.readouterr().err) == (2, f"{sentence}\n")
+
+
+@pytest.mark.parametrize("path", ["none.ipynb", __file__])
+def test_the_runner_refuses_what_is_no_notebook(path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["notebook", path])
+    with pytest.raises(SystemExit) as refusal:
+        notebook.main()
+    assert refusal.value.code == 2
+    assert capsys.readouterr().err == f"NOTEBOOK was {path}; it must be an existing .ipynb file\n"
+
+
+def test_every_notebook_is_made_by_make():
+    makefile = (ROOT / "Makefile").read_text().replace("\\\n", " ")
+    names = " ".join(re.findall("^(?:FIGURES|STUDIES) := (.*)$", makefile, re.M)).split()
+    assert {*names} >= {each.stem for each in ROOT.glob("notebooks/*.ipynb")}
+
+
+DRAWN = """
+from matplotlib.figure import Figure
+from rhec import style
+style.save(Figure(), "one")
+style.save(Figure(), "mine", folder="mine")
+"""
+
+
+def test_a_notebook_runs_in_its_folder_and_what_it_saves_is_listed(tmp_path):
+    """For `make clean`, which leaves what a user saved in another folder."""
+    left_out = shutil.ignore_patterns("__pycache__")
+    for folder in ("rhec", "notebooks"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=left_out)
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    cell = v4.new_code_cell(DRAWN)
+    nbformat.write(v4.new_notebook(cells=[cell]), tmp_path / "notebooks/03_scenario_a.ipynb")
+    command = [sys.executable, "-m", "notebooks.run", "notebooks/03_scenario_a.ipynb"]
+    environment = os.environ | dict(PYTHONPATH=str(tmp_path))
+    subprocess.run(command, cwd=tmp_path, check=True, env=environment, capture_output=True)
+    assert (tmp_path / "build/notebooks/03_scenario_a.ipynb").exists()
+    listed = (tmp_path / "build/made").read_text().splitlines()
+    assert listed == ["figures/one.png", "figures/one.pdf"]
+    assert all((tmp_path / name).exists() for name in listed)
+    assert (tmp_path / "notebooks/mine/mine.png").exists()

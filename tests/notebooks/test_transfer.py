@@ -1,0 +1,71 @@
+"""The table of recorded robots, each left out once, and the rivals in it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import recorded_log
+
+from notebooks.further import icr, transfer
+from notebooks.further.recorded import scores
+from rhec.logs.replay import predictor
+from rhec.tracked_robot.kinematics import SPEED_MODELS
+
+
+def test_equal_tracks_and_a_centre_at_the_antenna_are_the_papers_model():
+    """α of both tracks is μ; they roll about ±b/2 · μ/κ."""
+    mu, kappa, b = 0.9, 0.6, 0.5
+    y = b / 2 * mu / kappa
+    model = SPEED_MODELS["input"].model
+    rng = np.random.default_rng(0)
+    for xi, (nu, omega) in zip(rng.normal(size=(5, 3)), rng.normal(size=(5, 2))):
+        expected = model.dynamics(xi, [nu, omega], [mu, kappa])
+        found = icr.f(xi, [nu, b / 2 * omega], [y, -y, 0.0, mu, mu])
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_the_robot_turns_about_its_centres():
+    """Over ground, the point x_v ahead has no side slip, and the left track's centre runs with the
+    left track.
+    """
+    p, (nu, delta) = [0.4, -0.3, 0.2, 0.9, 0.8], (0.7, 0.2)
+    ahead, side, turning = np.array(icr.f([0.0, 0.0, 0.0], [nu, delta], p)).ravel()
+    assert side + 0.2 * turning == pytest.approx(0)
+    assert ahead - 0.4 * turning == pytest.approx(0.9 * (nu - delta))
+    assert ahead + 0.3 * turning == pytest.approx(0.8 * (nu + delta))
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.1])
+def test_the_error_ahead_is_that_of_driving_on_with_the_estimate(wrong):
+    """On a straight line at 1 m/s a yaw wrong by ε is 2 · 2 sin(ε/2) m wrong after 2 s."""
+    n, log = 200, dict.fromkeys(["y_m", "theta_rad", "omega_meas_radps"], 0.0)
+    x = 0.2 * np.arange(n)
+    log |= dict(segment=0, x_m=x, nu_meas_mps=1.0, x_meas_m=x, y_meas_m=0.0)
+    hats = dict(x_hat_m=x, y_hat_m=0.0, theta_hat_rad=wrong, nu_hat_mps=1.0, mu_hat=1.0)
+    samples = pd.DataFrame(log | hats | dict(kappa_hat=1.0), index=range(n))
+    predict = predictor(
+        SPEED_MODELS["input"].model, ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
+    )
+    error = scores.ahead_rms_m(samples, predict, [*hats, "kappa_hat"])
+    assert error == pytest.approx(2 * 2 * np.sin(wrong / 2), abs=1e-9)
+
+
+def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
+    log = recorded_log(noise_m=0.0).assign(speed_mps=lambda log: 3.6 * log["speed_mps"])
+    with pytest.raises(ValueError, match="km/h"):
+        scores.perturbed_replay(log, 0)
+    scores.perturbed_replay(log, 0, trust_log=True)
+
+
+def test_each_robot_is_left_out_once():
+    logs = {
+        name: recorded_log(5.0, 30.0, seed=seed, arm_m=arm)
+        for name, seed, arm in (("one", 1, (0.0, 0.0)), ("other", 2, (0.2, 0.0)))
+    }
+    rows = transfer.trials(logs, range(2))
+    counted = rows.groupby(["log", "estimator", "tuned"])["seed"].nunique()
+    assert (counted == 2).all() and len(counted) == 2 * (3 + 2 + 2)
+    assert rows["yaw_rms_rad"].between(0, 0.3).all() and rows["ahead_rms_m"].between(0, 0.5).all()
+    means = transfer.table(rows)
+    own = rows.query("log == 'one' and estimator == 'RHE' and tuned == 'itself'")["yaw_rms_rad"]
+    cell = means.loc[("one", "RHE", "itself"), "yaw_rms_rad"]
+    assert cell.n == 2 and cell.mean == pytest.approx(own.mean()) and cell.low < own.mean()

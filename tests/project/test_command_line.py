@@ -1,0 +1,143 @@
+"""The command `rhec`: the same results as in Python, one sentence for a mistake, exit codes."""
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import SIMPLE_WORLD, may_be_lost, recorded_log
+
+import rhec
+from rhec.cli import main
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+SHORT = ["--duration-s", "8"]
+
+
+@pytest.fixture
+def log_file(tmp_path):
+    """A simulated drive as a recorded log."""
+    file = tmp_path / "drive.csv"
+    run = rhec.simulate(rhec.Scenario(duration_s=60, **SIMPLE_WORLD))
+    run.log.to_csv(file, index=False)
+    return file
+
+
+def test_a_run_is_that_of_python(capsys, tmp_path):
+    file = tmp_path / "log.csv"
+    words = ["simulate", *SHORT, "--world", "soft", "--seed", "3", "--q", "[1, 1, 0.5]"]
+    assert main([*words, "--robust", "--json", "--log", str(file)]) == 0
+    metrics = json.loads(capsys.readouterr().out)
+    fields = rhec.WORLDS["soft"] | dict(duration_s=8, seed=3, q=(1, 1, 0.5), robust=True)
+    run = rhec.simulate(rhec.Scenario(**fields))
+    for name, value in run.metrics.items():
+        assert metrics[name] == value or metrics[name] is None and np.isnan(value)
+    pd.testing.assert_frame_equal(pd.read_csv(file), run.log, check_exact=False, rtol=1e-14)
+
+
+@may_be_lost
+def test_a_replay_is_that_of_python(capsys, log_file, tmp_path):
+    folder = tmp_path / "estimates"
+    words = ["replay", str(log_file), "--folder", str(folder), "--estimator", "ekf", "--smooth"]
+    assert main([*words[:-1], "--first-yaw-rad", "0"]) == 0
+    expected = rhec.replay(rhec.logs.read(log_file), "ekf", first_yaw_rad=0.0)
+    written = pd.read_csv(folder / "estimates.csv")
+    assert np.allclose(written["theta_hat_rad"], expected["theta_hat_rad"], equal_nan=True)
+    assert "estimates in" in capsys.readouterr().out
+    # A second replay overwrites nothing, and one that is refused writes nothing.
+    assert main(words) == 2
+    assert "exists" in capsys.readouterr().err
+    assert main([*words, "--overwrite"]) == 2
+    assert "smooth was True" in capsys.readouterr().err
+
+
+def test_names_of_columns(capsys, log_file):
+    log = pd.read_csv(log_file).rename(columns=dict(x_meas_m="easting", y_meas_m="northing"))
+    log = log[["t_s", "easting", "northing", "nu_meas_mps", "omega_meas_radps"]]
+    log.to_csv(log_file, index=False)
+    pairs = ["x_m=easting", "y_m=northing", "speed_mps=nu_meas_mps"]
+    words = ["doctor", str(log_file), "--json", "--columns", *pairs]
+    main([*words, "yaw_rate_radps=omega_meas_radps"])
+    diagnosis = json.loads(capsys.readouterr().out)
+    assert diagnosis["facts"]["driven_m"] == pytest.approx(30, rel=0.1)
+    assert main([*words, "yaw_rate_radps"]) == 2
+    assert "OURS=THEIRS" in capsys.readouterr().err
+
+
+def test_a_calibration_is_that_of_python(capsys, tmp_path):
+    log = tmp_path / "drive.csv"
+    recorded_log(duration_s=30.0, noise_m=0.02).to_csv(log, index=False)
+    file = tmp_path / "robot.yaml"
+    assert main(["calibrate", str(log), "--json", "--yaml", str(file)]) == 0
+    found = rhec.calibrate(rhec.logs.read(log))
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(dict(found)))
+    assert file.read_text() == found.yaml
+
+
+def test_an_export_is_that_of_python(capsys, tmp_path):
+    assert main(["export", str(tmp_path / "one"), *SHORT]) == 0
+    rhec.export(rhec.Scenario(duration_s=8), tmp_path / "two")
+    for file in (tmp_path / "two").iterdir():
+        assert (tmp_path / "one" / file.name).read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "words, sentence",
+    [
+        (["simulate", "--seed", "-1"], "seed was -1"),
+        (["simulate", "--world", "mars"], "world was 'mars'"),
+        (["simulate", "--log", "log.txt"], "--log was 'log.txt'"),
+        (["campaign", "--seeds", "0"], "--seeds was 0"),
+        (["campaign", "-p", "seed"], "-p seed had no value"),
+        (["replay", "missing.csv"], "log was 'missing.csv'"),
+        (["calibrate", "missing.csv"], "log was 'missing.csv'"),
+        (["doctor", "missing.bag"], "log was 'missing.bag'"),
+        (["doctor", "missing.bag", "--columns", "x_m"], "--columns was 'x_m'"),
+        (["export", "folder", "--estimator", "oracle"], "estimator was 'oracle'"),
+        (["simulate", "--sed", "1"], "Did you mean --seed?"),
+        (["simulate", "--seed"], "--seed requires an argument"),
+        (["simulat"], 'Did you mean "simulate"?'),
+    ],
+)
+def test_a_mistake_gets_one_sentence(capsys, tmp_path, monkeypatch, words, sentence):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("rhec: ") and sentence in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_has_unit_range_and_default_of_every_field(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1000")
+    assert main(["simulate", "--help"]) == 0
+    text = capsys.readouterr().out
+    for field in dataclasses.fields(rhec.Scenario):
+        is_object = field.name in ("terrain", "path", "faults", "controller")
+        assert (f" --{field.name.replace('_', '-')} " in text) != is_object
+    assert "Set speed [m/s], 0 to 1.4. [default: 0.5]" in text
+
+
+def test_every_command_has_help(capsys):
+    assert main(["--help"]) == 0
+    names = re.findall("^│ ([a-z]+) ", capsys.readouterr().out, re.MULTILINE)
+    assert names == ["calibrate", "campaign", "doctor", "export", "lab", "replay", "simulate"]
+    for name in names:
+        assert main([name, "--help"]) == 0
+        assert f"Usage: rhec {name}" in capsys.readouterr().out
+
+
+def test_completion_knows_every_option(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert main(["--install-completion", "--shell", "bash"]) == 0
+    (script,) = tmp_path.glob(".local/**/rhec")
+    assert all(option in script.read_text() for option in ("--kappa-mean", "--lever-arm-m"))
+
+
+def test_a_reader_that_stops_reading_gets_no_traceback(tmp_path):
+    command = f"{sys.executable} -m rhec simulate --help | head -1"
+    ended = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path)
+    assert ended.returncode == 0 and "Traceback" not in ended.stderr

@@ -1,0 +1,232 @@
+"""A controller of one's own in the closed loop, and what is refused of it."""
+
+import dataclasses
+import json
+import pickle
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import own_controller
+
+import rhec
+from rhec import paper, style
+from rhec.core.lanes import lanes
+from rhec.simulation import closed_loop
+from rhec.simulation.campaigns import batch
+
+PLAIN = rhec.Scenario(estimator="ekf", process_noise="calibrated", duration_s=20.0)
+OWN = dataclasses.replace(PLAIN, controller=own_controller(PLAIN))
+NAMED = {"allow_duplicate_io_names": True}
+
+
+def step_of(inputs, results):
+    """A Function with inputs and results of these names and shapes, all of whose results are 0."""
+    given = [ca.SX.sym(name, *shape) for name, shape in inputs.items()]
+    zeros = [ca.SX.zeros(*shape) for shape in results.values()]
+    return ca.Function("own", given, zeros, [*inputs], [*results], NAMED)
+
+
+COMMAND = dict(command=(1, 1))
+
+
+# In the loop
+
+
+@pytest.mark.parametrize("estimator", ["oracle", "ekf", "yaw_drift_ekf"])
+def test_ten_lines_steer_the_robot_to_its_path(estimator):
+    log = rhec.simulate(dataclasses.replace(OWN, estimator=estimator, duration_s=50.0)).log
+    assert log["ok"].all() and (log["kkt_rhc"] == 0).all()
+    assert log["error_true_m"][150:].mean() < paper.TOLERANCE_M
+    assert log["omega_cmd_radps"].abs().max() <= 1.5 * paper.OMEGA_MAX_RADPS
+
+
+def test_it_is_told_what_is_promised_and_remembers():
+    """A step that checks its inputs against the settings, and counts the samples."""
+    names = "memory s_0 x_ref u_ref lower upper Q QN R s covariance segments period_m speed_mps"
+    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 4), 1, 1, 1]
+    names = [*names.split(), "disturbance"]
+    given = {name: ca.SX.sym(name, *np.atleast_1d(size)) for name, size in zip(names, shapes)}
+    path = rhec.Path.racetrack(PLAIN.row_length_m, PLAIN.headland_radius_m)
+    expected = dict(lower=-0.1, upper=0.1, Q=PLAIN.q, QN=10 * np.array(PLAIN.q), R=PLAIN.r)
+    expected |= dict(segments=path.segments.T, period_m=path.length_m, speed_mps=-0.5)
+    wrong = sum(ca.sumsqr(given[name] - ca.DM(value)) for name, value in expected.items())
+    wrong += given["disturbance"] ** 2 + (given["covariance"][0, 0] <= 0)
+    # The path's closest point is near the estimate, and the first desired one is that point.
+    wrong += (ca.norm_2(given["x_ref"][:2, 0] - given["s_0"][:2]) > 1.5) + (given["s"] < -1)
+    results = dict(command=0, memory=given["memory"] + 1, kkt=given["memory"], ok=wrong < 1e-20)
+    step = ca.Function("told", [*given.values()], [*results.values()], names, [*results], NAMED)
+    own = dataclasses.replace(PLAIN, backwards=True, controller=rhec.Controller(step, (5,)))
+    log = rhec.simulate(own).log
+    assert log["ok"].all()
+    np.testing.assert_array_equal(log["kkt_rhc"], 5 + np.arange(100))
+    assert (log["omega_cmd_radps"] == 0).all()
+
+
+def test_it_may_choose_the_speed():
+    speed = ca.SX.sym("speed_mps")
+    step = ca.Function(
+        "slow", [speed], [0, speed / 2], ["speed_mps"], ["command", "speed_mps"], NAMED
+    )
+    log = rhec.simulate(dataclasses.replace(PLAIN, controller=rhec.Controller(step))).log
+    assert log["nu_mps"].iloc[-1] == pytest.approx(PLAIN.speed_mps / 2, abs=0.03)
+
+
+def test_the_loop_cancels_the_yaw_drift_for_a_step_that_does_not_take_it():
+    """The same law, which takes d off itself, has the same bits; one that ignores d has not."""
+    given = {name: ca.SX.sym(name) for name in ("lower", "upper", "disturbance")}
+    d = given["disturbance"]
+    laws = dict(plain=given["upper"] / 2, cancels=(given["upper"] + d) / 2 - d, ignores=0 * d)
+    runs = {}
+    for name, command in laws.items():
+        taken = {key: each for key, each in given.items() if name != "plain" or key == "upper"}
+        step = ca.Function(name, [*taken.values()], [command], [*taken], ["command"])
+        drifting = dict(estimator="yaw_drift_ekf", controller=rhec.Controller(step))
+        runs[name] = rhec.simulate(dataclasses.replace(PLAIN, **drifting)).log
+    pd.testing.assert_frame_equal(runs["plain"], runs["cancels"])
+    assert runs["plain"]["omega_cmd_radps"].nunique() > 50
+    assert (runs["ignores"]["omega_cmd_radps"] == 0).all()
+
+
+# As a value
+
+
+def test_it_is_equal_to_another_of_the_same_text_and_memory():
+    same, other = own_controller(PLAIN), own_controller(PLAIN, gain=2.0)
+    for made in (same, pickle.loads(pickle.dumps(same))):
+        assert made == OWN.controller and hash(made) == hash(OWN.controller)
+        assert dataclasses.replace(OWN, controller=made) == OWN
+    assert other != OWN.controller != rhec.Controller(OWN.controller.step, (1.0,))
+    assert OWN != PLAIN and OWN.controller != "rhc"
+    assert len({OWN, dataclasses.replace(OWN, controller=same), PLAIN}) == 2
+
+
+def test_it_can_be_read():
+    assert repr(OWN.controller) == "Controller('steer', memory of 1)"
+    assert "controller=controller" in repr(OWN)
+    assert "steer" in json.loads(style._as_json(OWN))["controller"]["step"]
+
+
+def test_a_campaign_drives_it_in_lanes_and_processes_and_keeps_its_rows(tmp_path, monkeypatch):
+    scenarios = [
+        dataclasses.replace(OWN, seed=seed, controller=own_controller(PLAIN, gain))
+        for gain in (3.0, 5.0)
+        for seed in range(5)
+    ]
+    expected = pd.DataFrame([rhec.simulate(scenario).metrics for scenario in scenarios])
+    with_folder = rhec.campaign(scenarios, folder=tmp_path, workers=2)
+    assert (with_folder["error"] == "").all()
+    pd.testing.assert_frame_equal(with_folder[expected.columns], expected)
+    monkeypatch.setattr(closed_loop, "simulate_setup", lambda *run: 1 / 0)
+    again = rhec.campaign(scenarios, folder=tmp_path, workers=1)
+    pd.testing.assert_frame_equal(again[expected.columns], expected)
+    if lanes._compiler():
+        monkeypatch.setattr(batch, "_WORTH_COMPILING", 0)
+        in_lanes = rhec.campaign(scenarios, workers=1)
+        pd.testing.assert_frame_equal(in_lanes[expected.columns], expected)
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("step", "memory", "sentence"),
+    [
+        ("steer", (), "step was 'steer'; it should be a CasADi Function"),
+        (step_of({}, COMMAND), 1.0, "memory was 1.0; it should be a sequence of finite numbers"),
+        (step_of({}, COMMAND), (np.nan,), "memory was (nan,); it should be a sequence of finite"),
+        (step_of({}, COMMAND), ("a",), "memory was ('a',); it must be made of numbers"),
+        (step_of({}, {}), (), "step has no result 'command'; it should have one"),
+        (
+            step_of(dict(speed=(1, 1)), COMMAND),
+            (),
+            "step has the input 'speed'; it should be one of memory, s_0, x_ref, u_ref, lower",
+        ),
+        (
+            step_of({}, COMMAND | dict(omega=(1, 1))),
+            (),
+            "step has the result 'omega'; it should be one of memory, command, kkt, ok, speed_mps",
+        ),
+        (
+            step_of({}, dict(command=(2, 1))),
+            (),
+            "step has the result 'command' of shape (2, 1); it should have (1, 1)",
+        ),
+        (
+            step_of({}, COMMAND),
+            (0.0, 0.0),
+            "step has no input 'memory'; for a first memory of 2 numbers it should have one",
+        ),
+        (
+            step_of(dict(memory=(2, 1)), COMMAND),
+            (0.0, 0.0),
+            "step has no result 'memory'; for a first memory of 2 numbers it should have one",
+        ),
+        (
+            step_of(dict(memory=(3, 1)), COMMAND | dict(memory=(3, 1))),
+            (0.0, 0.0),
+            "step has the input 'memory' of shape (3, 1); it should have (2, 1)",
+        ),
+        (
+            step_of(dict(memory=(2, 1)), COMMAND | dict(memory=(1, 2))),
+            (0.0, 0.0),
+            "step has the result 'memory' of shape (1, 2); it should have (2, 1)",
+        ),
+    ],
+)
+def test_what_is_no_controller_is_refused_in_one_sentence(step, memory, sentence):
+    with pytest.raises(ValueError) as refused:
+        rhec.Controller(step, memory)
+    assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
+
+
+class Constant(ca.Callback):
+    """A Function in Python."""
+
+    def __init__(self):
+        super().__init__()
+        self.construct("constant")
+
+    def eval(self, arguments):
+        return [0.1]
+
+
+def test_a_step_in_python_is_refused():
+    constant, upper = Constant(), ca.MX.sym("upper")
+    step = ca.Function("own", [upper], [constant(upper)], ["upper"], ["command"])
+    with pytest.raises(ValueError, match="^step was .*; it should be made of what CasADi can sto"):
+        rhec.Controller(step)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "wanted", "fields"),
+    [
+        ("s_0", (3, 1), (6, 1), {}),
+        ("x_ref", (3, 16), (3, 11), dict(prediction_horizon=10)),
+        ("u_ref", (15, 1), (1, 15), {}),
+        ("Q", (3, 3), (3, 1), {}),
+        ("covariance", (6, 6), (4, 4), {}),
+        ("covariance", (1, 1), (0, 0), dict(estimator="oracle")),
+        ("segments", (5, 4), (5, 1), dict(path=rhec.Path.from_segments([(9.0, 0.0)]))),
+        ("disturbance", (2, 1), (1, 1), {}),
+    ],
+)
+def test_a_scenario_refuses_inputs_of_other_shapes(name, shape, wanted, fields):
+    controller = rhec.Controller(step_of({name: shape}, COMMAND))
+    with pytest.raises(ValueError) as refused:
+        dataclasses.replace(PLAIN, controller=controller, **fields)
+    expected = f"step has the input {name!r} of shape {shape}; it should have {wanted}"
+    assert str(refused.value) == expected
+
+
+@pytest.mark.parametrize("controller", ["pure_pursuit", None, step_of({}, COMMAND)])
+def test_what_is_neither_the_rhc_nor_a_controller_is_refused(controller):
+    with pytest.raises(ValueError, match="^controller was .*; it should be 'rhc' or a rhec.Contr"):
+        dataclasses.replace(PLAIN, controller=controller)
+
+
+def test_it_cannot_be_exported(tmp_path):
+    with pytest.raises(ValueError, match="^controller was Controller.*; to export, it should be"):
+        rhec.export(OWN, tmp_path / "c")
+    assert not (tmp_path / "c").exists()
