@@ -446,6 +446,12 @@ def lab():
             "rhec lab needs the project's notebooks, which an installed package does not have; "
             "run it in a checkout of the repository"
         )
+    here = Path.cwd()
+    if here != _PROJECT and (here / "notebooks/00_start.ipynb").exists():
+        raise ValueError(
+            f"this rhec is that of {_PROJECT}, not of the checkout {here}; delete .venv here, and "
+            "let make set up one"
+        )
     # No news, no updates, no extensions from the network. What it logs are errors and its address,
     # which one opens where there is no display.
     options = [

@@ -164,6 +164,14 @@ def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path
         assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == whole
 
 
+def test_the_notebooks_of_another_checkout_are_not_opened(capsys, tmp_path, monkeypatch):
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "notebooks/00_start.ipynb").touch()
+    monkeypatch.chdir(tmp_path)
+    assert main(["lab"]) == 2
+    assert f"not of the checkout {tmp_path}" in capsys.readouterr().err
+
+
 def test_help_needs_no_utf_8(tmp_path):
     environment = os.environ | dict(PYTHONIOENCODING="latin-1")
     command = [sys.executable, "-m", "rhec", "simulate", "--help"]
