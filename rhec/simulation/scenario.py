@@ -19,8 +19,8 @@ from rhec.simulation.validated import validated
 from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, EstimatorName, estimator_of
-from rhec.tracked_robot.path import Path
-from rhec.tracked_robot.terrain import Patch, Seed, Terrain
+from rhec.tracked_robot.path import Path, path_of
+from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
 
 @validated
@@ -199,6 +199,8 @@ class Scenario:
         _check_fits_estimator(self)
         if isinstance(self.controller, Controller):
             check_fits(self)
+        if self.terrain is None:
+            box_of(self, path_of(self))
 
 
 def _check_kinds(scenario):

@@ -36,6 +36,7 @@ CELLS_PER_LENGTH = 8  # of the standard fields: cells in one correlation length
 _LOWEST = 0.01  # traction never vanishes: a robot that cannot move teaches nothing
 _QUANTILES = np.linspace(-5, 5, 257)  # of the standard normal distribution
 _MARGIN_M = 5.0  # of a field around its path
+_CELL_M = 0.5  # of a random field, by default
 _MOST_CELLS = 4_000_000  # of a random field: a square kilometre
 _SMALL_M2 = 10_000.0  # a random field of this size or less takes 0.6 MB and is cached
 _MOST_BYTES = 32 * _MOST_CELLS  # of a file, unpacked
@@ -108,7 +109,7 @@ class Terrain:
         deviation: tuple[NotNegative, NotNegative],
         correlation_length_m: Positive,
         patches: tuple[Patch, ...] = (),
-        cell_m: Positive = 0.5,
+        cell_m: Positive = _CELL_M,
     ) -> "Terrain":
         """Beta-distributed fields, cut from the standard fields.
 
@@ -132,8 +133,7 @@ class Terrain:
         if not (np.all(cells >= 1) and np.prod(cells) <= _MOST_CELLS):
             raise ValueError(
                 f"box was {shown(box)}; it must be (x_min, x_max, y_min, y_max) with 1 to "
-                f"{_MOST_CELLS:,} cells of {cell_m:g} m. "
-                "A path or a start that takes the robot so far needs a terrain of its own"
+                f"{_MOST_CELLS:,} cells of {cell_m:g} m"
             )
         n_i, n_j = (int(n) + 1 for n in cells)
         fields = _gaussian_fields(seed, n_i, n_j, cell_m, correlation_length_m)
@@ -239,12 +239,30 @@ def _read_arrays(file):
         return data["mu"], data["kappa"], origin_m, data["cell_m"].item()
 
 
-def random_for(scenario, path):
-    """The random field of a scenario's statistics and seed, with a margin around the path."""
+def box_of(scenario, path):
+    """The box of a scenario's random field, that of the path with a margin, and its area [m²].
+
+    Raises:
+        ValueError: If it is too large for a random field.
+    """
     x_min, x_max, y_min, y_max = path.box
     margin = _MARGIN_M + abs(scenario.start_offset_m)
     box = x_min - margin, x_max + margin, y_min - margin, y_max + margin
-    area_m2 = (box[1] - box[0]) * (box[3] - box[2])
+    length, width = box[1] - box[0], box[3] - box[2]
+    if not np.ceil(length / _CELL_M) * np.ceil(width / _CELL_M) <= _MOST_CELLS:
+        names = ["path"] if scenario.path else ["row_length_m", "headland_radius_m"]
+        given = ", ".join(f"{name} {shown(getattr(scenario, name))}" for name in names)
+        raise ValueError(
+            f"start_offset_m was {scenario.start_offset_m!r} with {given}; they need a field of "
+            f"{length:.4g} m by {width:.4g} m, and a random one should be at most a square "
+            "kilometre: make them smaller, or pass a terrain"
+        )
+    return box, length * width
+
+
+def random_for(scenario, path):
+    """The random field of a scenario's statistics and seed, with a margin around the path."""
+    box, area_m2 = box_of(scenario, path)
     make = _cached_random if area_m2 < _SMALL_M2 else Terrain.random
     return make(
         scenario.seed,

@@ -260,3 +260,15 @@ def test_an_estimator_without_a_consistent_process_noise_says_so():
 def test_only_a_scenario_is_simulated():
     with pytest.raises(ValueError, match="^scenario was .*; it should be a rhec.Scenario"):
         rhec.simulate(dict(seed=1))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [dict(headland_radius_m=1000.0), dict(start_offset_m=600.0), dict(start_offset_m=-1e90)],
+)
+def test_a_field_too_large_for_random_soil_is_refused_when_the_scenario_is_made(fields):
+    (name,) = fields
+    with pytest.raises(ValueError, match=f"{name}.*at most a square kilometre.*pass a terrain"):
+        rhec.Scenario(**fields)
+    soil = rhec.Terrain.uniform(0.9, 0.8)
+    assert rhec.Scenario(**fields, terrain=soil).terrain is soil
