@@ -26,7 +26,9 @@ function values_of({ data }, fields) { // of the Scenario
 async function drive() {
   const { world, values, runs, patches } = page;
   const seed = Number($("seed").value);
-  const samples = Math.round(values.duration_s / world.dt_s);
+  // An address may ask for any duration, and the arrays have an end.
+  const asked_for = Math.round(values.duration_s / world.dt_s);
+  const samples = Math.max(1, Math.min(asked_for, world.max_samples));
   page.soil = await world.soil(seed, $("soil").value, patches, values.start_offset_m);
   let took = 0;
   for (const [i, { module, fields }] of runs.entries()) {

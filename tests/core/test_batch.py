@@ -1,6 +1,8 @@
 """Runs in a batch are what objects of their own would be, to the last bit."""
 
+import copy
 import functools
+import pickle
 
 import casadi as ca
 import numpy as np
@@ -209,11 +211,14 @@ def test_controllers_with_constraints():
     batch = rhec.batch(constrained_cart(), RUNS)
     assert_same_bits(batch, constrained_cart, cart_samples)
     assert batch.ok.any() and not batch.ok.all()
-    batch, single = rhec.batch(constrained_cart(), RUNS), constrained_cart()
-    for k in (0, 1):
-        single.prepare()
+    batch = rhec.batch(constrained_cart(), RUNS)
+    singles = [constrained_cart() for _ in range(RUNS)]
+    for k in (0, 1, 2):
         found = batch.solve(*cart_samples(k, slice(None)), iterations=7)
-        assert np.array_equal(found[4], single.solve(*cart_samples(k, 4), iterations=7))
+        for run, single in enumerate(singles):
+            single.prepare()
+            expected = single.solve(*cart_samples(k, run), iterations=7)
+            np.testing.assert_array_equal(found[run], expected)
     with pytest.raises(ValueError, match="^y_ref had shape"):
         batch.feedback(*cart_samples(0, slice(None)), y_ref=np.zeros(3))
 
@@ -338,3 +343,22 @@ def test_other_shapes_are_refused_in_one_sentence():
         batch.feedback(x, p, x_ref, "none")
     with pytest.raises(ValueError, match="^z_N? ?had shape|^z had shape"):
         rhec.batch(given.make_rhe(), RUNS).feedback(np.zeros((RUNS, 9)))
+    for value in (p + 1j, np.full(p.shape, "2026-11-23", dtype="datetime64[D]")):
+        with pytest.raises(ValueError, match="^p was .*; it should be made of numbers"):
+            batch.feedback(x, value, x_ref, u_ref)
+
+
+@pytest.mark.parametrize("runs", [[99], -12, 1.5, "all", np.ones(RUNS + 1, dtype=bool)])
+def test_runs_that_do_not_exist_are_not_restarted(runs):
+    batch = rhec.batch(problem("skid_steered").make_ekf(), RUNS)
+    with pytest.raises(ValueError, match=r"^runs was .* from 0 to 10, or a mask \(11,\)"):
+        batch.restart(runs)
+
+
+@pytest.mark.parametrize("what", ["make_rhe", "make_rhc", "make_ekf"])
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
+def test_what_holds_compiled_code_says_that_it_has_no_copy(what, copied):
+    single = getattr(problem("skid_steered"), what)()
+    for each in (single, rhec.batch(single, RUNS)):
+        with pytest.raises(TypeError, match="cannot be copied or pickled; make another one"):
+            copied(each)

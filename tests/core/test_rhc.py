@@ -262,3 +262,40 @@ def test_infinite_bounds_are_no_bounds():
         answers.append([*rhc.feedback(**problem), rhc.kkt])
         assert rhc.ok and np.isfinite(rhc.kkt)
     np.testing.assert_allclose(answers[1:], answers[:1] * 2, rtol=0, atol=1e-12)
+
+
+def car(**changes):
+    """The bicycle's controller, whose speed follows a reference and is not commanded."""
+    robot = ROBOTS["bicycle"]
+    return rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=5, **robot.controller | changes)
+
+
+CAR = dict(x=(0.0, 0.1, 0.1), p=(0.0, 0.0), x_ref=(1.0, 0.0, 0.0), u_ref=(0.5, 0.0))
+
+
+@pytest.mark.parametrize(
+    "make, problem, name",
+    [(rhec.RHC, STRAIGHT, "pose"), (car, CAR, "x"), (car, CAR, "x_ref"), (car, CAR, "u_ref")],
+)
+def test_a_step_that_was_not_solved_has_no_kkt_tolerance(make, problem, name):
+    rhc = make()
+    rhc.feedback(**problem)
+    assert rhc.ok and np.isfinite(rhc.kkt)
+    rhc.prepare()
+    rhc.feedback(**problem | {name: np.full(np.shape(problem[name]), np.nan)})
+    assert not rhc.ok and np.isnan(rhc.kkt)
+
+
+def test_without_a_reference_of_inputs_the_last_plan_goes_on():
+    """Also that of the inputs that are not commanded."""
+    rhc = car()
+    rhc.feedback(**CAR)
+    before = rhc.u_plan.copy()
+    for _ in range(3):
+        rhc.prepare()
+        rhc.feedback(**CAR | dict(u_ref=(np.nan, np.nan)))
+        before = np.hstack([before[:, 1:], before[:, -1:]])
+        np.testing.assert_allclose(rhc.u_plan, before, rtol=0, atol=1e-12)
+    rhc.prepare()
+    rhc.feedback(**CAR)
+    assert rhc.ok and np.isfinite(rhc.u_plan).all()

@@ -228,7 +228,17 @@ def run_compiler(command, folder):
         raise OSError(f"{command[0]} ended with {done.returncode} {messages[0]}")
 
 
-class BufferedFunction:
+class Uncopied:
+    """What holds compiled code with its work space, of which there is no copy."""
+
+    def __reduce__(self):
+        raise TypeError(
+            "an object with compiled code cannot be copied or pickled; make another one with the "
+            "same arguments"
+        )
+
+
+class BufferedFunction(Uncopied):
     """A Function whose arguments and results stay in NumPy arrays.
 
     A call costs 0.1 µs; CasADi's ordinary call costs 26 µs. Matrices are stored as CasADi stores

@@ -92,8 +92,15 @@ class _Batch:
 
         Args:
             runs: Numbers of the runs, or a mask (n,); by default all.
+
+        Raises:
+            ValueError: If there is no such run.
         """
-        self._is_new[runs] = True
+        try:
+            self._is_new[runs] = True
+        except IndexError:
+            expected = f"it should be numbers from 0 to {self.n - 1}, or a mask ({self.n},)"
+            raise ValueError(f"runs was {shown(runs)}; {expected}") from None
 
     def prepare(self) -> None:
         """Do what is possible before the next sample; `feedback` does it if nobody has."""
@@ -164,8 +171,11 @@ class _Batch:
 def _checked_input(name, value, n, shape):
     """Return an input as (n, length) or (1, length), each run's matrix column by column."""
     try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+        array = np.asarray(value)
+        # Of what is no number, complex numbers and dates, too, could be cast.
+        casting = "unsafe" if array.dtype == object else "same_kind"
+        array = array.astype(float, casting=casting, copy=False)
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} was {shown(value)}; it should be made of numbers") from None
     if array.shape == shape:
         array = array[None]

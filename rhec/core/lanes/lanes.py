@@ -156,7 +156,7 @@ def aligned(*shape):
     return raw[begin : begin + n].reshape(shape)
 
 
-class _Block:
+class _Block(compiled.Uncopied):
     """A compiled Function, such as that of a block of samples; each number has one entry per lane.
 
     Attributes:
