@@ -2,6 +2,7 @@
 doing so.
 """
 
+import fcntl
 import hashlib
 import json
 import os
@@ -10,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -18,7 +20,7 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.core._casadi import compiled
+from rhec.core._casadi import cache, compiled
 
 BUILD = """
 import rhec
@@ -85,6 +87,36 @@ def test_one_of_several_processes_compiles(tmp_path):
 
 
 @needs_compiler
+def test_a_lock_is_that_of_the_file_that_is_there(tmp_path, monkeypatch):
+    """Who waited for a lock whose file its holder removed waits for that of the next file."""
+    lock, waits, may_end = tmp_path / "lock", threading.Event(), threading.Event()
+    held = []
+
+    def flock(file, operation):
+        if threading.current_thread() is waiting:
+            waits.set()
+        return take(file, operation)
+
+    def wait_and_hold():
+        with cache._locked(lock):
+            held.append(lock.exists() and lock.stat().st_ino)
+            may_end.wait(60)
+
+    take = fcntl.flock
+    monkeypatch.setattr(fcntl, "flock", flock)
+    waiting = threading.Thread(target=wait_and_hold)
+    with cache._locked(lock):
+        waiting.start()
+        assert waits.wait(60)
+    while not held:
+        time.sleep(0.01)
+    with lock.open("a") as other, pytest.raises(BlockingIOError):
+        take(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    may_end.set()
+    waiting.join()
+    assert held[0] and not lock.exists()
+
+
 def test_a_library_is_reused(tmp_path):
     answer(start(tmp_path))
     (library,) = tmp_path.glob("*/library.so")

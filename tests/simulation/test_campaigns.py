@@ -394,6 +394,17 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
     assert left_aside > 100
 
 
+def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
+    def full(table, file, **options):
+        Path(file).write_bytes(b"half")
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(pq, "write_table", full)
+    with pytest.raises(OSError):
+        store.save_rows(tmp_path, {"a": dict(error="")})
+    assert not [*tmp_path.iterdir()]
+
+
 # Workers of its own
 
 

@@ -439,3 +439,13 @@ def test_the_picture_of_a_run_has_path_errors_and_traction(estimator):
     np.testing.assert_array_equal(robot_line.get_xdata(), run.columns["x_m"])
     # Two standard deviations, where the estimator has them for the traction.
     assert len(figure.axes[3].collections) == (1 if estimator == "rhe" else 0)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["x_meas_m", "y_meas_m"])
+def test_half_a_position_has_no_distance_to_the_path(name, value):
+    columns = {each: np.zeros(3) for each in ("t_s", "x_meas_m", "y_meas_m", "x_m", "y_m")}
+    columns[name][1] = value
+    closed_loop._add_errors(rhec.Path.racetrack(30.0, 8.0), [columns])
+    np.testing.assert_array_equal(columns["error_m"], [0, np.nan, 0])
+    np.testing.assert_array_equal(columns["error_true_m"], np.zeros(3))
