@@ -178,7 +178,8 @@ def swing_up_state(k, run):
 def test_runs_whose_active_set_takes_few_guesses_or_very_many():
     batch = rhec.batch(pendulum_controller(), RUNS)
     assert_same_bits(batch, pendulum_controller, swing_up_state)
-    assert batch.ok.any()
+    assert batch.ok.any() and not batch.ok.all()
+    np.testing.assert_array_equal(np.isfinite(batch.kkt), batch.ok)
 
 
 def constrained_cart():

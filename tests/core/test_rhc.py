@@ -264,10 +264,12 @@ def test_infinite_bounds_are_no_bounds():
     np.testing.assert_allclose(answers[1:], answers[:1] * 2, rtol=0, atol=1e-12)
 
 
-def car(**changes):
+def car():
     """The bicycle's controller, whose speed follows a reference and is not commanded."""
     robot = ROBOTS["bicycle"]
-    return rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=5, **robot.controller | changes)
+    bounds = dict(steering_rad=robot.bounds["steering_rad"])
+    options = dict(robot.controller, command=(*bounds,), bounds=bounds, r=robot.r[1:])
+    return rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=5, **options)
 
 
 CAR = dict(x=(0.0, 0.1, 0.1), p=(0.0, 0.0), x_ref=(1.0, 0.0, 0.0), u_ref=(0.5, 0.0))
