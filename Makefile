@@ -87,6 +87,8 @@ clean: ## remove the executed notebooks, their figures and tables, and the repor
 	@rm -rf build/made build/notebooks build/report
 
 $(READY): environment.txt pyproject.toml
+	@test ! -L .venv || { echo '.venv is a link to the environment of another checkout, which is' \
+	  'not changed from here; remove the link, and make sets up an environment' >&2; exit 1; }
 	@"$$PYTHON" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' \
 	  2>/dev/null || { echo "PYTHON was $$PYTHON ($$("$$PYTHON" --version 2>&1 | head -1));" \
 	  "it must be Python 3.11 or newer with its venv module: make PYTHON=..." >&2; exit 1; }

@@ -84,6 +84,19 @@ def test_arguments_in_what_are_quoted_as_in_a_shell(checkout):
     assert arguments[-3:] == ["-k", "[1,1,1] or y", "tests/core"]
 
 
+@needs_make
+def test_an_environment_of_another_checkout_is_not_changed(checkout, tmp_path):
+    other = (checkout / ".venv").rename(tmp_path / "other")
+    (other / "ready").unlink()
+    before = sorted(other.rglob("*"))
+    (checkout / ".venv").symlink_to(other)
+    environment = os.environ | dict(PYTHON=sys.executable)
+    command = ["make", "-s", "test"]
+    made = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True)
+    assert made.returncode and ".venv is a link to the environment of another" in made.stderr
+    assert sorted(other.rglob("*")) == before
+
+
 # Files in figures/
 
 
