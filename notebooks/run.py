@@ -155,6 +155,9 @@ def run(notebook, values, output):
         raise _no_such_parameter(name, values[name], declared)
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # a kernel that dies by Ctrl-C
+    # A linked or copied .venv finds the package of the checkout that it was made in.
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
     os.environ["RHEC_NOTEBOOK"] = notebook.name  # for the figures' and tables' files
     if values:

@@ -13,7 +13,6 @@ import operator
 import os
 import re
 import shutil
-import subprocess
 import threading
 from pathlib import Path
 
@@ -86,8 +85,8 @@ def _compiler():
     if not (compiler and compiled.compiler()):
         return None
     command = [compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull]
-    answer = subprocess.run(command, capture_output=True, text=True)
-    return None if answer.returncode else (compiler, answer.stdout)
+    macros = compiled.answer_of(command)
+    return None if macros is None else (compiler, macros)
 
 
 def _name(build, structure):
