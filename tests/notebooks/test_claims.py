@@ -223,7 +223,9 @@ def finding(verdict):
 )
 def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
     assert (
-        statistics.combined({"as printed": finding(printed), "W by likelihood": finding(calibrated)})
+        statistics.combined(
+            {"as printed": finding(printed), "W by likelihood": finding(calibrated)}
+        )
         == expected
     )
 
@@ -414,7 +416,12 @@ def test_what_may_happen_needs_one_condition():
 
 
 def test_verdicts_are_counted_by_class():
-    verdicts = [HOLDS, "holds as printed", "holds only as printed", "holds only with W by likelihood"]
+    verdicts = [
+        HOLDS,
+        "holds as printed",
+        "holds only as printed",
+        "holds only with W by likelihood",
+    ]
     verdicts += ["holds with ν as input", FAILS, UNTESTABLE]
     derived = [False] * 5 + [True, False]
     counts = summary.verdict_counts(pd.DataFrame(dict(verdict=verdicts, derived=derived)))
