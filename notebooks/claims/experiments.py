@@ -16,11 +16,12 @@ from scipy import optimize
 import rhec
 from notebooks.studies import timing
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
-from rhec.core.estimator import offline, rhe
+from rhec.core.estimator import rhe
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
 from rhec.simulation.campaigns.map import parallel_map
@@ -85,7 +86,7 @@ def build_with_given_arrival():
         memory = {name: known[name] for name in window.memory}
         return dict(estimate=known["estimate"], arrival_covariance=P) | memory
 
-    return offline.build(step, ["estimate", "arrival_covariance"])
+    return runner.build_recorded(step, ["estimate", "arrival_covariance"])
 
 
 def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=None):
@@ -101,7 +102,7 @@ def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=
     )
     guess = dict(zip(model.QUANTITIES, (*log.loc[0, POSE], log.loc[0, "nu_mps"], 1.0, 1.0)))
     memory = pack_array(paper_rhe.init(_window(), guess))
-    recorded = offline.run(functions, memory, log[MEASUREMENTS].to_numpy(), settings)
+    recorded = runner.record(functions, memory, log[MEASUREMENTS].to_numpy(), settings)
     return recorded["estimate"], recorded["arrival_covariance"]
 
 
