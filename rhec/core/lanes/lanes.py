@@ -12,7 +12,6 @@ import math
 import os
 import re
 import shutil
-import threading
 from pathlib import Path
 
 import casadi as ca
