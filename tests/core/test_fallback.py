@@ -87,7 +87,7 @@ def test_a_singular_arrival_covariance_does_no_lasting_harm(given, value):
 @estimators
 def test_an_arrival_covariance_that_is_none_leaves_no_negative_variance(given):
     """Its correlations are above 1, and a measurement would make variances negative."""
-    rhe = rhec.RHE(guess=GUESS, process_noise="calibrated", **given)
+    rhe = rhec.RHE(guess=GUESS, process_noise="likelihood", **given)
     variances = []
 
     def upset(rhe):
