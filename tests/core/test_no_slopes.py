@@ -71,3 +71,12 @@ def test_a_batch_finds_back_as_single_estimators_do(virtual_machine):
             single.prepare()
             np.testing.assert_array_equal(single.feedback(row).x, x)
     assert list(together.ok) == [single.ok for single in singles]
+
+
+def test_where_the_model_has_no_slopes_only_the_process_noise_adds_to_the_variance():
+    """Not that of the measured inflow, whose effect is unknown there."""
+    settings = settings_of(rhec.EKF) | dict(guess=(-1.0, 1.0))
+    ekf = rhec.EKF(**settings)
+    variances = [np.diag(ekf.feedback((np.nan, 0.3)).covariance).copy() for _ in range(4)]
+    added = np.square(settings["sigma_w"])
+    np.testing.assert_allclose(np.diff(variances, axis=0), [added] * 3, rtol=1e-9)
