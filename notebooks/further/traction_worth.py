@@ -33,7 +33,6 @@ from notebooks.studies.statistics import (
 )
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot import tuning
 
 __all__ = [
     "COSTS",
@@ -93,9 +92,7 @@ GAINS = {
     "RHE, W printed": dict(),
     "RHE, consistent": dict(process_noise="consistent"),
     "bounded EKF, W by likelihood": dict(estimator="bounded_ekf", process_noise="likelihood"),
-    "bounded EKF, W by tracking at R = 10": dict(
-        estimator="bounded_ekf", sigma_w=tuning.SIGMA_W_TRACKING["bounded_ekf"]
-    ),
+    "bounded EKF, W by tracking at R = 10": dict(estimator="bounded_ekf", process_noise="tracking"),
     "yaw-drift EKF, W by likelihood": dict(estimator="yaw_drift_ekf"),
     "traction oracle, W by likelihood": dict(estimator="traction_oracle"),
 }

@@ -8,12 +8,15 @@ import numpy as np
 import pandas as pd
 
 from notebooks.studies.statistics import (
+    LOST,
     always,
     difference_of_means,
     over_seeds,
     ratio_of_means,
+    share,
     verdict,
 )
+from notebooks.studies.tables import interval_texts
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
@@ -22,6 +25,7 @@ from rhec.simulation.simulate import simulate
 __all__ = [
     "PROCESS_NOISES",
     "REPORTED",
+    "by_rule",
     "over_fields",
     "rhe_and_ekf",
     "scenario_a",
@@ -32,7 +36,9 @@ __all__ = [
     "yaw_weights",
 ]
 
-PROCESS_NOISES = ("printed", "likelihood")
+# W by each rule, the same for RHE and EKF; whole runs are kept of the first two.
+PROCESS_NOISES = ("printed", "likelihood", "consistent", "tracking")
+_PICTURED = PROCESS_NOISES[:2]
 REPORTED = {  # (estimator, metric): the paper's number
     ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,
     ("EKF", "mean_error_m"): paper.MEAN_ERROR_EKF_M,
@@ -98,7 +104,7 @@ def scenario_a(seeds, seed=0, weights=None, folder=None, **fields):
 
 
 def scenario_b(seeds, drives, folder=None, **fields):
-    """Drive Scenario B: rows and headlands, by RHE and EKF with W as printed and calibrated.
+    """Drive Scenario B: rows and headlands, by RHE and EKF with W by each of PROCESS_NOISES.
 
     Args:
         seeds: How many fields the statistics are over, from seed 0 on.
@@ -108,7 +114,7 @@ def scenario_b(seeds, drives, folder=None, **fields):
 
     Returns:
         sweep: DataFrame, one row a drive (`rhec.campaign`).
-        runs: {process noise: {"RHE" or "EKF": Runs, one a seed}}.
+        runs: {process noise: {"RHE" or "EKF": Runs, one a seed}} of "printed" and "likelihood".
     """
 
     def scenarios(process_noise, estimator, n):
@@ -119,9 +125,12 @@ def scenario_b(seeds, drives, folder=None, **fields):
     sweep = campaign(
         [scenario for choice in every for scenario in scenarios(*choice, seeds)], folder
     )
-    runs = {process_noise: {} for process_noise in PROCESS_NOISES}
-    for process_noise, name in every:
-        runs[process_noise][name.upper()] = simulate(scenarios(process_noise, name, drives))
+    runs = {
+        process_noise: {
+            name.upper(): simulate(scenarios(process_noise, name, drives)) for name in _ESTIMATORS
+        }
+        for process_noise in _PICTURED
+    }
     return sweep, runs
 
 
@@ -213,8 +222,19 @@ def scenario_b_table(sweep):
             for name, table in runs.items():
                 rows.append(about | _of_estimator(name, column, table[column]))
             if ("RHE", column) in REPORTED:
-                rows.append(about | _gain(column, runs["RHE"][column], runs["EKF"][column]))
+                both = [runs[name][column] for name in ("RHE", "EKF")]
+                gain = _gain(column, *both) | (dict(verdict=LOST) if is_lost(runs["EKF"]) else {})
+                rows += [about | gain, about | _share_below(*both)]
     return pd.DataFrame(rows)[_COLUMNS_B]
+
+
+def by_rule(table):
+    """The table of `scenario_b_table` for readers: a row an estimator and number, a column a W."""
+    shown = table[table["quantity"].isin([_QUANTITIES_B[column] for _, column in REPORTED])]
+    cells = shown.assign(cell=interval_texts(shown, "mean"))
+    return cells.pivot_table(
+        "cell", ["quantity", "estimator"], "process_noise", aggfunc="first", sort=False
+    )
 
 
 def _of_estimator(estimator, column, values):
@@ -224,6 +244,19 @@ def _of_estimator(estimator, column, values):
     if reported == 0:
         row |= dict(claim="at most 0", verdict=always(values == 0).verdict)
     return row
+
+
+def is_lost(drives):
+    """Whether the robot never arrives, or is 1 m off later, in most rows of a campaign."""
+    lost = drives["settling_time_s"].isna() | (drives["max_error_true_m"] > 1)
+    return lost.mean() > 0.5
+
+
+def _share_below(rhe, ekf):
+    """Columns of a row on the share of fields in which the RHE has less than the EKF."""
+    found = share(rhe.to_numpy() < ekf.to_numpy())
+    row = dict(estimator="P(RHE < EKF)", paper="", claim="", verdict="")
+    return row | dict(mean=found.value, low=found.low, high=found.high, n=found.n)
 
 
 def _gain(column, rhe, ekf):
