@@ -25,9 +25,9 @@ from nbformat.v4 import new_output
 from sphinx.application import Sphinx
 
 from docs.live import page, wasm
-from docs.site import cards, results
+from docs.site import cards
 from docs.site.content_policy import with_policy
-from notebooks.studies import timing
+from notebooks.studies import answer, timing
 from rhec import __version__, style
 
 __all__ = ["build"]
@@ -89,7 +89,7 @@ def _lay_out(source, notebooks, figures, live):
         nbformat.write(notebook, source / place)
     ledger = figures / "claims.csv"
     if not ledger.exists():
-        ledger = results.EXPECTED / "claims.csv"
+        ledger = answer.RESULTS / "claims.csv"
     pages = {
         "figures": _figures_page(stories, captions, source / "figures"),
         "claims": cards.page(pd.read_csv(ledger), live),
@@ -204,11 +204,11 @@ def _provenance_page(stories, figures):
     return "\n\n".join(
         [
             "# Provenance",
-            results.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
+            answer.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
             "## Notebooks",
-            results.to_markdown(runs),
+            answer.to_markdown(runs),
             "## Packages",
-            results.to_markdown(packages),
+            answer.to_markdown(packages),
         ]
     )
 

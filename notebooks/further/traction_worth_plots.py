@@ -2,8 +2,9 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
 
-from notebooks.further import traction_worth
+from notebooks.further import traction_map, traction_worth
 from notebooks.plots.parts import DOTS, legend_above, note
 from notebooks.studies.statistics import over_seeds
 from rhec import paper, style
@@ -15,6 +16,8 @@ _FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
     "traction": style.COLOURS["oracle"],
     "full oracle": style.BLACK,
 }
+_WORTH = LinearSegmentedColormap.from_list("worth", [style.SKY, "w", style.ORANGE])
+_SPAN = 0.3  # of the ratios that differ in colour, on both sides of 1
 _OFF_SCALE = 1.3  # upper limit of the axis as a multiple of the paper's RHE
 
 
@@ -105,3 +108,63 @@ def over_gain(rows):
     axes.set(xlabel="weight R of the yaw rate, eq. (22)", ylabel="mean true error [m]")
     legend_above(axes, ncols=1, handlelength=1.5)
     return figure
+
+
+@style.styled
+def map_of_worth(table):
+    """Draw the errors with estimated traction over those of each rival, a cell for each soil.
+
+    Blue cells say that estimating pays, orange ones that it costs; in a pale cell the 95 % interval
+    holds 1. A cross is a soil on which the robot is lost, even with estimated traction. Empty are
+    constants above 1.
+
+    Args:
+        table: Of `notebooks.further.traction_map.worth_map`.
+    """
+    controls = list(table["control"].unique())
+    variations = list(table["variation"].unique())
+    size = dict(figsize=(style.DOUBLE_IN, 1.6 * len(controls) + 0.7))
+    shared = dict(sharex=True, sharey=True, squeeze=False)
+    figure, rows = plt.subplots(len(controls), len(variations), **size, **shared)
+    for control, panels in zip(controls, rows):
+        for variation, axes in zip(variations, panels):
+            is_here = (table["control"] == control) & (table["variation"] == variation)
+            image = _draw_cells(axes, table[is_here])
+            axes.set_title(f"{control}, varies by {variation:g} of its slip", loc="center")
+        panels[0].set_ylabel("mean κ of the soil [-]")
+    figure.supxlabel("error of the constant κ that the rival is told [-]", fontsize=8)
+    label = "error with estimated traction\nover the rival's [-]"
+    figure.colorbar(image, ax=rows, label=label, fraction=0.03, pad=0.01, extend="both")
+    words = f"{table['n'].max()} fields a cell; pale: the 95 % interval holds 1; ×: lost either way"
+    figure.suptitle(words, fontsize=8)
+    return figure
+
+
+def _draw_cells(axes, of_panel):
+    """One panel: ratios as colours and numbers, mean κ from above to below."""
+    told = [*map(str, traction_map.ERRORS), traction_map.NO_SLIP]
+    kappas = [*of_panel["kappa"].unique()]
+    cells = of_panel.set_index(["kappa", "told"])
+    ratios = of_panel.pivot(index="kappa", columns="told", values="mean").loc[kappas, told]
+    is_certain = ((cells["high"] < 1) | (cells["low"] > 1)).unstack(fill_value=False)
+    alpha = np.where(is_certain.loc[kappas, told], 1.0, 0.35)
+    look = dict(cmap=_WORTH, vmin=1 - _SPAN, vmax=1 + _SPAN, aspect="auto")
+    is_lost = of_panel.groupby("kappa")["error_m"].first().loc[kappas] > paper.TOLERANCE_M
+    image = axes.imshow(ratios.where(~is_lost, axis=0), alpha=alpha, **look)
+    for (kappa, name), cell in cells.iterrows():
+        text = "×" if is_lost[kappa] else f"{cell['mean']:.2f}"
+        place = told.index(name), kappas.index(kappa)
+        axes.text(*place, text, ha="center", va="center", fontsize=5)
+    axes.set_xticks(range(len(told)), [_tick(name) for name in told], fontsize=5.5)
+    axes.set_yticks(range(len(kappas)), [f"{each:g}" for each in kappas])
+    axes.grid(visible=False)
+    axes.tick_params(length=0)
+    return image
+
+
+def _tick(told):
+    """What a rival is told, at the axis."""
+    if told == traction_map.NO_SLIP:
+        return "no\nslip"
+    error = float(told)
+    return f"{error:+g}".replace("-", "−") if error else "0"
