@@ -373,7 +373,7 @@ def steps_in_time(duration_s=60.0):
         DataFrame: in_time, whether the whole step takes less than a sample; whole_us, and
         feedback_us, the part of it after the measurement.
     """
-    scenario = Scenario(process_noise="calibrated", duration_s=duration_s)
+    scenario = Scenario(process_noise="likelihood", duration_s=duration_s)
     taken = timing.phases(scenario, timing.CONTROLLERS["daqp"])
     whole_us = taken.sum(axis=1)
     is_feedback = [phase == "feedback" for _, phase in timing.PHASES]
@@ -394,7 +394,7 @@ def certainty_equivalence(duration_s=60.0):
     Returns:
         DataFrame, one row a sample: off_radps, the difference of the two commands [rad/s].
     """
-    (run,) = simulate([Scenario(process_noise="calibrated", duration_s=duration_s)])
+    (run,) = simulate([Scenario(process_noise="likelihood", duration_s=duration_s)])
     controller = PaperRHC(q=run.scenario.q, r=run.scenario.r)
     tracker = PathTracker(run.path, run.scenario.prediction_horizon)
     rows = []

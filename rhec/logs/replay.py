@@ -753,10 +753,9 @@ def replay_scenario(estimator, recording, fields):
         )
     fields = dict(speed_model="slipping") | fields
     if fields["speed_model"] == "slipping":
-        # Unlike the paper's smoothed mean, the filtered one counts each measurement once.
         is_rhe = estimator == "rhe"
         present = recording.sensors if is_rhe else ()
-        fields = dict(arrival_mean="filtered", sensors=present) | fields
+        fields = dict(sensors=present) | fields
         if fields.get("sigma_v") is None:
             fields["sigma_v"] = _sigma_v_of_log(recording)
     _refuse_missing_sensors(fields.get("sensors", ()), recording)

@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
 
-ProcessNoise = Literal["printed", "calibrated", "consistent"]
+ProcessNoise = Literal["printed", "likelihood", "consistent", "tracking"]
 SpeedModel = Literal["parameter", "input", "slipping"]
 
 

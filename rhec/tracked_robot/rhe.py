@@ -107,7 +107,7 @@ def _settings(scenario):
     of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     return settings_of(
         scenario.speed_model,
-        scenario.process_noise,
+        tuning.process_noise_of(scenario),
         scenario.sigma_w,
         (*tuning.sigma_v_of(scenario), *of_sensors),
         scenario.slip,

@@ -237,12 +237,12 @@ def test_window_costs_and_filter_of_the_story_are_those_of_python(live):
     rows = floats(seen["rows"]).reshape(-1, len(COLUMNS))
     z = rows[:, [COLUMNS.index(name) for name in MEASUREMENTS]]
     guess = (0.0, paper.START_OFFSET_M, 0.0, paper.SPEED_MPS, 1.0, 1.0)
-    mhe = rhec.RHE(process_noise="calibrated", guess=guess)
+    mhe = rhec.RHE(process_noise="likelihood", guess=guess)
     ekf = rhec.EKF(
         model=mhe.model,
         dt=paper.DT_S,
         sigma_v=paper.SIGMA_V,
-        sigma_w=tuning.SIGMA_W["rhe"]["calibrated"],
+        sigma_w=tuning.SIGMA_W["rhe"]["likelihood"],
         guess=guess,
         sigma_guess=paper.SIGMA_W_RHE,
     )

@@ -228,7 +228,7 @@ def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
         pd.DataFrame(dict(t_s=wheels - first, v_left_mps=tracks[0], v_right_mps=tracks[1])),
         how="outer",
     )
-    given = dict(track_width_m=B, process_noise="calibrated", speed_model="input")
+    given = dict(track_width_m=B, process_noise="likelihood", speed_model="input")
     estimates, expected = (
         rhec.replay(each, **given, first_yaw_rad=0.0)[ESTIMATE] for each in (log, table)
     )

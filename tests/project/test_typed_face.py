@@ -14,7 +14,7 @@ import rhec
 from rhec.core.batch.batch import EKFBatch, RHEBatch
 
 Array = NDArray[Any]
-SCENARIO = rhec.Scenario(process_noise="calibrated", duration_s=2.0)
+SCENARIO = rhec.Scenario(process_noise="likelihood", duration_s=2.0)
 
 
 def test_one_run_and_many() -> None:

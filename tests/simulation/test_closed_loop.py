@@ -22,7 +22,7 @@ from rhec.tracked_robot import references, terrain
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps
     omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m
     curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
-MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="calibrated", duration_s=60.0)
+MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
 UNLIKE_TRACKS = dict(soil_under="tracks", slip_difference=0.05, rotation_centre_m=-0.2)
 UNLIKE_TRACKS |= dict(rut_length_m=0.5, gnss_slow_share=0.7, gnss_slow_time_s=300.0)
 
@@ -417,7 +417,7 @@ def test_an_open_path_is_followed_from_its_first_sample_whatever_the_noise():
 
 
 def test_a_run_says_in_five_lines_what_it_was():
-    run = rhec.simulate(rhec.Scenario(process_noise="calibrated", duration_s=60.0))
+    run = rhec.simulate(rhec.Scenario(process_noise="likelihood", duration_s=60.0))
     lines = repr(run).splitlines()
     assert len(lines) <= 5 and max(map(len, lines)) <= 200
     assert repr(run.scenario) in lines[0]
