@@ -251,4 +251,3 @@ def _in_words(told):
 
 def _pays(row):
     return f"{row['ratio']:.2f} ({row['pays']:.0f} of {row['soils']:.0f})"
-

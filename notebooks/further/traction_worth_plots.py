@@ -135,7 +135,9 @@ def map_of_worth(table):
     figure.supxlabel("error of the constant κ that the rival is told [-]", fontsize=8)
     label = "error with estimated traction\nover the rival's [-]"
     figure.colorbar(image, ax=rows, label=label, fraction=0.03, pad=0.01, extend="both")
-    words = f"{table['n'].max()} fields a cell; pale: the 95 % interval holds 1; ×: the robot is lost"
+    words = (
+        f"{table['n'].max()} fields a cell; pale: the 95 % interval holds 1; ×: the robot is lost"
+    )
     figure.suptitle(words, fontsize=8)
     return figure
 

@@ -26,8 +26,8 @@ _LEAST_KKT = 1e-5
 _DOT_AND_LINES = "stroke and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
 _POOLED = round(1 / paper.DT_S)  # samples of one second
 _MARGIN_M = 2.0  # around a drive on the map
-_MOST_BESIDE_M = 0.3  # ends of the axis of the distance beside the path
-_MOST_ERROR_M = 0.4  # upper end of the axis of one drive's error
+_MOST_BESIDE_M = 0.25  # ends of the axis of the distance beside the path
+_MOST_ERROR_M = 0.3  # upper end of the axis of one drive's error
 _START_S = 20.0  # by then each drive that settles at all has left its start behind
 _EXCERPT_S = 30.0  # length of the time span that shows κ
 _NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
@@ -205,56 +205,69 @@ def slip_fields(terrain, path, title):
 
 
 @styled
-def trajectories(runs):
-    """Draw Figure 7: the drive on the map of κ, and below how far each robot is beside the path.
+def trajectories(pairs):
+    """Draw Figure 7: the drives on the map of κ, and below how far each robot is beside the path.
 
     The paper draws both trajectories on the field, where they cannot be told apart. Here the true
     distance to the path, positive to its left, is drawn along it.
 
     Args:
-        runs: {"RHE": Run, "EKF": Run} on the same terrain.
+        pairs: {process noise: {"RHE": Run, "EKF": Run}} on the same terrain. The map has the first
+            pair.
     """
-    first = next(iter(runs.values()))
-    size = dict(figsize=(DOUBLE_IN, 3.8), height_ratios=(1.25, 1))
-    figure, (plane, beside) = plt.subplots(2, **size)
-    image = _field(plane, first.terrain, first.terrain.kappa)
-    _reference(plane, first.path)
+    first = next(iter(pairs.values()))
+    size = dict(figsize=(DOUBLE_IN, 2.2 + 1.4 * len(pairs)))
+    figure, (plane, *panels) = plt.subplots(
+        1 + len(pairs), height_ratios=(1.5, *[1] * len(pairs)), **size
+    )
+    _on_the_map(figure, plane, first)
+    for axes, runs in zip(panels, pairs.values()):
+        _beside_the_path(axes, runs)
+        axes.sharex(panels[-1])
+    panels[-1].set_xlabel("way along the path [m]  (shaded: curved parts)")
+    parts.legend_outside(figure, panels[-1], "lower center", 3)
+    return figure
+
+
+def _on_the_map(figure, axes, runs):
+    """Draw the trajectories of a pair on the map of κ."""
+    first = runs["RHE"]
+    image = _field(axes, first.terrain, first.terrain.kappa)
+    _reference(axes, first.path)
     for name in ("EKF", "RHE"):
         log = runs[name].log
         # The RHE is drawn last and narrow, so that both lines show where they agree.
         wide = dict(linewidth=1.8) if name == "EKF" else {}
-        plane.plot(log["x_m"], log["y_m"], **_LINES[name] | dict(label=None), **wide)
-    _end_of_lap(plane, first)
-    plane.plot(*first.log[["x_m", "y_m"]].iloc[0], "o", color=BLACK, markersize=3)
-    parts.note(plane, "start", first.log[["x_m", "y_m"]].iloc[0], (5, 5))
+        axes.plot(log["x_m"], log["y_m"], **_LINES[name] | dict(label=None), **wide)
+    _end_of_lap(axes, first)
+    start = first.log[["x_m", "y_m"]].iloc[0]
+    axes.plot(*start, "o", color=BLACK, markersize=3)
+    parts.note(axes, "start", start, (5, 5))
     low = first.log[["x_m", "y_m"]].min() - _MARGIN_M
     high = first.log[["x_m", "y_m"]].max() + _MARGIN_M
-    plane.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=_title(first))
-    figure.colorbar(image, ax=plane, label=r"$\kappa$ [-]", **_TRACTION_BAR)
-    _beside_the_path(beside, runs)
-    return figure
+    axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=_title(first))
+    figure.colorbar(image, ax=axes, label=r"$\kappa$ [-]", **_TRACTION_BAR)
 
 
 def _beside_the_path(axes, runs):
     """Draw how far the robots are beside the path, over the way along it."""
-    first = next(iter(runs.values()))
-    ends = []
+    first = runs["RHE"]
+    largest = []
     for name in ("EKF", "RHE"):
         log = runs[name].log
         lateral_m = _lateral(runs[name])
+        axes.plot(log["s_m"], lateral_m, **_LINES[name])
         settled = log["t_s"] >= runs[name].metrics["settling_time_s"]
-        largest_m = np.abs(lateral_m[settled]).max() if settled.any() else np.nan
-        label = f"{name}, largest after settling {largest_m:.2f} m"
-        axes.plot(log["s_m"], lateral_m, **_LINES[name] | dict(label=label))
-        ends.append(log["s_m"].iloc[-1])
+        words = f"{np.abs(lateral_m[settled]).max():.2f} m" if settled.any() else "never settles"
+        largest.append(f"{name} {words}")
+    end_m = first.log["s_m"].iloc[-1]
     bound = dict(parts.BOUND, label=f"± {paper.TOLERANCE_M} m")
-    axes.hlines([-paper.TOLERANCE_M, paper.TOLERANCE_M], 0, max(ends), **bound)
+    axes.hlines([-paper.TOLERANCE_M, paper.TOLERANCE_M], 0, end_m, **bound)
     parts.shade(axes, first.log["s_m"], ~first.log["on_straight"])
     axes.grid(axis="x", visible=False)
-    axes.set(xlim=(0, max(ends)), ylim=(-_MOST_BESIDE_M, _MOST_BESIDE_M))
-    axes.set_xlabel("way along the path [m]  (shaded: curved parts)")
-    axes.set_ylabel("beside the path [m],\npositive to the left")
-    axes.legend(loc="upper right", ncols=3, **_TIGHT)
+    axes.set(xlim=(0, end_m), ylim=(-_MOST_BESIDE_M, _MOST_BESIDE_M))
+    axes.set_ylabel("beside the\npath [m]")
+    axes.set_title(f"{_title(first)}: largest distance after settling {', '.join(largest)}")
 
 
 def _lateral(run):
@@ -277,19 +290,25 @@ def _end_of_lap(axes, run):
 
 
 @styled
-def errors(runs):
+def errors(pairs):
     """Draw Figure 8: Euclidean errors by raw GNSS of one drive, as in the paper.
 
     Args:
-        runs: {"RHE": Run, "EKF": Run} on the same terrain.
+        pairs: {process noise: {"RHE": Run, "EKF": Run}} on the same terrain, a panel for each.
     """
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.4))
-    for name in ("EKF", "RHE"):
-        _one_error(axes, name, runs[name])
-    axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-    axes.set(ylabel="Euclidean error [m]", ylim=(0, _MOST_ERROR_M), title=_title(runs["RHE"]))
-    _time_axis([axes], runs["RHE"].log)
-    parts.legend_outside(figure, axes, "lower center", 5)
+    grid = dict(sharex=True, sharey=True, squeeze=False)
+    figure, panels = plt.subplots(
+        len(pairs), 1, figsize=(DOUBLE_IN, 0.8 + 1.4 * len(pairs)), **grid
+    )
+    for axes, runs in zip(panels[:, 0], pairs.values()):
+        for name in ("EKF", "RHE"):
+            _one_error(axes, name, runs[name])
+        axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
+        means = [f"{name} {runs[name].metrics['mean_error_m']:.4f} m" for name in ("RHE", "EKF")]
+        axes.set(ylabel="error [m]", ylim=(0, _MOST_ERROR_M))
+        axes.set_title(f"{_title(runs['RHE'])}: mean {', '.join(means)}")
+    _time_axis(panels[:, 0], runs["RHE"].log)
+    parts.legend_outside(figure, panels[0, 0], "lower center", 5)
     return figure
 
 
@@ -310,7 +329,9 @@ def errors_of_many(drives, table):
         for name in ("EKF", "RHE"):
             _many_errors(many, share, name, by_name[name])
         many.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-        many.set_title(f"{parts.noise_text(noise)}, {len(by_name['RHE'])} fields\n{_means(table, noise)}")
+        many.set_title(
+            f"{parts.noise_text(noise)}, {len(by_name['RHE'])} fields\n{_means(table, noise)}"
+        )
         _time_axis(panels, by_name["RHE"][0].log)
         share.set_xlabel("time [s]  (shaded: curves)")
     rows[0, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.02, 10))
@@ -322,11 +343,9 @@ def errors_of_many(drives, table):
 
 
 def _one_error(axes, name, run):
-    """Draw the error of one drive over time; its mean and the paper's stand in the legend."""
+    """Draw the error of one drive over time; the paper's mean stands in the legend."""
     error_m = run.log["error_m"]
-    reported = REPORTED[name, "mean_error_m"]
-    mean_m = run.metrics["mean_error_m"]
-    label = f"{name}: mean {mean_m:.4f} m, paper {reported} m"
+    label = f"{name} (the paper's mean: {REPORTED[name, 'mean_error_m']} m)"
     axes.plot(run.log["t_s"], error_m, label=label, linewidth=0.8, color=COLOURS[name])
     # The start is off the path by design; an error that leaves the axis later is told.
     largest_m = error_m[run.log["t_s"] > _START_S].max()

@@ -13,54 +13,64 @@ from pathlib import Path
 
 import pandas as pd
 
-from notebooks.claims.summary import verdict_counts
-from notebooks.studies.statistics import FAILS, HOLDS
+from notebooks.claims.summary import DEPARTURE, PRINTED, verdict_counts
+from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 from notebooks.studies.tables import interval_text, three_digits
 from rhec import paper
 
-__all__ = ["RESULTS", "RULES", "bar", "in_words", "paper_beside_ours", "to_markdown"]
+__all__ = ["RESULTS", "bar", "in_words", "paper_beside_ours", "to_markdown"]
 
 RESULTS = Path(__file__).resolve().parents[2] / "data/results"
-RULES = {  # {process_noise: heading of its column}
-    "printed": "W as printed",
-    "consistent": "W consistent",
-    "likelihood": "W by likelihood",
+_RULES = {  # {process_noise: the rule that picks W}
+    "printed": "as printed",
+    "consistent": "consistent",
+    "likelihood": "by likelihood",
+    "tracking": "best drive at R = 10",
 }
+_SHOWN = ("printed", "consistent", "likelihood")  # as columns of the table
 _ERROR = "mean error, raw GNSS [m]"
 _VIOLATIONS = "violations on straights, raw GNSS"
 _GAIN = "RHE - EKF"
 _ROWS = [  # label, whose, quantity
     ("Mean error, RHE [m]", "RHE", _ERROR),
     ("Mean error, EKF [m]", "EKF", _ERROR),
-    ("The RHE's error is the smaller: RHE - EKF [m]", _GAIN, _ERROR),
+    ("The RHE's error is the smaller: RHE − EKF [m]", _GAIN, _ERROR),
     ("Violations of 0.12 m, RHE", "RHE", _VIOLATIONS),
     ("Violations of 0.12 m, EKF", "EKF", _VIOLATIONS),
-    ("The RHE violates less: RHE - EKF", _GAIN, _VIOLATIONS),
+    ("The RHE violates less: RHE − EKF", _GAIN, _VIOLATIONS),
 ]
+_WEIGHTS = {"Q1": "Q¹", "Q2": "Q²", "Q3": "Q³"}
 _MET = "met"
 _POSSIBLE = "possible"
 _NOT_MET = "not met"
 _LOST = "lost"
-_NEAR = 0.1
+_EKF_LOST = "the EKF is lost"
+_NEAR = 0.1  # a mean is near the paper's number if it is within this share of it
 _LEDGER = "data/results/claims.csv"
-_PER_BLOCK = 2  # sentences for each block of the bar
+_SQUARES = {HOLDS: "🟩", PRINTED: "🟦", DEPARTURE: "🟦", FAILS: "🟥", UNDECIDED: "🟧"}
+_SQUARES |= {UNTESTABLE: "⬜"}
+_PER_SQUARE = 2  # sentences
 
 
 # Scenario B: the paper's numbers beside ours
 
 
-def _scenario_b():
+def _scenario_b(folder):
     """Scenario B's numbers by (estimator, quantity, process noise)."""
-    table = pd.read_csv(RESULTS / "table_scenario_b.csv")
+    table = pd.read_csv(folder / "table_scenario_b.csv")
     return table.set_index(["estimator", "quantity", "process_noise"]).sort_index()
+
+
+def _is_lost(numbers, estimator, rule):
+    """Whether a robot with this estimator is, in the mean, beyond the tolerance of the rows."""
+    return numbers.loc[estimator, _ERROR, rule]["mean"] > paper.TOLERANCE_M
 
 
 def _judged(numbers, whose, quantity, rule):
     """What one of our numbers says of the paper's: a word."""
     row = numbers.loc[whose, quantity, rule]
     if whose == _GAIN:
-        is_lost = _is_lost(numbers, "EKF", rule)
-        return f"{row['verdict']} (the EKF is lost)" if is_lost else row["verdict"]
+        return _EKF_LOST if _is_lost(numbers, "EKF", rule) else row["verdict"]
     if _is_lost(numbers, whose, rule):
         return _LOST
     if abs(row["mean"] - row["paper"]) <= _NEAR * row["paper"]:
@@ -68,43 +78,35 @@ def _judged(numbers, whose, quantity, rule):
     return _POSSIBLE if row["p5"] <= row["paper"] <= row["p95"] else _NOT_MET
 
 
-def _is_lost(numbers, estimator, rule):
-    return numbers.loc[estimator, _ERROR, rule]["mean"] > paper.TOLERANCE_M
-
-
 def _by_word(words):
     """{rule: word} as "met: as printed; possible: consistent"; the word alone if all agree."""
-    if len(set(words.values())) == 1:
-        return next(iter(words.values()))
     groups = {}
     for rule, word in words.items():
-        groups.setdefault(word, []).append(RULES[rule].removeprefix("W "))
+        groups.setdefault(word, []).append(_RULES[rule])
+    if len(groups) == 1:
+        return next(iter(groups))
     return "; ".join(f"{word}: {', '.join(rules)}" for word, rules in groups.items())
 
 
-def _rules_of(numbers):
-    return [rule for rule in RULES if rule in numbers.index.get_level_values("process_noise")]
-
-
-def paper_beside_ours():
+def paper_beside_ours(folder=RESULTS):
     """Scenario B beside the paper: one row a quantity, one column a rule for W, and the verdict.
+
+    Args:
+        folder: Folder of the tables.
 
     Returns:
         DataFrame of texts.
     """
-    numbers = _scenario_b()
-    rules = _rules_of(numbers)
+    numbers = _scenario_b(folder)
     rows = []
     for label, whose, quantity in _ROWS:
-        of_rules = {rule: numbers.loc[whose, quantity, rule] for rule in rules}
-        first = of_rules[rules[0]]
-        row = {
-            f"mean of {first['n']} fields [95 % interval]": label,
-            "the paper": f"{first['paper']:g}",
-        }
-        for rule, found in of_rules.items():
-            row[RULES[rule]] = interval_text(found["mean"], found["low"], found["high"])
-        words = {rule: _judged(numbers, whose, quantity, rule) for rule in rules}
+        found = {rule: numbers.loc[whose, quantity, rule] for rule in _SHOWN}
+        first = found[_SHOWN[0]]
+        row = {f"mean of {first['n']} fields [95 % interval]": label}
+        row["the paper"] = f"{first['paper']:g}"
+        for rule, ours in found.items():
+            row[f"W {_RULES[rule]}"] = interval_text(ours["mean"], ours["low"], ours["high"])
+        words = {rule: _judged(numbers, whose, quantity, rule) for rule in _SHOWN}
         rows.append(row | dict(verdict=_by_word(words)))
     return pd.DataFrame(rows)
 
@@ -112,146 +114,142 @@ def paper_beside_ours():
 # The sentences
 
 
-def in_words():
-    """The answer as Markdown: one line for each question that a reader has."""
-    numbers = _scenario_b()
-    rules = _rules_of(numbers)
-    tracking = _tracking()
-    lines = [
-        f"- **The numbers: {_says_numbers(numbers)}**",
-        f"- **RHE before EKF: {_says_order(numbers, rules, tracking)}**",
-        f"- **The cause: {_says_cause(numbers, rules, tracking)}**",
-        f"- **The EKF as printed: {_says_printed(numbers)}**",
-        f"- **The weights, Scenario A: {_says_weights()}**",
-        f"- **Computation times: {_says_times()}**",
+def in_words(folder=RESULTS):
+    """The answer as Markdown: one line for each question that a reader has.
+
+    Args:
+        folder: Folder of the tables.
+    """
+    numbers = _scenario_b(folder)
+    said = [
+        ("The numbers", _says_numbers(numbers)),
+        ("RHE before EKF", _says_order(numbers)),
+        ("The cause", _says_cause(numbers)),
+        ("The EKF as printed", _says_printed(numbers)),
+        ("The weights (Scenario A)", _says_weights(folder)),
+        ("Computation times", _says_times(folder)),
     ]
-    return "\n".join(lines)
+    return "\n".join(f"- **{what}: {short}** {why}" for what, (short, why) in said)
 
 
 def _yes_or_no(is_so):
     return "yes" if is_so else "no"
 
 
+def _said_of(verdict):
+    """A verdict as the answer to a question."""
+    return {HOLDS: "yes", FAILS: "no"}.get(verdict, verdict)
+
+
 def _says_numbers(numbers):
-    """Whether the RHE as printed has the paper's error, in the mean and as one drive."""
+    """Whether the RHE as printed has the paper's error, in the mean and in one drive."""
     row = numbers.loc["RHE", _ERROR, "printed"]
-    off = 100 * (row["mean"] / row["paper"] - 1)
-    in_the_mean = abs(off) <= 100 * _NEAR
-    as_one_drive = row["p5"] <= row["paper"] <= row["p95"]
-    ekf = {
-        rule: numbers.loc["EKF", _ERROR, rule]
-        for rule in _rules_of(numbers)
-        if not _is_lost(numbers, "EKF", rule)
-    }
-    ours = ", ".join(
-        f"{row['mean']:.4f} m ({RULES[rule].removeprefix('W ')})" for rule, row in ekf.items()
-    )
-    ekf_word = _by_count([_judged(numbers, "EKF", _ERROR, rule) for rule in ekf])
-    return (
-        f"{_yes_or_no(in_the_mean)} in the mean, {_yes_or_no(as_one_drive)} for one drive.** "
+    off = row["mean"] / row["paper"] - 1
+    in_the_mean = _yes_or_no(abs(off) <= _NEAR)
+    in_one_drive = _yes_or_no(row["p5"] <= row["paper"] <= row["p95"])
+    driven = [rule for rule in _SHOWN if not _is_lost(numbers, "EKF", rule)]
+    means = {rule: numbers.loc["EKF", _ERROR, rule]["mean"] for rule in driven}
+    words = {rule: _judged(numbers, "EKF", _ERROR, rule) for rule in driven}
+    of_ekf = ", ".join(f"{means[rule]:.4f} m {_RULES[rule]} ({words[rule]})" for rule in driven)
+    why = (
         f"The RHE as printed has {row['mean']:.4f} m, the paper {row['paper']:.4f} m "
-        f"({off:+.0f} %; 90 % of drives have {row['p5']:.4f} to {row['p95']:.4f} m). "
-        f"The EKF has {ours}, the paper {paper.MEAN_ERROR_EKF_M:.4f} m: {ekf_word}."
+        f"({_signed_percent(off)}; 90 % of the drives have {row['p5']:.4f} to {row['p95']:.4f} m). "
+        f"The EKF has {of_ekf or 'no mean within the rows'}, the paper "
+        f"{paper.MEAN_ERROR_EKF_M:.4f} m."
     )
+    return f"for the RHE {in_the_mean} in the mean, {in_one_drive} for one drive.", why
 
 
-def _by_count(words):
-    """Words for a sentence, each once."""
-    return ", ".join(dict.fromkeys(words)) or "it is always lost"
+def _signed_percent(share):
+    return f"{100 * share:+.1f} %".replace("-", "−")
 
 
-def _says_order(numbers, rules, tracking):
+def _says_order(numbers):
     """The order of the mean errors by each rule that picks W for both."""
-    verdicts = {
-        RULES[rule].removeprefix("W "): _judged(numbers, _GAIN, _ERROR, rule) for rule in rules
-    }
-    verdicts["best drive at R = 10"] = tracking["verdict"]
-    fair = [word for word in verdicts.values() if _LOST not in word]
-    if set(fair) == {HOLDS}:
-        short = "yes, by every rule that picks W."
-    elif set(fair) == {FAILS}:
-        short = "no, by no rule that picks W."
-    else:
-        short = "it depends on the rule that picks W for both."
-    said = "; ".join(f"{rule}: {word}" for rule, word in verdicts.items())
-    return f"{short}** {said[0].upper()}{said[1:]}."
+    words = {rule: _judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES}
+    fair = {word for word in words.values() if word != _EKF_LOST}
+    short = "it depends on the rule that picks W for both."
+    if fair == {HOLDS}:
+        short = "yes, by every rule that picks W for both."
+    elif fair == {FAILS}:
+        short = "no, by none of the rules that pick W for both."
+    said = "; ".join(
+        f"{_RULES[rule]}: {word}{_pair(numbers, rule)}" for rule, word in words.items()
+    )
+    return short, f"{said[0].upper()}{said[1:]}."
 
 
-def _tracking():
-    """RHE and EKF at the paper's R with the W that drives best, in 240 s."""
-    table = pd.read_csv(RESULTS / "table_three_rules.csv")
-    rows = table.query("drive == '240 s' and process_noise == 'tracking'").set_index("estimator")
-    rhe, ekf = rows.loc["RHE"], rows.loc["EKF"]
-    if rhe["difference_high"] < 0:
-        verdict = HOLDS
-    else:
-        verdict = FAILS if rhe["difference_low"] > 0 else "undecided"
-    words = f"{verdict}, {rhe['mean_error_m']:.4f} against {ekf['mean_error_m']:.4f} m"
-    return dict(verdict=words, rhe=rhe["mean_error_m"], ekf=ekf["mean_error_m"])
+def _pair(numbers, rule):
+    """Both mean errors by a rule, unless one is lost."""
+    if _is_lost(numbers, "EKF", rule):
+        return ""
+    rhe, ekf = (numbers.loc[name, _ERROR, rule]["mean"] for name in ("RHE", "EKF"))
+    return f", {rhe:.4f} against {ekf:.4f} m"
 
 
-def _says_cause(numbers, rules, tracking):
-    """Whether an EKF that knows of no slip does as well as every RHE once its W fits."""
-    best_rule = min(rules, key=lambda rule: numbers.loc["RHE", _ERROR, rule]["mean"])
+def _says_cause(numbers):
+    """Whether an EKF that knows of no slip does as well as the RHE once its W fits."""
+    best_rule = min(_SHOWN, key=lambda rule: numbers.loc["RHE", _ERROR, rule]["mean"])
     best = numbers.loc["RHE", _ERROR, best_rule]["mean"]
-    ekf = tracking["ekf"]
-    name = RULES[best_rule].removeprefix("W ")
-    compared = f"{ekf:.4f} m, against {best:.4f} m of the RHE with W {name}"
+    ekf = numbers.loc["EKF", _ERROR, "tracking"]["mean"]
+    against = f"{ekf:.4f} m, the RHE above at best {best:.4f} m ({_RULES[best_rule]})"
     if ekf < best:
         return (
-            "the gain on the heading, not the traction.** An EKF that knows of no slip, with a "
-            f"larger σ of the yaw in W and nothing else changed, has {compared}."
+            "the gain on the heading, not the traction.",
+            f"With a W that trusts its heading less, an EKF that knows of no slip has {against}.",
         )
-    return f"the traction may be it.** An EKF that knows of no slip has, at best, {compared}."
+    return (
+        "it may be the traction.",
+        f"With the W that drives best, an EKF that knows of no slip has {against}.",
+    )
 
 
 def _says_printed(numbers):
     """Whether the printed W of the EKF can be what was driven."""
     row = numbers.loc["EKF", _ERROR, "printed"]
-    ours = f"its mean error here is {three_digits(row['mean'])} m, the paper's {row['paper']} m"
+    ours = f"mean error here is {three_digits(row['mean'])} m, the paper's {row['paper']} m"
     if _is_lost(numbers, "EKF", "printed"):
-        return f"this cannot be what was driven.** It loses its heading: {ours}."
-    return f"it can be driven.** {ours[0].upper()}{ours[1:]}."
+        return "it cannot be what was driven.", f"It loses its heading: its {ours}."
+    return "it can be driven.", f"Its {ours}."
 
 
-def _says_weights():
+def _says_weights(folder):
     """Scenario A in the paper's words: Q¹ slow, Q² overshoots, Q³ the best of the three."""
-    table = pd.read_csv(RESULTS / "table_scenario_a.csv").set_index(["weight", "quantity"])
-    slow = table.loc["Q1 / Q3", "settling time, ratio"]
-    swings = table.loc["Q2 / Q3", "overshoot, ratio"]
-    errors = {name: table.loc[name, "mean error, true [m]"] for name in ("Q1", "Q2", "Q3")}
-    best = min(errors, key=lambda name: errors[name]["mean"])
-    symbol = dict(Q1="Q¹", Q2="Q²", Q3="Q³")
-    means = ", ".join(f"{symbol[name]} {errors[name]['mean']:.3f}" for name in errors)
-    return (
-        f"Q¹ slow: {_yes_or_no(slow['verdict'] == HOLDS)}. Q² overshoots: "
-        f"{_yes_or_no(swings['verdict'] == HOLDS)}. Q³ the best: {_yes_or_no(best == 'Q3')}.** "
-        f"Q¹ settles after {three_digits(slow['mean'])} times as long as Q³, Q² swings "
-        f"{three_digits(swings['mean'])} times as far, and {symbol[best]} has the least error "
-        f"({means} m)."
+    table = pd.read_csv(folder / "table_scenario_a.csv").set_index(["weight", "quantity"])
+    slow = table.loc[("Q1 / Q3", "settling time, ratio")]
+    swings = table.loc[("Q2 / Q3", "overshoot, ratio")]
+    means = {name: table.loc[(name, "mean error, true [m]"), "mean"] for name in _WEIGHTS}
+    best = min(means, key=means.get)
+    short = (
+        f"Q¹ slow: {_said_of(slow['verdict'])}; Q² overshoots: "
+        f"{_said_of(swings['verdict'])}; Q³ the best of the three: "
+        f"{_yes_or_no(best == 'Q3')}."
     )
+    errors = ", ".join(f"{_WEIGHTS[name]} {mean:.3f} m" for name, mean in means.items())
+    why = (
+        f"Q¹ takes {three_digits(slow['mean'])} times as long as Q³ to settle, Q² overshoots "
+        f"{three_digits(swings['mean'])} times as far as Q³; mean errors {errors}."
+    )
+    return short, why
 
 
-def _says_times():
+def _says_times(folder):
     """What the ledger says of the paper's times."""
-    verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
-    feasible = _yes_or_no(verdicts["T7"] == HOLDS)
-    return (
-        f"real time at 5 Hz: {feasible}; the paper's {paper.STEP_MEAN_MS} ms: {verdicts['T1']}.** "
-        "They belong to its Raspberry Pi 3."
-    )
+    verdicts = pd.read_csv(folder / "claims.csv").set_index("id")["verdict"]
+    short = f"real time at 5 Hz: {_said_of(verdicts['T7'])}."
+    why = f"{paper.STEP_MEAN_MS} ms a step on the paper's Raspberry Pi 3: {verdicts['T1']}."
+    return short, why
 
 
-def bar(link=_LEDGER):
-    """How many of the paper's sentences have each verdict, as a bar of links in Markdown."""
-    counts = verdict_counts(pd.read_csv(RESULTS / "claims.csv"))["claims"]
+def bar(folder=RESULTS):
+    """How many of the paper's sentences have each verdict: a bar of links, in Markdown."""
+    counts = verdict_counts(pd.read_csv(folder / "claims.csv"))["claims"]
     parts = [
-        f"[{'█' * -(-count // _PER_BLOCK)} {count} {verdict}]({link})"
+        f"[{_SQUARES[verdict] * -(-count // _PER_SQUARE)} {verdict}: {count}]({_LEDGER})"
         for verdict, count in counts.items()
         if count
     ]
-    first, *others = parts
-    return f"Of the {counts.sum()} sentences that can be checked: " + " · ".join([first, *others])
+    return f"Of the {counts.sum()} sentences of the paper that were judged: {' '.join(parts)}"
 
 
 def to_markdown(frame):
