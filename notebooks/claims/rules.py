@@ -17,7 +17,7 @@ import numpy as np
 
 from notebooks.claims import experiments, run_sets
 from notebooks.studies import statistics, timing
-from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, UNTESTABLE, Finding
+from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, LOST, UNTESTABLE, Finding
 from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
@@ -196,6 +196,7 @@ _IDS = {
 }
 _REQUIRED = {"sentence", "quote", "rule"}
 _OPTIONAL = {"test", "of", "departures", "paper", "other_worlds", "why", "derived", "beside"}
+_OPTIONAL |= {"rival"}
 _OPTIONAL |= {*_KINDS}
 
 
@@ -208,6 +209,13 @@ def _judge(evidence, confidence, rule, bounds, tables, expressions):
     n = min(map(len, found))
     values = [_value(table[:n], expression) for table in found for expression in expressions]
     return rule(*values, **bounds, confidence=confidence)
+
+
+def _unless_lost(evidence, confidence, judge, rival, lost):
+    """The Finding of `judge`; where the rival is lost in most fields, that is its verdict."""
+    finding = judge(evidence, confidence)
+    is_lost = _value(evidence[rival], lost).mean() > 0.5
+    return finding._replace(verdict=LOST, p=np.nan) if is_lost else finding
 
 
 def _value(table, expression):
@@ -242,6 +250,9 @@ def _condition(entry, expressions, process_noise, instead):
         tables=tables,
         expressions=[instead.get(column, column) for column in columns],
     )
+    if "rival" in entry:
+        place = entry[kind].index(entry["rival"])
+        judge = partial(_unless_lost, judge=judge, rival=tables[place], lost=expressions["lost"])
     return Condition(judge, tables)
 
 
@@ -325,6 +336,8 @@ def _check(id_, entry, departures):
     if unknown := {*entry.get("departures", [])} - {*departures}:
         refuse(f"had the unknown departure {sorted(unknown)[0]}", f"have {sorted(departures)}")
     _check_tables(entry, name, refuse)
+    if "rival" in entry and entry["rival"] not in entry.get("runs", []):
+        refuse(f"had the rival {entry['rival']!r}", f"have one of its runs {entry.get('runs')}")
     for part in entry.get("beside", []):
         if missing := {"what", "rule", "of"} - {*part}:
             refuse(f"had no {sorted(missing)[0]} in what stands beside it", "have one")

@@ -85,7 +85,9 @@ _SMOOTHED = dict(arrival_mean="smoothed")
 RUNS = {
     "rhe": dict(),
     "rhe_smoothed": _SMOOTHED,
+    "rhe_consistent": dict(process_noise="consistent"),
     "ekf": dict(estimator="ekf"),
+    "ekf_consistent": dict(estimator="ekf", process_noise="consistent"),
     "oracle": _ORACLE,
     "no_slip": dict(estimator="rhe_no_slip"),
     "fixed_traction": dict(estimator="rhe_fixed_traction"),
@@ -115,6 +117,7 @@ RUNS = {
 LOGS = {
     "rhe": dict(),
     "rhe_smoothed": _SMOOTHED,
+    "rhe_consistent": dict(process_noise="consistent"),
     "rhe_small_w": dict(sigma_w=_traction_noise_times(0.1)),
     "rhe_constant_parameters": dict(sigma_w=_traction_noise_times(0.0)),
     "rhe_poor_start": dict(guess_yaw_rad=1.0),

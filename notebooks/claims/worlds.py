@@ -1,9 +1,9 @@
 """In which share of the posterior's worlds each claim about driving holds.
 
-A world is a dict of Scenario's fields. It may also say which W the RHE has (process_noise) and
-which the EKF (process_noise_ekf); otherwise both are calibrated. In each, a few fields are driven,
-and the rule of a claim is applied to the value itself: few fields have no useful interval, but the
-share of worlds has one.
+A world is a dict of Scenario's fields. It may also say which W the RHE has (w_rhe) and which the
+EKF (w_ekf, see `which_worlds.noise_of`); all others are those by likelihood. In each, a few fields
+are driven, and the rule of a claim is applied to the value itself: few fields have no useful
+interval, but the share of worlds has one.
 
 With μ and v the soil's mean and the speed, a drive lasts for a row, a headland and a quarter of the
 next row at the pace μv, or for the first row alone. A world that says how long its drive lasts is
@@ -11,13 +11,16 @@ taken at its word where the RHE, the EKF and the oracle alone are compared, beca
 violations grow with the length.
 """
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 
 from notebooks.claims import evidence as looks
 from notebooks.claims import run_sets
 from notebooks.claims.rules import LIKELIHOOD
-from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, share
+from notebooks.studies import which_worlds
+from notebooks.studies.statistics import FAILS, HOLDS, LOST, UNDECIDED, share
 from rhec import paper
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
@@ -33,16 +36,18 @@ _WHOLE_DRIVES = {"rhe", "ekf", "oracle"}  # claims on these alone are judged on 
 
 def _usable(world):
     """A world's fields of Scenario without those that a claim decides."""
-    decided = {"process_noise", "process_noise_ekf", "sigma_w", "estimator", "seed", "q", "r"}
-    return {name: of for name, of in world.items() if of is not None and name not in decided}
+    names = {field.name for field in dataclasses.fields(Scenario)}
+    decided = {"process_noise", "sigma_w", "arrival_mean", "estimator", "seed", "q", "r"}
+    return {name: of for name, of in world.items() if of is not None and name in names - decided}
 
 
-def _process_noise(world, estimator):
-    """Which W an estimator has in a world."""
-    if estimator == "ekf":
-        return world.get("process_noise_ekf", "likelihood")
-    named = world.get("process_noise", "likelihood")
-    return named if named in tuning.SIGMA_W.get(estimator, {}) else "likelihood"
+def _noise(world, estimator):
+    """The fields of Scenario that give an estimator the W that it has in a world."""
+    w = world.get("w_ekf" if estimator == "ekf" else "w_rhe", "likelihood")
+    noise = dict(process_noise=None) | which_worlds.noise_of(estimator, w, world)
+    of_estimator = tuning.SIGMA_W.get(estimator, {})
+    named = noise["process_noise"] in of_estimator or "sigma_w" in noise
+    return noise if named else dict(process_noise="likelihood")
 
 
 def _drive_s(fields, on_row):
@@ -59,13 +64,14 @@ def _scenarios(table, world, seeds, whole):
     kind, id_ = table
     fields = _usable(world)
     of_id = (run_sets.RUNS if kind == "runs" else run_sets.LOGS)[id_]
-    process_noise = _process_noise(world, of_id.get("estimator", "rhe"))
+    noise = _noise(world, of_id.get("estimator", "rhe"))
+    process_noise = noise.pop("process_noise")
     on_row = id_ in run_sets.ON_ROW
     duration_s = fields.pop("duration_s", None)
     if duration_s is None or on_row or not whole:
         duration_s = _drive_s(fields | run_sets.fields_of(of_id, process_noise), on_row)
     of_id = {name: value for name, value in of_id.items() if name != "duration_s"}
-    world = fields | dict(duration_s=duration_s)
+    world = fields | noise | dict(duration_s=duration_s)
     return run_sets.scenarios(of_id, process_noise, seeds, world)
 
 
@@ -119,6 +125,8 @@ def _in_world(claim, found, place, fields):
 def by_value(finding):
     """The verdict of a rule's value, without an interval; UNDECIDED if there is no value.
 
+    To beat a rival that is lost is LOST here, too.
+
     A number that the paper reports must lie in the interval of single runs and near their mean.
     """
     value, low, high, above, below = (
@@ -126,6 +134,8 @@ def by_value(finding):
     )
     if not np.isfinite(value):
         return UNDECIDED
+    if finding.verdict == LOST:
+        return LOST
     if above == below:
         near = abs(value - above) < 0.25 * abs(above)
         return HOLDS if near and low <= above <= high else FAILS

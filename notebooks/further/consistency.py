@@ -20,7 +20,6 @@ from scipy.special import gammaincinv
 from notebooks.studies import calibration
 from notebooks.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
 from notebooks.studies.tables import readable
-from rhec import paper
 from rhec.simulation import offline
 from rhec.simulation.columns import MEASUREMENTS, TRUTH
 from rhec.simulation.offline import SETTLED_S
@@ -45,14 +44,15 @@ __all__ = [
 ]
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
-ESTIMATORS = {  # fields of Scenario; W is printed, by likelihood, or consistent by `tune`
+ESTIMATORS = {  # fields of Scenario
     "EKF, printed": dict(estimator="ekf", process_noise="printed"),
-    "EKF, calibrated": dict(estimator="ekf", process_noise="likelihood"),
+    "EKF, likelihood": dict(estimator="ekf", process_noise="likelihood"),
+    "EKF, consistent": dict(estimator="ekf", process_noise="consistent"),
     "RHE, printed": dict(process_noise="printed"),
-    "RHE, calibrated": dict(process_noise="likelihood"),
+    "RHE, likelihood": dict(process_noise="likelihood"),
     "RHE, consistent": dict(process_noise="consistent"),
-    "bounded EKF, calibrated": dict(estimator="bounded_ekf", process_noise="likelihood"),
-    "yaw-drift EKF, calibrated": dict(estimator="yaw_drift_ekf"),
+    "bounded EKF, likelihood": dict(estimator="bounded_ekf"),
+    "yaw-drift EKF, likelihood": dict(estimator="yaw_drift_ekf"),
     "traction oracle": dict(estimator="traction_oracle"),
 }
 
@@ -60,7 +60,7 @@ ESTIMATORS = {  # fields of Scenario; W is printed, by likelihood, or consistent
 # `tune` allows NEES, and the errors of x, y, θ, ν, μ and κ over σ, to be off 1 by these factors.
 _BAND = np.array([1.05] + [1.2] * 6)
 _COST = 20.0  # weight of the squared excess over the band
-_FIRST = 0.02, 0.02, 0.01, 0.05  # σ of the position, of μ, of κ, and σ_ω, where the search begins
+_MOST = 0.3  # of a standard deviation: ten times that of the GNSS, and more than any error here
 
 
 class Consistency(NamedTuple):
@@ -112,20 +112,8 @@ def measure_all(seeds):
     return {name: measure(Scenario(**fields), runs) for name, fields in ESTIMATORS.items()}
 
 
-def _fields(logarithms):
-    """Fields of Scenario of the search's unknowns: ln σ of position, μ and κ, and ln σ_ω.
-
-    The mean of the arrival cost is the filter's. Noise of the yaw enters inside the window, by
-    σ_ω; yaw and speed have no process noise besides.
-    """
-    position, mu, kappa, omega = np.exp(logarithms).tolist()
-    sigma_w = (position, position, calibration.LEAST, calibration.LEAST, mu, kappa)
-    sigma_v = (*paper.SIGMA_V[:3], omega)
-    return dict(sigma_w=sigma_w, sigma_v=sigma_v, arrival_mean="filtered")
-
-
-def tune():
-    """Find a W whose RHE is consistent (NEES close to 1) and drives well.
+def tune(estimator):
+    """Find a W whose covariance is as large as the errors (NEES close to 1), and that drives well.
 
     One-step innovations hardly depend on the covariance of what is not measured, so their
     likelihood cannot make an estimator consistent. The objective is
@@ -133,28 +121,21 @@ def tune():
         ln(mean true error) + 20 Σ max(0, |ln r_i| - ln b_i)²
 
     over the training seeds, where r is NEES by its degrees of freedom and the RMS error over σ of
-    each state, and b is _BAND. Nelder and Mead's method, since σ_ω and W depend on each other. The
-    results are sigma_w, σ_ω, and the objective.
+    each state, and b is _BAND. The results are those of `calibration.evolve`.
     """
-    from scipy.optimize import minimize  # a fifth of a second to load, and few ever search
-
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS)
 
-    def objective(logarithms):
-        fields = _fields(logarithms)
+    def objective(sigma):
+        fields = calibration.of_errors(estimator, sigma)
         measured = measure(Scenario(**fields), runs)
         (_, nees, degrees), *_ = normalised(measured)
         ratios = np.sqrt(mean_square_errors(measured).mean(axis=0))
-        excess = np.abs(np.log([nees.mean() / degrees, *ratios])) - np.log(_BAND)
+        band = _BAND[: 1 + len(ratios)]
+        excess = np.abs(np.log([nees.mean() / degrees, *ratios])) - np.log(band)
         error_m = calibration.tracking_error_m(**fields)
         return np.log(error_m) + _COST * np.sum(np.maximum(excess, 0) ** 2)
 
-    # A simplex wider than SciPy's default, which is 5 % of each logarithm and ends near its start.
-    first = np.log(_FIRST)
-    options = dict(initial_simplex=first + np.vstack([np.zeros(4), 0.7 * np.eye(4)]), maxfev=60)
-    result = minimize(objective, first, method="Nelder-Mead", options=options)
-    best = _fields(result.x)
-    return best["sigma_w"], best["sigma_v"][3], result.fun
+    return calibration.evolve(objective, calibration.OF_ERRORS[estimator], _MOST)
 
 
 def normalised_squared(e, P):
@@ -239,4 +220,5 @@ def readable_consistency(table):
 
 
 if __name__ == "__main__":
-    print("consistent", *tune())
+    for name in ("rhe", "ekf"):
+        print("consistent", name, *tune(name))

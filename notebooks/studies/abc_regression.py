@@ -32,6 +32,7 @@ class Simulations(NamedTuple):
         statistics: (n, k) what it gave.
         scales: (k,) by which differences of the statistics are divided.
         discrete: (d,) flags of the parameters that are choices; regression leaves them alone.
+        prior: (n,) weight of each simulation in the prior.
     """
 
     unit: np.ndarray
@@ -39,6 +40,7 @@ class Simulations(NamedTuple):
     statistics: np.ndarray
     scales: np.ndarray
     discrete: np.ndarray
+    prior: np.ndarray
 
 
 class Draws(NamedTuple):
@@ -71,7 +73,7 @@ def posterior(simulations, observed, keep, but_world=None):
     if but_world is not None:
         squares = np.where(simulations.world == but_world, np.inf, squares)
     rows = np.argpartition(squares, keep)[:keep]
-    weights = 1 - squares[rows] / squares[rows].max()
+    weights = simulations.prior[rows] * (1 - squares[rows] / squares[rows].max())
     weights = weights / weights.sum()
     worlds = simulations.world[rows]
     unit = _corrected(simulations.unit[worlds], scaled[rows], weights, simulations.discrete)

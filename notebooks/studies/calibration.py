@@ -1,41 +1,51 @@
-"""Process noise W from training seeds, never from the paper's results: by likelihood (calibrated W,
-R1, R2), and by tracking. Seeds below 1000 are never used.
+"""Process noise W from training seeds, never from the paper's results: by likelihood (R1, R2), by
+consistency and by tracking, each for RHE and EKF alike. Seeds below 1000 are never used.
 
-All estimators are tuned by the same rules: the same bounds on a standard deviation per sample, the
-same first guess, the same search (Powell's method on logarithms, x and y sharing one value) and the
-same number of evaluations for each unknown.
+All estimators are tuned by the same rules, in the default world and with the arrival mean that
+ACADO's code has: the same bounds on a standard deviation per sample, and for each rule the same
+search.
 
 By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
 so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
 its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
-deviations behind W that minimise the deviance summed over all training runs.
+deviations behind W that minimise the deviance summed over all training runs (`search`).
+
+By consistency. W minimises the mean true error among those whose covariance is as large as the
+errors (`notebooks/further/consistency.py`).
 
 By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true
-error. That W need not give the best estimates; it gives those that this controller drives best by.
+error. That W need not give the best estimates; it gives those that this controller drives best.
 
-    python -m notebooks.studies.calibration    repeats all of it (half an hour)
+The last two objectives have many minima, of which differential evolution (`evolve`) finds a good
+one. They see the RHE's errors, so they also set its σ_ω, through which noise of the yaw enters the
+window; it is one more unknown after those of W.
+
+    python -m notebooks.studies.calibration    repeats likelihood and tracking (half an hour)
 """
 
 import contextlib
 
 import numpy as np
 
+from rhec import paper
 from rhec.core.lanes import lanes
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import build_sample, set_up
 from rhec.simulation.offline import run_estimator
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
-from rhec.tracked_robot import tuning
 
 __all__ = [
     "EVALUATIONS",
     "LEAST",
     "MOST",
+    "OF_ERRORS",
     "TRAINING_SEEDS",
     "UNKNOWNS",
     "calibrate",
     "deviance",
+    "evolve",
+    "of_errors",
     "oracle_runs",
     "search",
     "tracking_error_m",
@@ -48,7 +58,9 @@ _TRACKING_SEEDS = range(1000, 1024)
 LEAST = 1e-3
 MOST = 10.0
 _FIRST = 0.01  # where each search begins
-EVALUATIONS = 40  # for each unknown
+EVALUATIONS = 40  # of `search`, for each unknown
+_MEMBERS = 6  # of `evolve`, for each unknown
+_GENERATIONS = 20
 # The places in sigma_w that each unknown sets.
 _POSE = [(0, 1), (2,), (3,)]
 _SOIL = [(4,), (5,)]
@@ -56,6 +68,9 @@ UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
 _NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
 UNKNOWNS |= dict.fromkeys((*_NOT_ESTIMATED, "drift_oracle"), _POSE)
 UNKNOWNS["yaw_drift_ekf"] = _POSE + _SOIL + [(6,)]
+# Of the rules that look at errors: W, and in place 6 the RHE's σ_ω.
+OF_ERRORS = dict(rhe=_POSE + _SOIL + [(6,)], ekf=_POSE, bounded_ekf=_POSE + _SOIL)
+_MOST_BY_TRACKING = 1.0
 
 
 def oracle_runs(seeds, duration_s=240.0, **world):
@@ -90,10 +105,7 @@ def search(objective, unknowns):
     def evaluate(logarithms):
         if len(tried) == EVALUATIONS * len(unknowns):
             raise _Exhausted
-        sigma = np.full(max(map(max, unknowns)) + 1, LEAST)
-        for places, logarithm in zip(unknowns, logarithms):
-            sigma[list(places)] = np.exp(logarithm)
-        sigma_w = tuple(sigma.tolist())
+        sigma_w = _sigma_of(logarithms, unknowns)
         tried[sigma_w] = objective(sigma_w)
         return tried[sigma_w]
 
@@ -108,6 +120,44 @@ def search(objective, unknowns):
         )
     best = min(tried, key=tried.get)
     return tuple(float(f"{value:.2g}") for value in best), tried[best]
+
+
+def _sigma_of(logarithms, unknowns):
+    """The standard deviations with these logarithms in the places of the unknowns, else LEAST."""
+    sigma = np.full(max(map(max, unknowns)) + 1, LEAST)
+    for places, logarithm in zip(unknowns, logarithms):
+        sigma[list(places)] = np.exp(logarithm)
+    return tuple(sigma.tolist())
+
+
+def evolve(objective, unknowns, most):
+    """Find the standard deviations that minimise an objective with many minima.
+
+    Args:
+        objective, unknowns: As for `search`.
+        most: Upper bound on a standard deviation.
+
+    Returns:
+        The best sigma_w, to two digits, and its objective.
+    """
+    from scipy.optimize import differential_evolution  # as above
+
+    found = differential_evolution(
+        lambda logarithms: objective(_sigma_of(logarithms, unknowns)),
+        [np.log((LEAST, most))] * len(unknowns),
+        popsize=_MEMBERS,
+        maxiter=_GENERATIONS,
+        seed=0,
+        polish=False,
+    )
+    return tuple(float(f"{value:.2g}") for value in _sigma_of(found.x, unknowns)), found.fun
+
+
+def of_errors(estimator, sigma):
+    """The fields of Scenario for what `evolve` finds with OF_ERRORS: W, and σ_ω of an RHE."""
+    if estimator != "rhe":
+        return dict(estimator=estimator, sigma_w=sigma)
+    return dict(sigma_w=sigma[:6], sigma_v=(*paper.SIGMA_V[:3], sigma[6]))
 
 
 class _Exhausted(Exception):
@@ -128,16 +178,17 @@ def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
     return campaign(scenarios, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
 
 
-def tune_for_tracking(estimator, **fields):
-    """sigma_w of an estimator by least mean true error on the training seeds, and its error [m]."""
-    return search(
-        lambda sigma_w: tracking_error_m(estimator=estimator, sigma_w=sigma_w, **fields),
-        UNKNOWNS[estimator],
+def tune_for_tracking(estimator):
+    """W of an estimator (`of_errors`) by least mean true error, and that error [m]."""
+    return evolve(
+        lambda sigma: tracking_error_m(**of_errors(estimator, sigma)),
+        OF_ERRORS[estimator],
+        _MOST_BY_TRACKING,
     )
 
 
 if __name__ == "__main__":
     for name in UNKNOWNS:
         print("by likelihood", name, *calibrate(name))
-    for name in tuning.SIGMA_W_TRACKING:
+    for name in OF_ERRORS:
         print("by tracking", name, *tune_for_tracking(name))

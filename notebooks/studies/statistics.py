@@ -22,6 +22,7 @@ __all__ = [
     "FAILS",
     "FIRST_CONFIDENCE",
     "HOLDS",
+    "LOST",
     "UNDECIDED",
     "UNTESTABLE",
     "Finding",
@@ -51,6 +52,7 @@ HOLDS = "holds"
 FAILS = "does not hold"
 UNDECIDED = "undecided"
 UNTESTABLE = "cannot be tested here"
+LOST = "its rival is lost"  # to beat a robot that left the path proves nothing
 AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
 CONFIDENCE = 0.95
 FIRST_CONFIDENCE = 0.999  # of a first look at few fields, which decides what needs no second one
@@ -395,7 +397,8 @@ def combined(findings):
 
     A claim that does not hold under all of them "holds as printed" or, if not that, "holds with"
     the first condition that it holds with; "only" where no other lets it hold. If it holds under
-    none, the first condition decides, unless one is undecided: then the claim is, too.
+    none, the first condition decides, unless one is undecided: then the claim is, too. Conditions
+    under which the rival is lost do not count, unless it is under all.
 
     Args:
         findings: {condition: Finding}; the first condition is the paper as printed.
@@ -403,7 +406,8 @@ def combined(findings):
     Returns:
         The verdict, and the condition whose numbers stand for it.
     """
-    verdicts = {condition: finding.verdict for condition, finding in findings.items()}
+    every = {condition: finding.verdict for condition, finding in findings.items()}
+    verdicts = {condition: of for condition, of in every.items() if of != LOST} or every
     first = next(iter(verdicts))
     holding = [condition for condition, outcome in verdicts.items() if outcome == HOLDS]
     if len(holding) == len(verdicts):

@@ -22,15 +22,20 @@ SIGMA_W = {
     "rhe": {
         "printed": paper.SIGMA_W_RHE,
         "likelihood": (0.001, 0.001, 0.015, 0.001, 0.001, 0.001),
-        "consistent": (0.075, 0.075, 0.001, 0.001, 0.017, 0.0079),
-        "tracking": (0.038, 0.038, 0.0012, 6.1, 6.1, 0.049),
+        "consistent": (0.0065, 0.0065, 0.0028, 0.22, 0.001, 0.0014),
+        "tracking": (0.0033, 0.0033, 0.011, 0.19, 0.039, 0.12),
     },
     "rhe_fixed_traction": {
         "printed": paper.SIGMA_W_RHE[:4],
         "likelihood": (0.001, 0.001, 0.019, 0.001),
     },
     "rhe_no_slip": {"printed": paper.SIGMA_W_RHE[:4], "likelihood": (0.001, 0.001, 0.018, 0.001)},
-    "ekf": {"likelihood": (0.001, 0.001, 0.0072, 0.001), "printed": paper.SIGMA_W_EKF},
+    "ekf": {
+        "likelihood": (0.001, 0.001, 0.0072, 0.001),
+        "printed": paper.SIGMA_W_EKF,
+        "consistent": (0.0045, 0.0045, 0.0072, 0.0047),
+        "tracking": (0.0013, 0.0013, 0.18, 0.0041),
+    },
     "augmented_ekf": {
         "likelihood": (0.001, 0.001, 0.0071, 0.001, 0.001, 0.0027),
         "printed": paper.SIGMA_W_RHE,
@@ -38,7 +43,7 @@ SIGMA_W = {
     "bounded_ekf": {
         "likelihood": (0.001, 0.001, 0.007, 0.001, 0.001, 0.001),
         "printed": paper.SIGMA_W_RHE,
-        "tracking": (0.001, 0.001, 0.27, 0.025, 0.36, 0.078),
+        "tracking": (0.0057, 0.0057, 0.28, 0.018, 0.15, 0.052),
     },
     "fixed_traction": {"likelihood": (0.001, 0.001, 0.0075, 0.001)},
     "traction_oracle": {"likelihood": (0.001, 0.001, 0.0075, 0.001)},
@@ -54,9 +59,14 @@ SIGMA_W_MORE_SLIP = {
     "augmented_ekf": (0.001, 0.001, 0.0051, 0.001, 0.0059, 0.0049),
 }
 # Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise
-# only through its inputs, so the consistent σ_ω includes all turning that no encoder measures.
-SIGMA_V = dict.fromkeys(("printed", "likelihood", "tracking"), paper.SIGMA_V)
-SIGMA_V |= dict(consistent=(*paper.SIGMA_V[:3], 0.05))
+# only through its inputs. So the rules that look at errors tune σ_ω along with the RHE's W: it then
+# includes all turning that no encoder measures. The filters do not use σ_ω.
+SIGMA_V = dict(
+    printed=paper.SIGMA_V,
+    likelihood=paper.SIGMA_V,
+    consistent=(*paper.SIGMA_V[:3], 0.039),
+    tracking=(*paper.SIGMA_V[:3], 1.0),
+)
 # The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
 # robots, three wheeled and one tracked. The noise grows with the motion of the tracks.
 # Of (μ, κ), with the distance d that the tracks ran, as √d [1/√m].

@@ -223,7 +223,9 @@ def finding(verdict):
 )
 def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
     assert (
-        statistics.combined({"as printed": finding(printed), "W by likelihood": finding(calibrated)})
+        statistics.combined(
+            {"as printed": finding(printed), "W by likelihood": finding(calibrated)}
+        )
         == expected
     )
 
@@ -295,6 +297,31 @@ def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     assert summary.verdict_counts(table)["claims"].sum() == len(table)
 
 
+def test_to_beat_a_rival_that_is_lost_is_named_so():
+    rng = np.random.default_rng(0)
+
+    def drives(error_m, lost):
+        return pd.DataFrame(
+            dict(
+                mean_error_m=error_m + 0.001 * rng.normal(size=60),
+                mean_error_from_start_m=error_m,
+                arrived=True,
+                max_error_true_m=5.0 if lost else 0.1,
+            )
+        )
+
+    rhe, ekf, lost = drives(0.04, False), drives(0.05, False), drives(1.3, True)
+    ids = dict(rhe=rhe, rhe_smoothed=rhe, rhe_consistent=rhe, ekf_consistent=ekf)
+    tables = {("printed", "runs", id_): table for id_, table in ids.items()}
+    tables |= {("likelihood", "runs", id_): table for id_, table in ids.items()}
+    tables |= {("printed", "runs", "ekf"): lost, ("likelihood", "runs", "ekf"): drives(0.03, False)}
+    found = evidence.findings_of({"B5": ledger.CLAIMS["B5"]}, tables, 0.95)["B5"]
+    outcomes = {name: finding.verdict for name, finding in found.items()}
+    assert outcomes["as printed"] == statistics.LOST
+    assert outcomes[rules.LIKELIHOOD] == FAILS and outcomes["W consistent"] == HOLDS
+    assert statistics.combined(found) == ("holds only with W consistent", "W consistent")
+
+
 @pytest.mark.parametrize("smaller, verdict", [("rhe", HOLDS), ("ekf", FAILS)])
 def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
     runs = {
@@ -304,9 +331,11 @@ def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
         for label in ("rhe", "ekf")
     }
     claims = {"B5": ledger.CLAIMS["B5"]}
-    runs["rhe_filtered"] = runs["rhe"]
+    runs["rhe_smoothed"] = runs["rhe_consistent"] = runs["rhe"]
+    runs["ekf_consistent"] = runs["ekf"]
     for table in runs.values():
         table["mean_error_from_start_m"] = table["mean_error_m"]
+        table["arrived"], table["max_error_true_m"] = True, 0.1
     noises = run_sets.PROCESS_NOISES
     tables = {(noise, "runs", id_): table for noise in noises for id_, table in runs.items()}
     (row,) = judged(tables, claims).itertuples()
@@ -414,7 +443,12 @@ def test_what_may_happen_needs_one_condition():
 
 
 def test_verdicts_are_counted_by_class():
-    verdicts = [HOLDS, "holds as printed", "holds only as printed", "holds only with W by likelihood"]
+    verdicts = [
+        HOLDS,
+        "holds as printed",
+        "holds only as printed",
+        "holds only with W by likelihood",
+    ]
     verdicts += ["holds with ν as input", FAILS, UNTESTABLE]
     derived = [False] * 5 + [True, False]
     counts = summary.verdict_counts(pd.DataFrame(dict(verdict=verdicts, derived=derived)))
@@ -468,13 +502,15 @@ def test_the_ledger_has_the_shares_of_worlds(made_up):
 
 
 def test_worlds_have_their_own_w_and_drives_of_their_own_length():
-    world = dict(process_noise="printed", process_noise_ekf="likelihood", duration_s=99.0)
+    world = dict(w_rhe="smoothed", w_ekf="free", sigma_ekf_m=0.01, sigma_ekf_rad=0.02)
+    world |= dict(duration_s=99.0)
     world |= dict(row_length_m=20.0, speed_mps=0.5, mu_mean=0.8, estimator="ekf")
     (rhe,) = worlds._scenarios(("runs", "rhe"), world, [3], True)
     (ekf,) = worlds._scenarios(("runs", "ekf"), world, [3], True)
     (row,) = worlds._scenarios(("runs", "q3"), world, [3], False)
     (lap,) = worlds._scenarios(("runs", "no_slip"), world, [3], False)
-    assert (rhe.process_noise, ekf.process_noise) == ("printed", "likelihood")
+    assert (rhe.process_noise, rhe.arrival_mean) == ("printed", "smoothed")
+    assert ekf.sigma_w == (0.01, 0.01, 0.02, 0.001)
     assert rhe.duration_s == ekf.duration_s == 99 and row.duration_s == pytest.approx(50)
     assert lap.duration_s == pytest.approx((25 + np.pi * lap.headland_radius_m) / 0.4)
 

@@ -78,7 +78,7 @@ def runs():
 
 def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(runs):
     told = consistency.measure(Scenario(estimator="traction_oracle"), runs)
-    printed = consistency.measure(Scenario(estimator="ekf"), runs)
+    printed = consistency.measure(Scenario(estimator="ekf", process_noise="printed"), runs)
     later = told.t_s >= offline.SETTLED_S
     assert 0.6 < told.nees[:, later].mean() / 4 < 1.6
     assert 0.8 < told.nis_position[:, later].mean() / 2 < 1.2
@@ -96,19 +96,25 @@ def test_the_rhe_is_measured_in_all_its_states(runs):
     assert np.isfinite(rhe.nees).all() and (rhe.nees >= 0).all()
 
 
-def test_the_consistent_rhe_is_as_sure_as_it_may_be_and_the_calibrated_one_too_sure(runs):
+@pytest.fixture(scope="module")
+def training_runs():
+    return calibration.oracle_runs(calibration.TRAINING_SEEDS)
+
+
+@pytest.mark.parametrize("estimator, most", [("rhe", 1.5), ("ekf", 1.1)])
+def test_a_consistent_w_is_as_sure_as_it_may_be_in_each_state(estimator, most, training_runs):
+    """Beside it the likeliest W is too sure: innovations do not tell."""
     nees = {}
     for name in ("consistent", "likelihood"):
-        found = consistency.measure(Scenario(process_noise=name), runs)
+        found = consistency.measure(
+            Scenario(estimator=estimator, process_noise=name), training_runs
+        )
         (_, values, degrees), *_ = consistency.normalised(found)
         nees[name] = values.mean() / degrees
-    assert 0.7 < nees["consistent"] < 1.4 and nees["likelihood"] > 2
-    ratios = np.sqrt(
-        consistency.mean_square_errors(
-            consistency.measure(Scenario(process_noise="consistent"), runs)
-        ).mean(axis=0)
-    )
-    assert ((ratios > 0.6) & (ratios < 1.5)).all()
+        if name == "consistent":
+            ratios = np.sqrt(consistency.mean_square_errors(found).mean(axis=0))
+            assert ((ratios > 0.75) & (ratios < 1.25)).all()
+    assert 0.9 < nees["consistent"] < most and nees["likelihood"] > 2 * most
 
 
 def test_the_search_for_consistency_prices_what_lies_outside_its_band(monkeypatch):
@@ -126,7 +132,7 @@ def test_the_search_for_consistency_prices_what_lies_outside_its_band(monkeypatc
     monkeypatch.setattr(consistency, "normalised", lambda found: [("NEES", found.nees[:, 1:], 6)])
     monkeypatch.setattr(calibration, "oracle_runs", lambda seeds: [])
     monkeypatch.setattr(calibration, "tracking_error_m", lambda **fields: 0.03)
-    sigma_w, _, least = consistency.tune()
-    assert sigma_w[0] == pytest.approx(0.02, rel=0.05)
+    sigma, least = consistency.tune("rhe")
+    assert sigma[0] == pytest.approx(0.02, rel=0.06)
     assert least == pytest.approx(np.log(0.03), abs=1e-3)
     assert {scenario.arrival_mean for scenario in seen} == {"filtered"}

@@ -1,5 +1,8 @@
 """The drives of both scenarios, as the notebooks show them."""
 
+import numpy as np
+import pandas as pd
+
 import rhec
 from notebooks.studies import scenario_tables, tables
 
@@ -16,13 +19,31 @@ def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
     assert list(shown.columns) == [*runs, "Q1 / Q3", "Q2 / Q3"] and len(shown) == 6
 
 
-def test_scenario_b_drives_both_estimators_under_both_process_noises(virtual_machine):
+def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_machine):
     sweep, runs = scenario_tables.scenario_b(2, 1, **SHORT)
-    assert len(sweep) == 8 and {name: list(of) for name, of in runs.items()} == dict.fromkeys(
-        scenario_tables.PROCESS_NOISES, ["RHE", "EKF"]
+    driven = set(zip(sweep["process_noise"], sweep["estimator"]))
+    assert driven == {(w, name) for w in scenario_tables.PROCESS_NOISES for name in ("rhe", "ekf")}
+    assert len(sweep) == 2 * len(driven)
+    assert {name: list(of) for name, of in runs.items()} == dict.fromkeys(
+        ("printed", "likelihood"), ["RHE", "EKF"]
     )
     (run,) = runs["likelihood"]["EKF"]
     scenario = rhec.Scenario(estimator="ekf", process_noise="likelihood", **SHORT)
     assert run.scenario == scenario
     pair = scenario_tables.rhe_and_ekf(process_noise="likelihood", seed=0, **SHORT)
     assert pair["EKF"].columns["x_m"].tolist() == run.columns["x_m"].tolist()
+
+
+def test_the_share_of_fields_in_which_the_rhe_is_better_is_counted_at_equal_seeds():
+    """The EKF's errors are the RHE's in another order, so that only pairs can tell."""
+    rhe_m = np.linspace(0.03, 0.06, 8)
+    sweep = pd.DataFrame(
+        [
+            dict(process_noise="printed", estimator=name, violations=0.0, mean_error_m=error_m)
+            for name, errors_m in (("rhe", rhe_m), ("ekf", np.roll(rhe_m, 1)))
+            for error_m in errors_m
+        ]
+    ).assign(mean_error_true_m=0.0, violations_true=0.0, rms_yaw_rad=0.0, rms_mu=0.0, rms_kappa=0.0)
+    table = scenario_tables.scenario_b_table(sweep).set_index(["estimator", "quantity"])
+    row = table.loc[("P(RHE < EKF)", "mean error, raw GNSS [m]")]
+    assert row["mean"] == 1 / 8 and row["n"] == 8 and row["low"] < 1 / 8 < row["high"]

@@ -23,7 +23,7 @@ def toy():
     statistics = unit[:, :1] + SIGMA * rng.standard_normal((20_000, 1))
     world = np.arange(20_000)
     flags = np.zeros(2, bool)
-    return abc_regression.Simulations(unit, world, statistics, np.ones(1), flags)
+    return abc_regression.Simulations(unit, world, statistics, np.ones(1), flags, np.ones(20_000))
 
 
 def test_posterior_is_the_known_one_and_the_priors_where_nothing_is_known(toy):
@@ -63,6 +63,16 @@ def test_the_own_world_of_a_truth_is_left_out(toy):
     assert 7 not in toy.world[draws.rows]
 
 
+def test_a_simulation_counts_as_much_as_its_prior_says(toy):
+    """Oracle: with a prior of 2θ instead of 1 the posterior is that of the product."""
+    tilted = toy._replace(prior=2 * toy.unit[:, 0])
+    draws = abc_regression.posterior(tilted, np.array([OBSERVED]), 2000)
+    theta = np.linspace(0, 1, 2001)
+    density = theta * stats.norm.pdf(theta, OBSERVED, SIGMA)
+    mean = np.sum(theta * density) / density.sum()
+    assert np.average(draws.unit[:, 0], weights=draws.weights) == pytest.approx(mean, abs=0.012)
+
+
 def test_a_draw_comes_as_often_as_its_weight_says():
     weights = np.array([0.5, 0.3, 0.2])
     draws = abc_regression.Draws(np.eye(3), weights, np.array([4, 5, 6]), 3.0)
@@ -73,7 +83,7 @@ def test_a_draw_comes_as_often_as_its_weight_says():
 def test_the_papers_own_numbers_meet_all_statements():
     statistics = which_worlds.observed()[None]
     assert which_worlds.meets(statistics).all()
-    worse = statistics + [[0.3, 0.3, 1.0, 3.0, 0.1, 0.1, 0.1, 0.1]]
+    worse = statistics + [[0.3, 0.3, 1.0, 3.0, 0.1, 0.1, 0.1, 0.1, 0.2]]
     assert not which_worlds.meets(worse).any()
 
 
@@ -108,7 +118,7 @@ def test_posterior_worlds_can_be_driven_and_lie_in_the_prior():
     worlds = which_worlds.posterior_worlds()
     assert len(worlds) == which_worlds.DRAWS
     for world in worlds:
-        scenario = rhec.Scenario(**world)
+        scenario = which_worlds.scenario(world, "ekf_free", 0)
         turn = scenario.mu_mean * scenario.speed_mps / scenario.headland_radius_m
         assert turn < scenario.kappa_mean * scenario.omega_max_radps
     table = pd.DataFrame(worlds)
@@ -117,6 +127,44 @@ def test_posterior_worlds_can_be_driven_and_lie_in_the_prior():
         assert table[name].between(prior.least * (1 - 1e-4) - 1e-6, prior.most + 1e-4).all() or (
             prior.least < 0
         )
+
+
+def test_the_two_drives_are_on_one_soil_at_different_times():
+    fields = which_worlds.fields_of(which_worlds.worlds_at(which_worlds.sample_unit(8)).iloc[3])
+    fields |= dict(duration_s=4.0)
+    rhe, ekf = (
+        rhec.simulate(which_worlds.scenario(fields, name, 7))
+        for name in ("rhe_printed", "ekf_free")
+    )
+    assert np.array_equal(rhe.terrain.kappa, ekf.terrain.kappa)
+    assert not np.array_equal(rhe.columns["x_meas_m"], ekf.columns["x_meas_m"])
+    sigma_m = fields["sigma_ekf_m"]
+    assert ekf.scenario.sigma_w == (sigma_m, sigma_m, fields["sigma_ekf_rad"], 0.001)
+
+
+def test_excursions_are_counted_with_their_exposure():
+    """A robot that leaves the tolerance for 3 samples, returns, and leaves it 4 s later."""
+    fields = which_worlds.fields_of(which_worlds.worlds_at(which_worlds.sample_unit(8)).iloc[3])
+    run = rhec.simulate(which_worlds.scenario(fields | dict(duration_s=30.0), "rhe_printed", 7))
+    c = run.columns
+    c["error_m"][:] = 0.0
+    c["on_straight"][:] = True
+    for sample in (60, 61, 62, 82):
+        c["error_m"][sample] = 0.2
+    excursions, row_m = which_worlds._on_rows(run, 5.0)
+    late = c["t_s"] >= 10.0
+    steps_m = np.hypot(np.diff(c["x_m"]), np.diff(c["y_m"]))
+    assert excursions == 2 and row_m == pytest.approx(steps_m[late[1:]].sum())
+
+
+def test_a_prior_on_the_printed_w_is_what_it_says():
+    drives = which_worlds.prior_drives().iloc[: 16 * which_worlds.FIELDS]
+    unit = which_worlds.sample_unit()[:16]
+    for printed, expected in ((None, 0.5), (0.8, 0.8)):
+        table = which_worlds.simulations(drives, unit, printed=printed)
+        by_choice = dict(zip(which_worlds.CHOICES, table.prior.reshape(8, -1).sum(axis=1)))
+        of_rhe = sum(by_choice[c] for c in by_choice if c[0] in which_worlds.PRINTED)
+        assert of_rhe / table.prior.sum() == pytest.approx(expected)
 
 
 def test_the_centre_is_a_world_in_the_middle():
@@ -131,8 +179,8 @@ def test_files_hold_what_the_code_drives():
     world = 5
     fields = which_worlds.fields_of(which_worlds.worlds_at(which_worlds.sample_unit()).iloc[world])
     seed = which_worlds.FIRST_SEED + which_worlds.FIELDS * world
-    now = which_worlds.drive([fields], seed, variants=("ekf_calibrated",))["ekf_calibrated"]
-    then = which_worlds.prior_drives().loc[world]["ekf_calibrated"]
+    now = which_worlds.drive([fields], seed, variants=("ekf_free",))["ekf_free"]
+    then = which_worlds.prior_drives().loc[world]["ekf_free"]
     assert np.array_equal(now["violations"].clip(upper=254), then["violations"])
     assert np.abs(np.log(now["error"].to_numpy() / then["error"].to_numpy())).max() < 0.0101
 
