@@ -27,11 +27,24 @@ def tables():
     """The article's tables: {name: DataFrame of texts}; the first column names the rows."""
     return dict(
         summary=answer.paper_beside_ours(),
+        weights=_weights(),
         verdicts=_verdicts(),
         statements=_statements(),
         worth=_worth(),
         faults=_faults(),
     )
+
+
+def _verdicts():
+    """How many claims of the ledger have each verdict."""
+    return verdict_counts(pd.read_csv(answer.RESULTS / "claims.csv")).reset_index().astype(str)
+
+
+def _weights():
+    """The two ratios behind the paper's words on the weights of Scenario A."""
+    rows = pd.read_csv(answer.RESULTS / "table_scenario_a.csv").dropna(subset="verdict")
+    names = rows["weight"] + ", " + rows["quantity"]
+    return pd.DataFrame({"ratio": names, "here": interval_texts(rows), "verdict": rows["verdict"]})
 
 
 def _statements():

@@ -8,18 +8,26 @@ Each block stands between `<!-- results NAME -->` and `<!-- end -->`.
 import re
 from pathlib import Path
 
-from notebooks.further.traction_map import rule_in_words
+import pandas as pd
+
+from notebooks.further import traction_map
 from notebooks.studies import answer
 
 __all__ = ["BLOCKS", "rewrite"]
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCKS = {
-    "answer": lambda: f"{answer.in_words()}\n",
+    "answer": lambda: answer.in_words(),
     "beside": lambda: answer.to_markdown(answer.paper_beside_ours()),
     "bar": lambda: answer.bar(),
-    "worth": lambda: rule_in_words(),
+    "worth": lambda: traction_map.rule_in_words(_map()),
 }
+
+
+def _map():
+    return pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
+
+
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 

@@ -14,7 +14,6 @@ import itertools
 import numpy as np
 import pandas as pd
 
-from notebooks.studies.answer import RESULTS
 from notebooks.studies.statistics import over_seeds, ratio_of_means
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
@@ -216,9 +215,12 @@ def _in_order(names):
     return names.map(order.index)
 
 
-def rule_in_words(folder=RESULTS):
-    """When estimating the traction pays, as sentences in Markdown, from the table of the map."""
-    table = pd.read_csv(folder / "table_traction_map.csv", dtype=dict(told=str))
+def rule_in_words(table):
+    """When estimating the traction pays, as sentences in Markdown.
+
+    Args:
+        table: Of `worth_map`.
+    """
     counted = counts(table).set_index(["control", "told"])
     tuned = counted.loc["R tuned"]
     by_control = table.drop_duplicates(["kappa", "variation", "control"])

@@ -1,12 +1,11 @@
-"""Loops of estimator and controller by their tracking error, and the error over the weight R."""
+"""Loops of estimator and controller by their tracking error, and a map over the soil."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
 from notebooks.further import traction_map, traction_worth
-from notebooks.plots.parts import DOTS, legend_above, note
-from notebooks.studies.statistics import over_seeds
+from notebooks.plots.parts import DOTS, note
 from rhec import paper, style
 
 _FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
@@ -25,27 +24,23 @@ _OFF_SCALE = 1.3  # upper limit of the axis as a multiple of the paper's RHE
 def ranked(tables, worth):
     """Draw the true error of every loop, the best above, a dot a seed.
 
-    A number at the edge counts seeds outside the axis, and an arrow is a mean outside. A star at a
-    mean says that the loop had the first look alone. The tables are those of
-    `notebooks.further.traction_worth.in_two_looks`, worth is their `worth_table`.
+    A number at the edge counts seeds outside the axis, and an arrow is a mean outside. The tables
+    are those of `notebooks.further.traction_worth.drive`, worth is their `worth_table`.
     """
     means = worth[worth["quantity"] == traction_worth.ERROR].set_index("loop")
-    n_fields = means["n"].max()
     largest = _OFF_SCALE * means.loc[traction_worth.PAPERS, "mean"]
     figure, axes = plt.subplots(figsize=(style.DOUBLE_IN, 0.22 * len(means) + 0.9))
     for place, (name, mean) in enumerate(means.iterrows()):
         colour = _colour_of(name)
         errors = tables[name]["mean_error_true_m"].to_numpy()
         _draw_seeds(axes, place, errors, largest, colour)
-        star = "*" if mean["n"] < n_fields else ""
-        _draw_mean(axes, place, mean[["mean", "low", "high"]], largest, colour, star)
+        _draw_mean(axes, place, mean[["mean", "low", "high"]], largest, colour)
     axes.set_yticks(range(len(means)), means.index)
     axes.set_ylim(len(means) - 0.4, -0.6)
     axes.set_xlim(0, largest)
     axes.grid(axis="y", visible=False)
     axes.set_xlabel("mean true error of a drive [m]")
-    fewer = f" (*: {means['n'].min()} of them)" if means["n"].min() < n_fields else ""
-    axes.set_title(f"{n_fields} fields{fewer}")
+    axes.set_title(f"{means['n'].max()} fields")
     return figure
 
 
@@ -68,11 +63,8 @@ def _draw_seeds(axes, place, errors, largest, colour):
         note(axes, f"{(~inside).sum()} off scale", (largest, place), (-4, 0), **look)
 
 
-def _draw_mean(axes, place, estimate, most, colour, star):
-    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right.
-
-    A star stands at the number.
-    """
+def _draw_mean(axes, place, estimate, most, colour):
+    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right."""
     mean, low, high = estimate
     if mean < most:
         look = dict(fmt="D", markeredgecolor="w", markeredgewidth=0.5, markersize=4, capsize=2)
@@ -81,33 +73,7 @@ def _draw_mean(axes, place, estimate, most, colour, star):
         )
     else:
         axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
-    note(axes, f"{mean:.4f}{star}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
-
-
-@style.styled
-def over_gain(rows):
-    """Draw mean true errors over the controller's weight R. A ring marks each minimum.
-
-    Bands are 95 % intervals over seeds, the dotted line the paper's R. The rows are those of
-    `notebooks.further.traction_worth.by_gain`.
-    """
-    figure, axes = plt.subplots(figsize=(style.COLUMN_IN, 3.4))
-    colours = (style.COLOURS["RHE"], style.ORANGE, style.PURPLE, style.GREY)
-    colours += (style.VERMILLION, style.COLOURS["oracle"])
-    for colour, (name, of_name) in zip(colours, rows.groupby("loop", sort=False)):
-        by_weight = of_name.groupby("r")["mean_error_true_m"]
-        weights = np.array([weight for weight, _ in by_weight])
-        mean, low, high = np.array([over_seeds(np.mean, seeds)[:3] for _, seeds in by_weight]).T
-        axes.plot(weights, mean, color=colour, label=name)
-        axes.fill_between(weights, low, high, color=colour, alpha=0.2, linewidth=0)
-        least = mean.argmin()
-        ring = dict(color="w", markeredgecolor=colour, markersize=5)
-        axes.plot(weights[least], mean[least], "o", **ring)
-    axes.axvline(paper.R, color=style.GREY, linestyle=":")
-    axes.set_xscale("log")
-    axes.set(xlabel="weight R of the yaw rate, eq. (22)", ylabel="mean true error [m]")
-    legend_above(axes, ncols=1, handlelength=1.5)
-    return figure
+    note(axes, f"{mean:.4f}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
 
 
 @style.styled

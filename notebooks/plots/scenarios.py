@@ -144,7 +144,7 @@ def _stretch(axes):
 
 
 def _order(runs, table):
-    """The order of the drives' mean errors, and whether that of the means over fields is another."""
+    """The order of the drives' mean errors, and whether the means over fields have another one."""
     means = table[table["quantity"] == "mean error, true [m]"].set_index("weight")
     weights = [name for name in runs if name in means.index and "," not in name]
     here = sorted(weights, key=lambda name: runs[name].metrics["mean_error_true_m"])
@@ -216,7 +216,7 @@ def trajectories(pairs):
             pair.
     """
     first = next(iter(pairs.values()))
-    size = dict(figsize=(DOUBLE_IN, 2.2 + 1.4 * len(pairs)))
+    size = dict(figsize=(DOUBLE_IN, 2.2 + 1.15 * len(pairs)))
     figure, (plane, *panels) = plt.subplots(
         1 + len(pairs), height_ratios=(1.5, *[1] * len(pairs)), **size
     )
@@ -298,7 +298,7 @@ def errors(pairs):
     """
     grid = dict(sharex=True, sharey=True, squeeze=False)
     figure, panels = plt.subplots(
-        len(pairs), 1, figsize=(DOUBLE_IN, 0.8 + 1.4 * len(pairs)), **grid
+        len(pairs), 1, figsize=(DOUBLE_IN, 0.8 + 1.15 * len(pairs)), **grid
     )
     for axes, runs in zip(panels[:, 0], pairs.values()):
         for name in ("EKF", "RHE"):

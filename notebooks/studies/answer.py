@@ -18,7 +18,15 @@ from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
 from notebooks.studies.tables import interval_text, three_digits
 from rhec import paper
 
-__all__ = ["RESULTS", "bar", "in_words", "paper_beside_ours", "to_markdown"]
+__all__ = [
+    "RESULTS",
+    "bar",
+    "in_words",
+    "paper_beside_ours",
+    "scenario_a_in_words",
+    "scenario_b_in_words",
+    "to_markdown",
+]
 
 RESULTS = Path(__file__).resolve().parents[2] / "data/results"
 _RULES = {  # {process_noise: the rule that picks W}
@@ -55,9 +63,8 @@ _PER_SQUARE = 2  # sentences
 # Scenario B: the paper's numbers beside ours
 
 
-def _scenario_b(folder):
+def _indexed(table):
     """Scenario B's numbers by (estimator, quantity, process noise)."""
-    table = pd.read_csv(folder / "table_scenario_b.csv")
     return table.set_index(["estimator", "quantity", "process_noise"]).sort_index()
 
 
@@ -97,7 +104,7 @@ def paper_beside_ours(folder=RESULTS):
     Returns:
         DataFrame of texts.
     """
-    numbers = _scenario_b(folder)
+    numbers = _indexed(pd.read_csv(folder / "table_scenario_b.csv"))
     rows = []
     for label, whose, quantity in _ROWS:
         found = {rule: numbers.loc[whose, quantity, rule] for rule in _SHOWN}
@@ -120,16 +127,43 @@ def in_words(folder=RESULTS):
     Args:
         folder: Folder of the tables.
     """
-    numbers = _scenario_b(folder)
+    weights = pd.read_csv(folder / "table_scenario_a.csv")
+    said = [
+        ("The weights (Scenario A)", _says_weights(weights)),
+        ("Computation times", _says_times(folder)),
+    ]
+    scenario_b = scenario_b_in_words(pd.read_csv(folder / "table_scenario_b.csv"))
+    return "\n".join([scenario_b, *map(_line, said)])
+
+
+def scenario_b_in_words(table):
+    """What Scenario B's table says, as Markdown.
+
+    Args:
+        table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
+    """
+    numbers = _indexed(table)
     said = [
         ("The numbers", _says_numbers(numbers)),
         ("RHE before EKF", _says_order(numbers)),
         ("The cause", _says_cause(numbers)),
         ("The EKF as printed", _says_printed(numbers)),
-        ("The weights (Scenario A)", _says_weights(folder)),
-        ("Computation times", _says_times(folder)),
     ]
-    return "\n".join(f"- **{what}: {short}** {why}" for what, (short, why) in said)
+    return "\n".join(map(_line, said))
+
+
+def scenario_a_in_words(table):
+    """What Scenario A's table says, as Markdown.
+
+    Args:
+        table: Of `notebooks.studies.scenario_tables.scenario_a_table`.
+    """
+    return _line(("The weights", _says_weights(table)))
+
+
+def _line(said):
+    what, (short, why) = said
+    return f"- **{what}: {short}** {why}"
 
 
 def _yes_or_no(is_so):
@@ -213,9 +247,9 @@ def _says_printed(numbers):
     return "it can be driven.", f"Its {ours}."
 
 
-def _says_weights(folder):
+def _says_weights(table):
     """Scenario A in the paper's words: Q¹ slow, Q² overshoots, Q³ the best of the three."""
-    table = pd.read_csv(folder / "table_scenario_a.csv").set_index(["weight", "quantity"])
+    table = table.set_index(["weight", "quantity"])
     slow = table.loc[("Q1 / Q3", "settling time, ratio")]
     swings = table.loc[("Q2 / Q3", "overshoot, ratio")]
     means = {name: table.loc[(name, "mean error, true [m]"), "mean"] for name in _WEIGHTS}
