@@ -18,6 +18,7 @@ import subprocess
 import tempfile
 from datetime import datetime
 from pathlib import Path
+from urllib.parse import quote
 
 import nbformat
 import pandas as pd
@@ -27,6 +28,7 @@ from sphinx.application import Sphinx
 from docs.live import page, wasm
 from docs.site import cards
 from docs.site.content_policy import with_policy
+from notebooks.plots.claims import kind_of
 from notebooks.studies import answer, timing
 from rhec import __version__, style
 
@@ -76,6 +78,7 @@ def _lay_out(source, notebooks, figures, live):
     shutil.copy(ROOT / "docs/index.md", source)
     for name in _COPIED:
         shutil.copy(ROOT / name, source)
+    _link_cards(source / "README.md")
     (source / "figures").mkdir()
     for picture in re.findall(r"figures/\w+\.png", (ROOT / "README.md").read_text("utf-8")):
         shutil.copy(ROOT / picture, source / picture)
@@ -97,6 +100,18 @@ def _lay_out(source, notebooks, figures, live):
     }
     for name, text in pages.items():
         (source / f"{name}.md").write_text(text, encoding="utf-8")
+
+
+def _link_cards(readme):
+    """Let the bar of verdicts lead to the cards of each: on the site the ledger is that page."""
+    text = readme.read_text(encoding="utf-8")
+
+    def link(part):
+        kind = quote(kind_of(part[2]))
+        return f'<a href="claims.html?verdict={kind}">{part[1]}{part[2]}{part[3]}</a>'
+
+    text = re.sub(rf"\[(\W+)(.*?)(: \d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
+    readme.write_text(text, encoding="utf-8")
 
 
 # ---------------------------------------------------------------- notebooks

@@ -19,6 +19,7 @@ from notebooks.studies.tables import interval_text, three_digits
 from rhec import paper
 
 __all__ = [
+    "LEDGER",
     "RESULTS",
     "bar",
     "in_words",
@@ -54,7 +55,7 @@ _NOT_MET = "not met"
 _LOST = "lost"
 _EKF_LOST = "the EKF is lost"
 _NEAR = 0.1  # a mean is near the paper's number if it is within this share of it
-_LEDGER = "data/results/claims.csv"
+LEDGER = "data/results/claims.csv"
 _SQUARES = {HOLDS: "🟩", PRINTED: "🟦", DEPARTURE: "🟦", FAILS: "🟥", UNDECIDED: "🟧"}
 _SQUARES |= {UNTESTABLE: "⬜"}
 _PER_SQUARE = 2  # sentences
@@ -275,11 +276,16 @@ def _says_times(folder):
     return short, why
 
 
-def bar(folder=RESULTS):
-    """How many of the paper's sentences have each verdict: a bar of links, in Markdown."""
+def bar(folder=RESULTS, link=LEDGER):
+    """How many of the paper's sentences have each verdict: a bar of links, in Markdown.
+
+    Args:
+        folder: Folder of the tables.
+        link: Where the parts of the bar lead.
+    """
     counts = verdict_counts(pd.read_csv(folder / "claims.csv"))["claims"]
     parts = [
-        f"[{_SQUARES[verdict] * -(-count // _PER_SQUARE)} {verdict}: {count}]({_LEDGER})"
+        f"[{_SQUARES[verdict] * -(-count // _PER_SQUARE)} {verdict}: {count}]({link})"
         for verdict, count in counts.items()
         if count
     ]
