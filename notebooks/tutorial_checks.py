@@ -139,7 +139,7 @@ def _wrong_steps(xi, omega, p):
 
 @exercise
 def weights(q):
-    """Check the weights q of (x, y, θ): drive ten fields with the calibrated RHE."""
+    """Check the weights q of (x, y, θ): drive ten fields with W by likelihood."""
     runs = [
         simulate(Scenario(process_noise="likelihood", q=q, seed=seed, duration_s=60.0)).metrics
         for seed in SEEDS

@@ -13,7 +13,6 @@ import pandas as pd
 from notebooks.further.recorded import scores
 from notebooks.studies.statistics import over_seeds
 from rhec.simulation.faults import Fault
-from rhec.tracked_robot import tuning
 
 __all__ = [
     "AUGMENTED",
@@ -56,26 +55,17 @@ def estimators(process_noise, of_the_rhe):
     """{name: arguments of `rhec.replay`} of the RHE, which has its own, and of four others.
 
     The W of the others is "printed" or "likelihood". Soil under recorded robots slips more than
-    that of the default world, so the calibrated W is the likeliest one on softer soil.
+    that of the default world, so the latter is the likeliest one on softer soil.
     """
     of_the_log = {name: of_the_rhe[name] for name in _OF_THE_LOG if name in of_the_rhe}
-
-    def noise(estimator):
-        if process_noise == "printed":
-            return dict(process_noise="printed")
-        return dict(sigma_w=tuning.SIGMA_W_MORE_SLIP[estimator])
-
-    without_nu = noise("rhe")
-    if "sigma_w" in without_nu:
-        x, y, theta, _, mu, kappa = without_nu["sigma_w"]
-        without_nu["sigma_w"] = (x, y, theta, mu, kappa)
+    noise = dict(process_noise="printed" if process_noise == "printed" else "soft_soil")
     papers = {
-        "RHE, ν as input": dict(speed_model="input") | without_nu,
-        "RHE, ν over the window": dict(speed_model="parameter") | noise("rhe"),
-        "EKF": dict(estimator="ekf") | noise("ekf"),
-        AUGMENTED: dict(estimator="augmented_ekf") | noise("augmented_ekf"),
+        "RHE, ν as input": dict(speed_model="input"),
+        "RHE, ν over the window": dict(speed_model="parameter"),
+        "EKF": dict(estimator="ekf"),
+        AUGMENTED: dict(estimator="augmented_ekf"),
     }
-    return {"RHE": of_the_rhe} | {name: of_the_log | each for name, each in papers.items()}
+    return {"RHE": of_the_rhe} | {name: of_the_log | noise | of for name, of in papers.items()}
 
 
 def trials(log, seeds, estimators, **perturbation):

@@ -29,6 +29,8 @@ _LABELS = {
     "rows": "rows driven",
     "turn_demand": "turn demand of the headland",
     "start_offset_m": "offset at the start [m]",
+    "sigma_ekf_m": r"EKF: $\sigma_{xy}$ of $W$ [m]",
+    "sigma_ekf_ratio_radpm": r"EKF: $\sigma_\theta / \sigma_{xy}$ [rad/m]",
 }
 _COLUMNS = 5
 _BINS = 12

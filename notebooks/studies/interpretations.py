@@ -47,7 +47,7 @@ _MU = 0.9
 
 
 class _Entry(NamedTuple):
-    """A standard deviation of an estimator's W that differs between printed and calibrated W."""
+    """A standard deviation of an estimator's W that differs between printed W and the likeliest."""
 
     label: str
     estimator: str
@@ -67,7 +67,7 @@ ENTRIES = {
     "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
     "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
 }
-# Values between printed and calibrated σ that are driven, and those whose runs are shown over time.
+# Values between printed and likeliest σ that are driven, and those whose runs are shown over time.
 _BETWEEN = {"ekf_x": (1.0, 0.1, 0.03), "rhe_kappa": (0.025, 0.0025)}
 _SHOWN = {"ekf_x": slice(0, 3), "rhe_kappa": slice(0, 3, 2)}
 
@@ -189,7 +189,7 @@ def swept(estimator, process_noise, state, values, seeds):
 
 
 def sweep_of(name, seeds):
-    """As `swept`, with one of ENTRIES of the printed W, from its printed to its calibrated value.
+    """As `swept`, with one of ENTRIES of the printed W, from its printed to its likeliest value.
 
     The first result has the runs for pictures alone.
     """
@@ -200,22 +200,22 @@ def sweep_of(name, seeds):
 
 
 def likelihood_profile(estimator, state, factors, seeds=3):
-    """How much less likely measurements become as one of the calibrated W's entries changes.
+    """How much less likely measurements become as one of the entries of the likeliest W changes.
 
     The standard deviation of the state is multiplied by the factors. The columns are sigma and
     deviance, -2 log likelihood a sample above the least, on so many of the training runs.
     """
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
     samples = sum(len(run.columns["t_s"]) for run in runs)
-    calibrated = tuning.SIGMA_W[estimator]["likelihood"]
-    sigmas = [factor * calibrated[_PLACES[state][0]] for factor in factors]
-    sigma_w = [_with_entry(calibrated, state, sigma) for sigma in sigmas]
+    likeliest = tuning.SIGMA_W[estimator]["likelihood"]
+    sigmas = [factor * likeliest[_PLACES[state][0]] for factor in factors]
+    sigma_w = [_with_entry(likeliest, state, sigma) for sigma in sigmas]
     deviances = np.array([calibration.deviance(estimator, W, runs) / samples for W in sigma_w])
     return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
 
 
 def likelihood_profiles(factors, seeds=3):
-    """`likelihood_profile` of all ENTRIES: {label: (table, printed σ, calibrated σ)}."""
+    """`likelihood_profile` of all ENTRIES: {label: (table, printed σ, likeliest σ)}."""
     return {
         entry.label: (
             likelihood_profile(entry.estimator, entry.state, factors, seeds),

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from notebooks.studies.statistics import (
+    LOST,
     always,
     difference_of_means,
     over_seeds,
@@ -15,6 +16,7 @@ from notebooks.studies.statistics import (
     share,
     verdict,
 )
+from notebooks.studies.tables import interval_texts
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
@@ -23,6 +25,7 @@ from rhec.simulation.simulate import simulate
 __all__ = [
     "PROCESS_NOISES",
     "REPORTED",
+    "by_rule",
     "over_fields",
     "rhe_and_ekf",
     "scenario_a",
@@ -231,8 +234,18 @@ def scenario_b_table(sweep):
                 rows.append(about | _of_estimator(name, column, table[column]))
             if ("RHE", column) in REPORTED:
                 both = [runs[name][column] for name in ("RHE", "EKF")]
-                rows += [about | _gain(column, *both), about | _share_below(*both)]
+                gain = _gain(column, *both) | (dict(verdict=LOST) if is_lost(runs["EKF"]) else {})
+                rows += [about | gain, about | _share_below(*both)]
     return pd.DataFrame(rows)[_COLUMNS_B]
+
+
+def by_rule(table):
+    """The table of `scenario_b_table` for readers: a row an estimator and number, a column a W."""
+    shown = table[table["quantity"].isin([_QUANTITIES_B[column] for _, column in REPORTED])]
+    cells = shown.assign(cell=interval_texts(shown, "mean"))
+    return cells.pivot_table(
+        "cell", ["quantity", "estimator"], "process_noise", aggfunc="first", sort=False
+    )
 
 
 def _of_estimator(estimator, column, values):
@@ -242,6 +255,12 @@ def _of_estimator(estimator, column, values):
     if reported == 0:
         row |= dict(claim="at most 0", verdict=always(values == 0).verdict)
     return row
+
+
+def is_lost(drives):
+    """Whether the robot never arrives, or is 1 m off later, in most rows of a campaign."""
+    lost = drives["settling_time_s"].isna() | (drives["max_error_true_m"] > 1)
+    return lost.mean() > 0.5
 
 
 def _share_below(rhe, ekf):

@@ -540,6 +540,37 @@ def posterior_draws(table, n=DRAWS, seed=0):
     return worlds, fields.assign(w_rhe=w_rhe, w_ekf=w_ekf), draws
 
 
+PRIORS_ON_PRINTED = (None, 0.8, 0.95)
+
+
+def sensitivity(drives, unit, n=2000, seed=0):
+    """What the posterior says of W and of the world, by how 17 is counted and by the prior on W.
+
+    Args:
+        drives, unit: As for `simulations`.
+        n: Draws of each posterior.
+        seed: Of the draws.
+
+    Returns:
+        DataFrame, one row a reading of R17 and one of PRIORS_ON_PRINTED: the probability of each W
+        of the RHE and of the printed one of the EKF, medians with 90 % intervals of a few unknowns,
+        and how many worlds are effectively behind it.
+    """
+    rows = {}
+    for counts, printed in itertools.product(("violations", "excursions"), PRIORS_ON_PRINTED):
+        table = simulations(drives, unit, counts, printed)
+        worlds, fields, draws = posterior_draws(table, n, seed)
+        row = {f"RHE {w}": f"{np.mean(fields['w_rhe'] == w):.2f}" for w in W_RHE}
+        row["EKF printed"] = f"{np.mean(fields['w_ekf'] == 'printed'):.3f}"
+        worlds = worlds[fields["w_ekf"].to_numpy() == "free"]
+        for name in ("kappa_slip", "slip_difference", "sigma_ekf_m", "sigma_ekf_ratio_radpm"):
+            low, median, high = np.quantile(worlds[name], [0.05, 0.5, 0.95])
+            row[name] = f"{median:.2g} [{low:.2g}, {high:.2g}]"
+        row["effective worlds"] = round(draws.effective_worlds)
+        rows[counts, "flat" if printed is None else f"{printed:.0%} printed"] = row
+    return pd.DataFrame(rows).T.rename_axis(["17 are", "prior on W"])
+
+
 def learned(worlds):
     """What the paper's numbers tell of each unknown, by the worlds of `posterior_draws`.
 

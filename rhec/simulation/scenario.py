@@ -39,10 +39,11 @@ class Scenario:
     whose memory starts as the first guess (x, y, θ, ν, μ, κ) followed by zeros."""
     process_noise: options.ProcessNoise | None = None
     """W by name (R1, R2). "printed": the paper's; "likelihood": the likeliest on training seeds;
-    "consistent": makes the covariance match the errors there, and sets sigma_v, too, where that is
-    None; "tracking": has the least true error there with the paper's controller. None: "printed"
-    for an RHE, "likelihood" for a filter, which with W as printed loses its heading. Likelihood is
-    the one rule that needs no truth, so that it could have been followed in the field."""
+    "consistent": makes the covariance match the errors there; "tracking": has the least true error
+    there with the paper's controller. These two also set sigma_v where that is None. "soft_soil":
+    the likeliest on soil that slips more, as under recorded robots. None: "printed" for an RHE,
+    "likelihood" for a filter, which with W as printed loses its heading. Likelihood is the one rule
+    that needs no truth, so that it could have been followed in the field."""
     sigma_w: tuple[valid.NotNegative, ...] | None = None
     """Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
     where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model

@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
 
-ProcessNoise = Literal["printed", "likelihood", "consistent", "tracking"]
+ProcessNoise = Literal["printed", "likelihood", "consistent", "tracking", "soft_soil"]
 SpeedModel = Literal["parameter", "input", "slipping"]
 
 

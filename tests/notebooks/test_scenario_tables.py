@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 import rhec
-from notebooks.studies import scenario_tables, tables
+from notebooks.studies import scenario_tables, statistics, tables
 
 SHORT = dict(duration_s=20.0)
 
@@ -44,6 +44,10 @@ def test_the_share_of_fields_in_which_the_rhe_is_better_is_counted_at_equal_seed
             for error_m in errors_m
         ]
     ).assign(mean_error_true_m=0.0, violations_true=0.0, rms_yaw_rad=0.0, rms_mu=0.0, rms_kappa=0.0)
+    sweep = sweep.assign(settling_time_s=9.0, max_error_true_m=0.1)
     table = scenario_tables.scenario_b_table(sweep).set_index(["estimator", "quantity"])
     row = table.loc[("P(RHE < EKF)", "mean error, raw GNSS [m]")]
     assert row["mean"] == 1 / 8 and row["n"] == 8 and row["low"] < 1 / 8 < row["high"]
+    lost = sweep.assign(max_error_true_m=np.where(sweep["estimator"] == "ekf", 5.0, 0.1))
+    table = scenario_tables.scenario_b_table(lost).set_index(["estimator", "quantity"])
+    assert table.loc[("RHE - EKF", "mean error, raw GNSS [m]"), "verdict"] == statistics.LOST
