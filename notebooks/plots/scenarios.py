@@ -242,7 +242,7 @@ def _on_the_map(figure, axes, runs):
     _end_of_lap(axes, first)
     start = first.log[["x_m", "y_m"]].iloc[0]
     axes.plot(*start, "o", color=BLACK, markersize=3)
-    parts.note(axes, "start", start, (5, 5))
+    parts.note(axes, "start", start, (-5, 0), ha="right")
     low = first.log[["x_m", "y_m"]].min() - _MARGIN_M
     high = first.log[["x_m", "y_m"]].max() + _MARGIN_M
     axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=_title(first))

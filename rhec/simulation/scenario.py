@@ -59,8 +59,7 @@ class Scenario:
     interval, from the encoders (R6, R13); "slipping": the same, with process noise that grows with
     the distance of the tracks, also sideways, which is not in the paper."""
     slip: options.Slip | None = None
-    """Constants of the speed model "slipping", in the order of `tuning.SLIP`; a sixth is that of
-    slip to the side that lasts, `tuning.LASTING_SLIP`."""
+    """Constants of the speed model "slipping", in the order of `tuning.SLIP`."""
     arrival_mean: ArrivalMean = "filtered"
     """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
     of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (R7)."""

@@ -13,7 +13,8 @@ from helpers import LIVE_PAGE, needs_live_page, wait_until
 import rhec
 from docs.live.page import FAULTS, SCENES
 from rhec import paper
-from rhec.core._casadi import compiled, scan
+from rhec.core import runner
+from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, MEASUREMENTS
 from rhec.tracked_robot import tuning
@@ -138,8 +139,8 @@ def same_run_in_python(run):
     setup = closed_loop.set_up(scenario)
     settings = setup.settings | dict(slip=run["slip"], origin_m=np.array(run["origin_m"]))
     functions = compiled.load(closed_loop.build_sample, *setup.structure)
-    _, rows = scan.scan(functions, setup.memory, run["noise"], settings)
-    return closed_loop.finish(scenario, setup, rows)
+    rows = runner.run_one(functions, setup.memory, run["noise"], settings)
+    return closed_loop.finish_all([scenario], [setup], [rows])[0]
 
 
 @pytest.fixture
