@@ -14,6 +14,7 @@ import itertools
 import numpy as np
 import pandas as pd
 
+from notebooks.studies.answer import to_markdown
 from notebooks.studies.statistics import over_seeds, ratio_of_means
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
@@ -41,7 +42,7 @@ ERRORS = (-0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.35)  # of the constant κ that a r
 NO_SLIP = "no slip model"  # it is told that μ = κ = 1
 _ESTIMATED = "estimated"
 CONTROL = {"R = 10": (paper.R,), "R tuned": (0.01, 0.04, 0.2)}  # to choose from
-_TRAINING = range(1000, 1008)
+_TRAINING = 1000  # the first seed of the training fields
 _DURATION_S = 120.0
 # Standard deviations in W that each loop chooses from: of the yaw [rad], of μ and κ [1].
 _YAW = (0.01, 0.03, 0.1)
@@ -128,17 +129,18 @@ def _errors(groups):
     return dict(zip(groups, np.split(errors, ends)))
 
 
-def drive(seeds):
+def drive(seeds, training_fields):
     """Drive every loop on every soil with the settings that were best on its training fields.
 
     Args:
-        seeds: Of the fields, which are none of the training fields.
+        seeds: Of the fields, below 1000.
+        training_fields: How many, from seed 1000 on.
 
     Returns:
         {(κ, variation, control, loop): mean true errors (n,)}; a loop is "estimated", NO_SLIP, or
         the error of the κ that it is told.
     """
-    training = _fields(_TRAINING)
+    training = _fields(range(_TRAINING, _TRAINING + training_fields))
     every = [
         (*place, control, loop)
         for place, control in itertools.product(training, CONTROL)
@@ -227,7 +229,6 @@ def rule_in_words(table):
     errors = by_control.pivot(index=["kappa", "variation"], columns="control", values="error_m")
     driven = errors[errors["R tuned"] < paper.TOLERANCE_M]
     gain = 1 - np.exp(np.log(driven["R tuned"] / driven["R = 10"]).mean())
-    said = "; ".join(f"{_in_words(told)} {_pays(row)}" for told, row in tuned.iterrows())
     paid = [_in_words(told) for told, row in tuned.iterrows() if row["ratio"] < _PAYS]
     if paid:
         rule = f"**Then estimating the traction pays against {', and against '.join(paid)}.**"
@@ -235,10 +236,23 @@ def rule_in_words(table):
         rule = "**Then two constants do as well as an estimate, even if they are wrong.**"
     return (
         f"**Tune R first:** that takes {100 * gain:.0f} % off the error of a robot that estimates, "
-        f"on the {len(driven)} of {len(errors)} soils that it can drive. {rule} With R tuned, the "
-        f"error with estimated traction over that of each rival is, as the mean over soils (and on "
-        f"how many of them estimating takes off more than 10 %): {said}."
+        f"on the {len(driven)} of {len(errors)} soils that it can drive. {rule} With R tuned:\n\n"
+        + to_markdown(_beside(tuned))
     )
+
+
+def _beside(tuned):
+    """What estimating is worth against each rival, as a table of texts."""
+    rows = {
+        "error with estimated traction over the rival's, mean over soils": tuned["ratio"].map(
+            "{:.2f}".format
+        ),
+        "soils on which estimating takes off more than 10 %": tuned["pays"].astype(str)
+        + " of "
+        + tuned["soils"].astype(str),
+    }
+    table = pd.DataFrame(rows).T.rename(columns=_in_words)
+    return table.rename_axis("the rival has").reset_index()
 
 
 def _in_words(told):
@@ -249,7 +263,3 @@ def _in_words(told):
     if not error:
         return "the right constants"
     return f"constants too {'high' if error > 0 else 'low'} by {abs(error):g}"
-
-
-def _pays(row):
-    return f"{row['ratio']:.2f} ({row['pays']:.0f} of {row['soils']:.0f})"

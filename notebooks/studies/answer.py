@@ -226,17 +226,16 @@ def _says_cause(numbers):
     """Whether an EKF that knows of no slip does as well as the RHE once its W fits."""
     best_rule = min(_SHOWN, key=lambda rule: numbers.loc["RHE", _ERROR, rule]["mean"])
     best = numbers.loc["RHE", _ERROR, best_rule]["mean"]
-    ekf = numbers.loc["EKF", _ERROR, "tracking"]["mean"]
-    against = f"{ekf:.4f} m, the RHE above at best {best:.4f} m ({_RULES[best_rule]})"
+    rhe, ekf = (numbers.loc[name, _ERROR, "tracking"]["mean"] for name in ("RHE", "EKF"))
+    short = "the traction may be it."
     if ekf < best:
-        return (
-            "the gain on the heading, not the traction.",
-            f"With a W that trusts its heading less, an EKF that knows of no slip has {against}.",
-        )
-    return (
-        "it may be the traction.",
-        f"With the W that drives best, an EKF that knows of no slip has {against}.",
+        short = "mostly W, that is the gain on the heading, not the traction."
+    why = (
+        f"With the W that drives best at R = 10, an EKF that knows of no slip has {ekf:.4f} m, and "
+        f"the RHE {rhe:.4f} m. By the other rules the RHE has at best {best:.4f} m "
+        f"({_RULES[best_rule]})."
     )
+    return short, why
 
 
 def _says_printed(numbers):

@@ -59,9 +59,9 @@ def test_the_best_settings_of_the_training_fields_are_driven(monkeypatch):
         }
 
     monkeypatch.setattr(traction_map, "_errors", errors)
-    traction_map.drive(range(2))
+    traction_map.drive(range(2), 3)
     tried, chosen = driven
-    assert {each.seed for group in tried.values() for each in group} == {*traction_map._TRAINING}
+    assert {each.seed for group in tried.values() for each in group} == {1000, 1001, 1002}
     for (_, _, control, _), group in chosen.items():
         assert [each.seed for each in group] == [0, 1]
         assert {each.r for each in group} == {10.0 if control == "R = 10" else 0.04}

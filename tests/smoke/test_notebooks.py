@@ -41,7 +41,7 @@ NOTEBOOKS = {
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
     "further/traction_worth": Small(
-        dict(first=8, seeds=16, curve_seeds=4, consistency_runs=10),
+        dict(map_fields=4, map_training=1, seeds=8, consistency_runs=10),
         ("table_traction_worth", "table_consistency"),
     ),
     "further/tolerance": Small(dict(default_fields=4, fields=4), ("table_tolerance",)),
