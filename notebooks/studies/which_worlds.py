@@ -343,7 +343,7 @@ _KEPT = dict(
 def _packed(table):
     """A table of `drive` as bytes: errors between 5 mm and 0.8 m to 2 %, the rest by _STEPS."""
     columns = {}
-    for variant in table.columns.unique(0).intersection(list(VARIANTS)):
+    for variant in [name for name in VARIANTS if name in table.columns.unique(0)]:
         for name in _KEPT[variant.split("_")[0]]:
             values = table[variant, name]
             if name in _ON_ROW:

@@ -126,8 +126,8 @@ class Scenario:
     guess_yaw_rad: valid.Real = 0.0
     """Error of the estimator's first guess of the yaw [rad]."""
 
-    # The field. Soil, ground and sensors are the centre of the posterior under the paper's numbers
-    # (notebook 07_which_worlds). `rhec.WORLDS` has other worlds.
+    # The field. In this soil and ground, and with these sensors, the paper's numbers are possible
+    # (docs/world.md). `rhec.WORLDS` has other worlds.
 
     terrain: Annotated[Terrain | None, SkipValidation] = None
     """Traction of the soil. None: random fields with the following statistics."""
