@@ -10,6 +10,7 @@ from notebooks.studies.statistics import (
     CONFIDENCE,
     FAILS,
     HOLDS,
+    LOST,
     UNDECIDED,
     UNTESTABLE,
     share_interval,
@@ -58,11 +59,11 @@ def verdict_counts(table):
         table: The ledger, of `ledger.ledger` or from claims.csv.
 
     Returns:
-        DataFrame of counts, one row a class (holds, PRINTED, DEPARTURE, does not hold, undecided,
-        cannot be tested here), with columns "claims" and, of those, "by derivation". Classes
-        without a claim have 0.
+        DataFrame of counts, one row a class (holds, PRINTED, DEPARTURE, does not hold, its rival is
+        lost, undecided, cannot be tested here), with columns "claims" and, of those, "by
+        derivation". Classes without a claim have 0.
     """
-    order = [HOLDS, PRINTED, DEPARTURE, FAILS, UNDECIDED, UNTESTABLE]
+    order = [HOLDS, PRINTED, DEPARTURE, FAILS, LOST, UNDECIDED, UNTESTABLE]
     by_class = table["derived"].groupby(table["verdict"].map(class_of))
     counts = pd.DataFrame({"claims": by_class.size(), "by derivation": by_class.sum()})
     return counts.reindex(order, fill_value=0).astype(int).rename_axis("verdict")

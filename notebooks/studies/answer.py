@@ -14,7 +14,7 @@ from pathlib import Path
 import pandas as pd
 
 from notebooks.claims.summary import DEPARTURE, PRINTED, verdict_counts
-from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
+from notebooks.studies.statistics import FAILS, HOLDS, LOST, UNDECIDED, UNTESTABLE
 from notebooks.studies.tables import interval_text, three_digits
 from rhec import paper
 
@@ -57,7 +57,7 @@ _EKF_LOST = "the EKF is lost"
 _NEAR = 0.1  # a mean is near the paper's number if it is within this share of it
 LEDGER = "data/results/claims.csv"
 _SQUARES = {HOLDS: "🟩", PRINTED: "🟦", DEPARTURE: "🟦", FAILS: "🟥", UNDECIDED: "🟧"}
-_SQUARES |= {UNTESTABLE: "⬜"}
+_SQUARES |= {LOST: "🟪", UNTESTABLE: "⬜"}
 _PER_SQUARE = 2  # sentences
 
 
