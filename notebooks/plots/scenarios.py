@@ -33,8 +33,8 @@ _EXCERPT_S = 30.0  # length of the time span that shows κ
 _NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
 _SPEEDS = (  # column, role of its colour, label, width of its line
     ("nu_meas_mps", "measured", "measured", 0.5),
-    ("nu_mps", "truth", "true", 1.4),
-    ("nu_hat_mps", "RHE", "estimated (RHE)", 0.8),
+    ("nu_mps", "truth", "true", 0.6),
+    ("nu_hat_mps", "RHE", "estimated (RHE)", 1.6),
 )
 _LINES = {
     "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
