@@ -46,7 +46,7 @@ NOTEBOOKS = {
     ),
     "further/tolerance": Small(dict(default_fields=4, fields=4), ("table_tolerance",)),
     "01_tutorial": Small(dict(seeds=2)),
-    "04_scenario_b": Small(dict(seeds=8, fields=8), ("table_scenario_b",)),
+    "04_scenario_b": Small(dict(seeds=60, fields=8), ("table_scenario_b",)),
     "03_scenario_a": Small(dict(seeds=8), ("table_scenario_a",)),
     "07_which_worlds": Small(
         dict(live_worlds=0, truths=20, draws=100), ("inverse_posterior", "inverse_statements")
