@@ -33,5 +33,7 @@
   form.addEventListener("submit", event => event.preventDefault())
   addEventListener("hashchange", follow)
   form.hidden = false
+  // The bar of verdicts on the first page leads here with the one that was clicked.
+  form.elements.verdict.value = new URLSearchParams(location.search).get("verdict") ?? ""
   show()
 }

@@ -12,7 +12,8 @@ from pathlib import Path
 import pandas as pd
 import typst
 
-from docs.site import results
+from notebooks.claims.summary import verdict_counts
+from notebooks.studies import answer
 from notebooks.studies.tables import interval_texts
 from rhec import paper
 
@@ -25,17 +26,30 @@ _SOURCE = "docs/article/article.typ"
 def tables():
     """The article's tables: {name: DataFrame of texts}; the first column names the rows."""
     return dict(
-        summary=results.summary(),
-        verdicts=results.verdicts().astype(str),
+        summary=answer.paper_beside_ours(),
+        weights=_weights(),
+        verdicts=_verdicts(),
         statements=_statements(),
         worth=_worth(),
         faults=_faults(),
     )
 
 
+def _verdicts():
+    """How many claims of the ledger have each verdict."""
+    return verdict_counts(pd.read_csv(answer.RESULTS / "claims.csv")).reset_index().astype(str)
+
+
+def _weights():
+    """The two ratios behind the paper's words on the weights of Scenario A."""
+    rows = pd.read_csv(answer.RESULTS / "table_scenario_a.csv").dropna(subset="verdict")
+    names = rows["weight"] + ", " + rows["quantity"]
+    return pd.DataFrame({"ratio": names, "here": interval_texts(rows), "verdict": rows["verdict"]})
+
+
 def _statements():
     """Shares of single drives that meet what the paper states, before and after it is known."""
-    shares = pd.read_csv(results.EXPECTED / "inverse_statements.csv")
+    shares = pd.read_csv(answer.RESULTS / "inverse_statements.csv")
     columns = {"what the paper states": shares["statement"]}
     for when in ("prior", "posterior"):
         numbers = [f"{when} drives{end}" for end in ("", "_low", "_high")]
@@ -45,7 +59,7 @@ def _statements():
 
 def _worth():
     """Ratios of the true error with a part of the loop to that without it."""
-    rows = pd.read_csv(results.EXPECTED / "table_traction_worth.csv")
+    rows = pd.read_csv(answer.RESULTS / "table_traction_worth.csv")
     rows = rows[rows["quantity"] == "true error with it over without it"]
     # Near 1 they differ in the third decimal.
     texts = interval_texts(rows, number="{:.3f}".format)
@@ -54,7 +68,7 @@ def _worth():
 
 def _faults():
     """Cases of faults without and with robust handling."""
-    cases = pd.read_csv(results.EXPECTED / "table_faults.csv")
+    cases = pd.read_csv(answer.RESULTS / "table_faults.csv")
     cases["recovered"] = cases["back"] == cases["n"]
     cases["within the aim"] = cases["verdict"] == "holds"
     by_handling = cases.groupby("handling")

@@ -98,7 +98,7 @@ function write(said) {
   const row = (title, cells) => `<tr><th scope="row">${title}</th>${cells.join("")}</tr>`;
   const heads = shown.map(([, head, unit]) => `<th scope="col">${head}<br>${unit}</th>`);
   const rows = loops.map(({ metrics }, i) => {
-    const line = `<span style="color: var(${COLOURS[i]})">━</span> ${runs[i].name}`;
+    const line = `<span style="color: var(${colour_of(i)})">━</span> ${runs[i].name}`;
     return row(line, shown.map(
       ([name, , , digits]) => `<td>${number(metrics[name], digits)}</td>`));
   });

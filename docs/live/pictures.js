@@ -1,7 +1,9 @@
 // The live page's six pictures, drawn with Plot (plot.js) and the robot view (robot_view.js).
 "use strict";
 
-const COLOURS = ["--run0", "--run1", "--run2"]; // of the runs
+// As in the figures (rhec/style.py): weights and estimators keep their colours in all scenes.
+const COLOURS = { "Q¹": "--q1", "Q²": "--q2", "Q³": "--run0", RHE: "--run0", EKF: "--run1" };
+const colour_of = i => COLOURS[page.runs[i].name] ?? `--run${i}`;
 const TELLING_S = 3; // of the path's glow
 
 function draw_soil(plot, { slip, n, origin_m }) { // and the path
@@ -35,8 +37,8 @@ function draw_map(now) {
   const glow = telling_of(followed);
   draw_telling(map, followed.samples, followed.get("x_m"), followed.get("y_m"), glow, 5);
   loops.forEach((loop, i) => {
-    map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), COLOURS[i]);
-    draw_robot(map, pose_of(loop, now), COLOURS[i]);
+    map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), colour_of(i));
+    draw_robot(map, pose_of(loop, now), colour_of(i));
   });
   const yaw = values.start_yaw_rad;
   page.map = map;
@@ -99,7 +101,7 @@ function view_of(loop, now, colour) { // what draw_robot_view needs to know of a
 
 function draw_near(now) {
   const loop = page.loops[page.followed];
-  draw_robot_view($("near"), view_of(loop, now, COLOURS[page.followed]));
+  draw_robot_view($("near"), view_of(loop, now, colour_of(page.followed)));
   $("touched").value = touches_of(loop).filter(k => k <= now).length;
 }
 
@@ -116,7 +118,7 @@ function draw_over_time(id, [low, high], now, draw_loop) {
       plot.area(4, i => across[i >> 1], up, "--measured", { alpha: 0.15 });
     }
   }
-  loops.forEach((loop, i) => draw_loop(plot, loop, COLOURS[i], time));
+  loops.forEach((loop, i) => draw_loop(plot, loop, colour_of(i), time));
   plot.line(2, () => time(now), i => [low, high][i], "--soft", { width: 1 });
   plot.limit = value =>
     plot.line(2, i => i * end_s, () => value, "--ink", { width: 1, dash: [5, 4] });

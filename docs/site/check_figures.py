@@ -10,7 +10,8 @@ import sys
 import pandas as pd
 from pandas.testing import assert_frame_equal
 
-from docs.site.results import EXPECTED, ROOT
+from notebooks.studies.answer import RESULTS
+from rhec.style import ROOT
 
 __all__ = ["difference"]
 
@@ -40,7 +41,7 @@ def _without_times(table):
 
 def _main():
     accept = []
-    for file in sorted(EXPECTED.glob("*.csv")):
+    for file in sorted(RESULTS.glob("*.csv")):
         made = ROOT / "figures" / file.name
         if not made.exists():
             print(f"{file.stem}: not made yet")

@@ -18,6 +18,7 @@ import subprocess
 import tempfile
 from datetime import datetime
 from pathlib import Path
+from urllib.parse import quote
 
 import nbformat
 import pandas as pd
@@ -25,9 +26,10 @@ from nbformat.v4 import new_output
 from sphinx.application import Sphinx
 
 from docs.live import page, wasm
-from docs.site import cards, results
+from docs.site import cards
 from docs.site.content_policy import with_policy
-from notebooks.studies import timing
+from notebooks.plots.claims import kind_of
+from notebooks.studies import answer, timing
 from rhec import __version__, style
 
 __all__ = ["SHOWN", "build", "licence"]
@@ -78,6 +80,7 @@ def _lay_out(source, notebooks, figures, live):
     shutil.copy(ROOT / "docs/index.md", source)
     for name in _COPIED:
         shutil.copy(ROOT / name, source)
+    _link_cards(source / "README.md")
     (source / "licences").mkdir()
     for package in SHOWN:
         (source / f"licences/{package}.txt").write_text(licence(package), encoding="utf-8")
@@ -94,7 +97,7 @@ def _lay_out(source, notebooks, figures, live):
         nbformat.write(notebook, source / place)
     ledger = figures / "claims.csv"
     if not ledger.exists():
-        ledger = results.EXPECTED / "claims.csv"
+        ledger = answer.RESULTS / "claims.csv"
     pages = {
         "figures": _figures_page(stories, captions, source / "figures"),
         "claims": cards.page(pd.read_csv(ledger), live),
@@ -102,6 +105,18 @@ def _lay_out(source, notebooks, figures, live):
     }
     for name, text in pages.items():
         (source / f"{name}.md").write_text(text, encoding="utf-8")
+
+
+def _link_cards(readme):
+    """Let the bar of verdicts lead to the cards of each: on the site the ledger is that page."""
+    text = readme.read_text(encoding="utf-8")
+
+    def link(part):
+        kind = quote(kind_of(part[2]))
+        return f'<a href="claims.html?verdict={kind}">{part[1]}{part[2]}{part[3]}</a>'
+
+    text = re.sub(rf"\[(\W+)(.*?)(: \d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
+    readme.write_text(text, encoding="utf-8")
 
 
 # ---------------------------------------------------------------- notebooks
@@ -210,11 +225,11 @@ def _provenance_page(stories, figures):
     return "\n\n".join(
         [
             "# Provenance",
-            results.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
+            answer.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
             "## Notebooks",
-            results.to_markdown(runs),
+            answer.to_markdown(runs),
             "## Packages",
-            results.to_markdown(packages),
+            answer.to_markdown(packages),
             f"These pages hold scripts and styles of other projects; their licences: {licences}.",
         ]
     )

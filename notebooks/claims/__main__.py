@@ -1,4 +1,7 @@
-"""Judge one claim of the paper again: `python -m notebooks.claims B6` (`make claim ID=B6`)."""
+"""Judge one claim of the paper again: `python -m notebooks.claims B6` (`make claim ID=B6`).
+
+Without an id it lists all claims with the verdicts of the ledger.
+"""
 
 import argparse
 
@@ -6,7 +9,7 @@ from notebooks.claims import summary
 
 
 def main(arguments=None):
-    """Print the claim's sentence, its verdict and the numbers behind it.
+    """Print a claim's sentence, its verdict and the numbers behind it, or the list of all claims.
 
     Args:
         arguments: Of the command line; those of the process by default.
@@ -15,15 +18,19 @@ def main(arguments=None):
         SystemExit: With code 2 and one sentence if there is no such claim, or too few fields.
     """
     parser = argparse.ArgumentParser("python -m notebooks.claims", description=__doc__)
-    parser.add_argument("id", help="of the claim, for example I2")
+    text = "of the claim, for example I2; without it, all claims are listed"
+    parser.add_argument("id", nargs="?", default="", help=text)
     text = f"simulated fields, at least 2 (default: {summary.FIELDS})"
     parser.add_argument("--fields", type=int, default=summary.FIELDS, help=text)
     given = parser.parse_args(arguments)
+    if not given.id:
+        print("\n".join(summary.listed()))
+        return
     try:
-        lines = summary.report_lines(given.id, given.fields)
+        for line in summary.report_lines(given.id, given.fields):
+            print(line, flush=True)
     except ValueError as error:
         parser.exit(2, f"{error}\n")
-    print("\n".join(lines))
 
 
 if __name__ == "__main__":

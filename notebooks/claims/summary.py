@@ -1,11 +1,22 @@
 """The ledger for readers: its verdicts in numbers, its tables, and one claim judged again."""
 
+import numpy as np
 import pandas as pd
 
 from notebooks.claims import evidence
 from notebooks.claims.rules import CLAIMS
-from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, FAILS, HOLDS, UNDECIDED, UNTESTABLE
+from notebooks.studies.statistics import (
+    AS_PRINTED,
+    CONFIDENCE,
+    FAILS,
+    HOLDS,
+    LOST,
+    UNDECIDED,
+    UNTESTABLE,
+    share_interval,
+)
 from notebooks.studies.tables import interval_text, interval_texts
+from rhec.style import ROOT
 
 __all__ = [
     "DEPARTURE",
@@ -15,6 +26,7 @@ __all__ = [
     "depending",
     "failing",
     "in_worlds",
+    "listed",
     "lost",
     "readable_ledger",
     "report_lines",
@@ -26,6 +38,7 @@ PRINTED = f"{HOLDS} only {AS_PRINTED}"
 DEPARTURE = f"{HOLDS} only with a departure"
 FIELDS = 40  # of one claim alone: enough for most verdicts at 99.9 %
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
+_LEDGER = ROOT / "data/results/claims.csv"
 
 
 def class_of(verdict):
@@ -46,11 +59,11 @@ def verdict_counts(table):
         table: The ledger, of `ledger.ledger` or from claims.csv.
 
     Returns:
-        DataFrame of counts, one row a class (holds, PRINTED, DEPARTURE, does not hold, undecided,
-        cannot be tested here), with columns "claims" and, of those, "by derivation". Classes
-        without a claim have 0.
+        DataFrame of counts, one row a class (holds, PRINTED, DEPARTURE, does not hold, its rival is
+        lost, undecided, cannot be tested here), with columns "claims" and, of those, "by
+        derivation". Classes without a claim have 0.
     """
-    order = [HOLDS, PRINTED, DEPARTURE, FAILS, UNDECIDED, UNTESTABLE]
+    order = [HOLDS, PRINTED, DEPARTURE, FAILS, LOST, UNDECIDED, UNTESTABLE]
     by_class = table["derived"].groupby(table["verdict"].map(class_of))
     counts = pd.DataFrame({"claims": by_class.size(), "by derivation": by_class.sum()})
     return counts.reindex(order, fill_value=0).astype(int).rename_axis("verdict")
@@ -115,6 +128,37 @@ def in_worlds(table):
 # One claim alone
 
 
+def listed(claims=CLAIMS):
+    """One line for each claim: id, sentence, and the verdict of the ledger."""
+    verdicts = pd.read_csv(_LEDGER).set_index("id")["verdict"]
+    width = max(len(claim.claim) for claim in claims.values())
+    return [f"{id_:4}{claim.claim:{width}}  {verdicts[id_]}" for id_, claim in claims.items()]
+
+
+def _how_sure(findings):
+    """How sure as many cases can be, of a share or of what is true in every case; else nothing.
+
+    If all n cases agree, Clopper and Pearson's interval of their share begins at (α/2)^(1/n), at
+    the confidence 1 - α. So n must be above ln(α/2) / ln(bound).
+    """
+    finding = max(findings.values(), key=lambda finding: finding.n)
+    n = finding.n
+    low, _ = share_interval(n, n)
+    if finding.above == 1:
+        text = f"if all {n} agree, up to {1 - low:.1%} of all cases may still be exceptions"
+    else:
+        enough = int(np.floor(np.log((1 - CONFIDENCE) / 2) / np.log(finding.above))) + 1
+        text = f"if all {n} agree, the share is at least {low:.3f}"
+        text += f"; to be above {finding.above:g} takes {enough} or more"
+    return [f"  how sure {n} cases can be: {text}"]
+
+
+def _is_share(claim, findings):
+    """Whether a claim is about a share with a lower bound, and was tested."""
+    bounds = [finding.above for finding in findings.values() if finding.n]
+    return claim.rule.unit.startswith("share") and bounds and 0 < max(bounds) <= 1
+
+
 def report_lines(id_, fields=FIELDS, folder=None, claims=CLAIMS):
     """Judge one claim on a few fields and say what came out.
 
@@ -150,6 +194,7 @@ def report_lines(id_, fields=FIELDS, folder=None, claims=CLAIMS):
     lines += [_line(name, found, claim.rule.unit) for name, found in findings[id_].items()]
     lines += [_line(f"beside it: {what}", found) for what, found in beside[id_].items()]
     lines += [f"  why: {claim.why}"] if claim.why else []
+    lines += _how_sure(findings[id_]) if _is_share(claim, findings[id_]) else []
     if driven:
         lines.append(f"  seeds 0 to {fields - 1}; intervals and verdicts at {CONFIDENCE:.0%}")
         lines.append("  The ledger (06_claims) has more fields, and other worlds.")

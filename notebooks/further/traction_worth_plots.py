@@ -1,11 +1,11 @@
-"""Loops of estimator and controller by their tracking error, and the error over the weight R."""
+"""Loops of estimator and controller by their tracking error, and a map over the soil."""
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
 
-from notebooks.further import traction_worth
-from notebooks.plots.parts import DOTS, legend_above, note
-from notebooks.studies.statistics import over_seeds
+from notebooks.further import traction_map, traction_worth
+from notebooks.plots.parts import DOTS, note
 from rhec import paper, style
 
 _FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
@@ -15,6 +15,8 @@ _FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
     "traction": style.COLOURS["oracle"],
     "full oracle": style.BLACK,
 }
+_WORTH = LinearSegmentedColormap.from_list("worth", [style.SKY, "w", style.ORANGE])
+_SPAN = 0.3  # of the ratios that differ in colour, on both sides of 1
 _OFF_SCALE = 1.3  # upper limit of the axis as a multiple of the paper's RHE
 
 
@@ -22,27 +24,23 @@ _OFF_SCALE = 1.3  # upper limit of the axis as a multiple of the paper's RHE
 def ranked(tables, worth):
     """Draw the true error of every loop, the best above, a dot a seed.
 
-    A number at the edge counts seeds outside the axis, and an arrow is a mean outside. A star at a
-    mean says that the loop had the first look alone. The tables are those of
-    `notebooks.further.traction_worth.in_two_looks`, worth is their `worth_table`.
+    A number at the edge counts seeds outside the axis, and an arrow is a mean outside. The tables
+    are those of `notebooks.further.traction_worth.drive`, worth is their `worth_table`.
     """
     means = worth[worth["quantity"] == traction_worth.ERROR].set_index("loop")
-    n_fields = means["n"].max()
     largest = _OFF_SCALE * means.loc[traction_worth.PAPERS, "mean"]
     figure, axes = plt.subplots(figsize=(style.DOUBLE_IN, 0.22 * len(means) + 0.9))
     for place, (name, mean) in enumerate(means.iterrows()):
         colour = _colour_of(name)
         errors = tables[name]["mean_error_true_m"].to_numpy()
         _draw_seeds(axes, place, errors, largest, colour)
-        star = "*" if mean["n"] < n_fields else ""
-        _draw_mean(axes, place, mean[["mean", "low", "high"]], largest, colour, star)
+        _draw_mean(axes, place, mean[["mean", "low", "high"]], largest, colour)
     axes.set_yticks(range(len(means)), means.index)
     axes.set_ylim(len(means) - 0.4, -0.6)
     axes.set_xlim(0, largest)
     axes.grid(axis="y", visible=False)
     axes.set_xlabel("mean true error of a drive [m]")
-    fewer = f" (*: {means['n'].min()} of them)" if means["n"].min() < n_fields else ""
-    axes.set_title(f"{n_fields} fields{fewer}")
+    axes.set_title(f"{means['n'].max()} fields")
     return figure
 
 
@@ -65,11 +63,8 @@ def _draw_seeds(axes, place, errors, largest, colour):
         note(axes, f"{(~inside).sum()} off scale", (largest, place), (-4, 0), **look)
 
 
-def _draw_mean(axes, place, estimate, most, colour, star):
-    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right.
-
-    A star stands at the number.
-    """
+def _draw_mean(axes, place, estimate, most, colour):
+    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right."""
     mean, low, high = estimate
     if mean < most:
         look = dict(fmt="D", markeredgecolor="w", markeredgewidth=0.5, markersize=4, capsize=2)
@@ -78,30 +73,66 @@ def _draw_mean(axes, place, estimate, most, colour, star):
         )
     else:
         axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
-    note(axes, f"{mean:.4f}{star}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
+    note(axes, f"{mean:.4f}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
 
 
 @style.styled
-def over_gain(rows):
-    """Draw mean true errors over the controller's weight R. A ring marks each minimum.
+def map_of_worth(table):
+    """Draw the errors with estimated traction over those of each rival, a cell for each soil.
 
-    Bands are 95 % intervals over seeds, the dotted line the paper's R. The rows are those of
-    `notebooks.further.traction_worth.by_gain`.
+    Blue cells say that estimating pays, orange ones that it costs; in a pale cell the 95 % interval
+    holds 1. A cross is a soil on which the robot is lost, even with estimated traction. Empty are
+    constants above 1.
+
+    Args:
+        table: Of `notebooks.further.traction_map.worth_map`.
     """
-    figure, axes = plt.subplots(figsize=(style.COLUMN_IN, 3.4))
-    colours = (style.COLOURS["RHE"], style.ORANGE, style.PURPLE, style.GREY)
-    colours += (style.VERMILLION, style.COLOURS["oracle"])
-    for colour, (name, of_name) in zip(colours, rows.groupby("loop", sort=False)):
-        by_weight = of_name.groupby("r")["mean_error_true_m"]
-        weights = np.array([weight for weight, _ in by_weight])
-        mean, low, high = np.array([over_seeds(np.mean, seeds)[:3] for _, seeds in by_weight]).T
-        axes.plot(weights, mean, color=colour, label=name)
-        axes.fill_between(weights, low, high, color=colour, alpha=0.2, linewidth=0)
-        least = mean.argmin()
-        ring = dict(color="w", markeredgecolor=colour, markersize=5)
-        axes.plot(weights[least], mean[least], "o", **ring)
-    axes.axvline(paper.R, color=style.GREY, linestyle=":")
-    axes.set_xscale("log")
-    axes.set(xlabel="weight R of the yaw rate, eq. (22)", ylabel="mean true error [m]")
-    legend_above(axes, ncols=1, handlelength=1.5)
+    controls = list(table["control"].unique())
+    variations = list(table["variation"].unique())
+    size = dict(figsize=(style.DOUBLE_IN, 1.6 * len(controls) + 0.7))
+    shared = dict(sharex=True, sharey=True, squeeze=False)
+    figure, rows = plt.subplots(len(controls), len(variations), **size, **shared)
+    for control, panels in zip(controls, rows):
+        for variation, axes in zip(variations, panels):
+            is_here = (table["control"] == control) & (table["variation"] == variation)
+            image = _draw_cells(axes, table[is_here])
+            axes.set_title(f"{control}, varies by {variation:g} of its slip", loc="center")
+        panels[0].set_ylabel("mean κ of the soil [-]")
+    figure.supxlabel("error of the constant κ that the rival is told [-]", fontsize=8)
+    label = "error with estimated traction\nover the rival's [-]"
+    figure.colorbar(image, ax=rows, label=label, fraction=0.03, pad=0.01, extend="both")
+    words = (
+        f"{table['n'].max()} fields a cell; pale: the 95 % interval holds 1; ×: the robot is lost"
+    )
+    figure.suptitle(words, fontsize=8)
     return figure
+
+
+def _draw_cells(axes, of_panel):
+    """One panel: ratios as colours and numbers, mean κ from above to below."""
+    told = [*map(str, traction_map.ERRORS), traction_map.NO_SLIP]
+    kappas = [*of_panel["kappa"].unique()]
+    cells = of_panel.set_index(["kappa", "told"])
+    ratios = of_panel.pivot(index="kappa", columns="told", values="mean").loc[kappas, told]
+    is_certain = ((cells["high"] < 1) | (cells["low"] > 1)).unstack(fill_value=False)
+    alpha = np.where(is_certain.loc[kappas, told], 1.0, 0.35)
+    look = dict(cmap=_WORTH, vmin=1 - _SPAN, vmax=1 + _SPAN, aspect="auto")
+    is_lost = of_panel.groupby("kappa")["error_m"].first().loc[kappas] > paper.TOLERANCE_M
+    image = axes.imshow(ratios.where(~is_lost, axis=0), alpha=alpha, **look)
+    for (kappa, name), cell in cells.iterrows():
+        text = "×" if is_lost[kappa] else f"{cell['mean']:.2f}"
+        place = told.index(name), kappas.index(kappa)
+        axes.text(*place, text, ha="center", va="center", fontsize=5)
+    axes.set_xticks(range(len(told)), [_tick(name) for name in told], fontsize=5.5)
+    axes.set_yticks(range(len(kappas)), [f"{each:g}" for each in kappas])
+    axes.grid(visible=False)
+    axes.tick_params(length=0)
+    return image
+
+
+def _tick(told):
+    """What a rival is told, at the axis."""
+    if told == traction_map.NO_SLIP:
+        return "no\nslip"
+    error = float(told)
+    return f"{error:+g}".replace("-", "−") if error else "0"

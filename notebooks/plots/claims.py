@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 
 from notebooks.claims.summary import DEPARTURE, PRINTED, class_of
-from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE
+from notebooks.studies.statistics import FAILS, HOLDS, LOST, UNDECIDED, UNTESTABLE
 from notebooks.studies.tables import interval_text
 from rhec import style
 
@@ -15,10 +15,11 @@ LOOKS = {
     HOLDS: (style.GREEN, "✓"),
     _PARTLY: (style.BLUE, "±"),
     FAILS: (style.VERMILLION, "×"),
+    LOST: (style.PURPLE, "∅"),
     UNDECIDED: (style.ORANGE, "?"),
     UNTESTABLE: (style.GREY, "–"),
 }
-LABELS = {_PARTLY: "by reading", UNTESTABLE: "untestable"}
+LABELS = {_PARTLY: "by reading", LOST: "rival lost", UNTESTABLE: "untestable"}
 # Horizontal places in the figure [% of its width]: sign, bound, end of intervals, paper's numbers,
 # and the two ends of the scale of shares.
 _SIGN = 46.0
@@ -142,7 +143,7 @@ def _draw_heads(axes, table):
     for x, number in zip(_SHARE, "01"):
         axes.text(x, -1.2, number, ha="center", **_FONT)
     kinds = table["verdict"].map(kind_of)
-    for x, kind in zip((1.0, 17.0, 38.0, 60.0, 80.0), LOOKS):
+    for x, kind in zip((1.0, 14.0, 32.0, 51.0, 67.0, 81.0), LOOKS):
         _draw_sign(axes, x, -3.8, kind)
         count = f"{LABELS.get(kind, kind)}: {(kinds == kind).sum()}"
         axes.text(x + 1.5, -3.8, count, **_FONT)

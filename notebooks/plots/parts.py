@@ -19,6 +19,11 @@ def panels_beside(n, height_in, width_in=DOUBLE_IN):
     return figure, panels[0]
 
 
+def noise_text(process_noise):
+    """The process noise W of a drive, for a title."""
+    return {"likelihood": "W by likelihood"}.get(process_noise, f"W {process_noise}")
+
+
 def seed_range(sweep):
     """The number and the range of the seeds of a sweep, for a title."""
     seeds = sorted(sweep["seed"].unique())
@@ -49,7 +54,7 @@ def interval_row(axes, place, row, colour):
     """Draw mean, 95 % interval (thick), middle 90 % of drives (thin), and the numbers."""
     axes.hlines(place, row.p5, row.p95, linewidth=0.8, color=colour)
     axes.hlines(place, row.low, row.high, linewidth=3, color=colour, alpha=0.6)
-    axes.plot(row.mean, place, "o", color=colour, markersize=3.5)
+    axes.plot(row.mean, place, "|", color=colour, markersize=7, markeredgewidth=1.2)
     text = interval_text(row.mean, row.low, row.high)
     note(axes, text, (1, place), (4, 0), xycoords=("axes fraction", "data"))
 

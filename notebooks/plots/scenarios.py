@@ -23,17 +23,19 @@ _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _KKT = {"RHE": "RHE", "RHC": "oracle"}
 _LEAST_KKT = 1e-5
-_DOT_AND_LINES = "dot and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
+_DOT_AND_LINES = "stroke and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
 _POOLED = round(1 / paper.DT_S)  # samples of one second
-_MOST_ERROR_M = 0.4  # upper end of the axis of one drive's error
+_MARGIN_M = 2.0  # around a drive on the map
+_MOST_BESIDE_M = 0.25  # ends of the axis of the distance beside the path
+_MOST_ERROR_M = 0.3  # upper end of the axis of one drive's error
 _START_S = 20.0  # by then each drive that settles at all has left its start behind
+_EXCERPT_S = 30.0  # length of the time span that shows κ
 _NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
 _SPEEDS = (  # column, role of its colour, label, width of its line
     ("nu_meas_mps", "measured", "measured", 0.5),
-    ("nu_hat_mps", "RHE", "estimated (RHE)", 1.2),
-    ("nu_mps", "truth", "true", 0.7),
+    ("nu_mps", "truth", "true", 0.6),
+    ("nu_hat_mps", "RHE", "estimated (RHE)", 1.6),
 )
-_PAPER_LINE = {"RHE": (0, (1, 1)), "EKF": (0, (4, 1, 1, 1))}
 _LINES = {
     "Q1": dict(color=COLOURS["Q1"], label="$Q^1$"),
     "Q2": dict(color=COLOURS["Q2"], label="$Q^2$"),
@@ -46,7 +48,7 @@ _LINES = {
 
 def _title(run):
     """Process noise and seed of a run, for a title."""
-    return f"{run.scenario.process_noise} process noise, seed {run.scenario.seed}"
+    return f"{parts.noise_text(run.scenario.process_noise)}, seed {run.scenario.seed}"
 
 
 def _fields(drives):
@@ -59,8 +61,8 @@ def _fields(drives):
 
 def _over(drives):
     """Description of a line and its band, for a title."""
-    noise = drives[0].scenario.process_noise
-    return f"{noise} process noise: median, middle 90 % of {_fields(drives)}"
+    noise = parts.noise_text(drives[0].scenario.process_noise)
+    return f"{noise}: median, middle 90 % of {_fields(drives)}"
 
 
 def _time_axis(axes, log):
@@ -91,16 +93,6 @@ def _reference(axes, path, up_to_m=None):
     axes.plot(*poses[:, :2].T, **parts.BOUND | dict(linewidth=0.8, label="reference"))
 
 
-def _corridor(axes, path):
-    """Draw the tolerance on both sides of the path as thin lines."""
-    poses, _ = path.poses(np.arange(0, path.length_m + 0.05, 0.1))
-    x, y, theta = poses.T
-    for side_m in (-paper.TOLERANCE_M, paper.TOLERANCE_M):
-        look = dict(color=COLOURS["tolerance"], linewidth=1.2, zorder=1)
-        label = f"{paper.TOLERANCE_M} m beside it" if side_m > 0 else None
-        axes.plot(x - side_m * np.sin(theta), y + side_m * np.cos(theta), label=label, **look)
-
-
 def _first_row(run):
     """The log until the robot leaves the first straight of the path."""
     _, s = run.path.project(run.log[["x_m", "y_m"]])
@@ -108,45 +100,63 @@ def _first_row(run):
 
 
 @styled
-def trajectories_q(runs):
+def trajectories_q(runs, table):
     """Draw Figure 6: trajectories on the first row from an offset start, and true errors over time.
 
-    A dot marks the settling time, after which the true error stays within 0.12 m for 5 s.
+    A dot marks the settling time, after which the true error stays within 0.12 m for 5 s. The title
+    says whether these drives come in the order of the mean over many fields.
 
     Args:
         runs: {yaw weight: Run}, weights "Q1", "Q2", "Q2, look-ahead" or "Q3".
+        table: Table of `notebooks.studies.scenario_tables.scenario_a_table`.
     """
-    figure, (plane, time) = plt.subplots(2, figsize=(COLUMN_IN, 4.4))
+    figure, (plane, time) = plt.subplots(2, figsize=(COLUMN_IN, 4.2))
     first = next(iter(runs.values()))
     rows = {name: _first_row(run) for name, run in runs.items()}
     ends = [first.path.project(log[["x_m", "y_m"]])[1].max() for log in rows.values()]
     _reference(plane, first.path, max(ends))
     for name, log in rows.items():
         look = _LINES[name]
-        unlabelled = look | dict(label=None)
-        plane.plot(log["x_m"], log["y_m"], **look | dict(label=_how_it_settles(name, runs[name])))
-        time.plot(log["t_s"], log["error_true_m"], **unlabelled)
+        plane.plot(log["x_m"], log["y_m"], **look)
+        time.plot(log["t_s"], log["error_true_m"], **look | dict(label=None))
         settled_s = runs[name].metrics["settling_time_s"]
         then_m = np.interp(settled_s, log["t_s"], log["error_true_m"])
-        time.plot(settled_s, then_m, "o", markersize=4, color=look["color"], markeredgecolor="w")
+        dot = dict(markersize=4, markeredgecolor="w", clip_on=False, zorder=3)
+        time.plot(settled_s, then_m, "o", color=look["color"], **dot)
     time.axhline(paper.TOLERANCE_M, **parts.BOUND)
     time.axhspan(0, paper.TOLERANCE_M, **parts.TOLERANCE)
     place = dict(xycoords=("axes fraction", "data"), ha="right", va="baseline")
     parts.note(time, f"{paper.TOLERANCE_M} m", (1, paper.TOLERANCE_M), (0, 2), **place)
     end_s = max(log["t_s"].iloc[-1] for log in rows.values())
-    time.set(xlim=(0, end_s), ylim=0, xlabel="time [s]", ylabel="true error [m]")
-    title = f"First row: {_title(first)}"
-    plane.set(xlabel="$x$ [m]", ylabel="$y$ [m], stretched", title=title)
-    heading = "settling time (dots); mean true error of the drive from then on"
-    figure.legend(title=heading, title_fontsize=7, loc="outside lower center", ncols=2)
+    time.set(xlim=(0, 1.02 * end_s), ylim=0, xlabel="time [s]  (dots: settling time)")
+    time.set_ylabel("true error [m]")
+    plane.set(xlabel="$x$ [m]", title=f"First row: {_title(first)}\n{_order(runs, table)}")
+    figure.legend(loc="outside lower center", ncols=3)
+    figure.draw_without_rendering()
+    plane.set_ylabel(f"$y$ [m], stretched × {_stretch(plane):.0f}")
     return figure
 
 
-def _how_it_settles(name, run):
-    """The settling time of a run and its mean true error from then on, for a legend."""
-    settled_s = run.metrics["settling_time_s"]
-    words = "never" if np.isnan(settled_s) else f"{settled_s:.1f} s"
-    return f"{_LINES[name]['label']}: {words}; {run.metrics['mean_error_true_m']:.3f} m"
+def _stretch(axes):
+    """How many times as long a metre of y is drawn as one of x."""
+    width, height = axes.get_window_extent().size
+    return (height / np.diff(axes.get_ylim())[0]) / (width / np.diff(axes.get_xlim())[0])
+
+
+def _order(runs, table):
+    """The order of the drives' mean errors, and whether the means over fields have another one."""
+    means = table[table["quantity"] == "mean error, true [m]"].set_index("weight")
+    weights = [name for name in runs if name in means.index and "," not in name]
+    here = sorted(weights, key=lambda name: runs[name].metrics["mean_error_true_m"])
+    overall = sorted(weights, key=lambda name: means.loc[name, "mean"])
+
+    def words(names):
+        return " < ".join(_LINES[name]["label"] for name in names)
+
+    fields = f"the mean of {means['n'].max()} fields"
+    if here == overall:
+        return f"mean errors {words(here)}, as in {fields}"
+    return f"mean errors {words(here)}, against {fields}:\n{words(overall)}"
 
 
 @styled
@@ -155,18 +165,22 @@ def weight_sweep(table, process_noise):
 
     Args:
         table: Table of `notebooks.studies.scenario_tables.scenario_a_table`.
-        process_noise: Process noise of the drives, "printed" or "likelihood".
+        process_noise: Name of the process noise of the drives.
     """
     figure, panels = parts.panels_beside(2, 1.5)
-    for axes, quantity in zip(panels, ("settling time [s]", "overshoot [m]")):
+    in_mm = table["quantity"] == "overshoot [m]"
+    numbers = ["mean", "low", "high", "p5", "p95"]
+    table = table.assign(quantity=table["quantity"].replace("overshoot [m]", "overshoot [mm]"))
+    table.loc[in_mm, numbers] *= 1000
+    for axes, quantity in zip(panels, ("settling time [s]", "overshoot [mm]")):
         rows = table[table["quantity"] == quantity]
         for place, row in enumerate(rows.itertuples()):
             parts.interval_row(axes, place, row, _LINES[row.weight]["color"])
         parts.rows_axis(axes, [_LINES[name]["label"] for name in rows["weight"]], quantity)
     settled = table.loc[table["quantity"] == "settling time [s]", ["n", "weight"]].to_numpy()
     counts = ", ".join(f"{n} with {_LINES[name]['label']}" for n, name in settled)
-    panels[0].set_title(f"{process_noise} process noise, {table['n'].max()} fields")
-    figure.supxlabel(f"{_DOT_AND_LINES}; settled: {counts}", fontsize=7)
+    panels[0].set_title(f"{parts.noise_text(process_noise)}, {table['n'].max()} fields")
+    figure.supxlabel(f"{_DOT_AND_LINES}\nsettled: {counts}", fontsize=7)
     return figure
 
 
@@ -191,52 +205,76 @@ def slip_fields(terrain, path, title):
 
 
 @styled
-def trajectories(runs):
-    """Draw Figure 7: reference and trajectories on the map of κ.
+def trajectories(pairs):
+    """Draw Figure 7: the drives on the map of κ, and below how far each robot is beside the path.
 
-    The upper map shows the whole drive and where it ends. The lower maps show the start and the
-    largest true error after settling, with the tolerance of 0.12 m in yellow.
+    The paper draws both trajectories on the field, where they cannot be told apart. Here the true
+    distance to the path, positive to its left, is drawn along it.
 
     Args:
-        runs: {"RHE": Run, "EKF": Run} on the same terrain.
+        pairs: {process noise: {"RHE": Run, "EKF": Run}} on the same terrain. The map has the first
+            pair.
     """
-    first = next(iter(runs.values()))
-    mosaic = [["all", "all"], ["start", "worst"]]
-    figure, panels = plt.subplot_mosaic(mosaic, figsize=(COLUMN_IN, 3.5))
-    for axes in panels.values():
-        image = _field(axes, first.terrain, first.terrain.kappa)
-        _reference(axes, first.path)
-        # The RHE is drawn last and narrow, so that both lines show where they agree.
-        for name in ("EKF", "RHE"):
-            log = runs[name].log
-            wide = dict(linewidth=1.8) if name == "EKF" else {}
-            axes.plot(log["x_m"], log["y_m"], **_LINES[name], **wide)
-        axes.plot(*log[["x_m", "y_m"]].iloc[0], "o", color=BLACK, markersize=3)
-    everything = pd.concat([run.log for run in runs.values()])
-    worst = max(runs.values(), key=lambda run: run.metrics["max_error_true_m"])
-    largest = worst.metrics["max_error_true_m"]
-    place = worst.log[worst.log["error_true_m"] == largest]
-    for name, log, margin_m, title in [
-        ("all", everything, 2, _title(first)),
-        ("start", everything[everything["t_s"] < 25], 0.2, "start, $y$ stretched"),
-        ("worst", place, 2.5 * largest, f"largest error {largest:.2f} m"),
-    ]:
-        low = log[["x_m", "y_m"]].min() - margin_m
-        high = log[["x_m", "y_m"]].max() + margin_m
-        panels[name].set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=title)
-    for name in ("start", "worst"):
-        _corridor(panels[name], first.path)
-    panels["start"].set(aspect="auto", box_aspect=1)
-    parts.note(panels["start"], "start", first.log[["x_m", "y_m"]].iloc[0], (5, 3))
-    _end_of_lap(panels["all"], first)
-    ahead = first.path.poses(np.array([0.3, 0.45]) * first.scenario.row_length_m)[0][:, :2]
-    arrow = dict(arrowstyle="-|>", color=BLACK, linewidth=1)
-    for axes in (panels["all"], panels["start"]):
-        axes.annotate("", ahead[1] + (0, 1.0), ahead[0] + (0, 1.0), arrowprops=arrow)
-    panels["worst"].set_ylabel("")
-    figure.colorbar(image, ax=panels["all"], label=r"$\kappa$ [-]", **_TRACTION_BAR)
-    parts.legend_outside(figure, panels["start"], "lower center", 2)
+    first = next(iter(pairs.values()))
+    size = dict(figsize=(DOUBLE_IN, 2.2 + 1.15 * len(pairs)))
+    figure, (plane, *panels) = plt.subplots(
+        1 + len(pairs), height_ratios=(1.5, *[1] * len(pairs)), **size
+    )
+    _on_the_map(figure, plane, first)
+    for axes, runs in zip(panels, pairs.values()):
+        _beside_the_path(axes, runs)
+        axes.sharex(panels[-1])
+    panels[-1].set_xlabel("way along the path [m]  (shaded: curved parts)")
+    parts.legend_outside(figure, panels[-1], "lower center", 3)
     return figure
+
+
+def _on_the_map(figure, axes, runs):
+    """Draw the trajectories of a pair on the map of κ."""
+    first = runs["RHE"]
+    image = _field(axes, first.terrain, first.terrain.kappa)
+    _reference(axes, first.path)
+    for name in ("EKF", "RHE"):
+        log = runs[name].log
+        # The RHE is drawn last and narrow, so that both lines show where they agree.
+        wide = dict(linewidth=1.8) if name == "EKF" else {}
+        axes.plot(log["x_m"], log["y_m"], **_LINES[name] | dict(label=None), **wide)
+    _end_of_lap(axes, first)
+    start = first.log[["x_m", "y_m"]].iloc[0]
+    axes.plot(*start, "o", color=BLACK, markersize=3)
+    parts.note(axes, "start", start, (-5, 0), ha="right")
+    low = first.log[["x_m", "y_m"]].min() - _MARGIN_M
+    high = first.log[["x_m", "y_m"]].max() + _MARGIN_M
+    axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=_title(first))
+    figure.colorbar(image, ax=axes, label=r"$\kappa$ [-]", **_TRACTION_BAR)
+
+
+def _beside_the_path(axes, runs):
+    """Draw how far the robots are beside the path, over the way along it."""
+    first = runs["RHE"]
+    largest = []
+    for name in ("EKF", "RHE"):
+        log = runs[name].log
+        lateral_m = _lateral(runs[name])
+        axes.plot(log["s_m"], lateral_m, **_LINES[name])
+        settled = log["t_s"] >= runs[name].metrics["settling_time_s"]
+        words = f"{np.abs(lateral_m[settled]).max():.2f} m" if settled.any() else "never settles"
+        largest.append(f"{name} {words}")
+    end_m = first.log["s_m"].iloc[-1]
+    bound = dict(parts.BOUND, label=f"± {paper.TOLERANCE_M} m")
+    axes.hlines([-paper.TOLERANCE_M, paper.TOLERANCE_M], 0, end_m, **bound)
+    parts.shade(axes, first.log["s_m"], ~first.log["on_straight"])
+    axes.grid(axis="x", visible=False)
+    axes.set(xlim=(0, end_m), ylim=(-_MOST_BESIDE_M, _MOST_BESIDE_M))
+    axes.set_ylabel("beside the\npath [m]")
+    axes.set_title(f"{_title(first)}: largest distance after settling {', '.join(largest)}")
+
+
+def _lateral(run):
+    """The true distances to the path, positive to its left [m]."""
+    position = run.log[["x_m", "y_m"]].to_numpy()
+    x, y, theta = run.path.poses(run.path.project(position)[1])[0].T
+    return np.cos(theta) * (position[:, 1] - y) - np.sin(theta) * (position[:, 0] - x)
 
 
 def _end_of_lap(axes, run):
@@ -252,47 +290,63 @@ def _end_of_lap(axes, run):
 
 
 @styled
-def errors(drives, table):
-    """Draw Figure 8: Euclidean errors by raw GNSS of one drive, as in the paper, and of many.
+def errors(pairs):
+    """Draw Figure 8: Euclidean errors by raw GNSS of one drive, as in the paper.
 
-    Above is the first drive of each, with the means that the paper reports. In the middle are
-    median and 95th percentile of all drives, below the share of their samples above 0.12 m.
+    Args:
+        pairs: {process noise: {"RHE": Run, "EKF": Run}} on the same terrain, a panel for each.
+    """
+    grid = dict(sharex=True, sharey=True, squeeze=False)
+    figure, panels = plt.subplots(
+        len(pairs), 1, figsize=(DOUBLE_IN, 0.8 + 1.15 * len(pairs)), **grid
+    )
+    for axes, runs in zip(panels[:, 0], pairs.values()):
+        for name in ("EKF", "RHE"):
+            _one_error(axes, name, runs[name])
+        axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
+        means = [f"{name} {runs[name].metrics['mean_error_m']:.4f} m" for name in ("RHE", "EKF")]
+        axes.set(ylabel="error [m]", ylim=(0, _MOST_ERROR_M))
+        axes.set_title(f"{_title(runs['RHE'])}: mean {', '.join(means)}")
+    _time_axis(panels[:, 0], runs["RHE"].log)
+    parts.legend_outside(figure, panels[0, 0], "lower center", 5)
+    return figure
+
+
+@styled
+def errors_of_many(drives, table):
+    """Draw Figure 8 for many fields: Euclidean errors by raw GNSS.
+
+    Above are median and 95th percentile of all drives, below the share of samples above 0.12 m.
 
     Args:
         drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
         table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
     """
-    heights = (1.3, 1.3, 0.7)
-    grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=heights)
-    figure, rows = plt.subplots(3, len(drives), figsize=(DOUBLE_IN, 4.9), **grid)
+    grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=(1.6, 1))
+    figure, rows = plt.subplots(2, len(drives), figsize=(DOUBLE_IN, 3.4), **grid)
     for panels, (noise, by_name) in zip(rows.T, drives.items()):
-        one, many, share = panels
+        many, share = panels
         for name in ("EKF", "RHE"):
-            _one_error(one, name, by_name[name][0])
             _many_errors(many, share, name, by_name[name])
-        for axes in (one, many):
-            axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-        one.set_title(f"One drive: {_title(by_name['RHE'][0])}")
-        many.set_title(f"{_fields(by_name['RHE'])}\n{_means(table, noise)}")
+        many.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
+        many.set_title(
+            f"{parts.noise_text(noise)}, {len(by_name['RHE'])} fields\n{_means(table, noise)}"
+        )
         _time_axis(panels, by_name["RHE"][0].log)
-    rows[0, 0].set(ylabel=f"error [m],\ncut at {_MOST_ERROR_M} m", ylim=(0, _MOST_ERROR_M))
-    rows[1, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.02, 10))
-    rows[1, 0].minorticks_off()
-    rows[1, 0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
-    rows[2, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
-    parts.legend_outside(figure, rows[0, 0], "lower center", 3)
-    words = "errors by raw GNSS; middle: median (thick) and 95th percentile (thin), means over 1 s"
-    figure.suptitle(words, fontsize=8)
+        share.set_xlabel("time [s]  (shaded: curves)")
+    rows[0, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.02, 10))
+    rows[0, 0].minorticks_off()
+    rows[0, 0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
+    rows[1, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
+    parts.legend_outside(figure, rows[0, 0], "lower center", 5)
     return figure
 
 
 def _one_error(axes, name, run):
-    """Draw the error of one drive over time, and the mean that the paper reports."""
+    """Draw the error of one drive over time; the paper's mean stands in the legend."""
     error_m = run.log["error_m"]
-    axes.plot(run.log["t_s"], error_m, label=name, linewidth=0.5, color=COLOURS[name])
-    reported = REPORTED[name, "mean_error_m"]
-    look = dict(color=COLOURS[name], linewidth=1.2, linestyle=_PAPER_LINE[name], zorder=3)
-    axes.axhline(reported, label=f"paper, mean of the {name}: {reported} m", **look)
+    label = f"{name} (the paper's mean: {REPORTED[name, 'mean_error_m']} m)"
+    axes.plot(run.log["t_s"], error_m, label=label, linewidth=0.8, color=COLOURS[name])
     # The start is off the path by design; an error that leaves the axis later is told.
     largest_m = error_m[run.log["t_s"] > _START_S].max()
     if largest_m > _MOST_ERROR_M:
@@ -306,8 +360,8 @@ def _many_errors(axes, share, name, drives):
     log = drives[0].log
     t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
     _, median, p95 = over_fields(drives, "error_m", _POOLED)
-    axes.plot(t_s, median, linewidth=1.2, **look)
-    axes.plot(t_s, p95, linewidth=0.5, **look)
+    axes.plot(t_s, median, linewidth=1.2, label=f"{name}, median", **look)
+    axes.plot(t_s, p95, linewidth=0.5, label=f"{name}, 95th percentile", **look)
     beyond = share_of_fields(drives, "error_m", paper.TOLERANCE_M, _POOLED)
     share.plot(t_s, 100 * beyond, **look)
 
@@ -317,7 +371,7 @@ def _means(table, noise):
     means = table[table["quantity"] == "mean error, raw GNSS [m]"]
     means = means.set_index(["process_noise", "estimator"]).loc[noise]
     both = ", ".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
-    return f"means over {means.loc['RHE', 'n']} fields: {both}"
+    return f"means over {means.loc['RHE', 'n']}: {both}"
 
 
 @styled
@@ -328,64 +382,77 @@ def violations(table):
         table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
     """
     counts = table[table["quantity"].str.startswith("violations") & table["p5"].notna()]
-    noises = list(counts.groupby("process_noise", sort=False))
-    figure, panels = parts.panels_beside(len(noises), 1.9)
-    for axes, (noise, rows) in zip(panels, noises):
-        rows = rows.sort_values("estimator", ascending=False, kind="stable")
-        for place, row in enumerate(rows.itertuples()):
-            parts.interval_row(axes, place, row, COLOURS[row.estimator])
-            if row.paper != "":
-                look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)
-                axes.plot(row.paper, place, "D", label="paper: 0 and 17", zorder=4, **look)
-        labels = [f"{row.estimator}, {row.quantity.split(', ')[1]}" for row in rows.itertuples()]
-        axes.set_xscale("symlog", linthresh=1, linscale=0.4)
-        axes.set_xticks(ticks := [0, 1, 10, 100, 1000], ticks)
-        axes.set(xlim=(0, 1200), title=f"{noise} process noise, {rows['n'].iloc[0]} fields")
-        parts.rows_axis(axes, labels, "violations in a drive [samples], logarithmic above 1")
-    handles, labels = axes.get_legend_handles_labels()
+    order = ["process_noise", "estimator"]
+    counts = counts.sort_values("estimator", ascending=False, kind="stable")
+    groups = [rows for _, rows in counts.groupby(order, sort=False)]
+    groups.sort(key=lambda rows: list(table["process_noise"].unique()).index(_noise_of(rows)))
+    rows = pd.concat(groups)
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.8 + 0.19 * len(rows)))
+    for place, row in enumerate(rows.itertuples()):
+        parts.interval_row(axes, place, row, COLOURS[row.estimator])
+        if row.paper != "":
+            look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)
+            axes.plot(row.paper, place, "D", label="paper: 0 and 17", zorder=4, **look)
+    labels = [
+        f"{parts.noise_text(row.process_noise)}: {row.estimator}, {row.quantity.split(', ')[1]}"
+        for row in rows.itertuples()
+    ]
+    axes.set_xscale("symlog", linthresh=1, linscale=0.4)
+    axes.set_xticks(ticks := [0, 1, 10, 100, 1000], ticks)
+    words = f"violations in a drive [samples], logarithmic above 1, {rows['n'].max()} fields"
+    parts.rows_axis(axes, labels, words)
+    axes.set_xlim(0, 1200)
+    handles, names = axes.get_legend_handles_labels()
     place = dict(loc="outside lower center", title=_DOT_AND_LINES, title_fontsize=7)
-    figure.legend(handles[:1], labels[:1], **place)
+    figure.legend(handles[:1], names[:1], **place)
     return figure
+
+
+def _noise_of(rows):
+    return rows["process_noise"].iloc[0]
 
 
 @styled
 def estimates(drives):
-    """Draw Figure 10: the RHE's yaw, its error, and traction with the bounds of eq. (14).
+    """Draw Figure 10: the RHE's yaw error, and traction with the bounds of eq. (14).
 
     Each column shows the first drive over time, with bands of two standard deviations by the
-    covariance of the RHE. Beside it are the frequencies of the same quantities in all drives.
+    covariance of the RHE; of κ, which may jump at every sample, only a few seconds. Beside it are
+    the frequencies of the same quantities in all drives.
 
     Args:
         drives: {process noise: drives}, a column for each.
     """
-    size = (DOUBLE_IN, 5.6)
-    widths = (5, 1) * len(drives)
-    grid = dict(sharey="row", squeeze=False, width_ratios=widths)
-    figure, rows = plt.subplots(4, 2 * len(drives), figsize=size, **grid)
+    grid = dict(sharey="row", squeeze=False, width_ratios=(3, 1) * len(drives))
+    figure, rows = plt.subplots(3, 2 * len(drives), figsize=(DOUBLE_IN, 4.6), **grid)
     least = _least_mu(drives)
-    for time, beside, runs in zip(rows.T[::2], rows.T[1::2], drives.values()):
-        _yaw(time[0], runs[0].log)
-        _one_estimate(time[1:], runs[0])
+    for time, beside, (noise, runs) in zip(rows.T[::2], rows.T[1::2], drives.items()):
+        _one_estimate(time, runs[0])
         _many_estimates(beside, runs, least)
-        time[0].set_title(f"{_title(runs[0])}\nyaw")
-        for axes in time[:-1]:
-            axes.tick_params(labelbottom=False)
-        for axes in time:
-            axes.set_xlim(0, runs[0].log["t_s"].max())
-        _time_axis(time, runs[0].log)
-        time[-1].set_xlabel("time [s]  (shaded: curves)")
-    labels = (r"$\theta$ [rad]", "yaw error [rad],\ncut at ± 0.3", f"$\\mu$ [-],\ncut at {least:g}")
-    limits = (None, (-0.3, 0.3), (least, 1 + (1 - least) / 5), (-0.06, 1.1))
+        name = f"{parts.noise_text(noise)}, seed {runs[0].scenario.seed}"
+        time[0].set_title(f"{name}\n{time[0].get_title('left')}")
+        beside[0].set_title(f"{len(runs)} drives", loc="center")
+        log = runs[0].log
+        for axes, limits in zip(time, [(0, log["t_s"].max())] * 2 + [_excerpt(log)]):
+            parts.shade(axes, log["t_s"], ~log["on_straight"])
+            axes.grid(axis="x", visible=False)
+            axes.set_xlim(limits)
+        time[1].set_xlabel("time [s]  (shaded: curves)")
+        time[2].set_xlabel("time [s], an excerpt")
+    labels = ("yaw error [rad],\ncut at ± 0.3", f"$\\mu$ [-],\ncut at {least:g}")
+    limits = ((-0.3, 0.3), (least, 1 + (1 - least) / 5), (-0.06, 1.1))
     for axes, label, limit in zip(rows[:, 0], (*labels, r"$\kappa$ [-]"), limits):
         axes.set(ylabel=label, ylim=limit)
-    parts.legend_outside(figure, rows[2, 0], "lower center", 4)
+    parts.legend_outside(figure, rows[1, 0], "lower center", 4)
     return figure
 
 
-def _yaw(axes, log):
-    """Draw the estimated and the true yaw θ of a drive over time."""
-    axes.plot(log["t_s"], log["theta_hat_rad"], color=COLOURS["RHE"], linewidth=1.8)
-    axes.plot(log["t_s"], log["theta_rad"], color=COLOURS["truth"], linewidth=0.7)
+def _excerpt(log):
+    """A time span [s] about the end of the first curve: κ shows in the curve, not on the row."""
+    curve = log["t_s"][~log["on_straight"] & (log["t_s"] > _START_S)]
+    ends = curve[curve.diff().shift(-1) > 1]
+    end_s = ends.iloc[0] if len(ends) else curve.max() if len(curve) else log["t_s"].max()
+    return end_s - _EXCERPT_S / 2, end_s + _EXCERPT_S / 2
 
 
 def stated(run):
@@ -446,18 +513,14 @@ def _many_estimates(panels, runs, least_mu):
     logs = [run.columns for run in runs]
     error = [log["theta_hat_rad"] - log["theta_rad"] for log in logs]
     for axes, estimate, truth, limits in [
-        (panels[1], error, None, (-0.3, 0.3)),
-        (panels[2], [log["mu_hat"] for log in logs], "mu", (least_mu, 1.0)),
-        (panels[3], [log["kappa_hat"] for log in logs], "kappa", (0.0, 1.0)),
+        (panels[0], error, None, (-0.3, 0.3)),
+        (panels[1], [log["mu_hat"] for log in logs], "mu", (least_mu, 1.0)),
+        (panels[2], [log["kappa_hat"] for log in logs], "kappa", (0.0, 1.0)),
     ]:
         parts.frequencies(axes, np.array(estimate)[:, settled], limits, COLOURS["RHE"])
         if truth:
             values = np.array([log[truth] for log in logs])[:, settled]
             parts.frequencies(axes, values, limits, COLOURS["truth"])
-    panels[0].axis("off")
-    fields = _fields(runs).replace(" (", "\n(").replace(" to", "\nto")
-    words = f"{fields}:\nfrequencies"
-    parts.note(panels[0], words, (0.5, 0), ha="center", va="bottom", xycoords="axes fraction")
     panels[-1].set_xlabel("share [%]")
 
 
@@ -480,7 +543,7 @@ def speed(drives):
         deviations.append(f"{label} {values.std():.3f}")
     axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
     axes.set(ylabel=r"speed $\nu$ [m/s]", title=f"One drive: {_title(drives[0])}")
-    beside.set(title="all drives", xlabel="relative\nfrequency [-]")
+    beside.set(title="all drives", xlabel="frequency over\nthe largest [-]")
     _time_axis([axes], log)
     words = f"standard deviations [m/s]: {', '.join(deviations)}"
     figure.suptitle(f"{_fields(drives)}, {words}", fontsize=8)
@@ -501,7 +564,7 @@ def yaw_rate(run):
     parts.legend_above(axes, **_TIGHT)
     # A command is held until the next sample, so it belongs to the yaw rate one row later.
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
-    title = f"{_title(run)}: actual - reference, RMS {rms:.3f} rad/s"
+    title = f"{_title(run)}: actual − reference, RMS {rms:.3f} rad/s"
     axes.set(ylabel=r"yaw rate $\omega$ [rad/s]", title=title)
     _time_axis([axes], run.log)
     return figure
@@ -527,6 +590,6 @@ def kkt(drives):
         axes.set_xticks(ticks := [1, 10, 100], ticks)
         axes.minorticks_off()
     # The axis has a lower limit, because the RHC's tolerance is 0 if all commands are at a bound.
-    panels[0].set(ylabel=f"KKT tolerance [-], cut at {_LEAST_KKT:g}", ylim=_LEAST_KKT)
+    panels[0].set(ylabel="KKT tolerance [-], cut at $10^{-5}$", ylim=_LEAST_KKT)
     figure.suptitle(_over(drives), fontsize=8)
     return figure

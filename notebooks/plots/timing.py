@@ -80,7 +80,7 @@ def phases(times, machine):
     axes.set_yticks(range(len(names) + 1), [*names, "measurement to command"])
     axes.set(ylim=(len(names) + 0.5, -0.5))
     log_axis(axes.xaxis)
-    axes.set_xlabel("time [µs], logarithmic; marker: average, line: least to greatest")
+    axes.set_xlabel("time [µs], logarithmic; marker: average, line: minimum to maximum")
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=1)
     return figure

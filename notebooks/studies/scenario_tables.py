@@ -33,6 +33,7 @@ __all__ = [
     "scenario_b",
     "scenario_b_table",
     "share_of_fields",
+    "single_runs",
     "yaw_weights",
 ]
 
@@ -171,6 +172,16 @@ def _mean_and_range(values):
     """Mean, interval and the middle 90 % of a metric over drives, as columns of a table."""
     p5, p95 = np.percentile(values.dropna(), (5, 95)) if values.notna().any() else (np.nan, np.nan)
     return over_seeds(np.mean, values)._asdict() | dict(p5=p5, p95=p95)
+
+
+def single_runs(runs):
+    """The quantities of Scenario A of single runs {weight: Run}: one row a weight."""
+    return pd.DataFrame(
+        {
+            quantity: {weight: run.metrics[column] for weight, run in runs.items()}
+            for column, quantity in _QUANTITIES_A.items()
+        }
+    )
 
 
 def scenario_a_table(sweep):

@@ -25,6 +25,7 @@ from rhec.tracked_robot.references import PathTracker
 __all__ = [
     "CONTROLLERS",
     "PHASES",
+    "as_in_the_paper",
     "by_solver",
     "feedback_over_preparation",
     "machine",
@@ -98,6 +99,25 @@ def by_solver(scenario):
     """The `table` of a scenario's run for each QP solver of the RHC, with the machine's name."""
     tables = {qp: table(phases(scenario, make)) for qp, make in CONTROLLERS.items()}
     return pd.concat(tables, names=["qp"]).reset_index(level=0).assign(machine=machine())
+
+
+def as_in_the_paper(times):
+    """Table 1 as the paper prints it, in ms: minimum, average, maximum here beside the paper's.
+
+    Args:
+        times: Of `table`, of one QP solver.
+
+    Returns:
+        DataFrame with an index of problem and phase, and columns of (whose, statistic).
+    """
+    statistics = ("minimum", "average", "maximum")
+    rows = times.set_index(["problem", "phase"])
+    columns = {
+        (whose, statistic): rows[f"{prefix}{statistic}_us"] / 1e3
+        for whose, prefix in (("here [ms]", ""), ("the paper, Raspberry Pi 3 [ms]", "paper_"))
+        for statistic in statistics
+    }
+    return pd.DataFrame(columns)
 
 
 def feedback_over_preparation(times):

@@ -452,8 +452,8 @@ def test_verdicts_are_counted_by_class():
     verdicts += ["holds with ν as input", FAILS, UNTESTABLE]
     derived = [False] * 5 + [True, False]
     counts = summary.verdict_counts(pd.DataFrame(dict(verdict=verdicts, derived=derived)))
-    assert counts["claims"].tolist() == [1, 2, 2, 1, 0, 1]
-    assert counts["by derivation"].tolist() == [0, 0, 0, 1, 0, 0]
+    assert counts["claims"].tolist() == [1, 2, 2, 1, 0, 0, 1]
+    assert counts["by derivation"].tolist() == [0, 0, 0, 1, 0, 0, 0]
     assert list(counts.index)[1:3] == [summary.PRINTED, summary.DEPARTURE]
 
 
@@ -532,6 +532,24 @@ def test_one_claim_is_told_with_its_words_and_numbers(errors, capsys):
         with pytest.raises(SystemExit) as refused:
             command.main(wrong)
         assert refused.value.code == 2 and capsys.readouterr().err.startswith(said)
+
+
+def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys):
+    command.main([])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == [*ledger.CLAIMS]
+    verdicts = pd.read_csv(summary._LEDGER).set_index("id")["verdict"]
+    for line, (id_, claim) in zip(lines, ledger.CLAIMS.items()):
+        assert claim.claim in line and line.endswith(f"  {verdicts[id_]}")
+
+
+@pytest.mark.parametrize("n, is_enough", [(71, False), (72, True)])
+def test_as_many_fields_as_it_says_can_confirm_a_share(n, is_enough):
+    """Of at least 95 %, 71 fields that all agree cannot, and 72 can."""
+    found = statistics.share(np.ones(n), above=0.95)
+    assert (found.verdict == HOLDS) == is_enough
+    assert "to be above 0.95 takes 72 or more" in summary._how_sure({"": found})[0]
+    assert f"is at least {found.low:.3f}" in summary._how_sure({"": found})[0]
 
 
 # The file of claims

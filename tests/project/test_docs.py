@@ -10,6 +10,7 @@ from helpers import no_compiler
 
 import rhec
 from docs.site import results
+from notebooks.studies import answer
 from rhec.simulation import columns
 
 ROOT = Path(__file__).parents[2]
@@ -110,9 +111,19 @@ def test_the_code_for_extensions_runs(tmp_path, monkeypatch):
 
 def test_the_results_in_the_readme_are_those_of_the_tables():
     assert results.rewrite(TEXT["README.md"]) == TEXT["README.md"]
-    assert set(re.findall(r"<!-- results (\w+) -->", TEXT["README.md"])) == {"summary", "verdicts"}
+    assert set(re.findall(r"<!-- results (\w+) -->", TEXT["README.md"])) == set(results.BLOCKS)
+
+
+def test_the_readme_answers_first():
+    """Both numbers of the paper, ours beside them, and a verdict in words, on the first screen."""
+    first = "\n".join(TEXT["README.md"].splitlines()[:45])
+    ours = pd.read_csv(answer.RESULTS / "table_scenario_b.csv").query("process_noise == 'printed'")
+    mean = ours.set_index(["estimator", "quantity"])["mean"]["RHE", "mean error, raw GNSS [m]"]
+    assert all(text in first for text in ("0.0423", "0.0514", f"{mean:.4f}"))
+    assert re.search(r"\*\*RHE before EKF: (yes|no|it depends)", first)
 
 
 def test_every_claim_is_counted_once():
-    claims = pd.read_csv(results.EXPECTED / "claims.csv")
-    assert results.verdicts()["claims"].sum() == len(claims)
+    claims = pd.read_csv(answer.RESULTS / "claims.csv")
+    counts = map(int, re.findall(r": (\d+)\]", answer.bar()))
+    assert sum(counts) == len(claims)

@@ -41,12 +41,12 @@ NOTEBOOKS = {
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
     "further/traction_worth": Small(
-        dict(first=8, seeds=16, curve_seeds=4, consistency_runs=10),
+        dict(map_fields=4, map_training=1, seeds=8, consistency_runs=10),
         ("table_traction_worth", "table_consistency"),
     ),
     "further/tolerance": Small(dict(default_fields=4, fields=4), ("table_tolerance",)),
     "01_tutorial": Small(dict(seeds=2)),
-    "04_scenario_b": Small(dict(seeds=8, fields=8), ("table_scenario_b",)),
+    "04_scenario_b": Small(dict(seeds=60, fields=8), ("table_scenario_b",)),
     "03_scenario_a": Small(dict(seeds=8), ("table_scenario_a",)),
     "07_which_worlds": Small(
         dict(live_worlds=0, truths=20, draws=100), ("inverse_posterior", "inverse_statements")

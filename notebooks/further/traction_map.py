@@ -1,0 +1,265 @@
+"""When does estimating the traction pay? A map over the soil's mean κ and its variation.
+
+The rival of an estimator of (μ, κ) is a robot that was told two constants. They may be right, too
+low or too high, or 1, as of a robot without a slip model. Both are Kalman filters in the same loop
+(`bounded_ekf`, `fixed_traction`), and both choose their settings on the same training fields of
+each soil: the process noise of the yaw and of the traction, and the weight R where it is free.
+
+μ slips half as much as κ, varies half as much, and a constant μ is wrong by half as much.
+"""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pandas as pd
+
+from notebooks.studies.answer import to_markdown
+from notebooks.studies.statistics import over_seeds, ratio_of_means
+from rhec import paper
+from rhec.simulation.campaigns.campaign import campaign
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot.path import path_of
+from rhec.tracked_robot.terrain import Terrain, random_for
+
+__all__ = [
+    "CONTROL",
+    "ERRORS",
+    "MEANS",
+    "NO_SLIP",
+    "VARIATIONS",
+    "Told",
+    "counts",
+    "drive",
+    "rule_in_words",
+    "soil",
+    "worth_map",
+]
+
+MEANS = (0.96, 0.9, 0.8, 0.65, 0.5)  # of κ
+VARIATIONS = (0.1, 0.33, 0.6)  # deviation of κ by its mean slip, 1 - κ
+ERRORS = (-0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.35)  # of the constant κ that a robot is told
+NO_SLIP = "no slip model"  # it is told that μ = κ = 1
+_ESTIMATED = "estimated"
+CONTROL = {"R = 10": (paper.R,), "R tuned": (0.01, 0.04, 0.2)}  # to choose from
+_TRAINING = 1000  # the first seed of the training fields
+_DURATION_S = 120.0
+# Standard deviations in W that each loop chooses from: of the yaw [rad], of μ and κ [1].
+_YAW = (0.01, 0.03, 0.1)
+_SOIL = (0.001, 0.003, 0.015, 0.06)
+_XY_M = 0.01
+_SPEED_MPS = 0.2
+_ROUNDING = 1e-9
+_PAYS = 0.9  # the worth of an effort: 10 % of the error
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Told(Terrain):
+    """Soil of whose mean traction a robot with fixed traction is told this (μ, κ) instead."""
+
+    told: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def mean(self) -> np.ndarray:
+        return np.array(self.told)
+
+
+def soil(kappa, variation):
+    """The fields of Scenario of a soil: mean of κ, and its deviation by its mean slip."""
+    deviation = variation * (1 - kappa)
+    return dict(
+        kappa_mean=kappa,
+        kappa_deviation=deviation,
+        mu_mean=(1 + kappa) / 2,
+        mu_deviation=deviation / 2,
+    )
+
+
+def _told(terrain, error):
+    """A terrain of which the robot is told a κ with this error, or that there is no slip."""
+    told = np.ones(2)
+    if error != NO_SLIP:
+        # The mean of one field may be a little above that of the soil.
+        told = np.minimum(terrain.mean + np.array([error / 2, error]), 1)
+    return Told(terrain.mu, terrain.kappa, terrain.origin_m, terrain.cell_m, tuple(told.tolist()))
+
+
+def _loops(kappa):
+    """The loops that drive on a soil of this mean κ: no robot is told a κ above 1."""
+    return [_ESTIMATED, *(error for error in ERRORS if kappa + error < 1 + _ROUNDING), NO_SLIP]
+
+
+def _settings(loop, control):
+    """The fields of Scenario that a loop chooses from."""
+    soils = _SOIL if loop == _ESTIMATED else (None,)
+    choices = itertools.product(CONTROL[control], _YAW, soils)
+    return [
+        dict(r=r, sigma_w=(_XY_M, _XY_M, yaw, _SPEED_MPS) + (() if noise is None else (noise,) * 2))
+        for r, yaw, noise in choices
+    ]
+
+
+def _fields(seeds):
+    """{(κ, variation): its fields, one Scenario a seed with its terrain}."""
+    fields = {}
+    for place in itertools.product(MEANS, VARIATIONS):
+        scenarios = [Scenario(duration_s=_DURATION_S, seed=n, **soil(*place)) for n in seeds]
+        path = path_of(scenarios[0])
+        fields[place] = [dataclasses.replace(s, terrain=random_for(s, path)) for s in scenarios]
+    return fields
+
+
+def _drives(fields, loop, settings):
+    """The Scenarios of a loop with its settings on fields: it estimates, or is told a constant."""
+    if loop == _ESTIMATED:
+        return [dataclasses.replace(each, estimator="bounded_ekf", **settings) for each in fields]
+    return [
+        dataclasses.replace(
+            each, estimator="fixed_traction", terrain=_told(each.terrain, loop), **settings
+        )
+        for each in fields
+    ]
+
+
+def _errors(groups):
+    """{name: mean true errors (n,)} of {name: Scenarios}, in one campaign in this process."""
+    rows = campaign(list(itertools.chain(*groups.values())), workers=1)
+    errors = rows["mean_error_true_m"].fillna(np.inf).to_numpy()
+    ends = np.cumsum([len(group) for group in groups.values()])[:-1]
+    return dict(zip(groups, np.split(errors, ends)))
+
+
+def drive(seeds, training_fields):
+    """Drive every loop on every soil with the settings that were best on its training fields.
+
+    Args:
+        seeds: Of the fields, below 1000.
+        training_fields: How many, from seed 1000 on.
+
+    Returns:
+        {(κ, variation, control, loop): mean true errors (n,)}; a loop is "estimated", NO_SLIP, or
+        the error of the κ that it is told.
+    """
+    training = _fields(range(_TRAINING, _TRAINING + training_fields))
+    every = [
+        (*place, control, loop)
+        for place, control in itertools.product(training, CONTROL)
+        for loop in _loops(place[0])
+    ]
+    tried = {
+        (*name, number): _drives(training[name[:2]], name[-1], settings)
+        for name in every
+        for number, settings in enumerate(_settings(name[-1], name[-2]))
+    }
+    means = {name: errors.mean() for name, errors in _errors(tried).items()}
+    fields = _fields(seeds)
+    chosen = {}
+    for name in every:
+        *place, control, loop = name
+        settings = _settings(loop, control)
+        best = min(range(len(settings)), key=lambda number: means[(*name, number)])
+        chosen[name] = _drives(fields[tuple(place)], loop, settings[best])
+    return _errors(chosen)
+
+
+def worth_map(errors):
+    """The errors with estimated traction over those of each rival, at equal seeds.
+
+    Args:
+        errors: Of `drive`.
+
+    Returns:
+        DataFrame with columns kappa, variation, control, told (the error of the constant, or
+        NO_SLIP), mean, low, high, n (of the ratio), error_m (the mean with estimated traction).
+    """
+    rows = []
+    for (kappa, variation, control, loop), of_rival in errors.items():
+        if loop == _ESTIMATED:
+            continue
+        estimated = errors[kappa, variation, control, _ESTIMATED]
+        about = dict(kappa=kappa, variation=variation, control=control, told=str(loop))
+        ratio = over_seeds(ratio_of_means, estimated, of_rival)._asdict()
+        rows.append(about | ratio | dict(error_m=estimated.mean()))
+    return pd.DataFrame(rows)
+
+
+def counts(table):
+    """On how many soils estimating pays, for each control and each constant that is told.
+
+    It pays where the whole 95 % interval of the ratio is below 0.9, and costs where it is above 1.
+    Soils on which the robot is lost with estimated traction, too, are left out.
+
+    Args:
+        table: Of `worth_map`.
+
+    Returns:
+        DataFrame with columns control, told, pays, costs, soils, and ratio, the geometric mean of
+        the ratios over the soils.
+    """
+    driven = table[table["error_m"] < paper.TOLERANCE_M]
+    rows = [
+        dict(
+            control=control,
+            told=told,
+            pays=(of_rival["high"] < _PAYS).sum(),
+            costs=(of_rival["low"] > 1).sum(),
+            soils=len(of_rival),
+            ratio=np.exp(np.log(of_rival["mean"]).mean()),
+        )
+        for (control, told), of_rival in driven.groupby(["control", "told"], sort=False)
+    ]
+    return pd.DataFrame(rows).sort_values(["control", "told"], key=_in_order, ignore_index=True)
+
+
+def _in_order(names):
+    """The places of controls or of what is told, in the order of the constants above."""
+    order = [*CONTROL, *map(str, ERRORS), NO_SLIP]
+    return names.map(order.index)
+
+
+def rule_in_words(table):
+    """When estimating the traction pays, as sentences in Markdown.
+
+    Args:
+        table: Of `worth_map`.
+    """
+    counted = counts(table).set_index(["control", "told"])
+    tuned = counted.loc["R tuned"]
+    by_control = table.drop_duplicates(["kappa", "variation", "control"])
+    errors = by_control.pivot(index=["kappa", "variation"], columns="control", values="error_m")
+    driven = errors[errors["R tuned"] < paper.TOLERANCE_M]
+    gain = 1 - np.exp(np.log(driven["R tuned"] / driven["R = 10"]).mean())
+    paid = [_in_words(told) for told, row in tuned.iterrows() if row["ratio"] < _PAYS]
+    if paid:
+        rule = f"**Then estimating the traction pays against {', and against '.join(paid)}.**"
+    else:
+        rule = "**Then two constants do as well as an estimate, even if they are wrong.**"
+    return (
+        f"**Tune R first:** that takes {100 * gain:.0f} % off the error of a robot that estimates, "
+        f"on the {len(driven)} of {len(errors)} soils that it can drive. {rule} With R tuned:\n\n"
+        + to_markdown(_beside(tuned))
+    )
+
+
+def _beside(tuned):
+    """What estimating is worth against each rival, as a table of texts."""
+    rows = {
+        "error with estimated traction over the rival's, mean over soils": tuned["ratio"].map(
+            "{:.2f}".format
+        ),
+        "soils on which estimating takes off more than 10 %": tuned["pays"].astype(str)
+        + " of "
+        + tuned["soils"].astype(str),
+    }
+    table = pd.DataFrame(rows).T.rename(columns=_in_words)
+    return table.rename_axis("the rival has").reset_index()
+
+
+def _in_words(told):
+    """A rival by what it is told of κ."""
+    if told == NO_SLIP:
+        return NO_SLIP
+    error = float(told)
+    if not error:
+        return "the right constants"
+    return f"constants too {'high' if error > 0 else 'low'} by {abs(error):g}"

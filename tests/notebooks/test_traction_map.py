@@ -1,0 +1,110 @@
+"""The map of what estimating the traction is worth: who is told what, who is best, what is said."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import rhec
+from notebooks.further import traction_map
+from notebooks.further.traction_worth_plots import map_of_worth
+from rhec.tracked_robot.path import path_of
+from rhec.tracked_robot.terrain import random_for
+
+SEEDS = 20
+
+
+def made_up(ratio_of):
+    """Errors of every loop by a function of (κ, variation, control, loop), times a field's own."""
+    fields = np.random.default_rng(0).uniform(0.02, 0.04, SEEDS)
+    return {
+        (kappa, variation, control, loop): fields / ratio_of(kappa, variation, control, loop)
+        for kappa in traction_map.MEANS
+        for variation in traction_map.VARIATIONS
+        for control in traction_map.CONTROL
+        for loop in traction_map._loops(kappa)
+    }
+
+
+def test_no_robot_is_told_of_more_traction_than_there_can_be():
+    for kappa in traction_map.MEANS:
+        errors = [loop for loop in traction_map._loops(kappa) if isinstance(loop, float)]
+        assert 0.0 in errors and max(errors) <= 1 - kappa + 1e-6
+
+
+@pytest.mark.parametrize("told, expected", [(-0.2, (0.78, 0.6)), ("no slip model", (1, 1))])
+def test_a_robot_drives_by_what_it_is_told(told, expected):
+    """On even soil a robot that is told its traction is the one that was told these constants."""
+    scenario = rhec.Scenario(
+        estimator="fixed_traction", duration_s=5.0, mu_mean=0.88, mu_deviation=0.0,
+        kappa_mean=0.8, kappa_deviation=0.0,
+    )  # fmt: skip
+    soil = random_for(scenario, path_of(scenario))
+    run = rhec.simulate(dataclasses.replace(scenario, terrain=traction_map._told(soil, told)))
+    np.testing.assert_allclose(run.log[["mu_hat", "kappa_hat"]], [expected] * len(run.log))
+    np.testing.assert_allclose(run.log[["mu", "kappa"]], [(0.88, 0.8)] * len(run.log))
+
+
+def test_the_best_settings_of_the_training_fields_are_driven(monkeypatch):
+    """Each loop is driven with the R and W that had the least error on training fields alone."""
+    monkeypatch.setattr(traction_map, "MEANS", (0.8,))
+    monkeypatch.setattr(traction_map, "VARIATIONS", (0.1,))
+    driven = []
+
+    def errors(groups):
+        driven.append(groups)
+        return {
+            name: np.array([abs(np.log(each.r / 0.04)) + each.sigma_w[2] for each in group])
+            for name, group in groups.items()
+        }
+
+    monkeypatch.setattr(traction_map, "_errors", errors)
+    traction_map.drive(range(2), 3)
+    tried, chosen = driven
+    assert {each.seed for group in tried.values() for each in group} == {1000, 1001, 1002}
+    for (_, _, control, _), group in chosen.items():
+        assert [each.seed for each in group] == [0, 1]
+        assert {each.r for each in group} == {10.0 if control == "R = 10" else 0.04}
+        assert {each.sigma_w[2] for each in group} == {0.01}
+
+
+def test_ratios_are_at_equal_seeds_and_lost_soils_do_not_count():
+    errors = made_up(lambda kappa, *_: 0.01 if kappa == 0.5 else 1.0)
+    errors = {
+        name: values * (1.5 if name[-1] == "no slip model" else 1.0)
+        for name, values in errors.items()
+    }
+    table = traction_map.worth_map(errors)
+    none = table[table["told"] == "no slip model"]
+    np.testing.assert_allclose(none[["mean", "low", "high"]], 1 / 1.5)
+    counts = traction_map.counts(table).set_index(["control", "told"])
+    row = counts.loc[("R tuned", "no slip model")]
+    soils = (len(traction_map.MEANS) - 1) * len(traction_map.VARIATIONS)
+    assert row["pays"] == row["soils"] == soils and row["costs"] == 0
+    assert row["ratio"] == pytest.approx(1 / 1.5)
+
+
+def test_the_rule_of_thumb_can_come_out_either_way():
+    def pays_against_high_constants(kappa, variation, control, loop):
+        return 0.5 if loop in (0.2, 0.35) else 1.0
+
+    words = traction_map.rule_in_words(traction_map.worth_map(made_up(pays_against_high_constants)))
+    assert (
+        "pays against constants too high by 0.2, and against constants too high by 0.35." in words
+    )
+    assert "Tune R first:** that takes 0 % off" in words
+    never = traction_map.rule_in_words(traction_map.worth_map(made_up(lambda *_: 1.0)))
+    assert "two constants do as well" in never
+
+
+def test_the_picture_has_a_number_for_each_cell_and_a_cross_where_the_robot_is_lost():
+    errors = made_up(lambda kappa, *_: 0.01 if kappa == 0.5 else 1.0)
+    figure = map_of_worth(traction_map.worth_map(errors))
+    panels = figure.axes[:-1]
+    assert len(panels) == len(traction_map.CONTROL) * len(traction_map.VARIATIONS)
+    for axes in panels:
+        texts = [text.get_text() for text in axes.texts]
+        lost = len(traction_map._loops(0.5)) - 1
+        assert texts.count("×") == lost
+        every = sum(len(traction_map._loops(kappa)) - 1 for kappa in traction_map.MEANS)
+        assert len(texts) == every
