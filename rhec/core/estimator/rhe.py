@@ -45,6 +45,7 @@ from rhec.core.solver.rti import (
     RealTimeIteration,
     RealTimeLoop,
     copy_checked,
+    iterate,
     run_phases,
 )
 
@@ -650,11 +651,7 @@ def _build_improve(window, phases):
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
-        values = dict(inputs)
-        for phase in iteration:
-            full = phase(**select_inputs(phase, values))
-            # Expand's memory is that of the next sample: the search starts from this one's.
-            values |= full if phase is not iteration[-1] else {}
+        values, full = iterate(phases, inputs)
         z = ca.horzcat(inputs["z"][:, : window.N], values.get("z_used", inputs["z_N"]))
         given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
         given |= whole_noise(window, values)
