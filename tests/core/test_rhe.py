@@ -16,8 +16,8 @@ from rhec import paper
 from rhec.core.estimator import rhe as core_rhe
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.rti import RealTimeIteration
-from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.own_loop import Estimate
 from rhec.tracked_robot.position_check import PositionCheck
@@ -29,7 +29,7 @@ GUESS = (0.0, 0.0, 0.0, 0.5, 0.9, 0.8)
 
 
 def build_phases(*options):
-    return estimators.build_phases(choice_of("rhe", N, *options))
+    return paper_rhe.build_phases(choice_of("rhe", N, *options))
 
 
 def first_memory(guess, sigma, speed_model="parameter"):
