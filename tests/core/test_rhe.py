@@ -252,7 +252,7 @@ def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_a_line_search_finds_what_full_steps_find_of_the_same_quantities(speed_model):
     """Of a window that estimates named quantities, with inputs as measured."""
-    rhe = rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="calibrated")
+    rhe = rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="likelihood")
     _, z = drive(GUESS, weaving_yaw_rates(2 * N))
     z = with_noise(z, np.random.default_rng(4))
     feed(rhe, z[:-1])
