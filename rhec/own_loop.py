@@ -33,7 +33,7 @@ def RHE(*, model: Model | None = None, **options: Any) -> rhe.RHE:
             track_width_m and guess.
 
     Returns:
-        An object of that class.
+        An object of that class, whose `help` explains options and methods.
 
     Raises:
         ValueError: If an option is invalid.
@@ -65,7 +65,7 @@ def RHC(*, model: Model | None = None, **options: Any) -> rhc.RHC:
             horizon and qp.
 
     Returns:
-        An object of that class.
+        An object of that class, whose `help` explains options and methods.
 
     Raises:
         ValueError: If an option is invalid.

@@ -137,7 +137,7 @@ def _unknowns(names):
 
 
 def _model_of(names):
-    return sensors.with_sensors("slipping", names).model
+    return sensors.speed_model_of("slipping", names).model
 
 
 def _correct_by_huber(m, P, z, V, outputs, s_bar):

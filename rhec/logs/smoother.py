@@ -17,7 +17,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator.base import noise_shapes
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model import base
-from rhec.tracked_robot.sensors import with_sensors
+from rhec.tracked_robot.sensors import speed_model_of
 
 _ITERATIONS = 3
 # Errors of recorded positions and slip last longer than a sample. A smoother averages over more
@@ -37,7 +37,7 @@ def _build_filter(speed_model, names):
     Its step takes the measurements z, with the age of the position [s] as last entry; the settings
     V, c, W; and the joint states s_before and s_now of the trajectory at both ends of the interval.
     """
-    model = with_sensors(speed_model, names).model
+    model = speed_model_of(speed_model, names).model
     n_z = len(model.outputs)
     kalman = Filter(base.interval(model), paper.DT_S)
     streamed = dict.fromkeys(["s_before", "s_now"], (model.n_s, 1))
@@ -69,7 +69,7 @@ def smoothed(choice, settings, sigma_first, trajectory, z, age_s):
         age_s: (n,) ages of the positions [s].
     """
     functions = compiled.load(_build_filter, choice.speed_model, choice.sensors)
-    model = with_sensors(choice.speed_model, choice.sensors).model
+    model = speed_model_of(choice.speed_model, choice.sensors).model
     P_first = np.diag(np.square(sigma_first))
     begin = dict(m=trajectory[0], P=P_first, v=np.zeros(len(model.inputs)), started=0.0)
     s = trajectory

@@ -70,8 +70,3 @@ def estimator_of(name):
 def build_step(choice):
     """Build the step of a Choice's Estimator."""
     return estimator_of(choice.estimator).build_step(choice)
-
-
-def build_phases(choice):
-    """Build the phases and the step of a Choice's Estimator, by name."""
-    return estimator_of(choice.estimator).build_phases(choice)

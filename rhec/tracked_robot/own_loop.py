@@ -18,8 +18,7 @@ from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
-from rhec.tracked_robot.sensors import OUTPUTS
-from rhec.tracked_robot.speed_models import speed_model_of
+from rhec.tracked_robot.sensors import OUTPUTS, speed_model_of
 
 
 class Estimate(NamedTuple):

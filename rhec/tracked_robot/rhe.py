@@ -11,8 +11,7 @@ from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.position_check import PositionCheck
 from rhec.tracked_robot.robust import RobustHandling
-from rhec.tracked_robot.sensors import GYRO_GUESS, with_sensors
-from rhec.tracked_robot.speed_models import speed_model_of
+from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
@@ -38,7 +37,7 @@ def window_of(choice):
     """The Window of a Choice; the RHE within other estimators has the paper's speed model."""
     model = speed_model_of("parameter").model
     if choice.estimator == "rhe":
-        model = with_sensors(choice.speed_model, choice.sensors).model
+        model = speed_model_of(choice.speed_model, choice.sensors).model
     return _window(model, choice, RobustHandling() if choice.robust else PositionCheck())
 
 
@@ -82,7 +81,7 @@ def settings_of(scenario, dt_s=paper.DT_S):
         dt_s: Length of a sample [s].
     """
     sensors = scenario.sensors
-    kind = with_sensors(scenario.speed_model, sensors)
+    kind = speed_model_of(scenario.speed_model, sensors)
     of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     settings = dict(
         V=np.square((*tuning.sigma_v_of(scenario), *of_sensors)),

@@ -1,9 +1,11 @@
-"""A gyro and a heading as further outputs of a speed model's Model. Not in the paper.
+"""The robot's Model by its speed model, with a gyro and a heading as further outputs.
+
+Only the speed model "parameter" without sensors is in the paper.
 
 The gyro measures s θ̇ + β with a scale s and a bias β, two bounded parameters that are estimated.
 Its noise has a constant part, and with the speed model "slipping" one in proportion to the yaw
 rate, for errors of its axis and its timing. The heading, as of two GNSS antennas, measures θ up to
-full turns. A Model without sensors is returned as it is.
+full turns.
 """
 
 import functools
@@ -12,8 +14,7 @@ import casadi as ca
 
 from rhec.core.model.base import Model, MotionNoise
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.kinematics import SpeedModel
-from rhec.tracked_robot.speed_models import speed_model_of
+from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
 
 # The outputs of the sensors, in the order in which they follow (x, y, ν, ω).
 OUTPUTS = {"gyro": "gyro_radps", "heading": "heading_rad"}
@@ -25,11 +26,18 @@ _ERROR = "gyro_error_radps"
 
 
 @functools.cache
-def with_sensors(name, sensors):
-    """The SpeedModel of a Scenario's `speed_model` with sensors, a tuple of names of OUTPUTS."""
-    kind = speed_model_of(name)
-    if not sensors:
-        return kind
+def speed_model_of(name, sensors=()):
+    """The SpeedModel of a Scenario's `speed_model` and `sensors`, a tuple of names of OUTPUTS."""
+    if name == "slipping":
+        # Imported here, because it is not in the paper: most runs do without it.
+        from rhec.tracked_robot.slipping import SLIPPING as kind
+    else:
+        kind = SPEED_MODELS[name]
+    return _with_sensors(kind, sensors) if sensors else kind
+
+
+def _with_sensors(kind, sensors):
+    """The SpeedModel whose Model has these sensors, too."""
     base = kind.model
     has_gyro = "gyro" in sensors
     n_u = len(base.inputs)

@@ -6,9 +6,8 @@ import time
 from unittest import mock
 
 from benchmark import problems, step
+from rhec import RHC, RHE
 from rhec.core._casadi import compiled
-from rhec.core.controller.rhc import RHC
-from rhec.core.estimator.rhe import RHE
 
 HORIZONS = 15, 30, 60, 120  # intervals; 3 s to 24 s; compiling for 240 takes minutes with clang
 SAMPLES = 50

@@ -243,6 +243,17 @@ def test_a_bad_argument_is_named_in_one_sentence(bad, name):
         rhec.RHC(**bad)
 
 
+def test_weights_and_bounds_change_by_the_names_of_the_model():
+    """As of any Model's controller: afterwards it commands what one made with them does."""
+    problem = STRAIGHT | dict(pose=(0.0, 0.5, 0.0))
+    changed, made = rhec.RHC(), rhec.RHC(q=(1, 2, 3), r=0.1, omega_max=0.05)
+    changed.update(q=(1, 2, 3), r=(0.1,), bounds={"omega_radps": (-0.05, 0.05)})
+    assert changed.solve(**problem) == made.solve(**problem)
+    assert abs(made.omega_plan).max() == 0.05
+    with pytest.raises(ValueError, match="needs a new rhec.RHC"):
+        changed.update(bounds={"x_m": (-1.0, 1.0)})
+
+
 def test_an_unknown_argument_is_refused_with_a_suggestion():
     with pytest.raises(
         ValueError, match="RHC has no parameter 'omega_mx'; did you mean 'omega_max'"

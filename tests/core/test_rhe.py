@@ -13,9 +13,11 @@ from oracles import DT, N, V, drive, flat, iterate, places, rhe_by_ipopt, rhe_in
 import rhec
 from notebooks.studies.condensed import box_qp_by_library
 from rhec import paper
+from rhec.core.estimator import rhe as core_rhe
 from rhec.core.solver.box_qp import box_qp
-from rhec.tracked_robot import estimators, tuning
+from rhec.core.solver.rti import RealTimeIteration
 from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.own_loop import Estimate
 from rhec.tracked_robot.position_check import PositionCheck
@@ -27,7 +29,7 @@ GUESS = (0.0, 0.0, 0.0, 0.5, 0.9, 0.8)
 
 
 def build_phases(*options):
-    return estimators.build_phases(choice_of("rhe", N, *options))
+    return paper_rhe.build_phases(choice_of("rhe", N, *options))
 
 
 def first_memory(guess, sigma, speed_model="parameter"):
@@ -245,6 +247,25 @@ def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
         x = flat(solution["x"])
         active += np.any((x == problem["lb"]) | (x == problem["ub"]))
     assert active > 30
+
+
+@pytest.mark.parametrize("speed_model", SPEED_MODELS)
+def test_a_line_search_finds_what_full_steps_find_of_the_same_quantities(speed_model):
+    """Of a window that estimates named quantities, with inputs as measured."""
+    rhe = rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="likelihood")
+    _, z = drive(GUESS, weaving_yaw_rates(2 * N))
+    z = with_noise(z, np.random.default_rng(4))
+    feed(rhe, z[:-1])
+    rhe.prepare()
+    memory = {name: array.copy() for name, array in rhe.iteration.current.items()}
+    by_full_steps = rhe.solve(z[-1])
+    functions = core_rhe.build_solvable(rhe.window)
+    searching = RealTimeIteration(functions, tuple(memory), core_rhe.UNKNOWNS, **rhe.settings)
+    searching.start(memory)
+    searching.arrays["z_N"][:] = z[-1]
+    searching.solve(20)
+    assert searching.converged
+    np.testing.assert_allclose(searching.arrays["estimate"], by_full_steps[:6], atol=1e-9)
 
 
 # Preparation and feedback

@@ -18,7 +18,7 @@ import casadi as ca
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.core.controller.horizon import finite_or, planned, states_after
 from rhec.core.solver import gauss_newton
-from rhec.core.solver.rti import IMPROVE, run_phases
+from rhec.core.solver.rti import IMPROVE, iterate, run_phases
 
 
 def build(horizon, stages):
@@ -133,10 +133,7 @@ def _build_improve(horizon, search, phases):
 
     @casadi_function("rhc_improve", ca.MX, **shapes, penalty=search.sparsity_in("penalty"))
     def improve(penalty, **inputs):
-        values = dict(inputs)
-        for name in ("linearise", "feedback"):
-            values |= phases[name](**select_inputs(phases[name], values))
-        full = phases["expand"](**select_inputs(phases["expand"], values))
+        values, full = iterate(phases, inputs)
         steps = {f"{name}_full": full[name] for name in unknowns}
         known = values | dict(kkt=full["kkt"], penalty=penalty) | steps
         chosen = search(**select_inputs(search, known))

@@ -24,7 +24,13 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.core.estimator import innovation_gate, kalman, window_bounds, window_noise
-from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of, variances_w
+from rhec.core.estimator.base import (
+    joint_estimate,
+    joint_guess,
+    noise_of,
+    noise_shapes,
+    variances_w,
+)
 from rhec.core.estimator.guard import Judge, first_noise, noise_memory, whole_noise, with_guard
 from rhec.core.model import base
 from rhec.core.model.base import Model
@@ -39,6 +45,7 @@ from rhec.core.solver.rti import (
     RealTimeIteration,
     RealTimeLoop,
     copy_checked,
+    iterate,
     run_phases,
 )
 
@@ -134,9 +141,7 @@ class Window(NamedTuple):
 
         In a noisy window also the variances Q of the process noise of the interval before the node.
         """
-        noise = dict(V=(len(self.model.outputs), 1))
-        if self.model.motion_noise:
-            noise |= dict(c=(len(self.model.motion_noise.constants), 1))
+        noise = noise_shapes(self.model)
         return noise | dict(Q=(self.interval.n_s, 1)) if self.noisy else noise
 
     @property
@@ -646,11 +651,7 @@ def _build_improve(window, phases):
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
-        values = dict(inputs)
-        for phase in iteration:
-            full = phase(**select_inputs(phase, values))
-            # Expand's memory is that of the next sample: the search starts from this one's.
-            values |= full if phase is not iteration[-1] else {}
+        values, full = iterate(phases, inputs)
         z = ca.horzcat(inputs["z"][:, : window.N], values.get("z_used", inputs["z_N"]))
         given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
         given |= whole_noise(window, values)

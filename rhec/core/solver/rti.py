@@ -30,6 +30,23 @@ def run_phases(phases, values):
     return values
 
 
+def iterate(phases, values):
+    """Run an iteration without shift: linearise, feedback, expand.
+
+    Expand's memory is that of the next sample, so its results do not join the others.
+
+    Args:
+        phases: {name: Function}.
+        values: {name: expression} of the inputs.
+
+    Returns:
+        `values` with the results of linearise and feedback, by name; and those of expand.
+    """
+    for name in PHASES[1:3]:
+        values = values | phases[name](**select_inputs(phases[name], values))
+    return values, phases["expand"](**select_inputs(phases["expand"], values))
+
+
 class RealTimeIteration:
     """The four compiled phases on shared NumPy arrays, the engine of RHE and RHC objects.
 
