@@ -81,13 +81,12 @@ class Recording(NamedTuple):
         return tuple(name for name, column in SENSORS.items() if column in self.rows)
 
 
-def prepare(log, track_width_m=None, position_delay_s=0.0):
+def prepare(log, track_width_m=None):
     """The Recording of a log of the paper's robot.
 
     Args:
         log: DataFrame, as `rhec.replay` takes it.
         track_width_m: Compute ν and ω from the speeds of tracks this far apart [m].
-        position_delay_s: Delay of the time stamps of the positions [s].
 
     Returns:
         Recording.
@@ -107,9 +106,6 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     is_held = is_repeated & (rows["segment"].diff() == 0)
     rows.loc[is_held, _POSITION] = np.nan
-    if position_delay_s:
-        positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
-        rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
@@ -120,6 +116,40 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     )
     width_m = track_width_m or _recorded_width(log)
     return Recording(rows, places, is_simulated, width_m, faults, columns)
+
+
+def delayed(recording, position_delay_s):
+    """The Recording of the paper's robot with positions at the times at which they were measured.
+
+    Args:
+        recording: The Recording, with positions at their time stamps.
+        position_delay_s: Delay of these [s].
+    """
+    if not position_delay_s:
+        return recording
+    rows = recording.rows.copy()
+    positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
+    rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
+    return recording._replace(rows=rows)
+
+
+def travelled(rows, column, window_s=None):
+    """How far a robot moves in a log: Σ |speed · time|, or of the sums over windows.
+
+    The time is that since the last row in which this sensor measured, at most a second: rows of
+    other sensors in between do not count.
+
+    Args:
+        rows: Rows of a Recording.
+        column: Name of a speed [m/s] or yaw rate [rad/s].
+        window_s: Length of the windows [s], in which noise and motion to and fro cancel.
+    """
+    there = rows[rows[column].notna()]
+    step_s = there.groupby("segment")["t_s"].diff().clip(upper=1.0)
+    moves = there[column] * step_s
+    if window_s:
+        moves = moves.groupby([there["segment"], there["t_s"] // window_s]).sum()
+    return float(moves.abs().sum())
 
 
 def prepare_for(model, dt_s, log, delays_s=None):
@@ -426,6 +456,23 @@ def _timed(name, t, value, timing, gap_s):
         return t, value, gap_s
     there = np.isfinite(value)
     return t[there] - timing.delays_s.get(name, 0.0), value[there], timing.gaps_s.get(name, gap_s)
+
+
+def with_ages(samples, measured):
+    """Measurements of the samples of a segment, then their ages [s], (n, 2 n_z).
+
+    What is older than the first sample is left out of it, because no motion is known before it by
+    which an estimator could move it to the sample.
+
+    Args:
+        samples: DataFrame, as `resample` returns it.
+        measured: Names of the measurements, in the order of z.
+    """
+    z = samples[measured].to_numpy(copy=True)
+    ages_s = samples.reindex(columns=[f"{name}_age_s" for name in measured])
+    ages_s = np.nan_to_num(ages_s.to_numpy(dtype=float))
+    z[0, ages_s[0] > 0] = np.nan
+    return np.hstack([z, ages_s])
 
 
 def measured_since(rows, begin_s, dt_s, averaged, means, timing=None):
