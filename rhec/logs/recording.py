@@ -96,6 +96,9 @@ def prepare(log, track_width_m=None):
     """
     is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     values, columns = _parse_robot(log, is_simulated, track_width_m)
+    n_positions = _count_positions(values)
+    _leave_out_flagged(values, log)
+    flagged = n_positions - _count_positions(values)
     limits = SPEED_MODELS["parameter"].model.limits
     limits = dict(zip(MEASUREMENTS, limits)) | _LIMITS_OF_SENSORS
     present = {name: limit for name, limit in limits.items() if name in values}
@@ -112,6 +115,9 @@ def prepare(log, track_width_m=None):
         no_encoders=int(values[_ENCODERS].isna().any(axis=1).sum()),
         unusable_times=len(log) - len(places),
         positions_held=int(is_held.sum()),
+        positions_flagged=flagged,
+        clock_back_s=_set_back_s(values),
+        headers=_repeated_headers(log),
         segments=int(rows["segment"].max()) + 1,
     )
     width_m = track_width_m or _recorded_width(log)
@@ -205,7 +211,7 @@ def _parse_robot(log, is_simulated, track_width_m):
         sensors = {name: name for name in RECORDED_SENSORS}
     if track_width_m is not None:
         measured = measured | dict(zip(_ENCODERS, TRACKS))
-    values = _parse(log, measured, truth | sensors | {DECLARED: DECLARED}, _FLAGS)
+    values = _parse(log, measured, truth | sensors | {DECLARED: DECLARED})
     # A sensor that never measures anything is none.
     silent = [name for name in sensors if name in values and values[name].isna().all()]
     values = values.drop(columns=silent)
@@ -223,14 +229,48 @@ def _parse_robot(log, is_simulated, track_width_m):
     return values, truth | sensors | measured
 
 
-def _parse(log, measured, optional=None, flags=None):
+def _count_positions(values):
+    return int(values[_POSITION].notna().all(axis=1).sum())
+
+
+def _leave_out_flagged(values, log):
+    """Set measurements to NaN in rows of a log in which their column of _FLAGS is false."""
+    for flag, flagged in _FLAGS.items():
+        if flag not in log:
+            continue
+        numbers = _numbers(log, flag)
+        words = dict.fromkeys(word for word in log[flag] if isinstance(word, str))
+        if words and not np.isfinite(numbers).any():
+            named = ", ".join(map(repr, [*words][:3]))
+            raise ValueError(
+                f"the log's {flag} had the words {named}; it should be 1 where the measurement "
+                "counts, else 0"
+            )
+        values.loc[~(numbers > 0), flagged] = np.nan
+
+
+def _set_back_s(values):
+    """By how much the clock is set back at most within a segment of the log [s], or 0."""
+    back_s = -values.groupby("segment")["t_s"].diff().min()
+    return float(back_s) if back_s > _CLOCK * paper.DT_S else 0.0
+
+
+def _repeated_headers(log):
+    """How many rows hold the names of the columns, as those of files pasted together do."""
+    repeated = np.zeros(len(log), dtype=bool)
+    for name, column in log.items():
+        if column.dtype == object:
+            repeated |= [isinstance(word, str) and word == name for word in column]
+    return int(repeated.sum())
+
+
+def _parse(log, measured, optional=None):
     """Columns of a log as floats: t_s, the measurements, segment, and the optional columns present.
 
     Args:
         log: DataFrame.
         measured: {name: column} of required columns.
         optional: {name: column} of optional columns.
-        flags: {column: names}; the named measurements are missing where the column is false.
     """
     if not isinstance(log, pd.DataFrame) or not len(log):
         empty = " without rows" if isinstance(log, pd.DataFrame) else ""
@@ -244,9 +284,6 @@ def _parse(log, measured, optional=None, flags=None):
         if not np.isfinite(values[name]).any():
             raise ValueError(f"the log's column {column} had no number in it")
     values = values.assign(segment=_segments(log))
-    for flag, flagged in (flags or {}).items():
-        if flag in log:
-            values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
     for name, column in (optional or {}).items():
         if column in log:
             values[name] = _numbers(log, column)

@@ -1,19 +1,19 @@
-"""Checks of a log for wrong units, signs and axes, and for late positions.
+"""Checks of a log for wrong units, signs and axes, for late positions and for another clock.
 
 The checks compare the path of the positions with the encoders over intervals of one length. While
 the tracks drive a distance n and turn by w, the antenna moves by d, with
 d² = μ² n² + a w² + b n w + c. The lever arm determines a and b; the position noise determines c.
-The course turns by κ w. No estimator and no yaw are needed.
+The course turns by κ w + e Δ(w/n), where Δ is the change from one interval to the next: an antenna
+ahead of the centre turns earlier, which is no delay. No estimator and no yaw are needed.
 """
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from rhec.logs.finding import Finding, Severity, implausible
 from rhec.logs.recording import POSITION_AGE
-from rhec.logs.sensor_checks import refuse_implausible_sensors
 from rhec.simulation.columns import MEASUREMENTS
 
 _POSITION = MEASUREMENTS[:2]
@@ -31,9 +31,18 @@ _LEAST_ROWS = 50
 _LEAST_INTERVALS = 60
 _STANDING = 0.3  # a robot that drove and turned less than this [m, rad] never moved
 _SIGMA_C = 0.02  # prior standard deviation of c [m²], for positions accurate to 0.1 m
+_SHARPEST_PER_M = 2.0  # curvature w/n of an interval beyond which the course says little
+# Another clock: path and encoders are compared over a minute either way, in steps of a second.
+_OFFSETS_S = np.arange(-60, 61)
+_LEAST_OVERLAP_S = 60
+_SAME_SPEED = 0.8  # correlation of both speeds by one clock
+_OTHER_SPEED = 0.6  # and by two
+_GPS_AHEAD_S = 18  # of UTC, since 2017
 # A slope counts as out of range if it is this many standard errors outside. The limit is
 # high because correlated errors of neighbouring intervals make the standard errors too small.
 _STANDARD_ERRORS = 9.0
+_MOST_TRACTION = 1.05  # a larger μ or κ is none
+_ERRORS = 5.0  # standard errors by which it must be larger
 
 
 class _Check(NamedTuple):
@@ -121,9 +130,9 @@ def _moves(tracks, length_s, delay_s):
     """Motion of antenna and tracks in intervals of one length, for late positions, (intervals, 6).
 
     The columns are d, n, w, the turn of the course to the next interval, w between the two
-    intervals, and the weight of that turn.
+    intervals, the change of w/n from one to the other, and the weight of that turn.
     """
-    parts = [np.zeros((0, 6))]
+    parts = [np.zeros((0, 7))]
     for track in tracks:
         # Each row uses five instants k, …, k + 4 that are half an interval apart.
         at = np.arange(track.t[0], track.t[-1], length_s / 2)
@@ -132,20 +141,28 @@ def _moves(tracks, length_s, delay_s):
         w = np.interp(at - delay_s, track.t_encoders, track.turned)
         step = p[2:-2] - p[:-4]
         next_step = p[4:] - p[2:-2]
-        n_step = n[2:-2] - n[:-4]
-        keeps_direction = n_step * (n[4:] - n[2:-2]) > 0  # forwards or backwards
+        n_step, n_next = n[2:-2] - n[:-4], n[4:] - n[2:-2]
+        w_step, w_next = w[2:-2] - w[:-4], w[4:] - w[2:-2]
+        keeps_direction = n_step * n_next > 0  # forwards or backwards
         columns = [
             np.abs(step),
             n_step,
-            w[2:-2] - w[:-4],
+            w_step,
             np.angle(next_step * step.conj()),
             w[3:-1] - w[1:-3],
+            _curvature(w_next, n_next) - _curvature(w_step, n_step),
             np.abs(next_step * step) * keeps_direction,
         ]
         gap_s = np.interp(at, track.t[1:], np.diff(track.t))
         is_dense = [gap_s[first : len(at) - 4 + first] < length_s for first in range(5)]
         parts.append(np.transpose(columns)[np.all(is_dense, axis=0)])
     return np.concatenate(parts)
+
+
+def _curvature(w, n):
+    """w/n [rad/m] within ±_SHARPEST_PER_M, 0 where the robot stands."""
+    ratio = np.divide(w, n, out=np.zeros_like(w), where=n != 0)
+    return np.clip(ratio, -_SHARPEST_PER_M, _SHARPEST_PER_M)
 
 
 def _slope(x, y):
@@ -161,7 +178,7 @@ def _compare(tracks, length_s, delay_s):
     moves = _moves(tracks, length_s, delay_s)
     if len(moves) < _LEAST_INTERVALS:
         return None
-    d, n, w, turn, w_turn, weight = moves.T
+    d, n, w, turn, w_turn, bend, weight = moves.T
     # d² = μ² n² + a w² + b n w + c
     x = np.stack([n**2, w**2, n * w, 1 + 0 * n], axis=1)
     y = d**2
@@ -172,14 +189,12 @@ def _compare(tracks, length_s, delay_s):
     mu = np.sqrt(max(mu2, 1e-14))
     share = 1 - residual / max(np.sum((y - y.mean()) ** 2), residual, 1e-300)
     root = np.sqrt(weight)
-    return _Slope(mu, sigma / (2 * mu), share), _slope((root * w_turn)[:, None], root * turn)
+    kappa = _slope(root[:, None] * np.stack([w_turn, bend], axis=1), root * turn)
+    return _Slope(mu, sigma / (2 * mu), share), kappa
 
 
-def best_delay(rows, least_gain=_LEAST_GAIN):
-    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it.
-
-    A delay counts if it explains `least_gain` more of the squares than none.
-    """
+def best_delay(rows):
+    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it."""
     tracks = _tracks(rows)
 
     def explained(delay_s):
@@ -194,17 +209,17 @@ def best_delay(rows, least_gain=_LEAST_GAIN):
             break
     best = max(best + _FINER_DELAYS_S, key=explained)
     mu, kappa = _compare(tracks, length_s, best)
-    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + least_gain
+    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + _LEAST_GAIN
     return best if is_clear else 0.0, (mu, kappa)
 
 
-def halves_agree(rows, delay_s, least_gain=_LEAST_GAIN):
+def _halves_agree(rows, delay_s):
     """Whether one half of a log has the delay of the whole log, and the other half no other delay.
 
     The halves of a log whose positions are only noisy disagree.
     """
     middle = len(rows) // 2
-    delays = [best_delay(half, least_gain)[0] for half in (rows[:middle], rows[middle:])]
+    delays = [best_delay(half)[0] for half in (rows[:middle], rows[middle:])]
     return any(delays) and all(not delay or abs(delay - delay_s) <= _AGREE_S for delay in delays)
 
 
@@ -229,55 +244,46 @@ def _slope_of_true_yaw(rows):
     return _slope(step[["w"]].to_numpy(), step["theta_rad"].to_numpy())
 
 
-def _refuse_standing(rows, names):
-    """Raise a ValueError for a robot that never moves."""
-    motion = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()
-    farthest = (motion.max() - motion.min()).max()
-    if len(rows) >= _LEAST_ROWS and farthest < _STANDING:
-        raise ValueError(
-            f"the log's {names['speed']} and {names['yaw_rate']} should be of a robot that moves: "
-            f"it drove and turned {farthest:.2g} m and rad at most"
-        )
-
-
-def _refuse_frozen(recording, names):
-    """Raise a ValueError for positions that never change although the robot moves."""
-    n_positions = recording.rows[_POSITION[0]].count()
-    n_held = recording.faults["positions_held"]
-    if n_positions <= recording.faults["segments"] and n_held >= _LEAST_ROWS:
-        raise ValueError(
-            f"the log's {names['place']} should be of a robot that moves: they never change"
-        )
-
-
-def refuse_implausible(recording):
-    """Refuse a Recording with wrong units, signs or axes, or of a robot that never moves.
-
-    Args:
-        recording: The Recording.
-
-    Raises:
-        ValueError: If the Recording is refused; the message names the probable cause.
-
-    Warns:
-        UserWarning: If the positions are late; the message names the argument that corrects this.
-    """
-    rows = recording.rows
+def _names(recording):
+    """What the messages call the columns of a Recording."""
     columns = recording.columns
-    names = dict(
+    return dict(
         speed=columns[_ENCODERS[0]],
         yaw_rate=columns[_ENCODERS[1]],
         yaw=columns.get("theta_rad"),
         place=", ".join(columns[name] for name in _POSITION),
     )
-    _refuse_standing(rows, names)
-    _refuse_frozen(recording, names)
-    refuse_implausible_sensors(recording)
-    delay_s, slopes = best_delay(rows)
-    if slopes is None:
-        return
-    mu, kappa = slopes
-    truth = _slope_of_true_yaw(rows) if "theta_rad" in rows else None
+
+
+def check_standing(recording):
+    """Find a robot that never moves, and positions that never change although it does."""
+    rows = recording.rows
+    names = _names(recording)
+    motion = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()
+    farthest = (motion.max() - motion.min()).max()
+    if len(rows) >= _LEAST_ROWS and farthest < _STANDING:
+        yield implausible(
+            f"the log's {names['speed']} and {names['yaw_rate']} should be of a robot that moves: "
+            f"it drove and turned {farthest:.2g} m and rad at most"
+        )
+    n_held = recording.faults["positions_held"]
+    if rows[_POSITION[0]].count() <= recording.faults["segments"] and n_held >= _LEAST_ROWS:
+        yield implausible(
+            f"the log's {names['place']} should be of a robot that moves: they never change"
+        )
+
+
+def check_path(recording):
+    """Find wrong units, signs and axes, and positions that are late by up to two seconds."""
+    names = _names(recording)
+    rows = recording.rows
+    with np.errstate(all="ignore"):
+        delay_s, slopes = best_delay(rows)
+        if slopes is None:
+            return
+        mu, kappa = slopes
+        truth = _slope_of_true_yaw(rows) if "theta_rad" in rows else None
+        is_late = abs(delay_s) >= _LATE_S and _halves_agree(rows, delay_s)
     for slope, check in ((mu, _MU), (kappa, _KAPPA), (truth, _TRUE_YAW)):
         cause = _cause(slope, check) if slope else None
         if cause and check is _KAPPA and kappa.value < 0 and truth:
@@ -285,11 +291,75 @@ def refuse_implausible(recording):
             cause = _SWAPPED if truth.value > 0 else _YAW_RATE_CLOCKWISE
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
-            raise ValueError(sentence.format(times=slope.value, **names))
-    if abs(delay_s) >= _LATE_S and halves_agree(rows, delay_s):
+            yield implausible(sentence.format(times=slope.value, **names))
+    if is_late:
         late = f"{abs(delay_s):.2g} s {'later' if delay_s > 0 else 'earlier'}"
-        warnings.warn(
+        yield Finding(
+            Severity.WARNING,
+            "late_positions",
             f"the log's {names['place']} come {late} than {names['speed']}, {names['yaw_rate']}; "
             f"position_delay_s={delay_s:.2f} corrects this",
-            stacklevel=3,
+            "rhec.calibrate measures the delay together with the place of the antenna.",
+        )
+    yield from _check_scale(mu, kappa)
+
+
+def _check_scale(mu, kappa):
+    """Find a motion over ground that is larger than slip allows, μ or κ above 1."""
+    if mu.share > 0.5 and mu.value - _ERRORS * mu.sigma > _MOST_TRACTION:
+        yield Finding(
+            Severity.NOTE,
+            "scale_of_speed",
+            f"the positions go {mu.value:.3g} times as far as the encoders say; tracks only slip "
+            "the other way",
+            "The wheel radius or the encoders' scale is too small.",
+        )
+    if kappa.share > 0.3 and kappa.value - _ERRORS * kappa.sigma > _MOST_TRACTION:
+        yield Finding(
+            Severity.NOTE,
+            "corrected_yaw_rate",
+            f"the course turns {kappa.value:.3g} times as far as the encoders say, so that κ is at "
+            "its bound 1",
+            "The driver may already correct the yaw rate (wheel_separation_multiplier): use the "
+            "track speeds with the geometric track_width_m.",
+        )
+
+
+def check_clock_offset(recording):
+    """Find positions by another clock, seconds to a minute away from that of the encoders.
+
+    Over an offset at which they belong together, the speed of the path correlates with that of
+    the encoders.
+    """
+    parts = {offset_s: [np.zeros((0, 2))] for offset_s in _OFFSETS_S}
+    for track in _tracks(recording.rows):
+        at = np.arange(np.ceil(track.t[0]), track.t[-1])
+        path_mps = np.abs(np.diff(np.interp(at, track.t, track.position)))
+        for offset_s, pairs in parts.items():
+            driven = np.interp(
+                at - offset_s, track.t_encoders, track.driven, left=np.nan, right=np.nan
+            )
+            pair = np.column_stack([path_mps, np.abs(np.diff(driven))])
+            pairs.append(pair[np.isfinite(pair).all(axis=1)])
+    pairs = {offset_s: np.concatenate(of_tracks) for offset_s, of_tracks in parts.items()}
+    with np.errstate(all="ignore"):
+        alike = {
+            offset_s: np.corrcoef(pair.T)[0, 1]
+            for offset_s, pair in pairs.items()
+            if len(pair) >= _LEAST_OVERLAP_S and (pair.std(axis=0) > 0).all()
+        }
+    if not alike:
+        return
+    best_s = int(max(alike, key=alike.get))
+    near = max((value for offset_s, value in alike.items() if abs(offset_s) <= 2), default=0.0)
+    if alike[best_s] > _SAME_SPEED and near < _OTHER_SPEED:
+        names = _names(recording)
+        why = ", as GPS time is ahead of UTC" if best_s == _GPS_AHEAD_S else ""
+        late = f"{abs(best_s)} s {'ahead' if best_s > 0 else 'behind'}"
+        yield Finding(
+            Severity.ERROR,
+            "clock_offset",
+            f"the log's {names['place']} are by a clock about {late} of that of {names['speed']}"
+            f"{why}; position_delay_s={best_s} corrects this",
+            "Record all sensors by one clock, such as the computer's.",
         )
