@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.model.base import Model
-from rhec.logs import filtering, terms
+from rhec.logs import filtering, minimum, terms
 from rhec.logs.calibrated import (
     Calibration,
     is_determined,
@@ -76,7 +76,6 @@ _APART_S = 4.0
 _LEAST_APART = 40
 _WANDERS = 1.5  # times the noise of all positions
 _DELAYS_S = np.linspace(-0.6, 0.6, 13)  # of the positions, that are tried
-_DELAY_BLOCKS = 20  # of the log, that the jackknife leaves out
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
@@ -433,9 +432,7 @@ def _delay(at_stamps, about_s, fitted):
     """Delay of the positions [s] and its standard deviation, from the likelihood of the log.
 
     The filter estimates the lever arm beside it, because an antenna ahead of the centre turns
-    earlier than the robot. The delay is where a parabola through the three best delays is least.
-    Its standard deviation leaves out one block of the log after the other (jackknife), because
-    losses of neighbouring samples are correlated.
+    earlier than the robot.
     """
     x, yaws, robot = fitted
     delays_s = about_s + _DELAYS_S
@@ -443,25 +440,7 @@ def _delay(at_stamps, about_s, fitted):
     for delay_s in delays_s:
         of_segments = _losses(x, _streams(delayed(at_stamps, delay_s)), yaws, robot)
         losses.append(np.concatenate(of_segments))
-    losses = np.nan_to_num(np.array(losses), nan=_LOSS_OF_NOTHING)
-    block = np.arange(losses.shape[1]) * _DELAY_BLOCKS // losses.shape[1]
-    of_blocks = np.array([losses[:, block == each].sum(axis=1) for each in np.unique(block)])
-    total = of_blocks.sum(axis=0)
-    without = np.array([_least(delays_s, total - each) for each in of_blocks])
-    n = len(of_blocks)
-    sigma = np.sqrt((n - 1) / n * np.sum((without - without.mean()) ** 2))
-    # With fewer delays than blocks the estimates without a block may all be the same.
-    return _least(delays_s, total), float(max(sigma, np.diff(delays_s).min() / np.sqrt(12)))
-
-
-def _least(at, values):
-    """Where the parabola through the least of some values and its neighbours is least."""
-    k = int(np.clip(np.argmin(values), 1, len(values) - 2))
-    left, middle, right = values[k - 1 : k + 2]
-    bend = left - 2 * middle + right
-    step = at[1] - at[0]
-    shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
-    return float(at[k] + step * np.clip(shift, -1, 1))
+    return minimum.least(delays_s, np.nan_to_num(losses, nan=_LOSS_OF_NOTHING))
 
 
 def _replayed(recording, arguments, yaws, smooth=False):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from rhec.logs import minimum
 from rhec.logs.finding import Finding, Severity, implausible
 from rhec.logs.recording import POSITION_AGE
 from rhec.simulation.columns import MEASUREMENTS
@@ -20,13 +21,13 @@ _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 # Lengths of the intervals. The shortest one in which motion exceeds the noise is used.
 _LENGTHS_S = (0.6, 1.2, 2.4)
-_DELAYS_S = np.arange(-10, 11) / 5  # coarse search
-_FINER_DELAYS_S = np.arange(-3, 4) / 20  # fine search around the best coarse one
+_DELAYS_S = np.arange(-20, 21) / 10  # that are tried
+_NO_DELAY = 20  # its place among these
 # The motion explains the path if it explains more than this share of the squares.
 _CLEAR_SHARE = 0.5
-_LEAST_GAIN = 0.05  # of that share, for a delay to be reported
+_LEAST_GAIN = 0.005  # of that share, by a delay
+_SURE = 4.0  # standard deviations by which a delay must differ from 0
 _LATE_S = 0.25  # shorter delays are not reported
-_AGREE_S = 0.15  # largest difference of the delays of the two halves of a log
 _LEAST_ROWS = 50
 _LEAST_INTERVALS = 60
 _STANDING = 0.3  # a robot that drove and turned less than this [m, rad] never moved
@@ -174,7 +175,13 @@ def _slope(x, y):
 
 
 def _compare(tracks, length_s, delay_s):
-    """The _Slope of distance by positions over encoders, μ, and of turns, κ; None for few data."""
+    """Compare path and encoders over intervals of one length, for late positions.
+
+    Returns:
+        The _Slope of distance by positions over encoders, μ, and of turns, κ, and how much of its
+        motion and its turn is not explained, (intervals,), as shares of the squares in all. None
+        for few intervals.
+    """
     moves = _moves(tracks, length_s, delay_s)
     if len(moves) < _LEAST_INTERVALS:
         return None
@@ -182,45 +189,44 @@ def _compare(tracks, length_s, delay_s):
     # d² = μ² n² + a w² + b n w + c
     x = np.stack([n**2, w**2, n * w, 1 + 0 * n], axis=1)
     y = d**2
-    residual = np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2)
+    left = (y - x @ np.linalg.lstsq(x, y)[0]) ** 2
+    residual = left.sum()
     # At a constant speed the intervals do not determine c, so a prior is added.
     prior = np.sqrt(residual / len(y)) / _SIGMA_C * np.eye(4)[3:]
-    mu2, sigma, _ = _slope(np.append(x, prior, axis=0), np.append(y, 0))
+    mu2, sigma, *_ = _slope(np.append(x, prior, axis=0), np.append(y, 0))
     mu = np.sqrt(max(mu2, 1e-14))
-    share = 1 - residual / max(np.sum((y - y.mean()) ** 2), residual, 1e-300)
+    squares = max(np.sum((y - y.mean()) ** 2), residual, 1e-300)
     root = np.sqrt(weight)
-    kappa = _slope(root[:, None] * np.stack([w_turn, bend], axis=1), root * turn)
-    return _Slope(mu, sigma / (2 * mu), share), kappa
+    turned = root * turn
+    x = root[:, None] * np.stack([w_turn, bend], axis=1)
+    left_of_turn = (turned - x @ np.linalg.lstsq(x, turned)[0]) ** 2
+    unexplained = left / squares + left_of_turn / max(turned @ turned, 1e-300)
+    mu = _Slope(mu, sigma / (2 * mu), 1 - residual / squares)
+    return mu, _slope(x, turned), unexplained
 
 
-def best_delay(rows):
-    """Delay of the positions [s], 0 if the log does not determine it, and `_compare` for it."""
-    tracks = _tracks(rows)
+def _motion(rows):
+    """Delay of the positions [s], its standard deviation, and (μ, κ) by `_compare` for it.
 
-    def explained(delay_s):
-        return sum(slope.share for slope in _compare(tracks, length_s, delay_s))
-
-    for length_s in _LENGTHS_S:
-        if _compare(tracks, length_s, 0.0) is None:
-            return 0.0, None
-        best = max(_DELAYS_S, key=explained)
-        mu, _ = _compare(tracks, length_s, best)
-        if mu.share > _CLEAR_SHARE:
-            break
-    best = max(best + _FINER_DELAYS_S, key=explained)
-    mu, kappa = _compare(tracks, length_s, best)
-    is_clear = mu.share > _CLEAR_SHARE and explained(best) > explained(0.0) + _LEAST_GAIN
-    return best if is_clear else 0.0, (mu, kappa)
-
-
-def _halves_agree(rows, delay_s):
-    """Whether one half of a log has the delay of the whole log, and the other half no other delay.
-
-    The halves of a log whose positions are only noisy disagree.
+    The delay is 0 if the log does not determine it, or if it is short.
     """
-    middle = len(rows) // 2
-    delays = [best_delay(half)[0] for half in (rows[:middle], rows[middle:])]
-    return any(delays) and all(not delay or abs(delay - delay_s) <= _AGREE_S for delay in delays)
+    tracks = _tracks(rows)
+    for length_s in _LENGTHS_S:
+        compared = [_compare(tracks, length_s, delay_s) for delay_s in _DELAYS_S]
+        if compared[0] is None:
+            return 0.0, np.nan, None
+        if max(mu.share for mu, _, _ in compared) > _CLEAR_SHARE:
+            break
+    losses = np.array([unexplained for _, _, unexplained in compared])
+    delay_s, sigma_s = minimum.least(_DELAYS_S, losses)
+    late = _compare(tracks, length_s, delay_s)[:2]
+    in_time = compared[_NO_DELAY][:2]
+    # A true delay explains more of the distances and of the turns.
+    gains = [each.share - before.share for each, before in zip(late, in_time)]
+    is_clear = late[0].share > _CLEAR_SHARE and min(gains) >= 0 and sum(gains) > _LEAST_GAIN
+    if is_clear and abs(delay_s) > max(_LATE_S, _SURE * sigma_s):
+        return delay_s, sigma_s, late
+    return 0.0, sigma_s, in_time
 
 
 def _cause(slope, check):
@@ -278,12 +284,11 @@ def check_path(recording):
     names = _names(recording)
     rows = recording.rows
     with np.errstate(all="ignore"):
-        delay_s, slopes = best_delay(rows)
+        delay_s, sigma_s, slopes = _motion(rows)
         if slopes is None:
             return
         mu, kappa = slopes
         truth = _slope_of_true_yaw(rows) if "theta_rad" in rows else None
-        is_late = abs(delay_s) >= _LATE_S and _halves_agree(rows, delay_s)
     for slope, check in ((mu, _MU), (kappa, _KAPPA), (truth, _TRUE_YAW)):
         cause = _cause(slope, check) if slope else None
         if cause and check is _KAPPA and kappa.value < 0 and truth:
@@ -292,8 +297,8 @@ def check_path(recording):
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
             yield implausible(sentence.format(times=slope.value, **names))
-    if is_late:
-        late = f"{abs(delay_s):.2g} s {'later' if delay_s > 0 else 'earlier'}"
+    if delay_s:
+        late = f"{abs(delay_s):.2f} ± {2 * sigma_s:.2f} s {'later' if delay_s > 0 else 'earlier'}"
         yield Finding(
             Severity.WARNING,
             "late_positions",
