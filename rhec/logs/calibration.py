@@ -5,8 +5,8 @@ predicts each position from earlier positions and from the encoders. Predictions
 addition gave no better values for four robots, and worse values for one of them.
 
 Broad priors supply what a log does not determine. The posterior is approximated by a normal
-distribution at its maximum (Laplace). Positions more than OUTLIER standard deviations away count
-less (Huber's loss).
+distribution at its maximum (Laplace). Positions more than `filtering.OUTLIER` standard
+deviations away count less (Huber's loss).
 """
 
 import itertools

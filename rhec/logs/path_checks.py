@@ -166,12 +166,18 @@ def _curvature(w, n):
     return np.clip(ratio, -_SHARPEST_PER_M, _SHARPEST_PER_M)
 
 
+def _left(x, y):
+    """What the least-squares fit y = x b leaves of y."""
+    return y - x @ np.linalg.lstsq(x, y)[0]
+
+
 def _slope(x, y):
-    """The _Slope b_0 of the least-squares fit y = x b."""
+    """The _Slope b_0 of the least-squares fit y = x b; its share is that beyond the others'."""
     b = np.linalg.lstsq(x, y)[0]
     residual = np.sum((y - x @ b) ** 2)
     sigma = np.sqrt(residual / len(y) * max(np.linalg.pinv(x.T @ x)[0, 0], 0))
-    return _Slope(b[0], sigma, 1 - residual / (y @ y) if y.any() else 0.0)
+    without = np.sum(_left(x[:, 1:], y) ** 2) if x.shape[1] > 1 else y @ y
+    return _Slope(b[0], sigma, 1 - residual / without if without else 0.0)
 
 
 def _compare(tracks, length_s, delay_s):
@@ -189,7 +195,7 @@ def _compare(tracks, length_s, delay_s):
     # d² = μ² n² + a w² + b n w + c
     x = np.stack([n**2, w**2, n * w, 1 + 0 * n], axis=1)
     y = d**2
-    left = (y - x @ np.linalg.lstsq(x, y)[0]) ** 2
+    left = _left(x, y) ** 2
     residual = left.sum()
     # At a constant speed the intervals do not determine c, so a prior is added.
     prior = np.sqrt(residual / len(y)) / _SIGMA_C * np.eye(4)[3:]
@@ -199,8 +205,7 @@ def _compare(tracks, length_s, delay_s):
     root = np.sqrt(weight)
     turned = root * turn
     x = root[:, None] * np.stack([w_turn, bend], axis=1)
-    left_of_turn = (turned - x @ np.linalg.lstsq(x, turned)[0]) ** 2
-    unexplained = left / squares + left_of_turn / max(turned @ turned, 1e-300)
+    unexplained = left / squares + _left(x, turned) ** 2 / max(turned @ turned, 1e-300)
     mu = _Slope(mu, sigma / (2 * mu), 1 - residual / squares)
     return mu, _slope(x, turned), unexplained
 

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 import rhec
 from rhec.logs import calibration
+from rhec.logs.filtering import OUTLIER
 from rhec.logs.lost import is_lost
 
 ROOT = Path(__file__).parents[2]
@@ -41,7 +42,7 @@ def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
 def test_hubers_loss_shrinks_a_deviation_as_the_report_corrects():
     distances = np.sqrt(np.random.default_rng(0).chisquare(2, 1_000_000))
     u = distances / calibration._HUBER_SHRINKS
-    assert np.minimum(u**2, calibration.OUTLIER * u).mean() == pytest.approx(2, rel=3e-3)
+    assert np.minimum(u**2, OUTLIER * u).mean() == pytest.approx(2, rel=3e-3)
 
 
 def test_positions_are_never_taken_to_be_better_than_receivers_are():
