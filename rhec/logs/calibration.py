@@ -31,6 +31,7 @@ from rhec.logs.calibrated import (
 from rhec.logs.checks import refuse
 from rhec.logs.filtering import Loss
 from rhec.logs.model_calibration import calibrate_model
+from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.recording import DECLARED, delayed, prepare, resample, travelled, with_ages
 from rhec.logs.replay import (
     InitialGuess,
@@ -76,6 +77,8 @@ _APART_S = 4.0
 _LEAST_APART = 40
 _WANDERS = 1.5  # times the noise of all positions
 _DELAYS_S = np.linspace(-0.6, 0.6, 13)  # of the positions, that are tried
+_SMALL_DELAY_S = 0.1  # a smaller one changes no fit
+_LATE_S = 0.1  # a larger one is worth a remark
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
@@ -311,7 +314,8 @@ def calibrate(
         refuse(delayed(recording, position_delay_s))
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     declared_m = _declared_m(recording)
-    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m, declared_m)
+    least_m = declared_m / _CORRELATED  # widened, it is the declared one
+    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m, least_m)
     at_stamps = _usable(recording)
     recording = delayed(at_stamps, position_delay_s)
     _refuse_straight(recording)
@@ -340,6 +344,12 @@ def calibrate(
             f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s "
             "apart."
         )
+    delay_s, sigma_s = delay
+    if abs(delay_s - position_delay_s) > max(_LATE_S, 2 * sigma_s):
+        result.remarks.append(
+            f"The positions come {delay_s:.2f} ± {1.96 * sigma_s:.2f} s after the encoder speeds: "
+            f"calibrate and replay with position_delay_s={delay_s:.2f}."
+        )
     _keep_better(result, recording, yaws)
     return result
 
@@ -362,14 +372,14 @@ def _refuse_without_model(arguments):
 
 
 def _declared_m(recording):
-    """Least noise of the positions [m], so that widened it is the one that the receiver declares.
+    """Standard deviation of the positions that the receiver declares [m], or 0.
 
     Errors that wander for minutes do not show in the positions themselves.
     """
     if DECLARED not in recording.rows:
         return 0.0
     declared_m = recording.rows[DECLARED].median()
-    return float(declared_m) / _CORRELATED if declared_m > 0 else 0.0
+    return float(declared_m) if declared_m > 0 else 0.0
 
 
 def _widen(result, names):
@@ -432,9 +442,17 @@ def _delay(at_stamps, about_s, fitted):
     """Delay of the positions [s] and its standard deviation, from the likelihood of the log.
 
     The filter estimates the lever arm beside it, because an antenna ahead of the centre turns
-    earlier than the robot.
+    earlier than the robot. A fit without the delay takes it for noise, which then hides it. So
+    there is a second fit, with the delay by the path alone, and the likelier one counts.
     """
     x, yaws, robot = fitted
+    by_path_s = likeliest_delay(at_stamps)
+    if abs(by_path_s - about_s) > _SMALL_DELAY_S:
+        late = _streams(delayed(at_stamps, by_path_s))
+        x_late, yaws_late = _fitted(late, robot)
+        in_time = _objective(_streams(delayed(at_stamps, about_s)), yaws, robot)
+        if _objective(late, yaws_late, robot)(x_late) < in_time(x):
+            about_s, x, yaws = by_path_s, x_late, yaws_late
     delays_s = about_s + _DELAYS_S
     losses = []
     for delay_s in delays_s:

@@ -210,28 +210,42 @@ def _compare(tracks, length_s, delay_s):
     return mu, _slope(x, turned), unexplained
 
 
-def _motion(rows):
-    """Delay of the positions [s], its standard deviation, and (μ, κ) by `_compare` for it.
+class _Motion(NamedTuple):
+    """What the path says of the encoders, with positions at their stamps and by their delay."""
 
-    The delay is 0 if the log does not determine it, or if it is short.
-    """
+    delay_s: float  # the likeliest delay of the positions
+    sigma_s: float  # its standard deviation
+    in_time: tuple  # (μ, κ) by `_compare` without a delay
+    late: tuple  # and with this delay
+
+
+def _motion(rows):
+    """The _Motion of a log; None if it is too short."""
     tracks = _tracks(rows)
     for length_s in _LENGTHS_S:
         compared = [_compare(tracks, length_s, delay_s) for delay_s in _DELAYS_S]
         if compared[0] is None:
-            return 0.0, np.nan, None
+            return None
         if max(mu.share for mu, _, _ in compared) > _CLEAR_SHARE:
             break
     losses = np.array([unexplained for _, _, unexplained in compared])
     delay_s, sigma_s = minimum.least(_DELAYS_S, losses)
     late = _compare(tracks, length_s, delay_s)[:2]
-    in_time = compared[_NO_DELAY][:2]
-    # A true delay explains more of the distances and of the turns.
-    gains = [each.share - before.share for each, before in zip(late, in_time)]
-    is_clear = late[0].share > _CLEAR_SHARE and min(gains) >= 0 and sum(gains) > _LEAST_GAIN
-    if is_clear and abs(delay_s) > max(_LATE_S, _SURE * sigma_s):
-        return delay_s, sigma_s, late
-    return 0.0, sigma_s, in_time
+    return _Motion(delay_s, sigma_s, compared[_NO_DELAY][:2], late)
+
+
+def likeliest_delay(recording):
+    """Delay of a Recording's positions [s] by its path alone, which is 0 for a short log."""
+    with np.errstate(all="ignore"):
+        motion = _motion(recording.rows)
+    return motion.delay_s if motion else 0.0
+
+
+def _is_late(motion):
+    """Whether positions are clearly late: the delay explains more of distances and of turns."""
+    gains = [late.share - each.share for late, each in zip(motion.late, motion.in_time)]
+    is_clear = motion.late[0].share > _CLEAR_SHARE and min(gains) >= 0 and sum(gains) > _LEAST_GAIN
+    return is_clear and abs(motion.delay_s) > max(_LATE_S, _SURE * motion.sigma_s)
 
 
 def _cause(slope, check):
@@ -289,10 +303,11 @@ def check_path(recording):
     names = _names(recording)
     rows = recording.rows
     with np.errstate(all="ignore"):
-        delay_s, sigma_s, slopes = _motion(rows)
-        if slopes is None:
+        motion = _motion(rows)
+        if motion is None:
             return
-        mu, kappa = slopes
+        is_late = _is_late(motion)
+        mu, kappa = motion.late if is_late else motion.in_time
         truth = _slope_of_true_yaw(rows) if "theta_rad" in rows else None
     for slope, check in ((mu, _MU), (kappa, _KAPPA), (truth, _TRUE_YAW)):
         cause = _cause(slope, check) if slope else None
@@ -302,8 +317,10 @@ def check_path(recording):
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
             yield implausible(sentence.format(times=slope.value, **names))
-    if delay_s:
-        late = f"{abs(delay_s):.2f} ± {2 * sigma_s:.2f} s {'later' if delay_s > 0 else 'earlier'}"
+    if is_late:
+        delay_s = motion.delay_s
+        way = "later" if delay_s > 0 else "earlier"
+        late = f"{abs(delay_s):.2f} ± {2 * motion.sigma_s:.2f} s {way}"
         yield Finding(
             Severity.WARNING,
             "late_positions",

@@ -251,7 +251,8 @@ def _leave_out_flagged(values, log):
 
 def _set_back_s(values):
     """By how much the clock is set back at most within a segment of the log [s], or 0."""
-    back_s = -values.groupby("segment")["t_s"].diff().min()
+    stamped = values[values["t_s"].notna()]
+    back_s = -stamped.groupby("segment")["t_s"].diff().min()
     return float(back_s) if back_s > _CLOCK * paper.DT_S else 0.0
 
 
