@@ -14,7 +14,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import docstring_parser
 import numpy as np
@@ -139,7 +139,8 @@ def _options_of(function, group, skipped=(), with_defaults=True):
             show_default=_shown if is_shown else False,
         )
         # The function itself checks the values; only flags have none.
-        kind = Annotated[bool, look] if each.annotation is bool else Annotated[Any, _VALUE, look]
+        is_flag = bool in (each.annotation, *get_args(each.annotation))
+        kind = Annotated[bool, look] if is_flag else Annotated[Any, _VALUE, look]
         options.append(each.replace(annotation=kind))
     return options
 

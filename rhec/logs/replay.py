@@ -6,8 +6,10 @@ position measured between two samples is moved to the second one by the motion p
 last estimate and the encoders.
 
 Each row of the log receives the estimate of the last sample before it, predicted to the time of the
-row with the encoder measurements in between. Later measurements do not change the estimate of a
-row, except by what the whole log is asked for: the track width and the noise of the positions.
+row with the encoder measurements in between. By default the estimates are then smoothed, which
+takes later measurements into account and gains more than any other choice. With `smooth=False` an
+estimate is that of a robot on its way: later measurements do not change it, except by what the
+whole log is asked for, the track width and the noise of the positions.
 """
 
 import warnings
@@ -632,7 +634,7 @@ def replay(
     position_delay_s: Real = 0.0,
     delays_s: dict[str, Real] | None = None,
     trust_log: Flag = False,
-    smooth: Flag = False,
+    smooth: Flag | None = None,
     **fields: Any,
 ) -> pd.DataFrame:
     """Run an estimator on a recorded log of the paper's robot or of any Model.
@@ -681,8 +683,9 @@ def replay(
         delays_s: With a model, {output: delay of its time stamps [s]}.
         trust_log: Whether to skip the plausibility checks. By default a log with wrong units, signs
             or axes, or of a robot that never moves, is refused.
-        smooth: Whether each estimate takes later measurements into account, too. Only the
-            estimator "rhe" with speed_model="slipping" or "input" can be smoothed.
+        smooth: Whether each estimate takes later measurements into account, too: by default that
+            of the estimator "rhe" with speed_model="slipping". With speed_model="input" it can be
+            smoothed as well.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
             speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
             default speed_model is "slipping": "input" (interpretation R13) with noise that grows
@@ -728,6 +731,8 @@ def replay(
         refuse(recording)
     scenario = replay_scenario(estimator, recording, fields)
     _refuse_lever_arm(lever_arm_m, scenario)
+    if smooth is None:
+        smooth = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
     _refuse_smooth(smooth, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
