@@ -9,10 +9,11 @@ import casadi as ca
 import numpy as np
 from scipy.stats import chi2
 
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import kalman, offline
+from rhec.core.estimator import kalman
 from rhec.core.estimator.base import noise_shapes
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.estimator.innovation_gate import ROBUST
@@ -99,7 +100,7 @@ def build(model, dt_s, loss, along_trajectory=False):
         results |= dict(m_predicted=after.m_predicted, P_predicted=after.P_predicted)
         return {name: results[name] for name in recorded} | after.memory
 
-    return offline.build(step, recorded, [*streamed])
+    return runner.build_recorded(step, recorded, [*streamed])
 
 
 def run(model, dt_s, loss, stream, first, settings, trajectory=None):
@@ -121,7 +122,7 @@ def run(model, dt_s, loss, stream, first, settings, trajectory=None):
     if trajectory is not None:
         before = np.vstack([trajectory[:1], trajectory[:-1]])
         stream = np.column_stack([stream, before, trajectory])
-    return offline.run(functions, pack_array(begin), stream, settings)
+    return runner.record(functions, pack_array(begin), stream, settings)
 
 
 def last_estimates(model, segments):

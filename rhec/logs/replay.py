@@ -22,11 +22,12 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function, packed_size, unpack
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.estimator import ekf, offline, rhe
+from rhec.core.estimator import ekf, rhe
 from rhec.core.estimator.base import joint_guess
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
@@ -127,7 +128,7 @@ class Replay(NamedTuple):
             stream: (samples, 2 n_z), as of `recording.with_ages`.
         """
         functions = compiled.load(self.build, *self.structure)
-        arrays = offline.run(functions, memory, stream, self.settings)
+        arrays = runner.record(functions, memory, stream, self.settings)
         values = np.column_stack([arrays[name] for name in self.recorded])
         return pd.DataFrame(values, columns=[*chain(*self.recorded.values())])
 
@@ -166,7 +167,7 @@ def _build_scan(step, model, dt_s, quantities, record):
         recorded = record(dict(zip(["memory", "estimate", *step.name_out()[2:]], results)), z)
         return dict(memory=ca.vertcat(results[0], recorded["estimate"])) | recorded
 
-    return offline.build(replay_step, replay_step.name_out()[1:])
+    return runner.build_recorded(replay_step, replay_step.name_out()[1:])
 
 
 def _moved_to_sample(motion, last, z, ages_s, model, dt_s):
@@ -812,10 +813,9 @@ def replay_scenario(estimator, recording, fields):
         )
     fields = dict(speed_model="slipping") | fields
     if fields["speed_model"] == "slipping":
-        # Unlike the paper's smoothed mean, the filtered one counts each measurement once.
         is_rhe = estimator == "rhe"
         present = recording.sensors if is_rhe else ()
-        fields = dict(arrival_mean="filtered", sensors=present) | fields
+        fields = dict(sensors=present) | fields
         if fields.get("sigma_v") is None:
             fields["sigma_v"] = _sigma_v_of_log(recording)
     _refuse_missing_sensors(fields.get("sensors", ()), recording)
