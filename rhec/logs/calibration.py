@@ -487,11 +487,16 @@ def _terms(result, recording, yaws, last, delay, declared_m):
     return terms.table(*terms.slopes(samples), recording.track_width_m, others)
 
 
-def _outage_errors(recording, arguments, yaws):
+def outage_errors(recording, arguments, yaws):
     """Errors [m] at the end of outages: of positions hidden for _OUTAGE_S in every _EVERY_S.
 
     The log is replayed for each part of _EVERY_S that may be hidden, so that all positions of a
     segment but its first ones are hidden once.
+
+    Args:
+        recording: The Recording.
+        arguments: Arguments of `rhec.replay`, as a Calibration has them.
+        yaws: The initial yaw of each segment [rad].
     """
     rows = recording.rows
     first_s = rows.groupby("segment")["t_s"].first()
@@ -520,7 +525,7 @@ def _keep_better(result, recording, yaws):
 
     They do if the geometric mean of the ratios of both errors is significantly above _WORSE.
     """
-    calibrated, shipped = (_outage_errors(recording, how, yaws) for how in (result, {}))
+    calibrated, shipped = (outage_errors(recording, how, yaws) for how in (result, {}))
     ratios = np.log((calibrated + _LEAST_ERROR_M) / (shipped + _LEAST_ERROR_M))
     ratios = ratios[np.isfinite(ratios)]
     if len(ratios) < _LEAST_OUTAGES:

@@ -13,11 +13,11 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rhec.core._casadi.validation import Positive, checked
+from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import checks
 from rhec.logs.finding import Finding, Severity
 from rhec.logs.reader import read
-from rhec.logs.recording import prepare
+from rhec.logs.recording import delayed, prepare
 
 
 class Diagnosis(NamedTuple):
@@ -54,7 +54,11 @@ class Diagnosis(NamedTuple):
 
 @checked
 def doctor(
-    log: Any, *, sigma_m: Positive | None = None, track_width_m: Positive | None = None
+    log: Any,
+    *,
+    sigma_m: Positive | None = None,
+    track_width_m: Positive | None = None,
+    position_delay_s: Real = 0.0,
 ) -> Diagnosis:
     """Find what is wrong with a recorded log.
 
@@ -64,6 +68,7 @@ def doctor(
         sigma_m: Declared standard deviation of the positions [m], to be compared with the log. By
             default the median of the log's column position_sigma_m, if it has one.
         track_width_m: As in `rhec.replay` [m].
+        position_delay_s: Delay of the time stamps of the positions [s], as in `rhec.replay`.
 
     Returns:
         Diagnosis.
@@ -74,7 +79,7 @@ def doctor(
     if isinstance(log, str | Path):
         log = read(log)
     try:
-        recording = prepare(log, track_width_m)
+        recording = delayed(prepare(log, track_width_m), position_delay_s)
     except ValueError as error:
         remedy = "rhec.logs.read can rename columns and convert times."
         return Diagnosis((Finding(Severity.ERROR, "unusable", str(error), remedy),), {})
