@@ -166,7 +166,7 @@ def test_a_replay_says_whether_it_is_lost(turned):
     log = recorded_log(noise_m=0.02)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        given = dict(first_yaw_rad=0.4 + turned, sigma_yaw_rad=0.01)
+        given = dict(first_yaw_rad=0.4 + turned, sigma_yaw_rad=0.01, smooth=False)
         result = rhec.replay(log, **given, robust=False)  # robust, it turns round within metres
     assert result["lost"].dtype == bool and result["lost"].any() == bool(turned)
     if turned:
