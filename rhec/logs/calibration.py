@@ -452,7 +452,9 @@ def _delay(at_stamps, about_s, fitted):
         x_late, yaws_late = _fitted(late, robot)
         in_time = _objective(_streams(delayed(at_stamps, about_s)), yaws, robot)
         if _objective(late, yaws_late, robot)(x_late) < in_time(x):
-            about_s, x, yaws = by_path_s, x_late, yaws_late
+            about_s = by_path_s
+            x = x_late
+            yaws = yaws_late
     delays_s = about_s + _DELAYS_S
     losses = []
     for delay_s in delays_s:

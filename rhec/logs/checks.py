@@ -224,7 +224,8 @@ def _check_encoders(recording):
     farthest_m = max(_MOVED_M, 6 * position_sigma_m(rows))
     moves = pd.Series(_moves(rows), index=rows.index)
     for _, part in rows.groupby("segment"):
-        nu, omega = part[_NU], part[_OMEGA]
+        nu = part[_NU]
+        omega = part[_OMEGA]
         way = np.hypot(*(part[name].ffill().diff(n) for name in _POSITION))
         is_zero = ((nu == 0) & (omega == 0)).astype(float).rolling(n).min() == 1
         is_recorded = part["t_s"].diff(n) < 2 * _WINDOW_S  # not a pause of the recording
@@ -283,7 +284,8 @@ def _check_interpolated(recording):
         place = (there[_X] + 1j * there[_Y]).to_numpy()
         bends.append(np.abs(np.diff(place, 2)))
         steps.append(np.abs(np.diff(place))[1:])
-    bend, step = np.concatenate(bends), np.concatenate(steps)
+    bend = np.concatenate(bends)
+    step = np.concatenate(steps)
     moves = step > 10 * _ROUNDED_M
     if moves.sum() < 100:
         return

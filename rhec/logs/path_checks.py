@@ -142,8 +142,10 @@ def _moves(tracks, length_s, delay_s):
         w = np.interp(at - delay_s, track.t_encoders, track.turned)
         step = p[2:-2] - p[:-4]
         next_step = p[4:] - p[2:-2]
-        n_step, n_next = n[2:-2] - n[:-4], n[4:] - n[2:-2]
-        w_step, w_next = w[2:-2] - w[:-4], w[4:] - w[2:-2]
+        n_step = n[2:-2] - n[:-4]
+        n_next = n[4:] - n[2:-2]
+        w_step = w[2:-2] - w[:-4]
+        w_next = w[4:] - w[2:-2]
         keeps_direction = n_step * n_next > 0  # forwards or backwards
         columns = [
             np.abs(step),

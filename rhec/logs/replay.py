@@ -557,7 +557,8 @@ def build_model_replay(of_rhe, *structure):
     """The scan of the RHE of a Window, or of the EKF of a Model and dt [s]."""
     if of_rhe:
         (window,) = structure
-        model, dt_s = window.model, window.dt_s
+        model = window.model
+        dt_s = window.dt_s
         step = rhe.build_phases(window)["step"]
     else:
         model, dt_s = structure

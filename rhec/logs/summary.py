@@ -131,7 +131,8 @@ def _traction(causal, smoothed):
     """μ and κ of the whole log by smoothed motion, and the medians of the causal estimates."""
     rows = {}
     for name, slope, column in zip("μκ", slopes(smoothed), ESTIMATE[4:]):
-        low, high = slope.value - 1.96 * slope.sigma, slope.value + 1.96 * slope.sigma
+        low = slope.value - 1.96 * slope.sigma
+        high = slope.value + 1.96 * slope.sigma
         median = causal.loc[_moves(causal), column].median()
         rows[name] = {"value": slope.value, "low": low, "high": high, "on the way": median}
     return pd.DataFrame(rows).T
@@ -143,7 +144,8 @@ def _moves(samples):
 
 def _figures(recording, causal, smoothed):
     """Numbers by which to judge the estimates, {name: number}."""
-    yaw, sigma_yaw = ESTIMATE[2], SIGMA[2]
+    yaw = ESTIMATE[2]
+    sigma_yaw = SIGMA[2]
     moves = _moves(causal)
     begins = causal.groupby("segment")["t_s"].transform("first")
     settled = moves & (causal["t_s"] > begins + _SETTLED_S) & causal[yaw].notna()
