@@ -15,7 +15,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import docstring_parser
 import numpy as np
@@ -142,8 +142,9 @@ def _options_of(function, group, skipped=(), with_defaults=True):
             show_default=_shown if is_shown else False,
         )
         # The function itself checks the values; only flags have none.
-        kind = Annotated[bool, look] if each.annotation is bool else Annotated[Any, _VALUE, look]
-        options.append(each.replace(annotation=kind))
+        is_flag = bool in (each.annotation, *get_args(each.annotation))
+        taken = Annotated[each.annotation, look] if is_flag else Annotated[Any, _VALUE, look]
+        options.append(each.replace(annotation=taken))
     return options
 
 
@@ -322,19 +323,63 @@ def _reading():
     return options
 
 
-def _read(file, given):
-    """The log of the command line; what the reader found in it is printed."""
-    from rhec.logs.reader import found_lines
-
+def _log_of(file, given):
+    """The log of the command line."""
     pairs = [pair.partition("=") for pair in given.get("columns", ())]
     for ours, equals, _ in pairs:
         if not equals:
             raise ValueError(f"--columns was {ours!r}; it should be OURS=THEIRS, as x_m=easting")
     columns = {ours: theirs for ours, _, theirs in pairs} or None
-    log = rhec.logs.read(file, **_given_to(rhec.logs.read, given) | dict(columns=columns))
+    return rhec.logs.read(file, **_given_to(rhec.logs.read, given) | dict(columns=columns))
+
+
+def _read(file, given):
+    """The log of the command line; what the reader found in it is printed."""
+    from rhec.logs.reader import found_lines
+
+    log = _log_of(file, given)
     # Not to the standard output, which --json keeps for programs.
     print(*found_lines(log), sep="\n", file=sys.stderr)
     return log
+
+
+def log(file: str, /, *, folder: Path | None = None, overwrite: _Flag = False, **given: Any):
+    """Say what a recorded log tells of its robot, and whether to trust it.
+
+    Args:
+        file: A .csv, .parquet or bag of a recorded robot.
+        folder: Write the tables of the smoothed estimates, too, as rhec replay does.
+        overwrite: Replace files of these names.
+    """
+    from rhec.logs.summary import summarise
+
+    if folder:
+        _refuse_tables(folder, overwrite)
+    recorded = _log_of(file, given)
+    summary = summarise(recorded, **_given_to(summarise, given))
+    print(summary)
+    if folder and summary.samples is not None:
+        from rhec.logs.outputs import write_estimates
+
+        write_estimates(rhec.replay(recorded, **_given_to(summarise, given)), folder)
+    return 0 if summary.samples is not None else 1
+
+
+def _refuse_tables(folder, overwrite):
+    """Raise a ValueError if the tables of a replay cannot be written into this folder."""
+    from rhec.logs.outputs import FILES
+
+    if folder.is_dir():
+        for name in FILES:
+            _refuse_output("folder", folder / name, overwrite)
+    elif os.path.lexists(folder):
+        raise ValueError(f"--folder was {str(folder)!r}, which is no folder")
+
+
+def _log_options():
+    from rhec.logs.summary import summarise
+
+    return [*_reading(), *_options_of(summarise, _ROBOT)]
 
 
 def doctor(file: str, /, *, as_json: _Json = False, **given: Any):
@@ -395,15 +440,11 @@ def replay(
         overwrite: Replace files of these names.
         estimator: "rhe", "ekf", …: see help(rhec.replay).
     """
-    from rhec.logs.outputs import FILES, write_estimates
+    from rhec.logs.outputs import write_estimates
     from rhec.logs.replay import ESTIMATOR_FIELDS
 
     folder = folder or Path(f"{Path(file).stem}-replay")
-    if folder.is_dir():
-        for name in FILES:
-            _refuse_output("folder", folder / name, overwrite)
-    elif os.path.lexists(folder):
-        raise ValueError(f"--folder was {str(folder)!r}, which is no folder")
+    _refuse_tables(folder, overwrite)
     arguments = _given_to(rhec.replay, given)
     arguments |= {name: given[name] for name in ESTIMATOR_FIELDS if name in given}
     log = _read(file, given)
@@ -481,6 +522,7 @@ def lab():
 _COMMANDS = {
     simulate: _fields,
     campaign: list,
+    log: _log_options,
     doctor: lambda: [*_reading(), *_options_of(rhec.doctor, _ROBOT)],
     calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT, _OF_MODELS)],
     replay: _replay_options,

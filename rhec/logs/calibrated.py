@@ -2,10 +2,13 @@
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import minimize
 
 _HESSIAN_STEP = 0.1  # in prior standard deviations
 # A log determines a parameter if it reduces the standard deviation below this share of the prior's.
 _DETERMINED = 0.5
+_LARGEST = 4.0  # prior standard deviations within which is searched
+_UNUSABLE = 1e12  # the objective where a filter diverges
 
 
 class Calibration(dict):
@@ -59,6 +62,24 @@ def posterior_covariance(objective, x):
         H[j, i] = H[i, j]
     values, vectors = np.linalg.eigh(H)
     return vectors / np.clip(values, 1.0, None) @ vectors.T
+
+
+def most_likely(objective, x):
+    """The x (n,) within ±_LARGEST where an objective is least, searched from x."""
+    bounds = [(-_LARGEST, _LARGEST)] * len(x)
+    return minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=dict(maxiter=50)).x
+
+
+def minus_log_posterior(losses, x):
+    """-log posterior at x (n,), up to a constant, from the losses (array, …) of the segments."""
+    value = sum(loss.sum() for loss in losses) / 2 + x @ x / 2
+    return float(value) if np.isfinite(value) else _UNUSABLE
+
+
+def report(names, units, values, low, high, determined):
+    """The report of a Calibration, one row for each parameter."""
+    columns = dict(value=values, low=low, high=high, unit=units, determined=determined)
+    return pd.DataFrame(columns, index=names)
 
 
 def is_determined(deviation):

@@ -5,34 +5,34 @@ predicts each position from earlier positions and from the encoders. Predictions
 addition gave no better values for four robots, and worse values for one of them.
 
 Broad priors supply what a log does not determine. The posterior is approximated by a normal
-distribution at its maximum (Laplace). Positions more than OUTLIER standard deviations away count
-less (Huber's loss).
+distribution at its maximum (Laplace). Positions more than `filtering.OUTLIER` standard
+deviations away count less (Huber's loss).
 """
 
 import itertools
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from rhec import paper
-from rhec.core import runner
-from rhec.core._casadi import compiled
-from rhec.core._casadi.build import with_packed_memory
-from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.estimator import kalman
-from rhec.core.estimator.base import noise_shapes
-from rhec.core.estimator.filter import Filter, Noise
-from rhec.core.model import base
 from rhec.core.model.base import Model
-from rhec.logs import terms
-from rhec.logs.calibrated import Calibration, is_determined, posterior_covariance
-from rhec.logs.log_checks import refuse_implausible
+from rhec.logs import filtering, minimum, terms
+from rhec.logs.calibrated import (
+    Calibration,
+    is_determined,
+    minus_log_posterior,
+    most_likely,
+    posterior_covariance,
+    report,
+)
+from rhec.logs.checks import refuse
+from rhec.logs.filtering import Loss
 from rhec.logs.model_calibration import calibrate_model
-from rhec.logs.recording import DECLARED, prepare, resample
+from rhec.logs.path_checks import likeliest_delay
+from rhec.logs.recording import DECLARED, delayed, prepare, resample, travelled, with_ages
 from rhec.logs.replay import (
     InitialGuess,
     estimate_samples,
@@ -40,14 +40,12 @@ from rhec.logs.replay import (
     refuse_with_model,
     replay_scenario,
 )
-from rhec.logs.smoother import ages_of
-from rhec.simulation.columns import AGE, MEASUREMENTS
+from rhec.simulation.columns import MEASUREMENTS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.slipping import LEVER_ARM
 
-OUTLIER = 1.5
 # Huber's loss sees less of a normal distribution's tails, so that the deviation of positions comes
 # out too small, by this factor r: E[min(u², OUTLIER u)] = 2 with u = w/r and w² of chi-squared
 # distribution with 2 degrees of freedom. Only the report is corrected, because the factors below
@@ -72,11 +70,16 @@ _LEAST_POSITIONS = 50
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
 _TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
 # Errors of positions that wander are taken for slip and noise of the encoders. Positions so far
-# apart show the wander as noise; fewer than these do not determine the other noise.
+# apart show the wander as noise; fewer than these do not determine the other noise. On four logs
+# of robots and on simulated white noise (tests/logs/test_calibrate.py) the noise of positions apart
+# is that of all, or of one robot, whose positions do wander, 8 times as large.
 _APART_S = 4.0
 _LEAST_APART = 40
-_LARGEST_DELAY_S = 0.6  # of the positions, that is searched
-_DELAY_STEP_S = 0.05
+_WANDERS = 1.5  # times the noise of all positions
+_DELAYS_S = np.linspace(-0.6, 0.6, 13)  # of the positions, that are tried
+_SMALL_DELAY_S = 0.1  # a smaller one changes no fit
+_LATE_S = 0.1  # a larger one is worth a remark
+_LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
 # Held out to compare a calibration with the defaults: positions of _OUTAGE_S in every _EVERY_S.
@@ -140,46 +143,6 @@ def _model_of(names):
     return sensors.speed_model_of("slipping", names).model
 
 
-def _correct_by_huber(m, P, z, V, outputs, s_bar):
-    """`kalman.update` in which a position may be an outlier, with Huber's ρ in its deviance.
-
-    That of the position is OUTLIER² ρ(|y|_S / OUTLIER) + log det S, where ρ(r) = r² up to 1, then
-    2r - 1. The other sensors, which count as they are, correct first.
-    """
-    place = outputs[:2]
-    m, P, _, _, deviance, _ = kalman.update(m, P, z, V, outputs[2:], s_bar)
-    # Distance of the position from the predicted one, in units of OUTLIER standard deviations.
-    y = z[:2] - m[:2]
-    S = P[:2, :2] + ca.diag(V[:2])
-    is_used = place[0].is_valid(z) * place[1].is_valid(z)
-    far = ca.if_else(is_used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / OUTLIER, 0)
-    loss = OUTLIER**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
-    # Huber's loss gives an outlier the weight of a measurement with this larger variance.
-    updated = kalman.update(m, P, z, V * ca.fmax(far, 1) ** 2, place, m)
-    return updated._replace(deviance=ca.if_else(is_used, loss, 0) + deviance)
-
-
-def _build_filter(names):
-    """The scan of a Kalman filter whose positions may be outliers, of a robot with these sensors.
-
-    Its step takes z_N (n_z + 1,), with the age of the position [s] as last entry, and V, c, W. It
-    records the mean of the joint state, the variances, and the loss of the measurements.
-    """
-    model = _model_of(names)
-    n_z = len(model.outputs)
-    filtering = Filter(base.interval(model), paper.DT_S, _correct_by_huber)
-    shapes = dict(z_N=(n_z + 1, 1), noise=noise_shapes(model), W=(model.n_s, 1))
-
-    @with_packed_memory("calibrated", filtering.memory_shapes, ca.SX, **shapes)
-    def step(z_N, noise, W, **memory):
-        ages_s = ages_of(z_N[n_z], n_z)
-        after = filtering.sample(z_N[:n_z], Noise(W=W, **noise), **memory, ages_s=ages_s)
-        recorded = dict(estimate=after.m, variances=ca.diag(after.P), loss=after.deviance)
-        return recorded | after.memory
-
-    return runner.build_recorded(step, ["estimate", "variances", "loss"])
-
-
 def _values(x, names):
     """The values of `_unknowns` at the point x of the search."""
     return [float(unknown.at(entry)) for unknown, entry in zip(_unknowns(names), x)]
@@ -213,7 +176,7 @@ class _Robot(NamedTuple):
 
 
 def _filtered(z, x, yaw_rad, robot):
-    """Outputs {name: array} of the filter at the point x, for a segment z (n, n_z + 1)."""
+    """Outputs {name: array} of the filter at the point x, for a segment z (n, 2 n_z)."""
     fields = _fields(x, robot)
     scenario = Scenario(
         speed_model="slipping", track_width_m=robot.width_m, sensors=robot.sensors, **fields
@@ -222,15 +185,10 @@ def _filtered(z, x, yaw_rad, robot):
     x_m, y_m = z[np.isfinite(z[:, :2]).all(axis=1)][0, :2]
     guess = _FIRST | dict(x_m=x_m, y_m=y_m, theta_rad=yaw_rad)
     guess |= dict(zip(LEVER_ARM, robot.about_arm_m))
-    memory = dict(
-        m=np.array([guess.get(name, 0.0) for name in model.joint_names]),
-        P=np.diag([_SIGMA_FIRST.get(name, _SIGMA_INPUT) ** 2 for name in model.joint_names]),
-        v=np.zeros(len(model.inputs)),
-        started=0.0,
-    )
-    functions = compiled.load(_build_filter, robot.sensors)
+    mean = np.array([guess.get(name, 0.0) for name in model.joint_names])
+    sigma = np.array([_SIGMA_FIRST.get(name, _SIGMA_INPUT) for name in model.joint_names])
     settings = estimator_of("rhe").settings(scenario)
-    return runner.record(functions, pack_array(memory), z, settings)
+    return filtering.run(model, paper.DT_S, Loss.HUBER, z, (mean, sigma), settings)
 
 
 def _driven(z):
@@ -252,65 +210,56 @@ def _first_yaw(z, x, robot):
     return float(minimize_scalar(loss, bounds=bounds, method="bounded", options=options).x)
 
 
-def _likelihood(segments, yaws, robot):
-    """The function of x that is -log likelihood of the segments, up to a constant."""
-    parts = [(z, yaw, _driven(z) > _SETTLED_M) for z, yaw in zip(segments, yaws)]
-
-    def minus_log_likelihood(x):
-        losses = (_filtered(z, x, yaw, robot)["loss"][counts].sum() for z, yaw, counts in parts)
-        value = sum(losses) / 2
-        return value if np.isfinite(value) else 1e12
-
-    return minus_log_likelihood
+def _losses(x, segments, yaws, robot):
+    """Losses (samples,) of each segment at the point x; 0 before the yaw has converged."""
+    return [
+        np.where(_driven(z) > _SETTLED_M, _filtered(z, x, yaw_rad, robot)["loss"], 0.0)
+        for z, yaw_rad in zip(segments, yaws)
+    ]
 
 
 def _objective(segments, yaws, robot):
     """The function of x that is minimised: -log posterior, up to a constant."""
-    minus_log_likelihood = _likelihood(segments, yaws, robot)
-    return lambda x: minus_log_likelihood(x) + x @ x / 2
+    return lambda x: minus_log_posterior(_losses(x, segments, yaws, robot), x)
 
 
-def _most_likely(segments, robot, x, yaws=None):
-    """The x and the initial yaws that make these segments likeliest, searched from x."""
-    bounds = [(-4, 4)] * len(x)
-    options = dict(maxiter=50)
-    are_given = yaws is not None
-    for _ in range(1 if are_given else 2):  # the second search starts from better initial yaws
-        if not are_given:
-            yaws = [_first_yaw(z, x, robot) for z in segments]
-        objective = _objective(segments, yaws, robot)
-        x = minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=options).x
+def _fitted(segments, robot, yaws=None):
+    """The x and the initial yaws that make these segments likeliest."""
+    x = np.zeros(len(_unknowns(robot.sensors)))
+    if yaws is not None:
+        return most_likely(_objective(segments, yaws, robot), x), yaws
+    for _ in range(2):  # the second search starts from better initial yaws
+        yaws = [_first_yaw(z, x, robot) for z in segments]
+        x = most_likely(_objective(segments, yaws, robot), x)
     return x, yaws
 
 
-def _apart(segments, first):
-    """Segments with only those positions that are _APART_S apart, counted from sample `first`."""
+def _apart(segments):
+    """Segments with only those positions that are _APART_S apart."""
     every = round(_APART_S / paper.DT_S)
-    parts = []
-    for z in segments:
-        part = z.copy()
-        is_kept = np.arange(len(z)) % every == first
-        part[~is_kept, :2] = np.nan
-        parts.append(part)
+    parts = [z.copy() for z in segments]
+    for z in parts:
+        z[np.arange(len(z)) % every > 0, :2] = np.nan
     return parts
 
 
 def _search(segments, robot):
     """Find the likeliest x, from all positions or, where their errors wander, from some.
 
-    Both fits are compared on positions _APART_S apart. Only the fit of all positions has seen
-    these, so that the other one is likelier only where errors are correlated over that time.
+    Errors that wander over seconds hardly show between successive positions, but as noise of
+    positions that are _APART_S apart. Both fits of a log without wander find the same noise. The
+    likelihood cannot tell which fit is right: each is likelier over the times that it was made for.
 
     Returns:
         x, the initial yaws, the segments that were used, and whether the errors wander.
     """
-    x, yaws = _most_likely(segments, robot, np.zeros(len(_unknowns(robot.sensors))))
-    some = _apart(segments, 0)
+    x, yaws = _fitted(segments, robot)
+    some = _apart(segments)
     if sum(np.isfinite(z[:, 0]).sum() for z in some) < _LEAST_APART:
         return x, yaws, segments, False
-    x_of_some, yaws = _most_likely(some, robot, np.zeros(len(x)), yaws)
-    held_out = _likelihood(_apart(segments, round(_APART_S / paper.DT_S / 2)), yaws, robot)
-    if held_out(x_of_some) < held_out(x):
+    x_of_some, _ = _fitted(some, robot, yaws)
+    noise_m, noise_of_some_m = (_values(each, robot.sensors)[0] for each in (x, x_of_some))
+    if noise_of_some_m > _WANDERS * noise_m:
         return x_of_some, yaws, some, True
     return x, yaws, segments, False
 
@@ -360,19 +309,22 @@ def calibrate(
         of_robot = (track_width_m, position_delay_s or None, trust_log or None)
         return _with_model(log, model, delays_s, arguments, of_robot)
     _refuse_without_model(arguments | (dict(delays_s=delays_s) if delays_s else {}))
-    recording = prepare(log, track_width_m, position_delay_s)
+    recording = prepare(log, track_width_m)
     if not trust_log:
-        refuse_implausible(recording)
+        refuse(delayed(recording, position_delay_s))
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     declared_m = _declared_m(recording)
-    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m, declared_m)
-    recording = _usable(recording)
+    least_m = declared_m / _CORRELATED  # widened, it is the declared one
+    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m, least_m)
+    at_stamps = _usable(recording)
+    recording = delayed(at_stamps, position_delay_s)
     _refuse_straight(recording)
     segments = _streams(recording)
     x, yaws, segments, wanders = _search(segments, robot)
     objective = _objective(segments, yaws, robot)
     deviation = np.sqrt(np.diag(posterior_covariance(objective, x)))
-    last = _last_estimates(segments, x, yaws, robot)
+    of_segments = [_filtered(z, x, yaw_rad, robot) for z, yaw_rad in zip(segments, yaws)]
+    last = filtering.last_estimates(_model_of(robot.sensors), of_segments)
     arm, sigma_arm = np.transpose([last[name] for name in LEVER_ARM])
     result = Calibration(_fields(x, robot))
     _widen(result, robot.sensors)
@@ -383,14 +335,20 @@ def calibrate(
     )
     result.update({name: value for name, value in arguments.items() if value})
     result.report = _report(x, deviation, arm, sigma_arm, robot.sensors)
-    delay = _delay(log, track_width_m, position_delay_s, (x, yaws, robot))
-    result.terms = _terms(result, recording, yaws, last, delay)
+    delay = _delay(at_stamps, position_delay_s, (x, yaws, robot))
+    result.terms = _terms(result, recording, yaws, last, delay, declared_m)
     result.yaml = terms.as_yaml(result.terms, robot.width_m, result["sigma_v"])
     result.remarks = []
     if wanders:
         result.remarks.append(
             f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s "
             "apart."
+        )
+    delay_s, sigma_s = delay
+    if abs(delay_s - position_delay_s) > max(_LATE_S, 2 * sigma_s):
+        result.remarks.append(
+            f"The positions come {delay_s:.2f} ± {1.96 * sigma_s:.2f} s after the encoder speeds: "
+            f"calibrate and replay with position_delay_s={delay_s:.2f}."
         )
     _keep_better(result, recording, yaws)
     return result
@@ -414,14 +372,14 @@ def _refuse_without_model(arguments):
 
 
 def _declared_m(recording):
-    """Least noise of the positions [m], so that widened it is the one that the receiver declares.
+    """Standard deviation of the positions that the receiver declares [m], or 0.
 
     Errors that wander for minutes do not show in the positions themselves.
     """
     if DECLARED not in recording.rows:
         return 0.0
     declared_m = recording.rows[DECLARED].median()
-    return float(declared_m) / _CORRELATED if declared_m > 0 else 0.0
+    return float(declared_m) if declared_m > 0 else 0.0
 
 
 def _widen(result, names):
@@ -443,10 +401,7 @@ def _widen(result, names):
 
 def _refuse_straight(recording):
     """Raise a ValueError for a log without turns, which determines no κ."""
-    rows = recording.rows
-    step_s = rows.groupby("segment")["t_s"].diff().clip(upper=1.0)
-    turns = rows[MEASUREMENTS[3]] * step_s
-    turned = float(turns.groupby([rows["segment"], rows["t_s"] // _TURNING_S]).sum().abs().sum())
+    turned = travelled(recording.rows, MEASUREMENTS[3], _TURNING_S)
     if turned < _LEAST_TURNED_RAD:
         column = recording.columns[MEASUREMENTS[3]]
         raise ValueError(
@@ -475,46 +430,37 @@ def _usable(recording):
 
 
 def _streams(recording):
-    """(z, age of the position) (n, n_z + 1) of each segment."""
-    columns = [*measured_of(recording.sensors), AGE[0]]
-    groups = recording.rows.groupby("segment")
-    return [
-        resample(rows, paper.DT_S, recording.averaged)[columns].to_numpy() for _, rows in groups
+    """Measurements and their ages of each segment, as of `with_ages`."""
+    parts = [
+        resample(rows, paper.DT_S, recording.averaged)
+        for _, rows in recording.rows.groupby("segment")
     ]
+    return [with_ages(part, measured_of(recording.sensors)) for part in parts]
 
 
-def _last_estimates(segments, x, yaws, robot):
-    """{parameter: (mean, standard deviation)} of the constants that the filter estimates.
+def _delay(at_stamps, about_s, fitted):
+    """Delay of the positions [s] and its standard deviation, from the likelihood of the log.
 
-    The mean over the last estimates of all segments, weighted by their inverse variances.
+    The filter estimates the lever arm beside it, because an antenna ahead of the centre turns
+    earlier than the robot. A fit without the delay takes it for noise, which then hides it. So
+    there is a second fit, with the delay by the path alone, and the likelier one counts.
     """
-    names = _model_of(robot.sensors).joint_names
-    last = [_filtered(z, x, yaw_rad, robot) for z, yaw_rad in zip(segments, yaws)]
-    means = np.array([recorded["estimate"][-1] for recorded in last])
-    variances = np.array([recorded["variances"][-1] for recorded in last])
-    variance = 1 / (1 / variances).sum(axis=0)
-    mean = variance * (means / variances).sum(axis=0)
-    return dict(zip(names, zip(mean, np.sqrt(variance))))
-
-
-def _delay(log, track_width_m, position_delay_s, fitted):
-    """Delay of the positions [s] and its standard deviation, from the likelihood of the log."""
     x, yaws, robot = fitted
-
-    def loss(delay_s):
-        recording = _usable(prepare(log, track_width_m, position_delay_s + delay_s))
-        segments = _streams(recording)
-        if len(segments) != len(yaws):
-            return 1e12
-        return _objective(segments, yaws, robot)(x)
-
-    options = dict(xatol=0.01, maxiter=15)
-    bounds = (-_LARGEST_DELAY_S, _LARGEST_DELAY_S)
-    best = minimize_scalar(loss, bounds=bounds, method="bounded", options=options)
-    step = _DELAY_STEP_S
-    curvature = (loss(best.x - step) - 2 * best.fun + loss(best.x + step)) / step**2
-    sigma = _CORRELATED / np.sqrt(max(curvature, 1.0))
-    return position_delay_s + float(best.x), float(sigma)
+    by_path_s = likeliest_delay(at_stamps)
+    if abs(by_path_s - about_s) > _SMALL_DELAY_S:
+        late = _streams(delayed(at_stamps, by_path_s))
+        x_late, yaws_late = _fitted(late, robot)
+        in_time = _objective(_streams(delayed(at_stamps, about_s)), yaws, robot)
+        if _objective(late, yaws_late, robot)(x_late) < in_time(x):
+            about_s = by_path_s
+            x = x_late
+            yaws = yaws_late
+    delays_s = about_s + _DELAYS_S
+    losses = []
+    for delay_s in delays_s:
+        of_segments = _losses(x, _streams(delayed(at_stamps, delay_s)), yaws, robot)
+        losses.append(np.concatenate(of_segments))
+    return minimum.least(delays_s, np.nan_to_num(losses, nan=_LOSS_OF_NOTHING))
 
 
 def _replayed(recording, arguments, yaws, smooth=False):
@@ -525,10 +471,12 @@ def _replayed(recording, arguments, yaws, smooth=False):
     return estimate_samples(recording, scenario, first, smooth=smooth)
 
 
-def _terms(result, recording, yaws, last, delay):
+def _terms(result, recording, yaws, last, delay, declared_m):
     """The terms of a Calibration."""
     samples = _replayed(recording, result, yaws, smooth=True)
-    noise = result.report.loc["noise of the position"]
+    # Errors that wander for minutes do not show in the positions, but the receiver declares them.
+    noise = result.report.loc["noise of the position", ["value", "low", "high"]]
+    noise = noise.astype(float).clip(lower=declared_m)
     others = {
         "antenna ahead": (*last["arm_forward_m"], "m"),
         "antenna left": (*last["arm_left_m"], "m"),
@@ -541,11 +489,16 @@ def _terms(result, recording, yaws, last, delay):
     return terms.table(*terms.slopes(samples), recording.track_width_m, others)
 
 
-def _outage_errors(recording, arguments, yaws):
+def outage_errors(recording, arguments, yaws):
     """Errors [m] at the end of outages: of positions hidden for _OUTAGE_S in every _EVERY_S.
 
     The log is replayed for each part of _EVERY_S that may be hidden, so that all positions of a
     segment but its first ones are hidden once.
+
+    Args:
+        recording: The Recording.
+        arguments: Arguments of `rhec.replay`, as a Calibration has them.
+        yaws: The initial yaw of each segment [rad].
     """
     rows = recording.rows
     first_s = rows.groupby("segment")["t_s"].first()
@@ -574,7 +527,7 @@ def _keep_better(result, recording, yaws):
 
     They do if the geometric mean of the ratios of both errors is significantly above _WORSE.
     """
-    calibrated, shipped = (_outage_errors(recording, how, yaws) for how in (result, {}))
+    calibrated, shipped = (outage_errors(recording, how, yaws) for how in (result, {}))
     ratios = np.log((calibrated + _LEAST_ERROR_M) / (shipped + _LEAST_ERROR_M))
     ratios = ratios[np.isfinite(ratios)]
     if len(ratios) < _LEAST_OUTAGES:
@@ -593,28 +546,17 @@ def _keep_better(result, recording, yaws):
 def _report(x, deviation, arm, sigma_arm, names):
     """The report of a Calibration."""
     unknowns = _unknowns(names)
-    numbers = pd.DataFrame(
-        dict(
-            value=_values(x, names),
-            low=_values(x - 1.96 * deviation, names),
-            high=_values(x + 1.96 * deviation, names),
-            unit=[unknown.unit for unknown in unknowns],
-            determined=is_determined(deviation),
-        ),
-        index=[unknown.name for unknown in unknowns],
+    numbers = report(
+        [unknown.name for unknown in unknowns],
+        [unknown.unit for unknown in unknowns],
+        *(_values(x + side * deviation, names) for side in (0, -1.96, 1.96)),
+        is_determined(deviation),
     )
     position = unknowns[0]
     limits = ["value", "low", "high"]
     if numbers.loc[position.name, "value"] > position.least:
         numbers.loc[position.name, limits] /= _HUBER_SHRINKS
-    antenna = pd.DataFrame(
-        dict(
-            value=arm,
-            low=arm - 1.96 * sigma_arm,
-            high=arm + 1.96 * sigma_arm,
-            unit="m",
-            determined=sigma_arm < _DETERMINED_ARM_M,
-        ),
-        index=["antenna ahead", "antenna left"],
-    )
+    interval = (arm - 1.96 * sigma_arm, arm + 1.96 * sigma_arm)
+    is_known = sigma_arm < _DETERMINED_ARM_M
+    antenna = report(["antenna ahead", "antenna left"], "m", arm, *interval, is_known)
     return pd.concat([numbers, antenna])

@@ -81,13 +81,12 @@ class Recording(NamedTuple):
         return tuple(name for name, column in SENSORS.items() if column in self.rows)
 
 
-def prepare(log, track_width_m=None, position_delay_s=0.0):
+def prepare(log, track_width_m=None):
     """The Recording of a log of the paper's robot.
 
     Args:
         log: DataFrame, as `rhec.replay` takes it.
         track_width_m: Compute ν and ω from the speeds of tracks this far apart [m].
-        position_delay_s: Delay of the time stamps of the positions [s].
 
     Returns:
         Recording.
@@ -97,6 +96,9 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     """
     is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     values, columns = _parse_robot(log, is_simulated, track_width_m)
+    n_positions = _count_positions(values)
+    _leave_out_flagged(values, log)
+    flagged = n_positions - _count_positions(values)
     limits = SPEED_MODELS["parameter"].model.limits
     limits = dict(zip(MEASUREMENTS, limits)) | _LIMITS_OF_SENSORS
     present = {name: limit for name, limit in limits.items() if name in values}
@@ -107,19 +109,53 @@ def prepare(log, track_width_m=None, position_delay_s=0.0):
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     is_held = is_repeated & (rows["segment"].diff() == 0)
     rows.loc[is_held, _POSITION] = np.nan
-    if position_delay_s:
-        positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
-        rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
     faults = dict(
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
         no_encoders=int(values[_ENCODERS].isna().any(axis=1).sum()),
         unusable_times=len(log) - len(places),
         positions_held=int(is_held.sum()),
+        positions_flagged=flagged,
+        clock_back_s=_set_back_s(values),
+        headers=_repeated_headers(log),
         segments=int(rows["segment"].max()) + 1,
     )
     width_m = track_width_m or _recorded_width(log)
     return Recording(rows, places, is_simulated, width_m, faults, columns)
+
+
+def delayed(recording, position_delay_s):
+    """The Recording of the paper's robot with positions at the times at which they were measured.
+
+    Args:
+        recording: The Recording, with positions at their time stamps.
+        position_delay_s: Delay of these [s].
+    """
+    if not position_delay_s:
+        return recording
+    rows = recording.rows.copy()
+    positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
+    rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
+    return recording._replace(rows=rows)
+
+
+def travelled(rows, column, window_s=None):
+    """How far a robot moves in a log: Σ |speed · time|, or of the sums over windows.
+
+    The time is that since the last row in which this sensor measured, at most a second: rows of
+    other sensors in between do not count.
+
+    Args:
+        rows: Rows of a Recording.
+        column: Name of a speed [m/s] or yaw rate [rad/s].
+        window_s: Length of the windows [s], in which noise and motion to and fro cancel.
+    """
+    there = rows[rows[column].notna()]
+    step_s = there.groupby("segment")["t_s"].diff().clip(upper=1.0)
+    moves = there[column] * step_s
+    if window_s:
+        moves = moves.groupby([there["segment"], there["t_s"] // window_s]).sum()
+    return float(moves.abs().sum())
 
 
 def prepare_for(model, dt_s, log, delays_s=None):
@@ -175,7 +211,7 @@ def _parse_robot(log, is_simulated, track_width_m):
         sensors = {name: name for name in RECORDED_SENSORS}
     if track_width_m is not None:
         measured = measured | dict(zip(_ENCODERS, TRACKS))
-    values = _parse(log, measured, truth | sensors | {DECLARED: DECLARED}, _FLAGS)
+    values = _parse(log, measured, truth | sensors | {DECLARED: DECLARED})
     # A sensor that never measures anything is none.
     silent = [name for name in sensors if name in values and values[name].isna().all()]
     values = values.drop(columns=silent)
@@ -193,14 +229,49 @@ def _parse_robot(log, is_simulated, track_width_m):
     return values, truth | sensors | measured
 
 
-def _parse(log, measured, optional=None, flags=None):
+def _count_positions(values):
+    return int(values[_POSITION].notna().all(axis=1).sum())
+
+
+def _leave_out_flagged(values, log):
+    """Set measurements to NaN in rows of a log in which their column of _FLAGS is false."""
+    for flag, flagged in _FLAGS.items():
+        if flag not in log:
+            continue
+        numbers = _numbers(log, flag)
+        words = dict.fromkeys(word for word in log[flag] if isinstance(word, str))
+        if words and not np.isfinite(numbers).any():
+            named = ", ".join(map(repr, [*words][:3]))
+            raise ValueError(
+                f"the log's {flag} had the words {named}; it should be 1 where the measurement "
+                "counts, else 0"
+            )
+        values.loc[~(numbers > 0), flagged] = np.nan
+
+
+def _set_back_s(values):
+    """By how much the clock is set back at most within a segment of the log [s], or 0."""
+    stamped = values[values["t_s"].notna()]
+    back_s = -stamped.groupby("segment")["t_s"].diff().min()
+    return float(back_s) if back_s > _CLOCK * paper.DT_S else 0.0
+
+
+def _repeated_headers(log):
+    """How many rows hold the names of the columns, as those of files pasted together do."""
+    repeated = np.zeros(len(log), dtype=bool)
+    for name, column in log.items():
+        if column.dtype == object:
+            repeated |= [isinstance(word, str) and word == name for word in column]
+    return int(repeated.sum())
+
+
+def _parse(log, measured, optional=None):
     """Columns of a log as floats: t_s, the measurements, segment, and the optional columns present.
 
     Args:
         log: DataFrame.
         measured: {name: column} of required columns.
         optional: {name: column} of optional columns.
-        flags: {column: names}; the named measurements are missing where the column is false.
     """
     if not isinstance(log, pd.DataFrame) or not len(log):
         empty = " without rows" if isinstance(log, pd.DataFrame) else ""
@@ -214,9 +285,6 @@ def _parse(log, measured, optional=None, flags=None):
         if not np.isfinite(values[name]).any():
             raise ValueError(f"the log's column {column} had no number in it")
     values = values.assign(segment=_segments(log))
-    for flag, flagged in (flags or {}).items():
-        if flag in log:
-            values.loc[~(_numbers(log, flag) > 0), flagged] = np.nan
     for name, column in (optional or {}).items():
         if column in log:
             values[name] = _numbers(log, column)
@@ -426,6 +494,23 @@ def _timed(name, t, value, timing, gap_s):
         return t, value, gap_s
     there = np.isfinite(value)
     return t[there] - timing.delays_s.get(name, 0.0), value[there], timing.gaps_s.get(name, gap_s)
+
+
+def with_ages(samples, measured):
+    """Measurements of the samples of a segment, then their ages [s], (n, 2 n_z).
+
+    What is older than the first sample is left out of it, because no motion is known before it by
+    which an estimator could move it to the sample.
+
+    Args:
+        samples: DataFrame, as `resample` returns it.
+        measured: Names of the measurements, in the order of z.
+    """
+    z = samples[measured].to_numpy(copy=True)
+    ages_s = samples.reindex(columns=[f"{name}_age_s" for name in measured])
+    ages_s = np.nan_to_num(ages_s.to_numpy(dtype=float))
+    z[0, ages_s[0] > 0] = np.nan
+    return np.hstack([z, ages_s])
 
 
 def measured_since(rows, begin_s, dt_s, averaged, means, timing=None):

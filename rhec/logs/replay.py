@@ -6,11 +6,15 @@ position measured between two samples is moved to the second one by the motion p
 last estimate and the encoders.
 
 Each row of the log receives the estimate of the last sample before it, predicted to the time of the
-row with the encoder measurements in between. Later measurements do not change the estimate of a
-row, except by what the whole log is asked for: the track width and the noise of the positions.
+row with the encoder measurements in between. By default the estimates are then smoothed, which
+takes later measurements into account and gains more than any other choice. With `smooth=False` an
+estimate is that of a robot on its way: later measurements do not change it, except by what the
+whole log is asked for, the track width and the noise of the positions.
 """
 
 import warnings
+from collections.abc import Callable
+from itertools import chain
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -23,30 +27,30 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function, packed_size, unpack
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.estimator.ekf import EKF
-from rhec.core.estimator.rhe import RHE
+from rhec.core.estimator import ekf, rhe
+from rhec.core.estimator.base import joint_guess
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
-from rhec.logs.log_checks import refuse_implausible
+from rhec.logs.checks import refuse
 from rhec.logs.lost import is_lost, remarks
 from rhec.logs.position_noise import position_sigma_m
 from rhec.logs.recording import (
     DECLARED,
     POSITION_AGE,
+    delayed,
     measured_since,
     prepare,
     prepare_for,
     resample,
+    with_ages,
 )
 from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
-    AGE,
     ESTIMATE,
     FLAGS,
     GATE,
     GYRO,
     GYRO_ACCEPTED,
-    HEADING_AGE,
     INNOVATION,
     LEVER_ARM,
     MEASUREMENTS,
@@ -63,10 +67,8 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import sigma_start, window_of
 from rhec.tracked_robot.tuning import sigma_v_of
 
-# What a replay estimates, and the columns of the estimates.
+# What a replay of the paper's robot estimates, besides its sensors.
 _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)
-# The outputs of the scan at each sample.
-_RECORDED = ("estimate", "sigma", "deviance", "kkt", "ok", "accepted", "restart")
 ESTIMATOR_FIELDS = (
     "process_noise",
     "sigma_w",
@@ -99,115 +101,92 @@ class InitialGuess(NamedTuple):
 _UNKNOWN = InitialGuess()
 
 
-def quantities_of(names=()):
-    """What a replay with these sensors estimates."""
-    return (*_QUANTITIES, *(sensors.GYRO if "gyro" in names else ()))
+class Replay(NamedTuple):
+    """An estimator that runs over a log, and the columns that it reads and fills."""
 
+    dt_s: float  # length of a sample
+    model: Model  # predicts between samples, and moves late measurements
+    quantities: tuple  # names of the estimates, in order
+    measured: list  # the columns of z
+    means: list  # those of them that are means over an interval
+    recorded: dict  # {output of the scan: its columns}, first `estimate` and `sigma`
+    build: Callable  # of the scan, as for `compiled.load`
+    structure: tuple  # its arguments
+    settings: dict  # {name: array} of the estimator's step
+    timing: Any = None  # the Timing of the measurements, if they have rates of their own
 
-def hats_of(names=()):
-    """The columns of these estimates."""
-    return [*ESTIMATE, *LEVER_ARM, *(GYRO if "gyro" in names else ())]
+    @property
+    def hats(self):
+        """The columns of the estimates."""
+        return self.recorded["estimate"]
 
+    def scanned(self, memory, stream):
+        """What the scan records at a segment's samples, a DataFrame with the columns `recorded`.
 
-def measured_of(names=()):
-    """The columns of the measurements of a robot with these sensors, in the order of z."""
-    return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
+        Args:
+            memory: (n,) of the estimator before the first sample, then the guess of `quantities`.
+            stream: (samples, 2 n_z), as of `recording.with_ages`.
+        """
+        functions = compiled.load(self.build, *self.structure)
+        arrays = runner.record(functions, memory, stream, self.settings)
+        values = np.column_stack([arrays[name] for name in self.recorded])
+        return pd.DataFrame(values, columns=[*chain(*self.recorded.values())])
 
-
-def _ages_of(names):
-    """The columns of the ages in the stream: of the position, and of the heading if there is one.
-
-    The other measurements are means until the sample.
-    """
-    return [AGE[0], HEADING_AGE] if "heading" in names else AGE[:1]
-
-
-def _sigma_columns(names):
-    """The columns of the standard deviations of these estimates."""
-    return [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
-
-
-def _recorded_columns(names):
-    """The columns that _RECORDED fills."""
-    others = ["deviance", "kkt_rhe", "ok", "position_accepted", "encoders_accepted", "restarted"]
-    return [*hats_of(names), *_sigma_columns(names), *others]
+    def predict(self, estimate, z, tau_s):
+        """Predict estimates and outputs, as the function of `predictor`."""
+        return predictor(self.model, self.quantities)(estimate, z, tau_s)
 
 
 # The estimator's step as a scan
 
 
-def build_replay(*choice):
-    """The scan of an estimator that records _RECORDED.
+def _build_scan(step, model, dt_s, quantities, record):
+    """The scan of an estimator over a log.
 
-    Its memory is the memory of the estimator followed by the last estimate of `quantities_of`. A
-    row of its stream is z followed by the ages of `_ages_of` at the sample [s].
+    Its memory is that of the estimator followed by the last estimate of the quantities. A row of
+    its stream is that of `recording.with_ages`.
+
+    Args:
+        step: Function (memory, z, settings …) -> (memory, estimate, …).
+        model: The Model by which late measurements are moved to the sample.
+        dt_s: Length of a sample [s].
+        quantities: Names of the estimates.
+        record: Function (outputs of the step, z) -> {name: value} of what is recorded.
     """
-    choice = Choice(*choice)
-    step = build_step(choice)
-    quantities = quantities_of(choice.sensors)
-    motion = motion_of(model_of(choice), quantities)
+    motion = motion_of(model, quantities)
     n = step.numel_in(0)
-    n_z = len(measured_of(choice.sensors))
-    n_ages = len(_ages_of(choice.sensors))
-    shapes = dict(memory=(n + len(quantities), 1), z_and_age=(n_z + n_ages, 1))
+    n_z = len(model.outputs)
+    shapes = dict(memory=(n + len(quantities), 1), z_and_ages=(2 * n_z, 1))
     shapes |= {name: step.sparsity_in(name) for name in step.name_in()[2:]}
 
     @casadi_function("replay", ca.MX, **shapes)
-    def replay_step(memory, z_and_age, **settings):
-        z = _moved_to_sample(motion, memory[n:], z_and_age[:n_z], z_and_age[n_z:])
+    def replay_step(memory, z_and_ages, **settings):
+        z, ages_s = ca.vertsplit(z_and_ages, n_z)
+        z = _moved_to_sample(motion, memory[n:], z, ages_s, model, dt_s)
         results = step.call([memory[:n], z, *settings.values()])
-        outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], results))
-        recorded = _recorded(choice, outputs, z)
-        return dict(memory=ca.vertcat(outputs["memory"], recorded["estimate"])) | recorded
+        recorded = record(dict(zip(["memory", "estimate", *step.name_out()[2:]], results)), z)
+        return dict(memory=ca.vertcat(results[0], recorded["estimate"])) | recorded
 
-    return runner.build_recorded(replay_step, _RECORDED)
+    return runner.build_recorded(replay_step, replay_step.name_out()[1:])
 
 
-def _moved_to_sample(motion, last, z, ages_s):
-    """z with its position and its heading, if any, moved to the time of the sample by `motion_of`.
+def _moved_to_sample(motion, last, z, ages_s, model, dt_s):
+    """The measurements z (n_z,), moved by what their outputs changed since they were made.
 
-    ages_s has their ages [s]; the heading is the last entry of z.
+    Args:
+        motion: The Function of `motion_of`.
+        last: The last estimate.
+        z: (n_z,) measurements.
+        ages_s: (n_z,) their ages at the sample [s].
+        model: The Model. Its measured inputs are means until the sample, and are not moved.
+        dt_s: Length of a sample [s].
     """
-    _, now = motion(last, z, paper.DT_S)
-    _, then = motion(last, z, paper.DT_S - ages_s[0])
-    position = z[:2] + ca.if_else(ages_s[0] > 0, now[:2] - then[:2], 0)
-    if ages_s.numel() == 1:
-        return ca.vertcat(position, z[2:])
-    _, then = motion(last, z, paper.DT_S - ages_s[1])
-    heading = z[-1] + ca.if_else(ages_s[1] > 0, now[-1] - then[-1], 0)
-    return ca.vertcat(position, z[2:-1], heading)
-
-
-def _recorded(choice, outputs, z):
-    """The entries of _RECORDED from the outputs of an estimator's step, NaN where it has none.
-
-    An estimator without flags uses all valid measurements, converges and never restarts.
-    """
-    nan = ca.DM.nan(1)
-    states = estimator_of(choice.estimator).states(choice)
-    estimate = dict(zip(QUANTITIES, ca.vertsplit(outputs["estimate"])))
-    sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
-    quantities = quantities_of(choice.sensors)
-    others = set(quantities[len(QUANTITIES) :]) & set(states)
-    if others:
-        window = window_of(choice)
-        # In the memory of a robust estimator, further entries follow those of the window.
-        packed = outputs["memory"][: packed_size(window.memory)]
-        newest = ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])
-        values = dict(zip(states, newest))
-        estimate |= {name: values[name] for name in others}
-    limits = SPEED_MODELS["parameter"].model.limits
-    valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
-    accepted = outputs.get("accepted", ca.vertcat(*valid))
-    return dict(
-        estimate=ca.vertcat(*(estimate.get(name, nan) for name in quantities)),
-        sigma=ca.vertcat(*(sigma.get(name, nan) for name in quantities)),
-        deviance=outputs.get("deviance", nan),
-        kkt=outputs.get("kkt", nan),
-        ok=outputs.get("ok", ca.MX(1)),
-        accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
-        restart=outputs.get("restart", ca.MX(0)),
-    )
+    moved = ca.vertsplit(z)
+    _, now = motion(last, z, dt_s)
+    for row in set(range(len(moved))) - {*model.input_outputs.values()}:
+        _, then = motion(last, z, dt_s - ages_s[row])
+        moved[row] += ca.if_else(ages_s[row] > 0, now[row] - then[row], 0)
+    return ca.vertcat(*moved)
 
 
 def motion_of(model, names):
@@ -253,12 +232,94 @@ def predictor(model, names=_QUANTITIES):
     return predict
 
 
+# The paper's robot
+
+
+def quantities_of(names=()):
+    """What a replay with these sensors estimates."""
+    return (*_QUANTITIES, *(sensors.GYRO if "gyro" in names else ()))
+
+
+def hats_of(names=()):
+    """The columns of these estimates."""
+    return [*ESTIMATE, *LEVER_ARM, *(GYRO if "gyro" in names else ())]
+
+
+def measured_of(names=()):
+    """The columns of the measurements of a robot with these sensors, in the order of z."""
+    return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
+
+
+def _sigmas_of(names):
+    """The columns of the standard deviations of these estimates."""
+    return [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
+
+
 def model_of(choice):
     """The Model that the estimator of a Choice uses for predictions."""
     return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
 
 
-# Samples of the paper's robot
+def build_replay(*choice):
+    """The scan of an estimator of the paper's robot, of the fields of a Choice."""
+    choice = Choice(*choice)
+    quantities = quantities_of(choice.sensors)
+    states = estimator_of(choice.estimator).states(choice)
+    further = set(quantities[len(QUANTITIES) :]) & set(states)
+
+    def record(outputs, z):
+        estimate = dict(zip(QUANTITIES, ca.vertsplit(outputs["estimate"])))
+        sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
+        if further:
+            window = window_of(choice)
+            # In the memory of a robust estimator, further entries follow those of the window.
+            packed = outputs["memory"][: packed_size(window.memory)]
+            newest = ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])
+            estimate |= {name: value for name, value in zip(states, newest) if name in further}
+        # An estimator without flags uses all valid measurements, converges and never restarts.
+        limits = SPEED_MODELS["parameter"].model.limits
+        valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
+        accepted = outputs.get("accepted", ca.vertcat(*valid))
+        nan = ca.DM.nan(1)
+        return dict(
+            estimate=ca.vertcat(*(estimate.get(name, nan) for name in quantities)),
+            sigma=ca.vertcat(*(sigma.get(name, nan) for name in quantities)),
+            deviance=outputs.get("deviance", nan),
+            kkt=outputs.get("kkt", nan),
+            ok=outputs.get("ok", ca.MX(1)),
+            accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
+            restart=outputs.get("restart", ca.MX(0)),
+        )
+
+    return _build_scan(build_step(choice), model_of(choice), paper.DT_S, quantities, record)
+
+
+def replay_of(scenario):
+    """The Replay of a scenario's estimator."""
+    names = scenario.sensors
+    choice = Choice.of(scenario)
+    # The estimators of a replay do not receive the traction, except for the one that assumes 1.
+    settings = estimator_of(choice.estimator).settings(scenario) | dict(traction=np.ones(2))
+    measured = measured_of(names)
+    return Replay(
+        dt_s=paper.DT_S,
+        model=model_of(choice),
+        quantities=quantities_of(names),
+        measured=measured,
+        means=[name for name in measured if name in (*MEASUREMENTS[2:], SENSORS["gyro"])],
+        recorded=dict(
+            estimate=hats_of(names),
+            sigma=_sigmas_of(names),
+            deviance=["deviance"],
+            kkt=["kkt_rhe"],
+            ok=["ok"],
+            accepted=GATE[:2],
+            restart=GATE[2:],
+        ),
+        build=build_replay,
+        structure=tuple(choice),
+        settings=settings,
+    )
 
 
 def first_memory(scenario, pose, nu, first=_UNKNOWN):
@@ -276,57 +337,55 @@ def first_memory(scenario, pose, nu, first=_UNKNOWN):
     guess = (*pose, nu, 1.0, 1.0, *(first.lever_arm_m or first.about_arm_m))
     if "gyro" in scenario.sensors:
         guess += (*sensors.GYRO_GUESS.values(),)
-    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
-    if first.lever_arm_m is not None:
-        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator)
     named = dict(zip(quantities_of(scenario.sensors), guess))
-    return np.append(pack_array(estimator.init(choice, named, sigma)), guess)
+    return np.append(pack_array(estimator.init(choice, named, _sigma_first(first))), guess)
 
 
-def settings_of_replay(scenario):
-    """The settings of `build_replay` by name, and more."""
-    choice = Choice.of(scenario)
-    settings = estimator_of(choice.estimator).settings(scenario)
-    # The estimators of a replay do not receive the traction, except for the one that assumes 1.
-    return settings | dict(traction=np.ones(2))
+def _sigma_first(first):
+    """Standard deviations of an InitialGuess, by the names of _QUANTITIES."""
+    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
+    if first.lever_arm_m is not None:
+        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
+    return sigma
 
 
-def _run(functions, scenario, z, age_s, yaw_rad, first):
-    """`_recorded_columns` of the samples of one segment; NaN before the first position.
+def _run(how, scenario, stream, yaw_rad, first):
+    """What the Replay records of one segment; NaN before the first position.
 
-    z (n, n_z): measurements; age_s (n, ages): as in the stream [s]; first: the InitialGuess.
+    Args:
+        how: The Replay of the scenario.
+        scenario: The Scenario of the estimator.
+        stream: (n, 2 n_z), as of `recording.with_ages`.
+        yaw_rad: Guess of the initial yaw [rad].
+        first: The InitialGuess.
     """
-    has_position = np.isfinite(z[:, :2]).all(axis=1)
-    begin = np.argmax(has_position) if has_position.any() else len(z)
-    x, y = z[begin, :2] if has_position.any() else (0.0, 0.0)
-    nu = np.nan_to_num(z[0, 2])
-    memory = first_memory(scenario, (x, y, yaw_rad), nu, first)
-    stream = np.column_stack([z, age_s])
-    arrays = runner.record(functions, memory, stream, settings_of_replay(scenario))
-    rows = np.column_stack([arrays[name] for name in _RECORDED])
-    rows[:begin] = np.nan
-    return rows
+    has_position = np.isfinite(stream[:, :2]).all(axis=1)
+    begin = np.argmax(has_position) if has_position.any() else len(stream)
+    x, y = stream[begin, :2] if has_position.any() else (0.0, 0.0)
+    nu = np.nan_to_num(stream[0, 2])
+    estimates = how.scanned(first_memory(scenario, (x, y, yaw_rad), nu, first), stream)
+    estimates.iloc[:begin] = np.nan
+    return estimates
 
 
-def _innovations(scenario, estimate, z, age_s):
+def _innovations(how, estimates, stream):
     """Measured minus predicted position at each sample (n, 2) [m]; the first is NaN.
 
-    The prediction starts at the previous estimate (n, quantities) and uses the encoder measurements
-    until the time at which the position was measured.
+    The prediction starts at the previous estimate and uses the encoder measurements until the time
+    at which the position was measured.
     """
-    innovations = np.full((len(z), 2), np.nan)
-    model = model_of(Choice.of(scenario))
-    if len(z) > 1:
-        tau_s = paper.DT_S - np.nan_to_num(age_s[1:, 0])
-        predict = predictor(model, quantities_of(scenario.sensors))
-        _, predicted = predict(estimate[:-1], z[1:], tau_s)
-        innovations[1:] = z[1:, :2] - predicted[:, :2]
+    innovations = np.full((len(stream), 2), np.nan)
+    if len(stream) > 1:
+        z, ages_s = np.hsplit(stream[1:], 2)
+        before = estimates[how.hats].to_numpy()[:-1]
+        _, predicted = how.predict(before, z, how.dt_s - ages_s[:, 0])
+        innovations[1:] = z[:, :2] - predicted[:, :2]
     return innovations
 
 
-def _most_likely_heading(functions, scenario, z, age_s, first):
+def _most_likely_heading(how, scenario, stream, first):
     """`_run` with an unknown initial yaw: several directions are tried.
 
     A row is taken from the direction with the smallest sum of squared innovations until then, so
@@ -334,58 +393,71 @@ def _most_likely_heading(functions, scenario, z, age_s, first):
     """
     unsure = first._replace(sigma_yaw_rad=np.pi / N_HEADINGS)
     yaws = 2 * np.pi / N_HEADINGS * np.arange(N_HEADINGS)
-    runs = np.stack([_run(functions, scenario, z, age_s, yaw, unsure) for yaw in yaws])
-    n = len(quantities_of(scenario.sensors))
-    squares = [np.square(_innovations(scenario, run[:, :n], z, age_s)) for run in runs]
+    runs = [_run(how, scenario, stream, yaw, unsure) for yaw in yaws]
+    squares = [np.square(_innovations(how, run, stream)) for run in runs]
     best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
-    return runs[best, np.arange(len(z))]
+    chosen = np.stack([run.to_numpy() for run in runs])[best, np.arange(len(stream))]
+    return pd.DataFrame(chosen, columns=runs[0].columns)
 
 
-def _with_checked_gyro(samples):
-    """The samples, with NaN in place of a gyro that is left out."""
-    if GYRO_ACCEPTED not in samples:
-        return samples
-    gyro = samples[SENSORS["gyro"]].where(samples[GYRO_ACCEPTED])
-    return samples.assign(**{SENSORS["gyro"]: gyro})
+def _smooth(how, part, stream, first):
+    """The samples of a segment with smoothed estimates of the joint state.
 
-
-def _counting(rows, names):
-    """The measurements (n, n_z) that the replay accepted; NaN in place of the others."""
-    z = _with_checked_gyro(rows)[measured_of(names)].copy()
-    z[z.columns[:2]] = z[z.columns[:2]].where(rows["position_accepted"] == 1)
-    z[z.columns[2:4]] = z[z.columns[2:4]].where(rows["encoders_accepted"] == 1)
-    return z.to_numpy()
-
-
-def _smooth(part, scenario, first):
-    """The samples of a segment with smoothed estimates of the joint state."""
-    rows = part[part[ESTIMATE[0]].notna()]
-    if len(rows) < 2:
+    Args:
+        how: The Replay.
+        part: DataFrame of the samples.
+        stream: (n, 2 n_z) what the estimator received.
+        first: The InitialGuess.
+    """
+    is_known = part[ESTIMATE[0]].notna().to_numpy()
+    if is_known.sum() < 2:
         return part
-    choice = Choice.of(scenario)
-    names = scenario.sensors
-    model = window_of(choice).model
-    quantities = quantities_of(names)
-    columns = dict(zip(quantities, hats_of(names))) | dict(omega_radps=MEASUREMENTS[3])
+    rows = part[is_known]
+    stream = stream[is_known]
+    stream[rows["position_accepted"] != 1, :2] = np.nan
+    stream[rows["encoders_accepted"] != 1, 2:4] = np.nan
+    columns = dict(zip(how.quantities, how.hats)) | dict(omega_radps=MEASUREMENTS[3])
     # Last inputs that no encoder measures begin at 0.
-    trajectory = rows.reindex(columns=[columns.get(name, "") for name in model.joint_names])
-    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST))
+    trajectory = rows.reindex(columns=[columns.get(name, "") for name in how.model.joint_names])
+    sigma = _sigma_first(first)
     sigma["theta_rad"] = np.pi if first.yaw_rad is None else first.sigma_yaw_rad
-    if first.lever_arm_m is not None:
-        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
-    settings = estimator_of("rhe").settings(scenario)
-    age_s = np.nan_to_num(rows[AGE[0]].to_numpy())
-    trajectory = trajectory.fillna(0.0).to_numpy()
-    z = _counting(rows, names)
-    s, sigma = smoothed(choice, settings, sigma_start(model, sigma), trajectory, z, age_s)
-    places = [model.joint_names.index(name) for name in quantities if name in model.joint_names]
-    estimated = [model.joint_names[place] for place in places]
-    sigmas = dict(zip(quantities, _sigma_columns(names)))
+    s, sigma = smoothed(
+        how.model,
+        how.dt_s,
+        how.settings,
+        sigma_start(how.model, sigma),
+        trajectory.fillna(0.0).to_numpy(),
+        stream,
+    )
+    sigmas = dict(zip(how.quantities, how.recorded["sigma"]))
     part = part.copy()
-    part.loc[rows.index, [columns[name] for name in estimated]] = s[:, places]
-    part.loc[rows.index, [sigmas[name] for name in estimated]] = sigma[:, places]
+    for place, name in enumerate(how.model.joint_names):
+        if name in how.quantities:
+            part.loc[is_known, columns[name]] = s[:, place]
+            part.loc[is_known, sigmas[name]] = sigma[:, place]
     part[ESTIMATE[4:]] = part[ESTIMATE[4:]].clip(0, 1)
     return part
+
+
+def _first_yaw(first, number, samples):
+    """The initial yaw [rad] of a segment, passed or measured at its first position; else None."""
+    if first.yaw_rad is not None:
+        return first.yaw_rad[number]
+    if SENSORS["heading"] not in samples:
+        return None
+    with_position = samples[samples[MEASUREMENTS[:2]].notna().all(axis=1)]
+    heading_rad = with_position[SENSORS["heading"]].head(1)
+    return float(heading_rad.iloc[0]) if heading_rad.notna().any() else None
+
+
+def _corrupt(part, faults, recording, names, seed):
+    """Put the faults into the samples of a segment."""
+    measured = measured_of(names)
+    named = tuple(name for name in SENSORS if name in names)
+    z = part[measured].to_numpy()
+    z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed, named)
+    # Infinite measurements count as missing, as in a log.
+    part[measured] = np.where(np.isfinite(z), z, np.nan)
 
 
 def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smooth=False):
@@ -402,64 +474,40 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
     Returns:
         DataFrame, one row for each sample of the estimator.
     """
-    functions = compiled.load(build_replay, *Choice.of(scenario))
-    measured = measured_of(scenario.sensors)
-    n = len(quantities_of(scenario.sensors))
+    how = replay_of(scenario)
+    names = scenario.sensors
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = resample(rows, paper.DT_S, recording.averaged)
         if faults:
-            # Infinite measurements count as missing, as in a log.
-            z = part[measured].to_numpy()
-            names = tuple(name for name in SENSORS if name in scenario.sensors)
-            z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed, names)
-            part[measured] = np.where(np.isfinite(z), z, np.nan)
-        if "gyro" in scenario.sensors:
+            _corrupt(part, faults, recording, names, seed)
+        used = part
+        if "gyro" in names:
+            gyro = part[SENSORS["gyro"]]
             omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
-            part[GYRO_ACCEPTED] = gyro_check.are_used(part[SENSORS["gyro"]], omega)
-        z = _with_checked_gyro(part)[measured].to_numpy()
-        age_s = part[_ages_of(scenario.sensors)].to_numpy()
+            part[GYRO_ACCEPTED] = gyro_check.are_used(gyro, omega)
+            used = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
+        stream = with_ages(used, how.measured)
         yaw_rad = _first_yaw(first, number, part)
         if yaw_rad is None:
-            outputs = _most_likely_heading(functions, scenario, z, age_s, first)
+            estimates = _most_likely_heading(how, scenario, stream, first)
         else:
-            outputs = _run(functions, scenario, z, age_s, yaw_rad, first)
-        part[_recorded_columns(scenario.sensors)] = outputs
-        part[INNOVATION] = _innovations(scenario, outputs[:, :n], z, age_s)
+            estimates = _run(how, scenario, stream, yaw_rad, first)
+        part[INNOVATION] = _innovations(how, estimates, stream)
+        part = pd.concat([part, estimates], axis=1)
         part["lost"] = is_lost(part, sigma_v_of(scenario))
         if smooth:
-            part = _smooth(part, scenario, first)
+            part = _smooth(how, part, stream, first)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
 
 
-def _first_yaw(first, number, samples):
-    """The initial yaw [rad] of a segment, passed or measured at its first position; else None."""
-    if first.yaw_rad is not None:
-        return first.yaw_rad[number]
-    if SENSORS["heading"] not in samples:
-        return None
-    with_position = samples[samples[MEASUREMENTS[:2]].notna().all(axis=1)]
-    heading_rad = with_position[SENSORS["heading"]].head(1)
-    return float(heading_rad.iloc[0]) if heading_rad.notna().any() else None
-
-
 # Rows of the log
 
 
-class _Columns(NamedTuple):
-    """The columns of the samples that `_at_rows` predicts, and the predictor."""
-
-    measured: list  # all measurements
-    means: list  # the measurements of inputs, which are means
-    estimated: list
-    predict: Any  # the `predictor` of these estimates
-    timing: Any = None  # the Timing of a Model's measurements
-
-
-def _at_rows(samples, recording, log, dt_s, columns):
+def _at_rows(samples, recording, log, how):
     """One row for each row of the log, in its order and with its index.
 
     A row has the estimate of the last sample, predicted to the time of the row. An unusable row has
@@ -468,35 +516,32 @@ def _at_rows(samples, recording, log, dt_s, columns):
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
-        parts.append(_at_rows_of_segment(part, rows, dt_s, recording.averaged, columns))
+        parts.append(_at_rows_of_segment(part, rows, recording.averaged, how))
     rows = pd.concat(parts, ignore_index=True)
     # The row of `rows` for each row of the log; -1 marks unusable rows.
     usable = np.full(len(log), -1)
     usable[recording.places] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(usable, 0))].set_axis(log.index)
-    result.loc[usable < 0, columns.measured] = np.nan
+    result.loc[usable < 0, how.measured] = np.nan
     result.loc[usable < 0, result.columns.intersection([*GATE, GYRO_ACCEPTED])] = False
     result.attrs["faults"] = recording.faults
     return result
 
 
-def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
+def _at_rows_of_segment(samples, rows, averaged, how):
     """`_at_rows` of the samples and usable rows of one segment."""
     t = rows["t_s"].to_numpy()
     sampled = samples["t_s"].to_numpy()
     last = np.searchsorted(sampled, t, side="right") - 1
     tau = t - sampled[last]
-    z = samples[columns.measured].iloc[last].reset_index(drop=True)
-    z[columns.means] = measured_since(
-        rows, sampled[last], dt_s, averaged, columns.means, columns.timing
-    )
+    z = samples[how.measured].iloc[last].reset_index(drop=True)
+    z[how.means] = measured_since(rows, sampled[last], how.dt_s, averaged, how.means, how.timing)
     result = samples.iloc[last].reset_index(drop=True)
-    estimate = result[columns.estimated].to_numpy()
-    predicted, _ = columns.predict(estimate, z.to_numpy(), tau)
-    result.loc[tau != 0, columns.estimated] = predicted[tau != 0]
+    predicted, _ = how.predict(result[how.hats].to_numpy(), z.to_numpy(), tau)
+    result.loc[tau != 0, how.hats] = predicted[tau != 0]
     # Events of a sample are reported only in the first row after it.
     is_between = np.diff(last, prepend=-1) == 0
-    ages = [f"{name}_age_s" for name in columns.measured]
+    ages = [f"{name}_age_s" for name in how.measured]
     of_sample = result.columns.intersection([*INNOVATION, "deviance", *ages])
     result.loc[is_between, of_sample] = np.nan
     result.loc[is_between, result.columns.intersection([*GATE, GYRO_ACCEPTED])] = False
@@ -508,54 +553,71 @@ def _at_rows_of_segment(samples, rows, dt_s, averaged, columns):
 # Any Model
 
 
+def build_model_replay(of_rhe, *structure):
+    """The scan of the RHE of a Window, or of the EKF of a Model and dt [s]."""
+    if of_rhe:
+        (window,) = structure
+        model = window.model
+        dt_s = window.dt_s
+        step = rhe.build_phases(window)["step"]
+    else:
+        model, dt_s = structure
+        step = ekf.build(model, dt_s)["step"]
+    names = (*model.states, *model.parameters)
+
+    def record(outputs, z):
+        P = outputs["covariance"]
+        places = [model.joint_names.index(name) for name in names]
+        sigma = ca.vertcat(*(ca.sqrt(P[place, place]) for place in places))
+        estimate = outputs["estimate"]
+        return dict(estimate=estimate, sigma=sigma, ok=outputs.get("ok", ca.MX(1)))
+
+    return _build_scan(step, model, dt_s, model.names, record)
+
+
 def _replay_model(log, model, estimator, delays_s, arguments):
     """Replay a log with the RHE or EKF of a Model, which restarts in each segment."""
-    classes = {"rhe": RHE, "ekf": EKF}
+    classes = {"rhe": rhe.RHE, "ekf": ekf.EKF}
     if estimator not in classes:
         raise ValueError(f"estimator was {estimator!r}; for a model it should be 'rhe' or 'ekf'")
-    live = classes[estimator]
-    live(model=model, **arguments)  # validates the arguments before the log is read
+    live = classes[estimator](model=model, **arguments)  # before the log is read
     dt_s = arguments["dt"]
+    mean, sigma = joint_guess(model, arguments["guess"], arguments["sigma_guess"])
+    if estimator == "rhe":
+        structure = (True, live.window)
+        memory = pack_array(rhe.init(live.window, mean, sigma))
+    else:
+        structure = (False, model, dt_s)
+        memory = live.first_memory
+    guess = dict(zip(model.joint_names, mean))
+    memory = np.append(memory, [guess.get(name, 0.0) for name in model.names])
     recording = prepare_for(model, dt_s, log, delays_s)
-    means = [model.outputs[row] for row in model.input_outputs.values()]
-    hats = [f"{name}_hat" for name in model.names]
-    sigmas = [f"{name}_sigma" for name in (*model.states, *model.parameters)]
+    how = Replay(
+        dt_s=dt_s,
+        model=model,
+        quantities=model.names,
+        measured=[*model.outputs],
+        means=[model.outputs[row] for row in model.input_outputs.values()],
+        recorded=dict(
+            estimate=[f"{name}_hat" for name in model.names],
+            sigma=[f"{name}_sigma" for name in (*model.states, *model.parameters)],
+            ok=["ok"],
+        ),
+        build=build_model_replay,
+        structure=structure,
+        settings=live.settings,
+        timing=recording.timing,
+    )
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, dt_s, True, model.outputs, means, recording.timing)
-        part[[*hats, *sigmas, "ok"]] = _run_live(live(model=model, **arguments), model, part, dt_s)
+        part = resample(rows, dt_s, True, how.measured, how.means, how.timing)
+        estimates = how.scanned(memory, with_ages(part, how.measured))
+        part = pd.concat([part, estimates], axis=1)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     samples["ok"] = samples["ok"] == 1
-    predict = predictor(model, model.names)
-    columns = _Columns([*model.outputs], means, hats, predict, recording.timing)
-    return _at_rows(samples, recording, log, dt_s, columns)
-
-
-def _run_live(estimator, model, samples, dt_s):
-    """Estimates, standard deviations and `ok` of the samples of a segment, (n, columns).
-
-    Measurements that are older than their sample are moved to it as in `_moved_to_sample`, or left
-    out of the first sample, before which no motion is known.
-    """
-    motion = motion_of(model, model.names)
-    ages = samples.reindex(columns=[f"{name}_age_s" for name in model.outputs]).to_numpy()
-    rows = []
-    last = None
-    for z, age_s in zip(samples[[*model.outputs]].to_numpy(copy=True), ages):
-        if last is None:
-            z[age_s > 0] = np.nan
-        for row in np.flatnonzero((age_s > 0) & np.isfinite(z)):
-            _, now = motion(last, z, dt_s)
-            _, then = motion(last, z, dt_s - age_s[row])
-            z[row] += float(now[row] - then[row])
-        estimator.prepare()
-        x, u, p, covariance = estimator.feedback(z)
-        last = [*x, *u, *p]
-        sigma = np.sqrt(np.diag(covariance))
-        rows.append([*last, *sigma, getattr(estimator, "ok", True)])
-    return np.array(rows, dtype=float)
+    return _at_rows(samples, recording, log, how)
 
 
 # The public function
@@ -574,7 +636,7 @@ def replay(
     position_delay_s: Real = 0.0,
     delays_s: dict[str, Real] | None = None,
     trust_log: Flag = False,
-    smooth: Flag = False,
+    smooth: Flag | None = None,
     **fields: Any,
 ) -> pd.DataFrame:
     """Run an estimator on a recorded log of the paper's robot or of any Model.
@@ -623,8 +685,9 @@ def replay(
         delays_s: With a model, {output: delay of its time stamps [s]}.
         trust_log: Whether to skip the plausibility checks. By default a log with wrong units, signs
             or axes, or of a robot that never moves, is refused.
-        smooth: Whether each estimate takes later measurements into account, too. Only the
-            estimator "rhe" with speed_model="slipping" or "input" can be smoothed.
+        smooth: Whether each estimate takes later measurements into account, too: by default that
+            of the estimator "rhe" with speed_model="slipping". With speed_model="input" it can be
+            smoothed as well.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
             speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
             default speed_model is "slipping": "input" (interpretation R13) with noise that grows
@@ -665,21 +728,19 @@ def replay(
             f"delays_s was {delays_s!r}; it is of a model's outputs, and this replay has no model: "
             "position_delay_s is that of the positions"
         )
-    recording = prepare(log, track_width_m, position_delay_s)
+    recording = delayed(prepare(log, track_width_m), position_delay_s)
     if not trust_log:
-        refuse_implausible(recording)
+        refuse(recording)
     scenario = replay_scenario(estimator, recording, fields)
     _refuse_lever_arm(lever_arm_m, scenario)
+    if smooth is None:
+        smooth = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
     _refuse_smooth(smooth, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
     samples = estimate_samples(recording, scenario, first, smooth=smooth)
-    names = scenario.sensors
-    predict = predictor(model_of(Choice.of(scenario)), quantities_of(names))
-    means = [*MEASUREMENTS[2:], *([SENSORS["gyro"]] if "gyro" in names else [])]
-    columns = _Columns(measured_of(names), means, hats_of(names), predict)
-    result = _at_rows(samples, recording, log, paper.DT_S, columns)
+    result = _at_rows(samples, recording, log, replay_of(scenario))
     is_arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
     if "origin" in log.attrs:
         result.attrs["origin"] = log.attrs["origin"]

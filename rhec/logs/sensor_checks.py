@@ -1,13 +1,14 @@
 """Checks of a log's gyro and heading for a wrong sign, axis, unit or direction of zero.
 
 The turns of the encoders are the reference for turns, and the course of the positions for the
-direction. Both are rough, so that only errors that no robot explains are refused.
+direction. Both are rough, so that only what no robot explains is found.
 """
 
 import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.logs.finding import implausible
 from rhec.logs.recording import resample
 from rhec.simulation.columns import MEASUREMENTS, SENSORS
 
@@ -29,30 +30,19 @@ _LARGEST_OFFSET_RAD = 0.5  # of the heading from the course
 _LARGEST_SPREAD_RAD = 0.7  # of that offset, for a clear one
 
 
-def refuse_implausible_sensors(recording):
-    """Refuse a Recording whose gyro or heading has a wrong sign, axis, unit or zero.
-
-    Args:
-        recording: The Recording.
-
-    Raises:
-        ValueError: If it is refused; the message names the column and the probable cause.
-    """
-    if not recording.sensors:
-        return
-    parts = [resample(rows, paper.DT_S, recording.averaged) for _, rows in _segments(recording)]
+def check_sensors(recording):
+    """Yield a Finding for each wrong sign, axis, unit or zero of a Recording's gyro and heading."""
+    groups = recording.rows.groupby("segment") if recording.sensors else ()
+    parts = [resample(rows, paper.DT_S, recording.averaged) for _, rows in groups]
     if "gyro" in recording.sensors:
         turns = np.concatenate([part[[_YAW_RATE, _GYRO]].to_numpy() for part in parts])
-        _refuse_turns(paper.DT_S * turns, recording, _GYRO, "rad/s")
+        yield from _check_turns(paper.DT_S * turns, recording, _GYRO, "rad/s")
     if "heading" in recording.sensors:
         turns = np.concatenate([_turns_of_heading(part) for part in parts])
-        _refuse_degrees(parts, recording)
-        _refuse_turns(turns, recording, _HEADING, "rad")
-        _refuse_offset(parts, recording)
-
-
-def _segments(recording):
-    return recording.rows.groupby("segment")
+        in_degrees = [*_check_degrees(parts, recording)]
+        yield from in_degrees
+        yield from () if in_degrees else _check_turns(turns, recording, _HEADING, "rad")
+        yield from _check_offset(parts, recording)
 
 
 def _turns_of_heading(part):
@@ -66,8 +56,8 @@ def _turns_of_heading(part):
     return pd.DataFrame(turns).rolling(_WINDOW).sum().to_numpy()
 
 
-def _refuse_turns(turns, recording, sensor, unit):
-    """Raise a ValueError for turns (n, 2) of encoders and sensor [rad] that do not belong together.
+def _check_turns(turns, recording, sensor, unit):
+    """Find turns (n, 2) of encoders and sensor [rad] that do not belong together.
 
     A gyro's bias is a constant of the fit.
     """
@@ -88,14 +78,14 @@ def _refuse_turns(turns, recording, sensor, unit):
     elif share > _LEAST_SHARE and slope > _DEGREES:
         cause = f"{column} may be in degrees and should be in {unit}"
     if cause:
-        raise ValueError(
+        yield implausible(
             f"the log's {cause}: it turns {slope:.3g} times as far as "
             f"{recording.columns[_YAW_RATE]} says"
         )
 
 
-def _refuse_degrees(parts, recording):
-    """Raise a ValueError for a heading in degrees, by the median of its steps while turning."""
+def _check_degrees(parts, recording):
+    """Find a heading in degrees, by the median of its steps while turning."""
     steps = [
         part[[_YAW_RATE, _HEADING]].assign(**{_HEADING: part[_HEADING].diff()}) for part in parts
     ]
@@ -106,14 +96,14 @@ def _refuse_degrees(parts, recording):
     ratio = np.median(turns[:, 1] / turns[:, 0])
     if ratio > _DEGREES:
         column = recording.columns[_HEADING]
-        raise ValueError(
+        yield implausible(
             f"the log's {column} may be in degrees and should be in rad: it turns {ratio:.3g} "
             f"times as far as {recording.columns[_YAW_RATE]} says"
         )
 
 
-def _refuse_offset(parts, recording):
-    """Raise a ValueError for a heading that is not the direction in which the robot drives."""
+def _check_offset(parts, recording):
+    """Find a heading that is not the direction in which the robot drives."""
     offsets = np.concatenate([_offsets(part) for part in parts])
     if len(offsets) < _LEAST_PIECES:
         return
@@ -122,7 +112,7 @@ def _refuse_offset(parts, recording):
     offset = float(np.angle(mean))
     if abs(offset) > _LARGEST_OFFSET_RAD and spread < _LARGEST_SPREAD_RAD:
         column = recording.columns[_HEADING]
-        raise ValueError(
+        yield implausible(
             f"the log's {column} is {offset:.3g} rad from the direction in which the robot drives; "
             "it may be counted from north and should be counted from the x axis"
         )

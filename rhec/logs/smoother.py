@@ -6,18 +6,10 @@ backwards, linearised at the previous trajectory (Särkkä, "Bayesian Filtering 
 Sec. 9.1). The first trajectory is that of the replay, which also decides which measurements count.
 """
 
-import casadi as ca
 import numpy as np
 
-from rhec import paper
-from rhec.core import runner
-from rhec.core._casadi import compiled
-from rhec.core._casadi.build import with_packed_memory
-from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator.base import noise_shapes
-from rhec.core.estimator.filter import Filter, Noise
-from rhec.core.model import base
-from rhec.tracked_robot.sensors import speed_model_of
+from rhec.logs import filtering
+from rhec.logs.filtering import Loss
 
 _ITERATIONS = 3
 # Errors of recorded positions and slip last longer than a sample. A smoother averages over more
@@ -26,56 +18,21 @@ _CORRELATED = 1.4
 _LEAST_VARIANCE = 1e-14  # of predicted states, so that their covariance has an inverse
 
 
-def ages_of(age_s, n_z):
-    """Ages (n_z,) of the measurements, of which only the position is late, by age_s [s]."""
-    return ca.vertcat(age_s, age_s, ca.SX.zeros(n_z - 2))
-
-
-def _build_filter(speed_model, names):
-    """The scan of a Kalman filter that is linearised at a given trajectory.
-
-    Its step takes the measurements z, with the age of the position [s] as last entry; the settings
-    V, c, W; and the joint states s_before and s_now of the trajectory at both ends of the interval.
-    """
-    model = speed_model_of(speed_model, names).model
-    n_z = len(model.outputs)
-    kalman = Filter(base.interval(model), paper.DT_S)
-    streamed = dict.fromkeys(["s_before", "s_now"], (model.n_s, 1))
-    shapes = dict(z_N=(n_z + 1, 1), noise=noise_shapes(model), W=(model.n_s, 1), **streamed)
-
-    @with_packed_memory("smoothed", kalman.memory_shapes, ca.SX, **shapes)
-    def step(z_N, noise, W, s_before, s_now, **memory):
-        ages_s = ages_of(z_N[n_z], n_z)
-        noise = Noise(W=W, **noise)
-        after = kalman.sample(
-            z_N[:n_z], noise, **memory, ages_s=ages_s, trajectory=(s_before, s_now)
-        )
-        predicted = dict(m_predicted=after.m_predicted, P_predicted=after.P_predicted, A=after.A)
-        return dict(estimate=after.m, covariance=after.P) | predicted | after.memory
-
-    outputs = ["estimate", "covariance", "m_predicted", "P_predicted", "A"]
-    return runner.build_recorded(step, outputs, [*streamed])
-
-
-def smoothed(choice, settings, sigma_first, trajectory, z, age_s):
+def smoothed(model, dt_s, settings, sigma_first, trajectory, stream):
     """Smoothed joint states of a segment and their standard deviations, both (n, n_s).
 
     Args:
-        choice: The Choice of the replay.
-        settings: Its settings, {name: array}.
+        model: The Model.
+        dt_s: Length of a sample [s].
+        settings: Its noise, {name: array}.
         sigma_first: (n_s,) standard deviations of the first joint state of the trajectory.
         trajectory: (n, n_s) joint states at which to begin.
-        z: (n, n_z) measurements, NaN where they do not count.
-        age_s: (n,) ages of the positions [s].
+        stream: (n, 2 n_z), as of `recording.with_ages`; NaN where a measurement does not count.
     """
-    functions = compiled.load(_build_filter, choice.speed_model, choice.sensors)
-    model = speed_model_of(choice.speed_model, choice.sensors).model
-    P_first = np.diag(np.square(sigma_first))
-    begin = dict(m=trajectory[0], P=P_first, v=np.zeros(len(model.inputs)), started=0.0)
+    first = (trajectory[0], sigma_first)
     s = trajectory
     for _ in range(_ITERATIONS):
-        stream = np.column_stack([z, age_s, np.vstack([s[:1], s[:-1]]), s])
-        recorded = runner.record(functions, pack_array(begin), stream, settings)
+        recorded = filtering.run(model, dt_s, Loss.SQUARE, stream, first, settings, s)
         s, P = _backwards(recorded)
     return s, _CORRELATED * np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0))
 

@@ -175,7 +175,9 @@ _MODEL = """
 With a `model`, a recording has `t_s`, a column for each of the model's outputs and, optionally,
 `segment`. The replay returns these and `ok`. It adds the estimate `<name>_hat` of each state, input
 and parameter, and the standard deviation `<name>_sigma` of each state and parameter. The age of
-each output when it was used is `<name>_age_s`, in seconds.
+each output when it was used is `<name>_age_s`, in seconds. The paper's robot keeps the names above,
+with the unit last, because they are those of `run.log`; a Model's names are the user's own, so that
+nothing is put into them.
 """
 _METRICS_HEAD = """
 ## Metrics

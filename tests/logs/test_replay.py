@@ -231,6 +231,7 @@ def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
     """Nor does its absence: wherever the log ends or changes, what was said remains."""
     log, generator = merged(gnss, noise_m=0.02), np.random.default_rng(7)
     given = dict(first_yaw_rad=first_yaw_rad, process_noise="likelihood", trust_log=True)
+    given |= dict(smooth=False)
     whole = rhec.replay(log, **given)
     columns = [*ESTIMATE, "sigma_theta_rad", "innovation_x_m", "ok"]
     for from_s in generator.uniform(1.0, 39.0, 6):
@@ -344,9 +345,9 @@ def test_the_lever_arm_can_be_given_or_estimated():
 
 def test_the_lever_arm_of_a_bag_is_where_the_estimate_of_it_begins():
     log = recorded_log(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=40.0)
-    without = rhec.replay(log, first_yaw_rad=0.4)
+    without = rhec.replay(log, first_yaw_rad=0.4, smooth=False)
     log.attrs["lever_arm_m"] = (0.3, -0.2)
-    begun = rhec.replay(log, first_yaw_rad=0.4)
+    begun = rhec.replay(log, first_yaw_rad=0.4, smooth=False)
     arm = ["arm_forward_hat_m", "arm_left_hat_m"]
     np.testing.assert_allclose(begun[arm].iloc[0], (0.3, -0.2), atol=1e-3)
     off = [np.abs(each[arm] - np.array((0.3, -0.2))).mean().max() for each in (begun, without)]

@@ -193,7 +193,9 @@ def test_help_has_unit_range_and_default_of_every_field(capsys, monkeypatch):
 def test_every_command_has_help(capsys):
     assert main(["--help"]) == 0
     names = re.findall("^│ ([a-z]+) ", capsys.readouterr().out, re.MULTILINE)
-    assert names == ["calibrate", "campaign", "doctor", "export", "lab", "replay", "simulate"]
+    assert names == [
+        "calibrate", "campaign", "doctor", "export", "lab", "log", "replay", "simulate"
+    ]  # fmt: skip
     for name in names:
         assert main([name, "--help"]) == 0
         assert f"Usage: rhec {name}" in capsys.readouterr().out

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.logs.log_checks import refuse_implausible
-from rhec.logs.recording import prepare
+from rhec.logs.checks import refuse
+from rhec.logs.recording import delayed, prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
 
@@ -197,9 +197,9 @@ def perturbed_replay(log, seed, **arguments):
 
 def _prepared(log, track_width_m=None, position_delay_s=0.0, trust_log=False, **others):
     """The Recording of a log, refused if it is implausible, and the other arguments."""
-    recording = prepare(log, track_width_m, position_delay_s)
+    recording = delayed(prepare(log, track_width_m), position_delay_s)
     if not trust_log:
-        refuse_implausible(recording)
+        refuse(recording)
     return recording, others
 
 

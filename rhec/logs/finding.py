@@ -1,0 +1,37 @@
+"""What a check says of a log: one record for the doctor, for `rhec.replay` and for the command."""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class Severity(StrEnum):
+    """What follows from a Finding."""
+
+    ERROR = "error"  # `rhec.replay` and `rhec.calibrate` refuse the log
+    WARNING = "warning"  # they warn
+    NOTE = "note"  # only the doctor tells it
+
+
+class Finding(NamedTuple):
+    """One thing that is wrong with a log."""
+
+    severity: Severity
+    code: str  # such as "late_positions"
+    fact: str  # what was found, with its number; part of a sentence
+    remedy: str  # what helps, a sentence
+
+    @property
+    def sentence(self) -> str:
+        """The fact as a sentence."""
+        return f"{self.fact[0].upper()}{self.fact[1:]}."
+
+    def as_dict(self) -> dict:
+        """Severity, code, sentence and remedy, by name."""
+        return dict(
+            severity=str(self.severity), code=self.code, sentence=self.sentence, remedy=self.remedy
+        )
+
+
+def implausible(fact: str) -> Finding:
+    """The Finding of a column that cannot be what its name says."""
+    return Finding(Severity.ERROR, "implausible", fact, "Correct it where the log is read.")
