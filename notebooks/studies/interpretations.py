@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
+import rhec
 from notebooks.claims import run_sets
 from notebooks.studies import calibration, statistics
 from notebooks.studies.tables import interval_texts, signed
@@ -22,7 +23,6 @@ from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.live import PaperRHE
 
 __all__ = [
     "ENTRIES",
@@ -131,7 +131,7 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     deviations = []
     for sigma in sigma_kappa:
         sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
-        estimator = PaperRHE(sigma_w=sigma_w, guess=guess)
+        estimator = rhec.RHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
             estimate = estimator.feedback(measurement)

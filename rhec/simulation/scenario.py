@@ -56,8 +56,7 @@ class Scenario:
     interval, from the encoders (R6, R13); "slipping": the same, with process noise that grows with
     the distance of the tracks, also sideways, which is not in the paper."""
     slip: options.Slip | None = None
-    """Constants of the speed model "slipping", in the order of `tuning.SLIP`; a sixth is that of
-    slip to the side that lasts, `tuning.LASTING_SLIP`."""
+    """Constants of the speed model "slipping", in the order of `tuning.SLIP`."""
     arrival_mean: ArrivalMean | None = None
     """Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as in the
     paper; "filtered": from the EKF update (R7); None: the one that fits process_noise."""

@@ -88,9 +88,6 @@ SLIP = dict(
     # The mean slip speed to the side is -side_slip_s·νω [s].
     side_slip_s=0.05,
 )
-# Side slip that lasts, as on ice: the standard deviation of its angle times the root of twice its
-# time constant [rad√s]. It may follow the constants of SLIP, and a replay asks the log for it.
-LASTING_SLIP = dict(lasting_slip=0.0)
 # Gyro and heading (`rhec.tracked_robot.sensors`).
 SIGMA_GYRO = 0.02  # [rad/s]
 SIGMA_HEADING = 0.03  # [rad]

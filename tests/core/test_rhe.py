@@ -17,7 +17,7 @@ from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.live import PaperEstimate
+from rhec.tracked_robot.own_loop import Estimate
 from rhec.tracked_robot.position_check import PositionCheck
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -97,7 +97,7 @@ def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples
 
 def test_without_a_guess_it_begins_at_the_first_reading():
     (estimate,) = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
-    assert isinstance(estimate, PaperEstimate)
+    assert isinstance(estimate, Estimate)
     assert estimate[:6] == pytest.approx((500, -300, 0, 0.4, 1, 1))
 
 

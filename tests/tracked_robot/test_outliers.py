@@ -43,7 +43,7 @@ def step_of(name, is_checked=True):
     choice = Choice.of(rhec.Scenario(estimator=name))
     if not is_checked:
         window = paper_rhe.window_of(choice)._replace(judge=None)
-        step = core_rhe.build_phases(window, QUANTITIES)["step"]
+        step = core_rhe.build_phases(window)["step"]
         return step.map(DRIVES), functools.partial(paper_rhe.init, window)
     estimator = estimators.estimator_of(name)
     return estimator.build_step(choice).map(DRIVES), functools.partial(estimator.init, choice)
@@ -178,7 +178,7 @@ def test_the_gate_of_any_model_judges_the_papers_window_as_well():
     z, _ = drives()
     choice = Choice.of(rhec.Scenario())
     window = paper_rhe.window_of(choice)._replace(judge=InnovationGate())
-    phases = core_rhe.build_phases(window, QUANTITIES)
+    phases = core_rhe.build_phases(window)
     settings = estimators.estimator_of("rhe").settings(rhec.Scenario())
     first = dict(zip(QUANTITIES, (*z[0, 0, :2], 0.0, z[0, 0, 2], 1.0, 1.0)))
     sigma = paper_rhe.SIGMA_START | dict(theta_rad=np.pi / 2)
