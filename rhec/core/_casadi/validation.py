@@ -25,6 +25,8 @@ NotNegative = Annotated[Real, Field(ge=0)]
 Reals = Annotated[tuple[Real, ...], _listed]
 Positives = Annotated[tuple[Positive, ...], _listed]
 NotNegatives = Annotated[tuple[NotNegative, ...], _listed]
+_one_or_more = BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)
+Names = Annotated[tuple[str, ...], _one_or_more]  # one name need not be in a tuple
 Whole = Annotated[int, Field(strict=True), _plain]
 Steps = Annotated[Whole, Field(ge=0, le=1_000_000)]
 Flag = Annotated[bool, Field(strict=True)]

@@ -99,6 +99,18 @@ class ConstrainedHorizon(NamedTuple):
         return len(self.rows) - self.n_c
 
     @property
+    def soft_names(self):
+        """Names of these rows, as `bounds` and `delta_bounds` have them."""
+        model = self.plain.model
+        commands = [model.inputs[place] for place in self.plain.command]
+        names = {Kind.STATE: model.states, Kind.OUTPUT: self.outputs.names, Kind.CHANGE: commands}
+        what = {Kind.CHANGE: "the change of "}
+        return tuple(
+            what.get(row.kind, "") + repr(names[row.kind][row.place])
+            for row in self.rows[self.n_c :]
+        )
+
+    @property
     def memory(self):
         """Shapes of the predicted joint states, the planned inputs, and the commands before."""
         return self.plain.memory | dict(before=(self.n_c, 1))

@@ -234,6 +234,7 @@ def _bounds_of(options, outputs):
                 f"the prices of {name!r} in terminal_bounds were {bound.prices}; they should be "
                 f"those in bounds, {path[name].prices}"
             )
+    path = bounds_of("state_bounds", options.model.state_bounds, options.model.states) | path
     change = bounds_of("delta_bounds", options.delta_bounds, options.command)
     return dict(path=path, end=end, change=change)
 

@@ -150,7 +150,7 @@ def _build_improve(horizon, stages, phases):
         outputs |= {name: full[name] for name in (*horizon.memory, "kkt")}
         outputs |= {name: ca.if_else(taken, chosen[name], full[name]) for name in unknowns}
         outputs["u_plan"] = outputs["u"]
-        flags = dict(converged=chosen["converged"] * taken)
+        flags = dict(converged=chosen["converged"] * taken, ok=values["ok"] * chosen["near"])
         flags["done"] = ca.if_else(taken, chosen["done"], moved == 0)
         return outputs | flags | dict(penalty_after=chosen["penalty_after"])
 

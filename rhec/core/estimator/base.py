@@ -46,6 +46,8 @@ def noise_of(model, sigma_v, sigma_w):
     sigma_v (n_z,) are standard deviations of the measurements, sigma_w (n_x + n_p,) those of the
     process noise per sample.
     """
+    if not model.outputs:
+        raise ValueError("outputs of the model was (); an estimator needs at least one")
     of_length("sigma_v", sigma_v, len(model.outputs), "output")
     settings = dict(V=np.square(sigma_v), W=variances_w(model, sigma_w))
     if model.motion_noise:

@@ -9,7 +9,7 @@ before, the share becomes -share d'·(d - d') / ‖d - d'‖² (Aitken's relaxat
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
-from rhec.core.solver.line_search import CONVERGED, DONE
+from rhec.core.solver.line_search import CONVERGED, DONE, NEAR
 
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
@@ -28,7 +28,7 @@ def relaxation(name, unknowns, data, cost):
 
     Returns:
         The Function (unknowns, unknowns with "_full" after a full step, penalty, solved, kkt, data) ->
-        (unknowns, penalty_after, converged, done). `penalty` carries the last share and step on;
+        (unknowns, penalty_after, near, converged, done). `penalty` carries the last share and step on;
         at first, and after a QP that was not solved, it is 0.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
@@ -48,7 +48,8 @@ def relaxation(name, unknowns, data, cost):
         for key in unknowns:
             part = values[key] + share * (values[f"{key}_full"] - values[key])
             result[key] = ca.if_else(is_full, values[f"{key}_full"], part)
-        flags = dict(converged=ca.logic_or(change <= CONVERGED, stays), done=done)
+        near, converged = (ca.logic_or(change <= most, stays) for most in (NEAR, CONVERGED))
+        flags = dict(near=near, converged=converged, done=done)
         carry = ca.if_else(solved, ca.vertcat(share, step), ca.DM.zeros(carried))
         return result | flags | dict(penalty_after=carry)
 
