@@ -16,11 +16,12 @@ from scipy import optimize
 import rhec
 from notebooks.studies import timing
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
-from rhec.core.estimator import offline, rhe
+from rhec.core.estimator import rhe
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
 from rhec.simulation.campaigns.map import parallel_map
@@ -85,7 +86,7 @@ def build_with_given_arrival():
         memory = {name: known[name] for name in window.memory}
         return dict(estimate=known["estimate"], arrival_covariance=P) | memory
 
-    return offline.build(step, ["estimate", "arrival_covariance"])
+    return runner.build_recorded(step, ["estimate", "arrival_covariance"])
 
 
 def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=None):
@@ -101,7 +102,7 @@ def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=
     )
     guess = dict(zip(model.QUANTITIES, (*log.loc[0, POSE], log.loc[0, "nu_mps"], 1.0, 1.0)))
     memory = pack_array(paper_rhe.init(_window(), guess))
-    recorded = offline.run(functions, memory, log[MEASUREMENTS].to_numpy(), settings)
+    recorded = runner.record(functions, memory, log[MEASUREMENTS].to_numpy(), settings)
     return recorded["estimate"], recorded["arrival_covariance"]
 
 
@@ -373,7 +374,7 @@ def steps_in_time(duration_s=60.0):
         DataFrame: in_time, whether the whole step takes less than a sample; whole_us, and
         feedback_us, the part of it after the measurement.
     """
-    scenario = Scenario(process_noise="calibrated", duration_s=duration_s)
+    scenario = Scenario(process_noise="likelihood", duration_s=duration_s)
     taken = timing.phases(scenario, timing.CONTROLLERS["daqp"])
     whole_us = taken.sum(axis=1)
     is_feedback = [phase == "feedback" for _, phase in timing.PHASES]
@@ -394,7 +395,7 @@ def certainty_equivalence(duration_s=60.0):
     Returns:
         DataFrame, one row a sample: off_radps, the difference of the two commands [rad/s].
     """
-    (run,) = simulate([Scenario(process_noise="calibrated", duration_s=duration_s)])
+    (run,) = simulate([Scenario(process_noise="likelihood", duration_s=duration_s)])
     controller = rhec.RHC(q=run.scenario.q, r=run.scenario.r)
     tracker = PathTracker(run.path, run.scenario.prediction_horizon)
     rows = []

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
 
-ProcessNoise = Literal["printed", "calibrated", "consistent"]
+ProcessNoise = Literal["printed", "likelihood", "consistent", "tracking"]
 SpeedModel = Literal["parameter", "input", "slipping"]
 
 

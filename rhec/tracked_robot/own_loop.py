@@ -64,12 +64,12 @@ class RHE(rhe.RHE):
     Args:
         dt: Length of a sample [s].
         horizon: Intervals of the window.
-        process_noise: "printed", "calibrated" or "consistent", see Scenario.
+        process_noise: W by name, see Scenario.
         sigma_w: Standard deviations of the process noise; None: those of `process_noise`.
         sigma_v: Standard deviations of z; None: those of `process_noise`.
         speed_model: "parameter", "input" or "slipping", see Scenario.
         slip: How tracks slip, for the speed model "slipping", see Scenario.
-        arrival_mean: "smoothed" or "filtered"; None: that of `process_noise`.
+        arrival_mean: "filtered" or "smoothed", see Scenario.
         robust: Whether contradictory measurements count less, see Scenario.
         sensors: What the robot has besides GNSS and encoders: ("gyro",), ("heading",) or both.
         sigma_gyro: Noise of the gyro: constant [rad/s], and as a share of ω, see Scenario.
@@ -93,7 +93,7 @@ class RHE(rhe.RHE):
         sigma_v: options.SigmaV | None = None,
         speed_model: options.SpeedModel = "parameter",
         slip: options.Slip | None = None,
-        arrival_mean: rhe.ArrivalMean | None = None,
+        arrival_mean: rhe.ArrivalMean = "filtered",
         robust: valid.Flag = False,
         sensors: options.Sensors = (),
         sigma_gyro: options.SigmaGyro | None = None,

@@ -107,7 +107,7 @@ def _sigma_w(scenario, kind, dt_s):
     plain = speed_model_of(scenario.speed_model).model
     sigma_w = scenario.sigma_w
     if sigma_w is None:
-        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][scenario.process_noise]))
+        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][tuning.process_noise_of(scenario)]))
         sigma_w = kind.sigma_w or [tuned[name] for name in plain.joint_names]
     sigma = dict(zip(plain.joint_names[-kind.n_sigma_w :], sigma_w))
     if not kind.model.motion_noise:

@@ -15,7 +15,7 @@ from rhec.core.batch.batch import EKFBatch, RHEBatch
 from rhec.core.estimator.rhe import RHE
 
 Array = NDArray[Any]
-SCENARIO = rhec.Scenario(process_noise="calibrated", duration_s=2.0)
+SCENARIO = rhec.Scenario(process_noise="likelihood", duration_s=2.0)
 
 
 def test_one_run_and_many() -> None:

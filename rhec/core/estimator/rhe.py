@@ -42,7 +42,7 @@ from rhec.core.solver.rti import (
     run_phases,
 )
 
-ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
+ArrivalMean = Literal["filtered", "smoothed"]  # interpretation R7; see RHE
 UNKNOWNS = ("s", "v")  # pieces of the memory that an iteration improves
 
 # Records that the phases pass on. Their entries are expressions, or the shapes of these; a name
@@ -74,7 +74,7 @@ class Window(NamedTuple):
     model: Model
     dt_s: float  # length of an interval [s]
     N: int  # intervals of the window
-    arrival_mean: ArrivalMean = "smoothed"
+    arrival_mean: ArrivalMean = "filtered"
     judge: Judge | None = None  # how each sample is used (`guard`); None: as it is measured
     noisy: bool = False  # whether process noise acts within the window (`window_noise`)
     # Names of what the estimate holds, inputs as they are measured: with noise that is slip, an
@@ -734,8 +734,8 @@ class RHE(RealTimeLoop):
             parameter. They enter the arrival cost, eq. (9), and with `noise_in_window` the window.
         guess: First guess of each state, then of each parameter.
         sigma_guess: Standard deviations of the guess.
-        arrival_mean: Prior mean of the oldest node: "smoothed", from the previous solution, or
-            "filtered", from the EKF update. On a linear model the latter is the Kalman filter.
+        arrival_mean: Prior mean of the oldest node: "filtered", from the EKF update, so that on a
+            linear model the RHE is the Kalman filter; or "smoothed", from the previous solution.
         robust: Whether a sample that lies outside its prediction as one in a thousand good ones
             does counts as missing (innovation gating). Otherwise only one in a billion does, and
             the estimator is least squares for all others. In both cases `ok` is False then, and 30
@@ -758,7 +758,7 @@ class RHE(RealTimeLoop):
         sigma_w: valid.NotNegatives,
         guess: valid.Reals,
         sigma_guess: valid.Positives,
-        arrival_mean: ArrivalMean = "smoothed",
+        arrival_mean: ArrivalMean = "filtered",
         robust: valid.Flag = False,
         noise_in_window: valid.Flag = False,
     ):
