@@ -120,7 +120,7 @@ NO_SOFT_ROWS = dict(linear=np.zeros(0), quadratic=np.zeros(0))
 
 
 def test_rows_without_a_price_are_hard_ones_wherever_they_can_be_kept():
-    """Then z is that of qpOASES with hard rows; elsewhere the QP is solved, and tells the excess."""
+    """Then z is that of qpOASES with hard rows; elsewhere it is solved, and tells the excess."""
     rng, (N, n, m, rows, _) = np.random.default_rng(6), SIZES[0]
     solve = solver(N, n, m, m + rows, rows)
     kept = []

@@ -106,7 +106,8 @@ def _build_expand(horizon, stages, feedback):
         kept = {name: inputs.pop(name) for name in horizon.memory if name not in ("s", "u")}
         kkt = ca.if_else(taken, stages.kkt(u, u_ref, u_plan, **inputs), ca.DM.nan())
         predicted = ca.horzcat(*stages.roll_out(s, u, F, D, B, s_0, u_plan))
-        return dict(s=states_after(plain, taken, predicted, s, s_0), u=u_plan) | kept | dict(kkt=kkt)
+        after = states_after(plain, taken, predicted, s, s_0)
+        return dict(s=after, u=u_plan) | kept | dict(kkt=kkt)
 
     return expand
 

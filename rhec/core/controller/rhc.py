@@ -257,9 +257,9 @@ class RHC(RealTimeLoop):
             p: (n_p,) estimated parameters.
             x_ref: (n_x, N+1) desired states; node 0 is now and has no weight. Or (n_x,), if they
                 are the same at all nodes, or one number for all. None: the last ones, at first 0.
-            u_ref: (n_u, N), (n_u,) or one desired input. Inputs that are not commanded are expected to
-                follow it, such as known signals. Where an entry is not finite, the last plan goes
-                on, and `ok` is False.
+            u_ref: (n_u, N), (n_u,) or one desired input. Inputs that are not commanded are expected
+                to follow it, such as known signals. Where an entry is not finite, the last plan
+                goes on, and `ok` is False.
             y_ref: (n_y, N+1), (n_y,) or one desired output; None: the last ones, at first 0.
             u_before: (n_u,) inputs that were applied in the interval before, from which changes are
                 counted. None, or an entry that is not finite: the first ones of the last plan.

@@ -54,8 +54,8 @@ class Model:
             holds for inputs, outputs and angles, too.
         inputs: Names of the inputs u, which act over an interval: measured, commanded, or both.
         parameters: {name: (lowest, highest)} of the parameters p; {name: None} without bounds.
-        outputs: Names of the outputs z, which an estimator needs. An output named like a state, input or parameter measures
-            just that.
+        outputs: Names of the outputs z, which an estimator needs. An output named like a state,
+            input or parameter measures just that.
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,), as one
             column or as a list. An argument can be unpacked: `a, b = x`.
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
@@ -278,14 +278,14 @@ def _check_names(model):
         refuse("states was", model.states, "it should be a tuple of names, or one name")
     if not isinstance(model.parameters, Mapping):
         refuse("parameters was", model.parameters, "it should be a dict of names to bounds or None")
-    fields = {"states, inputs, parameters": model.names, "outputs": model.outputs}
-    for field, names in fields.items():
+    named = {"states, inputs, parameters": model.names, "outputs": model.outputs}
+    for where, names in named.items():
         for name in names:
             if not isinstance(name, str) or not name.isidentifier():
                 expected = "it should be a word of letters, digits and _, such as 'x_m'"
-                refuse(f"a name in {field} was", name, expected)
+                refuse(f"a name in {where} was", name, expected)
             if names.count(name) > 1:
-                raise ValueError(f"{name!r} was twice in {field}; a name should be there once")
+                raise ValueError(f"{name!r} was twice in {where}; a name should be there once")
 
 
 def _check_integration(model):

@@ -71,7 +71,8 @@ def line_search(name, unknowns, data, cost_and_gaps):
             for key in unknowns
         }
         flags = dict(near=change <= NEAR, converged=change <= CONVERGED, done=small)
-        return result | flags | dict(is_full=length == 1) | dict(penalty_after=ca.vertcat(penalty, least))
+        carried = dict(penalty_after=ca.vertcat(penalty, least))
+        return result | flags | dict(is_full=length == 1) | carried
 
     return search
 

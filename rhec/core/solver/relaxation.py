@@ -27,9 +27,9 @@ def relaxation(name, unknowns, data, cost):
         cost: Function (unknowns, data) -> cost.
 
     Returns:
-        The Function (unknowns, unknowns with "_full" after a full step, penalty, solved, kkt, data) ->
-        (unknowns, penalty_after, near, converged, done). `penalty` carries the last share and step on;
-        at first, and after a QP that was not solved, it is 0.
+        The Function (unknowns, unknowns with "_full" after a full step, penalty, solved, kkt, data)
+        -> (unknowns, penalty_after, near, converged, done). `penalty` carries the last share and
+        step on; at first, and after a QP that was not solved, it is 0.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
     carried = 1 + sum(rows * columns for rows, columns in unknowns.values())
