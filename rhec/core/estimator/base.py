@@ -90,7 +90,8 @@ def joint_guess(model, guess, sigma):
     if max(np.square([*sigma.values()])) >= MAX_PLAUSIBLE_STATE:
         limit = MAX_PLAUSIBLE_STATE**0.5
         values = tuple(sigma.values())
-        raise ValueError(f"sigma_guess was {shown(values)}; each should be below {limit:g}")
+        expected = f"each should be below {limit:g}, if need be in larger units"
+        raise ValueError(f"sigma_guess was {shown(values)}; {expected}")
     every = (model.state_bounds or {}) | dict(model.parameters)
     for name, bounds in every.items():
         if bounds and not bounds[0] <= guess[name] <= bounds[1]:

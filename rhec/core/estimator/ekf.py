@@ -86,7 +86,14 @@ class EKF:
         """Do nothing: the filter does all its work in `feedback`."""
 
     def step(self, z: Any) -> Any:
-        """The same as `feedback`, as RHE and RHC have it."""
+        """Estimate from the newest measurement: `feedback`, by the name that RHE and RHC have.
+
+        Args:
+            z: (n_z,) measurements; an entry that is not finite counts as missing.
+
+        Returns:
+            Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
+        """
         return self.feedback(z)
 
     @property
