@@ -200,7 +200,7 @@ class RealTimeLoop:
 
     @property
     def kkt(self) -> float:
-        """KKT tolerance of the linearisation point of the last feedback; NaN if that was unsolved."""
+        """KKT tolerance of the linearisation point of the last feedback; NaN if unsolved."""
         self.iteration.expand()
         return self.iteration.arrays["kkt"].item()
 
