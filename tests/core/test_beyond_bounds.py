@@ -6,6 +6,7 @@ import pytest
 from helpers import no_compiler
 
 import rhec
+from notebooks.further import constrained_gallery
 
 INF = np.inf
 
@@ -115,6 +116,16 @@ def test_a_reactor_at_its_lowest_level_is_ok(price):
         oks.append(mpc.ok)
         levels.append(x[0] + x[1])
     assert all(oks) and min(levels) >= -5 - 1e-6 and levels[-1] == pytest.approx(-5, abs=1e-6)
+
+
+def test_a_price_far_above_the_multiplier_of_a_bound_that_is_almost_reached():
+    """do-mpc's reactor creeps up to 140 °C, whose price exceeds all that is left to gain by 1e9."""
+    problem = constrained_gallery.cstr()
+    model = problem.options["model"]
+    mpc = controller(**problem.options)
+    goal = dict(x_ref=problem.goal)
+    states, _, ok = drive(model, mpc, problem.start, 50, problem.options["dt"], **goal)
+    assert np.all(ok) and 139.9 < states[-1, 2] <= 140
 
 
 # A bound that moves

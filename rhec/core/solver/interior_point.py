@@ -256,8 +256,9 @@ def _build_start(shape, loops):
         soft = there[shape.n_hard :, :]
         exceeded = soft * ca.fmax(-b[shape.n_hard :, :], 0)
         first = scale + ca.dot(linear, exceeded) + ca.dot(quadratic, exceeded**2) / 2
-        # A multiplier grows up to its price, and δ has to be small beside that, too.
-        steepness = ca.vertcat(ca.DM.zeros(shape.n_hard), price["linear"]) / (widest + free_way)
+        # A multiplier grows up to its price or the own one, and δ has to be small beside that, too.
+        highest = ca.vertcat(ca.DM.zeros(shape.n_hard), ca.fmin(price["linear"], own))
+        steepness = highest / (widest + free_way)
         delta = _PROXIMAL / (stiffness + 1e-3 * first / widest**2 + steepness)
         nearest = ca.repmat(_NEAREST * widest, 1, shape.N + 1)
         near = nearest[shape.n_hard :, :]
